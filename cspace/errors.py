@@ -1,0 +1,155 @@
+"""The one tree of errors that the project raises.
+
+CspaceError
+├── InputError (also a ValueError)      a value from outside is wrong
+│   ├── ConfigError                     a setting or a configuration key
+│   ├── ImageError                      bytes that are not an acceptable picture
+│   ├── ScenarioError                   a robot, scenario or problem that cannot be
+│   └── DatasetError                    a data-set folder
+│       └── DamagedFileError            a file whose digest is not the manifest's
+├── BundleError                         a bundle that cannot be used
+│   ├── BundleIntegrityError            sums, schema or files are wrong
+│   └── GoldenMismatchError             the golden case gives other answers
+├── StorageError                        disk full, or a target that cannot be written
+├── RegistryError                       the model registry
+│   ├── RegistryUnavailableError        it does not answer
+│   └── ModelNotFoundError              no such model, version or alias
+├── SamplerError                        the sampling endpoint refused a request
+│   └── SamplerUnavailableError         it does not answer
+├── PlanningError                       a planner was asked for something impossible
+├── EvaluationError                     an evaluation that cannot be computed
+├── ServiceError                        processes of this machine
+│   ├── PortTakenError
+│   ├── ServiceStartError
+│   └── ServiceNotRunningError
+└── JobError                            a Ray job failed or cannot go on
+"""
+
+
+class CspaceError(Exception):
+    """Base of every error of the project.
+
+    Args:
+        what: what is wrong, in one clause.
+        expected: what would have been right.
+        got: what came instead.
+        remedy: what the reader can do.
+    """
+
+    def __init__(
+        self,
+        what: str,
+        *,
+        expected: str | None = None,
+        got: str | None = None,
+        remedy: str | None = None,
+    ) -> None:
+        parts = [what]
+        if expected is not None:
+            parts.append(f"expected {expected}")
+        if got is not None:
+            parts.append(f"got {got}")
+        if remedy is not None:
+            parts.append(remedy)
+        super().__init__("; ".join(parts))
+        self.what = what
+        self.expected = expected
+        self.got = got
+        self.remedy = remedy
+
+    def __reduce__(self) -> tuple[object, ...]:
+        # Ray sends errors between processes; the default would replay only the joined message.
+        details = {"expected": self.expected, "got": self.got, "remedy": self.remedy}
+        return (_rebuild, (type(self), self.what, details))
+
+
+def _rebuild(kind: type[CspaceError], what: str, details: dict[str, str | None]) -> CspaceError:
+    return kind(what, **details)
+
+
+class InputError(CspaceError, ValueError):
+    """A value that came from outside is wrong."""
+
+
+class ConfigError(InputError):
+    """A setting or a configuration key is unknown or wrong."""
+
+
+class ImageError(InputError):
+    """Bytes that are not an acceptable picture."""
+
+
+class ScenarioError(InputError):
+    """A robot, a scenario or a planning problem that cannot be."""
+
+
+class DatasetError(InputError):
+    """A data-set folder does not follow the format."""
+
+
+class DamagedFileError(DatasetError):
+    """A file's digest differs from the manifest's."""
+
+
+class BundleError(CspaceError):
+    """A bundle cannot be used."""
+
+
+class BundleIntegrityError(BundleError):
+    """A bundle's sums, schema or files are wrong."""
+
+
+class GoldenMismatchError(BundleError):
+    """A bundle answers its golden case differently here."""
+
+
+class StorageError(CspaceError):
+    """The disk is full or the target cannot be written."""
+
+
+class RegistryError(CspaceError):
+    """The model registry refused or failed."""
+
+
+class RegistryUnavailableError(RegistryError):
+    """The model registry does not answer."""
+
+
+class ModelNotFoundError(RegistryError):
+    """The registry has no such model, version or alias."""
+
+
+class SamplerError(CspaceError):
+    """The sampling endpoint refused a request."""
+
+
+class SamplerUnavailableError(SamplerError):
+    """The sampling endpoint does not answer."""
+
+
+class PlanningError(CspaceError):
+    """A planner was asked for something impossible."""
+
+
+class EvaluationError(CspaceError):
+    """An evaluation cannot be computed from what it was given."""
+
+
+class ServiceError(CspaceError):
+    """A process of this machine is not as it should be."""
+
+
+class PortTakenError(ServiceError):
+    """A port that a service needs is held by somebody else."""
+
+
+class ServiceStartError(ServiceError):
+    """A service did not come up."""
+
+
+class ServiceNotRunningError(ServiceError):
+    """A service that is needed is not running."""
+
+
+class JobError(CspaceError):
+    """A job failed or cannot go on."""

@@ -1,0 +1,126 @@
+"""The robot: a planar arm of revolute joints whose links are capsules."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cspace.errors import ScenarioError
+from cspace.space import JointSpace
+
+JointLimits = tuple[tuple[float, float] | None, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class PlanarArm:
+    """A planar arm with its base at the origin.
+
+    The first joint turns from the x axis, counter-clockwise; every further joint is relative to its link.
+
+    Args:
+        link_lengths_m: length of each link.
+        half_width_m: radius of the capsules round the links.
+        joint_limits_rad: None when all joints are circles; else per joint None or (low, high) in [-pi, pi].
+
+    Raises:
+        ScenarioError: lengths, width or limits cannot be.
+    """
+
+    link_lengths_m: tuple[float, ...] = (2.0, 2.0)
+    half_width_m: float = 0.1
+    joint_limits_rad: JointLimits | None = None
+
+    def __post_init__(self) -> None:
+        if not self.link_lengths_m or any(not 0.0 < length < np.inf for length in self.link_lengths_m):
+            raise ScenarioError(
+                "the arm's links do not fit",
+                expected="one positive length a link",
+                got=str(self.link_lengths_m),
+            )
+        if not 0.0 < self.half_width_m < np.inf:
+            raise ScenarioError(
+                "the arm's half width does not fit", expected="above 0", got=str(self.half_width_m)
+            )
+        limits = self.joint_limits_rad
+        if limits is None:
+            return
+        bad = [lim for lim in limits if lim is not None and not -np.pi <= lim[0] < lim[1] <= np.pi]
+        if len(limits) != self.dim or bad:
+            raise ScenarioError(
+                "the joint limits do not fit",
+                expected=f"{self.dim} entries, each None or low < high within [-pi, pi]",
+                got=str(limits),
+            )
+
+    @property
+    def dim(self) -> int:
+        """Number of joints."""
+        return len(self.link_lengths_m)
+
+    @property
+    def reach_m(self) -> float:
+        """Distance from the base to the tip of the stretched arm."""
+        return float(sum(self.link_lengths_m))
+
+    @property
+    def space(self) -> JointSpace:
+        """The arm's joint space."""
+        limits = self.joint_limits_rad or (None,) * self.dim
+        return JointSpace(
+            tuple(-np.pi if lim is None else lim[0] for lim in limits),
+            tuple(np.pi if lim is None else lim[1] for lim in limits),
+            tuple(lim is None for lim in limits),
+        )
+
+    def joint_positions_m(self, configurations: ArrayLike) -> NDArray[np.float64]:
+        """Forward kinematics: (N, d) rad to (N, d + 1, 2) m, the base first, the tip last."""
+        heading = np.cumsum(np.atleast_2d(np.asarray(configurations, dtype=np.float64)), axis=1)
+        steps = (
+            np.stack([np.cos(heading), np.sin(heading)], axis=-1) * np.asarray(self.link_lengths_m)[:, None]
+        )
+        base = np.zeros((heading.shape[0], 1, 2))
+        return np.concatenate([base, np.cumsum(steps, axis=1)], axis=1)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values for JSON."""
+        limits = self.joint_limits_rad
+        return {
+            "kind": "planar_arm",
+            "link_lengths_m": list(self.link_lengths_m),
+            "half_width_m": self.half_width_m,
+            "joint_limits_rad": None
+            if limits is None
+            else [None if lim is None else list(lim) for lim in limits],
+        }
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> "PlanarArm":
+        """The inverse of :meth:`to_dict`.
+
+        Raises:
+            ScenarioError: a key is missing, unknown or of the wrong type.
+        """
+        known = {"kind", "link_lengths_m", "half_width_m", "joint_limits_rad"}
+        if not set(values) <= known or values.get("kind", "planar_arm") != "planar_arm":
+            raise ScenarioError(
+                "the robot is unknown", expected=f"keys {sorted(known)}", got=str(dict(values))
+            )
+        try:
+            limits = values.get("joint_limits_rad")
+            return cls(
+                tuple(float(v) for v in values["link_lengths_m"]),
+                float(values["half_width_m"]),
+                None
+                if limits is None
+                else tuple(None if lim is None else (float(lim[0]), float(lim[1])) for lim in limits),
+            )
+        except (KeyError, TypeError, IndexError) as error:
+            raise ScenarioError(
+                "the robot is incomplete", expected=f"keys {sorted(known)}", got=repr(error)
+            ) from error
+
+
+TWO_LINK = PlanarArm()
+THREE_LINK = PlanarArm(link_lengths_m=(1.6, 1.4, 1.0))
