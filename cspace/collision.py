@@ -18,7 +18,7 @@ TWO_PI = 2.0 * np.pi
 
 @njit(cache=True, nogil=True)
 def arm_clearance(q, links, half_width, discs):  # type: ignore[no-untyped-def]
-    """Smallest distance between the arm's capsules and the discs, m; negative in collision, inf without discs."""
+    """Smallest distance between the arm's capsules and the discs, m; inf without discs."""
     clearance = np.inf
     x0, y0, heading = 0.0, 0.0, 0.0
     for joint in range(links.shape[0]):
@@ -48,8 +48,8 @@ def arm_is_free(q, links, half_width, discs, lower, upper, periodic):  # type: i
 def edge_is_free(a, b, resolution, links, half_width, discs, lower, upper, periodic):  # type: ignore[no-untyped-def]
     """Whether the straight wrapped segment from ``a`` to ``b`` is free, both ends included.
 
-    Neighbouring states are at most ``resolution`` rad apart in every joint. The middle is looked at before the
-    ends' surroundings (bisection order finds collisions sooner), the result does not depend on it.
+    Neighbouring states are at most ``resolution`` rad apart in every joint. They are looked at in the order
+    of a bisection, which finds collisions sooner and changes no result.
     """
     dim = links.shape[0]
     step = np.empty(dim)

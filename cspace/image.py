@@ -106,9 +106,9 @@ def _average(rgb: NDArray[np.uint8], pixels: int) -> NDArray[np.uint8]:
     """Area averaging: every target pixel is the mean of the source area that it covers."""
     weights = _overlap(rgb.shape[0], pixels)
     rows = np.tensordot(weights, rgb.astype(np.float32), axes=(1, 0))
-    both = np.tensordot(weights, rows, axes=(1, 1)).transpose(1, 0, 2)
-    averaged: NDArray[np.uint8] = np.floor(both + np.float32(0.5)).clip(0, 255).astype(np.uint8)
-    return averaged
+    both: NDArray[np.float32] = np.tensordot(weights, rows, axes=(1, 1)).transpose(1, 0, 2)
+    rounded = np.clip(np.floor(both + np.float32(0.5)), 0, 255)
+    return np.asarray(rounded, dtype=np.uint8)
 
 
 def _overlap(source: int, target: int) -> NDArray[Any]:
@@ -117,4 +117,4 @@ def _overlap(source: int, target: int) -> NDArray[Any]:
     left, right = edges[:-1, None], edges[1:, None]
     cells = np.arange(source)[None, :]
     shares = np.clip(np.minimum(right, cells + 1) - np.maximum(left, cells), 0.0, None)
-    return (shares * (target / source)).astype(np.float32)
+    return np.asarray(shares * (target / source), dtype=np.float32)

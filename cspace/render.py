@@ -71,7 +71,7 @@ def _draw(pixels, x_min, x_max, y_min, y_max, joints, half_width, discs):  # typ
 
 
 def render(scenario: Scenario) -> NDArray[np.uint8]:
-    """The scenario's picture, (P, P, 3) uint8: red discs over the blue arm at angle zero, white ground, y up."""
+    """The picture, (P, P, 3) uint8: red discs over the blue arm at angle zero, white ground, y up."""
     camera, robot = scenario.camera, scenario.robot
     joints = robot.joint_positions_m(np.zeros((1, robot.dim)))[0]
     picture: NDArray[np.uint8] = _draw(

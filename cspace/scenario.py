@@ -64,8 +64,10 @@ class Camera:
             ScenarioError: a key is missing, unknown or of the wrong type.
         """
         try:
-            ranges = (float(values[key]) for key in ("x_min_m", "x_max_m", "y_min_m", "y_max_m"))
-            return cls(*ranges, pixels=int(values["pixels"]))
+            x_min_m, x_max_m, y_min_m, y_max_m = (
+                float(values[key]) for key in ("x_min_m", "x_max_m", "y_min_m", "y_max_m")
+            )
+            return cls(x_min_m, x_max_m, y_min_m, y_max_m, int(values["pixels"]))
         except (KeyError, TypeError, ValueError) as error:
             raise ScenarioError(
                 "the camera is unknown", expected="x and y ranges in m, pixels", got=repr(values)
