@@ -1,0 +1,22 @@
+"""The deployable artefact: a folder of ONNX graphs with their description, sums and golden case."""
+
+from cspace.bundle.golden import GoldenCase
+from cspace.bundle.loaded import Bundle, Encoding, SampleSet
+from cspace.bundle.parts import Provenance, RandomInput
+from cspace.bundle.request import MAX_EPSILON, MAX_SEED
+from cspace.bundle.spec import SCHEMA_VERSION, BundleSpec
+from cspace.bundle.writer import write_bundle
+
+__all__ = [
+    "MAX_EPSILON",
+    "MAX_SEED",
+    "SCHEMA_VERSION",
+    "Bundle",
+    "BundleSpec",
+    "Encoding",
+    "GoldenCase",
+    "Provenance",
+    "RandomInput",
+    "SampleSet",
+    "write_bundle",
+]

@@ -1,0 +1,82 @@
+"""What is random in a request, drawn from one generator in one fixed order.
+
+The order is part of the bundle's contract, for it decides what a seed means:
+
+1. ``rng = Generator(PCG64(SeedSequence(seed)))``.
+2. eta, standard normal float32 (m, L), for all m latents of the request at once.
+3. Every random input of the description in its order there, float32 (m, *shape), for all latents at once:
+   standard normal, or low + (high - low) * u with u uniform in [0, 1).
+
+The latents of the first value of the epsilon schedule come first, then those of the second, and so on; each
+value gets ceil(share / K) of them, and the last one's surplus samples are left out.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cspace.bundle.parts import RandomInput
+from cspace.bundle.spec import BundleSpec
+
+
+@dataclass(frozen=True, slots=True)
+class Draws:
+    """The random part of one request.
+
+    Args:
+        latents: z = mu + (sigma + epsilon) * eta, float32 (m, L).
+        random_inputs: name to float32 (m, *shape).
+        kept: bool (m, K), which samples of each latent belong to the answer.
+    """
+
+    latents: NDArray[np.float32]
+    random_inputs: dict[str, NDArray[np.float32]]
+    kept: NDArray[np.bool_]
+
+
+def shares(count: int, parts: int) -> list[int]:
+    """``count`` split into equal parts, the remainder to the first."""
+    share = count // parts
+    return [share + count % parts, *[share] * (parts - 1)]
+
+
+def draw(
+    spec: BundleSpec,
+    mu: NDArray[np.float32],
+    sigma: NDArray[np.float32],
+    count: int,
+    seed: int,
+    epsilon_sigma: Sequence[float],
+) -> Draws:
+    """Everything random in a request for ``count`` samples.
+
+    Args:
+        spec: names, shapes and distributions.
+        mu: (L,) the encoder's mean.
+        sigma: (L,) its standard deviation.
+        count: samples asked for.
+        seed: unsigned 64 bit.
+        epsilon_sigma: what sigma is raised by, one or more values.
+    """
+    per_latent = spec.samples_per_latent
+    epsilons: list[NDArray[np.float32]] = []
+    kept: list[NDArray[np.bool_]] = []
+    for epsilon, share in zip(epsilon_sigma, shares(count, len(epsilon_sigma)), strict=True):
+        latents = -(-share // per_latent)
+        epsilons.append(np.full(latents, epsilon, dtype=np.float32))
+        kept.append((np.arange(latents * per_latent) < share).reshape(latents, per_latent))
+    deviation = sigma + np.concatenate(epsilons)[:, None]
+    rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed)))
+    eta = rng.standard_normal(deviation.shape, dtype=np.float32)
+    inputs = {item.name: _draw_input(rng, item, len(eta)) for item in spec.random_inputs}
+    return Draws(mu + deviation * eta, inputs, np.concatenate(kept))
+
+
+def _draw_input(rng: np.random.Generator, item: RandomInput, count: int) -> NDArray[np.float32]:
+    shape = (count, *item.shape)
+    if item.low is None or item.high is None:
+        return rng.standard_normal(shape, dtype=np.float32)
+    low, high = np.float32(item.low), np.float32(item.high)
+    return low + (high - low) * rng.random(shape, dtype=np.float32)

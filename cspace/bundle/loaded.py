@@ -1,0 +1,225 @@
+"""The deployable artefact: load it, verify it, sample from it. onnxruntime and numpy, no torch, no pickle."""
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cspace.bundle.draws import Draws, draw
+from cspace.bundle.files import (
+    ENCODER_FILE,
+    GENERATOR_FILE,
+    GOLDEN_FILE,
+    SPEC_FILE,
+    VALIDITY_FILE,
+    BundleFiles,
+    read_files,
+)
+from cspace.bundle.golden import GoldenCase
+from cspace.bundle.graphs import Graph
+from cspace.bundle.request import Request
+from cspace.bundle.spec import BundleSpec
+from cspace.errors import BundleError, BundleIntegrityError, InputError
+from cspace.image import to_network
+from cspace.space import to_float32
+
+# Bounds the memory of one call; a fixed size, so that it can not move a result.
+CHUNK_ROWS = 4096
+
+
+@dataclass(frozen=True, slots=True)
+class Encoding:
+    """The encoder's view of one picture.
+
+    Args:
+        mu: float32 (L,).
+        sigma: float32 (L,), not negative.
+    """
+
+    mu: NDArray[np.float32]
+    sigma: NDArray[np.float32]
+
+
+@dataclass(frozen=True, slots=True)
+class SampleSet:
+    """Configurations for one picture.
+
+    Args:
+        samples: float32 (n', d) rad, in [-pi, pi) as real numbers.
+        confidence: float32 (n',), None without a validity head.
+        shortfall: how many of those asked for were dropped, n - n'.
+        encode_ms: time in the encoder.
+        generate_ms: time from the latents to the samples, the validity head included.
+    """
+
+    samples: NDArray[np.float32]
+    confidence: NDArray[np.float32] | None
+    shortfall: int
+    encode_ms: float
+    generate_ms: float
+
+
+class Bundle:
+    """A loaded bundle; safe to share between threads. Make one with :meth:`load`."""
+
+    def __init__(self, folder: Path, files: BundleFiles) -> None:
+        self.folder = folder
+        self.digest = files.digest
+        self.spec = BundleSpec.from_json(files.contents[SPEC_FILE])
+        drawn = {item.name for item in self.spec.random_inputs}
+        self._encoder = Graph(ENCODER_FILE, files.contents[ENCODER_FILE], {"image"}, {"mu", "sigma"})
+        self._generator = Graph(
+            GENERATOR_FILE,
+            files.contents[GENERATOR_FILE],
+            {"latent", *drawn, *self.spec.conditions},
+            {"samples"},
+        )
+        head = files.contents.get(VALIDITY_FILE)
+        self._validity = (
+            None if head is None else Graph(VALIDITY_FILE, head, {"image", "configurations"}, {"confidence"})
+        )
+
+    @classmethod
+    def load(cls, folder: Path) -> "Bundle":
+        """Read a bundle, verify its sums and schema, and replay its golden case.
+
+        Raises:
+            BundleIntegrityError: sums, schema, files or graphs are wrong.
+            GoldenMismatchError: the golden case gives other answers here.
+        """
+        files = read_files(Path(folder))
+        bundle = cls(Path(folder), files)
+        bundle._replay(GoldenCase.from_npz(files.contents[GOLDEN_FILE]))
+        return bundle
+
+    @property
+    def has_validity(self) -> bool:
+        """Whether the bundle scores its samples."""
+        return self._validity is not None
+
+    def encode(self, image: NDArray[np.uint8]) -> Encoding:
+        """Mean and standard deviation of the latent for a picture, uint8 (P, P, 3).
+
+        Raises:
+            InputError: the picture has another size or type.
+            BundleError: the graph fails.
+        """
+        found = self._encoder.run(
+            {"image": self._network_image(image)},
+            {"mu": (1, self.spec.latent_dim), "sigma": (1, self.spec.latent_dim)},
+        )
+        return Encoding(found["mu"][0], found["sigma"][0])
+
+    def sample(
+        self,
+        image: NDArray[np.uint8],
+        n: int,
+        seed: int,
+        *,
+        epsilon_sigma: Sequence[float] = (0.0,),
+        start: ArrayLike | None = None,
+        goal: ArrayLike | None = None,
+        min_confidence: float = 0.0,
+    ) -> SampleSet:
+        """``n`` configurations for a picture; the same arguments give bit-equal samples on one machine.
+
+        What is random and in which order is told in :mod:`cspace.bundle.draws`. The samples for a smaller
+        ``n`` are no prefix of those for a larger one.
+
+        Args:
+            image: uint8 (P, P, 3).
+            n: how many, at least 1.
+            seed: unsigned 64 bit.
+            epsilon_sigma: the latent's standard deviation is raised by each value, 0 to 10; equal shares of
+                the samples in this order, the remainder to the first.
+            start: (d,) rad, for path models and only for them.
+            goal: as ``start``.
+            min_confidence: samples that the validity head scores lower are dropped, 0 to 1.
+
+        Raises:
+            InputError: an argument is out of range or does not fit the model.
+            BundleError: a graph fails.
+        """
+        request = Request.checked(
+            self.spec, n, seed, epsilon_sigma, start, goal, min_confidence, has_validity=self.has_validity
+        )
+        began = time.perf_counter()
+        encoding = self.encode(image)
+        encoded = time.perf_counter()
+        draws = draw(
+            self.spec, encoding.mu, encoding.sigma, request.count, request.seed, request.epsilon_sigma
+        )
+        samples = to_float32(self._generate(draws, request))
+        confidence = self._score(image, samples)
+        if confidence is not None:
+            kept = confidence >= np.float32(request.min_confidence)
+            samples, confidence = samples[kept], confidence[kept]
+        done = time.perf_counter()
+        return SampleSet(
+            samples, confidence, n - len(samples), 1e3 * (encoded - began), 1e3 * (done - encoded)
+        )
+
+    def _generate(self, draws: Draws, request: Request) -> NDArray[np.float32]:
+        spec = self.spec
+        fixed = {
+            name: np.asarray(point, dtype=np.float32)
+            for name, point in (("start", request.start), ("goal", request.goal))
+            if point is not None
+        }
+
+        def run(rows: slice) -> NDArray[np.float32]:
+            latents = draws.latents[rows]
+            feeds = {"latent": latents, **{name: array[rows] for name, array in draws.random_inputs.items()}}
+            feeds |= {name: np.tile(point, (len(latents), 1)) for name, point in fixed.items()}
+            shape = (len(latents), spec.samples_per_latent, spec.dim)
+            return self._generator.run(feeds, {"samples": shape})["samples"]
+
+        return _chunked(run, len(draws.latents))[draws.kept]
+
+    def _score(self, image: NDArray[np.uint8], samples: NDArray[np.float32]) -> NDArray[np.float32] | None:
+        head = self._validity
+        if head is None:
+            return None
+        picture = self._network_image(image)
+
+        def run(rows: slice) -> NDArray[np.float32]:
+            part = samples[rows]
+            feeds = {"image": picture, "configurations": part}
+            return head.run(feeds, {"confidence": (len(part),)})["confidence"]
+
+        confidence = _chunked(run, len(samples))
+        if np.any((confidence < 0.0) | (confidence > 1.0)):
+            raise BundleError("the validity head gives no probabilities", expected="values from 0 to 1")
+        return confidence
+
+    def _network_image(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
+        shape = (self.spec.pixels, self.spec.pixels, 3)
+        if getattr(image, "shape", None) != shape or image.dtype != np.uint8:
+            raise InputError(
+                "the picture does not fit the model",
+                expected=f"uint8 {shape}",
+                got=f"{getattr(image, 'dtype', type(image).__name__)} {getattr(image, 'shape', '')}",
+                remedy="read PNG files with cspace.image.decode_png(data, pixels)",
+            )
+        return to_network(image[None])
+
+    def _replay(self, case: GoldenCase) -> None:
+        arguments: dict[str, Any] = {
+            "epsilon_sigma": case.epsilon_sigma,
+            "start": case.start,
+            "goal": case.goal,
+        }
+        try:
+            encoding = self.encode(case.image)
+            answer = self.sample(case.image, case.count, case.seed, **arguments)
+        except InputError as error:
+            raise BundleIntegrityError("the golden case does not fit its bundle", got=str(error)) from error
+        case.compare(encoding.mu, encoding.sigma, answer.samples, answer.confidence)
+
+
+def _chunked(run: Callable[[slice], NDArray[np.float32]], rows: int) -> NDArray[np.float32]:
+    return np.concatenate([run(slice(at, at + CHUNK_ROWS)) for at in range(0, rows, CHUNK_ROWS)])

@@ -1,0 +1,122 @@
+"""The parts of a bundle's description: its random inputs and how it was made."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+from cspace.bundle.strict_json import StrictObject
+from cspace.errors import BundleIntegrityError
+
+DISTRIBUTIONS = ("uniform", "normal")
+RESERVED_INPUTS = ("", "latent", "image", "start", "goal")
+
+
+@dataclass(frozen=True, slots=True)
+class RandomInput:
+    """One random input of the generator graph, drawn anew for every latent.
+
+    Args:
+        name: the graph's name for it.
+        distribution: ``uniform`` in [low, high) or ``normal`` with mean 0 and variance 1.
+        shape: its shape behind the axis of the latents.
+        low: lower end of a uniform input, None for a normal one.
+        high: upper end of a uniform input, None for a normal one.
+
+    Raises:
+        BundleIntegrityError: the fields do not fit each other.
+    """
+
+    name: str
+    distribution: str
+    shape: tuple[int, ...]
+    low: float | None = None
+    high: float | None = None
+
+    def __post_init__(self) -> None:
+        one_of("the distribution of a random input", self.distribution, DISTRIBUTIONS)
+        bounds = (self.low, self.high)
+        if self.distribution == "normal":
+            fits = bounds == (None, None)
+        else:
+            fits = self.low is not None and self.high is not None and self.low < self.high
+            fits = fits and math.isfinite(self.high or 0.0) and math.isfinite(self.low or 0.0)
+        taken = self.name in RESERVED_INPUTS
+        if taken or not fits or any(size < 1 for size in self.shape):
+            raise BundleIntegrityError(
+                "a random input of the bundle does not fit",
+                expected="a name of its own, a positive shape, finite low < high where uniform and none else",
+                got=repr(self),
+            )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values for JSON."""
+        return {
+            "name": self.name,
+            "distribution": self.distribution,
+            "shape": list(self.shape),
+            "low": self.low,
+            "high": self.high,
+        }
+
+    @classmethod
+    def from_dict(cls, values: object) -> "RandomInput":
+        """The inverse of :meth:`to_dict`."""
+        entry = StrictObject("random_inputs", values, {item.name for item in fields(cls)})
+        return cls(
+            entry.text("name"),
+            entry.text("distribution"),
+            tuple(entry.integers("shape")),
+            entry.number_or_none("low"),
+            entry.number_or_none("high"),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Provenance:
+    """How a bundle was made; plain JSON values throughout.
+
+    Args:
+        git_commit: commit of the training code.
+        git_dirty: whether the tree held changes beside that commit.
+        data_digest: SHA-256 digest of the data set.
+        seeds: seed of each stage.
+        config: the whole training configuration.
+        metrics: what was measured.
+        created: ISO 8601 time in UTC.
+        command: the command that made it.
+    """
+
+    git_commit: str | None = None
+    git_dirty: bool | None = None
+    data_digest: str | None = None
+    seeds: Mapping[str, Any] = field(default_factory=dict)
+    config: Mapping[str, Any] = field(default_factory=dict)
+    metrics: Mapping[str, Any] = field(default_factory=dict)
+    created: str | None = None
+    command: str | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values for JSON."""
+        return {item.name: getattr(self, item.name) for item in fields(self)}
+
+    @classmethod
+    def from_dict(cls, values: object) -> "Provenance":
+        """The inverse of :meth:`to_dict`."""
+        entry = StrictObject("provenance", values, {item.name for item in fields(cls)})
+        return cls(
+            entry.text_or_none("git_commit"),
+            entry.truth_or_none("git_dirty"),
+            entry.text_or_none("data_digest"),
+            entry.mapping("seeds"),
+            entry.mapping("config"),
+            entry.mapping("metrics"),
+            entry.text_or_none("created"),
+            entry.text_or_none("command"),
+        )
+
+
+def one_of(what: str, value: str, allowed: tuple[str, ...]) -> None:
+    """Raise BundleIntegrityError unless ``value`` is one of ``allowed``."""
+    if value not in allowed:
+        raise BundleIntegrityError(f"{what} is unknown", expected=" or ".join(allowed), got=repr(value))

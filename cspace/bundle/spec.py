@@ -1,0 +1,206 @@
+"""What a bundle says about itself: the typed twin of ``bundle.json``, validated to the last key."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+from cspace.bundle.parts import Provenance, RandomInput, one_of
+from cspace.bundle.strict_json import StrictObject, parse_json
+from cspace.errors import BundleIntegrityError, ScenarioError
+from cspace.robot import PlanarArm
+from cspace.scenario import Camera
+from cspace.space import Standardisation
+
+SCHEMA_VERSION = 1
+KINDS = ("configuration", "path")
+MODEL_KINDS = ("generator", "mixture")
+ENDPOINTS = ("start", "goal")
+MAX_PIXELS = 2048
+
+
+@dataclass(frozen=True, slots=True)
+class BundleSpec:
+    """The contract between a bundle's graphs and whoever samples from them.
+
+    Args:
+        robot: the arm whose configurations are sampled.
+        latent_dim: L, size of the encoder's mean and standard deviation.
+        kind: ``configuration`` (free configurations) or ``path`` (conditioned on start and goal).
+        camera: the part of the plane that the picture shows; its pixels are the encoder's input size.
+        model_kind: ``generator`` or ``mixture``; both are one graph with the same inputs and outputs.
+        samples_per_latent: K, samples that the generator draws from one latent.
+        random_inputs: what the generator takes beside the latent, in the order in which it is drawn.
+        standardisation: of the angles inside the graph, for information; the graph's output is in rad.
+        confidence_threshold: the validity head's threshold that training recommends, None without one.
+        provenance: how the bundle was made.
+
+    Raises:
+        BundleIntegrityError: a value cannot be.
+    """
+
+    robot: PlanarArm
+    latent_dim: int
+    kind: str = "configuration"
+    camera: Camera = field(default_factory=Camera)
+    model_kind: str = "generator"
+    samples_per_latent: int = 1
+    random_inputs: tuple[RandomInput, ...] = ()
+    standardisation: Standardisation | None = None
+    confidence_threshold: float | None = None
+    provenance: Provenance = field(default_factory=Provenance)
+
+    def __post_init__(self) -> None:
+        one_of("the kind of the bundle", self.kind, KINDS)
+        one_of("the model kind of the bundle", self.model_kind, MODEL_KINDS)
+        names = [item.name for item in self.random_inputs]
+        threshold, scale = self.confidence_threshold, self.standardisation
+        wrong = [
+            "latent_dim" if self.latent_dim < 1 else "",
+            "samples_per_latent" if self.samples_per_latent < 1 else "",
+            "camera" if not 1 <= self.camera.pixels <= MAX_PIXELS else "",
+            "random_inputs" if len(set(names)) != len(names) else "",
+            "confidence_threshold" if threshold is not None and not 0.0 <= threshold <= 1.0 else "",
+            "standardisation" if scale is not None and len(scale.mean) != self.robot.dim else "",
+        ]
+        if any(wrong):
+            raise BundleIntegrityError(
+                "the bundle's description does not fit",
+                expected="positive sizes, different names, a threshold within 0..1",
+                got=", ".join(f"{name} = {getattr(self, name)!r}" for name in wrong if name),
+            )
+
+    @property
+    def dim(self) -> int:
+        """d, number of joints."""
+        return self.robot.dim
+
+    @property
+    def pixels(self) -> int:
+        """P, side of the picture that the encoder takes."""
+        return self.camera.pixels
+
+    @property
+    def conditions(self) -> tuple[str, ...]:
+        """Configurations that the generator is conditioned on."""
+        return ENDPOINTS if self.kind == "path" else ()
+
+    @property
+    def joint_space(self) -> dict[str, Any]:
+        """The joint space as ``bundle.json`` and the API's answers write it."""
+        return {"kind": "torus", "dim": self.dim, "unit": "rad"}
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values for JSON, every field of the schema."""
+        scale = self.standardisation
+        return {
+            "schema_version": SCHEMA_VERSION,
+            "kind": self.kind,
+            "robot": self.robot.to_dict(),
+            "joint_space": self.joint_space,
+            "camera": self.camera.to_dict(),
+            "image": _image_convention(self.pixels),
+            "latent_dim": self.latent_dim,
+            "model_kind": self.model_kind,
+            "samples_per_latent": self.samples_per_latent,
+            "random_inputs": [item.to_dict() for item in self.random_inputs],
+            "standardisation": None if scale is None else {"mean": list(scale.mean), "std": list(scale.std)},
+            "conditions": list(self.conditions),
+            "confidence_threshold": self.confidence_threshold,
+            "provenance": self.provenance.to_dict(),
+        }
+
+    def to_json(self) -> bytes:
+        """``bundle.json``, UTF-8.
+
+        Raises:
+            BundleIntegrityError: the provenance holds something that JSON does not.
+        """
+        try:
+            text = json.dumps(self.to_dict(), indent=2, sort_keys=True, allow_nan=False)
+        except (TypeError, ValueError, RecursionError) as error:
+            raise BundleIntegrityError(
+                "the bundle's description is not plain JSON",
+                expected="finite numbers, texts, lists and mappings",
+                got=str(error),
+                remedy="convert arrays, paths and NaN before they enter the provenance",
+            ) from error
+        return text.encode() + b"\n"
+
+    @classmethod
+    def from_dict(cls, values: object) -> "BundleSpec":
+        """The inverse of :meth:`to_dict`; every key is required and no other is allowed.
+
+        Raises:
+            BundleIntegrityError: the schema version is another, or a key or value does not fit.
+        """
+        _check_version(values)
+        entry = StrictObject("bundle.json", values, _KEYS)
+        scale = entry.get("standardisation")
+        try:
+            spec = cls(
+                robot=PlanarArm.from_dict(entry.mapping("robot")),
+                latent_dim=entry.integer("latent_dim"),
+                kind=entry.text("kind"),
+                camera=_camera(entry.get("camera")),
+                model_kind=entry.text("model_kind"),
+                samples_per_latent=entry.integer("samples_per_latent"),
+                random_inputs=tuple(RandomInput.from_dict(item) for item in entry.items("random_inputs")),
+                standardisation=None if scale is None else _standardisation(scale),
+                confidence_threshold=entry.number_or_none("confidence_threshold"),
+                provenance=Provenance.from_dict(entry.get("provenance")),
+            )
+        except ScenarioError as error:
+            raise BundleIntegrityError(
+                "the bundle's description does not fit", expected=error.expected, got=str(error)
+            ) from error
+        for name in ("joint_space", "image", "conditions"):
+            entry.must_be(name, spec.to_dict()[name])
+        return spec
+
+    @classmethod
+    def from_json(cls, data: bytes) -> "BundleSpec":
+        """Parse and validate ``bundle.json``.
+
+        Raises:
+            BundleIntegrityError: not strict JSON, or not this schema.
+        """
+        return cls.from_dict(parse_json(data))
+
+
+_KEYS = {
+    "schema_version", "kind", "robot", "joint_space", "camera", "image", "latent_dim", "model_kind",
+    "samples_per_latent", "random_inputs", "standardisation", "conditions", "confidence_threshold",
+    "provenance",
+}  # fmt: skip
+
+
+def _image_convention(pixels: int) -> dict[str, Any]:
+    return {"pixels": pixels, "channels": "RGB", "range": [-1, 1]}
+
+
+def _check_version(values: object) -> None:
+    version = values.get("schema_version") if isinstance(values, Mapping) else None
+    if version != SCHEMA_VERSION or isinstance(version, bool):
+        raise BundleIntegrityError(
+            "the bundle's schema is another",
+            expected=f"schema_version {SCHEMA_VERSION}",
+            got=repr(version),
+            remedy="use the release of cspace-sampler that wrote the bundle, or export it again",
+        )
+
+
+def _camera(values: object) -> Camera:
+    entry = StrictObject("camera", values, {item.name for item in fields(Camera)})
+    return Camera(
+        x_min_m=entry.number("x_min_m"),
+        x_max_m=entry.number("x_max_m"),
+        y_min_m=entry.number("y_min_m"),
+        y_max_m=entry.number("y_max_m"),
+        pixels=entry.integer("pixels"),
+    )
+
+
+def _standardisation(values: object) -> Standardisation:
+    entry = StrictObject("standardisation", values, {"mean", "std"})
+    return Standardisation(tuple(entry.numbers("mean")), tuple(entry.numbers("std")))

@@ -1,0 +1,108 @@
+"""Writing a bundle: golden case, sums, and a folder that appears whole or not at all."""
+
+import shutil
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+
+from cspace.bundle.files import (
+    ENCODER_FILE,
+    GENERATOR_FILE,
+    GOLDEN_FILE,
+    SPEC_FILE,
+    SUMS_FILE,
+    VALIDITY_FILE,
+    BundleFiles,
+    sums_of,
+)
+from cspace.bundle.golden import GoldenCase, endpoints, scene
+from cspace.bundle.loaded import Bundle
+from cspace.bundle.spec import BundleSpec
+from cspace.errors import BundleIntegrityError, StorageError
+
+GOLDEN_SEED = 20_240_229
+# Odd, so that it is a multiple of no usual number of samples per latent.
+GOLDEN_COUNT = 65
+GOLDEN_EPSILON = (0.0, 0.5)
+
+_GRAPH_FILES = {"encoder": ENCODER_FILE, "generator": GENERATOR_FILE, "validity": VALIDITY_FILE}
+
+
+def write_bundle(
+    folder: Path, spec: BundleSpec, graphs: Mapping[str, bytes], golden: GoldenCase | None = None
+) -> Path:
+    """Write a bundle beside its place, load it there as any reader would, and rename it.
+
+    Args:
+        folder: where the bundle is to be; must not exist.
+        spec: its description.
+        graphs: ``encoder``, ``generator`` and optionally ``validity`` to ONNX bytes.
+        golden: the golden case; computed from a fixed picture and seed when None.
+
+    Returns:
+        The folder.
+
+    Raises:
+        BundleError: the parts do not make a bundle; nothing is left behind.
+        StorageError: the folder exists or cannot be written.
+    """
+    folder = Path(folder)
+    contents = {SPEC_FILE: spec.to_json(), **_graph_files(graphs)}
+    case = golden if golden is not None else _compute_golden(folder, contents)
+    contents[GOLDEN_FILE] = case.to_npz()
+    if folder.exists():
+        raise StorageError(
+            "the bundle's folder exists", expected="a new folder", got=str(folder), remedy="choose another"
+        )
+    try:
+        _write_beside_and_rename(folder, {**contents, SUMS_FILE: sums_of(contents)})
+    except OSError as error:
+        raise StorageError(
+            "the bundle cannot be written", expected=f"room and rights at {folder}", got=str(error)
+        ) from error
+    return folder
+
+
+def _graph_files(graphs: Mapping[str, bytes]) -> dict[str, bytes]:
+    if not {"encoder", "generator"} <= set(graphs) <= set(_GRAPH_FILES):
+        raise BundleIntegrityError(
+            "the bundle's graphs do not fit",
+            expected="encoder, generator and optionally validity",
+            got=", ".join(sorted(graphs)),
+        )
+    return {_GRAPH_FILES[name]: data for name, data in graphs.items()}
+
+
+def _compute_golden(folder: Path, contents: Mapping[str, bytes]) -> GoldenCase:
+    bundle = Bundle(folder, BundleFiles(contents, digest=""))
+    image = scene(bundle.spec.pixels)
+    start, goal = endpoints(bundle.spec.conditions, bundle.spec.dim)
+    encoding = bundle.encode(image)
+    answer = bundle.sample(
+        image, GOLDEN_COUNT, GOLDEN_SEED, epsilon_sigma=GOLDEN_EPSILON, start=start, goal=goal
+    )
+    return GoldenCase(
+        image=image,
+        count=GOLDEN_COUNT,
+        seed=GOLDEN_SEED,
+        epsilon_sigma=GOLDEN_EPSILON,
+        mu=encoding.mu,
+        sigma=encoding.sigma,
+        samples=answer.samples,
+        start=start,
+        goal=goal,
+        confidence=answer.confidence,
+    )
+
+
+def _write_beside_and_rename(folder: Path, contents: Mapping[str, bytes]) -> None:
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    beside = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
+    try:
+        for name, data in contents.items():
+            (beside / name).write_bytes(data)
+        Bundle.load(beside)
+        beside.chmod(0o755)
+        beside.rename(folder)
+    finally:
+        shutil.rmtree(beside, ignore_errors=True)
