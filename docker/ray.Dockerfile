@@ -1,0 +1,31 @@
+# Every Ray node and the one-shot jobs: the training stack and the project's sources. Build context: the repository.
+FROM python:3.11-slim-bookworm AS requirements
+WORKDIR /src
+COPY pyproject.toml docker/requirements.py ./
+RUN python requirements.py train > /requirements.txt
+
+FROM python:3.11-slim-bookworm
+# On Linux, PyPI's torch brings several GB of CUDA libraries; https://download.pytorch.org/whl/cpu here avoids them.
+ARG PIP_EXTRA_INDEX_URL=""
+# The requirements come from a stage of their own: the heavy layer is rebuilt when they change, not when code does.
+COPY --from=requirements /requirements.txt /tmp/requirements.txt
+COPY constraints.txt /tmp/constraints.txt
+RUN pip install --no-cache-dir -c /tmp/constraints.txt -r /tmp/requirements.txt
+
+RUN useradd --uid 1000 --create-home cspace \
+ && install -d -o cspace -g cspace /var/lib/cspace
+COPY cspace /app/cspace
+COPY services /app/services
+COPY training /app/training
+
+ARG GIT_COMMIT=""
+ENV CSPACE_GIT_COMMIT=${GIT_COMMIT} \
+    MLFLOW_DISABLE_TELEMETRY=true \
+    NUMBA_CACHE_DIR=/tmp/numba \
+    OMP_NUM_THREADS=1 \
+    PYTHONPATH=/app \
+    PYTHONUNBUFFERED=1 \
+    RAY_USAGE_STATS_ENABLED=0
+USER cspace
+WORKDIR /app
+EXPOSE 6379 8265

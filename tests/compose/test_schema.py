@@ -1,0 +1,42 @@
+"""The compose file is what the Compose Specification allows."""
+
+import copy
+import json
+import os
+import subprocess
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import pytest
+
+
+@pytest.fixture(scope="module")
+def schema() -> jsonschema.Draft202012Validator:
+    text = Path(__file__).with_name("compose-spec.json").read_text(encoding="utf-8")
+    return jsonschema.Draft202012Validator(json.loads(text))
+
+
+def test_the_compose_file_validates(
+    schema: jsonschema.Draft202012Validator, compose_file: Mapping[str, Any]
+) -> None:
+    assert [error.message for error in schema.iter_errors(compose_file)] == []
+
+
+def test_a_misspelt_key_would_be_found(
+    schema: jsonschema.Draft202012Validator, compose_file: Mapping[str, Any]
+) -> None:
+    broken = copy.deepcopy(dict(compose_file))
+    broken["services"]["postgres"]["healtcheck"] = broken["services"]["postgres"].pop("healthcheck")
+    assert "healtcheck" in " ".join(error.message for error in schema.iter_errors(broken))
+
+
+@pytest.mark.parametrize("env_file", ["/dev/null", ".env.example"])
+def test_compose_itself_accepts_the_file(compose_v2: None, root: Path, env_file: str) -> None:
+    environment = {name: value for name, value in os.environ.items() if not name.startswith("CSPACE_")}
+    command = ["docker", "compose", "--env-file", env_file, "--profile", "jobs", "config", "--quiet"]
+    outcome = subprocess.run(
+        command, cwd=root, env=environment, capture_output=True, text=True, check=False, timeout=30
+    )
+    assert (outcome.returncode, outcome.stderr) == (0, "")
