@@ -17,7 +17,7 @@ def root() -> Path:
 
 
 @pytest.fixture(scope="session")
-def compose_file() -> Mapping[str, Any]:
+def compose_file() -> dict[str, Any]:
     parsed = yaml.safe_load((ROOT / "docker-compose.yml").read_text(encoding="utf-8"))
     assert isinstance(parsed, dict)
     return parsed
@@ -25,7 +25,9 @@ def compose_file() -> Mapping[str, Any]:
 
 @pytest.fixture(scope="session")
 def services(compose_file: Mapping[str, Any]) -> Mapping[str, Any]:
-    return compose_file["services"]
+    found = compose_file["services"]
+    assert isinstance(found, dict)
+    return found
 
 
 @pytest.fixture(scope="session")
