@@ -1,0 +1,246 @@
+import dataclasses
+import hashlib
+import io
+import json
+import shutil
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import onnx
+import pytest
+
+from cspace.bundle import Bundle, BundleSpec, GoldenCase, write_bundle
+from cspace.errors import BundleError, BundleIntegrityError, GoldenMismatchError, StorageError
+from tests.bundles import picture, tiny_graphs, tiny_spec, write_tiny_bundle
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    return write_tiny_bundle(tmp_path / "bundle", validity=True)
+
+
+def resign(folder: Path) -> None:
+    names = sorted(path.name for path in folder.iterdir() if path.name != "SHA256SUMS")
+    lines = [f"{hashlib.sha256((folder / name).read_bytes()).hexdigest()}  {name}\n" for name in names]
+    (folder / "SHA256SUMS").write_text("".join(lines))
+
+
+def flip_a_byte(path: Path) -> None:
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 1
+    path.write_bytes(bytes(data))
+
+
+def test_the_digest_is_that_of_the_sums_and_differs_between_models(tmp_path: Path, folder: Path) -> None:
+    bundle = Bundle.load(folder)
+    assert bundle.digest == hashlib.sha256((folder / "SHA256SUMS").read_bytes()).hexdigest()
+    assert Bundle.load(write_tiny_bundle(tmp_path / "other", scale=2.0)).digest != bundle.digest
+
+
+def test_the_same_parts_make_the_same_digest(tmp_path: Path) -> None:
+    digests = {Bundle.load(write_tiny_bundle(tmp_path / name)).digest for name in "ab"}
+    assert len(digests) == 1
+
+
+def test_sha256sum_accepts_the_sums(folder: Path) -> None:
+    tool = shutil.which("sha256sum")
+    if tool is None:
+        pytest.skip("needs sha256sum of GNU coreutils")
+    subprocess.run([tool, "--check", "--strict", "SHA256SUMS"], cwd=folder, check=True, capture_output=True)
+
+
+@pytest.mark.parametrize(
+    "name", ["bundle.json", "encoder.onnx", "generator.onnx", "validity.onnx", "golden.npz", "SHA256SUMS"]
+)
+@pytest.mark.parametrize("damage", [flip_a_byte, Path.unlink], ids=["changed", "missing"])
+def test_a_changed_or_missing_file_is_found_and_named(
+    folder: Path, name: str, damage: Callable[[Path], None]
+) -> None:
+    damage(folder / name)
+    with pytest.raises(
+        BundleIntegrityError, match=name.replace(".", r"\.") if damage is Path.unlink else None
+    ):
+        Bundle.load(folder)
+
+
+def test_an_extra_file_is_refused_listed_or_not(folder: Path) -> None:
+    (folder / "notes.txt").write_text("hello")
+    with pytest.raises(BundleIntegrityError, match=r"notes\.txt"):
+        Bundle.load(folder)
+    resign(folder)
+    with pytest.raises(BundleIntegrityError, match=r"notes\.txt"):
+        Bundle.load(folder)
+
+
+def test_a_link_or_a_folder_inside_is_refused(folder: Path, tmp_path: Path) -> None:
+    outside = tmp_path / "outside.onnx"
+    (folder / "encoder.onnx").rename(outside)
+    (folder / "encoder.onnx").symlink_to(outside)
+    with pytest.raises(BundleIntegrityError, match="not a plain file"):
+        Bundle.load(folder)
+    (folder / "encoder.onnx").unlink()
+    (folder / "encoder.onnx").mkdir()
+    with pytest.raises(BundleIntegrityError, match="not a plain file"):
+        Bundle.load(folder)
+
+
+@pytest.mark.parametrize("name", ["../outside.onnx", "/etc/passwd", "a/b", "..\\x", "", "ü"])
+def test_a_path_in_the_sums_is_refused(folder: Path, tmp_path: Path, name: str) -> None:
+    (tmp_path / "outside.onnx").write_bytes(b"x")
+    with (folder / "SHA256SUMS").open("a") as sums:
+        sums.write(f"{hashlib.sha256(b'x').hexdigest()}  {name}\n")
+    with pytest.raises(BundleIntegrityError, match="SHA256SUMS"):
+        Bundle.load(folder)
+
+
+@pytest.mark.parametrize("broken", ["missing", "a file"])
+def test_a_folder_that_is_none_is_refused(tmp_path: Path, broken: str) -> None:
+    if broken == "a file":
+        (tmp_path / "bundle").write_text("")
+    with pytest.raises(BundleIntegrityError):
+        Bundle.load(tmp_path / "bundle")
+
+
+def test_another_schema_version_is_refused_even_with_right_sums(folder: Path) -> None:
+    values = json.loads((folder / "bundle.json").read_text())
+    (folder / "bundle.json").write_text(json.dumps({**values, "schema_version": 2}))
+    resign(folder)
+    with pytest.raises(BundleIntegrityError, match="schema_version 1"):
+        Bundle.load(folder)
+
+
+def test_bytes_that_are_no_graph_are_refused_in_the_projects_own_words(folder: Path) -> None:
+    (folder / "generator.onnx").write_bytes(b"not a graph")
+    resign(folder)
+    with pytest.raises(BundleIntegrityError, match=r"generator\.onnx cannot be opened"):
+        Bundle.load(folder)
+
+
+def test_graphs_with_other_inputs_than_described_are_refused(tmp_path: Path) -> None:
+    graphs = tiny_graphs(tiny_spec(kind="path"))
+    with pytest.raises(BundleIntegrityError, match="start"):
+        write_bundle(tmp_path / "bundle", tiny_spec(), graphs)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_graph_that_gives_another_shape_than_described_is_refused(tmp_path: Path) -> None:
+    spec = dataclasses.replace(tiny_spec(), samples_per_latent=3)
+    with pytest.raises(BundleError, match="samples does not fit"):
+        write_bundle(tmp_path / "bundle", spec, tiny_graphs(tiny_spec()))
+
+
+def test_weights_outside_the_bundle_are_refused(folder: Path, tmp_path: Path) -> None:
+    (tmp_path / "secret").write_bytes(bytes(48))
+    model = onnx.load_from_string((folder / "encoder.onnx").read_bytes())
+    weights = model.graph.initializer[0]
+    weights.ClearField("raw_data")
+    weights.data_location = onnx.TensorProto.EXTERNAL
+    weights.external_data.add(key="location", value="../secret")
+    (folder / "encoder.onnx").write_bytes(model.SerializeToString())
+    resign(folder)
+    with pytest.raises(BundleIntegrityError, match="weights outside"):
+        Bundle.load(folder)
+
+
+def test_a_graph_that_answers_otherwise_fails_its_golden_case(folder: Path) -> None:
+    for name, data in tiny_graphs(tiny_spec(), validity=True, scale=1.001).items():
+        (folder / f"{name}.onnx").write_bytes(data)
+    resign(folder)
+    with pytest.raises(GoldenMismatchError, match="mu"):
+        Bundle.load(folder)
+
+
+def golden_of(folder: Path) -> GoldenCase:
+    return GoldenCase.from_npz((folder / "golden.npz").read_bytes())
+
+
+@pytest.mark.parametrize(("shift", "refused"), [(5e-5, False), (2e-4, True), (2 * np.pi, False)])
+def test_golden_samples_may_differ_by_1e_4_on_the_torus_and_no_more(
+    folder: Path, shift: float, refused: bool
+) -> None:
+    case = golden_of(folder)
+    moved = dataclasses.replace(case, samples=(case.samples + shift).astype(np.float32))
+    (folder / "golden.npz").write_bytes(moved.to_npz())
+    resign(folder)
+    if refused:
+        with pytest.raises(GoldenMismatchError, match="samples"):
+            Bundle.load(folder)
+    else:
+        assert Bundle.load(folder).has_validity
+
+
+def test_a_golden_case_of_another_shape_or_without_confidence_is_refused(folder: Path) -> None:
+    case = golden_of(folder)
+    assert case.confidence is not None
+    for other in (
+        dataclasses.replace(case, samples=case.samples[:-1]),
+        dataclasses.replace(case, confidence=None),
+        dataclasses.replace(case, confidence=case.confidence + np.float32(0.01)),
+        dataclasses.replace(case, mu=np.full_like(case.mu, np.nan)),
+    ):
+        (folder / "golden.npz").write_bytes(other.to_npz())
+        resign(folder)
+        with pytest.raises(GoldenMismatchError):
+            Bundle.load(folder)
+
+
+def test_a_golden_case_that_does_not_fit_the_model_is_refused(folder: Path) -> None:
+    for other in (
+        dataclasses.replace(golden_of(folder), image=picture(pixels=32)),
+        dataclasses.replace(golden_of(folder), start=(0.0, 0.0), goal=(0.0, 0.0)),
+    ):
+        (folder / "golden.npz").write_bytes(other.to_npz())
+        resign(folder)
+        with pytest.raises(BundleIntegrityError, match="golden case"):
+            Bundle.load(folder)
+
+
+def test_a_golden_file_is_never_unpickled(folder: Path) -> None:
+    buffer = io.BytesIO()
+    np.savez(buffer, image=np.array([{"code": "runs"}], dtype=object))
+    for data in (buffer.getvalue(), b"", b"PK\x03\x04 torn"):
+        (folder / "golden.npz").write_bytes(data)
+        resign(folder)
+        with pytest.raises(BundleIntegrityError, match=r"golden\.npz"):
+            Bundle.load(folder)
+
+
+def test_the_golden_case_keeps_the_largest_seed(folder: Path) -> None:
+    case = dataclasses.replace(golden_of(folder), seed=2**64 - 1)
+    assert GoldenCase.from_npz(case.to_npz()).seed == 2**64 - 1
+
+
+def test_writing_over_an_existing_folder_is_refused_and_leaves_it(folder: Path) -> None:
+    before = (folder / "SHA256SUMS").read_bytes()
+    with pytest.raises(StorageError, match="exists"):
+        write_tiny_bundle(folder, scale=2.0)
+    assert (folder / "SHA256SUMS").read_bytes() == before
+    assert [path.name for path in folder.parent.iterdir()] == ["bundle"]
+
+
+def test_a_bundle_that_fails_its_own_golden_case_is_not_left_behind(folder: Path, tmp_path: Path) -> None:
+    case = golden_of(folder)
+    wrong = dataclasses.replace(case, samples=case.samples + np.float32(0.1), confidence=None)
+    with pytest.raises(GoldenMismatchError):
+        write_tiny_bundle(tmp_path / "new", golden=wrong)
+    assert [path.name for path in tmp_path.iterdir()] == ["bundle"]
+
+
+@pytest.mark.parametrize("names", [("encoder",), ("encoder", "generator", "critic")])
+def test_other_graphs_than_the_schemas_are_refused(tmp_path: Path, names: tuple[str, ...]) -> None:
+    graphs = {**tiny_graphs(tiny_spec()), "critic": b""}
+    with pytest.raises(BundleIntegrityError, match="graphs do not fit"):
+        write_bundle(tmp_path / "bundle", tiny_spec(), {name: graphs[name] for name in names})
+
+
+def test_a_place_that_cannot_be_written_is_a_storage_error(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(StorageError, match="cannot be written"):
+        write_tiny_bundle(tmp_path / "file" / "bundle")
+
+
+def test_the_description_that_was_written_is_the_one_that_is_loaded(folder: Path) -> None:
+    assert isinstance(Bundle.load(folder).spec, BundleSpec)
+    assert Bundle.load(folder).spec == tiny_spec()

@@ -1,0 +1,201 @@
+import math
+import subprocess
+import sys
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cspace.bundle import Bundle
+from cspace.bundle.draws import draw, shares
+from cspace.errors import InputError
+from cspace.robot import THREE_LINK, TWO_LINK, PlanarArm
+from tests.bundles import LATENT, picture, tiny_spec, write_tiny_bundle
+
+# More digits of pi than a double has.
+PI = Fraction(3141592653589793238462643383279, 10**30)
+
+
+@pytest.fixture(scope="module")
+def bundle(tmp_path_factory: pytest.TempPathFactory) -> Bundle:
+    return Bundle.load(write_tiny_bundle(tmp_path_factory.mktemp("plain") / "bundle", samples_per_latent=4))
+
+
+@pytest.fixture(scope="module")
+def scored(tmp_path_factory: pytest.TempPathFactory) -> Bundle:
+    return Bundle.load(write_tiny_bundle(tmp_path_factory.mktemp("scored") / "bundle", validity=True))
+
+
+@pytest.fixture(scope="module")
+def path_model(tmp_path_factory: pytest.TempPathFactory) -> Bundle:
+    return Bundle.load(write_tiny_bundle(tmp_path_factory.mktemp("path") / "bundle", kind="path"))
+
+
+@pytest.mark.parametrize("robot", [TWO_LINK, THREE_LINK], ids=["two links", "three links"])
+@pytest.mark.parametrize("per_latent", [1, 4])
+@pytest.mark.parametrize("n", [1, 3, 300, 4097, 20_000])
+def test_a_bundle_gives_as_many_samples_as_asked_for(
+    tmp_path: Path, robot: PlanarArm, per_latent: int, n: int
+) -> None:
+    bundle = Bundle.load(write_tiny_bundle(tmp_path / "bundle", robot, samples_per_latent=per_latent))
+    answer = bundle.sample(picture(), n, 0)
+    assert answer.samples.shape == (n, robot.dim)
+    assert answer.samples.dtype == np.float32
+    assert answer.confidence is None
+    assert answer.shortfall == 0
+
+
+def test_every_angle_lies_in_minus_pi_to_pi_as_a_real_number(bundle: Bundle) -> None:
+    samples = bundle.sample(picture(), 20_000, 1, epsilon_sigma=(10.0,)).samples
+    assert all(-PI <= Fraction(float(angle)) < PI for angle in (samples.min(), samples.max()))
+    assert np.ptp(samples) > 6.2
+
+
+def test_the_same_arguments_give_bit_equal_samples(bundle: Bundle) -> None:
+    first, second = (bundle.sample(picture(), 1001, 7, epsilon_sigma=(0.0, 0.5)).samples for _ in range(2))
+    assert first.tobytes() == second.tobytes()
+
+
+def test_another_seed_picture_or_schedule_gives_other_samples(bundle: Bundle) -> None:
+    answers = [
+        bundle.sample(picture(), 50, 7),
+        bundle.sample(picture(), 50, 8),
+        bundle.sample(picture(1), 50, 7),
+        bundle.sample(picture(), 50, 7, epsilon_sigma=(1.0,)),
+        bundle.sample(picture(), 50, 2**64 - 1),
+    ]
+    assert len({answer.samples.tobytes() for answer in answers}) == len(answers)
+
+
+def test_a_seed_means_the_same_in_another_process(bundle: Bundle) -> None:
+    code = (
+        "import sys, hashlib; from pathlib import Path; from cspace.bundle import Bundle;"
+        "from cspace.bundle.golden import scene; b = Bundle.load(Path(sys.argv[1]));"
+        "print(hashlib.sha256(b.sample(scene(48), 333, 12).samples.tobytes()).hexdigest())"
+    )
+    runs = {
+        subprocess.run(
+            [sys.executable, "-c", code, str(bundle.folder)], capture_output=True, text=True, check=True
+        ).stdout
+        for _ in range(2)
+    }
+    assert len(runs) == 1
+
+
+def test_sampling_leaves_the_global_random_state_alone(bundle: Bundle) -> None:
+    state = np.random.get_state()  # noqa: NPY002 - the global state is what the test is about
+    bundle.sample(picture(), 10, 3)
+    after = np.random.get_state()  # noqa: NPY002 - as above
+    assert all(np.array_equal(one, two) for one, two in zip(state, after, strict=True))
+
+
+@pytest.mark.parametrize(
+    ("count", "parts", "expected"),
+    [(300, 4, [75, 75, 75, 75]), (10, 4, [4, 2, 2, 2]), (2, 3, [2, 0, 0]), (1, 1, [1])],
+)
+def test_samples_are_shared_equally_with_the_remainder_to_the_first(
+    count: int, parts: int, expected: list[int]
+) -> None:
+    assert shares(count, parts) == expected
+
+
+def test_draws_follow_the_documented_order() -> None:
+    spec = tiny_spec()
+    mu, sigma = np.arange(LATENT, dtype=np.float32), np.full(LATENT, 0.5, dtype=np.float32)
+    draws = draw(spec, mu, sigma, 5, 11, (0.0, 2.0))
+    rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(11)))
+    eta = rng.standard_normal((5, LATENT), dtype=np.float32)
+    raised = np.array([0.5, 0.5, 0.5, 2.5, 2.5], dtype=np.float32)[:, None]
+    np.testing.assert_array_equal(draws.latents, mu + raised * eta)
+    low, high = np.float32(-np.pi), np.float32(np.pi)
+    base = low + (high - low) * rng.random((5, 2), dtype=np.float32)
+    np.testing.assert_array_equal(draws.random_inputs["base"], base)
+    np.testing.assert_array_equal(draws.random_inputs["noise"], rng.standard_normal((5, 2), dtype=np.float32))
+
+
+def test_surplus_samples_of_a_shares_last_latent_are_left_out() -> None:
+    spec = tiny_spec(samples_per_latent=4)
+    zeros = np.zeros(LATENT, dtype=np.float32)
+    kept = draw(spec, zeros, zeros, 11, 0, (0.0, 1.0)).kept
+    assert kept.astype(int).tolist() == [[1, 1, 1, 1], [1, 1, 0, 0], [1, 1, 1, 1], [1, 0, 0, 0]]
+
+
+def test_the_encoder_tells_pictures_apart(bundle: Bundle) -> None:
+    first, second = bundle.encode(picture(0)), bundle.encode(picture(1))
+    assert first.mu.shape == first.sigma.shape == (LATENT,)
+    assert np.all(first.sigma > 0)
+    assert not np.array_equal(first.mu, second.mu)
+
+
+def test_a_validity_head_scores_every_sample_in_order(scored: Bundle) -> None:
+    answer = scored.sample(picture(), 500, 3)
+    assert answer.confidence is not None
+    brightest = picture().max() / 127.5 - 1.0
+    expected = 1 / (1 + np.exp(np.abs(answer.samples).mean(axis=1) - brightest))
+    np.testing.assert_allclose(answer.confidence, expected, atol=1e-6)
+
+
+def test_samples_below_the_confidence_are_dropped_and_counted(scored: Bundle) -> None:
+    whole = scored.sample(picture(), 500, 3)
+    part = scored.sample(picture(), 500, 3, min_confidence=0.4)
+    assert whole.confidence is not None
+    assert part.confidence is not None
+    kept = whole.confidence >= np.float32(0.4)
+    assert 0 < kept.sum() < 500
+    np.testing.assert_array_equal(part.samples, whole.samples[kept])
+    np.testing.assert_array_equal(part.confidence, whole.confidence[kept])
+    assert part.shortfall == 500 - kept.sum()
+
+
+def test_a_confidence_that_none_reaches_gives_an_empty_answer(scored: Bundle) -> None:
+    answer = scored.sample(picture(), 20, 3, min_confidence=1.0)
+    assert answer.samples.shape == (0, 2)
+    assert answer.shortfall == 20
+
+
+def test_path_models_depend_on_start_and_goal_up_to_whole_turns(path_model: Bundle) -> None:
+    def ask(start: Any, goal: Any) -> bytes:
+        return path_model.sample(picture(), 30, 3, start=start, goal=goal).samples.tobytes()
+
+    here = ask([0.5, 1.0], [-1.0, 2.0])
+    assert here != ask([-1.0, 2.0], [0.5, 1.0])
+    assert here == ask(np.array([0.5 + 2 * np.pi, 1.0]), (-1.0, 2.0 - 4 * np.pi))
+
+
+WRONG: list[dict[str, Any]] = [
+    {"n": 0}, {"n": -1}, {"n": 2.5}, {"n": True}, {"n": "3"},
+    {"seed": -1}, {"seed": 2**64}, {"seed": 1.0}, {"seed": True}, {"seed": None},
+    {"epsilon_sigma": ()}, {"epsilon_sigma": (0.0, -0.1)}, {"epsilon_sigma": (10.1,)},
+    {"epsilon_sigma": (math.nan,)}, {"epsilon_sigma": (math.inf,)}, {"epsilon_sigma": ("1",)},
+    {"min_confidence": -0.1}, {"min_confidence": 1.1}, {"min_confidence": math.nan}, {"min_confidence": True},
+    {"min_confidence": 0.1}, {"start": [0, 0]}, {"goal": [0, 0]},
+    {"image": np.zeros((32, 32, 3), np.uint8)}, {"image": np.zeros((48, 48, 3))}, {"image": None},
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("change", WRONG, ids=lambda change: str(change)[:40])
+def test_a_wrong_argument_is_an_input_error(bundle: Bundle, change: dict[str, Any]) -> None:
+    arguments = {"image": picture(), "n": 3, "seed": 0, **change}
+    with pytest.raises(InputError, match="expected"):
+        bundle.sample(**arguments)
+
+
+@pytest.mark.parametrize(
+    ("start", "goal"),
+    [
+        (None, None), ([0, 0], None), (None, [0, 0]), ([0, 0, 0], [0, 0]), ([0, 0], [0]),
+        ([0, math.nan], [0, 0]),
+        ([0, math.inf], [0, 0]), ("ab", [0, 0]), ([[0, 0]], [0, 0]), ([0, [1]], [0, 0]), (3.0, [0, 0]),
+    ],
+)  # fmt: skip
+def test_path_models_refuse_endpoints_that_do_not_fit(path_model: Bundle, start: Any, goal: Any) -> None:
+    with pytest.raises(InputError):
+        path_model.sample(picture(), 3, 0, start=start, goal=goal)
+
+
+def test_numpy_numbers_are_as_good_as_pythons(bundle: Bundle) -> None:
+    plain = bundle.sample(picture(), 3, 5, epsilon_sigma=(0.5,)).samples
+    numpys = bundle.sample(picture(), np.int64(3), np.uint64(5), epsilon_sigma=[np.float64(0.5)]).samples  # type: ignore[arg-type]
+    np.testing.assert_array_equal(plain, numpys)

@@ -1,0 +1,148 @@
+import dataclasses
+import json
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cspace.bundle import BundleSpec, Provenance, RandomInput
+from cspace.errors import BundleIntegrityError
+from cspace.robot import THREE_LINK, TWO_LINK
+from cspace.scenario import Camera
+from cspace.space import Standardisation
+from tests.bundles import tiny_spec
+
+
+def full_spec() -> BundleSpec:
+    return dataclasses.replace(
+        tiny_spec(THREE_LINK, kind="path", samples_per_latent=4, model_kind="mixture"),
+        camera=Camera(pixels=32),
+        standardisation=Standardisation((0.0, 0.1, 0.2), (1.0, 2.0, 3.0)),
+        confidence_threshold=0.8,
+        provenance=Provenance(
+            git_commit="abc",
+            git_dirty=True,
+            data_digest="d" * 64,
+            seeds={"vae": 1},
+            config={"k": [1, {"a": None}]},
+            metrics={"edr": 0.1},
+            created="2026-11-01T00:00:00+00:00",
+            command="train",
+        ),
+    )
+
+
+@pytest.mark.parametrize("spec", [tiny_spec(), tiny_spec(THREE_LINK), full_spec()])
+def test_a_description_survives_the_way_through_json(spec: BundleSpec) -> None:
+    assert BundleSpec.from_json(spec.to_json()) == spec
+
+
+def test_the_json_has_exactly_the_fields_of_the_schema() -> None:
+    values = json.loads(full_spec().to_json())
+    assert set(values) == {
+        "schema_version", "kind", "robot", "joint_space", "camera", "image", "latent_dim", "model_kind",
+        "samples_per_latent", "random_inputs", "standardisation", "conditions", "confidence_threshold",
+        "provenance",
+    }  # fmt: skip
+    assert values["schema_version"] == 1
+    assert values["joint_space"] == {"kind": "torus", "dim": 3, "unit": "rad"}
+    assert values["image"] == {"pixels": 32, "channels": "RGB", "range": [-1, 1]}
+    assert values["conditions"] == ["start", "goal"]
+
+
+CHANGES: list[dict[str, Any]] = [
+    {"schema_version": 2},
+    {"schema_version": True},
+    {"schema_version": None},
+    {"kind": "paths"},
+    {"kind": None},
+    {"model_kind": "flow"},
+    {"robot": {"kind": "planar_arm", "link_lengths_m": [], "half_width_m": 0.1}},
+    {"robot": "two links"},
+    {"robot": {"kind": "humanoid"}},
+    {"joint_space": {"kind": "torus", "dim": 5, "unit": "rad"}},
+    {"joint_space": {"kind": "torus", "dim": 3, "unit": "deg"}},
+    {"camera": {"x_min_m": -5}},
+    {"camera": {"x_min_m": -5, "x_max_m": 5, "y_min_m": -5, "y_max_m": "5", "pixels": 32}},
+    {"camera": {"x_min_m": -5, "x_max_m": 5, "y_min_m": -5, "y_max_m": 5, "pixels": 0}},
+    {"image": {"pixels": 32, "channels": "BGR", "range": [-1, 1]}},
+    {"latent_dim": 0},
+    {"latent_dim": 4.0},
+    {"latent_dim": True},
+    {"samples_per_latent": 0},
+    {"random_inputs": {}},
+    {"random_inputs": [{"name": "u"}]},
+    {"standardisation": {"mean": [0.0], "std": [1.0]}},
+    {"standardisation": {"mean": [0, 0, 0], "std": [1, 0, 1]}},
+    {"conditions": []},
+    {"confidence_threshold": 1.5},
+    {"confidence_threshold": "high"},
+    {"provenance": {}},
+    {"provenance": None},
+    {"surprise": 1},
+]
+
+
+@pytest.mark.parametrize("change", CHANGES, ids=str)
+def test_a_description_with_a_wrong_value_is_refused(change: dict[str, Any]) -> None:
+    with pytest.raises(BundleIntegrityError):
+        BundleSpec.from_dict({**full_spec().to_dict(), **change})
+
+
+@pytest.mark.parametrize("key", sorted(full_spec().to_dict()))
+def test_a_description_without_one_of_its_keys_is_refused(key: str) -> None:
+    values = full_spec().to_dict()
+    del values[key]
+    with pytest.raises(BundleIntegrityError):
+        BundleSpec.from_dict(values)
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        b"",
+        b"[]",
+        b"{",
+        b"\xff\xfe",
+        b'{"a": NaN}',
+        b'{"schema_version": 1, "schema_version": 1}',
+        b"[" * 100_000,
+    ],
+    ids=["empty", "list", "open", "not UTF-8", "NaN", "twice", "deep"],
+)
+def test_bytes_that_are_no_strict_json_are_refused(data: bytes) -> None:
+    with pytest.raises(BundleIntegrityError):
+        BundleSpec.from_json(data)
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        ("latent", "normal", (2,), None, None),
+        ("start", "normal", (2,), None, None),
+        ("", "normal", (2,), None, None),
+        ("u", "cauchy", (2,), None, None),
+        ("u", "normal", (2,), 0.0, 1.0),
+        ("u", "uniform", (2,), None, None),
+        ("u", "uniform", (2,), 1.0, 1.0),
+        ("u", "uniform", (2,), 0.0, math.inf),
+        ("u", "uniform", (0,), 0.0, 1.0),
+    ],
+)
+def test_a_random_input_that_cannot_be_drawn_is_refused(values: tuple[Any, ...]) -> None:
+    with pytest.raises(BundleIntegrityError):
+        RandomInput(*values)
+
+
+def test_two_random_inputs_of_one_name_are_refused() -> None:
+    noise = RandomInput("noise", "normal", (2,))
+    with pytest.raises(BundleIntegrityError, match="random_inputs"):
+        BundleSpec(TWO_LINK, 4, random_inputs=(noise, noise))
+
+
+@pytest.mark.parametrize("value", [np.float32(1.0), math.nan, {1}])
+def test_a_provenance_that_is_not_plain_json_is_refused_with_a_remedy(value: object) -> None:
+    spec = BundleSpec(TWO_LINK, 4, provenance=Provenance(metrics={"precision": value}))
+    with pytest.raises(BundleIntegrityError, match="convert"):
+        spec.to_json()
