@@ -149,12 +149,10 @@ def geometry_score(first: RelativeLivingTimes, second: RelativeLivingTimes) -> f
 
 def _nearest_table(distances: NDArray[np.float64], alpha_max: float) -> list[list[tuple[int, float]]]:
     """Per witness its near landmarks with their distances, nearest first."""
-    count = distances.shape[1]
     third = np.partition(distances, _ALWAYS_NEAR - 1, axis=1)[:, _ALWAYS_NEAR - 1 : _ALWAYS_NEAR]
-    # One spare column keeps the first landmark out of reach in the table.
-    width = min(count, int((distances <= third + alpha_max).sum(axis=1).max()) + 1)
-    near = np.argpartition(distances, width - 1, axis=1)[:, :width]
-    order = np.argsort(np.take_along_axis(distances, near, axis=1), axis=1)
-    near = np.take_along_axis(near, order, axis=1)
-    lengths = np.take_along_axis(distances, near, axis=1)
-    return [list(zip(*row, strict=True)) for row in zip(near.tolist(), lengths.tolist(), strict=True)]
+    witnesses, landmarks = np.nonzero(distances <= third + alpha_max)
+    lengths = distances[witnesses, landmarks]
+    order = np.lexsort((lengths, witnesses))
+    entries = list(zip(landmarks[order].tolist(), lengths[order].tolist(), strict=True))
+    ends = np.cumsum(np.bincount(witnesses, minlength=len(distances))).tolist()
+    return [entries[start:end] for start, end in zip([0, *ends], ends, strict=False)]

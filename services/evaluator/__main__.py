@@ -1,0 +1,92 @@
+"""Evaluate a registered version: ``python -m services.evaluator --model cspace-sampler@challenger``.
+
+Exit codes: 0 evaluated, whether promoted or not; 1 the evaluation failed; 2 the request was wrong.
+"""
+
+import argparse
+import json
+import os
+import sys
+from collections.abc import Mapping, Sequence
+
+from services.registry.mlflow_adapter import MlflowRegistry, MlflowTracking
+
+from cspace.errors import ConfigError, CspaceError, ModelNotFoundError
+from services.evaluator.budget import BUDGETS
+from services.evaluator.job import Outcome, evaluate_version, executor
+from services.evaluator.metrics import flat_metrics
+from services.evaluator.report import terminal_table
+from services.evaluator.request import make_request
+
+
+def main(arguments: Sequence[str] | None = None, environment: Mapping[str, str] = os.environ) -> int:
+    """Parse, evaluate, print; returns the exit code."""
+    options = _parser().parse_args(arguments)
+    try:
+        request = make_request(
+            options.model,
+            budget=options.budget,
+            scenarios=options.scenarios,
+            seed=options.seed,
+            promote=not options.no_promote,
+        )
+        uri = environment.get("MLFLOW_TRACKING_URI", "")
+        if not uri:
+            raise ConfigError("no tracking server is named", remedy="set MLFLOW_TRACKING_URI")
+        tracking, registry = MlflowTracking(uri), MlflowRegistry(uri)
+        outcome = evaluate_version(request, tracking, registry, executor(environment), _progress)
+    except (ConfigError, ModelNotFoundError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    except CspaceError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    _print(outcome)
+    return 0
+
+
+def result(outcome: Outcome) -> dict[str, object]:
+    """What the last line says, for programs."""
+    version, verdict = outcome.version, outcome.verdict
+    return {
+        "run_id": outcome.run_id,
+        "model": version.name,
+        "version": version.number,
+        "digest": version.digest,
+        "promoted": verdict.promoted and outcome.recorded,
+        "recorded": outcome.recorded,
+        "reasons": list(verdict.reasons),
+        "metrics": flat_metrics(outcome.evaluation),
+        "figures": list(outcome.figures),
+    }
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="python -m services.evaluator",
+        description="Judge a version on scenarios that it was never trained on; promote it if the gate holds.",
+        epilog="Exit codes: 0 evaluated (promoted or not), 1 evaluation failed, 2 wrong request.",
+    )
+    parser.add_argument("--model", default="cspace-sampler@challenger", help="name@alias or name/version")
+    parser.add_argument("--budget", choices=sorted(BUDGETS), default="quick", help="how much is evaluated")
+    parser.add_argument("--scenarios", type=int, help="per split, instead of the budget's")
+    parser.add_argument("--seed", type=int, default=0, help="of scenarios, samples and problems")
+    parser.add_argument("--no-promote", action="store_true", help="record no decision, move no alias")
+    return parser
+
+
+def _progress(line: str) -> None:
+    print(line, flush=True)
+
+
+def _print(outcome: Outcome) -> None:
+    print(f"\n{terminal_table(outcome.evaluation)}\n")
+    moved = "promoted" if outcome.verdict.promoted else "not promoted"
+    print(f"{moved}{'' if outcome.recorded else ' (only judged, nothing recorded)'}:")
+    for reason in outcome.verdict.reasons:
+        print(f"  {reason}")
+    print(f"RESULT {json.dumps(result(outcome))}", flush=True)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,163 @@
+"""One evaluation: units of work measured one by one, then put together into tables with intervals."""
+
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from cspace.problem import draw_problem
+from services.planner.ompl_planner import PlannerSettings
+
+from cspace.errors import EvaluationError
+from cspace.robot import PlanarArm
+from cspace.scenario import Camera, Split
+from services.evaluator.budget import FAMILIES, Budget, Kind, Unit
+from services.evaluator.planning import PlanningTrial, plan_trial
+from services.evaluator.planning_summary import FamilySummary, success_rate, summarise_family
+from services.evaluator.reconstruction import ReconstructionSummary, SceneQuality, summarise
+from services.evaluator.samplers import Sampler
+from services.evaluator.scenes import Scene, Stage, reconstruct
+from services.evaluator.statistics import Interval
+from services.evaluator.topology_scenes import (
+    SceneTopology,
+    ScoreSummary,
+    scene_topology,
+    summarise_topology,
+)
+
+# Fixed and named in every report: the range decides how strong the uniform baseline is, and a limit in
+# iterations makes a run independent of the machine's load, which the limit in time only guards.
+PLANNER = PlannerSettings(
+    planner="RRT",
+    range_rad=1.0,
+    resolution_rad=0.0314,
+    goal_bias=0.05,
+    time_limit_s=10.0,
+    max_iterations=1000,
+    seed=1,
+)
+
+Row = SceneQuality | SceneTopology | PlanningTrial
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """What an evaluation is about: whose arm, which camera, which seed, how much."""
+
+    robot: PlanarArm
+    camera: Camera
+    seed: int
+    budget: Budget
+
+
+@dataclass(frozen=True, slots=True)
+class UnitResult:
+    """The rows of one unit of work, and the time that it took."""
+
+    unit: Unit
+    rows: tuple[Row, ...]
+    seconds: float
+
+
+@dataclass(frozen=True, slots=True)
+class SplitResult:
+    """All of one split: summaries with the rows behind them."""
+
+    reconstruction: ReconstructionSummary
+    planning: tuple[FamilySummary, ...]
+    planning_success: Interval | None
+    scenes: tuple[SceneQuality, ...]
+    trials: tuple[PlanningTrial, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Evaluation:
+    """Validation decides, test is reported; topology is of test scenarios."""
+
+    setting: Setting
+    validation: SplitResult
+    test: SplitResult
+    topology: Mapping[str, ScoreSummary]
+    topology_scenes: tuple[SceneTopology, ...]
+    cpu_seconds: float
+
+
+def run_unit(unit: Unit, setting: Setting, sampler: Sampler) -> UnitResult:
+    """Measure one unit of work; its rows depend on nothing else."""
+    began = time.perf_counter()
+    measure = {
+        Kind.RECONSTRUCTION: _reconstruction_rows,
+        Kind.TOPOLOGY: _topology_rows,
+        Kind.PLANNING: _planning_rows,
+    }[unit.kind]
+    rows = measure(unit, setting, sampler)
+    return UnitResult(unit, tuple(rows), time.perf_counter() - began)
+
+
+def assemble(results: Iterable[UnitResult], setting: Setting) -> Evaluation:
+    """Put the results together, in whatever order they came.
+
+    Raises:
+        EvaluationError: a group is empty.
+    """
+    done = sorted(results, key=lambda result: (result.unit.family or "", result.unit.first))
+    rng = np.random.default_rng(np.random.SeedSequence(entropy=setting.seed, spawn_key=(99,)))
+    shapes = [row for row in _rows(done, Split.TEST) if isinstance(row, SceneTopology)]
+    return Evaluation(
+        setting,
+        _split_result(_rows(done, Split.VALIDATION), rng),
+        _split_result(_rows(done, Split.TEST), rng),
+        summarise_topology(shapes, rng) if shapes else {},
+        tuple(shapes),
+        sum(result.seconds for result in done),
+    )
+
+
+def _split_result(rows: Sequence[Row], rng: np.random.Generator) -> SplitResult:
+    scenes = tuple(row for row in rows if isinstance(row, SceneQuality))
+    trials = tuple(row for row in rows if isinstance(row, PlanningTrial))
+    present = {trial.family for trial in trials}
+    return SplitResult(
+        summarise(scenes, rng),
+        tuple(summarise_family(family, trials, rng) for family in FAMILIES if family in present),
+        success_rate(trials) if trials else None,
+        scenes,
+        trials,
+    )
+
+
+def _rows(results: Sequence[UnitResult], split: Split) -> list[Row]:
+    return [row for result in results if result.unit.split == split for row in result.rows]
+
+
+def _scenes(unit: Unit, setting: Setting) -> list[Scene]:
+    stage = Stage(setting.robot, setting.camera, unit.split, setting.seed)
+    return [Scene(stage, index) for index in range(unit.first, unit.first + unit.count)]
+
+
+def _reconstruction_rows(unit: Unit, setting: Setting, sampler: Sampler) -> list[Row]:
+    return [reconstruct(scene, sampler, setting.budget.samples) for scene in _scenes(unit, setting)]
+
+
+def _topology_rows(unit: Unit, setting: Setting, sampler: Sampler) -> list[Row]:
+    budget = setting.budget
+    return [scene_topology(scene, sampler, budget.draws, budget.samples) for scene in _scenes(unit, setting)]
+
+
+def _planning_rows(unit: Unit, setting: Setting, sampler: Sampler) -> list[Row]:
+    if unit.family is None:
+        raise EvaluationError("a unit of planning names no family", got=str(unit))
+    rows: list[Row] = []
+    for index in range(unit.first, unit.first + unit.count):
+        drawn = draw_problem(unit.family, unit.split, setting.seed, index, setting.robot)
+        problem = replace(drawn, scenario=replace(drawn.scenario, camera=setting.camera))
+        for repeat in range(setting.budget.planner_seeds):
+            seed = planner_seed(setting.seed, index, repeat)
+            rows.append(plan_trial(problem, index, seed, sampler, PLANNER))
+    return rows
+
+
+def planner_seed(seed: int, index: int, repeat: int) -> int:
+    """The seed of one run, in 1...2^31 - 1; OMPL takes no zero."""
+    state = np.random.SeedSequence(entropy=seed, spawn_key=(98, index, repeat)).generate_state(1)
+    return 1 + int(state[0]) % (2**31 - 1)

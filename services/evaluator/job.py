@@ -1,0 +1,144 @@
+"""The evaluation of a registered version: download, measure, judge, record. Ray is used here alone."""
+
+import logging
+import tempfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import ray
+from ray.exceptions import RayError, RayTaskError
+from services.registry.models import ModelRegistry, ModelVersion
+from services.registry.tracking import Tracking
+
+from cspace.bundle import Bundle
+from cspace.errors import ConfigError, CspaceError, JobError
+from services.evaluator.budget import Unit, units
+from services.evaluator.evaluation import Evaluation, Setting, UnitResult, assemble
+from services.evaluator.execution import Execute, run_here, run_packed
+from services.evaluator.gate import Verdict
+from services.evaluator.recording import decide, log_evaluation, parent_run_id, record
+from services.evaluator.request import ModelReference, Request
+from services.evaluator.samplers import BundleSampler, PackedBundle
+
+EXPERIMENT = "cspace-sampler"
+RUN_NAME = "evaluation"
+Progress = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What an evaluation led to.
+
+    Args:
+        version: that was judged.
+        evaluation: all that was measured.
+        verdict: the gate's decision.
+        recorded: whether the decision was recorded, and the alias moved if it was a promotion.
+        run_id: of the evaluation's tracking run.
+        figures: names of the pictures in that run.
+    """
+
+    version: ModelVersion
+    evaluation: Evaluation
+    verdict: Verdict
+    recorded: bool
+    run_id: str
+    figures: tuple[str, ...]
+
+
+def evaluate_version(
+    request: Request,
+    tracking: Tracking,
+    registry: ModelRegistry,
+    execute: Execute = run_here,
+    progress: Progress = print,
+) -> Outcome:
+    """Evaluate a version, log it beside its training, and let the gate decide.
+
+    Args:
+        request: which version and how much.
+        tracking: where the evaluation's run is logged.
+        registry: where the version comes from and the decision goes.
+        execute: in this process or over a cluster; the numbers are the same.
+        progress: takes lines for people.
+
+    Raises:
+        ModelNotFoundError: there is no such version.
+        ConfigError: the version is a path model, which other metrics judge.
+        BundleError: the version's bundle is damaged.
+        CspaceError: measuring or recording failed.
+    """
+    version = _find(registry, request.model)
+    tags = {"model_version": str(version.number), "model_digest": version.digest}
+    with tempfile.TemporaryDirectory(prefix="cspace-evaluation-") as folder:
+        bundle = _load(registry, version, Path(folder))
+        parent = parent_run_id(tracking, version)
+        with tracking.start(EXPERIMENT, RUN_NAME, parent_run_id=parent, tags=tags) as run:
+            setting = Setting(bundle.spec.robot, bundle.spec.camera, request.seed, request.budget)
+            progress(f"evaluating {version.name}/{version.number}, digest {bundle.digest[:12]}")
+            evaluation = _measure(execute, setting, PackedBundle.pack(bundle), progress)
+            verdict = decide(registry, version, evaluation)
+            title = f"{version.name}/{version.number}"
+            figures = log_evaluation(run, evaluation, verdict, BundleSampler(bundle), title)
+        if request.promote:
+            record(registry, version, evaluation, verdict)
+    return Outcome(version, evaluation, verdict, request.promote, run.run_id, figures)
+
+
+def run_on_ray(work: Sequence[Unit], setting: Setting, packed: PackedBundle) -> Iterator[UnitResult]:
+    """Results as they come from the cluster that RAY_ADDRESS names; a lost worker's unit is run again.
+
+    Raises:
+        JobError: the cluster does not answer, or a unit failed for good.
+        CspaceError: what the unit itself raised.
+    """
+    try:
+        if not ray.is_initialized():
+            ray.init(log_to_driver=False, logging_level=logging.WARNING)
+        task = ray.remote(num_cpus=1, max_retries=2)(run_packed)
+        shared = ray.put(packed)
+        pending = [task.remote(unit, setting, shared) for unit in work]
+        while pending:
+            done, pending = ray.wait(pending, num_returns=1)
+            yield ray.get(done[0])
+    except RayTaskError as error:
+        if isinstance(error.cause, CspaceError):
+            raise error.cause from error
+        raise JobError("a unit of the evaluation failed", got=str(error.cause)) from error
+    except (RayError, ConnectionError) as error:
+        raise JobError("the cluster lost the evaluation", got=str(error)) from error
+
+
+def executor(environment: Mapping[str, str]) -> Execute:
+    """Over the cluster where RAY_ADDRESS names one; its http form is for submitting jobs only."""
+    address = environment.get("RAY_ADDRESS", "")
+    return run_on_ray if address and not address.startswith("http") else run_here
+
+
+def _find(registry: ModelRegistry, model: ModelReference) -> ModelVersion:
+    if model.alias is not None:
+        return registry.by_alias(model.name, model.alias)
+    if model.number is None:
+        raise ConfigError("the model reference names no version", got=str(model))
+    return registry.version(model.name, model.number)
+
+
+def _load(registry: ModelRegistry, version: ModelVersion, folder: Path) -> Bundle:
+    bundle = Bundle.load(registry.download(version, folder))
+    if bundle.spec.kind != "configuration":
+        raise ConfigError(
+            "this evaluation is for configuration models", expected="configuration", got=bundle.spec.kind
+        )
+    return bundle
+
+
+def _measure(execute: Execute, setting: Setting, packed: PackedBundle, progress: Progress) -> Evaluation:
+    work = units(setting.budget, setting.robot.dim)
+    results: list[UnitResult] = []
+    for result in execute(work, setting, packed):
+        results.append(result)
+        unit = result.unit
+        what = f"{unit.kind}{f' {unit.family}' if unit.family else ''}, {unit.split}"
+        progress(f"{len(results):3d}/{len(work)}  {what}, {unit.count} in {result.seconds:.1f} s")
+    return assemble(results, setting)

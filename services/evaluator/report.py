@@ -1,0 +1,68 @@
+"""An evaluation for readers: Markdown, JSON with every row, and a table for terminals."""
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict
+
+from services.evaluator.evaluation import PLANNER, Evaluation
+from services.evaluator.tables import (
+    aligned,
+    markdown,
+    planning_table,
+    reconstruction_table,
+    topology_table,
+)
+
+PLANNING_NOTE = (
+    f"RRT, range {PLANNER.range_rad} rad, resolution {PLANNER.resolution_rad} rad a joint, at most "
+    f"{PLANNER.max_iterations} iterations. Medians, the 90th percentile in brackets; a run without success "
+    "is censored and ranks last, and a value with > is a lower bound. The saved factor is uniform's median "
+    "over learned's, paired; time is without drawing the samples."
+)
+TOPOLOGY_NOTE = (
+    "The floor is the same score between two real samples. gsc_boundary takes both complements from the "
+    "points, gsc_true the real one from its collision states. The scores are blind to position: read them "
+    "with precision and coverage."
+)
+
+
+def to_json(evaluation: Evaluation) -> str:
+    """Everything, down to the rows behind the summaries."""
+    return json.dumps(asdict(evaluation) | {"planner": asdict(PLANNER)}, indent=1)
+
+
+def to_markdown(evaluation: Evaluation, title: str, reasons: Sequence[str]) -> str:
+    """The report: decision, reconstruction, planning, topology."""
+    budget = evaluation.setting.budget
+    parts = [f"# {title}", "## Decision", "\n".join(f"- {reason}" for reason in reasons)]
+    for name, split in (("validation", evaluation.validation), ("test", evaluation.test)):
+        role = "decides" if name == "validation" else "reported only"
+        parts += [
+            f"## Reconstruction, {name} ({role})",
+            markdown(reconstruction_table(split)),
+            f"Gain in precision over uniform: {split.reconstruction.precision_gain:.3f}.",
+        ]
+        if split.planning:
+            parts += [
+                f"## Planning, {name} ({role})",
+                markdown(planning_table(split.planning)),
+                PLANNING_NOTE,
+            ]
+    if evaluation.topology:
+        parts += ["## Topology, test (reported only)", markdown(topology_table(evaluation)), TOPOLOGY_NOTE]
+    parts.append(
+        f"Seed {evaluation.setting.seed}, {budget.scenarios} scenarios a split, {budget.samples} samples "
+        "each; intervals of 95 % by bootstrap over scenarios, exact for success rates."
+    )
+    return "\n\n".join(parts) + "\n"
+
+
+def terminal_table(evaluation: Evaluation) -> str:
+    """The deciding numbers as aligned text."""
+    tables = [("validation", reconstruction_table(evaluation.validation))]
+    tables.append(("test", reconstruction_table(evaluation.test)))
+    if evaluation.validation.planning:
+        tables.append(("planning, validation", planning_table(evaluation.validation.planning)))
+    if evaluation.topology:
+        tables.append(("topology, test", topology_table(evaluation)))
+    return "\n\n".join(f"{name}\n{aligned(table)}" for name, table in tables)

@@ -1,0 +1,130 @@
+"""What can be judged: anything that turns a picture into configurations.
+
+A bundle in this process, a version behind the inference API, and the uniform sampler are all the same to the
+metrics.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from services.planner.sampling_client import SamplingClient
+
+from cspace.bundle import Bundle
+from cspace.image import encode_png
+from cspace.space import JointSpace, to_float32
+
+Image = NDArray[np.uint8]
+Samples = NDArray[np.float32]
+
+
+class Sampler(Protocol):
+    """Draws configurations for a picture."""
+
+    def sample(self, image: Image, n: int, seed: int) -> Samples:
+        """``n`` configurations (n, d) rad for a picture (P, P, 3), the same ones for the same seed."""
+        ...
+
+
+@dataclass(frozen=True)
+class BundleSampler:
+    """A bundle in this process.
+
+    Args:
+        bundle: a loaded bundle for configurations.
+        epsilon_sigma: what the encoder's standard deviation is raised by, in equal shares.
+        min_confidence: samples that the validity head scores lower are dropped.
+    """
+
+    bundle: Bundle
+    epsilon_sigma: tuple[float, ...] = (0.0,)
+    min_confidence: float = 0.0
+
+    def sample(self, image: Image, n: int, seed: int) -> Samples:
+        """See :class:`Sampler`; fewer than ``n`` where the validity head dropped some."""
+        drawn = self.bundle.sample(
+            image, n, seed, epsilon_sigma=self.epsilon_sigma, min_confidence=self.min_confidence
+        )
+        return drawn.samples
+
+
+@dataclass(frozen=True)
+class HttpSampler:
+    """A version behind the inference API.
+
+    Args:
+        client: the API's client.
+        model: ``name``, ``name@alias``, ``name/version`` or ``pretrained``; None for the API's default.
+        epsilon_sigma: as for the bundle; empty for the API's default.
+        min_confidence: as for the bundle.
+    """
+
+    client: SamplingClient
+    model: str | None = None
+    epsilon_sigma: tuple[float, ...] = ()
+    min_confidence: float = 0.0
+
+    def sample(self, image: Image, n: int, seed: int) -> Samples:
+        """See :class:`Sampler`.
+
+        Raises:
+            SamplerUnavailableError: the API does not answer.
+            SamplerError: it refused the request.
+        """
+        batch = self.client.sample(
+            encode_png(image),
+            n,
+            model=self.model,
+            seed=seed,
+            epsilon_sigma=self.epsilon_sigma,
+            min_confidence=self.min_confidence,
+        )
+        return batch.samples
+
+
+@dataclass(frozen=True)
+class UniformSampler:
+    """The baseline that looks at no picture."""
+
+    space: JointSpace
+
+    def sample(self, image: Image, n: int, seed: int) -> Samples:  # noqa: ARG002 - the protocol's picture
+        """``n`` uniform configurations."""
+        return to_float32(self.space.sample_uniform(np.random.default_rng(seed), n))
+
+
+@dataclass(frozen=True)
+class PackedBundle:
+    """A bundle's files as bytes, for workers that share no file system; told apart by the digest.
+
+    Args:
+        digest: of the bundle.
+        files: contents by name.
+    """
+
+    digest: str
+    files: Mapping[str, bytes] = field(compare=False, repr=False)
+
+    @classmethod
+    def pack(cls, bundle: Bundle) -> "PackedBundle":
+        """The files of a loaded bundle."""
+        paths = sorted(path for path in bundle.folder.rglob("*") if path.is_file())
+        named = {path.relative_to(bundle.folder).as_posix(): path.read_bytes() for path in paths}
+        return cls(bundle.digest, named)
+
+    def load(self) -> Bundle:
+        """The bundle, verified again; it keeps what it needs in memory.
+
+        Raises:
+            BundleError: it did not survive the journey, or answers differently on this machine.
+        """
+        with TemporaryDirectory(prefix="cspace-bundle-") as folder:
+            for name, data in self.files.items():
+                target = Path(folder) / name
+                target.parent.mkdir(parents=True, exist_ok=True)
+                target.write_bytes(data)
+            return Bundle.load(Path(folder))

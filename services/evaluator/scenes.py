@@ -1,0 +1,121 @@
+"""Scenarios that are judged, with their picture, their exact truth and their own streams of random numbers.
+
+Everything random belongs to one scenario, so that results do not depend on how scenarios are spread over
+workers.
+"""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cspace.collision import CollisionChecker
+from cspace.errors import EvaluationError
+from cspace.render import render
+from cspace.robot import PlanarArm
+from cspace.scenario import Camera, Scenario, Split, random_scenario, scenario_rng
+from cspace.space import JointSpace
+from services.evaluator.reconstruction import SceneQuality, sample_quality
+from services.evaluator.samplers import Sampler
+
+SAMPLES = 1000
+# Rejection gives up here; the smallest free share that was ever drawn is 0.2.
+PROPOSALS_PER_SAMPLE = 200
+
+
+@dataclass(frozen=True)
+class Stage:
+    """What all scenarios of an evaluation share: whose arm, which camera, which split, which seed."""
+
+    robot: PlanarArm
+    camera: Camera
+    split: Split
+    seed: int
+
+
+@dataclass(frozen=True)
+class Scene:
+    """One scenario with its truth.
+
+    Args:
+        stage: what it shares with the others.
+        index: its number within the split.
+    """
+
+    stage: Stage
+    index: int
+
+    @cached_property
+    def scenario(self) -> Scenario:
+        """The scenario, seen by the evaluation's camera."""
+        drawn = random_scenario(self._scenario_rng(), self.stage.robot)
+        return replace(drawn, camera=self.stage.camera)
+
+    @cached_property
+    def image(self) -> NDArray[np.uint8]:
+        """Its picture, (P, P, 3)."""
+        return render(self.scenario)
+
+    @cached_property
+    def checker(self) -> CollisionChecker:
+        """Its exact collision checks."""
+        return CollisionChecker(self.scenario)
+
+    @property
+    def space(self) -> JointSpace:
+        """The robot's joint space."""
+        return self.stage.robot.space
+
+    def rng(self, stream: int) -> np.random.Generator:
+        """One of the scenario's own streams; independent of the one that drew the discs."""
+        return self._scenario_rng().spawn(stream + 1)[stream]
+
+    def sampler_seed(self, stream: int = 0) -> int:
+        """A seed for the sampler under test, unsigned 63 bit."""
+        return int(self.rng(10 + stream).integers(0, 2**63))
+
+    def free(self, count: int, rng: np.random.Generator) -> NDArray[np.float64]:
+        """``count`` uniform free configurations, (count, d) rad.
+
+        Raises:
+            EvaluationError: the scenario has next to no free space.
+        """
+        found = self._draw(count, rng, free=True)
+        if len(found) < count:
+            raise EvaluationError(
+                "a scenario has next to no free space", expected=f"{count} free", got=str(len(found))
+            )
+        return found
+
+    def collisions(self, count: int, rng: np.random.Generator) -> NDArray[np.float64]:
+        """At most ``count`` uniform configurations in collision; none where all discs are out of reach."""
+        return self._draw(count, rng, free=False)
+
+    def _draw(self, count: int, rng: np.random.Generator, *, free: bool) -> NDArray[np.float64]:
+        kept: list[NDArray[np.float64]] = []
+        for _ in range(PROPOSALS_PER_SAMPLE // 2):
+            proposals = self.space.sample_uniform(rng, 2 * count)
+            kept.append(proposals[self.checker.valid_batch(proposals) == free])
+            if sum(map(len, kept)) >= count:
+                break
+        return np.concatenate(kept)[:count]
+
+    def _scenario_rng(self) -> np.random.Generator:
+        return scenario_rng(self.stage.split, self.stage.seed, self.index)
+
+
+def reconstruct(scene: Scene, sampler: Sampler, samples: int = SAMPLES) -> SceneQuality:
+    """The sampler, uniform samples and further real samples against the same held-out free configurations.
+
+    Raises:
+        EvaluationError: the sampler returned nothing, or what is not finite.
+    """
+    held_out = scene.free(samples, scene.rng(0))
+    groups = (
+        np.asarray(sampler.sample(scene.image, samples, scene.sampler_seed()), dtype=np.float64),
+        scene.space.sample_uniform(scene.rng(1), samples),
+        scene.free(samples, scene.rng(2)),
+    )
+    qualities = [sample_quality(group, held_out, scene.space, scene.checker.valid_batch) for group in groups]
+    return SceneQuality(scene.index, *qualities)

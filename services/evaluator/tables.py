@@ -1,0 +1,72 @@
+"""Tables of an evaluation as rows of text, the header first, and how they are laid out."""
+
+from collections.abc import Sequence
+
+from services.evaluator.evaluation import Evaluation, SplitResult
+from services.evaluator.planning_summary import COSTS, ArmSummary, FamilySummary
+from services.evaluator.reconstruction import SamplerSummary
+from services.evaluator.statistics import CensoredSummary, Interval
+
+Table = Sequence[Sequence[str]]
+
+
+def reconstruction_table(split: SplitResult) -> Table:
+    """Sampler, uniform and real samples, one row each."""
+    rows = [["samples", "precision", "coverage", "EDr", "precision p10", "precision min"]]
+    for name in ("sampler", "uniform", "real"):
+        one: SamplerSummary = getattr(split.reconstruction, name)
+        intervals = (one.precision, one.coverage, one.edr, one.precision_p10)
+        rows.append([name, *(f"{value:.3f}" for value in intervals), f"{one.precision_minimum:.3f}"])
+    return rows
+
+
+def planning_table(families: Sequence[FamilySummary]) -> Table:
+    """Per family the success rates, medians and what the learned samples save."""
+    rows = [["family", "samples", "success", "iterations", "edge checks", "time [ms]", "censored"]]
+    for family in families:
+        arms = (("uniform", family.uniform), ("learned", family.learned))
+        rows += [[family.family.value, name, *_arm_cells(arm)] for name, arm in arms]
+        saved = (family.iterations_ratio, family.edge_checks_ratio, family.solve_time_ratio)
+        rows.append([family.family.value, "saved factor", "", *(f"{ratio:.2f}" for ratio in saved), ""])
+    return rows
+
+
+def topology_table(evaluation: Evaluation) -> Table:
+    """Every score beside its floor, times 1e4."""
+    rows = [["score x 1e4", "sampler", "noise floor", "scenarios"]]
+    for name, summary in evaluation.topology.items():
+        cells = [_scaled(interval, 1e4) for interval in (summary.score, summary.floor)]
+        rows.append([name, *cells, str(summary.score.count)])
+    return rows
+
+
+def markdown(table: Table) -> str:
+    """A table in Markdown."""
+    header, *rows = ["| " + " | ".join(row) + " |" for row in table]
+    return "\n".join([header, "|" + " --- |" * len(table[0]), *rows])
+
+
+def aligned(table: Table) -> str:
+    """A table for terminals: columns as wide as their widest cell."""
+    widths = [max(len(row[column]) for row in table) for column in range(len(table[0]))]
+    lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)) for row in table]
+    return "\n".join(line.rstrip() for line in lines)
+
+
+def _arm_cells(arm: ArmSummary) -> list[str]:
+    scales = {"iterations": 1.0, "edge_checks": 1.0, "solve_time_s": 1e3}
+    costs = [_quantiles(getattr(arm, cost), scales[cost]) for cost in COSTS]
+    return [f"{arm.success:.2f}", *costs, f"{arm.iterations.censored} of {arm.iterations.count}"]
+
+
+def _quantiles(summary: CensoredSummary, scale: float) -> str:
+    """Median and 90th percentile, each with > where it is only a lower bound."""
+    median, p90 = (
+        f"{'>' if bound else ''}{value * scale:.4g}"
+        for value, bound in ((summary.median, summary.median_is_bound), (summary.p90, summary.p90_is_bound))
+    )
+    return f"{median} ({p90})"
+
+
+def _scaled(interval: Interval, factor: float) -> str:
+    return f"{interval.estimate * factor:.2f} [{interval.low * factor:.2f}, {interval.high * factor:.2f}]"
