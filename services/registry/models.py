@@ -1,0 +1,118 @@
+"""The port to the model registry: numbered versions of a named model, aliases on them, and their bundles."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+
+@dataclass(frozen=True)
+class ModelVersion:
+    """One version of a registered model.
+
+    Args:
+        name: of the registered model.
+        number: counts from 1 within the model.
+        run_id: the run that made it.
+        digest: SHA-256 of the bundle's ``SHA256SUMS``; empty for a version that somebody else registered.
+        aliases: in alphabetical order.
+        tags: all of them, the digest included.
+        created_ms: milliseconds since 1970-01-01 UTC.
+    """
+
+    name: str
+    number: int
+    run_id: str
+    digest: str
+    aliases: tuple[str, ...]
+    tags: Mapping[str, str]
+    created_ms: int
+
+
+class ModelRegistry(Protocol):
+    """Where bundles become versions.
+
+    Every method raises RegistryUnavailableError within seconds when the registry does not answer, and
+    RegistryError for what it refuses.
+    """
+
+    def register(
+        self,
+        name: str,
+        bundle_folder: Path,
+        run_id: str,
+        digest: str,
+        tags: Mapping[str, str],
+        *,
+        alias: str | None = None,
+    ) -> ModelVersion:
+        """Make a bundle the next version of a model, which is created when it is new.
+
+        The same digest from the same run is registered once: a second call returns the first version, with
+        the tags and the alias set again.
+
+        Args:
+            name: of the model.
+            bundle_folder: as ``cspace.bundle.write_bundle`` leaves it.
+            run_id: the run that made the bundle.
+            digest: what the caller takes the bundle's digest to be.
+            tags: lineage, such as the data digest and the preset.
+            alias: moved to this version.
+
+        Raises:
+            BundleIntegrityError: the folder is damaged or has another digest.
+            RegistryError: there is no such run.
+        """
+        ...
+
+    def version(self, name: str, number: int) -> ModelVersion:
+        """One version by its number.
+
+        Raises:
+            ModelNotFoundError: there is none.
+        """
+        ...
+
+    def by_alias(self, name: str, alias: str) -> ModelVersion:
+        """The version that an alias points to.
+
+        Raises:
+            ModelNotFoundError: there is no such model or alias.
+        """
+        ...
+
+    def versions(self, name: str) -> tuple[ModelVersion, ...]:
+        """All versions, newest first; empty for an unknown model."""
+        ...
+
+    def set_alias(self, name: str, alias: str, number: int) -> None:
+        """Point an alias to a version, away from whichever had it.
+
+        Raises:
+            ModelNotFoundError: there is no such version.
+        """
+        ...
+
+    def set_tags(self, name: str, number: int, tags: Mapping[str, str]) -> None:
+        """Set tags on a version; others stay.
+
+        Raises:
+            ModelNotFoundError: there is no such version.
+        """
+        ...
+
+    def download(self, version: ModelVersion, folder: Path) -> Path:
+        """Fetch a version's bundle, beside its place and renamed, so that it appears whole or not at all.
+
+        Args:
+            version: which.
+            folder: where the bundle is to be; must not exist.
+
+        Returns:
+            The folder. Its content is as the registry has it; loading the bundle verifies it.
+
+        Raises:
+            ModelNotFoundError: there is no such version, or it holds no bundle.
+            StorageError: the folder exists or cannot be written.
+        """
+        ...

@@ -1,0 +1,10 @@
+"""The names under which runs and models are found."""
+
+MODEL_NAME = "cspace-sampler"
+EXPERIMENT = "cspace-sampler"
+ALIAS_CHALLENGER = "challenger"
+ALIAS_CHAMPION = "champion"
+
+TAG_DIGEST = "digest"
+TAG_DATA_DIGEST = "data_digest"
+TAG_PRESET = "preset"

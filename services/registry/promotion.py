@@ -1,0 +1,123 @@
+"""Promotion: what was decided about a version, why, and which version answers from then on.
+
+The log is kept on the versions themselves as numbered tags ``decision.0001`` holding JSON. It is append-only:
+nothing here writes a number twice.
+"""
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+
+from cspace.errors import RegistryError
+from services.registry.models import ModelRegistry, ModelVersion
+from services.registry.names import ALIAS_CHAMPION
+
+PREFIX = "decision."
+ATTEMPTS = 5
+
+
+@dataclass(frozen=True)
+class Decision:
+    """What the gate decided about one version.
+
+    Args:
+        name: of the model.
+        version: its number.
+        promoted: whether it becomes the champion.
+        reasons: in words, one for each thing that was looked at.
+        metrics: the gated metrics, from the validation scenarios.
+        against: the champion of that time, None when there was none.
+        created_ms: milliseconds since 1970-01-01 UTC.
+    """
+
+    name: str
+    version: int
+    promoted: bool
+    reasons: tuple[str, ...]
+    metrics: Mapping[str, float]
+    against: int | None
+    created_ms: int
+
+    def to_json(self) -> str:
+        """The form in which the log keeps it."""
+        return json.dumps(asdict(self), sort_keys=True)
+
+    @classmethod
+    def from_json(cls, text: str) -> "Decision":
+        """Read an entry of the log.
+
+        Raises:
+            RegistryError: somebody else wrote it.
+        """
+        try:
+            values = json.loads(text)
+            return cls(**{**values, "reasons": tuple(values["reasons"])})
+        except (ValueError, TypeError, KeyError) as error:
+            raise RegistryError(
+                "an entry of the decision log is not readable",
+                expected="the JSON of a decision",
+                got=text[:100],
+                remedy="remove the tag in the registry's page of the version",
+            ) from error
+
+
+def record_decision(registry: ModelRegistry, decision: Decision) -> None:
+    """Append a decision to its version's log and, when it promotes, point ``champion`` to the version.
+
+    The log comes first: a champion without a reason must not be, a reason whose alias was not moved is
+    recorded again by a second run of the evaluation.
+
+    Raises:
+        ModelNotFoundError: there is no such version.
+        RegistryError: others keep writing to the log at the same time.
+    """
+    text = decision.to_json()
+    for _ in range(ATTEMPTS):
+        version = registry.version(decision.name, decision.version)
+        key = _next_key(version)
+        registry.set_tags(decision.name, decision.version, {key: text})
+        # The registry knows no "set if absent"; whoever finds another's entry in his place appends again.
+        if registry.version(decision.name, decision.version).tags.get(key) == text:
+            break
+    else:
+        raise RegistryError(
+            f"the decision log of {decision.name}/{decision.version} could not be appended to",
+            expected="one evaluation of a version at a time",
+            remedy="evaluate the version again when the other evaluation is done",
+        )
+    if decision.promoted:
+        registry.set_alias(decision.name, ALIAS_CHAMPION, decision.version)
+
+
+def decisions_of(version: ModelVersion) -> tuple[Decision, ...]:
+    """The log of one version, oldest first."""
+    keys = sorted((key for key in version.tags if _number(key) is not None), key=_order)
+    return tuple(Decision.from_json(version.tags[key]) for key in keys)
+
+
+def decisions(registry: ModelRegistry, name: str) -> tuple[Decision, ...]:
+    """The log of all versions of a model, oldest first."""
+    found = [decision for version in reversed(registry.versions(name)) for decision in decisions_of(version)]
+    return tuple(sorted(found, key=lambda decision: decision.created_ms))
+
+
+def champions(registry: ModelRegistry, name: str) -> tuple[Decision, ...]:
+    """The decisions that made a champion, oldest first, with the metrics that each was promoted with.
+
+    The gate compares with the best of all of them, so that many small steps down can not add up.
+    """
+    return tuple(decision for decision in decisions(registry, name) if decision.promoted)
+
+
+def _next_key(version: ModelVersion) -> str:
+    last = max((_order(key) for key in version.tags if _number(key) is not None), default=0)
+    return f"{PREFIX}{last + 1:04d}"
+
+
+def _order(key: str) -> int:
+    return _number(key) or 0
+
+
+def _number(key: str) -> int | None:
+    digits = key.removeprefix(PREFIX)
+    return int(digits) if key != digits and digits.isdecimal() else None
