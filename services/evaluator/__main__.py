@@ -9,14 +9,13 @@ import os
 import sys
 from collections.abc import Mapping, Sequence
 
-from services.registry.mlflow_adapter import MlflowRegistry, MlflowTracking
-
 from cspace.errors import ConfigError, CspaceError, ModelNotFoundError
 from services.evaluator.budget import BUDGETS
 from services.evaluator.job import Outcome, evaluate_version, executor
 from services.evaluator.metrics import flat_metrics
 from services.evaluator.report import terminal_table
 from services.evaluator.request import make_request
+from services.registry.mlflow_adapter import MlflowRegistry, MlflowTracking
 
 
 def main(arguments: Sequence[str] | None = None, environment: Mapping[str, str] = os.environ) -> int:
@@ -30,9 +29,7 @@ def main(arguments: Sequence[str] | None = None, environment: Mapping[str, str] 
             seed=options.seed,
             promote=not options.no_promote,
         )
-        uri = environment.get("MLFLOW_TRACKING_URI", "")
-        if not uri:
-            raise ConfigError("no tracking server is named", remedy="set MLFLOW_TRACKING_URI")
+        uri = _tracking_uri(environment)
         tracking, registry = MlflowTracking(uri), MlflowRegistry(uri)
         outcome = evaluate_version(request, tracking, registry, executor(environment), _progress)
     except (ConfigError, ModelNotFoundError) as error:
@@ -61,10 +58,17 @@ def result(outcome: Outcome) -> dict[str, object]:
     }
 
 
+def _tracking_uri(environment: Mapping[str, str]) -> str:
+    uri = environment.get("MLFLOW_TRACKING_URI", "")
+    if not uri:
+        raise ConfigError("no tracking server is named", remedy="set MLFLOW_TRACKING_URI")
+    return uri
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="python -m services.evaluator",
-        description="Judge a version on scenarios that it was never trained on; promote it if the gate holds.",
+        description="Judge a version on scenarios it was never trained on; promote it if the gate holds.",
         epilog="Exit codes: 0 evaluated (promoted or not), 1 evaluation failed, 2 wrong request.",
     )
     parser.add_argument("--model", default="cspace-sampler@challenger", help="name@alias or name/version")

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from cspace.problem import draw_problem
-from services.planner.ompl_planner import PlannerSettings
 
 from cspace.errors import EvaluationError
 from cspace.robot import PlanarArm
@@ -24,6 +23,7 @@ from services.evaluator.topology_scenes import (
     scene_topology,
     summarise_topology,
 )
+from services.planner.ompl_planner import PlannerSettings
 
 # Fixed and named in every report: the range decides how strong the uniform baseline is, and a limit in
 # iterations makes a run independent of the machine's load, which the limit in time only guards.

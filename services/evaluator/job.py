@@ -8,8 +8,6 @@ from pathlib import Path
 
 import ray
 from ray.exceptions import RayError, RayTaskError
-from services.registry.models import ModelRegistry, ModelVersion
-from services.registry.tracking import Tracking
 
 from cspace.bundle import Bundle
 from cspace.errors import ConfigError, CspaceError, JobError
@@ -20,6 +18,8 @@ from services.evaluator.gate import Verdict
 from services.evaluator.recording import decide, log_evaluation, parent_run_id, record
 from services.evaluator.request import ModelReference, Request
 from services.evaluator.samplers import BundleSampler, PackedBundle
+from services.registry.models import ModelRegistry, ModelVersion
+from services.registry.tracking import Tracking
 
 EXPERIMENT = "cspace-sampler"
 RUN_NAME = "evaluation"

@@ -12,11 +12,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from cspace.problem import Family, Problem
 from numpy.typing import NDArray
-from services.planner.ompl_planner import PlannerSettings, PlanResult, solve
 
 from cspace.collision import CollisionChecker
 from cspace.render import render
 from services.evaluator.samplers import Sampler
+from services.planner.ompl_planner import PlannerSettings, PlanResult, solve
 
 GOAL_TOLERANCE_RAD = 1e-6
 CHECK_FACTOR = 10.0

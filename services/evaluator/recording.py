@@ -4,10 +4,6 @@ import tempfile
 import time
 from pathlib import Path
 
-from services.registry.models import ModelRegistry, ModelVersion
-from services.registry.promotion import Decision, decisions, record_decision
-from services.registry.tracking import RunLog
-
 from cspace.scenario import Split
 from services.evaluator.evaluation import Evaluation
 from services.evaluator.gallery import gallery
@@ -16,6 +12,9 @@ from services.evaluator.metrics import flat_metrics
 from services.evaluator.report import to_json, to_markdown
 from services.evaluator.samplers import Sampler
 from services.evaluator.scenes import Scene, Stage
+from services.registry.models import ModelRegistry, ModelVersion
+from services.registry.promotion import Decision, decisions, record_decision
+from services.registry.tracking import RunLog
 
 GALLERY_SCENARIOS = 4
 REPORT_FOLDER = "report"

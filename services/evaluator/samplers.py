@@ -12,11 +12,11 @@ from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from services.planner.sampling_client import SamplingClient
 
 from cspace.bundle import Bundle
 from cspace.image import encode_png
 from cspace.space import JointSpace, to_float32
+from services.planner.sampling_client import SamplingClient
 
 Image = NDArray[np.uint8]
 Samples = NDArray[np.float32]

@@ -1,0 +1,160 @@
+import numpy as np
+import pytest
+from cspace.problem import Family, Problem
+from services.planner.ompl_planner import PlannerSettings, PlanResult
+
+from cspace.errors import EvaluationError
+from cspace.robot import TWO_LINK
+from cspace.scenario import Disc, Scenario
+from services.evaluator.planning import PlanningTrial, RunOutcome, accepted, plan_trial
+from services.evaluator.planning_summary import success_rate, summarise_family
+from services.evaluator.samplers import UniformSampler
+
+# One disc on the y axis: turning the first joint through a quarter circle collides, through the others it
+# does not.
+BLOCKED = Scenario(TWO_LINK, (Disc(0.0, 3.0),))
+START, GOAL = np.array([0.0, 0.0]), np.array([-3.0, 0.0])
+SETTINGS = PlannerSettings(
+    planner="RRT",
+    range_rad=1.0,
+    resolution_rad=0.05,
+    goal_bias=0.05,
+    time_limit_s=5.0,
+    max_iterations=500,
+    seed=1,
+)
+
+
+def problem(start=START, goal=GOAL):
+    return Problem(BLOCKED, start, goal, Family.UNIFORM, 0.1, 0, 0)
+
+
+def result(path, *, solved=True, iterations=10, **changes):
+    values = {
+        "solved": solved,
+        "path": np.asarray(path, dtype=np.float64).reshape(-1, 2),
+        "length_rad": 3.0,
+        "iterations": iterations,
+        "edge_checks": 2 * iterations,
+        "solve_time_s": 1e-3 * iterations,
+        "learned_drawn": 4,
+        "uniform_drawn": 6,
+        "reason": "exact solution",
+    }
+    return PlanResult(**(values | changes))
+
+
+def outcome(success=True, iterations=10, length_rad=2.0):
+    return RunOutcome(
+        success, iterations, 2 * iterations, 1e-3 * iterations, length_rad if success else None, 0, "done"
+    )
+
+
+def trial(uniform, learned, family=Family.UNIFORM, index=0):
+    return PlanningTrial(family, index, 1, uniform, learned, 0.002)
+
+
+def test_a_free_path_from_start_to_goal_is_accepted():
+    assert accepted(problem(), np.stack([START, GOAL]), 0.05)
+
+
+def test_a_path_through_an_obstacle_is_rejected():
+    through = problem(goal=np.array([3.0, 0.0]))
+    assert not accepted(through, np.stack([START, through.goal]), 0.05)
+
+
+@pytest.mark.parametrize("shift", [2e-6, 0.1])
+def test_a_path_that_ends_beside_the_goal_is_rejected(shift):
+    assert not accepted(problem(), np.stack([START, GOAL + np.array([shift, 0.0])]), 0.05)
+
+
+def test_a_path_that_ends_at_the_goal_within_the_tolerance_is_accepted():
+    assert accepted(problem(), np.stack([START, GOAL + np.array([9e-7, 0.0])]), 0.05)
+
+
+def test_a_path_that_starts_elsewhere_or_has_one_state_is_rejected():
+    assert not accepted(problem(), np.stack([START + 0.1, GOAL]), 0.05)
+    assert not accepted(problem(goal=START), START[None], 0.05)
+
+
+def test_the_check_is_finer_than_the_planner_s():
+    # Steps of 0.5 rad jump over the disc, ten times finer ones do not.
+    low, high = np.array([np.pi / 2 - 0.45, 0.0]), np.array([np.pi / 2 + 0.45, 0.0])
+    thin = Problem(Scenario(TWO_LINK, (Disc(0.0, 3.9, 0.05),)), low, high, Family.UNIFORM, 0.1, 0, 0)
+    assert not accepted(thin, np.stack([low, high]), 1.0)
+
+
+def test_both_runs_share_problem_and_seed_and_only_one_gets_samples():
+    calls = []
+
+    def solver(asked, settings, samples, uniform_share):
+        calls.append((asked, settings, samples, uniform_share))
+        return result([START, GOAL])
+
+    measured = plan_trial(problem(), 3, 77, UniformSampler(TWO_LINK.space), SETTINGS, solver)
+    assert [call[1].seed for call in calls] == [77, 77]
+    assert calls[0][2] is None
+    assert calls[1][2].shape == (300, 2)
+    assert measured.uniform.success
+    assert measured.learned.success
+    assert measured.index == 3
+
+
+def test_a_rejected_path_is_no_success_and_says_so():
+    def solver(asked, settings, samples, uniform_share):
+        return result([START, GOAL + 0.1])
+
+    measured = plan_trial(problem(), 0, 1, UniformSampler(TWO_LINK.space), SETTINGS, solver)
+    assert not measured.learned.success
+    assert measured.learned.length_rad is None
+    assert "rejected" in measured.learned.reason
+
+
+def test_an_unsolved_run_keeps_the_planner_s_reason():
+    def solver(asked, settings, samples, uniform_share):
+        return result([], solved=False, reason="iteration limit")
+
+    measured = plan_trial(problem(), 0, 1, UniformSampler(TWO_LINK.space), SETTINGS, solver)
+    assert not measured.uniform.success
+    assert measured.uniform.reason == "iteration limit"
+
+
+def test_failures_are_counted_and_rank_last(rng):
+    trials = [
+        trial(outcome(iterations=100), outcome(iterations=20)),
+        trial(outcome(iterations=300), outcome(iterations=40)),
+        trial(outcome(success=False, iterations=5), outcome(iterations=60)),
+    ]
+    summary = summarise_family(Family.UNIFORM, trials, rng)
+    assert summary.uniform.success.estimate == pytest.approx(2 / 3)
+    assert summary.learned.success.low == pytest.approx(0.025 ** (1 / 3))
+    assert summary.uniform.iterations.median == 300
+    assert summary.uniform.iterations.censored == 1
+    assert summary.uniform.iterations.p90_is_bound
+    assert summary.iterations_ratio.estimate == pytest.approx(300 / 40)
+
+
+def test_lengths_are_compared_only_where_both_succeeded(rng):
+    trials = [
+        trial(outcome(length_rad=4.0), outcome(length_rad=3.0)),
+        trial(outcome(success=False), outcome(length_rad=9.0)),
+    ]
+    ratio = summarise_family(Family.UNIFORM, trials, rng).length_ratio
+    assert ratio.estimate == pytest.approx(0.75)
+    assert ratio.count == 1
+
+
+def test_no_common_success_leaves_no_length_ratio(rng):
+    trials = [trial(outcome(success=False), outcome())]
+    assert summarise_family(Family.UNIFORM, trials, rng).length_ratio is None
+
+
+def test_a_family_without_trials_is_an_error(rng):
+    with pytest.raises(EvaluationError, match="narrow"):
+        summarise_family(Family.NARROW, [trial(outcome(), outcome())], rng)
+
+
+def test_the_success_rate_is_of_the_learned_samples():
+    trials = [trial(outcome(success=False), outcome()), trial(outcome(), outcome(success=False))]
+    assert success_rate(trials).estimate == 0.5
+    assert success_rate(trials[:1]).estimate == 1.0
