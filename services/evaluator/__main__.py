@@ -15,7 +15,8 @@ from services.evaluator.job import Outcome, evaluate_version, executor
 from services.evaluator.metrics import flat_metrics
 from services.evaluator.report import terminal_table
 from services.evaluator.request import make_request
-from services.registry.mlflow_adapter import MlflowRegistry, MlflowTracking
+from services.registry.mlflow_registry import MlflowRegistry
+from services.registry.mlflow_tracking import MlflowTracking
 
 
 def main(arguments: Sequence[str] | None = None, environment: Mapping[str, str] = os.environ) -> int:

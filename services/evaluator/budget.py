@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from cspace.problem import Family
-
 from cspace.scenario import Split
 
 JUDGED = (Split.VALIDATION, Split.TEST)

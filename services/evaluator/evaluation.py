@@ -5,9 +5,9 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from cspace.problem import draw_problem
 
 from cspace.errors import EvaluationError
+from cspace.problem import draw_problem
 from cspace.robot import PlanarArm
 from cspace.scenario import Camera, Split
 from services.evaluator.budget import FAMILIES, Budget, Kind, Unit
@@ -15,7 +15,7 @@ from services.evaluator.planning import PlanningTrial, plan_trial
 from services.evaluator.planning_summary import FamilySummary, success_rate, summarise_family
 from services.evaluator.reconstruction import ReconstructionSummary, SceneQuality, summarise
 from services.evaluator.samplers import Sampler
-from services.evaluator.scenes import Scene, Stage, reconstruct
+from services.evaluator.scenes import Scene, Stage, reconstruct, summary_rng
 from services.evaluator.statistics import Interval
 from services.evaluator.topology_scenes import (
     SceneTopology,
@@ -101,7 +101,7 @@ def assemble(results: Iterable[UnitResult], setting: Setting) -> Evaluation:
         EvaluationError: a group is empty.
     """
     done = sorted(results, key=lambda result: (result.unit.family or "", result.unit.first))
-    rng = np.random.default_rng(np.random.SeedSequence(entropy=setting.seed, spawn_key=(99,)))
+    rng = summary_rng(setting.seed)
     shapes = [row for row in _rows(done, Split.TEST) if isinstance(row, SceneTopology)]
     return Evaluation(
         setting,

@@ -19,9 +19,9 @@ from services.evaluator.recording import decide, log_evaluation, parent_run_id, 
 from services.evaluator.request import ModelReference, Request
 from services.evaluator.samplers import BundleSampler, PackedBundle
 from services.registry.models import ModelRegistry, ModelVersion
+from services.registry.names import EXPERIMENT
 from services.registry.tracking import Tracking
 
-EXPERIMENT = "cspace-sampler"
 RUN_NAME = "evaluation"
 Progress = Callable[[str], None]
 
@@ -73,7 +73,7 @@ def evaluate_version(
     tags = {"model_version": str(version.number), "model_digest": version.digest}
     with tempfile.TemporaryDirectory(prefix="cspace-evaluation-") as folder:
         bundle = _load(registry, version, Path(folder))
-        parent = parent_run_id(tracking, version)
+        parent = parent_run_id(version)
         with tracking.start(EXPERIMENT, RUN_NAME, parent_run_id=parent, tags=tags) as run:
             setting = Setting(bundle.spec.robot, bundle.spec.camera, request.seed, request.budget)
             progress(f"evaluating {version.name}/{version.number}, digest {bundle.digest[:12]}")
@@ -125,7 +125,7 @@ def _find(registry: ModelRegistry, model: ModelReference) -> ModelVersion:
 
 
 def _load(registry: ModelRegistry, version: ModelVersion, folder: Path) -> Bundle:
-    bundle = Bundle.load(registry.download(version, folder))
+    bundle = Bundle.load(registry.download(version, folder / "bundle"))
     if bundle.spec.kind != "configuration":
         raise ConfigError(
             "this evaluation is for configuration models", expected="configuration", got=bundle.spec.kind

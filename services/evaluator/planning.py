@@ -10,10 +10,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from cspace.problem import Family, Problem
 from numpy.typing import NDArray
 
 from cspace.collision import CollisionChecker
+from cspace.problem import Family, Problem
 from cspace.render import render
 from services.evaluator.samplers import Sampler
 from services.planner.ompl_planner import PlannerSettings, PlanResult, solve

@@ -4,10 +4,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from cspace.problem import Family
 from numpy.typing import NDArray
 
 from cspace.errors import EvaluationError
+from cspace.problem import Family
 from services.evaluator.planning import PlanningTrial, RunOutcome
 from services.evaluator.statistics import (
     CensoredSummary,

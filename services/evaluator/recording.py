@@ -13,25 +13,32 @@ from services.evaluator.report import to_json, to_markdown
 from services.evaluator.samplers import Sampler
 from services.evaluator.scenes import Scene, Stage
 from services.registry.models import ModelRegistry, ModelVersion
-from services.registry.promotion import Decision, decisions, record_decision
+from services.registry.promotion import Decision, champions, record_decision
 from services.registry.tracking import RunLog
 
 GALLERY_SCENARIOS = 4
+# Training puts the id of its parent run on the versions that it registers.
+TAG_PARENT_RUN = "parent_run_id"
 REPORT_FOLDER = "report"
 # Only champions of arms with as many joints are compared.
 JOINTS = "joints"
 
 
+def parent_run_id(version: ModelVersion) -> str:
+    """The run under which evaluations are shown: the whole training, else the run that made the version."""
+    return version.tags.get(TAG_PARENT_RUN, version.run_id)
+
+
 def decide(registry: ModelRegistry, version: ModelVersion, evaluation: Evaluation) -> Verdict:
     """The gate's verdict against all earlier champions of the model."""
     joints = evaluation.setting.robot.dim
-    champions = [
+    earlier = [
         Champion(decision.version, decision.metrics)
-        for decision in decisions(registry, version.name)
-        if decision.promoted and decision.version != version.number and decision.metrics.get(JOINTS) == joints
+        for decision in champions(registry, version.name)
+        if decision.version != version.number and decision.metrics.get(JOINTS) == joints
     ]
     gain = evaluation.validation.reconstruction.precision_gain
-    return judge(Candidate(gain, _gated(evaluation)), champions)
+    return judge(Candidate(gain, _gated(evaluation)), earlier)
 
 
 def record(
@@ -68,7 +75,7 @@ def log_evaluation(
     for split in (Split.VALIDATION, Split.TEST):
         stage = Stage(setting.robot, setting.camera, split, setting.seed)
         count = min(GALLERY_SCENARIOS, setting.budget.scenarios)
-        names.append(f"gallery-{split}.png")
+        names.append(f"gallery-{split}")
         run.figure(gallery([Scene(stage, index) for index in range(count)], sampler, title), names[-1])
     return tuple(names)
 

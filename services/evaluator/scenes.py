@@ -16,7 +16,12 @@ from cspace.render import render
 from cspace.robot import PlanarArm
 from cspace.scenario import Camera, Scenario, Split, random_scenario, scenario_rng
 from cspace.space import JointSpace
-from services.evaluator.reconstruction import SceneQuality, sample_quality
+from services.evaluator.reconstruction import (
+    ReconstructionSummary,
+    SceneQuality,
+    sample_quality,
+    summarise,
+)
 from services.evaluator.samplers import Sampler
 
 SAMPLES = 1000
@@ -119,3 +124,26 @@ def reconstruct(scene: Scene, sampler: Sampler, samples: int = SAMPLES) -> Scene
     )
     qualities = [sample_quality(group, held_out, scene.space, scene.checker.valid_batch) for group in groups]
     return SceneQuality(scene.index, *qualities)
+
+
+def measure_reconstruction(
+    stage: Stage, sampler: Sampler, scenarios: int, samples: int = SAMPLES
+) -> ReconstructionSummary:
+    """Any sampler on the first scenarios of a split, with intervals; for one behind the inference API, too.
+
+    Args:
+        stage: robot, camera, split and seed.
+        sampler: under test.
+        scenarios: how many.
+        samples: per scenario.
+
+    Raises:
+        EvaluationError: no scenarios, or the sampler returned nothing.
+    """
+    scenes = [reconstruct(Scene(stage, index), sampler, samples) for index in range(scenarios)]
+    return summarise(scenes, summary_rng(stage.seed))
+
+
+def summary_rng(seed: int) -> np.random.Generator:
+    """The generator of the bootstrap; its stream is apart from every scenario's."""
+    return np.random.default_rng(np.random.SeedSequence(entropy=seed, spawn_key=(99,)))

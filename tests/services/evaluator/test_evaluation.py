@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from cspace.problem import Family
 
 from cspace.bundle import Bundle
 from cspace.errors import EvaluationError
+from cspace.problem import Family
 from cspace.robot import THREE_LINK, TWO_LINK
 from cspace.scenario import Camera, Split
 from services.evaluator.budget import Budget, Kind, Unit, units

@@ -1,14 +1,14 @@
 import numpy as np
 import pytest
-from cspace.problem import Family, Problem
-from services.planner.ompl_planner import PlannerSettings, PlanResult
 
 from cspace.errors import EvaluationError
+from cspace.problem import Family, Problem
 from cspace.robot import TWO_LINK
 from cspace.scenario import Disc, Scenario
 from services.evaluator.planning import PlanningTrial, RunOutcome, accepted, plan_trial
 from services.evaluator.planning_summary import success_rate, summarise_family
 from services.evaluator.samplers import UniformSampler
+from services.planner.ompl_planner import PlannerSettings, PlanResult
 
 # One disc on the y axis: turning the first joint through a quarter circle collides, through the others it
 # does not.

@@ -5,7 +5,7 @@ from cspace.errors import EvaluationError
 from cspace.robot import THREE_LINK, TWO_LINK
 from cspace.scenario import Camera, Disc, Scenario, Split, random_scenarios
 from services.evaluator.samplers import UniformSampler
-from services.evaluator.scenes import Scene, Stage, reconstruct
+from services.evaluator.scenes import Scene, Stage, measure_reconstruction, reconstruct
 
 STAGE = Stage(TWO_LINK, Camera(), Split.VALIDATION, 5)
 
@@ -77,3 +77,15 @@ def test_a_sampler_that_repeats_one_free_configuration_is_precise_and_covers_not
 def test_the_same_scene_gives_the_same_quality():
     sampler = UniformSampler(TWO_LINK.space)
     assert reconstruct(Scene(STAGE, 3), sampler, 200) == reconstruct(Scene(STAGE, 3), sampler, 200)
+
+
+def test_a_sampler_is_measured_over_scenarios_with_intervals():
+    summary = measure_reconstruction(STAGE, UniformSampler(TWO_LINK.space), scenarios=3, samples=200)
+    assert summary.sampler.precision.count == 3
+    assert summary.real.precision.estimate == 1.0
+    assert summary.precision_gain.low < 0.05
+
+
+def test_no_scenarios_are_an_error():
+    with pytest.raises(EvaluationError):
+        measure_reconstruction(STAGE, UniformSampler(TWO_LINK.space), scenarios=0)
