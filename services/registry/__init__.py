@@ -1,7 +1,8 @@
-"""Experiment tracking, the model registry, and promotion: ports, MLflow's adapters, and the rules between them.
+"""Experiment tracking, the model registry, and promotion: ports, MLflow's adapters, the rules between them.
 
-``tracking`` and ``models`` hold the ports, ``mlflow_tracking`` and ``mlflow_registry`` their adapters, which are
-imported by their own names because they bring MLflow with them. ``promotion`` records what the evaluator decides.
+``tracking`` and ``models`` hold the ports; ``mlflow_tracking`` and ``mlflow_registry`` their adapters, which
+are imported by their own names because they bring MLflow with them; ``promotion`` records what the evaluator
+decides.
 """
 
 from services.registry.models import ModelRegistry, ModelVersion

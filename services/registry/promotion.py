@@ -6,7 +6,7 @@ nothing here writes a number twice.
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 from cspace.errors import RegistryError
 from services.registry.models import ModelRegistry, ModelVersion
@@ -40,7 +40,7 @@ class Decision:
 
     def to_json(self) -> str:
         """The form in which the log keeps it."""
-        return json.dumps(asdict(self), sort_keys=True)
+        return json.dumps({**vars(self), "metrics": dict(self.metrics)}, sort_keys=True)
 
     @classmethod
     def from_json(cls, text: str) -> "Decision":

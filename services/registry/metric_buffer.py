@@ -1,0 +1,70 @@
+"""Metrics on their way to the server: kept until there are many of them or the first has waited long.
+
+One call costs about as much for one metric as for many, so that a call a step would slow training down.
+"""
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+# MLflow's own limit of one batch.
+MAX_BATCH = 1000
+
+
+@dataclass(frozen=True, slots=True)
+class MetricPoint:
+    """One value of one metric.
+
+    Args:
+        name: of the metric.
+        value: may be infinite or not a number.
+        step: of training.
+        time_ms: when it was logged, milliseconds since 1970-01-01 UTC.
+    """
+
+    name: str
+    value: float
+    step: int
+    time_ms: int
+
+
+class MetricBuffer:
+    """Collects points and hands them on in batches.
+
+    Args:
+        write: sends a batch of at most 1000 points; when it raises, the points are kept.
+        size: number of points that are worth a call.
+        age_s: how long a point may wait. Looked at when the next one comes: there is no thread.
+        clock: seconds, monotonic.
+    """
+
+    def __init__(
+        self,
+        write: Callable[[Sequence[MetricPoint]], None],
+        *,
+        size: int = 500,
+        age_s: float = 5.0,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._write = write
+        self._size = size
+        self._age_s = age_s
+        self._clock = clock
+        self._points: list[MetricPoint] = []
+        self._since_s = 0.0
+
+    def add(self, points: Sequence[MetricPoint]) -> None:
+        """Take points, and send everything that waits when it is time."""
+        now = self._clock()
+        if not self._points:
+            self._since_s = now
+        self._points.extend(points)
+        if len(self._points) >= self._size or now - self._since_s >= self._age_s:
+            self.flush()
+
+    def flush(self) -> None:
+        """Send everything that waits."""
+        while self._points:
+            batch = self._points[:MAX_BATCH]
+            self._write(batch)
+            del self._points[: len(batch)]

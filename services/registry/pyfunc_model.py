@@ -1,0 +1,51 @@
+"""The bundle as an MLflow model: MLflow runs this file when it loads a version, so no object is ever pickled.
+
+    mlflow.pyfunc.load_model("models:/cspace-sampler/1").predict(frame, params={"n": 300, "seed": 7})
+
+``frame`` has the column ``image`` with PNG bytes, and for path models ``start`` and ``goal`` (rad). The answer
+is float32 (rows, n, d) rad. The package ``cspace`` must be importable. The inference API does not come this way:
+it loads the bundle itself, which is faster and needs less.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from mlflow.models import set_model
+from mlflow.pyfunc.model import PythonModel
+from numpy.typing import NDArray
+
+from cspace.bundle import Bundle
+from cspace.image import decode_png
+
+DEFAULT_COUNT = 300
+
+
+class BundleModel(PythonModel):
+    """Samples from the bundle in the artifact ``bundle``."""
+
+    def load_context(self, context: Any) -> None:
+        """Load and verify the bundle."""
+        self._bundle = Bundle.load(Path(context.artifacts["bundle"]))
+
+    def predict(self, model_input: pd.DataFrame, params: dict[str, Any] | None = None) -> NDArray[np.float32]:
+        """Configurations for each row's picture, float32 (rows, n, d) rad.
+
+        Args:
+            model_input: a data frame with ``image``, and ``start`` and ``goal`` for path models.
+            params: ``n`` and ``seed``; row i is sampled with ``seed + i``.
+        """
+        chosen = params or {}
+        count, seed = int(chosen.get("n", DEFAULT_COUNT)), int(chosen.get("seed", 0))
+        rows = model_input.to_dict(orient="records")
+        return np.stack([self._sample(row, count, seed + index) for index, row in enumerate(rows)])
+
+    def _sample(self, row: dict[str, Any], count: int, seed: int) -> NDArray[np.float32]:
+        bundle = self._bundle
+        image = decode_png(row["image"], bundle.spec.pixels)
+        ends = {name: row[name] for name in bundle.spec.conditions}
+        return bundle.sample(image, count, seed, **ends).samples
+
+
+set_model(BundleModel())
