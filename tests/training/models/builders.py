@@ -1,0 +1,35 @@
+"""Small modules for the tests of training."""
+
+import torch
+
+from training.config import GanConfig
+from training.models.checkpoint import seeded_initialisation
+from training.models.data import ScenarioSamples
+from training.models.modules import WganGpModule
+
+TINY = {
+    "hidden": 16,
+    "layers": 2,
+    "critic_hidden": 16,
+    "critic_layers": 2,
+    "batch_size": 32,
+    "critic_steps": 2,
+}
+SCALE = (torch.zeros(2), torch.ones(2))
+
+
+def ring_samples(scenarios: int = 2, latent_dim: int = 3) -> ScenarioSamples:
+    """Configurations near one point a scenario, so that the condition matters."""
+    rng = torch.Generator().manual_seed(1)
+    ids = torch.arange(400) % scenarios
+    centres = torch.linspace(-2.0, 2.0, scenarios)[ids]
+    configurations = torch.stack([centres, -centres], dim=1) + 0.2 * torch.randn(400, 2, generator=rng)
+    mu = torch.eye(max(scenarios, latent_dim))[:scenarios, :latent_dim]
+    return ScenarioSamples(configurations, ids, mu, torch.full_like(mu, 0.05))
+
+
+def tiny_module(seed: int = 0, **changes: object) -> WganGpModule:
+    """A WGAN-GP that trains in milliseconds a step."""
+    config = GanConfig.model_validate(TINY | {"steps": 20} | changes)
+    with seeded_initialisation(seed):
+        return WganGpModule(config, ring_samples(), SCALE, seed)

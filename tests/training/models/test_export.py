@@ -1,0 +1,42 @@
+import numpy as np
+import onnxruntime
+import pytest
+import torch
+
+from training.models.export import encoder_graph, generator_graph
+from training.models.networks import Encoder, MeansGenerator, TorusGenerator
+
+
+def answer(graph, feeds):
+    session = onnxruntime.InferenceSession(graph, providers=["CPUExecutionProvider"])
+    return session.run(None, {name: value.numpy() for name, value in feeds.items()})
+
+
+@pytest.mark.parametrize("count", [1, 5])
+def test_the_encoders_graph_answers_as_the_network_for_any_number_of_pictures(count):
+    encoder = Encoder(48, 6, 4, 4)
+    images = torch.rand(count, 3, 48, 48) * 2.0 - 1.0
+    with torch.no_grad():
+        mu, log_variance = encoder(images)
+    graph_mu, graph_sigma = answer(encoder_graph(encoder, 48), {"image": images})
+    np.testing.assert_allclose(graph_mu, mu.numpy(), atol=1e-5)
+    np.testing.assert_allclose(graph_sigma, (log_variance / 2.0).exp().numpy(), rtol=1e-5)
+
+
+@pytest.mark.parametrize("count", [1, 33])
+def test_the_torus_generators_graph_answers_as_the_network(count):
+    generator = TorusGenerator(3, 6, 16, 2, 2)
+    feeds = {"latent": torch.randn(count, 6), "base": torch.randn(count, 3), "noise": torch.randn(count, 2)}
+    with torch.no_grad():
+        expected = generator(*feeds.values())
+    (samples,) = answer(generator_graph(generator, 3, 6, 2), feeds)
+    np.testing.assert_allclose(samples, expected.numpy(), atol=1e-5)
+
+
+def test_the_means_generators_graph_answers_as_the_network():
+    generator = MeansGenerator(2, 6, 16, 2, 4, 0.1, (torch.zeros(2), torch.ones(2)))
+    feeds = {"latent": torch.randn(9, 6), "noise": torch.randn(9, 4, 2)}
+    with torch.no_grad():
+        expected = generator(*feeds.values())
+    (samples,) = answer(generator_graph(generator, 2, 6, 1), feeds)
+    np.testing.assert_allclose(samples, expected.numpy(), atol=1e-5)

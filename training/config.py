@@ -1,0 +1,171 @@
+"""The typed configuration of a training job: defaults here, presets only override them.
+
+Unknown keys are errors, values are validated once, and nothing changes afterwards.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from cspace.errors import ConfigError
+from cspace.robot import PlanarArm
+from training.datasets.config import DatasetConfig
+
+PRESET_FOLDER = Path(__file__).parent / "presets"
+
+
+class Section(BaseModel):
+    """A frozen part of the configuration that refuses unknown keys."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", populate_by_name=True)
+
+
+class VaeConfig(Section):
+    """The picture's variational auto-encoder."""
+
+    latent_dim: int = Field(64, ge=1)
+    width: int = Field(16, ge=1, description="channels of the first convolution")
+    patches: Literal[1, 4] = 4
+    steps: int = Field(400, ge=1)
+    batch_size: int = Field(64, ge=2)
+    learning_rate: float = Field(2e-3, gt=0)
+    kl_weight: float = Field(1.0, ge=0)
+    kl_warmup: float = Field(0.3, ge=0, le=1, description="share of the steps over which the KL term grows")
+    gradient_clip: float = Field(200.0, gt=0)
+
+
+class ClusterConfig(Section):
+    """k-means over the configuration space."""
+
+    count: int = Field(2, ge=1)
+    fit_samples: int = Field(50_000, ge=10)
+
+
+class GanConfig(Section):
+    """One WGAN-GP: generator, critic, losses and budget."""
+
+    generator: Literal["torus", "means"] = "torus"
+    hidden: int = Field(128, ge=1)
+    layers: int = Field(3, ge=1)
+    noise_dim: int = Field(2, ge=1, description="explicit noise of the torus generator")
+    means: int = Field(1, ge=1, description="K of the means generator")
+    sigma: float = Field(0.0, ge=0, description="standard deviation round each mean, on standardised angles")
+    smooth_maximum: float | None = Field(
+        None, gt=0, description="epsilon of the smooth maximum; none switches it off"
+    )
+    critic_condition: Literal["latent", "projection"] = "latent"
+    critic_features: Literal["torus", "standardised"] = "torus"
+    critic_hidden: int = Field(128, ge=1)
+    critic_layers: int = Field(3, ge=2)
+    penalty: Literal["one_sided", "two_sided"] = "one_sided"
+    penalty_weight: float = Field(10.0, ge=0)
+    critic_steps: int = Field(4, ge=1, description="critic steps before each generator step")
+    generator_learning_rate: float = Field(1e-3, gt=0)
+    critic_learning_rate: float = Field(2e-3, gt=0)
+    betas: tuple[float, float] = (0.0, 0.9)
+    decay_from: float = Field(0.4, ge=0, le=1, description="share of the steps after which the rates fall")
+    batch_size: int = Field(512, ge=2)
+    steps: int = Field(1000, ge=1, description="generator steps")
+
+    @model_validator(mode="after")
+    def _means_need_their_generator(self) -> "GanConfig":
+        if self.generator == "torus" and (self.means != 1 or self.sigma != 0.0):
+            raise ValueError(
+                "means and sigma belong to generator=means; the torus generator takes means=1, sigma=0"
+            )
+        return self
+
+
+class GlobalConfig(GanConfig):
+    """The global WGAN-GP, guided by the local critics."""
+
+    local_critic_weight: float = Field(0.1, ge=0, description="weight of the local critics' mean; 0 is off")
+
+
+class ResourceConfig(Section):
+    """What a trial gets from the cluster and how it survives faults."""
+
+    cpus_per_trial: float = Field(1.0, gt=0)
+    gpus_per_trial: float = Field(0.0, ge=0)
+    max_failures: int = Field(2, ge=0)
+    log_every_steps: int = Field(20, ge=1)
+    checkpoint_every_steps: int = Field(250, ge=1)
+
+
+class TrainConfig(Section):
+    """Everything that fixes a training job."""
+
+    preset: str = "quickstart"
+    seed: int = Field(0, ge=0)
+    data: DatasetConfig = DatasetConfig()
+    data_folder: Path | None = Field(None, description="an existing data set in the documented format")
+    vae: VaeConfig = VaeConfig()
+    clusters: ClusterConfig = ClusterConfig()
+    local: GanConfig = GanConfig(steps=400)
+    global_: GlobalConfig = Field(GlobalConfig(), alias="global")
+    resources: ResourceConfig = ResourceConfig()
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values for JSON, with the keys that ``--set`` takes."""
+        return self.model_dump(mode="json", by_alias=True)
+
+
+def load_config(preset: str, overrides: Sequence[str] = ()) -> TrainConfig:
+    """A preset with ``key.sub=value`` overrides, validated.
+
+    Args:
+        preset: name of a file in ``presets`` without its ending.
+        overrides: YAML scalars by dotted key, such as ``global.steps=200``.
+
+    Raises:
+        ConfigError: an unknown preset or key, or a value of the wrong type or range.
+    """
+    path = PRESET_FOLDER / f"{preset}.yaml"
+    if not path.is_file() or path.parent != PRESET_FOLDER:
+        raise ConfigError("the preset is unknown", expected=", ".join(presets()), got=repr(preset))
+    values: dict[str, Any] = yaml.safe_load(path.read_text(encoding="utf-8")) or {}
+    values["preset"] = preset
+    for override in overrides:
+        _set(values, override)
+    try:
+        return TrainConfig.model_validate(values)
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise ConfigError(
+            f"the configuration key {'.'.join(str(part) for part in first['loc']) or preset!r} does not fit",
+            expected=first["msg"],
+            got=repr(first["input"]),
+            remedy="cluster_train.py --help lists presets, --print-config the keys",
+        ) from error
+
+
+def presets() -> list[str]:
+    """Names of the presets that ship."""
+    return sorted(path.stem for path in PRESET_FOLDER.glob("*.yaml"))
+
+
+def robot_of(config: TrainConfig) -> PlanarArm:
+    """The robot whose data a job generates."""
+    return config.data.robot_value()
+
+
+def _set(values: dict[str, Any], override: str) -> None:
+    key, separator, text = override.partition("=")
+    if not separator or not key:
+        raise ConfigError("an override does not fit", expected="key.sub=value", got=repr(override))
+    *parents, last = key.split(".")
+    for parent in parents:
+        values = values.setdefault(parent, {})
+        if not isinstance(values, dict):
+            raise ConfigError(
+                f"{key!r} is no section", expected="a section's name before the dot", got=parent
+            )
+    try:
+        values[last] = yaml.safe_load(text)
+    except yaml.YAMLError as error:
+        raise ConfigError(
+            f"the value of {key!r} is not YAML", expected="a scalar or a list", got=text
+        ) from error

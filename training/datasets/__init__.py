@@ -1,0 +1,1 @@
+"""Data sets: generation by Ray tasks, import of own data."""

@@ -1,0 +1,44 @@
+"""What a generated data set is made of."""
+
+import hashlib
+import json
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from cspace.robot import PlanarArm
+
+
+class RobotConfig(BaseModel):
+    """A planar arm, as configuration."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    link_lengths_m: tuple[float, ...] = (2.0, 2.0)
+    half_width_m: float = 0.1
+    joint_limits_rad: tuple[tuple[float, float] | None, ...] | None = None
+
+
+class DatasetConfig(BaseModel):
+    """Everything that fixes a generated data set."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    robot: RobotConfig = RobotConfig()
+    split: Literal["train", "validation", "test", "demo"] = "train"
+    seed: int = Field(0, ge=0)
+    scenario_count: int = Field(3000, ge=1)
+    free_per_scenario: int = Field(300, ge=1)
+    collision_per_scenario: int = Field(50, ge=0)
+    extra_image_count: int = Field(6000, ge=0)
+    shard_size: int = Field(500, ge=1)
+
+    def robot_value(self) -> PlanarArm:
+        """The robot as the value that the rest of the code takes."""
+        return PlanarArm(self.robot.link_lengths_m, self.robot.half_width_m, self.robot.joint_limits_rad)
+
+    @property
+    def folder_name(self) -> str:
+        """A name that changes with every field that changes the data (not with how they are sharded)."""
+        content = json.dumps(self.model_dump(mode="json", exclude={"shard_size"}), sort_keys=True)
+        return f"{self.split}-{hashlib.sha256(content.encode()).hexdigest()[:12]}"

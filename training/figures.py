@@ -1,0 +1,45 @@
+"""Pictures of a training: how the losses went."""
+
+from collections.abc import Mapping, Sequence
+
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+History = Sequence[Mapping[str, float]]
+
+_WGAN_PANELS = ("wasserstein_estimate", "gradient_penalty", "generator_loss")
+_LABELS = {
+    "wasserstein_estimate": "Wasserstein estimate",
+    "gradient_penalty": "gradient penalty",
+    "generator_loss": "generator loss",
+    "reconstruction_loss": "reconstruction loss",
+    "kl": "KL divergence [nat]",
+}
+
+
+def wgan_curves(histories: Mapping[str, History]) -> Figure:
+    """The WGAN-GP trials' losses over their generator steps, one line a trial."""
+    return _curves(histories, _WGAN_PANELS, "generator step")
+
+
+def vae_curves(history: History) -> Figure:
+    """The VAE's losses over its steps."""
+    return _curves({"vae": history}, ("reconstruction_loss", "kl"), "step")
+
+
+def _curves(histories: Mapping[str, History], names: Sequence[str], x_label: str) -> Figure:
+    figure = Figure(figsize=(4.2 * len(names), 3.4), layout="constrained")
+    FigureCanvasAgg(figure)
+    for axes, name in zip(figure.subplots(1, len(names), squeeze=False)[0], names, strict=True):
+        for trial, history in histories.items():
+            axes.plot(
+                [row["step"] for row in history], [row[name] for row in history], label=trial, linewidth=1.2
+            )
+        axes.set_xlabel(x_label)
+        axes.set_title(_LABELS[name], fontsize=10)
+        axes.grid(visible=True, alpha=0.3)
+        if name in ("reconstruction_loss", "gradient_penalty"):
+            axes.set_yscale("log")
+    if len(histories) > 1:
+        figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=len(histories))
+    return figure

@@ -1,0 +1,1 @@
+"""Networks, losses, their Lightning shells, checkpoints and the export to a bundle."""

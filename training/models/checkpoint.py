@@ -1,0 +1,116 @@
+"""Checkpoints without pickle: tensors as safetensors, the rest as JSON, written beside and renamed."""
+
+import contextlib
+import json
+import shutil
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from safetensors.torch import load_file, save_file
+from torch import Tensor
+
+from training.models.modules import TrialModule
+
+WEIGHTS, TRAINING, STATE = "weights.safetensors", "training.safetensors", "state.json"
+
+
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """Where a trial stands.
+
+    Args:
+        step: steps that are done.
+        run_id: the tracking run that the trial reports to.
+        history: the metrics logged so far, each row with its ``step``.
+    """
+
+    step: int
+    run_id: str
+    history: tuple[Mapping[str, float], ...] = ()
+
+
+@contextlib.contextmanager
+def seeded_initialisation(seed: int) -> Iterator[None]:
+    """Initialise networks from ``seed`` and leave the global generator as it was."""
+    with torch.random.fork_rng(devices=[]):
+        torch.random.manual_seed(seed)
+        yield
+
+
+def save_checkpoint(folder: Path, module: TrialModule, progress: Progress) -> Path:
+    """Weights, optimisers, schedules, the generator's state and the progress, as one folder."""
+    beside = folder.with_name(folder.name + ".tmp")
+    shutil.rmtree(beside, ignore_errors=True)
+    beside.mkdir(parents=True)
+    save_file(_contiguous(module.state_dict()), beside / WEIGHTS)
+    tensors = {"rng": module.rng.get_state()}
+    groups: list[Any] = []
+    for index, optimiser in enumerate(module.training_optimisers):
+        state = optimiser.state_dict()
+        groups.append(state["param_groups"])
+        for parameter, values in state["state"].items():
+            tensors |= {f"{index}.{parameter}.{name}": value for name, value in values.items()}
+    save_file(_contiguous(tensors), beside / TRAINING)
+    schedules = [_plain(schedule.state_dict()) for schedule in module.training_schedules]
+    content = {
+        "step": progress.step,
+        "run_id": progress.run_id,
+        "history": [dict(row) for row in progress.history],
+        "groups": groups,
+        "schedules": schedules,
+    }
+    (beside / STATE).write_text(json.dumps(content), encoding="utf-8")
+    shutil.rmtree(folder, ignore_errors=True)
+    beside.replace(folder)
+    return folder
+
+
+def read_progress(folder: Path) -> Progress:
+    """Where the trial of a checkpoint stood."""
+    content = json.loads((folder / STATE).read_text(encoding="utf-8"))
+    return Progress(int(content["step"]), str(content["run_id"]), tuple(content["history"]))
+
+
+def load_checkpoint(folder: Path, module: TrialModule) -> None:
+    """Fill ``module`` from :func:`save_checkpoint`'s folder."""
+    content = json.loads((folder / STATE).read_text(encoding="utf-8"))
+    module.load_state_dict(load_file(folder / WEIGHTS))
+    tensors = load_file(folder / TRAINING)
+    module.rng.set_state(tensors.pop("rng"))
+    for index, optimiser in enumerate(module.training_optimisers):
+        optimiser.load_state_dict(
+            {"state": _optimiser_state(tensors, index), "param_groups": content["groups"][index]}
+        )
+    for schedule, state in zip(module.training_schedules, content["schedules"], strict=True):
+        schedule.load_state_dict(state)
+
+
+def load_weights(folder: Path, prefix: str) -> dict[str, Tensor]:
+    """The weights of one part of a checkpoint's module, such as ``generator``, without their prefix."""
+    weights = load_file(folder / WEIGHTS)
+    start = prefix + "."
+    return {name.removeprefix(start): value for name, value in weights.items() if name.startswith(start)}
+
+
+def _contiguous(tensors: dict[str, Tensor]) -> dict[str, Tensor]:
+    return {name: tensor.detach().cpu().contiguous().clone() for name, tensor in tensors.items()}
+
+
+def _optimiser_state(tensors: dict[str, Tensor], index: int) -> dict[int, dict[str, Tensor]]:
+    state: dict[int, dict[str, Tensor]] = {}
+    for key, value in tensors.items():
+        owner, parameter, name = key.split(".", 2)
+        if int(owner) == index:
+            state.setdefault(int(parameter), {})[name] = value
+    return state
+
+
+def _plain(state: dict[str, Any]) -> dict[str, Any]:
+    """A schedule's state without what JSON can not hold (functions, which the module makes anew)."""
+    kinds = (int, float, str, bool, list, type(None))
+    return {
+        key: value for key, value in state.items() if isinstance(value, kinds) and key != "lr_lambdas"
+    } | ({"lr_lambdas": [None]} if "lr_lambdas" in state else {})

@@ -1,0 +1,65 @@
+"""Batches: scenarios with their latents, configurations drawn from them, and pictures."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+from torch.utils.data import IterableDataset
+
+
+@dataclass(frozen=True, slots=True)
+class Batch:
+    """Real configurations with the scenario that each belongs to.
+
+    Args:
+        configurations: (b, d) rad.
+        ids: (b,) scenario index.
+        mu: (b, L) mean of the scenario's latent.
+        sigma: (b, L) its standard deviation.
+    """
+
+    configurations: Tensor
+    ids: Tensor
+    mu: Tensor
+    sigma: Tensor
+
+
+@dataclass(frozen=True, slots=True)
+class ScenarioSamples:
+    """Configurations of one cluster (or of all) with the latents of their scenarios, held in memory.
+
+    Args:
+        configurations: (M, d) float32 rad.
+        ids: (M,) int64 scenario of each configuration.
+        mu: (S, L) float32.
+        sigma: (S, L) float32.
+    """
+
+    configurations: Tensor
+    ids: Tensor
+    mu: Tensor
+    sigma: Tensor
+
+    def to(self, device: torch.device) -> "ScenarioSamples":
+        """The same on another device."""
+        return ScenarioSamples(*(getattr(self, name).to(device) for name in self.__slots__))
+
+    def draw(self, size: int, rng: torch.Generator) -> Batch:
+        """A batch with replacement."""
+        rows = torch.randint(len(self.ids), (size,), generator=rng, device=self.ids.device)
+        ids = self.ids[rows]
+        return Batch(self.configurations[rows], ids, self.mu[ids], self.sigma[ids])
+
+
+class StepCounter(IterableDataset[int]):
+    """Step numbers from ``first`` to ``last``: the modules draw their own batches on their own device."""
+
+    def __init__(self, first: int, last: int) -> None:
+        self.first, self.last = first, last
+
+    def __iter__(self) -> Iterator[int]:
+        return iter(range(self.first, self.last))
+
+    def __len__(self) -> int:
+        return self.last - self.first

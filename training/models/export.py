@@ -1,0 +1,84 @@
+"""Networks to ONNX graphs whose randomness is an input, as the bundle asks for."""
+
+import contextlib
+import io
+import logging
+import warnings
+from collections.abc import Iterator
+
+import torch
+from torch import Tensor, nn
+
+from training.models.networks import Encoder, MeansGenerator, TorusGenerator
+
+OPSET = 18
+
+
+class _EncoderGraph(nn.Module):
+    """Picture to mean and standard deviation (not the log variance) of its latent."""
+
+    def __init__(self, encoder: Encoder) -> None:
+        super().__init__()
+        self.encoder = encoder
+
+    def forward(self, image: Tensor) -> tuple[Tensor, Tensor]:
+        mu, log_variance = self.encoder(image)
+        return mu, (log_variance / 2.0).exp()
+
+
+def encoder_graph(encoder: Encoder, pixels: int) -> bytes:
+    """ONNX bytes: ``image`` (b, 3, P, P) to ``mu`` (b, L) and ``sigma`` (b, L)."""
+    return _export(
+        _EncoderGraph(encoder), (torch.zeros(2, 3, pixels, pixels),), ["image"], ["mu", "sigma"], "image"
+    )
+
+
+def generator_graph(
+    generator: TorusGenerator | MeansGenerator, dim: int, latent_dim: int, noise_dim: int
+) -> bytes:
+    """ONNX bytes: ``latent`` (m, L) and its random inputs to ``samples`` (m, K, d) rad."""
+    latent = torch.zeros(2, latent_dim)
+    if isinstance(generator, MeansGenerator):
+        inputs: tuple[Tensor, ...] = (latent, torch.zeros(2, generator.means, dim))
+        names = ["latent", "noise"]
+    else:
+        inputs = (latent, torch.zeros(2, dim), torch.zeros(2, noise_dim))
+        names = ["latent", "base", "noise"]
+    return _export(generator, inputs, names, ["samples"], "latents")
+
+
+def _export(
+    module: nn.Module, inputs: tuple[Tensor, ...], names: list[str], outputs: list[str], axis: str
+) -> bytes:
+    module.eval()
+    batch = torch.export.Dim(axis, min=1)
+    with _quiet():
+        program = torch.onnx.export(
+            module,
+            inputs,
+            input_names=names,
+            output_names=outputs,
+            dynamic_shapes=tuple({0: batch} for _ in inputs),
+            opset_version=OPSET,
+            dynamo=True,
+            verbose=False,
+            external_data=False,
+        )
+    if program is None:
+        raise RuntimeError("torch.onnx.export returned nothing")
+    serialised: bytes = program.model_proto.SerializeToString()
+    return serialised
+
+
+@contextlib.contextmanager
+def _quiet() -> Iterator[None]:
+    """The exporter prints and warns about its own internals; none of it concerns the caller."""
+    logger = logging.getLogger("torch.onnx")
+    level = logger.level
+    logger.setLevel(logging.ERROR)
+    try:
+        with warnings.catch_warnings(), contextlib.redirect_stdout(io.StringIO()):
+            warnings.simplefilter("ignore")
+            yield
+    finally:
+        logger.setLevel(level)

@@ -1,0 +1,233 @@
+"""The Lightning shells: what one training step does, and nothing of clusters, trackers or files."""
+
+import lightning
+import torch
+from torch import Tensor, nn
+from torch.optim import Optimizer
+from torch.optim.lr_scheduler import LambdaLR, OneCycleLR
+
+from training.config import GanConfig, VaeConfig
+from training.models import losses
+from training.models.data import Batch, ScenarioSamples
+from training.models.networks import Critic, Decoder, Encoder, MeansGenerator, TorusGenerator
+
+Metrics = dict[str, float]
+
+
+class TrialModule(lightning.LightningModule):
+    """What the trials need of every model: a random stream of its own, optimisers, the last step's metrics."""
+
+    def __init__(self, seed: int) -> None:
+        super().__init__()
+        self.automatic_optimization = False
+        self.seed = seed
+        self.latest: dict[str, Tensor] = {}
+        self.training_optimisers: list[Optimizer] = []
+        self.training_schedules: list[LambdaLR | OneCycleLR] = []
+        self._rng: torch.Generator | None = None
+
+    @property
+    def rng(self) -> torch.Generator:
+        """The generator of every random draw in training, on the module's device."""
+        if self._rng is None or self._rng.device != self.device:
+            self._rng = torch.Generator(device=self.device).manual_seed(self.seed)
+        return self._rng
+
+    def configure_optimizers(self) -> list[Optimizer]:
+        """The optimisers made at construction, so that a checkpoint can fill them before training starts."""
+        return self.training_optimisers
+
+    def metrics(self) -> Metrics:
+        """Means of the last step's losses as plain numbers."""
+        return {name: float(value) for name, value in self.latest.items()}
+
+    def normal(self, *shape: int) -> Tensor:
+        """Standard normal draws from the module's own generator."""
+        return torch.randn(*shape, generator=self.rng, device=self.device)
+
+    def uniform(self, *shape: int) -> Tensor:
+        """Uniform draws in [0, 1) from the module's own generator."""
+        return torch.rand(*shape, generator=self.rng, device=self.device)
+
+
+class VaeModule(TrialModule):
+    """The variational auto-encoder over pictures (Kingma and Welling 2014; eq. kl, mended)."""
+
+    images: Tensor
+
+    def __init__(self, config: VaeConfig, images: Tensor, seed: int) -> None:
+        super().__init__(seed)
+        self.config = config
+        self.register_buffer("images", images, persistent=False)
+        self.encoder = Encoder(images.shape[-1], config.latent_dim, config.width, config.patches)
+        self.decoder = Decoder(images.shape[-1], config.latent_dim, config.width)
+        optimiser = torch.optim.Adam(self.parameters(), lr=config.learning_rate)
+        self.training_optimisers = [optimiser]
+        self.training_schedules = [
+            OneCycleLR(optimiser, config.learning_rate, total_steps=config.steps + 1, pct_start=0.1)
+        ]
+
+    def training_step(self, step: int, batch_index: int) -> None:
+        """One step of the evidence lower bound, its KL term warmed up and its gradient clipped."""
+        del batch_index
+        rows = torch.randint(
+            len(self.images), (self.config.batch_size,), generator=self.rng, device=self.device
+        )
+        # Pictures stay uint8 in memory; a float copy of thousands of them would be four times as large.
+        pictures = self.images[rows].float() / 127.5 - 1.0
+        mu, log_variance = self.encoder(pictures)
+        latent = mu + (log_variance / 2.0).exp() * self.normal(*mu.shape)
+        reconstruction = losses.reconstruction_loss(pictures, self.decoder(latent)).mean()
+        kl = losses.kl_divergence(mu, log_variance).mean()
+        warmup = min(1.0, (step + 1) / max(1.0, self.config.kl_warmup * self.config.steps))
+        loss = reconstruction + self.config.kl_weight * warmup * kl
+        (optimiser,) = self.training_optimisers
+        optimiser.zero_grad()
+        loss.backward()  # type: ignore[no-untyped-call]
+        nn.utils.clip_grad_norm_(self.parameters(), self.config.gradient_clip)
+        optimiser.step()
+        self.training_schedules[0].step()
+        self.latest = {
+            "vae_loss": loss.detach(),
+            "reconstruction_loss": reconstruction.detach(),
+            "kl": kl.detach(),
+        }
+
+
+class WganGpModule(TrialModule):
+    """WGAN-GP over configurations (Algorithm 1), local or global.
+
+    Args:
+        config: budget, losses and sizes.
+        samples: the cluster's configurations, or all of them.
+        scale: mean and standard deviation of all configurations, each (d,) rad.
+        seed: of initialisation and of every draw.
+        local_critics: frozen critics of the clusters; the global generator follows them too.
+        local_weight: weight of their mean in the generator's loss.
+    """
+
+    def __init__(
+        self,
+        config: GanConfig,
+        samples: ScenarioSamples,
+        scale: tuple[Tensor, Tensor],
+        seed: int,
+        local_critics: list[Critic] | None = None,
+        local_weight: float = 0.0,
+    ) -> None:
+        super().__init__(seed)
+        self.config, self.samples, self.local_weight = config, samples, local_weight
+        dim, latent_dim = samples.configurations.shape[1], samples.mu.shape[1]
+        self.generator = make_generator(config, dim, latent_dim, scale)
+        self.critic = make_critic(config, dim, latent_dim, len(samples.mu), scale)
+        self.local_critics = nn.ModuleList(local_critics or []).requires_grad_(requires_grad=False)
+        self.training_optimisers = [
+            torch.optim.Adam(self.critic.parameters(), lr=config.critic_learning_rate, betas=config.betas),
+            torch.optim.Adam(
+                self.generator.parameters(), lr=config.generator_learning_rate, betas=config.betas
+            ),
+        ]
+        self.training_schedules = [LambdaLR(opt, self._rate) for opt in self.training_optimisers]
+
+    def on_fit_start(self) -> None:
+        """Keep the data where the model is."""
+        self.samples = self.samples.to(self.device)
+
+    def training_step(self, step: int, batch_index: int) -> None:
+        """n_critic steps of the critic, then one of the generator (Algorithm 1, lines 3 to 11)."""
+        del step, batch_index
+        critic_optimiser, generator_optimiser = self.training_optimisers
+        for _ in range(self.config.critic_steps):
+            loss = self.critic_step_loss(self.samples.draw(self.config.batch_size, self.rng))
+            critic_optimiser.zero_grad()
+            loss.backward()  # type: ignore[no-untyped-call]
+            critic_optimiser.step()
+        loss = self.generator_step_loss(self.samples.draw(self.config.batch_size, self.rng))
+        generator_optimiser.zero_grad()
+        loss.backward()  # type: ignore[no-untyped-call]
+        generator_optimiser.step()
+        for schedule in self.training_schedules:
+            schedule.step()
+
+    def generate(self, batch: Batch) -> Tensor:
+        """Configurations for the batch's scenarios, (b, K, d) rad."""
+        latent = batch.mu + batch.sigma * self.normal(*batch.mu.shape)
+        size, dim = batch.configurations.shape
+        if isinstance(self.generator, MeansGenerator):
+            samples: Tensor = self.generator(latent, self.normal(size, self.config.means, dim))
+        else:
+            base = (2.0 * self.uniform(size, dim) - 1.0) * torch.pi
+            samples = self.generator(latent, base, self.normal(size, self.config.noise_dim))
+        return samples
+
+    def values(self, critic: nn.Module, configurations: Tensor, batch: Batch) -> Tensor:
+        """Critic values (b, K) of configurations (b, K, d) under the batch's scenarios."""
+        size, count, dim = configurations.shape
+        condition = batch.mu if self.config.critic_condition == "latent" else batch.ids
+        flat: Tensor = critic(configurations.reshape(-1, dim), condition.repeat_interleave(count, dim=0))
+        return flat.view(size, count)
+
+    def critic_step_loss(self, batch: Batch) -> Tensor:
+        """L = f(fake) - f(real) + lambda * penalty (Algorithm 1, line 7)."""
+        with torch.no_grad():
+            fake = self.generate(batch)
+        real_values = self.values(self.critic, batch.configurations.unsqueeze(1), batch).squeeze(1)
+        fake_values = losses.fake_term(self.values(self.critic, fake, batch), self.config.smooth_maximum)
+        wasserstein = losses.critic_loss(real_values, fake_values)
+        penalty = losses.gradient_penalty(
+            lambda points: self.values(self.critic, points.unsqueeze(1), batch).squeeze(1),
+            self._between(batch.configurations, fake),
+            one_sided=self.config.penalty == "one_sided",
+        )
+        loss = wasserstein + self.config.penalty_weight * penalty
+        self.latest |= {
+            "critic_loss": loss.detach(),
+            "wasserstein_estimate": -wasserstein.detach(),
+            "gradient_penalty": penalty.detach(),
+        }
+        return loss
+
+    def generator_step_loss(self, batch: Batch) -> Tensor:
+        """-f(fake), for the global generator with the local critics' mean (line 11; eq. multiDirector)."""
+        fake = self.generate(batch)
+        local = [] if self.local_weight == 0.0 else [self.values(c, fake, batch) for c in self.local_critics]
+        loss = losses.guided_generator_loss(self.values(self.critic, fake, batch), local, self.local_weight)
+        self.latest["generator_loss"] = loss.detach()
+        return loss
+
+    def _between(self, real: Tensor, fake: Tensor) -> Tensor:
+        one = fake[:, int(torch.randint(fake.shape[1], (1,), generator=self.rng, device=self.device))]
+        share = self.uniform(len(real), 1)
+        if self.config.critic_features == "torus":
+            return losses.wrapped_interpolation(real, one, share)
+        return losses.straight_interpolation(real, one, share)
+
+    def _rate(self, step: int) -> float:
+        done, start = step / self.config.steps, self.config.decay_from
+        return 1.0 if done <= start else 1.0 - 0.95 * (done - start) / (1.0 - start)
+
+
+def make_generator(
+    config: GanConfig, dim: int, latent_dim: int, scale: tuple[Tensor, Tensor]
+) -> TorusGenerator | MeansGenerator:
+    """The generator that a configuration names."""
+    if config.generator == "means":
+        return MeansGenerator(
+            dim, latent_dim, config.hidden, config.layers, config.means, config.sigma, scale
+        )
+    return TorusGenerator(dim, latent_dim, config.hidden, config.layers, config.noise_dim)
+
+
+def make_critic(
+    config: GanConfig, dim: int, latent_dim: int, scenarios: int, scale: tuple[Tensor, Tensor]
+) -> Critic:
+    """The critic that a configuration names; ``scenarios`` is the number of ids for its projection."""
+    return Critic(
+        dim,
+        latent_dim,
+        config.critic_hidden,
+        config.critic_layers,
+        scenarios=scenarios if config.critic_condition == "projection" else None,
+        features=config.critic_features,
+        scale=scale,
+    )

@@ -1,0 +1,201 @@
+"""The networks: encoder and decoder of the pictures, generators, critics. Pure torch modules."""
+
+from itertools import combinations, pairwise
+
+import torch
+from torch import Tensor, nn
+
+HARMONICS = 3
+
+
+def mlp(inputs: int, hidden: int, layers: int, outputs: int) -> nn.Sequential:
+    """A plain perceptron with ``layers`` hidden layers."""
+    sizes = [inputs] + [hidden] * layers
+    blocks: list[nn.Module] = []
+    for before, after in pairwise(sizes):
+        blocks += [nn.Linear(before, after), nn.LeakyReLU(0.2)]
+    return nn.Sequential(*blocks, nn.Linear(sizes[-1], outputs))
+
+
+class Encoder(nn.Module):
+    """Picture to the mean and log variance of its latent.
+
+    The picture is cut into patches that share their convolutions (4 in the paper, 1 for none).
+
+    Shapes: (b, 3, P, P) in [-1, 1] to (b, L), (b, L).
+    """
+
+    def __init__(self, pixels: int, latent_dim: int, width: int, patches: int = 4) -> None:
+        super().__init__()
+        self.cuts = {1: 1, 4: 2}[patches]
+        side = pixels // self.cuts // 8
+        self.features = nn.Sequential(
+            nn.Conv2d(3, width, 3, stride=2, padding=1),
+            nn.LeakyReLU(0.2),
+            nn.Conv2d(width, 2 * width, 3, stride=2, padding=1),
+            nn.LeakyReLU(0.2),
+            nn.Conv2d(2 * width, 4 * width, 3, stride=2, padding=1),
+            nn.LeakyReLU(0.2),
+            nn.Flatten(),
+        )
+        self.mean = nn.Linear(patches * 4 * width * side * side, latent_dim)
+        self.log_variance = nn.Linear(patches * 4 * width * side * side, latent_dim)
+        # A log variance that starts near zero blows up; it starts small and flat.
+        nn.init.normal_(self.log_variance.weight, std=1e-3)
+        nn.init.constant_(self.log_variance.bias, -3.0)
+
+    def forward(self, images: Tensor) -> tuple[Tensor, Tensor]:
+        """Mean and log variance of the latent."""
+        features = torch.cat([self.features(patch) for patch in self._patches(images)], dim=1)
+        return self.mean(features), self.log_variance(features).clamp(-8.0, 4.0)
+
+    def _patches(self, images: Tensor) -> list[Tensor]:
+        rows = torch.chunk(images, self.cuts, dim=2)
+        return [patch for row in rows for patch in torch.chunk(row, self.cuts, dim=3)]
+
+
+class Decoder(nn.Module):
+    """Latent to picture by resize-convolutions, which leave no checkerboard: (b, L) to (b, 3, P, P)."""
+
+    def __init__(self, pixels: int, latent_dim: int, width: int) -> None:
+        super().__init__()
+        self.side = pixels // 8
+        self.width = width
+        self.first = nn.Linear(latent_dim, 4 * width * self.side * self.side)
+        self.layers = nn.Sequential(
+            nn.LeakyReLU(0.2),
+            nn.Upsample(scale_factor=2),
+            nn.Conv2d(4 * width, 2 * width, 3, padding=1),
+            nn.LeakyReLU(0.2),
+            nn.Upsample(scale_factor=2),
+            nn.Conv2d(2 * width, width, 3, padding=1),
+            nn.LeakyReLU(0.2),
+            nn.Upsample(scale_factor=2),
+            nn.Conv2d(width, 3, 3, padding=1),
+            nn.Tanh(),
+        )
+
+    def forward(self, latent: Tensor) -> Tensor:
+        """The decoded pictures in [-1, 1]."""
+        first: Tensor = self.first(latent)
+        decoded: Tensor = self.layers(first.view(-1, 4 * self.width, self.side, self.side))
+        return decoded
+
+
+class TorusGenerator(nn.Module):
+    """theta = u + MLP(latent, harmonics of u, noise): a residual on a uniform draw u from the torus.
+
+    The last layer starts near zero, so training starts from the uniform sampler. The noise is explicit; an
+    encoder whose sigma has become small would otherwise leave one sample a picture.
+
+    Shapes: latent (m, L), base (m, d) rad, noise (m, k) to (m, 1, d) rad.
+    """
+
+    def __init__(self, dim: int, latent_dim: int, hidden: int, layers: int, noise_dim: int) -> None:
+        super().__init__()
+        self.residual = mlp(latent_dim + 2 * HARMONICS * dim + noise_dim, hidden, layers, dim)
+        last = self.residual[-1]
+        assert isinstance(last, nn.Linear)  # noqa: S101 - for the type checker
+        nn.init.normal_(last.weight, std=1e-2)
+        nn.init.zeros_(last.bias)
+
+    def forward(self, latent: Tensor, base: Tensor, noise: Tensor) -> Tensor:
+        """One configuration for each latent."""
+        step: Tensor = self.residual(torch.cat([latent, harmonics(base), noise], dim=1))
+        return (base + step).unsqueeze(1)
+
+
+class MeansGenerator(nn.Module):
+    """The paper's generator: z to K means, samples N(mean, sigma^2) on standardised angles (Algorithm 1).
+
+    Shapes: latent (m, L), noise (m, K, d) to (m, K, d) rad.
+    """
+
+    mean_rad: Tensor
+    std_rad: Tensor
+
+    def __init__(
+        self,
+        dim: int,
+        latent_dim: int,
+        hidden: int,
+        layers: int,
+        means: int,
+        sigma: float,
+        scale: tuple[Tensor, Tensor],
+    ) -> None:
+        super().__init__()
+        self.means, self.dim, self.sigma = means, dim, sigma
+        self.net = mlp(latent_dim, hidden, layers, means * dim)
+        self.register_buffer("mean_rad", scale[0])
+        self.register_buffer("std_rad", scale[1])
+
+    def forward(self, latent: Tensor, noise: Tensor) -> Tensor:
+        """K configurations for each latent."""
+        standardised = self.net(latent).view(-1, self.means, self.dim) + self.sigma * noise
+        restored: Tensor = standardised * self.std_rad + self.mean_rad
+        return restored
+
+
+def harmonics(angles: Tensor) -> Tensor:
+    """Cos and sin of k theta for k up to 3: (..., d) to (..., 6 d)."""
+    multiples = torch.cat([angles * k for k in range(1, HARMONICS + 1)], dim=-1)
+    return torch.cat([torch.cos(multiples), torch.sin(multiples)], dim=-1)
+
+
+def torus_features(angles: Tensor) -> Tensor:
+    """Harmonics of every joint, and of the sum and difference of every pair.
+
+    Shapes: (..., d) to (..., 6 d + 2 d (d - 1)).
+    """
+    pairs = list(combinations(range(angles.shape[-1]), 2))
+    if not pairs:
+        return harmonics(angles)
+    first = torch.stack([angles[..., i] for i, _ in pairs], dim=-1)
+    second = torch.stack([angles[..., j] for _, j in pairs], dim=-1)
+    mixed = torch.cat([first + second, first - second], dim=-1)
+    return torch.cat([harmonics(angles), torch.cos(mixed), torch.sin(mixed)], dim=-1)
+
+
+class Critic(nn.Module):
+    """f(theta | scenario), conditioned on the latent or by projection on an embedding of the scenario's id.
+
+    ``scenarios`` is the number of ids for the projection (Miyato and Koyama 2018), or None to condition on the
+    latent; ``features`` is "torus" or "standardised".
+
+    Shapes: configurations (b, d) rad and condition (b, L) float or (b,) integer ids to (b,).
+    """
+
+    mean_rad: Tensor
+    std_rad: Tensor
+
+    def __init__(
+        self,
+        dim: int,
+        latent_dim: int,
+        hidden: int,
+        layers: int,
+        *,
+        scenarios: int | None,
+        features: str,
+        scale: tuple[Tensor, Tensor],
+    ) -> None:
+        super().__init__()
+        self.torus = features == "torus"
+        inputs = 2 * HARMONICS * dim + 2 * dim * (dim - 1) if self.torus else dim
+        self.ids = None if scenarios is None else nn.Embedding(scenarios, hidden)
+        condition = 0 if self.ids is not None else latent_dim
+        self.body = nn.Sequential(mlp(inputs + condition, hidden, layers - 1, hidden), nn.LeakyReLU(0.2))
+        self.head = nn.Linear(hidden, 1)
+        self.register_buffer("mean_rad", scale[0])
+        self.register_buffer("std_rad", scale[1])
+
+    def forward(self, configurations: Tensor, condition: Tensor) -> Tensor:
+        """The critic's value of each configuration under its condition."""
+        x = torus_features(configurations) if self.torus else (configurations - self.mean_rad) / self.std_rad
+        if self.ids is None:
+            body = self.body(torch.cat([x, condition], dim=1))
+            return self.head(body).squeeze(-1)  # type: ignore[no-any-return]
+        body = self.body(x)
+        projection = (self.ids(condition) * body).sum(dim=-1)
+        return self.head(body).squeeze(-1) + projection  # type: ignore[no-any-return]

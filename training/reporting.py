@@ -1,0 +1,60 @@
+"""What a job writes into its parent run: configuration, data set, curves, galleries."""
+
+from collections.abc import Mapping
+
+from matplotlib.figure import Figure
+
+from cspace.bundle import Bundle
+from cspace.dataset import Dataset
+from cspace.scenario import Split
+from services.evaluator.gallery import gallery
+from services.evaluator.samplers import BundleSampler
+from services.evaluator.scenes import Scene, Stage
+from services.registry.tracking import RunLog
+from training.config import TrainConfig
+from training.figures import vae_curves, wgan_curves
+from training.models.checkpoint import read_progress
+from training.trials.launch import TrialOutcome
+
+SHOWN_SCENARIOS = 3
+
+
+def log_start(run: RunLog, config: TrainConfig, dataset: Dataset) -> None:
+    """The configuration as parameters and the data set as an input with its digest."""
+    run.params(config.to_dict())
+    run.dataset(dataset.folder.name, dataset.digest, str(dataset.folder), "training")
+
+
+def log_result(
+    run: RunLog, bundle: Bundle, dataset: Dataset, outcomes: Mapping[str, TrialOutcome]
+) -> tuple[str, ...]:
+    """Curves of all trials, samples against truth for seen and unseen scenarios; returns their names."""
+    histories = {name: read_progress(outcome.checkpoint).history for name, outcome in outcomes.items()}
+    figures = {
+        "vae-losses": vae_curves(histories.pop("vae")),
+        "wgan-losses": wgan_curves(histories),
+        **_galleries(bundle, dataset),
+    }
+    for name, figure in figures.items():
+        run.figure(figure, name)
+    final = outcomes["global"].metrics
+    run.metrics({name: value for name, value in final.items() if name != "steps_per_s"}, 0)
+    return tuple(figures)
+
+
+def _galleries(bundle: Bundle, dataset: Dataset) -> dict[str, Figure]:
+    """Galleries where the truth is known: generated scenarios, and unseen ones of the same robot."""
+    figures: dict[str, Figure] = {}
+    sampler = BundleSampler(bundle)
+    seed = dataset.generator_seed
+    if seed is not None:
+        seen = _scenes(dataset, Split.TRAIN, seed)
+        figures["samples-seen"] = gallery(seen, sampler, "training scenarios")
+    unseen = _scenes(dataset, Split.VALIDATION, 0)
+    figures["samples-unseen"] = gallery(unseen, sampler, "unseen scenarios")
+    return figures
+
+
+def _scenes(dataset: Dataset, split: Split, seed: int) -> list[Scene]:
+    stage = Stage(dataset.robot, dataset.camera, split, seed)
+    return [Scene(stage, index) for index in range(SHOWN_SCENARIOS)]

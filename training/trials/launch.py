@@ -1,0 +1,113 @@
+"""Running trials on the cluster: Ray Tune with explicit resources, retries and checkpoints."""
+
+import logging
+import os
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import ray
+from ray import tune
+
+from cspace.errors import JobError
+from training.config import ResourceConfig
+from training.models.modules import Metrics
+
+_LOG = logging.getLogger("training")
+
+
+@dataclass(frozen=True, slots=True)
+class TrialOutcome:
+    """What a finished trial leaves.
+
+    Args:
+        name: the trial's name.
+        checkpoint: folder with its weights.
+        metrics: its last metrics.
+        started_s: Unix time of its start by Tune's own clock.
+        ended_s: Unix time of its last report by Tune's own clock.
+    """
+
+    name: str
+    checkpoint: Path
+    metrics: Metrics
+    started_s: float
+    ended_s: float
+
+
+def connect() -> None:
+    """Join the cluster that ``RAY_ADDRESS`` names (a submitted job has it set), or start a local one."""
+    if not ray.is_initialized():
+        # Every line of every trial counts as progress; folding similar ones would hide it.
+        os.environ.setdefault("RAY_DEDUP_LOGS", "0")
+        ray.init(logging_level=logging.WARNING, include_dashboard=False)
+
+
+def run_trials(
+    trainable: Callable[..., None],
+    trials: Sequence[Mapping[str, Any]],
+    shared: Mapping[str, Any],
+    resources: ResourceConfig,
+    storage: Path,
+) -> list[TrialOutcome]:
+    """Run one trial for each entry, as many at once as the cluster has room for.
+
+    Args:
+        trainable: a Tune function trainable; gets ``{"trial": entry}`` and ``shared`` by keyword.
+        trials: small plain values a trial, each with a ``name``.
+        shared: arrays and settings, put into the object store once.
+        resources: of each trial.
+        storage: folder for Tune's own files.
+
+    Returns:
+        Outcomes in the order of ``trials``.
+
+    Raises:
+        JobError: a trial failed more often than it may.
+    """
+    bound = tune.with_resources(
+        tune.with_parameters(trainable, **shared),
+        {"cpu": resources.cpus_per_trial, "gpu": resources.gpus_per_trial},
+    )
+    tuner = tune.Tuner(
+        bound,
+        param_space={"trial": tune.grid_search(list(trials))},
+        tune_config=tune.TuneConfig(reuse_actors=True),
+        run_config=tune.RunConfig(
+            name=storage.name,
+            storage_path=str(storage.parent),
+            failure_config=tune.FailureConfig(max_failures=resources.max_failures),
+            checkpoint_config=tune.CheckpointConfig(num_to_keep=1),
+            verbose=0,
+        ),
+    )
+    grid = tuner.fit()
+    failed = [str(error) for error in grid.errors]
+    if failed:
+        raise JobError(
+            f"{len(failed)} of {len(trials)} trials failed",
+            expected=f"at most {resources.max_failures} faults each",
+            got=failed[0].strip().splitlines()[-1],
+            remedy=f"the trials' logs are under {storage}",
+        )
+    outcomes = {outcome.name: outcome for outcome in (_outcome(grid[index]) for index in range(len(grid)))}
+    return [outcomes[str(trial["name"])] for trial in trials]
+
+
+def _outcome(result: Any) -> TrialOutcome:
+    rows = result.metrics_dataframe
+    first, last = rows.iloc[0], rows.iloc[-1]
+    metrics = {key: float(value) for key, value in result.metrics.items() if key in _logged(result.metrics)}
+    return TrialOutcome(
+        name=str(result.config["trial"]["name"]),
+        checkpoint=Path(result.checkpoint.path),
+        metrics=metrics,
+        started_s=float(first["timestamp"] - first["time_total_s"]),
+        ended_s=float(last["timestamp"]),
+    )
+
+
+def _logged(metrics: Mapping[str, Any]) -> set[str]:
+    own = {"vae_loss", "reconstruction_loss", "kl", "critic_loss", "generator_loss", "wasserstein_estimate"}
+    return (own | {"gradient_penalty", "steps_per_s"}) & set(metrics)
