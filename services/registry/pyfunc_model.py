@@ -2,9 +2,9 @@
 
     mlflow.pyfunc.load_model("models:/cspace-sampler/1").predict(frame, params={"n": 300, "seed": 7})
 
-``frame`` has the column ``image`` with PNG bytes, and for path models ``start`` and ``goal`` (rad). The answer
-is float32 (rows, n, d) rad. The package ``cspace`` must be importable. The inference API does not come this way:
-it loads the bundle itself, which is faster and needs less.
+``frame`` has the column ``image`` with PNG bytes, and for path models ``start`` and ``goal`` (rad). The
+answer is float32 (rows, n, d) rad. The package ``cspace`` must be importable. The inference API does not come
+this way: it loads the bundle itself, which is faster and needs less.
 """
 
 from pathlib import Path
@@ -29,7 +29,10 @@ class BundleModel(PythonModel):
         """Load and verify the bundle."""
         self._bundle = Bundle.load(Path(context.artifacts["bundle"]))
 
-    def predict(self, model_input: pd.DataFrame, params: dict[str, Any] | None = None) -> NDArray[np.float32]:
+    # MLflow passes the context only where it is asked for, which its own annotation does not say.
+    def predict(  # type: ignore[override]
+        self, model_input: pd.DataFrame, params: dict[str, Any] | None = None
+    ) -> NDArray[np.float32]:
         """Configurations for each row's picture, float32 (rows, n, d) rad.
 
         Args:
