@@ -15,7 +15,7 @@ Metrics = dict[str, float]
 
 
 class TrialModule(lightning.LightningModule):
-    """What the trials need of every model: a random stream of its own, optimisers, the last step's metrics."""
+    """What the trials need of every model: a random stream of its own, optimisers, the last metrics."""
 
     def __init__(self, seed: int) -> None:
         super().__init__()

@@ -160,7 +160,7 @@ def torus_features(angles: Tensor) -> Tensor:
 class Critic(nn.Module):
     """f(theta | scenario), conditioned on the latent or by projection on an embedding of the scenario's id.
 
-    ``scenarios`` is the number of ids for the projection (Miyato and Koyama 2018), or None to condition on the
+    ``scenarios`` is the number of ids for the projection (Miyato and Koyama 2018), or None for the
     latent; ``features`` is "torus" or "standardised".
 
     Shapes: configurations (b, d) rad and condition (b, L) float or (b,) integer ids to (b,).

@@ -1,0 +1,25 @@
+"""A run that remembers what it is told, for tests of who tells it."""
+
+from typing import Any, Self
+
+
+class RecordingRun:
+    """The part of a RunLog that a trial uses."""
+
+    def __init__(self, run_id: str = "run") -> None:
+        self.run_id = run_id
+        self.rows: list[tuple[int, dict[str, float]]] = []
+        self.status: str | None = None
+
+    def metrics(self, metrics: Any, step: int) -> None:
+        """Keep a row."""
+        self.rows.append((step, dict(metrics)))
+
+    def flush(self) -> None:
+        """Nothing waits."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: object, error: object, trace: object) -> None:
+        self.status = "FINISHED" if kind is None else "FAILED"
