@@ -43,7 +43,12 @@ def create_version(
         model = _logged_model(client, name, bundle_folder, spec, run_id, tags)
         _ensure_registered(client, name)
         version = client.create_model_version(
-            name, model.artifact_location, run_id=run_id, tags=dict(tags), model_id=model.model_id
+            name,
+            model.artifact_location,
+            run_id=run_id,
+            tags=dict(tags),
+            await_creation_for=0,
+            model_id=model.model_id,
         )
         return int(version.version)
 

@@ -1,0 +1,77 @@
+"""Each contract runs on the fake, on MLflow over a database file, and (e2e) on a real MLflow server."""
+
+import itertools
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from services.registry.models import ModelRegistry
+from services.registry.tracking import Tracking
+from tests.contracts.mlflow_server import mlflow_server
+from tests.contracts.run_records import RunRecord, read_fake, read_mlflow
+from tests.fakes.registry import FakeRegistry, FakeTracking
+
+BACKENDS = ["fake", "database", pytest.param("server", marks=pytest.mark.e2e)]
+_numbers = itertools.count(1)
+
+
+@dataclass(frozen=True)
+class Backend:
+    """Tracking, registry, and a way to read runs back, all on one store."""
+
+    tracking: Tracking
+    registry: ModelRegistry
+    read: Callable[[str], RunRecord]
+
+
+@pytest.fixture(scope="session")
+def server_uri(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    with mlflow_server(tmp_path_factory.mktemp("mlflow-server")) as uri:
+        yield uri
+
+
+@pytest.fixture(scope="session")
+def database_uri(tmp_path_factory: pytest.TempPathFactory) -> str:
+    folder = tmp_path_factory.mktemp("mlflow-database")
+    with pytest.MonkeyPatch.context() as patch:
+        # The store fixes its folder of artifacts, ./mlruns, when it is opened for the first time.
+        patch.chdir(folder)
+        return _mlflow(f"sqlite:///{folder / 'mlflow.db'}")[0]
+
+
+@pytest.fixture(params=BACKENDS)
+def backend(request: pytest.FixtureRequest, tmp_path: Path) -> Backend:
+    if request.param == "fake":
+        tracking = FakeTracking()
+        registry = FakeRegistry(tmp_path / "fake-registry", tracking.runs)
+        return Backend(tracking, registry, lambda run_id: read_fake(tracking, run_id))
+    return _mlflow(request.getfixturevalue(f"{request.param}_uri"))[1]
+
+
+@pytest.fixture
+def tracking(backend: Backend) -> Tracking:
+    return backend.tracking
+
+
+@pytest.fixture
+def registry(backend: Backend) -> ModelRegistry:
+    return backend.registry
+
+
+@pytest.fixture
+def model_name() -> str:
+    """A model that no other test knows."""
+    return f"model-{next(_numbers)}"
+
+
+def _mlflow(uri: str) -> tuple[str, Backend]:
+    from mlflow import MlflowClient
+
+    from services.registry.mlflow_registry import MlflowRegistry
+    from services.registry.mlflow_tracking import MlflowTracking
+
+    client = MlflowClient(tracking_uri=uri, registry_uri=uri)
+    backend = Backend(MlflowTracking(uri), MlflowRegistry(uri), lambda run_id: read_mlflow(client, run_id))
+    return uri, backend

@@ -1,0 +1,172 @@
+from pathlib import Path
+
+import pytest
+
+from cspace.bundle import Bundle
+from cspace.errors import BundleIntegrityError, ModelNotFoundError, RegistryError, StorageError
+from services.registry.models import ModelRegistry, ModelVersion
+from services.registry.names import ALIAS_CHALLENGER, ALIAS_CHAMPION
+from services.registry.promotion import Decision, champions, decisions, record_decision
+from services.registry.tracking import Tracking
+from tests.bundles import write_tiny_bundle
+from tests.contracts.conftest import Backend
+from tests.contracts.mlflow_warnings import MLFLOW_WARNINGS
+
+pytestmark = MLFLOW_WARNINGS
+
+
+@pytest.fixture(scope="session")
+def bundle(tmp_path_factory: pytest.TempPathFactory) -> Bundle:
+    return Bundle.load(write_tiny_bundle(tmp_path_factory.mktemp("bundles") / "first"))
+
+
+@pytest.fixture(scope="session")
+def other(tmp_path_factory: pytest.TempPathFactory) -> Bundle:
+    return Bundle.load(write_tiny_bundle(tmp_path_factory.mktemp("bundles") / "other", scale=0.5))
+
+
+@pytest.fixture
+def run_id(tracking: Tracking) -> str:
+    return tracking.start("contract", "global").run_id
+
+
+@pytest.fixture
+def first(registry: ModelRegistry, bundle: Bundle, run_id: str, model_name: str) -> ModelVersion:
+    return registry.register(
+        model_name, bundle.folder, run_id, bundle.digest, {"data_digest": "d1"}, alias=ALIAS_CHALLENGER
+    )
+
+
+def test_a_registered_bundle_is_version_one_with_its_lineage(
+    registry: ModelRegistry, first: ModelVersion, bundle: Bundle, run_id: str, model_name: str
+) -> None:
+    assert (first.name, first.number, first.run_id) == (model_name, 1, run_id)
+    assert first.digest == bundle.digest
+    assert first.tags == {"data_digest": "d1", "digest": bundle.digest}
+    assert first.aliases == (ALIAS_CHALLENGER,)
+    assert first.created_ms > 1_600_000_000_000
+    assert registry.version(model_name, 1) == first
+
+
+def test_the_same_bundle_of_the_same_run_is_registered_once(
+    registry: ModelRegistry, first: ModelVersion, bundle: Bundle
+) -> None:
+    again = registry.register(
+        first.name, bundle.folder, first.run_id, bundle.digest, {"preset": "quickstart"}
+    )
+    assert again.number == 1
+    assert again.tags == {**first.tags, "preset": "quickstart"}
+    assert registry.versions(first.name) == (again,)
+
+
+def test_another_run_or_another_bundle_is_the_next_version(
+    backend: Backend, first: ModelVersion, bundle: Bundle, other: Bundle
+) -> None:
+    registry, name = backend.registry, first.name
+    run_id = backend.tracking.start("contract", "global").run_id
+    assert registry.register(name, bundle.folder, run_id, bundle.digest, {}).number == 2
+    assert registry.register(name, other.folder, run_id, other.digest, {}, alias=ALIAS_CHALLENGER).number == 3
+    listed = registry.versions(name)
+    assert [version.number for version in listed] == [3, 2, 1]
+    assert [version.aliases for version in listed] == [(ALIAS_CHALLENGER,), (), ()]
+
+
+def test_an_alias_moves_from_one_version_to_another(
+    registry: ModelRegistry, first: ModelVersion, other: Bundle
+) -> None:
+    registry.register(first.name, other.folder, first.run_id, other.digest, {})
+    registry.set_alias(first.name, ALIAS_CHAMPION, 1)
+    assert registry.by_alias(first.name, ALIAS_CHAMPION).aliases == (ALIAS_CHALLENGER, ALIAS_CHAMPION)
+    registry.set_alias(first.name, ALIAS_CHAMPION, 2)
+    assert registry.by_alias(first.name, ALIAS_CHAMPION).number == 2
+    assert registry.version(first.name, 1).aliases == (ALIAS_CHALLENGER,)
+
+
+def test_tags_are_added_to_those_that_are_there(registry: ModelRegistry, first: ModelVersion) -> None:
+    registry.set_tags(first.name, 1, {"note": 'it\'s 5 % "better" → yes', "data_digest": "d2"})
+    tags = registry.version(first.name, 1).tags
+    assert tags == {**first.tags, "note": 'it\'s 5 % "better" → yes', "data_digest": "d2"}
+
+
+def test_a_downloaded_bundle_is_the_registered_one(
+    registry: ModelRegistry, first: ModelVersion, bundle: Bundle, tmp_path: Path
+) -> None:
+    folder = registry.download(first, tmp_path / "models" / "bundle")
+    assert folder == tmp_path / "models" / "bundle"
+    assert Bundle.load(folder).digest == bundle.digest
+    assert [entry.name for entry in folder.parent.iterdir()] == ["bundle"]
+
+
+def test_a_download_does_not_touch_a_folder_that_exists(
+    registry: ModelRegistry, first: ModelVersion, tmp_path: Path
+) -> None:
+    (tmp_path / "mine").write_text("keep")
+    with pytest.raises(StorageError):
+        registry.download(first, tmp_path)
+    assert (tmp_path / "mine").read_text() == "keep"
+
+
+def test_what_is_not_there_is_not_found(registry: ModelRegistry, first: ModelVersion, tmp_path: Path) -> None:
+    name = first.name
+    gone = ModelVersion(name, 7, first.run_id, first.digest, (), {}, 0)
+    with pytest.raises(ModelNotFoundError):
+        registry.version(name, 7)
+    with pytest.raises(ModelNotFoundError):
+        registry.version("nobody", 1)
+    with pytest.raises(ModelNotFoundError):
+        registry.by_alias(name, ALIAS_CHAMPION)
+    with pytest.raises(ModelNotFoundError):
+        registry.by_alias("nobody", ALIAS_CHAMPION)
+    with pytest.raises(ModelNotFoundError):
+        registry.set_alias(name, ALIAS_CHAMPION, 7)
+    with pytest.raises(ModelNotFoundError):
+        registry.set_tags(name, 7, {"a": "b"})
+    with pytest.raises(ModelNotFoundError):
+        registry.download(gone, tmp_path / "bundle")
+    assert registry.versions("nobody") == ()
+    assert list(tmp_path.glob("*bundle*")) == []
+
+
+@pytest.mark.parametrize("name", ["no'body", "a/b", "a:b", "no such\\", "", "é" * 300])
+def test_a_name_that_can_not_be_is_not_found(registry: ModelRegistry, name: str) -> None:
+    with pytest.raises(ModelNotFoundError):
+        registry.version(name, 1)
+    with pytest.raises(ModelNotFoundError):
+        registry.by_alias(name, ALIAS_CHAMPION)
+    assert registry.versions(name) == ()
+
+
+def test_a_bundle_with_another_digest_is_not_registered(
+    registry: ModelRegistry, bundle: Bundle, other: Bundle, run_id: str, model_name: str
+) -> None:
+    with pytest.raises(BundleIntegrityError):
+        registry.register(model_name, bundle.folder, run_id, other.digest, {})
+    assert registry.versions(model_name) == ()
+
+
+def test_a_bundle_of_an_unknown_run_is_not_registered(
+    registry: ModelRegistry, bundle: Bundle, model_name: str
+) -> None:
+    with pytest.raises(RegistryError):
+        registry.register(model_name, bundle.folder, "f" * 32, bundle.digest, {})
+    assert registry.versions(model_name) == ()
+
+
+def test_decisions_are_recorded_on_the_version_and_move_the_champion(
+    registry: ModelRegistry, first: ModelVersion
+) -> None:
+    refused = _decision(first, promoted=False, at_ms=1)
+    promoted = _decision(first, promoted=True, at_ms=2)
+    record_decision(registry, refused)
+    with pytest.raises(ModelNotFoundError):
+        registry.by_alias(first.name, ALIAS_CHAMPION)
+    record_decision(registry, promoted)
+    assert registry.by_alias(first.name, ALIAS_CHAMPION).number == 1
+    assert decisions(registry, first.name) == (refused, promoted)
+    assert champions(registry, first.name) == (promoted,)
+
+
+def _decision(version: ModelVersion, *, promoted: bool, at_ms: int) -> Decision:
+    reasons = ("precision beats uniform beyond the interval: gain +0.151 over 60 scenarios",)
+    metrics = {"precision": 0.845, "coverage": 0.877}
+    return Decision(version.name, version.number, promoted, reasons, metrics, None, at_ms)

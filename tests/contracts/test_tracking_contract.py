@@ -1,0 +1,185 @@
+import math
+from pathlib import Path
+
+import pytest
+
+from cspace.errors import RegistryError
+from services.registry.tracking import RunLog, Tracking
+from tests.contracts.conftest import Backend
+from tests.contracts.mlflow_warnings import MLFLOW_WARNINGS
+
+pytestmark = MLFLOW_WARNINGS
+
+EXPERIMENT = "contract"
+DIGEST = "0123456789abcdef" * 4
+
+
+@pytest.fixture
+def run(tracking: Tracking) -> RunLog:
+    return tracking.start(EXPERIMENT, "global")
+
+
+class Pen:
+    """Something that draws itself, without matplotlib."""
+
+    def savefig(self, fname: Path, *, format: str) -> None:  # noqa: A002
+        assert format == "png"
+        fname.write_bytes(b"\x89PNG")
+
+
+def test_a_new_run_has_its_name_its_tags_and_is_running(backend: Backend) -> None:
+    run = backend.tracking.start(EXPERIMENT, "vae", tags={"preset": "quickstart"})
+    record = backend.read(run.run_id)
+    assert (record.name, record.status, record.parent_run_id) == ("vae", "RUNNING", None)
+    assert record.tags["preset"] == "quickstart"
+
+
+def test_a_child_names_its_parent(backend: Backend) -> None:
+    parent = backend.tracking.start(EXPERIMENT, "cluster-train")
+    child = backend.tracking.start(EXPERIMENT, "local-0", parent_run_id=parent.run_id)
+    assert backend.read(child.run_id).parent_run_id == parent.run_id
+
+
+def test_nested_parameters_become_dotted_names(backend: Backend, run: RunLog) -> None:
+    run.params({"critic": {"steps": 5, "betas": (0.0, 0.9)}, "seed": 7})
+    assert backend.read(run.run_id).params == {
+        "critic.steps": "5",
+        "critic.betas": "[0.0, 0.9]",
+        "seed": "7",
+    }
+
+
+def test_more_parameters_than_one_call_takes_all_arrive(backend: Backend, run: RunLog) -> None:
+    run.params({f"p{index}": index for index in range(250)})
+    assert len(backend.read(run.run_id).params) == 250
+
+
+def test_an_overlong_parameter_is_cut_and_the_rest_arrive(backend: Backend, run: RunLog) -> None:
+    run.params({"long": "x" * 10_000, "short": 1})
+    params = backend.read(run.run_id).params
+    assert len(params["long"]) == 6000
+    assert params["long"].endswith("...")
+    assert params["short"] == "1"
+
+
+def test_the_same_parameters_may_be_logged_again(backend: Backend, run: RunLog) -> None:
+    run.params({"seed": 7})
+    run.params({"seed": 7})
+    assert backend.read(run.run_id).params == {"seed": "7"}
+
+
+def test_a_parameter_can_not_change(run: RunLog) -> None:
+    run.params({"seed": 7})
+    with pytest.raises(RegistryError):
+        run.params({"seed": 8})
+
+
+def test_metrics_are_all_there_when_the_run_is_finished(backend: Backend, run: RunLog) -> None:
+    for step in range(1200):
+        run.metrics({"critic_loss": 1.0 / (step + 1), "generator_loss": -step}, step)
+    run.finish()
+    record = backend.read(run.run_id)
+    assert record.status == "FINISHED"
+    assert record.history["critic_loss"] == [(step, 1.0 / (step + 1)) for step in range(1200)]
+    assert [step for step, _ in record.history["generator_loss"]] == list(range(1200))
+
+
+def test_a_metric_that_is_not_a_number_is_kept_as_such(backend: Backend, run: RunLog) -> None:
+    run.metrics({"critic_loss": math.nan}, 3)
+    run.flush()
+    [(step, value)] = backend.read(run.run_id).history["critic_loss"]
+    assert step == 3
+    assert math.isnan(value)
+
+
+def test_a_tag_takes_its_last_value(backend: Backend, run: RunLog) -> None:
+    run.tags({"git_dirty": "true", "preset": "paper"})
+    run.tags({"git_dirty": "false"})
+    tags = backend.read(run.run_id).tags
+    assert (tags["git_dirty"], tags["preset"]) == ("false", "paper")
+
+
+def test_files_and_folders_are_kept_under_their_names(backend: Backend, run: RunLog, tmp_path: Path) -> None:
+    folder = tmp_path / "report"
+    (folder / "deep").mkdir(parents=True)
+    (folder / "a.md").write_text("a")
+    (folder / "deep" / "b.md").write_text("b")
+    run.artifact(folder / "a.md")
+    run.artifact(folder, "report")
+    assert backend.read(run.run_id).artifacts == {"a.md", "report/a.md", "report/deep/b.md"}
+
+
+def test_an_artifact_that_is_not_there_is_refused(run: RunLog, tmp_path: Path) -> None:
+    with pytest.raises(RegistryError, match="no such artifact"):
+        run.artifact(tmp_path / "nothing")
+
+
+def test_a_figure_becomes_a_png_among_the_figures(backend: Backend, run: RunLog) -> None:
+    run.figure(Pen(), "loss")
+    run.figure(Pen(), "seen.png")
+    assert backend.read(run.run_id).artifacts == {"figures/loss.png", "figures/seen.png"}
+
+
+def test_a_data_set_is_an_input_with_its_whole_digest(backend: Backend, run: RunLog) -> None:
+    run.dataset("own", DIGEST, "data/own", "training")
+    assert backend.read(run.run_id).inputs == [("own", DIGEST, "data/own", "training")]
+
+
+def test_leaving_the_block_finishes_the_run(backend: Backend, run: RunLog) -> None:
+    with run:
+        run.metrics({"kl": 1.0}, 0)
+    record = backend.read(run.run_id)
+    assert record.status == "FINISHED"
+    assert record.history == {"kl": [(0, 1.0)]}
+
+
+def test_an_exception_fails_the_run_and_goes_on(backend: Backend, run: RunLog) -> None:
+    run.metrics({"kl": 1.0}, 0)
+    with pytest.raises(ZeroDivisionError), run:
+        raise ZeroDivisionError
+    record = backend.read(run.run_id)
+    assert record.status == "FAILED"
+    assert record.history == {"kl": [(0, 1.0)]}
+
+
+def test_an_interrupt_kills_the_run(backend: Backend, run: RunLog) -> None:
+    with pytest.raises(KeyboardInterrupt), run:
+        raise KeyboardInterrupt
+    assert backend.read(run.run_id).status == "KILLED"
+
+
+def test_a_resumed_run_is_the_same_run_and_runs_again(backend: Backend, run: RunLog) -> None:
+    run.metrics({"kl": 1.0}, 0)
+    run.finish("FAILED")
+    again = backend.tracking.resume(run.run_id)
+    assert again.run_id == run.run_id
+    assert backend.read(run.run_id).status == "RUNNING"
+    again.metrics({"kl": 0.5}, 1)
+    again.finish()
+    assert backend.read(run.run_id).history == {"kl": [(0, 1.0), (1, 0.5)]}
+
+
+def test_repeated_steps_of_a_resumed_run_are_not_logged_twice(backend: Backend, run: RunLog) -> None:
+    for step in range(6):
+        run.metrics({"kl": step, "late": step} if step > 3 else {"kl": step}, step)
+    run.flush()
+    again = backend.tracking.resume(run.run_id)
+    for step in range(3, 8):
+        again.metrics({"kl": step, "new": step}, step)
+    again.finish()
+    history = backend.read(run.run_id).history
+    assert [step for step, _ in history["kl"]] == list(range(8))
+    assert [step for step, _ in history["new"]] == [3, 4, 5, 6, 7]
+
+
+def test_a_resumed_run_logs_from_the_step_that_it_is_told(backend: Backend, run: RunLog) -> None:
+    again = backend.tracking.resume(run.run_id, from_step=2)
+    for step in range(4):
+        again.metrics({"kl": step}, step)
+    again.finish()
+    assert [step for step, _ in backend.read(run.run_id).history["kl"]] == [2, 3]
+
+
+def test_an_unknown_run_can_not_be_resumed(tracking: Tracking) -> None:
+    with pytest.raises(RegistryError):
+        tracking.resume("f" * 32)

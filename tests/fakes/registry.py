@@ -1,0 +1,212 @@
+"""Tracking and registry in memory. They pass the same contract tests as MLflow's adapters."""
+
+import shutil
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from cspace.bundle.files import read_files
+from cspace.errors import (
+    BundleIntegrityError,
+    ModelNotFoundError,
+    RegistryError,
+    RegistryUnavailableError,
+    StorageError,
+)
+from services.registry.models import ModelVersion
+from services.registry.parameters import flatten
+from services.registry.tracking import Picture, RunLog, RunStatus
+
+
+@dataclass
+class FakeRun:
+    """What a run holds."""
+
+    run_id: str
+    experiment: str
+    name: str
+    parent_run_id: str | None
+    status: str = "RUNNING"
+    params: dict[str, str] = field(default_factory=dict)
+    tags: dict[str, str] = field(default_factory=dict)
+    history: dict[str, list[tuple[int, float]]] = field(default_factory=dict)
+    artifacts: dict[str, bytes] = field(default_factory=dict)
+    inputs: list[dict[str, str]] = field(default_factory=list)
+
+
+class FakeRunLog:
+    """A RunLog that writes straight into a FakeRun."""
+
+    def __init__(self, run: FakeRun, held: Mapping[str, int], from_step: int) -> None:
+        self._run = run
+        self._held = held
+        self._from_step = from_step
+
+    @property
+    def run_id(self) -> str:
+        return self._run.run_id
+
+    def params(self, params: Mapping[str, Any]) -> None:
+        for name, value in flatten(params).items():
+            if self._run.params.setdefault(name, value) != value:
+                raise RegistryError(f"the parameter {name} has a value already")
+
+    def metrics(self, metrics: Mapping[str, float], step: int) -> None:
+        for name, value in metrics.items():
+            if step >= self._from_step and step > self._held.get(name, -1):
+                self._run.history.setdefault(name, []).append((step, float(value)))
+
+    def tags(self, tags: Mapping[str, str]) -> None:
+        self._run.tags |= tags
+
+    def artifact(self, path: Path, folder: str = "") -> None:
+        if not path.exists():
+            raise RegistryError("there is no such artifact", got=str(path))
+        files = [path] if path.is_file() else [one for one in path.rglob("*") if one.is_file()]
+        root = path.parent if path.is_file() else path
+        for one in files:
+            self._run.artifacts[(Path(folder) / one.relative_to(root)).as_posix()] = one.read_bytes()
+
+    def figure(self, fig: Picture, name: str) -> None:
+        # The pixels are nobody's business in a unit test, and rendering is slow.
+        self._run.artifacts[f"figures/{name.removesuffix('.png')}.png"] = b"\x89PNG"
+
+    def dataset(self, name: str, digest: str, source: str, context: str) -> None:
+        self._run.inputs.append({"name": name, "digest": digest, "source": source, "context": context})
+
+    def flush(self) -> None:
+        pass
+
+    def finish(self, status: RunStatus = "FINISHED") -> None:
+        self._run.status = status
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if kind is None:
+            self.finish()
+        else:
+            self.finish("FAILED" if issubclass(kind, Exception) else "KILLED")
+
+
+class FakeTracking:
+    """Tracking in memory; ``runs`` is what it was told."""
+
+    def __init__(self) -> None:
+        self.runs: dict[str, FakeRun] = {}
+
+    def start(
+        self,
+        experiment: str,
+        name: str,
+        parent_run_id: str | None = None,
+        tags: Mapping[str, str] | None = None,
+    ) -> RunLog:
+        run_id = f"{len(self.runs) + 1:032x}"
+        self.runs[run_id] = FakeRun(run_id, experiment, name, parent_run_id, tags=dict(tags or {}))
+        return FakeRunLog(self.runs[run_id], {}, 0)
+
+    def resume(self, run_id: str, from_step: int | None = None) -> RunLog:
+        if run_id not in self.runs:
+            raise RegistryError(f"there is no run {run_id}")
+        run = self.runs[run_id]
+        run.status = "RUNNING"
+        held = {name: max(step for step, _ in points) for name, points in run.history.items()}
+        return FakeRunLog(run, {} if from_step is not None else held, from_step or 0)
+
+
+class FakeRegistry:
+    """A model registry in memory that keeps its bundles in a folder.
+
+    Args:
+        folder: for the bundles.
+        runs: of a FakeTracking, against which run ids are checked; None takes any.
+
+    ``away`` makes every call raise RegistryUnavailableError, as a stopped server does.
+    """
+
+    def __init__(self, folder: Path, runs: Mapping[str, FakeRun] | None = None) -> None:
+        self.away = False
+        self._folder = folder
+        self._runs = runs
+        self._versions: dict[str, list[ModelVersion]] = {}
+        self._aliases: dict[tuple[str, str], int] = {}
+
+    def register(
+        self,
+        name: str,
+        bundle_folder: Path,
+        run_id: str,
+        digest: str,
+        tags: Mapping[str, str],
+        *,
+        alias: str | None = None,
+    ) -> ModelVersion:
+        got = read_files(bundle_folder).digest
+        if got != digest:
+            raise BundleIntegrityError("another bundle", expected=digest, got=got)
+        self._check_there()
+        if self._runs is not None and run_id not in self._runs:
+            raise RegistryError(f"there is no run {run_id}")
+        known = self._versions.setdefault(name, [])
+        same = [one for one in known if (one.run_id, one.digest) == (run_id, digest)]
+        if same:
+            number = same[0].number
+        else:
+            number = len(known) + 1
+            now_ms = time.time_ns() // 1_000_000
+            known.append(ModelVersion(name, number, run_id, digest, (), {}, now_ms))
+            shutil.copytree(bundle_folder, self._place(name, number))
+        self.set_tags(name, number, {**tags, "digest": digest})
+        if alias is not None:
+            self.set_alias(name, alias, number)
+        return self.version(name, number)
+
+    def version(self, name: str, number: int) -> ModelVersion:
+        self._check_there()
+        known = self._versions.get(name, [])
+        if not 1 <= number <= len(known):
+            raise ModelNotFoundError(f"there is no {name}/{number}")
+        aliases = sorted(
+            alias for (owner, alias), at in self._aliases.items() if (owner, at) == (name, number)
+        )
+        return replace(known[number - 1], aliases=tuple(aliases))
+
+    def by_alias(self, name: str, alias: str) -> ModelVersion:
+        self._check_there()
+        if (name, alias) not in self._aliases:
+            raise ModelNotFoundError(f"there is no {name}@{alias}")
+        return self.version(name, self._aliases[name, alias])
+
+    def versions(self, name: str) -> tuple[ModelVersion, ...]:
+        self._check_there()
+        count = len(self._versions.get(name, []))
+        return tuple(self.version(name, number) for number in range(count, 0, -1))
+
+    def set_alias(self, name: str, alias: str, number: int) -> None:
+        self.version(name, number)
+        self._aliases[name, alias] = number
+
+    def set_tags(self, name: str, number: int, tags: Mapping[str, str]) -> None:
+        version = self.version(name, number)
+        self._versions[name][number - 1] = replace(version, aliases=(), tags={**version.tags, **tags})
+
+    def download(self, version: ModelVersion, folder: Path) -> Path:
+        if folder.exists():
+            raise StorageError("the download's folder exists", got=str(folder))
+        self.version(version.name, version.number)
+        shutil.copytree(self._place(version.name, version.number), folder)
+        return folder
+
+    def _place(self, name: str, number: int) -> Path:
+        return self._folder / name / str(number)
+
+    def _check_there(self) -> None:
+        if self.away:
+            raise RegistryUnavailableError("the registry does not answer")
