@@ -38,7 +38,7 @@ def _curves(histories: Mapping[str, History], names: Sequence[str], x_label: str
         axes.set_xlabel(x_label)
         axes.set_title(_LABELS[name], fontsize=10)
         axes.grid(visible=True, alpha=0.3)
-        if name in ("reconstruction_loss", "gradient_penalty"):
+        if name == "reconstruction_loss":
             axes.set_yscale("log")
     if len(histories) > 1:
         figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=len(histories))

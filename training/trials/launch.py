@@ -36,12 +36,24 @@ class TrialOutcome:
     ended_s: float
 
 
+# The job's log is for its own progress; what the libraries print of theirs is switched off.
+QUIET = {
+    "RAY_DEDUP_LOGS": "0",
+    "RAY_AIR_NEW_OUTPUT": "0",
+    "TUNE_WARN_EXCESSIVE_EXPERIMENT_CHECKPOINT_SYNC_THRESHOLD_S": "0",
+    "MLFLOW_SUPPRESS_PRINTING_URL_TO_STDOUT": "true",
+    "MLFLOW_ENABLE_ARTIFACTS_PROGRESS_BAR": "false",
+}
+
+
 def connect() -> None:
     """Join the cluster that ``RAY_ADDRESS`` names (a submitted job has it set), or start a local one."""
+    for name, value in QUIET.items():
+        os.environ.setdefault(name, value)
+    for library in ("ray.tune", "ray.train", "mlflow"):
+        logging.getLogger(library).setLevel(logging.ERROR)
     if not ray.is_initialized():
-        # Every line of every trial counts as progress; folding similar ones would hide it.
-        os.environ.setdefault("RAY_DEDUP_LOGS", "0")
-        ray.init(logging_level=logging.WARNING, include_dashboard=False)
+        ray.init(logging_level=logging.WARNING, include_dashboard=False, runtime_env={"env_vars": QUIET})
 
 
 def run_trials(

@@ -111,6 +111,8 @@ def _fit(
     torch.set_num_threads(1)
     logging.basicConfig(level=logging.WARNING, format="%(message)s", force=True)
     logging.getLogger("training").setLevel(logging.INFO)
+    for library in ("lightning.pytorch", "ray.train", "ray.tune"):
+        logging.getLogger(library).setLevel(logging.ERROR)
     rhythm = Rhythm(train.resources.log_every_steps, train.resources.checkpoint_every_steps)
     run = MlflowTracking(tracking_uri).resume(trial["run_id"])
     with _checkpoint() as folder:
