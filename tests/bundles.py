@@ -97,7 +97,7 @@ def _generator(spec: BundleSpec, scale: float) -> bytes:
     terms = []
     width = spec.samples_per_latent * spec.dim
     for name, size in inputs.items():
-        weights[f"{name}_weights"] = np.float32(scale) * _weights(int(size[1]), width)
+        weights[f"{name}_weights"] = np.float32(scale) * _weights(int(size[1]), width, len(weights))
         nodes.append(helper.make_node("MatMul", [name, f"{name}_weights"], [f"{name}_term"]))
         terms.append(f"{name}_term")
     weights["shape"] = np.array([-1, spec.samples_per_latent, spec.dim])
@@ -121,8 +121,8 @@ def _validity(spec: BundleSpec) -> bytes:
     return _model(nodes, inputs, {"confidence": ("n",)}, {"axis": np.array([1])})
 
 
-def _weights(rows: int, columns: int) -> NDArray[np.float32]:
-    return np.random.default_rng([rows, columns]).normal(size=(rows, columns)).astype(np.float32)
+def _weights(rows: int, columns: int, key: int = 0) -> NDArray[np.float32]:
+    return np.random.default_rng([rows, columns, key]).normal(size=(rows, columns)).astype(np.float32)
 
 
 def _model(

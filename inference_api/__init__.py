@@ -1,0 +1,1 @@
+"""The HTTP service that answers ``POST /sample``: pictures in, configurations out."""

@@ -1,0 +1,97 @@
+"""The application: settings in, a FastAPI app out; models are loaded when it starts, not when it is made."""
+
+import asyncio
+import logging
+import os
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager, suppress
+from importlib.metadata import PackageNotFoundError, version
+
+import anyio
+from anyio import CapacityLimiter, to_thread
+from fastapi import FastAPI
+
+from inference_api.body_limit import BodyLimit
+from inference_api.bundle_cache import BundleCache
+from inference_api.docs_page import add_docs_page
+from inference_api.model_store import ModelStore
+from inference_api.openapi import document
+from inference_api.problems import add_problem_handlers
+from inference_api.routes import router
+from inference_api.settings import ApiSettings
+from services.registry.models import ModelRegistry
+
+_LOG = logging.getLogger(__name__)
+# Long enough for a registry nearby, short enough for a health check's patience.
+FIRST_LOOK_S = 20.0
+
+
+def create_app(settings: ApiSettings | None = None, registry: ModelRegistry | None = None) -> FastAPI:
+    """The API.
+
+    Args:
+        settings: from the environment when None.
+        registry: where the models are; MLflow at ``settings.registry_uri`` when None.
+
+    Raises:
+        ConfigError: a setting in the environment is wrong.
+    """
+    settings = settings or ApiSettings.from_environment()
+    store = _make_store(settings, registry)
+
+    @asynccontextmanager
+    async def lifespan(app: FastAPI) -> AsyncIterator[None]:
+        app.state.store = store
+        app.state.limiter = CapacityLimiter(max(2, os.cpu_count() or 2))
+        await to_thread.run_sync(store.load_shipped)
+        looked = asyncio.Event()
+        poll = asyncio.create_task(_poll(store, settings.poll_s, looked))
+        # Else the shipped model would answer the first requests although there is a champion.
+        with anyio.move_on_after(FIRST_LOOK_S):
+            await looked.wait()
+        yield
+        poll.cancel()
+        with suppress(asyncio.CancelledError):
+            await poll
+
+    app = FastAPI(
+        title="cspace-sampler",
+        version=_version(),
+        description="A picture of a scenario goes in, collision-free joint configurations come out.",
+        lifespan=lifespan,
+        docs_url=None,
+        redoc_url=None,
+    )
+    app.include_router(router)
+    add_docs_page(app)
+    add_problem_handlers(app)
+    app.add_middleware(BodyLimit)
+    app.openapi = lambda: document(app)  # type: ignore[method-assign]
+    return app
+
+
+def _make_store(settings: ApiSettings, registry: ModelRegistry | None) -> ModelStore:
+    if registry is None and settings.registry_uri is not None:
+        # MLflow takes seconds to import, and an API without a registry does without.
+        from services.registry.mlflow_registry import MlflowRegistry  # noqa: PLC0415
+
+        registry = MlflowRegistry(settings.registry_uri)
+    cache = BundleCache(settings.cache_folder, settings.loaded_bundles)
+    return ModelStore(registry, cache, settings.pretrained_folder, settings.model_name, settings.poll_s)
+
+
+async def _poll(store: ModelStore, poll_s: float, looked: asyncio.Event) -> None:
+    while True:
+        try:
+            await to_thread.run_sync(store.refresh)
+        except Exception:  # noqa: BLE001 - a loop that has ended would never serve another promotion
+            _LOG.exception("looking the champion up failed")
+        looked.set()
+        await anyio.sleep(poll_s)
+
+
+def _version() -> str:
+    try:
+        return version("cspace-sampler")
+    except PackageNotFoundError:
+        return "0"

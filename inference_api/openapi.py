@@ -1,0 +1,103 @@
+"""The parts of the OpenAPI document that FastAPI cannot see: bodies read by hand, ``.npy``, problems."""
+
+from typing import Any
+
+from fastapi import FastAPI
+from fastapi.openapi.utils import get_openapi
+
+from inference_api.problems import (
+    BODY_TOO_LARGE,
+    INTERNAL_ERROR,
+    INVALID_IMAGE,
+    INVALID_VALUE,
+    MALFORMED_BODY,
+    MEDIA_TYPE,
+    NO_MODEL,
+    REGISTRY_UNAVAILABLE,
+    UNKNOWN_MODEL,
+    UNSUPPORTED_MEDIA_TYPE,
+    ProblemType,
+)
+from inference_api.sampling import NPY
+from inference_api.schemas import Problem, SampleAnswer, SampleRequest, multipart_schema
+
+SAMPLE_PROBLEMS = (
+    MALFORMED_BODY,
+    UNKNOWN_MODEL,
+    BODY_TOO_LARGE,
+    UNSUPPORTED_MEDIA_TYPE,
+    INVALID_IMAGE,
+    INVALID_VALUE,
+    INTERNAL_ERROR,
+    NO_MODEL,
+    REGISTRY_UNAVAILABLE,
+)
+_HEADERS = {
+    "X-Model-Name": "Name of the model that answered.",
+    "X-Model-Version": "Its number in the registry, 0 for the shipped model.",
+    "X-Model-Digest": "SHA-256 of the bundle's sums.",
+    "X-Seed": "The seed that was used, in decimal.",
+    "X-Shortfall": "n minus what was returned.",
+    "Server-Timing": "decode, encode, generate and total, in ms.",
+}
+
+
+def sample_extra() -> dict[str, Any]:
+    """The request body of ``POST /sample`` in both forms."""
+    content = {
+        "multipart/form-data": {"schema": multipart_schema()},
+        "application/json": {"schema": SampleRequest.model_json_schema()},
+    }
+    return {"requestBody": {"required": True, "content": content}}
+
+
+def sample_responses() -> dict[int | str, dict[str, Any]]:
+    """The answers of ``POST /sample``."""
+    headers = {
+        name: {"description": f"{text} With `Accept: {NPY}` only.", "schema": {"type": "string"}}
+        for name, text in _HEADERS.items()
+    }
+    binary = {
+        "schema": {"type": "string", "format": "binary", "description": "float32 array (samples, joints)"}
+    }
+    success = {
+        "description": "Samples, as JSON or as `.npy`.",
+        "model": SampleAnswer,
+        "content": {NPY: binary},
+        "headers": headers,
+    }
+    return {200: success, **problem_responses(*SAMPLE_PROBLEMS)}
+
+
+def problem_responses(*problems: ProblemType) -> dict[int | str, dict[str, Any]]:
+    """Answers that are problems, one entry a status."""
+    responses: dict[int | str, dict[str, Any]] = {}
+    for status in dict.fromkeys(problem.status for problem in problems):
+        same = [problem for problem in problems if problem.status == status]
+        examples = {
+            problem.name: {
+                "value": {"type": problem.uri, "title": problem.title, "status": status, "detail": "..."}
+            }
+            for problem in same
+        }
+        schema = {"$ref": "#/components/schemas/Problem"}
+        responses[status] = {
+            "description": "; ".join(problem.title for problem in same) + ".",
+            "content": {MEDIA_TYPE: {"schema": schema, "examples": examples}},
+        }
+    return responses
+
+
+def document(app: FastAPI) -> dict[str, Any]:
+    """The OpenAPI document, made once."""
+    if app.openapi_schema is None:
+        made = get_openapi(
+            title=app.title, version=app.version, description=app.description, routes=app.routes
+        )
+        template = "#/components/schemas/{model}"
+        problem = Problem.model_json_schema(ref_template=template)
+        schemas = made.setdefault("components", {}).setdefault("schemas", {})
+        schemas.update(problem.pop("$defs", {}))
+        schemas["Problem"] = problem
+        app.openapi_schema = made
+    return app.openapi_schema

@@ -1,0 +1,150 @@
+"""RFC 9457 problem details: one stable type for each way in which a request can fail."""
+
+import http
+import json
+import logging
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from fastapi import FastAPI, Request
+from fastapi.responses import Response
+from starlette.exceptions import HTTPException
+from starlette.requests import ClientDisconnect
+
+from cspace.errors import (
+    BundleError,
+    CspaceError,
+    ImageError,
+    InputError,
+    ModelNotFoundError,
+    RegistryError,
+    StorageError,
+)
+from inference_api.model_store import ModelNotReadyError
+from inference_api.validation import FieldsError
+
+_LOG = logging.getLogger(__name__)
+MEDIA_TYPE = "application/problem+json"
+_PREFIX = "urn:cspace-sampler:problem:"
+
+
+@dataclass(frozen=True, slots=True)
+class ProblemType:
+    """One row of the contract's table of errors.
+
+    Args:
+        name: last part of the ``type`` URI, never changed once published.
+        status: HTTP status.
+        title: the same for every occurrence.
+    """
+
+    name: str
+    status: int
+    title: str
+
+    @property
+    def uri(self) -> str:
+        """The problem's ``type``."""
+        return _PREFIX + self.name
+
+
+MALFORMED_BODY = ProblemType("malformed-body", 400, "The body or its JSON is malformed")
+UNKNOWN_MODEL = ProblemType("unknown-model", 404, "No such model")
+NOT_FOUND = ProblemType("not-found", 404, "No such page")
+METHOD_NOT_ALLOWED = ProblemType("method-not-allowed", 405, "The page does not take this method")
+BODY_TOO_LARGE = ProblemType("body-too-large", 413, "The body is too large")
+UNSUPPORTED_MEDIA_TYPE = ProblemType("unsupported-media-type", 415, "The body's media type is not supported")
+INVALID_IMAGE = ProblemType("invalid-image", 422, "The picture is not acceptable")
+INVALID_VALUE = ProblemType("invalid-value", 422, "A field is wrong")
+INTERNAL_ERROR = ProblemType("internal-error", 500, "The server failed")
+NO_MODEL = ProblemType("no-model", 503, "No model is ready")
+REGISTRY_UNAVAILABLE = ProblemType("registry-unavailable", 503, "The model registry does not answer")
+
+PROBLEMS = (
+    MALFORMED_BODY,
+    UNKNOWN_MODEL,
+    NOT_FOUND,
+    METHOD_NOT_ALLOWED,
+    BODY_TOO_LARGE,
+    UNSUPPORTED_MEDIA_TYPE,
+    INVALID_IMAGE,
+    INVALID_VALUE,
+    INTERNAL_ERROR,
+    NO_MODEL,
+    REGISTRY_UNAVAILABLE,
+)
+_BY_STATUS = {404: NOT_FOUND, 405: METHOD_NOT_ALLOWED, 413: BODY_TOO_LARGE, 415: UNSUPPORTED_MEDIA_TYPE}
+# In this order: the first that fits decides.
+_BY_ERROR: tuple[tuple[type[CspaceError], ProblemType], ...] = (
+    (ImageError, INVALID_IMAGE),
+    (InputError, INVALID_VALUE),
+    (ModelNotFoundError, UNKNOWN_MODEL),
+    (RegistryError, REGISTRY_UNAVAILABLE),
+    (ModelNotReadyError, NO_MODEL),
+)
+
+
+class RequestError(CspaceError):
+    """A request that is wrong before its values are looked at.
+
+    Args:
+        problem: which way.
+        what: as :class:`cspace.errors.CspaceError`, and so the rest.
+    """
+
+    def __init__(self, problem: ProblemType, what: str, **details: str | None) -> None:
+        super().__init__(what, **details)
+        self.problem = problem
+
+
+def problem_of(error: CspaceError) -> ProblemType:
+    """The problem type under which an error is reported."""
+    if isinstance(error, RequestError):
+        return error.problem
+    return next((problem for kind, problem in _BY_ERROR if isinstance(error, kind)), INTERNAL_ERROR)
+
+
+def problem_response(
+    problem: ProblemType, detail: str, *, headers: Mapping[str, str] | None = None, **members: Any
+) -> Response:
+    """A problem as ``application/problem+json``; members that are None are left out."""
+    body = {"type": problem.uri, "title": problem.title, "status": problem.status, "detail": detail}
+    body |= {name: value for name, value in members.items() if value is not None}
+    # ASCII, for a detail may echo half a surrogate pair, which UTF-8 does not have.
+    return Response(json.dumps(body), problem.status, dict(headers or {}), MEDIA_TYPE)
+
+
+def add_problem_handlers(app: FastAPI) -> None:
+    """Answer every error of the app with a problem."""
+
+    @app.exception_handler(CspaceError)
+    def project_error(_: Request, error: CspaceError) -> Response:
+        problem = problem_of(error)
+        if isinstance(error, BundleError | StorageError) or problem is INTERNAL_ERROR:
+            _LOG.error("a request failed: %s", error)
+            return problem_response(INTERNAL_ERROR, error.what)
+        errors = [item.model_dump() for item in error.problems] if isinstance(error, FieldsError) else None
+        return problem_response(
+            problem,
+            str(error),
+            expected=error.expected,
+            got=error.got,
+            remedy=error.remedy,
+            errors=errors,
+        )
+
+    @app.exception_handler(HTTPException)
+    def http_error(_: Request, error: HTTPException) -> Response:
+        fallback = MALFORMED_BODY if error.status_code < 500 else INTERNAL_ERROR
+        problem = _BY_STATUS.get(error.status_code, fallback)
+        detail = str(error.detail) or http.HTTPStatus(error.status_code).phrase
+        return problem_response(problem, detail, headers=error.headers)
+
+    @app.exception_handler(ClientDisconnect)
+    def gone(_: Request, __: ClientDisconnect) -> Response:
+        return problem_response(MALFORMED_BODY, "the client went away before the body was complete")
+
+    @app.exception_handler(Exception)
+    def unforeseen(_: Request, __: Exception) -> Response:
+        return problem_response(INTERNAL_ERROR, "an error that the server did not foresee; its log has it")

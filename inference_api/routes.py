@@ -1,0 +1,87 @@
+"""The pages of the API; each hands its work to a thread and comes back with the answer."""
+
+import time
+from functools import partial
+
+from anyio import to_thread
+from fastapi import APIRouter, Request
+from fastapi.responses import Response
+
+from inference_api.dependencies import Limiter, Store
+from inference_api.model_store import PRETRAINED_VERSION
+from inference_api.openapi import problem_responses, sample_extra, sample_responses
+from inference_api.problems import NO_MODEL
+from inference_api.references import PRETRAINED, ModelReference
+from inference_api.request_body import read_fields
+from inference_api.sampling import answer_request, model_info, prefers_npy
+from inference_api.schemas import ListedModel, Live, ModelList, Ready
+
+router = APIRouter()
+
+
+@router.post(
+    "/sample",
+    summary="Draw collision-free configurations for a picture",
+    openapi_extra=sample_extra(),
+    responses=sample_responses(),
+)
+async def sample(request: Request, store: Store, limiter: Limiter) -> Response:
+    """The same seed, picture, parameters and model digest give the same samples on one machine.
+
+    With `Accept: application/x-npy` the answer is the samples alone as a float32 `.npy`, the rest in headers.
+    """
+    began = time.perf_counter()
+    npy = prefers_npy(request.headers.get("accept"))
+    fields = await read_fields(request)
+    work = partial(answer_request, store, fields, npy=npy, began=began)
+    return await to_thread.run_sync(work, limiter=limiter)
+
+
+@router.get("/models", summary="Models that requests can name")
+def models(store: Store) -> ModelList:
+    """Versions of the default model, newest first, and the shipped model."""
+    served = store.default
+    default = None if served is None else (served.name, served.version)
+    listed = [
+        ListedModel(
+            reference=f"{version.name}/{version.number}",
+            name=version.name,
+            version=version.number,
+            aliases=list(version.aliases),
+            run_id=version.run_id or None,
+            digest=version.digest,
+            loaded=store.is_loaded(version),
+            default=(version.name, version.number) == default,
+        )
+        for version in store.versions()
+    ]
+    shipped = store.shipped
+    if shipped is not None:
+        listed.append(
+            ListedModel(
+                reference=PRETRAINED,
+                name=PRETRAINED,
+                version=PRETRAINED_VERSION,
+                aliases=[],
+                run_id=None,
+                digest=shipped.bundle.digest,
+                loaded=True,
+                default=default == (PRETRAINED, PRETRAINED_VERSION),
+            )
+        )
+    return ModelList(default=store.model_name, registry=store.registry_state, models=listed)
+
+
+@router.get("/health/live", summary="Whether the process answers")
+async def live() -> Live:
+    """Always ok; says nothing about models."""
+    return Live()
+
+
+@router.get(
+    "/health/ready", summary="Whether samples can be asked for", responses=problem_responses(NO_MODEL)
+)
+async def ready(store: Store) -> Ready:
+    """The model that answers requests that name none; 503 without one."""
+    served = store.resolve(ModelReference(store.model_name))
+    return Ready(registry=store.registry_state, model=model_info(served))

@@ -1,0 +1,67 @@
+"""Settings of the inference API, read from the environment once, at the edge."""
+
+import math
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from cspace.errors import ConfigError
+
+DEFAULT_MODEL = "cspace-sampler"
+PRETRAINED_FOLDER = Path(__file__).parent / "pretrained"
+
+
+@dataclass(frozen=True, slots=True)
+class ApiSettings:
+    """Everything that can be set.
+
+    Args:
+        registry_uri: address of the MLflow server; None serves the shipped model only.
+        cache_folder: where downloaded bundles are kept.
+        model_name: the registered model whose champion is the default.
+        poll_s: time between two looks at the champion's alias, above 0.
+        pretrained_folder: the shipped bundle.
+        loaded_bundles: how many bundles beside champion and shipped one stay in memory, at least 1.
+    """
+
+    registry_uri: str | None
+    cache_folder: Path
+    model_name: str = DEFAULT_MODEL
+    poll_s: float = 2.0
+    pretrained_folder: Path = PRETRAINED_FOLDER
+    loaded_bundles: int = 4
+
+    @classmethod
+    def from_environment(cls, environment: Mapping[str, str] | None = None) -> "ApiSettings":
+        """Read ``MLFLOW_TRACKING_URI`` and the ``CSPACE_*`` settings of the API.
+
+        Raises:
+            ConfigError: a value is not what the setting takes.
+        """
+        values = os.environ if environment is None else environment
+        cache = Path(values.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "cspace-sampler" / "models"
+        return cls(
+            registry_uri=values.get("MLFLOW_TRACKING_URI") or None,
+            cache_folder=Path(values.get("CSPACE_MODEL_CACHE") or cache),
+            model_name=values.get("CSPACE_MODEL_NAME") or DEFAULT_MODEL,
+            poll_s=_number(values, "CSPACE_MODEL_POLL_S", 2.0, 0.01),
+            pretrained_folder=Path(values.get("CSPACE_PRETRAINED_MODEL") or PRETRAINED_FOLDER),
+            loaded_bundles=int(_number(values, "CSPACE_LOADED_MODELS", 4, 1)),
+        )
+
+
+def _number(values: Mapping[str, str], name: str, default: float, low: float) -> float:
+    text = values.get(name) or str(default)
+    try:
+        number = float(text)
+    except ValueError:
+        number = math.nan
+    if not low <= number < math.inf:
+        raise ConfigError(
+            f"the setting {name} is wrong",
+            expected=f"a number, at least {low:g}",
+            got=repr(text),
+            remedy=f"set {name} in the environment, or unset it for {default:g}",
+        )
+    return number

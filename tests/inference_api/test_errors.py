@@ -1,0 +1,377 @@
+"""Every error of the contract, provoked; after each the server answers the next request."""
+
+import base64
+import io
+import json
+import struct
+import zlib
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import httpx
+import numpy as np
+import pytest
+from PIL import Image
+
+from cspace.bundle import Bundle
+from cspace.image import encode_png
+from inference_api.body_limit import MAX_BODY_BYTES
+from inference_api.problems import PROBLEMS
+from tests.bundles import picture
+from tests.inference_api.client import ApiClient
+from tests.inference_api.conftest import StartApi
+from tests.inference_api.fake_registry import FakeRegistry
+
+PNG = encode_png(picture())
+IMAGE = base64.b64encode(PNG).decode()
+TITLES = {problem.uri: (problem.status, problem.title) for problem in PROBLEMS}
+
+
+def saved(image: Image.Image, kind: str = "PNG", **options: Any) -> bytes:
+    buffer = io.BytesIO()
+    image.save(buffer, kind, **options)
+    return buffer.getvalue()
+
+
+def claimed_size(width: int, height: int) -> bytes:
+    """A PNG whose header claims a size that its data does not have."""
+    header = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
+    chunk = b"IHDR" + header
+    return PNG[:8] + struct.pack(">I", 13) + chunk + struct.pack(">I", zlib.crc32(chunk)) + PNG[33:]
+
+
+def assert_problem(answer: httpx.Response, status: int, name: str) -> dict[str, Any]:
+    assert answer.status_code == status, answer.text
+    assert answer.headers["content-type"] == "application/problem+json"
+    problem: dict[str, Any] = answer.json()
+    assert problem["type"] == f"urn:cspace-sampler:problem:{name}"
+    assert (problem["status"], problem["title"]) == (status, TITLES[problem["type"]][1])
+    assert problem["detail"]
+    return problem
+
+
+def assert_answers(api: ApiClient) -> None:
+    answer = api.post("/sample", files={"image": PNG}, data={"n": "3", "model": "pretrained"})
+    assert answer.status_code == 200, answer.text
+    assert len(answer.json()["samples"]) == 3
+
+
+WRONG_FIELDS: list[tuple[str, dict[str, Any]]] = [
+    ("n", {"n": 0}),
+    ("n", {"n": -1}),
+    ("n", {"n": 20_001}),
+    ("n", {"n": 2.5}),
+    ("n", {"n": True}),
+    ("n", {"n": "30"}),
+    ("n", {"n": None}),
+    ("n", {"n": 10**300}),
+    ("model", {"model": 3}),
+    ("model", {"model": ""}),
+    ("model", {"model": "../secret"}),
+    ("model", {"model": "a/b/c"}),
+    ("model", {"model": "a@b@c"}),
+    ("model", {"model": "cspace-sampler/0"}),
+    ("model", {"model": "cspace-sampler/-1"}),
+    ("model", {"model": "x" * 200}),
+    ("model", {"model": "\ud800"}),
+    ("seed", {"seed": -1}),
+    ("seed", {"seed": 2**64}),
+    ("seed", {"seed": str(2**64)}),
+    ("seed", {"seed": "-1"}),
+    ("seed", {"seed": "0x1"}),
+    ("seed", {"seed": "²"}),
+    ("seed", {"seed": 1.5}),
+    ("seed", {"seed": True}),
+    ("epsilon_sigma", {"epsilon_sigma": []}),
+    ("epsilon_sigma", {"epsilon_sigma": -0.1}),
+    ("epsilon_sigma", {"epsilon_sigma": [0, 10.5]}),
+    ("epsilon_sigma", {"epsilon_sigma": ["0"]}),
+    ("epsilon_sigma", {"epsilon_sigma": [True]}),
+    ("epsilon_sigma", {"epsilon_sigma": [0] * 1001}),
+    ("epsilon_sigma", {"epsilon_sigma": 1e999}),
+    ("min_confidence", {"min_confidence": -0.1}),
+    ("min_confidence", {"min_confidence": 1.1}),
+    ("min_confidence", {"min_confidence": "0.5"}),
+    ("min_confidence", {"min_confidence": 0.5}),
+    ("start", {"start": [0, 0]}),
+    ("goal", {"goal": [0, 0]}),
+    ("start", {"start": "[0, 0]"}),
+    ("start", {"start": [[0, 0]]}),
+    ("start", {"model": "cspace-sampler@path", "goal": [0, 0]}),
+    ("goal", {"model": "cspace-sampler@path", "start": [0, 0]}),
+    ("start", {"model": "cspace-sampler@path", "start": [0], "goal": [0, 0]}),
+    ("goal", {"model": "cspace-sampler@path", "start": [0, 0], "goal": [0, 0, 0]}),
+    ("goal", {"model": "cspace-sampler@path", "start": [0, 0], "goal": [0, None]}),
+    ("image", {"image": "not base64!"}),
+    ("image", {"image": IMAGE[:-1]}),
+    ("image", {"image": None}),
+    ("image", {"image": [1, 2]}),
+    ("seeds", {"seeds": 3}),
+    ("", {"": 3}),
+]
+
+
+@pytest.mark.parametrize(("field", "change"), WRONG_FIELDS, ids=lambda value: str(value)[:40])
+def test_a_wrong_value_in_json_is_422_and_named(api: ApiClient, field: str, change: dict[str, Any]) -> None:
+    body = json.dumps({"image": IMAGE, "n": 3, **change}).replace("Infinity", "1e999")
+    answer = api.post("/sample", content=body.encode(), headers={"content-type": "application/json"})
+    problem = assert_problem(answer, 422, "invalid-value")
+    assert field in problem["detail"]
+    assert "expected" in problem
+    assert "got" in problem
+    assert_answers(api)
+
+
+WRONG_PARTS: list[tuple[str, list[tuple[str, Any]]]] = [
+    ("image", []),
+    ("image", [("image", (None, IMAGE))]),
+    ("image", [("image", ("a.png", PNG)), ("image", ("b.png", PNG))]),
+    ("n", [("image", PNG), ("n", (None, "many"))]),
+    ("n", [("image", PNG), ("n", (None, "1_0"))]),
+    ("n", [("image", PNG), ("n", (None, "2.0"))]),
+    ("n", [("image", PNG), ("n", (None, ""))]),
+    ("n", [("image", PNG), ("n", (None, "3")), ("n", (None, "3"))]),
+    ("n", [("image", PNG), ("n", ("n.txt", b"3"))]),
+    ("seed", [("image", PNG), ("seed", (None, "18446744073709551616"))]),
+    ("seed", [("image", PNG), ("seed", (None, "seven"))]),
+    ("epsilon_sigma", [("image", PNG), ("epsilon_sigma", (None, "nan"))]),
+    ("epsilon_sigma", [("image", PNG), ("epsilon_sigma", (None, "inf"))]),
+    ("epsilon_sigma", [("image", PNG), ("epsilon_sigma", (None, "1e99"))]),
+    ("epsilon_sigma", [("image", PNG), ("epsilon_sigma", (None, "0")), ("epsilon_sigma", (None, "11"))]),
+    ("min_confidence", [("image", PNG), ("min_confidence", (None, "2"))]),
+    ("start", [("image", PNG), ("start", (None, "3"))]),
+    ("colour", [("image", PNG), ("colour", (None, "red"))]),
+    ("picture", [("image", PNG), ("picture", ("a.png", PNG))]),
+]
+
+
+@pytest.mark.parametrize(("field", "parts"), WRONG_PARTS, ids=lambda value: str(value)[-60:])
+def test_a_wrong_value_in_a_form_is_422_and_named(
+    api: ApiClient, field: str, parts: list[tuple[str, Any]]
+) -> None:
+    answer = api.post("/sample", files=parts or [("n", (None, "3"))])
+    problem = assert_problem(answer, 422, "invalid-value")
+    assert field in problem["detail"]
+    assert_answers(api)
+
+
+def test_several_wrong_fields_are_all_reported(api: ApiClient) -> None:
+    answer = api.post("/sample", json={"n": 0, "seed": -1, "colour": 1})
+    problem = assert_problem(answer, 422, "invalid-value")
+    assert {item["field"] for item in problem["errors"]} == {"image", "n", "seed", "colour"}
+
+
+IMAGES: dict[str, Callable[[], bytes]] = {
+    "empty": lambda: b"",
+    "text": lambda: b"hello",
+    "signature only": lambda: PNG[:8],
+    "cut": lambda: PNG[: len(PNG) // 2],
+    "JPEG": lambda: saved(Image.new("RGB", (48, 48)), "JPEG"),
+    "GIF": lambda: saved(Image.new("P", (48, 48)), "GIF"),
+    "16 bit": lambda: saved(Image.fromarray(np.zeros((48, 48), np.uint16))),
+    "animated": lambda: saved(
+        Image.new("RGB", (48, 48)), save_all=True, append_images=[Image.new("RGB", (48, 48), "red")]
+    ),
+    "not square": lambda: saved(Image.new("RGB", (48, 49))),
+    "too small": lambda: saved(Image.new("RGB", (15, 15))),
+    "too large": lambda: saved(Image.new("RGB", (2049, 2049))),
+    "bomb": lambda: claimed_size(50_000, 50_000),
+    "false size": lambda: claimed_size(2048, 2048),
+    "zero": lambda: claimed_size(0, 0),
+}
+
+
+@pytest.mark.parametrize("name", sorted(IMAGES))
+@pytest.mark.parametrize("form", ["multipart", "json"])
+def test_a_picture_that_is_not_acceptable_is_422(api: ApiClient, name: str, form: str) -> None:
+    data = IMAGES[name]()
+    if form == "json":
+        answer = api.post("/sample", json={"image": base64.b64encode(data).decode()})
+    else:
+        answer = api.post("/sample", files={"image": ("scenario.png", data, "image/png")})
+    assert_problem(answer, 422, "invalid-image")
+    assert_answers(api)
+
+
+JSON_BODIES = {
+    "empty": b"",
+    "open": b'{"image": ',
+    "not UTF-8": b'{"image": "\xff"}',
+    "list": b"[]",
+    "number": b"3",
+    "null": b"null",
+    "NaN": b'{"n": NaN}',
+    "key twice": b'{"n": 1, "n": 2}',
+    "deep list": b"[" * 200_000,
+    "deep value": b'{"start": ' + b"[" * 100_000 + b"]" * 100_000 + b"}",
+    "deep objects": b'{"a":' * 100_000,
+    "endless number": b'{"n": ' + b"9" * 10_000 + b"}",
+    "UTF-16": '{"n": 3}'.encode("utf-16"),
+    "after the end": b"{} {}",
+}
+
+
+@pytest.mark.parametrize("name", sorted(JSON_BODIES))
+def test_a_body_that_is_no_json_object_is_400(api: ApiClient, name: str) -> None:
+    answer = api.post("/sample", content=JSON_BODIES[name], headers={"content-type": "application/json"})
+    assert_problem(answer, 400, "malformed-body")
+    assert_answers(api)
+
+
+@pytest.mark.parametrize("depth", [50, 400, 800, 900, 950])
+def test_nesting_that_json_can_still_read_is_an_answer_and_no_crash(api: ApiClient, depth: int) -> None:
+    body = b'{"start": ' + b"[" * depth + b"]" * depth + b"}"
+    answer = api.post("/sample", content=body, headers={"content-type": "application/json"})
+    assert answer.status_code in (400, 422)
+    assert_answers(api)
+
+
+PART = b'--limit\r\nContent-Disposition: form-data; name="n"\r\n\r\n3\r\n'
+FORMS = {
+    "empty": ("multipart/form-data; boundary=limit", b""),
+    "no boundary": ("multipart/form-data", PART + b"--limit--\r\n"),
+    "another boundary": ("multipart/form-data; boundary=other", PART + b"--limit--\r\n"),
+    "cut": ("multipart/form-data; boundary=limit", PART),
+    "no name": (
+        "multipart/form-data; boundary=limit",
+        b"--limit\r\nContent-Disposition: form-data\r\n\r\n3\r\n--limit--\r\n",
+    ),
+    "no headers": ("multipart/form-data; boundary=limit", b"--limit\r\n\r\n3\r\n--limit--\r\n"),
+    "garbage": ("multipart/form-data; boundary=limit", bytes(range(256)) + b"--limit--"),
+    "field too long": (
+        "multipart/form-data; boundary=limit",
+        b'--limit\r\nContent-Disposition: form-data; name="n"\r\n\r\n' + b"3" * 70_000 + b"\r\n--limit--\r\n",
+    ),
+    "too many fields": ("multipart/form-data; boundary=limit", PART * 2001 + b"--limit--\r\n"),
+    "array that is no JSON": (
+        "multipart/form-data; boundary=limit",
+        PART.replace(b'"n"', b'"start"').replace(b"\r\n3", b"\r\n[0, 1") + b"--limit--\r\n",
+    ),
+    "array with more behind it": (
+        "multipart/form-data; boundary=limit",
+        PART.replace(b'"n"', b'"start"').replace(b"\r\n3", b'\r\n[0], "n": 1') + b"--limit--\r\n",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", sorted(FORMS))
+def test_a_form_that_is_torn_is_400(api: ApiClient, name: str) -> None:
+    media_type, body = FORMS[name]
+    answer = api.post("/sample", content=body, headers={"content-type": media_type})
+    assert_problem(answer, 400, "malformed-body")
+    assert_answers(api)
+
+
+@pytest.mark.parametrize(
+    "model",
+    ["nobody", "nobody@champion", "nobody/1", "cspace-sampler@nobody", "cspace-sampler/99", "pretrained/1"],
+)
+def test_an_unknown_model_is_404(api: ApiClient, model: str) -> None:
+    answer = api.post("/sample", files={"image": PNG}, data={"model": model})
+    problem = assert_problem(answer, 404, "unknown-model")
+    assert "remedy" in problem
+    assert_answers(api)
+
+
+def test_an_unknown_page_and_a_wrong_method_are_problems_too(api: ApiClient) -> None:
+    assert_problem(api.get("/nowhere"), 404, "not-found")
+    answer = api.get("/sample")
+    assert_problem(answer, 405, "method-not-allowed")
+    assert answer.headers["allow"] == "POST"
+    assert_answers(api)
+
+
+@pytest.mark.parametrize(
+    "headers",
+    [
+        {},
+        {"content-type": "text/plain"},
+        {"content-type": "image/png"},
+        {"content-type": "application/x-www-form-urlencoded"},
+        {"content-type": "application/jsonp"},
+        {"content-type": "nonsense"},
+        {"content-type": "application/json", "content-encoding": "gzip"},
+    ],
+    ids=str,
+)
+def test_another_media_type_is_415(api: ApiClient, headers: dict[str, str]) -> None:
+    answer = api.post("/sample", content=json.dumps({"image": IMAGE}).encode(), headers=headers)
+    problem = assert_problem(answer, 415, "unsupported-media-type")
+    assert "multipart/form-data" in problem["expected"]
+    assert_answers(api)
+
+
+def chunks(total: int) -> Iterator[bytes]:
+    size = 1 << 20
+    for at in range(0, total, size):
+        yield bytes(min(size, total - at))
+
+
+@pytest.mark.parametrize(
+    "media_type", ["application/json", "multipart/form-data; boundary=limit", "text/plain"]
+)
+def test_a_body_that_announces_more_than_8_mib_is_413(api: ApiClient, media_type: str) -> None:
+    answer = api.post("/sample", content=bytes(MAX_BODY_BYTES + 1), headers={"content-type": media_type})
+    problem = assert_problem(answer, 413, "body-too-large")
+    assert problem["expected"] == f"at most {8 * 1024 * 1024} bytes"
+    assert_answers(api)
+
+
+@pytest.mark.parametrize("media_type", ["application/json", "multipart/form-data; boundary=limit"])
+def test_a_body_of_more_than_8_mib_without_a_length_is_413(api: ApiClient, media_type: str) -> None:
+    answer = api.post("/sample", content=chunks(MAX_BODY_BYTES + 1), headers={"content-type": media_type})
+    assert "content-length" not in answer.request.headers
+    assert_problem(answer, 413, "body-too-large")
+    assert_answers(api)
+
+
+def test_a_body_of_exactly_8_mib_is_read(api: ApiClient) -> None:
+    body = json.dumps({"image": IMAGE, "n": 3}).encode()
+    padded = body + b" " * (MAX_BODY_BYTES - len(body))
+    answer = api.post("/sample", content=padded, headers={"content-type": "application/json"})
+    assert answer.status_code == 200
+    padded_in_chunks = api.post("/sample", content=[padded], headers={"content-type": "application/json"})
+    assert padded_in_chunks.status_code == 200
+
+
+def test_no_model_at_all_is_503_and_not_ready_but_alive(start_api: StartApi) -> None:
+    api = start_api(FakeRegistry(), shipped=False)
+    answer = api.post("/sample", files={"image": PNG})
+    assert "promote" in assert_problem(answer, 503, "no-model")["remedy"]
+    assert_problem(api.post("/sample", files={"image": PNG}, data={"model": "pretrained"}), 503, "no-model")
+    assert_problem(api.get("/health/ready"), 503, "no-model")
+    assert api.get("/health/live").json() == {"status": "live"}
+
+
+def test_a_version_that_fails_its_checks_is_503_and_the_champion_goes_on(
+    api: ApiClient, registry: FakeRegistry, bundles: dict[str, Path]
+) -> None:
+    number = registry.add(bundles["other"], digest="0" * 64)
+    answer = api.post("/sample", files={"image": PNG}, data={"model": f"cspace-sampler/{number}"})
+    problem = assert_problem(answer, 503, "no-model")
+    assert "refused" in problem["detail"]
+    assert api.post("/sample", files={"image": PNG}).json()["model"]["version"] == 1
+
+
+def test_a_registry_that_is_away_is_503_for_versions_that_are_not_here(
+    api: ApiClient, registry: FakeRegistry
+) -> None:
+    registry.away = True
+    answer = api.post("/sample", files={"image": PNG}, data={"model": "cspace-sampler/2"})
+    assert_problem(answer, 503, "registry-unavailable")
+    assert_answers(api)
+
+
+def test_a_failure_that_nobody_foresaw_is_500_without_its_inner_words(
+    api: ApiClient, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object, **__: object) -> None:
+        raise ZeroDivisionError("a secret")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Bundle, "sample", fail)
+        answer = api.post("/sample", files={"image": PNG})
+    assert_problem(answer, 500, "internal-error")
+    assert "secret" not in answer.text
+    assert_answers(api)

@@ -1,0 +1,246 @@
+import base64
+import hashlib
+import io
+import json
+import math
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import httpx
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from PIL import Image
+
+from cspace.bundle import Bundle
+from cspace.image import decode_png, encode_png
+from inference_api.sampling import prefers_npy
+from tests.bundles import picture
+from tests.inference_api.client import ApiClient
+from tests.inference_api.conftest import StartApi
+from tests.inference_api.fake_registry import FakeRegistry
+
+NPY = {"accept": "application/x-npy"}
+PI = Fraction(3141592653589793238462643383279, 10**30)
+
+
+def ask(api: ApiClient, png: bytes, headers: dict[str, str] | None = None, **fields: Any) -> httpx.Response:
+    answer = api.post("/sample", files={"image": ("scenario.png", png)}, data=fields, headers=headers)
+    assert answer.status_code == 200, answer.text
+    return answer
+
+
+def samples_of(answer: httpx.Response) -> NDArray[np.float64]:
+    return np.array(answer.json()["samples"])
+
+
+def test_the_answer_has_exactly_the_contracts_members(
+    api: ApiClient, png: bytes, registry: FakeRegistry
+) -> None:
+    body = ask(api, png).json()
+    assert set(body) == {"samples", "confidence", "shortfall", "joint_space", "model", "seed", "timing_ms"}
+    assert body["joint_space"] == {"kind": "torus", "dim": 2, "unit": "rad"}
+    assert body["model"] == {
+        "name": "cspace-sampler",
+        "version": 1,
+        "alias": "champion",
+        "run_id": "run-1",
+        "digest": registry.by_alias("cspace-sampler", "champion").digest,
+        "fallback": False,
+    }
+    assert set(body["timing_ms"]) == {"decode", "encode", "generate", "total"}
+    parts = [body["timing_ms"][name] for name in ("decode", "encode", "generate")]
+    assert all(part > 0 for part in parts)
+    assert body["timing_ms"]["total"] >= sum(parts)
+    assert (body["confidence"], body["shortfall"]) == (None, 0)
+
+
+def test_three_hundred_samples_are_the_default(api: ApiClient, png: bytes) -> None:
+    samples = samples_of(ask(api, png))
+    assert samples.shape == (300, 2)
+    assert np.all(np.isfinite(samples))
+
+
+def test_form_and_json_mean_the_same(api: ApiClient, png: bytes) -> None:
+    form = ask(api, png, n="50", seed="7", epsilon_sigma=["0", "0.5"], model="cspace-sampler/2")
+    image = base64.b64encode(png).decode()
+    as_json = {"image": image, "n": 50, "seed": 7, "epsilon_sigma": [0, 0.5], "model": "cspace-sampler/2"}
+    answer = api.post("/sample", json=as_json)
+    assert answer.json()["samples"] == form.json()["samples"]
+    assert answer.json()["model"] == form.json()["model"]
+
+
+def test_a_seed_may_be_a_number_or_a_decimal_string(api: ApiClient, png: bytes) -> None:
+    image = base64.b64encode(png).decode()
+    answers = [
+        api.post("/sample", json={"image": image, "n": 5, "seed": seed})
+        for seed in (2**64 - 1, str(2**64 - 1))
+    ]
+    assert [answer.json()["seed"] for answer in answers] == ["18446744073709551615"] * 2
+    assert answers[0].json()["samples"] == answers[1].json()["samples"]
+
+
+@pytest.mark.parametrize("absent", [{}, {"seed": None, "start": None, "goal": None}])
+def test_a_seed_is_drawn_and_returned_when_absent(
+    api: ApiClient, png: bytes, absent: dict[str, None]
+) -> None:
+    image = base64.b64encode(png).decode()
+    first, second = (api.post("/sample", json={"image": image, "n": 5, **absent}).json() for _ in range(2))
+    assert first["seed"] != second["seed"]
+    again = ask(api, png, n="5", seed=first["seed"]).json()
+    assert again["samples"] == first["samples"]
+
+
+def test_the_same_request_gives_the_same_samples_and_the_same_npy_bytes(api: ApiClient, png: bytes) -> None:
+    fields = {"n": "777", "seed": "12", "epsilon_sigma": ["0", "0.25", "1"]}
+    texts = {json.dumps(ask(api, png, **fields).json()["samples"]) for _ in range(3)}
+    arrays = {hashlib.sha256(ask(api, png, NPY, **fields).content).hexdigest() for _ in range(3)}
+    assert len(texts) == len(arrays) == 1
+
+
+def test_equal_digests_give_equal_samples_under_any_name(
+    api: ApiClient, png: bytes, registry: FakeRegistry, bundles: dict[str, Path]
+) -> None:
+    number = registry.add(bundles["plain"], name="another")
+    first = ask(api, png, n="20", seed="1").json()
+    second = ask(api, png, n="20", seed="1", model=f"another/{number}").json()
+    assert first["model"]["digest"] == second["model"]["digest"]
+    assert first["samples"] == second["samples"]
+
+
+def test_the_samples_are_those_of_the_bundle(api: ApiClient, png: bytes, bundles: dict[str, Path]) -> None:
+    bundle = Bundle.load(bundles["plain"])
+    expected = bundle.sample(decode_png(png, 48), 40, 9, epsilon_sigma=(0.5,)).samples
+    array = np.load(io.BytesIO(ask(api, png, NPY, n="40", seed="9", epsilon_sigma="0.5").content))
+    np.testing.assert_array_equal(array, expected)
+    np.testing.assert_array_equal(samples_of(ask(api, png, n="40", seed="9", epsilon_sigma="0.5")), expected)
+
+
+def test_npy_carries_the_samples_alone_and_the_rest_in_headers(api: ApiClient, png: bytes) -> None:
+    answer = ask(api, png, NPY, n="30", seed="5")
+    assert answer.headers["content-type"] == "application/x-npy"
+    array = np.load(io.BytesIO(answer.content), allow_pickle=False)
+    assert (array.dtype, array.shape) == (np.float32, (30, 2))
+    plain = ask(api, png, n="30", seed="5").json()
+    np.testing.assert_array_equal(array, np.array(plain["samples"], dtype=np.float32))
+    assert answer.headers["x-model-name"] == "cspace-sampler"
+    assert answer.headers["x-model-version"] == "1"
+    assert answer.headers["x-model-digest"] == plain["model"]["digest"]
+    assert (answer.headers["x-seed"], answer.headers["x-shortfall"]) == ("5", "0")
+    names = [entry.split(";dur=")[0].strip() for entry in answer.headers["server-timing"].split(",")]
+    assert names == ["decode", "encode", "generate", "total"]
+
+
+@pytest.mark.parametrize("model", ["cspace-sampler/1", "cspace-sampler/2"])
+def test_angles_lie_in_minus_pi_to_pi_whatever_the_model_gives(
+    api: ApiClient, png: bytes, model: str
+) -> None:
+    body = ask(api, png, n="20000", model=model, epsilon_sigma="10").json()
+    angles = np.array(body["samples"])
+    assert angles.shape == (20_000, 2)
+    assert all(-PI <= Fraction(float(angle)) < PI for angle in (angles.min(), angles.max()))
+    np.testing.assert_array_equal(angles, angles.astype(np.float32))
+
+
+def test_each_epsilon_gets_its_share_in_the_order_given(
+    api: ApiClient, png: bytes, bundles: dict[str, Path]
+) -> None:
+    fields = {"n": "11", "seed": "3", "epsilon_sigma": ["0", "2", "0.5"]}
+    found = samples_of(ask(api, png, **fields))
+    bundle = Bundle.load(bundles["plain"])
+    image = decode_png(png, 48)
+    # Eta and the other draws depend on the number of latents alone, so each share can be looked up on its own.
+    for rows, epsilon in ((slice(0, 5), 0.0), (slice(5, 8), 2.0), (slice(8, 11), 0.5)):
+        alone = bundle.sample(image, 11, 3, epsilon_sigma=(epsilon,)).samples
+        np.testing.assert_allclose(found[rows], alone[rows], atol=1e-5)
+
+
+def test_confidence_is_returned_and_low_ones_are_dropped(api: ApiClient, png: bytes) -> None:
+    whole = ask(api, png, n="200", seed="3", model="cspace-sampler@scored").json()
+    part = ask(api, png, n="200", seed="3", model="cspace-sampler@scored", min_confidence="0.4").json()
+    assert len(whole["confidence"]) == len(whole["samples"]) == 200
+    kept = [
+        sample for sample, score in zip(whole["samples"], whole["confidence"], strict=True) if score >= 0.4
+    ]
+    assert part["samples"] == kept
+    assert part["shortfall"] == 200 - len(kept) > 0
+    assert min(part["confidence"]) >= 0.4
+
+
+def test_an_answer_may_be_empty(api: ApiClient, png: bytes) -> None:
+    fields = {"n": "20", "model": "cspace-sampler@scored", "min_confidence": "1"}
+    body = ask(api, png, **fields).json()
+    assert (body["samples"], body["confidence"], body["shortfall"]) == ([], [], 20)
+    answer = ask(api, png, NPY, **fields)
+    assert np.load(io.BytesIO(answer.content)).shape == (0, 2)
+    assert answer.headers["x-shortfall"] == "20"
+
+
+def test_path_models_take_start_and_goal_and_wrap_them(api: ApiClient, png: bytes) -> None:
+    fields = {"n": "20", "seed": "3", "model": "cspace-sampler@path"}
+    here = samples_of(ask(api, png, **fields, start="[0.5, -1.0]", goal="[1, 2]"))
+    turned = samples_of(ask(api, png, **fields, start=json.dumps([0.5 - 2 * math.pi, -1.0]), goal="[1, 2]"))
+    other = samples_of(ask(api, png, **fields, start="[1, 2]", goal="[0.5, -1.0]"))
+    np.testing.assert_allclose(turned, here, atol=1e-5)
+    assert not np.allclose(other, here)
+
+
+def test_a_picture_of_another_size_or_mode_is_brought_to_the_models(api: ApiClient) -> None:
+    small = Image.fromarray(picture())
+    buffer = io.BytesIO()
+    small.resize((480, 480), Image.Resampling.NEAREST).convert("RGBA").save(buffer, "PNG")
+    # Ten times the size by repetition averages back to the same picture.
+    large = ask(api, buffer.getvalue(), n="10", seed="1").json()
+    assert large["samples"] == ask(api, encode_png(picture()), n="10", seed="1").json()["samples"]
+
+
+@pytest.mark.parametrize(
+    ("model", "name", "version", "alias", "fallback"),
+    [
+        ("cspace-sampler", "cspace-sampler", 1, "champion", False),
+        ("cspace-sampler@champion", "cspace-sampler", 1, "champion", False),
+        ("cspace-sampler@challenger", "cspace-sampler", 2, "challenger", False),
+        ("cspace-sampler/2", "cspace-sampler", 2, None, False),
+        ("pretrained", "pretrained", 0, None, False),
+    ],
+)
+def test_every_form_of_reference_answers_with_what_it_names(
+    api: ApiClient, png: bytes, model: str, name: str, version: int, alias: str | None, fallback: bool
+) -> None:
+    found = ask(api, png, n="3", model=model).json()["model"]
+    assert found["name"] == name
+    assert (found["version"], found["alias"], found["fallback"]) == (version, alias, fallback)
+
+
+@pytest.mark.parametrize("registry", [FakeRegistry(), None], ids=["empty", "none"])
+def test_without_a_champion_the_shipped_model_answers_and_says_so(
+    start_api: StartApi, png: bytes, registry: FakeRegistry | None
+) -> None:
+    api = start_api(registry)
+    found = ask(api, png).json()["model"]
+    assert (found["name"], found["version"], found["run_id"]) == ("pretrained", 0, None)
+    assert found["fallback"] is True
+    assert ask(api, png, NPY).headers["x-model-name"] == "pretrained"
+    assert ask(api, png, model="pretrained").json()["model"]["fallback"] is False
+    assert api.get("/health/ready").json()["model"]["fallback"] is True
+
+
+@pytest.mark.parametrize(
+    ("accept", "expected"),
+    [
+        (None, False),
+        ("*/*", False),
+        ("application/json", False),
+        ("application/x-npy", True),
+        ("APPLICATION/X-NPY; q=0.5", True),
+        ("application/json;q=0.1, application/x-npy", True),
+        ("application/json, application/x-npy;q=0.5", False),
+        ("application/x-npy;q=0", False),
+        ("application/x-npy;q=high", False),
+        ("application/x-npy, */*", True),
+        (",;,", False),
+    ],
+)
+def test_npy_is_sent_to_those_who_ask_for_it(accept: str | None, expected: bool) -> None:
+    assert prefers_npy(accept) is expected
