@@ -1,0 +1,5 @@
+"""Motion planning with OMPL, fed by configurations from the inference API.
+
+samples.py -> sampling_client.py fetch a batch over HTTP; sample_mixture.py -> goal_region.py hand it to OMPL;
+ompl_planner.py solves; planning.py joins both; plot.py draws what happened.
+"""

@@ -1,0 +1,91 @@
+"""The OMPL objects of one search: made here, read here, and gone with the function that asked for them."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from ompl import base as ob
+from ompl import geometric as og
+from ompl import util as ou
+
+from cspace.collision import CollisionChecker
+from cspace.problem import Problem
+from services.planner.goal_region import DrawnGoal
+from services.planner.plan_result import SearchTree
+from services.planner.sample_mixture import SampleMixture, StateDraws
+from services.planner.settings import RRT_CONNECT, RRT_STAR, PlannerSettings
+from services.planner.state_space import StateAccess, make_state_space
+from services.planner.validity import EdgeValidator, StateValidator
+
+
+@dataclass(frozen=True, slots=True)
+class OmplSearch:
+    """The OMPL objects of one search; none of them outlives it."""
+
+    planner: Any
+    definition: Any
+    information: Any
+    validator: EdgeValidator
+    access: StateAccess
+
+
+def set_up(
+    problem: Problem, settings: PlannerSettings, draws: StateDraws, checker: CollisionChecker
+) -> OmplSearch:
+    """Everything that a search needs, seeded.
+
+    Args:
+        problem: start and goal in a scenario.
+        settings: of the planner.
+        draws: where the goal takes its states from; a mixture replaces OMPL's uniform sampler altogether.
+        checker: of the scenario.
+    """
+    # OMPL calls a second seed in a process an error, yet takes it for all generators made from then on.
+    ou.setLogLevel(ou.LOG_NONE)
+    ou.RNG.setSeed(_ompl_seed(settings.seed))
+    space = problem.scenario.robot.space
+    access = StateAccess(space)
+    information = ob.SpaceInformation(make_state_space(space))
+    validator = EdgeValidator(information, checker, settings.resolution_rad)
+    information.setStateValidityChecker(StateValidator(checker))
+    information.setMotionValidator(validator)
+    information.setup()
+    definition = ob.ProblemDefinition(information)
+    start = information.allocState()
+    access.write(start, space.wrap(problem.start).tolist())
+    definition.addStartState(start)
+    mixed = isinstance(draws, SampleMixture)
+    goal = space.wrap(problem.goal).tolist()
+    definition.setGoal(DrawnGoal(information, space, goal, draws, unlimited=mixed))
+    planner = _make_planner(information, definition, settings, 1.0 if mixed else settings.goal_bias)
+    return OmplSearch(planner, definition, information, validator, access)
+
+
+def _make_planner(information: Any, definition: Any, settings: PlannerSettings, goal_bias: float) -> Any:
+    planner = getattr(og, settings.planner)(information)
+    planner.setRange(settings.range_rad)
+    if settings.planner != RRT_CONNECT:
+        planner.setGoalBias(goal_bias)
+    if settings.planner == RRT_STAR:
+        objective = ob.PathLengthOptimizationObjective(information)
+        if settings.stop_at_first:
+            objective.setCostThreshold(ob.Cost(1e9))
+        definition.setOptimizationObjective(objective)
+    planner.setProblemDefinition(definition)
+    planner.setup()
+    return planner
+
+
+def _ompl_seed(seed: int) -> int:
+    """OMPL takes no zero, and neighbouring seeds should not be neighbours in its generator."""
+    return int(np.random.SeedSequence(seed).generate_state(1)[0] % (2**31 - 1)) + 1
+
+
+def copy_tree(run: OmplSearch) -> SearchTree:
+    """The planner's tree as arrays that outlive it."""
+    data = ob.PlannerData(run.information)
+    run.planner.getPlannerData(data)
+    count = data.numVertices()
+    vertices = run.access.rows([data.getVertex(index).getState() for index in range(count)])
+    edges = [(index, child) for index in range(count) for child in data.getEdges(index)]
+    return SearchTree(vertices, np.array(edges, dtype=np.intp).reshape(-1, 2))

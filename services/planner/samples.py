@@ -1,0 +1,66 @@
+"""A batch of learned samples, and the port to whatever gives one for a picture."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SampleBatch:
+    """Learned samples for one picture, with the model they come from.
+
+    Args:
+        samples: (n, d) float32 rad, each in [-pi, pi).
+        model_name: of the model that answered; ``pretrained`` for the one that ships with the server.
+        model_version: its number in the registry.
+        digest: of its bundle.
+        seed: that was used, whether asked for or drawn.
+        shortfall: how many fewer samples came than were asked for.
+        round_trip_s: from the request to the checked answer.
+    """
+
+    samples: NDArray[np.float32]
+    model_name: str
+    model_version: int
+    digest: str
+    seed: int
+    shortfall: int
+    round_trip_s: float
+
+
+class SampleSource(Protocol):
+    """Draws configurations for a picture."""
+
+    def sample(
+        self,
+        image_png: bytes,
+        n: int,
+        *,
+        model: str | None = None,
+        seed: int | None = None,
+        epsilon_sigma: Sequence[float] = (),
+        start: Sequence[float] | None = None,
+        goal: Sequence[float] | None = None,
+        min_confidence: float = 0.0,
+    ) -> SampleBatch:
+        """One batch of at most ``n`` samples.
+
+        Args:
+            image_png: the scenario's picture as a PNG file.
+            n: how many.
+            model: ``name``, ``name@alias``, ``name/version`` or ``pretrained``; None for the default.
+            seed: unsigned 64 bit; None for one that the source draws.
+            epsilon_sigma: what the encoder's standard deviation is raised by, in equal shares; empty for the
+                default.
+            start: d angles in rad, for path models only.
+            goal: likewise.
+            min_confidence: samples that the model's validity head scores lower are dropped.
+
+        Raises:
+            SamplerUnavailableError: the source does not answer or has no model ready.
+            SamplerError: it refused the request, or its answer can not be used.
+        """
+        ...

@@ -1,0 +1,61 @@
+"""Settings of a planner, validated once where they are made."""
+
+import math
+from dataclasses import dataclass
+
+from cspace.errors import ConfigError
+
+RRT = "RRT"
+RRT_STAR = "RRTstar"
+RRT_CONNECT = "RRTConnect"
+PLANNERS = (RRT, RRT_STAR, RRT_CONNECT)
+LEARNED_PLANNERS = (RRT, RRT_STAR)
+"""Planners that can draw learned samples; the others solve with OMPL's uniform samples only."""
+
+MAX_SEED = 2**64 - 1
+
+
+@dataclass(frozen=True, slots=True)
+class PlannerSettings:
+    """How a problem is solved.
+
+    Args:
+        planner: one of ``PLANNERS``, by OMPL's name.
+        range_rad: longest step of the tree, in OMPL's metric (the sum over the joints), rad.
+        resolution_rad: largest distance between checked states of an edge in any joint, rad.
+        goal_bias: share of the goal among the drawn states; RRTConnect has none.
+        time_limit_s: wall time after which the search ends.
+        max_iterations: states drawn after which the search ends.
+        seed: of OMPL and of the sample mixture, unsigned 64 bit.
+        stop_at_first: whether RRT* ends with its first solution; the others always do.
+
+    Raises:
+        ConfigError: a value is out of its range.
+    """
+
+    planner: str = RRT
+    range_rad: float = 1.0
+    resolution_rad: float = 0.0314
+    goal_bias: float = 0.05
+    time_limit_s: float = 10.0
+    max_iterations: int = 5000
+    seed: int = 1
+    stop_at_first: bool = True
+
+    def __post_init__(self) -> None:
+        if self.planner not in PLANNERS:
+            raise ConfigError(
+                "the planner is unknown", expected=" or ".join(PLANNERS), got=repr(self.planner)
+            )
+        for name in ("range_rad", "resolution_rad", "time_limit_s"):
+            value = getattr(self, name)
+            if not 0.0 < value < math.inf:
+                raise ConfigError(f"{name} is out of range", expected="above 0 and finite", got=repr(value))
+        if not 0.0 <= self.goal_bias <= 1.0:
+            raise ConfigError("goal_bias is out of range", expected="0 to 1", got=repr(self.goal_bias))
+        if self.max_iterations < 1:
+            raise ConfigError(
+                "max_iterations is out of range", expected="at least 1", got=repr(self.max_iterations)
+            )
+        if not 0 <= self.seed <= MAX_SEED:
+            raise ConfigError("seed is out of range", expected="unsigned 64 bit", got=repr(self.seed))

@@ -1,0 +1,61 @@
+"""A joint space as OMPL sees it, and the way of its states to floats and back.
+
+Every joint is a subspace of its own: SO(2) for a circle, a real interval for a limited one. OMPL's distance
+is the sum over the joints.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from ompl import base as ob
+
+from cspace.space import JointSpace
+
+
+def make_state_space(space: JointSpace) -> Any:
+    """OMPL's product space of a joint space."""
+    product = ob.CompoundStateSpace()
+    for low, high, periodic in zip(space.lower, space.upper, space.periodic, strict=True):
+        if periodic:
+            product.addSubspace(ob.SO2StateSpace(), 1.0)
+        else:
+            interval = ob.RealVectorStateSpace(1)
+            interval.setBounds(low, high)
+            product.addSubspace(interval, 1.0)
+    return product
+
+
+class StateAccess:
+    """Copies OMPL's states to floats and back; a state that a callback was given must not outlive it.
+
+    Args:
+        space: the joint space.
+    """
+
+    def __init__(self, space: JointSpace) -> None:
+        self.dim = space.dim
+        self._circles = [joint for joint in range(space.dim) if space.periodic[joint]]
+        self._intervals = [joint for joint in range(space.dim) if not space.periodic[joint]]
+
+    def read(self, state: Any, into: NDArray[np.float64]) -> None:
+        """Copy a state into (d,) rad."""
+        for joint in self._circles:
+            into[joint] = state[joint].value
+        for joint in self._intervals:
+            into[joint] = state[joint][0]
+
+    def write(self, state: Any, values: Sequence[float]) -> None:
+        """Copy d values in rad into a state."""
+        for joint in self._circles:
+            state[joint].value = values[joint]
+        for joint in self._intervals:
+            state[joint][0] = values[joint]
+
+    def rows(self, states: Sequence[Any]) -> NDArray[np.float64]:
+        """Copies of states as (N, d) rad."""
+        out = np.empty((len(states), self.dim))
+        for row, state in zip(out, states, strict=True):
+            self.read(state, row)
+        return out

@@ -1,0 +1,53 @@
+"""Collision checks as OMPL calls them: the project's numba kernels behind two thin callbacks."""
+
+from typing import Any
+
+import numpy as np
+from ompl import base as ob
+
+from cspace.collision import CollisionChecker, arm_is_free, edge_is_free
+from services.planner.state_space import StateAccess
+
+
+class EdgeValidator(ob.MotionValidator):  # type: ignore[misc]
+    """Checks the straight wrapped segment between two states and counts the checks.
+
+    Args:
+        information: OMPL's space information.
+        checker: of the scenario.
+        resolution_rad: largest distance between checked states in any joint.
+    """
+
+    def __init__(self, information: Any, checker: CollisionChecker, resolution_rad: float) -> None:
+        super().__init__(information)
+        space = checker.scenario.robot.space
+        self.checks = 0
+        self._access = StateAccess(space)
+        self._arguments = (resolution_rad, *checker.kernel_args)
+        self._from, self._to = np.empty(space.dim), np.empty(space.dim)
+
+    def checkMotion(self, start: Any, end: Any) -> bool:  # noqa: N802 - OMPL's name
+        """Whether the motion is free, both ends included."""
+        self.checks += 1
+        self._access.read(start, self._from)
+        self._access.read(end, self._to)
+        return bool(edge_is_free(self._from, self._to, *self._arguments))
+
+
+class StateValidator:
+    """Checks one state.
+
+    Args:
+        checker: of the scenario.
+    """
+
+    def __init__(self, checker: CollisionChecker) -> None:
+        space = checker.scenario.robot.space
+        self._access = StateAccess(space)
+        self._arguments = checker.kernel_args
+        self._buffer = np.empty(space.dim)
+
+    def __call__(self, state: Any) -> bool:
+        """Whether the state is free."""
+        self._access.read(state, self._buffer)
+        return bool(arm_is_free(self._buffer, *self._arguments))
