@@ -5,10 +5,11 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from mlflow import MlflowClient
-from mlflow.entities import LoggedModel, LoggedModelOutput, LoggedModelStatus
+from mlflow.entities import LoggedModel, LoggedModelOutput, LoggedModelStatus, Metric, Run
 from mlflow.exceptions import MlflowException
 
 from cspace.bundle import BundleSpec
+from services.registry.metric_buffer import MAX_BATCH
 from services.registry.mlflow_errors import mapped
 from services.registry.mlflow_model import save_model
 
@@ -44,7 +45,7 @@ def create_version(
         _ensure_registered(client, name)
         version = client.create_model_version(
             name,
-            model.artifact_location,
+            _source(client, model),
             run_id=run_id,
             tags=dict(tags),
             await_creation_for=0,
@@ -71,10 +72,37 @@ def _logged_model(
             saved = save_model(bundle_folder, spec, Path(folder), model.model_id, tags)
             client.log_model_artifacts(model.model_id, str(saved))
         client.log_outputs(run_id, [LoggedModelOutput(model.model_id, step=0)])
+        _carry_metrics(client, run, model.model_id)
         status = LoggedModelStatus.READY
     finally:
         client.finalize_logged_model(model.model_id, status)
     return model
+
+
+def _source(client: MlflowClient, model: LoggedModel) -> str:
+    """The UI links a version to its logged model by the short form, which only a server can resolve."""
+    if client.tracking_uri.startswith("http"):
+        return f"models:/{model.model_id}"
+    return str(model.artifact_location)
+
+
+def _carry_metrics(client: MlflowClient, run: Run, model_id: str) -> None:
+    """Show the run's last metrics and its data set on the logged model too.
+
+    The run itself does not change: points that equal one that is there are dropped by MLflow.
+    """
+    used = [entry.dataset for entry in run.inputs.dataset_inputs] if run.inputs else []
+    name, digest = (used[0].name, used[0].digest) if used else (None, None)
+    points = []
+    for key in run.data.metrics:
+        last = max(
+            client.get_metric_history(run.info.run_id, key), key=lambda point: (point.step, point.timestamp)
+        )
+        points.append(
+            Metric(key, last.value, last.timestamp, last.step, model_id, name, digest, run.info.run_id)
+        )
+    for first in range(0, len(points), MAX_BATCH):
+        client.log_batch(run.info.run_id, metrics=points[first : first + MAX_BATCH])
 
 
 def _ensure_registered(client: MlflowClient, name: str) -> None:

@@ -1,0 +1,195 @@
+"""No error of MLflow, requests, json or protobuf comes out of the adapters, whatever answers."""
+
+import errno
+import socket
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+import requests
+from mlflow.exceptions import MlflowException
+
+from cspace.bundle import Bundle
+from cspace.errors import (
+    CspaceError,
+    ModelNotFoundError,
+    RegistryError,
+    RegistryUnavailableError,
+    StorageError,
+)
+from services.registry.mlflow_errors import mapped
+from services.registry.mlflow_health import lower_patience
+from services.registry.mlflow_registry import MlflowRegistry
+from services.registry.mlflow_tracking import MlflowTracking
+from services.registry.models import ModelVersion
+from tests.bundles import write_tiny_bundle
+from tests.services.registry.strange_server import strange_server
+
+Operation = Callable[[MlflowRegistry, Path], object]
+VERSION = ModelVersion("m", 1, "r", "d" * 64, (), {}, 0)
+
+
+def _register(registry: MlflowRegistry, folder: Path) -> ModelVersion:
+    bundle = Bundle.load(write_tiny_bundle(folder / "bundle"))
+    return registry.register("m", bundle.folder, "r" * 32, bundle.digest, {}, alias="challenger")
+
+
+OPERATIONS: dict[str, Operation] = {
+    "register": _register,
+    "version": lambda registry, folder: registry.version("m", 1),
+    "by_alias": lambda registry, folder: registry.by_alias("m", "champion"),
+    "versions": lambda registry, folder: registry.versions("m"),
+    "set_alias": lambda registry, folder: registry.set_alias("m", "champion", 1),
+    "set_tags": lambda registry, folder: registry.set_tags("m", 1, {"a": "b"}),
+    "download": lambda registry, folder: registry.download(VERSION, folder / "got"),
+}
+ANSWERS = {
+    "a web page": (200, b"<html>hello</html>"),
+    "a list": (200, b"[1, 2]"),
+    "a web page that is not found": (404, b"<html>not here</html>"),
+    "a refusal": (403, b"Invalid Host header"),
+    "a wrong request": (400, b'{"error_code": "BAD_REQUEST", "message": "no"}'),
+}
+AWAY = {
+    "its own failure": (500, b"oops"),
+    "a gateway without a server": (502, b"<html>bad gateway</html>"),
+    "a database that is away": (503, b'{"error_code": "TEMPORARILY_UNAVAILABLE", "message": "no database"}'),
+}
+
+
+@pytest.fixture
+def hasty(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The patience of MLflow's client, which is long, is not under test."""
+    monkeypatch.setenv("MLFLOW_HTTP_REQUEST_MAX_RETRIES", "0")
+    monkeypatch.setenv("MLFLOW_HTTP_REQUEST_TIMEOUT", "5")
+
+
+@pytest.fixture
+def closed_uri() -> str:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return f"http://127.0.0.1:{probe.getsockname()[1]}"
+
+
+@pytest.fixture
+def silent_uri() -> Iterator[str]:
+    """Takes connections and never says a word."""
+    with socket.socket() as listener:
+        listener.bind(("127.0.0.1", 0))
+        listener.listen()
+        yield f"http://127.0.0.1:{listener.getsockname()[1]}"
+
+
+@pytest.mark.parametrize("answer", ANSWERS)
+@pytest.mark.parametrize("operation", OPERATIONS)
+def test_a_strange_answer_becomes_an_error_of_the_project(
+    hasty: None, tmp_path: Path, operation: str, answer: str
+) -> None:
+    status, body = ANSWERS[answer]
+    with strange_server(status, body, probe_is_well=True) as uri, pytest.raises(RegistryError) as caught:
+        OPERATIONS[operation](MlflowRegistry(uri), tmp_path)
+    assert not isinstance(caught.value, RegistryUnavailableError)
+
+
+@pytest.mark.parametrize("answer", AWAY)
+@pytest.mark.parametrize("operation", OPERATIONS)
+def test_a_failure_between_the_probe_and_the_call_is_unavailable(
+    hasty: None, tmp_path: Path, operation: str, answer: str
+) -> None:
+    status, body = AWAY[answer]
+    with (
+        strange_server(status, body, probe_is_well=True) as uri,
+        pytest.raises(RegistryUnavailableError),
+    ):
+        OPERATIONS[operation](MlflowRegistry(uri), tmp_path)
+
+
+# The limit is the point: with the client's own patience each of these takes minutes.
+@pytest.mark.timeout(20)
+@pytest.mark.parametrize("operation", OPERATIONS)
+def test_a_stopped_server_is_unavailable_at_once(closed_uri: str, tmp_path: Path, operation: str) -> None:
+    with pytest.raises(RegistryUnavailableError, match="MLFLOW_TRACKING_URI"):
+        OPERATIONS[operation](MlflowRegistry(closed_uri), tmp_path)
+
+
+@pytest.mark.timeout(20)
+@pytest.mark.parametrize("operation", OPERATIONS)
+def test_a_server_that_hangs_is_unavailable_when_the_patience_ends(
+    silent_uri: str, tmp_path: Path, operation: str
+) -> None:
+    with pytest.raises(RegistryUnavailableError):
+        OPERATIONS[operation](MlflowRegistry(silent_uri, patience_s=0.2), tmp_path)
+
+
+@pytest.mark.timeout(20)
+@pytest.mark.parametrize("answer", AWAY)
+def test_a_server_without_its_database_is_unavailable_at_once(answer: str) -> None:
+    status, body = AWAY[answer]
+    with strange_server(status, body) as uri, pytest.raises(RegistryUnavailableError):
+        MlflowRegistry(uri).by_alias("m", "champion")
+
+
+@pytest.mark.parametrize("answer", ANSWERS | AWAY)
+def test_tracking_leaks_nothing_either(hasty: None, answer: str) -> None:
+    status, body = (ANSWERS | AWAY)[answer]
+    with strange_server(status, body) as uri:
+        tracking = MlflowTracking(uri)
+        for call in (lambda: tracking.start("e", "n"), lambda: tracking.resume("r" * 32)):
+            with pytest.raises(RegistryError):
+                call()
+
+
+def test_an_address_of_no_known_kind_is_refused() -> None:
+    with pytest.raises(RegistryError):
+        MlflowTracking("gopher://nowhere").start("e", "n")
+    with pytest.raises(RegistryError):
+        MlflowRegistry("gopher://nowhere").version("m", 1)
+
+
+@pytest.mark.parametrize("operation", ["register", "version", "by_alias", "versions", "download"])
+def test_fields_of_another_shape_are_refused(hasty: None, tmp_path: Path, operation: str) -> None:
+    body = b'{"model_version": 7, "model_versions": 7, "run": 7, "artifact_uri": 7}'
+    with strange_server(200, body, probe_is_well=True) as uri, pytest.raises(RegistryError):
+        OPERATIONS[operation](MlflowRegistry(uri), tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("error", "expected"),
+    [
+        (MlflowException("gone", error_code=5), RegistryError),
+        (requests.ConnectionError("reset"), RegistryUnavailableError),
+        (requests.exceptions.ChunkedEncodingError("cut"), RegistryUnavailableError),
+        (OSError(errno.ENOSPC, "no space left"), StorageError),
+        (ImportError("no module named sqlalchemy"), RegistryError),
+        (ValueError("Expecting value"), RegistryError),
+    ],
+)
+def test_each_kind_of_error_has_its_place_in_the_tree(error: Exception, expected: type[CspaceError]) -> None:
+    with pytest.raises(expected) as caught, mapped("trying"):
+        raise error
+    assert type(caught.value) is expected
+    assert caught.value.__cause__ is error
+
+
+def test_none_is_an_answer_only_in_a_lookup() -> None:
+    gone = MlflowException("gone", error_code=1000)
+    gone.error_code = "RESOURCE_DOES_NOT_EXIST"
+    with pytest.raises(ModelNotFoundError), mapped("looking up m/1", lookup=True):
+        raise gone
+    with pytest.raises(RegistryError) as caught, mapped("registering m"):
+        raise gone
+    assert not isinstance(caught.value, ModelNotFoundError)
+
+
+def test_errors_of_the_project_pass_unchanged() -> None:
+    ours = StorageError("full")
+    with pytest.raises(StorageError) as caught, mapped("trying"):
+        raise ours
+    assert caught.value is ours
+
+
+def test_lowering_the_patience_keeps_what_is_set() -> None:
+    environment = {"MLFLOW_HTTP_REQUEST_TIMEOUT": "60"}
+    lower_patience(environment)
+    assert environment["MLFLOW_HTTP_REQUEST_TIMEOUT"] == "60"
+    assert int(environment["MLFLOW_HTTP_REQUEST_MAX_RETRIES"]) <= 2

@@ -1,0 +1,124 @@
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from types import MappingProxyType
+
+import pytest
+
+from cspace.bundle import Bundle
+from cspace.errors import ModelNotFoundError, RegistryError
+from services.registry.names import ALIAS_CHAMPION
+from services.registry.promotion import Decision, champions, decisions, decisions_of, record_decision
+from tests.bundles import write_tiny_bundle
+from tests.fakes.registry import FakeRegistry
+
+NAME = "cspace-sampler"
+DECISION = Decision(
+    name=NAME,
+    version=1,
+    promoted=True,
+    reasons=("coverage 0.877 is at or above the floor of 0.800", "there is no earlier champion"),
+    metrics=MappingProxyType({"precision": 0.845}),
+    against=None,
+    created_ms=1,
+)
+
+
+@pytest.fixture
+def registry(tmp_path: Path) -> FakeRegistry:
+    """Three versions of one model."""
+    registry = FakeRegistry(tmp_path / "registry")
+    bundle = Bundle.load(write_tiny_bundle(tmp_path / "bundle"))
+    for run_id in ("a", "b", "c"):
+        registry.register(NAME, bundle.folder, run_id, bundle.digest, {})
+    return registry
+
+
+def test_a_decision_survives_its_json() -> None:
+    assert Decision.from_json(DECISION.to_json()) == DECISION
+
+
+@pytest.mark.parametrize("text", ["", "[]", "{}", '{"name": "x"}', '{"reasons": 1}'])
+def test_an_entry_that_somebody_else_wrote_is_named(text: str) -> None:
+    with pytest.raises(RegistryError, match="decision log"):
+        Decision.from_json(text)
+
+
+def test_a_promotion_moves_the_champion(registry: FakeRegistry) -> None:
+    record_decision(registry, DECISION)
+    record_decision(registry, replace(DECISION, version=2, against=1))
+    assert registry.by_alias(NAME, ALIAS_CHAMPION).number == 2
+
+
+def test_a_refusal_leaves_the_champion(registry: FakeRegistry) -> None:
+    record_decision(registry, DECISION)
+    record_decision(registry, replace(DECISION, version=2, promoted=False))
+    assert registry.by_alias(NAME, ALIAS_CHAMPION).number == 1
+
+
+def test_the_log_of_a_version_only_grows(registry: FakeRegistry) -> None:
+    many = [replace(DECISION, promoted=False, created_ms=number) for number in range(12)]
+    for decision in many:
+        record_decision(registry, decision)
+    version = registry.version(NAME, 1)
+    assert decisions_of(version) == tuple(many)
+    assert sorted(key for key in version.tags if key != "digest") == [
+        f"decision.{number:04d}" for number in range(1, 13)
+    ]
+
+
+def test_the_ten_thousandth_entry_comes_after_the_one_before(registry: FakeRegistry) -> None:
+    early, late = replace(DECISION, created_ms=5), replace(DECISION, created_ms=3)
+    registry.set_tags(NAME, 1, {"decision.10000": late.to_json(), "decision.9999": early.to_json()})
+    assert decisions_of(registry.version(NAME, 1)) == (early, late)
+    record_decision(registry, DECISION)
+    assert "decision.10001" in registry.version(NAME, 1).tags
+
+
+def test_tags_that_only_look_alike_are_no_decisions(registry: FakeRegistry) -> None:
+    registry.set_tags(NAME, 1, {"decision.note": "x", "decision": "y", "decision.": "z"})
+    assert decisions(registry, NAME) == ()
+    record_decision(registry, DECISION)
+    assert decisions(registry, NAME) == (DECISION,)
+
+
+def test_the_log_of_the_model_is_in_the_order_of_time(registry: FakeRegistry) -> None:
+    second = replace(DECISION, version=3, created_ms=2)
+    third = replace(DECISION, version=1, promoted=False, created_ms=3)
+    for decision in (DECISION, second, third):
+        record_decision(registry, decision)
+    assert decisions(registry, NAME) == (DECISION, second, third)
+    assert champions(registry, NAME) == (DECISION, second)
+
+
+def test_a_decision_on_an_unknown_version_is_refused(registry: FakeRegistry) -> None:
+    with pytest.raises(ModelNotFoundError):
+        record_decision(registry, replace(DECISION, version=9))
+
+
+class Meddler(FakeRegistry):
+    """Another evaluation writes to the same entry just after ours, so many times."""
+
+    def __init__(self, inner: FakeRegistry, times: int) -> None:
+        self.__dict__.update(inner.__dict__)
+        self.times = times
+        self.theirs = replace(DECISION, created_ms=99, promoted=False)
+
+    def set_tags(self, name: str, number: int, tags: Mapping[str, str]) -> None:
+        super().set_tags(name, number, tags)
+        if self.times > 0:
+            self.times -= 1
+            super().set_tags(name, number, dict.fromkeys(tags, self.theirs.to_json()))
+
+
+def test_an_entry_that_was_taken_meanwhile_is_written_behind_it(registry: FakeRegistry) -> None:
+    meddler = Meddler(registry, times=2)
+    record_decision(meddler, DECISION)
+    assert decisions_of(registry.version(NAME, 1)) == (meddler.theirs, meddler.theirs, DECISION)
+
+
+def test_no_champion_is_made_when_the_log_can_not_be_written(registry: FakeRegistry) -> None:
+    with pytest.raises(RegistryError, match="could not be appended"):
+        record_decision(Meddler(registry, times=100), DECISION)
+    with pytest.raises(ModelNotFoundError):
+        registry.by_alias(NAME, ALIAS_CHAMPION)
