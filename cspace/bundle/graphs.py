@@ -4,18 +4,11 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-import onnxruntime as ort
 from numpy.typing import NDArray
-from onnxruntime.capi import onnxruntime_pybind11_state as ort_state
 
+from cspace.bundle.runtime import onnx_errors, onnx_runtime
 from cspace.errors import BundleError, BundleIntegrityError
 
-# onnxruntime's exceptions share no base below Exception.
-_ORT_ERRORS: tuple[type[Exception], ...] = (
-    *(kind for kind in vars(ort_state).values() if isinstance(kind, type) and issubclass(kind, Exception)),
-    RuntimeError,
-    ValueError,
-)
 # The protobuf bytes of an external-data entry: key (field 1) "location", value (field 2).
 _EXTERNAL_DATA = b"\n\x08location\x12"
 _FATAL = 4
@@ -42,8 +35,10 @@ class Graph:
                 remedy="export it without external data",
             )
         try:
-            self._session = ort.InferenceSession(model, _options(), providers=["CPUExecutionProvider"])
-        except _ORT_ERRORS as error:
+            self._session = onnx_runtime().InferenceSession(
+                model, _options(), providers=["CPUExecutionProvider"]
+            )
+        except onnx_errors() as error:
             raise BundleIntegrityError(
                 f"{name} cannot be opened", expected="an ONNX graph", got=str(error)
             ) from error
@@ -74,7 +69,7 @@ class Graph:
         """
         try:
             found = self._session.run(list(outputs), dict(feeds))
-        except _ORT_ERRORS as error:
+        except onnx_errors() as error:
             raise BundleError(f"{self._name} failed", got=str(error)) from error
         return {
             name: self._checked(name, array, shape)
@@ -94,7 +89,8 @@ class Graph:
         return result
 
 
-def _options() -> ort.SessionOptions:
+def _options() -> Any:
+    ort = onnx_runtime()
     options = ort.SessionOptions()
     options.intra_op_num_threads = 1
     options.inter_op_num_threads = 1

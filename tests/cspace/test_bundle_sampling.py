@@ -84,6 +84,19 @@ def test_a_seed_means_the_same_in_another_process(bundle: Bundle) -> None:
     assert len(runs) == 1
 
 
+def test_loading_a_bundle_leaves_nothing_in_the_users_folders(bundle: Bundle, tmp_path: Path) -> None:
+    code = (
+        "import sys; from pathlib import Path; import cspace.bundle;"
+        "assert 'onnxruntime' not in sys.modules; cspace.bundle.Bundle.load(Path(sys.argv[1]));"
+        "assert 'onnxruntime' in sys.modules"
+    )
+    environment = {"HOME": str(tmp_path), "PYTHONPATH": str(Path(__file__).parents[2])}
+    environment["PYTHONDONTWRITEBYTECODE"] = "1"
+    command = [sys.executable, "-c", code, str(bundle.folder)]
+    subprocess.run(command, cwd=tmp_path, env=environment, check=True, capture_output=True)
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_sampling_leaves_the_global_random_state_alone(bundle: Bundle) -> None:
     state = np.random.get_state()  # noqa: NPY002 - the global state is what the test is about
     bundle.sample(picture(), 10, 3)

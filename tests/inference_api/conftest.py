@@ -1,5 +1,5 @@
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import pytest
@@ -9,7 +9,7 @@ from inference_api.app import create_app
 from inference_api.settings import ApiSettings
 from tests.bundles import picture, write_tiny_bundle
 from tests.inference_api.client import ApiClient, running
-from tests.inference_api.fake_registry import FakeRegistry
+from tests.inference_api.fake_registry import CountingRegistry
 
 StartApi = Callable[..., ApiClient]
 
@@ -32,33 +32,57 @@ def png() -> bytes:
 
 
 @pytest.fixture
-def registry() -> FakeRegistry:
-    return FakeRegistry()
+def registry(tmp_path: Path) -> CountingRegistry:
+    return CountingRegistry(tmp_path / "registry")
+
+
+@contextmanager
+def api_over(
+    folder: Path, bundles: dict[str, Path], registry: CountingRegistry | None, *, shipped: bool = True
+) -> Iterator[ApiClient]:
+    """An app in this process; its registry is looked at once on start and then only when told."""
+    settings = ApiSettings(
+        registry_uri=None,
+        cache_folder=folder / "cache",
+        poll_s=3600.0,
+        pretrained_folder=bundles["shipped"] if shipped else folder / "nothing",
+    )
+    with running(create_app(settings, registry)) as client:
+        yield client
+
+
+def stock(registry: CountingRegistry, bundles: dict[str, Path]) -> CountingRegistry:
+    """Versions 1 to 4: a champion, a challenger, a path model and one with a validity head."""
+    for bundle, alias in (
+        ("plain", "champion"),
+        ("other", "challenger"),
+        ("path", "path"),
+        ("scored", "scored"),
+    ):
+        registry.add(bundles[bundle], alias)
+    return registry
 
 
 @pytest.fixture
 def start_api(tmp_path: Path, bundles: dict[str, Path]) -> Iterator[StartApi]:
-    """Start an app in this process; its registry is looked at once on start and then only when told."""
+    """Starts APIs of the test's own."""
     with ExitStack() as stack:
 
-        def start(registry: FakeRegistry | None = None, *, shipped: bool = True) -> ApiClient:
-            settings = ApiSettings(
-                registry_uri=None,
-                cache_folder=tmp_path / "cache",
-                poll_s=3600.0,
-                pretrained_folder=bundles["shipped"] if shipped else tmp_path / "nothing",
-            )
-            app = create_app(settings, registry)
-            return stack.enter_context(running(app))
+        def start(registry: CountingRegistry | None = None, *, shipped: bool = True) -> ApiClient:
+            return stack.enter_context(api_over(tmp_path, bundles, registry, shipped=shipped))
 
         yield start
 
 
 @pytest.fixture
-def api(start_api: StartApi, registry: FakeRegistry, bundles: dict[str, Path]) -> ApiClient:
-    """An API over a registry with a champion (1), a challenger (2), a path model (3) and a scored one (4)."""
-    registry.add(bundles["plain"], "champion")
-    registry.add(bundles["other"], "challenger")
-    registry.add(bundles["path"], "path")
-    registry.add(bundles["scored"], "scored")
-    return start_api(registry)
+def own_api(start_api: StartApi, registry: CountingRegistry, bundles: dict[str, Path]) -> ApiClient:
+    """An API of the test's own over ``registry``, stocked."""
+    return start_api(stock(registry, bundles))
+
+
+@pytest.fixture(scope="module")
+def api(tmp_path_factory: pytest.TempPathFactory, bundles: dict[str, Path]) -> Iterator[ApiClient]:
+    """An API that the tests of a module share: whatever one sends, it must answer the next."""
+    folder = tmp_path_factory.mktemp("api")
+    with api_over(folder, bundles, stock(CountingRegistry(folder / "registry"), bundles)) as client:
+        yield client

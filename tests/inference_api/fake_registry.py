@@ -1,83 +1,47 @@
-"""A registry in memory, with what the API needs of one and the faults that it must survive."""
+"""The suite's fake of the registry, with counters and with the faults that the API must survive."""
 
-import shutil
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from cspace.bundle import Bundle
-from cspace.errors import ModelNotFoundError, RegistryUnavailableError
 from services.registry.models import ModelVersion
+from tests.fakes.registry import FakeRegistry
 
 MODEL = "cspace-sampler"
 
 
-class FakeRegistry:
-    """Versions of models; counts what it is asked."""
+class CountingRegistry(FakeRegistry):
+    """Counts the questions and downloads that it is asked for."""
 
-    def __init__(self) -> None:
-        self.away = False
+    def __init__(self, folder: Path) -> None:
+        super().__init__(folder)
         self.asked = 0
         self.downloads = 0
-        self._versions: dict[tuple[str, int], tuple[ModelVersion, Path]] = {}
 
-    def add(
-        self, bundle: Path, *aliases: str, name: str = "cspace-sampler", digest: str | None = None
-    ) -> int:
-        """Register a bundle as the next version and return its number."""
-        number = 1 + sum(key[0] == name for key in self._versions)
-        digest = Bundle.load(bundle).digest if digest is None else digest
-        version = ModelVersion(
-            name=name,
-            number=number,
-            run_id=f"run-{number}",
-            digest=digest,
-            aliases=(),
-            tags={},
-            created_ms=number,
-        )
-        self._versions[name, number] = (version, bundle)
+    def add(self, bundle: Path, *aliases: str, name: str = MODEL, digest: str | None = None) -> int:
+        """Register a bundle as the next version, under a false digest if one is given; its number."""
+        run_id = f"run-{len(self._versions.get(name, [])) + 1}"
+        version = self.register(name, bundle, run_id, Bundle.load(bundle).digest, {})
+        if digest is not None:
+            self._versions[name][version.number - 1] = replace(version, digest=digest)
         for alias in aliases:
-            self.move(alias, number, name)
-        return number
+            self.set_alias(name, alias, version.number)
+        return version.number
 
-    def move(self, alias: str, number: int | None, name: str = MODEL) -> None:
-        """Move an alias to a version, or drop it."""
-        for key, (version, bundle) in self._versions.items():
-            if key[0] == name:
-                others = tuple(item for item in version.aliases if item != alias)
-                aliases = (*others, alias) if key[1] == number else others
-                self._versions[key] = (replace(version, aliases=aliases), bundle)
+    def drop_alias(self, alias: str, name: str = MODEL) -> None:
+        """Take an alias away."""
+        del self._aliases[name, alias]
 
-    def clear(self) -> None:
-        """Forget everything, as a registry that was set up anew."""
+    def start_anew(self) -> None:
+        """Forget everything, as a registry on an empty database."""
         self._versions.clear()
-
-    def version(self, name: str, number: int) -> ModelVersion:
-        self._answer()
-        if (name, number) not in self._versions:
-            raise ModelNotFoundError("no such version", got=f"{name}/{number}")
-        return self._versions[name, number][0]
-
-    def by_alias(self, name: str, alias: str) -> ModelVersion:
-        self._answer()
-        for key, (version, _) in self._versions.items():
-            if key[0] == name and alias in version.aliases:
-                return version
-        raise ModelNotFoundError("no such alias", got=f"{name}@{alias}")
-
-    def versions(self, name: str) -> Sequence[ModelVersion]:
-        self._answer()
-        return [version for key, (version, _) in self._versions.items() if key[0] == name]
+        self._aliases.clear()
+        self._folder = self._folder / "anew"
 
     def download(self, version: ModelVersion, folder: Path) -> Path:
-        self._answer()
         self.downloads += 1
-        target = folder / "bundle"
-        shutil.copytree(self._versions[version.name, version.number][1], target)
-        return target
+        return super().download(version, folder)
 
-    def _answer(self) -> None:
+    def _check_there(self) -> None:
         self.asked += 1
-        if self.away:
-            raise RegistryUnavailableError("the registry does not answer")
+        super()._check_there()

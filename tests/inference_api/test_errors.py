@@ -21,7 +21,7 @@ from inference_api.problems import PROBLEMS
 from tests.bundles import picture
 from tests.inference_api.client import ApiClient
 from tests.inference_api.conftest import StartApi
-from tests.inference_api.fake_registry import FakeRegistry
+from tests.inference_api.fake_registry import CountingRegistry
 
 PNG = encode_png(picture())
 IMAGE = base64.b64encode(PNG).decode()
@@ -335,8 +335,10 @@ def test_a_body_of_exactly_8_mib_is_read(api: ApiClient) -> None:
     assert padded_in_chunks.status_code == 200
 
 
-def test_no_model_at_all_is_503_and_not_ready_but_alive(start_api: StartApi) -> None:
-    api = start_api(FakeRegistry(), shipped=False)
+def test_no_model_at_all_is_503_and_not_ready_but_alive(
+    start_api: StartApi, registry: CountingRegistry
+) -> None:
+    api = start_api(registry, shipped=False)
     answer = api.post("/sample", files={"image": PNG})
     assert "promote" in assert_problem(answer, 503, "no-model")["remedy"]
     assert_problem(api.post("/sample", files={"image": PNG}, data={"model": "pretrained"}), 503, "no-model")
@@ -345,22 +347,22 @@ def test_no_model_at_all_is_503_and_not_ready_but_alive(start_api: StartApi) -> 
 
 
 def test_a_version_that_fails_its_checks_is_503_and_the_champion_goes_on(
-    api: ApiClient, registry: FakeRegistry, bundles: dict[str, Path]
+    own_api: ApiClient, registry: CountingRegistry, bundles: dict[str, Path]
 ) -> None:
     number = registry.add(bundles["other"], digest="0" * 64)
-    answer = api.post("/sample", files={"image": PNG}, data={"model": f"cspace-sampler/{number}"})
+    answer = own_api.post("/sample", files={"image": PNG}, data={"model": f"cspace-sampler/{number}"})
     problem = assert_problem(answer, 503, "no-model")
     assert "refused" in problem["detail"]
-    assert api.post("/sample", files={"image": PNG}).json()["model"]["version"] == 1
+    assert own_api.post("/sample", files={"image": PNG}).json()["model"]["version"] == 1
 
 
 def test_a_registry_that_is_away_is_503_for_versions_that_are_not_here(
-    api: ApiClient, registry: FakeRegistry
+    own_api: ApiClient, registry: CountingRegistry
 ) -> None:
     registry.away = True
-    answer = api.post("/sample", files={"image": PNG}, data={"model": "cspace-sampler/2"})
+    answer = own_api.post("/sample", files={"image": PNG}, data={"model": "cspace-sampler/2"})
     assert_problem(answer, 503, "registry-unavailable")
-    assert_answers(api)
+    assert_answers(own_api)
 
 
 def test_a_failure_that_nobody_foresaw_is_500_without_its_inner_words(

@@ -19,7 +19,7 @@ from inference_api.sampling import prefers_npy
 from tests.bundles import picture
 from tests.inference_api.client import ApiClient
 from tests.inference_api.conftest import StartApi
-from tests.inference_api.fake_registry import FakeRegistry
+from tests.inference_api.fake_registry import CountingRegistry
 
 NPY = {"accept": "application/x-npy"}
 PI = Fraction(3141592653589793238462643383279, 10**30)
@@ -36,9 +36,9 @@ def samples_of(answer: httpx.Response) -> NDArray[np.float64]:
 
 
 def test_the_answer_has_exactly_the_contracts_members(
-    api: ApiClient, png: bytes, registry: FakeRegistry
+    own_api: ApiClient, png: bytes, registry: CountingRegistry
 ) -> None:
-    body = ask(api, png).json()
+    body = ask(own_api, png).json()
     assert set(body) == {"samples", "confidence", "shortfall", "joint_space", "model", "seed", "timing_ms"}
     assert body["joint_space"] == {"kind": "torus", "dim": 2, "unit": "rad"}
     assert body["model"] == {
@@ -100,11 +100,11 @@ def test_the_same_request_gives_the_same_samples_and_the_same_npy_bytes(api: Api
 
 
 def test_equal_digests_give_equal_samples_under_any_name(
-    api: ApiClient, png: bytes, registry: FakeRegistry, bundles: dict[str, Path]
+    own_api: ApiClient, png: bytes, registry: CountingRegistry, bundles: dict[str, Path]
 ) -> None:
     number = registry.add(bundles["plain"], name="another")
-    first = ask(api, png, n="20", seed="1").json()
-    second = ask(api, png, n="20", seed="1", model=f"another/{number}").json()
+    first = ask(own_api, png, n="20", seed="1").json()
+    second = ask(own_api, png, n="20", seed="1", model=f"another/{number}").json()
     assert first["model"]["digest"] == second["model"]["digest"]
     assert first["samples"] == second["samples"]
 
@@ -150,7 +150,7 @@ def test_each_epsilon_gets_its_share_in_the_order_given(
     found = samples_of(ask(api, png, **fields))
     bundle = Bundle.load(bundles["plain"])
     image = decode_png(png, 48)
-    # Eta and the other draws depend on the number of latents alone, so each share can be looked up on its own.
+    # The draws depend on the number of latents alone, so each share can be looked up on its own.
     for rows, epsilon in ((slice(0, 5), 0.0), (slice(5, 8), 2.0), (slice(8, 11), 0.5)):
         alone = bundle.sample(image, 11, 3, epsilon_sigma=(epsilon,)).samples
         np.testing.assert_allclose(found[rows], alone[rows], atol=1e-5)
@@ -213,11 +213,11 @@ def test_every_form_of_reference_answers_with_what_it_names(
     assert (found["version"], found["alias"], found["fallback"]) == (version, alias, fallback)
 
 
-@pytest.mark.parametrize("registry", [FakeRegistry(), None], ids=["empty", "none"])
+@pytest.mark.parametrize("kind", ["an empty registry", "no registry"])
 def test_without_a_champion_the_shipped_model_answers_and_says_so(
-    start_api: StartApi, png: bytes, registry: FakeRegistry | None
+    start_api: StartApi, png: bytes, registry: CountingRegistry, kind: str
 ) -> None:
-    api = start_api(registry)
+    api = start_api(registry if kind == "an empty registry" else None)
     found = ask(api, png).json()["model"]
     assert (found["name"], found["version"], found["run_id"]) == ("pretrained", 0, None)
     assert found["fallback"] is True

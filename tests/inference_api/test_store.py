@@ -10,7 +10,7 @@ from inference_api.model_store import RETRY_S, ModelNotReadyError, ModelStore
 from inference_api.references import ModelReference
 from tests.inference_api.client import ApiClient
 from tests.inference_api.conftest import StartApi
-from tests.inference_api.fake_registry import FakeRegistry
+from tests.inference_api.fake_registry import CountingRegistry
 
 
 class Clock:
@@ -29,11 +29,13 @@ def clock() -> Clock:
 
 
 @pytest.fixture
-def store(tmp_path: Path, registry: FakeRegistry, bundles: dict[str, Path], clock: Clock) -> ModelStore:
+def store(tmp_path: Path, registry: CountingRegistry, bundles: dict[str, Path], clock: Clock) -> ModelStore:
     return make_store(tmp_path, registry, bundles, clock)
 
 
-def make_store(folder: Path, registry: FakeRegistry, bundles: dict[str, Path], clock: Clock) -> ModelStore:
+def make_store(
+    folder: Path, registry: CountingRegistry, bundles: dict[str, Path], clock: Clock
+) -> ModelStore:
     store = ModelStore(
         registry, BundleCache(folder / "cache", 2), bundles["shipped"], "cspace-sampler", 2.0, clock
     )
@@ -46,28 +48,30 @@ def served(store: ModelStore, text: str = "cspace-sampler") -> tuple[str, int]:
     return found.name, found.version
 
 
-def test_a_promotion_is_served_without_a_restart(api: ApiClient, png: bytes, registry: FakeRegistry) -> None:
-    first = api.post("/sample", files={"image": png}).json()["model"]
-    registry.move("champion", 2)
-    assert api.post("/sample", files={"image": png}).json()["model"] == first
-    api.refresh()
-    second = api.post("/sample", files={"image": png}).json()["model"]
+def test_a_promotion_is_served_without_a_restart(
+    own_api: ApiClient, png: bytes, registry: CountingRegistry
+) -> None:
+    first = own_api.post("/sample", files={"image": png}).json()["model"]
+    registry.set_alias("cspace-sampler", "champion", 2)
+    assert own_api.post("/sample", files={"image": png}).json()["model"] == first
+    own_api.refresh()
+    second = own_api.post("/sample", files={"image": png}).json()["model"]
     assert (first["version"], second["version"]) == (1, 2)
     assert first["digest"] != second["digest"]
 
 
 def test_no_request_for_the_champion_waits_for_the_registry(
-    api: ApiClient, png: bytes, registry: FakeRegistry
+    own_api: ApiClient, png: bytes, registry: CountingRegistry
 ) -> None:
     before = registry.asked
     for model in ("cspace-sampler", "cspace-sampler@champion", "pretrained"):
-        assert api.post("/sample", files={"image": png}, data={"model": model}).status_code == 200
-    assert api.get("/health/ready").status_code == 200
+        assert own_api.post("/sample", files={"image": png}, data={"model": model}).status_code == 200
+    assert own_api.get("/health/ready").status_code == 200
     assert registry.asked == before
 
 
 def test_a_champion_that_comes_later_takes_over_from_the_shipped_model(
-    start_api: StartApi, png: bytes, registry: FakeRegistry, bundles: dict[str, Path]
+    start_api: StartApi, png: bytes, registry: CountingRegistry, bundles: dict[str, Path]
 ) -> None:
     api = start_api(registry)
     assert api.post("/sample", files={"image": png}).json()["model"]["fallback"] is True
@@ -77,7 +81,7 @@ def test_a_champion_that_comes_later_takes_over_from_the_shipped_model(
 
 
 def test_a_registry_that_goes_away_leaves_what_is_loaded(
-    store: ModelStore, registry: FakeRegistry, bundles: dict[str, Path], clock: Clock
+    store: ModelStore, registry: CountingRegistry, bundles: dict[str, Path], clock: Clock
 ) -> None:
     registry.add(bundles["plain"], "champion")
     registry.add(bundles["other"], "challenger")
@@ -91,19 +95,19 @@ def test_a_registry_that_goes_away_leaves_what_is_loaded(
     assert served(store, "cspace-sampler/1") == ("cspace-sampler", 1)
     assert served(store, "cspace-sampler@challenger") == ("cspace-sampler", 2)
     registry.away = False
-    registry.move("champion", 2)
+    registry.set_alias("cspace-sampler", "champion", 2)
     store.refresh()
     assert (store.registry_state, served(store)) == ("reachable", ("cspace-sampler", 2))
 
 
 def test_a_restart_while_the_registry_is_away_serves_the_last_champion(
-    tmp_path: Path, registry: FakeRegistry, bundles: dict[str, Path], clock: Clock
+    tmp_path: Path, registry: CountingRegistry, bundles: dict[str, Path], clock: Clock
 ) -> None:
     registry.add(bundles["plain"], "champion")
     registry.add(bundles["other"])
     before = make_store(tmp_path, registry, bundles, clock)
     before.refresh()
-    registry.move("champion", 2)
+    registry.set_alias("cspace-sampler", "champion", 2)
     before.refresh()
     registry.away = True
     after = make_store(tmp_path, registry, bundles, clock)
@@ -114,7 +118,7 @@ def test_a_restart_while_the_registry_is_away_serves_the_last_champion(
 
 
 def test_an_absent_registry_is_left_alone_for_a_while(
-    store: ModelStore, registry: FakeRegistry, clock: Clock
+    store: ModelStore, registry: CountingRegistry, clock: Clock
 ) -> None:
     registry.away = True
     for _ in range(5):
@@ -128,13 +132,13 @@ def test_an_absent_registry_is_left_alone_for_a_while(
 
 
 def test_a_lookup_is_trusted_for_a_while_and_then_asked_again(
-    store: ModelStore, registry: FakeRegistry, bundles: dict[str, Path], clock: Clock
+    store: ModelStore, registry: CountingRegistry, bundles: dict[str, Path], clock: Clock
 ) -> None:
     registry.add(bundles["plain"], "challenger")
     registry.add(bundles["other"])
     assert served(store, "cspace-sampler@challenger")[1] == 1
+    registry.set_alias("cspace-sampler", "challenger", 2)
     asked = registry.asked
-    registry.move("challenger", 2)
     assert served(store, "cspace-sampler@challenger")[1] == 1
     assert registry.asked == asked
     clock.now += 2.1
@@ -143,7 +147,7 @@ def test_a_lookup_is_trusted_for_a_while_and_then_asked_again(
 
 def test_a_refused_successor_leaves_the_champion_and_is_tried_again_later(
     store: ModelStore,
-    registry: FakeRegistry,
+    registry: CountingRegistry,
     bundles: dict[str, Path],
     clock: Clock,
     caplog: pytest.LogCaptureFixture,
@@ -163,7 +167,7 @@ def test_a_refused_successor_leaves_the_champion_and_is_tried_again_later(
 
 
 def test_a_champion_without_a_digest_is_refused(
-    store: ModelStore, registry: FakeRegistry, bundles: dict[str, Path]
+    store: ModelStore, registry: CountingRegistry, bundles: dict[str, Path]
 ) -> None:
     registry.add(bundles["plain"], "champion", digest="")
     store.refresh()
@@ -173,11 +177,11 @@ def test_a_champion_without_a_digest_is_refused(
 
 
 def test_a_dropped_alias_brings_the_shipped_model_back(
-    store: ModelStore, registry: FakeRegistry, bundles: dict[str, Path]
+    store: ModelStore, registry: CountingRegistry, bundles: dict[str, Path]
 ) -> None:
     registry.add(bundles["plain"], "champion")
     store.refresh()
-    registry.move("champion", None)
+    registry.drop_alias("champion")
     store.refresh()
     found = store.resolve(ModelReference.parse("cspace-sampler"))
     assert (found.name, found.fallback) == ("pretrained", True)
@@ -186,11 +190,11 @@ def test_a_dropped_alias_brings_the_shipped_model_back(
 
 
 def test_a_registry_that_was_set_up_anew_is_not_answered_from_the_old_ones_cache(
-    store: ModelStore, registry: FakeRegistry, bundles: dict[str, Path], clock: Clock
+    store: ModelStore, registry: CountingRegistry, bundles: dict[str, Path], clock: Clock
 ) -> None:
     registry.add(bundles["plain"], "champion")
     store.refresh()
-    registry.clear()
+    registry.start_anew()
     registry.add(bundles["other"], "champion")
     store.refresh()
     clock.now += 2.1
@@ -200,7 +204,7 @@ def test_a_registry_that_was_set_up_anew_is_not_answered_from_the_old_ones_cache
 
 
 def test_a_damaged_copy_in_the_cache_is_fetched_anew(
-    tmp_path: Path, registry: FakeRegistry, bundles: dict[str, Path], clock: Clock
+    tmp_path: Path, registry: CountingRegistry, bundles: dict[str, Path], clock: Clock
 ) -> None:
     registry.add(bundles["plain"], "champion")
     make_store(tmp_path, registry, bundles, clock).refresh()
@@ -213,7 +217,7 @@ def test_a_damaged_copy_in_the_cache_is_fetched_anew(
 
 
 def test_a_sound_copy_in_the_cache_is_not_fetched_again(
-    tmp_path: Path, registry: FakeRegistry, bundles: dict[str, Path], clock: Clock
+    tmp_path: Path, registry: CountingRegistry, bundles: dict[str, Path], clock: Clock
 ) -> None:
     registry.add(bundles["plain"], "champion")
     for _ in range(2):
@@ -224,7 +228,7 @@ def test_a_sound_copy_in_the_cache_is_not_fetched_again(
 
 
 def test_nothing_half_downloaded_is_left_behind(
-    tmp_path: Path, store: ModelStore, registry: FakeRegistry, bundles: dict[str, Path]
+    tmp_path: Path, store: ModelStore, registry: CountingRegistry, bundles: dict[str, Path]
 ) -> None:
     registry.add(bundles["plain"], "champion", digest="2" * 64)
     store.refresh()
@@ -232,7 +236,7 @@ def test_nothing_half_downloaded_is_left_behind(
 
 
 def test_the_least_recently_used_bundle_leaves_memory_first(
-    store: ModelStore, registry: FakeRegistry, bundles: dict[str, Path]
+    store: ModelStore, registry: CountingRegistry, bundles: dict[str, Path]
 ) -> None:
     for name in ("plain", "other", "path"):
         registry.add(bundles[name])
@@ -244,7 +248,7 @@ def test_the_least_recently_used_bundle_leaves_memory_first(
 
 
 def test_a_cache_that_cannot_be_written_leaves_what_is_in_service(
-    tmp_path: Path, registry: FakeRegistry, bundles: dict[str, Path], clock: Clock
+    tmp_path: Path, registry: CountingRegistry, bundles: dict[str, Path], clock: Clock
 ) -> None:
     (tmp_path / "cache").write_text("a file where a folder should be")
     store = make_store(tmp_path, registry, bundles, clock)

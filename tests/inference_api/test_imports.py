@@ -1,0 +1,58 @@
+import subprocess
+import sys
+from pathlib import Path
+
+BLOCKED = ("torch", "lightning", "ray", "sklearn", "numba", "scipy", "ompl", "gudhi", "matplotlib", "pandas")
+
+CODE = """
+import sys
+import warnings
+
+class Refuse:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in {blocked!r}:
+            raise ImportError(f"{{name}} is not installed here")
+
+warnings.simplefilter("error")
+sys.meta_path.insert(0, Refuse())
+from pathlib import Path
+from inference_api.app import create_app
+from inference_api.settings import ApiSettings
+from tests.bundles import picture
+from tests.inference_api.client import running
+from cspace.image import encode_png
+
+settings = ApiSettings(None, Path({cache!r}), pretrained_folder=Path({bundle!r}))
+with running(create_app(settings)) as api:
+    answer = api.post("/sample", files={{"image": encode_png(picture())}}, data={{"n": "3"}})
+assert answer.status_code == 200, answer.text
+loaded = sorted({{name.partition(".")[0] for name in sys.modules}} & {{*{blocked!r}, "mlflow"}})
+assert not loaded, loaded
+print("served", len(answer.json()["samples"]))
+"""
+
+
+def test_the_api_serves_without_the_training_frameworks(tmp_path: Path, bundles: dict[str, Path]) -> None:
+    code = CODE.format(blocked=BLOCKED, cache=str(tmp_path), bundle=str(bundles["plain"]))
+    root = Path(__file__).parents[2]
+    done = subprocess.run([sys.executable, "-c", code], cwd=root, capture_output=True, text=True, check=False)
+    assert done.stdout == "served 3\n", done.stderr
+
+
+def test_importing_the_api_does_nothing_but_import(tmp_path: Path) -> None:
+    code = (
+        "import os, threading; before = dict(os.environ);"
+        "import inference_api.app, inference_api.routes, inference_api.model_store, inference_api.__main__;"
+        "assert threading.active_count() == 1; assert dict(os.environ) == before;"
+        "assert not os.listdir('.')"
+    )
+    root = Path(__file__).parents[2]
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=tmp_path,
+        env={"PYTHONPATH": str(root), "HOME": str(tmp_path), "PYTHONDONTWRITEBYTECODE": "1"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr

@@ -1,0 +1,132 @@
+"""The OpenAPI document and the page that shows it tell the truth."""
+
+import base64
+import re
+from typing import Any
+
+import pytest
+from jsonschema import Draft202012Validator
+
+from inference_api.openapi import SAMPLE_PROBLEMS
+from tests.inference_api.client import ApiClient
+
+
+@pytest.fixture
+def document(api: ApiClient) -> dict[str, Any]:
+    found: dict[str, Any] = api.get("/openapi.json").json()
+    return found
+
+
+def validate(document: dict[str, Any], schema: dict[str, Any], value: object) -> None:
+    Draft202012Validator({**schema, "components": document["components"]}).validate(value)
+
+
+def answers(document: dict[str, Any], path: str, method: str, status: str, media_type: str) -> dict[str, Any]:
+    schema: dict[str, Any] = document["paths"][path][method]["responses"][status]["content"][media_type][
+        "schema"
+    ]
+    return schema
+
+
+def test_every_page_of_the_contract_is_in_the_document(document: dict[str, Any]) -> None:
+    assert document["openapi"].startswith("3.1")
+    assert {path: set(item) for path, item in document["paths"].items()} == {
+        "/sample": {"post"},
+        "/models": {"get"},
+        "/health/live": {"get"},
+        "/health/ready": {"get"},
+    }
+
+
+def test_every_reference_in_the_document_resolves(document: dict[str, Any]) -> None:
+    names = set(re.findall(r'"#/components/schemas/(\w+)"', re.sub(r"'", '"', str(document))))
+    assert {"Problem", "SampleAnswer"} <= names <= set(document["components"]["schemas"])
+    assert "HTTPValidationError" not in document["components"]["schemas"]
+
+
+@pytest.mark.parametrize("media_type", ["multipart/form-data", "application/json"])
+def test_both_bodies_are_described_with_every_field_and_no_other(
+    document: dict[str, Any], media_type: str
+) -> None:
+    schema = document["paths"]["/sample"]["post"]["requestBody"]["content"][media_type]["schema"]
+    assert set(schema["properties"]) == {
+        "image", "n", "model", "seed", "epsilon_sigma", "start", "goal", "min_confidence",
+    }  # fmt: skip
+    assert schema["required"] == ["image"]
+    assert schema["additionalProperties"] is False
+    assert (schema["properties"]["n"]["minimum"], schema["properties"]["n"]["maximum"]) == (1, 20_000)
+
+
+REQUESTS: list[tuple[dict[str, Any], bool]] = [
+    ({}, True),
+    ({"n": 5, "seed": 3, "epsilon_sigma": 0.5, "min_confidence": 0}, True),
+    ({"n": 5, "seed": "18446744073709551615", "epsilon_sigma": [0, 1]}, True),
+    ({"n": 0}, False),
+    ({"n": "5"}, False),
+    ({"seed": -1}, False),
+    ({"seed": "x"}, False),
+    ({"epsilon_sigma": []}, False),
+    ({"epsilon_sigma": 11}, False),
+    ({"min_confidence": 2}, False),
+    ({"start": "0, 0"}, False),
+    ({"colour": "red"}, False),
+]
+
+
+@pytest.mark.parametrize(("fields", "good"), REQUESTS, ids=str)
+def test_the_described_body_and_the_server_agree(
+    api: ApiClient, document: dict[str, Any], png: bytes, fields: dict[str, Any], good: bool
+) -> None:
+    body = {"image": base64.b64encode(png).decode(), **fields}
+    schema = document["paths"]["/sample"]["post"]["requestBody"]["content"]["application/json"]["schema"]
+    assert Draft202012Validator(schema).is_valid(body) is good
+    assert api.post("/sample", json=body).status_code == (200 if good else 422)
+
+
+@pytest.mark.parametrize("model", ["cspace-sampler", "cspace-sampler@scored", "pretrained"])
+def test_real_answers_fit_their_description(
+    api: ApiClient, document: dict[str, Any], png: bytes, model: str
+) -> None:
+    answer = api.post("/sample", files={"image": png}, data={"model": model, "n": "3"})
+    validate(document, answers(document, "/sample", "post", "200", "application/json"), answer.json())
+    for path in ("/models", "/health/live", "/health/ready"):
+        validate(document, answers(document, path, "get", "200", "application/json"), api.get(path).json())
+
+
+def test_npy_answers_carry_exactly_the_described_headers(
+    api: ApiClient, document: dict[str, Any], png: bytes
+) -> None:
+    described = document["paths"]["/sample"]["post"]["responses"]["200"]
+    assert "application/x-npy" in described["content"]
+    answer = api.post("/sample", files={"image": png}, headers={"accept": "application/x-npy"})
+    sent = {name for name in answer.headers if name.startswith(("x-", "server-timing"))}
+    assert sent == {name.lower() for name in described["headers"]}
+
+
+def test_every_problem_is_described_and_real_ones_fit(
+    api: ApiClient, document: dict[str, Any], png: bytes
+) -> None:
+    described = document["paths"]["/sample"]["post"]["responses"]
+    assert set(described) == {"200", *(str(problem.status) for problem in SAMPLE_PROBLEMS)}
+    examples = {
+        example["value"]["type"]
+        for status, response in described.items()
+        if status != "200"
+        for example in response["content"]["application/problem+json"]["examples"].values()
+    }
+    assert examples == {problem.uri for problem in SAMPLE_PROBLEMS}
+    answer = api.post("/sample", files={"image": png}, data={"n": "0", "colour": "red"})
+    validate(document, answers(document, "/sample", "post", "422", "application/problem+json"), answer.json())
+
+
+def test_the_documentation_needs_nothing_from_elsewhere(api: ApiClient) -> None:
+    page = api.get("/docs")
+    assert page.headers["content-type"].startswith("text/html")
+    assert not re.findall(r"(?:https?:)?//[a-z]", re.sub(r"//#.*|// .*", "", page.text))
+    addresses = re.findall(r'(?:src|href)="([^"]+)"', page.text)
+    assert len(addresses) == 3
+    for address in addresses:
+        asset = api.get(f"/{address}")
+        assert asset.status_code == 200
+        assert len(asset.content) > 1000
+    assert "url: 'openapi.json'" in page.text
