@@ -18,7 +18,7 @@ COPY cspace /app/cspace
 COPY services /app/services
 COPY training /app/training
 
-ARG GIT_COMMIT=""
+ARG GIT_COMMIT=unknown
 ENV CSPACE_GIT_COMMIT=${GIT_COMMIT} \
     MLFLOW_DISABLE_TELEMETRY=true \
     NUMBA_CACHE_DIR=/tmp/numba \

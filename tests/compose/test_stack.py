@@ -63,7 +63,7 @@ def test_the_cluster_takes_no_job_from_a_stranger(stack: Stack) -> None:
 
 
 def test_the_new_version_is_served(stack: Stack, trained: Mapping[str, Any]) -> None:
-    answer = ask_for_samples(stack, model=f"{trained['model_name']}/{trained['version']}")
+    answer = ask_for_samples(stack, model=f"{trained['model']}/{trained['version']}")
     assert answer.status_code == 200, answer.text
     body = answer.json()
     assert np.asarray(body["samples"]).shape == (300, 2)
