@@ -1,7 +1,9 @@
 """``python -m inference_api``: serve the API on loopback."""
 
 import argparse
+import logging
 import os
+import signal
 import socket
 import sys
 
@@ -28,6 +30,7 @@ def main(arguments: list[str] | None = None) -> int:
         from services.registry.mlflow_health import lower_patience  # noqa: PLC0415
 
         lower_patience(os.environ)
+        os.environ.setdefault("MLFLOW_ENABLE_ARTIFACTS_PROGRESS_BAR", "false")
     try:
         family = socket.AF_INET6 if ":" in options.host else socket.AF_INET
         listener = socket.create_server((options.host, options.port), family=family)
@@ -38,6 +41,11 @@ def main(arguments: list[str] | None = None) -> int:
         return 1
     host, port = listener.getsockname()[:2]
     print(f"serving on http://{host}:{port} (documentation at http://{host}:{port}/docs)", flush=True)
+    logging.basicConfig(level=logging.WARNING, format="%(levelname)s:     %(message)s")
+    logging.getLogger("inference_api").setLevel(logging.INFO)
+    for number in (signal.SIGINT, signal.SIGTERM):
+        # The server shuts down, then raises the signal again; without this that would look like a crash.
+        signal.signal(number, lambda *_: sys.exit(0))
     config = uvicorn.Config(
         "inference_api.app:create_app",
         factory=True,

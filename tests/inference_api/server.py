@@ -1,0 +1,75 @@
+"""A real server process on a free loopback port, ended by its process id."""
+
+import os
+import subprocess
+import sys
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+
+import httpx
+
+ROOT = Path(__file__).parents[2]
+START_S = 60.0
+LOOK_S = 0.1
+
+
+@contextmanager
+def api_server(
+    folder: Path, settings: Mapping[str, str], *, python: str = sys.executable, root: Path = ROOT
+) -> Iterator[str]:
+    """Run ``python -m inference_api``; yields its address once it is alive.
+
+    Args:
+        folder: for its output and its cache.
+        settings: of the environment.
+        python: the interpreter.
+        root: where the packages are.
+    """
+    kept = {name: os.environ[name] for name in ("PATH", "LANG", "TMPDIR") if name in os.environ}
+    environment = {
+        **kept,
+        "HOME": str(folder),
+        "PYTHONPATH": str(root),
+        "PYTHONUNBUFFERED": "1",
+        "CSPACE_MODEL_CACHE": str(folder / "cache"),
+        "MLFLOW_DISABLE_TELEMETRY": "true",
+        **settings,
+    }
+    log = folder / "server.log"
+    with log.open("wb") as out:
+        process = subprocess.Popen(
+            [python, "-m", "inference_api", "--port", "0"],
+            stdout=out,
+            stderr=out,
+            cwd=folder,
+            env=environment,
+        )
+    try:
+        yield _wait(process, log)
+    finally:
+        process.terminate()
+        code = process.wait(30)
+    assert code == 0, log.read_text()
+
+
+def _wait(process: subprocess.Popen[bytes], log: Path) -> str:
+    for _ in range(int(START_S / LOOK_S)):
+        try:
+            process.wait(LOOK_S)
+        except subprocess.TimeoutExpired:
+            first = log.read_text().partition("\n")[0]
+            address = first.removeprefix("serving on ").partition(" ")[0]
+            if address.startswith("http://") and _lives(address):
+                return address
+        else:
+            break
+    process.kill()
+    raise RuntimeError(f"the server did not come up:\n{log.read_text()}")
+
+
+def _lives(address: str) -> bool:
+    try:
+        return httpx.get(f"{address}/health/live", timeout=5).status_code == 200
+    except httpx.TransportError:
+        return False
