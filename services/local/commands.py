@@ -1,0 +1,111 @@
+"""The commands of ``python -m services.local``, each with its options and its exit code."""
+
+import argparse
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from cspace.errors import ConfigError
+from services.local.environment import shell_lines
+from services.local.settings import Settings
+from services.local.stack import down, require_down, services, status, up
+from services.local.state import drop_state, size_bytes, size_text
+from services.local.texts import addresses, shell_help, status_table
+
+NOT_RUNNING = 4
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """A command: what it says about itself, its options, and what it does."""
+
+    help: str
+    run: Callable[[Settings, argparse.Namespace], int]
+    options: Callable[[argparse.ArgumentParser], object] = lambda _: None
+
+
+def _say(line: str) -> None:
+    sys.stdout.write(f"{line}\n")
+    sys.stdout.flush()
+
+
+def _up(settings: Settings, _: argparse.Namespace) -> int:
+    up(settings, services(settings), _say)
+    _say(f"\n{addresses(settings)}\n\n{shell_help(settings)}")
+    return 0
+
+
+def _down(settings: Settings, _: argparse.Namespace) -> int:
+    if not down(settings, services(settings), _say):
+        _say("nothing was running")
+    return 0
+
+
+def _status(settings: Settings, _: argparse.Namespace) -> int:
+    statuses = status(settings, services(settings))
+    _say(status_table(settings, statuses))
+    return 0 if all(one.healthy for one in statuses) else NOT_RUNNING
+
+
+def _env(settings: Settings, _: argparse.Namespace) -> int:
+    _say("\n".join(shell_lines(settings)))
+    return 0
+
+
+def _clean_state(settings: Settings, options: argparse.Namespace) -> int:
+    require_down(settings, services(settings))
+    size = size_text(size_bytes(settings.home))
+    if not settings.home.is_dir():
+        _say(f"there is no {settings.home}")
+        return 0
+    if not options.yes and not _confirmed(f"delete {settings.home} ({size}) with all runs, models and data?"):
+        _say("nothing was deleted")
+        return 1
+    drop_state(settings)
+    _say(f"deleted {settings.home} ({size})")
+    return 0
+
+
+def _confirmed(question: str) -> bool:
+    if not sys.stdin.isatty():
+        raise ConfigError("there is nobody to ask", expected="a terminal", remedy="confirm with --yes")
+    return input(f"{question} [y/N] ").strip().lower() in {"y", "yes"}
+
+
+def _quickstart(settings: Settings, options: argparse.Namespace) -> int:
+    # Imported here: it brings the evaluator's and the planner's libraries, which no other command needs.
+    from services.local.quickstart import quickstart  # noqa: PLC0415
+
+    quickstart(settings, options.train, options.evaluate, _say)
+    return 0
+
+
+def _quickstart_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--train",
+        default="python training/cluster_train.py --preset quickstart",
+        metavar="COMMAND",
+        help="entry point of the training job (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--evaluate",
+        default="python -m services.evaluator --model {model}",
+        metavar="COMMAND",
+        help="entry point of the evaluation job; {model} is the new version (default: %(default)s)",
+    )
+
+
+def _yes(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--yes", action="store_true", help="do not ask")
+
+
+COMMANDS = {
+    "up": Command("start what does not run, wait until it is ready, print the addresses", _up),
+    "down": Command("end exactly what was started, by process id", _down),
+    "status": Command("tell what runs, since when, where, whether it answers; and the state folder", _status),
+    "quickstart": Command(
+        "the main job: up, train, evaluate, promote, serve, plan", _quickstart, _quickstart_options
+    ),
+    "clean-state": Command("delete the state folder: runs, models, data, logs", _clean_state, _yes),
+    "env": Command('print the lines that set a shell up for jobs: eval "$(... env)"', _env),
+}

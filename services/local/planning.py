@@ -1,0 +1,52 @@
+"""The planner's own command, run as a user would: problems that nobody was trained on, samples over HTTP."""
+
+import subprocess
+import sys
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+from cspace.errors import PlanningError
+
+FAMILIES = ("uniform", "narrow")
+SEED = 7
+LIMIT_S = 120.0
+
+
+def plan_and_draw(
+    url: str, root: Path, folder: Path, environment: Mapping[str, str], show: Callable[[str], None]
+) -> list[Path]:
+    """Plan one problem of each family and draw it; the pictures.
+
+    Args:
+        url: of the inference API.
+        root: the project's root.
+        folder: for the pictures; made if it is not there.
+        environment: of the command.
+        show: takes the command's lines.
+
+    Raises:
+        PlanningError: the command failed.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    pictures = [folder / f"plan-{family}.png" for family in FAMILIES]
+    for family, picture in zip(FAMILIES, pictures, strict=True):
+        # A process of its own: OMPL seeds its generator once a process.
+        arguments = ["--api", url, "--family", family, "--seed", str(SEED), "--plot", str(picture)]
+        show(f"$ python -m services.planner {' '.join(arguments)}")
+        outcome = subprocess.run(
+            [sys.executable, "-m", "services.planner", *arguments],
+            cwd=root,
+            env=dict(environment),
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=LIMIT_S,
+        )
+        for line in outcome.stdout.splitlines():
+            show(line)
+        if outcome.returncode != 0:
+            raise PlanningError(
+                f"the planner failed on the family {family}",
+                got=f"exit code {outcome.returncode}: {outcome.stderr[-1000:] or outcome.stdout[-1000:]}",
+            )
+    return pictures

@@ -1,0 +1,46 @@
+"""The state folder: how big it is, and dropping it."""
+
+import shutil
+from pathlib import Path
+
+from cspace.errors import StorageError
+from services.local.ray_head import temp_folder
+from services.local.settings import FOLDERS, Settings
+
+
+def size_bytes(folder: Path) -> int:
+    """Sum over the files below a folder, 0 where there is none; links are not followed."""
+    total = 0
+    for path in folder.rglob("*"):
+        try:
+            total += path.lstat().st_size if not path.is_dir() else 0
+        except OSError:  # deleted in between
+            continue
+    return total
+
+
+def size_text(count: int) -> str:
+    """A number of bytes for people."""
+    size = float(count)
+    for unit in ("B", "kB", "MB"):
+        if size < 1000:
+            return f"{size:.0f} {unit}"
+        size /= 1000
+    return f"{size:.1f} GB"
+
+
+def drop_state(settings: Settings) -> None:
+    """Delete the parts of the state folder, and the folder itself if nothing else lies in it.
+
+    Raises:
+        StorageError: something cannot be deleted.
+    """
+    parts = [settings.home / name for name in FOLDERS]
+    try:
+        for part in [*parts, temp_folder(settings)]:
+            if part.is_dir():
+                shutil.rmtree(part)
+        if settings.home.is_dir() and not any(settings.home.iterdir()):
+            settings.home.rmdir()
+    except OSError as error:
+        raise StorageError("the state folder cannot be deleted", got=str(error)) from error
