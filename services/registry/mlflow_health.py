@@ -18,6 +18,7 @@ _SERVING = {
     "MLFLOW_HTTP_REQUEST_TIMEOUT": "5",
     "MLFLOW_HTTP_REQUEST_MAX_RETRIES": "1",
     "MLFLOW_HTTP_REQUEST_BACKOFF_FACTOR": "1",
+    "MLFLOW_ENABLE_ARTIFACTS_PROGRESS_BAR": "false",
 }
 
 
@@ -49,7 +50,7 @@ def check_reachable(uri: str, patience_s: float) -> None:
 
 
 def lower_patience(environment: MutableMapping[str, str]) -> None:
-    """Lower the client's patience for a whole process; what is set already stays.
+    """Lower the client's patience for a whole process, and its noise; what is set already stays.
 
     For the entry point of a process that serves, with ``os.environ``.
     """

@@ -6,5 +6,3 @@ ALIAS_CHALLENGER = "challenger"
 ALIAS_CHAMPION = "champion"
 
 TAG_DIGEST = "digest"
-TAG_DATA_DIGEST = "data_digest"
-TAG_PRESET = "preset"
