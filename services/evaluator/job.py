@@ -15,7 +15,7 @@ from services.evaluator.budget import Unit, units
 from services.evaluator.evaluation import Evaluation, Setting, UnitResult, assemble
 from services.evaluator.execution import Execute, run_here, run_packed
 from services.evaluator.gate import Verdict
-from services.evaluator.recording import decide, log_evaluation, parent_run_id, record
+from services.evaluator.recording import decide, log_evaluation, record
 from services.evaluator.request import ModelReference, Request
 from services.evaluator.samplers import BundleSampler, PackedBundle
 from services.registry.models import ModelRegistry, ModelVersion
@@ -73,8 +73,8 @@ def evaluate_version(
     tags = {"model_version": str(version.number), "model_digest": version.digest}
     with tempfile.TemporaryDirectory(prefix="cspace-evaluation-") as folder:
         bundle = _load(registry, version, Path(folder))
-        parent = parent_run_id(version)
-        with tracking.start(EXPERIMENT, RUN_NAME, parent_run_id=parent, tags=tags) as run:
+        # Training registers under its parent run, which the trials are shown under as well.
+        with tracking.start(EXPERIMENT, RUN_NAME, parent_run_id=version.run_id, tags=tags) as run:
             setting = Setting(bundle.spec.robot, bundle.spec.camera, request.seed, request.budget)
             progress(f"evaluating {version.name}/{version.number}, digest {bundle.digest[:12]}")
             evaluation = _measure(execute, setting, PackedBundle.pack(bundle), progress)

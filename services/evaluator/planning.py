@@ -12,14 +12,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from cspace.collision import CollisionChecker
 from cspace.problem import Family, Problem
 from cspace.render import render
 from services.evaluator.samplers import Sampler
-from services.planner.ompl_planner import PlannerSettings, PlanResult, solve
+from services.planner.ompl_planner import PlannerSettings, PlanResult, Reason, solve
+from services.planner.path_check import judge_path
 
-GOAL_TOLERANCE_RAD = 1e-6
-CHECK_FACTOR = 10.0
 LEARNED_SAMPLES = 300
 UNIFORM_SHARE = 0.3
 
@@ -88,21 +86,10 @@ def plan_trial(
     return PlanningTrial(problem.family, index, seed, uniform, learned, sampling_time_s)
 
 
-def accepted(problem: Problem, path: NDArray[np.float64], resolution_rad: float) -> bool:
-    """Whether a path (k, d) leads from start to goal and every edge is free at ten times the resolution."""
-    if len(path) < 2:
-        return False
-    space = problem.scenario.robot.space
-    ends = space.distance(path[[0, -1]], np.stack([problem.start, problem.goal]))
-    if not (ends <= GOAL_TOLERANCE_RAD).all():
-        return False
-    checker = CollisionChecker(problem.scenario)
-    return bool(checker.edge_batch(path[:-1], path[1:], resolution_rad / CHECK_FACTOR).all())
-
-
 def _outcome(problem: Problem, result: PlanResult, resolution_rad: float) -> RunOutcome:
-    success = result.solved and accepted(problem, result.path, resolution_rad)
-    reason = "the independent check rejected the path" if result.solved and not success else result.reason
+    # Whatever the solver says of itself, the path is judged here.
+    judged = judge_path(problem, result.path, resolution_rad) if result.solved else result.reason
+    success = judged == Reason.SOLVED
     return RunOutcome(
         success,
         result.iterations,
@@ -110,5 +97,5 @@ def _outcome(problem: Problem, result: PlanResult, resolution_rad: float) -> Run
         result.solve_time_s,
         float(result.length_rad) if success else None,
         result.learned_drawn,
-        reason,
+        str(judged),
     )

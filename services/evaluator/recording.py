@@ -17,16 +17,9 @@ from services.registry.promotion import Decision, champions, record_decision
 from services.registry.tracking import RunLog
 
 GALLERY_SCENARIOS = 4
-# Training puts the id of its parent run on the versions that it registers.
-TAG_PARENT_RUN = "parent_run_id"
 REPORT_FOLDER = "report"
 # Only champions of arms with as many joints are compared.
 JOINTS = "joints"
-
-
-def parent_run_id(version: ModelVersion) -> str:
-    """The run under which evaluations are shown: the whole training, else the run that made the version."""
-    return version.tags.get(TAG_PARENT_RUN, version.run_id)
 
 
 def decide(registry: ModelRegistry, version: ModelVersion, evaluation: Evaluation) -> Verdict:

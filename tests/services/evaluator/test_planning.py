@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -5,7 +7,7 @@ from cspace.errors import EvaluationError
 from cspace.problem import Family, Problem
 from cspace.robot import TWO_LINK
 from cspace.scenario import Disc, Scenario
-from services.evaluator.planning import PlanningTrial, RunOutcome, accepted, plan_trial
+from services.evaluator.planning import PlanningTrial, RunOutcome, plan_trial
 from services.evaluator.planning_summary import success_rate, summarise_family
 from services.evaluator.samplers import UniformSampler
 from services.planner.ompl_planner import PlannerSettings, PlanResult
@@ -54,34 +56,41 @@ def trial(uniform, learned, family=Family.UNIFORM, index=0):
     return PlanningTrial(family, index, 1, uniform, learned, 0.002)
 
 
-def test_a_free_path_from_start_to_goal_is_accepted():
-    assert accepted(problem(), np.stack([START, GOAL]), 0.05)
+def judged(path, goal=GOAL, *, resolution_rad=0.05):
+    def solver(asked, settings, samples, uniform_share):
+        return result(path)
+
+    settings = replace(SETTINGS, resolution_rad=resolution_rad)
+    return plan_trial(problem(goal=goal), 0, 1, UniformSampler(TWO_LINK.space), settings, solver).learned
 
 
-def test_a_path_through_an_obstacle_is_rejected():
-    through = problem(goal=np.array([3.0, 0.0]))
-    assert not accepted(through, np.stack([START, through.goal]), 0.05)
+def test_a_free_path_from_start_to_goal_is_a_success():
+    assert judged([START, GOAL]).success
+    assert judged([START, GOAL + np.array([9e-7, 0.0])]).success
 
 
-@pytest.mark.parametrize("shift", [2e-6, 0.1])
-def test_a_path_that_ends_beside_the_goal_is_rejected(shift):
-    assert not accepted(problem(), np.stack([START, GOAL + np.array([shift, 0.0])]), 0.05)
-
-
-def test_a_path_that_ends_at_the_goal_within_the_tolerance_is_accepted():
-    assert accepted(problem(), np.stack([START, GOAL + np.array([9e-7, 0.0])]), 0.05)
-
-
-def test_a_path_that_starts_elsewhere_or_has_one_state_is_rejected():
-    assert not accepted(problem(), np.stack([START + 0.1, GOAL]), 0.05)
-    assert not accepted(problem(goal=START), START[None], 0.05)
+@pytest.mark.parametrize(
+    "path",
+    [
+        [START, GOAL + np.array([2e-6, 0.0])],
+        [START + 0.1, GOAL],
+        [START],
+        [START, np.array([3.0, 0.0]), GOAL],
+    ],
+)
+def test_a_path_that_misses_an_end_or_an_obstacle_s_edge_is_none(path):
+    outcome = judged(path)
+    assert not outcome.success
+    assert outcome.length_rad is None
+    assert outcome.reason != "solved"
 
 
 def test_the_check_is_finer_than_the_planner_s():
-    # Steps of 0.5 rad jump over the disc, ten times finer ones do not.
-    low, high = np.array([np.pi / 2 - 0.45, 0.0]), np.array([np.pi / 2 + 0.45, 0.0])
-    thin = Problem(Scenario(TWO_LINK, (Disc(0.0, 3.9, 0.05),)), low, high, Family.UNIFORM, 0.1, 0, 0)
-    assert not accepted(thin, np.stack([low, high]), 1.0)
+    # Both ends are free and lie 0.9 rad apart, with a collision half way.
+    through = np.array([np.pi, 0.0])
+    assert not judged(
+        [START, through / 2 - np.array([0.8, 0.0]), through], through, resolution_rad=3.0
+    ).success
 
 
 def test_both_runs_share_problem_and_seed_and_only_one_gets_samples():
@@ -98,16 +107,6 @@ def test_both_runs_share_problem_and_seed_and_only_one_gets_samples():
     assert measured.uniform.success
     assert measured.learned.success
     assert measured.index == 3
-
-
-def test_a_rejected_path_is_no_success_and_says_so():
-    def solver(asked, settings, samples, uniform_share):
-        return result([START, GOAL + 0.1])
-
-    measured = plan_trial(problem(), 0, 1, UniformSampler(TWO_LINK.space), SETTINGS, solver)
-    assert not measured.learned.success
-    assert measured.learned.length_rad is None
-    assert "rejected" in measured.learned.reason
 
 
 def test_an_unsolved_run_keeps_the_planner_s_reason():

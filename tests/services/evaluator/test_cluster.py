@@ -1,0 +1,68 @@
+from pathlib import Path
+
+import pytest
+
+from cspace.bundle import Bundle
+from cspace.errors import EvaluationError
+from cspace.problem import Family
+from cspace.robot import TWO_LINK
+from cspace.scenario import Camera, Split
+from services.evaluator.budget import QUICK, Kind, Unit
+from services.evaluator.evaluation import Setting, assemble
+from services.evaluator.execution import run_here
+from services.evaluator.job import run_on_ray
+from services.evaluator.metrics import flat_metrics
+from services.evaluator.samplers import PackedBundle
+from tests.bundles import write_tiny_bundle
+
+ROOT = Path(__file__).resolve().parents[3]
+WORK = (
+    Unit(Kind.PLANNING, Split.VALIDATION, 0, 2, Family.UNIFORM),
+    Unit(Kind.PLANNING, Split.VALIDATION, 2, 2, Family.UNIFORM),
+    Unit(Kind.RECONSTRUCTION, Split.VALIDATION, 0, 2),
+    Unit(Kind.RECONSTRUCTION, Split.TEST, 0, 2),
+)
+
+
+@pytest.fixture(scope="module")
+def cluster():
+    import ray
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("RAY_USAGE_STATS_ENABLED", "0")
+        patch.setenv("RAY_AUTH_MODE", "disabled")
+        patch.delenv("RAY_ADDRESS", raising=False)
+        ray.init(
+            num_cpus=2,
+            include_dashboard=False,
+            log_to_driver=False,
+            runtime_env={"env_vars": {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}},
+        )
+        yield
+        ray.shutdown()
+
+
+@pytest.fixture
+def packed(tmp_path):
+    return PackedBundle.pack(Bundle.load(write_tiny_bundle(tmp_path / "bundle")))
+
+
+def numbers(results, setting):
+    metrics = flat_metrics(assemble(results, setting))
+    return {name: value for name, value in metrics.items() if "time" not in name and "seconds" not in name}
+
+
+@pytest.mark.e2e
+def test_a_cluster_gives_the_same_numbers_as_this_process(cluster, packed):
+    setting = Setting(TWO_LINK, Camera(), 4, QUICK)
+    here = numbers(run_here(WORK, setting, packed), setting)
+    there = numbers(run_on_ray(WORK, setting, packed), setting)
+    assert there == here
+    assert "uniform_learned_iterations_median" in here
+
+
+@pytest.mark.e2e
+def test_an_error_of_a_unit_comes_back_as_itself(cluster, packed):
+    nameless = Unit(Kind.PLANNING, Split.TEST, 0, 1)
+    with pytest.raises(EvaluationError, match="names no family"):
+        list(run_on_ray([nameless], Setting(TWO_LINK, Camera(), 4, QUICK), packed))
