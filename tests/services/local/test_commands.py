@@ -1,0 +1,128 @@
+import socket
+from pathlib import Path
+
+import pytest
+
+from cspace.errors import (
+    ConfigError,
+    CspaceError,
+    JobError,
+    PortTakenError,
+    ServiceError,
+    ServiceNotRunningError,
+    ServiceStartError,
+)
+from services.local.__main__ import exit_code, main
+from services.local.commands import COMMANDS
+from services.local.ports import free_ports
+
+
+@pytest.fixture(autouse=True)
+def own_settings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A state folder and ports that nobody else uses."""
+    ports = free_ports(3)
+    for name, value in zip(("API", "RAY", "MLFLOW"), ports, strict=True):
+        monkeypatch.setenv(f"CSPACE_{name}_PORT", str(value))
+    monkeypatch.setenv("CSPACE_HOME", str(tmp_path / "state"))
+    # main() excepts loopback from proxies for its process; the test's own environment gets it back.
+    for name in ("NO_PROXY", "no_proxy"):
+        monkeypatch.setenv(name, "")
+    return tmp_path / "state"
+
+
+@pytest.mark.parametrize(
+    ("error", "code"),
+    [
+        (CspaceError("x"), 1),
+        (JobError("x"), 1),
+        (ServiceError("x"), 1),
+        (ServiceStartError("x"), 1),
+        (ConfigError("x"), 2),
+        (PortTakenError("x"), 3),
+        (ServiceNotRunningError("x"), 4),
+    ],
+)
+def test_every_error_has_its_documented_exit_code(error: CspaceError, code: int) -> None:
+    assert exit_code(error) == code
+
+
+@pytest.mark.parametrize("command", [[], *([name] for name in COMMANDS)])
+def test_every_command_has_help_with_the_exit_codes(
+    command: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as raised:
+        main([*command, "--help"])
+    assert raised.value.code == 0
+    assert "Exit codes: 0 done" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("arguments", [[], ["fly"], ["up", "--fast"]])
+def test_wrong_usage_ends_with_2(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as raised:
+        main(arguments)
+    assert raised.value.code == 2
+    assert "usage:" in capsys.readouterr().err
+
+
+def test_a_wrong_setting_ends_with_2(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("CSPACE_API_PORT", "eight thousand")
+    assert main(["status"]) == 2
+    assert "CSPACE_API_PORT" in capsys.readouterr().err
+
+
+def test_up_on_a_port_of_a_stranger_ends_with_3_and_names_the_setting(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as stranger:
+        monkeypatch.setenv("CSPACE_RAY_PORT", str(stranger.getsockname()[1]))
+        assert main(["up"]) == 3
+    assert "CSPACE_RAY_PORT" in capsys.readouterr().err
+
+
+def test_status_of_nothing_ends_with_4_and_makes_no_folder(
+    own_settings: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["status"]) == 4
+    assert capsys.readouterr().out.count("not running") == 3
+    assert not own_settings.exists()
+
+
+def test_down_with_nothing_up_ends_with_0(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["down"]) == 0
+    assert "nothing was running" in capsys.readouterr().out
+
+
+def test_env_prints_exports_alone(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["env"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert all(line.startswith("export ") for line in lines)
+    assert "export RAY_AUTH_MODE=token" in lines
+
+
+def test_clean_state_asks_somebody_or_wants_yes(
+    own_settings: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (own_settings / "data").mkdir(parents=True)
+    assert main(["clean-state"]) == 2
+    assert own_settings.exists()
+    assert "--yes" in capsys.readouterr().err
+    assert main(["clean-state", "--yes"]) == 0
+    assert not own_settings.exists()
+
+
+@pytest.mark.parametrize(("answer", "code", "kept"), [("y", 0, False), ("n", 1, True), ("", 1, True)])
+def test_clean_state_does_what_the_answer_says(
+    own_settings: Path, monkeypatch: pytest.MonkeyPatch, answer: str, code: int, kept: bool
+) -> None:
+    (own_settings / "data").mkdir(parents=True)
+    monkeypatch.setattr("sys.stdin.isatty", lambda: True)
+    monkeypatch.setattr("builtins.input", lambda question: answer)
+    assert main(["clean-state"]) == code
+    assert own_settings.exists() == kept
+
+
+def test_clean_state_without_state_says_so(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["clean-state"]) == 0
+    assert "there is no" in capsys.readouterr().out

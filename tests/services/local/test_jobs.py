@@ -1,0 +1,44 @@
+import pytest
+
+from cspace.errors import JobError
+from services.local.jobs import LAST_LINES, RayJobs, follow
+from services.local.ports import free_ports
+from services.local.settings import Settings
+from tests.fakes.jobs import FakeJobs
+
+
+def no_pause(seconds: float) -> None:
+    """The fake moves on by being looked at."""
+
+
+def test_lines_are_shown_once_as_they_come_and_never_in_halves() -> None:
+    jobs = FakeJobs(
+        [
+            ("PENDING", ""),
+            ("RUNNING", "one\ntw"),
+            ("RUNNING", "one\ntwo\nthree\n"),
+            ("SUCCEEDED", "one\ntwo\nthree\nfour"),
+        ]
+    )
+    shown: list[str] = []
+    assert follow(jobs, "job-1", shown.append, no_pause) == "one\ntwo\nthree\nfour"
+    assert shown == ["one", "two", "three", "four"]
+
+
+@pytest.mark.parametrize("state", ["FAILED", "STOPPED"])
+def test_a_failed_job_is_an_error_with_the_end_of_its_log_and_where_the_rest_is(state: str) -> None:
+    log = "".join(f"line {number}\n" for number in range(100))
+    with pytest.raises(JobError) as raised:
+        follow(FakeJobs([(state, log)]), "job-1", lambda line: None, no_pause)
+    message = str(raised.value)
+    assert state in message
+    assert "line 99" in message
+    assert f"line {99 - LAST_LINES}\n" not in message
+    assert "ray job logs job-1" in message
+
+
+def test_a_jobs_api_that_does_not_answer_is_a_job_error(settings: Settings) -> None:
+    (port,) = free_ports(1)
+    jobs = RayJobs(Settings(settings.home, settings.root, ray_port=port))
+    with pytest.raises(JobError, match="make status"):
+        jobs.submit("true")

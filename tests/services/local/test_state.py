@@ -1,0 +1,47 @@
+from pathlib import Path
+
+import pytest
+
+from cspace.errors import StorageError
+from services.local.settings import Settings
+from services.local.state import drop_state, size_bytes, size_text
+
+
+def test_the_size_is_the_sum_over_all_files(tmp_path: Path) -> None:
+    (tmp_path / "sub").mkdir()
+    (tmp_path / "a").write_bytes(b"123")
+    (tmp_path / "sub" / "b").write_bytes(b"4567")
+    assert size_bytes(tmp_path) == 7
+    assert size_bytes(tmp_path / "absent") == 0
+
+
+@pytest.mark.parametrize(
+    ("count", "text"),
+    [(0, "0 B"), (999, "999 B"), (1500, "2 kB"), (12_000_000, "12 MB"), (3_210_000_000, "3.2 GB")],
+)
+def test_sizes_are_told_in_units_for_people(count: int, text: str) -> None:
+    assert size_text(count) == text
+
+
+def test_dropping_the_state_deletes_its_parts_and_the_empty_folder(settings: Settings) -> None:
+    (settings.home / "mlflow" / "mlflow.db").touch()
+    drop_state(settings)
+    assert not settings.home.exists()
+    drop_state(settings)
+
+
+def test_what_somebody_else_put_into_the_state_folder_stays(settings: Settings) -> None:
+    (settings.home / "thesis.tex").touch()
+    drop_state(settings)
+    assert [path.name for path in settings.home.iterdir()] == ["thesis.tex"]
+
+
+def test_state_that_cannot_be_deleted_is_a_storage_error(
+    settings: Settings, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(path: Path) -> None:
+        raise PermissionError(path)
+
+    monkeypatch.setattr("services.local.state.shutil.rmtree", refuse)
+    with pytest.raises(StorageError):
+        drop_state(settings)
