@@ -1,0 +1,77 @@
+# `make` prints what there is. Nothing is needed but Python 3.11; PYTHON names it where it is not on the path.
+PYTHON ?= $(shell command -v python3.11 || command -v python3 || echo python3.11)
+
+VENV := .venv
+BIN := $(VENV)/bin
+LOCAL := $(BIN)/python -m services.local
+PYTEST := OMP_NUM_THREADS=1 MLFLOW_DISABLE_TELEMETRY=true RAY_USAGE_STATS_ENABLED=0 $(BIN)/python -m pytest
+INSTALLED := $(VENV)/installed
+
+FAST := not slow and not e2e and not compose and not browser and not gpu
+ALL := not compose and not gpu
+
+.DEFAULT_GOAL := help
+.PHONY: help venv quickstart test test-all check format up down status env clean-state
+
+help: ## print this
+	@echo "make TARGET, with"
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  %-12s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+	@echo "Settings (environment): CSPACE_HOME, CSPACE_API_PORT, CSPACE_RAY_PORT, CSPACE_MLFLOW_PORT, PYTHON, and"
+	@echo "PYTEST_ADDOPTS for the tests. \`$(LOCAL) --help\` tells the exit codes."
+
+venv: $(INSTALLED) ## make .venv with the pinned packages (2-5 minutes the first time)
+
+quickstart: $(INSTALLED) ## the main job: start the services, train, evaluate, promote, serve, plan
+	@$(LOCAL) quickstart
+
+up: $(INSTALLED) ## start MLflow, Ray and the API; print their addresses and how to set a shell up
+	@$(LOCAL) up
+
+down: $(INSTALLED) ## end exactly what was started
+	@$(LOCAL) down
+
+status: $(INSTALLED) ## what runs, and how big the state folder is; fails unless everything is healthy
+	@$(LOCAL) status
+
+env: $(INSTALLED) ## print the lines that set a shell up: eval "$(make -s env)"
+	@$(LOCAL) env
+
+clean-state: $(INSTALLED) ## delete runs, models, data and logs (asks; YES=1 does not)
+	@$(LOCAL) clean-state $(if $(YES),--yes)
+
+test: $(INSTALLED) ## the fast tests, under 5 minutes
+	$(PYTEST) -m "$(FAST)"
+
+test-all: $(INSTALLED) ## all tests that need neither a container engine nor a GPU
+	$(PYTEST) -m "$(ALL)"
+
+check: $(INSTALLED) ## format, lint, types, import rules, compose file, code in the documents
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+	$(PYTEST) -q -m "$(FAST)" tests/compose
+	$(PYTEST) -q -m "$(FAST)" $(wildcard README.md docs tests/docs)
+
+format: $(INSTALLED) ## mend format and lint where a tool can
+	$(BIN)/ruff format .
+	$(BIN)/ruff check --fix .
+
+# The last line of pip's output carries its exit code through the pipe; its whole output is kept in a log.
+$(INSTALLED): pyproject.toml constraints.txt
+	@"$(PYTHON)" -c 'import sys; sys.exit(sys.version_info[:2] != (3, 11))' 2>/dev/null || { \
+	  echo "Python 3.11 is needed and '$(PYTHON)' is not it: install it, or name it with make PYTHON=/path/to/python3.11" >&2; \
+	  exit 1; }
+	@test ! -e $(BIN)/python || $(BIN)/python -c 'import sys; sys.exit(sys.version_info[:2] != (3, 11))' || { \
+	  echo "$(VENV) holds another Python: delete the folder and run make again" >&2; exit 1; }
+	@test -x $(BIN)/python || { echo "making $(VENV) with $(PYTHON)"; "$(PYTHON)" -m venv $(VENV); } || { \
+	  echo "the environment could not be made (on Debian: apt install python3.11-venv)" >&2; exit 1; }
+	@echo "installing the packages of constraints.txt, 2-5 minutes the first time; log $(VENV)/install.log"
+	@{ PYTHONUNBUFFERED=1 PIP_DISABLE_PIP_VERSION_CHECK=1 $(BIN)/python -m pip install --progress-bar off \
+	  -c constraints.txt -e '.[dev]' 2>&1; echo "exit $$?"; } | awk ' \
+	  /^exit [0-9]+$$/ { code = $$2; next } \
+	  { print > "$(VENV)/install.log"; end[NR % 20] = $$0 } \
+	  /^(Collecting|Requirement already satisfied)/ && ++found % 25 == 0 { print "  " found " requirements found"; fflush() } \
+	  /^Installing collected/ { print "  installing"; fflush() } \
+	  END { if (code != 0) for (i = NR - 19; i < NR; i++) print end[i % 20]; exit code }' >&2
+	@touch $@
