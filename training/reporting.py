@@ -39,6 +39,8 @@ def log_result(
         run.figure(figure, name)
     final = outcomes["global"].metrics
     run.metrics({name: value for name, value in final.items() if name != "steps_per_s"}, 0)
+    # The registry copies what the server holds by the time of registration.
+    run.flush()
     return tuple(figures)
 
 
