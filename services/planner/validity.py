@@ -24,7 +24,9 @@ class EdgeValidator(ob.MotionValidator):  # type: ignore[misc]
         self.checks = 0
         self._access = StateAccess(space)
         self._arguments = (resolution_rad, *checker.kernel_args)
-        self._from, self._to = np.empty(space.dim), np.empty(space.dim)
+        self._from, self._to = np.zeros(space.dim), np.zeros(space.dim)
+        # A process's first call loads the compiled kernel, which is no part of a search.
+        edge_is_free(self._from, self._to, *self._arguments)
 
     def checkMotion(self, start: Any, end: Any) -> bool:  # noqa: N802 - OMPL's name
         """Whether the motion is free, both ends included."""
@@ -45,7 +47,8 @@ class StateValidator:
         space = checker.scenario.robot.space
         self._access = StateAccess(space)
         self._arguments = checker.kernel_args
-        self._buffer = np.empty(space.dim)
+        self._buffer = np.zeros(space.dim)
+        arm_is_free(self._buffer, *self._arguments)
 
     def __call__(self, state: Any) -> bool:
         """Whether the state is free."""

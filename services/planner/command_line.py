@@ -1,0 +1,146 @@
+"""The command's arguments, and the values that are made of them."""
+
+import argparse
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from cspace.problem import Family
+from cspace.robot import THREE_LINK, TWO_LINK, PlanarArm
+from services.planner.ompl_planner import DEFAULT_UNIFORM_SHARE
+from services.planner.planning import DEFAULT_SAMPLES, SampleRequest
+from services.planner.plot import check_figure_path
+from services.planner.sampling_client import DEFAULT_TIMEOUT_S
+from services.planner.settings import LEARNED_PLANNERS, RRT, PlannerSettings
+
+ROBOTS = {"two-link": TWO_LINK, "three-link": THREE_LINK}
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """What the user asked for, checked.
+
+    Args:
+        url: of the inference API.
+        timeout_s: of a request to it.
+        family: of the problem.
+        seed: of the problem.
+        index: of the problem among those of its seed.
+        robot: the arm.
+        settings: of the planner.
+        request: to the sampling endpoint.
+        uniform_share: of uniform samples among the learned ones.
+        plot: the figure's file, or None.
+        json: whether the outcome is printed as JSON.
+    """
+
+    url: str
+    timeout_s: float
+    family: Family
+    seed: int
+    index: int
+    robot: PlanarArm
+    settings: PlannerSettings
+    request: SampleRequest
+    uniform_share: float
+    plot: Path | None
+    json: bool
+
+
+def parse_command(arguments: Sequence[str] | None = None) -> Command:
+    """The command of an argument list; leaves the process with 2 where argparse objects.
+
+    Raises:
+        ConfigError: a value is out of its range.
+    """
+    options = make_parser().parse_args(arguments)
+    if options.plot is not None:
+        check_figure_path(options.plot)
+    settings = PlannerSettings(
+        planner=options.planner,
+        range_rad=options.range,
+        time_limit_s=options.time_limit,
+        max_iterations=options.max_iterations,
+        seed=options.seed if options.planner_seed is None else options.planner_seed,
+    )
+    request = SampleRequest(
+        n=options.n,
+        model=options.model,
+        epsilon_sigma=tuple(options.epsilon_sigma),
+        min_confidence=options.min_confidence,
+        with_ends=options.path_model,
+    )
+    return Command(
+        url=options.api,
+        timeout_s=options.timeout,
+        family=Family(options.family),
+        seed=options.seed,
+        index=options.index,
+        robot=ROBOTS[options.robot],
+        settings=settings,
+        request=request,
+        uniform_share=options.uniform_share,
+        plot=options.plot,
+        json=options.json,
+    )
+
+
+def make_parser() -> argparse.ArgumentParser:
+    """The parser of the command."""
+    defaults = PlannerSettings()
+    parser = argparse.ArgumentParser(
+        prog="python -m services.planner",
+        description="Draw a planning problem, ask an inference API for samples of its picture, and solve it "
+        "with them and with uniform samples.",
+        epilog="Exit codes: 0 solved, 1 not solved, 2 wrong usage or input, or the API refused the request. "
+        "An API that does not answer is reported, and the problem is solved with uniform samples.",
+    )
+    problem = parser.add_argument_group("problem")
+    problem.add_argument(
+        "--family", choices=[str(family) for family in Family], default="narrow", help="default %(default)s"
+    )
+    problem.add_argument("--seed", type=_count, default=0, help="of the problem; default %(default)s")
+    problem.add_argument("--index", type=_count, default=0, help="of the problem among those of its seed")
+    problem.add_argument(
+        "--robot", choices=sorted(ROBOTS), default="two-link", help="the arm; default %(default)s"
+    )
+    samples = parser.add_argument_group("samples")
+    samples.add_argument("--api", metavar="URL", default="http://127.0.0.1:8000", help="default %(default)s")
+    samples.add_argument("--timeout", type=float, default=DEFAULT_TIMEOUT_S, help="s; default %(default)s")
+    samples.add_argument("--model", help="name, name@alias, name/version or pretrained")
+    samples.add_argument("--n", type=_count, default=DEFAULT_SAMPLES, help="default %(default)s")
+    samples.add_argument(
+        "--epsilon-sigma",
+        type=float,
+        nargs="+",
+        default=(),
+        metavar="E",
+        help="raise the encoder's standard deviation by each, in equal shares",
+    )
+    samples.add_argument(
+        "--min-confidence", type=float, default=0.0, help="drop samples that the model's validity head doubts"
+    )
+    samples.add_argument("--path-model", action="store_true", help="send start and goal as well")
+    search = parser.add_argument_group("search")
+    search.add_argument("--planner", choices=LEARNED_PLANNERS, default=RRT, help="default %(default)s")
+    search.add_argument(
+        "--uniform-share",
+        type=float,
+        default=DEFAULT_UNIFORM_SHARE,
+        help="of uniform samples mixed in; default %(default)s",
+    )
+    search.add_argument("--range", type=float, default=defaults.range_rad, help="rad; default %(default)s")
+    search.add_argument("--max-iterations", type=int, default=defaults.max_iterations, help="%(default)s")
+    search.add_argument("--time-limit", type=float, default=defaults.time_limit_s, help="s; %(default)s")
+    search.add_argument("--planner-seed", type=_count, help="of planner and samples; default --seed")
+    output = parser.add_argument_group("output")
+    output.add_argument("--plot", type=Path, metavar="FILE", help="draw the outcome (.png, .pdf or .svg)")
+    output.add_argument("--json", action="store_true", help="print the outcome as JSON")
+    return parser
+
+
+def _count(text: str) -> int:
+    value = int(text)
+    if value < 0:
+        raise argparse.ArgumentTypeError(f"{value} is below 0")
+    return value

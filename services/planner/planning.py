@@ -1,0 +1,151 @@
+"""A planner and a source of learned samples put together: one batch before the search, none during it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from cspace.errors import SamplerError, SamplerUnavailableError
+from cspace.image import encode_png
+from cspace.problem import Problem
+from cspace.render import render
+from services.planner.ompl_planner import DEFAULT_UNIFORM_SHARE, solve
+from services.planner.plan_result import PlanResult
+from services.planner.samples import SampleBatch, SampleSource
+from services.planner.settings import RRT_CONNECT, PlannerSettings
+
+DEFAULT_SAMPLES = 300
+
+
+@dataclass(frozen=True, slots=True)
+class SampleRequest:
+    """What is asked of the sampling endpoint for one problem.
+
+    Args:
+        n: how many samples.
+        model: ``name``, ``name@alias``, ``name/version`` or ``pretrained``; None for the endpoint's default.
+        seed: unsigned 64 bit; None for the planner's.
+        epsilon_sigma: what the encoder's standard deviation is raised by; empty for the endpoint's default.
+        min_confidence: samples that the validity head scores lower are dropped.
+        with_ends: whether start and goal are sent, as path models require and others refuse.
+    """
+
+    n: int = DEFAULT_SAMPLES
+    model: str | None = None
+    seed: int | None = None
+    epsilon_sigma: Sequence[float] = ()
+    min_confidence: float = 0.0
+    with_ends: bool = False
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ApiPlan:
+    """One problem solved with samples from a source, or without where there were none.
+
+    Args:
+        result: of the planner.
+        batch: the samples; None when the source did not answer.
+        unavailable: why there are none, in words; None when there are.
+    """
+
+    result: PlanResult
+    batch: SampleBatch | None
+    unavailable: str | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Comparison:
+    """One problem solved in three ways under one seed.
+
+    Args:
+        problem: that was solved.
+        learned: with samples from the source.
+        uniform: the same planner with OMPL's own uniform samples.
+        connect: RRTConnect with uniform samples, the strongest stock baseline here.
+    """
+
+    problem: Problem
+    learned: ApiPlan
+    uniform: PlanResult
+    connect: PlanResult
+
+
+def plan_with_api(
+    problem: Problem,
+    source: SampleSource,
+    settings: PlannerSettings,
+    request: SampleRequest | None = None,
+    uniform_share: float = DEFAULT_UNIFORM_SHARE,
+    *,
+    keep_tree: bool = False,
+) -> ApiPlan:
+    """Draw the picture, ask for one batch, solve; uniformly where the source does not answer.
+
+    Args:
+        problem: start and goal in a scenario.
+        source: of samples, usually a :class:`services.planner.sampling_client.SamplingClient`.
+        settings: of the planner.
+        request: what is asked of the source.
+        uniform_share: of uniform samples mixed in.
+        keep_tree: whether the result holds the search tree.
+
+    Raises:
+        SamplerError: the source refused the request, or its answer can not be used.
+        PlanningError: the planner takes no samples.
+    """
+    batch, unavailable = None, None
+    try:
+        batch = request_samples(problem, source, settings, request or SampleRequest())
+    except SamplerUnavailableError as error:
+        unavailable = str(error)
+    samples = None if batch is None else batch.samples
+    result = solve(problem, settings, samples, uniform_share, keep_tree=keep_tree)
+    return ApiPlan(result, batch, unavailable)
+
+
+def request_samples(
+    problem: Problem, source: SampleSource, settings: PlannerSettings, request: SampleRequest
+) -> SampleBatch:
+    """One batch for a problem's picture.
+
+    Raises:
+        SamplerUnavailableError: the source does not answer.
+        SamplerError: it refused the request, or its samples are those of another robot.
+    """
+    ends = (problem.start.tolist(), problem.goal.tolist()) if request.with_ends else (None, None)
+    batch = source.sample(
+        encode_png(render(problem.scenario)),
+        request.n,
+        model=request.model,
+        seed=settings.seed if request.seed is None else request.seed,
+        epsilon_sigma=request.epsilon_sigma,
+        start=ends[0],
+        goal=ends[1],
+        min_confidence=request.min_confidence,
+    )
+    dim = problem.scenario.robot.dim
+    if len(batch.samples) and batch.samples.shape[1] != dim:
+        raise SamplerError(
+            f"the samples of {batch.model_name}/{batch.model_version} are for another robot",
+            expected=f"{dim} joints",
+            got=f"{batch.samples.shape[1]}",
+            remedy="name a model of this robot",
+        )
+    return batch
+
+
+def compare_with_api(
+    problem: Problem,
+    source: SampleSource,
+    settings: PlannerSettings,
+    request: SampleRequest | None = None,
+    uniform_share: float = DEFAULT_UNIFORM_SHARE,
+) -> Comparison:
+    """The problem with learned samples, with uniform ones, and with RRTConnect; the trees are kept.
+
+    Raises:
+        SamplerError: as :func:`plan_with_api`, and so the rest.
+        PlanningError: the planner takes no samples.
+    """
+    learned = plan_with_api(problem, source, settings, request, uniform_share, keep_tree=True)
+    uniform = solve(problem, settings, keep_tree=True)
+    connect = solve(problem, replace(settings, planner=RRT_CONNECT), keep_tree=True)
+    return Comparison(problem, learned, uniform, connect)
