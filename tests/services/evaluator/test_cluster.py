@@ -35,6 +35,7 @@ def cluster():
         ray.init(
             num_cpus=2,
             include_dashboard=False,
+            _node_ip_address="127.0.0.1",
             log_to_driver=False,
             runtime_env={"env_vars": {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}},
         )
