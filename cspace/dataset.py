@@ -5,7 +5,7 @@
 | ``images.npy`` | (S, P, P, 3) uint8, one picture a scenario |
 | ``free.npy``, ``free_offsets.npy`` | (M, d) float32 rad; scenario i owns rows offsets[i]:offsets[i+1] |
 | ``collision.npy``, ``collision_offsets.npy`` | the same for configurations in collision, optional |
-| ``paths.npy``, ``path_offsets.npy``, ``path_scenario.npy`` | (T, d), rows of a path, its scenario; optional |
+| ``paths.npy``, ``path_offsets.npy``, ``path_scenario.npy`` | (T, d), rows of a path, scenario; optional |
 | ``discs.npy`` | (S, D, 3) float64 x, y, radius in m, where the geometry is known; optional |
 | ``extra_images.npy`` | (E, P, P, 3) uint8, pictures without configurations; optional |
 """
