@@ -38,7 +38,12 @@ class DatasetConfig(BaseModel):
         return PlanarArm(self.robot.link_lengths_m, self.robot.half_width_m, self.robot.joint_limits_rad)
 
     @property
-    def folder_name(self) -> str:
-        """A name that changes with every field that changes the data (not with how they are sharded)."""
+    def key(self) -> str:
+        """Twelve hex digits that change with every field that changes the data (not with their sharding)."""
         content = json.dumps(self.model_dump(mode="json", exclude={"shard_size"}), sort_keys=True)
-        return f"{self.split}-{hashlib.sha256(content.encode()).hexdigest()[:12]}"
+        return hashlib.sha256(content.encode()).hexdigest()[:12]
+
+    @property
+    def folder_name(self) -> str:
+        """A name for the data set's folder: its split and its key."""
+        return f"{self.split}-{self.key}"

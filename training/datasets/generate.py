@@ -9,9 +9,11 @@ from typing import Any
 import numpy as np
 import ray
 from numpy.typing import NDArray
+from pydantic import ValidationError
+from ray.exceptions import RayError, RayTaskError
 
 from cspace.dataset import Dataset, open_dataset, require_room, write_dataset
-from cspace.errors import StorageError
+from cspace.errors import CspaceError, DatasetError, JobError, StorageError
 from cspace.scenario import Camera
 from training.datasets.config import DatasetConfig
 from training.datasets.progress import Progress
@@ -23,17 +25,19 @@ _LOG = logging.getLogger("training")
 def generate(config: DatasetConfig, folder: Path) -> Dataset:
     """The data set of ``config`` at ``folder``: opened when it is there, finished or made otherwise.
 
-    An interrupted generation leaves ``<folder>.partial`` with its finished shards and goes on from them.
+    An interrupted generation leaves its finished shards beside the folder and goes on from them; shards of
+    another configuration are never taken.
 
     Raises:
         DamagedFileError: the data set that is there is damaged.
+        DatasetError: another data set is there.
+        JobError: a task failed for good.
         StorageError: the disk is too full or cannot be written.
     """
     if folder.exists():
-        _LOG.info("data: reusing %s", folder)
-        return open_dataset(folder)
+        return _reuse(config, folder)
     require_room(folder, _estimated_bytes(config))
-    partial = folder.with_name(folder.name + ".partial")
+    partial = folder.with_name(f"{folder.name}.{config.key}.partial")
     try:
         partial.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -50,13 +54,42 @@ def generate(config: DatasetConfig, folder: Path) -> Dataset:
     return dataset
 
 
+def _reuse(config: DatasetConfig, folder: Path) -> Dataset:
+    dataset = open_dataset(folder)
+    try:
+        there = DatasetConfig.model_validate(dict(dataset.manifest.generator)).key
+    except ValidationError:
+        there = "somebody's own data"
+    if there != config.key:
+        raise DatasetError(
+            f"{folder} holds another data set",
+            expected=f"the configuration {config.key}",
+            got=there,
+            remedy="name another folder, or remove this one",
+        )
+    _LOG.info("data: reusing %s", folder)
+    return dataset
+
+
 def run_tasks(config: DatasetConfig, shards: Iterable[Shard], partial: Path) -> Iterator[str]:
-    """Make shards in parallel on the cluster; yields each one's file as it is finished."""
+    """Make shards in parallel on the cluster; yields each one's file as it is finished.
+
+    Raises:
+        CspaceError: what a task raised; JobError when its process died again and again.
+    """
     task = ray.remote(num_cpus=1, max_retries=2)(_task)
     waiting = [task.remote(config.model_dump(mode="json"), shard, str(partial)) for shard in shards]
-    while waiting:
-        finished, waiting = ray.wait(waiting, num_returns=1)
-        yield from ray.get(finished)
+    try:
+        while waiting:
+            finished, waiting = ray.wait(waiting, num_returns=1)
+            yield from ray.get(finished)
+    except RayError as error:
+        if isinstance(error, RayTaskError) and isinstance(error.cause, CspaceError):
+            raise error.cause from error
+        raise JobError("a task of the data set failed", got=str(error), remedy="run it again") from error
+    finally:
+        for reference in waiting:
+            ray.cancel(reference)
 
 
 def _task(config: dict[str, Any], shard: Shard, partial: str) -> str:

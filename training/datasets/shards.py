@@ -1,5 +1,6 @@
 """One shard of a generated data set: a pure function of its configuration and its range of scenarios."""
 
+import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -8,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cspace.collision import CollisionChecker
-from cspace.errors import DatasetError
+from cspace.errors import DatasetError, StorageError
 from cspace.render import render
 from cspace.scenario import Scenario, Split, random_scenario, scenario_rng
 from training.datasets.config import DatasetConfig
@@ -97,19 +98,29 @@ def draw_configurations(
 
 
 def save_shard(folder: Path, shard: Shard, arrays: dict[str, NDArray[Any]]) -> Path:
-    """Write a shard beside its place and rename it."""
+    """Write a shard beside its place and rename it.
+
+    Raises:
+        StorageError: the folder cannot be written.
+    """
     path = folder / shard.file_name
     beside = path.with_suffix(".tmp")
-    with beside.open("wb") as handle:
-        np.savez(handle, **arrays)  # type: ignore[arg-type]
-    beside.rename(path)
+    try:
+        with beside.open("wb") as handle:
+            np.savez(handle, **arrays)  # type: ignore[arg-type]
+        beside.rename(path)
+    except OSError as error:
+        raise StorageError(
+            f"{path} cannot be written", expected="room and rights in the data folder", got=str(error)
+        ) from error
     return path
 
 
 def load_shard(folder: Path, shard: Shard) -> dict[str, NDArray[Any]] | None:
-    """A shard that an earlier attempt finished, or None when there is none that can be read."""
+    """A shard that an earlier attempt finished, or None when there is none that can be read whole."""
     try:
         with np.load(folder / shard.file_name, allow_pickle=False) as arrays:
+            # Reading compares each array with its checksum.
             return {name: arrays[name] for name in arrays.files}
-    except (OSError, ValueError, EOFError, KeyError):
+    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile):
         return None

@@ -1,0 +1,159 @@
+"""Data sets: ``python -m training.datasets generate|import|verify``.
+
+Exit codes: 0 done; 1 the data or the disk is bad; 2 the command is wrong.
+"""
+
+import argparse
+import logging
+import os
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from pydantic import ValidationError
+
+from cspace.dataset import Dataset, open_dataset
+from cspace.errors import ConfigError, CspaceError, ScenarioError
+from cspace.robot import JointLimits, PlanarArm
+from cspace.scenario import Camera, Split
+from training.datasets.config import DatasetConfig
+from training.datasets.own import import_folder
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Parse, call, print; returns the exit code."""
+    options = parser().parse_args(arguments)
+    logging.basicConfig(level=logging.WARNING, format="%(message)s")
+    logging.getLogger("training").setLevel(logging.INFO)
+    try:
+        dataset = options.run(options)
+    except (ConfigError, ScenarioError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    except CspaceError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    print(describe(dataset))
+    return 0
+
+
+def describe(dataset: Dataset) -> str:
+    """What a data set holds, in lines."""
+    counts = "\n".join(f"  {name:<16}{count}" for name, count in sorted(dataset.manifest.counts.items()))
+    return f"{dataset.folder}\n{counts}\n  joints          {dataset.dim}\n  digest          {dataset.digest}"
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command line."""
+    result = argparse.ArgumentParser(
+        prog="python -m training.datasets",
+        description="Make, import and verify data-set folders.",
+        epilog="Exit codes: 0 done, 1 the data or the disk is bad, 2 the command is wrong.",
+    )
+    commands = result.add_subparsers(required=True, metavar="COMMAND")
+    _add_generate(
+        commands.add_parser("generate", help="random scenarios, by Ray tasks; goes on where it stopped")
+    )
+    _add_import(commands.add_parser("import", help="your own pictures (PNG) and configurations (.npy)"))
+    verify = commands.add_parser("verify", help="check a folder's format and every file's digest")
+    verify.add_argument("folder", type=Path)
+    verify.set_defaults(run=lambda options: open_dataset(options.folder, verify=True))
+    return result
+
+
+def _add_generate(parser: argparse.ArgumentParser) -> None:
+    fields = DatasetConfig.model_fields
+    parser.add_argument("folder", type=Path, help="where the data set goes")
+    parser.add_argument("--split", choices=[str(split) for split in Split], default=fields["split"].default)
+    for name in ("seed", "scenario_count", "free_per_scenario", "collision_per_scenario"):
+        parser.add_argument(f"--{name.replace('_', '-')}", type=int, default=fields[name].default)
+    parser.add_argument("--extra-image-count", type=int, default=fields["extra_image_count"].default)
+    parser.add_argument("--shard-size", type=int, default=fields["shard_size"].default)
+    _add_robot(parser)
+    parser.set_defaults(run=_generate)
+
+
+def _add_import(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "source", type=Path, help="name.png, name.npy, optional name.collision.npy, extra/*.png"
+    )
+    parser.add_argument("folder", type=Path, help="where the data set goes")
+    parser.add_argument("--pixels", type=int, default=Camera().pixels, help="side of the data set's pictures")
+    parser.add_argument(
+        "--view",
+        type=float,
+        nargs=4,
+        metavar=("XMIN", "XMAX", "YMIN", "YMAX"),
+        default=(-5.0, 5.0, -5.0, 5.0),
+    )
+    _add_robot(parser)
+    parser.set_defaults(run=_import)
+
+
+def _add_robot(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--links", type=float, nargs="+", metavar="M", default=[2.0, 2.0], help="link lengths, m"
+    )
+    parser.add_argument("--half-width", type=float, metavar="M", default=0.1, help="half the links' width, m")
+    parser.add_argument(
+        "--limits",
+        nargs="+",
+        metavar="LOW:HIGH",
+        help="per joint low:high in rad, or 'circle'; default all circles",
+    )
+
+
+def _robot(options: argparse.Namespace) -> PlanarArm:
+    return PlanarArm(tuple(options.links), options.half_width, _limits(options.limits))
+
+
+def _limits(texts: Sequence[str] | None) -> JointLimits | None:
+    if texts is None:
+        return None
+    try:
+        pairs = [None if text == "circle" else tuple(map(float, text.split(":", 1))) for text in texts]
+        return tuple(None if pair is None else (pair[0], pair[1]) for pair in pairs)
+    except (ValueError, IndexError) as error:
+        raise ConfigError(
+            "the joint limits do not fit", expected="low:high or circle", got=" ".join(texts)
+        ) from error
+
+
+def _generate(options: argparse.Namespace) -> Dataset:
+    robot = _robot(options)
+    values = {name: getattr(options, name) for name in DatasetConfig.model_fields if name != "robot"}
+    described = {key: value for key, value in robot.to_dict().items() if key != "kind"}
+    try:
+        config = DatasetConfig.model_validate({**values, "robot": described})
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise ConfigError(
+            f"{first['loc'][0]} does not fit", expected=first["msg"], got=repr(first["input"])
+        ) from error
+    # A Ray that this command starts for itself reports no use; its token mode is that of all the services.
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+    os.environ.setdefault("RAY_AUTH_MODE", "token")
+    # Imported here so that import and verify do not wait for Ray.
+    import ray  # noqa: PLC0415
+
+    from training.datasets.generate import generate  # noqa: PLC0415
+
+    if not ray.is_initialized():
+        ray.init(log_to_driver=False, logging_level=logging.WARNING)
+    return generate(config, options.folder.absolute())
+
+
+def _import(options: argparse.Namespace) -> Dataset:
+    x_min_m, x_max_m, y_min_m, y_max_m = options.view
+    if options.pixels < 1 or not (x_min_m < x_max_m and y_min_m < y_max_m):
+        raise ConfigError(
+            "the camera does not fit",
+            expected="--pixels above 0, --view with minimum below maximum",
+            got=f"{options.pixels} pixels, {options.view}",
+        )
+    camera = Camera(x_min_m, x_max_m, y_min_m, y_max_m, options.pixels)
+    return import_folder(options.source, options.folder, robot=_robot(options), camera=camera)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,130 @@
+"""Import of somebody's own data: a folder of PNG pictures with their configurations as arrays.
+
+pictures/
+  kitchen.png             a scenario
+  kitchen.npy             (n, d) rad: configurations that are free in it
+  kitchen.collision.npy   (m, d) rad: configurations in collision; optional
+  extra/*.png             pictures without configurations; optional
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cspace.dataset import Dataset, require_room, write_dataset
+from cspace.errors import DatasetError, ImageError
+from cspace.image import decode_png
+from cspace.robot import PlanarArm
+from cspace.scenario import Camera
+
+EXTRA_FOLDER = "extra"
+COLLISION_ENDING = ".collision.npy"
+_MAX_PICTURE_BYTES = 8 * 2**20
+
+
+@dataclass(frozen=True, slots=True)
+class OwnScenario:
+    """One picture with its configurations.
+
+    Args:
+        image: (P, P, 3) uint8.
+        free: (n, d) rad.
+        collision: (m, d) rad; no rows where there is no file.
+    """
+
+    image: NDArray[np.uint8]
+    free: NDArray[np.float64]
+    collision: NDArray[np.float64]
+
+
+def import_folder(source: Path, folder: Path, *, robot: PlanarArm, camera: Camera) -> Dataset:
+    """Write the data set of a folder of pictures, scenarios in the order of their names.
+
+    Args:
+        source: pictures and arrays as above; any size from 16 to 2048 pixels, resized to the camera's.
+        folder: the data set's, must not exist.
+        robot: whose configurations they are.
+        camera: what the pictures show, and how many pixels the data set's have.
+
+    Raises:
+        DatasetError: a file is missing or does not fit; it is named.
+        StorageError: the folder exists or cannot be written.
+    """
+    pictures = sorted(source.glob("*.png"))
+    if not pictures:
+        raise DatasetError(
+            f"{source} holds no pictures", expected="scenario.png with scenario.npy", got="no *.png"
+        )
+    _refuse_strays(source, pictures)
+    require_room(folder, 2 * sum(path.stat().st_size for path in source.glob("*.npy")))
+    scenarios = [_read(picture, robot, camera) for picture in pictures]
+    extras = [_picture(path, camera) for path in sorted((source / EXTRA_FOLDER).glob("*.png"))]
+    has_collision = any(len(scenario.collision) for scenario in scenarios)
+    return write_dataset(
+        folder,
+        robot=robot,
+        camera=camera,
+        images=np.stack([scenario.image for scenario in scenarios]),
+        free=[scenario.free for scenario in scenarios],
+        collision=[scenario.collision for scenario in scenarios] if has_collision else None,
+        extra_images=np.stack(extras) if extras else None,
+        generator={"imported": [picture.name for picture in pictures]},
+    )
+
+
+def _read(picture: Path, robot: PlanarArm, camera: Camera) -> OwnScenario:
+    free = _configurations(picture.with_suffix(".npy"), robot.dim)
+    path = picture.with_suffix(COLLISION_ENDING)
+    collision = _configurations(path, robot.dim) if path.exists() else np.empty((0, robot.dim))
+    return OwnScenario(_picture(picture, camera), free, collision)
+
+
+def _picture(path: Path, camera: Camera) -> NDArray[np.uint8]:
+    try:
+        if path.stat().st_size > _MAX_PICTURE_BYTES:
+            raise DatasetError(f"{path} is too large", expected="at most 8 MiB")
+        return decode_png(path.read_bytes(), camera.pixels)
+    except OSError as error:
+        raise DatasetError(f"{path} cannot be read", got=str(error)) from error
+    except ImageError as error:
+        raise DatasetError(
+            f"{path}: {error.what}", expected=error.expected, got=error.got, remedy=error.remedy
+        ) from error
+
+
+def _configurations(path: Path, dim: int) -> NDArray[np.float64]:
+    try:
+        array: NDArray[Any] = np.load(path, allow_pickle=False)
+    except FileNotFoundError as error:
+        raise DatasetError(
+            f"{path} is missing",
+            expected="free configurations of the picture beside it",
+            remedy=f"add it, or move the picture to {EXTRA_FOLDER}/",
+        ) from error
+    except (OSError, ValueError, EOFError) as error:
+        raise DatasetError(f"{path} is no array", expected="a .npy file", got=str(error)) from error
+    if array.ndim != 2 or array.shape[1] != dim or array.dtype.kind not in "fiu":
+        raise DatasetError(
+            f"{path} does not fit the robot",
+            expected=f"numbers of shape (n, {dim})",
+            got=f"{array.dtype} of shape {array.shape}",
+        )
+    angles = array.astype(np.float64)
+    if not np.isfinite(angles).all():
+        raise DatasetError(f"{path} holds values that are not finite", expected="angles in rad")
+    return angles
+
+
+def _refuse_strays(source: Path, pictures: list[Path]) -> None:
+    """An array without its picture is a mistake in a name, and its data would be lost without a word."""
+    known = {
+        picture.with_suffix(ending).name for picture in pictures for ending in (".npy", COLLISION_ENDING)
+    }
+    strays = sorted(path.name for path in source.glob("*.npy") if path.name not in known)
+    if strays:
+        raise DatasetError(
+            f"{source / strays[0]} belongs to no picture", expected="a picture of the same name", got="none"
+        )
