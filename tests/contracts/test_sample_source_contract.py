@@ -1,0 +1,115 @@
+"""One contract for whatever gives a planner its samples: the fake, the HTTP client, and (e2e) the real API."""
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from cspace.errors import SamplerError, SamplerUnavailableError
+from cspace.image import encode_png
+from services.planner.samples import SampleSource
+from services.planner.sampling_client import SamplingClient
+from tests.bundles import picture, write_tiny_bundle
+from tests.fakes.sample_server import sample_server
+from tests.fakes.sample_source import FakeSampleSource
+from tests.inference_api.server import api_server
+
+PNG = encode_png(picture())
+
+
+@pytest.fixture(scope="module")
+def api_url(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    folder = tmp_path_factory.mktemp("sampling-api")
+    bundle = write_tiny_bundle(folder / "bundle", validity=True)
+    with api_server(folder, {"CSPACE_PRETRAINED_MODEL": str(bundle)}) as url:
+        yield url
+
+
+@pytest.fixture(params=["fake", "http", pytest.param("api", marks=pytest.mark.e2e)])
+def source(request: pytest.FixtureRequest) -> Iterator[SampleSource]:
+    if request.param == "fake":
+        yield FakeSampleSource()
+    elif request.param == "http":
+        with sample_server(FakeSampleSource()) as server, SamplingClient(server.url) as client:
+            yield client
+    else:
+        with SamplingClient(request.getfixturevalue("api_url")) as client:
+            yield client
+
+
+@pytest.fixture(params=["fake", "http", pytest.param("api", marks=pytest.mark.e2e)])
+def empty_source(request: pytest.FixtureRequest, tmp_path) -> Iterator[SampleSource]:
+    if request.param == "fake":
+        yield FakeSampleSource(ready=False)
+    elif request.param == "http":
+        with sample_server(FakeSampleSource(ready=False)) as server, SamplingClient(server.url) as client:
+            yield client
+    else:
+        nothing = {"CSPACE_PRETRAINED_MODEL": str(tmp_path / "nothing")}
+        with api_server(tmp_path, nothing) as url, SamplingClient(url) as client:
+            yield client
+
+
+def test_a_batch_holds_as_many_wrapped_float32_angles_as_were_asked_for(source):
+    batch = source.sample(PNG, 300, seed=3)
+    assert batch.samples.shape == (300, 2)
+    assert batch.samples.dtype == np.float32
+    assert batch.shortfall == 0
+    angles = batch.samples.astype(np.float64)
+    assert np.all((angles >= -np.pi) & (angles < np.pi))
+
+
+def test_a_batch_names_its_model_and_the_seed_that_was_asked_for(source):
+    batch = source.sample(PNG, 5, seed=2**64 - 1)
+    assert batch.seed == 2**64 - 1
+    assert (batch.model_name, batch.model_version) == ("pretrained", 0)
+    assert len(batch.digest) == 64
+    assert batch.round_trip_s >= 0.0
+
+
+def test_the_same_seed_gives_the_same_samples_and_another_one_others(source):
+    first, again, other = (source.sample(PNG, 20, seed=seed) for seed in (1, 1, 2))
+    assert np.array_equal(first.samples, again.samples)
+    assert not np.array_equal(first.samples, other.samples)
+
+
+def test_a_drawn_seed_repeats_its_batch(source):
+    drawn = source.sample(PNG, 20)
+    assert np.array_equal(source.sample(PNG, 20, seed=drawn.seed).samples, drawn.samples)
+
+
+def test_the_shortfall_is_what_is_missing(source):
+    batch = source.sample(PNG, 200, seed=1, min_confidence=0.5)
+    assert 0 < batch.shortfall < 200
+    assert len(batch.samples) == 200 - batch.shortfall
+
+
+def test_a_schedule_and_a_named_model_are_accepted(source):
+    assert len(source.sample(PNG, 10, model="pretrained", seed=1, epsilon_sigma=(0.0, 0.5)).samples) == 10
+
+
+@pytest.mark.parametrize(
+    ("n", "changes"),
+    [
+        (0, {}),
+        (20_001, {}),
+        (10, {"model": "nobody/1"}),
+        (10, {"start": [0.0, 0.0], "goal": [1.0, 1.0]}),
+    ],
+    ids=["no samples", "too many samples", "unknown model", "ends for a model that takes none"],
+)
+def test_a_refused_request_is_an_error_and_the_next_request_is_answered(source, n, changes):
+    with pytest.raises(SamplerError) as caught:
+        source.sample(PNG, n, **changes)
+    assert not isinstance(caught.value, SamplerUnavailableError)
+    assert len(source.sample(PNG, 4, seed=1).samples) == 4
+
+
+def test_what_is_no_picture_is_refused(source):
+    with pytest.raises(SamplerError):
+        source.sample(b"no picture", 10)
+
+
+def test_a_source_without_a_model_is_unavailable(empty_source):
+    with pytest.raises(SamplerUnavailableError):
+        empty_source.sample(PNG, 10)

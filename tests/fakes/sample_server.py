@@ -1,0 +1,124 @@
+"""A small HTTP server that speaks the sampling endpoint's contract over any source of samples."""
+
+import io
+import json
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from email import policy
+from email.parser import BytesParser
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+
+import numpy as np
+
+from cspace.errors import SamplerError, SamplerUnavailableError
+from services.planner.samples import SampleBatch, SampleSource
+
+Answer = tuple[int, dict[str, str], bytes]
+
+
+def read_form(content_type: str, body: bytes) -> dict[str, list[bytes]]:
+    """The parts of a multipart form by name."""
+    head = f"Content-Type: {content_type}\r\n\r\n".encode()
+    fields: dict[str, list[bytes]] = {}
+    for part in BytesParser(policy=policy.HTTP).parsebytes(head + body).iter_parts():
+        name = str(part.get_param("name", header="content-disposition"))
+        fields.setdefault(name, []).append(part.get_payload(decode=True))
+    return fields
+
+
+def ask(source: SampleSource, fields: dict[str, list[bytes]]) -> SampleBatch:
+    """The fields of a form as a call of the source."""
+    text = {name: values[0].decode() for name, values in fields.items() if name != "image"}
+    return source.sample(
+        fields["image"][0],
+        int(text["n"]),
+        model=text.get("model"),
+        seed=int(text["seed"]) if "seed" in text else None,
+        epsilon_sigma=[float(value) for value in fields.get("epsilon_sigma", [])],
+        start=json.loads(text["start"]) if "start" in text else None,
+        goal=json.loads(text["goal"]) if "goal" in text else None,
+        min_confidence=float(text.get("min_confidence", "0")),
+    )
+
+
+def npy(samples: np.ndarray) -> bytes:
+    """An array as the bytes of a ``.npy`` file."""
+    buffer = io.BytesIO()
+    np.save(buffer, samples, allow_pickle=False)
+    return buffer.getvalue()
+
+
+def batch_answer(batch: SampleBatch) -> Answer:
+    """200 with the samples alone, the rest in headers."""
+    headers = {
+        "Content-Type": "application/x-npy",
+        "X-Model-Name": batch.model_name,
+        "X-Model-Version": str(batch.model_version),
+        "X-Model-Digest": batch.digest,
+        "X-Seed": str(batch.seed),
+        "X-Shortfall": str(batch.shortfall),
+    }
+    return 200, headers, npy(batch.samples)
+
+
+def problem_answer(status: int, error: SamplerError) -> Answer:
+    """An error as RFC 9457 problem details."""
+    problem = {"type": f"urn:test:{status}", "title": error.what, "status": status, "detail": str(error)}
+    return status, {"Content-Type": "application/problem+json"}, json.dumps(problem).encode()
+
+
+class _Handler(BaseHTTPRequestHandler):
+    protocol_version = "HTTP/1.1"
+    source: SampleSource
+    connections: list[tuple[str, int]]
+
+    def do_POST(self) -> None:
+        self.connections.append(self.client_address)
+        body = self.rfile.read(int(self.headers["Content-Length"]))
+        assert self.path == "/sample"
+        assert "application/x-npy" in self.headers["Accept"]
+        try:
+            answer = batch_answer(ask(self.source, read_form(self.headers["Content-Type"], body)))
+        except SamplerUnavailableError as error:
+            answer = problem_answer(503, error)
+        except SamplerError as error:
+            answer = problem_answer(404 if "model" in error.what else 422, error)
+        status, headers, content = answer
+        self.send_response(status)
+        for name, value in {**headers, "Content-Length": str(len(content))}.items():
+            self.send_header(name, value)
+        self.end_headers()
+        self.wfile.write(content)
+
+    def log_message(self, *_: object) -> None:
+        pass
+
+
+class SampleServer:
+    """A running server.
+
+    Args:
+        url: where it listens.
+        connections: the peer of each request, in order.
+    """
+
+    def __init__(self, url: str, connections: list[tuple[str, int]]) -> None:
+        self.url, self.connections = url, connections
+
+
+@contextmanager
+def sample_server(source: SampleSource) -> Iterator[SampleServer]:
+    """Serve a source on a free loopback port."""
+    connections: list[tuple[str, int]] = []
+    handler = type("Handler", (_Handler,), {"source": source, "connections": connections})
+    server = ThreadingHTTPServer(("127.0.0.1", 0), handler)
+    server.daemon_threads = True
+    thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02})
+    thread.start()
+    try:
+        yield SampleServer(f"http://127.0.0.1:{server.server_port}", connections)
+    finally:
+        server.shutdown()
+        thread.join()
+        server.server_close()
