@@ -1,8 +1,9 @@
 """Jobs on the Ray head, through its jobs API: submit, follow the log, fail loudly."""
 
+import re
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from contextlib import suppress
 from typing import TYPE_CHECKING, Protocol
 
 from cspace.errors import JobError
@@ -13,9 +14,11 @@ if TYPE_CHECKING:
     from ray.job_submission import JobSubmissionClient
 
 POLL_S = 1.0
+LOOKS = 5
 LAST_LINES = 30
 SUCCEEDED = "SUCCEEDED"
 ENDED = (SUCCEEDED, "FAILED", "STOPPED")
+_COLOUR = re.compile(r"\x1b\[[0-9;]*m")
 
 
 class Jobs(Protocol):
@@ -34,11 +37,12 @@ class Jobs(Protocol):
         ...
 
 
-@dataclass(frozen=True, slots=True)
 class RayJobs:
-    """The jobs API of the Ray head of ``make up``."""
+    """The jobs API of the Ray head of ``make up``, over one client that is made when it is first needed."""
 
-    settings: Settings
+    def __init__(self, settings: Settings) -> None:
+        self.settings = settings
+        self._client: JobSubmissionClient | None = None
 
     def submit(self, entrypoint: str) -> str:
         """Submit a job that runs in the head's own folder.
@@ -68,7 +72,8 @@ class RayJobs:
 
     def _ask(self, question: "Callable[[JobSubmissionClient], str]") -> str:
         try:
-            return question(_client(self.settings))
+            self._client = self._client or _connect(self.settings)
+            return question(self._client)
         except (RuntimeError, ConnectionError, OSError) as error:
             raise JobError(
                 "Ray's jobs API does not answer as it should",
@@ -80,15 +85,14 @@ class RayJobs:
 def follow(
     jobs: Jobs, job: str, show: Callable[[str], None], pause: Callable[[float], None] = time.sleep
 ) -> str:
-    """Show a job's lines as they come until it ends; its whole log.
+    """Show a job's lines as they come until it ends; its whole log, without colours.
 
     Raises:
-        JobError: the job failed or was stopped; the message ends with the last lines of its log.
+        JobError: the job failed or was stopped, and the last lines of its log are told; or the head is gone.
     """
     shown = 0
     while True:
-        state = jobs.state(job)
-        log = jobs.log(job)
+        state, log = _look(jobs, job, pause)
         complete = log if state in ENDED else log[: log.rfind("\n") + 1]
         for line in complete[shown:].splitlines():
             show(line)
@@ -105,7 +109,17 @@ def follow(
     return log
 
 
-def _client(settings: Settings) -> "JobSubmissionClient":
+def _look(jobs: Jobs, job: str, pause: Callable[[float], None]) -> tuple[str, str]:
+    """A job's state and what it had written then or a little later."""
+    for _ in range(LOOKS - 1):
+        # A head whose machine is busy with trials may miss a question; the job goes on all the same.
+        with suppress(JobError):
+            return jobs.state(job), _COLOUR.sub("", jobs.log(job))
+        pause(POLL_S)
+    return jobs.state(job), _COLOUR.sub("", jobs.log(job))
+
+
+def _connect(settings: Settings) -> "JobSubmissionClient":
     # Imported here: Ray takes a second, and the commands that submit nothing need not wait for it.
     from ray.job_submission import JobSubmissionClient  # noqa: PLC0415
 

@@ -2,12 +2,15 @@
 
 from collections.abc import Sequence
 
+from cspace.errors import JobError
+
 
 class FakeJobs:
-    """Plays back states with the log at each; the last one stays."""
+    """Plays back states with the log at each; the last one stays. The first questions may be missed."""
 
-    def __init__(self, looks: Sequence[tuple[str, str]]) -> None:
+    def __init__(self, looks: Sequence[tuple[str, str]], misses: int = 0) -> None:
         self.looks = list(looks)
+        self.misses = misses
         self.submitted: list[str] = []
 
     def submit(self, entrypoint: str) -> str:
@@ -15,6 +18,9 @@ class FakeJobs:
         return "job-1"
 
     def state(self, job: str) -> str:
+        if self.misses:
+            self.misses -= 1
+            raise JobError("the fake misses a question")
         return self.looks[0][0]
 
     def log(self, job: str) -> str:

@@ -1,7 +1,7 @@
 import pytest
 
 from cspace.errors import JobError
-from services.local.jobs import LAST_LINES, RayJobs, follow
+from services.local.jobs import LAST_LINES, LOOKS, RayJobs, follow
 from services.local.ports import free_ports
 from services.local.settings import Settings
 from tests.fakes.jobs import FakeJobs
@@ -23,6 +23,27 @@ def test_lines_are_shown_once_as_they_come_and_never_in_halves() -> None:
     shown: list[str] = []
     assert follow(jobs, "job-1", shown.append, no_pause) == "one\ntwo\nthree\nfour"
     assert shown == ["one", "two", "three", "four"]
+
+
+def test_a_few_missed_questions_do_not_end_the_following() -> None:
+    pauses: list[float] = []
+    jobs = FakeJobs([("SUCCEEDED", "one\n")], misses=LOOKS - 1)
+    assert follow(jobs, "job-1", lambda line: None, pauses.append) == "one\n"
+    assert len(pauses) == LOOKS - 1
+
+
+def test_a_head_that_is_gone_ends_the_following() -> None:
+    with pytest.raises(JobError, match="misses"):
+        follow(FakeJobs([("RUNNING", "")], misses=LOOKS), "job-1", lambda line: None, no_pause)
+
+
+def test_colours_of_workers_are_left_out() -> None:
+    shown: list[str] = []
+    jobs = FakeJobs(
+        [("RUNNING", "\x1b[36m(trial pid=1)"), ("SUCCEEDED", "\x1b[36m(trial pid=1)\x1b[0m step 1\n")]
+    )
+    assert follow(jobs, "job-1", shown.append, no_pause) == "(trial pid=1) step 1\n"
+    assert shown == ["(trial pid=1) step 1"]
 
 
 @pytest.mark.parametrize("state", ["FAILED", "STOPPED"])
