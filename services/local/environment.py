@@ -21,6 +21,8 @@ def service_environment(settings: Settings, base: Mapping[str, str] = os.environ
         "CSPACE_DATA_DIR": str(settings.data_folder),
         "CSPACE_MODEL_CACHE": str(settings.home / "models"),
         "MLFLOW_DISABLE_TELEMETRY": "true",
+        # Progress bars turn a log into noise.
+        "MLFLOW_ENABLE_ARTIFACTS_PROGRESS_BAR": "false",
         "MLFLOW_TRACKING_URI": settings.mlflow_url,
         "OMP_NUM_THREADS": "1",
         "PATH": _path(base),

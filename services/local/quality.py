@@ -11,7 +11,7 @@ from services.evaluator.samplers import HttpSampler
 from services.evaluator.scenes import Scene, Stage, reconstruct
 from services.planner.sampling_client import SamplingClient
 
-SCENARIOS = 60
+SCENARIOS = 100
 SAMPLES = 1000
 # Other scenarios than those of the evaluation job, whose seed is 0.
 SEED = 1

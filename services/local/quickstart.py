@@ -10,7 +10,13 @@ from services.local.jobs import Jobs, RayJobs, follow
 from services.local.pictures import fetch_pictures
 from services.local.planning import plan_and_draw
 from services.local.quality import served_quality
-from services.local.results import EvaluationResult, TrainingResult, evaluation_result, training_result
+from services.local.results import (
+    PREFIX,
+    EvaluationResult,
+    TrainingResult,
+    evaluation_result,
+    training_result,
+)
 from services.local.serving import wait_served
 from services.local.settings import Settings
 from services.local.stack import services, up
@@ -77,8 +83,14 @@ def quickstart(settings: Settings, train: str, evaluate: str, say: Callable[[str
 def _run(jobs: Jobs, entrypoint: str, progress: Progress) -> str:
     progress.stage(f"job: {entrypoint}")
     job = jobs.submit(entrypoint)
-    progress.line(f"submitted as {job}; the first one waits for Ray's workers")
-    return follow(jobs, job, progress.line)
+    progress.line(f"submitted as {job}; its first line comes when Ray's workers are up")
+
+    def show(line: str) -> None:
+        # The result is for this program; the summary tells it.
+        if line.strip() and not line.startswith(PREFIX):
+            progress.line(line)
+
+    return follow(jobs, job, show)
 
 
 def _pictures(
