@@ -11,7 +11,7 @@ from services.planner.ompl_planner import DEFAULT_UNIFORM_SHARE
 from services.planner.planning import DEFAULT_SAMPLES, SampleRequest
 from services.planner.plot import check_figure_path
 from services.planner.sampling_client import DEFAULT_TIMEOUT_S
-from services.planner.settings import LEARNED_PLANNERS, RRT, PlannerSettings
+from services.planner.settings import LEARNED_PLANNERS, RRT, PlannerSettings, check_uniform_share
 
 ROBOTS = {"two-link": TWO_LINK, "three-link": THREE_LINK}
 
@@ -56,6 +56,7 @@ def parse_command(arguments: Sequence[str] | None = None) -> Command:
     options = make_parser().parse_args(arguments)
     if options.plot is not None:
         check_figure_path(options.plot)
+    check_uniform_share(options.uniform_share)
     settings = PlannerSettings(
         planner=options.planner,
         range_rad=options.range,

@@ -19,7 +19,7 @@ from services.planner.ompl_search import copy_tree, set_up
 from services.planner.path_check import judge_path, path_length_rad
 from services.planner.plan_result import PlanResult, Reason, SearchTree
 from services.planner.sample_mixture import GoalOnly, SampleMixture, StateDraws
-from services.planner.settings import LEARNED_PLANNERS, RRT_CONNECT, PlannerSettings
+from services.planner.settings import LEARNED_PLANNERS, RRT_CONNECT, PlannerSettings, check_uniform_share
 from services.planner.stopping import StoppingRule
 
 __all__ = ["DEFAULT_UNIFORM_SHARE", "PlanResult", "PlannerSettings", "Reason", "SearchTree", "solve"]
@@ -52,6 +52,7 @@ def solve(
         PlanningError: the samples or the problem do not fit the robot, or the planner takes no samples.
         ConfigError: the uniform share is out of range.
     """
+    check_uniform_share(uniform_share)
     checker = CollisionChecker(problem.scenario)
     learned = _fitting(problem, settings, samples)
     for end, reason in ((problem.start, Reason.START_COLLIDES), (problem.goal, Reason.GOAL_COLLIDES)):

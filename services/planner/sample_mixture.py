@@ -6,7 +6,6 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from cspace.errors import ConfigError
 from cspace.space import JointSpace
 
 _BLOCK = 256
@@ -57,9 +56,6 @@ class SampleMixture:
         goal_bias: share of the goal, 0 to 1.
         uniform_share: share of uniform samples among the others while learned ones are left, 0 to 1.
         rng: the random generator.
-
-    Raises:
-        ConfigError: the uniform share is out of range.
     """
 
     def __init__(
@@ -71,8 +67,6 @@ class SampleMixture:
         uniform_share: float,
         rng: np.random.Generator,
     ) -> None:
-        if not 0.0 <= uniform_share <= 1.0:
-            raise ConfigError("uniform_share is out of range", expected="0 to 1", got=repr(uniform_share))
         self.goal_drawn = self.learned_drawn = self.uniform_drawn = 0
         self._space, self._rng = space, rng
         self._goal, self._goal_bias = goal, goal_bias

@@ -59,3 +59,13 @@ class PlannerSettings:
             )
         if not 0 <= self.seed <= MAX_SEED:
             raise ConfigError("seed is out of range", expected="unsigned 64 bit", got=repr(self.seed))
+
+
+def check_uniform_share(share: float) -> None:
+    """Refuse a share of uniform samples that is none.
+
+    Raises:
+        ConfigError: it is not within 0 to 1.
+    """
+    if not 0.0 <= share <= 1.0:
+        raise ConfigError("uniform_share is out of range", expected="0 to 1", got=repr(share))

@@ -1,4 +1,4 @@
-"""One contract for whatever gives a planner its samples: the fake, the HTTP client, and (e2e) the real API."""
+"""One contract for whatever gives a planner samples: the fake, the HTTP client, and (e2e) the real API."""
 
 from collections.abc import Iterator
 

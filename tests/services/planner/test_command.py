@@ -1,0 +1,102 @@
+import json
+
+import pytest
+
+from services.planner import __main__ as command
+from tests.fakes.sample_server import sample_server
+from tests.fakes.sample_source import FakeSampleSource
+
+UNIFORM = ["--family", "uniform", "--seed", "7"]
+DEAD = ["--api", "http://127.0.0.1:9"]
+
+
+@pytest.fixture
+def api():
+    with sample_server(FakeSampleSource()) as server:
+        yield ["--api", server.url]
+
+
+def test_a_solved_problem_prints_a_table_draws_a_figure_and_returns_0(api, tmp_path, capsys):
+    figure = tmp_path / "plan.png"
+    assert command.main([*api, *UNIFORM, "--plot", str(figure)]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].startswith("problem  uniform, seed 7, 2 joints")
+    assert lines[1].startswith("samples  300 from pretrained/0")
+    names = [line.split("  ")[0] for line in lines[4:7]]
+    assert names == ["RRT, learned", "RRT, uniform", "RRTConnect, uniform"]
+    assert figure.stat().st_size > 10_000
+    assert lines[-1].endswith(str(figure))
+
+
+def test_the_same_command_gives_the_same_outcome_as_json(api, capsys):
+    runs = []
+    for _ in range(2):
+        assert command.main([*api, *UNIFORM, "--n", "50", "--json"]) == 0
+        outcome = json.loads(capsys.readouterr().out)
+        for run in outcome["runs"].values():
+            assert run.pop("solve_time_s") > 0.0
+        assert outcome["samples"].pop("round_trip_s") > 0.0
+        runs.append(outcome)
+    assert runs[0] == runs[1]
+    assert runs[0]["samples"]["count"] == 50
+    assert runs[0]["runs"]["RRT, learned"]["solved"] is True
+
+
+def test_a_dead_server_is_reported_and_the_problem_solved_uniformly(capsys):
+    assert command.main([*DEAD, *UNIFORM]) == 0
+    out = capsys.readouterr().out
+    assert "none, going on with uniform samples" in out
+    assert "http://127.0.0.1:9" in out
+    assert "RRT, no samples" in out
+
+
+def test_a_problem_without_a_path_returns_1_and_null_lengths(capsys):
+    arguments = [*DEAD, "--family", "disconnected", "--max-iterations", "300", "--json"]
+    assert command.main(arguments) == 1
+    outcome = json.loads(capsys.readouterr().out)
+    assert outcome["samples"] is None
+    assert "127.0.0.1:9" in outcome["sampler_unavailable"]
+    assert all(run["length_rad"] is None and not run["path"] for run in outcome["runs"].values())
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["--plot", "plan.gif"],
+        ["--plot", "/no/such/folder/plan.png"],
+        ["--api", "nonsense"],
+        ["--uniform-share", "2"],
+        ["--range", "0"],
+        ["--max-iterations", "0"],
+        ["--timeout", "0"],
+        ["--planner-seed", str(2**64)],
+    ],
+    ids=" ".join,
+)
+def test_a_wrong_value_returns_2_and_is_named(arguments, capsys):
+    assert command.main([*DEAD, *UNIFORM, *arguments]) == 2
+    assert capsys.readouterr().err.startswith("error: ")
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [["--family", "wide"], ["--planner", "RRTConnect"], ["--seed", "-1"], ["--n", "many"], ["--what"]],
+    ids=" ".join,
+)
+def test_wrong_usage_leaves_with_2(arguments, capsys):
+    with pytest.raises(SystemExit) as left:
+        command.main(arguments)
+    assert left.value.code == 2
+    assert "usage" in capsys.readouterr().err
+
+
+def test_a_refused_request_returns_2_with_the_server_s_words(api, capsys):
+    assert command.main([*api, *UNIFORM, "--model", "nobody/1"]) == 2
+    assert "No such model" in capsys.readouterr().err
+
+
+def test_the_help_names_the_exit_codes(capsys):
+    with pytest.raises(SystemExit) as left:
+        command.main(["--help"])
+    assert left.value.code == 0
+    assert "Exit codes: 0 solved, 1 not solved, 2" in capsys.readouterr().out

@@ -1,0 +1,84 @@
+import numpy as np
+import pytest
+
+from cspace.errors import SamplerError
+from cspace.image import decode_png
+from cspace.render import render
+from services.planner.ompl_planner import PlannerSettings, solve
+from services.planner.planning import SampleRequest, compare_with_api, plan_with_api
+from services.planner.sampling_client import SamplingClient
+from tests.fakes.sample_source import FakeSampleSource
+
+SETTINGS = PlannerSettings(seed=3)
+
+
+def test_the_source_is_asked_once_for_the_picture_of_the_scenario(blocked):
+    source = FakeSampleSource()
+    plan = plan_with_api(blocked, source, SETTINGS, SampleRequest(n=40))
+    assert plan.result.solved
+    assert len(source.requests) == 1
+    request = source.requests[0]
+    assert np.array_equal(decode_png(request["image_png"]), render(blocked.scenario))
+    assert (request["n"], request["seed"], request["start"]) == (40, 3, None)
+    assert plan.batch is not None
+    assert plan.unavailable is None
+
+
+def test_the_planner_draws_the_samples_of_the_source(make_problem):
+    corner = FakeSampleSource(lambda rng, n: rng.uniform(0.0, 0.4, (n, 2)))
+    settings = PlannerSettings(goal_bias=0.0, max_iterations=60)
+    plan = plan_with_api(make_problem(), corner, settings, SampleRequest(n=60), 0.0, keep_tree=True)
+    assert plan.result.learned_drawn == 60
+    assert plan.result.tree is not None
+    assert plan.result.tree.vertices.min() >= 0.0
+    assert plan.result.tree.vertices.max() <= 0.4
+
+
+def test_a_dead_server_leaves_the_uniform_result_and_its_reason(blocked):
+    with SamplingClient("http://127.0.0.1:9", timeout_s=1.0) as client:
+        plan = plan_with_api(blocked, client, SETTINGS)
+    assert plan.batch is None
+    assert plan.unavailable is not None
+    assert "http://127.0.0.1:9" in plan.unavailable
+    assert plan.result.solved
+    assert plan.result.learned_drawn == 0
+    assert np.array_equal(plan.result.path, solve(blocked, SETTINGS).path)
+
+
+def test_a_refused_request_is_not_hidden_by_uniform_samples(blocked):
+    with pytest.raises(SamplerError, match="No such model"):
+        plan_with_api(blocked, FakeSampleSource(), SETTINGS, SampleRequest(model="nobody/1"))
+
+
+def test_samples_of_another_robot_are_refused_by_name(blocked):
+    source = FakeSampleSource(lambda rng, n: rng.uniform(-1, 1, (n, 3)))
+    with pytest.raises(SamplerError, match=r"pretrained/0 are for another robot.*2 joints.*3"):
+        plan_with_api(blocked, source, SETTINGS)
+
+
+def test_a_batch_from_which_all_was_dropped_is_planned_uniformly(blocked):
+    source = FakeSampleSource(lambda rng, n: rng.uniform(-1, 1, (n, 2)))
+    request = SampleRequest(n=3, seed=0, min_confidence=1.0)
+    plan = plan_with_api(blocked, source, SETTINGS, request)
+    assert plan.batch is not None
+    assert plan.batch.shortfall == 3
+    assert np.array_equal(plan.result.path, solve(blocked, SETTINGS).path)
+
+
+def test_the_ends_are_sent_where_a_path_model_needs_them(blocked):
+    source = FakeSampleSource()
+    with pytest.raises(SamplerError):
+        plan_with_api(blocked, source, SETTINGS, SampleRequest(with_ends=True))
+    assert source.requests[0]["start"] == blocked.start.tolist()
+    assert source.requests[0]["goal"] == blocked.goal.tolist()
+
+
+def test_a_comparison_holds_both_kinds_of_samples_and_rrtconnect_under_one_seed(blocked):
+    comparison = compare_with_api(blocked, FakeSampleSource(), SETTINGS)
+    assert comparison.learned.result.learned_drawn > 0
+    assert np.array_equal(comparison.uniform.path, solve(blocked, SETTINGS).path)
+    assert comparison.connect.solved
+    assert all(
+        result.tree is not None
+        for result in (comparison.learned.result, comparison.uniform, comparison.connect)
+    )
