@@ -1,20 +1,21 @@
 """Processes that outlive the command that starts them: started detached, known and ended by process id.
 
 Every process carries a marker in its environment, which all that it starts inherit. What is left over after
-its root was killed is found by that marker, never by a name.
+its root was killed is found by that marker and by the ids that were recorded, never by a name.
 """
 
 import os
 import subprocess
 import uuid
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 
 import psutil
 
 from cspace.errors import ServiceStartError
-from services.local.records import Record
+from services.local.records import ProcessId, Record
 
 MARKER = "CSPACE_SERVICE_ID"
 # Clocks of processes are read in ticks of 0.01 s from a boot time that may be corrected by parts of a second.
@@ -60,11 +61,11 @@ def start_detached(
     return Record(service, process.pid, created, tuple(argv), marker, str(root), address, str(log))
 
 
-def find(record: Record) -> psutil.Process | None:
-    """The recorded process if it still runs: the same id *and* the same creation time."""
+def find(known: ProcessId) -> psutil.Process | None:
+    """A process if it still runs: the same id *and* the same creation time."""
     try:
-        process = psutil.Process(record.pid)
-        same = abs(process.create_time() - record.create_time) < CREATE_TIME_TOLERANCE_S
+        process = psutil.Process(known.pid)
+        same = abs(process.create_time() - known.create_time) < CREATE_TIME_TOLERANCE_S
         return process if same and process.status() != psutil.STATUS_ZOMBIE else None
     except psutil.Error:
         return None
@@ -72,18 +73,22 @@ def find(record: Record) -> psutil.Process | None:
 
 def is_alive(record: Record) -> bool:
     """Whether the recorded process still runs."""
-    return find(record) is not None
+    return find(record.process) is not None
+
+
+def with_children(record: Record) -> Record:
+    """The record with all that its process has started so far."""
+    return replace(record, children=tuple(_ids(family(record))))
 
 
 def family(record: Record) -> list[psutil.Process]:
     """All that the recorded process has started and that still runs, without the process itself."""
-    found = {process.pid: process for process in _marked(record.marker)}
-    root = find(record)
-    if root is not None:
+    known = [find(one) for one in (record.process, *record.children)]
+    found = {process.pid: process for process in [*known, *_marked(record.marker)] if process is not None}
+    for process in list(found.values()):
         with suppress(psutil.Error):  # it may end in between
-            found |= {child.pid: child for child in root.children(recursive=True)}
-    found.pop(record.pid, None)
-    return list(found.values())
+            found |= {child.pid: child for child in process.children(recursive=True)}
+    return [process for process in found.values() if process.pid != record.pid and _runs(process)]
 
 
 def stop(record: Record, grace_s: float) -> int:
@@ -92,7 +97,7 @@ def stop(record: Record, grace_s: float) -> int:
     The process is asked first and given time to end its own children in order; then those that are left are
     asked, and at last killed. A stranger with a recorded id is left alone.
     """
-    root, children = find(record), family(record)
+    root, children = find(record.process), family(record)
     ended = {process.pid for process in children}
     if root is not None:
         ended.add(root.pid)
@@ -128,6 +133,12 @@ def _runs(process: psutil.Process) -> bool:
         return process.is_running() and process.status() != psutil.STATUS_ZOMBIE
     except psutil.Error:
         return False
+
+
+def _ids(processes: Iterable[psutil.Process]) -> Iterator[ProcessId]:
+    for process in processes:
+        with suppress(psutil.Error):
+            yield ProcessId(process.pid, process.create_time())
 
 
 def _marked(marker: str) -> Iterable[psutil.Process]:

@@ -9,6 +9,14 @@ from cspace.errors import ServiceError
 
 
 @dataclass(frozen=True, slots=True)
+class ProcessId:
+    """A process for good: its id and when it came to be, as ids are used again."""
+
+    pid: int
+    create_time: float
+
+
+@dataclass(frozen=True, slots=True)
 class Record:
     """A process that was started here.
 
@@ -21,6 +29,8 @@ class Record:
         root: the project that it was started from.
         address: where it listens.
         log: its log file.
+        children: what it had started when it was ready. Programs that write a title of their own into their
+            process wipe out the marker, and Ray's agents do.
     """
 
     service: str
@@ -31,6 +41,12 @@ class Record:
     root: str
     address: str
     log: str
+    children: tuple[ProcessId, ...] = ()
+
+    @property
+    def process(self) -> ProcessId:
+        """The process itself."""
+        return ProcessId(self.pid, self.create_time)
 
 
 def write_record(folder: Path, record: Record) -> None:
@@ -50,7 +66,8 @@ def read_record(folder: Path, service: str) -> Record | None:
     path = _path(folder, service)
     try:
         fields = json.loads(path.read_text(encoding="utf-8"))
-        return Record(**{**fields, "argv": tuple(fields["argv"])})
+        children = tuple(ProcessId(**child) for child in fields["children"])
+        return Record(**{**fields, "argv": tuple(fields["argv"]), "children": children})
     except FileNotFoundError:
         return None
     except (ValueError, TypeError, KeyError, UnicodeDecodeError) as error:

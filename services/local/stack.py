@@ -11,7 +11,7 @@ from services.local.health import wait_ready
 from services.local.lock import exclusive
 from services.local.mlflow_server import mlflow_server
 from services.local.ports import require_free
-from services.local.processes import family, find, is_alive, start_detached, stop
+from services.local.processes import family, is_alive, start_detached, stop, with_children
 from services.local.ray_head import ray_head
 from services.local.records import Record, drop_record, read_record, write_record
 from services.local.service import Service
@@ -61,7 +61,8 @@ def up(settings: Settings, wanted: Sequence[Service], report: Report) -> None:
             _start(settings, service)
             report(f"{service.title}: starting, log {_log(settings, service)}")
         for service in wanted:
-            _wait(settings, service)
+            record = _wait(settings, service)
+            write_record(settings.run_folder, with_children(record))
             state = f"ready after {time.monotonic() - began:.1f} s" if service in absent else "runs already"
             report(f"{service.title}: {state}, {service.address}")
 
@@ -153,7 +154,7 @@ def _start(settings: Settings, service: Service) -> None:
     write_record(settings.run_folder, record)
 
 
-def _wait(settings: Settings, service: Service) -> None:
+def _wait(settings: Settings, service: Service) -> Record:
     record = read_record(settings.run_folder, service.name)
     if record is None:
         raise ServiceError(f"the record of {service.title} is gone", remedy="`make down`, then `make up`")
@@ -162,13 +163,14 @@ def _wait(settings: Settings, service: Service) -> None:
             service.title,
             Path(record.log),
             ready=service.ready,
-            alive=lambda: find(record) is not None,
+            alive=lambda: is_alive(record),
             limit_s=service.start_limit_s,
         )
     except ServiceStartError:
         stop(record, service.stop_grace_s)
         drop_record(settings.run_folder, service.name)
         raise
+    return record
 
 
 def _log(settings: Settings, service: Service) -> Path:

@@ -9,7 +9,7 @@ import psutil
 import pytest
 
 from cspace.errors import ServiceStartError
-from services.local.processes import MARKER, family, find, is_alive, start_detached, stop
+from services.local.processes import MARKER, family, find, is_alive, start_detached, stop, with_children
 from services.local.records import Record
 
 StartPython = Callable[..., Record]
@@ -18,6 +18,17 @@ PARENT = """
 import subprocess, sys, time
 child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(300)"], start_new_session=True)
 print(child.pid, flush=True)
+time.sleep(300)
+"""
+CHILD = """
+import os, subprocess, sys, time
+grandchild = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(300)"], env={})
+print(os.getpid(), grandchild.pid, flush=True)
+time.sleep(300)
+"""
+GRANDPARENT = f"""
+import subprocess, sys, time
+subprocess.Popen([sys.executable, "-c", {CHILD!r}])
 time.sleep(300)
 """
 DEAF = """
@@ -47,7 +58,7 @@ def kill_and_reap(pid: int) -> None:
 
 def test_a_started_process_is_known_by_id_and_creation_time(start_python: StartPython) -> None:
     record = start_python()
-    process = find(record)
+    process = find(record.process)
     assert process is not None
     assert process.create_time() == pytest.approx(record.create_time)
     assert is_alive(record)
@@ -91,6 +102,27 @@ def test_orphans_of_a_killed_parent_are_found_and_ended(start_python: StartPytho
     assert is_running(child)
     assert stop(record, grace_s=10) == 1
     assert not is_running(child)
+
+
+def test_a_recorded_child_is_ended_even_if_it_lost_its_marker_and_its_parent(
+    start_python: StartPython,
+) -> None:
+    record = start_python(PARENT.replace("subprocess.Popen(", "subprocess.Popen(env={}, args="))
+    child = int(first_line(record))
+    recorded = with_children(record)
+    assert [one.pid for one in recorded.children] == [child]
+    kill_and_reap(record.pid)
+    assert family(record) == []
+    assert stop(recorded, grace_s=10) == 1
+    assert not is_running(child)
+
+
+def test_what_a_marked_orphan_has_started_without_a_marker_ends_with_it(start_python: StartPython) -> None:
+    record = start_python(GRANDPARENT)
+    pids = [int(pid) for pid in first_line(record).split()]
+    kill_and_reap(record.pid)
+    assert stop(record, grace_s=10) == 2
+    assert not any(map(is_running, pids))
 
 
 def test_a_process_that_ignores_the_request_to_end_is_killed(start_python: StartPython) -> None:

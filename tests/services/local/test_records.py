@@ -4,9 +4,19 @@ from pathlib import Path
 import pytest
 
 from cspace.errors import ServiceError
-from services.local.records import Record, drop_record, read_record, write_record
+from services.local.records import ProcessId, Record, drop_record, read_record, write_record
 
-RECORD = Record("ray", 12, 1.5, ("ray", "start"), "ray-x", "/checkout", "http://127.0.0.1:8265", "/log")
+RECORD = Record(
+    "ray",
+    12,
+    1.5,
+    ("ray", "start"),
+    "ray-x",
+    "/checkout",
+    "http://127.0.0.1:8265",
+    "/log",
+    (ProcessId(13, 2.5),),
+)
 
 
 def test_a_record_comes_back_as_it_was_written(tmp_path: Path) -> None:
