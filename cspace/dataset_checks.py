@@ -40,7 +40,7 @@ def check_arrays(
     if "extra_images" in arrays:
         _must("extra_images.npy", arrays["extra_images"], np.uint8, (None, *picture))
     if "discs" in arrays:
-        _must("discs.npy", arrays["discs"], np.float64, (scenarios, None, 3))
+        _must_be_discs(arrays["discs"], scenarios)
     _must_own("free", arrays, robot.dim, scenarios)
     if "collision" in arrays or "collision_offsets" in arrays:
         _must_own("collision", arrays, robot.dim, scenarios)
@@ -79,7 +79,20 @@ def _must_hold_paths(arrays: Mapping[str, NDArray[Any]], dim: int, scenarios: in
     _must_be_offsets("path_offsets.npy", arrays["path_offsets"], len(owner), len(arrays["paths"]))
     if len(owner) and not (owner.min() >= 0 and owner.max() < scenarios):
         raise DatasetError(
-            "path_scenario.npy does not fit", expected=f"0 to {scenarios - 1}", got=str(owner.max())
+            "path_scenario.npy does not fit",
+            expected=f"0 to {scenarios - 1}",
+            got=f"{owner.min()} to {owner.max()}",
+        )
+
+
+def _must_be_discs(discs: NDArray[Any], scenarios: int) -> None:
+    _must("discs.npy", discs, np.float64, (scenarios, None, 3))
+    if not np.isfinite(discs).all() or not (discs[..., 2] > 0.0).all():
+        bad = discs[~np.isfinite(discs).all(axis=-1) | ~(discs[..., 2] > 0.0)][0]
+        raise DatasetError(
+            "discs.npy holds values that are no discs",
+            expected="finite x, y and a radius above 0, m",
+            got=str(bad),
         )
 
 

@@ -7,13 +7,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from cspace.errors import DamagedFileError, DatasetError
+from cspace.errors import DamagedFileError, DatasetError, ScenarioError
 from cspace.robot import PlanarArm
 from cspace.scenario import Camera
 
 SCHEMA_VERSION = 1
 MANIFEST_FILE = "manifest.json"
 _KEYS = {"schema_version", "robot", "camera", "counts", "generator", "files", "digest"}
+_OBJECTS = ("robot", "camera", "counts", "generator", "files")
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,33 +63,46 @@ class Manifest:
             DamagedFileError: its digest is not that of its content.
         """
         path = folder / MANIFEST_FILE
+        values = _read_object(path)
         try:
-            values = json.loads(path.read_text(encoding="utf-8"))
-        except OSError as error:
+            robot, camera = PlanarArm.from_dict(values["robot"]), Camera.from_dict(values["camera"])
+        except ScenarioError as error:
             raise DatasetError(
-                "the folder is no data set",
-                expected=f"{MANIFEST_FILE} in {folder}",
-                got=str(error),
-                remedy="see docs/data.md for the format, python -m training.datasets import for own data",
+                f"{path}: {error.what}", expected=error.expected, got=error.got, remedy=error.remedy
             ) from error
-        except ValueError as error:
-            raise DatasetError(f"{path} is not JSON", expected="a manifest", got=str(error)) from error
-        if not isinstance(values, dict) or set(values) != _KEYS or values["schema_version"] != SCHEMA_VERSION:
-            raise DatasetError(
-                f"{path} is not a manifest of schema {SCHEMA_VERSION}",
-                expected=f"the keys {', '.join(sorted(_KEYS))}",
-                got=", ".join(sorted(values)) if isinstance(values, dict) else type(values).__name__,
-            )
-        manifest = cls(
-            PlanarArm.from_dict(values["robot"]),
-            Camera.from_dict(values["camera"]),
-            values["counts"],
-            values["generator"],
-            values["files"],
-        )
+        manifest = cls(robot, camera, values["counts"], values["generator"], values["files"])
         if manifest.digest != values["digest"]:
             raise DamagedFileError(f"{path} is damaged", expected=values["digest"], got=manifest.digest)
         return manifest
+
+
+def _read_object(path: Path) -> dict[str, Any]:
+    """The manifest's JSON with its keys and the kinds of its values checked."""
+    try:
+        values = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise DatasetError(
+            "the folder is no data set",
+            expected=f"{MANIFEST_FILE} in {path.parent}",
+            got=str(error),
+            remedy="see docs/data.md for the format, python -m training.datasets import for own data",
+        ) from error
+    except (ValueError, RecursionError) as error:
+        raise DatasetError(f"{path} is not JSON", expected="a manifest", got=str(error)) from error
+    if not isinstance(values, dict) or set(values) != _KEYS or values["schema_version"] != SCHEMA_VERSION:
+        raise DatasetError(
+            f"{path} is not a manifest of schema {SCHEMA_VERSION}",
+            expected=f"the keys {', '.join(sorted(_KEYS))}",
+            got=", ".join(sorted(values)) if isinstance(values, dict) else type(values).__name__,
+        )
+    wrong = [key for key in _OBJECTS if not isinstance(values[key], dict)]
+    if wrong or not all(isinstance(digest, str) for digest in values["files"].values()):
+        raise DatasetError(
+            f"{path} is not a manifest of schema {SCHEMA_VERSION}",
+            expected=f"objects as {', '.join(_OBJECTS)}, digests as files",
+            got=f"something else as {', '.join(wrong) or 'a digest'}",
+        )
+    return values
 
 
 def file_digest(path: Path) -> str:
