@@ -1,0 +1,104 @@
+"""What tracking costs: the quickstart's global WGAN-GP with and without an MLflow run, in turns.
+
+    make up
+    python benchmarks/training/tracking_cost.py --tracking-uri http://127.0.0.1:5000
+
+Each pair trains the same steps from the same seed, once with a run that forgets and once with a run
+on the server, in an order that alternates. The cost is the ratio of a pair's wall times less one; the median over
+pairs is what counts.
+"""
+
+import argparse
+import statistics
+import sys
+import time
+
+import numpy as np
+import torch
+
+from services.registry.mlflow_tracking import MlflowTracking
+from training.config import load_config
+from training.models.checkpoint import seeded_initialisation
+from training.models.data import ScenarioSamples
+from training.models.modules import WganGpModule
+from training.trials.fit import Rhythm, fit
+
+EXPERIMENT = "benchmark-tracking-cost"
+
+
+class ForgetfulRun:
+    run_id = "none"
+
+    def metrics(self, metrics, step):
+        pass
+
+    def flush(self):
+        pass
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, kind, error, trace):
+        pass
+
+
+def module(steps: int) -> WganGpModule:
+    config = load_config("quickstart", [f"global.steps={steps}"]).global_
+    rng = torch.Generator().manual_seed(0)
+    scenarios, rows = 4000, 400_000
+    samples = ScenarioSamples(
+        (torch.rand(rows, 2, generator=rng) * 2.0 - 1.0) * torch.pi,
+        torch.arange(rows) % scenarios,
+        torch.randn(scenarios, 64, generator=rng),
+        torch.full((scenarios, 64), 0.25),
+    )
+    with seeded_initialisation(0):
+        return WganGpModule(config, samples, (torch.zeros(2), torch.ones(2)), 0)
+
+
+def _keep_nothing(metrics, checkpoint):
+    del metrics, checkpoint
+
+
+def timed(steps: int, rhythm: Rhythm, run) -> float:
+    trained = module(steps)
+    began = time.perf_counter()
+    fit("global", trained, steps, rhythm, run, _keep_nothing)
+    return time.perf_counter() - began
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--tracking-uri", required=True)
+    parser.add_argument("--steps", type=int, default=200)
+    parser.add_argument("--pairs", type=int, default=7)
+    options = parser.parse_args()
+    torch.set_num_threads(1)
+    resources = load_config("quickstart").resources
+    rhythm = Rhythm(resources.log_every_steps, resources.checkpoint_every_steps)
+    tracking = MlflowTracking(options.tracking_uri)
+    timed(20, rhythm, ForgetfulRun())
+    ratios, plain_s = [], []
+    for pair in range(options.pairs):
+        run = tracking.start(EXPERIMENT, f"pair-{pair}")
+        order = [ForgetfulRun(), run] if pair % 2 == 0 else [run, ForgetfulRun()]
+        times = {type(one) is ForgetfulRun: timed(options.steps, rhythm, one) for one in order}
+        ratios.append(times[False] / times[True] - 1.0)
+        plain_s.append(times[True])
+        print(
+            f"pair {pair}: {times[True]:.2f} s without, {times[False]:.2f} s with, {ratios[-1]:+.2%}",
+            flush=True,
+        )
+    low, high = np.min(ratios), np.max(ratios)
+    spread = f"(min {low:+.2%}, max {high:+.2%}), {options.pairs} pairs"
+    print(f"tracking cost: median {statistics.median(ratios):+.2%} {spread}")
+    print(
+        f"plain training: median {statistics.median(plain_s) / options.steps * 1e3:.1f} ms a generator step"
+    )
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
