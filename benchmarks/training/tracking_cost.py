@@ -4,8 +4,8 @@
     python benchmarks/training/tracking_cost.py --tracking-uri http://127.0.0.1:5000
 
 Each pair trains the same steps from the same seed, once with a run that forgets and once with a run
-on the server, in an order that alternates. The cost is the ratio of a pair's wall times less one; the median over
-pairs is what counts.
+on the server, in an order that alternates. The cost is the ratio of a pair's wall times less one; the
+median over pairs is what counts.
 """
 
 import argparse
