@@ -171,6 +171,7 @@ def test_an_unknown_family_is_refused():
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(600)
 def test_about_one_draw_in_forty_is_narrow():
     rejected = [draw_problem(Family.NARROW, Split.VALIDATION, 1, index).rejected for index in range(40)]
     # 40 finds in about 1600 draws: a relative standard error of 0.16, four of them either way of 2.6 %.

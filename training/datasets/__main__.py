@@ -96,27 +96,30 @@ def _add_robot(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--half-width", type=float, metavar="M", default=0.1, help="half the links' width, m")
     parser.add_argument(
-        "--limits",
-        nargs="+",
-        metavar="LOW:HIGH",
-        help="per joint low:high in rad, or 'circle'; default all circles",
+        "--limit",
+        nargs=3,
+        action="append",
+        type=float,
+        metavar=("JOINT", "LOW", "HIGH"),
+        help="limits of one joint (1 is the first), rad; repeatable; other joints are circles",
     )
 
 
 def _robot(options: argparse.Namespace) -> PlanarArm:
-    return PlanarArm(tuple(options.links), options.half_width, _limits(options.limits))
+    return PlanarArm(tuple(options.links), options.half_width, _limits(options.limit, len(options.links)))
 
 
-def _limits(texts: Sequence[str] | None) -> JointLimits | None:
-    if texts is None:
+def _limits(entries: Sequence[tuple[float, float, float]] | None, dim: int) -> JointLimits | None:
+    if not entries:
         return None
-    try:
-        pairs = [None if text == "circle" else tuple(map(float, text.split(":", 1))) for text in texts]
-        return tuple(None if pair is None else (pair[0], pair[1]) for pair in pairs)
-    except (ValueError, IndexError) as error:
-        raise ConfigError(
-            "the joint limits do not fit", expected="low:high or circle", got=" ".join(texts)
-        ) from error
+    limits: list[tuple[float, float] | None] = [None] * dim
+    for joint, low, high in entries:
+        if joint not in range(1, dim + 1):
+            raise ConfigError(
+                "the joint limits do not fit", expected=f"joints 1 to {dim}", got=f"joint {joint:g}"
+            )
+        limits[int(joint) - 1] = (low, high)
+    return tuple(limits)
 
 
 def _generate(options: argparse.Namespace) -> Dataset:

@@ -119,7 +119,8 @@ def save_shard(folder: Path, shard: Shard, arrays: dict[str, NDArray[Any]]) -> P
 def load_shard(folder: Path, shard: Shard) -> dict[str, NDArray[Any]] | None:
     """A shard that an earlier attempt finished, or None when there is none that can be read whole."""
     try:
-        with np.load(folder / shard.file_name, allow_pickle=False) as arrays:
+        # Opened here, as numpy leaves a file open that is no archive.
+        with (folder / shard.file_name).open("rb") as handle, np.load(handle, allow_pickle=False) as arrays:
             # Reading compares each array with its checksum.
             return {name: arrays[name] for name in arrays.files}
     except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile):

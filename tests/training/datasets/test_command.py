@@ -1,0 +1,99 @@
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from cspace.dataset import open_dataset
+from training.datasets.__main__ import main
+
+
+@pytest.fixture
+def own(tmp_path):
+    folder = tmp_path / "own"
+    folder.mkdir()
+    for name in ("first", "second"):
+        Image.new("RGB", (64, 64), (255, 255, 255)).save(folder / f"{name}.png")
+        np.save(folder / f"{name}.npy", np.zeros((5, 3)))
+    return folder
+
+
+THREE = ["--links", "1.6", "1.4", "1.0"]
+
+
+def test_own_data_of_three_links_are_imported_and_verified(own, tmp_path, capsys):
+    assert main(["import", str(own), str(tmp_path / "data"), *THREE, "--limit", "2", "-1", "2"]) == 0
+    dataset = open_dataset(tmp_path / "data")
+    assert dataset.robot.link_lengths_m == (1.6, 1.4, 1.0)
+    assert dataset.robot.joint_limits_rad == (None, (-1.0, 2.0), None)
+    assert main(["verify", str(tmp_path / "data")]) == 0
+    assert dataset.digest in capsys.readouterr().out
+
+
+def test_a_damaged_data_set_ends_with_one_and_names_the_file(own, tmp_path, capsys):
+    main(["import", str(own), str(tmp_path / "data"), *THREE])
+    path = tmp_path / "data" / "free.npy"
+    path.write_bytes(path.read_bytes()[:-1] + b"\x01")
+    assert main(["verify", str(tmp_path / "data")]) == 1
+    assert "free.npy is damaged" in capsys.readouterr().err
+
+
+def test_data_of_another_robot_end_with_one(own, tmp_path, capsys):
+    assert main(["import", str(own), str(tmp_path / "data")]) == 1
+    assert "first.npy does not fit the robot" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        ["--links", "2.0", "-1.0"],
+        ["--half-width", "0"],
+        ["--limit", "3", "-1", "2"],
+        ["--limit", "0", "-1", "2"],
+        ["--limit", "1.5", "-1", "2"],
+        ["--limit", "1", "2", "1"],
+        ["--limit", "1", "-4", "1"],
+        ["--pixels", "0"],
+        ["--view", "5", "-5", "-5", "5"],
+    ],
+)
+def test_options_that_cannot_be_end_with_two(own, tmp_path, options, capsys):
+    assert main(["import", str(own), str(tmp_path / "data"), *options]) == 2
+    assert "error:" in capsys.readouterr().err
+    assert not (tmp_path / "data").exists()
+
+
+def test_a_count_that_cannot_be_ends_with_two(tmp_path, capsys):
+    assert main(["generate", str(tmp_path / "data"), "--scenario-count", "0"]) == 2
+    assert "scenario_count does not fit" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("arguments", [[], ["generate"], ["import"], ["verify"]])
+def test_every_command_has_its_help(arguments, capsys):
+    with pytest.raises(SystemExit) as ended:
+        main([*arguments, "--help"])
+    assert ended.value.code == 0
+    assert "usage: python -m training.datasets" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("arguments", [[], ["paint"], ["verify"], ["generate", "x", "--split", "holdout"]])
+def test_a_command_that_is_none_ends_with_two(arguments, capsys):
+    with pytest.raises(SystemExit) as ended:
+        main(arguments)
+    assert ended.value.code == 2
+    assert "usage" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_the_command_generates_with_a_ray_of_its_own(tmp_path):
+    command = [sys.executable, "-m", "training.datasets", "generate", str(tmp_path / "data")]
+    counts = ["--scenario-count", "6", "--extra-image-count", "4", "--shard-size", "3", "--seed", "9"]
+    environment = {key: value for key, value in os.environ.items() if key != "RAY_ADDRESS"}
+    done = subprocess.run(
+        [*command, *counts], env=environment, capture_output=True, text=True, timeout=110, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert "data: 4/4" in done.stderr
+    assert open_dataset(tmp_path / "data").generator_seed == 9

@@ -1,0 +1,191 @@
+import logging
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+import ray
+
+from cspace.dataset import open_dataset
+from cspace.errors import DamagedFileError, DatasetError, StorageError
+from training.datasets import generate as module
+from training.datasets.config import DatasetConfig
+from training.datasets.generate import generate
+from training.datasets.shards import make_shard, plan_shards, save_shard
+
+SMALL = DatasetConfig(
+    seed=3,
+    scenario_count=5,
+    free_per_scenario=20,
+    collision_per_scenario=10,
+    extra_image_count=4,
+    shard_size=2,
+)
+SHARDS = len(plan_shards(SMALL))
+
+
+class HereInsteadOfRay:
+    """Makes the shards in this process, in order; stops before one of them when told to."""
+
+    def __init__(self, monkeypatch, fail_at=None, failure=None):
+        self.made, self.fail_at, self.failure = [], fail_at, failure
+        monkeypatch.setattr(module, "run_tasks", self.run)
+
+    def run(self, config, shards, partial):
+        for shard in shards:
+            if len(self.made) == self.fail_at:
+                raise self.failure
+            self.made.append(shard)
+            yield str(save_shard(partial, shard, make_shard(config, shard)))
+
+
+def test_the_data_set_holds_what_the_configuration_asks_for(tmp_path, monkeypatch):
+    HereInsteadOfRay(monkeypatch)
+    dataset = generate(SMALL, tmp_path / "data")
+    assert dataset.images.shape == (5, 48, 48, 3)
+    assert dataset.extra_images.shape == (4, 48, 48, 3)
+    assert dataset.discs.shape == (5, 3, 3)
+    assert [len(dataset.free_of(index)) for index in range(5)] == [20] * 5
+    assert [len(dataset.collision_of(index)) for index in range(5)] == [10] * 5
+    assert dataset.manifest.generator == SMALL.model_dump(mode="json")
+    assert dataset.generator_seed == 3
+    assert [path.name for path in tmp_path.iterdir()] == ["data"]
+    open_dataset(dataset.folder, verify=True)
+
+
+def test_nothing_is_there_of_what_was_not_asked_for(tmp_path, monkeypatch):
+    HereInsteadOfRay(monkeypatch)
+    config = SMALL.model_copy(update={"collision_per_scenario": 0, "extra_image_count": 0})
+    dataset = generate(config, tmp_path / "data")
+    assert dataset.collision is None
+    assert dataset.extra_images is None
+
+
+def test_an_interrupted_generation_goes_on_where_it_stopped(tmp_path, monkeypatch):
+    first = HereInsteadOfRay(monkeypatch, fail_at=2, failure=KeyboardInterrupt())
+    with pytest.raises(KeyboardInterrupt):
+        generate(SMALL, tmp_path / "data")
+    assert not (tmp_path / "data").exists()
+    second = HereInsteadOfRay(monkeypatch)
+    resumed = generate(SMALL, tmp_path / "data")
+    assert first.made + second.made == plan_shards(SMALL)
+    assert [path.name for path in tmp_path.iterdir()] == ["data"]
+    whole = generate(SMALL, tmp_path / "other")
+    assert resumed.digest == whole.digest
+
+
+def test_a_shard_that_was_damaged_meanwhile_is_made_again(tmp_path, monkeypatch):
+    HereInsteadOfRay(monkeypatch, fail_at=3, failure=RuntimeError())
+    with pytest.raises(RuntimeError):
+        generate(SMALL, tmp_path / "data")
+    (partial,) = tmp_path.iterdir()
+    shard = plan_shards(SMALL)[1]
+    path = partial / shard.file_name
+    path.write_bytes(path.read_bytes()[:-50])
+    second = HereInsteadOfRay(monkeypatch)
+    generate(SMALL, tmp_path / "data")
+    assert second.made == [shard, *plan_shards(SMALL)[3:]]
+
+
+def test_shards_of_another_configuration_are_not_taken(tmp_path, monkeypatch):
+    HereInsteadOfRay(monkeypatch, fail_at=2, failure=RuntimeError())
+    with pytest.raises(RuntimeError):
+        generate(SMALL, tmp_path / "data")
+    other = SMALL.model_copy(update={"seed": 4})
+    second = HereInsteadOfRay(monkeypatch)
+    dataset = generate(other, tmp_path / "data")
+    assert len(second.made) == SHARDS
+    assert dataset.generator_seed == 4
+
+
+def test_a_data_set_that_is_there_is_used_again(tmp_path, monkeypatch):
+    HereInsteadOfRay(monkeypatch)
+    digest = generate(SMALL, tmp_path / "data").digest
+    again = HereInsteadOfRay(monkeypatch)
+    assert generate(SMALL.model_copy(update={"shard_size": 1}), tmp_path / "data").digest == digest
+    assert again.made == []
+
+
+def test_another_data_set_in_the_folder_is_an_error(tmp_path, monkeypatch):
+    HereInsteadOfRay(monkeypatch)
+    generate(SMALL, tmp_path / "data")
+    with pytest.raises(DatasetError, match=r"another data set.*another folder"):
+        generate(SMALL.model_copy(update={"seed": 4}), tmp_path / "data")
+
+
+def test_a_damaged_data_set_in_the_folder_is_found(tmp_path, monkeypatch):
+    HereInsteadOfRay(monkeypatch)
+    path = generate(SMALL, tmp_path / "data").folder / "free.npy"
+    path.write_bytes(path.read_bytes()[:-1] + b"\x00")
+    with pytest.raises(DamagedFileError, match=r"free\.npy"):
+        generate(SMALL, tmp_path / "data")
+
+
+class DiskUsage(NamedTuple):
+    total: int
+    used: int
+    free: int
+
+
+def test_a_full_disk_is_told_before_the_first_shard(tmp_path, monkeypatch):
+    here = HereInsteadOfRay(monkeypatch)
+    monkeypatch.setattr("cspace.dataset.shutil.disk_usage", lambda path: DiskUsage(2**40, 2**40, 2**20))
+    with pytest.raises(StorageError, match="too full"):
+        generate(SMALL, tmp_path / "data")
+    assert here.made == []
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_data_folder_that_cannot_be_made_is_a_storage_error(tmp_path, monkeypatch):
+    HereInsteadOfRay(monkeypatch)
+    (tmp_path / "file").write_text("")
+    with pytest.raises(StorageError, match="cannot be written"):
+        generate(SMALL, tmp_path / "file" / "data")
+
+
+def test_progress_is_told_in_lines_where_there_is_no_terminal(tmp_path, monkeypatch, caplog):
+    HereInsteadOfRay(monkeypatch)
+    with caplog.at_level(logging.INFO, logger="training"):
+        generate(SMALL, tmp_path / "data")
+    assert f"data: {SHARDS}/{SHARDS}, 0 s left" in caplog.messages
+
+
+@pytest.fixture(scope="module")
+def cluster():
+    ray.init(num_cpus=2, include_dashboard=False, log_to_driver=False, logging_level=logging.ERROR)
+    yield
+    ray.shutdown()
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("cluster")
+def test_ray_tasks_make_the_same_data_set(tmp_path, monkeypatch):
+    by_ray = generate(SMALL, tmp_path / "ray")
+    HereInsteadOfRay(monkeypatch)
+    here = generate(SMALL, tmp_path / "here")
+    assert by_ray.digest == here.digest
+    assert {path.name for path in tmp_path.iterdir()} == {"ray", "here"}
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("cluster")
+def test_an_error_in_a_ray_task_arrives_as_it_was_raised(tmp_path):
+    # A robot so short that it never collides.
+    config = SMALL.model_copy(update={"robot": SMALL.robot.model_copy(update={"link_lengths_m": (0.1, 0.1)})})
+    with pytest.raises(DatasetError, match="hardly any configuration") as caught:
+        generate(config, tmp_path / "data")
+    assert type(caught.value) is DatasetError
+    assert not (tmp_path / "data").exists()
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("cluster")
+def test_a_ray_task_that_cannot_write_is_a_storage_error(tmp_path):
+    tasks = module.run_tasks(SMALL, plan_shards(SMALL), Path(tmp_path / "missing"))
+    with pytest.raises(StorageError, match="cannot be written"):
+        list(tasks)
+
+
+def test_free_configurations_of_a_data_set_are_float32(tmp_path, monkeypatch):
+    HereInsteadOfRay(monkeypatch)
+    assert generate(SMALL, tmp_path / "data").free.dtype == np.float32

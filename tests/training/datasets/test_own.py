@@ -1,0 +1,137 @@
+import numpy as np
+import pytest
+from PIL import Image
+
+from cspace.dataset import open_dataset
+from cspace.errors import DatasetError, StorageError
+from cspace.render import render
+from cspace.robot import THREE_LINK, TWO_LINK
+from cspace.scenario import Camera, Split, random_scenarios
+from training.datasets.own import import_folder
+
+
+def fill(folder, robot=TWO_LINK, *, collision=True, extra=True):
+    """Three scenarios as somebody would bring them; returns the angles of each by name."""
+    folder.mkdir()
+    rng, angles = np.random.default_rng(0), {}
+    for name, scenario in zip(("b", "a", "c"), random_scenarios(Split.DEMO, 0, 3), strict=True):
+        Image.fromarray(render(scenario)).save(folder / f"{name}.png")
+        angles[name] = rng.uniform(-np.pi, np.pi, (int(rng.integers(1, 9)), robot.dim))
+        np.save(folder / f"{name}.npy", angles[name])
+    if collision:
+        np.save(folder / "a.collision.npy", np.ones((4, robot.dim), dtype=np.float32))
+    if extra:
+        (folder / "extra").mkdir()
+        Image.new("L", (200, 200), 99).save(folder / "extra" / "wall.png")
+    return angles
+
+
+def take(source, folder, robot=TWO_LINK, camera=None):
+    return import_folder(source, folder, robot=robot, camera=camera or Camera())
+
+
+@pytest.mark.parametrize("robot", [TWO_LINK, THREE_LINK])
+def test_own_pictures_become_a_data_set_in_the_order_of_their_names(tmp_path, robot):
+    angles = fill(tmp_path / "own", robot)
+    take(tmp_path / "own", tmp_path / "data", robot)
+    dataset = open_dataset(tmp_path / "data")
+    assert (dataset.robot, dataset.dim, dataset.scenario_count) == (robot, robot.dim, 3)
+    for index, name in enumerate("abc"):
+        np.testing.assert_allclose(dataset.free_of(index), angles[name], atol=1e-6)
+        picture = np.asarray(Image.open(tmp_path / "own" / f"{name}.png"))
+        np.testing.assert_array_equal(dataset.images[index], picture)
+    assert [len(dataset.collision_of(index)) for index in range(3)] == [4, 0, 0]
+    assert (dataset.extra_images == 99).all()
+    assert dataset.manifest.generator == {"imported": ["a.png", "b.png", "c.png"]}
+    assert dataset.generator_seed is None
+
+
+def test_collisions_and_extra_pictures_are_optional(tmp_path):
+    fill(tmp_path / "own", collision=False, extra=False)
+    dataset = take(tmp_path / "own", tmp_path / "data")
+    assert dataset.collision is None
+    assert dataset.extra_images is None
+
+
+def test_pictures_are_resized_to_the_cameras_pixels(tmp_path):
+    fill(tmp_path / "own")
+    camera = Camera(-4.0, 4.0, -4.0, 4.0, 24)
+    dataset = take(tmp_path / "own", tmp_path / "data", camera=camera)
+    assert dataset.camera == camera
+    assert dataset.images.shape == (3, 24, 24, 3)
+
+
+def test_whole_numbers_and_full_turns_are_angles_too(tmp_path):
+    fill(tmp_path / "own")
+    np.save(tmp_path / "own" / "a.npy", np.array([[7, -7]]))
+    dataset = take(tmp_path / "own", tmp_path / "data")
+    np.testing.assert_allclose(dataset.free_of(0), [[7 - 2 * np.pi, 2 * np.pi - 7]], atol=1e-6)
+
+
+def spoil_with(name, value):
+    def spoil(folder):
+        np.save(folder / name, value, allow_pickle=True)
+
+    return spoil
+
+
+def not_square(folder):
+    Image.new("RGB", (48, 50)).save(folder / "b.png")
+
+
+def no_png(folder):
+    (folder / "b.png").write_bytes(b"GIF89a" * 20)
+
+
+def no_array(folder):
+    (folder / "b.npy").write_text("1.0 2.0")
+
+
+def no_pictures(folder):
+    for path in folder.glob("*.png"):
+        path.unlink()
+
+
+def too_large(folder):
+    with (folder / "b.png").open("r+b") as handle:
+        handle.truncate(8 * 2**20 + 1)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "words"),
+    [
+        (spoil_with("b.npy", np.zeros((3, 3))), r"b\.npy does not fit.*\(n, 2\).*\(3, 3\)"),
+        (spoil_with("b.npy", np.zeros(2)), r"b\.npy does not fit"),
+        (spoil_with("b.npy", np.zeros((3, 2), dtype=complex)), r"b\.npy does not fit.*complex"),
+        (spoil_with("b.npy", np.array([["a", "b"]])), r"b\.npy does not fit"),
+        (spoil_with("b.npy", np.full((3, 2), np.nan)), r"b\.npy.*finite"),
+        (spoil_with("a.collision.npy", np.full((3, 2), np.inf)), r"a\.collision\.npy.*finite"),
+        (spoil_with("b.npy", np.array([[{}, {}]], dtype=object)), r"b\.npy is no array"),
+        (no_array, r"b\.npy is no array"),
+        (lambda folder: (folder / "b.npy").unlink(), r"b\.npy is missing.*extra/"),
+        (spoil_with("d.npy", np.zeros((1, 2))), r"d\.npy belongs to no picture"),
+        (spoil_with("d.collision.npy", np.zeros((1, 2))), r"d\.collision\.npy belongs to no picture"),
+        (not_square, r"b\.png: the picture is not square"),
+        (no_png, r"b\.png: the picture is not a PNG"),
+        (too_large, r"b\.png is too large"),
+        (no_pictures, "holds no pictures"),
+    ],
+)
+def test_a_file_that_does_not_fit_is_named_and_nothing_is_written(tmp_path, spoil, words):
+    fill(tmp_path / "own")
+    spoil(tmp_path / "own")
+    with pytest.raises(DatasetError, match=words):
+        take(tmp_path / "own", tmp_path / "data")
+    assert [path.name for path in tmp_path.iterdir()] == ["own"]
+
+
+def test_a_source_that_is_not_there_is_an_error(tmp_path):
+    with pytest.raises(DatasetError, match="holds no pictures"):
+        take(tmp_path / "own", tmp_path / "data")
+
+
+def test_an_existing_data_set_is_not_overwritten(tmp_path):
+    fill(tmp_path / "own")
+    take(tmp_path / "own", tmp_path / "data")
+    with pytest.raises(StorageError, match="exists"):
+        take(tmp_path / "own", tmp_path / "data")

@@ -1,0 +1,157 @@
+import numpy as np
+import pytest
+
+from cspace.collision import CollisionChecker
+from cspace.errors import DatasetError, StorageError
+from cspace.render import render
+from cspace.robot import PlanarArm
+from cspace.scenario import Scenario, Split, random_scenarios
+from training.datasets.config import DatasetConfig, RobotConfig
+from training.datasets.shards import (
+    Shard,
+    draw_configurations,
+    load_shard,
+    make_shard,
+    plan_shards,
+    save_shard,
+)
+
+SMALL = DatasetConfig(
+    seed=3,
+    scenario_count=5,
+    free_per_scenario=40,
+    collision_per_scenario=20,
+    extra_image_count=3,
+    shard_size=2,
+)
+THREE = SMALL.model_copy(update={"robot": RobotConfig(link_lengths_m=(1.6, 1.4, 1.0))})
+LIMITED = SMALL.model_copy(update={"robot": RobotConfig(joint_limits_rad=(None, (-1.0, 2.0)))})
+
+
+def joined(config, *, extra=False):
+    parts = [make_shard(config, shard) for shard in plan_shards(config) if shard.extra is extra]
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+
+
+def test_shards_cover_every_scenario_and_picture_once():
+    assert plan_shards(SMALL) == [
+        Shard(0, 2, extra=False),
+        Shard(2, 2, extra=False),
+        Shard(4, 1, extra=False),
+        Shard(0, 2, extra=True),
+        Shard(2, 1, extra=True),
+    ]
+
+
+@pytest.mark.parametrize("config", [SMALL, THREE, LIMITED], ids=["two", "three", "limited"])
+def test_configurations_are_what_they_are_said_to_be(config):
+    arrays, robot = joined(config), config.robot_value()
+    assert arrays["free"].shape == (5, 40, robot.dim)
+    assert arrays["collision"].shape == (5, 20, robot.dim)
+    for index in range(5):
+        scenario = Scenario.from_array(robot, arrays["discs"][index])
+        checker = CollisionChecker(scenario)
+        assert checker.valid_batch(arrays["free"][index]).all()
+        assert not checker.valid_batch(arrays["collision"][index]).any()
+        assert robot.space.contains(arrays["collision"][index]).all()
+        np.testing.assert_array_equal(arrays["images"][index], render(scenario))
+
+
+def test_scenarios_are_the_first_ones_of_their_split():
+    discs = np.stack([s.disc_array for s in random_scenarios(Split.TRAIN, 3, 5)])
+    np.testing.assert_array_equal(joined(SMALL)["discs"], discs)
+
+
+def test_the_content_does_not_depend_on_the_size_of_the_shards():
+    for extra in (False, True):
+        small = joined(SMALL, extra=extra)
+        large = joined(SMALL.model_copy(update={"shard_size": 100}), extra=extra)
+        assert small.keys() == large.keys()
+        for name in small:
+            np.testing.assert_array_equal(small[name], large[name])
+
+
+def test_extra_pictures_show_other_scenarios():
+    pictures = np.concatenate([joined(SMALL)["images"], joined(SMALL, extra=True)["images"]])
+    assert len({picture.tobytes() for picture in pictures}) == 8
+
+
+def test_free_configurations_are_uniform_over_the_free_space():
+    scenario = random_scenarios(Split.DEMO, 1, 1)[0]
+    rng = np.random.default_rng(0)
+    drawn = draw_configurations(scenario, 20_000, rng, free=True)
+    assert len(drawn) == 20_000
+    uniform = scenario.robot.space.sample_uniform(rng, 60_000)
+    uniform = uniform[CollisionChecker(scenario).valid_batch(uniform)]
+    bins = np.linspace(-np.pi, np.pi, 9)
+    ours, theirs = (np.histogram2d(q[:, 0], q[:, 1], bins=[bins, bins])[0] / len(q) for q in (drawn, uniform))
+    # A cell holds a 64th at most of 20,000; five standard errors of the difference.
+    assert np.abs(ours - theirs).max() < 5 * np.sqrt(2 * (1 / 40) / 20_000)
+
+
+def test_a_robot_that_hardly_ever_collides_is_an_error():
+    scenario = Scenario(PlanarArm((0.1, 0.1), 0.05), random_scenarios(Split.DEMO, 1, 1)[0].discs)
+    with pytest.raises(DatasetError, match="hardly any configuration is in collision"):
+        draw_configurations(scenario, 5, np.random.default_rng(0), free=False)
+
+
+def test_a_shard_survives_its_file(tmp_path):
+    shard, arrays = Shard(4, 1, extra=False), make_shard(SMALL, Shard(4, 1, extra=False))
+    save_shard(tmp_path, shard, arrays)
+    loaded = load_shard(tmp_path, shard)
+    assert loaded.keys() == arrays.keys()
+    for name in arrays:
+        np.testing.assert_array_equal(loaded[name], arrays[name])
+    assert [path.name for path in tmp_path.iterdir()] == [shard.file_name]
+
+
+def test_a_shard_that_is_damaged_counts_as_missing(tmp_path):
+    shard = Shard(0, 2, extra=True)
+    path = save_shard(tmp_path, shard, make_shard(SMALL, shard))
+    whole = path.read_bytes()
+    middle = len(whole) // 2
+    for damaged in (
+        b"",
+        whole[:100],
+        whole[:middle],
+        whole[:-10],
+        whole[:middle] + bytes([whole[middle] ^ 255]) + whole[middle + 1 :],
+    ):
+        path.write_bytes(damaged)
+        assert load_shard(tmp_path, shard) is None
+    path.unlink()
+    assert load_shard(tmp_path, shard) is None
+
+
+def test_a_folder_that_cannot_be_written_is_a_storage_error(tmp_path):
+    with pytest.raises(StorageError, match="cannot be written"):
+        save_shard(tmp_path / "missing", Shard(0, 1, extra=True), {"images": np.zeros(1)})
+
+
+def test_the_key_follows_the_data_and_not_their_sharding():
+    same = SMALL.model_copy(update={"shard_size": 7})
+    others = [SMALL.model_copy(update={"seed": 4}), SMALL.model_copy(update={"split": "test"}), THREE]
+    assert same.key == SMALL.key
+    assert len({SMALL.key, *(config.key for config in others)}) == 4
+    assert SMALL.folder_name == f"train-{SMALL.key}"
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        {"seed": -1},
+        {"scenario_count": 0},
+        {"split": "holdout"},
+        {"shards": 3},
+        {"robot": {"links": [1.0]}},
+        {"free_per_scenario": "many"},
+    ],
+)
+def test_a_configuration_that_does_not_fit_is_refused(values):
+    with pytest.raises(ValueError, match="validation error"):
+        DatasetConfig.model_validate(values)
+
+
+def test_a_configuration_cannot_be_changed():
+    with pytest.raises(ValueError, match="frozen"):
+        SMALL.seed = 4
