@@ -6,7 +6,7 @@ import shutil
 import socket
 import subprocess
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 UP_LIMIT_S = 1200
@@ -25,7 +25,7 @@ class Stack:
     """`docker compose` with the environment of one test run."""
 
     root: Path
-    environment: Mapping[str, str]
+    environment: Mapping[str, str] = field(repr=False)  # it holds the secrets
 
     @classmethod
     def unique(cls, root: Path) -> "Stack":

@@ -67,13 +67,14 @@ def test_the_new_version_is_served(stack: Stack, trained: Mapping[str, Any]) -> 
     assert answer.status_code == 200, answer.text
     body = answer.json()
     assert np.asarray(body["samples"]).shape == (300, 2)
-    assert body["model"]["version"] == str(trained["version"])
+    assert body["model"]["version"] == trained["version"]
     assert body["model"]["digest"] == trained["digest"]
 
 
 def test_the_evaluation_decides_about_the_new_version(stack: Stack, trained: Mapping[str, Any]) -> None:
     decision = result_of(stack.job("evaluate"))
-    assert str(decision["version"]) == str(trained["version"])
+    assert decision["version"] == trained["version"]
+    assert decision["digest"] == trained["digest"]
     assert isinstance(decision["promoted"], bool)
 
 
