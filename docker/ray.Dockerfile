@@ -5,7 +5,7 @@ COPY pyproject.toml docker/requirements.py ./
 RUN python requirements.py train > /requirements.txt
 
 FROM python:3.11-slim-bookworm
-# On Linux, PyPI's torch brings several GB of CUDA libraries; https://download.pytorch.org/whl/cpu here avoids them.
+# On Linux, torch's default package brings several GB of CUDA libraries; PyTorch's index for processors avoids them.
 ARG PIP_EXTRA_INDEX_URL=""
 # The requirements come from a stage of their own: the heavy layer is rebuilt when they change, not when code does.
 COPY --from=requirements /requirements.txt /tmp/requirements.txt

@@ -95,7 +95,7 @@ def run_on_ray(work: Sequence[Unit], setting: Setting, packed: PackedBundle) -> 
     """
     try:
         if not ray.is_initialized():
-            ray.init(log_to_driver=False, logging_level=logging.WARNING)
+            ray.init(log_to_driver=False, logging_level=logging.WARNING, include_dashboard=False)
         task = ray.remote(num_cpus=1, max_retries=2)(run_packed)
         shared = ray.put(packed)
         pending = [task.remote(unit, setting, shared) for unit in work]

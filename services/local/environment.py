@@ -23,8 +23,11 @@ def service_environment(settings: Settings, base: Mapping[str, str] = os.environ
         "MLFLOW_DISABLE_TELEMETRY": "true",
         # Progress bars turn a log into noise.
         "MLFLOW_ENABLE_ARTIFACTS_PROGRESS_BAR": "false",
+        "MLFLOW_SUPPRESS_PRINTING_URL_TO_STDOUT": "true",
         "MLFLOW_TRACKING_URI": settings.mlflow_url,
         "OMP_NUM_THREADS": "1",
+        # onnxruntime reports on its use from the import on, unless told not to.
+        "ORT_DISABLE_TELEMETRY": "1",
         "PATH": _path(base),
         "PYTHONPATH": str(settings.root),
         "PYTHONUNBUFFERED": "1",

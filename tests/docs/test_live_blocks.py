@@ -16,6 +16,8 @@ SHORTER = {
     "submit training/cluster_train.py": "submit -- training/cluster_train.py --preset smoke",
     "-m services.evaluator": "-m services.evaluator --scenarios 2",
 }
+# Files that blocks write into the working folder, which must stay the project itself: Ray uploads it.
+WRITTEN = ("runs.csv", "plan.png")
 LIMIT_S = 600.0
 # README trains the version that it evaluates and samples, so its blocks come first.
 BLOCKS = sorted(all_blocks(Kind.STACK), key=lambda block: block.document != ROOT / "README.md")
@@ -36,4 +38,5 @@ def session_lines() -> str:
 @pytest.mark.parametrize("block", BLOCKS, ids=lambda block: block.name)
 def test_a_block_runs_against_all_services(block: Block, stack: LiveStack, session_lines: str) -> None:
     shell = Block(block.document, block.line, block.language, session_lines + block.source, block.mark, "")
-    run_block(shell, stack.folder, stack.settings, {**stack.replaced, **SHORTER}, LIMIT_S)
+    written = {name: str(stack.folder / name) for name in WRITTEN}
+    run_block(shell, stack.folder, stack.settings, {**stack.replaced, **SHORTER, **written}, LIMIT_S)

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from tests.docs.blocks import ROOT, Block, Kind, all_blocks
-from tests.docs.shell import run_block, substitute
+from tests.docs.shell import linked_root, run_block, substitute
 from tests.docs.tiny_api import DOCUMENTED, TinyApi
 
 LIMIT_S = 100.0
@@ -16,12 +16,13 @@ MAKE = shutil.which("make") or "make"
 
 @pytest.mark.parametrize("block", all_blocks(Kind.STATIC), ids=lambda block: block.name)
 def test_a_static_block_runs_as_it_stands(block: Block, tmp_path: Path) -> None:
-    assert run_block(block, tmp_path, {}, {}, LIMIT_S)
+    assert run_block(block, tmp_path, {}, {}, LIMIT_S, linked_root(tmp_path))
 
 
 @pytest.mark.parametrize("block", all_blocks(Kind.API), ids=lambda block: block.name)
 def test_a_block_runs_against_an_inference_api(block: Block, tmp_path: Path, tiny_api: TinyApi) -> None:
-    assert run_block(block, tmp_path, {}, {DOCUMENTED: tiny_api.address}, LIMIT_S)
+    replaced = {DOCUMENTED: tiny_api.address}
+    assert run_block(block, tmp_path, {}, replaced, LIMIT_S, linked_root(tmp_path))
 
 
 @pytest.mark.parametrize("block", all_blocks(Kind.MAKE), ids=lambda block: block.name)

@@ -142,7 +142,7 @@ def _generate(options: argparse.Namespace) -> Dataset:
     from training.datasets.generate import generate  # noqa: PLC0415
 
     if not ray.is_initialized():
-        ray.init(log_to_driver=False, logging_level=logging.WARNING)
+        ray.init(log_to_driver=False, logging_level=logging.WARNING, include_dashboard=False)
     return generate(config, options.folder.absolute())
 
 

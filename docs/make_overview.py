@@ -1,0 +1,79 @@
+"""Draws ``docs/images/overview.png``: a picture, its configuration space with samples, and a planned path.
+
+python docs/make_overview.py
+"""
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from cspace.bundle import Bundle
+from cspace.collision import CollisionChecker
+from cspace.errors import CspaceError
+from cspace.image import encode_png
+from cspace.problem import Family, Problem, draw_problem
+from cspace.render import render
+from cspace.scenario import Split
+from services.planner.configuration_panel import draw_configurations
+from services.planner.ompl_planner import solve
+from services.planner.plan_result import PlanResult
+from services.planner.settings import PlannerSettings
+from services.planner.workspace_panel import draw_workspace
+
+ROOT = Path(__file__).parents[1]
+SAMPLES = 1000
+PLANNED_WITH = 300
+SEED = 17
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Parse, sample, plan, draw."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument(
+        "--bundle", type=Path, default=ROOT / "inference_api" / "pretrained", help="default %(default)s"
+    )
+    parser.add_argument("--folder", type=Path, default=ROOT / "docs" / "images", help="default %(default)s")
+    options = parser.parse_args(arguments)
+    try:
+        bundle = Bundle.load(options.bundle)
+        problem = draw_problem(Family.UNIFORM, Split.DEMO, SEED, robot=bundle.spec.robot)
+        picture = render(problem.scenario)
+        samples = bundle.sample(picture, SAMPLES, SEED).samples
+        result = solve(problem, PlannerSettings(seed=SEED), samples[:PLANNED_WITH])
+    except CspaceError as error:
+        sys.stderr.write(f"error: {error}\n")
+        return 1
+    (options.folder / "scenario.png").write_bytes(encode_png(picture))
+    draw_overview(problem, picture, samples, result).savefig(options.folder / "overview.png")
+    free = CollisionChecker(problem.scenario).valid_batch(samples).mean()
+    sys.stdout.write(f"{result.reason}, {result.iterations} iterations, {free:.2f} of the samples are free\n")
+    return 0
+
+
+def draw_overview(
+    problem: Problem, picture: NDArray[np.uint8], samples: NDArray[np.float32], result: PlanResult
+) -> Figure:
+    """Three panels: what the model sees, what it generates, what the planner makes of it."""
+    figure = Figure(figsize=(14.4, 5.0), dpi=110, layout="constrained")
+    seen, generated, planned = figure.subplots(1, 3)
+    camera = problem.scenario.camera
+    seen.imshow(picture, extent=(camera.x_min_m, camera.x_max_m, camera.y_min_m, camera.y_max_m))
+    seen.set(xlabel="x (m)", ylabel="y (m)")
+    draw_configurations(generated, problem, result, samples, (0, 1))
+    draw_workspace(planned, problem, result.path)
+    for axes, title in (
+        (seen, "the picture"),
+        (generated, f"{len(samples)} generated configurations; grey is in collision"),
+        (planned, f"RRT with {PLANNED_WITH} of them: {result.iterations} iterations"),
+    ):
+        axes.set_title(title, fontsize=11)
+    return figure
+
+
+if __name__ == "__main__":
+    sys.exit(main())
