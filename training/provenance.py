@@ -24,15 +24,33 @@ class SourceState:
 
 
 def source_state() -> SourceState:
-    """The state of the checkout that this code runs from.
+    """The state of the sources that this code runs from.
 
-    A submitted job may run in a copy without history; ``CSPACE_GIT_COMMIT`` then names the commit.
+    A submitted job may run from an uploaded copy without history. Where ``CSPACE_GIT_DIR`` names the history
+    that it was copied from, the copy is compared with that; else ``CSPACE_GIT_COMMIT`` names the commit.
     """
-    commit = _git("rev-parse", "HEAD")
-    if commit is None:
-        return SourceState(os.environ.get("CSPACE_GIT_COMMIT", UNKNOWN), None)
-    changes = _git("status", "--porcelain", "--untracked-files=no")
-    return SourceState(commit, bool(changes))
+    folder = Path(__file__).resolve().parent.parent
+    return (
+        _checkout(("-C", str(folder)))
+        or _copy(os.environ.get("CSPACE_GIT_DIR"), folder)
+        or SourceState(os.environ.get("CSPACE_GIT_COMMIT", UNKNOWN), None)
+    )
+
+
+def _checkout(where: tuple[str, ...]) -> SourceState | None:
+    commit = _git(*where, "rev-parse", "HEAD")
+    changes = _git(*where, "status", "--porcelain", "--untracked-files=no")
+    return None if commit is None or changes is None else SourceState(commit, bool(changes))
+
+
+def _copy(history: str | None, folder: Path) -> SourceState | None:
+    if not history:
+        return None
+    where = ("--no-optional-locks", f"--git-dir={history}", f"--work-tree={folder}")
+    commit = _git(*where, "rev-parse", "HEAD")
+    # What was not uploaded is missing from the copy and no change.
+    changes = _git(*where, "diff", "--name-only", "--diff-filter=M", "HEAD")
+    return None if commit is None or changes is None else SourceState(commit, bool(changes))
 
 
 def command_line() -> str:
@@ -46,10 +64,9 @@ def now() -> str:
 
 
 def _git(*arguments: str) -> str | None:
-    folder = Path(__file__).resolve().parent.parent
     try:
         done = subprocess.run(
-            ["git", "-C", str(folder), *arguments],  # noqa: S607 - git is found where the user has it
+            ["git", *arguments],  # noqa: S607 - git is found where the user has it
             capture_output=True,
             text=True,
             check=True,

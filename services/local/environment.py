@@ -19,6 +19,8 @@ def service_environment(settings: Settings, base: Mapping[str, str] = os.environ
     kept = {name: value for name, value in base.items() if name in _KEPT or not name.startswith(_DROPPED)}
     return without_proxy(kept) | {
         "CSPACE_DATA_DIR": str(settings.data_folder),
+        # Jobs that run from an uploaded copy of the sources, without history, tell their commit by this.
+        "CSPACE_GIT_DIR": str(settings.root / ".git"),
         "CSPACE_MODEL_CACHE": str(settings.home / "models"),
         "MLFLOW_DISABLE_TELEMETRY": "true",
         # Progress bars turn a log into noise.

@@ -1,0 +1,79 @@
+"""The commit of a checkout, of an uploaded copy, and of sources without history."""
+
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from training import provenance
+from training.provenance import UNKNOWN, SourceState, source_state
+
+
+def git(folder: Path, *arguments: str) -> str:
+    who = ["-c", "user.name=t", "-c", "user.email=t@example.org"]
+    done = subprocess.run(
+        ["git", "-C", str(folder), *who, *arguments],  # noqa: S607 - git is found where the user has it
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    return done.stdout.strip()
+
+
+@pytest.fixture
+def checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A repository with a module at training/provenance.py and a file that uploads leave out."""
+    root = tmp_path / "checkout"
+    for name in ("training/provenance.py", "tests/large.txt"):
+        (root / name).parent.mkdir(parents=True)
+        (root / name).write_text("as committed\n")
+    git(root, "init", "--quiet")
+    git(root, "add", ".")
+    git(root, "commit", "--quiet", "--message", "first")
+    for name in ("CSPACE_GIT_DIR", "CSPACE_GIT_COMMIT"):
+        monkeypatch.delenv(name, raising=False)
+    run_from(root, monkeypatch)
+    return root
+
+
+def run_from(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(provenance, "__file__", str(root / "training" / "provenance.py"))
+
+
+@pytest.fixture
+def copy(checkout: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An upload of the checkout."""
+    root = tmp_path / "copy"
+    shutil.copytree(checkout / "training", root / "training")
+    run_from(root, monkeypatch)
+    return root
+
+
+def test_a_checkout_tells_commit_and_changes(checkout: Path) -> None:
+    commit = git(checkout, "rev-parse", "HEAD")
+    assert source_state() == SourceState(commit, dirty=False)
+    (checkout / "tests" / "large.txt").write_text("changed\n")
+    assert source_state() == SourceState(commit, dirty=True)
+
+
+def test_an_uploaded_copy_is_compared_with_the_history_it_came_from(
+    checkout: Path, copy: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("CSPACE_GIT_DIR", str(checkout / ".git"))
+    commit = git(checkout, "rev-parse", "HEAD")
+    assert source_state() == SourceState(commit, dirty=False)
+    (copy / "training" / "provenance.py").write_text("changed\n")
+    assert source_state() == SourceState(commit, dirty=True)
+    assert git(checkout, "status", "--porcelain") == ""
+
+
+@pytest.mark.usefixtures("copy")
+@pytest.mark.parametrize("history", ["", "/nowhere/.git"])
+def test_without_history_the_environment_names_the_commit(
+    history: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("CSPACE_GIT_DIR", history)
+    assert source_state() == SourceState(UNKNOWN, None)
+    monkeypatch.setenv("CSPACE_GIT_COMMIT", "abc")
+    assert source_state() == SourceState("abc", None)
