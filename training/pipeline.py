@@ -175,5 +175,8 @@ def _tags(config: TrainConfig) -> dict[str, str]:
         "seed": str(config.seed),
         "git.commit": source.commit,
         "git.dirty": str(source.dirty),
+        # What MLflow's UI shows as the source.
         "mlflow.source.git.commit": source.commit,
+        "mlflow.source.name": "training/cluster_train.py",
+        "mlflow.source.type": "JOB",
     }

@@ -43,7 +43,7 @@ def _picture(axes: Axes, scene: Scene) -> None:
 def _truth(axes: Axes, scene: Scene) -> None:
     if scene.space.dim == 2:
         _free_map(axes, scene)
-        axes.set_title("free configurations", fontsize=9)
+        axes.set_title("truth: grey is in collision", fontsize=9)
     else:
         real = scene.free(SHOWN_SAMPLES, scene.rng(7))
         axes.scatter(real[:, 0], real[:, 1], s=2, color=FREE_COLOUR, linewidths=0)

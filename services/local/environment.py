@@ -34,6 +34,8 @@ def service_environment(settings: Settings, base: Mapping[str, str] = os.environ
         "PYTHONPATH": str(settings.root),
         "PYTHONUNBUFFERED": "1",
         "RAY_AUTH_MODE": "token",
+        # Trials say the same of themselves, and each line counts.
+        "RAY_DEDUP_LOGS": "0",
         # Without this, Ray takes 127.0.0.1 for the machine's outer address and listens there. The switch is
         # named after the systems on which a head keeps to the loopback address by default.
         "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0",

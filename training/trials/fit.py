@@ -19,6 +19,9 @@ from training.models.modules import Metrics, TrialModule
 
 Keep = Callable[[Metrics, Path | None], None]
 
+# Readers of a log want a line now and then, however fast the steps are.
+LINE_EVERY_S = 5.0
+
 _LOG = logging.getLogger("training")
 
 
@@ -57,6 +60,7 @@ class TrialCallback(lightning.Callback):
         self.rhythm, self.run, self.keep, self.resume = rhythm, run, keep, resume
         self.history = [dict(row) for row in progress.history]
         self.first, self.started = progress.step, time.monotonic()
+        self.shown_s = -LINE_EVERY_S
 
     def on_fit_start(self, trainer: lightning.Trainer, pl_module: lightning.LightningModule) -> None:
         """Fill the module from the checkpoint; its tensors are where they stay by now."""
@@ -92,6 +96,9 @@ class TrialCallback(lightning.Callback):
         metrics = module.metrics() | {"steps_per_s": rate}
         self.history.append({"step": float(self.step), **metrics})
         self.run.metrics(metrics, self.step)
+        if elapsed - self.shown_s < LINE_EVERY_S and self.step < self.steps:
+            return
+        self.shown_s = elapsed
         left = (self.steps - self.step) / max(rate, 1e-9)
         shown = ", ".join(f"{key} {value:.4g}" for key, value in metrics.items() if key != "steps_per_s")
         _LOG.info("%s: step %d/%d, %s, %.0f s left", self.name, self.step, self.steps, shown, left)

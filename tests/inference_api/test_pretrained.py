@@ -1,0 +1,54 @@
+"""The bundle that ships with the project: whole, small, told where it comes from, and better than uniform."""
+
+import re
+
+import numpy as np
+import pytest
+
+from cspace.bundle import Bundle
+from cspace.collision import CollisionChecker
+from cspace.render import render
+from cspace.robot import TWO_LINK
+from cspace.scenario import Split, random_scenarios
+from inference_api.settings import PRETRAINED_FOLDER
+
+MAX_BYTES = 40_000_000
+SCENARIOS = 20
+SAMPLES = 500
+
+
+@pytest.fixture(scope="module")
+def bundle() -> Bundle:
+    """The shipped bundle, its sums and its golden case verified."""
+    return Bundle.load(PRETRAINED_FOLDER)
+
+
+def test_it_holds_a_bundle_and_nothing_else(bundle: Bundle) -> None:
+    assert bundle.spec.robot == TWO_LINK
+    files = sorted(PRETRAINED_FOLDER.iterdir())
+    assert [file.name for file in files] == [
+        "SHA256SUMS",
+        "bundle.json",
+        "encoder.onnx",
+        "generator.onnx",
+        "golden.npz",
+    ]
+    assert sum(file.stat().st_size for file in files) < MAX_BYTES
+
+
+def test_it_tells_how_it_was_made(bundle: Bundle) -> None:
+    provenance = bundle.spec.provenance
+    assert provenance.command == "python training/cluster_train.py --preset quickstart"
+    assert re.fullmatch(r"[0-9a-f]{40}", provenance.git_commit)
+    assert provenance.git_dirty is False
+    assert provenance.seeds == {"data": 0, "train": 0}
+
+
+def test_its_samples_are_free_more_often_than_uniform_ones(bundle: Bundle) -> None:
+    learned, uniform = [], []
+    for index, scenario in enumerate(random_scenarios(Split.DEMO, 11, SCENARIOS)):
+        checker = CollisionChecker(scenario)
+        drawn = np.random.default_rng(index).uniform(-np.pi, np.pi, (SAMPLES, 2))
+        learned.append(checker.valid_batch(bundle.sample(render(scenario), SAMPLES, index).samples).mean())
+        uniform.append(checker.valid_batch(drawn).mean())
+    assert np.mean(learned) > np.mean(uniform) + 0.1
