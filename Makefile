@@ -4,7 +4,7 @@ PYTHON ?= $(shell command -v python3.11 || command -v python3 || echo python3.11
 VENV := .venv
 BIN := $(VENV)/bin
 LOCAL := $(BIN)/python -m services.local
-PYTEST := OMP_NUM_THREADS=1 MLFLOW_DISABLE_TELEMETRY=true RAY_USAGE_STATS_ENABLED=0 $(BIN)/python -m pytest
+PYTEST := OMP_NUM_THREADS=1 MLFLOW_DISABLE_TELEMETRY=true RAY_USAGE_STATS_ENABLED=0 ORT_DISABLE_TELEMETRY=1 $(BIN)/python -m pytest
 INSTALLED := $(VENV)/installed
 
 FAST := not slow and not e2e and not compose and not browser and not gpu

@@ -52,3 +52,8 @@ def test_its_samples_are_free_more_often_than_uniform_ones(bundle: Bundle) -> No
         learned.append(checker.valid_batch(bundle.sample(render(scenario), SAMPLES, index).samples).mean())
         uniform.append(checker.valid_batch(drawn).mean())
     assert np.mean(learned) > np.mean(uniform) + 0.1
+
+
+def test_it_names_no_folder_of_the_machine_that_made_it() -> None:
+    for file in PRETRAINED_FOLDER.iterdir():
+        assert not re.search(rb"\.py\b(?<!cluster_train\.py)|/home/|/tmp/|/root/", file.read_bytes()), file.name

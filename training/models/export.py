@@ -5,6 +5,7 @@ import io
 import logging
 import warnings
 from collections.abc import Iterator
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -66,7 +67,28 @@ def _export(
         )
     if program is None:
         raise RuntimeError("torch.onnx.export returned nothing")
-    serialised: bytes = program.model_proto.SerializeToString()
+    return _without_traces(program.model_proto)
+
+
+def _without_traces(model: Any) -> bytes:
+    """The graph's bytes without the exporter's stack traces, which name folders of the machine it ran on.
+
+    Args:
+        model: an ``onnx.ModelProto``.
+    """
+    graph = model.graph
+    for part in (
+        model,
+        graph,
+        *graph.node,
+        *graph.input,
+        *graph.output,
+        *graph.value_info,
+        *graph.initializer,
+    ):
+        part.ClearField("metadata_props")
+        part.ClearField("doc_string")
+    serialised: bytes = model.SerializeToString()
     return serialised
 
 

@@ -1,3 +1,5 @@
+from pathlib import Path
+
 import numpy as np
 import onnxruntime
 import pytest
@@ -40,3 +42,10 @@ def test_the_means_generators_graph_answers_as_the_network():
         expected = generator(*feeds.values())
     (samples,) = answer(generator_graph(generator, 2, 6, 1), feeds)
     np.testing.assert_allclose(samples, expected.numpy(), atol=1e-5)
+
+
+def test_graphs_name_no_folder_of_the_machine_that_exported_them():
+    encoder, generator = Encoder(48, 6, 4, 4), TorusGenerator(2, 6, 16, 2, 2)
+    for graph in (encoder_graph(encoder, 48), generator_graph(generator, 2, 6, 2)):
+        assert b".py" not in graph
+        assert str(Path(torch.__file__).parent).encode() not in graph
