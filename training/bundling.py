@@ -10,8 +10,9 @@ from cspace.space import Standardisation
 from training.config import GanConfig, TrainConfig
 from training.encode import load_encoder
 from training.models.checkpoint import load_weights, seeded_initialisation
-from training.models.export import encoder_graph, generator_graph
+from training.models.export import encoder_graph, generator_graph, validity_graph
 from training.models.modules import make_generator
+from training.models.validity import ValidityHead
 from training.provenance import command_line, now, source_state
 from training.trials.trainables import TrainingArrays
 
@@ -22,6 +23,7 @@ class TrainedParts:
 
     vae: Path
     generator: Path
+    validity: Path | None
     arrays: TrainingArrays
 
 
@@ -41,6 +43,10 @@ def make_bundle(folder: Path, config: TrainConfig, dataset: Dataset, parts: Trai
         "encoder": encoder_graph(encoder, dataset.camera.pixels),
         "generator": generator_graph(generator, dim, latent_dim, gan.noise_dim),
     }
+    if parts.validity is not None:
+        head = ValidityHead(config.validity, dataset.robot, dataset.camera)
+        head.load_state_dict(load_weights(parts.validity, "head"))
+        graphs["validity"] = validity_graph(head, dataset.camera.pixels, dim)
     scale = Standardisation(*(tuple(float(v) for v in part) for part in parts.arrays.scale))
     spec = BundleSpec(
         robot=dataset.robot,
@@ -48,6 +54,7 @@ def make_bundle(folder: Path, config: TrainConfig, dataset: Dataset, parts: Trai
         camera=dataset.camera,
         samples_per_latent=gan.means,
         random_inputs=random_inputs(gan, dim),
+        confidence_threshold=None if parts.validity is None else config.validity.threshold,
         standardisation=scale if gan.generator == "means" else None,
         provenance=_provenance(config, dataset),
     )

@@ -85,6 +85,20 @@ class GlobalConfig(GanConfig):
     local_critic_weight: float = Field(0.1, ge=0, description="weight of the local critics' mean; 0 is off")
 
 
+class ValidityConfig(Section):
+    """The validity head: an occupancy network with pixel-aligned look-ups."""
+
+    steps: int = Field(3000, ge=0, description="0 leaves the bundle without a head")
+    pictures_per_step: int = Field(32, ge=1)
+    configurations_per_picture: int = Field(64, ge=2, description="half of them free")
+    points_per_link: int = Field(12, ge=2)
+    side_m: float = Field(0.1, ge=0, description="distance of the look-ups beside each link")
+    hidden: int = Field(160, ge=1)
+    layers: int = Field(2, ge=1)
+    learning_rate: float = Field(4e-3, gt=0)
+    threshold: float = Field(0.8, gt=0, lt=1, description="the confidence that the bundle recommends")
+
+
 class ResourceConfig(Section):
     """What a trial gets from the cluster and how it survives faults."""
 
@@ -104,6 +118,7 @@ class TrainConfig(Section):
     data_folder: Path | None = Field(None, description="an existing data set in the documented format")
     vae: VaeConfig = VaeConfig()
     clusters: ClusterConfig = ClusterConfig()
+    validity: ValidityConfig = ValidityConfig()
     local: GanConfig = GanConfig(steps=400)
     global_: GlobalConfig = Field(GlobalConfig(), alias="global")
     resources: ResourceConfig = ResourceConfig()

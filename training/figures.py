@@ -13,6 +13,8 @@ _LABELS = {
     "gradient_penalty": "gradient penalty",
     "generator_loss": "generator loss",
     "reconstruction_loss": "reconstruction loss",
+    "validity_loss": "cross entropy [nat]",
+    "validity_accuracy": "accuracy in the batch",
     "kl": "KL divergence [nat]",
 }
 
@@ -27,6 +29,11 @@ def vae_curves(history: History) -> Figure:
     return _curves({"vae": history}, ("reconstruction_loss", "kl"), "step")
 
 
+def validity_curves(history: History) -> Figure:
+    """The validity head's loss and accuracy over its steps, on what it is trained on."""
+    return _curves({"validity": history}, ("validity_loss", "validity_accuracy"), "step")
+
+
 def _curves(histories: Mapping[str, History], names: Sequence[str], x_label: str) -> Figure:
     figure = Figure(figsize=(4.2 * len(names), 3.4), layout="constrained")
     FigureCanvasAgg(figure)
@@ -38,7 +45,7 @@ def _curves(histories: Mapping[str, History], names: Sequence[str], x_label: str
         axes.set_xlabel(x_label)
         axes.set_title(_LABELS[name], fontsize=10)
         axes.grid(visible=True, alpha=0.3)
-        if name == "reconstruction_loss":
+        if name in ("reconstruction_loss", "validity_loss"):
             axes.set_yscale("log")
     if len(histories) > 1:
         figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=len(histories))

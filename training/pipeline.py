@@ -1,4 +1,4 @@
-"""The main job: data set, VAE, clusters, local trials, global trial, bundle, registry - in this order."""
+"""The main job: data, VAE and validity head, clusters, local trials, global trial, bundle, registry."""
 
 import logging
 from collections.abc import Mapping, Sequence
@@ -22,7 +22,15 @@ from training.environment import Environment
 from training.provenance import source_state
 from training.reporting import log_result, log_start
 from training.trials.launch import TrialOutcome, connect, run_trials
-from training.trials.trainables import TrainingArrays, global_trial, local_trial, vae_trial
+from training.trials.occupancy import OccupancyArrays
+from training.trials.trainables import (
+    VAE,
+    VALIDITY,
+    TrainingArrays,
+    global_trial,
+    local_trial,
+    picture_trial,
+)
 
 _LOG = logging.getLogger("training")
 
@@ -79,15 +87,17 @@ def train(config: TrainConfig, environment: Environment) -> TrainResult:
     with tracking.start(EXPERIMENT, "cluster-train", tags=_tags(config)) as run:
         job = _Job(config, environment, tracking, run, environment.data_folder / "jobs" / run.run_id)
         log_start(run, config, dataset)
-        vae = train_vae(job, dataset)
+        vae, head = train_on_pictures(job, dataset)
         arrays = encode_and_cluster(job, dataset, vae)
         local = train_local(job, arrays)
         final = train_global(job, arrays, local)
         _LOG.info("bundle: exporting")
-        parts = TrainedParts(vae.checkpoint, final.checkpoint, arrays)
+        validity = None if head is None else head.checkpoint
+        parts = TrainedParts(vae.checkpoint, final.checkpoint, validity, arrays)
         bundle = make_bundle(job.folder / "bundle", config, dataset, parts)
-        figures = log_result(run, bundle, dataset, {t.name: t for t in (vae, *local, final)})
-        return _register(job, dataset, bundle, [vae, *local, final], figures)
+        outcomes = [vae, *([] if head is None else [head]), *local, final]
+        figures = log_result(run, bundle, dataset, {outcome.name: outcome for outcome in outcomes})
+        return _register(job, dataset, bundle, outcomes, figures)
 
 
 def prepare_data(config: TrainConfig, data_folder: Path) -> Dataset:
@@ -97,15 +107,27 @@ def prepare_data(config: TrainConfig, data_folder: Path) -> Dataset:
     return generate(config.data, data_folder / "datasets" / config.data.folder_name)
 
 
-def train_vae(job: _Job, dataset: Dataset) -> TrialOutcome:
-    """Stage 3: one VAE over all pictures, shared by every later trial."""
+def train_on_pictures(job: _Job, dataset: Dataset) -> tuple[TrialOutcome, TrialOutcome | None]:
+    """Stage 3: one VAE over all pictures, shared by every later trial; the validity head beside it.
+
+    Without configurations in collision, or with no steps for it, there is no head.
+    """
+    config = job.config
     images = np.asarray(dataset.images)
     if dataset.extra_images is not None:
         images = np.concatenate([images, dataset.extra_images])
-    _LOG.info("vae: %d pictures", len(images))
-    trial = {"name": "vae", "run_id": job.child("vae"), "seed": job.config.seed}
-    shared = {"train": job.config, "images": images, "tracking_uri": job.environment.tracking_uri}
-    return run_trials(vae_trial, [trial], shared, job.config.resources, job.folder / "vae")[0]
+    occupancy = OccupancyArrays.of(dataset) if config.validity.steps > 0 else None
+    names = [VAE] if occupancy is None else [VAE, VALIDITY]
+    _LOG.info("%s: %d pictures", " and ".join(names), len(images))
+    trials = [{"name": name, "run_id": job.child(name), "seed": config.seed} for name in names]
+    shared = {
+        "train": config,
+        "images": images,
+        "occupancy": occupancy,
+        "tracking_uri": job.environment.tracking_uri,
+    }
+    vae, *head = run_trials(picture_trial, trials, shared, config.resources, job.folder / "pictures")
+    return vae, head[0] if head else None
 
 
 def encode_and_cluster(job: _Job, dataset: Dataset, vae: TrialOutcome) -> TrainingArrays:

@@ -12,7 +12,7 @@ from services.evaluator.samplers import BundleSampler
 from services.evaluator.scenes import Scene, Stage
 from services.registry.tracking import RunLog
 from training.config import TrainConfig
-from training.figures import vae_curves, wgan_curves
+from training.figures import vae_curves, validity_curves, wgan_curves
 from training.models.checkpoint import read_progress
 from training.trials.launch import TrialOutcome
 
@@ -30,7 +30,9 @@ def log_result(
 ) -> tuple[str, ...]:
     """Curves of all trials, samples against truth for seen and unseen scenarios; returns their names."""
     histories = {name: read_progress(outcome.checkpoint).history for name, outcome in outcomes.items()}
+    head = histories.pop("validity", None)
     figures = {
+        **({} if head is None else {"validity-losses": validity_curves(head)}),
         "vae-losses": vae_curves(histories.pop("vae")),
         "wgan-losses": wgan_curves(histories),
         **_galleries(bundle, dataset),

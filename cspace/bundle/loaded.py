@@ -154,7 +154,7 @@ class Bundle:
             self.spec, encoding.mu, encoding.sigma, request.count, request.seed, request.epsilon_sigma
         )
         samples = to_float32(self._generate(draws, request))
-        confidence = self._score(image, samples)
+        confidence = self.score(image, samples) if self.has_validity else None
         if confidence is not None:
             kept = confidence >= np.float32(request.min_confidence)
             samples, confidence = samples[kept], confidence[kept]
@@ -180,18 +180,28 @@ class Bundle:
 
         return _chunked(run, len(draws.latents))[draws.kept]
 
-    def _score(self, image: NDArray[np.uint8], samples: NDArray[np.float32]) -> NDArray[np.float32] | None:
+    def score(self, image: NDArray[np.uint8], configurations: NDArray[np.float32]) -> NDArray[np.float32]:
+        """P(free | picture, configuration) by the validity head, float32 (n,).
+
+        Args:
+            image: uint8 (P, P, 3).
+            configurations: float32 (n, d) rad, at least one.
+
+        Raises:
+            InputError: the bundle has no validity head, or the picture does not fit.
+            BundleError: the graph fails.
+        """
         head = self._validity
         if head is None:
-            return None
+            raise InputError("the model has no validity head", remedy="train one with validity.steps above 0")
         picture = self._network_image(image)
 
         def run(rows: slice) -> NDArray[np.float32]:
-            part = samples[rows]
+            part = configurations[rows]
             feeds = {"image": picture, "configurations": part}
             return head.run(feeds, {"confidence": (len(part),)})["confidence"]
 
-        confidence = _chunked(run, len(samples))
+        confidence = _chunked(run, len(configurations))
         if np.any((confidence < 0.0) | (confidence > 1.0)):
             raise BundleError("the validity head gives no probabilities", expected="values from 0 to 1")
         return confidence

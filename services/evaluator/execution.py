@@ -5,7 +5,7 @@ from functools import lru_cache
 
 from services.evaluator.budget import Unit
 from services.evaluator.evaluation import Setting, UnitResult, run_unit
-from services.evaluator.samplers import BundleSampler, PackedBundle, Sampler
+from services.evaluator.samplers import PackedBundle, Sampler, bundle_sampler
 
 Execute = Callable[[Sequence[Unit], Setting, PackedBundle], Iterator[UnitResult]]
 
@@ -23,4 +23,4 @@ def run_packed(unit: Unit, setting: Setting, packed: PackedBundle) -> UnitResult
 
 @lru_cache(maxsize=1)
 def _sampler(packed: PackedBundle) -> Sampler:
-    return BundleSampler(packed.load())
+    return bundle_sampler(packed.load())

@@ -5,7 +5,7 @@ from services.evaluator.planning_summary import COSTS, ArmSummary, FamilySummary
 from services.evaluator.reconstruction import SamplerSummary
 from services.evaluator.statistics import Interval
 
-SAMPLERS = ("sampler", "uniform", "real")
+SAMPLERS = ("sampler", "confident", "uniform", "real")
 
 
 def flat_metrics(evaluation: Evaluation) -> dict[str, float]:
@@ -22,12 +22,18 @@ def flat_metrics(evaluation: Evaluation) -> dict[str, float]:
 def _split_metrics(split: SplitResult, prefix: str) -> dict[str, float]:
     metrics: dict[str, float] = {}
     for name in SAMPLERS:
-        one: SamplerSummary = getattr(split.reconstruction, name)
+        one: SamplerSummary | None = getattr(split.reconstruction, name)
+        if one is None:
+            continue
         label = prefix if name == "sampler" else f"{prefix}{name}_"
         for metric in ("precision", "coverage", "edr", "precision_p10"):
             metrics |= _interval_metrics(label + metric, getattr(one, metric))
         metrics[f"{label}precision_minimum"] = one.precision_minimum
     metrics |= _interval_metrics(f"{prefix}precision_gain", split.reconstruction.precision_gain)
+    head = split.reconstruction.occupancy
+    for metric in () if head is None else ("accuracy", "near_accuracy", "calibration_error", "acceptance"):
+        value: Interval | None = getattr(head, metric)
+        metrics |= {} if value is None else _interval_metrics(f"{prefix}head_{metric}", value)
     if split.planning_success is not None:
         metrics |= _interval_metrics(f"{prefix}planning_success", split.planning_success)
     for family in split.planning:

@@ -15,6 +15,7 @@ from scipy.spatial.distance import cdist, pdist
 
 from cspace.errors import EvaluationError
 from cspace.space import JointSpace, embed
+from services.evaluator.occupancy import OccupancySummary, SceneOccupancy, summarise_occupancy
 from services.evaluator.statistics import (
     Interval,
     difference_interval,
@@ -46,12 +47,18 @@ class SampleQuality:
 
 @dataclass(frozen=True, slots=True)
 class SceneQuality:
-    """The sampler, the uniform one, and real samples on one scenario."""
+    """The sampler, the uniform one, and real samples on one scenario.
+
+    ``confident`` is the sampler again, with the samples alone that its validity head lets pass, and
+    ``occupancy`` is that head; None without one.
+    """
 
     index: int
     sampler: SampleQuality
     uniform: SampleQuality
     real: SampleQuality
+    confident: SampleQuality | None = None
+    occupancy: SceneOccupancy | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,12 +74,17 @@ class SamplerSummary:
 
 @dataclass(frozen=True, slots=True)
 class ReconstructionSummary:
-    """All samplers over all scenarios, and the paired gain in precision over uniform."""
+    """All samplers over all scenarios, and the paired gain in precision over uniform.
+
+    ``confident`` and ``occupancy`` are None for samplers without a validity head.
+    """
 
     sampler: SamplerSummary
     uniform: SamplerSummary
     real: SamplerSummary
     precision_gain: Interval
+    confident: SamplerSummary | None = None
+    occupancy: OccupancySummary | None = None
 
 
 def coverage(
@@ -147,7 +159,18 @@ def summarise(scenes: Sequence[SceneQuality], rng: np.random.Generator) -> Recon
         _summary(uniform, uniform, rng),
         _summary([scene.real for scene in scenes], uniform, rng),
         difference_interval([q.precision for q in sampler], [q.precision for q in uniform], rng),
+        *_head_summaries(scenes, uniform, rng),
     )
+
+
+def _head_summaries(
+    scenes: Sequence[SceneQuality], uniform: Sequence[SampleQuality], rng: np.random.Generator
+) -> tuple[SamplerSummary | None, OccupancySummary | None]:
+    confident = [scene.confident for scene in scenes if scene.confident is not None]
+    heads = [scene.occupancy for scene in scenes if scene.occupancy is not None]
+    if len(confident) < len(scenes) or len(heads) < len(scenes):
+        return None, None
+    return _summary(confident, uniform, rng), summarise_occupancy(heads, rng)
 
 
 def _summary(

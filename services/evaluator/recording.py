@@ -9,6 +9,7 @@ from services.evaluator.evaluation import Evaluation
 from services.evaluator.gallery import gallery
 from services.evaluator.gate import GATED, Candidate, Champion, Verdict, judge
 from services.evaluator.metrics import flat_metrics
+from services.evaluator.reliability import reliability_diagram
 from services.evaluator.report import to_json, to_markdown
 from services.evaluator.samplers import Sampler
 from services.evaluator.scenes import Scene, Stage
@@ -70,6 +71,10 @@ def log_evaluation(
         count = min(GALLERY_SCENARIOS, setting.budget.scenarios)
         names.append(f"gallery-{split}")
         run.figure(gallery([Scene(stage, index) for index in range(count)], sampler, title), names[-1])
+    head = evaluation.test.reconstruction.occupancy
+    if head is not None:
+        names.append("reliability")
+        run.figure(reliability_diagram(head, title), names[-1])
     return tuple(names)
 
 

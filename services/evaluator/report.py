@@ -8,6 +8,7 @@ from services.evaluator.evaluation import PLANNER, Evaluation
 from services.evaluator.tables import (
     aligned,
     markdown,
+    occupancy_table,
     planning_table,
     reconstruction_table,
     topology_table,
@@ -18,6 +19,11 @@ PLANNING_NOTE = (
     f"{PLANNER.max_iterations} iterations. Medians, the 90th percentile in brackets; a run without success "
     "is censored and ranks last, and a value with > is a lower bound. The saved factor is uniform's median "
     "over learned's, paired; time is without drawing the samples."
+)
+OCCUPANCY_NOTE = (
+    "On uniform configurations, told free at a confidence of 0.5. The row confident above holds as many "
+    "samples as the others: further ones are drawn until enough reach the bundle's threshold, and accepted "
+    "is the share that does."
 )
 TOPOLOGY_NOTE = (
     "The floor is the same score between two real samples. gsc_boundary takes both complements from the "
@@ -42,6 +48,8 @@ def to_markdown(evaluation: Evaluation, title: str, reasons: Sequence[str]) -> s
             markdown(reconstruction_table(split)),
             f"Gain in precision over uniform: {split.reconstruction.precision_gain:.3f}.",
         ]
+        if split.reconstruction.occupancy is not None:
+            parts += [f"## Validity head, {name}", markdown(occupancy_table(split)), OCCUPANCY_NOTE]
         if split.planning:
             parts += [
                 f"## Planning, {name} ({role})",
@@ -61,6 +69,9 @@ def terminal_table(evaluation: Evaluation) -> str:
     """The deciding numbers as aligned text."""
     tables = [("validation", reconstruction_table(evaluation.validation))]
     tables.append(("test", reconstruction_table(evaluation.test)))
+    if evaluation.test.reconstruction.occupancy is not None:
+        tables.append(("validity head, validation", occupancy_table(evaluation.validation)))
+        tables.append(("validity head, test", occupancy_table(evaluation.test)))
     if evaluation.validation.planning:
         tables.append(("planning, validation", planning_table(evaluation.validation.planning)))
     if evaluation.topology:

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +27,20 @@ class Sampler(Protocol):
 
     def sample(self, image: Image, n: int, seed: int) -> Samples:
         """``n`` configurations (n, d) rad for a picture (P, P, 3), the same ones for the same seed."""
+        ...
+
+
+@runtime_checkable
+class ScoredSampler(Sampler, Protocol):
+    """A sampler that can tell how sure it is of any configuration."""
+
+    @property
+    def threshold(self) -> float:
+        """The confidence that its makers recommend."""
+        ...
+
+    def score(self, image: Image, configurations: Samples) -> Samples:
+        """P(free) of (n, d) configurations in rad, (n,)."""
         ...
 
 
@@ -50,6 +64,29 @@ class BundleSampler:
             image, n, seed, epsilon_sigma=self.epsilon_sigma, min_confidence=self.min_confidence
         )
         return drawn.samples
+
+
+@dataclass(frozen=True)
+class ScoredBundleSampler(BundleSampler):
+    """A bundle with a validity head.
+
+    Args:
+        threshold: the confidence that the bundle recommends.
+    """
+
+    threshold: float = 0.5
+
+    def score(self, image: Image, configurations: Samples) -> Samples:
+        """See :class:`ScoredSampler`."""
+        return self.bundle.score(image, configurations)
+
+
+def bundle_sampler(bundle: Bundle) -> BundleSampler:
+    """A bundle with all that it can do, none of its samples dropped."""
+    threshold = bundle.spec.confidence_threshold
+    if threshold is None or not bundle.has_validity:
+        return BundleSampler(bundle)
+    return ScoredBundleSampler(bundle, threshold=threshold)
 
 
 @dataclass(frozen=True)

@@ -15,18 +15,25 @@ from cspace.errors import EvaluationError
 from cspace.render import render
 from cspace.robot import PlanarArm
 from cspace.scenario import Camera, Scenario, Split, random_scenario, scenario_rng
-from cspace.space import JointSpace
+from cspace.space import JointSpace, to_float32
+from services.evaluator.occupancy import SceneOccupancy, scene_occupancy
 from services.evaluator.reconstruction import (
     ReconstructionSummary,
     SceneQuality,
     sample_quality,
     summarise,
 )
-from services.evaluator.samplers import Sampler
+from services.evaluator.samplers import Sampler, ScoredSampler
 
 SAMPLES = 1000
 # Rejection gives up here; the smallest free share that was ever drawn is 0.2.
 PROPOSALS_PER_SAMPLE = 200
+# Uniform configurations on which a validity head is judged.
+OCCUPANCY_SAMPLES = 2000
+# Batches from which the confident samples are picked before that is given up.
+CONFIDENT_TURNS = 20
+# The first of their streams, apart from those of the other measurements.
+CONFIDENT_STREAM = 20
 
 
 @dataclass(frozen=True)
@@ -122,8 +129,50 @@ def reconstruct(scene: Scene, sampler: Sampler, samples: int = SAMPLES) -> Scene
         scene.space.sample_uniform(scene.rng(1), samples),
         scene.free(samples, scene.rng(2)),
     )
-    qualities = [sample_quality(group, held_out, scene.space, scene.checker.valid_batch) for group in groups]
-    return SceneQuality(scene.index, *qualities)
+    free = scene.checker.valid_batch
+    drawn, uniform, real = (sample_quality(group, held_out, scene.space, free) for group in groups)
+    quality = SceneQuality(scene.index, drawn, uniform, real)
+    if not isinstance(sampler, ScoredSampler):
+        return quality
+    confident, acceptance = _confident(scene, sampler, samples)
+    return replace(
+        quality,
+        confident=sample_quality(confident, held_out, scene.space, free),
+        occupancy=_occupancy(scene, sampler, acceptance),
+    )
+
+
+def _confident(scene: Scene, sampler: ScoredSampler, samples: int) -> tuple[NDArray[np.float64], float]:
+    """``samples`` of the sampler's configurations that its head lets pass, and the share that passes.
+
+    Raises:
+        EvaluationError: so few pass that there are not as many.
+    """
+    kept: list[NDArray[np.float64]] = []
+    drawn = 0
+    for turn in range(CONFIDENT_TURNS):
+        proposals = sampler.sample(scene.image, samples, scene.sampler_seed(CONFIDENT_STREAM + turn))
+        passed = sampler.score(scene.image, proposals) >= sampler.threshold
+        kept.append(np.asarray(proposals[passed], dtype=np.float64))
+        drawn += len(proposals)
+        if sum(map(len, kept)) >= samples:
+            found = np.concatenate(kept)
+            return found[:samples], len(found) / drawn
+    raise EvaluationError(
+        "the validity head lets next to nothing pass",
+        expected=f"{samples} samples of {drawn} at a confidence of {sampler.threshold}",
+        got=str(sum(map(len, kept))),
+    )
+
+
+def _occupancy(scene: Scene, sampler: ScoredSampler, acceptance: float) -> SceneOccupancy:
+    tried = to_float32(scene.space.sample_uniform(scene.rng(3), OCCUPANCY_SAMPLES))
+    return scene_occupancy(
+        sampler.score(scene.image, tried),
+        scene.checker.valid_batch(tried),
+        scene.checker.clearance(tried),
+        acceptance,
+    )
 
 
 def measure_reconstruction(

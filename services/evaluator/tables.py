@@ -13,11 +13,25 @@ Table = Sequence[Sequence[str]]
 def reconstruction_table(split: SplitResult) -> Table:
     """Sampler, uniform and real samples, one row each."""
     rows = [["samples", "precision", "coverage", "EDr", "precision p10", "precision min"]]
-    for name in ("sampler", "uniform", "real"):
-        one: SamplerSummary = getattr(split.reconstruction, name)
+    for name in ("sampler", "confident", "uniform", "real"):
+        one: SamplerSummary | None = getattr(split.reconstruction, name)
+        if one is None:
+            continue
         intervals = (one.precision, one.coverage, one.edr, one.precision_p10)
         rows.append([name, *(f"{value:.3f}" for value in intervals), f"{one.precision_minimum:.3f}"])
     return rows
+
+
+def occupancy_table(split: SplitResult) -> Table:
+    """The validity head: how often it is right, how honest it is, what it lets pass; empty without one."""
+    head = split.reconstruction.occupancy
+    if head is None:
+        return []
+    near = "-" if head.near_accuracy is None else f"{head.near_accuracy:.3f}"
+    return [
+        ["accuracy", "within 0.1 m of contact", "calibration error", "accepted"],
+        [f"{head.accuracy:.4f}", near, f"{head.calibration_error:.4f}", f"{head.acceptance:.3f}"],
+    ]
 
 
 def planning_table(families: Sequence[FamilySummary]) -> Table:

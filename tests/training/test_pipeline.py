@@ -73,7 +73,13 @@ def test_every_trial_is_a_finished_child_of_the_jobs_run(result, client):
     experiment = client.get_experiment_by_name(EXPERIMENT).experiment_id
     query = f"tags.mlflow.parentRunId = '{result['run_id']}'"
     children = client.search_runs([experiment], query)
-    assert {child.info.run_name for child in children} == {"vae", "local-0", "local-1", "global"}
+    assert {child.info.run_name for child in children} == {
+        "vae",
+        "validity",
+        "local-0",
+        "local-1",
+        "global",
+    }
     assert {child.info.status for child in children} == {"FINISHED"}
 
 
@@ -94,7 +100,15 @@ def test_the_parent_holds_configuration_data_pictures_and_source(result, client)
     assert [entry.dataset.digest for entry in run.inputs.dataset_inputs] == [result["data_digest"][:36]]
     pictures = {Path(entry.path).stem for entry in client.list_artifacts(result["run_id"], "figures")}
     assert (
-        pictures == set(result["figures"]) == {"vae-losses", "wgan-losses", "samples-seen", "samples-unseen"}
+        pictures
+        == set(result["figures"])
+        == {
+            "vae-losses",
+            "validity-losses",
+            "wgan-losses",
+            "samples-seen",
+            "samples-unseen",
+        }
     )
 
 
@@ -113,7 +127,7 @@ def test_the_bundle_is_the_challenger_with_its_lineage_and_samples(result, serve
 def test_a_three_link_arm_runs_through_the_same_job(server, data_folder, tmp_path):
     links = "data.robot.link_lengths_m=[1.6, 1.4, 1.0]"
     result = run_job(server, data_folder, links, "clusters.count=3", "global.local_critic_weight=0")
-    assert set(result["trials"]) == {"vae", "local-0", "local-1", "local-2", "global"}
+    assert set(result["trials"]) == {"vae", "validity", "local-0", "local-1", "local-2", "global"}
     registry = MlflowRegistry(server)
     bundle = Bundle.load(
         registry.download(registry.version(MODEL_NAME, result["version"]), tmp_path / "bundle")

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor, nn
 
 from training.models.networks import Encoder, MeansGenerator, TorusGenerator
+from training.models.validity import ValidityHead
 
 OPSET = 18
 
@@ -30,8 +31,31 @@ class _EncoderGraph(nn.Module):
 def encoder_graph(encoder: Encoder, pixels: int) -> bytes:
     """ONNX bytes: ``image`` (b, 3, P, P) to ``mu`` (b, L) and ``sigma`` (b, L)."""
     return _export(
-        _EncoderGraph(encoder), (torch.zeros(2, 3, pixels, pixels),), ["image"], ["mu", "sigma"], "image"
+        _EncoderGraph(encoder),
+        (torch.zeros(2, 3, pixels, pixels),),
+        ["image"],
+        ["mu", "sigma"],
+        _batched("images", 1),
     )
+
+
+class _ValidityGraph(nn.Module):
+    """One picture and many configurations to the probability of each that it is free."""
+
+    def __init__(self, head: ValidityHead) -> None:
+        super().__init__()
+        self.head = head
+
+    def forward(self, image: Tensor, configurations: Tensor) -> Tensor:
+        logits: Tensor = self.head(image, configurations.unsqueeze(0))
+        return torch.sigmoid(logits).squeeze(0)
+
+
+def validity_graph(head: ValidityHead, pixels: int, dim: int) -> bytes:
+    """ONNX bytes: ``image`` (1, 3, P, P) and ``configurations`` (n, d) rad to ``confidence`` (n,)."""
+    inputs = (torch.zeros(1, 3, pixels, pixels), torch.zeros(2, dim))
+    rows = {0: torch.export.Dim("configurations", min=1)}
+    return _export(_ValidityGraph(head), inputs, ["image", "configurations"], ["confidence"], ({}, rows))
 
 
 def generator_graph(
@@ -45,21 +69,30 @@ def generator_graph(
     else:
         inputs = (latent, torch.zeros(2, dim), torch.zeros(2, noise_dim))
         names = ["latent", "base", "noise"]
-    return _export(generator, inputs, names, ["samples"], "latents")
+    return _export(generator, inputs, names, ["samples"], _batched("latents", len(inputs)))
+
+
+def _batched(axis: str, count: int) -> tuple[dict[int, Any], ...]:
+    """Every input's first axis is one of a free length."""
+    batch = torch.export.Dim(axis, min=1)
+    return tuple({0: batch} for _ in range(count))
 
 
 def _export(
-    module: nn.Module, inputs: tuple[Tensor, ...], names: list[str], outputs: list[str], axis: str
+    module: nn.Module,
+    inputs: tuple[Tensor, ...],
+    names: list[str],
+    outputs: list[str],
+    free_axes: tuple[dict[int, Any], ...],
 ) -> bytes:
     module.eval()
-    batch = torch.export.Dim(axis, min=1)
     with _quiet():
         program = torch.onnx.export(
             module,
             inputs,
             input_names=names,
             output_names=outputs,
-            dynamic_shapes=tuple({0: batch} for _ in inputs),
+            dynamic_shapes=free_axes,
             opset_version=OPSET,
             dynamo=True,
             verbose=False,

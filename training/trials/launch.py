@@ -122,4 +122,5 @@ def _outcome(result: Any) -> TrialOutcome:
 
 def _logged(metrics: Mapping[str, Any]) -> set[str]:
     own = {"vae_loss", "reconstruction_loss", "kl", "critic_loss", "generator_loss", "wasserstein_estimate"}
-    return (own | {"gradient_penalty", "steps_per_s"}) & set(metrics)
+    more = {"gradient_penalty", "steps_per_s", "validity_loss", "validity_accuracy"}
+    return (own | more) & set(metrics)

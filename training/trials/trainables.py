@@ -13,12 +13,16 @@ from numpy.typing import NDArray
 from ray import tune
 
 from services.registry.mlflow_tracking import MlflowTracking
-from training.config import GanConfig, TrainConfig, VaeConfig
+from training.config import GanConfig, TrainConfig
 from training.models.checkpoint import load_weights, seeded_initialisation
 from training.models.data import ScenarioSamples
 from training.models.modules import Metrics, TrialModule, VaeModule, WganGpModule, make_critic
 from training.models.networks import Critic
+from training.models.validity import ValidityModule
 from training.trials.fit import Rhythm, fit
+from training.trials.occupancy import OccupancyArrays
+
+VAE, VALIDITY = "vae", "validity"
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,16 +59,25 @@ class TrainingArrays:
         )
 
 
-def vae_trial(
-    config: Mapping[str, Any], train: TrainConfig, images: NDArray[np.uint8], tracking_uri: str
+def picture_trial(
+    config: Mapping[str, Any],
+    train: TrainConfig,
+    images: NDArray[np.uint8],
+    occupancy: OccupancyArrays | None,
+    tracking_uri: str,
 ) -> None:
-    """Train the VAE on (N, P, P, 3) pictures."""
+    """Train what learns from (N, P, P, 3) pictures and needs no latents: the VAE, or the validity head."""
     trial = config["trial"]
     pictures = torch.tensor(np.ascontiguousarray(images.transpose(0, 3, 1, 2)))
-    vae: VaeConfig = train.vae
+    module: TrialModule
     with seeded_initialisation(trial["seed"]):
-        module = VaeModule(vae, pictures, trial["seed"])
-    _fit(trial, module, vae.steps, train, tracking_uri)
+        if occupancy is not None and trial["name"] == VALIDITY:
+            samples = occupancy.samples(pictures)
+            module = ValidityModule(train.validity, samples, occupancy.robot, occupancy.camera, trial["seed"])
+            steps = train.validity.steps
+        else:
+            module, steps = VaeModule(train.vae, pictures, trial["seed"]), train.vae.steps
+    _fit(trial, module, steps, train, tracking_uri)
 
 
 def local_trial(

@@ -5,8 +5,12 @@ import onnxruntime
 import pytest
 import torch
 
-from training.models.export import encoder_graph, generator_graph
+from cspace.robot import TWO_LINK
+from cspace.scenario import Camera
+from training.config import ValidityConfig
+from training.models.export import encoder_graph, generator_graph, validity_graph
 from training.models.networks import Encoder, MeansGenerator, TorusGenerator
+from training.models.validity import ValidityHead
 
 
 def answer(graph, feeds):
@@ -49,3 +53,13 @@ def test_graphs_name_no_folder_of_the_machine_that_exported_them():
     for graph in (encoder_graph(encoder, 48), generator_graph(generator, 2, 6, 2)):
         assert b".py" not in graph
         assert str(Path(torch.__file__).parent).encode() not in graph
+
+
+@pytest.mark.parametrize("count", [1, 33])
+def test_the_validity_heads_graph_answers_as_the_network(count):
+    head = ValidityHead(ValidityConfig(hidden=8), TWO_LINK, Camera())
+    image, configurations = torch.rand(1, 3, 48, 48) * 2.0 - 1.0, torch.rand(count, 2) * 6.0 - 3.0
+    with torch.no_grad():
+        expected = torch.sigmoid(head(image, configurations.unsqueeze(0))).squeeze(0)
+    (confidence,) = answer(validity_graph(head, 48, 2), {"image": image, "configurations": configurations})
+    np.testing.assert_allclose(confidence, expected.numpy(), atol=1e-5)

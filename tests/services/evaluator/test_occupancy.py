@@ -1,0 +1,115 @@
+"""A validity head's measures on known answers, and through a scene."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from cspace.bundle import Bundle, write_bundle
+from cspace.collision import CollisionChecker
+from cspace.errors import EvaluationError
+from cspace.robot import TWO_LINK
+from cspace.scenario import Camera, Split
+from services.evaluator.occupancy import scene_occupancy, summarise_occupancy
+from services.evaluator.reconstruction import summarise
+from services.evaluator.reliability import reliability_diagram
+from services.evaluator.samplers import BundleSampler, ScoredBundleSampler, bundle_sampler
+from services.evaluator.scenes import Scene, Stage, reconstruct
+from tests.bundles import tiny_graphs, tiny_spec, write_tiny_bundle
+
+STAGE = Stage(TWO_LINK, Camera(), Split.VALIDATION, 5)
+
+
+def certain(free, confidence=1.0):
+    return np.where(free, confidence, 1.0 - confidence)
+
+
+def test_a_head_that_is_right_and_sure_has_no_error():
+    free = np.array([True, False, True, False])
+    row = scene_occupancy(certain(free), free, np.array([0.05, -0.05, 1.0, -1.0]), 0.7)
+    summary = summarise_occupancy([row, row], np.random.default_rng(0))
+    assert summary.accuracy.estimate == 1.0
+    assert summary.near_accuracy.estimate == 1.0
+    assert summary.calibration_error.estimate == pytest.approx(0.0)
+    assert summary.acceptance.estimate == pytest.approx(0.7)
+    assert summary.reliability == ((0.0, 0.0, 4), (1.0, 1.0, 4))
+
+
+def test_only_configurations_near_contact_count_for_the_accuracy_there():
+    free = np.array([True, True, False, False])
+    confidence = np.array([0.9, 0.1, 0.9, 0.1])
+    row = scene_occupancy(confidence, free, np.array([0.5, 0.09, -0.09, -0.5]), 1.0)
+    assert (row.accuracy, row.near_right, row.near) == (0.5, 0, 2)
+
+
+def test_the_calibration_error_is_the_gap_between_confidence_and_share():
+    free = np.arange(100) < 60
+    row = scene_occupancy(np.full(100, 0.8), free, np.ones(100), 1.0)
+    summary = summarise_occupancy([row], np.random.default_rng(0))
+    assert summary.calibration_error.estimate == pytest.approx(0.2)
+    assert summary.reliability == ((pytest.approx(0.8), pytest.approx(0.6), 100),)
+    assert summary.near_accuracy is None
+
+
+def test_no_scenarios_are_an_error():
+    with pytest.raises(EvaluationError):
+        summarise_occupancy([], np.random.default_rng(0))
+
+
+class Oracle:
+    """Uniform samples, scored by the exact checker of the one scene that it knows."""
+
+    threshold = 0.5
+
+    def __init__(self, scene):
+        self.checker = CollisionChecker(scene.scenario)
+
+    def sample(self, image, n, seed):
+        return np.random.default_rng(seed).uniform(-np.pi, np.pi, (n, 2)).astype(np.float32)
+
+    def score(self, image, configurations):
+        return self.checker.valid_batch(configurations).astype(np.float32)
+
+
+def test_confident_samples_are_as_many_and_all_pass():
+    scene = Scene(STAGE, 0)
+    quality = reconstruct(scene, Oracle(scene), 400)
+    assert quality.confident.precision == 1.0
+    assert quality.sampler.precision < 0.95
+    assert quality.confident.coverage > 0.8
+    assert quality.occupancy.accuracy == 1.0
+    assert quality.occupancy.acceptance == pytest.approx(quality.sampler.precision, abs=0.06)
+
+
+def test_a_head_that_lets_nothing_pass_is_an_error():
+    scene = Scene(STAGE, 0)
+    oracle = Oracle(scene)
+    oracle.threshold = 1.5
+    with pytest.raises(EvaluationError, match="next to nothing pass"):
+        reconstruct(scene, oracle, 50)
+
+
+def test_samplers_without_a_head_have_no_such_summary(tmp_path):
+    bundle = Bundle.load(write_tiny_bundle(tmp_path / "bundle"))
+    sampler = bundle_sampler(bundle)
+    assert type(sampler) is BundleSampler
+    summary = summarise([reconstruct(Scene(STAGE, 0), sampler, 50)], np.random.default_rng(0))
+    assert (summary.confident, summary.occupancy) == (None, None)
+
+
+def test_a_bundle_with_head_and_threshold_is_judged_with_them(tmp_path):
+    bundle = scored_bundle(tmp_path / "bundle", 0.3)
+    sampler = bundle_sampler(bundle)
+    assert isinstance(sampler, ScoredBundleSampler)
+    assert sampler.threshold == 0.3
+    rows = [reconstruct(Scene(STAGE, index), sampler, 50) for index in range(3)]
+    summary = summarise(rows, np.random.default_rng(0))
+    assert 0.0 < summary.occupancy.acceptance.estimate <= 1.0
+    assert summary.confident.precision.count == 3
+    assert len(reliability_diagram(summary.occupancy, "title").axes) == 2
+
+
+def scored_bundle(folder, threshold):
+
+    spec = dataclasses.replace(tiny_spec(), confidence_threshold=threshold)
+    return Bundle.load(write_bundle(folder, spec, tiny_graphs(spec, validity=True)))

@@ -1,0 +1,44 @@
+"""From the data set to the validity trial's tensors."""
+
+import numpy as np
+import pytest
+import torch
+
+from cspace.dataset import write_dataset
+from cspace.robot import TWO_LINK
+from cspace.scenario import Camera
+from training.trials.occupancy import OccupancyArrays
+
+FREE = [np.full((3, 2), 0.5, dtype=np.float32), np.full((2, 2), 1.0, dtype=np.float32)]
+
+
+def dataset(folder, collision):
+    return write_dataset(
+        folder / "data",
+        robot=TWO_LINK,
+        camera=Camera(),
+        images=np.stack([np.full((48, 48, 3), value, dtype=np.uint8) for value in (10, 20)]),
+        free=FREE,
+        generator={"by": "test"},
+        collision=collision,
+    )
+
+
+def rows(count):
+    return np.full((count, 2), -1.0, dtype=np.float32)
+
+
+@pytest.mark.parametrize("collision", [None, [rows(0), rows(0)]], ids=["unknown", "none"])
+def test_data_without_configurations_in_collision_make_no_head(collision, tmp_path):
+    assert OccupancyArrays.of(dataset(tmp_path, collision)) is None
+
+
+def test_samples_belong_to_their_pictures_and_further_pictures_have_none(tmp_path):
+    found = OccupancyArrays.of(dataset(tmp_path, [rows(0), rows(4)]))
+    pictures = torch.zeros(5, 3, 48, 48, dtype=torch.uint8)
+    samples = found.samples(pictures)
+    assert len(samples.images) == 2
+    assert samples.scenarios.tolist() == [1]
+    _, configurations, labels = samples.draw(1, 4, torch.Generator().manual_seed(0))
+    assert torch.equal(configurations[labels > 0.5], torch.ones(2, 2))
+    assert torch.equal(configurations[labels < 0.5], -torch.ones(2, 2))

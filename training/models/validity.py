@@ -1,0 +1,122 @@
+"""The validity head: P(free | picture, configuration), looked up where the arm would be."""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+from torch.optim.lr_scheduler import OneCycleLR
+
+from cspace.robot import PlanarArm
+from cspace.scenario import Camera
+from training.config import ValidityConfig
+from training.models.lookups import ArmLookups
+from training.models.modules import TrialModule
+from training.models.networks import mlp
+
+
+class ValidityHead(nn.Module):
+    """Pixel-aligned occupancy network: the picture at points of the arm, a perceptron, a logit.
+
+    Shapes: pictures (p, 3, P, P) in [-1, 1] and configurations (p, c, d) rad to logits (p, c).
+    """
+
+    def __init__(self, config: ValidityConfig, robot: PlanarArm, camera: Camera) -> None:
+        super().__init__()
+        self.lookups = ArmLookups(robot, camera, config.points_per_link, config.side_m)
+        self.net = mlp(3 * self.lookups.points, config.hidden, config.layers, 1)
+
+    def forward(self, pictures: Tensor, configurations: Tensor) -> Tensor:
+        """The logit of being free."""
+        logits: Tensor = self.net(self.lookups(pictures, configurations)).squeeze(-1)
+        return logits
+
+
+@dataclass(frozen=True, slots=True)
+class OccupancySamples:
+    """Pictures with their free and colliding configurations, held in memory.
+
+    Args:
+        images: (S, 3, P, P) uint8.
+        free: (M, d) float32 rad, scenario after scenario.
+        free_offsets: (S + 1,) int64; scenario i owns rows offsets[i] to offsets[i + 1].
+        collision: (N, d) float32 rad.
+        collision_offsets: (S + 1,) int64.
+        scenarios: (T,) int64, the scenarios that have configurations of both kinds.
+    """
+
+    images: Tensor
+    free: Tensor
+    free_offsets: Tensor
+    collision: Tensor
+    collision_offsets: Tensor
+    scenarios: Tensor
+
+    def to(self, device: torch.device) -> "OccupancySamples":
+        """The same on another device."""
+        return OccupancySamples(*(getattr(self, name).to(device) for name in self.__slots__))
+
+    def draw(self, pictures: int, configurations: int, rng: torch.Generator) -> tuple[Tensor, Tensor, Tensor]:
+        """Pictures with configurations, half of them free, drawn with replacement.
+
+        Returns:
+            Pictures (p, 3, P, P) in [-1, 1], configurations (p, c, d) rad, and labels (p, c), 1 for free.
+        """
+        device, half = self.images.device, configurations // 2
+        ids = self.scenarios[torch.randint(len(self.scenarios), (pictures,), generator=rng, device=device)]
+        shares = torch.rand(pictures, 2 * half, generator=rng, device=device)
+        free = self.free[_rows(self.free_offsets, ids, shares[:, :half])]
+        collision = self.collision[_rows(self.collision_offsets, ids, shares[:, half:])]
+        labels = torch.cat([torch.ones_like(free[..., 0]), torch.zeros_like(collision[..., 0])], dim=1)
+        return self.images[ids].float() / 127.5 - 1.0, torch.cat([free, collision], dim=1), labels
+
+
+def _rows(offsets: Tensor, ids: Tensor, shares: Tensor) -> Tensor:
+    first, size = offsets[ids], offsets[ids + 1] - offsets[ids]
+    # float32 rounds shares just below 1 up; the row behind the last belongs to the next scenario.
+    inside = torch.minimum((shares * size.unsqueeze(1)).long(), size.unsqueeze(1) - 1)
+    return first.unsqueeze(1) + inside
+
+
+class ValidityModule(TrialModule):
+    """Trains the head by cross entropy on free and colliding configurations in equal numbers.
+
+    Args:
+        config: sizes and budget.
+        samples: pictures and configurations.
+        robot: whose kinematics the look-ups follow.
+        camera: the frame of the pictures.
+        seed: of initialisation and of every draw.
+    """
+
+    def __init__(
+        self, config: ValidityConfig, samples: OccupancySamples, robot: PlanarArm, camera: Camera, seed: int
+    ) -> None:
+        super().__init__(seed)
+        self.config, self.samples = config, samples
+        self.head = ValidityHead(config, robot, camera)
+        optimiser = torch.optim.Adam(self.parameters(), lr=config.learning_rate)
+        self.training_optimisers = [optimiser]
+        self.training_schedules = [
+            OneCycleLR(optimiser, config.learning_rate, total_steps=config.steps + 1, pct_start=0.1)
+        ]
+
+    def on_fit_start(self) -> None:
+        """Keep the data where the model is."""
+        self.samples = self.samples.to(self.device)
+
+    def training_step(self, step: int, batch_index: int) -> None:
+        """One step of the cross entropy."""
+        del step, batch_index
+        pictures, configurations, labels = self.samples.draw(
+            self.config.pictures_per_step, self.config.configurations_per_picture, self.rng
+        )
+        logits = self.head(pictures, configurations)
+        loss = functional.binary_cross_entropy_with_logits(logits, labels)
+        (optimiser,) = self.training_optimisers
+        optimiser.zero_grad()
+        loss.backward()  # type: ignore[no-untyped-call]
+        optimiser.step()
+        self.training_schedules[0].step()
+        right = ((logits.detach() > 0.0) == (labels > 0.5)).float().mean()
+        self.latest = {"validity_loss": loss.detach(), "validity_accuracy": right}
