@@ -15,7 +15,7 @@ def reliability_diagram(head: OccupancySummary, title: str) -> Figure:
     shares.plot([0.0, 1.0], [0.0, 1.0], color="#999999", linewidth=1.0, label="calibrated")
     shares.plot(confidence, free, marker="o", markersize=4, linewidth=1.2, label="validity head")
     shares.set(ylabel="free share", xlim=(0.0, 1.0), ylim=(0.0, 1.0))
-    shares.set_title(f"{title}: expected calibration error {head.calibration_error:.4f}", fontsize=9)
+    shares.set_title(f"{title}\nexpected calibration error {head.calibration_error:.4f}", fontsize=9)
     shares.legend(loc="upper left", fontsize=8)
     sizes.bar(confidence, counts, width=0.05)
     sizes.set(xlabel="confidence", ylabel="configurations", yscale="log")

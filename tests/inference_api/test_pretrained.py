@@ -32,6 +32,7 @@ def test_it_holds_a_bundle_and_nothing_else(bundle: Bundle) -> None:
         "encoder.onnx",
         "generator.onnx",
         "golden.npz",
+        "validity.onnx",
     ]
     assert sum(file.stat().st_size for file in files) < MAX_BYTES
 
@@ -42,6 +43,17 @@ def test_it_tells_how_it_was_made(bundle: Bundle) -> None:
     assert re.fullmatch(r"[0-9a-f]{40}", provenance.git_commit)
     assert provenance.git_dirty is False
     assert provenance.seeds == {"data": 0, "train": 0}
+
+
+def test_its_validity_head_lets_free_samples_pass(bundle: Bundle) -> None:
+    threshold = bundle.spec.confidence_threshold
+    assert threshold is not None
+    free, asked = [], SCENARIOS * SAMPLES
+    for index, scenario in enumerate(random_scenarios(Split.DEMO, 12, SCENARIOS)):
+        found = bundle.sample(render(scenario), SAMPLES, index, min_confidence=threshold)
+        free.append(CollisionChecker(scenario).valid_batch(found.samples))
+    assert np.concatenate(free).mean() > 0.99
+    assert sum(map(len, free)) > 0.7 * asked
 
 
 def test_its_samples_are_free_more_often_than_uniform_ones(bundle: Bundle) -> None:
