@@ -43,13 +43,21 @@ def _split_metrics(split: SplitResult, prefix: str) -> dict[str, float]:
 
 def _family_metrics(family: FamilySummary, prefix: str) -> dict[str, float]:
     metrics = {f"{prefix}sampling_time_s": family.sampling_time_s}
-    for name in ("uniform", "learned"):
-        arm: ArmSummary = getattr(family, name)
+    for name in ("uniform", "learned", "confident"):
+        arm: ArmSummary | None = getattr(family, name)
+        if arm is None:
+            continue
         metrics |= _interval_metrics(f"{prefix}{name}_success", arm.success)
         metrics[f"{prefix}{name}_censored"] = float(arm.iterations.censored)
         for cost in COSTS:
             metrics[f"{prefix}{name}_{cost}_median"] = getattr(arm, cost).median
-    for ratio in ("iterations_ratio", "edge_checks_ratio", "solve_time_ratio", "length_ratio"):
+    for ratio in (
+        "iterations_ratio",
+        "edge_checks_ratio",
+        "solve_time_ratio",
+        "length_ratio",
+        "filter_ratio",
+    ):
         value = getattr(family, ratio)
         metrics |= {} if value is None else _interval_metrics(f"{prefix}{ratio}", value)
     return metrics

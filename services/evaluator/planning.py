@@ -14,12 +14,13 @@ from numpy.typing import NDArray
 
 from cspace.problem import Family, Problem
 from cspace.render import render
-from services.evaluator.samplers import Sampler
+from services.evaluator.samplers import Sampler, ScoredSampler, confident_samples
 from services.planner.ompl_planner import PlannerSettings, PlanResult, Reason, solve
 from services.planner.path_check import judge_path
 
 LEARNED_SAMPLES = 300
 UNIFORM_SHARE = 0.3
+CONFIDENT_TURNS = 20
 
 Solver = Callable[[Problem, PlannerSettings, NDArray[np.float32] | None, float], PlanResult]
 
@@ -49,7 +50,10 @@ class RunOutcome:
 
 @dataclass(frozen=True, slots=True)
 class PlanningTrial:
-    """Both runs on one problem, and the time that the learned samples took to draw."""
+    """All runs on one problem, and the time that the learned samples took to draw.
+
+    ``confident`` is the run with learned samples that the validity head let pass, None without a head.
+    """
 
     family: Family
     index: int
@@ -57,6 +61,7 @@ class PlanningTrial:
     uniform: RunOutcome
     learned: RunOutcome
     sampling_time_s: float
+    confident: RunOutcome | None = None
 
 
 def plan_trial(
@@ -67,7 +72,7 @@ def plan_trial(
     settings: PlannerSettings,
     solver: Solver = solve,
 ) -> PlanningTrial:
-    """Solve one problem with uniform and with learned samples under one seed.
+    """Solve one problem with each kind of samples under one seed.
 
     Args:
         problem: start and goal in a scenario.
@@ -81,9 +86,21 @@ def plan_trial(
     began = time.perf_counter()
     samples = sampler.sample(render(problem.scenario), LEARNED_SAMPLES, seed)
     sampling_time_s = time.perf_counter() - began
-    results = [solver(problem, seeded, drawn, UNIFORM_SHARE) for drawn in (None, samples)]
-    uniform, learned = (_outcome(problem, result, settings.resolution_rad) for result in results)
-    return PlanningTrial(problem.family, index, seed, uniform, learned, sampling_time_s)
+    uniform, learned, *confident = (
+        _outcome(problem, solver(problem, seeded, drawn, UNIFORM_SHARE), settings.resolution_rad)
+        for drawn in (None, samples, *_confident(problem, seed, sampler))
+    )
+    only = confident[0] if confident else None
+    return PlanningTrial(problem.family, index, seed, uniform, learned, sampling_time_s, only)
+
+
+def _confident(problem: Problem, seed: int, sampler: Sampler) -> list[NDArray[np.float32]]:
+    """As many learned samples, of those that the validity head lets pass; nothing without one."""
+    if not isinstance(sampler, ScoredSampler):
+        return []
+    # The first batch is the learned samples themselves.
+    seeds = range(seed, seed + CONFIDENT_TURNS)
+    return [confident_samples(sampler, render(problem.scenario), LEARNED_SAMPLES, seeds)[0]]
 
 
 def _outcome(problem: Problem, result: PlanResult, resolution_rad: float) -> RunOutcome:

@@ -45,6 +45,8 @@ class FamilySummary:
         solve_time_ratio: likewise, without the time to draw samples.
         sampling_time_s: median time to draw the learned samples.
         length_ratio: summed path length of learned over uniform, where both succeeded; None where none did.
+        confident: the sampler's samples that its validity head let pass; None without a head.
+        filter_ratio: median iterations of learned over those of confident; below 1 the filter costs work.
     """
 
     family: Family
@@ -55,6 +57,8 @@ class FamilySummary:
     solve_time_ratio: Interval
     sampling_time_s: float
     length_ratio: Interval | None
+    confident: ArmSummary | None = None
+    filter_ratio: Interval | None = None
 
 
 def summarise_family(
@@ -79,7 +83,18 @@ def summarise_family(
         solve_time,
         float(np.median([trial.sampling_time_s for trial in mine])),
         _length_ratio(uniform, learned, rng),
+        *_filtered(mine, rng),
     )
+
+
+def _filtered(
+    trials: Sequence[PlanningTrial], rng: np.random.Generator
+) -> tuple[ArmSummary | None, Interval | None]:
+    confident = [trial.confident for trial in trials if trial.confident is not None]
+    if len(confident) < len(trials):
+        return None, None
+    learned = [trial.learned for trial in trials]
+    return _arm(confident), _ratio(learned, confident, "iterations", rng)
 
 
 def success_rate(trials: Sequence[PlanningTrial]) -> Interval:

@@ -18,7 +18,8 @@ PLANNING_NOTE = (
     f"RRT, range {PLANNER.range_rad} rad, resolution {PLANNER.resolution_rad} rad a joint, at most "
     f"{PLANNER.max_iterations} iterations. Medians, the 90th percentile in brackets; a run without success "
     "is censored and ranks last, and a value with > is a lower bound. The saved factor is uniform's median "
-    "over learned's, paired; time is without drawing the samples."
+    "over learned's, the filter factor learned's over that of the samples that pass the validity head (below "
+    "1 the filter costs work), paired; time is without drawing the samples."
 )
 OCCUPANCY_NOTE = (
     "On uniform configurations, told free at a confidence of 0.5. The row confident above holds as many "

@@ -4,7 +4,7 @@ A bundle in this process, a version behind the inference API, and the uniform sa
 metrics.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cspace.bundle import Bundle
+from cspace.errors import EvaluationError
 from cspace.image import encode_png
 from cspace.space import JointSpace, to_float32
 from services.planner.sampling_client import SamplingClient
@@ -87,6 +88,36 @@ def bundle_sampler(bundle: Bundle) -> BundleSampler:
     if threshold is None or not bundle.has_validity:
         return BundleSampler(bundle)
     return ScoredBundleSampler(bundle, threshold=threshold)
+
+
+def confident_samples(
+    sampler: ScoredSampler, image: Image, count: int, seeds: Iterable[int]
+) -> tuple[Samples, float]:
+    """``count`` of a sampler's configurations that its head lets pass, and the share that passes.
+
+    Args:
+        sampler: draws batches of ``count`` and scores them.
+        image: the picture.
+        count: how many are wanted.
+        seeds: of the batches; as many batches are drawn at the most.
+
+    Raises:
+        EvaluationError: so few pass that there are not as many.
+    """
+    kept: list[Samples] = []
+    drawn = 0
+    for seed in seeds:
+        proposals = sampler.sample(image, count, seed)
+        kept.append(proposals[sampler.score(image, proposals) >= sampler.threshold])
+        drawn += len(proposals)
+        if sum(map(len, kept)) >= count:
+            found = np.concatenate(kept)
+            return found[:count], len(found) / drawn
+    raise EvaluationError(
+        "the validity head lets next to nothing pass",
+        expected=f"{count} samples of {drawn} at a confidence of {sampler.threshold}",
+        got=str(sum(map(len, kept))),
+    )
 
 
 @dataclass(frozen=True)

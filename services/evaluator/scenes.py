@@ -23,7 +23,7 @@ from services.evaluator.reconstruction import (
     sample_quality,
     summarise,
 )
-from services.evaluator.samplers import Sampler, ScoredSampler
+from services.evaluator.samplers import Sampler, ScoredSampler, confident_samples
 
 SAMPLES = 1000
 # Rejection gives up here; the smallest free share that was ever drawn is 0.2.
@@ -134,34 +134,12 @@ def reconstruct(scene: Scene, sampler: Sampler, samples: int = SAMPLES) -> Scene
     quality = SceneQuality(scene.index, drawn, uniform, real)
     if not isinstance(sampler, ScoredSampler):
         return quality
-    confident, acceptance = _confident(scene, sampler, samples)
+    seeds = (scene.sampler_seed(CONFIDENT_STREAM + turn) for turn in range(CONFIDENT_TURNS))
+    confident, acceptance = confident_samples(sampler, scene.image, samples, seeds)
     return replace(
         quality,
-        confident=sample_quality(confident, held_out, scene.space, free),
+        confident=sample_quality(confident.astype(np.float64), held_out, scene.space, free),
         occupancy=_occupancy(scene, sampler, acceptance),
-    )
-
-
-def _confident(scene: Scene, sampler: ScoredSampler, samples: int) -> tuple[NDArray[np.float64], float]:
-    """``samples`` of the sampler's configurations that its head lets pass, and the share that passes.
-
-    Raises:
-        EvaluationError: so few pass that there are not as many.
-    """
-    kept: list[NDArray[np.float64]] = []
-    drawn = 0
-    for turn in range(CONFIDENT_TURNS):
-        proposals = sampler.sample(scene.image, samples, scene.sampler_seed(CONFIDENT_STREAM + turn))
-        passed = sampler.score(scene.image, proposals) >= sampler.threshold
-        kept.append(np.asarray(proposals[passed], dtype=np.float64))
-        drawn += len(proposals)
-        if sum(map(len, kept)) >= samples:
-            found = np.concatenate(kept)
-            return found[:samples], len(found) / drawn
-    raise EvaluationError(
-        "the validity head lets next to nothing pass",
-        expected=f"{samples} samples of {drawn} at a confidence of {sampler.threshold}",
-        got=str(sum(map(len, kept))),
     )
 
 

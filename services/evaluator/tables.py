@@ -38,10 +38,13 @@ def planning_table(families: Sequence[FamilySummary]) -> Table:
     """Per family the success rates, medians and what the learned samples save."""
     rows = [["family", "samples", "success", "iterations", "edge checks", "time [ms]", "censored"]]
     for family in families:
-        arms = (("uniform", family.uniform), ("learned", family.learned))
-        rows += [[family.family.value, name, *_arm_cells(arm)] for name, arm in arms]
+        arms = {"uniform": family.uniform, "learned": family.learned, "confident": family.confident}
+        present = {name: arm for name, arm in arms.items() if arm is not None}
+        rows += [[family.family.value, name, *_arm_cells(arm)] for name, arm in present.items()]
         saved = (family.iterations_ratio, family.edge_checks_ratio, family.solve_time_ratio)
         rows.append([family.family.value, "saved factor", "", *(f"{ratio:.2f}" for ratio in saved), ""])
+        if family.filter_ratio is not None:
+            rows.append([family.family.value, "filter factor", "", f"{family.filter_ratio:.2f}", "", "", ""])
     return rows
 
 

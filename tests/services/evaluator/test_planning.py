@@ -10,6 +10,7 @@ from cspace.scenario import Disc, Scenario
 from services.evaluator.planning import PlanningTrial, RunOutcome, plan_trial
 from services.evaluator.planning_summary import success_rate, summarise_family
 from services.evaluator.samplers import UniformSampler
+from services.evaluator.tables import planning_table
 from services.planner.ompl_planner import PlannerSettings, PlanResult
 
 # One disc on the y axis: turning the first joint through a quarter circle collides, through the others it
@@ -157,3 +158,46 @@ def test_the_success_rate_is_of_the_learned_samples():
     trials = [trial(outcome(success=False), outcome()), trial(outcome(), outcome(success=False))]
     assert success_rate(trials).estimate == 0.5
     assert success_rate(trials[:1]).estimate == 1.0
+
+
+class Scored(UniformSampler):
+    """Uniform samples of which those with a negative first joint pass."""
+
+    threshold = 0.5
+
+    def score(self, image, configurations):
+        return (configurations[:, 0] < 0.0).astype(np.float32)
+
+
+def test_a_validity_head_adds_a_run_with_as_many_samples_that_pass_it():
+    asked = []
+
+    def solver(problem, settings, samples, uniform_share):
+        asked.append(samples)
+        return result([START, GOAL])
+
+    found = plan_trial(problem(), 0, 1, Scored(TWO_LINK.space), SETTINGS, solver)
+    assert found.confident.success
+    uniform, learned, confident = asked
+    assert uniform is None
+    assert learned.shape == confident.shape == (300, 2)
+    assert (learned[:, 0] > 0.0).any()
+    assert (confident[:, 0] < 0.0).all()
+
+
+def test_the_filter_s_factor_is_below_one_where_it_costs_work():
+    trials = [
+        replace(trial(outcome(), outcome(iterations=10), index=i), confident=outcome(iterations=40))
+        for i in range(5)
+    ]
+    found = summarise_family(Family.UNIFORM, trials, np.random.default_rng(0))
+    assert found.filter_ratio.estimate == pytest.approx(0.25)
+    assert found.confident.iterations.median == 40
+    names = [row[1] for row in planning_table([found])]
+    assert names == ["samples", "uniform", "learned", "confident", "saved factor", "filter factor"]
+
+
+def test_without_a_head_there_is_no_filter_to_judge():
+    found = summarise_family(Family.UNIFORM, [trial(outcome(), outcome())], np.random.default_rng(0))
+    assert (found.confident, found.filter_ratio) == (None, None)
+    assert [row[1] for row in planning_table([found])] == ["samples", "uniform", "learned", "saved factor"]
