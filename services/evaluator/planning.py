@@ -52,7 +52,8 @@ class RunOutcome:
 class PlanningTrial:
     """All runs on one problem, and the time that the learned samples took to draw.
 
-    ``confident`` is the run with learned samples that the validity head let pass, None without a head.
+    ``confident`` is the run with learned samples that the validity head let pass; None without a head, or
+    where it lets too few pass.
     """
 
     family: Family
@@ -95,12 +96,13 @@ def plan_trial(
 
 
 def _confident(problem: Problem, seed: int, sampler: Sampler) -> list[NDArray[np.float32]]:
-    """As many learned samples, of those that the validity head lets pass; nothing without one."""
+    """As many learned samples, of those that the validity head lets pass; nothing without it or them."""
     if not isinstance(sampler, ScoredSampler):
         return []
     # The first batch is the learned samples themselves.
     seeds = range(seed, seed + CONFIDENT_TURNS)
-    return [confident_samples(sampler, render(problem.scenario), LEARNED_SAMPLES, seeds)[0]]
+    samples, _ = confident_samples(sampler, render(problem.scenario), LEARNED_SAMPLES, seeds)
+    return [] if samples is None else [samples]
 
 
 def _outcome(problem: Problem, result: PlanResult, resolution_rad: float) -> RunOutcome:

@@ -49,8 +49,8 @@ class SampleQuality:
 class SceneQuality:
     """The sampler, the uniform one, and real samples on one scenario.
 
-    ``confident`` is the sampler again, with the samples alone that its validity head lets pass, and
-    ``occupancy`` is that head; None without one.
+    ``confident`` is the sampler again, with the samples alone that its validity head lets pass, None where
+    those are too few; ``occupancy`` is that head. Both are None without one.
     """
 
     index: int
@@ -76,7 +76,8 @@ class SamplerSummary:
 class ReconstructionSummary:
     """All samplers over all scenarios, and the paired gain in precision over uniform.
 
-    ``confident`` and ``occupancy`` are None for samplers without a validity head.
+    ``confident`` and ``occupancy`` are None for samplers without a validity head, ``confident`` also for
+    those whose head lets too few samples pass in some scenario.
     """
 
     sampler: SamplerSummary
@@ -168,9 +169,10 @@ def _head_summaries(
 ) -> tuple[SamplerSummary | None, OccupancySummary | None]:
     confident = [scene.confident for scene in scenes if scene.confident is not None]
     heads = [scene.occupancy for scene in scenes if scene.occupancy is not None]
-    if len(confident) < len(scenes) or len(heads) < len(scenes):
-        return None, None
-    return _summary(confident, uniform, rng), summarise_occupancy(heads, rng)
+    return (
+        _summary(confident, uniform, rng) if len(confident) == len(scenes) else None,
+        summarise_occupancy(heads, rng) if len(heads) == len(scenes) else None,
+    )
 
 
 def _summary(

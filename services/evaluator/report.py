@@ -24,7 +24,7 @@ PLANNING_NOTE = (
 OCCUPANCY_NOTE = (
     "On uniform configurations, told free at a confidence of 0.5. The row confident above holds as many "
     "samples as the others: further ones are drawn until enough reach the bundle's threshold, and accepted "
-    "is the share that does."
+    "is the share that does. The row is missing where in some scenario too few do."
 )
 TOPOLOGY_NOTE = (
     "The floor is the same score between two real samples. gsc_boundary takes both complements from the "

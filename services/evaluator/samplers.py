@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cspace.bundle import Bundle
-from cspace.errors import EvaluationError
 from cspace.image import encode_png
 from cspace.space import JointSpace, to_float32
 from services.planner.sampling_client import SamplingClient
@@ -92,32 +91,26 @@ def bundle_sampler(bundle: Bundle) -> BundleSampler:
 
 def confident_samples(
     sampler: ScoredSampler, image: Image, count: int, seeds: Iterable[int]
-) -> tuple[Samples, float]:
+) -> tuple[Samples | None, float]:
     """``count`` of a sampler's configurations that its head lets pass, and the share that passes.
+
+    None where so few pass that there are not as many, as with a head that has learned next to nothing.
 
     Args:
         sampler: draws batches of ``count`` and scores them.
         image: the picture.
         count: how many are wanted.
         seeds: of the batches; as many batches are drawn at the most.
-
-    Raises:
-        EvaluationError: so few pass that there are not as many.
     """
     kept: list[Samples] = []
-    drawn = 0
+    drawn = passed = 0
     for seed in seeds:
         proposals = sampler.sample(image, count, seed)
         kept.append(proposals[sampler.score(image, proposals) >= sampler.threshold])
-        drawn += len(proposals)
-        if sum(map(len, kept)) >= count:
-            found = np.concatenate(kept)
-            return found[:count], len(found) / drawn
-    raise EvaluationError(
-        "the validity head lets next to nothing pass",
-        expected=f"{count} samples of {drawn} at a confidence of {sampler.threshold}",
-        got=str(sum(map(len, kept))),
-    )
+        drawn, passed = drawn + len(proposals), passed + len(kept[-1])
+        if passed >= count:
+            return np.concatenate(kept)[:count], passed / drawn
+    return None, passed / drawn
 
 
 @dataclass(frozen=True)

@@ -136,11 +136,10 @@ def reconstruct(scene: Scene, sampler: Sampler, samples: int = SAMPLES) -> Scene
         return quality
     seeds = (scene.sampler_seed(CONFIDENT_STREAM + turn) for turn in range(CONFIDENT_TURNS))
     confident, acceptance = confident_samples(sampler, scene.image, samples, seeds)
-    return replace(
-        quality,
-        confident=sample_quality(confident.astype(np.float64), held_out, scene.space, free),
-        occupancy=_occupancy(scene, sampler, acceptance),
-    )
+    if confident is not None:
+        found = sample_quality(confident.astype(np.float64), held_out, scene.space, free)
+        quality = replace(quality, confident=found)
+    return replace(quality, occupancy=_occupancy(scene, sampler, acceptance))
 
 
 def _occupancy(scene: Scene, sampler: ScoredSampler, acceptance: float) -> SceneOccupancy:

@@ -81,12 +81,16 @@ def test_confident_samples_are_as_many_and_all_pass():
     assert quality.occupancy.acceptance == pytest.approx(quality.sampler.precision, abs=0.06)
 
 
-def test_a_head_that_lets_nothing_pass_is_an_error():
+def test_a_head_that_lets_nothing_pass_is_judged_without_its_samples():
     scene = Scene(STAGE, 0)
     oracle = Oracle(scene)
     oracle.threshold = 1.5
-    with pytest.raises(EvaluationError, match="next to nothing pass"):
-        reconstruct(scene, oracle, 50)
+    quality = reconstruct(scene, oracle, 50)
+    assert quality.confident is None
+    assert (quality.occupancy.acceptance, quality.occupancy.accuracy) == (0.0, 1.0)
+    summary = summarise([quality], np.random.default_rng(0))
+    assert summary.confident is None
+    assert summary.occupancy.acceptance.estimate == 0.0
 
 
 def test_samplers_without_a_head_have_no_such_summary(tmp_path):

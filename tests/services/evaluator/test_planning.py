@@ -185,6 +185,18 @@ def test_a_validity_head_adds_a_run_with_as_many_samples_that_pass_it():
     assert (confident[:, 0] < 0.0).all()
 
 
+class Doubting(Scored):
+    """Nothing passes."""
+
+    threshold = 2.0
+
+
+def test_a_head_that_lets_too_few_pass_adds_no_run():
+    sampler = Doubting(TWO_LINK.space)
+    found = plan_trial(problem(), 0, 1, sampler, SETTINGS, lambda *_: result([START, GOAL]))
+    assert found.confident is None
+
+
 def test_the_filter_s_factor_is_below_one_where_it_costs_work():
     trials = [
         replace(trial(outcome(), outcome(iterations=10), index=i), confident=outcome(iterations=40))
