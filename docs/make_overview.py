@@ -12,7 +12,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from cspace.bundle import Bundle
+from cspace.bundle import Bundle, SampleSet
 from cspace.collision import CollisionChecker
 from cspace.errors import CspaceError
 from cspace.image import encode_png
@@ -21,6 +21,7 @@ from cspace.render import render
 from cspace.scenario import Split
 from services.planner.configuration_panel import draw_configurations
 from services.planner.ompl_planner import solve
+from services.planner.palette import GOAL
 from services.planner.plan_result import PlanResult
 from services.planner.settings import PlannerSettings
 from services.planner.workspace_panel import draw_workspace
@@ -43,20 +44,36 @@ def main(arguments: Sequence[str] | None = None) -> int:
         bundle = Bundle.load(options.bundle)
         problem = draw_problem(Family.UNIFORM, Split.DEMO, SEED, robot=bundle.spec.robot)
         picture = render(problem.scenario)
-        samples = bundle.sample(picture, SAMPLES, SEED).samples
-        result = solve(problem, PlannerSettings(seed=SEED), samples[:PLANNED_WITH])
+        found = bundle.sample(picture, SAMPLES, SEED)
+        doubted = _doubted(found, bundle.spec.confidence_threshold)
+        samples = found.samples
+        result = solve(problem, PlannerSettings(seed=SEED), samples[~doubted][:PLANNED_WITH])
     except CspaceError as error:
         sys.stderr.write(f"error: {error}\n")
         return 1
     (options.folder / "scenario.png").write_bytes(encode_png(picture))
-    draw_overview(problem, picture, samples, result).savefig(options.folder / "overview.png")
-    free = CollisionChecker(problem.scenario).valid_batch(samples).mean()
-    sys.stdout.write(f"{result.reason}, {result.iterations} iterations, {free:.2f} of the samples are free\n")
+    draw_overview(problem, picture, samples, doubted, result).savefig(options.folder / "overview.png")
+    free = CollisionChecker(problem.scenario).valid_batch(samples)
+    sys.stdout.write(
+        f"{result.reason}, {result.iterations} iterations; {free.mean():.3f} of the samples are free, "
+        f"{free[~doubted].mean():.3f} of the {np.sum(~doubted)} that are not doubted\n"
+    )
     return 0
 
 
+def _doubted(found: SampleSet, threshold: float | None) -> NDArray[np.bool_]:
+    """Which samples the model's own validity head would drop; none without a head."""
+    if found.confidence is None or threshold is None:
+        return np.zeros(len(found.samples), dtype=np.bool_)
+    return found.confidence < threshold
+
+
 def draw_overview(
-    problem: Problem, picture: NDArray[np.uint8], samples: NDArray[np.float32], result: PlanResult
+    problem: Problem,
+    picture: NDArray[np.uint8],
+    samples: NDArray[np.float32],
+    doubted: NDArray[np.bool_],
+    result: PlanResult,
 ) -> Figure:
     """Three panels: what the model sees, what it generates, what the planner makes of it."""
     figure = Figure(figsize=(14.4, 5.0), dpi=110, layout="constrained")
@@ -64,14 +81,15 @@ def draw_overview(
     camera = problem.scenario.camera
     seen.imshow(picture, extent=(camera.x_min_m, camera.x_max_m, camera.y_min_m, camera.y_max_m))
     seen.set(xlabel="x (m)", ylabel="y (m)")
-    draw_configurations(generated, problem, result, samples, (0, 1))
+    draw_configurations(generated, problem, result, samples[~doubted], (0, 1))
+    generated.scatter(*samples[doubted].T, s=14, marker="x", color=GOAL, linewidths=0.8, zorder=2)
     draw_workspace(planned, problem, result.path)
     for axes, title in (
         (seen, "the picture"),
-        (generated, f"{len(samples)} generated configurations; grey is in collision"),
-        (planned, f"RRT with {PLANNED_WITH} of them: {result.iterations} iterations"),
+        (generated, f"{len(samples)} generated; the model doubts the crosses; grey is in collision"),
+        (planned, f"RRT with {PLANNED_WITH} of the dots: {result.iterations} iterations"),
     ):
-        axes.set_title(title, fontsize=11)
+        axes.set_title(title, fontsize=10)
     return figure
 
 
