@@ -1,34 +1,15 @@
 import json
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import pytest
 
 from cspace.dataset import open_dataset, write_dataset
-from cspace.errors import CspaceError, DamagedFileError, DatasetError, StorageError
+from cspace.errors import DamagedFileError, DatasetError
 from cspace.manifest import MANIFEST_FILE, Manifest, file_digest
 from cspace.robot import THREE_LINK, TWO_LINK, PlanarArm
 from cspace.scenario import Camera
-
-CAMERA = Camera(pixels=16)
-SCENARIOS, EXTRAS = 3, 2
-
-
-def content(robot=TWO_LINK, seed=0, **changes):
-    rng, dim = np.random.default_rng(seed), robot.dim
-    values = {
-        "robot": robot,
-        "camera": CAMERA,
-        "images": rng.integers(0, 256, (SCENARIOS, 16, 16, 3), dtype=np.uint8),
-        "free": [rng.uniform(-np.pi, np.pi, (count, dim)) for count in (4, 0, 6)],
-        "collision": [rng.uniform(-np.pi, np.pi, (count, dim)) for count in (1, 2, 0)],
-        "paths": [(2, rng.uniform(-np.pi, np.pi, (5, dim))), (0, rng.uniform(-np.pi, np.pi, (2, dim)))],
-        "discs": rng.uniform(0.5, 4, (SCENARIOS, 3, 3)),
-        "extra_images": rng.integers(0, 256, (EXTRAS, 16, 16, 3), dtype=np.uint8),
-        "generator": {"seed": 7},
-    }
-    return values | changes
+from tests.dataset_content import CAMERA, SCENARIOS, content
 
 
 def rewrite(folder: Path, **arrays):
@@ -278,51 +259,3 @@ def test_a_data_set_that_does_not_fit_is_not_written(tmp_path, change, words):
     with pytest.raises(DatasetError, match=words):
         write_dataset(tmp_path / "data", **content(**change))
     assert list(tmp_path.iterdir()) == []
-
-
-# Writing
-
-
-class DiskUsage(NamedTuple):
-    total: int
-    used: int
-    free: int
-
-
-def test_a_full_disk_is_told_before_anything_is_written(tmp_path, monkeypatch):
-    monkeypatch.setattr("cspace.dataset.shutil.disk_usage", lambda path: DiskUsage(2**40, 2**40, 1000))
-    with pytest.raises(StorageError, match=r"too full.*MiB.*another folder"):
-        write_dataset(tmp_path / "data", **content())
-    assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.parametrize("failure", [OSError(28, "No space left on device"), KeyboardInterrupt()])
-def test_an_interrupted_write_leaves_nothing(tmp_path, monkeypatch, failure):
-    save, calls = np.save, []
-
-    def fail_on_the_third(path, array, **options):
-        calls.append(path)
-        if len(calls) == 3:
-            raise failure
-        save(path, array, **options)
-
-    monkeypatch.setattr("cspace.dataset.np.save", fail_on_the_third)
-    with pytest.raises(StorageError if isinstance(failure, OSError) else KeyboardInterrupt):
-        write_dataset(tmp_path / "data", **content())
-    assert len(calls) == 3
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_a_folder_that_exists_is_never_touched(tmp_path):
-    (tmp_path / "data").mkdir()
-    (tmp_path / "data" / "thesis.txt").write_text("years of work")
-    with pytest.raises(StorageError, match="exists"):
-        write_dataset(tmp_path / "data", **content())
-    assert (tmp_path / "data" / "thesis.txt").read_text() == "years of work"
-
-
-def test_a_place_that_is_no_folder_is_a_storage_error(tmp_path):
-    (tmp_path / "file").write_text("")
-    with pytest.raises(CspaceError) as caught:
-        write_dataset(tmp_path / "file" / "data", **content())
-    assert isinstance(caught.value, StorageError)

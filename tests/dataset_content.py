@@ -1,0 +1,28 @@
+"""What a small data set holds, for every test that writes one."""
+
+from typing import Any
+
+import numpy as np
+
+from cspace.robot import TWO_LINK, PlanarArm
+from cspace.scenario import Camera
+
+CAMERA = Camera(pixels=16)
+SCENARIOS, EXTRAS = 3, 2
+
+
+def content(robot: PlanarArm = TWO_LINK, seed: int = 0, **changes: Any) -> dict[str, Any]:
+    """Arguments of ``write_dataset``: three scenarios, one without free, one without colliding ones."""
+    rng, dim = np.random.default_rng(seed), robot.dim
+    values = {
+        "robot": robot,
+        "camera": CAMERA,
+        "images": rng.integers(0, 256, (SCENARIOS, 16, 16, 3), dtype=np.uint8),
+        "free": [rng.uniform(-np.pi, np.pi, (count, dim)) for count in (4, 0, 6)],
+        "collision": [rng.uniform(-np.pi, np.pi, (count, dim)) for count in (1, 2, 0)],
+        "paths": [(2, rng.uniform(-np.pi, np.pi, (5, dim))), (0, rng.uniform(-np.pi, np.pi, (2, dim)))],
+        "discs": rng.uniform(0.5, 4, (SCENARIOS, 3, 3)),
+        "extra_images": rng.integers(0, 256, (EXTRAS, 16, 16, 3), dtype=np.uint8),
+        "generator": {"seed": 7},
+    }
+    return values | changes
