@@ -188,13 +188,20 @@ class Bundle:
             configurations: float32 (n, d) rad, at least one.
 
         Raises:
-            InputError: the bundle has no validity head, or the picture does not fit.
+            InputError: the bundle has no validity head, or picture or configurations do not fit.
             BundleError: the graph fails.
         """
         head = self._validity
         if head is None:
             raise InputError("the model has no validity head", remedy="train one with validity.steps above 0")
         picture = self._network_image(image)
+        shape = np.shape(configurations)
+        if len(shape) != 2 or not shape[0] or shape[1] != self.spec.dim:
+            raise InputError(
+                "the configurations do not fit the model",
+                expected=f"shape (n, {self.spec.dim}), n at least 1",
+                got=str(shape),
+            )
 
         def run(rows: slice) -> NDArray[np.float32]:
             part = configurations[rows]

@@ -212,3 +212,19 @@ def test_numpy_numbers_are_as_good_as_pythons(bundle: Bundle) -> None:
     plain = bundle.sample(picture(), 3, 5, epsilon_sigma=(0.5,)).samples
     numpys = bundle.sample(picture(), np.int64(3), np.uint64(5), epsilon_sigma=[np.float64(0.5)]).samples  # type: ignore[arg-type]
     np.testing.assert_array_equal(plain, numpys)
+
+
+def test_a_validity_head_scores_any_configurations(scored: Bundle) -> None:
+    near, far = scored.score(picture(), np.array([[0.0, 0.1], [3.0, -3.0]], dtype=np.float32))
+    assert 0.0 <= far < near <= 1.0
+
+
+def test_a_bundle_without_a_head_scores_nothing(bundle: Bundle) -> None:
+    with pytest.raises(InputError, match="no validity head"):
+        bundle.score(picture(), np.zeros((1, 2), dtype=np.float32))
+
+
+@pytest.mark.parametrize("shape", [(0, 2), (3, 1), (2,), (1, 2, 2)])
+def test_configurations_that_do_not_fit_the_head_are_refused(scored: Bundle, shape: tuple[int, ...]) -> None:
+    with pytest.raises(InputError, match="configurations do not fit"):
+        scored.score(picture(), np.zeros(shape, dtype=np.float32))
