@@ -44,7 +44,8 @@ def make_bundle(folder: Path, config: TrainConfig, dataset: Dataset, parts: Trai
         "generator": generator_graph(generator, dim, latent_dim, gan.noise_dim),
     }
     if parts.validity is not None:
-        head = ValidityHead(config.validity, dataset.robot, dataset.camera)
+        with seeded_initialisation(0):
+            head = ValidityHead(config.validity, dataset.robot, dataset.camera)
         head.load_state_dict(load_weights(parts.validity, "head"))
         graphs["validity"] = validity_graph(head, dataset.camera.pixels, dim)
     scale = Standardisation(*(tuple(float(v) for v in part) for part in parts.arrays.scale))

@@ -85,23 +85,24 @@ def plan_trial(
     """
     seeded = replace(settings, seed=seed)
     began = time.perf_counter()
-    samples = sampler.sample(render(problem.scenario), LEARNED_SAMPLES, seed)
+    image = render(problem.scenario)
+    samples = sampler.sample(image, LEARNED_SAMPLES, seed)
     sampling_time_s = time.perf_counter() - began
     uniform, learned, *confident = (
         _outcome(problem, solver(problem, seeded, drawn, UNIFORM_SHARE), settings.resolution_rad)
-        for drawn in (None, samples, *_confident(problem, seed, sampler))
+        for drawn in (None, samples, *_confident(image, seed, sampler))
     )
     only = confident[0] if confident else None
     return PlanningTrial(problem.family, index, seed, uniform, learned, sampling_time_s, only)
 
 
-def _confident(problem: Problem, seed: int, sampler: Sampler) -> list[NDArray[np.float32]]:
+def _confident(image: NDArray[np.uint8], seed: int, sampler: Sampler) -> list[NDArray[np.float32]]:
     """As many learned samples, of those that the validity head lets pass; nothing without it or them."""
     if not isinstance(sampler, ScoredSampler):
         return []
     # The first batch is the learned samples themselves.
     seeds = range(seed, seed + CONFIDENT_TURNS)
-    samples, _ = confident_samples(sampler, render(problem.scenario), LEARNED_SAMPLES, seeds)
+    samples, _ = confident_samples(sampler, image, LEARNED_SAMPLES, seeds)
     return [] if samples is None else [samples]
 
 

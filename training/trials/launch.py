@@ -36,9 +36,24 @@ class TrialOutcome:
     ended_s: float
 
 
+# What trials report of themselves; Tune adds more.
+OWN_METRICS = frozenset(
+    {
+        "vae_loss",
+        "reconstruction_loss",
+        "kl",
+        "validity_loss",
+        "validity_accuracy",
+        "critic_loss",
+        "wasserstein_estimate",
+        "gradient_penalty",
+        "generator_loss",
+        "steps_per_s",
+    }
+)
+
 # The job's log is for its own progress; what the libraries print of theirs is switched off.
 QUIET = {
-    "RAY_DEDUP_LOGS": "0",
     "RAY_AIR_NEW_OUTPUT": "0",
     "TUNE_WARN_EXCESSIVE_EXPERIMENT_CHECKPOINT_SYNC_THRESHOLD_S": "0",
     "MLFLOW_SUPPRESS_PRINTING_URL_TO_STDOUT": "true",
@@ -110,7 +125,7 @@ def run_trials(
 def _outcome(result: Any) -> TrialOutcome:
     rows = result.metrics_dataframe
     first, last = rows.iloc[0], rows.iloc[-1]
-    metrics = {key: float(value) for key, value in result.metrics.items() if key in _logged(result.metrics)}
+    metrics = {key: float(value) for key, value in result.metrics.items() if key in OWN_METRICS}
     return TrialOutcome(
         name=str(result.config["trial"]["name"]),
         checkpoint=Path(result.checkpoint.path),
@@ -118,9 +133,3 @@ def _outcome(result: Any) -> TrialOutcome:
         started_s=float(first["timestamp"] - first["time_total_s"]),
         ended_s=float(last["timestamp"]),
     )
-
-
-def _logged(metrics: Mapping[str, Any]) -> set[str]:
-    own = {"vae_loss", "reconstruction_loss", "kl", "critic_loss", "generator_loss", "wasserstein_estimate"}
-    more = {"gradient_penalty", "steps_per_s", "validity_loss", "validity_accuracy"}
-    return (own | more) & set(metrics)
