@@ -91,7 +91,7 @@ def _encoder(spec: BundleSpec, scale: float) -> bytes:
 def _generator(spec: BundleSpec, scale: float) -> bytes:
     inputs: dict[str, tuple[int | str, ...]] = {"latent": ("m", spec.latent_dim)}
     inputs |= {item.name: ("m", *item.shape) for item in spec.random_inputs}
-    inputs |= dict.fromkeys(spec.conditions, ("m", spec.dim))
+    inputs |= dict.fromkeys(spec.endpoints, ("m", spec.dim))
     weights = {}
     nodes = []
     terms = []

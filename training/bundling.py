@@ -4,25 +4,47 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
+import torch
+
 from cspace.bundle import Bundle, BundleSpec, Provenance, RandomInput, write_bundle
 from cspace.dataset import Dataset
+from cspace.errors import JobError
 from cspace.space import Standardisation
 from training.config import GanConfig, TrainConfig
 from training.encode import load_encoder
 from training.models.checkpoint import load_weights, seeded_initialisation
-from training.models.export import encoder_graph, generator_graph, validity_graph
-from training.models.modules import make_generator
+from training.models.export import (
+    encoder_graph,
+    generator_graph,
+    lookup_graph,
+    mixture_graph,
+    validity_graph,
+)
+from training.models.gate import Gate
+from training.models.lookups import make_lookups
+from training.models.mixture import Experts, GatedSampler, LookupSampler
+from training.models.networks import TorusGenerator
 from training.models.validity import ValidityHead
 from training.provenance import command_line, now, source_state
-from training.trials.trainables import TrainingArrays
+from training.trials.arrays import TrainingArrays
+from training.trials.loading import load_generator, torus_generator
 
 
 @dataclass(frozen=True, slots=True)
 class TrainedParts:
-    """What the trials left: folders of checkpoints, and the arrays they were trained on."""
+    """What the trials left: folders of checkpoints, and the arrays they were trained on.
+
+    Args:
+        vae: the encoder's.
+        generators: one, or in a mixture that of every cluster.
+        gate: None without one.
+        validity: None without a validity head.
+        arrays: the data.
+    """
 
     vae: Path
-    generator: Path
+    generators: tuple[Path, ...]
+    gate: Path | None
     validity: Path | None
     arrays: TrainingArrays
 
@@ -34,14 +56,11 @@ def make_bundle(folder: Path, config: TrainConfig, dataset: Dataset, parts: Trai
         BundleError: the exported graphs do not make a bundle.
         StorageError: the folder exists or cannot be written.
     """
-    gan, latent_dim, dim = config.global_, config.vae.latent_dim, dataset.dim
-    with seeded_initialisation(0):
-        generator = make_generator(gan, dim, latent_dim, parts.arrays.scale)
-    generator.load_state_dict(load_weights(parts.generator, "generator"))
+    gan, latent_dim, dim = generator_config(config), config.vae.latent_dim, dataset.dim
     encoder = load_encoder(config.vae, dataset.camera.pixels, parts.vae)
     graphs = {
         "encoder": encoder_graph(encoder, dataset.camera.pixels),
-        "generator": generator_graph(generator, dim, latent_dim, gan.noise_dim),
+        "generator": _sampler_graph(config, parts),
     }
     if parts.validity is not None:
         with seeded_initialisation(0):
@@ -53,8 +72,10 @@ def make_bundle(folder: Path, config: TrainConfig, dataset: Dataset, parts: Trai
         robot=dataset.robot,
         latent_dim=latent_dim,
         camera=dataset.camera,
+        model_kind="generator" if parts.gate is None else "mixture",
+        looks_at_picture=gan.generator_lookups.points_per_link > 0,
         samples_per_latent=gan.means,
-        random_inputs=random_inputs(gan, dim),
+        random_inputs=random_inputs(gan, dim, gated=parts.gate is not None),
         confidence_threshold=None if parts.validity is None else config.validity.threshold,
         standardisation=scale if gan.generator == "means" else None,
         provenance=_provenance(config, dataset),
@@ -62,14 +83,56 @@ def make_bundle(folder: Path, config: TrainConfig, dataset: Dataset, parts: Trai
     return Bundle.load(write_bundle(folder, spec, graphs))
 
 
-def random_inputs(gan: GanConfig, dim: int) -> tuple[RandomInput, ...]:
+def generator_config(config: TrainConfig) -> GanConfig:
+    """The shape of the generators that a bundle holds: local ones in a mixture, else the global one."""
+    return config.local if config.clusters.form == "mixture" else config.global_
+
+
+def random_inputs(gan: GanConfig, dim: int, *, gated: bool) -> tuple[RandomInput, ...]:
     """The random inputs of a generator's graph, in the order in which they are drawn."""
     if gan.generator == "means":
         return (RandomInput("noise", "normal", (gan.means, dim)),)
+    noise = RandomInput("noise", "normal", (gan.noise_dim,))
+    if not gated:
+        return (RandomInput("base", "uniform", (dim,), -math.pi, math.pi), noise)
     return (
-        RandomInput("base", "uniform", (dim,), -math.pi, math.pi),
-        RandomInput("noise", "normal", (gan.noise_dim,)),
+        RandomInput("cell", "uniform", (1,), 0.0, 1.0),
+        RandomInput("place", "uniform", (1,), 0.0, 1.0),
+        RandomInput("jitter", "uniform", (dim,), -0.5, 0.5),
+        noise,
     )
+
+
+def _sampler_graph(config: TrainConfig, parts: TrainedParts) -> bytes:
+    gan, arrays = generator_config(config), parts.arrays
+    latent_dim, pixels = config.vae.latent_dim, arrays.camera.pixels
+    generators = [load_generator(gan, arrays, folder) for folder in parts.generators]
+    lookups = make_lookups(gan.generator_lookups, arrays.robot, arrays.camera)
+    if parts.gate is not None:
+        sampler = _gated(config, parts, [torus_generator(generator) for generator in generators])
+        return mixture_graph(sampler, latent_dim, gan.noise_dim, pixels)
+    if lookups is not None:
+        plain = LookupSampler(torus_generator(generators[0]), lookups)
+        return lookup_graph(plain, arrays.robot.dim, latent_dim, gan.noise_dim, pixels)
+    return generator_graph(generators[0], arrays.robot.dim, latent_dim, gan.noise_dim)
+
+
+def _gated(config: TrainConfig, parts: TrainedParts, generators: list[TorusGenerator]) -> GatedSampler:
+    arrays = parts.arrays
+    if arrays.cells is None or parts.gate is None:
+        raise JobError("a gated sampler needs its cells", expected="gate.cells above 0", got="none")
+    gate = load_gate(config, parts.gate)
+    clusters = arrays.cells.clusters if len(generators) > 1 else 0 * arrays.cells.clusters
+    lookups = make_lookups(generator_config(config).generator_lookups, arrays.robot, arrays.camera)
+    return GatedSampler(gate, arrays.cells.points, Experts(generators, torch.tensor(clusters)), lookups)
+
+
+def load_gate(config: TrainConfig, checkpoint: Path) -> Gate:
+    """The gate of a trial's checkpoint."""
+    with seeded_initialisation(0):
+        gate = Gate(config.gate, config.vae.latent_dim)
+    gate.load_state_dict(load_weights(checkpoint, "gate"))
+    return gate
 
 
 def _provenance(config: TrainConfig, dataset: Dataset) -> Provenance:

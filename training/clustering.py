@@ -1,15 +1,20 @@
 """k-means over the configuration space, on the (cos, sin) embedding so that clusters respect the circle."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from sklearn.cluster import KMeans
+from sklearn.metrics import pairwise_distances_argmin
 
 from cspace.errors import ConfigError
 from cspace.space import embed
+from training.models.cells import CellPoints
 
 _BLOCK = 100_000
+# Cells differ in size; one that is too small for this many draws repeats the points that it has.
+_DRAWS_PER_POINT = 5
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,6 +28,14 @@ class Clustering:
 
     centres: NDArray[np.float64]
     labels: NDArray[np.int64]
+
+    def label(self, configurations: NDArray[np.floating[Any]]) -> NDArray[np.int64]:
+        """The cluster of each of (n, d) configurations: the one with the nearest centre."""
+        blocks = [
+            pairwise_distances_argmin(embed(configurations[start : start + _BLOCK]), self.centres)
+            for start in range(0, len(configurations), _BLOCK)
+        ]
+        return np.concatenate(blocks).astype(np.int64)
 
     @property
     def sizes(self) -> tuple[int, ...]:
@@ -59,3 +72,46 @@ def cluster(configurations: NDArray[np.float32], count: int, fit_samples: int, s
     return Clustering(
         np.asarray(model.cluster_centers_, dtype=np.float64), np.concatenate(labels).astype(np.int64)
     )
+
+
+def group(cells: Clustering, count: int, seed: int) -> NDArray[np.int64]:
+    """Neighbouring cells put together: the cluster of each of k cells, (k,), by k-means over their centres.
+
+    Args:
+        cells: a partition into k cells.
+        count: clusters, at most k.
+        seed: of k-means.
+    """
+    if count == len(cells.centres):
+        return np.arange(count)
+    model = KMeans(count, n_init=4, random_state=seed)
+    return np.asarray(model.fit(cells.centres, sample_weight=cells.sizes).labels_, dtype=np.int64)
+
+
+def points_in_cells(cells: Clustering, points: int, seed: int) -> CellPoints:
+    """Configurations spread evenly over the torus, ``points`` in each cell.
+
+    Args:
+        cells: a partition into k cells.
+        points: in each.
+        seed: of the draws.
+
+    Raises:
+        ConfigError: a cell holds none of the draws.
+    """
+    rng = np.random.default_rng(seed)
+    count, dim = len(cells.centres), cells.centres.shape[1] // 2
+    draws = rng.uniform(-np.pi, np.pi, (_DRAWS_PER_POINT * points * count, dim))
+    labels = cells.label(draws)
+    found = [draws[labels == cell] for cell in range(count)]
+    if min(map(len, found)) == 0:
+        raise ConfigError(
+            "a cell of the gate is next to empty",
+            expected=f"{count} cells of comparable size",
+            got=f"one without any of {len(draws)} draws",
+            remedy="lower gate.cells",
+        )
+    volumes = np.array([len(cell) for cell in found]) / len(draws) * (2.0 * np.pi) ** dim
+    kept = [cell[np.arange(points) % len(cell)] for cell in found]
+    spacing = (volumes / points) ** (1.0 / dim)
+    return CellPoints(np.stack(kept).astype(np.float32), spacing.astype(np.float32))

@@ -38,10 +38,40 @@ class VaeConfig(Section):
 
 
 class ClusterConfig(Section):
-    """k-means over the configuration space."""
+    """k-means over the configuration space, and what is made of the clusters."""
 
-    count: int = Field(2, ge=1)
+    count: int = Field(2, ge=1, description="trials that train side by side, one a cluster")
     fit_samples: int = Field(50_000, ge=10)
+    form: Literal["guided", "mixture", "distilled"] = Field(
+        "guided",
+        description="guided: the local critics guide a global generator, as in the paper; mixture: the local "
+        "generators themselves, behind a gate; distilled: one generator that has learned the mixture",
+    )
+
+
+class GateConfig(Section):
+    """The gate: which cell of the configuration space a picture's free configurations lie in."""
+
+    cells: int = Field(0, ge=0, description="0 for none: the generators start from the whole torus")
+    points: int = Field(1024, ge=1, description="stored in each cell, from which the generators start")
+    steps: int = Field(600, ge=1)
+    batch_size: int = Field(128, ge=1)
+    hidden: int = Field(128, ge=1)
+    layers: int = Field(2, ge=1)
+    learning_rate: float = Field(4e-3, gt=0)
+
+
+class LookupConfig(Section):
+    """Where a network reads the picture: at points along the links and beside them."""
+
+    points_per_link: int = Field(0, ge=0, description="0 for no look-ups")
+    side_m: float = Field(0.0, ge=0, description="distance of the rows beside each link; 0 for none")
+
+    @model_validator(mode="after")
+    def _one_point_is_no_row(self) -> "LookupConfig":
+        if self.points_per_link == 1:
+            raise ValueError("points_per_link counts both ends of a link: 2 or more, or 0 for no look-ups")
+        return self
 
 
 class GanConfig(Section):
@@ -60,6 +90,8 @@ class GanConfig(Section):
     critic_features: Literal["torus", "standardised"] = "torus"
     critic_hidden: int = Field(128, ge=1)
     critic_layers: int = Field(3, ge=2)
+    generator_lookups: LookupConfig = LookupConfig()
+    critic_lookups: LookupConfig = LookupConfig()
     penalty: Literal["one_sided", "two_sided"] = "one_sided"
     penalty_weight: float = Field(10.0, ge=0)
     critic_steps: int = Field(4, ge=1, description="critic steps before each generator step")
@@ -76,6 +108,8 @@ class GanConfig(Section):
             raise ValueError(
                 "means and sigma belong to generator=means; the torus generator takes means=1, sigma=0"
             )
+        if self.generator == "means" and self.generator_lookups.points_per_link:
+            raise ValueError("generator_lookups belong to generator=torus: the means have no base to look up")
         return self
 
 
@@ -118,10 +152,22 @@ class TrainConfig(Section):
     data_folder: Path | None = Field(None, description="an existing data set in the documented format")
     vae: VaeConfig = VaeConfig()
     clusters: ClusterConfig = ClusterConfig()
+    gate: GateConfig = GateConfig()
     validity: ValidityConfig = ValidityConfig()
     local: GanConfig = GanConfig(steps=400)
     global_: GlobalConfig = Field(GlobalConfig(), alias="global")
     resources: ResourceConfig = ResourceConfig()
+
+    @model_validator(mode="after")
+    def _parts_fit(self) -> "TrainConfig":
+        form, cells = self.clusters.form, self.gate.cells
+        if form != "guided" and cells < self.clusters.count:
+            raise ValueError(
+                f"clusters.form={form} needs gate.cells of at least clusters.count, {self.clusters.count}"
+            )
+        if cells and "means" in (self.local.generator, self.global_.generator):
+            raise ValueError("gate.cells belong to generator=torus: the means have no base to draw in a cell")
+        return self
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for JSON, with the keys that ``--set`` takes."""

@@ -8,6 +8,7 @@ from matplotlib.figure import Figure
 History = Sequence[Mapping[str, float]]
 
 _WGAN_PANELS = ("wasserstein_estimate", "gradient_penalty", "generator_loss")
+_LOGARITHMIC = ("reconstruction_loss", "validity_loss", "gate_divergence", "distillation_loss")
 _LABELS = {
     "wasserstein_estimate": "Wasserstein estimate",
     "gradient_penalty": "gradient penalty",
@@ -16,6 +17,8 @@ _LABELS = {
     "validity_loss": "cross entropy [nat]",
     "validity_accuracy": "accuracy in the batch",
     "kl": "KL divergence [nat]",
+    "gate_divergence": "divergence from the true shares [nat]",
+    "distillation_loss": "1 - cos to the mixture's answer",
 }
 
 
@@ -34,6 +37,16 @@ def validity_curves(history: History) -> Figure:
     return _curves({"validity": history}, ("validity_loss", "validity_accuracy"), "step")
 
 
+def gate_curves(history: History) -> Figure:
+    """The gate's divergence from the cells' true shares over its steps."""
+    return _curves({"gate": history}, ("gate_divergence",), "step")
+
+
+def distillation_curves(history: History) -> Figure:
+    """How far the distilled generator is from the mixture over its steps."""
+    return _curves({"distilled": history}, ("distillation_loss",), "step")
+
+
 def _curves(histories: Mapping[str, History], names: Sequence[str], x_label: str) -> Figure:
     figure = Figure(figsize=(4.2 * len(names), 3.4), layout="constrained")
     FigureCanvasAgg(figure)
@@ -45,7 +58,7 @@ def _curves(histories: Mapping[str, History], names: Sequence[str], x_label: str
         axes.set_xlabel(x_label)
         axes.set_title(_LABELS[name], fontsize=10)
         axes.grid(visible=True, alpha=0.3)
-        if name in ("reconstruction_loss", "validity_loss"):
+        if name in _LOGARITHMIC:
             axes.set_yscale("log")
     if len(histories) > 1:
         figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=len(histories))

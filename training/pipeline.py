@@ -2,10 +2,12 @@
 
 import logging
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cspace.bundle import Bundle
 from cspace.dataset import Dataset, open_dataset
@@ -13,20 +15,26 @@ from services.registry.mlflow_registry import MlflowRegistry
 from services.registry.mlflow_tracking import MlflowTracking
 from services.registry.names import ALIAS_CHALLENGER, EXPERIMENT, MODEL_NAME
 from services.registry.tracking import RunLog
-from training.bundling import TrainedParts, make_bundle
-from training.clustering import cluster
+from training.bundling import TrainedParts, load_gate, make_bundle
+from training.clustering import cluster, group, points_in_cells
 from training.config import TrainConfig
 from training.datasets.generate import generate
 from training.encode import encode, load_encoder
 from training.environment import Environment
+from training.models.gate import gate_probabilities
 from training.provenance import source_state
 from training.reporting import log_result, log_start
+from training.trials.arrays import GatedCells, TrainingArrays
 from training.trials.launch import TrialOutcome, connect, run_trials
 from training.trials.occupancy import OccupancyArrays
 from training.trials.trainables import (
+    DISTILLED,
+    GATE,
+    GLOBAL,
     VAE,
     VALIDITY,
-    TrainingArrays,
+    distillation_trial,
+    gate_trial,
     global_trial,
     local_trial,
     picture_trial,
@@ -74,6 +82,10 @@ class _Job:
         """A child run, made here so that a retried trial continues it."""
         return self.tracking.start(EXPERIMENT, name, parent_run_id=self.run.run_id).run_id
 
+    def shared(self, arrays: TrainingArrays) -> dict[str, Any]:
+        """What every trial on configurations gets."""
+        return {"train": self.config, "arrays": arrays, "tracking_uri": self.environment.tracking_uri}
+
 
 def train(config: TrainConfig, environment: Environment) -> TrainResult:
     """Run the whole job.
@@ -88,15 +100,20 @@ def train(config: TrainConfig, environment: Environment) -> TrainResult:
         job = _Job(config, environment, tracking, run, environment.data_folder / "jobs" / run.run_id)
         log_start(run, config, dataset)
         vae, head = train_on_pictures(job, dataset)
-        arrays = encode_and_cluster(job, dataset, vae)
+        arrays, gate = train_gate(job, encode_and_cluster(job, dataset, vae))
         local = train_local(job, arrays)
         final = train_global(job, arrays, local)
         _LOG.info("bundle: exporting")
-        validity = None if head is None else head.checkpoint
-        parts = TrainedParts(vae.checkpoint, final.checkpoint, validity, arrays)
+        parts = TrainedParts(
+            vae.checkpoint,
+            tuple(outcome.checkpoint for outcome in (final or local)),
+            _checkpoint(gate),
+            _checkpoint(head),
+            arrays,
+        )
         bundle = make_bundle(job.folder / "bundle", config, dataset, parts)
-        outcomes = [vae, *([] if head is None else [head]), *local, final]
-        figures = log_result(run, bundle, dataset, {outcome.name: outcome for outcome in outcomes})
+        outcomes = [outcome for outcome in (vae, head, gate, *local, *final) if outcome is not None]
+        figures = log_result(run, bundle, dataset, outcomes)
         return _register(job, dataset, bundle, outcomes, figures)
 
 
@@ -131,19 +148,57 @@ def train_on_pictures(job: _Job, dataset: Dataset) -> tuple[TrialOutcome, TrialO
 
 
 def encode_and_cluster(job: _Job, dataset: Dataset, vae: TrialOutcome) -> TrainingArrays:
-    """Stage 4: latents of the scenarios and k-means over the configuration space."""
+    """Stage 4: latents of the scenarios, k-means over the configuration space, and cells for the gate."""
     config = job.config
     encoder = load_encoder(config.vae, dataset.camera.pixels, vae.checkpoint)
-    latents = encode(encoder, np.asarray(dataset.images))
+    images = np.asarray(dataset.images)
+    latents = encode(encoder, images)
     free = np.asarray(dataset.free)
-    clusters = cluster(free, config.clusters.count, config.clusters.fit_samples, config.seed)
-    _LOG.info("clusters: sizes %s", ", ".join(str(size) for size in clusters.sizes))
     ids = np.repeat(np.arange(dataset.scenario_count), np.diff(dataset.free_offsets))
-    return TrainingArrays(free, ids, clusters.labels, latents.mu, latents.sigma)
+    labels, cells = _partition(config, free)
+    sizes = np.bincount(labels, minlength=config.clusters.count)
+    _LOG.info("clusters: sizes %s", ", ".join(map(str, sizes)))
+    looked_up = any(
+        part.points_per_link
+        for gan in (config.local, config.global_)
+        for part in (gan.generator_lookups, gan.critic_lookups)
+    )
+    return TrainingArrays(
+        free,
+        ids,
+        labels,
+        latents.mu,
+        latents.sigma,
+        dataset.robot,
+        dataset.camera,
+        images if looked_up else None,
+        cells,
+    )
+
+
+def _partition(config: TrainConfig, free: NDArray[np.float32]) -> tuple[NDArray[np.int64], GatedCells | None]:
+    """The cluster of each configuration; with a gate, clusters are groups of its cells."""
+    count, rows, seed = config.clusters.count, config.clusters.fit_samples, config.seed
+    if config.gate.cells == 0:
+        return cluster(free, count, rows, seed).labels, None
+    cells = cluster(free, config.gate.cells, rows, seed)
+    clusters = group(cells, count, seed)
+    points = points_in_cells(cells, config.gate.points, seed)
+    return clusters[cells.labels], GatedCells(points, cells.labels, clusters)
+
+
+def train_gate(job: _Job, arrays: TrainingArrays) -> tuple[TrainingArrays, TrialOutcome | None]:
+    """Stage 5, where there are cells: the gate, and what it says of every scenario."""
+    if arrays.cells is None:
+        return arrays, None
+    trial = {"name": GATE, "run_id": job.child(GATE), "seed": job.config.seed}
+    gate = run_trials(gate_trial, [trial], job.shared(arrays), job.config.resources, job.folder / GATE)[0]
+    probabilities = gate_probabilities(load_gate(job.config, gate.checkpoint), arrays.mu)
+    return replace(arrays, cells=replace(arrays.cells, probabilities=probabilities)), gate
 
 
 def train_local(job: _Job, arrays: TrainingArrays) -> list[TrialOutcome]:
-    """Stage 5: one WGAN-GP a cluster, in parallel."""
+    """Stage 6: one WGAN-GP a cluster, in parallel."""
     trials = [
         {
             "name": f"local-{index}",
@@ -153,20 +208,28 @@ def train_local(job: _Job, arrays: TrainingArrays) -> list[TrialOutcome]:
         }
         for index in range(job.config.clusters.count)
     ]
-    shared = {"train": job.config, "arrays": arrays, "tracking_uri": job.environment.tracking_uri}
-    return run_trials(local_trial, trials, shared, job.config.resources, job.folder / "local")
+    return run_trials(local_trial, trials, job.shared(arrays), job.config.resources, job.folder / "local")
 
 
-def train_global(job: _Job, arrays: TrainingArrays, local: Sequence[TrialOutcome]) -> TrialOutcome:
-    """Stage 6: the global WGAN-GP, guided by the local critics."""
-    trial = {"name": "global", "run_id": job.child("global"), "seed": job.config.seed}
+def train_global(job: _Job, arrays: TrainingArrays, local: Sequence[TrialOutcome]) -> list[TrialOutcome]:
+    """Stage 7: the global WGAN-GP guided by the local critics, or one generator that distils the mixture.
+
+    A mixture needs neither: its local generators are what is served.
+    """
+    form = job.config.clusters.form
+    if form == "mixture":
+        return []
+    name, trainable = (GLOBAL, global_trial) if form == "guided" else (DISTILLED, distillation_trial)
+    trial = {"name": name, "run_id": job.child(name), "seed": job.config.seed}
     shared = {
-        "train": job.config,
-        "arrays": arrays,
+        **job.shared(arrays),
         "local_checkpoints": [str(outcome.checkpoint) for outcome in local],
-        "tracking_uri": job.environment.tracking_uri,
     }
-    return run_trials(global_trial, [trial], shared, job.config.resources, job.folder / "global")[0]
+    return run_trials(trainable, [trial], shared, job.config.resources, job.folder / name)
+
+
+def _checkpoint(outcome: TrialOutcome | None) -> Path | None:
+    return None if outcome is None else outcome.checkpoint
 
 
 def _register(

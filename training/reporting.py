@@ -1,6 +1,6 @@
 """What a job writes into its parent run: configuration, data set, curves, galleries."""
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 
 from matplotlib.figure import Figure
 
@@ -12,7 +12,7 @@ from services.evaluator.samplers import BundleSampler
 from services.evaluator.scenes import Scene, Stage
 from services.registry.tracking import RunLog
 from training.config import TrainConfig
-from training.figures import vae_curves, validity_curves, wgan_curves
+from training.figures import distillation_curves, gate_curves, vae_curves, validity_curves, wgan_curves
 from training.models.checkpoint import read_progress
 from training.trials.launch import TrialOutcome
 
@@ -26,20 +26,28 @@ def log_start(run: RunLog, config: TrainConfig, dataset: Dataset) -> None:
 
 
 def log_result(
-    run: RunLog, bundle: Bundle, dataset: Dataset, outcomes: Mapping[str, TrialOutcome]
+    run: RunLog, bundle: Bundle, dataset: Dataset, outcomes: Sequence[TrialOutcome]
 ) -> tuple[str, ...]:
     """Curves of all trials, samples against truth for seen and unseen scenarios; returns their names."""
-    histories = {name: read_progress(outcome.checkpoint).history for name, outcome in outcomes.items()}
-    head = histories.pop("validity", None)
+    histories = {outcome.name: read_progress(outcome.checkpoint).history for outcome in outcomes}
+    curves = {
+        name: draw(histories.pop(name))
+        for name, draw in (
+            ("vae", vae_curves),
+            ("validity", validity_curves),
+            ("gate", gate_curves),
+            ("distilled", distillation_curves),
+        )
+        if name in histories
+    }
     figures = {
-        **({} if head is None else {"validity-losses": validity_curves(head)}),
-        "vae-losses": vae_curves(histories.pop("vae")),
-        "wgan-losses": wgan_curves(histories),
+        **{f"{name}-losses": figure for name, figure in curves.items()},
+        **({"wgan-losses": wgan_curves(histories)} if histories else {}),
         **_galleries(bundle, dataset),
     }
     for name, figure in figures.items():
         run.figure(figure, name)
-    final = outcomes["global"].metrics
+    final = outcomes[-1].metrics
     run.metrics({name: value for name, value in final.items() if name != "steps_per_s"}, 0)
     # The registry copies what the server holds by the time of registration.
     run.flush()

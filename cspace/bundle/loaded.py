@@ -22,7 +22,7 @@ from cspace.bundle.files import (
 from cspace.bundle.golden import GoldenCase
 from cspace.bundle.graphs import Graph
 from cspace.bundle.request import Request
-from cspace.bundle.spec import BundleSpec
+from cspace.bundle.spec import PICTURE, BundleSpec
 from cspace.errors import BundleError, BundleIntegrityError, InputError
 from cspace.image import to_network
 from cspace.space import to_float32
@@ -153,7 +153,7 @@ class Bundle:
         draws = draw(
             self.spec, encoding.mu, encoding.sigma, request.count, request.seed, request.epsilon_sigma
         )
-        samples = to_float32(self._generate(draws, request))
+        samples = to_float32(self._generate(draws, request, image))
         confidence = self.score(image, samples) if self.has_validity else None
         if confidence is not None:
             kept = confidence >= np.float32(request.min_confidence)
@@ -163,8 +163,9 @@ class Bundle:
             samples, confidence, n - len(samples), 1e3 * (encoded - began), 1e3 * (done - encoded)
         )
 
-    def _generate(self, draws: Draws, request: Request) -> NDArray[np.float32]:
+    def _generate(self, draws: Draws, request: Request, image: NDArray[np.uint8]) -> NDArray[np.float32]:
         spec = self.spec
+        picture = {PICTURE: self._network_image(image)} if spec.looks_at_picture else {}
         fixed = {
             name: np.asarray(point, dtype=np.float32)
             for name, point in (("start", request.start), ("goal", request.goal))
@@ -174,7 +175,7 @@ class Bundle:
         def run(rows: slice) -> NDArray[np.float32]:
             latents = draws.latents[rows]
             feeds = {"latent": latents, **{name: array[rows] for name, array in draws.random_inputs.items()}}
-            feeds |= {name: np.tile(point, (len(latents), 1)) for name, point in fixed.items()}
+            feeds |= {name: np.tile(point, (len(latents), 1)) for name, point in fixed.items()} | picture
             shape = (len(latents), spec.samples_per_latent, spec.dim)
             return self._generator.run(feeds, {"samples": shape})["samples"]
 

@@ -79,7 +79,7 @@ class Request:
 
 
 def _endpoint(spec: BundleSpec, name: str, value: ArrayLike | None) -> tuple[float, ...] | None:
-    if name not in spec.conditions:
+    if name not in spec.endpoints:
         if value is None:
             return None
         raise InputError(

@@ -16,6 +16,7 @@ SCHEMA_VERSION = 1
 KINDS = ("configuration", "path")
 MODEL_KINDS = ("generator", "mixture")
 ENDPOINTS = ("start", "goal")
+PICTURE = "image"
 MAX_PIXELS = 2048
 
 
@@ -29,6 +30,7 @@ class BundleSpec:
         kind: ``configuration`` (free configurations) or ``path`` (conditioned on start and goal).
         camera: the part of the plane that the picture shows; its pixels are the encoder's input size.
         model_kind: ``generator`` or ``mixture``; both are one graph with the same inputs and outputs.
+        looks_at_picture: whether the generator takes the picture itself beside its latent.
         samples_per_latent: K, samples that the generator draws from one latent.
         random_inputs: what the generator takes beside the latent, in the order in which it is drawn.
         standardisation: of the angles inside the graph, for information; the graph's output is in rad.
@@ -44,6 +46,7 @@ class BundleSpec:
     kind: str = "configuration"
     camera: Camera = field(default_factory=Camera)
     model_kind: str = "generator"
+    looks_at_picture: bool = False
     samples_per_latent: int = 1
     random_inputs: tuple[RandomInput, ...] = ()
     standardisation: Standardisation | None = None
@@ -82,6 +85,11 @@ class BundleSpec:
 
     @property
     def conditions(self) -> tuple[str, ...]:
+        """What the generator takes beside the latent: the picture, start and goal, or nothing."""
+        return (*((PICTURE,) if self.looks_at_picture else ()), *self.endpoints)
+
+    @property
+    def endpoints(self) -> tuple[str, ...]:
         """Configurations that the generator is conditioned on."""
         return ENDPOINTS if self.kind == "path" else ()
 
@@ -144,6 +152,7 @@ class BundleSpec:
                 kind=entry.text("kind"),
                 camera=_camera(entry.get("camera")),
                 model_kind=entry.text("model_kind"),
+                looks_at_picture=PICTURE in entry.items("conditions"),
                 samples_per_latent=entry.integer("samples_per_latent"),
                 random_inputs=tuple(RandomInput.from_dict(item) for item in entry.items("random_inputs")),
                 standardisation=None if scale is None else _standardisation(scale),

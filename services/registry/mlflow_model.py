@@ -72,7 +72,7 @@ def _example(spec: BundleSpec) -> Any:
     import pandas as pd  # noqa: PLC0415 - as above
 
     blank = encode_png(np.full((spec.pixels, spec.pixels, 3), 255, np.uint8))
-    ends = {name: [[0.0] * spec.dim] for name in spec.conditions}
+    ends = {name: [[0.0] * spec.dim] for name in spec.endpoints}
     return pd.DataFrame({"image": [blank], **ends}), {"n": DEFAULT_COUNT, "seed": 0}
 
 
@@ -82,7 +82,7 @@ def _signature(spec: BundleSpec) -> Any:
     from mlflow.types.schema import Array  # noqa: PLC0415
 
     columns: list[ColSpec | TensorSpec] = [ColSpec(DataType.binary, "image")]
-    columns += [ColSpec(Array(DataType.double), name) for name in spec.conditions]
+    columns += [ColSpec(Array(DataType.double), name) for name in spec.endpoints]
     params = [ParamSpec("n", DataType.long, DEFAULT_COUNT), ParamSpec("seed", DataType.long, 0)]
     samples = TensorSpec(np.dtype(np.float32), (-1, -1, spec.dim))
     return ModelSignature(Schema(columns), Schema([samples]), ParamSchema(params))

@@ -47,7 +47,7 @@ class BundleModel(PythonModel):
     def _sample(self, row: dict[str, Any], count: int, seed: int) -> NDArray[np.float32]:
         bundle = self._bundle
         image = decode_png(row["image"], bundle.spec.pixels)
-        ends = {name: row[name] for name in bundle.spec.conditions}
+        ends = {name: row[name] for name in bundle.spec.endpoints}
         return bundle.sample(image, count, seed, **ends).samples
 
 

@@ -10,6 +10,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from training.models.mixture import GatedSampler, LookupSampler
 from training.models.networks import Encoder, MeansGenerator, TorusGenerator
 from training.models.validity import ValidityHead
 
@@ -70,6 +71,34 @@ def generator_graph(
         inputs = (latent, torch.zeros(2, dim), torch.zeros(2, noise_dim))
         names = ["latent", "base", "noise"]
     return _export(generator, inputs, names, ["samples"], _batched("latents", len(inputs)))
+
+
+def mixture_graph(sampler: GatedSampler, latent_dim: int, noise_dim: int, pixels: int) -> bytes:
+    """ONNX bytes: ``latent`` (m, L) and the random inputs to ``samples`` (m, 1, d) rad.
+
+    With look-ups it also takes ``image`` (1, 3, P, P).
+    """
+    dim = sampler.points.shape[2]
+    latent = torch.zeros(2, latent_dim)
+    rows = tuple(torch.zeros(2, size) for size in (1, 1, dim, noise_dim))
+    names = ["latent", "cell", "place", "jitter", "noise"]
+    return _with_picture(sampler, (latent, *rows), names, pixels if sampler.lookups is not None else None)
+
+
+def lookup_graph(sampler: LookupSampler, dim: int, latent_dim: int, noise_dim: int, pixels: int) -> bytes:
+    """ONNX bytes: ``latent`` (m, L), ``base``, ``noise``, ``image`` (1, 3, P, P) to ``samples`` (m, 1, d)."""
+    inputs = tuple(torch.zeros(2, size) for size in (latent_dim, dim, noise_dim))
+    return _with_picture(sampler, inputs, ["latent", "base", "noise"], pixels)
+
+
+def _with_picture(
+    sampler: nn.Module, inputs: tuple[Tensor, ...], names: list[str], pixels: int | None
+) -> bytes:
+    axes = _batched("latents", len(inputs))
+    if pixels is None:
+        return _export(sampler, inputs, names, ["samples"], axes)
+    picture = torch.zeros(1, 3, pixels, pixels)
+    return _export(sampler, (*inputs, picture), [*names, "image"], ["samples"], (*axes, {}))
 
 
 def _batched(axis: str, count: int) -> tuple[dict[int, Any], ...]:

@@ -8,7 +8,9 @@ from torch.optim.lr_scheduler import LambdaLR, OneCycleLR
 
 from training.config import GanConfig, VaeConfig
 from training.models import losses
+from training.models.cells import Base, UniformBase
 from training.models.data import Batch, ScenarioSamples
+from training.models.lookups import Scenes, make_reader, values_read
 from training.models.networks import Critic, Decoder, Encoder, MeansGenerator, TorusGenerator
 
 Metrics = dict[str, float]
@@ -104,6 +106,8 @@ class WganGpModule(TrialModule):
         seed: of initialisation and of every draw.
         local_critics: frozen critics of the clusters; the global generator follows them too.
         local_weight: weight of their mean in the generator's loss.
+        base: what the torus generator starts from; the whole torus when None.
+        scenes: the pictures, for look-ups; None without.
     """
 
     def __init__(
@@ -114,12 +118,19 @@ class WganGpModule(TrialModule):
         seed: int,
         local_critics: list[Critic] | None = None,
         local_weight: float = 0.0,
+        base: Base | None = None,
+        scenes: Scenes | None = None,
     ) -> None:
         super().__init__(seed)
         self.config, self.samples, self.local_weight = config, samples, local_weight
         dim, latent_dim = samples.configurations.shape[1], samples.mu.shape[1]
-        self.generator = make_generator(config, dim, latent_dim, scale)
-        self.critic = make_critic(config, dim, latent_dim, len(samples.mu), scale)
+        self.base = UniformBase(dim) if base is None else base
+        self.generator_reader = make_reader(config.generator_lookups, scenes)
+        self.critic_reader = make_reader(config.critic_lookups, scenes)
+        self.generator = make_generator(config, dim, latent_dim, scale, values_read(self.generator_reader))
+        self.critic = make_critic(
+            config, dim, latent_dim, len(samples.mu), scale, values_read(self.critic_reader)
+        )
         self.local_critics = nn.ModuleList(local_critics or []).requires_grad_(requires_grad=False)
         self.training_optimisers = [
             torch.optim.Adam(self.critic.parameters(), lr=config.critic_learning_rate, betas=config.betas),
@@ -156,15 +167,19 @@ class WganGpModule(TrialModule):
         if isinstance(self.generator, MeansGenerator):
             samples: Tensor = self.generator(latent, self.normal(size, self.config.means, dim))
         else:
-            base = (2.0 * self.uniform(size, dim) - 1.0) * torch.pi
-            samples = self.generator(latent, base, self.normal(size, self.config.noise_dim))
+            base = self.base.draw(batch.ids, self.rng)
+            reader = self.generator_reader
+            seen = None if reader is None else reader(batch.ids, base)
+            samples = self.generator(latent, base, self.normal(size, self.config.noise_dim), seen)
         return samples
 
     def values(self, critic: nn.Module, configurations: Tensor, batch: Batch) -> Tensor:
         """Critic values (b, K) of configurations (b, K, d) under the batch's scenarios."""
         size, count, dim = configurations.shape
         condition = batch.mu if self.config.critic_condition == "latent" else batch.ids
-        flat: Tensor = critic(configurations.reshape(-1, dim), condition.repeat_interleave(count, dim=0))
+        rows, reader = configurations.reshape(-1, dim), self.critic_reader
+        seen = None if reader is None else reader(batch.ids.repeat_interleave(count), rows)
+        flat: Tensor = critic(rows, condition.repeat_interleave(count, dim=0), seen)
         return flat.view(size, count)
 
     def critic_step_loss(self, batch: Batch) -> Tensor:
@@ -208,18 +223,23 @@ class WganGpModule(TrialModule):
 
 
 def make_generator(
-    config: GanConfig, dim: int, latent_dim: int, scale: tuple[Tensor, Tensor]
+    config: GanConfig, dim: int, latent_dim: int, scale: tuple[Tensor, Tensor], looked_up: int = 0
 ) -> TorusGenerator | MeansGenerator:
-    """The generator that a configuration names."""
+    """The generator that a configuration names; ``looked_up`` is what its look-ups read of a picture."""
     if config.generator == "means":
         return MeansGenerator(
             dim, latent_dim, config.hidden, config.layers, config.means, config.sigma, scale
         )
-    return TorusGenerator(dim, latent_dim, config.hidden, config.layers, config.noise_dim)
+    return TorusGenerator(dim, latent_dim, config.hidden, config.layers, config.noise_dim, looked_up)
 
 
 def make_critic(
-    config: GanConfig, dim: int, latent_dim: int, scenarios: int, scale: tuple[Tensor, Tensor]
+    config: GanConfig,
+    dim: int,
+    latent_dim: int,
+    scenarios: int,
+    scale: tuple[Tensor, Tensor],
+    looked_up: int = 0,
 ) -> Critic:
     """The critic that a configuration names; ``scenarios`` is the number of ids for its projection."""
     return Critic(
@@ -230,4 +250,5 @@ def make_critic(
         scenarios=scenarios if config.critic_condition == "projection" else None,
         features=config.critic_features,
         scale=scale,
+        looked_up=looked_up,
     )

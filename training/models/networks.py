@@ -88,21 +88,31 @@ class TorusGenerator(nn.Module):
     The last layer starts near zero, so training starts from the uniform sampler. The noise is explicit; an
     encoder whose sigma has become small would otherwise leave one sample a picture.
 
-    Shapes: latent (m, L), base (m, d) rad, noise (m, k) to (m, 1, d) rad.
+    With look-ups it also gets what the picture shows where the arm would be at the base.
+
+    Shapes: latent (m, L), base (m, d) rad, noise (m, k), seen (m, looked_up) to (m, 1, d) rad.
     """
 
-    def __init__(self, dim: int, latent_dim: int, hidden: int, layers: int, noise_dim: int) -> None:
+    def __init__(
+        self, dim: int, latent_dim: int, hidden: int, layers: int, noise_dim: int, looked_up: int = 0
+    ) -> None:
         super().__init__()
-        self.residual = mlp(latent_dim + 2 * HARMONICS * dim + noise_dim, hidden, layers, dim)
+        self.looked_up = looked_up
+        self.residual = mlp(latent_dim + 2 * HARMONICS * dim + noise_dim + looked_up, hidden, layers, dim)
         last = self.residual[-1]
         assert isinstance(last, nn.Linear)  # noqa: S101 - for the type checker
         nn.init.normal_(last.weight, std=1e-2)
         nn.init.zeros_(last.bias)
 
-    def forward(self, latent: Tensor, base: Tensor, noise: Tensor) -> Tensor:
+    def forward(self, latent: Tensor, base: Tensor, noise: Tensor, seen: Tensor | None = None) -> Tensor:
         """One configuration for each latent."""
-        step: Tensor = self.residual(torch.cat([latent, harmonics(base), noise], dim=1))
+        step: Tensor = self.residual(self.inputs(latent, base, noise, seen))
         return (base + step).unsqueeze(1)
+
+    @staticmethod
+    def inputs(latent: Tensor, base: Tensor, noise: Tensor, seen: Tensor | None) -> Tensor:
+        """What the perceptron gets, side by side."""
+        return torch.cat([latent, harmonics(base), noise, *([] if seen is None else [seen])], dim=1)
 
 
 class MeansGenerator(nn.Module):
@@ -161,9 +171,10 @@ class Critic(nn.Module):
     """f(theta | scenario), conditioned on the latent or by projection on an embedding of the scenario's id.
 
     ``scenarios`` is the number of ids for the projection (Miyato and Koyama 2018), or None for the
-    latent; ``features`` is "torus" or "standardised".
+    latent; ``features`` is "torus" or "standardised"; ``looked_up`` is the number of values that the picture
+    shows where the arm would be, 0 without look-ups.
 
-    Shapes: configurations (b, d) rad and condition (b, L) float or (b,) integer ids to (b,).
+    Shapes: configurations (b, d) rad, condition (b, L) float or (b,) ids, seen (b, looked_up) to (b,).
     """
 
     mean_rad: Tensor
@@ -179,10 +190,12 @@ class Critic(nn.Module):
         scenarios: int | None,
         features: str,
         scale: tuple[Tensor, Tensor],
+        looked_up: int = 0,
     ) -> None:
         super().__init__()
+        self.looked_up = looked_up
         self.torus = features == "torus"
-        inputs = 2 * HARMONICS * dim + 2 * dim * (dim - 1) if self.torus else dim
+        inputs = looked_up + (2 * HARMONICS * dim + 2 * dim * (dim - 1) if self.torus else dim)
         self.ids = None if scenarios is None else nn.Embedding(scenarios, hidden)
         condition = 0 if self.ids is not None else latent_dim
         self.body = nn.Sequential(mlp(inputs + condition, hidden, layers - 1, hidden), nn.LeakyReLU(0.2))
@@ -190,9 +203,11 @@ class Critic(nn.Module):
         self.register_buffer("mean_rad", scale[0])
         self.register_buffer("std_rad", scale[1])
 
-    def forward(self, configurations: Tensor, condition: Tensor) -> Tensor:
+    def forward(self, configurations: Tensor, condition: Tensor, seen: Tensor | None = None) -> Tensor:
         """The critic's value of each configuration under its condition."""
         x = torus_features(configurations) if self.torus else (configurations - self.mean_rad) / self.std_rad
+        if seen is not None:
+            x = torch.cat([x, seen], dim=1)
         if self.ids is None:
             body = self.body(torch.cat([x, condition], dim=1))
             return self.head(body).squeeze(-1)  # type: ignore[no-any-return]

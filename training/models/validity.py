@@ -24,7 +24,7 @@ class ValidityHead(nn.Module):
     def __init__(self, config: ValidityConfig, robot: PlanarArm, camera: Camera) -> None:
         super().__init__()
         self.lookups = ArmLookups(robot, camera, config.points_per_link, config.side_m)
-        self.net = mlp(3 * self.lookups.points, config.hidden, config.layers, 1)
+        self.net = mlp(self.lookups.values, config.hidden, config.layers, 1)
 
     def forward(self, pictures: Tensor, configurations: Tensor) -> Tensor:
         """The logit of being free."""

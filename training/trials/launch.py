@@ -48,6 +48,9 @@ OWN_METRICS = frozenset(
         "wasserstein_estimate",
         "gradient_penalty",
         "generator_loss",
+        "gate_loss",
+        "gate_divergence",
+        "distillation_loss",
         "steps_per_s",
     }
 )

@@ -3,7 +3,6 @@
 import contextlib
 import logging
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -12,51 +11,23 @@ import torch
 from numpy.typing import NDArray
 from ray import tune
 
+from cspace.errors import JobError
 from services.registry.mlflow_tracking import MlflowTracking
-from training.config import GanConfig, TrainConfig
-from training.models.checkpoint import load_weights, seeded_initialisation
-from training.models.data import ScenarioSamples
-from training.models.modules import Metrics, TrialModule, VaeModule, WganGpModule, make_critic
-from training.models.networks import Critic
+from training.config import TrainConfig
+from training.models.cells import CellBase
+from training.models.checkpoint import seeded_initialisation
+from training.models.distillation import DistillationModule
+from training.models.gate import GateModule
+from training.models.lookups import make_reader
+from training.models.mixture import Experts
+from training.models.modules import Metrics, TrialModule, VaeModule, WganGpModule
 from training.models.validity import ValidityModule
+from training.trials.arrays import TrainingArrays
 from training.trials.fit import Rhythm, fit
+from training.trials.loading import fresh_generator, load_critic, load_generator, torus_generator
 from training.trials.occupancy import OccupancyArrays
 
-VAE, VALIDITY = "vae", "validity"
-
-
-@dataclass(frozen=True, slots=True)
-class TrainingArrays:
-    """What every WGAN-GP trial reads, shared through the object store.
-
-    Args:
-        configurations: (M, d) float32 rad.
-        ids: (M,) int64 scenario of each configuration.
-        labels: (M,) int64 cluster of each configuration.
-        mu: (S, L) float32 latent means.
-        sigma: (S, L) float32 latent standard deviations.
-    """
-
-    configurations: NDArray[np.float32]
-    ids: NDArray[np.int64]
-    labels: NDArray[np.int64]
-    mu: NDArray[np.float32]
-    sigma: NDArray[np.float32]
-
-    @property
-    def scale(self) -> tuple[torch.Tensor, torch.Tensor]:
-        """Mean and standard deviation of all configurations, each (d,) rad."""
-        return torch.tensor(self.configurations.mean(axis=0)), torch.tensor(self.configurations.std(axis=0))
-
-    def samples(self, cluster: int | None) -> ScenarioSamples:
-        """The configurations of one cluster, or all of them; copied, for the shared ones are read-only."""
-        rows = slice(None) if cluster is None else np.flatnonzero(self.labels == cluster)
-        return ScenarioSamples(
-            *(
-                torch.tensor(array)
-                for array in (self.configurations[rows], self.ids[rows], self.mu, self.sigma)
-            )
-        )
+VAE, VALIDITY, GATE, GLOBAL, DISTILLED = "vae", "validity", "gate", "global", "distilled"
 
 
 def picture_trial(
@@ -80,13 +51,27 @@ def picture_trial(
     _fit(trial, module, steps, train, tracking_uri)
 
 
+def gate_trial(
+    config: Mapping[str, Any], train: TrainConfig, arrays: TrainingArrays, tracking_uri: str
+) -> None:
+    """Train the gate on the cells' shares of every scenario's free configurations."""
+    trial = config["trial"]
+    mu, sigma = torch.tensor(arrays.mu), torch.tensor(arrays.sigma)
+    with seeded_initialisation(trial["seed"]):
+        module = GateModule(train.gate, mu, sigma, arrays.shares(), trial["seed"])
+    _fit(trial, module, train.gate.steps, train, tracking_uri)
+
+
 def local_trial(
     config: Mapping[str, Any], train: TrainConfig, arrays: TrainingArrays, tracking_uri: str
 ) -> None:
     """Train one cluster's WGAN-GP (Algorithm 1)."""
     trial = config["trial"]
+    samples, base = arrays.samples(trial["cluster"]), arrays.base(trial["cluster"])
     with seeded_initialisation(trial["seed"]):
-        module = WganGpModule(train.local, arrays.samples(trial["cluster"]), arrays.scale, trial["seed"])
+        module = WganGpModule(
+            train.local, samples, arrays.scale, trial["seed"], base=base, scenes=arrays.scenes()
+        )
     _fit(trial, module, train.local.steps, train, tracking_uri)
 
 
@@ -100,21 +85,50 @@ def global_trial(
     """Train the global WGAN-GP on all data, guided by the frozen local critics (eq. multiDirector)."""
     trial = config["trial"]
     samples, scale = arrays.samples(None), arrays.scale
-    critics = [_frozen_critic(train.local, samples, scale, Path(folder)) for folder in local_checkpoints]
+    critics = [load_critic(train.local, arrays, Path(folder)) for folder in local_checkpoints]
     with seeded_initialisation(trial["seed"]):
         weight = train.global_.local_critic_weight
-        module = WganGpModule(train.global_, samples, scale, trial["seed"], critics, weight)
+        module = WganGpModule(
+            train.global_,
+            samples,
+            scale,
+            trial["seed"],
+            critics,
+            weight,
+            base=arrays.base(None),
+            scenes=arrays.scenes(),
+        )
     _fit(trial, module, train.global_.steps, train, tracking_uri)
 
 
-def _frozen_critic(
-    config: GanConfig, samples: ScenarioSamples, scale: tuple[torch.Tensor, torch.Tensor], folder: Path
-) -> Critic:
-    dim, latent_dim = samples.configurations.shape[1], samples.mu.shape[1]
-    with seeded_initialisation(0):
-        critic = make_critic(config, dim, latent_dim, len(samples.mu), scale)
-    critic.load_state_dict(load_weights(folder, "critic"))
-    return critic
+def distillation_trial(
+    config: Mapping[str, Any],
+    train: TrainConfig,
+    arrays: TrainingArrays,
+    local_checkpoints: list[str],
+    tracking_uri: str,
+) -> None:
+    """Train one generator to answer as the local ones do, each in its own cells."""
+    trial = config["trial"]
+    cells, base = arrays.cells, arrays.base(None)
+    if cells is None or not isinstance(base, CellBase):
+        raise JobError("a mixture to distil needs a gate", expected="gate.cells above 0", got="none")
+    teachers = [
+        torus_generator(load_generator(train.local, arrays, Path(folder))) for folder in local_checkpoints
+    ]
+    with seeded_initialisation(trial["seed"]):
+        student = torus_generator(fresh_generator(train.global_, arrays))
+        module = DistillationModule(
+            train.global_,
+            arrays.samples(None),
+            Experts(teachers, torch.tensor(cells.clusters)),
+            make_reader(train.local.generator_lookups, arrays.scenes()),
+            student,
+            make_reader(train.global_.generator_lookups, arrays.scenes()),
+            base,
+            trial["seed"],
+        )
+    _fit(trial, module, train.global_.steps, train, tracking_uri)
 
 
 def _fit(

@@ -6,7 +6,7 @@ import torch
 
 from cspace.robot import TWO_LINK, PlanarArm
 from cspace.scenario import Camera
-from training.models.lookups import ArmLookups
+from training.models.lookups import ArmLookups, PictureReader
 
 THREE_LINK = PlanarArm((1.6, 1.4, 1.0), 0.1)
 
@@ -54,4 +54,29 @@ def test_beyond_the_frame_the_edge_is_read():
     camera = Camera(x_min_m=-1.0, x_max_m=1.0, y_min_m=-1.0, y_max_m=1.0)
     read = ArmLookups(TWO_LINK, camera, points_per_link=2, side_m=0.0)(picture, torch.zeros(1, 1, 2))
     # Both links point along x, from the base in the middle of the picture: at 0, 2, 2 and 4 m.
-    assert read.view(2, 3, 2)[:, 1].tolist() == [[0.0, 1.0], [1.0, 1.0]]
+    assert read.view(2, 2).tolist() == [[0.0, 1.0], [1.0, 1.0]]
+
+
+def reader(points_per_link=4, side_m=0.1):
+    images = torch.randint(256, (3, 48, 48, 3), dtype=torch.uint8, generator=torch.Generator().manual_seed(2))
+    return PictureReader(ArmLookups(THREE_LINK, Camera(), points_per_link, side_m), images), images
+
+
+def test_the_reader_sees_in_each_ones_picture_what_the_lookups_see():
+    read, images = reader()
+    rng = torch.Generator().manual_seed(0)
+    ids, configurations = torch.tensor([2, 0, 1, 2]), torch.rand(4, 3, generator=rng) * 6.0 - 3.0
+    pictures = images[ids].permute(0, 3, 1, 2).float() / 127.5 - 1.0
+    expected = read.lookups(pictures, configurations.unsqueeze(1)).squeeze(1)
+    torch.testing.assert_close(read(ids, configurations), expected, atol=2e-4, rtol=0.0)
+
+
+def test_the_readers_derivative_and_its_derivative_are_those_of_finite_differences():
+    read, _ = reader(points_per_link=2)
+    read = read.double()
+    ids = torch.tensor([0, 1])
+    configurations = torch.tensor([[0.3, -1.1, 2.0], [1.7, 0.4, -0.6]], dtype=torch.float64)
+    configurations.requires_grad_()
+    see = lambda q: read(ids, q).square().mean(dim=1)  # noqa: E731
+    assert torch.autograd.gradcheck(see, configurations, eps=1e-7, atol=1e-4)
+    assert torch.autograd.gradgradcheck(see, configurations, eps=1e-7, atol=1e-3)

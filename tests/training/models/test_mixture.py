@@ -1,0 +1,150 @@
+"""Cells, gate, the mixture's graph and its distillation."""
+
+import numpy as np
+import onnxruntime
+import pytest
+import torch
+
+from cspace.robot import TWO_LINK
+from cspace.scenario import Camera
+from tests.training.models.builders import TINY, ring_samples
+from training.config import GanConfig, GateConfig
+from training.models.cells import CellBase, CellPoints, UniformBase
+from training.models.checkpoint import seeded_initialisation
+from training.models.distillation import DistillationModule
+from training.models.export import lookup_graph, mixture_graph
+from training.models.gate import Gate, GateModule, gate_probabilities
+from training.models.lookups import ArmLookups
+from training.models.mixture import Experts, GatedSampler, LookupSampler
+from training.models.networks import TorusGenerator
+
+CELLS = CellPoints(
+    np.array(
+        [[[-2.0, -2.0], [-2.0, -1.0]], [[1.0, 1.0], [1.0, 2.0]], [[2.5, -2.5], [2.5, -1.5]]], np.float32
+    ),
+    np.array([0.5, 0.25, 0.1], np.float32),
+)
+
+
+def experts(count=2, looked_up=0):
+    with seeded_initialisation(5):
+        generators = [TorusGenerator(2, 4, 8, 2, 2, looked_up) for _ in range(count)]
+    for generator in generators:
+        torch.nn.init.normal_(generator.residual[-1].weight, generator=torch.Generator().manual_seed(count))
+    return generators, Experts(generators, torch.tensor([0, 1, 1][: len(CELLS.points)]) % count)
+
+
+def random_inputs(count, lookups):
+    rng = torch.Generator().manual_seed(3)
+    feeds = {
+        "latent": torch.randn(count, 4, generator=rng),
+        "cell": torch.rand(count, 1, generator=rng),
+        "place": torch.rand(count, 1, generator=rng),
+        "jitter": torch.rand(count, 2, generator=rng) - 0.5,
+        "noise": torch.randn(count, 2, generator=rng),
+    }
+    return feeds | ({"image": torch.rand(1, 3, 48, 48, generator=rng) * 2 - 1} if lookups else {})
+
+
+def answer(graph, feeds):
+    session = onnxruntime.InferenceSession(graph, providers=["CPUExecutionProvider"])
+    return session.run(None, {name: value.numpy() for name, value in feeds.items()})[0]
+
+
+def test_a_base_in_cells_lies_round_the_points_of_the_cells_that_may_be_drawn():
+    base = CellBase(CELLS, torch.tensor([[0.0, 1.0, 0.0], [0.5, 0.0, 0.5]]))
+    rng = torch.Generator().manual_seed(0)
+    cell, drawn = base.draw_in_cells(torch.tensor([0] * 200 + [1] * 200), rng)
+    assert set(cell[:200].tolist()) == {1}
+    assert set(cell[200:].tolist()) == {0, 2}
+    gaps = (torch.tensor(CELLS.points)[cell] - drawn.unsqueeze(1)).abs().amax(dim=2).amin(dim=1)
+    assert bool((gaps <= torch.tensor(CELLS.spacing_rad)[cell] / 2).all())
+
+
+def test_a_uniform_base_fills_the_torus():
+    drawn = UniformBase(3).draw(torch.zeros(4000, dtype=torch.int64), torch.Generator().manual_seed(0))
+    assert drawn.shape == (4000, 3)
+    assert float(drawn.abs().max()) <= np.pi
+    assert torch.histc(drawn, 4).min() > 2700
+
+
+def test_every_row_is_answered_by_the_generator_in_charge_of_its_cell():
+    generators, mixture = experts()
+    feeds, cell = random_inputs(6, lookups=False), torch.tensor([0, 1, 2, 2, 1, 0])
+    base = torch.randn(6, 2, generator=torch.Generator().manual_seed(1))
+    with torch.no_grad():
+        found = mixture(feeds["latent"], base, feeds["noise"], None, cell)
+        own = [g(feeds["latent"], base, feeds["noise"])[:, 0] for g in generators]
+    for row, index in enumerate([0, 1, 1, 1, 1, 0]):
+        torch.testing.assert_close(found[row], own[index][row])
+
+
+@pytest.mark.parametrize("lookups", [False, True])
+@pytest.mark.parametrize("count", [1, 33])
+def test_the_mixtures_graph_answers_as_the_network(count, lookups):
+    look = ArmLookups(TWO_LINK, Camera(), 3, 0.1) if lookups else None
+    with seeded_initialisation(1):
+        gate = Gate(GateConfig(cells=3, hidden=8), 4)
+    _, mixture = experts(looked_up=look.values if look else 0)
+    sampler = GatedSampler(gate, CELLS, mixture, look)
+    feeds = random_inputs(count, lookups)
+    with torch.no_grad():
+        expected = sampler(*feeds.values())
+    found = answer(mixture_graph(sampler, 4, 2, 48), feeds)
+    assert found.shape == (count, 1, 2)
+    np.testing.assert_allclose(found, expected.numpy(), atol=1e-5)
+
+
+@pytest.mark.parametrize("count", [1, 33])
+def test_a_graph_with_lookups_answers_as_the_network(count):
+    look = ArmLookups(TWO_LINK, Camera(), 3, 0.0)
+    (generator, *_), _ = experts(looked_up=look.values)
+    feeds = random_inputs(count, lookups=True)
+    feeds = {name: feeds[name] for name in ("latent", "jitter", "noise", "image")}
+    feeds["base"] = feeds.pop("jitter")
+    ordered = {name: feeds[name] for name in ("latent", "base", "noise", "image")}
+    sampler = LookupSampler(generator, look)
+    with torch.no_grad():
+        expected = sampler(*ordered.values())
+    np.testing.assert_allclose(
+        answer(lookup_graph(sampler, 2, 4, 2, 48), ordered), expected.numpy(), atol=1e-5
+    )
+
+
+def test_the_gate_draws_cells_as_often_as_it_says():
+    with seeded_initialisation(1):
+        gate = Gate(GateConfig(cells=3, hidden=8), 4)
+    sampler = GatedSampler(gate, CELLS, experts(1)[1], None)
+    for weight in sampler.experts.weights:
+        torch.nn.init.zeros_(weight)
+    feeds = random_inputs(20_000, lookups=False)
+    feeds["latent"] = feeds["latent"][:1].expand(20_000, 4).contiguous()
+    with torch.no_grad():
+        drawn = sampler(*feeds.values())[:, 0]
+        wanted = torch.softmax(gate(feeds["latent"][:1]), dim=1)[0]
+    share = torch.stack([(drawn[:, 0] < 0).float().mean(), (drawn[:, 0] > 2).float().mean()])
+    torch.testing.assert_close(share, torch.stack([wanted[0], wanted[2]]), atol=0.02, rtol=0.0)
+
+
+def test_the_gate_learns_the_shares_of_the_cells():
+    shares = torch.tensor([[0.9, 0.1, 0.0], [0.1, 0.2, 0.7]])
+    mu, config = torch.eye(2, 4), GateConfig(cells=3, hidden=16, steps=150, batch_size=16)
+    with seeded_initialisation(0):
+        module = GateModule(config, mu, torch.full_like(mu, 0.05), shares, 0)
+    for step in range(config.steps):
+        module.training_step(step, step)
+    np.testing.assert_allclose(gate_probabilities(module.gate, mu.numpy()), shares.numpy(), atol=0.05)
+
+
+def test_a_distilled_generator_comes_to_answer_as_its_teachers():
+    config = GanConfig.model_validate(TINY | {"steps": 300, "generator_learning_rate": 5e-3, "hidden": 32})
+    samples = ring_samples(latent_dim=4)
+    base = CellBase(CELLS, torch.full((2, 3), 1 / 3))
+    with seeded_initialisation(0):
+        student = TorusGenerator(2, 4, 32, 2, 2)
+    module = DistillationModule(config, samples, experts()[1], None, student, None, base, 0)
+    module.training_step(0, 0)
+    before = module.metrics()["distillation_loss"]
+    for step in range(1, config.steps):
+        module.training_step(step, step)
+    assert module.metrics()["distillation_loss"] < 0.3 * before

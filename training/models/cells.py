@@ -1,0 +1,72 @@
+"""Where a torus generator starts: anywhere, or inside cells of the configuration space."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+
+@dataclass(frozen=True, slots=True)
+class CellPoints:
+    """Points spread evenly over each cell.
+
+    Args:
+        points: (k, p, d) float32 rad.
+        spacing_rad: (k,) float32, side of the cube that is one point's part of its cell.
+    """
+
+    points: NDArray[np.float32]
+    spacing_rad: NDArray[np.float32]
+
+
+class Base(nn.Module):
+    """What a torus generator starts from."""
+
+    def draw(self, ids: Tensor, rng: torch.Generator) -> Tensor:
+        """(b, d) rad for scenarios (b,)."""
+        raise NotImplementedError
+
+
+class UniformBase(Base):
+    """The whole torus, evenly."""
+
+    def __init__(self, dim: int) -> None:
+        super().__init__()
+        self.dim = dim
+
+    def draw(self, ids: Tensor, rng: torch.Generator) -> Tensor:
+        """See :class:`Base`; the scenarios do not matter."""
+        return (2.0 * torch.rand(len(ids), self.dim, generator=rng, device=ids.device) - 1.0) * torch.pi
+
+
+class CellBase(Base):
+    """Evenly inside cells that are drawn by their probability under the scenario.
+
+    Args:
+        cells: k cells with their points.
+        probabilities: (S, k) float32, not negative; a row need not sum to one.
+    """
+
+    points: Tensor
+    spacing: Tensor
+    probabilities: Tensor
+
+    def __init__(self, cells: CellPoints, probabilities: Tensor) -> None:
+        super().__init__()
+        self.register_buffer("points", torch.tensor(cells.points), persistent=False)
+        self.register_buffer("spacing", torch.tensor(cells.spacing_rad), persistent=False)
+        self.register_buffer("probabilities", probabilities, persistent=False)
+
+    def draw(self, ids: Tensor, rng: torch.Generator) -> Tensor:
+        """See :class:`Base`."""
+        return self.draw_in_cells(ids, rng)[1]
+
+    def draw_in_cells(self, ids: Tensor, rng: torch.Generator) -> tuple[Tensor, Tensor]:
+        """The cells (b,) that were drawn for scenarios (b,), and a point in each, (b, d) rad."""
+        count, device = len(ids), ids.device
+        cell = torch.multinomial(self.probabilities[ids], 1, generator=rng).squeeze(1)
+        place = torch.randint(self.points.shape[1], (count,), generator=rng, device=device)
+        jitter = torch.rand(count, self.points.shape[2], generator=rng, device=device) - 0.5
+        return cell, self.points[cell, place] + self.spacing[cell].unsqueeze(1) * jitter

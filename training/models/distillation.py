@@ -1,0 +1,76 @@
+"""Distillation: one generator learns to answer as a mixture does, so that serving costs one."""
+
+import torch
+from torch import Tensor
+from torch.optim.lr_scheduler import LambdaLR
+
+from training.config import GanConfig
+from training.models.cells import CellBase
+from training.models.data import ScenarioSamples
+from training.models.lookups import PictureReader
+from training.models.mixture import Experts
+from training.models.modules import TrialModule
+from training.models.networks import TorusGenerator
+
+
+class DistillationModule(TrialModule):
+    """Regression on the mixture's answers: the cells part the torus, so that they are a function of the base.
+
+    Args:
+        config: the student's budget.
+        samples: latents of the scenarios.
+        teacher: the mixture's generators, frozen.
+        teacher_reader: of the teacher's look-ups; None without.
+        student: a fresh generator.
+        reader: of the student's look-ups; None without.
+        base: the cells, drawn as the gate says.
+        seed: of every draw.
+    """
+
+    def __init__(
+        self,
+        config: GanConfig,
+        samples: ScenarioSamples,
+        teacher: Experts,
+        teacher_reader: PictureReader | None,
+        student: TorusGenerator,
+        reader: PictureReader | None,
+        base: CellBase,
+        seed: int,
+    ) -> None:
+        super().__init__(seed)
+        self.config, self.samples, self.base = config, samples, base
+        self.teacher = teacher.requires_grad_(requires_grad=False)
+        self.teacher_reader, self.reader, self.generator = teacher_reader, reader, student
+        optimiser = torch.optim.Adam(self.generator.parameters(), lr=config.generator_learning_rate)
+        self.training_optimisers = [optimiser]
+        self.training_schedules = [
+            LambdaLR(optimiser, lambda step: 1.0 - 0.95 * min(1.0, step / config.steps))
+        ]
+
+    def on_fit_start(self) -> None:
+        """Keep the data where the model is."""
+        self.samples = self.samples.to(self.device)
+
+    def training_step(self, step: int, batch_index: int) -> None:
+        """One step of 1 - cos of the difference, summed over the joints."""
+        del step, batch_index
+        mu, size = self.samples.mu, self.config.batch_size
+        ids = torch.randint(len(mu), (size,), generator=self.rng, device=self.device)
+        latent = mu[ids] + self.samples.sigma[ids] * self.normal(size, mu.shape[1])
+        cell, base = self.base.draw_in_cells(ids, self.rng)
+        noise = self.normal(size, self.config.noise_dim)
+        with torch.no_grad():
+            wanted = self.teacher(latent, base, noise, _seen(self.teacher_reader, ids, base), cell)
+        answer = self.generator(latent, base, noise, _seen(self.reader, ids, base)).squeeze(1)
+        loss = (1.0 - torch.cos(answer - wanted)).sum(dim=1).mean()
+        (optimiser,) = self.training_optimisers
+        optimiser.zero_grad()
+        loss.backward()  # type: ignore[no-untyped-call]
+        optimiser.step()
+        self.training_schedules[0].step()
+        self.latest = {"distillation_loss": loss.detach()}
+
+
+def _seen(reader: PictureReader | None, ids: Tensor, base: Tensor) -> Tensor | None:
+    return None if reader is None else reader(ids, base)

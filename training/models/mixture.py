@@ -1,0 +1,124 @@
+"""A gated mixture of torus generators: a gate draws a cell, the cell's generator moves a point of it."""
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from training.models.cells import CellPoints
+from training.models.gate import Gate
+from training.models.lookups import ArmLookups
+from training.models.networks import TorusGenerator
+
+
+class Experts(nn.Module):
+    """Torus generators of one shape, each in charge of some cells.
+
+    Args:
+        generators: one or more.
+        clusters: (k,) the generator that is in charge of each cell.
+
+    Shapes: latent (m, L), base (m, d) rad, noise (m, n), seen (m, looked_up) or None, cell (m,) to (m, d).
+    """
+
+    clusters: Tensor
+
+    def __init__(self, generators: Sequence[TorusGenerator], clusters: Tensor) -> None:
+        super().__init__()
+        self.register_buffer("clusters", clusters)
+        linear = [
+            [layer for layer in generator.residual if isinstance(layer, nn.Linear)]
+            for generator in generators
+        ]
+        self.weights = nn.ParameterList(
+            torch.stack([layer.weight.detach().T for layer in level]) for level in zip(*linear, strict=True)
+        )
+        self.biases = nn.ParameterList(
+            torch.stack([layer.bias.detach() for layer in level]).unsqueeze(1)
+            for level in zip(*linear, strict=True)
+        )
+
+    def forward(
+        self, latent: Tensor, base: Tensor, noise: Tensor, seen: Tensor | None, cell: Tensor
+    ) -> Tensor:
+        """One configuration for each latent, by the generator in charge of its cell."""
+        # All generators answer for every row, in one product a layer: on a processor that is faster than to
+        # gather each row's own weights.
+        values = TorusGenerator.inputs(latent, base, noise, seen).unsqueeze(0)
+        for level, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
+            values = torch.matmul(values, weight) + bias
+            if level + 1 < len(self.weights):
+                values = functional.leaky_relu(values, 0.2)
+        if len(values) == 1:
+            return base + values[0]
+        chosen = self.clusters[cell].view(1, -1, 1).expand(1, -1, base.shape[1])
+        return base + values.gather(0, chosen)[0]
+
+
+class GatedSampler(nn.Module):
+    """The whole sampler as one graph whose randomness is an input.
+
+    Shapes: latent (m, L), cell and place (m, 1) in [0, 1), jitter (m, d) in [-1/2, 1/2), noise (m, n), and
+    with look-ups image (1, 3, P, P), to (m, 1, d) rad.
+
+    Args:
+        gate: trained.
+        cells: k cells with their points.
+        experts: who is in charge of which.
+        lookups: of the experts; None without.
+    """
+
+    points: Tensor
+    spacing: Tensor
+
+    def __init__(self, gate: Gate, cells: CellPoints, experts: Experts, lookups: ArmLookups | None) -> None:
+        super().__init__()
+        self.gate, self.experts, self.lookups = gate, experts, lookups
+        self.register_buffer("points", torch.tensor(cells.points))
+        self.register_buffer("spacing", torch.tensor(cells.spacing_rad))
+
+    def forward(
+        self,
+        latent: Tensor,
+        cell: Tensor,
+        place: Tensor,
+        jitter: Tensor,
+        noise: Tensor,
+        image: Tensor | None = None,
+    ) -> Tensor:
+        """One configuration for each latent."""
+        count, size, dim = self.points.shape
+        reached = torch.cumsum(functional.softmax(self.gate(latent), dim=1), dim=1)
+        # Rounding may leave the last sum below one.
+        chosen = (reached <= cell).sum(dim=1).clamp(max=count - 1)
+        row = (place.squeeze(1) * size).long().clamp(max=size - 1)
+        base = self.points.view(count * size, dim)[chosen * size + row]
+        base = base + self.spacing[chosen].unsqueeze(1) * jitter
+        seen = look(self.lookups, image, base)
+        samples: Tensor = self.experts(latent, base, noise, seen, chosen)
+        return samples.unsqueeze(1)
+
+
+class LookupSampler(nn.Module):
+    """A torus generator with look-ups and no gate, as one graph.
+
+    Shapes: latent (m, L), base (m, d) rad, noise (m, n), image (1, 3, P, P) to (m, 1, d) rad.
+    """
+
+    def __init__(self, generator: TorusGenerator, lookups: ArmLookups) -> None:
+        super().__init__()
+        self.generator, self.lookups = generator, lookups
+
+    def forward(self, latent: Tensor, base: Tensor, noise: Tensor, image: Tensor) -> Tensor:
+        """One configuration for each latent."""
+        samples: Tensor = self.generator(latent, base, noise, look(self.lookups, image, base))
+        return samples
+
+
+def look(lookups: ArmLookups | None, image: Tensor | None, base: Tensor) -> Tensor | None:
+    """What one picture (1, 3, P, P) shows at (m, d) configurations, (m, values); None without look-ups."""
+    if lookups is None or image is None:
+        return None
+    seen: Tensor = lookups(image, base.unsqueeze(0))
+    return seen.squeeze(0)
