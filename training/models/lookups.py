@@ -100,11 +100,11 @@ class PictureReader(nn.Module):
         first = (corner[..., 1] * side + corner[..., 0]).long() + ids.unsqueeze(-1) * side * side
 
         def pixel(offset: int) -> Tensor:
-            return self.pixels[first + offset].float() / 127.5 - 1.0
+            return self.pixels[first + offset].to(across.dtype)
 
-        upper = pixel(0) * (1.0 - across) + pixel(1) * across
-        lower = pixel(side) * (1.0 - across) + pixel(side + 1) * across
-        return (upper * (1.0 - down) + lower * down).flatten(1)
+        upper = torch.lerp(pixel(0), pixel(1), across)
+        lower = torch.lerp(pixel(side), pixel(side + 1), across)
+        return (torch.lerp(upper, lower, down) / 127.5 - 1.0).flatten(1)
 
 
 @dataclass(frozen=True, slots=True)

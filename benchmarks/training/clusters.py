@@ -1,0 +1,317 @@
+"""Do clusters pay? Every form of the per-cluster trials at an equal total budget, over seeds, in pairs.
+
+    python benchmarks/training/clusters.py --out build/clusters --workers 2
+    python benchmarks/training/clusters.py --out build/clusters --table
+
+An arm is a form with or without look-ups. All arms of one number of joints share data, latents and validation
+scenarios, and spend the same generator steps of the same batch on networks of the same width over all their
+stages. Results are kept line by line, so that a run that was stopped goes on where it was.
+"""
+
+import argparse
+import json
+import math
+import multiprocessing
+import sys
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import torch
+from safetensors.torch import load_file, save_file
+
+from benchmarks.training.clusters_report import write_report
+from cspace.image import to_network
+from cspace.scenario import Split
+from cspace.space import to_float32
+from services.evaluator.reconstruction import sample_quality
+from services.evaluator.scenes import Scene, Stage
+from training.clustering import cluster, group, points_in_cells
+from training.config import TrainConfig, load_config
+from training.datasets.generate import generate
+from training.encode import encode
+from training.models.cells import CellBase
+from training.models.checkpoint import seeded_initialisation
+from training.models.distillation import DistillationModule
+from training.models.gate import GateModule, gate_probabilities
+from training.models.lookups import make_lookups, make_reader
+from training.models.mixture import Experts, GatedSampler, LookupSampler
+from training.models.modules import VaeModule, WganGpModule
+from training.models.networks import Encoder
+from training.trials.arrays import GatedCells, TrainingArrays
+from training.trials.loading import fresh_generator
+
+SCENARIOS, SAMPLES = 40, 1000
+WIDTH = {"hidden": 64, "critic_hidden": 64, "batch_size": 256}
+LOOKUPS = ("{points_per_link: 12, side_m: 0.1}", "{points_per_link: 8, side_m: 0.1}")
+
+
+@dataclass(frozen=True, slots=True)
+class Arm:
+    """One form: the number of networks that train apart and the number of the gate's cells."""
+
+    name: str
+    form: str
+    networks: int
+    cells: int
+
+
+ARMS = (
+    Arm("single", "single", 1, 0),
+    Arm("paper's form", "guided", 2, 0),
+    *(Arm(f"histogram, {k} cells", "histogram", 0, k) for k in (4, 8, 16, 32)),
+    *(Arm(f"mixture, {k} cells", "mixture", k, k) for k in (4, 8, 16, 32)),
+    Arm("distilled, 16 cells", "distilled", 16, 16),
+    Arm("one network, 32 cells", "mixture", 1, 32),
+    Arm("2 networks, 32 cells", "mixture", 2, 32),
+)
+
+
+@dataclass(frozen=True)
+class Task:
+    """One training: which arm, with or without look-ups, for how many joints, from which seed."""
+
+    arm: Arm
+    lookups: bool
+    joints: int
+    seed: int
+    steps: int
+
+    @property
+    def key(self) -> str:
+        return f"{self.arm.name}|{self.lookups}|{self.joints}|{self.seed}|{self.steps}"
+
+    def config(self) -> TrainConfig:
+        # What this arm makes of clusters and networks is its own business, below.
+        sets = ["clusters.form=guided", "clusters.count=1", f"gate.cells={self.arm.cells}"]
+        for part in ("local", "global"):
+            sets += [f"{part}.{key}={value}" for key, value in WIDTH.items()]
+            if self.lookups:
+                sets += [f"{part}.generator_lookups={LOOKUPS[0]}", f"{part}.critic_lookups={LOOKUPS[1]}"]
+        return load_config("quickstart" if self.joints == 2 else "three_link", [*BARE, *sets])
+
+
+# The presets' own choices, taken back: here each arm makes its own.
+BARE = [
+    f"{part}.{key}={{points_per_link: 0}}"
+    for part in ("local", "global")
+    for key in ("generator_lookups", "critic_lookups")
+]
+
+
+def prepare(joints: int, out: Path) -> tuple[TrainingArrays, Encoder]:
+    """Data and latents of an arm with so many joints; trained once, kept in ``out``."""
+    config = load_config("quickstart" if joints == 2 else "three_link")
+    dataset = generate(config.data, out / "data" / config.data.folder_name)
+    images, weights = np.asarray(dataset.images), out / f"encoder-{joints}.safetensors"
+    pictures = images if dataset.extra_images is None else np.concatenate([images, dataset.extra_images])
+    with seeded_initialisation(0):
+        module = VaeModule(config.vae, torch.tensor(np.ascontiguousarray(pictures.transpose(0, 3, 1, 2))), 0)
+    if not weights.is_file():
+        for step in range(config.vae.steps):
+            module.training_step(step, step)
+        save_file(module.encoder.state_dict(), weights)
+    module.encoder.load_state_dict(load_file(weights))
+    module.encoder.eval()
+    latents = encode(module.encoder, images)
+    free = np.array(dataset.free)
+    ids = np.repeat(np.arange(dataset.scenario_count), np.diff(dataset.free_offsets))
+    labels = np.zeros(len(free), dtype=np.int64)
+    arrays = TrainingArrays(
+        free, ids, labels, latents.mu, latents.sigma, dataset.robot, dataset.camera, np.array(images)
+    )
+    return arrays, module.encoder
+
+
+class Trainer:
+    """Trains the arms of one number of joints and measures them."""
+
+    def __init__(self, joints: int, out: Path) -> None:
+        self.arrays, self.encoder = prepare(joints, out)
+        stage = Stage(self.arrays.robot, self.arrays.camera, Split.VALIDATION, 0)
+        self.scenes = [Scene(stage, index) for index in range(SCENARIOS)]
+        self.held_out = [scene.free(SAMPLES, scene.rng(0)) for scene in self.scenes]
+
+    def run(self, task: Task) -> dict[str, object]:
+        began = time.perf_counter()
+        sampler = self.train(task)
+        seconds = time.perf_counter() - began
+        return {"key": task.key, "seconds": seconds, "rows": self.measure(sampler)}
+
+    def uniform(self) -> list[list[float]]:
+        return self.measure(None)
+
+    def train(self, task: Task) -> torch.nn.Module:
+        arm, config = task.arm, task.config()
+        arrays, gate = self.partition(task, config)
+        lookups = make_lookups(config.local.generator_lookups, arrays.robot, arrays.camera)
+        if arm.form in ("single", "guided"):
+            generator = self.ungated(task, arrays)
+            return generator if lookups is None else LookupSampler(generator, lookups)
+        if arm.form == "histogram":
+            with seeded_initialisation(0):
+                still = fresh_generator(task.config().local, self.arrays)
+            torch.nn.init.zeros_(still.residual[-1].weight)
+            return GatedSampler(gate, arrays.cells.points, Experts([still], 0 * _tensor(arrays)), lookups)
+        budget = task.steps if arm.form == "mixture" else 3 * task.steps // 4
+        trained = [
+            self.wgan(config, arrays, budget // arm.networks, task.seed, index).generator
+            for index in range(arm.networks)
+        ]
+        experts = Experts(trained, _tensor(arrays))
+        if arm.form == "distilled":
+            experts = self.distil(task, config, arrays, experts)
+        return GatedSampler(gate, arrays.cells.points, experts, lookups)
+
+    def partition(self, task: Task, config: TrainConfig):
+        arm, arrays = task.arm, self.arrays
+        if arm.cells == 0:
+            return arrays, None
+        cells = cluster(arrays.configurations, arm.cells, 50_000, task.seed)
+        clusters = group(cells, max(1, arm.networks), task.seed)
+        gated = GatedCells(points_in_cells(cells, config.gate.points, task.seed), cells.labels, clusters)
+        arrays = replace(arrays, labels=clusters[cells.labels], cells=gated)
+        mu, sigma = torch.tensor(arrays.mu), torch.tensor(arrays.sigma)
+        with seeded_initialisation(task.seed):
+            module = GateModule(config.gate, mu, sigma, arrays.shares(), task.seed)
+        for step in range(config.gate.steps):
+            module.training_step(step, step)
+        probabilities = gate_probabilities(module.gate, arrays.mu)
+        return replace(arrays, cells=replace(gated, probabilities=probabilities)), module.gate
+
+    def ungated(self, task: Task, arrays: TrainingArrays):
+        config = task.config()
+        if task.arm.form == "single":
+            return self.wgan(config, arrays, task.steps, task.seed, None).generator
+        labels = cluster(arrays.configurations, 2, 50_000, task.seed).labels
+        split = replace(arrays, labels=labels)
+        critics = [self.wgan(config, split, task.steps // 4, task.seed, i).critic for i in (0, 1)]
+        return self.wgan(config, arrays, task.steps // 2, task.seed, None, critics, 1.0).generator
+
+    def wgan(self, config, arrays, steps, seed, cluster_index, critics=None, weight=0.0) -> WganGpModule:
+        gan = config.local.model_copy(update={"steps": steps})
+        with seeded_initialisation(seed + (0 if cluster_index is None else 1 + cluster_index)):
+            module = WganGpModule(
+                gan,
+                arrays.samples(cluster_index),
+                arrays.scale,
+                seed,
+                critics,
+                weight,
+                base=arrays.base(cluster_index),
+                scenes=arrays.scenes(),
+            )
+        for step in range(steps):
+            module.training_step(step, step)
+        return module.eval()
+
+    def distil(self, task, config, arrays, teacher) -> Experts:
+        # A step of the regression costs about a fifth of one of a WGAN-GP, which trains a critic too.
+        steps = 5 * (task.steps // 4)
+        with seeded_initialisation(task.seed):
+            student = fresh_generator(config.local, arrays)
+        reader = make_reader(config.local.generator_lookups, arrays.scenes())
+        base = arrays.base(None)
+        if not isinstance(base, CellBase):
+            raise TypeError("a mixture starts in cells")
+        gan = config.local.model_copy(update={"steps": steps})
+        samples = arrays.samples(None)
+        module = DistillationModule(gan, samples, teacher, reader, student, reader, base, task.seed)
+        for step in range(steps):
+            module.training_step(step, step)
+        return Experts([student], 0 * _tensor(arrays))
+
+    def measure(self, sampler: torch.nn.Module | None) -> list[list[float]]:
+        """Precision, coverage and energy distance in every scenario; of uniform samples for None."""
+        rows = []
+        for scene, held_out in zip(self.scenes, self.held_out, strict=True):
+            if sampler is None:
+                drawn = scene.space.sample_uniform(scene.rng(1), SAMPLES)
+            else:
+                drawn = self.sample(sampler, scene).astype(np.float64)
+            found = sample_quality(drawn, held_out, scene.space, scene.checker.valid_batch)
+            rows.append([found.precision, found.coverage, found.energy])
+        return rows
+
+    def sample(self, sampler: torch.nn.Module, scene: Scene) -> np.ndarray:
+        rng = torch.Generator().manual_seed(scene.sampler_seed())
+        image = torch.from_numpy(to_network(scene.image[None]))
+        dim, gated = self.arrays.robot.dim, isinstance(sampler, GatedSampler)
+        with torch.inference_mode():
+            mu, log_variance = self.encoder(image)
+            latent = mu + (log_variance / 2).exp() * torch.randn(SAMPLES, mu.shape[1], generator=rng)
+            shares = [torch.rand(SAMPLES, size, generator=rng) for size in ((1, 1, dim) if gated else (dim,))]
+            shares[-1] = (shares[-1] - 0.5) * (1.0 if gated else 2.0 * math.pi)
+            inputs = [latent, *shares, torch.randn(SAMPLES, 2, generator=rng)]
+            looks = getattr(sampler, "lookups", None) is not None
+            return to_float32(sampler(*inputs, *([image] if looks else [])).squeeze(1).numpy())
+
+
+def _tensor(arrays: TrainingArrays) -> torch.Tensor:
+    return torch.tensor(arrays.cells.clusters)
+
+
+_TRAINERS: dict[int, Trainer] = {}
+
+
+def _work(job: tuple[Task, Path]) -> dict[str, object]:
+    task, out = job
+    torch.set_num_threads(1)
+    if task.joints not in _TRAINERS:
+        _TRAINERS[task.joints] = Trainer(task.joints, out)
+    return _TRAINERS[task.joints].run(task)
+
+
+def tasks(steps: int, seeds: int, joints: list[int]) -> list[Task]:
+    """Seed after seed, so that a run that is stopped early has whole seeds."""
+    return [
+        Task(arm, lookups, dim, seed, steps)
+        for seed in range(seeds)
+        for dim in joints
+        for arm in ARMS
+        for lookups in ((False,) if arm.form == "histogram" else (False, True))
+    ]
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--steps", type=int, default=640, help="generator steps of an arm in all")
+    parser.add_argument("--seeds", type=int, default=5)
+    parser.add_argument("--joints", type=int, nargs="+", default=[2, 3])
+    parser.add_argument("--workers", type=int, default=1, help="trainings at a time, one thread each")
+    parser.add_argument("--table", action="store_true", help="only write the report of what is there")
+    options = parser.parse_args()
+    options.out.mkdir(parents=True, exist_ok=True)
+    results = options.out / "results.jsonl"
+    done = [json.loads(line) for line in results.read_text().splitlines()] if results.exists() else []
+    known = {row["key"] for row in done}
+    if not options.table:
+        torch.set_num_threads(1)
+        for joints in options.joints:
+            if f"uniform|{joints}" not in known:
+                found = {"key": f"uniform|{joints}", "rows": Trainer(joints, options.out).uniform()}
+                _append(results, found)
+        left = [t for t in tasks(options.steps, options.seeds, options.joints) if t.key not in known]
+        began = time.monotonic()
+        with multiprocessing.get_context("spawn").Pool(options.workers) as pool:
+            jobs = ((task, options.out) for task in left)
+            for count, found in enumerate(pool.imap_unordered(_work, jobs), start=1):
+                _append(results, found)
+                rest = (time.monotonic() - began) / count * (len(left) - count)
+                quality = np.mean(np.array(found["rows"]), axis=0).round(3)
+                print(f"{count}/{len(left)} {found['key']} {quality}, {rest:.0f} s left", flush=True)
+    write_report(options.out)
+    return 0
+
+
+def _append(path: Path, row: dict[str, object]) -> None:
+    with path.open("a", encoding="utf-8") as file:
+        file.write(json.dumps(row) + "\n")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,102 @@
+"""Table and figure of the comparison of clusters, from its results."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from services.evaluator.statistics import mean_interval, ratio_of_sums_interval
+from services.evaluator.tables import markdown
+
+
+def read(out: Path):
+    """Results by (joints, arm, look-ups): array (seeds, scenarios, 3), and uniform's by joints."""
+    rows = [json.loads(line) for line in (out / "results.jsonl").read_text().splitlines()]
+    uniform = {
+        int(r["key"].split("|")[1]): np.array(r["rows"]) for r in rows if r["key"].startswith("uniform")
+    }
+    groups, seconds = {}, {}
+    for row in rows:
+        if row["key"].startswith("uniform"):
+            continue
+        arm, lookups, joints, seed, _ = row["key"].split("|")
+        key = (int(joints), arm, lookups == "True")
+        groups.setdefault(key, {})[int(seed)] = np.array(row["rows"])
+        seconds.setdefault(key, []).append(row["seconds"])
+    stacked = {key: np.stack([by[seed] for seed in sorted(by)]) for key, by in groups.items()}
+    return stacked, uniform, {key: float(np.median(value)) for key, value in seconds.items()}
+
+
+def summary(values: np.ndarray, uniform: np.ndarray) -> dict[str, object]:
+    """Mean over seeds by scenario, intervals over scenarios, standard deviation over seeds."""
+    rng = np.random.default_rng(0)
+    mean = values.mean(axis=0)
+    ratios = values[:, :, 2].sum(axis=1) / uniform[:, 2].sum()
+    return {
+        "precision": mean_interval(mean[:, 0], rng),
+        "coverage": mean_interval(mean[:, 1], rng),
+        "edr": ratio_of_sums_interval(mean[:, 2], uniform[:, 2], rng),
+        "sd": (values[:, :, 0].mean(axis=1).std(), values[:, :, 1].mean(axis=1).std(), ratios.std()),
+        "seeds": len(values),
+    }
+
+
+def write_report(out: Path) -> None:
+    """``table.md`` and ``clusters.png`` in the folder of the results."""
+    groups, uniform, seconds = read(out)
+    rows = [
+        ["joints", "form", "look-ups", "seeds", "precision", "coverage", "EDr", "seed sd", "s on one core"]
+    ]
+    found = {}
+    for key, values in groups.items():
+        joints, arm, lookups = key
+        one = found[key] = summary(values, uniform[joints])
+        deviation = " / ".join(f"{value:.3f}" for value in one["sd"])
+        rows.append(
+            [
+                str(joints),
+                arm,
+                "yes" if lookups else "no",
+                str(one["seeds"]),
+                *(f"{one[name]:.3f}" for name in ("precision", "coverage", "edr")),
+                deviation,
+                f"{seconds[key]:.0f}",
+            ]
+        )
+    (out / "table.md").write_text(markdown(rows) + "\n", encoding="utf-8")
+    _figure(found).savefig(out / "clusters.png", dpi=110)
+    print(markdown(rows))
+
+
+def _figure(found) -> Figure:
+    arms = list(dict.fromkeys(arm for _, arm, _ in found))
+    joints = sorted({key[0] for key in found})
+    figure = Figure(figsize=(11, 0.33 * len(arms) * len(joints) + 1.6), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(len(joints), 3, squeeze=False, sharey=True, sharex="col")
+    for line, dim in zip(axes, joints, strict=True):
+        for panel, (name, title) in zip(
+            line,
+            (("precision", "precision"), ("coverage", "coverage"), ("edr", "EDr (0 is perfect)")),
+            strict=True,
+        ):
+            for lookups, colour, shift in ((False, "tab:blue", 0.13), (True, "tab:orange", -0.13)):
+                present = [
+                    (i, found[dim, a, lookups][name])
+                    for i, a in enumerate(arms)
+                    if (dim, a, lookups) in found
+                ]
+                x = np.array([value.estimate for _, value in present])
+                spread = np.array([[v.estimate - v.low, v.high - v.estimate] for _, v in present]).T
+                y = np.array([len(arms) - i + shift for i, _ in present])
+                label = "look-ups" if lookups else "latent alone"
+                panel.errorbar(x, y, xerr=spread, fmt="o", ms=4, color=colour, label=label, capsize=2, lw=1)
+            panel.set_yticks(range(len(arms), 0, -1), arms)
+            panel.grid(visible=True, alpha=0.3)
+            panel.set_title(f"{dim} joints: {title}", fontsize=10)
+            if name == "edr":
+                panel.set_xscale("log")
+    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=2)
+    return figure
