@@ -1,7 +1,9 @@
 """From trained weights to a bundle."""
 
 import math
-from dataclasses import dataclass
+import shutil
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import torch
@@ -26,8 +28,13 @@ from training.models.mixture import Experts, GatedSampler, LookupSampler
 from training.models.networks import TorusGenerator
 from training.models.validity import ValidityHead
 from training.provenance import command_line, now, source_state
+from training.threshold import choose_threshold, validation_scores
 from training.trials.arrays import TrainingArrays
 from training.trials.loading import load_generator, torus_generator
+
+THRESHOLD_SCENARIOS = 40
+# Where the truth of further scenarios is not known, as with data of one's own.
+FALLBACK_THRESHOLD = 0.8
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,6 +74,7 @@ def make_bundle(folder: Path, config: TrainConfig, dataset: Dataset, parts: Trai
             head = ValidityHead(config.validity, dataset.robot, dataset.camera)
         head.load_state_dict(load_weights(parts.validity, "head"))
         graphs["validity"] = validity_graph(head, dataset.camera.pixels, dim)
+    has_head = parts.validity is not None
     scale = Standardisation(*(tuple(float(v) for v in part) for part in parts.arrays.scale))
     spec = BundleSpec(
         robot=dataset.robot,
@@ -76,11 +84,26 @@ def make_bundle(folder: Path, config: TrainConfig, dataset: Dataset, parts: Trai
         looks_at_picture=gan.generator_lookups.points_per_link > 0,
         samples_per_latent=gan.means,
         random_inputs=random_inputs(gan, dim, gated=parts.gate is not None),
-        confidence_threshold=None if parts.validity is None else config.validity.threshold,
+        confidence_threshold=(config.validity.threshold or FALLBACK_THRESHOLD) if has_head else None,
         standardisation=scale if gan.generator == "means" else None,
         provenance=_provenance(config, dataset),
     )
+    if has_head and config.validity.threshold is None and dataset.generator_seed is not None:
+        threshold = _chosen_threshold(folder.with_name(folder.name + "-draft"), config, spec, graphs)
+        spec = replace(spec, confidence_threshold=threshold)
     return Bundle.load(write_bundle(folder, spec, graphs))
+
+
+def _chosen_threshold(
+    folder: Path, config: TrainConfig, spec: BundleSpec, graphs: Mapping[str, bytes]
+) -> float:
+    """By the rule of :mod:`training.threshold`, from a draft of the bundle that is deleted again."""
+    try:
+        draft = Bundle.load(write_bundle(folder, spec, graphs))
+        scores = validation_scores(draft, spec.robot, spec.camera, THRESHOLD_SCENARIOS)
+        return choose_threshold(scores, config.validity.target_precision)
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 def generator_config(config: TrainConfig) -> GanConfig:

@@ -124,13 +124,21 @@ class ValidityConfig(Section):
 
     steps: int = Field(3000, ge=0, description="0 leaves the bundle without a head")
     pictures_per_step: int = Field(32, ge=1)
-    configurations_per_picture: int = Field(64, ge=2, description="half of them free")
+    configurations_per_picture: int = Field(64, ge=2)
+    free_share: float = Field(
+        0.69, gt=0, lt=1, description="of the joint space, on average: the prior that confidences are true to"
+    )
     points_per_link: int = Field(12, ge=2)
     side_m: float = Field(0.1, ge=0, description="distance of the look-ups beside each link")
     hidden: int = Field(160, ge=1)
     layers: int = Field(2, ge=1)
     learning_rate: float = Field(4e-3, gt=0)
-    threshold: float = Field(0.8, gt=0, lt=1, description="the confidence that the bundle recommends")
+    threshold: float | None = Field(
+        None, gt=0, lt=1, description="the confidence that the bundle recommends; none to choose it"
+    )
+    target_precision: float = Field(
+        0.995, gt=0, lt=1, description="that the chosen threshold reaches on validation scenarios"
+    )
 
 
 class ResourceConfig(Section):

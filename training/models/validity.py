@@ -56,17 +56,19 @@ class OccupancySamples:
         """The same on another device."""
         return OccupancySamples(*(getattr(self, name).to(device) for name in self.__slots__))
 
-    def draw(self, pictures: int, configurations: int, rng: torch.Generator) -> tuple[Tensor, Tensor, Tensor]:
-        """Pictures with configurations, half of them free, drawn with replacement.
+    def draw(
+        self, pictures: int, free_count: int, collision_count: int, rng: torch.Generator
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """Pictures with so many free and so many colliding configurations each, drawn with replacement.
 
         Returns:
             Pictures (p, 3, P, P) in [-1, 1], configurations (p, c, d) rad, and labels (p, c), 1 for free.
         """
-        device, half = self.images.device, configurations // 2
+        device = self.images.device
         ids = self.scenarios[torch.randint(len(self.scenarios), (pictures,), generator=rng, device=device)]
-        shares = torch.rand(pictures, 2 * half, generator=rng, device=device)
-        free = self.free[_rows(self.free_offsets, ids, shares[:, :half])]
-        collision = self.collision[_rows(self.collision_offsets, ids, shares[:, half:])]
+        shares = torch.rand(pictures, free_count + collision_count, generator=rng, device=device)
+        free = self.free[_rows(self.free_offsets, ids, shares[:, :free_count])]
+        collision = self.collision[_rows(self.collision_offsets, ids, shares[:, free_count:])]
         labels = torch.cat([torch.ones_like(free[..., 0]), torch.zeros_like(collision[..., 0])], dim=1)
         return self.images[ids].float() / 127.5 - 1.0, torch.cat([free, collision], dim=1), labels
 
@@ -79,7 +81,10 @@ def _rows(offsets: Tensor, ids: Tensor, shares: Tensor) -> Tensor:
 
 
 class ValidityModule(TrialModule):
-    """Trains the head by cross entropy on free and colliding configurations in equal numbers.
+    """Trains the head by cross entropy on free and colliding configurations.
+
+    Their numbers are in proportion to the free share of the joint space, for else the confidences would be
+    true to another world: drawn in equal numbers, a 0.5 would mean 0.69.
 
     Args:
         config: sizes and budget.
@@ -108,8 +113,10 @@ class ValidityModule(TrialModule):
     def training_step(self, step: int, batch_index: int) -> None:
         """One step of the cross entropy."""
         del step, batch_index
+        every = self.config.configurations_per_picture
+        free = min(every - 1, max(1, round(self.config.free_share * every)))
         pictures, configurations, labels = self.samples.draw(
-            self.config.pictures_per_step, self.config.configurations_per_picture, self.rng
+            self.config.pictures_per_step, free, every - free, self.rng
         )
         logits = self.head(pictures, configurations)
         loss = functional.binary_cross_entropy_with_logits(logits, labels)

@@ -38,12 +38,12 @@ def samples():
     return occupancy(random_scenarios(Split.TRAIN, 3, 24))
 
 
-def test_a_batch_holds_configurations_of_its_pictures_half_of_them_free(samples):
+def test_a_batch_holds_so_many_free_and_colliding_configurations_of_its_pictures(samples):
     scenarios = random_scenarios(Split.TRAIN, 3, 24)
     known = {render(scenario).tobytes(): CollisionChecker(scenario) for scenario in scenarios}
-    pictures, configurations, labels = samples.draw(10, 8, torch.Generator().manual_seed(0))
+    pictures, configurations, labels = samples.draw(10, 5, 3, torch.Generator().manual_seed(0))
     assert pictures.shape == (10, 3, 48, 48)
-    assert labels.sum(dim=1).tolist() == [4.0] * 10
+    assert labels.sum(dim=1).tolist() == [5.0] * 10
     for picture, rows, marks in zip(pictures, configurations, labels, strict=True):
         seen = ((picture + 1.0) * 127.5).round().to(torch.uint8).permute(1, 2, 0).contiguous().numpy()
         assert known[seen.tobytes()].valid_batch(rows.numpy()).tolist() == marks.bool().tolist()
@@ -58,7 +58,7 @@ def test_scenarios_without_both_kinds_are_never_drawn(samples):
         samples.collision_offsets,
         samples.scenarios[:1],
     )
-    pictures, _, _ = only.draw(6, 2, torch.Generator().manual_seed(0))
+    pictures, _, _ = only.draw(6, 1, 1, torch.Generator().manual_seed(0))
     expected = samples.images[samples.scenarios[0]].float() / 127.5 - 1.0
     assert all(torch.equal(picture, expected) for picture in pictures)
 
@@ -77,7 +77,7 @@ def train(one, steps):
 def test_it_learns_to_tell_free_from_colliding_in_scenarios_that_it_never_saw(samples):
     trained = train(module(samples), TINY.steps)
     unseen = occupancy(random_scenarios(Split.VALIDATION, 3, 24), seed=1)
-    pictures, configurations, labels = unseen.draw(200, 16, torch.Generator().manual_seed(1))
+    pictures, configurations, labels = unseen.draw(200, 8, 8, torch.Generator().manual_seed(1))
     with torch.no_grad():
         found = trained.head(pictures, configurations) > 0.0
     accuracy = (found == labels.bool()).float().mean()

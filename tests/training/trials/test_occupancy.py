@@ -39,6 +39,6 @@ def test_samples_belong_to_their_pictures_and_further_pictures_have_none(tmp_pat
     samples = found.samples(pictures)
     assert len(samples.images) == 2
     assert samples.scenarios.tolist() == [1]
-    _, configurations, labels = samples.draw(1, 4, torch.Generator().manual_seed(0))
+    _, configurations, labels = samples.draw(1, 2, 2, torch.Generator().manual_seed(0))
     assert torch.equal(configurations[labels > 0.5], torch.ones(2, 2))
     assert torch.equal(configurations[labels < 0.5], -torch.ones(2, 2))
