@@ -1,4 +1,4 @@
-"""What GS and GS-C tell apart: further real samples, noisy ones, uniform ones; a divided space from a whole one.
+"""What GS and GS-C tell apart: real, noisy and uniform samples; a divided free space from a whole one.
 
     OMP_NUM_THREADS=1 python benchmarks/evaluation/separation.py --out results/separation
 
@@ -6,12 +6,12 @@ Two questions, both on two joints, every score between clouds drawn anew for eac
 
 1. In validation scenarios: real samples against real ones, against real ones with 0.1 rad of normal noise a
    joint, against uniform ones.
-2. A free space that an obstacle divides into two parts against one that is not divided. ``arm``: one disc,
-   which only the second link can reach, against the same disc where it blocks the first link, as in the
-   paper's figure. ``room``: a square of free space with obstacles all round, against the same with a wall
-   through its middle; here theory says what should be seen: no loop in either free space, one in the
-   complement of the whole room, two in that of the divided one. ``rim``: the control, the room with the wall
-   along its side, as much free space and not divided.
+2. A free space that an obstacle divides into two parts against one that is not divided. ``arm``: one disc
+   of 0.3 or 0.5 m, which only the second link can reach, against the same disc where it blocks the first
+   link, as in the paper's figure. ``room``: a square of free space with obstacles all round, against the
+   same with a wall through its middle; here theory says what should be seen: no loop in either free space,
+   one in the complement of the whole room, two in that of the divided one. ``rim``: the control, the room
+   with the wall along its side, as much free space and not divided.
 
 Intervals are 95 % by bootstrap over repeats. A range is from the smallest to the largest single score: what
 one evaluation may see. Writes the rows as JSON and tables as Markdown; separation_figure.py draws them.
@@ -74,9 +74,9 @@ def scenario_repeat(scene: Scene, rng, samples: int, draws: int):
     return {name: scores(reference, measured(cloud, rng, draws)) for name, cloud in others.items()}
 
 
-def arm_free(distance_m: float):
-    """Free configurations with one disc of 0.3 m that far from the base; the first link reaches 2.1 m."""
-    checker = CollisionChecker(Scenario(TWO_LINK, (Disc(distance_m, 0.0, 0.3),)))
+def arm_free(radius_m: float, distance_m: float):
+    """Free configurations with one disc so far from the base; the first link reaches 2.1 m."""
+    checker = CollisionChecker(Scenario(TWO_LINK, (Disc(distance_m, 0.0, radius_m),)))
 
     def draw(samples, rng):
         proposals = SPACE.sample_uniform(rng, 2 * samples)
@@ -118,9 +118,11 @@ def division_repeat(whole, divided, control, rng, samples: int, draws: int):
 def cases(samples: int, scenarios: int):
     """Name and what one repeat does, for every group of rows."""
     stage = Stage(TWO_LINK, Camera(), Split.VALIDATION, SEED)
-    arm = (arm_free(2.6), arm_free(1.5), None)
-    room = tuple(room_free(samples, wall) for wall in ("none", "middle", "side"))
-    for name, spaces in (("arm", arm), ("room", room)):
+    divisions = {
+        f"arm, {radius} m": (arm_free(radius, 2.3 + radius), arm_free(radius, 1.5), None)
+        for radius in (0.3, 0.5)
+    } | {"room": tuple(room_free(samples, wall) for wall in ("none", "middle", "side"))}
+    for name, spaces in divisions.items():
         yield name, lambda *rest, spaces=spaces: division_repeat(*spaces, *rest)
     for index in range(scenarios):
         yield f"scenario {index}", lambda *rest, index=index: scenario_repeat(Scene(stage, index), *rest)
@@ -171,8 +173,8 @@ def main() -> int:
     )
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--samples", type=int, default=2000)
-    parser.add_argument("--draws", type=int, default=200)
-    parser.add_argument("--scenarios", type=int, default=5)
+    parser.add_argument("--draws", type=int, default=100)
+    parser.add_argument("--scenarios", type=int, default=4)
     parser.add_argument("--repeats", type=int, default=12)
     options = parser.parse_args()
     setting = {name: str(value) for name, value in vars(options).items() if name != "out"}
