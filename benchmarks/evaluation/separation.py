@@ -18,6 +18,7 @@ one evaluation may see. Writes the rows as JSON and tables as Markdown; separati
 """
 
 import argparse
+import itertools
 import json
 import sys
 import time
@@ -115,17 +116,28 @@ def division_repeat(whole, divided, control, rng, samples: int, draws: int):
     return found
 
 
-def cases(samples: int, scenarios: int):
-    """Name and what one repeat does, for every group of rows."""
+def blocked_share(scene: Scene) -> float:
+    return 1.0 - float(np.mean(scene.checker.valid_batch(SPACE.sample_uniform(scene.rng(0), 20_000))))
+
+
+def validation_scenes(count: int, least_blocked: float):
+    """The first scenarios of the split in which obstacles take at least that share of the joint space."""
     stage = Stage(TWO_LINK, Camera(), Split.VALIDATION, SEED)
+    scenes = (Scene(stage, index) for index in itertools.count())
+    return itertools.islice((scene for scene in scenes if blocked_share(scene) >= least_blocked), count)
+
+
+def cases(samples: int, scenarios: int, least_blocked: float):
+    """Name and what one repeat does, for every group of rows."""
     divisions = {
         f"arm, {radius} m": (arm_free(radius, 2.3 + radius), arm_free(radius, 1.5), None)
         for radius in (0.3, 0.5)
     } | {"room": tuple(room_free(samples, wall) for wall in ("none", "middle", "side"))}
     for name, spaces in divisions.items():
         yield name, lambda *rest, spaces=spaces: division_repeat(*spaces, *rest)
-    for index in range(scenarios):
-        yield f"scenario {index}", lambda *rest, index=index: scenario_repeat(Scene(stage, index), *rest)
+    for scene in validation_scenes(scenarios, least_blocked):
+        name = f"scenario {scene.index}, {blocked_share(scene):.0%} blocked"
+        yield name, lambda *rest, scene=scene: scenario_repeat(scene, *rest)
 
 
 def summary(rows: list[dict]) -> list[dict]:
@@ -175,11 +187,14 @@ def main() -> int:
     parser.add_argument("--samples", type=int, default=2000)
     parser.add_argument("--draws", type=int, default=100)
     parser.add_argument("--scenarios", type=int, default=4)
+    parser.add_argument("--least-blocked", type=float, default=0.0, help="share of the joint space")
     parser.add_argument("--repeats", type=int, default=12)
+    parser.add_argument("--cases", nargs="+", default=["arm", "room", "scenario"])
     options = parser.parse_args()
     setting = {name: str(value) for name, value in vars(options).items() if name != "out"}
     rows: list[dict] = []
-    groups = list(cases(options.samples, options.scenarios))
+    every = cases(options.samples, options.scenarios, options.least_blocked)
+    groups = [(name, once) for name, once in every if name.startswith(tuple(options.cases))]
     for repeat in range(options.repeats):
         for number, (name, once) in enumerate(groups):
             began, rng = time.perf_counter(), np.random.default_rng([SEED, number, repeat])
