@@ -1,28 +1,27 @@
 """Geometry score: the topology of two point clouds compared through witness complexes.
 
 Source: Khrulkov and Oseledets, Geometry Score: A Method For Comparing Generative Adversarial Networks, ICML
-2018, equations 2 to 5, algorithms 1 and 2. As in the authors' own program, distances are passed where GUDHI
-documents squared ones, and the numbers here equal theirs. Unlike there, landmarks are drawn without
-replacement, from a generator that is passed in, and living times at ``i_max`` loops or more are reported
-instead of dropped.
+2018, equations 2 to 5, algorithms 1 and 2. As in the authors' own program, the relaxation is of distances and
+not of squared ones, and the numbers here equal theirs. Unlike there, landmarks are drawn without replacement,
+from a generator that is passed in, and living times at ``i_max`` loops or more are reported instead of
+dropped.
 """
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any
 
-import gudhi
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 
 from cspace.errors import EvaluationError
+from services.evaluator.witness import witness_complex
 
 LANDMARKS = 64
 I_MAX = 100
-# The complex has no simplex above a triangle, so a witness uses its three nearest landmarks and those within
-# the relaxation of the third; all further ones can be left out of the table without changing the result.
-_ALWAYS_NEAR = 3
+# A triangle has as many.
+FEWEST_LANDMARKS = 3
 
 Mapper = Callable[[Callable[[NDArray[np.int64]], "RelativeLivingTimes"], Iterable[NDArray[np.int64]]], Any]
 
@@ -54,26 +53,25 @@ def relative_living_times(
     """Relative living times of loops (H1) for one choice of landmarks.
 
     Args:
-        points: (N, d), all of them witnesses.
+        points: (N, d), all of them witnesses, in any number of dimensions.
         landmark_indices: (L,) rows of ``points``.
         gamma: largest filtration value over the largest distance between a point and a landmark.
         i_max: number of loops from which on they are counted together.
 
     Raises:
-        EvaluationError: no points, too few landmarks, or a gamma that is not positive.
+        EvaluationError: no points, points that are not finite, too few landmarks, or gamma not above 0.
     """
-    if points.ndim != 2 or len(points) == 0 or len(landmark_indices) < _ALWAYS_NEAR or not gamma > 0.0:
+    if points.ndim != 2 or len(points) == 0 or len(landmark_indices) < FEWEST_LANDMARKS or not gamma > 0.0:
         raise EvaluationError(
             "no witness complex can be built",
-            expected=f"points (N, d), {_ALWAYS_NEAR} landmarks or more, gamma above 0",
+            expected=f"points (N, d), {FEWEST_LANDMARKS} landmarks or more, gamma above 0",
             got=f"points {points.shape}, {len(landmark_indices)} landmarks, gamma {gamma}",
         )
     distances = cdist(points, points[landmark_indices])
     alpha_max = float(distances.max()) * gamma
-    complex_ = gudhi.WitnessComplex(_nearest_table(distances, alpha_max))
-    tree = complex_.create_simplex_tree(max_alpha_square=alpha_max, limit_dimension=2)
-    tree.compute_persistence(homology_coeff_field=2)
-    return living_times(tree.persistence_intervals_in_dimension(1), alpha_max, i_max)
+    if not np.isfinite(alpha_max):
+        raise EvaluationError("no witness complex can be built", expected="finite points", got="nan or inf")
+    return living_times(witness_complex(distances, alpha_max).loop_intervals(), alpha_max, i_max)
 
 
 def living_times(
@@ -145,14 +143,3 @@ class LivingTimesOf:
 def geometry_score(first: RelativeLivingTimes, second: RelativeLivingTimes) -> float:
     """Sum of squared differences of two mean living times (equation 5, algorithm 2); 0 is equal."""
     return float(np.sum((first.values - second.values) ** 2))
-
-
-def _nearest_table(distances: NDArray[np.float64], alpha_max: float) -> list[list[tuple[int, float]]]:
-    """Per witness its near landmarks with their distances, nearest first."""
-    third = np.partition(distances, _ALWAYS_NEAR - 1, axis=1)[:, _ALWAYS_NEAR - 1 : _ALWAYS_NEAR]
-    witnesses, landmarks = np.nonzero(distances <= third + alpha_max)
-    lengths = distances[witnesses, landmarks]
-    order = np.lexsort((lengths, witnesses))
-    entries = list(zip(landmarks[order].tolist(), lengths[order].tolist(), strict=True))
-    ends = np.cumsum(np.bincount(witnesses, minlength=len(distances))).tolist()
-    return [entries[start:end] for start, end in zip([0, *ends], ends, strict=False)]

@@ -37,31 +37,36 @@ class SceneTopology:
     Args:
         index: the scenario's number within its split.
         gs: geometry score.
-        gsc_boundary: GS-C, the complements of both sides by the boundary algorithm; None for other than two
-            joints.
+        gsc_boundary: GS-C, the complements of both sides by the boundary algorithm; without the turns where
+            there are not two joints.
         gsc_true: GS-C, the real side's complement from its true collision states; likewise.
         remainder: largest share of living time with too many loops to be counted.
     """
 
     index: int
     gs: Scored
-    gsc_boundary: Scored | None
-    gsc_true: Scored | None
+    gsc_boundary: Scored
+    gsc_true: Scored
     remainder: float
 
 
 @dataclass(frozen=True, slots=True)
 class ScoreSummary:
-    """A score and its floor over scenarios."""
+    """A score and its floor, over scenarios or over the repeats of one."""
 
     score: Interval
     floor: Interval
 
 
 def scene_topology(
-    scene: Scene, sampler: Sampler, draws: int, samples: int = SAMPLES, mapper: Mapper = map
+    scene: Scene,
+    sampler: Sampler,
+    draws: int,
+    samples: int = SAMPLES,
+    mapper: Mapper = map,
+    repeat: int = 0,
 ) -> SceneTopology:
-    """GS, and for two joints GS-C, of a sampler on one scenario.
+    """GS and GS-C of a sampler on one scenario.
 
     Args:
         scene: the scenario.
@@ -69,17 +74,44 @@ def scene_topology(
         draws: of landmarks, per cloud and turn.
         samples: points per cloud.
         mapper: spreads the draws; results do not depend on it.
+        repeat: another number draws other samples and landmarks, independent of all others'.
     """
-    generated = np.asarray(sampler.sample(scene.image, samples, scene.sampler_seed(1)), dtype=np.float64)
-    clouds = (scene.free(samples, scene.rng(3)), generated, scene.free(samples, scene.rng(4)))
-    rng = scene.rng(5)
-    real, ours, again = (mean_living_times(cloud, rng, draws=draws, mapper=mapper) for cloud in clouds)
-    plain = Scored(geometry_score(real, ours), geometry_score(real, again))
-    remainder = max(real.remainder, ours.remainder, again.remainder)
-    if scene.space.dim != 2:
-        return SceneTopology(scene.index, plain, None, None, remainder)
-    boundary, true = _complement_scores(scene, clouds, draws, mapper)
-    return SceneTopology(scene.index, plain, boundary, true, remainder)
+    seed = int(_stream(scene, 11, repeat).integers(0, 2**63))
+    generated = np.asarray(sampler.sample(scene.image, samples, seed), dtype=np.float64)
+    real, again = (scene.free(samples, _stream(scene, stream, repeat)) for stream in (3, 4))
+    clouds = (real, generated, again)
+    rng = _stream(scene, 5, repeat)
+    times = [mean_living_times(cloud, rng, draws=draws, mapper=mapper) for cloud in clouds]
+    plain = Scored(geometry_score(times[0], times[1]), geometry_score(times[0], times[2]))
+    boundary, true = _complement_scores(scene, clouds, _stream(scene, 6, repeat), draws, mapper)
+    return SceneTopology(scene.index, plain, boundary, true, max(one.remainder for one in times))
+
+
+def repeated_topology(
+    scene: Scene,
+    sampler: Sampler,
+    draws: int,
+    repeats: int,
+    samples: int = SAMPLES,
+    mapper: Mapper = map,
+) -> dict[str, ScoreSummary]:
+    """GS and GS-C on one scenario with intervals: each repeat draws all samples and all landmarks anew.
+
+    The intervals hold the chance in the samples and in the landmarks, and say nothing about other scenarios.
+
+    Args:
+        scene: the scenario.
+        sampler: under test.
+        draws: of landmarks, per cloud and turn.
+        repeats: a bootstrap wants ten or more.
+        samples: points per cloud.
+        mapper: spreads the draws; results do not depend on it.
+
+    Raises:
+        EvaluationError: no repeats.
+    """
+    rows = [scene_topology(scene, sampler, draws, samples, mapper, repeat) for repeat in range(repeats)]
+    return summarise_topology(rows, scene.rng(7))
 
 
 def summarise_topology(scenes: Sequence[SceneTopology], rng: np.random.Generator) -> dict[str, ScoreSummary]:
@@ -91,17 +123,22 @@ def summarise_topology(scenes: Sequence[SceneTopology], rng: np.random.Generator
     summary = {}
     for name in SCORES:
         rows = [getattr(scene, name) for scene in scenes]
-        if None not in rows:
-            scores, floors = [row.score for row in rows], [row.floor for row in rows]
-            summary[name] = ScoreSummary(mean_interval(scores, rng), mean_interval(floors, rng))
+        scores, floors = [row.score for row in rows], [row.floor for row in rows]
+        summary[name] = ScoreSummary(mean_interval(scores, rng), mean_interval(floors, rng))
     return summary
 
 
+def _stream(scene: Scene, stream: int, repeat: int) -> np.random.Generator:
+    """One of the scenario's streams, or an independent child of it for a further repeat."""
+    rng = scene.rng(stream)
+    return rng.spawn(repeat)[-1] if repeat else rng
+
+
 def _complement_scores(
-    scene: Scene, clouds: tuple[Cloud, Cloud, Cloud], draws: int, mapper: Mapper
+    scene: Scene, clouds: tuple[Cloud, Cloud, Cloud], rng: np.random.Generator, draws: int, mapper: Mapper
 ) -> tuple[Scored, Scored]:
     """GS-C with the real side's complement by the boundary algorithm, and with its true collision states."""
-    rng, count = scene.rng(6), len(clouds[0])
+    count = len(clouds[0])
 
     def turned(cloud: Cloud) -> TurnedTimes:
         return turned_living_times(cloud, scene.space, rng, draws=draws, mapper=mapper)

@@ -6,9 +6,11 @@ from cspace.space import JointSpace
 from services.evaluator.complement import boundary_cells, occupancy, sample_complement
 from services.evaluator.complement_score import complement_score, largest_score, turned_living_times
 from services.evaluator.disk import enlarged_turns, quarter_turn, square_to_disk
+from services.evaluator.topology import geometry_score, mean_living_times
 
 TORUS = JointSpace((-np.pi, -np.pi), (np.pi, np.pi), (True, True))
 LIMITED = JointSpace((-1.0, -2.0), (1.0, 2.0), (False, False))
+CUBE = JointSpace((-1.0,) * 3, (1.0,) * 3, (False,) * 3)
 
 
 def square_with_hole(count, rng, half=1.0):
@@ -95,13 +97,12 @@ def test_each_turn_enlarges_another_quadrant_by_the_exponential():
 
 
 def test_the_disk_map_refuses_three_joints(rng):
-    space = JointSpace((-1.0,) * 3, (1.0,) * 3, (False,) * 3)
     with pytest.raises(EvaluationError, match="two joints"):
-        next(enlarged_turns(space.sample_uniform(rng, 5), space))
+        next(enlarged_turns(CUBE.sample_uniform(rng, 5), CUBE))
 
 
-def turned(points, seed):
-    return turned_living_times(points, TORUS, np.random.default_rng(seed), draws=12)
+def turned(points, seed, space=TORUS):
+    return turned_living_times(points, space, np.random.default_rng(seed), draws=12)
 
 
 def test_the_complement_tells_a_hole_from_uniform_samples(rng):
@@ -119,6 +120,47 @@ def test_the_score_is_the_sum_of_both_maxima_over_twice_the_number_of_bins(rng):
     expected = (largest_score(first, second) + largest_score(second, first)) / 198
     assert complement_score(first, second, second, first) == pytest.approx(expected)
     assert complement_score(first, first, second, second) == 0.0
+
+
+def scored(first, second, space, seed):
+    """GS-C of two clouds with the complements from the points."""
+    rng = np.random.default_rng(seed)
+    complements = [turned(sample_complement(p, space, rng, 1000), seed + 1, space) for p in (first, second)]
+    return complement_score(turned(first, seed + 2, space), turned(second, seed + 3, space), *complements)
+
+
+def block(count, rng, centre, space, half=0.5):
+    """Points in a square or cube."""
+    return np.asarray(centre) + rng.uniform(-half, half, (count, space.dim))
+
+
+def test_a_shifted_set_is_equal_to_gs_and_not_to_gsc_inside_the_joint_limits():
+    # In the middle of the limits the complement goes round the block, in the corner it does not.
+    rng = np.random.default_rng(7)
+    middle = block(1000, rng, (0.0, 0.0), LIMITED)
+    shifted = middle + np.array([0.5, 1.5])
+    plain = [mean_living_times(p, np.random.default_rng(1), draws=5) for p in (middle, shifted)]
+    assert geometry_score(*plain) == pytest.approx(0.0, abs=1e-6)
+    away = [scored(middle, shifted, LIMITED, seed) for seed in range(6)]
+    again = [scored(middle, block(1000, rng, (0.0, 0.0), LIMITED), LIMITED, seed) for seed in range(6)]
+    assert min(away) > max(again)
+
+
+def test_three_joints_are_scored_without_turns():
+    # A bore from limit to limit gives the cube a loop, and a complement where the full cube has none.
+    rng = np.random.default_rng(8)
+    full, again, other = (CUBE.sample_uniform(rng, 2000) for _ in range(3))
+    bored = other[np.abs(other[:, :2]).max(axis=1) > 0.5]
+    assert len(turned(bored, 1, CUBE).turns) == 1
+    changed = [scored(full, bored, CUBE, seed) for seed in range(4)]
+    same = [scored(full, again, CUBE, seed) for seed in range(4)]
+    assert min(changed) > max(same)
+
+
+def test_clouds_of_two_and_of_three_joints_cannot_be_compared(rng):
+    planar, spatial = turned(square_with_hole(200, rng), 1), turned(CUBE.sample_uniform(rng, 200), 1, CUBE)
+    with pytest.raises(EvaluationError, match="turns"):
+        largest_score(planar, spatial)
 
 
 def test_an_empty_cloud_has_no_loop_and_a_small_one_is_an_error():

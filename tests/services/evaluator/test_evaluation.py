@@ -124,7 +124,7 @@ def test_the_terminal_table_is_aligned(evaluation):
     assert lines[header + 3].startswith("real     1.000")
 
 
-def test_three_joints_are_evaluated_without_planning_and_complements():
+def test_three_joints_are_evaluated_without_planning_and_with_both_scores():
     budget = replace(TINY, scenarios=2)
     sampler = UniformSampler(THREE_LINK.space)
     work = units(budget, joints=3)
@@ -132,7 +132,7 @@ def test_three_joints_are_evaluated_without_planning_and_complements():
         [run_unit(unit, setting(THREE_LINK, budget), sampler) for unit in work], setting(THREE_LINK)
     )
     assert evaluation.validation.planning_success is None
-    assert set(evaluation.topology) == {"gs"}
+    assert set(evaluation.topology) == {"gs", "gsc_boundary", "gsc_true"}
     assert "planning_success" not in flat_metrics(evaluation)
 
 
