@@ -1,5 +1,6 @@
 """The whole job on a real Ray and a real MLflow server: every stage, nothing learned."""
 
+import base64
 import json
 import os
 import subprocess
@@ -11,9 +12,13 @@ import pytest
 from mlflow import MlflowClient
 
 from cspace.bundle import Bundle
+from cspace.image import encode_png
+from inference_api.app import create_app
+from inference_api.settings import ApiSettings
 from services.registry.mlflow_registry import MlflowRegistry
 from services.registry.names import ALIAS_CHALLENGER, EXPERIMENT, MODEL_NAME
 from tests.contracts.mlflow_server import mlflow_server
+from tests.inference_api.client import running
 
 pytestmark = [pytest.mark.e2e, pytest.mark.timeout(400)]
 
@@ -132,7 +137,37 @@ def test_a_three_link_arm_runs_through_the_same_job(server, data_folder, tmp_pat
     bundle = Bundle.load(
         registry.download(registry.version(MODEL_NAME, result["version"]), tmp_path / "bundle")
     )
-    assert bundle.sample(np.full((48, 48, 3), 255, dtype=np.uint8), 7, 1).samples.shape == (7, 3)
+    settings = ApiSettings(
+        registry_uri=None, cache_folder=tmp_path / "cache", pretrained_folder=bundle.folder
+    )
+    with running(create_app(settings, None)) as client:
+        body = {
+            "image": base64.b64encode(encode_png(np.full((48, 48, 3), 255, dtype=np.uint8))).decode(),
+            "n": 7,
+        }
+        answer = client.post("/sample", json=body | {"min_confidence": 0})
+    assert np.shape(answer.json()["samples"]) == (7, 3)
+
+
+LOOKUPS = "{points_per_link: 3, side_m: 0.1}"
+GATED = ("gate.cells=4", "gate.steps=20", "gate.points=32", f"local.generator_lookups={LOOKUPS}")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("form", "last"), [("mixture", "local-1"), ("distilled", "distilled"), ("guided", "global")]
+)
+def test_every_form_of_the_clusters_ends_in_a_bundle_that_answers(form, last, server, data_folder, tmp_path):
+    result = run_job(server, data_folder, f"clusters.form={form}", *GATED, f"local.critic_lookups={LOOKUPS}",
+                     f"global.generator_lookups={LOOKUPS}", f"global.critic_lookups={LOOKUPS}")  # fmt: skip
+    expected = {"vae", "validity", "gate", "local-0", "local-1", last}
+    assert set(result["trials"]) == expected
+    registry = MlflowRegistry(server)
+    bundle = Bundle.load(
+        registry.download(registry.version(MODEL_NAME, result["version"]), tmp_path / "bundle")
+    )
+    assert bundle.spec.looks_at_picture
+    assert bundle.sample(np.full((48, 48, 3), 255, dtype=np.uint8), 9, 1).samples.shape == (9, 2)
 
 
 @pytest.mark.slow
