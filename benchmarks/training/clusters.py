@@ -100,38 +100,45 @@ BARE = [
 ]
 
 
-def prepare(joints: int, out: Path) -> tuple[TrainingArrays, Encoder]:
-    """Data and latents of an arm with so many joints; trained once, kept in ``out``."""
+def prepare(joints: int, out: Path) -> tuple[TrainingArrays, Encoder, torch.Tensor]:
+    """Data, encoder and pictures for an arm with so many joints; trained once, kept in ``out``."""
     config = load_config("quickstart" if joints == 2 else "three_link")
     dataset = generate(config.data, out / "data" / config.data.folder_name)
     images, weights = np.asarray(dataset.images), out / f"encoder-{joints}.safetensors"
     pictures = images if dataset.extra_images is None else np.concatenate([images, dataset.extra_images])
+    pictures = torch.tensor(np.ascontiguousarray(pictures.transpose(0, 3, 1, 2)))
     with seeded_initialisation(0):
-        module = VaeModule(config.vae, torch.tensor(np.ascontiguousarray(pictures.transpose(0, 3, 1, 2))), 0)
+        module = VaeModule(config.vae, pictures, 0)
     if not weights.is_file():
         for step in range(config.vae.steps):
             module.training_step(step, step)
         save_file(module.encoder.state_dict(), weights)
     module.encoder.load_state_dict(load_file(weights))
-    module.encoder.eval()
-    latents = encode(module.encoder, images)
     free = np.array(dataset.free)
     ids = np.repeat(np.arange(dataset.scenario_count), np.diff(dataset.free_offsets))
+    empty = np.zeros((0, config.vae.latent_dim), dtype=np.float32)
     labels = np.zeros(len(free), dtype=np.int64)
-    arrays = TrainingArrays(
-        free, ids, labels, latents.mu, latents.sigma, dataset.robot, dataset.camera, np.array(images)
-    )
-    return arrays, module.encoder
+    camera, images = dataset.camera, np.array(images)
+    arrays = TrainingArrays(free, ids, labels, empty, empty, dataset.robot, camera, images)
+    return arrays, module.encoder, pictures
 
 
 class Trainer:
     """Trains the arms of one number of joints and measures them."""
 
     def __init__(self, joints: int, out: Path) -> None:
-        self.arrays, self.encoder = prepare(joints, out)
+        self.arrays, encoder, self.pictures = prepare(joints, out)
+        self.with_encoder(encoder)
         stage = Stage(self.arrays.robot, self.arrays.camera, Split.VALIDATION, 0)
         self.scenes = [Scene(stage, index) for index in range(SCENARIOS)]
         self.held_out = [scene.free(SAMPLES, scene.rng(0)) for scene in self.scenes]
+
+    def with_encoder(self, encoder: Encoder) -> TrainingArrays:
+        """Latents by this encoder from now on."""
+        self.encoder = encoder.eval()
+        latents = encode(self.encoder, self.arrays.images)
+        self.arrays = replace(self.arrays, mu=latents.mu, sigma=latents.sigma)
+        return self.arrays
 
     def run(self, task: Task) -> dict[str, object]:
         began = time.perf_counter()

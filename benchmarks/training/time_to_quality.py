@@ -1,0 +1,217 @@
+"""Steps a second, and seconds until the sampler is good: EDr below 0.3 and precision above 0.84, on one thread.
+
+    python benchmarks/training/time_to_quality.py --out build/time --repeats 3
+
+Trains what the quickstart trains, one part after the other on one thread (or on a GPU where there is one), and
+stops the clock whenever it looks at the quality, on validation scenarios. Beside it, in the same run, steps a
+second of the local WGAN-GP in our loop and in a plain Lightning loop of the same mathematics: automatic
+fetching of shuffled batches by a data loader, everything else alike.
+"""
+
+import argparse
+import json
+import statistics
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import lightning
+import numpy as np
+import torch
+from torch.utils.data import DataLoader, TensorDataset
+
+from benchmarks.training.clusters import Trainer
+from training.clustering import cluster, group, points_in_cells
+from training.config import load_config
+from training.models.checkpoint import seeded_initialisation
+from training.models.data import Batch, ScenarioSamples
+from training.models.gate import GateModule, gate_probabilities
+from training.models.lookups import make_lookups
+from training.models.mixture import Experts, GatedSampler
+from training.models.modules import VaeModule, WganGpModule
+from training.trials.arrays import GatedCells
+from training.trials.fit import Rhythm, fit
+
+QUALITY = {"edr": 0.3, "precision": 0.84}
+LOOK_EVERY = 10
+
+
+class Clock:
+    """Runs only while it is entered."""
+
+    def __init__(self) -> None:
+        self.seconds = 0.0
+
+    def __enter__(self) -> "Clock":
+        self.began = time.perf_counter()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if torch.cuda.is_available():
+            torch.cuda.synchronize()
+        self.seconds += time.perf_counter() - self.began
+
+
+def time_to_quality(trainer: Trainer, pictures: torch.Tensor, uniform: float, seed: int) -> dict[str, object]:
+    """Seconds by part until the quality is reached, or what was reached at the preset's end."""
+    config = load_config("quickstart", [f"seed={seed}"])
+    device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    clocks = {name: Clock() for name in ("vae", "cells and gate", "generators")}
+    with seeded_initialisation(seed):
+        vae = VaeModule(config.vae, pictures, seed).to(device)
+    with clocks["vae"]:
+        for step in range(config.vae.steps):
+            vae.training_step(step, step)
+    arrays = trainer.with_encoder(vae.encoder.cpu().eval())
+    with clocks["cells and gate"]:
+        cells = cluster(arrays.configurations, config.gate.cells, config.clusters.fit_samples, seed)
+        clusters = group(cells, config.clusters.count, seed)
+        gated = GatedCells(points_in_cells(cells, config.gate.points, seed), cells.labels, clusters)
+        arrays = replace(arrays, labels=clusters[cells.labels], cells=gated)
+        with seeded_initialisation(seed):
+            gate = GateModule(
+                config.gate, torch.tensor(arrays.mu), torch.tensor(arrays.sigma), arrays.shares(), seed
+            )
+        for step in range(config.gate.steps):
+            gate.training_step(step, step)
+        probabilities = gate_probabilities(gate.gate, arrays.mu)
+        arrays = replace(arrays, cells=replace(gated, probabilities=probabilities))
+        modules = [
+            local_module(config, arrays, index, seed).to(device) for index in range(config.clusters.count)
+        ]
+        for module in modules:
+            module.on_fit_start()
+    lookups = make_lookups(config.local.generator_lookups, arrays.robot, arrays.camera)
+    found = {}
+    for first in range(0, config.local.steps, LOOK_EVERY):
+        with clocks["generators"]:
+            for module in modules:
+                for step in range(first, first + LOOK_EVERY):
+                    module.training_step(step, step)
+        experts = Experts([module.generator.cpu() for module in modules], torch.tensor(clusters))
+        rows = np.array(trainer.measure(GatedSampler(gate.gate, gated.points, experts, lookups)))
+        for module in modules:
+            module.generator.to(device)
+        found = {
+            "steps": first + LOOK_EVERY,
+            "precision": float(rows[:, 0].mean()),
+            "coverage": float(rows[:, 1].mean()),
+            "edr": float(rows[:, 2].sum() / uniform),
+        }
+        print(f"seed {seed}: {found}", flush=True)
+        if found["edr"] < QUALITY["edr"] and found["precision"] > QUALITY["precision"]:
+            break
+    parts = {name: clock.seconds for name, clock in clocks.items()}
+    return found | {"seconds": sum(parts.values()), **parts}
+
+
+def local_module(config, arrays, index: int, seed: int) -> WganGpModule:
+    with seeded_initialisation(seed + 1 + index):
+        return WganGpModule(
+            config.local,
+            arrays.samples(index),
+            arrays.scale,
+            seed,
+            base=arrays.base(index),
+            scenes=arrays.scenes(),
+        )
+
+
+class PlainLoop(lightning.LightningModule):
+    """The same step, fed by a data loader: a batch for every critic step and one for the generator's."""
+
+    def __init__(self, module: WganGpModule) -> None:
+        super().__init__()
+        self.module, self.automatic_optimization = module, False
+
+    def configure_optimizers(self):
+        return self.module.training_optimisers
+
+    def training_step(self, batch, index):
+        del index
+        module = self.module
+        critic, generator = self.optimizers()
+        parts = [tensor.split(module.config.batch_size) for tensor in batch]
+        for number, (configurations, ids) in enumerate(zip(*parts, strict=True)):
+            real = Batch(configurations, ids, module.samples.mu[ids], module.samples.sigma[ids])
+            last = number == module.config.critic_steps
+            loss = module.generator_step_loss(real) if last else module.critic_step_loss(real)
+            optimiser = generator if last else critic
+            optimiser.zero_grad()
+            self.manual_backward(loss)
+            optimiser.step()
+        self.log_dict(module.metrics())
+
+
+class ForgetfulRun:
+    run_id = "none"
+
+    def metrics(self, metrics, step):
+        pass
+
+    def flush(self):
+        pass
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, kind, error, trace):
+        pass
+
+
+def steps_per_second(trainer: Trainer, plain: bool, steps: int) -> float:
+    """Generator steps a second of the quickstart's local WGAN-GP, after a warm-up of a few steps."""
+    config = load_config("quickstart", ["gate.cells=0", "clusters.form=guided", f"local.steps={steps}"])
+    module = local_module(config, trainer.arrays, 0, 0)
+    for step in range(3):
+        module.training_step(step, step)
+    began = time.perf_counter()
+    if plain:
+        samples: ScenarioSamples = module.samples
+        data = TensorDataset(samples.configurations, samples.ids)
+        size = config.local.batch_size * (config.local.critic_steps + 1)
+        loop = lightning.Trainer(
+            max_epochs=1,
+            limit_train_batches=steps,
+            logger=False,
+            enable_checkpointing=False,
+            enable_progress_bar=False,
+            enable_model_summary=False,
+        )
+        loop.fit(PlainLoop(module), DataLoader(data, size, shuffle=True))
+    else:
+        fit("local-0", module, steps, Rhythm(20, 10**9), ForgetfulRun(), lambda metrics, folder: None)
+    return steps / (time.perf_counter() - began)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--repeats", type=int, default=3)
+    parser.add_argument("--steps", type=int, default=40, help="of each timed loop")
+    options = parser.parse_args()
+    torch.set_num_threads(1)
+    options.out.mkdir(parents=True, exist_ok=True)
+    trainer = Trainer(2, options.out)
+    uniform = float(np.array(trainer.uniform())[:, 2].sum())
+    rates = {"ours": [], "plain": []}
+    for turn in range(options.repeats):
+        for name in ("ours", "plain") if turn % 2 == 0 else ("plain", "ours"):
+            rates[name].append(steps_per_second(trainer, name == "plain", options.steps))
+    ratios = [a / b for a, b in zip(rates["ours"], rates["plain"], strict=True)]
+    for name, values in (*rates.items(), ("ours over plain", ratios)):
+        print(f"{name}: median {statistics.median(values):.2f}, {min(values):.2f} to {max(values):.2f}")
+    reached = [time_to_quality(trainer, trainer.pictures, uniform, seed) for seed in range(options.repeats)]
+    (options.out / "time.json").write_text(json.dumps({"rates": rates, "reached": reached}, indent=2))
+    seconds = [float(row["seconds"]) for row in reached]
+    print(
+        f"time to quality: median {statistics.median(seconds):.0f} s, {min(seconds):.0f} to {max(seconds):.0f}"
+    )
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
