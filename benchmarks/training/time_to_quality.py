@@ -1,11 +1,11 @@
-"""Steps a second, and seconds until the sampler is good: EDr below 0.3 and precision above 0.84, on one thread.
+"""Steps a second, and seconds until the sampler is good: EDr below 0.3, precision above 0.84, one thread.
 
     python benchmarks/training/time_to_quality.py --out build/time --repeats 3
 
-Trains what the quickstart trains, one part after the other on one thread (or on a GPU where there is one), and
-stops the clock whenever it looks at the quality, on validation scenarios. Beside it, in the same run, steps a
-second of the local WGAN-GP in our loop and in a plain Lightning loop of the same mathematics: automatic
-fetching of shuffled batches by a data loader, everything else alike.
+Trains what the quickstart trains, one part after the other on one thread (or on a GPU where there is one),
+and stops the clock whenever it looks at the quality, on validation scenarios. Beside it, in the same run,
+steps a second of the local WGAN-GP in our loop and in a plain Lightning loop of the same mathematics, which
+fetches shuffled batches from a data loader.
 """
 
 import argparse
