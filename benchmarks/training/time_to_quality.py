@@ -15,6 +15,7 @@ import sys
 import time
 from dataclasses import replace
 from pathlib import Path
+from typing import Self
 
 import lightning
 import numpy as np
@@ -43,7 +44,7 @@ class Clock:
     def __init__(self) -> None:
         self.seconds = 0.0
 
-    def __enter__(self) -> "Clock":
+    def __enter__(self) -> Self:
         self.began = time.perf_counter()
         return self
 
@@ -181,8 +182,12 @@ def steps_per_second(trainer: Trainer, plain: bool, steps: int) -> float:
         )
         loop.fit(PlainLoop(module), DataLoader(data, size, shuffle=True))
     else:
-        fit("local-0", module, steps, Rhythm(20, 10**9), ForgetfulRun(), lambda metrics, folder: None)
+        fit("local-0", module, steps, Rhythm(20, 10**9), ForgetfulRun(), _keep_nothing)
     return steps / (time.perf_counter() - began)
+
+
+def _keep_nothing(metrics, checkpoint):
+    del metrics, checkpoint
 
 
 def main() -> int:
@@ -208,7 +213,8 @@ def main() -> int:
     (options.out / "time.json").write_text(json.dumps({"rates": rates, "reached": reached}, indent=2))
     seconds = [float(row["seconds"]) for row in reached]
     print(
-        f"time to quality: median {statistics.median(seconds):.0f} s, {min(seconds):.0f} to {max(seconds):.0f}"
+        f"time to quality: median {statistics.median(seconds):.0f} s,"
+        f" {min(seconds):.0f} to {max(seconds):.0f}"
     )
     return 0
 
