@@ -19,9 +19,12 @@ from training.trials.trainables import TrainingArrays
 
 @dataclass(frozen=True, slots=True)
 class TrainedParts:
-    """What the trials left: folders of checkpoints, and the arrays they were trained on."""
+    """What the trials left: folders of checkpoints, and the arrays they were trained on.
 
-    vae: Path
+    ``encoder`` is the VAE's, or the generator's own where the two were trained together.
+    """
+
+    encoder: Path
     generator: Path
     validity: Path | None
     arrays: TrainingArrays
@@ -38,7 +41,7 @@ def make_bundle(folder: Path, config: TrainConfig, dataset: Dataset, parts: Trai
     with seeded_initialisation(0):
         generator = make_generator(gan, dim, latent_dim, parts.arrays.scale)
     generator.load_state_dict(load_weights(parts.generator, "generator"))
-    encoder = load_encoder(config.vae, dataset.camera.pixels, parts.vae)
+    encoder = load_encoder(config.vae, dataset.camera.pixels, parts.encoder)
     graphs = {
         "encoder": encoder_graph(encoder, dataset.camera.pixels),
         "generator": generator_graph(generator, dim, latent_dim, gan.noise_dim),

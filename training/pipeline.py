@@ -1,6 +1,7 @@
 """The main job: data, VAE and validity head, clusters, local trials, global trial, bundle, registry."""
 
 import logging
+import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,16 +10,16 @@ import numpy as np
 
 from cspace.bundle import Bundle
 from cspace.dataset import Dataset, open_dataset
+from cspace.errors import ConfigError
 from services.registry.mlflow_registry import MlflowRegistry
-from services.registry.mlflow_tracking import MlflowTracking
-from services.registry.names import ALIAS_CHALLENGER, EXPERIMENT, MODEL_NAME
-from services.registry.tracking import RunLog
+from services.registry.names import ALIAS_CHALLENGER, MODEL_NAME
 from training.bundling import TrainedParts, make_bundle
 from training.clustering import cluster
 from training.config import TrainConfig
 from training.datasets.generate import generate
-from training.encode import encode, load_encoder
+from training.encode import Latents, encode, load_encoder
 from training.environment import Environment
+from training.job import Job
 from training.provenance import source_state
 from training.reporting import log_result, log_start
 from training.trials.launch import TrialOutcome, connect, run_trials
@@ -28,6 +29,7 @@ from training.trials.trainables import (
     VALIDITY,
     TrainingArrays,
     global_trial,
+    joint_trial,
     local_trial,
     picture_trial,
 )
@@ -60,21 +62,6 @@ class TrainResult:
     figures: tuple[str, ...]
 
 
-@dataclass(frozen=True, slots=True)
-class _Job:
-    """A job under way: its configuration, its parent run and the folder of its trials."""
-
-    config: TrainConfig
-    environment: Environment
-    tracking: MlflowTracking
-    run: RunLog
-    folder: Path
-
-    def child(self, name: str) -> str:
-        """A child run, made here so that a retried trial continues it."""
-        return self.tracking.start(EXPERIMENT, name, parent_run_id=self.run.run_id).run_id
-
-
 def train(config: TrainConfig, environment: Environment) -> TrainResult:
     """Run the whole job.
 
@@ -82,20 +69,38 @@ def train(config: TrainConfig, environment: Environment) -> TrainResult:
         CspaceError: bad data, a failed trial, or a registry that does not answer.
     """
     connect()
-    dataset = prepare_data(config, environment.data_folder)
-    tracking = MlflowTracking(environment.tracking_uri)
-    with tracking.start(EXPERIMENT, "cluster-train", tags=_tags(config)) as run:
-        job = _Job(config, environment, tracking, run, environment.data_folder / "jobs" / run.run_id)
-        log_start(run, config, dataset)
+    return _run(Job.start(config, environment, _tags(config)))
+
+
+def resume(run_id: str, environment: Environment) -> TrainResult:
+    """Go on with a job that was stopped: finished trials stay, others start from their checkpoints.
+
+    Args:
+        run_id: the job's parent run.
+        environment: the same as the job's.
+
+    Raises:
+        CspaceError: as for :func:`train`; ConfigError where there is no such job.
+    """
+    connect()
+    return _run(Job.resume(run_id, environment))
+
+
+def _run(job: Job) -> TrainResult:
+    with job.run as run:
+        _LOG.info("run: %s", run.run_id)
+        dataset = prepare_data(job.config, job.environment.data_folder)
+        log_start(run, job.config, dataset)
         vae, head = train_on_pictures(job, dataset)
         arrays = encode_and_cluster(job, dataset, vae)
         local = train_local(job, arrays)
-        final = train_global(job, arrays, local)
+        final = train_global(job, dataset, arrays, local)
         _LOG.info("bundle: exporting")
-        validity = None if head is None else head.checkpoint
-        parts = TrainedParts(vae.checkpoint, final.checkpoint, validity, arrays)
-        bundle = make_bundle(job.folder / "bundle", config, dataset, parts)
-        outcomes = [vae, *([] if head is None else [head]), *local, final]
+        encoder = final.checkpoint if job.config.joint else _encoder_checkpoint(job, vae)
+        parts = TrainedParts(encoder, final.checkpoint, None if head is None else head.checkpoint, arrays)
+        shutil.rmtree(job.folder / "bundle", ignore_errors=True)
+        bundle = make_bundle(job.folder / "bundle", job.config, dataset, parts)
+        outcomes = [outcome for outcome in (vae, head, *local, final) if outcome is not None]
         figures = log_result(run, bundle, dataset, {outcome.name: outcome for outcome in outcomes})
         return _register(job, dataset, bundle, outcomes, figures)
 
@@ -107,17 +112,21 @@ def prepare_data(config: TrainConfig, data_folder: Path) -> Dataset:
     return generate(config.data, data_folder / "datasets" / config.data.folder_name)
 
 
-def train_on_pictures(job: _Job, dataset: Dataset) -> tuple[TrialOutcome, TrialOutcome | None]:
+def train_on_pictures(job: Job, dataset: Dataset) -> tuple[TrialOutcome | None, TrialOutcome | None]:
     """Stage 3: one VAE over all pictures, shared by every later trial; the validity head beside it.
 
-    Without configurations in collision, or with no steps for it, there is no head.
+    Without configurations in collision, or with no steps for it, there is no head; with an encoder that is
+    there already, or that is trained with the generator, there is no VAE.
     """
     config = job.config
     images = np.asarray(dataset.images)
     if dataset.extra_images is not None:
         images = np.concatenate([images, dataset.extra_images])
     occupancy = OccupancyArrays.of(dataset) if config.validity.steps > 0 else None
-    names = [VAE] if occupancy is None else [VAE, VALIDITY]
+    vae = not config.joint and config.vae.checkpoint is None
+    names = [name for name, wanted in ((VAE, vae), (VALIDITY, occupancy is not None)) if wanted]
+    if not names:
+        return None, None
     _LOG.info("%s: %d pictures", " and ".join(names), len(images))
     trials = [{"name": name, "run_id": job.child(name), "seed": config.seed} for name in names]
     shared = {
@@ -126,15 +135,22 @@ def train_on_pictures(job: _Job, dataset: Dataset) -> tuple[TrialOutcome, TrialO
         "occupancy": occupancy,
         "tracking_uri": job.environment.tracking_uri,
     }
-    vae, *head = run_trials(picture_trial, trials, shared, config.resources, job.folder / "pictures")
-    return vae, head[0] if head else None
+    done = run_trials(picture_trial, trials, shared, config.resources, job.folder / "pictures")
+    outcomes = {outcome.name: outcome for outcome in done}
+    return outcomes.get(VAE), outcomes.get(VALIDITY)
 
 
-def encode_and_cluster(job: _Job, dataset: Dataset, vae: TrialOutcome) -> TrainingArrays:
-    """Stage 4: latents of the scenarios and k-means over the configuration space."""
-    config = job.config
-    encoder = load_encoder(config.vae, dataset.camera.pixels, vae.checkpoint)
-    latents = encode(encoder, np.asarray(dataset.images))
+def encode_and_cluster(job: Job, dataset: Dataset, vae: TrialOutcome | None) -> TrainingArrays:
+    """Stage 4: latents of the scenarios and k-means over the configuration space.
+
+    An encoder that is yet to be trained with the generator leaves the latents at zero.
+    """
+    config, images = job.config, np.asarray(dataset.images)
+    if config.joint:
+        latents = Latents.none(len(images), config.vae.latent_dim)
+    else:
+        encoder = load_encoder(config.vae, dataset.camera.pixels, _encoder_checkpoint(job, vae))
+        latents = encode(encoder, images)
     free = np.asarray(dataset.free)
     clusters = cluster(free, config.clusters.count, config.clusters.fit_samples, config.seed)
     _LOG.info("clusters: sizes %s", ", ".join(str(size) for size in clusters.sizes))
@@ -142,7 +158,7 @@ def encode_and_cluster(job: _Job, dataset: Dataset, vae: TrialOutcome) -> Traini
     return TrainingArrays(free, ids, clusters.labels, latents.mu, latents.sigma)
 
 
-def train_local(job: _Job, arrays: TrainingArrays) -> list[TrialOutcome]:
+def train_local(job: Job, arrays: TrainingArrays) -> list[TrialOutcome]:
     """Stage 5: one WGAN-GP a cluster, in parallel."""
     trials = [
         {
@@ -151,26 +167,40 @@ def train_local(job: _Job, arrays: TrainingArrays) -> list[TrialOutcome]:
             "seed": job.config.seed + 1 + index,
             "cluster": index,
         }
-        for index in range(job.config.clusters.count)
+        for index in range(job.config.local_trials)
     ]
+    if not trials:
+        return []
     shared = {"train": job.config, "arrays": arrays, "tracking_uri": job.environment.tracking_uri}
     return run_trials(local_trial, trials, shared, job.config.resources, job.folder / "local")
 
 
-def train_global(job: _Job, arrays: TrainingArrays, local: Sequence[TrialOutcome]) -> TrialOutcome:
-    """Stage 6: the global WGAN-GP, guided by the local critics."""
+def train_global(
+    job: Job, dataset: Dataset, arrays: TrainingArrays, local: Sequence[TrialOutcome]
+) -> TrialOutcome:
+    """Stage 6: the global WGAN-GP, guided by the local critics, or with the encoder that it trains."""
     trial = {"name": "global", "run_id": job.child("global"), "seed": job.config.seed}
-    shared = {
-        "train": job.config,
-        "arrays": arrays,
-        "local_checkpoints": [str(outcome.checkpoint) for outcome in local],
-        "tracking_uri": job.environment.tracking_uri,
-    }
-    return run_trials(global_trial, [trial], shared, job.config.resources, job.folder / "global")[0]
+    shared = {"train": job.config, "arrays": arrays, "tracking_uri": job.environment.tracking_uri}
+    if job.config.joint:
+        shared["images"] = np.asarray(dataset.images)
+    else:
+        shared["local_checkpoints"] = [str(outcome.checkpoint) for outcome in local]
+    trainable = joint_trial if job.config.joint else global_trial
+    return run_trials(trainable, [trial], shared, job.config.resources, job.folder / "global")[0]
+
+
+def _encoder_checkpoint(job: Job, vae: TrialOutcome | None) -> Path:
+    """Where the encoder's weights are: in the job's own VAE trial, or where the configuration says."""
+    given = job.config.vae.checkpoint
+    if vae is not None:
+        return vae.checkpoint
+    if given is None or not given.is_dir():
+        raise ConfigError("there is no encoder", expected="a VAE trial's checkpoint", got=str(given))
+    return given
 
 
 def _register(
-    job: _Job, dataset: Dataset, bundle: Bundle, outcomes: Sequence[TrialOutcome], figures: tuple[str, ...]
+    job: Job, dataset: Dataset, bundle: Bundle, outcomes: Sequence[TrialOutcome], figures: tuple[str, ...]
 ) -> TrainResult:
     registry = MlflowRegistry(job.environment.tracking_uri)
     tags = {"data_digest": dataset.digest, "preset": job.config.preset, "seed": str(job.config.seed)}

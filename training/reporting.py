@@ -30,10 +30,10 @@ def log_result(
 ) -> tuple[str, ...]:
     """Curves of all trials, samples against truth for seen and unseen scenarios; returns their names."""
     histories = {name: read_progress(outcome.checkpoint).history for name, outcome in outcomes.items()}
-    head = histories.pop("validity", None)
+    head, vae = histories.pop("validity", None), histories.pop("vae", None)
     figures = {
         **({} if head is None else {"validity-losses": validity_curves(head)}),
-        "vae-losses": vae_curves(histories.pop("vae")),
+        **({} if vae is None else {"vae-losses": vae_curves(vae)}),
         "wgan-losses": wgan_curves(histories),
         **_galleries(bundle, dataset),
     }

@@ -16,6 +16,7 @@ from services.registry.mlflow_tracking import MlflowTracking
 from training.config import GanConfig, TrainConfig
 from training.models.checkpoint import load_weights, seeded_initialisation
 from training.models.data import ScenarioSamples
+from training.models.joint import JointModule
 from training.models.modules import Metrics, TrialModule, VaeModule, WganGpModule, make_critic
 from training.models.networks import Critic
 from training.models.validity import ValidityModule
@@ -68,7 +69,7 @@ def picture_trial(
 ) -> None:
     """Train what learns from (N, P, P, 3) pictures and needs no latents: the VAE, or the validity head."""
     trial = config["trial"]
-    pictures = torch.tensor(np.ascontiguousarray(images.transpose(0, 3, 1, 2)))
+    pictures = _channels_first(images)
     module: TrialModule
     with seeded_initialisation(trial["seed"]):
         if occupancy is not None and trial["name"] == VALIDITY:
@@ -105,6 +106,31 @@ def global_trial(
         weight = train.global_.local_critic_weight
         module = WganGpModule(train.global_, samples, scale, trial["seed"], critics, weight)
     _fit(trial, module, train.global_.steps, train, tracking_uri)
+
+
+def joint_trial(
+    config: Mapping[str, Any],
+    train: TrainConfig,
+    arrays: TrainingArrays,
+    images: NDArray[np.uint8],
+    tracking_uri: str,
+) -> None:
+    """Train one WGAN-GP on all data together with the encoder of (S, P, P, 3) pictures."""
+    trial = config["trial"]
+    with seeded_initialisation(trial["seed"]):
+        module = JointModule(
+            train.global_,
+            train.vae,
+            arrays.samples(None),
+            _channels_first(images),
+            arrays.scale,
+            trial["seed"],
+        )
+    _fit(trial, module, train.global_.steps, train, tracking_uri)
+
+
+def _channels_first(images: NDArray[np.uint8]) -> torch.Tensor:
+    return torch.tensor(np.ascontiguousarray(images.transpose(0, 3, 1, 2)))
 
 
 def _frozen_critic(
