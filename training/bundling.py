@@ -4,6 +4,8 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
+from torch import Tensor
+
 from cspace.bundle import Bundle, BundleSpec, Provenance, RandomInput, write_bundle
 from cspace.dataset import Dataset
 from cspace.space import Standardisation
@@ -14,20 +16,23 @@ from training.models.export import encoder_graph, generator_graph, validity_grap
 from training.models.modules import make_generator
 from training.models.validity import ValidityHead
 from training.provenance import command_line, now, source_state
-from training.trials.trainables import TrainingArrays
 
 
 @dataclass(frozen=True, slots=True)
 class TrainedParts:
-    """What the trials left: folders of checkpoints, and the arrays they were trained on.
+    """What the trials left.
 
-    ``encoder`` is the VAE's, or the generator's own where the two were trained together.
+    Args:
+        encoder: checkpoint of the VAE, or the generator's own where the two were trained together.
+        generator: checkpoint of the global WGAN-GP.
+        validity: checkpoint of the validity head, if there is one.
+        scale: mean and standard deviation of the configurations that were trained on, each (d,) rad.
     """
 
     encoder: Path
     generator: Path
     validity: Path | None
-    arrays: TrainingArrays
+    scale: tuple[Tensor, Tensor]
 
 
 def make_bundle(folder: Path, config: TrainConfig, dataset: Dataset, parts: TrainedParts) -> Bundle:
@@ -39,7 +44,7 @@ def make_bundle(folder: Path, config: TrainConfig, dataset: Dataset, parts: Trai
     """
     gan, latent_dim, dim = config.global_, config.vae.latent_dim, dataset.dim
     with seeded_initialisation(0):
-        generator = make_generator(gan, dim, latent_dim, parts.arrays.scale)
+        generator = make_generator(gan, dim, latent_dim, parts.scale)
     generator.load_state_dict(load_weights(parts.generator, "generator"))
     encoder = load_encoder(config.vae, dataset.camera.pixels, parts.encoder)
     graphs = {
@@ -51,7 +56,7 @@ def make_bundle(folder: Path, config: TrainConfig, dataset: Dataset, parts: Trai
             head = ValidityHead(config.validity, dataset.robot, dataset.camera)
         head.load_state_dict(load_weights(parts.validity, "head"))
         graphs["validity"] = validity_graph(head, dataset.camera.pixels, dim)
-    scale = Standardisation(*(tuple(float(v) for v in part) for part in parts.arrays.scale))
+    scale = Standardisation(*(tuple(float(v) for v in part) for part in parts.scale))
     spec = BundleSpec(
         robot=dataset.robot,
         latent_dim=latent_dim,

@@ -8,7 +8,7 @@ from pathlib import Path
 from cspace.errors import ConfigError
 from services.registry.mlflow_tracking import MlflowTracking
 from services.registry.names import EXPERIMENT
-from services.registry.tracking import RunLog
+from services.registry.tracking import RunLog, Tracking
 from training.config import TrainConfig
 from training.environment import Environment
 
@@ -30,7 +30,7 @@ class Job:
 
     config: TrainConfig
     environment: Environment
-    tracking: MlflowTracking
+    tracking: Tracking
     run: RunLog
     folder: Path
     children: dict[str, str]

@@ -97,7 +97,8 @@ def _run(job: Job) -> TrainResult:
         final = train_global(job, dataset, arrays, local)
         _LOG.info("bundle: exporting")
         encoder = final.checkpoint if job.config.joint else _encoder_checkpoint(job, vae)
-        parts = TrainedParts(encoder, final.checkpoint, None if head is None else head.checkpoint, arrays)
+        validity = None if head is None else head.checkpoint
+        parts = TrainedParts(encoder, final.checkpoint, validity, arrays.scale)
         shutil.rmtree(job.folder / "bundle", ignore_errors=True)
         bundle = make_bundle(job.folder / "bundle", job.config, dataset, parts)
         outcomes = [outcome for outcome in (vae, head, *local, final) if outcome is not None]

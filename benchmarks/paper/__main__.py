@@ -11,12 +11,15 @@ folder, on a GPU where there is one; then writes bundles, figures and the table.
 import argparse
 import logging
 import os
+import signal
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 
 from benchmarks.paper.columns import COLUMNS, CONTROLS, Scale
 from benchmarks.paper.jobs import Study, train_columns
+from benchmarks.paper.measures import Effort
+from benchmarks.paper.report import judge_columns
 from cspace.errors import CspaceError, InputError
 
 
@@ -33,7 +36,8 @@ def parser() -> argparse.ArgumentParser:
     parser.add_argument("--at-once", type=int, choices=(1, 2), default=1, help="trials at once (1)")
     parser.add_argument("--controls", nargs="*", default=[], choices=[c.name for c in CONTROLS])
     parser.add_argument("--set", dest="changes", action="append", default=[], metavar="KEY=VALUE")
-    parser.add_argument("--train-only", action="store_true", help="leave the judging to a later call")
+    parser.add_argument("--scenarios", type=int, default=100, help="seen and unseen, for the table (100)")
+    parser.add_argument("--only", choices=("train", "judge"), help="one half; judge takes what is trained")
     return parser
 
 
@@ -45,8 +49,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     scale = Scale(options.share, options.hidden, options.snapshots, changes=tuple(options.changes))
     study = Study(options.out.resolve(), scale, options.at_once)
     columns = [*COLUMNS, *(control for control in CONTROLS if control.name in options.controls)]
+    # Ends the jobs that run, too; they go on with the next call.
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
     try:
-        train_columns(study, columns, say=_say)
+        if options.only != "judge":
+            train_columns(study, columns, say=_say)
+        if options.only != "train":
+            judge_columns(study, columns, Effort(scenarios=options.scenarios), say=_say)
     except CspaceError as error:
         print(f"paper: {error}", file=sys.stderr)
         return 2 if isinstance(error, InputError) else 1

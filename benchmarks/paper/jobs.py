@@ -114,6 +114,8 @@ def train_columns(study: Study, columns: Sequence[Column], say: Callable[[str], 
     if not waiting:
         return
     study.log(base).parent.mkdir(parents=True, exist_ok=True)
+    # The study's own niceness is the user's choice; Ray would add 15.
+    os.environ.setdefault("RAY_worker_niceness", "0")
     ray.init(num_cpus=study.at_once, include_dashboard=False, runtime_env={"env_vars": QUIET})
     running: list[Running] = []
     pace, shown_s = Pace(sum(steps_of(study.scale.config(column, None)) for column in columns)), 0.0

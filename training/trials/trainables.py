@@ -47,7 +47,7 @@ class TrainingArrays:
     @property
     def scale(self) -> tuple[torch.Tensor, torch.Tensor]:
         """Mean and standard deviation of all configurations, each (d,) rad."""
-        return torch.tensor(self.configurations.mean(axis=0)), torch.tensor(self.configurations.std(axis=0))
+        return scale_of(self.configurations)
 
     def samples(self, cluster: int | None) -> ScenarioSamples:
         """The configurations of one cluster, or all of them; copied, for the shared ones are read-only."""
@@ -58,6 +58,11 @@ class TrainingArrays:
                 for array in (self.configurations[rows], self.ids[rows], self.mu, self.sigma)
             )
         )
+
+
+def scale_of(configurations: NDArray[np.float32]) -> tuple[torch.Tensor, torch.Tensor]:
+    """Mean and standard deviation of (M, d) configurations, each (d,) rad."""
+    return torch.tensor(configurations.mean(axis=0)), torch.tensor(configurations.std(axis=0))
 
 
 def picture_trial(
