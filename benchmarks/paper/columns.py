@@ -79,6 +79,8 @@ class Scale:
             f"resources.checkpoints_kept={self.snapshots + 1}",
             f"resources.log_every_steps={max(1, scaled['global'] // 400)}",
             f"resources.gpus_per_trial={gpus}",
+            # Hours on a shared machine: Ray takes a worker that gets no processor for dead.
+            "resources.max_failures=20",
             *([] if encoder is None else [f"vae.checkpoint={encoder}"]),
         ]
 
