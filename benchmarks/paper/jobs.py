@@ -165,7 +165,12 @@ def _start(study: Study, column: Column, base: Column) -> subprocess.Popen[bytes
     }
     with study.log(column).open("ab") as log:
         return subprocess.Popen(
-            [sys.executable, str(JOB), *arguments], env=environment, stdout=log, stderr=subprocess.STDOUT
+            [sys.executable, str(JOB), *arguments],
+            # MLflow puts the artifacts of a store without a server below the working folder.
+            cwd=study.out,
+            env=environment,
+            stdout=log,
+            stderr=subprocess.STDOUT,
         )
 
 

@@ -1,10 +1,12 @@
 """The paper's comparison on tiny bundles: what it asks of the jobs, its table, its pictures."""
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from benchmarks.paper import jobs
 from benchmarks.paper.columns import COLUMNS, CONTROLS, Scale
 from benchmarks.paper.figures import convergence, reconstruction, typical
 from benchmarks.paper.jobs import Pace, Study, steps_of
@@ -81,6 +83,17 @@ def test_the_encoder_is_there_only_when_it_is_trained_to_its_end(study):
     assert study.encoder(SINGLE) is None
     begun(study, SINGLE, trial="vae", steps=(30, 60))
     assert study.encoder(SINGLE) == study.checkpoints(SINGLE, "vae")[60]
+
+
+def test_a_columns_job_works_inside_the_studys_folder(study, monkeypatch):
+    started = {}
+    monkeypatch.setattr(jobs.subprocess, "Popen", lambda command, **options: started.update(options))
+    monkeypatch.setattr(jobs.ray, "get_runtime_context", lambda: SimpleNamespace(gcs_address="here:1"))
+    study.log(JOINT).parent.mkdir(parents=True)
+    jobs._start(study, JOINT, SINGLE)
+    assert started["cwd"] == study.out
+    assert started["env"]["CSPACE_DATA_DIR"] == str(study.data)
+    assert started["env"]["RAY_ADDRESS"] == "here:1"
 
 
 def test_the_time_left_is_told_by_the_pace_of_this_start(monkeypatch):
