@@ -42,14 +42,14 @@ class TrainedParts:
     """What the trials left: folders of checkpoints, and the arrays they were trained on.
 
     Args:
-        vae: the encoder's.
+        encoder: the VAE's, or the generator's own where the two were trained together.
         generators: one, or in a mixture that of every cluster.
         gate: None without one.
         validity: None without a validity head.
         arrays: the data.
     """
 
-    vae: Path
+    encoder: Path
     generators: tuple[Path, ...]
     gate: Path | None
     validity: Path | None
@@ -64,7 +64,7 @@ def make_bundle(folder: Path, config: TrainConfig, dataset: Dataset, parts: Trai
         StorageError: the folder exists or cannot be written.
     """
     gan, latent_dim, dim = generator_config(config), config.vae.latent_dim, dataset.dim
-    encoder = load_encoder(config.vae, dataset.camera.pixels, parts.vae)
+    encoder = load_encoder(config.vae, dataset.camera.pixels, parts.encoder)
     graphs = {
         "encoder": encoder_graph(encoder, dataset.camera.pixels),
         "generator": _sampler_graph(config, parts),

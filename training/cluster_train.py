@@ -3,6 +3,7 @@
 
 ray job submit training/cluster_train.py
 ray job submit --working-dir . -- python training/cluster_train.py --preset quickstart --set seed=1
+ray job submit --working-dir . -- python training/cluster_train.py --resume RUN_ID
 """
 
 import argparse
@@ -32,13 +33,19 @@ def parser() -> argparse.ArgumentParser:
         default=[],
         help="such as global.steps=200",
     )
+    parser.add_argument(
+        "--resume", metavar="RUN_ID", help="go on with a stopped job, by its own configuration"
+    )
     parser.add_argument("--print-config", action="store_true", help="print the whole configuration and end")
     return parser
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Parse, train, print."""
-    options = parser().parse_args(arguments)
+    line = parser()
+    options = line.parse_args(arguments)
+    if options.resume and options.overrides:
+        line.error("--resume goes on with the job's own configuration and takes no --set")
     logging.basicConfig(level=logging.WARNING, format="%(message)s", stream=sys.stdout)
     logging.getLogger("training").setLevel(logging.INFO)
     try:
@@ -48,9 +55,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return 0
         environment = job_environment()
         # Imported here so that a wrong key is told at once, not after the frameworks have loaded.
-        from training.pipeline import train  # noqa: PLC0415
+        from training.pipeline import resume, train  # noqa: PLC0415
 
-        result = train(config, environment)
+        result = resume(options.resume, environment) if options.resume else train(config, environment)
     except CspaceError as error:
         print(f"cluster_train: {error}", file=sys.stderr)
         return 2 if isinstance(error, InputError) else 1

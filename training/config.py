@@ -35,6 +35,9 @@ class VaeConfig(Section):
     kl_weight: float = Field(1.0, ge=0)
     kl_warmup: float = Field(0.3, ge=0, le=1, description="share of the steps over which the KL term grows")
     gradient_clip: float = Field(200.0, gt=0)
+    checkpoint: Path | None = Field(
+        None, description="a VAE trial's checkpoint whose encoder is taken; none is trained"
+    )
 
 
 class ClusterConfig(Section):
@@ -117,6 +120,20 @@ class GlobalConfig(GanConfig):
     """The global WGAN-GP, guided by the local critics."""
 
     local_critic_weight: float = Field(0.1, ge=0, description="weight of the local critics' mean; 0 is off")
+    encoder: Literal["trained", "joint"] = Field(
+        "trained", description="trained before, or together with the generator: the paper's baseline"
+    )
+    reconstruction_weight: float = Field(
+        1.0,
+        ge=0,
+        description="of the decoded pictures' error for a joint encoder; 0 leaves the KL term alone",
+    )
+
+    @model_validator(mode="after")
+    def _joint_encoder_needs_its_critic(self) -> "GlobalConfig":
+        if self.encoder == "joint" and self.critic_condition != "projection":
+            raise ValueError("a joint encoder takes critic_condition=projection: latents change as it learns")
+        return self
 
 
 class ValidityConfig(Section):
@@ -149,6 +166,7 @@ class ResourceConfig(Section):
     max_failures: int = Field(2, ge=0)
     log_every_steps: int = Field(20, ge=1)
     checkpoint_every_steps: int = Field(250, ge=1)
+    checkpoints_kept: int = Field(1, ge=1, description="of each trial, the last ones")
 
 
 class TrainConfig(Section):
@@ -177,6 +195,30 @@ class TrainConfig(Section):
             raise ValueError("gate.cells belong to generator=torus: the means have no base to draw in a cell")
         return self
 
+    @model_validator(mode="after")
+    def _joint_encoder_has_no_other(self) -> "TrainConfig":
+        if not self.joint:
+            return self
+        if self.local_trials:
+            raise ValueError(
+                "local trials need an encoder trained before; global.encoder=joint takes clusters.count=1 "
+                "and global.local_critic_weight=0"
+            )
+        if self.vae.checkpoint is not None:
+            raise ValueError("global.encoder=joint trains its own encoder; leave vae.checkpoint out")
+        return self
+
+    @property
+    def joint(self) -> bool:
+        """Whether the encoder is trained with the global generator."""
+        return self.global_.encoder == "joint"
+
+    @property
+    def local_trials(self) -> int:
+        """How many local WGAN-GPs there are; none where one cluster is everything and no critic is asked."""
+        unasked = self.clusters.form == "guided" and self.global_.local_critic_weight == 0
+        return 0 if self.clusters.count == 1 and unasked else self.clusters.count
+
     def to_dict(self) -> dict[str, Any]:
         """Plain values for JSON, with the keys that ``--set`` takes."""
         return self.model_dump(mode="json", by_alias=True)
@@ -192,10 +234,7 @@ def load_config(preset: str, overrides: Sequence[str] = ()) -> TrainConfig:
     Raises:
         ConfigError: an unknown preset or key, or a value of the wrong type or range.
     """
-    path = PRESET_FOLDER / f"{preset}.yaml"
-    if not path.is_file() or path.parent != PRESET_FOLDER:
-        raise ConfigError("the preset is unknown", expected=", ".join(presets()), got=repr(preset))
-    values: dict[str, Any] = yaml.safe_load(path.read_text(encoding="utf-8")) or {}
+    values = _read(preset)
     values["preset"] = preset
     for override in overrides:
         _set(values, override)
@@ -219,6 +258,21 @@ def presets() -> list[str]:
 def robot_of(config: TrainConfig) -> PlanarArm:
     """The robot whose data a job generates."""
     return config.data.robot_value()
+
+
+def _read(preset: str) -> dict[str, Any]:
+    """A preset's values, on top of those of the preset that it names as its ``base``."""
+    path = PRESET_FOLDER / f"{preset}.yaml"
+    if not path.is_file() or path.parent != PRESET_FOLDER:
+        raise ConfigError("the preset is unknown", expected=", ".join(presets()), got=repr(preset))
+    values: dict[str, Any] = yaml.safe_load(path.read_text(encoding="utf-8")) or {}
+    base = values.pop("base", None)
+    return values if base is None else _merged(_read(base), values)
+
+
+def _merged(base: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
+    both = {key: _merged(base[key], changes[key]) for key in base if isinstance(changes.get(key), dict)}
+    return base | changes | both
 
 
 def _set(values: dict[str, Any], override: str) -> None:

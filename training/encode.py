@@ -22,6 +22,12 @@ class Latents:
     mu: NDArray[np.float32]
     sigma: NDArray[np.float32]
 
+    @classmethod
+    def none(cls, scenarios: int, latent_dim: int) -> "Latents":
+        """Zeros for ``scenarios`` pictures whose encoder does not exist yet."""
+        empty = np.zeros((scenarios, latent_dim), dtype=np.float32)
+        return cls(empty, empty)
+
 
 def load_encoder(config: VaeConfig, pixels: int, checkpoint: Path) -> Encoder:
     """The encoder of a VAE trial's checkpoint, ready to be asked."""

@@ -42,7 +42,7 @@ def _picture(axes: Axes, scene: Scene) -> None:
 
 def _truth(axes: Axes, scene: Scene) -> None:
     if scene.space.dim == 2:
-        _free_map(axes, scene)
+        free_map(axes, scene)
         axes.set_title("truth: grey is in collision", fontsize=9)
     else:
         real = scene.free(SHOWN_SAMPLES, scene.rng(7))
@@ -55,14 +55,14 @@ def _samples(axes: Axes, scene: Scene, sampler: Sampler) -> None:
     drawn = np.asarray(sampler.sample(scene.image, SHOWN_SAMPLES, scene.sampler_seed()), dtype=np.float64)
     free = scene.checker.valid_batch(drawn)
     if scene.space.dim == 2:
-        _free_map(axes, scene)
+        free_map(axes, scene)
     for mask, colour, size in ((free, FREE_COLOUR, 2), (~free, COLLISION_COLOUR, 5)):
         axes.scatter(drawn[mask, 0], drawn[mask, 1], s=size, color=colour, linewidths=0)
     axes.set_title(f"{len(drawn)} samples, {free.mean():.1%} free", fontsize=9)
     _joint_axes(axes, scene)
 
 
-def _free_map(axes: Axes, scene: Scene) -> None:
+def free_map(axes: Axes, scene: Scene) -> None:
     """White where free, grey in collision."""
     first, second = (
         np.linspace(low, high, GRID) for low, high in zip(scene.space.lower, scene.space.upper, strict=True)

@@ -29,6 +29,47 @@ def test_the_paper_preset_is_the_papers_numbers():
     assert (config.vae.latent_dim, config.local.critic_steps, config.local.batch_size) == (512, 5, 512)
 
 
+def test_the_papers_columns_differ_from_its_preset_only_where_they_must():
+    def flat(values, prefix=""):
+        rows = {}
+        for key, value in values.items():
+            rows |= flat(value, f"{prefix}{key}.") if isinstance(value, dict) else {prefix + key: value}
+        return rows
+
+    def changes(preset):
+        base, column = (flat(load_config(name).to_dict()) for name in ("paper", preset))
+        return {key: value for key, value in column.items() if base[key] != value and key != "preset"}
+
+    alone = {"clusters.count": 1, "global.local_critic_weight": 0.0}
+    means = {"global.means": 4, "global.sigma": 0.025, "global.smooth_maximum": 0.1}
+    assert changes("paper_single") == alone
+    assert changes("paper_means") == alone | means
+    assert changes("paper_joint") == alone | {"global.encoder": "joint", "vae.batch_size": 16}
+
+
+def test_local_trials_run_unless_there_is_one_cluster_and_nobody_asks_its_critic():
+    assert load_config("paper").local_trials == 2
+    assert load_config("paper_single").local_trials == 0
+    assert load_config("paper_single", ["global.local_critic_weight=0.5"]).local_trials == 1
+    assert load_config("smoke", ["global.local_critic_weight=0"]).local_trials == 2
+
+
+@pytest.mark.parametrize(
+    ("overrides", "says"),
+    [
+        (["global.critic_condition=latent"], "projection"),
+        (["clusters.count=2"], "local trials"),
+        (["global.local_critic_weight=0.5"], "local trials"),
+        (["vae.checkpoint=/somewhere"], "own encoder"),
+        (["global.encoder=both"], "joint"),
+        (["global.reconstruction_weight=-1"], "greater than or equal to 0"),
+    ],
+)
+def test_a_joint_encoder_refuses_what_it_can_not_be_with(overrides, says):
+    with pytest.raises(ConfigError, match=says):
+        load_config("paper_joint", overrides)
+
+
 def test_an_override_reaches_its_key_and_leaves_its_neighbours():
     config = load_config("quickstart", ["global.steps=7", "data.robot.link_lengths_m=[1, 1, 1]", "seed=3"])
     assert (config.global_.steps, config.seed) == (7, 3)
@@ -78,6 +119,12 @@ def test_the_command_prints_its_configuration(capsys):
 def test_the_command_ends_with_two_on_a_wrong_key(capsys):
     assert main(["--set", "nonsense=1"]) == 2
     assert "nonsense" in capsys.readouterr().err
+
+
+def test_the_command_refuses_settings_for_a_job_that_has_its_own(capsys):
+    with pytest.raises(SystemExit, match="2"):
+        main(["--resume", "abc", "--set", "seed=1"])
+    assert "--resume" in capsys.readouterr().err
 
 
 def test_the_command_says_which_setting_is_missing(capsys, monkeypatch):

@@ -30,6 +30,10 @@ LOCAL_STEPS = 1200
 def run_job(uri, data_folder, *overrides):
     """Run the job as a user does and return its result line."""
     settings = [part for override in overrides for part in ("--set", override)]
+    return submit(uri, data_folder, "--preset", "smoke", *settings)
+
+
+def submit(uri, data_folder, *arguments):
     environment = os.environ | {
         "MLFLOW_TRACKING_URI": uri,
         "CSPACE_DATA_DIR": str(data_folder),
@@ -40,7 +44,7 @@ def run_job(uri, data_folder, *overrides):
         "OMP_NUM_THREADS": "1",
     }
     environment.pop("RAY_ADDRESS", None)
-    command = [sys.executable, str(ROOT / "training" / "cluster_train.py"), "--preset", "smoke", *settings]
+    command = [sys.executable, str(ROOT / "training" / "cluster_train.py"), *arguments]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False, timeout=300)
     assert done.returncode == 0, done.stdout + done.stderr
     return json.loads(done.stdout.rpartition("RESULT ")[2].splitlines()[0])
@@ -126,6 +130,25 @@ def test_the_bundle_is_the_challenger_with_its_lineage_and_samples(result, serve
     assert bundle.spec.provenance.data_digest == result["data_digest"]
     samples = bundle.sample(np.full((48, 48, 3), 255, dtype=np.uint8), 10, 1).samples
     assert samples.shape == (10, 2)
+
+
+@pytest.mark.slow
+def test_an_encoder_trained_with_the_generator_makes_a_bundle_and_a_resumed_job_trains_nothing_twice(
+    server, data_folder, tmp_path
+):
+    joint = ("global.encoder=joint", "global.critic_condition=projection", "global.local_critic_weight=0")
+    first = run_job(server, data_folder, *joint, "clusters.count=1", "validity.steps=0")
+    assert set(first["trials"]) == {"global"}
+    assert {"reconstruction_loss", "kl", "generator_loss"} <= set(first["metrics"])
+    again = submit(server, data_folder, "--resume", first["run_id"])
+    assert (again["run_id"], again["trials"]) == (first["run_id"], first["trials"])
+    registry = MlflowRegistry(server)
+    picture = np.full((48, 48, 3), 255, dtype=np.uint8)
+    one, other = (
+        Bundle.load(registry.download(registry.version("cspace-sampler", result["version"]), tmp_path / name))
+        for name, result in (("first", first), ("again", again))
+    )
+    assert np.array_equal(one.sample(picture, 20, 1).samples, other.sample(picture, 20, 1).samples)
 
 
 @pytest.mark.slow

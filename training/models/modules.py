@@ -132,11 +132,14 @@ class WganGpModule(TrialModule):
             config, dim, latent_dim, len(samples.mu), scale, values_read(self.critic_reader)
         )
         self.local_critics = nn.ModuleList(local_critics or []).requires_grad_(requires_grad=False)
+        self.set_optimisers(list(self.generator.parameters()))
+
+    def set_optimisers(self, generator_side: list[nn.Parameter]) -> None:
+        """One optimiser for the critic, one for the generator and what learns with it."""
+        config = self.config
         self.training_optimisers = [
             torch.optim.Adam(self.critic.parameters(), lr=config.critic_learning_rate, betas=config.betas),
-            torch.optim.Adam(
-                self.generator.parameters(), lr=config.generator_learning_rate, betas=config.betas
-            ),
+            torch.optim.Adam(generator_side, lr=config.generator_learning_rate, betas=config.betas),
         ]
         self.training_schedules = [LambdaLR(opt, self._rate) for opt in self.training_optimisers]
 

@@ -83,6 +83,8 @@ def run_trials(
 ) -> list[TrialOutcome]:
     """Run one trial for each entry, as many at once as the cluster has room for.
 
+    Where ``storage`` holds the trials of a job that was stopped, they go on from their checkpoints.
+
     Args:
         trainable: a Tune function trainable; gets ``{"trial": entry}`` and ``shared`` by keyword.
         trials: small plain values a trial, each with a ``name``.
@@ -100,18 +102,16 @@ def run_trials(
         tune.with_parameters(trainable, **shared),
         {"cpu": resources.cpus_per_trial, "gpu": resources.gpus_per_trial},
     )
-    tuner = tune.Tuner(
-        bound,
-        param_space={"trial": tune.grid_search(list(trials))},
-        tune_config=tune.TuneConfig(reuse_actors=True),
-        run_config=tune.RunConfig(
-            name=storage.name,
-            storage_path=str(storage.parent),
-            failure_config=tune.FailureConfig(max_failures=resources.max_failures),
-            checkpoint_config=tune.CheckpointConfig(num_to_keep=1),
-            verbose=0,
-        ),
-    )
+    if tune.Tuner.can_restore(str(storage)):
+        _LOG.info("%s: going on", storage.name)
+        tuner = tune.Tuner.restore(str(storage), trainable=bound, resume_errored=True)
+    else:
+        tuner = tune.Tuner(
+            bound,
+            param_space={"trial": tune.grid_search(list(trials))},
+            tune_config=tune.TuneConfig(reuse_actors=True),
+            run_config=_run_config(resources, storage),
+        )
     grid = tuner.fit()
     failed = [str(error) for error in grid.errors]
     if failed:
@@ -123,6 +123,16 @@ def run_trials(
         )
     outcomes = {outcome.name: outcome for outcome in (_outcome(grid[index]) for index in range(len(grid)))}
     return [outcomes[str(trial["name"])] for trial in trials]
+
+
+def _run_config(resources: ResourceConfig, storage: Path) -> tune.RunConfig:
+    return tune.RunConfig(
+        name=storage.name,
+        storage_path=str(storage.parent),
+        failure_config=tune.FailureConfig(max_failures=resources.max_failures),
+        checkpoint_config=tune.CheckpointConfig(num_to_keep=resources.checkpoints_kept),
+        verbose=0,
+    )
 
 
 def _outcome(result: Any) -> TrialOutcome:

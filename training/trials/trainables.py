@@ -18,6 +18,7 @@ from training.models.cells import CellBase
 from training.models.checkpoint import seeded_initialisation
 from training.models.distillation import DistillationModule
 from training.models.gate import GateModule
+from training.models.joint import JointModule
 from training.models.lookups import make_reader
 from training.models.mixture import Experts
 from training.models.modules import Metrics, TrialModule, VaeModule, WganGpModule
@@ -39,7 +40,7 @@ def picture_trial(
 ) -> None:
     """Train what learns from (N, P, P, 3) pictures and needs no latents: the VAE, or the validity head."""
     trial = config["trial"]
-    pictures = torch.tensor(np.ascontiguousarray(images.transpose(0, 3, 1, 2)))
+    pictures = _channels_first(images)
     module: TrialModule
     with seeded_initialisation(trial["seed"]):
         if occupancy is not None and trial["name"] == VALIDITY:
@@ -129,6 +130,31 @@ def distillation_trial(
             trial["seed"],
         )
     _fit(trial, module, train.global_.steps, train, tracking_uri)
+
+
+def joint_trial(
+    config: Mapping[str, Any],
+    train: TrainConfig,
+    arrays: TrainingArrays,
+    images: NDArray[np.uint8],
+    tracking_uri: str,
+) -> None:
+    """Train one WGAN-GP on all data together with the encoder of (S, P, P, 3) pictures."""
+    trial = config["trial"]
+    with seeded_initialisation(trial["seed"]):
+        module = JointModule(
+            train.global_,
+            train.vae,
+            arrays.samples(None),
+            _channels_first(images),
+            arrays.scale,
+            trial["seed"],
+        )
+    _fit(trial, module, train.global_.steps, train, tracking_uri)
+
+
+def _channels_first(images: NDArray[np.uint8]) -> torch.Tensor:
+    return torch.tensor(np.ascontiguousarray(images.transpose(0, 3, 1, 2)))
 
 
 def _fit(

@@ -2,9 +2,10 @@
 
 import torch
 
-from training.config import GanConfig
+from training.config import GanConfig, GlobalConfig, VaeConfig
 from training.models.checkpoint import seeded_initialisation
 from training.models.data import ScenarioSamples
+from training.models.joint import JointModule
 from training.models.modules import WganGpModule
 
 TINY = {
@@ -33,3 +34,14 @@ def tiny_module(seed: int = 0, **changes: object) -> WganGpModule:
     config = GanConfig.model_validate(TINY | {"steps": 20} | changes)
     with seeded_initialisation(seed):
         return WganGpModule(config, ring_samples(), SCALE, seed)
+
+
+def tiny_joint_module(seed: int = 0, **changes: object) -> JointModule:
+    """A WGAN-GP that trains its encoder, too; two scenarios with a picture each."""
+    small = {"critic_condition": "projection", "encoder": "joint", "generator": "means", "steps": 20}
+    config = GlobalConfig.model_validate(TINY | small | changes)
+    vae = VaeConfig(latent_dim=3, width=4, batch_size=2)
+    images = torch.zeros(2, 3, 48, 48, dtype=torch.uint8)
+    images[1, :, 12:36] = 255
+    with seeded_initialisation(seed):
+        return JointModule(config, vae, ring_samples(), images, SCALE, seed)
