@@ -1,0 +1,93 @@
+"""How good a bundle is, without a registry: precision, coverage, EDr, its validity head, on unseen scenarios.
+
+    python benchmarks/evaluation/bundle_quality.py inference_api/pretrained --scenarios 200
+
+The test split is for reporting: decide on validation (``--split validation``), then look at test once.
+"""
+
+import argparse
+import statistics
+import sys
+import time
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
+from multiprocessing import get_context
+from pathlib import Path
+
+from benchmarks.evaluation.machine import machine
+from cspace.bundle import Bundle
+from cspace.scenario import Split
+from services.evaluator.reconstruction import SceneQuality, summarise
+from services.evaluator.samplers import bundle_sampler
+from services.evaluator.scenes import SAMPLES, Scene, Stage, reconstruct, summary_rng
+from services.evaluator.tables import markdown
+
+TIMED = (300, 1000)
+
+
+def measure(folder: Path, split: Split, seed: int, indices: range) -> list[SceneQuality]:
+    bundle = Bundle.load(folder)
+    stage = Stage(bundle.spec.robot, bundle.spec.camera, split, seed)
+    return [reconstruct(Scene(stage, index), bundle_sampler(bundle)) for index in indices]
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("bundle", type=Path)
+    parser.add_argument("--scenarios", type=int, default=200)
+    parser.add_argument("--split", choices=["validation", "test"], default="test")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--processes", type=int, default=2)
+    options = parser.parse_args()
+    split = Split[options.split.upper()]
+    one = partial(measure, options.bundle, split, options.seed)
+    parts = [range(first, min(first + 10, options.scenarios)) for first in range(0, options.scenarios, 10)]
+    with ProcessPoolExecutor(options.processes, mp_context=get_context("spawn")) as pool:
+        scenes = [scene for part in pool.map(one, parts) for scene in part]
+    found = summarise(scenes, summary_rng(options.seed))
+    rows = [["samples", "precision", "coverage", "EDr", "precision p10", "precision minimum"]]
+    for name in ("sampler", "confident", "uniform", "real"):
+        row = getattr(found, name)
+        if row is not None:
+            values = (row.precision, row.coverage, row.edr, row.precision_p10)
+            rows.append([name, *(f"{value:.3f}" for value in values), f"{row.precision_minimum:.3f}"])
+    print(f"{options.bundle}, {options.scenarios} {options.split} scenarios, {SAMPLES} samples each")
+    print(f"{machine()}\n\n{markdown(rows)}")
+    head = found.occupancy
+    if head is not None:
+        table = [
+            ["accuracy", "within 0.1 m of contact", "calibration error", "accepted"],
+            [
+                f"{head.accuracy:.4f}",
+                f"{head.near_accuracy:.3f}",
+                f"{head.calibration_error:.4f}",
+                f"{head.acceptance:.3f}",
+            ],
+        ]
+        print(f"\n{markdown(table)}")
+    print(f"\n{_times(options.bundle)}")
+    return 0
+
+
+def _times(folder: Path) -> str:
+    """Milliseconds for one picture, encoder, generator and head together, one thread."""
+    bundle = Bundle.load(folder)
+    stage = Stage(bundle.spec.robot, bundle.spec.camera, Split.VALIDATION, 0)
+    image, told = Scene(stage, 0).image, []
+    for count in TIMED:
+        taken = []
+        for seed in range(25):
+            began = time.perf_counter()
+            bundle.sample(image, count, seed)
+            taken.append(1e3 * (time.perf_counter() - began))
+        kept = sorted(taken[5:])
+        told.append(
+            f"{count} samples: median {statistics.median(kept):.1f} ms, {kept[0]:.1f} to {kept[-1]:.1f}"
+        )
+    return "; ".join(told)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
