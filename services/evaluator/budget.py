@@ -48,7 +48,7 @@ class Budget:
     disconnected_scenarios: int = 0
 
 
-QUICK = Budget(60, 1000, 30, 10, 1, 3, 50, narrow_scenarios=20, disconnected_scenarios=5)
+QUICK = Budget(60, 1000, 30, 10, 1, 3, 50, narrow_scenarios=10, disconnected_scenarios=5)
 FULL = Budget(500, 1000, 200, 200, 3, 50, 200, narrow_scenarios=100, disconnected_scenarios=100)
 BUDGETS = {"quick": QUICK, "full": FULL}
 
