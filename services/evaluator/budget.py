@@ -9,6 +9,7 @@ from cspace.scenario import Split
 
 JUDGED = (Split.VALIDATION, Split.TEST)
 FAMILIES = (Family.NARROW, Family.UNIFORM)
+SCENE_FAMILIES = (Family.UNIFORM, Family.NARROW, Family.DISCONNECTED)
 
 
 class Kind(StrEnum):
@@ -24,13 +25,16 @@ class Budget:
     """How much is evaluated.
 
     Args:
-        scenarios: per split, for reconstruction.
+        scenarios: per split, for reconstruction; they alone decide.
         samples: per scenario and sampler.
         validation_problems: planning problems per family that decide.
         test_problems: planning problems per family that are only reported.
         planner_seeds: runs per problem.
         topology_scenarios: of the test split, for GS and GS-C, which decide nothing.
         draws: of landmarks per cloud and turn.
+        narrow_scenarios: per split, for reconstruction; those of the first planning problems of the family,
+            as drawing one takes long, so no more than there are.
+        disconnected_scenarios: per split, for reconstruction.
     """
 
     scenarios: int
@@ -40,10 +44,12 @@ class Budget:
     planner_seeds: int
     topology_scenarios: int
     draws: int
+    narrow_scenarios: int = 0
+    disconnected_scenarios: int = 0
 
 
-QUICK = Budget(60, 1000, 30, 10, 1, 3, 50)
-FULL = Budget(500, 1000, 200, 200, 3, 50, 200)
+QUICK = Budget(60, 1000, 30, 10, 1, 3, 50, narrow_scenarios=10, disconnected_scenarios=5)
+FULL = Budget(500, 1000, 200, 200, 3, 50, 200, narrow_scenarios=100, disconnected_scenarios=100)
 BUDGETS = {"quick": QUICK, "full": FULL}
 
 
@@ -56,7 +62,7 @@ class Unit:
         split: of the scenarios.
         first: first index within the split or family.
         count: how many.
-        family: of the planning problems, else None.
+        family: of the problems; None for scenarios as they are drawn for training.
     """
 
     kind: Kind
@@ -69,13 +75,17 @@ class Unit:
 def units(budget: Budget, joints: int = 2) -> list[Unit]:
     """All units of an evaluation, the long ones first, so that workers end together.
 
-    The problem families are drawn on a grid over two joints; other arms have no planning units.
+    The problem families are drawn on a grid over two joints; other arms have no planning units and are judged
+    on the uniform scenarios alone.
     """
     problems = {Split.VALIDATION: budget.validation_problems, Split.TEST: budget.test_problems}
     work: list[Unit] = []
     for family in FAMILIES if joints == 2 else ():
         for split in JUDGED:
             work += [Unit(Kind.PLANNING, split, *part, family) for part in _parts(problems[split], 5)]
+    for split in JUDGED if joints == 2 else ():
+        parts = _parts(budget.disconnected_scenarios, 5)
+        work += [Unit(Kind.RECONSTRUCTION, split, *part, Family.DISCONNECTED) for part in parts]
     work += [Unit(Kind.TOPOLOGY, Split.TEST, *part) for part in _parts(budget.topology_scenarios, 1)]
     for split in JUDGED:
         work += [Unit(Kind.RECONSTRUCTION, split, *part) for part in _parts(budget.scenarios, 15)]

@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cspace.errors import EvaluationError
-from cspace.problem import draw_problem
+from cspace.problem import Family, draw_problem
 from cspace.robot import PlanarArm
 from cspace.scenario import Camera, Split
-from services.evaluator.budget import FAMILIES, Budget, Kind, Unit
+from services.evaluator.budget import FAMILIES, SCENE_FAMILIES, Budget, Kind, Unit
 from services.evaluator.planning import PlanningTrial, plan_trial
 from services.evaluator.planning_summary import FamilySummary, success_rate, summarise_family
 from services.evaluator.reconstruction import ReconstructionSummary, SceneQuality, summarise
@@ -61,13 +61,17 @@ class UnitResult:
 
 @dataclass(frozen=True, slots=True)
 class SplitResult:
-    """All of one split: summaries with the rows behind them."""
+    """All of one split: summaries with the rows behind them.
+
+    ``reconstruction`` is of the uniform scenarios, ``families`` of the others; ``scenes`` are of all.
+    """
 
     reconstruction: ReconstructionSummary
     planning: tuple[FamilySummary, ...]
     planning_success: Interval | None
     scenes: tuple[SceneQuality, ...]
     trials: tuple[PlanningTrial, ...]
+    families: Mapping[Family, ReconstructionSummary]
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,12 +121,16 @@ def _split_result(rows: Sequence[Row], rng: np.random.Generator) -> SplitResult:
     scenes = tuple(row for row in rows if isinstance(row, SceneQuality))
     trials = tuple(row for row in rows if isinstance(row, PlanningTrial))
     present = {trial.family for trial in trials}
+    by_family = {family: [scene for scene in scenes if scene.family is family] for family in SCENE_FAMILIES}
+    # Resampling of its own leaves the other intervals as they are in an evaluation without families.
+    (apart,) = rng.spawn(1)
     return SplitResult(
-        summarise(scenes, rng),
+        summarise(by_family.pop(Family.UNIFORM), rng),
         tuple(summarise_family(family, trials, rng) for family in FAMILIES if family in present),
         success_rate(trials) if trials else None,
         scenes,
         trials,
+        {family: summarise(mine, apart) for family, mine in by_family.items() if mine},
     )
 
 
@@ -130,9 +138,13 @@ def _rows(results: Sequence[UnitResult], split: Split) -> list[Row]:
     return [row for result in results if result.unit.split == split for row in result.rows]
 
 
+def _stage(unit: Unit, setting: Setting) -> Stage:
+    return Stage(setting.robot, setting.camera, unit.split, setting.seed)
+
+
 def _scenes(unit: Unit, setting: Setting) -> list[Scene]:
-    stage = Stage(setting.robot, setting.camera, unit.split, setting.seed)
-    return [Scene(stage, index) for index in range(unit.first, unit.first + unit.count)]
+    stage, family = _stage(unit, setting), unit.family or Family.UNIFORM
+    return [Scene(stage, index, family) for index in range(unit.first, unit.first + unit.count)]
 
 
 def _reconstruction_rows(unit: Unit, setting: Setting, sampler: Sampler) -> list[Row]:
@@ -154,6 +166,9 @@ def _planning_rows(unit: Unit, setting: Setting, sampler: Sampler) -> list[Row]:
         for repeat in range(setting.budget.planner_seeds):
             seed = planner_seed(setting.seed, index, repeat)
             rows.append(plan_trial(problem, index, seed, sampler, PLANNER))
+        if unit.family is Family.NARROW and index < setting.budget.narrow_scenarios:
+            scene = Scene(_stage(unit, setting), index, unit.family, problem)
+            rows.append(reconstruct(scene, sampler, setting.budget.samples))
     return rows
 
 

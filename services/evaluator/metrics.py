@@ -2,14 +2,18 @@
 
 from services.evaluator.evaluation import Evaluation, SplitResult
 from services.evaluator.planning_summary import COSTS, ArmSummary, FamilySummary
-from services.evaluator.reconstruction import SamplerSummary
+from services.evaluator.reconstruction import ReconstructionSummary, SamplerSummary
 from services.evaluator.statistics import Interval
 
 SAMPLERS = ("sampler", "confident", "uniform", "real")
+MEASURES = ("precision", "coverage", "edr", "precision_p10", "knn_precision", "knn_recall")
 
 
 def flat_metrics(evaluation: Evaluation) -> dict[str, float]:
-    """All estimates with their limits by name; those of the test split start with ``test_``."""
+    """All estimates with their limits by name; those of the test split start with ``test_``.
+
+    Then comes the family of the scenarios, unless it is the uniform one, as in ``test_narrow_precision``.
+    """
     metrics = _split_metrics(evaluation.validation, "") | _split_metrics(evaluation.test, "test_")
     for name, summary in evaluation.topology.items():
         metrics |= _interval_metrics(f"test_{name}", summary.score)
@@ -20,24 +24,31 @@ def flat_metrics(evaluation: Evaluation) -> dict[str, float]:
 
 
 def _split_metrics(split: SplitResult, prefix: str) -> dict[str, float]:
-    metrics: dict[str, float] = {}
-    for name in SAMPLERS:
-        one: SamplerSummary | None = getattr(split.reconstruction, name)
-        if one is None:
-            continue
-        label = prefix if name == "sampler" else f"{prefix}{name}_"
-        for metric in ("precision", "coverage", "edr", "precision_p10"):
-            metrics |= _interval_metrics(label + metric, getattr(one, metric))
-        metrics[f"{label}precision_minimum"] = one.precision_minimum
-    metrics |= _interval_metrics(f"{prefix}precision_gain", split.reconstruction.precision_gain)
-    head = split.reconstruction.occupancy
-    for metric in () if head is None else ("accuracy", "near_accuracy", "calibration_error", "acceptance"):
-        value: Interval | None = getattr(head, metric)
-        metrics |= {} if value is None else _interval_metrics(f"{prefix}head_{metric}", value)
+    metrics = _reconstruction_metrics(split.reconstruction, prefix)
+    for name, summary in split.families.items():
+        metrics |= _reconstruction_metrics(summary, f"{prefix}{name.value}_")
     if split.planning_success is not None:
         metrics |= _interval_metrics(f"{prefix}planning_success", split.planning_success)
     for family in split.planning:
         metrics |= _family_metrics(family, f"{prefix}{family.family.value}_")
+    return metrics
+
+
+def _reconstruction_metrics(summary: ReconstructionSummary, prefix: str) -> dict[str, float]:
+    metrics: dict[str, float] = {}
+    for name in SAMPLERS:
+        one: SamplerSummary | None = getattr(summary, name)
+        if one is None:
+            continue
+        label = prefix if name == "sampler" else f"{prefix}{name}_"
+        for metric in MEASURES:
+            metrics |= _interval_metrics(label + metric, getattr(one, metric))
+        metrics[f"{label}precision_minimum"] = one.precision_minimum
+    metrics |= _interval_metrics(f"{prefix}precision_gain", summary.precision_gain)
+    head = summary.occupancy
+    for metric in () if head is None else ("accuracy", "near_accuracy", "calibration_error", "acceptance"):
+        value: Interval | None = getattr(head, metric)
+        metrics |= {} if value is None else _interval_metrics(f"{prefix}head_{metric}", value)
     return metrics
 
 

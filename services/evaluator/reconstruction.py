@@ -1,20 +1,21 @@
 """How well samples reconstruct the free space: precision, coverage and energy distance, always together.
 
 Precision alone rewards a sampler that repeats one good configuration, coverage alone one that is uniform.
+The precision and recall of k-NN manifolds tell the same two errors without a collision check or a radius.
 Beside every sampler stand the uniform one and real samples judged against real samples.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist, pdist
 
 from cspace.errors import EvaluationError
+from cspace.problem import Family
 from cspace.space import JointSpace, embed
+from services.evaluator.nearest import Configurations, coverage, knn_precision_recall, require_group
 from services.evaluator.occupancy import OccupancySummary, SceneOccupancy, summarise_occupancy
 from services.evaluator.statistics import (
     Interval,
@@ -24,9 +25,6 @@ from services.evaluator.statistics import (
     ratio_of_sums_interval,
 )
 
-Configurations = NDArray[np.floating[Any]]
-
-COVERAGE_RADIUS_RAD = 0.2
 LOW_QUANTILE = 0.1
 
 
@@ -38,11 +36,15 @@ class SampleQuality:
         precision: collision-free share of its samples.
         coverage: share of held-out free configurations with a sample within 0.2 rad.
         energy: energy distance to the held-out configurations.
+        knn_precision: share of its samples in the k-NN manifold of the held-out configurations.
+        knn_recall: share of the held-out configurations in the k-NN manifold of its samples.
     """
 
     precision: float
     coverage: float
     energy: float
+    knn_precision: float
+    knn_recall: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +52,8 @@ class SceneQuality:
     """The sampler, the uniform one, and real samples on one scenario.
 
     ``confident`` is the sampler again, with the samples alone that its validity head lets pass, None where
-    those are too few; ``occupancy`` is that head. Both are None without one.
+    those are too few; ``occupancy`` is that head. Both are None without one. ``index`` counts within the
+    family, and the uniform family is the scenarios as they are drawn for training.
     """
 
     index: int
@@ -59,6 +62,7 @@ class SceneQuality:
     real: SampleQuality
     confident: SampleQuality | None = None
     occupancy: SceneOccupancy | None = None
+    family: Family = Family.UNIFORM
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,6 +74,8 @@ class SamplerSummary:
     edr: Interval
     precision_p10: Interval
     precision_minimum: float
+    knn_precision: Interval
+    knn_recall: Interval
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,24 +94,6 @@ class ReconstructionSummary:
     occupancy: OccupancySummary | None = None
 
 
-def coverage(
-    held_out: Configurations,
-    samples: Configurations,
-    space: JointSpace,
-    radius_rad: float = COVERAGE_RADIUS_RAD,
-) -> float:
-    """Share of (M, d) held-out configurations with one of (N, d) samples within a radius, round the circles.
-
-    Raises:
-        EvaluationError: one of the two is empty.
-    """
-    _require(held_out, samples)
-    # A period of 0 tells the tree that a joint is no circle.
-    tree = cKDTree(_from_zero(samples, space), boxsize=np.where(space.periodic, 2.0 * np.pi, 0.0))
-    nearest, _ = tree.query(_from_zero(held_out, space))
-    return float(np.mean(nearest <= radius_rad))
-
-
 def energy_distance(first: Configurations, second: Configurations) -> float:
     """2 E|X - Y| - E|X - X'| - E|Y - Y'| on the (cos, sin) embedding of (N, d) and (M, d).
 
@@ -115,7 +103,7 @@ def energy_distance(first: Configurations, second: Configurations) -> float:
     Raises:
         EvaluationError: fewer than two configurations in one of the two.
     """
-    _require(first, second, at_least=2)
+    require_group(first, second, at_least=2)
     x, y = embed(first), embed(second)
     return float(2.0 * cdist(x, y).mean() - pdist(x).mean() - pdist(y).mean())
 
@@ -126,7 +114,7 @@ def sample_quality(
     space: JointSpace,
     free: Callable[[Configurations], NDArray[np.bool_]],
 ) -> SampleQuality:
-    """All three metrics of (N, d) samples against (M, d) held-out free configurations.
+    """All metrics of (N, d) samples against (M, d) held-out free configurations.
 
     Args:
         samples: what is judged.
@@ -135,15 +123,18 @@ def sample_quality(
         free: exact collision check, (N, d) to (N,).
 
     Raises:
-        EvaluationError: an empty group, or samples that are not finite.
+        EvaluationError: a group with fewer members than k-NN needs, or samples that are not finite.
     """
-    _require(samples, held_out)
+    require_group(samples, held_out)
     if not np.isfinite(samples).all():
         raise EvaluationError("the sampler returned configurations that are not finite")
+    knn = knn_precision_recall(held_out, samples, space)
     return SampleQuality(
         float(np.mean(free(samples))),
         coverage(held_out, samples, space),
         energy_distance(samples, held_out),
+        knn.precision,
+        knn.recall,
     )
 
 
@@ -179,29 +170,14 @@ def _summary(
     rows: Sequence[SampleQuality], uniform: Sequence[SampleQuality], rng: np.random.Generator
 ) -> SamplerSummary:
     precision = [row.precision for row in rows]
+    # Resampling of their own leaves the other intervals as they are without these measures.
+    (apart,) = rng.spawn(1)
     return SamplerSummary(
         mean_interval(precision, rng),
         mean_interval([row.coverage for row in rows], rng),
         ratio_of_sums_interval([row.energy for row in rows], [row.energy for row in uniform], rng),
         quantile_interval(precision, LOW_QUANTILE, rng),
         min(precision),
+        mean_interval([row.knn_precision for row in rows], apart),
+        mean_interval([row.knn_recall for row in rows], apart),
     )
-
-
-def _from_zero(configurations: Configurations, space: JointSpace) -> NDArray[np.float64]:
-    """Circles moved to [0, 2 pi), which is what a periodic tree takes."""
-    shifted = np.asarray(configurations, dtype=np.float64)
-    turned = np.mod(shifted, 2.0 * np.pi)
-    # The modulo of a tiny negative number rounds up to the full period.
-    turned = np.where(turned >= 2.0 * np.pi, 0.0, turned)
-    return np.where(space.periodic, turned, shifted)
-
-
-def _require(*groups: Configurations, at_least: int = 1) -> None:
-    for group in groups:
-        if group.ndim != 2 or len(group) < at_least:
-            raise EvaluationError(
-                "the group of configurations is too small",
-                expected=f"shape (N, d) with N >= {at_least}",
-                got=f"shape {group.shape}",
-            )

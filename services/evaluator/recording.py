@@ -2,13 +2,17 @@
 
 import tempfile
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
+from cspace.problem import Family
 from cspace.scenario import Split
+from services.evaluator.budget import SCENE_FAMILIES
 from services.evaluator.evaluation import Evaluation
 from services.evaluator.gallery import gallery
 from services.evaluator.gate import GATED, Candidate, Champion, Verdict, judge
 from services.evaluator.metrics import flat_metrics
+from services.evaluator.reconstruction import SceneQuality
 from services.evaluator.reliability import reliability_diagram
 from services.evaluator.report import to_json, to_markdown
 from services.evaluator.samplers import Sampler
@@ -17,7 +21,8 @@ from services.registry.models import ModelRegistry, ModelVersion
 from services.registry.promotion import Decision, champions, record_decision
 from services.registry.tracking import RunLog
 
-GALLERY_SCENARIOS = 4
+# The first scenarios of the uniform family; with the least precise one of every family they make a gallery.
+GALLERY_SCENARIOS = 2
 REPORT_FOLDER = "report"
 # Only champions of arms with as many joints are compared.
 JOINTS = "joints"
@@ -66,16 +71,29 @@ def log_evaluation(
             run.artifact(path, REPORT_FOLDER)
         run.flush()
     names = []
-    for split in (Split.VALIDATION, Split.TEST):
+    for split, measured in ((Split.VALIDATION, evaluation.validation), (Split.TEST, evaluation.test)):
         stage = Stage(setting.robot, setting.camera, split, setting.seed)
-        count = min(GALLERY_SCENARIOS, setting.budget.scenarios)
+        shown = exhibits(stage, measured.scenes)
         names.append(f"gallery-{split}")
-        run.figure(gallery([Scene(stage, index) for index in range(count)], sampler, title), names[-1])
+        run.figure(gallery([*shown], sampler, title, [*shown.values()]), names[-1])
     head = evaluation.test.reconstruction.occupancy
     if head is not None:
         names.append("reliability")
         run.figure(reliability_diagram(head, title), names[-1])
     return tuple(names)
+
+
+def exhibits(stage: Stage, measured: Sequence[SceneQuality]) -> dict[Scene, str]:
+    """The scenarios of a gallery with a note on each: some as they come, then the least precise by family."""
+    shown: dict[Scene, str] = {}
+    for family in SCENE_FAMILIES:
+        mine = [row for row in measured if row.family is family]
+        worst = min(mine, key=lambda row: row.sampler.precision, default=None)
+        if family is Family.UNIFORM:
+            shown |= {Scene(stage, row.index): "" for row in mine[:GALLERY_SCENARIOS]}
+        if worst is not None:
+            shown[Scene(stage, worst.index, family)] = f"least precise of {len(mine)}"
+    return shown
 
 
 def _gated(evaluation: Evaluation) -> dict[str, float]:

@@ -5,15 +5,27 @@ from collections.abc import Sequence
 from dataclasses import asdict
 
 from services.evaluator.evaluation import PLANNER, Evaluation
+from services.evaluator.nearest import NEIGHBOURS
 from services.evaluator.tables import (
     aligned,
     markdown,
     occupancy_table,
     planning_table,
     reconstruction_table,
+    scene_family_table,
     topology_table,
 )
 
+RECONSTRUCTION_NOTE = (
+    "Precision is the exact collision-free share. k-NN precision and recall (Kynkaanniemi et al. 2019) are "
+    "shares inside the other group's manifold, a union of balls on the torus that reach as far as neighbour "
+    f"{NEIGHBOURS}; the row real is what two real samples of this size have of each other."
+)
+FAMILY_NOTE = (
+    "Only the uniform scenarios decide. Those of the family narrow have a passage whose middle is 0.03 to "
+    "0.08 rad from collision, those of disconnected a free space in parts. EDr is relative to uniform "
+    "samples on the same scenarios."
+)
 PLANNING_NOTE = (
     f"RRT, range {PLANNER.range_rad} rad, resolution {PLANNER.resolution_rad} rad a joint, at most "
     f"{PLANNER.max_iterations} iterations. Medians, the 90th percentile in brackets; a run without success "
@@ -48,7 +60,11 @@ def to_markdown(evaluation: Evaluation, title: str, reasons: Sequence[str]) -> s
             f"## Reconstruction, {name} ({role})",
             markdown(reconstruction_table(split)),
             f"Gain in precision over uniform: {split.reconstruction.precision_gain:.3f}.",
+            RECONSTRUCTION_NOTE,
         ]
+        if split.families:
+            heading = f"## Reconstruction by family, {name} (reported only)"
+            parts += [heading, markdown(scene_family_table(split)), FAMILY_NOTE]
         if split.reconstruction.occupancy is not None:
             parts += [f"## Validity head, {name}", markdown(occupancy_table(split)), OCCUPANCY_NOTE]
         if split.planning:
@@ -68,13 +84,12 @@ def to_markdown(evaluation: Evaluation, title: str, reasons: Sequence[str]) -> s
 
 def terminal_table(evaluation: Evaluation) -> str:
     """The deciding numbers as aligned text."""
-    tables = [("validation", reconstruction_table(evaluation.validation))]
-    tables.append(("test", reconstruction_table(evaluation.test)))
-    if evaluation.test.reconstruction.occupancy is not None:
-        tables.append(("validity head, validation", occupancy_table(evaluation.validation)))
-        tables.append(("validity head, test", occupancy_table(evaluation.test)))
+    splits = (("validation", evaluation.validation), ("test", evaluation.test))
+    tables = [(name, reconstruction_table(split)) for name, split in splits]
+    tables += [(f"by family, {name}", scene_family_table(split)) for name, split in splits]
+    tables += [(f"validity head, {name}", occupancy_table(split)) for name, split in splits]
     if evaluation.validation.planning:
         tables.append(("planning, validation", planning_table(evaluation.validation.planning)))
     if evaluation.topology:
         tables.append(("topology, test", topology_table(evaluation)))
-    return "\n\n".join(f"{name}\n{aligned(table)}" for name, table in tables)
+    return "\n\n".join(f"{name}\n{aligned(table)}" for name, table in tables if table)

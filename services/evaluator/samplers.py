@@ -5,7 +5,7 @@ metrics.
 """
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Protocol, runtime_checkable
@@ -41,6 +41,10 @@ class ScoredSampler(Sampler, Protocol):
 
     def score(self, image: Image, configurations: Samples) -> Samples:
         """P(free) of (n, d) configurations in rad, (n,)."""
+        ...
+
+    def confident(self, image: Image, n: int, seed: int) -> Samples:
+        """Those of the ``n`` configurations of :meth:`sample` whose score reaches the threshold."""
         ...
 
 
@@ -80,6 +84,10 @@ class ScoredBundleSampler(BundleSampler):
         """See :class:`ScoredSampler`."""
         return self.bundle.score(image, configurations)
 
+    def confident(self, image: Image, n: int, seed: int) -> Samples:
+        """See :class:`ScoredSampler`; drawing scores already, so that nothing is scored twice."""
+        return replace(self, min_confidence=max(self.min_confidence, self.threshold)).sample(image, n, seed)
+
 
 def bundle_sampler(bundle: Bundle) -> BundleSampler:
     """A bundle with all that it can do, none of its samples dropped."""
@@ -97,7 +105,7 @@ def confident_samples(
     None where so few pass that there are not as many, as with a head that has learned next to nothing.
 
     Args:
-        sampler: draws batches of ``count`` and scores them.
+        sampler: draws batches of ``count`` and filters them.
         image: the picture.
         count: how many are wanted.
         seeds: of the batches; as many batches are drawn at the most.
@@ -105,9 +113,8 @@ def confident_samples(
     kept: list[Samples] = []
     drawn = passed = 0
     for seed in seeds:
-        proposals = sampler.sample(image, count, seed)
-        kept.append(proposals[sampler.score(image, proposals) >= sampler.threshold])
-        drawn, passed = drawn + len(proposals), passed + len(kept[-1])
+        kept.append(sampler.confident(image, count, seed))
+        drawn, passed = drawn + count, passed + len(kept[-1])
         if passed >= count:
             return np.concatenate(kept)[:count], passed / drawn
     return None, passed / drawn

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from cspace.collision import CollisionChecker
 from cspace.errors import EvaluationError
+from cspace.problem import Family, Problem, draw_problem
 from cspace.render import render
 from cspace.robot import PlanarArm
 from cspace.scenario import Camera, Scenario, Split, random_scenario, scenario_rng
@@ -34,6 +35,8 @@ OCCUPANCY_SAMPLES = 2000
 CONFIDENT_TURNS = 20
 # The first of their streams, apart from those of the other measurements.
 CONFIDENT_STREAM = 20
+# The children of a scenario's stream that families own, above all streams of the uniform one.
+FAMILY_STREAMS = {Family.NARROW: 60, Family.DISCONNECTED: 61}
 
 
 @dataclass(frozen=True)
@@ -52,16 +55,30 @@ class Scene:
 
     Args:
         stage: what it shares with the others.
-        index: its number within the split.
+        index: its number within split and family.
+        family: of the problem that it was drawn for; uniform ones are drawn as those for training are.
+        drawn: that problem, where it is at hand; else it is drawn when it is needed.
     """
 
     stage: Stage
     index: int
+    family: Family = Family.UNIFORM
+    drawn: Problem | None = None
+
+    @cached_property
+    def problem(self) -> Problem | None:
+        """Start and goal that make it a scenario of its family; None in the uniform one."""
+        if self.family is Family.UNIFORM or self.drawn is not None:
+            return self.drawn
+        return draw_problem(self.family, self.stage.split, self.stage.seed, self.index, self.stage.robot)
 
     @cached_property
     def scenario(self) -> Scenario:
         """The scenario, seen by the evaluation's camera."""
-        drawn = random_scenario(self._scenario_rng(), self.stage.robot)
+        if self.problem is None:
+            drawn = random_scenario(self._scenario_rng(), self.stage.robot)
+        else:
+            drawn = self.problem.scenario
         return replace(drawn, camera=self.stage.camera)
 
     @cached_property
@@ -81,7 +98,10 @@ class Scene:
 
     def rng(self, stream: int) -> np.random.Generator:
         """One of the scenario's own streams; independent of the one that drew the discs."""
-        return self._scenario_rng().spawn(stream + 1)[stream]
+        root = self._scenario_rng()
+        if self.family is not Family.UNIFORM:
+            root = _child(root, FAMILY_STREAMS[self.family])
+        return _child(root, stream)
 
     def sampler_seed(self, stream: int = 0) -> int:
         """A seed for the sampler under test, unsigned 63 bit."""
@@ -117,6 +137,10 @@ class Scene:
         return scenario_rng(self.stage.split, self.stage.seed, self.index)
 
 
+def _child(rng: np.random.Generator, number: int) -> np.random.Generator:
+    return rng.spawn(number + 1)[number]
+
+
 def reconstruct(scene: Scene, sampler: Sampler, samples: int = SAMPLES) -> SceneQuality:
     """The sampler, uniform samples and further real samples against the same held-out free configurations.
 
@@ -131,7 +155,7 @@ def reconstruct(scene: Scene, sampler: Sampler, samples: int = SAMPLES) -> Scene
     )
     free = scene.checker.valid_batch
     drawn, uniform, real = (sample_quality(group, held_out, scene.space, free) for group in groups)
-    quality = SceneQuality(scene.index, drawn, uniform, real)
+    quality = SceneQuality(scene.index, drawn, uniform, real, family=scene.family)
     if not isinstance(sampler, ScoredSampler):
         return quality
     seeds = (scene.sampler_seed(CONFIDENT_STREAM + turn) for turn in range(CONFIDENT_TURNS))

@@ -2,36 +2,48 @@
 
 from collections.abc import Sequence
 
+from cspace.problem import Family
 from services.evaluator.evaluation import Evaluation, SplitResult
 from services.evaluator.planning_summary import COSTS, ArmSummary, FamilySummary
-from services.evaluator.reconstruction import SamplerSummary
+from services.evaluator.reconstruction import ReconstructionSummary, SamplerSummary
 from services.evaluator.statistics import CensoredSummary, Interval
 
 Table = Sequence[Sequence[str]]
 
+MEASURES = ("precision", "coverage", "EDr", "k-NN precision", "k-NN recall")
+
 
 def reconstruction_table(split: SplitResult) -> Table:
     """Sampler, uniform and real samples, one row each."""
-    rows = [["samples", "precision", "coverage", "EDr", "precision p10", "precision min"]]
-    for name in ("sampler", "confident", "uniform", "real"):
-        one: SamplerSummary | None = getattr(split.reconstruction, name)
-        if one is None:
-            continue
-        intervals = (one.precision, one.coverage, one.edr, one.precision_p10)
-        rows.append([name, *(f"{value:.3f}" for value in intervals), f"{one.precision_minimum:.3f}"])
+    rows = [["samples", *MEASURES, "precision p10", "precision min"]]
+    for name, one in _samplers(split.reconstruction):
+        low = (f"{one.precision_p10:.3f}", f"{one.precision_minimum:.3f}")
+        rows.append([name, *_measures(one), *low])
+    return rows
+
+
+def scene_family_table(split: SplitResult) -> Table:
+    """The same by family of scenarios; empty where only the uniform ones were measured."""
+    if not split.families:
+        return []
+    rows = [["family", "scenarios", "samples", *MEASURES]]
+    for family, summary in _by_family(split):
+        count = str(summary.sampler.precision.count)
+        rows += [[family, count, name, *_measures(one)] for name, one in _samplers(summary)]
     return rows
 
 
 def occupancy_table(split: SplitResult) -> Table:
-    """The validity head: how often it is right, how honest it is, what it lets pass; empty without one."""
-    head = split.reconstruction.occupancy
-    if head is None:
-        return []
-    near = "-" if head.near_accuracy is None else f"{head.near_accuracy:.3f}"
-    return [
-        ["accuracy", "within 0.1 m of contact", "calibration error", "accepted"],
-        [f"{head.accuracy:.4f}", near, f"{head.calibration_error:.4f}", f"{head.acceptance:.3f}"],
-    ]
+    """The validity head by family: how often right, how honest, what it lets pass; empty without one."""
+    rows = [["family", "accuracy", "within 0.1 m of contact", "calibration error", "accepted"]]
+    for family, summary in _by_family(split):
+        head = summary.occupancy
+        if head is None:
+            return []
+        near = "-" if head.near_accuracy is None else f"{head.near_accuracy:.3f}"
+        cells = (f"{head.accuracy:.4f}", near, f"{head.calibration_error:.4f}", f"{head.acceptance:.3f}")
+        rows.append([family, *cells])
+    return rows
 
 
 def planning_table(families: Sequence[FamilySummary]) -> Table:
@@ -68,6 +80,26 @@ def aligned(table: Table) -> str:
     widths = [max(len(row[column]) for row in table) for column in range(len(table[0]))]
     lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)) for row in table]
     return "\n".join(line.rstrip() for line in lines)
+
+
+def _by_family(split: SplitResult) -> list[tuple[str, ReconstructionSummary]]:
+    others = [(family.value, summary) for family, summary in split.families.items()]
+    return [(Family.UNIFORM.value, split.reconstruction), *others]
+
+
+def _samplers(summary: ReconstructionSummary) -> list[tuple[str, SamplerSummary]]:
+    rows = (
+        ("sampler", summary.sampler),
+        ("confident", summary.confident),
+        ("uniform", summary.uniform),
+        ("real", summary.real),
+    )
+    return [(name, one) for name, one in rows if one is not None]
+
+
+def _measures(one: SamplerSummary) -> list[str]:
+    intervals = (one.precision, one.coverage, one.edr, one.knn_precision, one.knn_recall)
+    return [f"{interval:.3f}" for interval in intervals]
 
 
 def _arm_cells(arm: ArmSummary) -> list[str]:

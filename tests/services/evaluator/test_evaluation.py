@@ -10,14 +10,14 @@ from cspace.errors import EvaluationError
 from cspace.problem import Family
 from cspace.robot import THREE_LINK, TWO_LINK
 from cspace.scenario import Camera, Split
-from services.evaluator.budget import Budget, Kind, Unit, units
+from services.evaluator.budget import QUICK, Budget, Kind, Unit, units
 from services.evaluator.evaluation import Setting, assemble, planner_seed, run_unit
 from services.evaluator.execution import run_here
-from services.evaluator.gallery import gallery
 from services.evaluator.metrics import flat_metrics
+from services.evaluator.planning import PlanningTrial
 from services.evaluator.report import terminal_table, to_json, to_markdown
 from services.evaluator.samplers import PackedBundle, UniformSampler
-from services.evaluator.scenes import Scene, Stage
+from services.evaluator.scenes import Scene, Stage, reconstruct
 from tests.bundles import write_tiny_bundle
 
 TINY = Budget(
@@ -28,7 +28,10 @@ TINY = Budget(
     planner_seeds=1,
     topology_scenarios=1,
     draws=2,
+    narrow_scenarios=1,
+    disconnected_scenarios=2,
 )
+FAMILIES = ["narrow", "disconnected"]
 
 
 def setting(robot=TWO_LINK, budget=TINY):
@@ -43,9 +46,7 @@ def timeless(evaluation):
 
 @pytest.fixture(scope="module")
 def results():
-    # Narrow problems take long to draw; the other family goes through the same code.
-    work = [unit for unit in units(TINY) if unit.family != Family.NARROW]
-    return [run_unit(unit, setting(), UniformSampler(TWO_LINK.space)) for unit in work]
+    return [run_unit(unit, setting(), UniformSampler(TWO_LINK.space)) for unit in units(TINY)]
 
 
 @pytest.fixture(scope="module")
@@ -70,9 +71,58 @@ def test_the_size_of_the_units_does_not_matter(results):
 
 def test_splits_are_measured_on_their_own_scenarios(evaluation):
     validation, test = evaluation.validation, evaluation.test
-    assert len(validation.scenes) == len(test.scenes) == 4
-    assert validation.scenes != test.scenes
-    assert [len(split.trials) for split in (validation, test)] == [2, 1]
+    assert len(validation.scenes) == len(test.scenes) == 7
+    assert not set(validation.scenes) & set(test.scenes)
+    assert [len(split.trials) for split in (validation, test)] == [4, 2]
+
+
+def test_families_are_summarised_each_for_itself(evaluation):
+    for split in (evaluation.validation, evaluation.test):
+        assert list(split.families) == FAMILIES
+        assert [split.families[family].sampler.precision.count for family in FAMILIES] == [1, 2]
+        assert split.reconstruction.sampler.precision.count == 4
+        (narrow,) = [row for row in split.scenes if row.family is Family.NARROW]
+        assert split.families[Family.NARROW].sampler.precision_minimum == narrow.sampler.precision
+    metrics = flat_metrics(evaluation)
+    disconnected = [row for row in evaluation.test.scenes if row.family is Family.DISCONNECTED]
+    assert metrics["test_disconnected_coverage"] == pytest.approx(
+        np.mean([row.sampler.coverage for row in disconnected])
+    )
+    assert metrics["test_narrow_real_precision"] == 1.0
+
+
+def test_families_change_no_number_of_the_uniform_scenarios(results, evaluation):
+    kept = {
+        None: object,
+        Family.DISCONNECTED: (),
+        Family.NARROW: PlanningTrial,
+        Family.UNIFORM: PlanningTrial,
+    }
+    without = [
+        replace(result, rows=tuple(row for row in result.rows if isinstance(row, kept[result.unit.family])))
+        for result in results
+    ]
+    plain = assemble(without, setting())
+    assert not plain.test.families
+    assert timeless(plain).items() <= timeless(evaluation).items()
+    assert "by family" not in terminal_table(plain)
+
+
+def test_a_narrow_problem_is_planned_and_its_scenario_sampled(results):
+    unit = next(
+        result
+        for result in results
+        if (result.unit.kind, result.unit.family, result.unit.split)
+        == (Kind.PLANNING, Family.NARROW, Split.VALIDATION)
+    )
+    assert [type(row).__name__ for row in unit.rows] == ["PlanningTrial", "SceneQuality", "PlanningTrial"]
+    stage = Stage(TWO_LINK, Camera(), Split.VALIDATION, 3)
+    alone = reconstruct(Scene(stage, 0, Family.NARROW), UniformSampler(TWO_LINK.space), TINY.samples)
+    assert unit.rows[1] == alone
+
+
+def test_three_joints_have_no_units_of_a_family():
+    assert {unit.family for unit in units(QUICK, joints=3)} == {None}
 
 
 def test_an_evaluation_without_scenarios_is_an_error(results):
@@ -91,6 +141,9 @@ def test_metrics_are_finite_and_carry_their_limits(evaluation):
         "test_uniform_coverage",
         "planning_success",
         "test_gsc_true",
+        "knn_precision",
+        "test_real_knn_recall",
+        "narrow_uniform_knn_precision",
     ):
         assert metrics[f"{name}_low"] <= metrics[f"{name}_high"]
         assert name in metrics
@@ -101,8 +154,10 @@ def test_metrics_are_finite_and_carry_their_limits(evaluation):
 
 def test_the_json_holds_every_row(evaluation):
     told = json.loads(to_json(evaluation))
-    assert len(told["validation"]["scenes"]) == 4
-    assert told["test"]["trials"][0]["family"] == "uniform"
+    assert len(told["validation"]["scenes"]) == 7
+    assert list(told["validation"]["families"]) == FAMILIES
+    assert {row["family"] for row in told["test"]["scenes"]} == {"uniform", *FAMILIES}
+    assert {row["family"] for row in told["test"]["trials"]} == {"uniform", "narrow"}
     assert told["planner"]["planner"] == "RRT"
 
 
@@ -110,7 +165,12 @@ def test_the_markdown_names_the_decision_and_every_table(evaluation):
     text = to_markdown(evaluation, "cspace-sampler/4", ["coverage 0.959 is at or above the floor"])
     assert text.startswith("# cspace-sampler/4\n")
     assert "- coverage 0.959 is at or above the floor" in text
-    for heading in ("Reconstruction, validation (decides)", "Planning, test (reported only)", "Topology"):
+    for heading in (
+        "Reconstruction, validation (decides)",
+        "Reconstruction by family, validation (reported only)",
+        "Planning, test (reported only)",
+        "Topology",
+    ):
         assert f"## {heading}" in text
     tables = [line for line in text.splitlines() if line.startswith("|")]
     assert all(line.endswith("|") for line in tables)
@@ -122,6 +182,11 @@ def test_the_terminal_table_is_aligned(evaluation):
     column = lines[header].index("precision")
     assert [lines[header + row][column - 2 : column] for row in (1, 2, 3)] == ["  "] * 3
     assert lines[header + 3].startswith("real     1.000")
+    families = lines.index("by family, test")
+    assert [line.split()[:3] for line in lines[families + 5 : families + 7]] == [
+        ["narrow", "1", "sampler"],
+        ["narrow", "1", "uniform"],
+    ]
 
 
 def test_three_joints_are_evaluated_without_planning_and_with_both_scores():
@@ -149,13 +214,3 @@ def test_planner_seeds_differ_and_are_never_zero():
     assert len(seeds) == 150
     assert min(seeds) >= 1
     assert max(seeds) < 2**31
-
-
-@pytest.mark.parametrize("robot", [TWO_LINK, THREE_LINK])
-def test_the_gallery_has_three_panels_a_scenario(robot, tmp_path):
-    stage = Stage(robot, Camera(), Split.TEST, 0)
-    figure = gallery([Scene(stage, 0), Scene(stage, 1)], UniformSampler(robot.space), "two scenarios")
-    figure.savefig(tmp_path / "gallery.png")
-    assert len(figure.axes) == 6
-    assert (tmp_path / "gallery.png").stat().st_size > 10_000
-    assert "free" in figure.axes[2].get_title()

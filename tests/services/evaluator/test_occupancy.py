@@ -8,15 +8,21 @@ import pytest
 from cspace.bundle import Bundle, write_bundle
 from cspace.collision import CollisionChecker
 from cspace.errors import EvaluationError
+from cspace.problem import Family
 from cspace.robot import TWO_LINK
 from cspace.scenario import Camera, Split
+from services.evaluator.budget import JUDGED, Budget, Kind, Unit
+from services.evaluator.evaluation import Setting, assemble, run_unit
+from services.evaluator.metrics import flat_metrics
 from services.evaluator.occupancy import scene_occupancy, summarise_occupancy
 from services.evaluator.reconstruction import summarise
 from services.evaluator.reliability import reliability_diagram
 from services.evaluator.samplers import BundleSampler, ScoredBundleSampler, bundle_sampler
 from services.evaluator.scenes import Scene, Stage, reconstruct
+from services.evaluator.tables import occupancy_table
 from tests.bundles import tiny_graphs, tiny_spec, write_tiny_bundle
 
+DISCONNECTED = Family.DISCONNECTED
 STAGE = Stage(TWO_LINK, Camera(), Split.VALIDATION, 5)
 
 
@@ -70,6 +76,10 @@ class Oracle:
     def score(self, image, configurations):
         return self.checker.valid_batch(configurations).astype(np.float32)
 
+    def confident(self, image, n, seed):
+        drawn = self.sample(image, n, seed)
+        return drawn[self.score(image, drawn) >= self.threshold]
+
 
 def test_confident_samples_are_as_many_and_all_pass():
     scene = Scene(STAGE, 0)
@@ -113,7 +123,35 @@ def test_a_bundle_with_head_and_threshold_is_judged_with_them(tmp_path):
     assert len(reliability_diagram(summary.occupancy, "title").axes) == 2
 
 
-def scored_bundle(folder, threshold):
+def test_confident_samples_of_a_bundle_are_those_whose_score_reaches_its_threshold(tmp_path):
+    scene = Scene(STAGE, 0)
+    drawn = bundle_sampler(scored_bundle(tmp_path / "low", 0.0)).sample(scene.image, 200, 5)
+    sampler = bundle_sampler(scored_bundle(tmp_path / "bundle", 0.5))
+    scores = sampler.score(scene.image, drawn)
+    threshold = float(np.median(scores))
+    found = dataclasses.replace(sampler, threshold=threshold).confident(scene.image, 200, 5)
+    assert 0 < len(found) < 200
+    assert np.array_equal(found, drawn[scores >= np.float32(threshold)])
 
+
+def test_a_head_is_judged_by_family(tmp_path):
+    sampler = bundle_sampler(scored_bundle(tmp_path / "bundle", 0.3))
+    work = [
+        Unit(Kind.RECONSTRUCTION, split, 0, 1, family) for split in JUDGED for family in (None, DISCONNECTED)
+    ]
+    budget = Budget(1, 50, 0, 0, 1, 0, 1, disconnected_scenarios=1)
+    setting = Setting(TWO_LINK, Camera(), 5, budget)
+    evaluation = assemble([run_unit(unit, setting, sampler) for unit in work], setting)
+    (row,) = [row for row in evaluation.test.scenes if row.family is DISCONNECTED]
+    metrics = flat_metrics(evaluation)
+    assert metrics["test_disconnected_head_accuracy"] == row.occupancy.accuracy
+    assert metrics["test_disconnected_head_near_accuracy"] == row.occupancy.near_right / row.occupancy.near
+    assert metrics["test_disconnected_confident_precision"] == row.confident.precision
+    table = occupancy_table(evaluation.test)
+    assert [cells[0] for cells in table] == ["family", "uniform", "disconnected"]
+    assert table[2][1].startswith(f"{row.occupancy.accuracy:.4f}")
+
+
+def scored_bundle(folder, threshold):
     spec = dataclasses.replace(tiny_spec(), confidence_threshold=threshold)
     return Bundle.load(write_bundle(folder, spec, tiny_graphs(spec, validity=True)))

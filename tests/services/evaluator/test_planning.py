@@ -168,6 +168,10 @@ class Scored(UniformSampler):
     def score(self, image, configurations):
         return (configurations[:, 0] < 0.0).astype(np.float32)
 
+    def confident(self, image, n, seed):
+        drawn = self.sample(image, n, seed)
+        return drawn[self.score(image, drawn) >= self.threshold]
+
 
 def test_a_validity_head_adds_a_run_with_as_many_samples_that_pass_it():
     asked = []

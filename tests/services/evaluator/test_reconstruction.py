@@ -1,50 +1,21 @@
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from cspace.errors import EvaluationError
 from cspace.space import JointSpace, embed
 from services.evaluator.reconstruction import (
     SampleQuality,
     SceneQuality,
-    coverage,
     energy_distance,
     sample_quality,
     summarise,
 )
 
 TORUS = JointSpace((-np.pi, -np.pi), (np.pi, np.pi), (True, True))
-MIXED = JointSpace((-np.pi, -3.0), (np.pi, 3.0), (True, False))
 
 
-def quality(precision, energy=1.0, covered=0.9):
-    return SampleQuality(precision, covered, energy)
-
-
-def test_coverage_by_hand():
-    held_out = np.array([[0.0, 0.0], [1.0, 1.0], [2.0, 2.0], [-1.0, 0.0]])
-    samples = np.array([[0.1, 0.1], [1.0, 1.19], [2.2, 2.2]])
-    assert coverage(held_out, samples, TORUS) == 0.5
-
-
-def test_coverage_goes_round_circles_and_not_round_limits():
-    held_out, samples = np.array([[3.1, 2.95]]), np.array([[-3.1, 2.95]])
-    assert coverage(held_out, samples, MIXED) == 1.0
-    assert (
-        coverage(held_out[:, ::-1], samples[:, ::-1], JointSpace((-3.0, -np.pi), (3.0, np.pi), (False, True)))
-        == 1.0
-    )
-    assert coverage(np.array([[0.0, 2.95]]), np.array([[0.0, -2.95]]), MIXED) == 0.0
-
-
-@settings(max_examples=25, deadline=None)
-@given(st.integers(0, 2**32 - 1))
-def test_coverage_equals_the_distance_matrix(seed):
-    rng = np.random.default_rng(seed)
-    held_out, samples = TORUS.sample_uniform(rng, 60), TORUS.sample_uniform(rng, 80).astype(np.float32)
-    matrix = TORUS.distance(held_out[:, None], samples[None].astype(np.float64))
-    assert coverage(held_out, samples, TORUS) == np.mean(matrix.min(axis=1) <= 0.2)
+def quality(precision, energy=1.0, covered=0.9, knn=(0.95, 0.85)):
+    return SampleQuality(precision, covered, energy, *knn)
 
 
 def test_energy_distance_equals_its_definition_without_self_pairs(rng):
@@ -73,9 +44,18 @@ def test_two_points_on_opposite_sides_of_a_circle():
 
 
 def test_precision_is_the_free_share(rng):
-    samples = np.array([[0.0, 0.0], [1.0, 0.0], [2.0, 0.0], [-1.0, 0.0]])
+    samples = np.array([[0.0, 0.0], [1.0, 0.0], [2.0, 0.0], [-1.0, 0.0]] * 2)
     measured = sample_quality(samples, TORUS.sample_uniform(rng, 10), TORUS, lambda q: q[:, 0] >= 0)
     assert measured.precision == 0.75
+
+
+def test_samples_have_the_share_of_each_other_s_manifold(rng):
+    # Samples of one half of the torus: all look real, and half of the real ones are out of their reach.
+    held_out, samples = TORUS.sample_uniform(rng, 1000), TORUS.sample_uniform(rng, 1000)
+    samples[:, 0] = np.abs(samples[:, 0])
+    measured = sample_quality(samples, held_out, TORUS, lambda q: q[:, 0] >= 0)
+    assert measured.knn_precision > 0.98
+    assert measured.knn_recall == pytest.approx(0.55, abs=0.05)
 
 
 @pytest.mark.parametrize("samples", [np.empty((0, 2)), np.zeros(3), np.array([[np.nan, 0.0], [0.0, 0.0]])])
@@ -104,6 +84,20 @@ def test_the_summary_names_gain_low_quantile_and_minimum(rng):
     assert summary.precision_gain.low == pytest.approx(0.1)
     assert summary.sampler.precision_p10.estimate == pytest.approx(0.55)
     assert summary.sampler.precision_minimum == 0.5
+
+
+def test_the_manifolds_are_summarised_over_scenarios_for_every_kind_of_samples(rng):
+    scenes = [
+        SceneQuality(i, quality(0.9, knn=(i / 10, 0.2)), quality(0.6), quality(1.0, 0.0, knn=(1.0, 0.99)))
+        for i in range(11)
+    ]
+    summary = summarise(scenes, rng)
+    assert summary.sampler.knn_precision.estimate == pytest.approx(0.5)
+    assert summary.sampler.knn_precision.low < 0.4
+    assert summary.sampler.knn_precision.high > 0.6
+    assert (summary.sampler.knn_recall.low, summary.sampler.knn_recall.high) == pytest.approx((0.2, 0.2))
+    assert summary.uniform.knn_precision.estimate == pytest.approx(0.95)
+    assert summary.real.knn_recall.estimate == pytest.approx(0.99)
 
 
 def test_no_scenarios_are_an_error(rng):

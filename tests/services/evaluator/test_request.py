@@ -45,7 +45,8 @@ def test_units_cover_every_scenario_and_problem_once():
     ]
     assert len(seen) == len(set(seen))
     problems = 2 * (QUICK.validation_problems + QUICK.test_problems)
-    assert len(seen) == 2 * QUICK.scenarios + QUICK.topology_scenarios + problems
+    scenarios = 2 * (QUICK.scenarios + QUICK.disconnected_scenarios)
+    assert len(seen) == scenarios + QUICK.topology_scenarios + problems
 
 
 def test_arms_of_three_joints_have_no_planning_units():

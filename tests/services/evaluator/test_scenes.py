@@ -1,11 +1,22 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from cspace.errors import EvaluationError
+from cspace.problem import Family, draw_problem
 from cspace.robot import THREE_LINK, TWO_LINK
 from cspace.scenario import Camera, Disc, Scenario, Split, random_scenarios
 from services.evaluator.samplers import UniformSampler
-from services.evaluator.scenes import Scene, Stage, measure_reconstruction, reconstruct
+from services.evaluator.scenes import (
+    CONFIDENT_STREAM,
+    CONFIDENT_TURNS,
+    FAMILY_STREAMS,
+    Scene,
+    Stage,
+    measure_reconstruction,
+    reconstruct,
+)
 
 STAGE = Stage(TWO_LINK, Camera(), Split.VALIDATION, 5)
 
@@ -18,6 +29,30 @@ def blocked(scene, discs):
 def test_scenes_are_the_split_s_scenarios():
     expected = random_scenarios(Split.VALIDATION, 5, 3)
     assert [Scene(STAGE, index).scenario for index in range(3)] == expected
+
+
+@pytest.mark.parametrize("family", [Family.NARROW, Family.DISCONNECTED])
+def test_scenes_of_a_family_are_those_of_its_problems_seen_by_the_evaluation_s_camera(family):
+    camera = Camera(pixels=32)
+    scene = Scene(replace(STAGE, camera=camera), 1, family)
+    expected = draw_problem(family, Split.VALIDATION, 5, 1)
+    assert scene.scenario == replace(expected.scenario, camera=camera)
+    assert np.array_equal(scene.problem.start, expected.start)
+    assert Scene(STAGE, 1, family, expected).problem is expected
+
+
+def test_families_have_streams_of_their_own():
+    scenes = [Scene(STAGE, 1), *(Scene(STAGE, 1, family) for family in FAMILY_STREAMS)]
+    numbers = {scene.rng(stream).random() for scene in scenes for stream in range(5)}
+    assert len(numbers) == 15
+    assert min(FAMILY_STREAMS.values()) >= 10 + CONFIDENT_STREAM + CONFIDENT_TURNS
+
+
+def test_the_quality_names_its_family():
+    drawn = draw_problem(Family.DISCONNECTED, Split.VALIDATION, 5, 2)
+    quality = reconstruct(Scene(STAGE, 2, Family.DISCONNECTED, drawn), UniformSampler(TWO_LINK.space), 50)
+    assert (quality.family, quality.index) == (Family.DISCONNECTED, 2)
+    assert reconstruct(Scene(STAGE, 2), UniformSampler(TWO_LINK.space), 50).family is Family.UNIFORM
 
 
 def test_the_picture_has_the_camera_s_size():
@@ -71,6 +106,7 @@ def test_a_sampler_that_repeats_one_free_configuration_is_precise_and_covers_not
     quality = reconstruct(scene, Collapsed(), samples=400)
     assert quality.sampler.precision == 1.0
     assert quality.sampler.coverage < 0.05
+    assert (quality.sampler.knn_precision, quality.sampler.knn_recall) == (1.0, 0.0)
     assert quality.sampler.energy > quality.uniform.energy
 
 
