@@ -39,7 +39,7 @@ def test_it_holds_a_bundle_and_nothing_else(bundle: Bundle) -> None:
 
 def test_it_tells_how_it_was_made(bundle: Bundle) -> None:
     provenance = bundle.spec.provenance
-    assert provenance.command == "python training/cluster_train.py --preset quickstart"
+    assert provenance.command == "python training/cluster_train.py --preset reference"
     assert re.fullmatch(r"[0-9a-f]{40}", provenance.git_commit)
     assert provenance.git_dirty is False
     assert provenance.seeds == {"data": 0, "train": 0}
