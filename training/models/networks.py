@@ -54,8 +54,20 @@ class Encoder(nn.Module):
         return [patch for row in rows for patch in torch.chunk(row, self.cuts, dim=3)]
 
 
+class LeakyTanh(nn.Module):
+    """tanh(x) + x / 20: bounded in effect, with a gradient everywhere."""
+
+    def forward(self, values: Tensor) -> Tensor:
+        """The same shape."""
+        return torch.tanh(values) + 0.05 * values
+
+
 class Decoder(nn.Module):
-    """Latent to picture by resize-convolutions, which leave no checkerboard: (b, L) to (b, 3, P, P)."""
+    """Latent to picture by resize-convolutions, which leave no checkerboard: (b, L) to (b, 3, P, P).
+
+    Most of a picture is white, and a plain tanh that has once become white everywhere has no gradient that
+    leads back (one seed in five ended there), so the last one leaks.
+    """
 
     def __init__(self, pixels: int, latent_dim: int, width: int) -> None:
         super().__init__()
@@ -72,11 +84,11 @@ class Decoder(nn.Module):
             nn.LeakyReLU(0.2),
             nn.Upsample(scale_factor=2),
             nn.Conv2d(width, 3, 3, padding=1),
-            nn.Tanh(),
+            LeakyTanh(),
         )
 
     def forward(self, latent: Tensor) -> Tensor:
-        """The decoded pictures in [-1, 1]."""
+        """The decoded pictures, near [-1, 1]."""
         first: Tensor = self.first(latent)
         decoded: Tensor = self.layers(first.view(-1, 4 * self.width, self.side, self.side))
         return decoded
