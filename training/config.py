@@ -191,6 +191,9 @@ class TrainConfig(Section):
             raise ValueError(
                 f"clusters.form={form} needs gate.cells of at least clusters.count, {self.clusters.count}"
             )
+        guided = form == "guided" and self.local_trials and self.global_.local_critic_weight > 0
+        if guided and self.local.critic_lookups != self.global_.critic_lookups:
+            raise ValueError("local critics that guide look where the global one does: equal critic_lookups")
         if cells and "means" in (self.local.generator, self.global_.generator):
             raise ValueError("gate.cells belong to generator=torus: the means have no base to draw in a cell")
         return self
