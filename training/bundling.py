@@ -22,7 +22,6 @@ from training.models.export import (
     mixture_graph,
     validity_graph,
 )
-from training.models.gate import Gate
 from training.models.lookups import make_lookups
 from training.models.mixture import Experts, GatedSampler, LookupSampler
 from training.models.networks import TorusGenerator
@@ -30,7 +29,7 @@ from training.models.validity import ValidityHead
 from training.provenance import command_line, now, source_state
 from training.threshold import choose_threshold, validation_scores
 from training.trials.arrays import TrainingArrays
-from training.trials.loading import load_generator, torus_generator
+from training.trials.loading import load_gate, load_generator, torus_generator
 
 THRESHOLD_SCENARIOS = 40
 # Where the truth of further scenarios is not known, as with data of one's own.
@@ -148,14 +147,6 @@ def _gated(config: TrainConfig, parts: TrainedParts, generators: list[TorusGener
     clusters = arrays.cells.clusters if len(generators) > 1 else 0 * arrays.cells.clusters
     lookups = make_lookups(generator_config(config).generator_lookups, arrays.robot, arrays.camera)
     return GatedSampler(gate, arrays.cells.points, Experts(generators, torch.tensor(clusters)), lookups)
-
-
-def load_gate(config: TrainConfig, checkpoint: Path) -> Gate:
-    """The gate of a trial's checkpoint."""
-    with seeded_initialisation(0):
-        gate = Gate(config.gate, config.vae.latent_dim)
-    gate.load_state_dict(load_weights(checkpoint, "gate"))
-    return gate
 
 
 def _provenance(config: TrainConfig, dataset: Dataset) -> Provenance:

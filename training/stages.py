@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from cspace.dataset import Dataset, open_dataset
 from cspace.errors import ConfigError
-from training.bundling import load_gate
 from training.clustering import cluster, group, points_in_cells
 from training.config import TrainConfig
 from training.datasets.generate import generate
@@ -20,6 +19,7 @@ from training.job import Job
 from training.models.gate import gate_probabilities
 from training.trials.arrays import GatedCells, TrainingArrays
 from training.trials.launch import TrialOutcome, run_trials
+from training.trials.loading import load_gate
 from training.trials.occupancy import OccupancyArrays
 from training.trials.trainables import (
     DISTILLED,

@@ -33,7 +33,7 @@ def run_job(uri, data_folder, *overrides):
     return submit(uri, data_folder, "--preset", "smoke", *settings)
 
 
-def submit(uri, data_folder, *arguments):
+def submit(uri, data_folder, *arguments, script="cluster_train.py"):
     environment = os.environ | {
         "MLFLOW_TRACKING_URI": uri,
         "CSPACE_DATA_DIR": str(data_folder),
@@ -44,7 +44,7 @@ def submit(uri, data_folder, *arguments):
         "OMP_NUM_THREADS": "1",
     }
     environment.pop("RAY_ADDRESS", None)
-    command = [sys.executable, str(ROOT / "training" / "cluster_train.py"), *arguments]
+    command = [sys.executable, str(ROOT / "training" / script), *arguments]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False, timeout=300)
     assert done.returncode == 0, done.stdout + done.stderr
     return json.loads(done.stdout.rpartition("RESULT ")[2].splitlines()[0])
@@ -207,3 +207,21 @@ def test_the_same_seed_trains_the_same_sampler(result, server, data_folder, tmp_
     picture = np.full((48, 48, 3), 255, dtype=np.uint8)
     first, second = (bundle.sample(picture, 50, 3).samples for bundle in bundles)
     np.testing.assert_array_equal(first, second)
+
+
+@pytest.mark.slow
+def test_a_search_tries_settings_and_ends_weak_trials_early(server, data_folder, client):
+    tiny = ["gate.cells=4", "gate.steps=20", "gate.points=32", "local.steps=18"]
+    options = [part for override in tiny for part in ("--set", override)]
+    options += ["--preset", "smoke", "--trials", "4", "--scenarios", "2"]
+    result = submit(server, data_folder, *options, script="search.py")
+    tried = result["tried"]
+    assert len(tried) == 4
+    assert len({json.dumps(one["settings"], sort_keys=True) for one in tried}) == 4
+    assert max(one["step"] for one in tried) == 18
+    assert [one["step"] for one in tried] == sorted((one["step"] for one in tried), reverse=True)
+    experiment = client.get_experiment_by_name(EXPERIMENT).experiment_id
+    children = client.search_runs([experiment], f"tags.mlflow.parentRunId = '{result['run_id']}'")
+    runs = [child for child in children if child.info.run_name.startswith("search")]
+    assert len(runs) == 4
+    assert all("validation_edr" in run.data.metrics and "hidden" in run.data.params for run in runs)

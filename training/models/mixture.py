@@ -26,6 +26,7 @@ class Experts(nn.Module):
 
     def __init__(self, generators: Sequence[TorusGenerator], clusters: Tensor) -> None:
         super().__init__()
+        self.noise_dim = generators[0].noise_dim
         self.register_buffer("clusters", clusters)
         linear = [
             [layer for layer in generator.residual if isinstance(layer, nn.Linear)]
@@ -75,6 +76,7 @@ class GatedSampler(nn.Module):
     def __init__(self, gate: Gate, cells: CellPoints, experts: Experts, lookups: ArmLookups | None) -> None:
         super().__init__()
         self.gate, self.experts, self.lookups = gate, experts, lookups
+        self.noise_dim = experts.noise_dim
         self.register_buffer("points", torch.tensor(cells.points))
         self.register_buffer("spacing", torch.tensor(cells.spacing_rad))
 

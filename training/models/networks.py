@@ -109,7 +109,7 @@ class TorusGenerator(nn.Module):
         self, dim: int, latent_dim: int, hidden: int, layers: int, noise_dim: int, looked_up: int = 0
     ) -> None:
         super().__init__()
-        self.looked_up = looked_up
+        self.looked_up, self.noise_dim = looked_up, noise_dim
         self.residual = mlp(latent_dim + 2 * HARMONICS * dim + noise_dim + looked_up, hidden, layers, dim)
         last = self.residual[-1]
         assert isinstance(last, nn.Linear)  # noqa: S101 - for the type checker

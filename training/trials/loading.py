@@ -3,8 +3,9 @@
 from pathlib import Path
 
 from cspace.errors import JobError
-from training.config import GanConfig
+from training.config import GanConfig, TrainConfig
 from training.models.checkpoint import load_weights, seeded_initialisation
+from training.models.gate import Gate
 from training.models.lookups import make_lookups
 from training.models.modules import make_critic, make_generator
 from training.models.networks import Critic, MeansGenerator, TorusGenerator
@@ -48,3 +49,11 @@ def load_critic(config: GanConfig, arrays: TrainingArrays, checkpoint: Path) -> 
         critic = make_critic(config, dim, latent_dim, scenarios, arrays.scale, looked_up)
     critic.load_state_dict(load_weights(checkpoint, "critic"))
     return critic
+
+
+def load_gate(config: TrainConfig, checkpoint: Path) -> Gate:
+    """The gate of a trial's checkpoint."""
+    with seeded_initialisation(0):
+        gate = Gate(config.gate, config.vae.latent_dim)
+    gate.load_state_dict(load_weights(checkpoint, "gate"))
+    return gate

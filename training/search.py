@@ -1,0 +1,117 @@
+#!/usr/bin/env python
+"""The Ray job that searches settings of the generators: many short trials, the weak ones ended early.
+
+ray job submit --working-dir . -- python training/search.py --preset reference --trials 24
+
+All trials share data, encoder and gate. Each is a run under the search's, with its settings as parameters
+and its quality on validation scenarios as metrics, so that the MLflow UI compares them. Nothing is
+registered: put the settings that you choose into a preset and train.
+"""
+
+import argparse
+import json
+import logging
+import sys
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from cspace.errors import ConfigError, CspaceError, InputError
+from training.config import TrainConfig, load_config, presets
+from training.environment import Environment, job_environment
+
+_LOG = logging.getLogger("training")
+LOOKS = 9
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command line."""
+    parser = argparse.ArgumentParser(
+        description=(__doc__ or "").partition("\n")[0],
+        epilog="Reads MLFLOW_TRACKING_URI, CSPACE_DATA_DIR. Exit codes: 0 found, 1 failed, 2 bad input.",
+    )
+    parser.add_argument("--preset", default="reference", help=f"one of {', '.join(presets())}")
+    parser.add_argument("--set", dest="overrides", metavar="KEY=VALUE", action="append", default=[])
+    parser.add_argument("--trials", type=int, default=24, help="settings that are tried")
+    parser.add_argument("--scenarios", type=int, default=40, help="validation scenarios that decide")
+    return parser
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Parse, search, print."""
+    options = parser().parse_args(arguments)
+    logging.basicConfig(level=logging.WARNING, format="%(message)s", stream=sys.stdout)
+    _LOG.setLevel(logging.INFO)
+    try:
+        # One generator over all cells a trial, and no head: the search is about generators.
+        fixed = ["clusters.count=1", "validity.steps=0"]
+        config = load_config(options.preset, [*options.overrides, *fixed])
+        if config.gate.cells == 0 or min(options.trials, options.scenarios) < 1:
+            raise ConfigError(
+                "there is nothing to search",
+                expected="a preset with gate.cells above 0, one trial and one scenario or more",
+                got=f"gate.cells {config.gate.cells}, {options.trials} trials, {options.scenarios} scenarios",
+            )
+        found = run(config, job_environment(), options.trials, options.scenarios)
+    except CspaceError as error:
+        print(f"search: {error}", file=sys.stderr)
+        return 2 if isinstance(error, InputError) else 1
+    print("RESULT " + json.dumps(found), flush=True)
+    return 0
+
+
+def run(config: TrainConfig, environment: Environment, trials: int, scenarios: int) -> dict[str, object]:
+    """Search, and return the run's id with what was tried, best first.
+
+    Raises:
+        CspaceError: bad data, or no trial that came to an end.
+    """
+    # Imported here so that a wrong key is told at once, not after the frameworks have loaded.
+    from training.job import Job  # noqa: PLC0415
+    from training.stages import (  # noqa: PLC0415
+        encode_and_cluster,
+        encoder_checkpoint,
+        prepare_data,
+        train_gate,
+        train_on_pictures,
+    )
+    from training.trials.launch import connect  # noqa: PLC0415
+    from training.trials.searching import search  # noqa: PLC0415
+
+    connect()
+    job = Job.start(config, environment, {"preset": config.preset, "search": "asha"})
+    with job.run as parent:
+        _LOG.info("run: %s", parent.run_id)
+        dataset = prepare_data(config, environment.data_folder)
+        parent.params(config.to_dict())
+        vae, _ = train_on_pictures(job, dataset)
+        arrays, gate = train_gate(job, encode_and_cluster(job, dataset, vae))
+        if gate is None:
+            raise ConfigError("a search needs a gate", expected="gate.cells above 0", got="0")
+        shared = {
+            "train": config,
+            # Some of the settings look the pictures up, whatever the preset does.
+            "arrays": replace(arrays, images=np.asarray(dataset.images)),
+            "checkpoints": {"vae": str(encoder_checkpoint(job, vae)), "gate": str(gate.checkpoint)},
+            "parent_run_id": parent.run_id,
+            "tracking_uri": environment.tracking_uri,
+            "looks": LOOKS,
+            "scenarios": scenarios,
+        }
+        _LOG.info("search: %d trials of at most %d steps", trials, config.local.steps)
+        tried = search(
+            shared, config.local.steps, trials, config.seed, config.resources, job.folder / "search"
+        )
+        for one in tried:
+            quality = " / ".join(f"{value:.3f}" for value in one.metrics.values())
+            _LOG.info("step %d: precision / coverage / EDr %s, %s", one.step, quality, dict(one.settings))
+        parent.metrics(dict(tried[0].metrics), 0)
+        return {
+            "run_id": parent.run_id,
+            "tried": [{"settings": dict(one.settings), "step": one.step, **one.metrics} for one in tried],
+        }
+
+
+if __name__ == "__main__":
+    sys.exit(main())
