@@ -6,11 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import torch
-
 from cspace.bundle import Bundle, BundleSpec, Provenance, RandomInput, write_bundle
 from cspace.dataset import Dataset
-from cspace.errors import JobError
 from cspace.space import Standardisation
 from training.config import GanConfig, TrainConfig
 from training.encode import load_encoder
@@ -23,13 +20,12 @@ from training.models.export import (
     validity_graph,
 )
 from training.models.lookups import make_lookups
-from training.models.mixture import Experts, GatedSampler, LookupSampler
-from training.models.networks import TorusGenerator
+from training.models.mixture import LookupSampler
 from training.models.validity import ValidityHead
 from training.provenance import command_line, now, source_state
 from training.threshold import choose_threshold, validation_scores
 from training.trials.arrays import TrainingArrays
-from training.trials.loading import load_gate, load_generator, torus_generator
+from training.trials.loading import gated_sampler, load_gate, load_generator, torus_generator
 
 THRESHOLD_SCENARIOS = 40
 # Where the truth of further scenarios is not known, as with data of one's own.
@@ -131,22 +127,13 @@ def _sampler_graph(config: TrainConfig, parts: TrainedParts) -> bytes:
     generators = [load_generator(gan, arrays, folder) for folder in parts.generators]
     lookups = make_lookups(gan.generator_lookups, arrays.robot, arrays.camera)
     if parts.gate is not None:
-        sampler = _gated(config, parts, [torus_generator(generator) for generator in generators])
+        gate = load_gate(config, parts.gate)
+        sampler = gated_sampler(gate, arrays, generators, gan.generator_lookups)
         return mixture_graph(sampler, latent_dim, gan.noise_dim, pixels)
     if lookups is not None:
         plain = LookupSampler(torus_generator(generators[0]), lookups)
         return lookup_graph(plain, arrays.robot.dim, latent_dim, gan.noise_dim, pixels)
     return generator_graph(generators[0], arrays.robot.dim, latent_dim, gan.noise_dim)
-
-
-def _gated(config: TrainConfig, parts: TrainedParts, generators: list[TorusGenerator]) -> GatedSampler:
-    arrays = parts.arrays
-    if arrays.cells is None or parts.gate is None:
-        raise JobError("a gated sampler needs its cells", expected="gate.cells above 0", got="none")
-    gate = load_gate(config, parts.gate)
-    clusters = arrays.cells.clusters if len(generators) > 1 else 0 * arrays.cells.clusters
-    lookups = make_lookups(generator_config(config).generator_lookups, arrays.robot, arrays.camera)
-    return GatedSampler(gate, arrays.cells.points, Experts(generators, torch.tensor(clusters)), lookups)
 
 
 def _provenance(config: TrainConfig, dataset: Dataset) -> Provenance:

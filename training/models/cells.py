@@ -1,5 +1,6 @@
 """Where a torus generator starts: anywhere, or inside cells of the configuration space."""
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,12 +22,12 @@ class CellPoints:
     spacing_rad: NDArray[np.float32]
 
 
-class Base(nn.Module):
+class Base(nn.Module, ABC):
     """What a torus generator starts from."""
 
+    @abstractmethod
     def draw(self, ids: Tensor, rng: torch.Generator) -> Tensor:
         """(b, d) rad for scenarios (b,)."""
-        raise NotImplementedError
 
 
 class UniformBase(Base):

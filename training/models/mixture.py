@@ -110,7 +110,7 @@ class LookupSampler(nn.Module):
 
     def __init__(self, generator: TorusGenerator, lookups: ArmLookups) -> None:
         super().__init__()
-        self.generator, self.lookups = generator, lookups
+        self.generator, self.lookups, self.noise_dim = generator, lookups, generator.noise_dim
 
     def forward(self, latent: Tensor, base: Tensor, noise: Tensor, image: Tensor) -> Tensor:
         """One configuration for each latent."""

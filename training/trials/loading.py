@@ -1,15 +1,71 @@
 """Networks of the configuration space, fresh or from a trial's checkpoint."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
+import torch
+
 from cspace.errors import JobError
-from training.config import GanConfig, TrainConfig
+from training.config import GanConfig, LookupConfig, TrainConfig
 from training.models.checkpoint import load_weights, seeded_initialisation
 from training.models.gate import Gate
 from training.models.lookups import make_lookups
-from training.models.modules import make_critic, make_generator
+from training.models.mixture import Experts, GatedSampler
+from training.models.modules import WganGpModule, make_critic, make_generator
 from training.models.networks import Critic, MeansGenerator, TorusGenerator
 from training.trials.arrays import TrainingArrays
+
+
+def make_wgan(
+    config: GanConfig,
+    arrays: TrainingArrays,
+    cluster: int | None,
+    seed: int,
+    critics: list[Critic] | None = None,
+    weight: float = 0.0,
+) -> WganGpModule:
+    """A WGAN-GP on the configurations of one cluster, or on all, that starts where the cells say.
+
+    Args:
+        config: its settings.
+        arrays: the data.
+        cluster: which; None for all.
+        seed: of initialisation and of every draw.
+        critics: frozen local critics that guide it.
+        weight: of their mean.
+    """
+    with seeded_initialisation(seed):
+        return WganGpModule(
+            config,
+            arrays.samples(cluster),
+            arrays.scale,
+            seed,
+            critics,
+            weight,
+            base=arrays.base(cluster),
+            scenes=arrays.scenes(),
+        )
+
+
+def gated_sampler(
+    gate: Gate,
+    arrays: TrainingArrays,
+    generators: Sequence[TorusGenerator | MeansGenerator],
+    lookups: LookupConfig,
+) -> GatedSampler:
+    """The whole sampler behind a gate: one generator for all cells, or one for each cluster of them.
+
+    Raises:
+        JobError: there are no cells, or generators that do not start in cells.
+    """
+    if arrays.cells is None:
+        raise JobError("a gated sampler needs its cells", expected="gate.cells above 0", got="none")
+    clusters = torch.tensor(arrays.cells.clusters)
+    parts = [torus_generator(generator) for generator in generators]
+    experts = Experts(parts, clusters if len(parts) > 1 else torch.zeros_like(clusters))
+    return GatedSampler(
+        gate, arrays.cells.points, experts, make_lookups(lookups, arrays.robot, arrays.camera)
+    ).eval()
 
 
 def fresh_generator(config: GanConfig, arrays: TrainingArrays) -> TorusGenerator | MeansGenerator:

@@ -1,7 +1,7 @@
 """A sampler under training, measured on validation scenarios without leaving torch."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -11,12 +11,14 @@ from cspace.image import to_network
 from cspace.robot import PlanarArm
 from cspace.scenario import Camera, Split
 from cspace.space import to_float32
-from services.evaluator.reconstruction import sample_quality
+from services.evaluator.reconstruction import SampleQuality, sample_quality
 from services.evaluator.scenes import Scene, Stage
-from training.models.mixture import GatedSampler
-from training.models.networks import Encoder
+from training.models.mixture import GatedSampler, LookupSampler
+from training.models.networks import Encoder, TorusGenerator
 
 SAMPLES = 1000
+
+TorchSampler = GatedSampler | LookupSampler | TorusGenerator
 
 
 @dataclass(frozen=True)
@@ -41,38 +43,39 @@ class Validation:
         stage = Stage(robot, camera, Split.VALIDATION, 0)
         scenes = [Scene(stage, index) for index in range(scenarios)]
         held_out = [scene.free(SAMPLES, scene.rng(0)) for scene in scenes]
-        energies = [
-            sample_quality(
-                scene.space.sample_uniform(scene.rng(1), SAMPLES),
-                real,
-                scene.space,
-                scene.checker.valid_batch,
-            ).energy
-            for scene, real in zip(scenes, held_out, strict=True)
-        ]
-        return cls(encoder.eval(), scenes, held_out, float(np.sum(energies)))
+        stood = cls(encoder.eval(), scenes, held_out, 1.0)
+        return replace(stood, uniform_energy=float(sum(row.energy for row in stood.rows(None))))
 
-    def measure(self, sampler: GatedSampler) -> dict[str, float]:
-        """Means of precision and coverage, and the energy ratio, as ``validation_*``."""
-        rows = [
+    def rows(self, sampler: TorchSampler | None) -> list[SampleQuality]:
+        """A sampler in every scenario; uniform samples for None."""
+        return [
             sample_quality(self._sample(sampler, scene), real, scene.space, scene.checker.valid_batch)
             for scene, real in zip(self.scenes, self.held_out, strict=True)
         ]
+
+    def measure(self, sampler: TorchSampler) -> dict[str, float]:
+        """Means of precision and coverage, and the energy ratio, as ``validation_*``."""
+        rows = self.rows(sampler)
         return {
             "validation_precision": float(np.mean([row.precision for row in rows])),
             "validation_coverage": float(np.mean([row.coverage for row in rows])),
             "validation_edr": float(np.sum([row.energy for row in rows])) / self.uniform_energy,
         }
 
-    def _sample(self, sampler: GatedSampler, scene: Scene) -> NDArray[np.float64]:
+    def _sample(self, sampler: TorchSampler | None, scene: Scene) -> NDArray[np.float64]:
+        if sampler is None:
+            return scene.space.sample_uniform(scene.rng(1), SAMPLES)
         rng = torch.Generator().manual_seed(scene.sampler_seed())
-        image = torch.from_numpy(to_network(scene.image[None]))
-        dim, noise = scene.space.dim, sampler.noise_dim
+        image, dim = torch.from_numpy(to_network(scene.image[None])), scene.space.dim
         with torch.inference_mode():
             mu, log_variance = self.encoder(image)
             latent = mu + (log_variance / 2.0).exp() * torch.randn(SAMPLES, mu.shape[1], generator=rng)
-            cell, place, jitter = (torch.rand(SAMPLES, size, generator=rng) for size in (1, 1, dim))
-            normal = torch.randn(SAMPLES, noise, generator=rng)
-            picture = image if sampler.lookups is not None else None
-            samples: torch.Tensor = sampler(latent, cell, place, jitter - 0.5, normal, picture)
+            if isinstance(sampler, GatedSampler):
+                cell, place, jitter = (torch.rand(SAMPLES, size, generator=rng) for size in (1, 1, dim))
+                start = [cell, place, jitter - 0.5]
+            else:
+                start = [(2.0 * torch.rand(SAMPLES, dim, generator=rng) - 1.0) * torch.pi]
+            noise = torch.randn(SAMPLES, sampler.noise_dim, generator=rng)
+            seen = [image] if getattr(sampler, "lookups", None) is not None else []
+            samples: torch.Tensor = sampler(latent, *start, noise, *seen)
         return to_float32(samples.squeeze(1).numpy()).astype(np.float64)

@@ -12,12 +12,8 @@ from services.registry.mlflow_tracking import MlflowTracking
 from services.registry.names import EXPERIMENT
 from training.config import TrainConfig
 from training.encode import load_encoder
-from training.models.checkpoint import seeded_initialisation
-from training.models.lookups import make_lookups
-from training.models.mixture import Experts, GatedSampler
-from training.models.modules import WganGpModule
 from training.trials.arrays import TrainingArrays
-from training.trials.loading import load_gate, torus_generator
+from training.trials.loading import gated_sampler, load_gate, make_wgan
 from training.trials.quality import Validation
 
 METRIC = "validation_edr"
@@ -51,15 +47,8 @@ def search_trial(
     gan = type(train.local).model_validate(train.local.model_dump() | settings)
     encoder = load_encoder(train.vae, arrays.camera.pixels, Path(checkpoints["vae"]))
     validation = Validation.draw(encoder, arrays.robot, arrays.camera, scenarios)
-    with seeded_initialisation(train.seed):
-        module = WganGpModule(
-            gan,
-            arrays.samples(None),
-            arrays.scale,
-            train.seed,
-            base=arrays.base(None),
-            scenes=arrays.scenes(),
-        )
+    module = make_wgan(gan, arrays, None, train.seed)
+    gate = load_gate(train, Path(checkpoints["gate"]))
     name = "search " + tune.get_context().get_trial_id()
     run = MlflowTracking(tracking_uri).start(EXPERIMENT, name, parent_run_id=parent_run_id)
     with run:
@@ -68,21 +57,9 @@ def search_trial(
         for step in range(1, gan.steps + 1):
             module.training_step(step, step)
             if step % every == 0 or step == gan.steps:
-                found = validation.measure(_sampler(train, arrays, checkpoints, module))
+                sampler = gated_sampler(gate, arrays, [module.generator], gan.generator_lookups)
+                found = validation.measure(sampler)
                 run.metrics(module.metrics() | found, step)
                 # Tune ends a trial that falls behind inside of report, so the run must be whole by then.
                 run.flush()
                 tune.report(found | {"step": step})
-
-
-def _sampler(
-    train: TrainConfig, arrays: TrainingArrays, checkpoints: Mapping[str, str], module: WganGpModule
-) -> GatedSampler:
-    if arrays.cells is None:
-        raise ValueError("a search needs a gate")
-    generator = torus_generator(module.generator)
-    lookups = make_lookups(module.config.generator_lookups, arrays.robot, arrays.camera)
-    experts = Experts([generator], torch.zeros(len(arrays.cells.clusters), dtype=torch.int64))
-    return GatedSampler(
-        load_gate(train, Path(checkpoints["gate"])), arrays.cells.points, experts, lookups
-    ).eval()

@@ -21,11 +21,11 @@ from training.models.gate import GateModule
 from training.models.joint import JointModule
 from training.models.lookups import make_reader
 from training.models.mixture import Experts
-from training.models.modules import Metrics, TrialModule, VaeModule, WganGpModule
+from training.models.modules import Metrics, TrialModule, VaeModule
 from training.models.validity import ValidityModule
 from training.trials.arrays import TrainingArrays
 from training.trials.fit import Rhythm, fit
-from training.trials.loading import fresh_generator, load_critic, load_generator, torus_generator
+from training.trials.loading import fresh_generator, load_critic, load_generator, make_wgan, torus_generator
 from training.trials.occupancy import OccupancyArrays
 
 VAE, VALIDITY, GATE, GLOBAL, DISTILLED = "vae", "validity", "gate", "global", "distilled"
@@ -68,11 +68,7 @@ def local_trial(
 ) -> None:
     """Train one cluster's WGAN-GP (Algorithm 1)."""
     trial = config["trial"]
-    samples, base = arrays.samples(trial["cluster"]), arrays.base(trial["cluster"])
-    with seeded_initialisation(trial["seed"]):
-        module = WganGpModule(
-            train.local, samples, arrays.scale, trial["seed"], base=base, scenes=arrays.scenes()
-        )
+    module = make_wgan(train.local, arrays, trial["cluster"], trial["seed"])
     _fit(trial, module, train.local.steps, train, tracking_uri)
 
 
@@ -85,20 +81,9 @@ def global_trial(
 ) -> None:
     """Train the global WGAN-GP on all data, guided by the frozen local critics (eq. multiDirector)."""
     trial = config["trial"]
-    samples, scale = arrays.samples(None), arrays.scale
     critics = [load_critic(train.local, arrays, Path(folder)) for folder in local_checkpoints]
-    with seeded_initialisation(trial["seed"]):
-        weight = train.global_.local_critic_weight
-        module = WganGpModule(
-            train.global_,
-            samples,
-            scale,
-            trial["seed"],
-            critics,
-            weight,
-            base=arrays.base(None),
-            scenes=arrays.scenes(),
-        )
+    weight = train.global_.local_critic_weight
+    module = make_wgan(train.global_, arrays, None, trial["seed"], critics, weight)
     _fit(trial, module, train.global_.steps, train, tracking_uri)
 
 
