@@ -14,7 +14,8 @@ from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
 
-from benchmarks.evaluation.machine import machine
+from machine import machine
+
 from cspace.bundle import Bundle
 from cspace.scenario import Split
 from services.evaluator.reconstruction import SceneQuality, summarise

@@ -10,7 +10,6 @@ stages. Results are kept line by line, so that a run that was stopped goes on wh
 
 import argparse
 import json
-import math
 import multiprocessing
 import sys
 import time
@@ -19,14 +18,9 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from clusters_report import write_report
 from safetensors.torch import load_file, save_file
 
-from benchmarks.training.clusters_report import write_report
-from cspace.image import to_network
-from cspace.scenario import Split
-from cspace.space import to_float32
-from services.evaluator.reconstruction import sample_quality
-from services.evaluator.scenes import Scene, Stage
 from training.clustering import cluster, group, points_in_cells
 from training.config import TrainConfig, load_config
 from training.datasets.generate import generate
@@ -36,13 +30,14 @@ from training.models.checkpoint import seeded_initialisation
 from training.models.distillation import DistillationModule
 from training.models.gate import GateModule, gate_probabilities
 from training.models.lookups import make_lookups, make_reader
-from training.models.mixture import Experts, GatedSampler, LookupSampler
+from training.models.mixture import Experts, LookupSampler
 from training.models.modules import VaeModule, WganGpModule
-from training.models.networks import Encoder
+from training.models.networks import Encoder, TorusGenerator
 from training.trials.arrays import GatedCells, TrainingArrays
-from training.trials.loading import fresh_generator
+from training.trials.loading import fresh_generator, gated_sampler, make_wgan
+from training.trials.quality import Validation
 
-SCENARIOS, SAMPLES = 40, 1000
+SCENARIOS = 40
 WIDTH = {"hidden": 64, "critic_hidden": 64, "batch_size": 256}
 LOOKUPS = ("{points_per_link: 12, side_m: 0.1}", "{points_per_link: 8, side_m: 0.1}")
 
@@ -128,26 +123,20 @@ class Trainer:
 
     def __init__(self, joints: int, out: Path) -> None:
         self.arrays, encoder, self.pictures = prepare(joints, out)
-        self.with_encoder(encoder)
-        stage = Stage(self.arrays.robot, self.arrays.camera, Split.VALIDATION, 0)
-        self.scenes = [Scene(stage, index) for index in range(SCENARIOS)]
-        self.held_out = [scene.free(SAMPLES, scene.rng(0)) for scene in self.scenes]
+        self.encode_with(encoder)
+        robot, camera = self.arrays.robot, self.arrays.camera
+        self.validation = Validation.draw(self.encoder, robot, camera, SCENARIOS)
 
-    def with_encoder(self, encoder: Encoder) -> TrainingArrays:
-        """Latents by this encoder from now on."""
+    def encode_with(self, encoder: Encoder) -> None:
         self.encoder = encoder.eval()
         latents = encode(self.encoder, self.arrays.images)
         self.arrays = replace(self.arrays, mu=latents.mu, sigma=latents.sigma)
-        return self.arrays
 
     def run(self, task: Task) -> dict[str, object]:
         began = time.perf_counter()
         sampler = self.train(task)
         seconds = time.perf_counter() - began
         return {"key": task.key, "seconds": seconds, "rows": self.measure(sampler)}
-
-    def uniform(self) -> list[list[float]]:
-        return self.measure(None)
 
     def train(self, task: Task) -> torch.nn.Module:
         arm, config = task.arm, task.config()
@@ -160,16 +149,14 @@ class Trainer:
             with seeded_initialisation(0):
                 still = fresh_generator(task.config().local, self.arrays)
             torch.nn.init.zeros_(still.residual[-1].weight)
-            return GatedSampler(gate, arrays.cells.points, Experts([still], 0 * _tensor(arrays)), lookups)
+            return gated_sampler(gate, arrays, [still], config.local.generator_lookups)
         budget = task.steps if arm.form == "mixture" else 3 * task.steps // 4
-        trained = [
-            self.wgan(config, arrays, budget // arm.networks, task.seed, index).generator
-            for index in range(arm.networks)
-        ]
-        experts = Experts(trained, _tensor(arrays))
+        gan = config.local.model_copy(update={"steps": budget // arm.networks})
+        clusters = range(arm.networks)
+        trained = [trained_wgan(gan, arrays, index, task.seed + index).generator for index in clusters]
         if arm.form == "distilled":
-            experts = self.distil(task, config, arrays, experts)
-        return GatedSampler(gate, arrays.cells.points, experts, lookups)
+            trained = [self.distil(task, config, arrays, Experts(trained, _clusters(arrays)))]
+        return gated_sampler(gate, arrays, trained, config.local.generator_lookups)
 
     def partition(self, task: Task, config: TrainConfig):
         arm, arrays = task.arm, self.arrays
@@ -188,32 +175,16 @@ class Trainer:
         return replace(arrays, cells=replace(gated, probabilities=probabilities)), module.gate
 
     def ungated(self, task: Task, arrays: TrainingArrays):
-        config = task.config()
+        gan, seed = task.config().local, task.seed
         if task.arm.form == "single":
-            return self.wgan(config, arrays, task.steps, task.seed, None).generator
-        labels = cluster(arrays.configurations, 2, 50_000, task.seed).labels
-        split = replace(arrays, labels=labels)
-        critics = [self.wgan(config, split, task.steps // 4, task.seed, i).critic for i in (0, 1)]
-        return self.wgan(config, arrays, task.steps // 2, task.seed, None, critics, 1.0).generator
+            return trained_wgan(gan.model_copy(update={"steps": task.steps}), arrays, None, seed).generator
+        labels = cluster(arrays.configurations, 2, 50_000, seed).labels
+        split, quarter = replace(arrays, labels=labels), gan.model_copy(update={"steps": task.steps // 4})
+        critics = [trained_wgan(quarter, split, index, seed + 1 + index).critic for index in (0, 1)]
+        half = gan.model_copy(update={"steps": task.steps // 2})
+        return trained_wgan(half, arrays, None, seed, critics, 1.0).generator
 
-    def wgan(self, config, arrays, steps, seed, cluster_index, critics=None, weight=0.0) -> WganGpModule:
-        gan = config.local.model_copy(update={"steps": steps})
-        with seeded_initialisation(seed + (0 if cluster_index is None else 1 + cluster_index)):
-            module = WganGpModule(
-                gan,
-                arrays.samples(cluster_index),
-                arrays.scale,
-                seed,
-                critics,
-                weight,
-                base=arrays.base(cluster_index),
-                scenes=arrays.scenes(),
-            )
-        for step in range(steps):
-            module.training_step(step, step)
-        return module.eval()
-
-    def distil(self, task, config, arrays, teacher) -> Experts:
+    def distil(self, task, config, arrays, teacher) -> TorusGenerator:
         # A step of the regression costs about a fifth of one of a WGAN-GP, which trains a critic too.
         steps = 5 * (task.steps // 4)
         with seeded_initialisation(task.seed):
@@ -227,35 +198,21 @@ class Trainer:
         module = DistillationModule(gan, samples, teacher, reader, student, reader, base, task.seed)
         for step in range(steps):
             module.training_step(step, step)
-        return Experts([student], 0 * _tensor(arrays))
+        return student
 
     def measure(self, sampler: torch.nn.Module | None) -> list[list[float]]:
         """Precision, coverage and energy distance in every scenario; of uniform samples for None."""
-        rows = []
-        for scene, held_out in zip(self.scenes, self.held_out, strict=True):
-            if sampler is None:
-                drawn = scene.space.sample_uniform(scene.rng(1), SAMPLES)
-            else:
-                drawn = self.sample(sampler, scene).astype(np.float64)
-            found = sample_quality(drawn, held_out, scene.space, scene.checker.valid_batch)
-            rows.append([found.precision, found.coverage, found.energy])
-        return rows
-
-    def sample(self, sampler: torch.nn.Module, scene: Scene) -> np.ndarray:
-        rng = torch.Generator().manual_seed(scene.sampler_seed())
-        image = torch.from_numpy(to_network(scene.image[None]))
-        dim, gated = self.arrays.robot.dim, isinstance(sampler, GatedSampler)
-        with torch.inference_mode():
-            mu, log_variance = self.encoder(image)
-            latent = mu + (log_variance / 2).exp() * torch.randn(SAMPLES, mu.shape[1], generator=rng)
-            shares = [torch.rand(SAMPLES, size, generator=rng) for size in ((1, 1, dim) if gated else (dim,))]
-            shares[-1] = (shares[-1] - 0.5) * (1.0 if gated else 2.0 * math.pi)
-            inputs = [latent, *shares, torch.randn(SAMPLES, 2, generator=rng)]
-            looks = getattr(sampler, "lookups", None) is not None
-            return to_float32(sampler(*inputs, *([image] if looks else [])).squeeze(1).numpy())
+        return [[row.precision, row.coverage, row.energy] for row in self.validation.rows(sampler)]
 
 
-def _tensor(arrays: TrainingArrays) -> torch.Tensor:
+def trained_wgan(gan, arrays, cluster_index, seed, critics=None, weight=0.0) -> WganGpModule:
+    module = make_wgan(gan, arrays, cluster_index, seed, critics, weight)
+    for step in range(gan.steps):
+        module.training_step(step, step)
+    return module.eval()
+
+
+def _clusters(arrays: TrainingArrays) -> torch.Tensor:
     return torch.tensor(arrays.cells.clusters)
 
 
@@ -300,7 +257,7 @@ def main() -> int:
         torch.set_num_threads(1)
         for joints in options.joints:
             if f"uniform|{joints}" not in known:
-                found = {"key": f"uniform|{joints}", "rows": Trainer(joints, options.out).uniform()}
+                found = {"key": f"uniform|{joints}", "rows": Trainer(joints, options.out).measure(None)}
                 _append(results, found)
         left = [t for t in tasks(options.steps, options.seeds, options.joints) if t.key not in known]
         began = time.monotonic()

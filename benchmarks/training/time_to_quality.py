@@ -18,23 +18,22 @@ from pathlib import Path
 from typing import Self
 
 import lightning
-import numpy as np
 import torch
+from clusters import Trainer
+from forgetful import ForgetfulRun
 from torch.utils.data import DataLoader, TensorDataset
 
-from benchmarks.training.clusters import Trainer
 from training.clustering import cluster, group, points_in_cells
 from training.config import load_config
 from training.models.checkpoint import seeded_initialisation
 from training.models.data import Batch, ScenarioSamples
 from training.models.gate import GateModule, gate_probabilities
-from training.models.lookups import make_lookups
-from training.models.mixture import Experts, GatedSampler
 from training.models.modules import VaeModule, WganGpModule
 from training.trials.arrays import GatedCells
 from training.trials.fit import Rhythm, fit
+from training.trials.loading import gated_sampler, make_wgan
 
-QUALITY = {"edr": 0.3, "precision": 0.84}
+BELOW_EDR, ABOVE_PRECISION = 0.3, 0.84
 LOOK_EVERY = 10
 
 
@@ -54,17 +53,18 @@ class Clock:
         self.seconds += time.perf_counter() - self.began
 
 
-def time_to_quality(trainer: Trainer, pictures: torch.Tensor, uniform: float, seed: int) -> dict[str, object]:
+def time_to_quality(trainer: Trainer, seed: int) -> dict[str, object]:
     """Seconds by part until the quality is reached, or what was reached at the preset's end."""
     config = load_config("quickstart", [f"seed={seed}"])
     device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
     clocks = {name: Clock() for name in ("vae", "cells and gate", "generators")}
     with seeded_initialisation(seed):
-        vae = VaeModule(config.vae, pictures, seed).to(device)
+        vae = VaeModule(config.vae, trainer.pictures, seed).to(device)
     with clocks["vae"]:
         for step in range(config.vae.steps):
             vae.training_step(step, step)
-    arrays = trainer.with_encoder(vae.encoder.cpu().eval())
+    trainer.encode_with(vae.encoder.cpu())
+    arrays, validation = trainer.arrays, replace(trainer.validation, encoder=trainer.encoder)
     with clocks["cells and gate"]:
         cells = cluster(arrays.configurations, config.gate.cells, config.clusters.fit_samples, seed)
         clusters = group(cells, config.clusters.count, seed)
@@ -79,44 +79,27 @@ def time_to_quality(trainer: Trainer, pictures: torch.Tensor, uniform: float, se
         probabilities = gate_probabilities(gate.gate, arrays.mu)
         arrays = replace(arrays, cells=replace(gated, probabilities=probabilities))
         modules = [
-            local_module(config, arrays, index, seed).to(device) for index in range(config.clusters.count)
+            make_wgan(config.local, arrays, index, seed + 1 + index).to(device)
+            for index in range(config.clusters.count)
         ]
         for module in modules:
             module.on_fit_start()
-    lookups = make_lookups(config.local.generator_lookups, arrays.robot, arrays.camera)
     found = {}
     for first in range(0, config.local.steps, LOOK_EVERY):
         with clocks["generators"]:
             for module in modules:
                 for step in range(first, first + LOOK_EVERY):
                     module.training_step(step, step)
-        experts = Experts([module.generator.cpu() for module in modules], torch.tensor(clusters))
-        rows = np.array(trainer.measure(GatedSampler(gate.gate, gated.points, experts, lookups)))
+        generators = [module.generator.cpu() for module in modules]
+        sampler = gated_sampler(gate.gate, arrays, generators, config.local.generator_lookups)
+        found = {"steps": first + LOOK_EVERY} | validation.measure(sampler)
         for module in modules:
-            module.generator.to(device)
-        found = {
-            "steps": first + LOOK_EVERY,
-            "precision": float(rows[:, 0].mean()),
-            "coverage": float(rows[:, 1].mean()),
-            "edr": float(rows[:, 2].sum() / uniform),
-        }
+            module.generator.train().to(device)
         print(f"seed {seed}: {found}", flush=True)
-        if found["edr"] < QUALITY["edr"] and found["precision"] > QUALITY["precision"]:
+        if found["validation_edr"] < BELOW_EDR and found["validation_precision"] > ABOVE_PRECISION:
             break
     parts = {name: clock.seconds for name, clock in clocks.items()}
     return found | {"seconds": sum(parts.values()), **parts}
-
-
-def local_module(config, arrays, index: int, seed: int) -> WganGpModule:
-    with seeded_initialisation(seed + 1 + index):
-        return WganGpModule(
-            config.local,
-            arrays.samples(index),
-            arrays.scale,
-            seed,
-            base=arrays.base(index),
-            scenes=arrays.scenes(),
-        )
 
 
 class PlainLoop(lightning.LightningModule):
@@ -145,26 +128,11 @@ class PlainLoop(lightning.LightningModule):
         self.log_dict(module.metrics())
 
 
-class ForgetfulRun:
-    run_id = "none"
-
-    def metrics(self, metrics, step):
-        pass
-
-    def flush(self):
-        pass
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, kind, error, trace):
-        pass
-
-
 def steps_per_second(trainer: Trainer, plain: bool, steps: int) -> float:
     """Generator steps a second of the quickstart's local WGAN-GP, after a warm-up of a few steps."""
-    config = load_config("quickstart", ["gate.cells=0", "clusters.form=guided", f"local.steps={steps}"])
-    module = local_module(config, trainer.arrays, 0, 0)
+    bare = ["gate.cells=0", "clusters.form=guided", "global.local_critic_weight=0"]
+    config = load_config("quickstart", [*bare, f"local.steps={steps}"])
+    module = make_wgan(config.local, trainer.arrays, 0, 0)
     for step in range(3):
         module.training_step(step, step)
     began = time.perf_counter()
@@ -201,7 +169,6 @@ def main() -> int:
     torch.set_num_threads(1)
     options.out.mkdir(parents=True, exist_ok=True)
     trainer = Trainer(2, options.out)
-    uniform = float(np.array(trainer.uniform())[:, 2].sum())
     rates = {"ours": [], "plain": []}
     for turn in range(options.repeats):
         for name in ("ours", "plain") if turn % 2 == 0 else ("plain", "ours"):
@@ -209,7 +176,7 @@ def main() -> int:
     ratios = [a / b for a, b in zip(rates["ours"], rates["plain"], strict=True)]
     for name, values in (*rates.items(), ("ours over plain", ratios)):
         print(f"{name}: median {statistics.median(values):.2f}, {min(values):.2f} to {max(values):.2f}")
-    reached = [time_to_quality(trainer, trainer.pictures, uniform, seed) for seed in range(options.repeats)]
+    reached = [time_to_quality(trainer, seed) for seed in range(options.repeats)]
     (options.out / "time.json").write_text(json.dumps({"rates": rates, "reached": reached}, indent=2))
     seconds = [float(row["seconds"]) for row in reached]
     print(

@@ -1,4 +1,4 @@
-"""What tracking costs: the quickstart's global WGAN-GP with and without an MLflow run, in turns.
+"""What tracking costs: a WGAN-GP of the default size with and without an MLflow run, in turns.
 
     make up
     python benchmarks/training/tracking_cost.py --tracking-uri http://127.0.0.1:5000
@@ -15,6 +15,7 @@ import time
 
 import numpy as np
 import torch
+from forgetful import ForgetfulRun
 
 from services.registry.mlflow_tracking import MlflowTracking
 from training.config import load_config
@@ -24,22 +25,6 @@ from training.models.modules import WganGpModule
 from training.trials.fit import Rhythm, fit
 
 EXPERIMENT = "benchmark-tracking-cost"
-
-
-class ForgetfulRun:
-    run_id = "none"
-
-    def metrics(self, metrics, step):
-        pass
-
-    def flush(self):
-        pass
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, kind, error, trace):
-        pass
 
 
 def module(steps: int) -> WganGpModule:
