@@ -13,8 +13,9 @@ from cspace.errors import ConfigError, PortTakenError
 from inference_api.settings import ApiSettings
 
 DESCRIPTION = (
-    "Serve POST /sample. Settings: MLFLOW_TRACKING_URI (registry; none serves the shipped model only), \
-CSPACE_MODEL_CACHE, CSPACE_MODEL_NAME, CSPACE_MODEL_POLL_S, CSPACE_PRETRAINED_MODEL, CSPACE_LOADED_MODELS."
+    "Serve POST /sample. Settings: MLFLOW_TRACKING_URI (registry; none serves the shipped model only), "
+    "CSPACE_MODEL_CACHE, CSPACE_MODEL_NAME, CSPACE_MODEL_POLL_S, CSPACE_PRETRAINED_MODEL, "
+    "CSPACE_LOADED_MODELS, CSPACE_CACHED_PICTURES."
 )
 
 

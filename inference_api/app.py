@@ -16,6 +16,7 @@ from inference_api.bundle_cache import BundleCache
 from inference_api.docs_page import add_docs_page
 from inference_api.model_store import ModelStore
 from inference_api.openapi import document
+from inference_api.pictures import PictureCache
 from inference_api.problems import add_problem_handlers
 from inference_api.routes import router
 from inference_api.settings import ApiSettings
@@ -77,7 +78,14 @@ def _make_store(settings: ApiSettings, registry: ModelRegistry | None) -> ModelS
 
         registry = MlflowRegistry(settings.registry_uri)
     cache = BundleCache(settings.cache_folder, settings.loaded_bundles)
-    return ModelStore(registry, cache, settings.pretrained_folder, settings.model_name, settings.poll_s)
+    return ModelStore(
+        registry,
+        cache,
+        settings.pretrained_folder,
+        settings.model_name,
+        settings.poll_s,
+        pictures=PictureCache(settings.cached_pictures),
+    )
 
 
 async def _poll(store: ModelStore, poll_s: float, looked: asyncio.Event) -> None:

@@ -15,6 +15,7 @@ from typing import Literal
 from cspace.bundle import Bundle
 from cspace.errors import BundleError, CspaceError, ModelNotFoundError, RegistryError, StorageError
 from inference_api.bundle_cache import BundleCache
+from inference_api.pictures import PictureCache
 from inference_api.references import CHAMPION, PRETRAINED, ModelReference
 from inference_api.registry_view import RegistryView
 from services.registry.models import ModelRegistry, ModelVersion
@@ -60,6 +61,7 @@ class ModelStore:
         model_name: whose champion is the default.
         lookup_s: how long a looked-up version or alias is trusted.
         clock: seconds, monotonic.
+        pictures: those that were encoded already; none are kept when None.
     """
 
     def __init__(
@@ -70,7 +72,9 @@ class ModelStore:
         model_name: str,
         lookup_s: float = 2.0,
         clock: Callable[[], float] = time.monotonic,
+        pictures: PictureCache | None = None,
     ) -> None:
+        self.pictures = PictureCache(0) if pictures is None else pictures
         self.model_name = model_name
         self._cache = cache
         self._view = None if registry is None else RegistryView(registry, cache, lookup_s, clock)

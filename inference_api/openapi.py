@@ -38,6 +38,7 @@ _HEADERS = {
     "X-Model-Digest": "SHA-256 of the bundle's sums.",
     "X-Seed": "The seed that was used, in decimal.",
     "X-Shortfall": "n minus what was returned.",
+    "X-Acceptance": "Share of what was drawn that reached the confidence asked for.",
     "Server-Timing": "decode, encode, generate and total, in ms.",
 }
 

@@ -9,7 +9,6 @@ import numpy as np
 from fastapi.responses import Response
 
 from cspace.bundle import SampleSet
-from cspace.image import decode_png
 from inference_api.model_store import ModelStore, ServedModel
 from inference_api.references import ModelReference
 from inference_api.request_body import RawFields, parse_form, parse_json
@@ -57,12 +56,10 @@ def sample(store: ModelStore, request: SampleRequest, began: float) -> Answer:
     """Answer a valid request."""
     named = request.model if "model" in request.model_fields_set else store.model_name
     served = store.resolve(ModelReference.parse(named))
-    decoding = time.perf_counter()
-    image = decode_png(request.image, served.bundle.spec.pixels)
-    decoded = time.perf_counter()
+    prepared = store.pictures.get(served.bundle, request.image)
     seed = secrets.randbits(64) if request.seed is None else request.seed
     found = served.bundle.sample(
-        image,
+        prepared.picture,
         request.n,
         seed,
         epsilon_sigma=request.epsilon_sigma,
@@ -71,8 +68,8 @@ def sample(store: ModelStore, request: SampleRequest, began: float) -> Answer:
         min_confidence=request.min_confidence,
     )
     timing = TimingMs(
-        decode=1e3 * (decoded - decoding),
-        encode=found.encode_ms,
+        decode=prepared.decode_ms,
+        encode=prepared.encode_ms,
         generate=found.generate_ms,
         total=1e3 * (time.perf_counter() - began),
     )
@@ -87,6 +84,7 @@ def json_response(answer: Answer) -> Response:
         samples=found.samples.tolist(),
         confidence=None if found.confidence is None else found.confidence.tolist(),
         shortfall=found.shortfall,
+        acceptance=found.acceptance,
         joint_space=JointSpaceInfo(**spec.joint_space),
         model=model_info(answer.served),
         seed=str(answer.seed),
@@ -107,6 +105,7 @@ def npy_response(answer: Answer) -> Response:
         "X-Model-Digest": served.bundle.digest,
         "X-Seed": str(answer.seed),
         "X-Shortfall": str(answer.found.shortfall),
+        "X-Acceptance": f"{answer.found.acceptance:.6g}",
         "Server-Timing": timing,
     }
     return Response(buffer.getvalue(), headers=headers, media_type=NPY)

@@ -66,6 +66,7 @@ _Schedule = Annotated[
         }
     ),
 ]
+_Confidence = Annotated[float, Field(ge=0.0, le=1.0, allow_inf_nan=False)] | None
 _Angle = Annotated[float, Field(allow_inf_nan=False)]
 _Configuration = Annotated[list[_Angle], Field(max_length=MAX_JOINTS)]
 
@@ -99,13 +100,10 @@ class SampleRequest(BaseModel):
         None, description="Configuration in rad, wrapped; for path models and only for them."
     )
     goal: _Configuration | None = Field(None, description="As `start`.")
-    min_confidence: float = Field(
-        0.0,
-        ge=0.0,
-        le=1.0,
-        allow_inf_nan=False,
-        description="Samples that the model's validity head scores lower are dropped; above 0 only for "
-        "models that have one.",
+    min_confidence: _Confidence = Field(
+        None,
+        description="What the model's validity head has to score; more are drawn for those that do not. "
+        "Absent, the model's own threshold holds; 0 takes all; above 0 only for models that have a head.",
     )
 
 
@@ -143,6 +141,7 @@ class SampleAnswer(BaseModel):
     samples: list[list[float]] = Field(description="Configurations in rad, each angle in [-pi, pi).")
     confidence: list[float] | None = Field(description="The validity head's score of each sample.")
     shortfall: int = Field(description="n minus what was returned.")
+    acceptance: float = Field(description="Share of what was drawn that reached the confidence asked for.")
     joint_space: JointSpaceInfo
     model: ModelInfo
     seed: str = Field(description="The seed that was used, in decimal.", pattern="^[0-9]{1,20}$")

@@ -23,6 +23,7 @@ class ApiSettings:
         poll_s: time between two looks at the champion's alias, above 0.
         pretrained_folder: the shipped bundle.
         loaded_bundles: how many bundles beside champion and shipped one stay in memory, at least 1.
+        cached_pictures: how many encoded pictures stay in memory; 0 for none.
     """
 
     registry_uri: str | None
@@ -31,6 +32,7 @@ class ApiSettings:
     poll_s: float = 2.0
     pretrained_folder: Path = PRETRAINED_FOLDER
     loaded_bundles: int = 4
+    cached_pictures: int = 256
 
     @classmethod
     def from_environment(cls, environment: Mapping[str, str] | None = None) -> "ApiSettings":
@@ -48,6 +50,7 @@ class ApiSettings:
             poll_s=_number(values, "CSPACE_MODEL_POLL_S", 2.0, 0.01),
             pretrained_folder=Path(values.get("CSPACE_PRETRAINED_MODEL") or PRETRAINED_FOLDER),
             loaded_bundles=int(_number(values, "CSPACE_LOADED_MODELS", 4, 1)),
+            cached_pictures=int(_number(values, "CSPACE_CACHED_PICTURES", 256, 0)),
         )
 
 

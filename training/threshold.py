@@ -54,7 +54,7 @@ def validation_scores(
     stage = Stage(robot, camera, Split.VALIDATION, 0)
     found = []
     for scene in (Scene(stage, index) for index in range(scenarios)):
-        drawn = bundle.sample(scene.image, samples, scene.sampler_seed(STREAM))
+        drawn = bundle.sample(scene.image, samples, scene.sampler_seed(STREAM), min_confidence=0.0)
         if drawn.confidence is not None:
             found.append((drawn.confidence, scene.checker.valid_batch(drawn.samples)))
     return found

@@ -1,7 +1,7 @@
 """The deployable artefact: a folder of ONNX graphs with their description, sums and golden case."""
 
 from cspace.bundle.golden import GoldenCase
-from cspace.bundle.loaded import Bundle, Encoding, SampleSet
+from cspace.bundle.loaded import Bundle, Encoding, Picture, SampleSet
 from cspace.bundle.parts import Provenance, RandomInput
 from cspace.bundle.request import MAX_EPSILON, MAX_SEED
 from cspace.bundle.spec import SCHEMA_VERSION, BundleSpec
@@ -15,6 +15,7 @@ __all__ = [
     "BundleSpec",
     "Encoding",
     "GoldenCase",
+    "Picture",
     "Provenance",
     "RandomInput",
     "SampleSet",

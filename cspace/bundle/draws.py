@@ -2,13 +2,15 @@
 
 The order is part of the bundle's contract, for it decides what a seed means:
 
-1. ``rng = Generator(PCG64(SeedSequence(seed)))``.
+1. ``rng = Generator(PCG64(SeedSequence(seed)))``; for a further turn of a request that filters, which draws
+   what the ones before left missing, ``SeedSequence(seed, spawn_key=(turn,))`` with turn = 1, 2, ...
 2. eta, standard normal float32 (m, L), for all m latents of the request at once.
 3. Every random input of the description in its order there, float32 (m, *shape), for all latents at once:
    standard normal, or low + (high - low) * u with u uniform in [0, 1).
 
 The latents of the first value of the epsilon schedule come first, then those of the second, and so on; each
-value gets ceil(share / K) of them, and the last one's surplus samples are left out.
+value gets ceil(share / K) of them, and the last one's surplus samples are left out. How a request that
+filters comes by its shares is told in :mod:`cspace.bundle.keeping`.
 """
 
 from collections.abc import Sequence
@@ -46,29 +48,32 @@ def draw(
     spec: BundleSpec,
     mu: NDArray[np.float32],
     sigma: NDArray[np.float32],
-    count: int,
+    counts: Sequence[int],
     seed: int,
     epsilon_sigma: Sequence[float],
+    turn: int = 0,
 ) -> Draws:
-    """Everything random in a request for ``count`` samples.
+    """Everything random in one turn of a request.
 
     Args:
         spec: names, shapes and distributions.
         mu: (L,) the encoder's mean.
         sigma: (L,) its standard deviation.
-        count: samples asked for.
+        counts: samples for each value of ``epsilon_sigma``.
         seed: unsigned 64 bit.
         epsilon_sigma: what sigma is raised by, one or more values.
+        turn: 0 for the first.
     """
     per_latent = spec.samples_per_latent
     epsilons: list[NDArray[np.float32]] = []
     kept: list[NDArray[np.bool_]] = []
-    for epsilon, share in zip(epsilon_sigma, shares(count, len(epsilon_sigma)), strict=True):
+    for epsilon, share in zip(epsilon_sigma, counts, strict=True):
         latents = -(-share // per_latent)
         epsilons.append(np.full(latents, epsilon, dtype=np.float32))
         kept.append((np.arange(latents * per_latent) < share).reshape(latents, per_latent))
     deviation = sigma + np.concatenate(epsilons)[:, None]
-    rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed)))
+    source = np.random.SeedSequence(seed, spawn_key=(turn,) if turn else ())
+    rng = np.random.Generator(np.random.PCG64(source))
     eta = rng.standard_normal(deviation.shape, dtype=np.float32)
     inputs = {item.name: _draw_input(rng, item, len(eta)) for item in spec.random_inputs}
     return Draws(mu + deviation * eta, inputs, np.concatenate(kept))

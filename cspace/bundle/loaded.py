@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cspace.bundle.draws import Draws, draw
+from cspace.bundle.draws import Draws, draw, shares
 from cspace.bundle.files import (
     ENCODER_FILE,
     GENERATOR_FILE,
@@ -21,6 +21,7 @@ from cspace.bundle.files import (
 )
 from cspace.bundle.golden import GoldenCase
 from cspace.bundle.graphs import Graph
+from cspace.bundle.keeping import gather
 from cspace.bundle.request import Request
 from cspace.bundle.spec import PICTURE, BundleSpec
 from cspace.errors import BundleError, BundleIntegrityError, InputError
@@ -44,6 +45,21 @@ class Encoding:
     sigma: NDArray[np.float32]
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Picture:
+    """A picture that a bundle has encoded; what it costs is paid once. Make one with :meth:`Bundle.prepare`.
+
+    Args:
+        digest: of the bundle.
+        pixels: float32 (1, 3, P, P), as the graphs take it.
+        encoding: the encoder's view of it.
+    """
+
+    digest: str
+    pixels: NDArray[np.float32]
+    encoding: Encoding
+
+
 @dataclass(frozen=True, slots=True)
 class SampleSet:
     """Configurations for one picture.
@@ -51,14 +67,16 @@ class SampleSet:
     Args:
         samples: float32 (n', d) rad, in [-pi, pi) as real numbers.
         confidence: float32 (n',), None without a validity head.
-        shortfall: how many of those asked for were dropped, n - n'.
-        encode_ms: time in the encoder.
+        shortfall: how many of those asked for are missing, n - n'.
+        acceptance: share of what was drawn that reached the confidence asked for; 1 where none was.
+        encode_ms: time in the encoder; 0 for a picture that was prepared.
         generate_ms: time from the latents to the samples, the validity head included.
     """
 
     samples: NDArray[np.float32]
     confidence: NDArray[np.float32] | None
     shortfall: int
+    acceptance: float
     encode_ms: float
     generate_ms: float
 
@@ -108,37 +126,49 @@ class Bundle:
             InputError: the picture has another size or type.
             BundleError: the graph fails.
         """
-        found = self._encoder.run(
-            {"image": self._network_image(image)},
-            {"mu": (1, self.spec.latent_dim), "sigma": (1, self.spec.latent_dim)},
-        )
-        return Encoding(found["mu"][0], found["sigma"][0])
+        return self.prepare(image).encoding
+
+    def prepare(self, image: NDArray[np.uint8]) -> Picture:
+        """A picture, uint8 (P, P, 3), for any number of calls of :meth:`sample` and :meth:`score`.
+
+        Raises:
+            InputError: the picture has another size or type.
+            BundleError: the graph fails.
+        """
+        pixels = self._network_image(image)
+        size = (1, self.spec.latent_dim)
+        found = self._encoder.run({"image": pixels}, {"mu": size, "sigma": size})
+        return Picture(self.digest, pixels, Encoding(found["mu"][0], found["sigma"][0]))
 
     def sample(
         self,
-        image: NDArray[np.uint8],
+        image: NDArray[np.uint8] | Picture,
         n: int,
         seed: int,
         *,
         epsilon_sigma: Sequence[float] = (0.0,),
         start: ArrayLike | None = None,
         goal: ArrayLike | None = None,
-        min_confidence: float = 0.0,
+        min_confidence: float | None = None,
     ) -> SampleSet:
         """``n`` configurations for a picture; the same arguments give bit-equal samples on one machine.
+
+        With a confidence to reach, more are drawn and scored until ``n`` reach it, or the budget of four
+        times ``n`` is spent and the answer falls short.
 
         What is random and in which order is told in :mod:`cspace.bundle.draws`. The samples for a smaller
         ``n`` are no prefix of those for a larger one.
 
         Args:
-            image: uint8 (P, P, 3).
+            image: uint8 (P, P, 3), or one that :meth:`prepare` made.
             n: how many, at least 1.
             seed: unsigned 64 bit.
             epsilon_sigma: the latent's standard deviation is raised by each value, 0 to 10; equal shares of
                 the samples in this order, the remainder to the first.
             start: (d,) rad, for path models and only for them.
             goal: as ``start``.
-            min_confidence: samples that the validity head scores lower are dropped, 0 to 1.
+            min_confidence: what the validity head has to score, 0 to 1; None for the bundle's own threshold
+                (0 for a bundle without), 0 for all samples as they come.
 
         Raises:
             InputError: an argument is out of range or does not fit the model.
@@ -148,24 +178,36 @@ class Bundle:
             self.spec, n, seed, epsilon_sigma, start, goal, min_confidence, has_validity=self.has_validity
         )
         began = time.perf_counter()
-        encoding = self.encode(image)
+        picture = self._prepared(image)
         encoded = time.perf_counter()
-        draws = draw(
-            self.spec, encoding.mu, encoding.sigma, request.count, request.seed, request.epsilon_sigma
-        )
-        samples = to_float32(self._generate(draws, request, image))
-        confidence = self.score(image, samples) if self.has_validity else None
-        if confidence is not None:
-            kept = confidence >= np.float32(request.min_confidence)
-            samples, confidence = samples[kept], confidence[kept]
-        done = time.perf_counter()
+
+        def drawn(counts: Sequence[int], turn: int) -> NDArray[np.float32]:
+            mu, sigma = picture.encoding.mu, picture.encoding.sigma
+            draws = draw(self.spec, mu, sigma, counts, request.seed, request.epsilon_sigma, turn)
+            return to_float32(self._generate(draws, request, picture))
+
+        def scored(counts: Sequence[int], turn: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+            samples = drawn(counts, turn)
+            return samples, self.score(picture, samples)
+
+        wanted, acceptance = shares(request.count, len(request.epsilon_sigma)), 1.0
+        if request.min_confidence > 0.0:
+            kept = gather(scored, wanted, request.min_confidence)
+            samples, confidence, acceptance = kept.samples, kept.confidence, kept.acceptance
+        elif self.has_validity:
+            samples, confidence = scored(wanted, 0)
+        else:
+            samples, confidence = drawn(wanted, 0), None
+        encode_ms, generate_ms = 1e3 * (encoded - began), 1e3 * (time.perf_counter() - encoded)
+        if picture is image:
+            encode_ms = 0.0
         return SampleSet(
-            samples, confidence, n - len(samples), 1e3 * (encoded - began), 1e3 * (done - encoded)
+            samples, confidence, request.count - len(samples), acceptance, encode_ms, generate_ms
         )
 
-    def _generate(self, draws: Draws, request: Request, image: NDArray[np.uint8]) -> NDArray[np.float32]:
+    def _generate(self, draws: Draws, request: Request, picture: Picture) -> NDArray[np.float32]:
         spec = self.spec
-        picture = {PICTURE: self._network_image(image)} if spec.looks_at_picture else {}
+        seen = {PICTURE: picture.pixels} if spec.looks_at_picture else {}
         fixed = {
             name: np.asarray(point, dtype=np.float32)
             for name, point in (("start", request.start), ("goal", request.goal))
@@ -175,17 +217,19 @@ class Bundle:
         def run(rows: slice) -> NDArray[np.float32]:
             latents = draws.latents[rows]
             feeds = {"latent": latents, **{name: array[rows] for name, array in draws.random_inputs.items()}}
-            feeds |= {name: np.tile(point, (len(latents), 1)) for name, point in fixed.items()} | picture
+            feeds |= {name: np.tile(point, (len(latents), 1)) for name, point in fixed.items()} | seen
             shape = (len(latents), spec.samples_per_latent, spec.dim)
             return self._generator.run(feeds, {"samples": shape})["samples"]
 
         return _chunked(run, len(draws.latents))[draws.kept]
 
-    def score(self, image: NDArray[np.uint8], configurations: NDArray[np.float32]) -> NDArray[np.float32]:
+    def score(
+        self, image: NDArray[np.uint8] | Picture, configurations: NDArray[np.float32]
+    ) -> NDArray[np.float32]:
         """P(free | picture, configuration) by the validity head, float32 (n,).
 
         Args:
-            image: uint8 (P, P, 3).
+            image: uint8 (P, P, 3), or one that :meth:`prepare` made.
             configurations: float32 (n, d) rad, at least one.
 
         Raises:
@@ -195,7 +239,7 @@ class Bundle:
         head = self._validity
         if head is None:
             raise InputError("the model has no validity head", remedy="train one with validity.steps above 0")
-        picture = self._network_image(image)
+        pixels = image.pixels if isinstance(image, Picture) else self._network_image(image)
         shape = np.shape(configurations)
         if len(shape) != 2 or not shape[0] or shape[1] != self.spec.dim:
             raise InputError(
@@ -206,13 +250,25 @@ class Bundle:
 
         def run(rows: slice) -> NDArray[np.float32]:
             part = configurations[rows]
-            feeds = {"image": picture, "configurations": part}
+            feeds = {"image": pixels, "configurations": part}
             return head.run(feeds, {"confidence": (len(part),)})["confidence"]
 
         confidence = _chunked(run, len(configurations))
         if np.any((confidence < 0.0) | (confidence > 1.0)):
             raise BundleError("the validity head gives no probabilities", expected="values from 0 to 1")
         return confidence
+
+    def _prepared(self, image: NDArray[np.uint8] | Picture) -> Picture:
+        if not isinstance(image, Picture):
+            return self.prepare(image)
+        if image.digest != self.digest:
+            raise InputError(
+                "the picture was prepared by another bundle",
+                expected=self.digest,
+                got=image.digest,
+                remedy="prepare it with the bundle that samples",
+            )
+        return image
 
     def _network_image(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
         shape = (self.spec.pixels, self.spec.pixels, 3)
@@ -230,6 +286,7 @@ class Bundle:
             "epsilon_sigma": case.epsilon_sigma,
             "start": case.start,
             "goal": case.goal,
+            "min_confidence": 0.0,
         }
         try:
             encoding = self.encode(case.image)

@@ -26,7 +26,7 @@ class Request:
         epsilon_sigma: the schedule.
         start: (d,) rad wrapped, None for models that take none.
         goal: as ``start``.
-        min_confidence: 0 to 1.
+        min_confidence: 0 to 1; 0 keeps everything.
     """
 
     count: int
@@ -45,15 +45,17 @@ class Request:
         epsilon_sigma: Sequence[float],
         start: ArrayLike | None,
         goal: ArrayLike | None,
-        min_confidence: float,
+        min_confidence: float | None,
         *,
         has_validity: bool,
     ) -> "Request":
-        """Validate every argument.
+        """Validate every argument; without ``min_confidence`` the bundle's own threshold holds.
 
         Raises:
             InputError: one is out of range or does not fit the bundle.
         """
+        if min_confidence is None:
+            min_confidence = (spec.confidence_threshold or 0.0) if has_validity else 0.0
         _whole("n", count, 1, None)
         _whole("seed", seed, 0, MAX_SEED)
         if not epsilon_sigma:

@@ -14,13 +14,12 @@ from numpy.typing import NDArray
 
 from cspace.problem import Family, Problem
 from cspace.render import render
-from services.evaluator.samplers import Sampler, ScoredSampler, confident_samples
+from services.evaluator.samplers import Sampler, ScoredSampler
 from services.planner.ompl_planner import PlannerSettings, PlanResult, Reason, solve
 from services.planner.path_check import judge_path
 
 LEARNED_SAMPLES = 300
 UNIFORM_SHARE = 0.3
-CONFIDENT_TURNS = 20
 
 Solver = Callable[[Problem, PlannerSettings, NDArray[np.float32] | None, float], PlanResult]
 
@@ -100,10 +99,8 @@ def _confident(image: NDArray[np.uint8], seed: int, sampler: Sampler) -> list[ND
     """As many learned samples, of those that the validity head lets pass; nothing without it or them."""
     if not isinstance(sampler, ScoredSampler):
         return []
-    # The first batch is the learned samples themselves.
-    seeds = range(seed, seed + CONFIDENT_TURNS)
-    samples, _ = confident_samples(sampler, image, LEARNED_SAMPLES, seeds)
-    return [] if samples is None else [samples]
+    samples = sampler.confident(image, LEARNED_SAMPLES, seed).samples
+    return [samples] if len(samples) == LEARNED_SAMPLES else []
 
 
 def _outcome(problem: Problem, result: PlanResult, resolution_rad: float) -> RunOutcome:

@@ -4,8 +4,8 @@ A bundle in this process, a version behind the inference API, and the uniform sa
 metrics.
 """
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Protocol, runtime_checkable
@@ -30,6 +30,19 @@ class Sampler(Protocol):
         ...
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Confident:
+    """Samples that reached a sampler's threshold.
+
+    Args:
+        samples: (n', d) rad, n' as many as were asked for or fewer where so few pass.
+        acceptance: share of what was drawn that passed.
+    """
+
+    samples: Samples
+    acceptance: float
+
+
 @runtime_checkable
 class ScoredSampler(Sampler, Protocol):
     """A sampler that can tell how sure it is of any configuration."""
@@ -43,8 +56,8 @@ class ScoredSampler(Sampler, Protocol):
         """P(free) of (n, d) configurations in rad, (n,)."""
         ...
 
-    def confident(self, image: Image, n: int, seed: int) -> Samples:
-        """Those of the ``n`` configurations of :meth:`sample` whose score reaches the threshold."""
+    def confident(self, image: Image, n: int, seed: int) -> Confident:
+        """``n`` configurations whose score reaches the threshold, drawn as they are served."""
         ...
 
 
@@ -55,7 +68,7 @@ class BundleSampler:
     Args:
         bundle: a loaded bundle for configurations.
         epsilon_sigma: what the encoder's standard deviation is raised by, in equal shares.
-        min_confidence: samples that the validity head scores lower are dropped.
+        min_confidence: what the validity head has to score; 0 takes the samples as they come.
     """
 
     bundle: Bundle
@@ -63,7 +76,7 @@ class BundleSampler:
     min_confidence: float = 0.0
 
     def sample(self, image: Image, n: int, seed: int) -> Samples:
-        """See :class:`Sampler`; fewer than ``n`` where the validity head dropped some."""
+        """See :class:`Sampler`; fewer than ``n`` where the validity head lets too few pass."""
         drawn = self.bundle.sample(
             image, n, seed, epsilon_sigma=self.epsilon_sigma, min_confidence=self.min_confidence
         )
@@ -84,9 +97,11 @@ class ScoredBundleSampler(BundleSampler):
         """See :class:`ScoredSampler`."""
         return self.bundle.score(image, configurations)
 
-    def confident(self, image: Image, n: int, seed: int) -> Samples:
-        """See :class:`ScoredSampler`; drawing scores already, so that nothing is scored twice."""
-        return replace(self, min_confidence=max(self.min_confidence, self.threshold)).sample(image, n, seed)
+    def confident(self, image: Image, n: int, seed: int) -> Confident:
+        """See :class:`ScoredSampler`."""
+        least = max(self.min_confidence, self.threshold)
+        drawn = self.bundle.sample(image, n, seed, epsilon_sigma=self.epsilon_sigma, min_confidence=least)
+        return Confident(drawn.samples, drawn.acceptance)
 
 
 def bundle_sampler(bundle: Bundle) -> BundleSampler:
@@ -97,29 +112,6 @@ def bundle_sampler(bundle: Bundle) -> BundleSampler:
     return ScoredBundleSampler(bundle, threshold=threshold)
 
 
-def confident_samples(
-    sampler: ScoredSampler, image: Image, count: int, seeds: Iterable[int]
-) -> tuple[Samples | None, float]:
-    """``count`` of a sampler's configurations that its head lets pass, and the share that passes.
-
-    None where so few pass that there are not as many, as with a head that has learned next to nothing.
-
-    Args:
-        sampler: draws batches of ``count`` and filters them.
-        image: the picture.
-        count: how many are wanted.
-        seeds: of the batches; as many batches are drawn at the most.
-    """
-    kept: list[Samples] = []
-    drawn = passed = 0
-    for seed in seeds:
-        kept.append(sampler.confident(image, count, seed))
-        drawn, passed = drawn + count, passed + len(kept[-1])
-        if passed >= count:
-            return np.concatenate(kept)[:count], passed / drawn
-    return None, passed / drawn
-
-
 @dataclass(frozen=True)
 class HttpSampler:
     """A version behind the inference API.
@@ -128,13 +120,13 @@ class HttpSampler:
         client: the API's client.
         model: ``name``, ``name@alias``, ``name/version`` or ``pretrained``; None for the API's default.
         epsilon_sigma: as for the bundle; empty for the API's default.
-        min_confidence: as for the bundle.
+        min_confidence: as for the bundle; None for the model's own threshold.
     """
 
     client: SamplingClient
     model: str | None = None
     epsilon_sigma: tuple[float, ...] = ()
-    min_confidence: float = 0.0
+    min_confidence: float | None = 0.0
 
     def sample(self, image: Image, n: int, seed: int) -> Samples:
         """See :class:`Sampler`.

@@ -24,16 +24,14 @@ from services.evaluator.reconstruction import (
     sample_quality,
     summarise,
 )
-from services.evaluator.samplers import Sampler, ScoredSampler, confident_samples
+from services.evaluator.samplers import Sampler, ScoredSampler
 
 SAMPLES = 1000
 # Rejection gives up here; the smallest free share that was ever drawn is 0.2.
 PROPOSALS_PER_SAMPLE = 200
 # Uniform configurations on which a validity head is judged.
 OCCUPANCY_SAMPLES = 2000
-# Batches from which the confident samples are picked before that is given up.
-CONFIDENT_TURNS = 20
-# The first of their streams, apart from those of the other measurements.
+# The stream of the confident samples, apart from those of the other measurements.
 CONFIDENT_STREAM = 20
 # The children of a scenario's stream that families own, above all streams of the uniform one.
 FAMILY_STREAMS = {Family.NARROW: 60, Family.DISCONNECTED: 61}
@@ -158,12 +156,11 @@ def reconstruct(scene: Scene, sampler: Sampler, samples: int = SAMPLES) -> Scene
     quality = SceneQuality(scene.index, drawn, uniform, real, family=scene.family)
     if not isinstance(sampler, ScoredSampler):
         return quality
-    seeds = (scene.sampler_seed(CONFIDENT_STREAM + turn) for turn in range(CONFIDENT_TURNS))
-    confident, acceptance = confident_samples(sampler, scene.image, samples, seeds)
-    if confident is not None:
-        found = sample_quality(confident.astype(np.float64), held_out, scene.space, free)
+    confident = sampler.confident(scene.image, samples, scene.sampler_seed(CONFIDENT_STREAM))
+    if len(confident.samples) == samples:
+        found = sample_quality(confident.samples.astype(np.float64), held_out, scene.space, free)
         quality = replace(quality, confident=found)
-    return replace(quality, occupancy=_occupancy(scene, sampler, acceptance))
+    return replace(quality, occupancy=_occupancy(scene, sampler, confident.acceptance))
 
 
 def _occupancy(scene: Scene, sampler: ScoredSampler, acceptance: float) -> SceneOccupancy:

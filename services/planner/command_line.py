@@ -119,7 +119,7 @@ def make_parser() -> argparse.ArgumentParser:
         help="raise the encoder's standard deviation by each, in equal shares",
     )
     samples.add_argument(
-        "--min-confidence", type=float, default=0.0, help="drop samples that the model's validity head doubts"
+        "--min-confidence", type=float, help="of the model's validity head (default: the model's own)"
     )
     samples.add_argument("--path-model", action="store_true", help="send start and goal as well")
     search = parser.add_argument_group("search")

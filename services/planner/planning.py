@@ -24,7 +24,7 @@ class SampleRequest:
         model: ``name``, ``name@alias``, ``name/version`` or ``pretrained``; None for the endpoint's default.
         seed: unsigned 64 bit; None for the planner's.
         epsilon_sigma: what the encoder's standard deviation is raised by; empty for the endpoint's default.
-        min_confidence: samples that the validity head scores lower are dropped.
+        min_confidence: what the validity head has to score; None for the model's own threshold, 0 for all.
         with_ends: whether start and goal are sent, as path models require and others refuse.
     """
 
@@ -32,7 +32,7 @@ class SampleRequest:
     model: str | None = None
     seed: int | None = None
     epsilon_sigma: Sequence[float] = ()
-    min_confidence: float = 0.0
+    min_confidence: float | None = None
     with_ends: bool = False
 
 

@@ -44,7 +44,7 @@ class SampleSource(Protocol):
         epsilon_sigma: Sequence[float] = (),
         start: Sequence[float] | None = None,
         goal: Sequence[float] | None = None,
-        min_confidence: float = 0.0,
+        min_confidence: float | None = None,
     ) -> SampleBatch:
         """One batch of at most ``n`` samples.
 
@@ -57,7 +57,8 @@ class SampleSource(Protocol):
                 default.
             start: d angles in rad, for path models only.
             goal: likewise.
-            min_confidence: samples that the model's validity head scores lower are dropped.
+            min_confidence: what the model's validity head has to score; None for the model's own threshold,
+                0 for the samples as they come.
 
         Raises:
             SamplerUnavailableError: the source does not answer or has no model ready.

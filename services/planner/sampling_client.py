@@ -59,7 +59,7 @@ class SamplingClient:
         epsilon_sigma: Sequence[float] = (),
         start: Sequence[float] | None = None,
         goal: Sequence[float] | None = None,
-        min_confidence: float = 0.0,
+        min_confidence: float | None = None,
     ) -> SampleBatch:
         """See :class:`services.planner.samples.SampleSource`.
 
@@ -67,7 +67,8 @@ class SamplingClient:
             SamplerUnavailableError: no connection, no answer in time, or no model ready (503).
             SamplerError: the request was refused, or the answer can not be used.
         """
-        fields: dict[str, Any] = {"n": str(n), "min_confidence": repr(float(min_confidence))}
+        fields: dict[str, Any] = {"n": str(n)}
+        fields |= {} if min_confidence is None else {"min_confidence": repr(float(min_confidence))}
         fields |= {} if model is None else {"model": model}
         fields |= {} if seed is None else {"seed": str(seed)}
         fields |= {"epsilon_sigma": [repr(float(value)) for value in epsilon_sigma]} if epsilon_sigma else {}

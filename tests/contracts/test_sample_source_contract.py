@@ -79,7 +79,7 @@ def test_a_drawn_seed_repeats_its_batch(source):
 
 
 def test_the_shortfall_is_what_is_missing(source):
-    batch = source.sample(PNG, 200, seed=1, min_confidence=0.5)
+    batch = source.sample(PNG, 200, seed=1, min_confidence=0.7)
     assert 0 < batch.shortfall < 200
     assert len(batch.samples) == 200 - batch.shortfall
 

@@ -1,6 +1,7 @@
 import math
 import subprocess
 import sys
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -8,11 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cspace.bundle import Bundle
+from cspace.bundle import Bundle, write_bundle
 from cspace.bundle.draws import draw, shares
 from cspace.errors import InputError
 from cspace.robot import THREE_LINK, TWO_LINK, PlanarArm
-from tests.bundles import LATENT, picture, tiny_spec, write_tiny_bundle
+from tests.bundles import LATENT, picture, tiny_graphs, tiny_spec, write_tiny_bundle
 
 # More digits of pi than a double has.
 PI = Fraction(3141592653589793238462643383279, 10**30)
@@ -117,7 +118,7 @@ def test_samples_are_shared_equally_with_the_remainder_to_the_first(
 def test_draws_follow_the_documented_order() -> None:
     spec = tiny_spec()
     mu, sigma = np.arange(LATENT, dtype=np.float32), np.full(LATENT, 0.5, dtype=np.float32)
-    draws = draw(spec, mu, sigma, 5, 11, (0.0, 2.0))
+    draws = draw(spec, mu, sigma, (3, 2), 11, (0.0, 2.0))
     rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(11)))
     eta = rng.standard_normal((5, LATENT), dtype=np.float32)
     raised = np.array([0.5, 0.5, 0.5, 2.5, 2.5], dtype=np.float32)[:, None]
@@ -131,7 +132,7 @@ def test_draws_follow_the_documented_order() -> None:
 def test_surplus_samples_of_a_shares_last_latent_are_left_out() -> None:
     spec = tiny_spec(samples_per_latent=4)
     zeros = np.zeros(LATENT, dtype=np.float32)
-    kept = draw(spec, zeros, zeros, 11, 0, (0.0, 1.0)).kept
+    kept = draw(spec, zeros, zeros, (6, 5), 0, (0.0, 1.0)).kept
     assert kept.astype(int).tolist() == [[1, 1, 1, 1], [1, 1, 0, 0], [1, 1, 1, 1], [1, 0, 0, 0]]
 
 
@@ -150,22 +151,69 @@ def test_a_validity_head_scores_every_sample_in_order(scored: Bundle) -> None:
     np.testing.assert_allclose(answer.confidence, expected, atol=1e-6)
 
 
-def test_samples_below_the_confidence_are_dropped_and_counted(scored: Bundle) -> None:
-    whole = scored.sample(picture(), 500, 3)
+def test_samples_that_reach_the_confidence_are_as_many_as_asked_for(scored: Bundle) -> None:
+    whole = scored.sample(picture(), 500, 3, min_confidence=0.0)
     part = scored.sample(picture(), 500, 3, min_confidence=0.4)
     assert whole.confidence is not None
     assert part.confidence is not None
-    kept = whole.confidence >= np.float32(0.4)
-    assert 0 < kept.sum() < 500
-    np.testing.assert_array_equal(part.samples, whole.samples[kept])
-    np.testing.assert_array_equal(part.confidence, whole.confidence[kept])
-    assert part.shortfall == 500 - kept.sum()
+    share = (whole.confidence >= np.float32(0.4)).mean()
+    assert 0.3 < share < 0.9
+    assert (len(part.samples), part.shortfall) == (500, 0)
+    assert part.confidence.min() >= np.float32(0.4)
+    assert part.acceptance == pytest.approx(share, abs=0.1)
+    np.testing.assert_array_equal(part.confidence, scored.score(picture(), part.samples))
+    again = scored.sample(picture(), 500, 3, min_confidence=0.4)
+    assert part.samples.tobytes() == again.samples.tobytes()
+
+
+def test_what_is_kept_is_a_fair_draw_of_what_passes(scored: Bundle) -> None:
+    kept = scored.sample(picture(), 4000, 5, min_confidence=0.4).samples
+    drawn = scored.sample(picture(), 16_000, 6, min_confidence=0.0)
+    assert drawn.confidence is not None
+    passing = drawn.samples[drawn.confidence >= np.float32(0.4)]
+    assert np.abs(kept).mean() == pytest.approx(np.abs(passing).mean(), abs=0.03)
+
+
+def test_a_filtered_request_keeps_the_shares_of_its_schedule(scored: Bundle) -> None:
+    calm = scored.sample(picture(), 100, 3, epsilon_sigma=(0.0,), min_confidence=0.4).samples
+    both = scored.sample(picture(), 200, 3, epsilon_sigma=(0.0, 10.0), min_confidence=0.4).samples
+    assert len(both) == 200
+    # Samples of the raised share spread; those before it do not.
+    assert np.abs(both[:100]).mean() == pytest.approx(np.abs(calm).mean(), abs=0.2)
+    assert not np.array_equal(both[:100], both[100:])
+
+
+def test_without_a_confidence_the_bundles_own_threshold_holds(tmp_path: Path) -> None:
+    spec = replace(tiny_spec(), confidence_threshold=0.4)
+    own = Bundle.load(write_bundle(tmp_path / "own", spec, tiny_graphs(spec, validity=True)))
+    default, asked = own.sample(picture(), 300, 3), own.sample(picture(), 300, 3, min_confidence=0.4)
+    everything = own.sample(picture(), 300, 3, min_confidence=0.0)
+    assert default.samples.tobytes() == asked.samples.tobytes() != everything.samples.tobytes()
+    assert everything.confidence is not None
+    assert everything.confidence.min() < np.float32(0.4)
+    assert everything.acceptance == 1.0
 
 
 def test_a_confidence_that_none_reaches_gives_an_empty_answer(scored: Bundle) -> None:
     answer = scored.sample(picture(), 20, 3, min_confidence=1.0)
     assert answer.samples.shape == (0, 2)
-    assert answer.shortfall == 20
+    assert (answer.shortfall, answer.acceptance) == (20, 0.0)
+
+
+def test_a_prepared_picture_gives_the_same_answer_and_the_encoder_rests(scored: Bundle) -> None:
+    prepared = scored.prepare(picture())
+    for n in (1, 300):
+        plain, quick = scored.sample(picture(), n, 4), scored.sample(prepared, n, 4)
+        assert plain.samples.tobytes() == quick.samples.tobytes()
+        assert plain.encode_ms > 0.0 == quick.encode_ms
+    np.testing.assert_array_equal(
+        scored.score(prepared, plain.samples), scored.score(picture(), plain.samples)
+    )
+
+
+def test_a_picture_that_another_bundle_prepared_is_refused(bundle: Bundle, scored: Bundle) -> None:
+    with pytest.raises(InputError, match="another bundle"):
+        scored.sample(bundle.prepare(picture()), 3, 0)
 
 
 def test_path_models_depend_on_start_and_goal_up_to_whole_turns(path_model: Bundle) -> None:

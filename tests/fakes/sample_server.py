@@ -38,7 +38,7 @@ def ask(source: SampleSource, fields: dict[str, list[bytes]]) -> SampleBatch:
         epsilon_sigma=[float(value) for value in fields.get("epsilon_sigma", [])],
         start=json.loads(text["start"]) if "start" in text else None,
         goal=json.loads(text["goal"]) if "goal" in text else None,
-        min_confidence=float(text.get("min_confidence", "0")),
+        min_confidence=float(text["min_confidence"]) if "min_confidence" in text else None,
     )
 
 

@@ -41,7 +41,7 @@ class FakeSampleSource:
         epsilon_sigma: Sequence[float] = (),
         start: Sequence[float] | None = None,
         goal: Sequence[float] | None = None,
-        min_confidence: float = 0.0,
+        min_confidence: float | None = None,
     ) -> SampleBatch:
         self.requests.append(
             {
@@ -66,5 +66,5 @@ class FakeSampleSource:
         seed = len(self.requests) if seed is None else seed
         rng = np.random.default_rng(seed)
         samples = to_float32(self.draw(rng, n))
-        kept = samples[rng.random(n) >= min_confidence]
+        kept = samples[rng.random(n) >= (min_confidence or 0.0)]
         return SampleBatch(kept, MODEL, 0, DIGEST, seed, n - len(kept), 0.0)

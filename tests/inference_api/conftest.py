@@ -1,15 +1,24 @@
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from cspace.bundle import write_bundle
 from cspace.image import encode_png
 from inference_api.app import create_app
 from inference_api.settings import ApiSettings
-from tests.bundles import picture, write_tiny_bundle
+from tests.bundles import picture, tiny_graphs, tiny_spec, write_tiny_bundle
 from tests.inference_api.client import ApiClient, running
 from tests.inference_api.fake_registry import CountingRegistry
+
+
+def _careful(folder: Path) -> Path:
+    """With a validity head and a threshold of its own."""
+    spec = replace(tiny_spec(), confidence_threshold=0.45)
+    return write_bundle(folder, spec, tiny_graphs(spec, validity=True))
+
 
 StartApi = Callable[..., ApiClient]
 
@@ -23,6 +32,7 @@ def bundles(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
         "other": write_tiny_bundle(folder / "other", scale=2.0, samples_per_latent=4),
         "scored": write_tiny_bundle(folder / "scored", validity=True),
         "path": write_tiny_bundle(folder / "path", kind="path"),
+        "careful": _careful(folder / "careful"),
     }
 
 
@@ -52,12 +62,13 @@ def api_over(
 
 
 def stock(registry: CountingRegistry, bundles: dict[str, Path]) -> CountingRegistry:
-    """Versions 1 to 4: a champion, a challenger, a path model and one with a validity head."""
+    """Versions 1 to 5: champion, challenger, a path model, one with a validity head, and with a threshold."""
     for bundle, alias in (
         ("plain", "champion"),
         ("other", "challenger"),
         ("path", "path"),
         ("scored", "scored"),
+        ("careful", "careful"),
     ):
         registry.add(bundles[bundle], alias)
     return registry

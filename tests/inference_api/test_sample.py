@@ -39,7 +39,9 @@ def test_the_answer_has_exactly_the_contracts_members(
     own_api: ApiClient, png: bytes, registry: CountingRegistry
 ) -> None:
     body = ask(own_api, png).json()
-    assert set(body) == {"samples", "confidence", "shortfall", "joint_space", "model", "seed", "timing_ms"}
+    assert set(body) == {
+        "samples", "confidence", "shortfall", "acceptance", "joint_space", "model", "seed", "timing_ms",
+    }  # fmt: skip
     assert body["joint_space"] == {"kind": "torus", "dim": 2, "unit": "rad"}
     assert body["model"] == {
         "name": "cspace-sampler",
@@ -53,7 +55,7 @@ def test_the_answer_has_exactly_the_contracts_members(
     parts = [body["timing_ms"][name] for name in ("decode", "encode", "generate")]
     assert all(part > 0 for part in parts)
     assert body["timing_ms"]["total"] >= sum(parts)
-    assert (body["confidence"], body["shortfall"]) == (None, 0)
+    assert (body["confidence"], body["shortfall"], body["acceptance"]) == (None, 0, 1.0)
 
 
 def test_three_hundred_samples_are_the_default(api: ApiClient, png: bytes) -> None:
@@ -156,16 +158,47 @@ def test_each_epsilon_gets_its_share_in_the_order_given(
         np.testing.assert_allclose(found[rows], alone[rows], atol=1e-5)
 
 
-def test_confidence_is_returned_and_low_ones_are_dropped(api: ApiClient, png: bytes) -> None:
-    whole = ask(api, png, n="200", seed="3", model="cspace-sampler@scored").json()
-    part = ask(api, png, n="200", seed="3", model="cspace-sampler@scored", min_confidence="0.4").json()
-    assert len(whole["confidence"]) == len(whole["samples"]) == 200
-    kept = [
-        sample for sample, score in zip(whole["samples"], whole["confidence"], strict=True) if score >= 0.4
-    ]
-    assert part["samples"] == kept
-    assert part["shortfall"] == 200 - len(kept) > 0
-    assert min(part["confidence"]) >= 0.4
+def test_more_are_drawn_for_those_that_miss_the_confidence(api: ApiClient, png: bytes) -> None:
+    fields = {"n": "200", "seed": "3", "model": "cspace-sampler@scored"}
+    whole = ask(api, png, min_confidence="0", **fields).json()
+    part = ask(api, png, min_confidence="0.4", **fields).json()
+    assert len(whole["confidence"]) == len(whole["samples"]) == len(part["samples"]) == 200
+    assert min(whole["confidence"]) < 0.4 <= min(part["confidence"])
+    assert (whole["shortfall"], whole["acceptance"], part["shortfall"]) == (0, 1.0, 0)
+    share = np.mean(np.array(whole["confidence"]) >= 0.4)
+    assert part["acceptance"] == pytest.approx(share, abs=0.12)
+    headers = ask(api, png, NPY, min_confidence="0.4", **fields).headers
+    assert float(headers["x-acceptance"]) == pytest.approx(part["acceptance"], abs=1e-5)
+
+
+def test_too_few_within_the_budget_are_told_and_never_padded(
+    api: ApiClient, png: bytes, bundles: dict[str, Path]
+) -> None:
+    fields = {"n": "200", "seed": "3", "model": "cspace-sampler@scored", "min_confidence": "0.7"}
+    body = ask(api, png, **fields).json()
+    assert 0 < len(body["samples"]) == len(body["confidence"]) == 200 - body["shortfall"] < 200
+    assert min(body["confidence"]) >= 0.7
+    direct = Bundle.load(bundles["scored"]).sample(decode_png(png, 48), 200, 3, min_confidence=0.7)
+    np.testing.assert_array_equal(np.array(body["samples"], dtype=np.float32), direct.samples)
+
+
+def test_without_a_confidence_the_models_own_threshold_holds(api: ApiClient, png: bytes) -> None:
+    fields = {"n": "50", "seed": "3", "model": "cspace-sampler@careful"}
+    own, asked = ask(api, png, **fields).json(), ask(api, png, min_confidence="0.45", **fields).json()
+    everything = ask(api, png, min_confidence="0", **fields).json()
+    assert own["samples"] == asked["samples"] != everything["samples"]
+    assert min(own["confidence"]) >= 0.45 > min(everything["confidence"])
+
+
+def test_a_picture_is_decoded_and_encoded_once(api: ApiClient) -> None:
+    fresh = encode_png(picture(77))
+    first, second = (ask(api, fresh, n="20", seed="1").json() for _ in range(2))
+    assert first["samples"] == second["samples"]
+    assert first["timing_ms"]["decode"] > 0.0 < first["timing_ms"]["encode"]
+    assert (second["timing_ms"]["decode"], second["timing_ms"]["encode"]) == (0.0, 0.0)
+    # Another model has not seen it.
+    other = ask(api, fresh, n="20", seed="1", model="cspace-sampler@challenger").json()
+    assert other["timing_ms"]["encode"] > 0.0
 
 
 def test_an_answer_may_be_empty(api: ApiClient, png: bytes) -> None:

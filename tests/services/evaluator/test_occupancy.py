@@ -17,7 +17,7 @@ from services.evaluator.metrics import flat_metrics
 from services.evaluator.occupancy import scene_occupancy, summarise_occupancy
 from services.evaluator.reconstruction import summarise
 from services.evaluator.reliability import reliability_diagram
-from services.evaluator.samplers import BundleSampler, ScoredBundleSampler, bundle_sampler
+from services.evaluator.samplers import BundleSampler, Confident, ScoredBundleSampler, bundle_sampler
 from services.evaluator.scenes import Scene, Stage, reconstruct
 from services.evaluator.tables import occupancy_table
 from tests.bundles import tiny_graphs, tiny_spec, write_tiny_bundle
@@ -77,8 +77,9 @@ class Oracle:
         return self.checker.valid_batch(configurations).astype(np.float32)
 
     def confident(self, image, n, seed):
-        drawn = self.sample(image, n, seed)
-        return drawn[self.score(image, drawn) >= self.threshold]
+        drawn = self.sample(image, 4 * n, seed)
+        good = self.score(image, drawn) >= self.threshold
+        return Confident(drawn[good][:n], float(good.mean()))
 
 
 def test_confident_samples_are_as_many_and_all_pass():
@@ -130,8 +131,9 @@ def test_confident_samples_of_a_bundle_are_those_whose_score_reaches_its_thresho
     scores = sampler.score(scene.image, drawn)
     threshold = float(np.median(scores))
     found = dataclasses.replace(sampler, threshold=threshold).confident(scene.image, 200, 5)
-    assert 0 < len(found) < 200
-    assert np.array_equal(found, drawn[scores >= np.float32(threshold)])
+    assert len(found.samples) == 200
+    assert (sampler.score(scene.image, found.samples) >= np.float32(threshold)).all()
+    assert found.acceptance == pytest.approx(0.5, abs=0.1)
 
 
 def test_a_head_is_judged_by_family(tmp_path):

@@ -9,7 +9,7 @@ from cspace.robot import TWO_LINK
 from cspace.scenario import Disc, Scenario
 from services.evaluator.planning import PlanningTrial, RunOutcome, plan_trial
 from services.evaluator.planning_summary import success_rate, summarise_family
-from services.evaluator.samplers import UniformSampler
+from services.evaluator.samplers import Confident, UniformSampler
 from services.evaluator.tables import planning_table
 from services.planner.ompl_planner import PlannerSettings, PlanResult
 
@@ -169,8 +169,9 @@ class Scored(UniformSampler):
         return (configurations[:, 0] < 0.0).astype(np.float32)
 
     def confident(self, image, n, seed):
-        drawn = self.sample(image, n, seed)
-        return drawn[self.score(image, drawn) >= self.threshold]
+        drawn = self.sample(image, 4 * n, seed)
+        good = self.score(image, drawn) >= self.threshold
+        return Confident(drawn[good][:n], float(good.mean()))
 
 
 def test_a_validity_head_adds_a_run_with_as_many_samples_that_pass_it():

@@ -1,0 +1,77 @@
+"""Oversample, score, keep: how a request with a confidence to reach comes by its samples.
+
+The first turn draws a sixteenth more than is asked for, further turns what is missing by the share that
+passed so far, until nothing is missing or as much has been drawn as the budget allows. What is too many is
+left out from the end, so what is kept does not depend on its score beyond having reached the threshold.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+EXTRA = 1 / 16
+# Of the samples asked for; a few more, so that a handful has a chance, too.
+BUDGET, BUDGET_AT_LEAST = 4, 64
+# A turn never expects less to pass, for a share of nothing would ask for everything.
+LEAST_SHARE = 0.1
+
+DrawScored = Callable[[Sequence[int], int], tuple[NDArray[np.float32], NDArray[np.float32]]]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Kept:
+    """What reached the threshold.
+
+    Args:
+        samples: float32 (n', d) rad, those of the first share first.
+        confidence: float32 (n',).
+        acceptance: share of all drawn samples that reached the threshold.
+    """
+
+    samples: NDArray[np.float32]
+    confidence: NDArray[np.float32]
+    acceptance: float
+
+
+def gather(draw: DrawScored, shares: Sequence[int], threshold: float) -> Kept:
+    """As many samples of each share as are wanted, or as many as the budget finds.
+
+    Args:
+        draw: counts by share and the turn's number to samples (m, d), those of the first share first, and
+            their confidence (m,).
+        shares: how many are wanted of each.
+        threshold: the least confidence, 0 to 1.
+    """
+    left = max(BUDGET * sum(shares), BUDGET_AT_LEAST)
+    found: list[tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.intp]]] = []
+    missing = np.asarray(shares)
+    drawn = passed = turn = 0
+    wanted = missing + np.ceil(EXTRA * missing).astype(missing.dtype)
+    while True:
+        counts = _within(wanted, left)
+        samples, confidence = draw(counts.tolist(), turn)
+        belongs = np.repeat(np.arange(len(counts)), counts)
+        good = confidence >= np.float32(threshold)
+        found.append((samples[good], confidence[good], belongs[good]))
+        left, drawn, passed, turn = (
+            left - len(samples),
+            drawn + len(samples),
+            passed + int(good.sum()),
+            turn + 1,
+        )
+        missing = np.maximum(missing - np.bincount(belongs[good], minlength=len(counts)), 0)
+        if not missing.any() or left < 1:
+            break
+        wanted = np.ceil(missing * (1 + EXTRA) / max(passed / drawn, LEAST_SHARE)).astype(missing.dtype)
+    samples, confidence, belongs = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    kept = np.concatenate([np.flatnonzero(belongs == share)[:count] for share, count in enumerate(shares)])
+    return Kept(samples[kept], confidence[kept], passed / drawn)
+
+
+def _within(wanted: NDArray[np.intp], left: int) -> NDArray[np.intp]:
+    """The counts, cut where the budget ends."""
+    before = np.concatenate([[0], np.cumsum(wanted)[:-1]])
+    cut: NDArray[np.intp] = np.clip(left - before, 0, wanted)
+    return cut

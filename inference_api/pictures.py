@@ -1,0 +1,67 @@
+"""Pictures that were decoded and encoded already, so that a robot that replans pays for that once."""
+
+import hashlib
+import time
+from collections import OrderedDict
+from dataclasses import dataclass
+from threading import Lock
+
+from cspace.bundle import Bundle, Picture
+from cspace.image import decode_png
+
+
+@dataclass(frozen=True, slots=True)
+class Prepared:
+    """A picture for a bundle, and what it took.
+
+    Args:
+        picture: decoded and encoded.
+        decode_ms: 0 for one that was known.
+        encode_ms: 0 for one that was known.
+    """
+
+    picture: Picture
+    decode_ms: float = 0.0
+    encode_ms: float = 0.0
+
+
+class PictureCache:
+    """The pictures asked for last, by bundle and content; safe to share between threads.
+
+    Args:
+        capacity: how many are kept, about 30 kB each; 0 keeps none.
+    """
+
+    def __init__(self, capacity: int) -> None:
+        self._capacity = capacity
+        self._known: OrderedDict[tuple[str, bytes], Picture] = OrderedDict()
+        self._lock = Lock()
+
+    def get(self, bundle: Bundle, png: bytes) -> Prepared:
+        """A PNG file as a bundle takes it.
+
+        Raises:
+            InputError: not a picture that is accepted.
+            BundleError: the encoder fails.
+        """
+        # Not the builtin hash: two pictures that share a key would share an answer.
+        key = (bundle.digest, hashlib.sha256(png).digest())
+        with self._lock:
+            known = self._known.get(key)
+            if known is not None:
+                self._known.move_to_end(key)
+                return Prepared(known)
+        began = time.perf_counter()
+        image = decode_png(png, bundle.spec.pixels)
+        decoded = time.perf_counter()
+        picture = bundle.prepare(image)
+        encoded = time.perf_counter()
+        with self._lock:
+            self._known[key] = picture
+            while len(self._known) > self._capacity:
+                self._known.popitem(last=False)
+        return Prepared(picture, 1e3 * (decoded - began), 1e3 * (encoded - decoded))
+
+    def __len__(self) -> int:
+        with self._lock:
+            return len(self._known)

@@ -1,0 +1,70 @@
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cspace.bundle.keeping import BUDGET, BUDGET_AT_LEAST, gather
+
+Scored = tuple[NDArray[np.float32], NDArray[np.float32]]
+
+
+class Source:
+    """Numbered samples; each share passes with its own chance."""
+
+    def __init__(self, *chances: float) -> None:
+        self.chances, self.turns, self.drawn = chances, list[list[int]](), 0
+        self.rng = np.random.default_rng(0)
+
+    def __call__(self, counts: Sequence[int], turn: int) -> Scored:
+        assert turn == len(self.turns)
+        self.turns.append(list(counts))
+        self.drawn += sum(counts)
+        shares = np.repeat(np.arange(len(counts)), counts)
+        samples = np.stack([shares, np.full(len(shares), turn)], axis=1).astype(np.float32)
+        passes = self.rng.random(len(shares)) < np.asarray(self.chances)[shares]
+        return samples, np.where(passes, 0.9, 0.1).astype(np.float32)
+
+
+def test_where_nearly_all_pass_one_turn_is_enough() -> None:
+    source = Source(0.98)
+    kept = gather(source, [300], 0.5)
+    assert len(kept.samples) == 300
+    assert source.turns == [[319]]
+    assert 0.95 < kept.acceptance <= 1.0
+
+
+def test_every_share_is_filled_and_stays_in_its_place() -> None:
+    source = Source(0.9, 0.4)
+    kept = gather(source, [100, 50], 0.5)
+    assert kept.samples[:, 0].tolist() == [0.0] * 100 + [1.0] * 50
+    # Within a share the turns follow each other.
+    assert (np.diff(kept.samples[:100, 1]) >= 0).all()
+    assert (np.diff(kept.samples[100:, 1]) >= 0).all()
+    # A share that is full is drawn no more.
+    assert source.turns[-1][0] == 0 < source.turns[-1][1]
+    assert (kept.confidence >= 0.5).all()
+
+
+def test_the_budget_ends_a_search_in_vain() -> None:
+    source = Source(0.0, 0.0)
+    kept = gather(source, [200, 100], 0.5)
+    assert (len(kept.samples), kept.acceptance) == (0, 0.0)
+    assert source.drawn == BUDGET * 300
+
+
+def test_what_was_found_within_the_budget_is_given() -> None:
+    source = Source(0.1)
+    kept = gather(source, [400], 0.5)
+    assert 100 < len(kept.samples) < 250
+    assert source.drawn == BUDGET * 400
+
+
+def test_a_handful_has_a_chance_too() -> None:
+    source = Source(0.1)
+    assert len(gather(source, [3], 0.5).samples) == 3
+    assert source.drawn <= BUDGET_AT_LEAST
+
+
+def test_a_share_of_nothing_stays_empty() -> None:
+    kept = gather(Source(0.9, 0.9, 0.9), [2, 0, 0], 0.5)
+    assert kept.samples[:, 0].tolist() == [0.0, 0.0]
