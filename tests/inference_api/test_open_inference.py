@@ -71,7 +71,7 @@ def test_a_model_describes_its_tensors(api: ApiClient) -> None:
     found = api.get("/v2/models/cspace-sampler").json()
     assert found == {
         "name": "cspace-sampler",
-        "versions": ["1", "2", "3", "4"],
+        "versions": ["1", "2", "3", "4", "5"],
         "platform": "onnx_onnxv1",
         "inputs": [{"name": "image", "datatype": "UINT8", "shape": [-1, 48, 48, 3]}],
         "outputs": [
@@ -142,7 +142,12 @@ def test_a_drawn_seed_repeats_its_answer(api: ApiClient) -> None:
 def sample_set(count: int, asked: int) -> SampleSet:
     samples = np.arange(2 * count, dtype=np.float32).reshape(count, 2)
     return SampleSet(
-        samples=samples, confidence=samples[:, 0], shortfall=asked - count, encode_ms=0.0, generate_ms=0.0
+        samples=samples,
+        confidence=samples[:, 0],
+        shortfall=asked - count,
+        acceptance=1.0,
+        encode_ms=0.0,
+        generate_ms=0.0,
     )
 
 
