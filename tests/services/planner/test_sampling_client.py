@@ -85,7 +85,7 @@ def test_fields_are_sent_as_the_contract_has_them():
         "goal": [b"[-1.0, 2.0]"],
         "min_confidence": [b"0.8"],
     }
-    assert set(sent[1][1]) == {"image", "n"}
+    assert set(sent[1][1]) == {"image", "n", "seed"}
 
 
 def test_a_problem_s_own_words_reach_the_message():
