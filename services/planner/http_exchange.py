@@ -19,7 +19,7 @@ _AGAIN = (httpx.codes.TOO_MANY_REQUESTS, httpx.codes.SERVICE_UNAVAILABLE)
 # A time-out while reading is not among them: the server works on the request, and another would add to that.
 _LOST = (httpx.NetworkError, httpx.ConnectTimeout, httpx.RemoteProtocolError)
 # Shorter than what the server keeps an idle connection for, so that it is the client that closes it.
-LIMITS = httpx.Limits(keepalive_expiry=45.0)
+LIMITS = httpx.Limits(max_connections=100, max_keepalive_connections=20, keepalive_expiry=45.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,6 +175,8 @@ def lost(error: httpx.HTTPError | httpx.StreamError, endpoint: Endpoint) -> Fail
             got=str(error) or type(error).__name__,
             remedy=_START_REMEDY,
         )
+    # It is raised elsewhere, where the cause would be lost.
+    found.__cause__ = error
     return Failure(found, isinstance(error, _LOST))
 
 

@@ -117,8 +117,9 @@ def test_no_model_ready_is_unavailable_with_the_server_s_reason():
     ids=lambda error: type(error).__name__,
 )
 def test_no_error_of_httpx_leaks(error):
-    with pytest.raises(SamplerUnavailableError, match="http://test:1"):
+    with pytest.raises(SamplerUnavailableError, match="http://test:1") as caught:
         client_of(error).sample(PNG, 2)
+    assert caught.value.__cause__ is error
 
 
 @pytest.mark.parametrize(
