@@ -173,8 +173,10 @@ def _holds(dtype: np.dtype[Any], numbers: list[Any]) -> bool:
     real = dtype.kind == "f"
     if not set(map(type, numbers)) <= ({int, float} if real else {int}):
         return False
-    limits = np.finfo(dtype) if real else np.iinfo(dtype)
-    return bool(limits.min <= min(numbers) and max(numbers) <= limits.max)
+    # As Python's numbers: NumPy's cannot be compared to whole numbers of any length.
+    largest = float(np.finfo(dtype).max) if real else int(np.iinfo(dtype).max)
+    least = -largest if real else int(np.iinfo(dtype).min)
+    return bool(least <= min(numbers) and max(numbers) <= largest)
 
 
 def _binary_size(tensor: InputTensor, dtype: np.dtype[Any], left: int) -> int:
@@ -190,7 +192,7 @@ def _binary_size(tensor: InputTensor, dtype: np.dtype[Any], left: int) -> int:
 
 def _wrong(tensor: InputTensor, expected: str, got: str) -> InputError:
     return InputError(
-        f"the input {tensor.name} of type {tensor.datatype} and shape {tensor.shape} is wrong",
-        expected=expected,
+        f"the input {tensor.name} of type {tensor.datatype} and shape {str(tensor.shape)[:100]} is wrong",
+        expected=expected[:200],
         got=got,
     )

@@ -210,6 +210,11 @@ def test_outputs_come_in_the_order_and_form_that_is_asked_for(api: ApiClient) ->
 WRONG: dict[str, tuple[str, dict[str, Any]]] = {
     "no samples": ("n", {"parameters": {"n": 0}}),
     "half a sample": ("n", {"parameters": {"n": 1.5}}),
+    "endless samples": ("n", {"parameters": {"n": 10**400}}),
+    "an endless confidence": ("min_confidence", {"parameters": {"min_confidence": 10**400}}),
+    "an endless schedule": ("epsilon_sigma", {"parameters": {"epsilon_sigma": f"[{10**400}]"}}),
+    "an endless seed": ("seed", {"parameters": {"seed": 10**400}}),
+    "an endless size": ("image", {"inputs": [{**json_input(IMAGES[:1]), "shape": [10**400, 48, 48, 3]}]}),
     "true samples": ("n", {"parameters": {"n": True}}),
     "an unknown parameter": ("colour", {"parameters": {"colour": "red"}}),
     "a model in the parameters": ("model", {"parameters": {"model": "pretrained"}}),

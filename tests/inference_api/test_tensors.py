@@ -122,7 +122,14 @@ def test_splitting_loses_nothing_or_is_refused(body: bytes, length: str | None) 
 
 
 JSON = st.recursive(
-    st.one_of(st.none(), st.booleans(), st.integers(-(2**70), 2**70), st.floats(allow_nan=False), st.text()),
+    st.one_of(
+        st.none(),
+        st.booleans(),
+        st.integers(-(2**70), 2**70),
+        st.just(10**400),
+        st.floats(allow_nan=False),
+        st.text(),
+    ),
     lambda inner: st.lists(inner, max_size=4),
     max_leaves=12,
 )
@@ -166,6 +173,8 @@ WRONG: dict[str, tuple[dict[str, Any], bytes]] = {
     "text": ({"shape": [1], "data": ["1"]}, b""),
     "null": ({"shape": [1], "data": [None]}, b""),
     "huge": ({"shape": [1], "data": [2**70]}, b""),
+    "longer than any float": ({"shape": [1], "data": [10**400], "datatype": "FP32"}, b""),
+    "above the floats of 32 bits": ({"shape": [1], "data": [-3.5e38], "datatype": "FP32"}, b""),
     "an empty one": ({"shape": [0], "data": []}, b""),
     "nothing times a lot": ({"shape": [0, 2**62], "parameters": {"binary_data_size": 0}}, b""),
     "a negative size": ({"shape": [-1, -1], "data": [1]}, b""),
