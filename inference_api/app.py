@@ -15,6 +15,7 @@ from inference_api.body_limit import BodyLimit
 from inference_api.bundle_cache import BundleCache
 from inference_api.docs_page import add_docs_page
 from inference_api.model_store import ModelStore
+from inference_api.open_inference import add_open_inference
 from inference_api.openapi import document
 from inference_api.pictures import PictureCache
 from inference_api.problems import add_problem_handlers
@@ -67,6 +68,7 @@ def create_app(settings: ApiSettings | None = None, registry: ModelRegistry | No
     add_docs_page(app)
     add_problem_handlers(app)
     app.add_middleware(BodyLimit)
+    add_open_inference(app)
     app.openapi = lambda: document(app)  # type: ignore[method-assign]
     return app
 

@@ -20,6 +20,7 @@ from inference_api.problems import (
 )
 from inference_api.sampling import NPY
 from inference_api.schemas import Problem, SampleAnswer, SampleRequest, multipart_schema
+from inference_api.tensor_schemas import InferenceRequest
 
 SAMPLE_PROBLEMS = (
     MALFORMED_BODY,
@@ -96,9 +97,10 @@ def document(app: FastAPI) -> dict[str, Any]:
             title=app.title, version=app.version, description=app.description, routes=app.routes
         )
         template = "#/components/schemas/{model}"
-        problem = Problem.model_json_schema(ref_template=template)
         schemas = made.setdefault("components", {}).setdefault("schemas", {})
-        schemas.update(problem.pop("$defs", {}))
-        schemas["Problem"] = problem
+        for unseen in (Problem, InferenceRequest):
+            schema = unseen.model_json_schema(ref_template=template)
+            schemas.update(schema.pop("$defs", {}))
+            schemas[unseen.__name__] = schema
         app.openapi_schema = made
     return app.openapi_schema
