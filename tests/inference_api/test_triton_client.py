@@ -1,4 +1,4 @@
-"""NVIDIA's client of the Open Inference Protocol against a real server; needs tritonclient[http]."""
+"""NVIDIA's client of the Open Inference Protocol against a real server."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -7,12 +7,11 @@ from typing import Any
 import httpx
 import numpy as np
 import pytest
+import tritonclient.http as tritonclient
 
 from cspace.image import encode_png
 from tests.bundles import picture
 from tests.inference_api.server import api_server
-
-tritonclient = pytest.importorskip("tritonclient.http", reason="needs tritonclient[http]")
 
 pytestmark = [
     pytest.mark.e2e,
