@@ -33,7 +33,9 @@ class BundleModel(PythonModel):
     def predict(  # type: ignore[override]
         self, model_input: pd.DataFrame, params: dict[str, Any] | None = None
     ) -> NDArray[np.float32]:
-        """Configurations for each row's picture, float32 (rows, n, d) rad.
+        """Configurations for each row's picture as the generator draws them, float32 (rows, n, d) rad.
+
+        They are not filtered, for every row has to have as many.
 
         Args:
             model_input: a data frame with ``image``, and ``start`` and ``goal`` for path models.
@@ -48,7 +50,7 @@ class BundleModel(PythonModel):
         bundle = self._bundle
         image = decode_png(row["image"], bundle.spec.pixels)
         ends = {name: row[name] for name in bundle.spec.endpoints}
-        return bundle.sample(image, count, seed, **ends).samples
+        return bundle.sample(image, count, seed, min_confidence=0.0, **ends).samples
 
 
 set_model(BundleModel())
