@@ -16,7 +16,9 @@ from inference_api.bundle_cache import BundleCache
 from inference_api.docs_page import add_docs_page
 from inference_api.guards.headers import SecurityHeaders
 from inference_api.guards.install import add_guards
+from inference_api.guards.last_resort import LastResort
 from inference_api.model_store import ModelStore
+from inference_api.open_inference import add_open_inference
 from inference_api.openapi import document
 from inference_api.pictures import PictureCache
 from inference_api.problems import add_problem_handlers
@@ -74,6 +76,8 @@ def create_app(settings: ApiSettings | None = None, registry: ModelRegistry | No
     add_docs_page(app)
     add_problem_handlers(app)
     add_guards(app, settings.protection)
+    app.add_middleware(LastResort)
+    add_open_inference(app)
     metrics = Metrics(partial(_default_model, store))
     store.observer = app.state.metrics = metrics
     app.add_middleware(Observed, metrics=metrics, names=RouteNames(app.router.routes))

@@ -24,6 +24,7 @@ from inference_api.problems import (
 )
 from inference_api.sampling import NPY
 from inference_api.schemas import Problem, SampleAnswer, SampleRequest, multipart_schema
+from inference_api.tensor_schemas import InferenceRequest
 
 # What the guards answer on every page but those of health.
 GUARD_PROBLEMS = (UNAUTHORIZED, TOO_MANY_REQUESTS, OVERLOADED)
@@ -108,13 +109,14 @@ def document(app: FastAPI) -> dict[str, Any]:
             title=app.title, version=app.version, description=app.description, routes=app.routes
         )
         template = "#/components/schemas/{model}"
-        problem = Problem.model_json_schema(ref_template=template)
         components = made.setdefault("components", {})
         components["securitySchemes"] = {"key": {"type": "http", "scheme": "bearer"}}
         # Either none or a key, for whoever runs the server decides.
         made["security"] = [{}, {"key": []}]
         schemas = components.setdefault("schemas", {})
-        schemas.update(problem.pop("$defs", {}))
-        schemas["Problem"] = problem
+        for unseen in (Problem, InferenceRequest):
+            schema = unseen.model_json_schema(ref_template=template)
+            schemas.update(schema.pop("$defs", {}))
+            schemas[unseen.__name__] = schema
         app.openapi_schema = made
     return app.openapi_schema

@@ -80,7 +80,7 @@ def parse_json(body: bytes) -> dict[str, Any]:
     Raises:
         RequestError: the body is not that.
     """
-    values = _load("the body", body)
+    values = load_json("the body", body)
     if not isinstance(values, dict):
         raise RequestError(
             MALFORMED_BODY, "the body is no JSON object", expected="an object", got=type(values).__name__
@@ -122,11 +122,20 @@ def _convert(name: str, value: bytes | str) -> object:
     if name in (*_NUMBER_FIELDS, "epsilon_sigma") and _NUMBER.fullmatch(text):
         return float(text)
     if name in _ARRAY_FIELDS:
-        return _load(name, text.encode("utf-8", errors="replace"))
+        return load_json(name, text.encode("utf-8", errors="replace"))
     return value
 
 
-def _load(what: str, data: bytes) -> object:
+def load_json(what: str, data: bytes) -> object:
+    """Strict JSON: UTF-8, finite numbers, unique keys.
+
+    Args:
+        what: the text's name in messages.
+        data: the text.
+
+    Raises:
+        RequestError: it is not that.
+    """
     try:
         return json.loads(data.decode("utf-8"), parse_constant=_refuse, object_pairs_hook=_unique)
     except (ValueError, RecursionError) as error:

@@ -2,7 +2,7 @@
 
 from starlette.types import Scope
 
-HEALTH = ("/health/live", "/health/ready")
+HEALTH = ("/health/live", "/health/ready", "/v2/health/live", "/v2/health/ready")
 METRICS = "/metrics"
 
 

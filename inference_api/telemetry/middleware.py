@@ -1,26 +1,20 @@
-"""The outermost ASGI middleware of a request: its id, its metrics, its line in the log, its last resort."""
+"""ASGI middleware round all others that answer: a request's id, its metrics, its line in the log."""
 
-import logging
 import time
 
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from inference_api.problems import INTERNAL_ERROR, problem_response
 from inference_api.telemetry.access_log import log_request
 from inference_api.telemetry.metrics import Metrics
 from inference_api.telemetry.record import RequestRecord, begin, choose_request_id, end
 from inference_api.telemetry.route_names import RouteNames
 
-_LOG = logging.getLogger(__name__)
 HEADER = "X-Request-ID"
 
 
 class Observed:
     """Watches every request.
-
-    An error that nobody caught is logged and answered here rather than by the framework, whose answer would
-    carry no request id.
 
     Args:
         app: what is watched.
@@ -52,12 +46,6 @@ class Observed:
         self._metrics.in_flight.inc()
         try:
             await self._app(scope, receive, named)
-        except Exception:
-            _LOG.exception("an error that nobody foresaw")
-            if status:
-                raise
-            detail = "an error that the server did not foresee; its log has it"
-            await problem_response(INTERNAL_ERROR, detail)(scope, receive, named)
         finally:
             self._metrics.in_flight.dec()
             route = self._names.of(path)

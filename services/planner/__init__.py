@@ -1,5 +1,6 @@
 """Motion planning with OMPL, fed by configurations from the inference API.
 
-samples.py -> sampling_client.py fetch a batch over HTTP; sample_mixture.py -> goal_region.py hand it to OMPL;
+samples.py -> sampling_client.py (async_sampling_client.py) fetch a batch over HTTP, by http_exchange.py and
+retries.py; local_sampler.py draws it in this process; sample_mixture.py -> goal_region.py hand it to OMPL;
 ompl_planner.py solves; planning.py joins both; plot.py draws what happened.
 """

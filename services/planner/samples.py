@@ -1,11 +1,15 @@
 """A batch of learned samples, and the port to whatever gives one for a picture."""
 
+import secrets
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+
+MAX_SAMPLES = 20_000
+"""Of one request."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -19,7 +23,8 @@ class SampleBatch:
         digest: of its bundle.
         seed: that was used, whether asked for or drawn.
         shortfall: how many fewer samples came than were asked for.
-        round_trip_s: from the request to the checked answer.
+        round_trip_s: from the request to the checked answer, further attempts included.
+        fallback: whether another source answered because the server stayed away.
     """
 
     samples: NDArray[np.float32]
@@ -29,6 +34,7 @@ class SampleBatch:
     seed: int
     shortfall: int
     round_trip_s: float
+    fallback: bool = False
 
 
 class SampleSource(Protocol):
@@ -50,7 +56,7 @@ class SampleSource(Protocol):
 
         Args:
             image_png: the scenario's picture as a PNG file.
-            n: how many.
+            n: how many, 1 to ``MAX_SAMPLES``.
             model: ``name``, ``name@alias``, ``name/version`` or ``pretrained``; None for the default.
             seed: unsigned 64 bit; None for one that the source draws.
             epsilon_sigma: what the encoder's standard deviation is raised by, in equal shares; empty for the
@@ -65,3 +71,8 @@ class SampleSource(Protocol):
             SamplerError: it refused the request, or its answer can not be used.
         """
         ...
+
+
+def drawn_seed(seed: int | None) -> int:
+    """The seed, or one that is drawn here, so that a request that is sent again is the same request."""
+    return secrets.randbits(64) if seed is None else seed

@@ -1,37 +1,50 @@
 """The HTTP client of ``POST /sample``."""
 
-import json
-import math
+import random
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from dataclasses import replace
 from types import TracebackType
-from typing import Any, Self
+from typing import Self
 
 import httpx
 
-from cspace.errors import ConfigError, SamplerError, SamplerUnavailableError
-from services.planner.npy_answer import NPY, read_batch
-from services.planner.samples import SampleBatch
+from cspace.errors import SamplerError, SamplerUnavailableError
+from services.planner.http_exchange import (
+    LIMITS,
+    Endpoint,
+    Failure,
+    Question,
+    lost,
+    read_answer,
+)
+from services.planner.retries import RetryPolicy
+from services.planner.samples import SampleBatch, SampleSource, drawn_seed
 
-__all__ = ["SampleBatch", "SamplingClient"]
+__all__ = ["RetryPolicy", "SampleBatch", "SamplingClient"]
 
 DEFAULT_TIMEOUT_S = 10.0
-_START_REMEDY = "check that the inference API runs and that the address is right"
+DEFAULT_POLICY = RetryPolicy()
 
 
 class SamplingClient:
     """Asks an inference API for samples over one kept connection. Use as a context manager, or close it.
 
     A request costs about 1 ms beside the server's work; never send one from a planner's callback, which would
-    stop the search (and the interpreter) for as long.
+    stop the search (and the interpreter) for as long. A lost connection, 503 and 429 are tried again; the
+    seed, drawn here when none is given, makes that the same request.
 
     Args:
         url: of the API, for example ``http://127.0.0.1:8000``.
-        timeout_s: for connecting, and for each read and write.
+        timeout_s: for each read and write.
+        connect_timeout_s: for connecting; ``timeout_s`` when None.
+        policy: when a request is sent again.
+        api_key: sent as ``Authorization: Bearer``; None sends none.
+        fallback: answers while the API stays away, with the same seed; the batch says so.
         transport: of httpx; None for the network.
 
     Raises:
-        ConfigError: the address or the time limit can not be.
+        ConfigError: the address, a time limit or the key can not be.
     """
 
     def __init__(
@@ -39,15 +52,23 @@ class SamplingClient:
         url: str,
         timeout_s: float = DEFAULT_TIMEOUT_S,
         *,
+        connect_timeout_s: float | None = None,
+        policy: RetryPolicy = DEFAULT_POLICY,
+        api_key: str | None = None,
+        fallback: SampleSource | None = None,
         transport: httpx.BaseTransport | None = None,
     ) -> None:
-        if not 0.0 < timeout_s < math.inf:
-            raise ConfigError(
-                "the client's time limit is out of range", expected="above 0", got=repr(timeout_s)
-            )
-        self.url = _checked(url)
+        self._endpoint = Endpoint(url, timeout_s, connect_timeout_s, policy, api_key)
+        self._fallback = fallback
         # Without the environment's proxies: the API is a neighbour, and loopback must not leave the machine.
-        self._http = httpx.Client(timeout=timeout_s, trust_env=False, transport=transport)
+        self._http = httpx.Client(
+            headers=self._endpoint.headers, limits=LIMITS, trust_env=False, transport=transport
+        )
+
+    @property
+    def url(self) -> str:
+        """Of the API, without a slash at its end."""
+        return self._endpoint.url
 
     def sample(
         self,
@@ -64,21 +85,23 @@ class SamplingClient:
         """See :class:`services.planner.samples.SampleSource`.
 
         Raises:
-            SamplerUnavailableError: no connection, no answer in time, or no model ready (503).
+            SamplerUnavailableError: no connection, no answer in time, no model ready (503), or too many
+                requests (429), and no fallback that answers.
             SamplerError: the request was refused, or the answer can not be used.
         """
-        fields: dict[str, Any] = {"n": str(n)}
-        fields |= {} if min_confidence is None else {"min_confidence": repr(float(min_confidence))}
-        fields |= {} if model is None else {"model": model}
-        fields |= {} if seed is None else {"seed": str(seed)}
-        fields |= {"epsilon_sigma": [repr(float(value)) for value in epsilon_sigma]} if epsilon_sigma else {}
-        for name, angles in (("start", start), ("goal", goal)):
-            fields |= {} if angles is None else {name: json.dumps([float(angle) for angle in angles])}
+        seed = drawn_seed(seed)
+        question = Question(image_png, n, model, seed, epsilon_sigma, start, goal, min_confidence)
         began = time.perf_counter()
-        answer = self._post(fields, image_png)
-        if answer.status_code != httpx.codes.OK:
-            raise _refusal(answer)
-        return read_batch(answer.content, answer.headers, n, time.perf_counter() - began)
+        try:
+            return self._ask(question, began)
+        except SamplerUnavailableError as error:
+            if self._fallback is None:
+                raise
+            try:
+                batch = self._fallback.sample(image_png, n, **question.options)
+            except SamplerError as refusal:
+                raise error from refusal
+            return replace(batch, fallback=True, round_trip_s=time.perf_counter() - began)
 
     def close(self) -> None:
         """Close the connection."""
@@ -95,65 +118,23 @@ class SamplingClient:
     ) -> None:
         self.close()
 
-    def _post(self, fields: Mapping[str, Any], image_png: bytes) -> httpx.Response:
+    def _ask(self, question: Question, began: float) -> SampleBatch:
+        tried = 0
+        while True:
+            found = self._attempt(question, began)
+            if isinstance(found, SampleBatch):
+                return found
+            tried += 1
+            spent_s, draw = time.perf_counter() - began, random.random()  # noqa: S311 - jitter is no secret
+            pause_s = self._endpoint.policy.pause_s(tried, spent_s, found.retry_after_s, draw)
+            if not found.again or pause_s is None:
+                raise found.error
+            time.sleep(pause_s)
+
+    def _attempt(self, question: Question, began: float) -> SampleBatch | Failure:
+        timeout = self._endpoint.timeout(time.perf_counter() - began)
         try:
-            return self._http.post(
-                f"{self.url}/sample",
-                data=fields,
-                files={"image": ("scenario.png", image_png, "image/png")},
-                headers={"Accept": f"{NPY}, application/problem+json"},
-            )
-        except httpx.TimeoutException as error:
-            raise SamplerUnavailableError(
-                f"the sampling endpoint {self.url} did not answer in time",
-                expected=f"an answer within {self._http.timeout.read} s",
-                got=type(error).__name__,
-                remedy=_START_REMEDY,
-            ) from error
+            answer = self._http.post(f"{self.url}/sample", timeout=timeout, **question.form)
         except (httpx.HTTPError, httpx.StreamError) as error:
-            raise SamplerUnavailableError(
-                f"the sampling endpoint {self.url} can not be reached",
-                got=str(error) or type(error).__name__,
-                remedy=_START_REMEDY,
-            ) from error
-
-
-def _checked(url: str) -> str:
-    try:
-        parsed = httpx.URL(url)
-    except (httpx.InvalidURL, TypeError) as error:
-        raise _bad_url(url) from error
-    if parsed.scheme not in ("http", "https") or not parsed.host or parsed.query or parsed.fragment:
-        raise _bad_url(url)
-    return url.rstrip("/")
-
-
-def _bad_url(url: str) -> ConfigError:
-    return ConfigError(
-        "the sampling endpoint's address can not be",
-        expected="http://host:port",
-        got=repr(url),
-        remedy="for example http://127.0.0.1:8000",
-    )
-
-
-def _refusal(answer: httpx.Response) -> SamplerError:
-    """The error that an answer other than 200 stands for, with the problem's own words (RFC 9457)."""
-    problem = _problem(answer)
-    kind = SamplerUnavailableError if answer.status_code == httpx.codes.SERVICE_UNAVAILABLE else SamplerError
-    title = problem.get("title") or f"{answer.status_code} {answer.reason_phrase}".strip()
-    named = f" ({problem['type']})" if problem.get("type") else ""
-    got = problem.get("detail") or f"status {answer.status_code}"
-    return kind(f"the sampling endpoint refused the request: {title}{named}", got=got)
-
-
-def _problem(answer: httpx.Response) -> dict[str, str]:
-    if "json" not in answer.headers.get("content-type", ""):
-        return {}
-    try:
-        members = answer.json()
-    except (ValueError, RecursionError):
-        return {}
-    if not isinstance(members, dict):
-        return {}
-    return {name: value for name, value in members.items() if isinstance(value, str)}
+            return lost(error, self._endpoint)
+        return read_answer(answer, question.n, time.perf_counter() - began)

@@ -1,13 +1,18 @@
-"""One contract for whatever gives a planner samples: the fake, the HTTP client, and (e2e) the real API."""
+"""One contract for what gives a planner samples: the fake, the HTTP clients, a bundle, the real API (e2e)."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
 
 import numpy as np
 import pytest
+from anyio.from_thread import BlockingPortal, start_blocking_portal
 
 from cspace.errors import SamplerError, SamplerUnavailableError
 from cspace.image import encode_png
-from services.planner.samples import SampleSource
+from services.planner.async_sampling_client import AsyncSamplingClient
+from services.planner.local_sampler import LocalSampler
+from services.planner.samples import SampleBatch, SampleSource
 from services.planner.sampling_client import SamplingClient
 from tests.bundles import picture, write_tiny_bundle
 from tests.fakes.sample_server import sample_server
@@ -15,39 +20,84 @@ from tests.fakes.sample_source import FakeSampleSource
 from tests.inference_api.server import api_server
 
 PNG = encode_png(picture())
+E2E = pytest.mark.e2e
+KINDS = [
+    "fake",
+    "http",
+    "async",
+    "local",
+    pytest.param("api", marks=E2E),
+    pytest.param("async api", marks=E2E),
+]
+
+
+class Awaited:
+    """The awaited client as a source like the others: every call waits in an event loop's thread."""
+
+    def __init__(self, client: AsyncSamplingClient, portal: BlockingPortal) -> None:
+        self._client, self._portal = client, portal
+
+    def sample(self, *arguments: object, **options: object) -> SampleBatch:
+        return self._portal.call(lambda: self._client.sample(*arguments, **options))
+
+
+@contextmanager
+def awaited(url: str) -> Iterator[SampleSource]:
+    client = AsyncSamplingClient(url)
+    with start_blocking_portal() as portal, portal.wrap_async_context_manager(client):
+        yield Awaited(client, portal)
 
 
 @pytest.fixture(scope="module")
-def api_url(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    folder = tmp_path_factory.mktemp("sampling-api")
-    bundle = write_tiny_bundle(folder / "bundle", validity=True)
-    with api_server(folder, {"CSPACE_PRETRAINED_MODEL": str(bundle)}) as url:
+def bundle(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_tiny_bundle(tmp_path_factory.mktemp("contract") / "bundle", validity=True)
+
+
+@pytest.fixture(scope="module")
+def api_url(tmp_path_factory: pytest.TempPathFactory, bundle: Path) -> Iterator[str]:
+    with api_server(tmp_path_factory.mktemp("api"), {"CSPACE_PRETRAINED_MODEL": str(bundle)}) as url:
         yield url
 
 
-@pytest.fixture(params=["fake", "http", pytest.param("api", marks=pytest.mark.e2e)])
-def source(request: pytest.FixtureRequest) -> Iterator[SampleSource]:
+@contextmanager
+def connected(kind: str, url: str) -> Iterator[SampleSource]:
+    if "async" in kind:
+        with awaited(url) as source:
+            yield source
+    else:
+        with SamplingClient(url) as client:
+            yield client
+
+
+@pytest.fixture(params=KINDS)
+def source(request: pytest.FixtureRequest, bundle: Path) -> Iterator[SampleSource]:
     if request.param == "fake":
         yield FakeSampleSource()
-    elif request.param == "http":
-        with sample_server(FakeSampleSource()) as server, SamplingClient(server.url) as client:
+    elif request.param == "local":
+        yield LocalSampler(bundle)
+    elif "api" in request.param:
+        with connected(request.param, request.getfixturevalue("api_url")) as client:
             yield client
     else:
-        with SamplingClient(request.getfixturevalue("api_url")) as client:
+        with sample_server(FakeSampleSource()) as server, connected(request.param, server.url) as client:
             yield client
 
 
-@pytest.fixture(params=["fake", "http", pytest.param("api", marks=pytest.mark.e2e)])
-def empty_source(request: pytest.FixtureRequest, tmp_path) -> Iterator[SampleSource]:
+@pytest.fixture(params=KINDS)
+def empty_source(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Callable[[], SampleSource]]:
+    """Makes or opens a source that has no model."""
     if request.param == "fake":
-        yield FakeSampleSource(ready=False)
-    elif request.param == "http":
-        with sample_server(FakeSampleSource(ready=False)) as server, SamplingClient(server.url) as client:
-            yield client
-    else:
+        yield lambda: FakeSampleSource(ready=False)
+    elif request.param == "local":
+        yield lambda: LocalSampler(tmp_path / "nothing")
+    elif "api" in request.param:
         nothing = {"CSPACE_PRETRAINED_MODEL": str(tmp_path / "nothing")}
-        with api_server(tmp_path, nothing) as url, SamplingClient(url) as client:
-            yield client
+        with api_server(tmp_path, nothing) as url, connected(request.param, url) as client:
+            yield lambda: client
+    else:
+        empty = FakeSampleSource(ready=False)
+        with sample_server(empty) as server, connected(request.param, server.url) as client:
+            yield lambda: client
 
 
 def test_a_batch_holds_as_many_wrapped_float32_angles_as_were_asked_for(source):
@@ -112,4 +162,14 @@ def test_what_is_no_picture_is_refused(source):
 
 def test_a_source_without_a_model_is_unavailable(empty_source):
     with pytest.raises(SamplerUnavailableError):
-        empty_source.sample(PNG, 10)
+        empty_source().sample(PNG, 10)
+
+
+@pytest.mark.e2e
+def test_a_bundle_here_and_behind_the_api_gives_the_same_samples(bundle: Path, api_url: str) -> None:
+    options = {"seed": 11, "epsilon_sigma": (0.0, 0.3), "min_confidence": 0.4}
+    here = LocalSampler(bundle).sample(PNG, 150, **options)
+    with SamplingClient(api_url) as client, awaited(api_url) as other:
+        for there in (client.sample(PNG, 150, **options), other.sample(PNG, 150, **options)):
+            assert there.samples.tobytes() == here.samples.tobytes()
+            assert (there.digest, there.shortfall) == (here.digest, here.shortfall)

@@ -22,7 +22,15 @@ from tests.inference_api.conftest import StartApi
 
 KEY = "csk_for-this-test"
 BEARER = {"authorization": f"Bearer {KEY}"}
-PAGES = ("/models", "/metrics", "/docs", "/openapi.json", "/docs/assets/swagger-ui.css", "/nothing")
+PAGES = (
+    "/models",
+    "/v2/models/pretrained",
+    "/metrics",
+    "/docs",
+    "/openapi.json",
+    "/docs/assets/swagger-ui.css",
+    "/nothing",
+)
 
 
 @pytest.fixture
@@ -40,7 +48,10 @@ def locked(start_api: StartApi, keys_file: Path) -> ApiClient:
 @pytest.mark.parametrize("path", PAGES)
 def test_every_page_but_health_needs_a_key(locked: ApiClient, path: str) -> None:
     answer = locked.get(path)
-    assert_problem(answer, 401, "unauthorized")
+    if path.startswith("/v2"):
+        assert (answer.status_code, set(answer.json())) == (401, {"error"})
+    else:
+        assert_problem(answer, 401, "unauthorized")
     assert answer.headers["www-authenticate"] == 'Bearer realm="cspace-sampler"'
     assert locked.get(path, headers=BEARER).status_code == (404 if path == "/nothing" else 200)
 
@@ -59,7 +70,7 @@ def test_samples_need_a_key_and_the_body_of_a_stranger_is_not_read(locked: ApiCl
     assert answer.status_code == 200
 
 
-@pytest.mark.parametrize("path", ["/health/live", "/health/ready"])
+@pytest.mark.parametrize("path", ["/health/live", "/health/ready", "/v2/health/live", "/v2/health/ready"])
 def test_health_needs_no_key(locked: ApiClient, path: str) -> None:
     assert locked.get(path).status_code == 200
 

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from pathlib import Path
 
+import numpy as np
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
@@ -10,10 +11,12 @@ from cspace.bundle import Bundle
 from inference_api.guards.protection import Protection
 from inference_api.problems import PROBLEMS
 from inference_api.telemetry.metrics import STAGES
+from tests.bundles import picture
 from tests.inference_api.answers import PNG
 from tests.inference_api.client import ApiClient
 from tests.inference_api.conftest import StartApi
 from tests.inference_api.fake_registry import CountingRegistry
+from tests.inference_api.tensor_client import json_input
 
 Series = tuple[str, frozenset[tuple[str, str]]]
 
@@ -115,6 +118,24 @@ def test_stages_samples_and_acceptance_are_those_of_the_answers(
     told = sum(answer["acceptance"] for answer in answers)
     assert value(found, "cspace_acceptance_ratio_sum") == pytest.approx(told)
     assert value(found, "cspace_fallback_answers_total") == 0
+
+
+def test_the_open_inference_protocol_is_counted_as_its_own_pages(own_api: ApiClient) -> None:
+    request = {
+        "inputs": [json_input(np.stack([picture(), picture()]))],
+        "parameters": {"n": 3, "seed": 1},
+    }
+    answer = own_api.post("/v2/models/cspace-sampler/infer", json=request)
+    assert answer.status_code == 200, answer.text
+    assert answer.headers["x-request-id"]
+    own_api.post("/v2/models/cspace-sampler/infer", json={**request, "colour": "red"})
+    found = scrape(own_api)
+    page = {"route": "/v2/models/{model}/infer", "method": "POST"}
+    assert value(found, "cspace_requests_total", **page, status="200") == 1
+    assert value(found, "cspace_requests_total", **page, status="400") == 1
+    assert value(found, "cspace_failures_total", reason="invalid-value") == 1
+    assert value(found, "cspace_samples_requested_total") == 6
+    assert value(found, "cspace_stage_seconds_count", stage="total") == 1
 
 
 def test_fallback_answers_and_the_model_in_service_follow_the_registry(

@@ -1,6 +1,7 @@
 """The OpenAPI document and the page that shows it tell the truth."""
 
 import base64
+import json
 import re
 from typing import Any
 
@@ -8,7 +9,9 @@ import pytest
 from jsonschema import Draft202012Validator
 
 from inference_api.openapi import SAMPLE_PROBLEMS
+from tests.bundles import picture
 from tests.inference_api.client import ApiClient
+from tests.inference_api.tensor_client import LENGTH, json_input
 
 
 @pytest.fixture
@@ -36,12 +39,25 @@ def test_every_page_of_the_contract_is_in_the_document(document: dict[str, Any])
         "/metrics": {"get"},
         "/health/live": {"get"},
         "/health/ready": {"get"},
+        "/v2": {"get"},
+        "/v2/health/live": {"get"},
+        "/v2/health/ready": {"get"},
+        "/v2/models/{model}": {"get"},
+        "/v2/models/{model}/ready": {"get"},
+        "/v2/models/{model}/infer": {"post"},
+        "/v2/models/{model}/versions/{version}": {"get"},
+        "/v2/models/{model}/versions/{version}/ready": {"get"},
+        "/v2/models/{model}/versions/{version}/infer": {"post"},
     }
 
 
 def test_every_reference_in_the_document_resolves(document: dict[str, Any]) -> None:
     names = set(re.findall(r'"#/components/schemas/(\w+)"', re.sub(r"'", '"', str(document))))
-    assert {"Problem", "SampleAnswer"} <= names <= set(document["components"]["schemas"])
+    assert (
+        {"Problem", "SampleAnswer", "InferenceRequest", "InputTensor", "ProtocolError"}
+        <= names
+        <= set(document["components"]["schemas"])
+    )
     assert "HTTPValidationError" not in document["components"]["schemas"]
 
 
@@ -119,6 +135,37 @@ def test_every_problem_is_described_and_real_ones_fit(
     assert examples == {problem.uri for problem in SAMPLE_PROBLEMS}
     answer = api.post("/sample", files={"image": png}, data={"n": "0", "colour": "red"})
     validate(document, answers(document, "/sample", "post", "422", "application/problem+json"), answer.json())
+
+
+@pytest.mark.parametrize(
+    "path",
+    ["/v2", "/v2/health/live", "/v2/health/ready", "/v2/models/{model}", "/v2/models/{model}/ready"],
+)
+def test_the_protocol_s_pages_fit_their_description(
+    api: ApiClient, document: dict[str, Any], path: str
+) -> None:
+    answer = api.get(path.replace("{model}", "cspace-sampler@scored"))
+    validate(document, answers(document, path, "get", "200", "application/json"), answer.json())
+
+
+@pytest.mark.parametrize("page", ["/v2/models/{model}/infer", "/v2/models/{model}/versions/{version}/infer"])
+@pytest.mark.parametrize("binary", [False, True], ids=["json", "bytes"])
+def test_the_protocol_s_requests_and_answers_fit_their_description(
+    api: ApiClient, document: dict[str, Any], page: str, binary: bool
+) -> None:
+    described = document["paths"][page]["post"]
+    request = {"inputs": [json_input(picture()[None])], "parameters": {"n": 3, "binary_data_output": binary}}
+    validate(document, described["requestBody"]["content"]["application/json"]["schema"], request)
+    answer = api.post(page.replace("{model}", "cspace-sampler").replace("{version}", "4"), json=request)
+    head = answer.content[: int(answer.headers.get(LENGTH, len(answer.content)))]
+    schema = answers(document, page, "post", "200", "application/json")
+    validate(document, schema, json.loads(head))
+    assert answer.headers["content-type"] in described["responses"]["200"]["content"]
+    assert LENGTH in described["responses"]["200"]["headers"]
+    assert (LENGTH in answer.headers) is binary
+    refused = api.post("/v2/models/cspace-sampler/infer", json={**request, "colour": "red"})
+    schema = answers(document, page, "post", "400", "application/json")
+    validate(document, schema, refused.json())
 
 
 def test_the_documentation_needs_nothing_from_elsewhere(api: ApiClient) -> None:

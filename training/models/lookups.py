@@ -4,6 +4,7 @@ Forward kinematics and the camera's frame are known, obstacles are not. Reading 
 what a single latent for the whole picture cannot give: sharp answers near contact.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
@@ -28,47 +29,81 @@ class ArmLookups(nn.Module):
     Shapes: pictures (p, 3, P, P), configurations (p, c, d) rad to (p, c, values).
     """
 
-    along: Tensor
-    lengths: Tensor
-    sides: Tensor
+    levers: Tensor
+    origin: Tensor
 
     def __init__(self, robot: PlanarArm, camera: Camera, points_per_link: int, side_m: float) -> None:
         super().__init__()
-        self.frame = (camera.x_min_m, camera.x_max_m, camera.y_min_m, camera.y_max_m)
         sides = [-side_m, 0.0, side_m] if side_m > 0.0 else [0.0]
-        self.points = len(sides) * points_per_link * len(robot.link_lengths_m)
+        along, beside = _levers(robot, points_per_link, sides)
+        self.points = along.shape[1]
         self.values = 3 * self.points
-        shares = torch.linspace(0.0, 1.0, points_per_link)
-        self.register_buffer("along", shares, persistent=False)
-        self.register_buffer("lengths", torch.tensor(robot.link_lengths_m), persistent=False)
-        self.register_buffer("sides", torch.tensor(sides), persistent=False)
+        width, height = camera.x_max_m - camera.x_min_m, camera.y_max_m - camera.y_min_m
+        across = torch.cat([along, -beside]) / width
+        # Row 0 of a picture is its top.
+        down = -torch.cat([beside, along]) / height
+        left, top = -camera.x_min_m / width, camera.y_max_m / height
+        origin = torch.cat([torch.full((self.points,), left), torch.full((self.points,), top)])
+        self.register_buffer("levers", torch.cat([across, down], dim=1), persistent=False)
+        self.register_buffer("origin", origin, persistent=False)
 
     def forward(self, pictures: Tensor, configurations: Tensor) -> Tensor:
         """Bilinear values of the pictures at each configuration's points; beyond the frame, the edge's."""
+        if len(pictures) == 1:
+            return self._of_one(pictures[0], configurations[0]).unsqueeze(0)
         # grid_sample wants (-1, -1) at the top left corner.
-        grid = 2.0 * self.shares_of_frame(configurations) - 1.0
-        values = functional.grid_sample(pictures, grid, padding_mode="border", align_corners=False)
+        places = torch.stack((2.0 * self.shares_of_frame(configurations) - 1.0).chunk(2, dim=-1), dim=-1)
+        values = functional.grid_sample(pictures, places, padding_mode="border", align_corners=False)
         return values.permute(0, 2, 3, 1).flatten(2)
 
-    def shares_of_frame(self, configurations: Tensor) -> Tensor:
-        """(..., d) rad to (..., points, 2), shares of the picture's width and height from its top left."""
-        x_min, x_max, y_min, y_max = self.frame
-        points = self.positions(configurations)
-        across = (points[..., 0] - x_min) / (x_max - x_min)
-        # Row 0 of a picture is its top.
-        down = (y_max - points[..., 1]) / (y_max - y_min)
-        return torch.stack([across, down], dim=-1)
+    def _of_one(self, picture: Tensor, configurations: Tensor) -> Tensor:
+        """As a served graph reads: a third of the time that onnxruntime's GridSample takes."""
+        side = picture.shape[-1]
+        first, across, down = self.pixels(configurations, side)
+        # a + b x + c y + d x y between four neighbours, as planes that are read at once; what rolls in at the
+        # border is never read.
+        corner = picture.flatten(1)
+        right, below, beyond = (corner.roll(-step, 1) for step in (1, side, side + 1))
+        planes = torch.cat([corner, right - corner, below - corner, beyond - below - right + corner])
+        constant, by_x, by_y, by_both = planes[:, first.flatten()].view(4, len(corner), -1)
+        x, y = across.reshape(1, -1), down.reshape(1, -1)
+        values: Tensor = constant + x * by_x + y * (by_y + x * by_both)
+        return values.T.reshape(-1, len(corner) * self.points)
 
-    def positions(self, configurations: Tensor) -> Tensor:
-        """Points of the links in the plane: (..., d) rad to (..., points, 2) m."""
+    def pixels(self, configurations: Tensor, side: int) -> tuple[Tensor, Tensor, Tensor]:
+        """Where the arm is read in a picture of ``side`` pixels: (..., d) rad to three of (..., points).
+
+        The number of the upper left of four pixels, int64, and the shares of the way to its right and lower
+        neighbours, 0 to 1.
+        """
+        place = (self.shares_of_frame(configurations) * side - 0.5).clamp(0.0, side - 1.0)
+        corner = place.detach().floor().clamp(max=side - 2)
+        column, row = corner.chunk(2, dim=-1)
+        across, down = (place - corner).chunk(2, dim=-1)
+        return (row * side + column).long(), across, down
+
+    def shares_of_frame(self, configurations: Tensor) -> Tensor:
+        """(..., d) rad to (..., 2 points): shares of the picture's width, then of its height.
+
+        A point of the arm is linear in the cosines and sines of the links' directions.
+        """
         angles = torch.cumsum(configurations, dim=-1)
-        direction = torch.stack([torch.cos(angles), torch.sin(angles)], dim=-1)
-        steps = direction * self.lengths.unsqueeze(-1)
-        joints = torch.cumsum(steps, dim=-2) - steps
-        normal = torch.stack([-direction[..., 1], direction[..., 0]], dim=-1)
-        line = joints.unsqueeze(-2) + self.along.unsqueeze(-1) * steps.unsqueeze(-2)
-        rows = line.unsqueeze(-3) + (self.sides.unsqueeze(-1) * normal.unsqueeze(-2)).unsqueeze(-2)
-        return rows.flatten(-4, -2)
+        directions = torch.cat([torch.cos(angles), torch.sin(angles)], dim=-1)
+        shares: Tensor = directions @ self.levers + self.origin
+        return shares
+
+
+def _levers(robot: PlanarArm, points_per_link: int, sides: Sequence[float]) -> tuple[Tensor, Tensor]:
+    """What each link adds to each point along its own direction and across it, both (d, points) m."""
+    lengths = torch.tensor(robot.link_lengths_m)
+    links = len(lengths)
+    along = torch.zeros(links, links, len(sides), points_per_link)
+    beside = torch.zeros_like(along)
+    for link in range(links):
+        along[:link, link] = lengths[:link].view(-1, 1, 1)
+        along[link, link] = lengths[link] * torch.linspace(0.0, 1.0, points_per_link)
+        beside[link, link] = torch.tensor(sides).unsqueeze(1)
+    return along.flatten(1), beside.flatten(1)
 
 
 class PictureReader(nn.Module):
@@ -94,10 +129,9 @@ class PictureReader(nn.Module):
     def forward(self, ids: Tensor, configurations: Tensor) -> Tensor:
         """Bilinear values at each configuration's points in the picture of its id; beyond it, the edge's."""
         side = self.side
-        place = (self.lookups.shares_of_frame(configurations) * side - 0.5).clamp(0.0, side - 1.0)
-        corner = place.detach().floor().clamp(max=side - 2)
-        across, down = (place - corner).unsqueeze(-1).unbind(dim=-2)
-        first = (corner[..., 1] * side + corner[..., 0]).long() + ids.unsqueeze(-1) * side * side
+        first, across, down = self.lookups.pixels(configurations, side)
+        first = first + ids.unsqueeze(-1) * side * side
+        across, down = across.unsqueeze(-1), down.unsqueeze(-1)
 
         def pixel(offset: int) -> Tensor:
             return self.pixels[first + offset].to(across.dtype)

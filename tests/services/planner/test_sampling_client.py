@@ -85,7 +85,7 @@ def test_fields_are_sent_as_the_contract_has_them():
         "goal": [b"[-1.0, 2.0]"],
         "min_confidence": [b"0.8"],
     }
-    assert set(sent[1][1]) == {"image", "n"}
+    assert set(sent[1][1]) == {"image", "n", "seed"}
 
 
 def test_a_problem_s_own_words_reach_the_message():
@@ -117,8 +117,9 @@ def test_no_model_ready_is_unavailable_with_the_server_s_reason():
     ids=lambda error: type(error).__name__,
 )
 def test_no_error_of_httpx_leaks(error):
-    with pytest.raises(SamplerUnavailableError, match="http://test:1"):
+    with pytest.raises(SamplerUnavailableError, match="http://test:1") as caught:
         client_of(error).sample(PNG, 2)
+    assert caught.value.__cause__ is error
 
 
 @pytest.mark.parametrize(

@@ -11,11 +11,19 @@ from training.models.lookups import ArmLookups, PictureReader
 THREE_LINK = PlanarArm((1.6, 1.4, 1.0), 0.1)
 
 
+def positions(lookups, camera, configurations):
+    """Points of the links in the plane: (..., d) rad to (..., points, 2) m."""
+    across, down = lookups.shares_of_frame(configurations).chunk(2, dim=-1)
+    x = camera.x_min_m + across * (camera.x_max_m - camera.x_min_m)
+    y = camera.y_max_m - down * (camera.y_max_m - camera.y_min_m)
+    return torch.stack([x, y], dim=-1)
+
+
 @pytest.mark.parametrize("robot", [TWO_LINK, THREE_LINK], ids=["two links", "three links"])
 def test_the_middle_row_runs_along_each_link_from_joint_to_joint(robot):
     configurations = np.random.default_rng(0).uniform(-np.pi, np.pi, (5, robot.dim))
     lookups = ArmLookups(robot, Camera(), points_per_link=4, side_m=0.1)
-    found = lookups.positions(torch.tensor(configurations, dtype=torch.float32)[None])[0]
+    found = positions(lookups, Camera(), torch.tensor(configurations, dtype=torch.float32))
     rows = found.view(5, robot.dim, 3, 4, 2).numpy()
     joints = robot.joint_positions_m(configurations)
     np.testing.assert_allclose(rows[:, :, 1, 0], joints[:, :-1], atol=1e-5)
@@ -24,7 +32,7 @@ def test_the_middle_row_runs_along_each_link_from_joint_to_joint(robot):
 
 def test_the_outer_rows_lie_beside_the_link_at_their_distance():
     lookups = ArmLookups(TWO_LINK, Camera(), points_per_link=4, side_m=0.3)
-    rows = lookups.positions(torch.tensor([[[0.7, -1.9]]])).view(2, 3, 4, 2)
+    rows = positions(lookups, Camera(), torch.tensor([[0.7, -1.9]])).view(2, 3, 4, 2)
     for link in rows:
         along = link[1, -1] - link[1, 0]
         for side in (link[0], link[2]):
@@ -45,7 +53,17 @@ def test_a_picture_that_shows_coordinates_is_read_as_the_points_coordinates(came
     lookups = ArmLookups(PlanarArm((1.2, 1.0), 0.1), camera, points_per_link=5, side_m=0.1)
     configurations = torch.rand(1, 7, 2, generator=torch.Generator().manual_seed(0)) * 6.0 - 3.0
     read = lookups(picture, configurations).view(1, 7, lookups.points, 2)
-    torch.testing.assert_close(read, lookups.positions(configurations), atol=1e-4, rtol=0.0)
+    torch.testing.assert_close(read, positions(lookups, camera, configurations), atol=1e-4, rtol=0.0)
+
+
+def test_one_picture_alone_is_read_as_among_others():
+    rng = torch.Generator().manual_seed(1)
+    pictures, lookups = torch.rand(3, 3, 48, 48, generator=rng), ArmLookups(THREE_LINK, Camera(), 6, 0.2)
+    configurations = torch.rand(3, 50, 3, generator=rng) * 6.0 - 3.0
+    together = lookups(pictures, configurations)
+    for picture, rows, expected in zip(pictures, configurations, together, strict=True):
+        alone = lookups(picture.unsqueeze(0), rows.unsqueeze(0)).squeeze(0)
+        torch.testing.assert_close(alone, expected, atol=2e-5, rtol=0.0)
 
 
 def test_beyond_the_frame_the_edge_is_read():

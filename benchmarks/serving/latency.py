@@ -1,0 +1,178 @@
+"""One client, one server on one core: the whole request beside the bare session calls, in the same run.
+
+    python benchmarks/serving/latency.py --requests 200 --repeats 5
+
+Server and bare sessions take turns on the same core, the client has another. Every picture is new, except
+where the row says that it was sent before. The client is Python's own ``http.client`` over one kept
+connection; the last row is the project's client.
+"""
+
+import argparse
+import http.client
+import multiprocessing
+import os
+import statistics
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import onnxruntime
+
+ROOT = Path(__file__).resolve().parents[2]
+sys.path.insert(0, str(ROOT / "benchmarks" / "evaluation"))
+from machine import machine  # noqa: E402 - a script of the next folder
+
+from cspace.bundle import Bundle  # noqa: E402
+from cspace.bundle.draws import draw  # noqa: E402
+from cspace.bundle.keeping import EXTRA  # noqa: E402
+from cspace.image import decode_png, encode_png  # noqa: E402
+from cspace.render import render  # noqa: E402
+from cspace.scenario import Split, random_scenarios  # noqa: E402
+from services.evaluator.tables import markdown  # noqa: E402
+from services.planner.sampling_client import SamplingClient  # noqa: E402
+
+BUNDLE = ROOT / "inference_api" / "pretrained"
+WARM_UP = 20
+SERVER_CORE, CLIENT_CORE = 0, 1
+
+
+def bare_sessions(pngs: list[bytes], samples: int, core: int, answers) -> None:
+    """Milliseconds of encoder, generator and head for each picture, by the sessions alone."""
+    os.sched_setaffinity(0, {core})
+    bundle = Bundle.load(BUNDLE)
+    rows = samples + int(np.ceil(EXTRA * samples))
+    encoder, generator, head = (session(f"{name}.onnx") for name in ("encoder", "generator", "validity"))
+    answers.put("ready")
+    for png in pngs:
+        image = bundle.prepare(decode_png(png, bundle.spec.pixels))
+        draws = draw(bundle.spec, image.encoding.mu, image.encoding.sigma, [rows], 0, [0.0])
+        feeds = {"latent": draws.latents, "image": image.pixels, **draws.random_inputs}
+        began = time.perf_counter()
+        encoder.run(None, {"image": image.pixels})
+        (found,) = generator.run(["samples"], feeds)
+        head.run(["confidence"], {"image": image.pixels, "configurations": found[:, 0]})
+        answers.put(1e3 * (time.perf_counter() - began))
+
+
+def session(name: str) -> onnxruntime.InferenceSession:
+    """A graph of the bundle on one thread."""
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    return onnxruntime.InferenceSession(BUNDLE / name, options, providers=["CPUExecutionProvider"])
+
+
+@contextmanager
+def server(core: int) -> Iterator[int]:
+    """The API on one core, without a registry; yields its port."""
+    environment = {name: value for name, value in os.environ.items() if name != "MLFLOW_TRACKING_URI"}
+    process = subprocess.Popen(
+        [sys.executable, "-m", "inference_api", "--port", "0"],
+        cwd=ROOT,
+        env=environment | {"PYTHONUNBUFFERED": "1", "OMP_NUM_THREADS": "1"},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+        preexec_fn=lambda: os.sched_setaffinity(0, {core}),  # noqa: PLW1509 - nothing else runs yet
+    )
+    try:
+        address = process.stdout.readline().split()[2]
+        yield int(address.rsplit(":", 1)[1])
+    finally:
+        process.terminate()
+        process.wait(30)
+
+
+def form(png: bytes, samples: int) -> tuple[bytes, dict[str, str]]:
+    """A multipart body with its headers."""
+    edge = "edge-of-a-part"
+    head = f'--{edge}\r\nContent-Disposition: form-data; name="n"\r\n\r\n{samples}\r\n'
+    head += f'--{edge}\r\nContent-Disposition: form-data; name="image"; filename="scenario.png"\r\n'
+    head += "Content-Type: image/png\r\n\r\n"
+    body = head.encode() + png + f"\r\n--{edge}--\r\n".encode()
+    return body, {"Content-Type": f"multipart/form-data; boundary={edge}"}
+
+
+def timed(ask: Callable[[bytes], None], pngs: list[bytes]) -> float:
+    """Median milliseconds of a request."""
+    taken = []
+    for png in pngs:
+        began = time.perf_counter()
+        ask(png)
+        taken.append(1e3 * (time.perf_counter() - began))
+    return statistics.median(taken)
+
+
+class Asker:
+    """Asks over one kept connection."""
+
+    def __init__(self, port: int, samples: int) -> None:
+        self.connection, self.samples = http.client.HTTPConnection("127.0.0.1", port), samples
+        self.connection.connect()
+
+    def __call__(self, png: bytes, accept: str) -> None:
+        body, headers = form(png, self.samples)
+        self.connection.request("POST", "/sample", body, headers | {"Accept": accept})
+        answer = self.connection.getresponse()
+        content = answer.read()
+        if answer.status != 200:
+            raise RuntimeError(content)
+
+
+def bare(pngs: list[bytes], samples: int) -> float:
+    """Median of :func:`bare_sessions` in a process of its own."""
+    context = multiprocessing.get_context("spawn")
+    answers = context.Queue()
+    worker = context.Process(target=bare_sessions, args=(pngs, samples, SERVER_CORE, answers))
+    worker.start()
+    answers.get()
+    taken = [answers.get() for _ in pngs]
+    worker.join()
+    return statistics.median(taken[WARM_UP:])
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--requests", type=int, default=200, help="a turn")
+    parser.add_argument("--repeats", type=int, default=5, help="turns")
+    parser.add_argument("--samples", type=int, default=300)
+    options = parser.parse_args()
+    os.sched_setaffinity(0, {CLIENT_CORE % os.cpu_count()})
+    # A picture for each request of each row and turn, so that none is known already.
+    count = 3 * options.repeats * (options.requests + WARM_UP)
+    pictures = iter([encode_png(render(one)) for one in random_scenarios(Split.DEMO, 99, count)])
+    rows: dict[str, list[float]] = {}
+    with server(SERVER_CORE) as port, SamplingClient(f"http://127.0.0.1:{port}") as client:
+        ask = Asker(port, options.samples)
+
+        def note(name: str, pngs: list[bytes], question: Callable[[bytes], None]) -> None:
+            for png in pngs[:WARM_UP]:
+                question(png)
+            rows.setdefault(name, []).append(timed(question, pngs[WARM_UP:]))
+
+        for _ in range(options.repeats):
+            fresh = [[next(pictures) for _ in range(options.requests + WARM_UP)] for _ in range(3)]
+            rows.setdefault("bare sessions", []).append(bare(fresh[0], options.samples))
+            note("npy, new picture", fresh[0], lambda png: ask(png, "application/x-npy"))
+            known = fresh[0][:1] * len(fresh[0])
+            note("npy, picture sent before", known, lambda png: ask(png, "application/x-npy"))
+            note("JSON, new picture", fresh[1], lambda png: ask(png, "application/json"))
+            note("the project's client", fresh[2], lambda png: client.sample(png, options.samples))
+    table = [["", "median, ms", "range of turns", "over bare, ms", "of bare"]]
+    base = rows["bare sessions"]
+    for name, found in rows.items():
+        over = statistics.median(a - b for a, b in zip(found, base, strict=True))
+        times = statistics.median(a / b for a, b in zip(found, base, strict=True))
+        spread = f"{min(found):.2f} to {max(found):.2f}"
+        table.append([name, f"{statistics.median(found):.2f}", spread, f"{over:.2f}", f"{times:.2f}"])
+    print(f"{machine()}\n\n{markdown(table)}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,228 @@
+"""One request of the Open Inference Protocol from the bytes of its body to those of its answer."""
+
+import secrets
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from fastapi.responses import Response
+from numpy.typing import NDArray
+from pydantic import ValidationError
+
+from cspace.bundle import MAX_SEED, Bundle, SampleSet
+from cspace.errors import InputError
+from inference_api.model_store import ModelStore, ServedModel
+from inference_api.references import PRETRAINED, ModelReference
+from inference_api.request_body import load_json, parse_json
+from inference_api.schemas import MAX_SAMPLES, SampleRequest
+from inference_api.telemetry.observer import Sampled
+from inference_api.tensor_schemas import InferenceRequest, Parameter, RequestedOutput
+from inference_api.tensors import JSON_LENGTH, Tensor, read_tensors, split_body, write_tensors
+from inference_api.validation import brief, validate_request
+
+IMAGE = "image"
+_ARRAYS = ("epsilon_sigma", "start", "goal")
+_FIELDS = ("n", "seed", "min_confidence", *_ARRAYS)
+_BINARY = "binary_data"
+_ALL_BINARY = "binary_data_output"
+_OPTIONS = {"epsilon_sigma", "start", "goal", "min_confidence"}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Drawn:
+    """Samples for one or several pictures.
+
+    Args:
+        found: one set for each picture.
+        seeds: of each.
+    """
+
+    found: list[SampleSet]
+    seeds: list[int]
+
+
+def reference_of(model: str, version: str | None = None) -> ModelReference:
+    """The model that an address names; the shipped one has the version 0.
+
+    Raises:
+        InputError: there are no such names.
+    """
+    if version is None or (model, version) == (PRETRAINED, "0"):
+        return ModelReference.parse(model)
+    return ModelReference.parse(f"{model}/{version}")
+
+
+def answer_inference(
+    store: ModelStore, reference: ModelReference, body: bytes, json_length: str | None
+) -> Response:
+    """Parse, validate, sample and write.
+
+    Args:
+        store: where the models are.
+        reference: the model.
+        body: of the request.
+        json_length: of its JSON object, as the header has it; None for all of the body.
+
+    Raises:
+        CspaceError: as the contract's table of errors.
+    """
+    began = time.perf_counter()
+    parts = split_body(body, json_length)
+    request = _validated(parse_json(parts.head))
+    tensors = read_tensors(request.inputs, parts.tail)
+    binary, fields = _split_parameters(request.parameters)
+    wanted = validate_request({**fields, IMAGE: b""})
+    served = store.resolve(reference)
+    drawn = draw(served.bundle, _images(served.bundle, tensors), wanted)
+    store.observer.sampled(sampled(served, drawn, wanted.n, time.perf_counter() - began))
+    arrays = output_arrays(drawn)
+    outputs = [
+        Tensor(name, arrays[name], as_bytes) for name, as_bytes in _asked(request.outputs, arrays, binary)
+    ]
+    head = _head(served) | ({} if request.id is None else {"id": request.id})
+    written = write_tensors(head, outputs)
+    if written.json_length is None:
+        return Response(written.content, media_type="application/json")
+    headers = {JSON_LENGTH: str(written.json_length)}
+    return Response(written.content, headers=headers, media_type="application/octet-stream")
+
+
+def draw(bundle: Bundle, images: NDArray[np.uint8], request: SampleRequest) -> Drawn:
+    """Samples for each picture as it would get them alone, with the seeds seed, seed + 1, ... modulo 2^64.
+
+    Args:
+        bundle: the model.
+        images: uint8 (b, P, P, 3), b at least 1.
+        request: what is asked for each; its picture is not looked at.
+
+    Raises:
+        InputError: these are more samples than one request may ask for, or a value does not fit the model.
+    """
+    if request.n * len(images) > MAX_SAMPLES:
+        raise InputError(
+            "these are too many samples",
+            expected=f"n times the number of pictures at most {MAX_SAMPLES}",
+            got=f"{request.n} times {len(images)}",
+            remedy="ask for fewer at a time",
+        )
+    first = secrets.randbits(64) if request.seed is None else request.seed
+    seeds = [(first + index) % (MAX_SEED + 1) for index in range(len(images))]
+    options = request.model_dump(include=_OPTIONS)
+    found = [
+        bundle.sample(image, request.n, seed, **options) for image, seed in zip(images, seeds, strict=True)
+    ]
+    return Drawn(found, seeds)
+
+
+def sampled(served: ServedModel, drawn: Drawn, n: int, total_s: float) -> Sampled:
+    """An answer with ``n`` samples asked for each picture as observers are told of it; nothing is decoded."""
+    found = drawn.found
+    return Sampled(
+        model=f"{served.name}/{served.version}",
+        fallback=served.fallback,
+        n=n * len(found),
+        seed=drawn.seeds[0],
+        shortfall=sum(one.shortfall for one in found),
+        acceptance=sum(one.acceptance for one in found) / len(found),
+        stages_s={
+            "encode": 1e-3 * sum(one.encode_ms for one in found),
+            "generate": 1e-3 * sum(one.generate_ms for one in found),
+            "total": total_s,
+        },
+    )
+
+
+def output_arrays(drawn: Drawn) -> dict[str, NDArray[Any]]:
+    """Every output by name; several pictures are cut to the number of samples of the one that has fewest.
+
+    ``samples`` (n', d) for one picture and (b, n', d) for several, ``confidence`` likewise without the last
+    axis where the model has a validity head, ``shortfall`` (b,): n minus what each picture had before the
+    cut, so that n' is n minus the largest, and ``seed`` (b,).
+    """
+    found = drawn.found
+    count = min(len(one.samples) for one in found)
+    arrays: dict[str, NDArray[Any]] = {"samples": np.stack([one.samples[:count] for one in found])}
+    scores = [one.confidence[:count] for one in found if one.confidence is not None]
+    arrays |= {"confidence": np.stack(scores)} if scores else {}
+    if len(found) == 1:
+        arrays = {name: array[0] for name, array in arrays.items()}
+    arrays["shortfall"] = np.array([one.shortfall for one in found], dtype=np.int32)
+    arrays["seed"] = np.array(drawn.seeds, dtype=np.uint64)
+    return arrays
+
+
+def _validated(values: Mapping[str, Any]) -> InferenceRequest:
+    try:
+        return InferenceRequest.model_validate(values)
+    except ValidationError as error:
+        first = error.errors(include_url=False, include_context=False)[0]
+        place = ".".join(str(part) for part in first["loc"])[:200]
+        got = "nothing" if first["type"] == "missing" else brief(first["input"])
+        raise InputError(f"{place} is wrong", expected=first["msg"], got=got) from error
+
+
+def _split_parameters(parameters: Mapping[str, Parameter]) -> tuple[bool, dict[str, object]]:
+    """Whether outputs come as bytes by default, and the fields of a request for samples."""
+    unknown = sorted(set(parameters) - {*_FIELDS, _ALL_BINARY})
+    if unknown:
+        known = f"one of {', '.join((*_FIELDS, _ALL_BINARY))}"
+        raise InputError("a parameter is unknown", expected=known, got=repr(unknown[0])[:100])
+    binary = _flag(_ALL_BINARY, parameters.get(_ALL_BINARY, False))
+    fields: dict[str, object] = {name: value for name, value in parameters.items() if name != _ALL_BINARY}
+    for name in _ARRAYS:
+        value = fields.get(name)
+        if isinstance(value, str):
+            fields[name] = load_json(name, value.encode("utf-8", errors="replace"))
+    return binary, fields
+
+
+def _images(bundle: Bundle, tensors: Mapping[str, NDArray[Any]]) -> NDArray[np.uint8]:
+    pixels = bundle.spec.pixels
+    image = tensors.get(IMAGE)
+    if set(tensors) != {IMAGE} or image is None:
+        got = ", ".join(tensors)[:100]
+        raise InputError("the inputs are wrong", expected=f"one with the name {IMAGE}", got=got)
+    fits = image.ndim == 4 and image.shape[1:] == (pixels, pixels, 3) and len(image) > 0
+    if image.dtype != np.uint8 or not fits:
+        raise InputError(
+            f"the input {IMAGE} does not fit the model",
+            expected=f"UINT8 of shape [b, {pixels}, {pixels}, 3], b at least 1",
+            got=f"{image.dtype} of shape {list(image.shape)}",
+            remedy="POST /sample takes PNG files of any size",
+        )
+    return image
+
+
+def _asked(
+    requested: Sequence[RequestedOutput] | None, arrays: Mapping[str, NDArray[Any]], binary: bool
+) -> list[tuple[str, bool]]:
+    """Names of the outputs in their order, each with whether it comes as bytes."""
+    if not requested:
+        return [(name, binary) for name in arrays]
+    asked: dict[str, bool] = {}
+    for output in requested:
+        if output.name not in arrays or output.name in asked or set(output.parameters) - {_BINARY}:
+            raise InputError(
+                f"the output {output.name} cannot be had",
+                expected=f"each of {', '.join(arrays)} at most once, with no other parameter than {_BINARY}",
+                got=f"parameters {dict(output.parameters)}"[:200],
+                remedy="confidence is there for models with a validity head",
+            )
+        asked[output.name] = _flag(_BINARY, output.parameters.get(_BINARY, binary))
+    return list(asked.items())
+
+
+def _flag(name: str, value: Parameter) -> bool:
+    if not isinstance(value, bool):
+        raise InputError(f"{name} is wrong", expected="true or false", got=brief(value))
+    return value
+
+
+def _head(served: ServedModel) -> dict[str, Any]:
+    return {
+        "model_name": served.name,
+        "model_version": str(served.version),
+        "parameters": {"digest": served.bundle.digest, "fallback": served.fallback},
+    }

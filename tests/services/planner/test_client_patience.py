@@ -1,0 +1,254 @@
+"""What both HTTP clients do while the server is not as it should be: the same tests for both."""
+
+import socket
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import anyio
+import httpx
+import numpy as np
+import pytest
+from anyio.from_thread import start_blocking_portal
+
+from cspace.errors import ConfigError, SamplerError, SamplerUnavailableError
+from cspace.image import encode_png
+from services.planner import async_sampling_client, sampling_client
+from services.planner.async_sampling_client import AsyncSamplingClient
+from services.planner.local_sampler import LocalSampler
+from services.planner.retries import RetryPolicy
+from services.planner.samples import SampleBatch
+from services.planner.sampling_client import SamplingClient
+from tests.bundles import picture, write_tiny_bundle
+from tests.fakes.sample_server import npy, read_form, sample_server
+from tests.fakes.sample_source import DIGEST, FakeSampleSource
+
+PNG = encode_png(picture())
+SAMPLES = np.zeros((2, 2), np.float32)
+HEADERS = {
+    "Content-Type": "application/x-npy",
+    "X-Model-Name": "cspace-sampler",
+    "X-Model-Version": "3",
+    "X-Model-Digest": "ab" * 32,
+    "X-Seed": "7",
+    "X-Shortfall": "0",
+}
+POLICY = RetryPolicy(attempts=3, base_s=0.1, cap_s=1.0, deadline_s=20.0)
+
+
+def good() -> httpx.Response:
+    return httpx.Response(200, headers=HEADERS, content=npy(SAMPLES))
+
+
+class Asked:
+    """A client over answers in order, with what it sent and how long it would have paused."""
+
+    def __init__(self, kind: str, pauses: list[float]) -> None:
+        self.kind, self.pauses = kind, pauses
+        self.requests: list[httpx.Request] = []
+
+    def __call__(self, *answers: httpx.Response | Exception, **options: object) -> SampleBatch:
+        left = list(answers)
+
+        def handle(request: httpx.Request) -> httpx.Response:
+            request.read()
+            self.requests.append(request)
+            answer = left.pop(0)
+            if isinstance(answer, Exception):
+                raise answer
+            return answer
+
+        transport = httpx.MockTransport(handle)
+        return self.over("http://test:1", policy=POLICY, transport=transport, **options)
+
+    def over(self, url: str, **options: object) -> SampleBatch:
+        if self.kind == "sync":
+            with SamplingClient(url, **options) as client:
+                return client.sample(PNG, 2)
+
+        async def ask() -> SampleBatch:
+            async with AsyncSamplingClient(url, **options) as client:
+                return await client.sample(PNG, 2)
+
+        return anyio.run(ask)
+
+
+@pytest.fixture(params=["sync", "async"])
+def ask(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Asked:
+    pauses: list[float] = []
+
+    async def pause(seconds: float) -> None:
+        pauses.append(seconds)
+
+    class Time:
+        sleep = staticmethod(pauses.append)
+        perf_counter = staticmethod(sampling_client.time.perf_counter)
+
+    class Anyio:
+        sleep = staticmethod(pause)
+        to_thread = anyio.to_thread
+
+    monkeypatch.setattr(sampling_client, "time", Time)
+    monkeypatch.setattr(async_sampling_client, "anyio", Anyio)
+    return Asked(request.param, pauses)
+
+
+AGAIN: dict[str, Callable[[], httpx.Response | Exception]] = {
+    "503": lambda: httpx.Response(503),
+    "429": lambda: httpx.Response(429),
+    "refused": lambda: httpx.ConnectError("refused"),
+    "no connection in time": lambda: httpx.ConnectTimeout("late"),
+    "reset": lambda: httpx.ReadError("reset"),
+    "closed while idle": lambda: httpx.RemoteProtocolError("closed"),
+}
+
+
+@pytest.mark.parametrize("name", AGAIN)
+def test_what_may_pass_is_tried_again_as_the_same_request(ask: Asked, name: str) -> None:
+    batch = ask(AGAIN[name](), AGAIN[name](), good())
+    assert np.array_equal(batch.samples, SAMPLES)
+    assert batch.fallback is False
+    forms = [read_form(request.headers["content-type"], request.content) for request in ask.requests]
+    assert len(forms) == 3
+    assert forms[0] == forms[1] == forms[2]
+    assert 0 <= int(forms[0]["seed"][0]) < 2**64
+    assert 0.0 <= ask.pauses[0] < 0.1
+    assert 0.0 <= ask.pauses[1] < 0.2
+
+
+@pytest.mark.parametrize("name", AGAIN)
+def test_the_last_failure_is_told_when_all_attempts_are_spent(ask: Asked, name: str) -> None:
+    with pytest.raises(SamplerUnavailableError):
+        ask(*(AGAIN[name]() for _ in range(3)))
+    assert (len(ask.requests), len(ask.pauses)) == (3, 2)
+
+
+@pytest.mark.parametrize(
+    "answer",
+    [(422, b""), (500, b""), (401, b""), (200, b"?")],
+    ids=["wrong", "failed", "no key", "no array"],
+)
+def test_what_will_come_again_is_not_tried_again(ask: Asked, answer: tuple[int, bytes]) -> None:
+    with pytest.raises(SamplerError) as caught:
+        ask(httpx.Response(answer[0], content=answer[1]))
+    assert not isinstance(caught.value, SamplerUnavailableError)
+    assert (len(ask.requests), ask.pauses) == (1, [])
+
+
+def test_a_server_that_works_too_long_is_not_given_the_work_again(ask: Asked) -> None:
+    with pytest.raises(SamplerUnavailableError, match="in time"):
+        ask(httpx.ReadTimeout("late"))
+    assert len(ask.requests) == 1
+
+
+def test_retry_after_is_honoured_up_to_the_deadline(ask: Asked) -> None:
+    ask(httpx.Response(429, headers={"Retry-After": "3"}), good())
+    assert ask.pauses == [3.0]
+    with pytest.raises(SamplerUnavailableError):
+        ask(httpx.Response(503, headers={"Retry-After": "20"}))
+    assert (len(ask.requests), len(ask.pauses)) == (3, 1)
+
+
+def test_two_drawn_seeds_differ(ask: Asked) -> None:
+    ask(good())
+    ask(good())
+    seeds = [read_form(one.headers["content-type"], one.content)["seed"] for one in ask.requests]
+    assert seeds[0] != seeds[1]
+
+
+def test_the_key_is_sent_and_never_told(ask: Asked) -> None:
+    ask(good(), api_key="s3cret")
+    ask(good())
+    assert [one.headers.get("authorization") for one in ask.requests] == ["Bearer s3cret", None]
+    for wrong in ("", "s3cret s3cret", "s3cret\n", "s3crét"):
+        with pytest.raises(ConfigError) as caught:
+            ask(good(), api_key=wrong)
+        assert not wrong or "s3cr" not in str(caught.value)
+
+
+def test_connecting_and_reading_have_time_limits_of_their_own(ask: Asked) -> None:
+    ask(good(), timeout_s=9.0, connect_timeout_s=0.5)
+    ask(good(), timeout_s=60.0)
+    first, second = (one.extensions["timeout"] for one in ask.requests)
+    assert (first["connect"], first["read"], first["write"]) == (0.5, 9.0, 9.0)
+    # Within the deadline of 20 s.
+    assert 0.0 < second["read"] <= 20.0
+    with pytest.raises(ConfigError, match="time limit"):
+        ask(good(), connect_timeout_s=0.0)
+
+
+def test_the_fallback_answers_with_the_same_seed_while_the_server_is_away(ask: Asked) -> None:
+    source = FakeSampleSource()
+    batch = ask(*(httpx.Response(503) for _ in range(3)), fallback=source)
+    assert (batch.fallback, batch.digest, len(batch.samples)) == (True, DIGEST, 2)
+    sent = read_form(ask.requests[0].headers["content-type"], ask.requests[0].content)
+    assert str(source.requests[0]["seed"]).encode() == sent["seed"][0]
+    assert source.requests[0]["image_png"] == PNG
+
+
+def test_the_fallback_is_not_asked_when_the_server_refuses_or_answers(ask: Asked) -> None:
+    source = FakeSampleSource()
+    assert ask(good(), fallback=source).fallback is False
+    with pytest.raises(SamplerError, match="422"):
+        ask(httpx.Response(422), fallback=source)
+    assert source.requests == []
+
+
+def test_a_fallback_that_has_no_answer_leaves_the_server_s_absence_to_be_told(ask: Asked) -> None:
+    with pytest.raises(SamplerUnavailableError, match="503"):
+        ask(*(httpx.Response(503) for _ in range(3)), fallback=FakeSampleSource(ready=False))
+
+
+def test_a_bundle_stands_in_for_a_server_that_is_not_there(ask: Asked, tmp_path: Path) -> None:
+    local = LocalSampler(write_tiny_bundle(tmp_path / "bundle"))
+    batch = ask.over("http://127.0.0.1:9", policy=POLICY, fallback=local)
+    again = local.sample(PNG, 2, seed=batch.seed)
+    assert batch.fallback
+    assert np.array_equal(batch.samples, again.samples)
+    assert again.fallback is False
+
+
+@pytest.fixture
+def server_url() -> Iterator[str]:
+    with sample_server(FakeSampleSource()) as server:
+        yield server.url
+
+
+def _no_delay(answer: httpx.Response) -> int:
+    link = answer.extensions["network_stream"].get_extra_info("socket")
+    return int(link.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY))
+
+
+def test_small_packets_are_not_held_back_on_the_real_socket(server_url: str) -> None:
+    seen: list[int] = []
+    with SamplingClient(server_url) as client:
+        client._http.event_hooks = {"response": [lambda answer: seen.append(_no_delay(answer))]}
+        client.sample(PNG, 2)
+    assert [bool(value) for value in seen] == [True]
+
+
+def test_small_packets_are_not_held_back_on_the_real_socket_of_the_awaited_client(server_url: str) -> None:
+    seen: list[int] = []
+
+    async def look(answer: httpx.Response) -> None:
+        seen.append(_no_delay(answer))
+
+    client = AsyncSamplingClient(server_url)
+    client._http.event_hooks = {"response": [look]}
+    with start_blocking_portal() as portal, portal.wrap_async_context_manager(client):
+        portal.call(client.sample, PNG, 2)
+    assert [bool(value) for value in seen] == [True]
+
+
+def test_tasks_share_an_awaited_client_and_requests_a_connection() -> None:
+    async def work(url: str) -> None:
+        async with AsyncSamplingClient(url) as client:
+            for seed in range(4):
+                await client.sample(PNG, 3, seed=seed)
+            async with anyio.create_task_group() as tasks:
+                for _ in range(4):
+                    tasks.start_soon(client.sample, PNG, 3)
+
+    with sample_server(FakeSampleSource()) as server:
+        anyio.run(work, server.url)
+    assert len(set(server.connections[:4])) == 1
+    assert len(server.connections) == 8
