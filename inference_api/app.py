@@ -87,7 +87,8 @@ def create_app(settings: ApiSettings | None = None, registry: ModelRegistry | No
 
 
 def _default_model(store: ModelStore) -> ModelInfo | None:
-    return None if store.default is None else model_info(store.default)
+    served = store.default
+    return None if served is None else model_info(served)
 
 
 def _make_store(settings: ApiSettings, registry: ModelRegistry | None) -> ModelStore:

@@ -11,6 +11,7 @@ from prometheus_client.core import GaugeMetricFamily, Metric
 from prometheus_client.process_collector import ProcessCollector
 from prometheus_client.registry import Collector
 
+from inference_api.problems import PROBLEMS
 from inference_api.schemas import ModelInfo
 from inference_api.telemetry.observer import Outcome, Sampled
 from inference_api.telemetry.record import RequestRecord, current
@@ -67,6 +68,8 @@ class Metrics:
             "cspace_model_reloads", "Champions put into service, or refused.", ("outcome",), registry=registry
         )
         # Else a rate over the first event of a kind would see no rise.
+        for problem in PROBLEMS:
+            self._failures.labels(problem.name)
         for stage in STAGES:
             self._stages.labels(stage)
         for outcome in OUTCOMES:

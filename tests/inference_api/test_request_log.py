@@ -12,8 +12,10 @@ import pytest
 from cspace.bundle import Bundle
 from inference_api.telemetry.logs import JsonFormatter, LogForm, TextFormatter, log_settings
 from inference_api.telemetry.record import choose_request_id
+from tests.bundles import picture
 from tests.inference_api.answers import PNG
 from tests.inference_api.client import ApiClient
+from tests.inference_api.tensor_client import json_input
 
 ACCESS = "inference_api.access"
 
@@ -105,6 +107,23 @@ def test_the_line_has_no_place_for_a_clients_words(api: ApiClient, lines: list[s
     api.post("/sample", files={"image": PNG}, data={"model": words, words: "1"})
     assert len(lines) == 2
     assert not any("forged" in line or "\n" in line for line in lines)
+
+
+def test_a_failure_below_v2_is_told_in_the_protocol_s_form_and_logged_alike(
+    api: ApiClient, json_lines: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object, **__: object) -> None:
+        raise ZeroDivisionError
+
+    request = {"inputs": [json_input(picture()[None])]}
+    with monkeypatch.context() as patch:
+        patch.setattr(Bundle, "sample", fail)
+        headers = {"x-request-id": "fails"}
+        answer = api.post("/v2/models/cspace-sampler/infer", json=request, headers=headers)
+    assert (answer.status_code, set(answer.json())) == (500, {"error"})
+    assert answer.headers["x-request-id"] == "fails"
+    _, access = (json.loads(line) for line in json_lines)
+    assert (access["status"], access["reason"]) == (500, "internal-error")
 
 
 @pytest.mark.parametrize("sent", ["", " ", "a b", "é", "a\n", "x" * 129, "a;b", "<script>"])
