@@ -9,7 +9,7 @@ from pathlib import Path
 from cspace.bundle import Bundle, BundleSpec, Provenance, RandomInput, write_bundle
 from cspace.dataset import Dataset
 from cspace.space import Standardisation
-from training.config import GanConfig, TrainConfig
+from training.config import GanConfig, TrainConfig, ValidityConfig
 from training.encode import load_encoder
 from training.models.checkpoint import load_weights, seeded_initialisation
 from training.models.export import (
@@ -23,7 +23,7 @@ from training.models.lookups import make_lookups
 from training.models.mixture import LookupSampler
 from training.models.validity import ValidityHead
 from training.provenance import command_line, now, source_state
-from training.threshold import choose_threshold, validation_scores
+from training.threshold import choose_threshold, choose_uniform_share, validation_scores
 from training.trials.arrays import TrainingArrays
 from training.trials.loading import gated_sampler, load_gate, load_generator, torus_generator
 
@@ -80,25 +80,33 @@ def make_bundle(folder: Path, config: TrainConfig, dataset: Dataset, parts: Trai
         samples_per_latent=gan.means,
         random_inputs=random_inputs(gan, dim, gated=parts.gate is not None),
         confidence_threshold=(config.validity.threshold or FALLBACK_THRESHOLD) if has_head else None,
+        uniform_share=(config.validity.uniform_share or 0.0) if has_head else 0.0,
         standardisation=scale if gan.generator == "means" else None,
         provenance=_provenance(config, dataset),
     )
-    if has_head and config.validity.threshold is None and dataset.generator_seed is not None:
-        threshold = _chosen_threshold(folder.with_name(folder.name + "-draft"), config, spec, graphs)
-        spec = replace(spec, confidence_threshold=threshold)
+    if has_head and dataset.generator_seed is not None:
+        spec = _with_choices(folder.with_name(folder.name + "-draft"), config.validity, spec, graphs)
     return Bundle.load(write_bundle(folder, spec, graphs))
 
 
-def _chosen_threshold(
-    folder: Path, config: TrainConfig, spec: BundleSpec, graphs: Mapping[str, bytes]
-) -> float:
-    """By the rule of :mod:`training.threshold`, from a draft of the bundle that is deleted again."""
+def _with_choices(
+    folder: Path, config: ValidityConfig, spec: BundleSpec, graphs: Mapping[str, bytes]
+) -> BundleSpec:
+    """By the rules of :mod:`training.threshold`, from a draft of the bundle that is deleted again."""
+    threshold, share = config.threshold, config.uniform_share
+    if threshold is not None and share is not None:
+        return spec
     try:
         draft = Bundle.load(write_bundle(folder, spec, graphs))
-        scores = validation_scores(draft, spec.robot, spec.camera, THRESHOLD_SCENARIOS)
-        return choose_threshold(scores, config.validity.target_precision)
+        learned, uniform = validation_scores(draft, spec.robot, spec.camera, THRESHOLD_SCENARIOS)
     finally:
         shutil.rmtree(folder, ignore_errors=True)
+    precision, acceptance = config.target_precision, config.target_acceptance
+    if threshold is None:
+        threshold = choose_threshold(learned, precision)
+    if share is None:
+        share = choose_uniform_share(learned, uniform, threshold, precision, acceptance)
+    return replace(spec, confidence_threshold=threshold, uniform_share=share)
 
 
 def generator_config(config: TrainConfig) -> GanConfig:

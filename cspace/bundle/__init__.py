@@ -1,9 +1,10 @@
 """The deployable artefact: a folder of ONNX graphs with their description, sums and golden case."""
 
 from cspace.bundle.golden import GoldenCase
-from cspace.bundle.loaded import Bundle, Encoding, Picture, SampleSet
+from cspace.bundle.loaded import Bundle
 from cspace.bundle.parts import Provenance, RandomInput
 from cspace.bundle.request import MAX_EPSILON, MAX_SEED
+from cspace.bundle.samples import Encoding, Picture, SampleSet
 from cspace.bundle.spec import SCHEMA_VERSION, BundleSpec
 from cspace.bundle.writer import write_bundle
 

@@ -10,7 +10,10 @@ The order is part of the bundle's contract, for it decides what a seed means:
 
 The latents of the first value of the epsilon schedule come first, then those of the second, and so on; each
 value gets ceil(share / K) of them, and the last one's surplus samples are left out. How a request that
-filters comes by its shares is told in :mod:`cspace.bundle.keeping`.
+filters comes by its shares is told in :mod:`cspace.bundle.keeping`; of what it draws, the description's
+``uniform_share`` is uniform over the joint space instead of generated, by a generator of its own:
+``SeedSequence(seed, spawn_key=(turn, 1))``, first u uniform in [0, 1) for every sample, uniform where
+u < share, then d angles for each of these.
 """
 
 from collections.abc import Sequence
@@ -21,6 +24,7 @@ from numpy.typing import NDArray
 
 from cspace.bundle.parts import RandomInput
 from cspace.bundle.spec import BundleSpec
+from cspace.space import to_float32
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,6 +40,49 @@ class Draws:
     latents: NDArray[np.float32]
     random_inputs: dict[str, NDArray[np.float32]]
     kept: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Proposals:
+    """Which samples of a turn are uniform, and these.
+
+    Args:
+        learned: how many the generator has to draw for each value of the schedule.
+        uniform: bool (m,), the samples in their order.
+        angles: float32 (u, d) rad, the uniform ones.
+    """
+
+    learned: list[int]
+    uniform: NDArray[np.bool_]
+    angles: NDArray[np.float32]
+
+    def mixed_with(self, learned: NDArray[np.float32] | None) -> NDArray[np.float32]:
+        """All samples (m, d) in their order, from (m - u, d) generated ones; None for none."""
+        mixed = np.empty((len(self.uniform), self.angles.shape[1]), dtype=np.float32)
+        mixed[self.uniform] = self.angles
+        if learned is not None:
+            mixed[~self.uniform] = learned
+        return mixed
+
+
+def propose(spec: BundleSpec, counts: Sequence[int], seed: int, turn: int) -> Proposals:
+    """The uniform samples of one turn of a request that filters.
+
+    Args:
+        spec: the share and the joint space.
+        counts: samples for each value of the schedule.
+        seed: unsigned 64 bit.
+        turn: 0 for the first.
+    """
+    total = sum(counts)
+    if spec.uniform_share == 0.0:
+        nothing = np.empty((0, spec.dim), dtype=np.float32)
+        return Proposals(list(counts), np.zeros(total, dtype=np.bool_), nothing)
+    rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=(turn, 1))))
+    uniform = rng.random(total) < spec.uniform_share
+    angles = to_float32(rng.uniform(-np.pi, np.pi, (int(uniform.sum()), spec.dim)))
+    by_value = np.split(uniform, np.cumsum(counts)[:-1])
+    return Proposals([len(part) - int(part.sum()) for part in by_value], uniform, angles)
 
 
 def shares(count: int, parts: int) -> list[int]:

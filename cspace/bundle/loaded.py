@@ -2,14 +2,13 @@
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cspace.bundle.draws import Draws, draw, shares
+from cspace.bundle.draws import Draws, draw, propose, shares
 from cspace.bundle.files import (
     ENCODER_FILE,
     GENERATOR_FILE,
@@ -23,6 +22,7 @@ from cspace.bundle.golden import GoldenCase
 from cspace.bundle.graphs import Graph
 from cspace.bundle.keeping import gather
 from cspace.bundle.request import Request
+from cspace.bundle.samples import Encoding, Picture, SampleSet
 from cspace.bundle.spec import PICTURE, BundleSpec
 from cspace.errors import BundleError, BundleIntegrityError, InputError
 from cspace.image import to_network
@@ -30,55 +30,6 @@ from cspace.space import to_float32
 
 # Bounds the memory of one call; a fixed size, so that it can not move a result.
 CHUNK_ROWS = 4096
-
-
-@dataclass(frozen=True, slots=True)
-class Encoding:
-    """The encoder's view of one picture.
-
-    Args:
-        mu: float32 (L,).
-        sigma: float32 (L,), not negative.
-    """
-
-    mu: NDArray[np.float32]
-    sigma: NDArray[np.float32]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Picture:
-    """A picture that a bundle has encoded; what it costs is paid once. Make one with :meth:`Bundle.prepare`.
-
-    Args:
-        digest: of the bundle.
-        pixels: float32 (1, 3, P, P), as the graphs take it.
-        encoding: the encoder's view of it.
-    """
-
-    digest: str
-    pixels: NDArray[np.float32]
-    encoding: Encoding
-
-
-@dataclass(frozen=True, slots=True)
-class SampleSet:
-    """Configurations for one picture.
-
-    Args:
-        samples: float32 (n', d) rad, in [-pi, pi) as real numbers.
-        confidence: float32 (n',), None without a validity head.
-        shortfall: how many of those asked for are missing, n - n'.
-        acceptance: share of what was drawn that reached the confidence asked for; 1 where none was.
-        encode_ms: time in the encoder; 0 for a picture that was prepared.
-        generate_ms: time from the latents to the samples, the validity head included.
-    """
-
-    samples: NDArray[np.float32]
-    confidence: NDArray[np.float32] | None
-    shortfall: int
-    acceptance: float
-    encode_ms: float
-    generate_ms: float
 
 
 class Bundle:
@@ -190,9 +141,15 @@ class Bundle:
             samples = drawn(counts, turn)
             return samples, self.score(picture, samples)
 
+        def proposed(counts: Sequence[int], turn: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+            proposals = propose(self.spec, counts, request.seed, turn)
+            learned = drawn(proposals.learned, turn) if any(proposals.learned) else None
+            samples = proposals.mixed_with(learned)
+            return samples, self.score(picture, samples)
+
         wanted, acceptance = shares(request.count, len(request.epsilon_sigma)), 1.0
         if request.min_confidence > 0.0:
-            kept = gather(scored, wanted, request.min_confidence)
+            kept = gather(proposed, wanted, request.min_confidence)
             samples, confidence, acceptance = kept.samples, kept.confidence, kept.acceptance
         elif self.has_validity:
             samples, confidence = scored(wanted, 0)

@@ -12,7 +12,9 @@ from cspace.robot import PlanarArm
 from cspace.scenario import Camera
 from cspace.space import Standardisation
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
+# Written before uniform_share was; read as 0.
+_WITHOUT_SHARE = 1
 KINDS = ("configuration", "path")
 MODEL_KINDS = ("generator", "mixture")
 ENDPOINTS = ("start", "goal")
@@ -35,6 +37,8 @@ class BundleSpec:
         random_inputs: what the generator takes beside the latent, in the order in which it is drawn.
         standardisation: of the angles inside the graph, for information; the graph's output is in rad.
         confidence_threshold: the validity head's threshold that training recommends, None without one.
+        uniform_share: of what the validity head is shown when a request filters: uniform over the joint space
+            instead of generated, 0 to below 1; 0 for path models.
         provenance: how the bundle was made.
 
     Raises:
@@ -51,25 +55,27 @@ class BundleSpec:
     random_inputs: tuple[RandomInput, ...] = ()
     standardisation: Standardisation | None = None
     confidence_threshold: float | None = None
+    uniform_share: float = 0.0
     provenance: Provenance = field(default_factory=Provenance)
 
     def __post_init__(self) -> None:
         one_of("the kind of the bundle", self.kind, KINDS)
         one_of("the model kind of the bundle", self.model_kind, MODEL_KINDS)
         names = [item.name for item in self.random_inputs]
-        threshold, scale = self.confidence_threshold, self.standardisation
+        threshold, share, scale = self.confidence_threshold, self.uniform_share, self.standardisation
         wrong = [
             "latent_dim" if self.latent_dim < 1 else "",
             "samples_per_latent" if self.samples_per_latent < 1 else "",
             "camera" if not 1 <= self.camera.pixels <= MAX_PIXELS else "",
             "random_inputs" if len(set(names)) != len(names) else "",
             "confidence_threshold" if threshold is not None and not 0.0 <= threshold <= 1.0 else "",
+            "uniform_share" if not 0.0 <= share < 1.0 or (share and self.kind == "path") else "",
             "standardisation" if scale is not None and len(scale.mean) != self.robot.dim else "",
         ]
         if any(wrong):
             raise BundleIntegrityError(
                 "the bundle's description does not fit",
-                expected="positive sizes, different names, a threshold within 0..1",
+                expected="positive sizes, different names, a threshold within 0..1, a uniform share below 1",
                 got=", ".join(f"{name} = {getattr(self, name)!r}" for name in wrong if name),
             )
 
@@ -115,6 +121,7 @@ class BundleSpec:
             "standardisation": None if scale is None else {"mean": list(scale.mean), "std": list(scale.std)},
             "conditions": list(self.conditions),
             "confidence_threshold": self.confidence_threshold,
+            "uniform_share": self.uniform_share,
             "provenance": self.provenance.to_dict(),
         }
 
@@ -142,8 +149,9 @@ class BundleSpec:
         Raises:
             BundleIntegrityError: the schema version is another, or a key or value does not fit.
         """
-        _check_version(values)
-        entry = StrictObject("bundle.json", values, _KEYS)
+        version = _version(values)
+        absent = {"uniform_share"} if version == _WITHOUT_SHARE else set()
+        entry = StrictObject("bundle.json", values, _KEYS - absent)
         scale = entry.get("standardisation")
         try:
             spec = cls(
@@ -157,6 +165,7 @@ class BundleSpec:
                 random_inputs=tuple(RandomInput.from_dict(item) for item in entry.items("random_inputs")),
                 standardisation=None if scale is None else _standardisation(scale),
                 confidence_threshold=entry.number_or_none("confidence_threshold"),
+                uniform_share=0.0 if absent else entry.number("uniform_share"),
                 provenance=Provenance.from_dict(entry.get("provenance")),
             )
         except ScenarioError as error:
@@ -180,7 +189,7 @@ class BundleSpec:
 _KEYS = {
     "schema_version", "kind", "robot", "joint_space", "camera", "image", "latent_dim", "model_kind",
     "samples_per_latent", "random_inputs", "standardisation", "conditions", "confidence_threshold",
-    "provenance",
+    "uniform_share", "provenance",
 }  # fmt: skip
 
 
@@ -188,15 +197,16 @@ def _image_convention(pixels: int) -> dict[str, Any]:
     return {"pixels": pixels, "channels": "RGB", "range": [-1, 1]}
 
 
-def _check_version(values: object) -> None:
+def _version(values: object) -> int:
     version = values.get("schema_version") if isinstance(values, Mapping) else None
-    if version != SCHEMA_VERSION or isinstance(version, bool):
+    if version not in (_WITHOUT_SHARE, SCHEMA_VERSION) or not isinstance(version, int) or version is True:
         raise BundleIntegrityError(
             "the bundle's schema is another",
-            expected=f"schema_version {SCHEMA_VERSION}",
+            expected=f"schema_version {_WITHOUT_SHARE} or {SCHEMA_VERSION}",
             got=repr(version),
             remedy="use the release of cspace-sampler that wrote the bundle, or export it again",
         )
+    return version
 
 
 def _camera(values: object) -> Camera:

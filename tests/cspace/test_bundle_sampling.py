@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from cspace.bundle import Bundle, write_bundle
-from cspace.bundle.draws import draw, shares
+from cspace.bundle.draws import draw, propose, shares
 from cspace.errors import InputError
 from cspace.robot import THREE_LINK, TWO_LINK, PlanarArm
 from tests.bundles import LATENT, picture, tiny_graphs, tiny_spec, write_tiny_bundle
@@ -192,6 +192,37 @@ def test_without_a_confidence_the_bundles_own_threshold_holds(tmp_path: Path) ->
     assert everything.confidence is not None
     assert everything.confidence.min() < np.float32(0.4)
     assert everything.acceptance == 1.0
+
+
+def test_a_uniform_share_is_shown_to_the_head_where_a_request_filters(tmp_path: Path) -> None:
+    base = replace(tiny_spec(), confidence_threshold=0.4)
+    spec = replace(base, uniform_share=0.5)
+    graphs = tiny_graphs(spec, validity=True)
+    with_share = Bundle.load(write_bundle(tmp_path / "share", spec, graphs))
+    without = Bundle.load(write_bundle(tmp_path / "none", base, graphs))
+    plain = [bundle.sample(picture(), 50, 3, min_confidence=0.0) for bundle in (with_share, without)]
+    assert plain[0].samples.tobytes() == plain[1].samples.tobytes()
+    for n in (1, 2, 400):
+        found = with_share.sample(picture(), n, 3, epsilon_sigma=(0.0, 0.5))
+        assert found.samples.shape == (n, 2)
+        assert found.confidence is not None
+        assert found.confidence.min() >= np.float32(0.4)
+        np.testing.assert_array_equal(found.confidence, with_share.score(picture(), found.samples))
+        again = with_share.sample(picture(), n, 3, epsilon_sigma=(0.0, 0.5))
+        assert found.samples.tobytes() == again.samples.tobytes()
+
+
+def test_uniform_proposals_lie_among_the_others_in_their_order() -> None:
+    spec = replace(tiny_spec(), uniform_share=0.25)
+    proposals = propose(spec, (300, 100), 7, 0)
+    assert proposals.uniform[:300].sum() == 300 - proposals.learned[0]
+    assert proposals.uniform[300:].sum() == 100 - proposals.learned[1]
+    assert 0.18 < proposals.uniform.mean() < 0.32
+    learned = np.full((sum(proposals.learned), 2), 9.0, dtype=np.float32)
+    mixed = proposals.mixed_with(learned)
+    np.testing.assert_array_equal(mixed[:, 0] == 9.0, ~proposals.uniform)
+    assert np.abs(mixed[proposals.uniform]).max() < np.pi
+    assert not np.array_equal(propose(spec, (300, 100), 7, 1).uniform, proposals.uniform)
 
 
 def test_a_confidence_that_none_reaches_gives_an_empty_answer(scored: Bundle) -> None:

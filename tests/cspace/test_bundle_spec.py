@@ -43,16 +43,18 @@ def test_the_json_has_exactly_the_fields_of_the_schema() -> None:
     assert set(values) == {
         "schema_version", "kind", "robot", "joint_space", "camera", "image", "latent_dim", "model_kind",
         "samples_per_latent", "random_inputs", "standardisation", "conditions", "confidence_threshold",
-        "provenance",
+        "uniform_share", "provenance",
     }  # fmt: skip
-    assert values["schema_version"] == 1
+    assert values["schema_version"] == 2
     assert values["joint_space"] == {"kind": "torus", "dim": 3, "unit": "rad"}
     assert values["image"] == {"pixels": 32, "channels": "RGB", "range": [-1, 1]}
     assert values["conditions"] == ["start", "goal"]
 
 
 CHANGES: list[dict[str, Any]] = [
-    {"schema_version": 2},
+    {"schema_version": 3},
+    {"schema_version": 1},
+    {"schema_version": 2.0},
     {"schema_version": True},
     {"schema_version": None},
     {"kind": "paths"},
@@ -78,10 +80,29 @@ CHANGES: list[dict[str, Any]] = [
     {"conditions": []},
     {"confidence_threshold": 1.5},
     {"confidence_threshold": "high"},
+    {"uniform_share": -0.1},
+    {"uniform_share": 0.1},
+    {"uniform_share": None},
     {"provenance": {}},
     {"provenance": None},
     {"surprise": 1},
 ]
+
+
+def test_the_schema_before_is_read_without_uniform_proposals() -> None:
+    values = tiny_spec().to_dict()
+    del values["uniform_share"]
+    assert BundleSpec.from_dict({**values, "schema_version": 1}) == tiny_spec()
+    with pytest.raises(BundleIntegrityError):
+        BundleSpec.from_dict(values)
+
+
+def test_only_models_of_configurations_have_uniform_proposals() -> None:
+    spec = dataclasses.replace(tiny_spec(), uniform_share=0.25)
+    assert BundleSpec.from_json(spec.to_json()) == spec
+    for change in ({"uniform_share": 1.0}, {"kind": "path"}):
+        with pytest.raises(BundleIntegrityError, match="uniform"):
+            dataclasses.replace(spec, **change)
 
 
 @pytest.mark.parametrize("change", CHANGES, ids=str)

@@ -1,0 +1,55 @@
+"""What goes through a bundle: a picture's encoding, a picture for many requests, the samples of one."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True, slots=True)
+class Encoding:
+    """The encoder's view of one picture.
+
+    Args:
+        mu: float32 (L,).
+        sigma: float32 (L,), not negative.
+    """
+
+    mu: NDArray[np.float32]
+    sigma: NDArray[np.float32]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Picture:
+    """A picture that a bundle has encoded; what it costs is paid once. Make one with :meth:`Bundle.prepare`.
+
+    Args:
+        digest: of the bundle.
+        pixels: float32 (1, 3, P, P), as the graphs take it.
+        encoding: the encoder's view of it.
+    """
+
+    digest: str
+    pixels: NDArray[np.float32]
+    encoding: Encoding
+
+
+@dataclass(frozen=True, slots=True)
+class SampleSet:
+    """Configurations for one picture.
+
+    Args:
+        samples: float32 (n', d) rad, in [-pi, pi) as real numbers.
+        confidence: float32 (n',), None without a validity head.
+        shortfall: how many of those asked for are missing, n - n'.
+        acceptance: share of what was drawn that reached the confidence asked for; 1 where none was.
+        encode_ms: time in the encoder; 0 for a picture that was prepared.
+        generate_ms: time from the latents to the samples, the validity head included.
+    """
+
+    samples: NDArray[np.float32]
+    confidence: NDArray[np.float32] | None
+    shortfall: int
+    acceptance: float
+    encode_ms: float
+    generate_ms: float
