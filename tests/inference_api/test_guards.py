@@ -196,6 +196,20 @@ def test_a_body_that_stops_is_408_and_the_next_request_is_answered(start_api: St
     assert api.post("/sample", files={"image": PNG}).status_code == 200
 
 
+def test_a_byte_now_and_then_does_not_lengthen_the_time_of_a_body(start_api: StartApi) -> None:
+    api = start_api(protection=Protection(body_timeout_s=0.1))
+
+    async def trickling() -> AsyncIterator[bytes]:
+        for _ in range(100):
+            yield b" "
+            await asyncio.sleep(0.02)
+
+    answer = api._call(
+        lambda: api._client.post("/sample", content=trickling(), headers={"content-type": "application/json"})
+    )
+    assert_problem(answer, 408, "request-timeout")
+
+
 ANSWERS = {"/health/live": 200, "/models": 200, "/metrics": 200, "/nothing": 404, "/sample": 405}
 
 
