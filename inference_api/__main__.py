@@ -1,7 +1,6 @@
 """``python -m inference_api``: serve the API on loopback."""
 
 import argparse
-import logging
 import os
 import signal
 import socket
@@ -10,12 +9,15 @@ import sys
 import uvicorn
 
 from cspace.errors import ConfigError, PortTakenError
+from inference_api.guards.exposure import check_exposure
 from inference_api.settings import ApiSettings
+from inference_api.telemetry.logs import LOG_FORMS, log_settings
 
 DESCRIPTION = (
     "Serve POST /sample. Settings: MLFLOW_TRACKING_URI (registry; none serves the shipped model only), "
     "CSPACE_MODEL_CACHE, CSPACE_MODEL_NAME, CSPACE_MODEL_POLL_S, CSPACE_PRETRAINED_MODEL, "
-    "CSPACE_LOADED_MODELS, CSPACE_CACHED_PICTURES."
+    "CSPACE_LOADED_MODELS, CSPACE_CACHED_PICTURES, CSPACE_API_KEYS_FILE, CSPACE_API_MAX_IN_FLIGHT, "
+    "CSPACE_API_BODY_TIMEOUT_S, CSPACE_API_RATE, CSPACE_API_BURST."
 )
 
 
@@ -24,9 +26,19 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m inference_api", description=DESCRIPTION)
     parser.add_argument("--host", default="127.0.0.1", help="address to listen on (default: %(default)s)")
     parser.add_argument("--port", type=int, default=8000, help="0 for a free one (default: %(default)s)")
+    parser.add_argument(
+        "--log", choices=LOG_FORMS, default="text", help="form of the log (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--allow-unauthenticated",
+        action="store_true",
+        help="listen on other addresses than loopback although no key is asked for",
+    )
     options = parser.parse_args(arguments)
     try:
-        _prepare(ApiSettings.from_environment())
+        settings = ApiSettings.from_environment()
+        check_exposure(options.host, settings.protection, allowed=options.allow_unauthenticated)
+        _prepare(settings)
         listener = _listen(options.host, options.port)
     except ConfigError as error:
         print(error, file=sys.stderr)
@@ -41,6 +53,10 @@ def main(arguments: list[str] | None = None) -> int:
         factory=True,
         timeout_keep_alive=60,
         timeout_graceful_shutdown=10,
+        log_config=log_settings(options.log),
+        # The app writes one line a request of its own.
+        access_log=False,
+        server_header=False,
     )
     server = uvicorn.Server(config)
     server.run(sockets=[listener])
@@ -57,8 +73,6 @@ def _prepare(settings: ApiSettings) -> None:
         from services.registry.mlflow_health import lower_patience  # noqa: PLC0415
 
         lower_patience(os.environ)
-    logging.basicConfig(level=logging.WARNING, format="%(levelname)s:     %(message)s")
-    logging.getLogger("inference_api").setLevel(logging.INFO)
     for number in (signal.SIGINT, signal.SIGTERM):
         # The server shuts down, then raises the signal again; without this that would look like a crash.
         signal.signal(number, lambda *_: sys.exit(0))

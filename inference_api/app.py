@@ -5,22 +5,30 @@ import logging
 import os
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager, suppress
+from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 
 import anyio
 from anyio import CapacityLimiter, to_thread
 from fastapi import FastAPI
 
-from inference_api.body_limit import BodyLimit
 from inference_api.bundle_cache import BundleCache
 from inference_api.docs_page import add_docs_page
+from inference_api.guards.headers import SecurityHeaders
+from inference_api.guards.install import add_guards
+from inference_api.guards.last_resort import LastResort
 from inference_api.model_store import ModelStore
 from inference_api.open_inference import add_open_inference
 from inference_api.openapi import document
 from inference_api.pictures import PictureCache
 from inference_api.problems import add_problem_handlers
 from inference_api.routes import router
+from inference_api.sampling import model_info
+from inference_api.schemas import ModelInfo
 from inference_api.settings import ApiSettings
+from inference_api.telemetry.metrics import Metrics
+from inference_api.telemetry.middleware import Observed
+from inference_api.telemetry.route_names import RouteNames
 from services.registry.models import ModelRegistry
 
 _LOG = logging.getLogger(__name__)
@@ -36,7 +44,7 @@ def create_app(settings: ApiSettings | None = None, registry: ModelRegistry | No
         registry: where the models are; MLflow at ``settings.registry_uri`` when None.
 
     Raises:
-        ConfigError: a setting in the environment is wrong.
+        ConfigError: a setting in the environment is wrong, or the file of API keys.
     """
     settings = settings or ApiSettings.from_environment()
     store = _make_store(settings, registry)
@@ -67,10 +75,20 @@ def create_app(settings: ApiSettings | None = None, registry: ModelRegistry | No
     app.include_router(router)
     add_docs_page(app)
     add_problem_handlers(app)
-    app.add_middleware(BodyLimit)
+    add_guards(app, settings.protection)
+    app.add_middleware(LastResort)
     add_open_inference(app)
+    metrics = Metrics(partial(_default_model, store))
+    store.observer = app.state.metrics = metrics
+    app.add_middleware(Observed, metrics=metrics, names=RouteNames(app.router.routes))
+    app.add_middleware(SecurityHeaders)
     app.openapi = lambda: document(app)  # type: ignore[method-assign]
     return app
+
+
+def _default_model(store: ModelStore) -> ModelInfo | None:
+    served = store.default
+    return None if served is None else model_info(served)
 
 
 def _make_store(settings: ApiSettings, registry: ModelRegistry | None) -> ModelStore:

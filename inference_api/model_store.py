@@ -18,6 +18,7 @@ from inference_api.bundle_cache import BundleCache
 from inference_api.pictures import PictureCache
 from inference_api.references import CHAMPION, PRETRAINED, ModelReference
 from inference_api.registry_view import RegistryView
+from inference_api.telemetry.observer import Nobody, Observer
 from services.registry.models import ModelRegistry, ModelVersion
 
 _LOG = logging.getLogger(__name__)
@@ -74,6 +75,7 @@ class ModelStore:
         clock: Callable[[], float] = time.monotonic,
         pictures: PictureCache | None = None,
     ) -> None:
+        self.observer: Observer = Nobody()
         self.pictures = PictureCache(0) if pictures is None else pictures
         self.model_name = model_name
         self._cache = cache
@@ -187,8 +189,10 @@ class ModelStore:
             self._champion = _serve(view, version, CHAMPION)
         except (ModelNotReadyError, RegistryError, StorageError) as error:
             self._refused = (version.digest, self._clock() + RETRY_S)
+            self.observer.reloaded("refused")
             _LOG.warning("what is in service stays, %s cannot follow: %s", name, error)
         else:
+            self.observer.reloaded("served")
             _LOG.info("in service: %s", name)
             self._remember(version)
 

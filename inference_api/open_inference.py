@@ -57,7 +57,7 @@ def _errors(*statuses: int) -> dict[int | str, dict[str, Any]]:
     return {**dict.fromkeys(statuses, described), "default": described}
 
 
-_MODEL_ERRORS = _errors(400, 404, 500, 503)
+_MODEL_ERRORS = _errors(400, 401, 404, 429, 500, 503)
 _ANSWERS: dict[int | str, dict[str, Any]] = {
     200: {
         "model": InferenceAnswer,
@@ -69,7 +69,7 @@ _ANSWERS: dict[int | str, dict[str, Any]] = {
             }
         },
     },
-    **_errors(400, 404, 413, 415, 500, 503),
+    **_errors(400, 401, 404, 408, 413, 415, 429, 500, 503),
 }
 
 router = APIRouter(prefix=PREFIX, tags=["Open Inference Protocol"])

@@ -13,7 +13,11 @@ from inference_api.problems import (
     MALFORMED_BODY,
     MEDIA_TYPE,
     NO_MODEL,
+    OVERLOADED,
     REGISTRY_UNAVAILABLE,
+    REQUEST_TIMEOUT,
+    TOO_MANY_REQUESTS,
+    UNAUTHORIZED,
     UNKNOWN_MODEL,
     UNSUPPORTED_MEDIA_TYPE,
     ProblemType,
@@ -22,14 +26,20 @@ from inference_api.sampling import NPY
 from inference_api.schemas import Problem, SampleAnswer, SampleRequest, multipart_schema
 from inference_api.tensor_schemas import InferenceRequest
 
+# What the guards answer on every page but those of health.
+GUARD_PROBLEMS = (UNAUTHORIZED, TOO_MANY_REQUESTS, OVERLOADED)
 SAMPLE_PROBLEMS = (
     MALFORMED_BODY,
+    UNAUTHORIZED,
     UNKNOWN_MODEL,
+    REQUEST_TIMEOUT,
     BODY_TOO_LARGE,
     UNSUPPORTED_MEDIA_TYPE,
     INVALID_IMAGE,
     INVALID_VALUE,
+    TOO_MANY_REQUESTS,
     INTERNAL_ERROR,
+    OVERLOADED,
     NO_MODEL,
     REGISTRY_UNAVAILABLE,
 )
@@ -59,6 +69,8 @@ def sample_responses() -> dict[int | str, dict[str, Any]]:
         name: {"description": f"{text} With `Accept: {NPY}` only.", "schema": {"type": "string"}}
         for name, text in _HEADERS.items()
     }
+    text = "The client's own, or one that the server chose; every answer carries it."
+    headers["X-Request-ID"] = {"description": text, "schema": {"type": "string"}}
     binary = {
         "schema": {"type": "string", "format": "binary", "description": "float32 array (samples, joints)"}
     }
@@ -97,7 +109,11 @@ def document(app: FastAPI) -> dict[str, Any]:
             title=app.title, version=app.version, description=app.description, routes=app.routes
         )
         template = "#/components/schemas/{model}"
-        schemas = made.setdefault("components", {}).setdefault("schemas", {})
+        components = made.setdefault("components", {})
+        components["securitySchemes"] = {"key": {"type": "http", "scheme": "bearer"}}
+        # Either none or a key, for whoever runs the server decides.
+        made["security"] = [{}, {"key": []}]
+        schemas = components.setdefault("schemas", {})
         for unseen in (Problem, InferenceRequest):
             schema = unseen.model_json_schema(ref_template=template)
             schemas.update(schema.pop("$defs", {}))

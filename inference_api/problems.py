@@ -22,6 +22,7 @@ from cspace.errors import (
     StorageError,
 )
 from inference_api.model_store import ModelNotReadyError
+from inference_api.telemetry.record import note_reason
 from inference_api.validation import FieldsError
 
 _LOG = logging.getLogger(__name__)
@@ -50,27 +51,35 @@ class ProblemType:
 
 
 MALFORMED_BODY = ProblemType("malformed-body", 400, "The body or its JSON is malformed")
+UNAUTHORIZED = ProblemType("unauthorized", 401, "A key is needed")
 UNKNOWN_MODEL = ProblemType("unknown-model", 404, "No such model")
 NOT_FOUND = ProblemType("not-found", 404, "No such page")
 METHOD_NOT_ALLOWED = ProblemType("method-not-allowed", 405, "The page does not take this method")
+REQUEST_TIMEOUT = ProblemType("request-timeout", 408, "The body did not arrive in time")
 BODY_TOO_LARGE = ProblemType("body-too-large", 413, "The body is too large")
 UNSUPPORTED_MEDIA_TYPE = ProblemType("unsupported-media-type", 415, "The body's media type is not supported")
 INVALID_IMAGE = ProblemType("invalid-image", 422, "The picture is not acceptable")
 INVALID_VALUE = ProblemType("invalid-value", 422, "A field is wrong")
+TOO_MANY_REQUESTS = ProblemType("too-many-requests", 429, "The client asks too often")
 INTERNAL_ERROR = ProblemType("internal-error", 500, "The server failed")
+OVERLOADED = ProblemType("overloaded", 503, "The server answers too many requests already")
 NO_MODEL = ProblemType("no-model", 503, "No model is ready")
 REGISTRY_UNAVAILABLE = ProblemType("registry-unavailable", 503, "The model registry does not answer")
 
 PROBLEMS = (
     MALFORMED_BODY,
+    UNAUTHORIZED,
     UNKNOWN_MODEL,
     NOT_FOUND,
     METHOD_NOT_ALLOWED,
+    REQUEST_TIMEOUT,
     BODY_TOO_LARGE,
     UNSUPPORTED_MEDIA_TYPE,
     INVALID_IMAGE,
     INVALID_VALUE,
+    TOO_MANY_REQUESTS,
     INTERNAL_ERROR,
+    OVERLOADED,
     NO_MODEL,
     REGISTRY_UNAVAILABLE,
 )
@@ -109,6 +118,7 @@ def problem_response(
     problem: ProblemType, detail: str, *, headers: Mapping[str, str] | None = None, **members: Any
 ) -> Response:
     """A problem as ``application/problem+json``; members that are None are left out."""
+    note_reason(problem.name)
     body = {"type": problem.uri, "title": problem.title, "status": problem.status, "detail": detail}
     body |= {name: value for name, value in members.items() if value is not None}
     # ASCII, for a detail may echo half a surrogate pair, which UTF-8 does not have.

@@ -5,16 +5,17 @@ from functools import partial
 
 from anyio import to_thread
 from fastapi import APIRouter, Request
-from fastapi.responses import Response
+from fastapi.responses import PlainTextResponse, Response
 
 from inference_api.dependencies import Limiter, Store
 from inference_api.model_store import PRETRAINED_VERSION
-from inference_api.openapi import problem_responses, sample_extra, sample_responses
-from inference_api.problems import NO_MODEL
+from inference_api.openapi import GUARD_PROBLEMS, problem_responses, sample_extra, sample_responses
+from inference_api.problems import NO_MODEL, UNAUTHORIZED
 from inference_api.references import PRETRAINED, ModelReference
 from inference_api.request_body import read_fields
 from inference_api.sampling import answer_request, model_info, prefers_npy
 from inference_api.schemas import ListedModel, Live, ModelList, Ready
+from inference_api.telemetry.metrics import CONTENT_TYPE, Metrics
 
 router = APIRouter()
 
@@ -37,7 +38,7 @@ async def sample(request: Request, store: Store, limiter: Limiter) -> Response:
     return await to_thread.run_sync(work, limiter=limiter)
 
 
-@router.get("/models", summary="Models that requests can name")
+@router.get("/models", summary="Models that requests can name", responses=problem_responses(*GUARD_PROBLEMS))
 def models(store: Store) -> ModelList:
     """Versions of the default model, newest first, and the shipped model."""
     served = store.default
@@ -70,6 +71,18 @@ def models(store: Store) -> ModelList:
             )
         )
     return ModelList(default=store.model_name, registry=store.registry_state, models=listed)
+
+
+@router.get(
+    "/metrics",
+    summary="What Prometheus scrapes",
+    response_class=PlainTextResponse,
+    responses=problem_responses(UNAUTHORIZED),
+)
+async def metrics(request: Request) -> Response:
+    """Requests, failures, latencies, acceptance, reloads and the model in service, as text."""
+    found: Metrics = request.app.state.metrics
+    return Response(found.render(), media_type=CONTENT_TYPE)
 
 
 @router.get("/health/live", summary="Whether the process answers")

@@ -13,6 +13,7 @@ from inference_api.model_store import ModelStore, ServedModel
 from inference_api.references import ModelReference
 from inference_api.request_body import RawFields, parse_form, parse_json
 from inference_api.schemas import JointSpaceInfo, ModelInfo, SampleAnswer, SampleRequest, TimingMs
+from inference_api.telemetry.observer import Sampled
 from inference_api.validation import validate_request
 
 NPY = "application/x-npy"
@@ -73,7 +74,9 @@ def sample(store: ModelStore, request: SampleRequest, began: float) -> Answer:
         generate=found.generate_ms,
         total=1e3 * (time.perf_counter() - began),
     )
-    return Answer(served, found, seed, timing)
+    answer = Answer(served, found, seed, timing)
+    store.observer.sampled(sampled(answer, request.n))
+    return answer
 
 
 def json_response(answer: Answer) -> Response:
@@ -109,6 +112,20 @@ def npy_response(answer: Answer) -> Response:
         "Server-Timing": timing,
     }
     return Response(buffer.getvalue(), headers=headers, media_type=NPY)
+
+
+def sampled(answer: Answer, n: int) -> Sampled:
+    """An answer to a request for ``n`` samples as observers are told of it."""
+    served, found = answer.served, answer.found
+    return Sampled(
+        model=f"{served.name}/{served.version}",
+        fallback=served.fallback,
+        n=n,
+        seed=answer.seed,
+        shortfall=found.shortfall,
+        acceptance=found.acceptance,
+        stages_s={stage: 1e-3 * value for stage, value in answer.timing.model_dump().items()},
+    )
 
 
 def model_info(served: ServedModel) -> ModelInfo:

@@ -3,10 +3,11 @@
 import math
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from cspace.errors import ConfigError
+from inference_api.guards.protection import Protection
 
 DEFAULT_MODEL = "cspace-sampler"
 PRETRAINED_FOLDER = Path(__file__).parent / "pretrained"
@@ -24,6 +25,7 @@ class ApiSettings:
         pretrained_folder: the shipped bundle.
         loaded_bundles: how many bundles beside champion and shipped one stay in memory, at least 1.
         cached_pictures: how many encoded pictures stay in memory; 0 for none.
+        protection: who may ask, and how much.
     """
 
     registry_uri: str | None
@@ -33,6 +35,7 @@ class ApiSettings:
     pretrained_folder: Path = PRETRAINED_FOLDER
     loaded_bundles: int = 4
     cached_pictures: int = 256
+    protection: Protection = field(default_factory=Protection)
 
     @classmethod
     def from_environment(cls, environment: Mapping[str, str] | None = None) -> "ApiSettings":
@@ -51,7 +54,19 @@ class ApiSettings:
             pretrained_folder=Path(values.get("CSPACE_PRETRAINED_MODEL") or PRETRAINED_FOLDER),
             loaded_bundles=int(_number(values, "CSPACE_LOADED_MODELS", 4, 1)),
             cached_pictures=int(_number(values, "CSPACE_CACHED_PICTURES", 256, 0)),
+            protection=_protection(values),
         )
+
+
+def _protection(values: Mapping[str, str]) -> Protection:
+    keys_file = values.get("CSPACE_API_KEYS_FILE")
+    return Protection(
+        keys_file=Path(keys_file) if keys_file else None,
+        max_in_flight=int(_number(values, "CSPACE_API_MAX_IN_FLIGHT", 64, 1)),
+        body_timeout_s=_number(values, "CSPACE_API_BODY_TIMEOUT_S", 30.0, 0.01),
+        rate_per_s=_number(values, "CSPACE_API_RATE", 0.0, 0.0),
+        rate_burst=int(_number(values, "CSPACE_API_BURST", 20, 1)),
+    )
 
 
 def _number(values: Mapping[str, str], name: str, default: float, low: float) -> float:

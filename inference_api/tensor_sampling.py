@@ -1,6 +1,7 @@
 """One request of the Open Inference Protocol from the bytes of its body to those of its answer."""
 
 import secrets
+import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -16,6 +17,7 @@ from inference_api.model_store import ModelStore, ServedModel
 from inference_api.references import PRETRAINED, ModelReference
 from inference_api.request_body import load_json, parse_json
 from inference_api.schemas import MAX_SAMPLES, SampleRequest
+from inference_api.telemetry.observer import Sampled
 from inference_api.tensor_schemas import InferenceRequest, Parameter, RequestedOutput
 from inference_api.tensors import JSON_LENGTH, Tensor, read_tensors, split_body, write_tensors
 from inference_api.validation import brief, validate_request
@@ -66,6 +68,7 @@ def answer_inference(
     Raises:
         CspaceError: as the contract's table of errors.
     """
+    began = time.perf_counter()
     parts = split_body(body, json_length)
     request = _validated(parse_json(parts.head))
     tensors = read_tensors(request.inputs, parts.tail)
@@ -73,6 +76,7 @@ def answer_inference(
     wanted = validate_request({**fields, IMAGE: b""})
     served = store.resolve(reference)
     drawn = draw(served.bundle, _images(served.bundle, tensors), wanted)
+    store.observer.sampled(sampled(served, drawn, wanted.n, time.perf_counter() - began))
     arrays = output_arrays(drawn)
     outputs = [
         Tensor(name, arrays[name], as_bytes) for name, as_bytes in _asked(request.outputs, arrays, binary)
@@ -110,6 +114,24 @@ def draw(bundle: Bundle, images: NDArray[np.uint8], request: SampleRequest) -> D
         bundle.sample(image, request.n, seed, **options) for image, seed in zip(images, seeds, strict=True)
     ]
     return Drawn(found, seeds)
+
+
+def sampled(served: ServedModel, drawn: Drawn, n: int, total_s: float) -> Sampled:
+    """An answer with ``n`` samples asked for each picture as observers are told of it; nothing is decoded."""
+    found = drawn.found
+    return Sampled(
+        model=f"{served.name}/{served.version}",
+        fallback=served.fallback,
+        n=n * len(found),
+        seed=drawn.seeds[0],
+        shortfall=sum(one.shortfall for one in found),
+        acceptance=sum(one.acceptance for one in found) / len(found),
+        stages_s={
+            "encode": 1e-3 * sum(one.encode_ms for one in found),
+            "generate": 1e-3 * sum(one.generate_ms for one in found),
+            "total": total_s,
+        },
+    )
 
 
 def output_arrays(drawn: Drawn) -> dict[str, NDArray[Any]]:

@@ -8,6 +8,7 @@ import pytest
 from cspace.bundle import write_bundle
 from cspace.image import encode_png
 from inference_api.app import create_app
+from inference_api.guards.protection import Protection
 from inference_api.settings import ApiSettings
 from tests.bundles import picture, tiny_graphs, tiny_spec, write_tiny_bundle
 from tests.inference_api.client import ApiClient, running
@@ -48,7 +49,12 @@ def registry(tmp_path: Path) -> CountingRegistry:
 
 @contextmanager
 def api_over(
-    folder: Path, bundles: dict[str, Path], registry: CountingRegistry | None, *, shipped: bool = True
+    folder: Path,
+    bundles: dict[str, Path],
+    registry: CountingRegistry | None,
+    *,
+    shipped: bool = True,
+    protection: Protection | None = None,
 ) -> Iterator[ApiClient]:
     """An app in this process; its registry is looked at once on start and then only when told."""
     settings = ApiSettings(
@@ -56,6 +62,7 @@ def api_over(
         cache_folder=folder / "cache",
         poll_s=3600.0,
         pretrained_folder=bundles["shipped"] if shipped else folder / "nothing",
+        protection=protection or Protection(),
     )
     with running(create_app(settings, registry)) as client:
         yield client
@@ -79,8 +86,14 @@ def start_api(tmp_path: Path, bundles: dict[str, Path]) -> Iterator[StartApi]:
     """Starts APIs of the test's own."""
     with ExitStack() as stack:
 
-        def start(registry: CountingRegistry | None = None, *, shipped: bool = True) -> ApiClient:
-            return stack.enter_context(api_over(tmp_path, bundles, registry, shipped=shipped))
+        def start(
+            registry: CountingRegistry | None = None,
+            *,
+            shipped: bool = True,
+            protection: Protection | None = None,
+        ) -> ApiClient:
+            api = api_over(tmp_path, bundles, registry, shipped=shipped, protection=protection)
+            return stack.enter_context(api)
 
         yield start
 

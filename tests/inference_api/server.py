@@ -5,6 +5,7 @@ import subprocess
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 
 import httpx
@@ -14,15 +15,44 @@ START_S = 60.0
 LOOK_S = 0.1
 
 
+@dataclass(frozen=True)
+class ServerProcess:
+    """A server that runs, or ran.
+
+    Args:
+        address: as ``http://127.0.0.1:PORT``.
+        process: ended when the context is left, unless it has ended before.
+        log: what it has printed.
+    """
+
+    address: str
+    process: subprocess.Popen[bytes]
+    log: Path
+
+
 @contextmanager
 def api_server(
     folder: Path, settings: Mapping[str, str], *, python: str = sys.executable, root: Path = ROOT
 ) -> Iterator[str]:
-    """Run ``python -m inference_api``; yields its address once it is alive.
+    """As :func:`server_process`; yields its address alone."""
+    with server_process(folder, settings, python=python, root=root) as server:
+        yield server.address
+
+
+@contextmanager
+def server_process(
+    folder: Path,
+    settings: Mapping[str, str],
+    *arguments: str,
+    python: str = sys.executable,
+    root: Path = ROOT,
+) -> Iterator[ServerProcess]:
+    """Run ``python -m inference_api``; yields it once it is alive, and sees to its end with 0.
 
     Args:
         folder: for its output and its cache.
         settings: of the environment.
+        arguments: of the command, after the port.
         python: the interpreter.
         root: where the packages are.
     """
@@ -39,14 +69,14 @@ def api_server(
     log = folder / "server.log"
     with log.open("wb") as out:
         process = subprocess.Popen(
-            [python, "-m", "inference_api", "--port", "0"],
+            [python, "-m", "inference_api", "--port", "0", *arguments],
             stdout=out,
             stderr=out,
             cwd=folder,
             env=environment,
         )
     try:
-        yield _wait(process, log)
+        yield ServerProcess(_wait(process, log), process, log)
     finally:
         process.terminate()
         code = process.wait(30)

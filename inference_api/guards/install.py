@@ -1,0 +1,27 @@
+"""The guards of an app, in order."""
+
+from fastapi import FastAPI
+
+from inference_api.body_limit import BodyLimit
+from inference_api.guards.authentication import Authentication
+from inference_api.guards.body_time import BodyTime
+from inference_api.guards.concurrency import Concurrency
+from inference_api.guards.protection import Protection
+from inference_api.guards.rate import RateLimit, TokenBuckets
+from inference_api.keys import ApiKeys
+
+
+def add_guards(app: FastAPI, protection: Protection) -> None:
+    """Put the guards before an app, the cheapest refusal last, that is first to be asked.
+
+    Raises:
+        ConfigError: the file of keys is not one.
+    """
+    app.add_middleware(BodyLimit)
+    app.add_middleware(BodyTime, limit_s=protection.body_timeout_s)
+    app.add_middleware(Concurrency, limit=protection.max_in_flight)
+    if protection.rate_per_s > 0:
+        buckets = TokenBuckets(protection.rate_per_s, protection.rate_burst)
+        app.add_middleware(RateLimit, buckets=buckets)
+    if protection.keys_file is not None:
+        app.add_middleware(Authentication, keys=ApiKeys.read(protection.keys_file))

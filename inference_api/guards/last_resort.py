@@ -1,0 +1,44 @@
+"""ASGI middleware that answers where nobody else did."""
+
+import logging
+
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from inference_api.problems import INTERNAL_ERROR, problem_response
+
+_LOG = logging.getLogger(__name__)
+
+
+class LastResort:
+    """Logs an error that nobody caught and answers 500, inside the middlewares that watch and rewrite.
+
+    The framework's own last resort lies outside of them all: its answer would carry neither a request id nor
+    security headers.
+
+    Args:
+        app: that may fail.
+    """
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass a request on."""
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        began = False
+
+        async def seen(message: Message) -> None:
+            nonlocal began
+            began = True
+            await send(message)
+
+        try:
+            await self._app(scope, receive, seen)
+        except Exception:
+            if began:
+                raise
+            _LOG.exception("an error that nobody foresaw")
+            detail = "an error that the server did not foresee; its log has it"
+            await problem_response(INTERNAL_ERROR, detail)(scope, receive, send)

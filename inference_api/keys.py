@@ -1,0 +1,108 @@
+"""API keys: long random tokens of which the server knows SHA-256 digests only.
+
+``python -m inference_api.keys NAME`` makes one. A digest without salt or stretching is enough here and here
+only, because a key is 256 random bits and not a password that somebody chose.
+"""
+
+import argparse
+import hashlib
+import hmac
+import re
+import secrets
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+
+from cspace.errors import ConfigError
+
+PREFIX = "csk_"
+KEY_BYTES = 32
+_NAME = re.compile(r"[A-Za-z0-9._-]{1,64}", re.ASCII)
+_DIGEST = re.compile(r"[0-9a-f]{64}", re.ASCII)
+
+
+class ApiKeys:
+    """The keys that a server takes.
+
+    Args:
+        digests: SHA-256 in hexadecimal by the name of the key's holder.
+    """
+
+    def __init__(self, digests: Mapping[str, str]) -> None:
+        self._digests = dict(digests)
+
+    @classmethod
+    def read(cls, path: Path) -> "ApiKeys":
+        """Read a file of lines ``name:sha256``; empty lines and those with ``#`` first do not count.
+
+        Raises:
+            ConfigError: the file cannot be read, holds no key, or a line is wrong.
+        """
+        try:
+            lines = path.read_text(encoding="utf-8").splitlines()
+        except (OSError, ValueError) as error:
+            raise ConfigError(
+                f"the file of API keys {path} cannot be read",
+                got=str(error),
+                remedy="name another one in CSPACE_API_KEYS_FILE",
+            ) from error
+        digests: dict[str, str] = {}
+        for number, line in enumerate(lines, start=1):
+            entry = line.strip()
+            if not entry or entry.startswith("#"):
+                continue
+            name, _, digest = entry.partition(":")
+            if not _NAME.fullmatch(name) or not _DIGEST.fullmatch(digest) or name in digests:
+                # The line is not repeated: somebody may have pasted the key itself.
+                raise _wrong_file(path, f"another line {number}")
+            digests[name] = digest
+        if not digests:
+            raise _wrong_file(path, "no key")
+        return cls(digests)
+
+    def name_of(self, token: str) -> str | None:
+        """The holder of a key, None for an unknown one; takes as long whichever it is."""
+        digest = digest_of(token)
+        found = None
+        for name, known in self._digests.items():
+            if hmac.compare_digest(digest, known):
+                found = name
+        return found
+
+
+def digest_of(token: str) -> str:
+    """SHA-256 of a key, in hexadecimal."""
+    return hashlib.sha256(token.encode("utf-8", errors="surrogateescape")).hexdigest()
+
+
+def make_key() -> str:
+    """A new key with 256 random bits."""
+    return PREFIX + secrets.token_urlsafe(KEY_BYTES)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Make a key and print it, this once; 2 for a wrong name."""
+    parser = argparse.ArgumentParser(
+        prog="python -m inference_api.keys",
+        description="Make an API key: prints the key for its holder and the line for CSPACE_API_KEYS_FILE.",
+    )
+    parser.add_argument("name", help="whose key it is: 1 to 64 letters, digits, dots, dashes, underscores")
+    name = parser.parse_args(arguments).name
+    if not _NAME.fullmatch(name):
+        parser.error(f"expected a name of letters, digits, dots, dashes and underscores; got {name!r}")
+    key = make_key()
+    sys.stdout.write(f"key, shown this once: {key}\n{name}:{digest_of(key)}\n")
+    return 0
+
+
+def _wrong_file(path: Path, got: str) -> ConfigError:
+    return ConfigError(
+        f"the file of API keys {path} is wrong",
+        expected="lines name:sha256, each name once",
+        got=got,
+        remedy="make lines with python -m inference_api.keys NAME",
+    )
+
+
+if __name__ == "__main__":
+    sys.exit(main())

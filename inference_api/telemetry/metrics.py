@@ -1,0 +1,132 @@
+"""The server's Prometheus metrics, in a registry of each app's own.
+
+Every label has a bounded set of values: templates of routes, problem types, the methods of HTTP, statuses
+that the server itself chooses, one model.
+"""
+
+from collections.abc import Callable, Iterator
+
+from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, generate_latest
+from prometheus_client.core import GaugeMetricFamily, Metric
+from prometheus_client.process_collector import ProcessCollector
+from prometheus_client.registry import Collector
+
+from inference_api.problems import PROBLEMS
+from inference_api.schemas import ModelInfo
+from inference_api.telemetry.observer import Outcome, Sampled
+from inference_api.telemetry.record import RequestRecord, current
+
+CONTENT_TYPE = "text/plain; version=0.0.4; charset=utf-8"
+STAGES = ("decode", "encode", "generate", "total")
+OUTCOMES: tuple[Outcome, ...] = ("served", "refused")
+METHODS = frozenset({"GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS", "TRACE", "CONNECT"})
+# From a picture that is known and a small network to a large n on a busy processor, in s.
+STAGE_BUCKETS_S = (0.0005, 0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0)
+ACCEPTANCE_BUCKETS = (0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 1.0)
+
+
+class Metrics:
+    """Counts and times what one app does; an :class:`~inference_api.telemetry.observer.Observer`.
+
+    Args:
+        model: describes the model that answers by default, None without one; asked at each scrape.
+    """
+
+    def __init__(self, model: Callable[[], ModelInfo | None]) -> None:
+        self._registry = registry = CollectorRegistry()
+        self._requests = Counter(
+            "cspace_requests",
+            "Requests answered, by template of the route.",
+            ("route", "method", "status"),
+            registry=registry,
+        )
+        self._failures = Counter(
+            "cspace_failures", "Answers that were problems, by problem type.", ("reason",), registry=registry
+        )
+        self.in_flight = Gauge("cspace_requests_in_flight", "Requests being answered.", registry=registry)
+        self._stages = Histogram(
+            "cspace_stage_seconds",
+            "Time in each stage of an answer with samples.",
+            ("stage",),
+            buckets=STAGE_BUCKETS_S,
+            registry=registry,
+        )
+        self._acceptance = Histogram(
+            "cspace_acceptance_ratio",
+            "Share of what was drawn that reached the confidence asked for, by answer.",
+            buckets=ACCEPTANCE_BUCKETS,
+            registry=registry,
+        )
+        self._requested = Counter("cspace_samples_requested", "Samples asked for.", registry=registry)
+        self._returned = Counter("cspace_samples_returned", "Samples returned.", registry=registry)
+        self._fallbacks = Counter(
+            "cspace_fallback_answers",
+            "Answers of the shipped model in a champion's stead.",
+            registry=registry,
+        )
+        self._reloads = Counter(
+            "cspace_model_reloads", "Champions put into service, or refused.", ("outcome",), registry=registry
+        )
+        # Else a rate over the first event of a kind would see no rise.
+        for problem in PROBLEMS:
+            self._failures.labels(problem.name)
+        for stage in STAGES:
+            self._stages.labels(stage)
+        for outcome in OUTCOMES:
+            self._reloads.labels(outcome)
+        ProcessCollector(registry=registry)
+        registry.register(_ModelCollector(model))
+
+    def sampled(self, answer: Sampled) -> None:
+        """Count an answer with samples, and write it down for the request's line in the log."""
+        for stage, seconds in answer.stages_s.items():
+            self._stages.labels(stage).observe(seconds)
+        self._acceptance.observe(answer.acceptance)
+        self._requested.inc(answer.n)
+        self._returned.inc(answer.n - answer.shortfall)
+        if answer.fallback:
+            self._fallbacks.inc()
+        record = current()
+        if record is not None:
+            record.model, record.n = answer.model, answer.n
+            record.seed, record.shortfall = answer.seed, answer.shortfall
+
+    def reloaded(self, outcome: Outcome) -> None:
+        """Count a champion that was put into service, or refused."""
+        self._reloads.labels(outcome).inc()
+
+    def answered(self, route: str, method: str, status: int, record: RequestRecord) -> None:
+        """Count a request."""
+        known = method if method in METHODS else "other"
+        self._requests.labels(route, known, str(status)).inc()
+        if record.reason is not None:
+            self._failures.labels(record.reason).inc()
+
+    def render(self) -> bytes:
+        """All metrics in Prometheus' text format."""
+        return generate_latest(self._registry)
+
+
+class _ModelCollector(Collector):
+    """One series with the value 1: the model in service now, however it came there."""
+
+    def __init__(self, model: Callable[[], ModelInfo | None]) -> None:
+        self._model = model
+
+    def describe(self) -> Iterator[Metric]:
+        yield self._family()
+
+    def collect(self) -> Iterator[Metric]:
+        family, model = self._family(), self._model()
+        if model is not None:
+            fallback = str(model.fallback).lower()
+            family.add_metric([model.name, str(model.version), model.digest, fallback], 1.0)
+        yield family
+
+    @staticmethod
+    def _family() -> GaugeMetricFamily:
+        return GaugeMetricFamily(
+            "cspace_model_info",
+            "The model that answers requests that name none.",
+            labels=("name", "version", "digest", "fallback"),
+        )

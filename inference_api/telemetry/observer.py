@@ -1,0 +1,49 @@
+"""What the sampler and the store of models tell whoever watches them."""
+
+from dataclasses import dataclass
+from typing import Literal, Protocol
+
+Outcome = Literal["served", "refused"]
+
+
+@dataclass(frozen=True, slots=True)
+class Sampled:
+    """A request for samples that was answered.
+
+    Args:
+        model: that answered, ``name/version``.
+        fallback: whether the shipped model stood in for a champion.
+        n: samples asked for.
+        seed: that was used.
+        shortfall: samples that are missing.
+        acceptance: share of what was drawn that reached the confidence asked for, 0 to 1.
+        stages_s: time by stage (decode, encode, generate, total), s.
+    """
+
+    model: str
+    fallback: bool
+    n: int
+    seed: int
+    shortfall: int
+    acceptance: float
+    stages_s: dict[str, float]
+
+
+class Observer(Protocol):
+    """Watches; must be safe to call from several threads."""
+
+    def sampled(self, answer: Sampled) -> None:
+        """A request for samples was answered."""
+
+    def reloaded(self, outcome: Outcome) -> None:
+        """A champion was put into service, or refused."""
+
+
+class Nobody:
+    """An observer that does not look."""
+
+    def sampled(self, answer: Sampled) -> None:
+        """Nothing."""
+
+    def reloaded(self, outcome: Outcome) -> None:
+        """Nothing."""

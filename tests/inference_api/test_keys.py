@@ -1,0 +1,122 @@
+"""API keys: made, written down, read, compared; and who may start a server without them."""
+
+import hashlib
+from pathlib import Path
+
+import pytest
+
+from cspace.errors import ConfigError
+from inference_api.guards.authentication import bearer_token
+from inference_api.guards.exposure import check_exposure, is_loopback
+from inference_api.guards.protection import Protection
+from inference_api.keys import ApiKeys, main
+
+
+def make(capsys: pytest.CaptureFixture[str], name: str) -> tuple[str, str]:
+    """A key and its line, from the command's output."""
+    assert main([name]) == 0
+    shown, line = capsys.readouterr().out.splitlines()
+    return shown.rpartition(" ")[2], line
+
+
+def test_a_made_key_is_known_by_the_line_that_is_printed_with_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    keys = {name: make(capsys, name) for name in ("robot-1", "lab")}
+    path = tmp_path / "keys"
+    path.write_text("# two\n\n" + "\n".join(line for _, line in keys.values()) + "\n")
+    known = ApiKeys.read(path)
+    for name, (key, line) in keys.items():
+        assert known.name_of(key) == name
+        assert known.name_of(key[:-1]) is None
+        assert known.name_of(line.partition(":")[2]) is None
+        assert key not in path.read_text()
+    assert known.name_of("") is None
+    assert known.name_of("\udcff") is None
+
+
+def test_two_made_keys_differ_and_are_long(capsys: pytest.CaptureFixture[str]) -> None:
+    first, second = (make(capsys, "lab")[0] for _ in range(2))
+    assert first != second
+    # 32 bytes are 43 characters of base64.
+    assert all(len(key) == len("csk_") + 43 for key in (first, second))
+
+
+def test_the_line_holds_the_sha_256_of_the_key(capsys: pytest.CaptureFixture[str]) -> None:
+    key, line = make(capsys, "lab")
+    assert line == f"lab:{hashlib.sha256(key.encode()).hexdigest()}"
+
+
+DIGEST = "ab" * 32
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "# nothing\n",
+        "lab",
+        f"lab:{DIGEST[:-1]}",
+        f"lab:{DIGEST.upper()}",
+        f"a b:{DIGEST}",
+        f":{DIGEST}",
+        f"lab:{DIGEST}\nlab:{DIGEST}",
+    ],
+)
+def test_a_wrong_file_is_an_error_that_names_the_remedy_and_no_secret(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "keys"
+    path.write_text(text)
+    with pytest.raises(ConfigError, match=r"inference_api\.keys NAME") as caught:
+        ApiKeys.read(path)
+    assert DIGEST[:-1] not in str(caught.value)
+
+
+def test_a_file_that_is_not_there_or_no_text_is_an_error(tmp_path: Path) -> None:
+    (tmp_path / "bytes").write_bytes(b"\xff\xfe")
+    for name in ("nothing", "bytes"):
+        with pytest.raises(ConfigError, match="CSPACE_API_KEYS_FILE"):
+            ApiKeys.read(tmp_path / name)
+
+
+def test_a_wrong_name_makes_no_key(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as caught:
+        main(["a:b"])
+    assert caught.value.code == 2
+    assert "csk_" not in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("headers", "token"),
+    [
+        ([], None),
+        (["Bearer abc"], "abc"),
+        (["bearer  abc "], "abc"),
+        (["Bearer"], None),
+        (["Bearer "], None),
+        (["Basic abc"], None),
+        (["Bearer abc", "Bearer abc"], None),
+    ],
+)
+def test_the_token_is_read_from_one_bearer_header(headers: list[str], token: str | None) -> None:
+    assert bearer_token(headers) == token
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1", "127.1.2.3", "::1", "localhost"])
+def test_loopback_needs_no_keys(host: str) -> None:
+    assert is_loopback(host)
+    check_exposure(host, Protection(), allowed=False)
+
+
+@pytest.mark.parametrize("host", ["0.0.0.0", "::", "", "192.0.2.1", "server.example"])  # noqa: S104
+def test_other_addresses_need_keys_or_a_word(host: str, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="--allow-unauthenticated"):
+        check_exposure(host, Protection(), allowed=False)
+    check_exposure(host, Protection(), allowed=True)
+    path = tmp_path / "keys"
+    path.write_text(f"lab:{DIGEST}\n")
+    check_exposure(host, Protection(keys_file=path), allowed=False)
+
+
+def test_a_word_does_not_excuse_a_wrong_file_of_keys(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError):
+        check_exposure("127.0.0.1", Protection(keys_file=tmp_path / "nothing"), allowed=True)
