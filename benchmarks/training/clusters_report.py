@@ -7,7 +7,12 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from services.evaluator.statistics import mean_interval, ratio_of_sums_interval
+from services.evaluator.statistics import (
+    Interval,
+    difference_interval,
+    mean_interval,
+    ratio_of_sums_interval,
+)
 from services.evaluator.tables import markdown
 
 
@@ -43,16 +48,25 @@ def summary(values: np.ndarray, uniform: np.ndarray) -> dict[str, object]:
     }
 
 
+def gained(values: np.ndarray, single: np.ndarray) -> Interval:
+    """Precision less that of the single network with the same look-ups, in pairs of scenarios."""
+    seeds = min(len(values), len(single))
+    means = (group[:seeds, :, 0].mean(axis=0) for group in (values, single))
+    return difference_interval(*means, np.random.default_rng(0))
+
+
 def write_report(out: Path) -> None:
     """``table.md`` and ``clusters.png`` in the folder of the results."""
     groups, uniform, seconds = read(out)
-    rows = [
-        ["joints", "form", "look-ups", "seeds", "precision", "coverage", "EDr", "seed sd", "s on one core"]
-    ]
+    names = ["joints", "form", "look-ups", "seeds", "precision", "over single", "coverage", "EDr", "seed sd"]
+    rows = [[*names, "s on one core"]]
+    order = list(dict.fromkeys(arm for _, arm, _ in groups))
     found = {}
-    for key, values in groups.items():
+    for key in sorted(groups, key=lambda key: (key[0], key[2], order.index(key[1]))):
         joints, arm, lookups = key
-        one = found[key] = summary(values, uniform[joints])
+        values, one = groups[key], summary(groups[key], uniform[joints])
+        found[key] = one
+        single = groups.get((joints, "single", lookups))
         deviation = " / ".join(f"{value:.3f}" for value in one["sd"])
         rows.append(
             [
@@ -60,7 +74,10 @@ def write_report(out: Path) -> None:
                 arm,
                 "yes" if lookups else "no",
                 str(one["seeds"]),
-                *(f"{one[name]:.3f}" for name in ("precision", "coverage", "edr")),
+                f"{one['precision']:.3f}",
+                "" if single is None or arm == "single" else f"{gained(values, single):+.3f}",
+                f"{one['coverage']:.3f}",
+                f"{one['edr']:.3f}",
                 deviation,
                 f"{seconds[key]:.0f}",
             ]
