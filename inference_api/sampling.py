@@ -12,7 +12,14 @@ from cspace.bundle import SampleSet
 from inference_api.model_store import ModelStore, ServedModel
 from inference_api.references import ModelReference
 from inference_api.request_body import RawFields, parse_form, parse_json
-from inference_api.schemas import JointSpaceInfo, ModelInfo, SampleAnswer, SampleRequest, TimingMs
+from inference_api.schemas import (
+    JointSpaceInfo,
+    ModelInfo,
+    SampleAnswer,
+    SampleRequest,
+    ScenarioInfo,
+    TimingMs,
+)
 from inference_api.telemetry.observer import Sampled
 from inference_api.validation import validate_request
 
@@ -26,12 +33,14 @@ class Answer:
     Args:
         served: the model that answered.
         found: its samples.
+        novelty: of the picture; None where the model does not tell.
         seed: the seed that was used.
         timing: where the time went.
     """
 
     served: ServedModel
     found: SampleSet
+    novelty: float | None
     seed: int
     timing: TimingMs
 
@@ -74,7 +83,7 @@ def sample(store: ModelStore, request: SampleRequest, began: float) -> Answer:
         generate=found.generate_ms,
         total=1e3 * (time.perf_counter() - began),
     )
-    answer = Answer(served, found, seed, timing)
+    answer = Answer(served, found, prepared.picture.novelty, seed, timing)
     store.observer.sampled(sampled(answer, request.n))
     return answer
 
@@ -88,6 +97,7 @@ def json_response(answer: Answer) -> Response:
         confidence=None if found.confidence is None else found.confidence.tolist(),
         shortfall=found.shortfall,
         acceptance=found.acceptance,
+        scenario=ScenarioInfo(novelty=answer.novelty),
         joint_space=JointSpaceInfo(**spec.joint_space),
         model=model_info(answer.served),
         seed=str(answer.seed),
@@ -111,6 +121,8 @@ def npy_response(answer: Answer) -> Response:
         "X-Acceptance": f"{answer.found.acceptance:.6g}",
         "Server-Timing": timing,
     }
+    if answer.novelty is not None:
+        headers["X-Novelty"] = f"{answer.novelty:.6g}"
     return Response(buffer.getvalue(), headers=headers, media_type=NPY)
 
 

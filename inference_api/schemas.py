@@ -115,6 +115,15 @@ class JointSpaceInfo(BaseModel):
     unit: Literal["rad"]
 
 
+class ScenarioInfo(BaseModel):
+    """What the model makes of the picture."""
+
+    novelty: float | None = Field(
+        description="How unlike the training scenarios it is: the share of known pictures that are less "
+        "unusual, 0 to 1; null for a model that does not tell."
+    )
+
+
 class ModelInfo(BaseModel):
     """The model that answered."""
 
@@ -142,6 +151,7 @@ class SampleAnswer(BaseModel):
     confidence: list[float] | None = Field(description="The validity head's score of each sample.")
     shortfall: int = Field(description="n minus what was returned.")
     acceptance: float = Field(description="Share of what was drawn that reached the confidence asked for.")
+    scenario: ScenarioInfo
     joint_space: JointSpaceInfo
     model: ModelInfo
     seed: str = Field(description="The seed that was used, in decimal.", pattern="^[0-9]{1,20}$")

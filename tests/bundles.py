@@ -40,6 +40,8 @@ def tiny_spec(
 def tiny_graphs(spec: BundleSpec, *, validity: bool = False, scale: float = 1.0) -> dict[str, bytes]:
     """Graphs that fit a description; another ``scale`` is another model."""
     graphs = {"encoder": _encoder(spec, scale), "generator": _generator(spec, scale)}
+    if spec.novelty_quantiles is not None:
+        graphs["novelty"] = _novelty(spec)
     if validity:
         graphs["validity"] = _validity(spec)
     return graphs
@@ -119,6 +121,25 @@ def _validity(spec: BundleSpec) -> bytes:
     pixels = spec.pixels
     inputs = {"image": (1, 3, pixels, pixels), "configurations": ("n", spec.dim)}
     return _model(nodes, inputs, {"confidence": ("n",)}, {"axis": np.array([1])})
+
+
+def _novelty(spec: BundleSpec) -> bytes:
+    """How bright the picture is on average, and at its brightest."""
+    nodes = [
+        helper.make_node("ReduceMean", ["image"], ["mean"], keepdims=0),
+        helper.make_node("ReduceMax", ["image"], ["brightest"], keepdims=0),
+        # The latent mean is an input that these scores do not need.
+        helper.make_node("ReduceMean", ["mu"], ["latent"], keepdims=0),
+        helper.make_node("Mul", ["latent", "zero"], ["nothing"]),
+        helper.make_node("Add", ["mean", "nothing"], ["bright"]),
+        helper.make_node("Reshape", ["bright", "one"], ["first"]),
+        helper.make_node("Reshape", ["brightest", "one"], ["second"]),
+        helper.make_node("Concat", ["first", "second"], ["scores"], axis=0),
+    ]
+    pixels = spec.pixels
+    inputs = {"image": (1, 3, pixels, pixels), "mu": (1, spec.latent_dim)}
+    weights = {"zero": np.float32(0.0), "one": np.array([1])}
+    return _model(nodes, inputs, {"scores": (2,)}, weights)
 
 
 def _weights(rows: int, columns: int, key: int = 0) -> NDArray[np.float32]:

@@ -17,11 +17,13 @@ from training.models.export import (
     generator_graph,
     lookup_graph,
     mixture_graph,
+    novelty_graph,
     validity_graph,
 )
 from training.models.lookups import make_lookups
 from training.models.mixture import LookupSampler
 from training.models.validity import ValidityHead
+from training.novelty import known_quantiles, load_scores
 from training.provenance import command_line, now, source_state
 from training.threshold import choose_threshold, choose_uniform_share, validation_scores
 from training.trials.arrays import TrainingArrays
@@ -69,6 +71,12 @@ def make_bundle(folder: Path, config: TrainConfig, dataset: Dataset, parts: Trai
             head = ValidityHead(config.validity, dataset.robot, dataset.camera)
         head.load_state_dict(load_weights(parts.validity, "head"))
         graphs["validity"] = validity_graph(head, dataset.camera.pixels, dim)
+    known = None
+    # The paper's joint baseline stays as the paper has it.
+    if not config.joint:
+        scores = load_scores(config.vae, dataset.camera.pixels, parts.encoder)
+        known = known_quantiles(config.vae, parts.encoder, scores, dataset)
+        graphs["novelty"] = novelty_graph(scores, dataset.camera.pixels, latent_dim)
     has_head = parts.validity is not None
     scale = Standardisation(*(tuple(float(v) for v in part) for part in parts.arrays.scale))
     spec = BundleSpec(
@@ -81,6 +89,7 @@ def make_bundle(folder: Path, config: TrainConfig, dataset: Dataset, parts: Trai
         random_inputs=random_inputs(gan, dim, gated=parts.gate is not None),
         confidence_threshold=(config.validity.threshold or FALLBACK_THRESHOLD) if has_head else None,
         uniform_share=(config.validity.uniform_share or 0.0) if has_head else 0.0,
+        novelty_quantiles=known,
         standardisation=scale if gan.generator == "means" else None,
         provenance=_provenance(config, dataset),
     )

@@ -13,6 +13,7 @@ from cspace.bundle.files import (
     ENCODER_FILE,
     GENERATOR_FILE,
     GOLDEN_FILE,
+    NOVELTY_FILE,
     SPEC_FILE,
     VALIDITY_FILE,
     BundleFiles,
@@ -21,6 +22,7 @@ from cspace.bundle.files import (
 from cspace.bundle.golden import GoldenCase
 from cspace.bundle.graphs import Graph
 from cspace.bundle.keeping import gather
+from cspace.bundle.novelty import novelty
 from cspace.bundle.request import Request
 from cspace.bundle.samples import Encoding, Picture, SampleSet
 from cspace.bundle.spec import PICTURE, BundleSpec
@@ -50,6 +52,17 @@ class Bundle:
         head = files.contents.get(VALIDITY_FILE)
         self._validity = (
             None if head is None else Graph(VALIDITY_FILE, head, {"image", "configurations"}, {"confidence"})
+        )
+
+        novelty_graph = files.contents.get(NOVELTY_FILE)
+        if (novelty_graph is None) != (self.spec.novelty_quantiles is None):
+            raise BundleIntegrityError(
+                "the bundle's novelty is not whole",
+                expected=f"{NOVELTY_FILE} and novelty_quantiles, or neither",
+                got="one of them",
+            )
+        self._novelty = (
+            None if novelty_graph is None else Graph(NOVELTY_FILE, novelty_graph, {"image", "mu"}, {"scores"})
         )
 
     @classmethod
@@ -89,7 +102,15 @@ class Bundle:
         pixels = self._network_image(image)
         size = (1, self.spec.latent_dim)
         found = self._encoder.run({"image": pixels}, {"mu": size, "sigma": size})
-        return Picture(self.digest, pixels, Encoding(found["mu"][0], found["sigma"][0]))
+        encoding = Encoding(found["mu"][0], found["sigma"][0])
+        return Picture(self.digest, pixels, encoding, self._novelty_of(pixels, found["mu"]))
+
+    def _novelty_of(self, pixels: NDArray[np.float32], mu: NDArray[np.float32]) -> float | None:
+        graph, quantiles = self._novelty, self.spec.novelty_quantiles
+        if graph is None or quantiles is None:
+            return None
+        found = graph.run({"image": pixels, "mu": mu}, {"scores": (len(quantiles),)})
+        return novelty(found["scores"], quantiles)
 
     def sample(
         self,

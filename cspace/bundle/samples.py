@@ -27,11 +27,13 @@ class Picture:
         digest: of the bundle.
         pixels: float32 (1, 3, P, P), as the graphs take it.
         encoding: the encoder's view of it.
+        novelty: how unlike the training scenarios it is, 0 to 1; None for a bundle that does not tell.
     """
 
     digest: str
     pixels: NDArray[np.float32]
     encoding: Encoding
+    novelty: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

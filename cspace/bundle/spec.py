@@ -5,6 +5,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any
 
+import numpy as np
+
 from cspace.bundle.parts import Provenance, RandomInput, one_of
 from cspace.bundle.strict_json import StrictObject, parse_json
 from cspace.errors import BundleIntegrityError, ScenarioError
@@ -13,8 +15,8 @@ from cspace.scenario import Camera
 from cspace.space import Standardisation
 
 SCHEMA_VERSION = 2
-# Written before uniform_share was; read as 0.
-_WITHOUT_SHARE = 1
+# Written before uniform_share and novelty_quantiles were; read as 0 and none.
+_FIRST = 1
 KINDS = ("configuration", "path")
 MODEL_KINDS = ("generator", "mixture")
 ENDPOINTS = ("start", "goal")
@@ -39,6 +41,8 @@ class BundleSpec:
         confidence_threshold: the validity head's threshold that training recommends, None without one.
         uniform_share: of what the validity head is shown when a request filters: uniform over the joint space
             instead of generated, 0 to below 1; 0 for path models.
+        novelty_quantiles: for each score of the novelty graph its rising quantiles over known pictures; None
+            without one.
         provenance: how the bundle was made.
 
     Raises:
@@ -56,6 +60,7 @@ class BundleSpec:
     standardisation: Standardisation | None = None
     confidence_threshold: float | None = None
     uniform_share: float = 0.0
+    novelty_quantiles: tuple[tuple[float, ...], ...] | None = None
     provenance: Provenance = field(default_factory=Provenance)
 
     def __post_init__(self) -> None:
@@ -70,12 +75,14 @@ class BundleSpec:
             "random_inputs" if len(set(names)) != len(names) else "",
             "confidence_threshold" if threshold is not None and not 0.0 <= threshold <= 1.0 else "",
             "uniform_share" if not 0.0 <= share < 1.0 or (share and self.kind == "path") else "",
+            "novelty_quantiles" if not _rise(self.novelty_quantiles) else "",
             "standardisation" if scale is not None and len(scale.mean) != self.robot.dim else "",
         ]
         if any(wrong):
             raise BundleIntegrityError(
                 "the bundle's description does not fit",
-                expected="positive sizes, different names, a threshold within 0..1, a uniform share below 1",
+                expected="positive sizes, different names, a threshold within 0..1, a share below 1, "
+                "rising quantiles",
                 got=", ".join(f"{name} = {getattr(self, name)!r}" for name in wrong if name),
             )
 
@@ -106,7 +113,7 @@ class BundleSpec:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for JSON, every field of the schema."""
-        scale = self.standardisation
+        scale, quantiles = self.standardisation, self.novelty_quantiles
         return {
             "schema_version": SCHEMA_VERSION,
             "kind": self.kind,
@@ -122,6 +129,7 @@ class BundleSpec:
             "conditions": list(self.conditions),
             "confidence_threshold": self.confidence_threshold,
             "uniform_share": self.uniform_share,
+            "novelty_quantiles": None if quantiles is None else [list(row) for row in quantiles],
             "provenance": self.provenance.to_dict(),
         }
 
@@ -150,7 +158,7 @@ class BundleSpec:
             BundleIntegrityError: the schema version is another, or a key or value does not fit.
         """
         version = _version(values)
-        absent = {"uniform_share"} if version == _WITHOUT_SHARE else set()
+        absent = {"uniform_share", "novelty_quantiles"} if version == _FIRST else set()
         entry = StrictObject("bundle.json", values, _KEYS - absent)
         scale = entry.get("standardisation")
         try:
@@ -166,6 +174,7 @@ class BundleSpec:
                 standardisation=None if scale is None else _standardisation(scale),
                 confidence_threshold=entry.number_or_none("confidence_threshold"),
                 uniform_share=0.0 if absent else entry.number("uniform_share"),
+                novelty_quantiles=None if absent else _quantiles(entry.get("novelty_quantiles")),
                 provenance=Provenance.from_dict(entry.get("provenance")),
             )
         except ScenarioError as error:
@@ -189,7 +198,7 @@ class BundleSpec:
 _KEYS = {
     "schema_version", "kind", "robot", "joint_space", "camera", "image", "latent_dim", "model_kind",
     "samples_per_latent", "random_inputs", "standardisation", "conditions", "confidence_threshold",
-    "uniform_share", "provenance",
+    "uniform_share", "novelty_quantiles", "provenance",
 }  # fmt: skip
 
 
@@ -199,14 +208,30 @@ def _image_convention(pixels: int) -> dict[str, Any]:
 
 def _version(values: object) -> int:
     version = values.get("schema_version") if isinstance(values, Mapping) else None
-    if version not in (_WITHOUT_SHARE, SCHEMA_VERSION) or not isinstance(version, int) or version is True:
+    if version not in (_FIRST, SCHEMA_VERSION) or not isinstance(version, int) or version is True:
         raise BundleIntegrityError(
             "the bundle's schema is another",
-            expected=f"schema_version {_WITHOUT_SHARE} or {SCHEMA_VERSION}",
+            expected=f"schema_version {_FIRST} or {SCHEMA_VERSION}",
             got=repr(version),
             remedy="use the release of cspace-sampler that wrote the bundle, or export it again",
         )
     return version
+
+
+def _rise(quantiles: tuple[tuple[float, ...], ...] | None) -> bool:
+    if quantiles is None:
+        return True
+    rows = [np.asarray(row, dtype=np.float64) for row in quantiles]
+    rising = (len(row) > 1 and np.isfinite(row).all() and (np.diff(row) >= 0.0).all() for row in rows)
+    return bool(rows) and all(rising)
+
+
+def _quantiles(values: object) -> tuple[tuple[float, ...], ...] | None:
+    if values is None:
+        return None
+    rows = values if isinstance(values, list) else [None]
+    numbers = [StrictObject("novelty_quantiles", {"row": row}, {"row"}).numbers("row") for row in rows]
+    return tuple(tuple(row) for row in numbers)
 
 
 def _camera(values: object) -> Camera:

@@ -9,6 +9,7 @@ from cspace.bundle.files import (
     ENCODER_FILE,
     GENERATOR_FILE,
     GOLDEN_FILE,
+    NOVELTY_FILE,
     SPEC_FILE,
     SUMS_FILE,
     VALIDITY_FILE,
@@ -25,7 +26,12 @@ GOLDEN_SEED = 20_240_229
 GOLDEN_COUNT = 65
 GOLDEN_EPSILON = (0.0, 0.5)
 
-_GRAPH_FILES = {"encoder": ENCODER_FILE, "generator": GENERATOR_FILE, "validity": VALIDITY_FILE}
+_GRAPH_FILES = {
+    "encoder": ENCODER_FILE,
+    "generator": GENERATOR_FILE,
+    "validity": VALIDITY_FILE,
+    "novelty": NOVELTY_FILE,
+}
 
 
 def write_bundle(
@@ -36,7 +42,7 @@ def write_bundle(
     Args:
         folder: where the bundle is to be; must not exist.
         spec: its description.
-        graphs: ``encoder``, ``generator`` and optionally ``validity`` to ONNX bytes.
+        graphs: ``encoder``, ``generator`` and optionally ``validity`` and ``novelty`` to ONNX bytes.
         golden: the golden case; computed from a fixed picture and seed when None.
 
     Returns:
@@ -67,7 +73,7 @@ def _graph_files(graphs: Mapping[str, bytes]) -> dict[str, bytes]:
     if not {"encoder", "generator"} <= set(graphs) <= set(_GRAPH_FILES):
         raise BundleIntegrityError(
             "the bundle's graphs do not fit",
-            expected="encoder, generator and optionally validity",
+            expected="encoder, generator and optionally validity and novelty",
             got=", ".join(sorted(graphs)),
         )
     return {_GRAPH_FILES[name]: data for name, data in graphs.items()}

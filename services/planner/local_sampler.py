@@ -60,8 +60,9 @@ class LocalSampler:
         seed = drawn_seed(seed)
         began = time.perf_counter()
         try:
+            picture = self._bundle.prepare(decode_png(image_png, self._bundle.spec.pixels))
             found = self._bundle.sample(
-                decode_png(image_png, self._bundle.spec.pixels),
+                picture,
                 n,
                 seed,
                 epsilon_sigma=tuple(epsilon_sigma) or (0.0,),
@@ -79,4 +80,5 @@ class LocalSampler:
             seed=seed,
             shortfall=found.shortfall,
             round_trip_s=time.perf_counter() - began,
+            novelty=picture.novelty,
         )

@@ -1,6 +1,7 @@
 """Reading the sampling endpoint's ``.npy`` answer: bytes and headers from outside, checked before use."""
 
 import io
+import math
 from collections.abc import Mapping
 
 import numpy as np
@@ -39,6 +40,7 @@ def read_batch(body: bytes, headers: Mapping[str, str], n: int, round_trip_s: fl
         seed=_count(headers, "x-seed"),
         shortfall=shortfall,
         round_trip_s=round_trip_s,
+        novelty=_share(headers, "x-novelty") if "x-novelty" in headers else None,
     )
 
 
@@ -81,6 +83,17 @@ def _count(headers: Mapping[str, str], name: str) -> int:
     if not (value.isascii() and value.isdigit() and len(value) <= 20):
         raise _unusable(f"has a wrong header {name}", "a whole number", repr(value[:40]))
     return int(value)
+
+
+def _share(headers: Mapping[str, str], name: str) -> float:
+    value = _text(headers, name)
+    try:
+        share = float(value)
+    except ValueError:
+        share = math.nan
+    if not 0.0 <= share <= 1.0:
+        raise _unusable(f"has a wrong header {name}", "a number from 0 to 1", repr(value[:40]))
+    return share
 
 
 def _unusable(what: str, expected: str, got: str) -> SamplerError:

@@ -13,6 +13,8 @@ from services.planner.samples import SampleBatch, SampleSource
 from services.planner.settings import RRT_CONNECT, PlannerSettings
 
 DEFAULT_SAMPLES = 300
+# The percentile of novelty up to which a picture is taken for one like those of the training.
+ORDINARY = 0.95
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,11 +46,13 @@ class ApiPlan:
         result: of the planner.
         batch: the samples; None when the source did not answer.
         unavailable: why there are none, in words; None when there are.
+        uniform_share: of uniform samples mixed in, as the picture's novelty left it.
     """
 
     result: PlanResult
     batch: SampleBatch | None
     unavailable: str | None
+    uniform_share: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,7 +88,7 @@ def plan_with_api(
         source: of samples, usually a :class:`services.planner.sampling_client.SamplingClient`.
         settings: of the planner.
         request: what is asked of the source.
-        uniform_share: of uniform samples mixed in.
+        uniform_share: of uniform samples mixed in, raised where the picture is like none the model knows.
         keep_tree: whether the result holds the search tree.
 
     Raises:
@@ -96,9 +100,25 @@ def plan_with_api(
         batch = request_samples(problem, source, settings, request or SampleRequest())
     except SamplerUnavailableError as error:
         unavailable = str(error)
-    samples = None if batch is None else batch.samples
+    samples = None
+    if batch is not None:
+        samples, uniform_share = batch.samples, raised_share(uniform_share, batch.novelty)
     result = solve(problem, settings, samples, uniform_share, keep_tree=keep_tree)
-    return ApiPlan(result, batch, unavailable)
+    return ApiPlan(result, batch, unavailable, uniform_share)
+
+
+def raised_share(uniform_share: float, novelty: float | None) -> float:
+    """The share of uniform samples for a picture of some novelty, all of them for one like no other.
+
+    Up to the 95th percentile a picture is an ordinary one; from there the share rises in proportion, so that
+    a planner leans on a model the less, the less the model can know.
+
+    Args:
+        uniform_share: for ordinary pictures, 0 to 1.
+        novelty: 0 to 1; None where it is not known, which changes nothing.
+    """
+    beyond = max(0.0, ((novelty or 0.0) - ORDINARY) / (1.0 - ORDINARY))
+    return uniform_share + (1.0 - uniform_share) * beyond
 
 
 def request_samples(

@@ -40,6 +40,8 @@ def comparison_json(comparison: Comparison, planner: str) -> dict[str, Any]:
             "model": {"name": batch.model_name, "version": batch.model_version, "digest": batch.digest},
             "seed": str(batch.seed),
             "round_trip_s": batch.round_trip_s,
+            "novelty": batch.novelty,
+            "uniform_share": comparison.learned.uniform_share,
         }
     return {
         "problem": {
@@ -82,10 +84,11 @@ def _samples_line(comparison: Comparison) -> str:
     batch = comparison.learned.batch
     if batch is None:
         return f"none, going on with uniform samples: {comparison.learned.unavailable}"
-    dropped = f" ({batch.shortfall} dropped)" if batch.shortfall else ""
+    dropped = f" ({batch.shortfall} too few)" if batch.shortfall else ""
+    new = "" if batch.novelty is None else f", novelty {batch.novelty:.2f}"
     return (
         f"{len(batch.samples)}{dropped} from {batch.model_name}/{batch.model_version} "
-        f"(digest {batch.digest[:12]}, seed {batch.seed}) in {1e3 * batch.round_trip_s:.1f} ms"
+        f"(digest {batch.digest[:12]}, seed {batch.seed}) in {1e3 * batch.round_trip_s:.1f} ms{new}"
     )
 
 

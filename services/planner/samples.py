@@ -24,6 +24,7 @@ class SampleBatch:
         seed: that was used, whether asked for or drawn.
         shortfall: how many fewer samples came than were asked for.
         round_trip_s: from the request to the checked answer, further attempts included.
+        novelty: how unlike the model's training scenarios the picture is, 0 to 1; None where it is not told.
         fallback: whether another source answered because the server stayed away.
     """
 
@@ -35,6 +36,7 @@ class SampleBatch:
     shortfall: int
     round_trip_s: float
     fallback: bool = False
+    novelty: float | None = None
 
 
 class SampleSource(Protocol):

@@ -20,6 +20,7 @@ def full_spec() -> BundleSpec:
         camera=Camera(pixels=32),
         standardisation=Standardisation((0.0, 0.1, 0.2), (1.0, 2.0, 3.0)),
         confidence_threshold=0.8,
+        novelty_quantiles=((0.0, 0.5, 1.0), (0.0, 0.0, 2.0)),
         provenance=Provenance(
             git_commit="abc",
             git_dirty=True,
@@ -43,7 +44,7 @@ def test_the_json_has_exactly_the_fields_of_the_schema() -> None:
     assert set(values) == {
         "schema_version", "kind", "robot", "joint_space", "camera", "image", "latent_dim", "model_kind",
         "samples_per_latent", "random_inputs", "standardisation", "conditions", "confidence_threshold",
-        "uniform_share", "provenance",
+        "uniform_share", "novelty_quantiles", "provenance",
     }  # fmt: skip
     assert values["schema_version"] == 2
     assert values["joint_space"] == {"kind": "torus", "dim": 3, "unit": "rad"}
@@ -83,15 +84,20 @@ CHANGES: list[dict[str, Any]] = [
     {"uniform_share": -0.1},
     {"uniform_share": 0.1},
     {"uniform_share": None},
+    {"novelty_quantiles": []},
+    {"novelty_quantiles": [[0.0]]},
+    {"novelty_quantiles": [[0.0, 1.0], [1.0, 0.5]]},
+    {"novelty_quantiles": [0.0, 1.0]},
+    {"novelty_quantiles": 0.5},
     {"provenance": {}},
     {"provenance": None},
     {"surprise": 1},
 ]
 
 
-def test_the_schema_before_is_read_without_uniform_proposals() -> None:
+def test_the_schema_before_is_read_without_what_it_did_not_have() -> None:
     values = tiny_spec().to_dict()
-    del values["uniform_share"]
+    del values["uniform_share"], values["novelty_quantiles"]
     assert BundleSpec.from_dict({**values, "schema_version": 1}) == tiny_spec()
     with pytest.raises(BundleIntegrityError):
         BundleSpec.from_dict(values)

@@ -16,8 +16,9 @@ from tests.inference_api.fake_registry import CountingRegistry
 
 
 def _careful(folder: Path) -> Path:
-    """With a validity head and a threshold of its own."""
-    spec = replace(tiny_spec(), confidence_threshold=0.45)
+    """With a validity head, a threshold of its own, and a sense of novelty."""
+    quantiles = ((-1.0, 0.0, 1.0), (0.0, 1.0, 10.0))
+    spec = replace(tiny_spec(), confidence_threshold=0.45, novelty_quantiles=quantiles)
     return write_bundle(folder, spec, tiny_graphs(spec, validity=True))
 
 

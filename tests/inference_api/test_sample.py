@@ -40,8 +40,10 @@ def test_the_answer_has_exactly_the_contracts_members(
 ) -> None:
     body = ask(own_api, png).json()
     assert set(body) == {
-        "samples", "confidence", "shortfall", "acceptance", "joint_space", "model", "seed", "timing_ms",
+        "samples", "confidence", "shortfall", "acceptance", "scenario", "joint_space", "model", "seed",
+        "timing_ms",
     }  # fmt: skip
+    assert body["scenario"] == {"novelty": None}
     assert body["joint_space"] == {"kind": "torus", "dim": 2, "unit": "rad"}
     assert body["model"] == {
         "name": "cspace-sampler",
@@ -188,6 +190,18 @@ def test_without_a_confidence_the_models_own_threshold_holds(api: ApiClient, png
     everything = ask(api, png, min_confidence="0", **fields).json()
     assert own["samples"] == asked["samples"] != everything["samples"]
     assert min(own["confidence"]) >= 0.45 > min(everything["confidence"])
+
+
+def test_the_novelty_of_the_picture_is_told(api: ApiClient, bundles: dict[str, Path]) -> None:
+    bundle = Bundle.load(bundles["careful"])
+    grey, white = (encode_png(np.full((48, 48, 3), level, np.uint8)) for level in (150, 255))
+    for png in (grey, white, grey):
+        expected = bundle.prepare(decode_png(png, 48)).novelty
+        assert expected is not None
+        fields = {"n": "5", "model": "cspace-sampler@careful", "min_confidence": "0"}
+        assert ask(api, png, **fields).json()["scenario"] == {"novelty": pytest.approx(expected)}
+        assert float(ask(api, png, NPY, **fields).headers["x-novelty"]) == pytest.approx(expected, abs=1e-5)
+    assert "x-novelty" not in ask(api, grey, NPY, n="5").headers
 
 
 def test_a_picture_is_decoded_and_encoded_once(api: ApiClient) -> None:

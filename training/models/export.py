@@ -12,6 +12,7 @@ from torch import Tensor, nn
 
 from training.models.mixture import GatedSampler, LookupSampler
 from training.models.networks import Encoder, MeansGenerator, TorusGenerator
+from training.models.novelty import NoveltyScores
 from training.models.validity import ValidityHead
 
 OPSET = 18
@@ -38,6 +39,24 @@ def encoder_graph(encoder: Encoder, pixels: int) -> bytes:
         ["mu", "sigma"],
         _batched("images", 1),
     )
+
+
+class _NoveltyGraph(nn.Module):
+    """One picture with its latent mean to its scores."""
+
+    def __init__(self, scores: NoveltyScores) -> None:
+        super().__init__()
+        self.scores = scores
+
+    def forward(self, image: Tensor, mu: Tensor) -> Tensor:
+        scores: Tensor = self.scores(image, mu)
+        return scores.squeeze(0)
+
+
+def novelty_graph(scores: NoveltyScores, pixels: int, latent_dim: int) -> bytes:
+    """ONNX bytes: ``image`` (1, 3, P, P) and ``mu`` (1, L) to ``scores`` (2,)."""
+    inputs = (torch.zeros(1, 3, pixels, pixels), torch.zeros(1, latent_dim))
+    return _export(_NoveltyGraph(scores), inputs, ["image", "mu"], ["scores"], ({}, {}))
 
 
 class _ValidityGraph(nn.Module):

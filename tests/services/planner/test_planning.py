@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -5,7 +7,7 @@ from cspace.errors import SamplerError
 from cspace.image import decode_png
 from cspace.render import render
 from services.planner.ompl_planner import PlannerSettings, solve
-from services.planner.planning import SampleRequest, compare_with_api, plan_with_api
+from services.planner.planning import SampleRequest, compare_with_api, plan_with_api, raised_share
 from services.planner.sampling_client import SamplingClient
 from tests.fakes.sample_source import FakeSampleSource
 
@@ -54,6 +56,27 @@ def test_samples_of_another_robot_are_refused_by_name(blocked):
     source = FakeSampleSource(lambda rng, n: rng.uniform(-1, 1, (n, 3)))
     with pytest.raises(SamplerError, match=r"pretrained/0 are for another robot.*2 joints.*3"):
         plan_with_api(blocked, source, SETTINGS)
+
+
+@pytest.mark.parametrize(
+    ("novelty", "expected"),
+    [(None, 0.3), (0.0, 0.3), (0.95, 0.3), (0.975, 0.65), (1.0, 1.0)],
+)
+def test_the_uniform_share_rises_with_the_pictures_novelty(novelty, expected):
+    assert raised_share(0.3, novelty) == pytest.approx(expected)
+
+
+def test_a_picture_like_no_other_is_planned_with_uniform_samples_alone(blocked):
+    class Alarmed(FakeSampleSource):
+        def sample(self, *arguments, **options):
+            return replace(super().sample(*arguments, **options), novelty=1.0)
+
+    alarmed = plan_with_api(blocked, Alarmed(), SETTINGS)
+    assert alarmed.uniform_share == 1.0
+    assert (alarmed.result.learned_drawn, alarmed.batch.shortfall) == (0, 0)
+    calm = plan_with_api(blocked, FakeSampleSource(), SETTINGS)
+    assert calm.uniform_share < 1.0
+    assert calm.result.learned_drawn > 0
 
 
 def test_a_batch_from_which_all_was_dropped_is_planned_uniformly(blocked):

@@ -47,6 +47,17 @@ def test_a_good_answer_becomes_a_batch():
     assert (batch.seed, batch.shortfall) == (2**64 - 1, 0)
 
 
+def test_the_novelty_is_read_where_it_is_told():
+    assert client_of(answer_of()).sample(PNG, 2).novelty is None
+    assert client_of(answer_of(X_Novelty="0.25")).sample(PNG, 2).novelty == 0.25
+
+
+@pytest.mark.parametrize("value", ["", "new", "nan", "-0.1", "1.5"])
+def test_a_novelty_that_can_not_be_is_refused(value):
+    with pytest.raises(SamplerError, match="x-novelty"):
+        client_of(answer_of(X_Novelty=value)).sample(PNG, 2)
+
+
 def test_a_batch_from_which_all_samples_were_dropped_is_empty():
     batch = client_of(answer_of(np.empty((0, 2), np.float32), X_Shortfall="5")).sample(PNG, 5)
     assert batch.samples.shape == (0, 2)

@@ -8,8 +8,9 @@ import torch
 from cspace.robot import TWO_LINK
 from cspace.scenario import Camera
 from training.config import ValidityConfig
-from training.models.export import encoder_graph, generator_graph, validity_graph
-from training.models.networks import Encoder, MeansGenerator, TorusGenerator
+from training.models.export import encoder_graph, generator_graph, novelty_graph, validity_graph
+from training.models.networks import Decoder, Encoder, MeansGenerator, TorusGenerator
+from training.models.novelty import NoveltyScores
 from training.models.validity import ValidityHead
 
 
@@ -63,3 +64,25 @@ def test_the_validity_heads_graph_answers_as_the_network(count):
         expected = torch.sigmoid(head(image, configurations.unsqueeze(0))).squeeze(0)
     (confidence,) = answer(validity_graph(head, 48, 2), {"image": image, "configurations": configurations})
     np.testing.assert_allclose(confidence, expected.numpy(), atol=1e-5)
+
+
+def test_the_novelty_graph_answers_as_the_network():
+    scores = NoveltyScores(Decoder(48, 6, 4), 48).eval()
+    image, mu = torch.rand(1, 3, 48, 48) * 2.0 - 1.0, torch.randn(1, 6)
+    with torch.no_grad():
+        expected = scores(image, mu)[0]
+    (found,) = answer(novelty_graph(scores, 48, 6), {"image": image, "mu": mu})
+    np.testing.assert_allclose(found, expected.numpy(), atol=1e-5)
+
+
+def test_a_blot_raises_the_worst_parts_error_more_than_the_whole_pictures():
+    decoder = Decoder(48, 6, 4).eval()
+    scores, mu = NoveltyScores(decoder, 48).eval(), torch.randn(1, 6)
+    with torch.no_grad():
+        drawn = decoder(mu)
+        blotted = drawn.clone()
+        blotted[:, :, 12:18, 12:18] += 1.0
+        assert scores(drawn, mu).abs().max() < 1e-9
+        whole, worst = scores(blotted, mu)[0].tolist()
+    assert worst == pytest.approx(1.0)
+    assert whole == pytest.approx(36 / 48**2)
