@@ -8,36 +8,29 @@ connection; the last row is the project's client.
 """
 
 import argparse
-import http.client
 import multiprocessing
 import os
 import statistics
-import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import onnxruntime
 
-ROOT = Path(__file__).resolve().parents[2]
-sys.path.insert(0, str(ROOT / "benchmarks" / "evaluation"))
-from machine import machine  # noqa: E402 - a script of the next folder
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "evaluation"))
+from machine import machine
+from served import BUNDLE, CLIENT_CORE, SERVER_CORE, Asker, new_pictures, served
 
-from cspace.bundle import Bundle  # noqa: E402
-from cspace.bundle.draws import draw  # noqa: E402
-from cspace.bundle.keeping import EXTRA  # noqa: E402
-from cspace.image import decode_png, encode_png  # noqa: E402
-from cspace.render import render  # noqa: E402
-from cspace.scenario import Split, random_scenarios  # noqa: E402
-from services.evaluator.tables import markdown  # noqa: E402
-from services.planner.sampling_client import SamplingClient  # noqa: E402
+from cspace.bundle import Bundle
+from cspace.bundle.draws import draw
+from cspace.bundle.keeping import EXTRA
+from cspace.image import decode_png
+from services.evaluator.tables import markdown
+from services.planner.sampling_client import SamplingClient
 
-BUNDLE = ROOT / "inference_api" / "pretrained"
 WARM_UP = 20
-SERVER_CORE, CLIENT_CORE = 0, 1
 
 
 def bare_sessions(pngs: list[bytes], samples: int, core: int, answers) -> None:
@@ -65,37 +58,6 @@ def session(name: str) -> onnxruntime.InferenceSession:
     return onnxruntime.InferenceSession(BUNDLE / name, options, providers=["CPUExecutionProvider"])
 
 
-@contextmanager
-def server(core: int) -> Iterator[int]:
-    """The API on one core, without a registry; yields its port."""
-    environment = {name: value for name, value in os.environ.items() if name != "MLFLOW_TRACKING_URI"}
-    process = subprocess.Popen(
-        [sys.executable, "-m", "inference_api", "--port", "0"],
-        cwd=ROOT,
-        env=environment | {"PYTHONUNBUFFERED": "1", "OMP_NUM_THREADS": "1"},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
-        text=True,
-        preexec_fn=lambda: os.sched_setaffinity(0, {core}),  # noqa: PLW1509 - nothing else runs yet
-    )
-    try:
-        address = process.stdout.readline().split()[2]
-        yield int(address.rsplit(":", 1)[1])
-    finally:
-        process.terminate()
-        process.wait(30)
-
-
-def form(png: bytes, samples: int) -> tuple[bytes, dict[str, str]]:
-    """A multipart body with its headers."""
-    edge = "edge-of-a-part"
-    head = f'--{edge}\r\nContent-Disposition: form-data; name="n"\r\n\r\n{samples}\r\n'
-    head += f'--{edge}\r\nContent-Disposition: form-data; name="image"; filename="scenario.png"\r\n'
-    head += "Content-Type: image/png\r\n\r\n"
-    body = head.encode() + png + f"\r\n--{edge}--\r\n".encode()
-    return body, {"Content-Type": f"multipart/form-data; boundary={edge}"}
-
-
 def timed(ask: Callable[[bytes], None], pngs: list[bytes]) -> float:
     """Median milliseconds of a request."""
     taken = []
@@ -104,22 +66,6 @@ def timed(ask: Callable[[bytes], None], pngs: list[bytes]) -> float:
         ask(png)
         taken.append(1e3 * (time.perf_counter() - began))
     return statistics.median(taken)
-
-
-class Asker:
-    """Asks over one kept connection."""
-
-    def __init__(self, port: int, samples: int) -> None:
-        self.connection, self.samples = http.client.HTTPConnection("127.0.0.1", port), samples
-        self.connection.connect()
-
-    def __call__(self, png: bytes, accept: str) -> None:
-        body, headers = form(png, self.samples)
-        self.connection.request("POST", "/sample", body, headers | {"Accept": accept})
-        answer = self.connection.getresponse()
-        content = answer.read()
-        if answer.status != 200:
-            raise RuntimeError(content)
 
 
 def bare(pngs: list[bytes], samples: int) -> float:
@@ -145,10 +91,10 @@ def main() -> int:
     os.sched_setaffinity(0, {CLIENT_CORE % os.cpu_count()})
     # A picture for each request of each row and turn, so that none is known already.
     count = 3 * options.repeats * (options.requests + WARM_UP)
-    pictures = iter([encode_png(render(one)) for one in random_scenarios(Split.DEMO, 99, count)])
+    pictures = iter(new_pictures(count))
     rows: dict[str, list[float]] = {}
-    with server(SERVER_CORE) as port, SamplingClient(f"http://127.0.0.1:{port}") as client:
-        ask = Asker(port, options.samples)
+    with served() as api, SamplingClient(f"http://127.0.0.1:{api.port}") as client:
+        ask = Asker(api.port, options.samples)
 
         def note(name: str, pngs: list[bytes], question: Callable[[bytes], None]) -> None:
             for png in pngs[:WARM_UP]:
