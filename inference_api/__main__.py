@@ -5,12 +5,15 @@ import os
 import signal
 import socket
 import sys
+import tempfile
 
 import uvicorn
+from uvicorn.config import STARTUP_FAILURE
+from uvicorn.supervisors import Multiprocess
 
 from cspace.errors import ConfigError, PortTakenError
 from inference_api.guards.exposure import check_exposure
-from inference_api.settings import ApiSettings
+from inference_api.settings import METRICS_FOLDER, ApiSettings
 from inference_api.telemetry.logs import LOG_FORMS, log_settings
 
 DESCRIPTION = (
@@ -28,6 +31,12 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--port", type=int, default=8000, help="0 for a free one (default: %(default)s)")
     parser.add_argument(
         "--log", choices=LOG_FORMS, default="text", help="form of the log (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--workers",
+        type=_at_least_one,
+        default=1,
+        help="processes behind the port (default: %(default)s)",
     )
     parser.add_argument(
         "--allow-unauthenticated",
@@ -51,6 +60,7 @@ def main(arguments: list[str] | None = None) -> int:
     config = uvicorn.Config(
         "inference_api.app:create_app",
         factory=True,
+        workers=options.workers,
         timeout_keep_alive=60,
         timeout_graceful_shutdown=10,
         log_config=log_settings(options.log),
@@ -58,9 +68,25 @@ def main(arguments: list[str] | None = None) -> int:
         access_log=False,
         server_header=False,
     )
-    server = uvicorn.Server(config)
-    server.run(sockets=[listener])
-    return 0 if server.started else 1
+    return _serve(config, listener)
+
+
+def _serve(config: uvicorn.Config, listener: socket.socket) -> int:
+    if config.workers == 1:
+        server = uvicorn.Server(config)
+        server.run(sockets=[listener])
+        return 0 if server.started else 1
+    with tempfile.TemporaryDirectory(prefix="cspace-metrics-") as folder:
+        os.environ[METRICS_FOLDER] = folder
+        supervisor = Multiprocess(config, [listener])
+        supervisor.run()
+    return 1 if any(process.exitcode == STARTUP_FAILURE for process in supervisor.processes) else 0
+
+
+def _at_least_one(text: str) -> int:
+    if not text.isascii() or not text.isdigit() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"expected a whole number, at least 1, got {text!r}")
+    return int(text)
 
 
 def _prepare(settings: ApiSettings) -> None:

@@ -78,7 +78,7 @@ def create_app(settings: ApiSettings | None = None, registry: ModelRegistry | No
     add_guards(app, settings.protection)
     app.add_middleware(LastResort)
     add_open_inference(app)
-    metrics = Metrics(partial(_default_model, store))
+    metrics = Metrics(partial(_default_model, store), settings.metrics_folder)
     store.observer = app.state.metrics = metrics
     app.add_middleware(Observed, metrics=metrics, names=RouteNames(app.router.routes))
     app.add_middleware(SecurityHeaders)

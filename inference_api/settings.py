@@ -9,6 +9,8 @@ from pathlib import Path
 from cspace.errors import ConfigError
 from inference_api.guards.protection import Protection
 
+# The name is the metrics library's; `--workers` sets it.
+METRICS_FOLDER = "PROMETHEUS_MULTIPROC_DIR"
 DEFAULT_MODEL = "cspace-sampler"
 PRETRAINED_FOLDER = Path(__file__).parent / "pretrained"
 
@@ -25,6 +27,7 @@ class ApiSettings:
         pretrained_folder: the shipped bundle.
         loaded_bundles: how many bundles beside champion and shipped one stay in memory, at least 1.
         cached_pictures: how many encoded pictures stay in memory; 0 for none.
+        metrics_folder: where the processes of one server keep their metrics; None for a single process.
         protection: who may ask, and how much.
     """
 
@@ -35,6 +38,7 @@ class ApiSettings:
     pretrained_folder: Path = PRETRAINED_FOLDER
     loaded_bundles: int = 4
     cached_pictures: int = 256
+    metrics_folder: Path | None = None
     protection: Protection = field(default_factory=Protection)
 
     @classmethod
@@ -54,6 +58,7 @@ class ApiSettings:
             pretrained_folder=Path(values.get("CSPACE_PRETRAINED_MODEL") or PRETRAINED_FOLDER),
             loaded_bundles=int(_number(values, "CSPACE_LOADED_MODELS", 4, 1)),
             cached_pictures=int(_number(values, "CSPACE_CACHED_PICTURES", 256, 0)),
+            metrics_folder=Path(values[METRICS_FOLDER]) if values.get(METRICS_FOLDER) else None,
             protection=_protection(values),
         )
 

@@ -5,9 +5,11 @@ that the server itself chooses, one model.
 """
 
 from collections.abc import Callable, Iterator
+from pathlib import Path
 
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, generate_latest
 from prometheus_client.core import GaugeMetricFamily, Metric
+from prometheus_client.multiprocess import MultiProcessCollector
 from prometheus_client.process_collector import ProcessCollector
 from prometheus_client.registry import Collector
 
@@ -30,9 +32,12 @@ class Metrics:
 
     Args:
         model: describes the model that answers by default, None without one; asked at each scrape.
+        shared: the folder in which all processes of one server keep their values
+            (``PROMETHEUS_MULTIPROC_DIR``); None for a single process.
     """
 
-    def __init__(self, model: Callable[[], ModelInfo | None]) -> None:
+    def __init__(self, model: Callable[[], ModelInfo | None], shared: Path | None = None) -> None:
+        self._shared, self._model = shared, _ModelCollector(model)
         self._registry = registry = CollectorRegistry()
         self._requests = Counter(
             "cspace_requests",
@@ -43,7 +48,12 @@ class Metrics:
         self._failures = Counter(
             "cspace_failures", "Answers that were problems, by problem type.", ("reason",), registry=registry
         )
-        self.in_flight = Gauge("cspace_requests_in_flight", "Requests being answered.", registry=registry)
+        self.in_flight = Gauge(
+            "cspace_requests_in_flight",
+            "Requests being answered.",
+            registry=registry,
+            multiprocess_mode="livesum",
+        )
         self._stages = Histogram(
             "cspace_stage_seconds",
             "Time in each stage of an answer with samples.",
@@ -75,7 +85,7 @@ class Metrics:
         for outcome in OUTCOMES:
             self._reloads.labels(outcome)
         ProcessCollector(registry=registry)
-        registry.register(_ModelCollector(model))
+        registry.register(self._model)
 
     def sampled(self, answer: Sampled) -> None:
         """Count an answer with samples, and write it down for the request's line in the log."""
@@ -103,8 +113,13 @@ class Metrics:
             self._failures.labels(record.reason).inc()
 
     def render(self) -> bytes:
-        """All metrics in Prometheus' text format."""
-        return generate_latest(self._registry)
+        """All metrics in Prometheus' text format; of several processes their sums, and this one's model."""
+        if self._shared is None:
+            return generate_latest(self._registry)
+        together = CollectorRegistry()
+        MultiProcessCollector(together, path=str(self._shared))  # type: ignore[no-untyped-call]
+        together.register(self._model)
+        return generate_latest(together)
 
 
 class _ModelCollector(Collector):

@@ -1,0 +1,84 @@
+"""Several processes behind one port, as real ones."""
+
+import os
+import signal
+import time
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+
+import httpx
+import psutil
+import pytest
+
+from inference_api.__main__ import main
+from tests.inference_api.server import ServerProcess, server_process
+
+pytestmark = pytest.mark.e2e
+
+REQUESTS = 40
+PATIENCE_S = 60.0
+
+
+@pytest.fixture(scope="module")
+def server(tmp_path_factory: pytest.TempPathFactory, bundles: dict[str, Path]) -> Iterator[ServerProcess]:
+    chosen = {"CSPACE_PRETRAINED_MODEL": str(bundles["plain"])}
+    with server_process(tmp_path_factory.mktemp("workers"), chosen, "--workers", "2") as found:
+        yield found
+
+
+def workers(server: ServerProcess) -> set[int]:
+    """Process ids of those that answer."""
+    found = set()
+    for child in psutil.Process(server.process.pid).children():
+        with suppress(psutil.Error):
+            if "spawn_main" in " ".join(child.cmdline()):
+                found.add(child.pid)
+    return found
+
+
+def ask(server: ServerProcess, png: bytes, seed: int) -> list[list[float]]:
+    """A connection of its own, so that any process may take it."""
+    fields = {"n": "5", "seed": str(seed)}
+    answer = httpx.post(f"{server.address}/sample", files={"image": png}, data=fields)
+    assert answer.status_code == 200
+    samples: list[list[float]] = answer.json()["samples"]
+    return samples
+
+
+def answered(server: ServerProcess) -> float:
+    lines = httpx.get(f"{server.address}/metrics").text.splitlines()
+    name = 'cspace_requests_total{method="POST",route="/sample",status="200"}'
+    return sum(float(line.rsplit(" ", 1)[1]) for line in lines if line.startswith(name))
+
+
+def test_all_processes_answer_alike_and_count_together(server: ServerProcess, png: bytes) -> None:
+    before = answered(server)
+    found = [ask(server, png, 7) for _ in range(REQUESTS)]
+    assert all(samples == found[0] for samples in found)
+    # Whichever process is asked tells of all.
+    assert {answered(server) for _ in range(10)} == {before + REQUESTS}
+    assert "cspace_model_info{" in httpx.get(f"{server.address}/metrics").text
+    assert len(workers(server)) == 2
+
+
+def test_a_process_that_dies_is_replaced(server: ServerProcess, png: bytes) -> None:
+    first = workers(server)
+    gone = min(first)
+    os.kill(gone, signal.SIGKILL)
+    until = time.monotonic() + PATIENCE_S
+    while gone in workers(server) or len(workers(server)) < 2:
+        assert time.monotonic() < until
+        time.sleep(0.1)
+    for seed in range(20):
+        ask(server, png, seed)
+
+
+@pytest.mark.parametrize("text", ["0", "-1", "two", "1.5"])
+def test_a_number_of_processes_that_can_not_be_is_refused(
+    text: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(["--workers", text])
+    assert ended.value.code == 2
+    assert "at least 1" in capsys.readouterr().err
