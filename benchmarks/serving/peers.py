@@ -3,7 +3,7 @@
     python benchmarks/serving/peers.py --environments build/peers --seconds 15 --repeats 3
 
 Every peer runs in a virtual environment of its own below ``--environments`` (made on the first call), with
-one worker on one core; the client has the other. Each asks for 300 samples of a new picture, as JSON both ways,
+one worker on one core; the client has the other. Each asks for 300 samples of a new picture, JSON both ways,
 filtered at the bundle's threshold, from so many connections without a pause. MLflow's server takes its
 own form of JSON and gives samples that are not filtered, which costs it less.
 """
