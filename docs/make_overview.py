@@ -44,7 +44,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         bundle = Bundle.load(options.bundle)
         problem = draw_problem(Family.UNIFORM, Split.DEMO, SEED, robot=bundle.spec.robot)
         picture = render(problem.scenario)
-        found = bundle.sample(picture, SAMPLES, SEED)
+        found = bundle.sample(picture, SAMPLES, SEED, min_confidence=0.0)
         doubted = _doubted(found, bundle.spec.confidence_threshold)
         samples = found.samples
         result = solve(problem, PlannerSettings(seed=SEED), samples[~doubted][:PLANNED_WITH])
