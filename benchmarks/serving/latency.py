@@ -24,7 +24,7 @@ from machine import machine
 from served import BUNDLE, CLIENT_CORE, SERVER_CORE, Asker, new_pictures, served
 
 from cspace.bundle import Bundle
-from cspace.bundle.draws import draw
+from cspace.bundle.draws import draw, propose
 from cspace.bundle.keeping import EXTRA
 from cspace.image import decode_png
 from services.evaluator.tables import markdown
@@ -37,17 +37,20 @@ def bare_sessions(pngs: list[bytes], samples: int, core: int, answers) -> None:
     """Milliseconds of encoder, generator and head for each picture, by the sessions alone."""
     os.sched_setaffinity(0, {core})
     bundle = Bundle.load(BUNDLE)
-    rows = samples + int(np.ceil(EXTRA * samples))
+    # As many rows as the server's first turn, which is nearly always the only one.
+    rows = int(np.ceil(samples * (1 + EXTRA) / (1.0 - bundle.spec.uniform_share / 2.0)))
+    proposals = propose(bundle.spec, [rows], 0, 0)
     encoder, generator, head = (session(f"{name}.onnx") for name in ("encoder", "generator", "validity"))
     answers.put("ready")
     for png in pngs:
         image = bundle.prepare(decode_png(png, bundle.spec.pixels))
-        draws = draw(bundle.spec, image.encoding.mu, image.encoding.sigma, [rows], 0, [0.0])
+        draws = draw(bundle.spec, image.encoding.mu, image.encoding.sigma, proposals.learned, 0, [0.0])
         feeds = {"latent": draws.latents, "image": image.pixels, **draws.random_inputs}
         began = time.perf_counter()
         encoder.run(None, {"image": image.pixels})
         (found,) = generator.run(["samples"], feeds)
-        head.run(["confidence"], {"image": image.pixels, "configurations": found[:, 0]})
+        shown = proposals.mixed_with(found[:, 0])
+        head.run(["confidence"], {"image": image.pixels, "configurations": shown})
         answers.put(1e3 * (time.perf_counter() - began))
 
 

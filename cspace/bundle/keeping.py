@@ -1,8 +1,8 @@
 """Oversample, score, keep: how a request with a confidence to reach comes by its samples.
 
-The first turn draws a sixteenth more than is asked for, further turns what is missing by the share that
-passed so far, until nothing is missing or as much has been drawn as the budget allows. What is too many is
-left out from the end, so what is kept does not depend on its score beyond having reached the threshold.
+The first turn draws a sixteenth more than is expected to be enough, further turns what is missing by the
+share that passed so far, until nothing is missing or as much has been drawn as the budget allows. What is too
+many is left out from the end, so what is kept does not depend on its score beyond having reached the threshold.
 """
 
 from collections.abc import Callable, Sequence
@@ -35,7 +35,7 @@ class Kept:
     acceptance: float
 
 
-def gather(draw: DrawScored, shares: Sequence[int], threshold: float) -> Kept:
+def gather(draw: DrawScored, shares: Sequence[int], threshold: float, expected: float = 1.0) -> Kept:
     """As many samples of each share as are wanted, or as many as the budget finds.
 
     Args:
@@ -43,12 +43,13 @@ def gather(draw: DrawScored, shares: Sequence[int], threshold: float) -> Kept:
             their confidence (m,).
         shares: how many are wanted of each.
         threshold: the least confidence, 0 to 1.
+        expected: share that is likely to pass, above 0 to 1; a further turn costs more than a few too many.
     """
     left = max(BUDGET * sum(shares), BUDGET_AT_LEAST)
     found: list[tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.intp]]] = []
     missing = np.asarray(shares)
     drawn = passed = turn = 0
-    wanted = missing + np.ceil(EXTRA * missing).astype(missing.dtype)
+    wanted = np.ceil(missing * (1 + EXTRA) / expected).astype(missing.dtype)
     while True:
         counts = _within(wanted, left)
         samples, confidence = draw(counts.tolist(), turn)

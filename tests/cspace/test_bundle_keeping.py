@@ -33,6 +33,13 @@ def test_where_nearly_all_pass_one_turn_is_enough() -> None:
     assert 0.95 < kept.acceptance <= 1.0
 
 
+def test_where_fewer_are_expected_to_pass_more_are_drawn_at_once() -> None:
+    source = Source(0.9)
+    kept = gather(source, [300], 0.5, expected=0.875)
+    assert source.turns == [[365]]
+    assert len(kept.samples) == 300
+
+
 def test_every_share_is_filled_and_stays_in_its_place() -> None:
     source = Source(0.9, 0.4)
     kept = gather(source, [100, 50], 0.5)
