@@ -34,20 +34,23 @@ WARM_UP = 20
 
 
 def bare_sessions(pngs: list[bytes], samples: int, core: int, answers) -> None:
-    """Milliseconds of encoder, generator and head for each picture, by the sessions alone."""
+    """Milliseconds of the graphs for each picture, by the sessions alone."""
     os.sched_setaffinity(0, {core})
     bundle = Bundle.load(BUNDLE)
     # As many rows as the server's first turn, which is nearly always the only one.
     rows = int(np.ceil(samples * (1 + EXTRA) / (1.0 - bundle.spec.uniform_share / 2.0)))
     proposals = propose(bundle.spec, [rows], 0, 0)
     encoder, generator, head = (session(f"{name}.onnx") for name in ("encoder", "generator", "validity"))
+    known = session("novelty.onnx") if bundle.spec.novelty_quantiles else None
     answers.put("ready")
     for png in pngs:
         image = bundle.prepare(decode_png(png, bundle.spec.pixels))
         draws = draw(bundle.spec, image.encoding.mu, image.encoding.sigma, proposals.learned, 0, [0.0])
         feeds = {"latent": draws.latents, "image": image.pixels, **draws.random_inputs}
         began = time.perf_counter()
-        encoder.run(None, {"image": image.pixels})
+        _, mu = encoder.run(["sigma", "mu"], {"image": image.pixels})
+        if known is not None:
+            known.run(None, {"image": image.pixels, "mu": mu})
         (found,) = generator.run(["samples"], feeds)
         shown = proposals.mixed_with(found[:, 0])
         head.run(["confidence"], {"image": image.pixels, "configurations": shown})

@@ -1,8 +1,9 @@
 """Oversample, score, keep: how a request with a confidence to reach comes by its samples.
 
 The first turn draws a sixteenth more than is expected to be enough, further turns what is missing by the
-share that passed so far, until nothing is missing or as much has been drawn as the budget allows. What is too
-many is left out from the end, so what is kept does not depend on its score beyond having reached the threshold.
+share that passed so far, until nothing is missing or as much has been drawn as the budget allows. What is
+too many is left out from the end, so what is kept does not depend on its score beyond having reached the
+threshold.
 """
 
 from collections.abc import Callable, Sequence
