@@ -92,7 +92,7 @@ def _figure(found) -> Figure:
     joints = sorted({key[0] for key in found})
     figure = Figure(figsize=(11, 0.33 * len(arms) * len(joints) + 1.6), layout="constrained")
     FigureCanvasAgg(figure)
-    axes = figure.subplots(len(joints), 3, squeeze=False, sharey=True, sharex="col")
+    axes = figure.subplots(len(joints), 3, squeeze=False, sharey=True)
     for line, dim in zip(axes, joints, strict=True):
         for panel, (name, title) in zip(
             line,
