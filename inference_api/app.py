@@ -17,6 +17,7 @@ from inference_api.docs_page import add_docs_page
 from inference_api.guards.headers import SecurityHeaders
 from inference_api.guards.install import add_guards
 from inference_api.guards.last_resort import LastResort
+from inference_api.memory import few_arenas
 from inference_api.model_store import ModelStore
 from inference_api.open_inference import add_open_inference
 from inference_api.openapi import document
@@ -51,6 +52,8 @@ def create_app(settings: ApiSettings | None = None, registry: ModelRegistry | No
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
+        # Before the first thread has an arena.
+        few_arenas()
         app.state.store = store
         app.state.limiter = CapacityLimiter(max(2, os.cpu_count() or 2))
         await to_thread.run_sync(store.load_shipped)

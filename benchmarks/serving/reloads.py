@@ -1,6 +1,6 @@
 """Promotions under load: two versions take turns as champion while clients go on asking.
 
-    python benchmarks/serving/reloads.py --out build/reloads --reloads 100
+    python benchmarks/serving/reloads.py --out build/reloads --reloads 250
 
 A real MLflow store, the real server with its poll, two clients without a pause. Reported: requests,
 failures, versions seen, and the slope of resident memory over reloads with its 95 % interval.
@@ -28,7 +28,7 @@ from services.registry.names import ALIAS_CHAMPION, EXPERIMENT, MODEL_NAME
 
 GRAPHS = ("encoder", "generator", "validity", "novelty")
 # The first reloads fill caches and pools.
-SETTLED = 20
+SETTLED = 50
 PATIENCE_S = 30.0
 
 
@@ -80,7 +80,7 @@ def main() -> int:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--reloads", type=int, default=100)
+    parser.add_argument("--reloads", type=int, default=250)
     parser.add_argument("--clients", type=int, default=2)
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
@@ -108,6 +108,7 @@ def main() -> int:
     print(machine())
     print(f"{len(waits)} reloads, {late} of them not seen; served after {np.median(waits):.2f} s (median)")
     print(f"{load.answers} answers, {len(load.failures)} failures {load.failures[:3]}")
+    (options.out / "memory.txt").write_text("\n".join(map(str, memory)))
     print(f"resident memory {memory[0] / 1024:.0f} to {memory[-1] / 1024:.0f} MiB, after {SETTLED} reloads")
     print(f"{line.slope:+.1f} KiB a reload [{line.slope - margin:+.1f}, {line.slope + margin:+.1f}]")
     return 1 if load.failures or late else 0

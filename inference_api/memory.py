@@ -1,0 +1,20 @@
+"""What keeps the resident memory of a long-lived server flat."""
+
+import ctypes
+
+_M_ARENA_MAX = -8
+# One for the event loop, one for the threads that compute and load.
+ARENAS = 2
+
+
+def few_arenas() -> bool:
+    """Keep glibc from giving each thread an arena of its own, which models that come and go would fragment.
+
+    Returns:
+        Whether the C library could be told; other ones than glibc have no arenas.
+    """
+    try:
+        mallopt = ctypes.CDLL(None).mallopt
+    except (OSError, AttributeError, TypeError):
+        return False
+    return bool(mallopt(_M_ARENA_MAX, ARENAS))
