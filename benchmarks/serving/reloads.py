@@ -7,6 +7,7 @@ failures, versions seen, and the slope of resident memory over reloads with its 
 """
 
 import argparse
+import os
 import sys
 import tempfile
 import threading
@@ -83,8 +84,11 @@ def main() -> int:
     parser.add_argument("--reloads", type=int, default=250)
     parser.add_argument("--clients", type=int, default=2)
     options = parser.parse_args()
+    options.out = options.out.resolve()
     options.out.mkdir(parents=True, exist_ok=True)
     folder = Path(tempfile.mkdtemp(dir=options.out.resolve()))
+    # MLflow puts the artifacts of a store without a server below the working folder.
+    os.chdir(folder)
     uri = f"sqlite:///{folder / 'mlflow.db'}"
     registry = two_versions(uri, folder)
     settings = {"MLFLOW_TRACKING_URI": uri, "CSPACE_MODEL_POLL_S": "0.05"}
