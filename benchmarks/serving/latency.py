@@ -14,14 +14,10 @@ import statistics
 import sys
 import time
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import onnxruntime
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "evaluation"))
-from machine import machine
-from served import BUNDLE, CLIENT_CORE, SERVER_CORE, Asker, new_pictures, served
+from served import BUNDLE, CLIENT_CORE, SERVER_CORE, Asker, machine, new_pictures, served
 
 from cspace.bundle import Bundle
 from cspace.bundle.draws import draw, propose

@@ -14,13 +14,9 @@ import os
 import sys
 import time
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import numpy as np
-from served import CLIENT_CORE, Served, form, new_pictures, served
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "evaluation"))
-from machine import machine
+from served import CLIENT_CORE, Served, form, machine, new_pictures, served
 
 from services.evaluator.tables import markdown
 

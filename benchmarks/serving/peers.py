@@ -26,10 +26,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from served import BUNDLE, CLIENT_CORE, ROOT, SERVER_CORE, new_pictures
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "evaluation"))
-from machine import machine
+from served import BUNDLE, CLIENT_CORE, ROOT, SERVER_CORE, machine, new_pictures
 
 from cspace.bundle import Bundle
 from services.evaluator.tables import markdown

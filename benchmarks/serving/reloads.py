@@ -17,10 +17,7 @@ from pathlib import Path
 
 import numpy as np
 from scipy import stats
-from served import BUNDLE, Asker, new_pictures, served
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "evaluation"))
-from machine import machine
+from served import BUNDLE, Asker, machine, new_pictures, served
 
 from cspace.bundle import Bundle, Provenance, write_bundle
 from services.registry.mlflow_registry import MlflowRegistry

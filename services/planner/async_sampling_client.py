@@ -14,7 +14,6 @@ import httpx
 
 from cspace.errors import SamplerError, SamplerUnavailableError
 from services.planner.http_exchange import (
-    LIMITS,
     Endpoint,
     Failure,
     Question,
@@ -47,9 +46,7 @@ class AsyncSamplingClient:
     ) -> None:
         self._endpoint = Endpoint(url, timeout_s, connect_timeout_s, policy, api_key)
         self._fallback = fallback
-        self._http = httpx.AsyncClient(
-            headers=self._endpoint.headers, limits=LIMITS, trust_env=False, transport=transport
-        )
+        self._http = httpx.AsyncClient(**self._endpoint.options, transport=transport)
 
     @property
     def url(self) -> str:

@@ -68,6 +68,11 @@ class Endpoint:
         key = {} if self.api_key is None else {"Authorization": f"Bearer {self.api_key}"}
         return {"Accept": f"{NPY}, application/problem+json", **key}
 
+    @property
+    def options(self) -> dict[str, Any]:
+        """Of httpx's client; without the environment's proxies, for loopback must not leave the machine."""
+        return {"headers": self.headers, "limits": LIMITS, "trust_env": False}
+
     def timeout(self, spent_s: float) -> httpx.Timeout:
         """Time limits of an attempt, within what the deadline leaves."""
         left = max(self.policy.deadline_s - spent_s, 1e-3)

@@ -11,7 +11,6 @@ import httpx
 
 from cspace.errors import SamplerError, SamplerUnavailableError
 from services.planner.http_exchange import (
-    LIMITS,
     Endpoint,
     Failure,
     Question,
@@ -60,10 +59,7 @@ class SamplingClient:
     ) -> None:
         self._endpoint = Endpoint(url, timeout_s, connect_timeout_s, policy, api_key)
         self._fallback = fallback
-        # Without the environment's proxies: the API is a neighbour, and loopback must not leave the machine.
-        self._http = httpx.Client(
-            headers=self._endpoint.headers, limits=LIMITS, trust_env=False, transport=transport
-        )
+        self._http = httpx.Client(**self._endpoint.options, transport=transport)
 
     @property
     def url(self) -> str:
