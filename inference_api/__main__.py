@@ -13,13 +13,13 @@ from uvicorn.supervisors import Multiprocess
 
 from cspace.errors import ConfigError, PortTakenError
 from inference_api.guards.exposure import check_exposure
-from inference_api.settings import METRICS_FOLDER, ApiSettings
+from inference_api.settings import METRICS_FOLDER, THREADS, ApiSettings, usable_cores
 from inference_api.telemetry.logs import LOG_FORMS, log_settings
 
 DESCRIPTION = (
     "Serve POST /sample. Settings: MLFLOW_TRACKING_URI (registry; none serves the shipped model only), "
     "CSPACE_MODEL_CACHE, CSPACE_MODEL_NAME, CSPACE_MODEL_POLL_S, CSPACE_PRETRAINED_MODEL, "
-    "CSPACE_LOADED_MODELS, CSPACE_CACHED_PICTURES, CSPACE_API_KEYS_FILE, CSPACE_API_MAX_IN_FLIGHT, "
+    "CSPACE_LOADED_MODELS, CSPACE_CACHED_PICTURES, CSPACE_API_THREADS, CSPACE_API_KEYS_FILE, CSPACE_API_MAX_IN_FLIGHT, "
     "CSPACE_API_BODY_TIMEOUT_S, CSPACE_API_RATE, CSPACE_API_BURST."
 )
 
@@ -78,6 +78,8 @@ def _serve(config: uvicorn.Config, listener: socket.socket) -> int:
         return 0 if server.started else 1
     with tempfile.TemporaryDirectory(prefix="cspace-metrics-") as folder:
         os.environ[METRICS_FOLDER] = folder
+        # The cores are shared out, or the processes would compute against each other.
+        os.environ.setdefault(THREADS, str(max(1, usable_cores() // config.workers)))
         supervisor = Multiprocess(config, [listener])
         supervisor.run()
     return 1 if any(process.exitcode == STARTUP_FAILURE for process in supervisor.processes) else 0

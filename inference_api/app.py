@@ -2,7 +2,6 @@
 
 import asyncio
 import logging
-import os
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager, suppress
 from functools import partial
@@ -55,7 +54,7 @@ def create_app(settings: ApiSettings | None = None, registry: ModelRegistry | No
         # Before the first thread has an arena.
         few_arenas()
         app.state.store = store
-        app.state.limiter = CapacityLimiter(max(2, os.cpu_count() or 2))
+        app.state.limiter = CapacityLimiter(settings.threads)
         await to_thread.run_sync(store.load_shipped)
         looked = asyncio.Event()
         poll = asyncio.create_task(_poll(store, settings.poll_s, looked))

@@ -166,6 +166,7 @@ def _describe(store: ModelStore, name: str, reference: ModelReference) -> ModelM
     served = store.resolve(reference)
     spec = served.bundle.spec
     scores = [_tensor("confidence", "FP32", -1)] if served.bundle.has_validity else []
+    told = [_tensor("novelty", "FP32", -1)] if spec.novelty_quantiles is not None else []
     return ModelMetadata(
         name=name,
         versions=_versions(store, served),
@@ -175,6 +176,7 @@ def _describe(store: ModelStore, name: str, reference: ModelReference) -> ModelM
             _tensor("samples", "FP32", -1, spec.dim),
             *scores,
             _tensor("shortfall", "INT32", -1),
+            *told,
             _tensor("seed", "UINT64", -1),
         ],
     )

@@ -5,6 +5,7 @@ from typing import Any
 from fastapi import FastAPI
 from fastapi.openapi.utils import get_openapi
 
+from inference_api.guards.pages import HEALTH
 from inference_api.problems import (
     BODY_TOO_LARGE,
     INTERNAL_ERROR,
@@ -114,6 +115,8 @@ def document(app: FastAPI) -> dict[str, Any]:
         components["securitySchemes"] = {"key": {"type": "http", "scheme": "bearer"}}
         # Either none or a key, for whoever runs the server decides.
         made["security"] = [{}, {"key": []}]
+        for path in HEALTH:
+            made["paths"][path]["get"]["security"] = []
         schemas = components.setdefault("schemas", {})
         for unseen in (Problem, InferenceRequest):
             schema = unseen.model_json_schema(ref_template=template)

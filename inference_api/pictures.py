@@ -3,8 +3,12 @@
 import hashlib
 import time
 from collections import OrderedDict
+from collections.abc import Callable
 from dataclasses import dataclass
 from threading import Lock
+
+import numpy as np
+from numpy.typing import NDArray
 
 from cspace.bundle import Bundle, Picture
 from cspace.image import decode_png
@@ -44,15 +48,26 @@ class PictureCache:
             InputError: not a picture that is accepted.
             BundleError: the encoder fails.
         """
-        # Not the builtin hash: two pictures that share a key would share an answer.
-        key = (bundle.digest, hashlib.sha256(png).digest())
+        return self._get(bundle, b"png" + _digest(png), lambda: decode_png(png, bundle.spec.pixels))
+
+    def of_pixels(self, bundle: Bundle, image: NDArray[np.uint8]) -> Prepared:
+        """A picture that is decoded already, uint8 (P, P, 3).
+
+        Raises:
+            InputError: it has another size or type than the bundle takes.
+            BundleError: the encoder fails.
+        """
+        return self._get(bundle, b"pixels" + _digest(np.ascontiguousarray(image).data), lambda: image)
+
+    def _get(self, bundle: Bundle, content: bytes, decode: Callable[[], NDArray[np.uint8]]) -> Prepared:
+        key = (bundle.digest, content)
         with self._lock:
             known = self._known.get(key)
             if known is not None:
                 self._known.move_to_end(key)
                 return Prepared(known)
         began = time.perf_counter()
-        image = decode_png(png, bundle.spec.pixels)
+        image = decode()
         decoded = time.perf_counter()
         picture = bundle.prepare(image)
         encoded = time.perf_counter()
@@ -65,3 +80,8 @@ class PictureCache:
     def __len__(self) -> int:
         with self._lock:
             return len(self._known)
+
+
+def _digest(content: bytes | memoryview) -> bytes:
+    # Not the builtin hash: two pictures that share a key would share an answer.
+    return hashlib.sha256(content).digest()

@@ -11,8 +11,16 @@ from inference_api.guards.protection import Protection
 
 # The name is the metrics library's; `--workers` sets it.
 METRICS_FOLDER = "PROMETHEUS_MULTIPROC_DIR"
+THREADS = "CSPACE_API_THREADS"
 DEFAULT_MODEL = "cspace-sampler"
 PRETRAINED_FOLDER = Path(__file__).parent / "pretrained"
+
+
+def usable_cores() -> int:
+    """The cores that this process may run on, at least 1."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,6 +35,7 @@ class ApiSettings:
         pretrained_folder: the shipped bundle.
         loaded_bundles: how many bundles beside champion and shipped one stay in memory, at least 1.
         cached_pictures: how many encoded pictures stay in memory; 0 for none.
+        threads: how many requests one process computes at the same time, at least 1.
         metrics_folder: where the processes of one server keep their metrics; None for a single process.
         protection: who may ask, and how much.
     """
@@ -38,6 +47,7 @@ class ApiSettings:
     pretrained_folder: Path = PRETRAINED_FOLDER
     loaded_bundles: int = 4
     cached_pictures: int = 256
+    threads: int = field(default_factory=usable_cores)
     metrics_folder: Path | None = None
     protection: Protection = field(default_factory=Protection)
 
@@ -58,6 +68,7 @@ class ApiSettings:
             pretrained_folder=Path(values.get("CSPACE_PRETRAINED_MODEL") or PRETRAINED_FOLDER),
             loaded_bundles=int(_number(values, "CSPACE_LOADED_MODELS", 4, 1)),
             cached_pictures=int(_number(values, "CSPACE_CACHED_PICTURES", 256, 0)),
+            threads=int(_number(values, THREADS, usable_cores(), 1)),
             metrics_folder=Path(values[METRICS_FOLDER]) if values.get(METRICS_FOLDER) else None,
             protection=_protection(values),
         )

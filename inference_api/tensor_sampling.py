@@ -3,7 +3,7 @@
 import secrets
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,7 @@ from pydantic import ValidationError
 from cspace.bundle import MAX_SEED, Bundle, SampleSet
 from cspace.errors import InputError
 from inference_api.model_store import ModelStore, ServedModel
+from inference_api.pictures import PictureCache
 from inference_api.references import PRETRAINED, ModelReference
 from inference_api.request_body import load_json, parse_json
 from inference_api.schemas import MAX_SAMPLES, SampleRequest
@@ -37,10 +38,14 @@ class Drawn:
     Args:
         found: one set for each picture.
         seeds: of each.
+        novelties: of each; empty where the model does not tell.
+        encode_s: time in the encoder; 0 where all pictures were known.
     """
 
     found: list[SampleSet]
     seeds: list[int]
+    novelties: list[float] = field(default_factory=list)
+    encode_s: float = 0.0
 
 
 def reference_of(model: str, version: str | None = None) -> ModelReference:
@@ -75,7 +80,7 @@ def answer_inference(
     binary, fields = _split_parameters(request.parameters)
     wanted = validate_request({**fields, IMAGE: b""})
     served = store.resolve(reference)
-    drawn = draw(served.bundle, _images(served.bundle, tensors), wanted)
+    drawn = draw(served.bundle, _images(served.bundle, tensors), wanted, store.pictures)
     store.observer.sampled(sampled(served, drawn, wanted.n, time.perf_counter() - began))
     arrays = output_arrays(drawn)
     outputs = [
@@ -89,13 +94,14 @@ def answer_inference(
     return Response(written.content, headers=headers, media_type="application/octet-stream")
 
 
-def draw(bundle: Bundle, images: NDArray[np.uint8], request: SampleRequest) -> Drawn:
+def draw(bundle: Bundle, images: NDArray[np.uint8], request: SampleRequest, known: PictureCache) -> Drawn:
     """Samples for each picture as it would get them alone, with the seeds seed, seed + 1, ... modulo 2^64.
 
     Args:
         bundle: the model.
         images: uint8 (b, P, P, 3), b at least 1.
         request: what is asked for each; its picture is not looked at.
+        known: pictures that are encoded already.
 
     Raises:
         InputError: these are more samples than one request may ask for, or a value does not fit the model.
@@ -110,10 +116,13 @@ def draw(bundle: Bundle, images: NDArray[np.uint8], request: SampleRequest) -> D
     first = secrets.randbits(64) if request.seed is None else request.seed
     seeds = [(first + index) % (MAX_SEED + 1) for index in range(len(images))]
     options = request.model_dump(include=_OPTIONS)
+    prepared = [known.of_pixels(bundle, image) for image in images]
     found = [
-        bundle.sample(image, request.n, seed, **options) for image, seed in zip(images, seeds, strict=True)
+        bundle.sample(one.picture, request.n, seed, **options)
+        for one, seed in zip(prepared, seeds, strict=True)
     ]
-    return Drawn(found, seeds)
+    novelties = [one.picture.novelty for one in prepared if one.picture.novelty is not None]
+    return Drawn(found, seeds, novelties, 1e-3 * sum(one.encode_ms for one in prepared))
 
 
 def sampled(served: ServedModel, drawn: Drawn, n: int, total_s: float) -> Sampled:
@@ -127,7 +136,7 @@ def sampled(served: ServedModel, drawn: Drawn, n: int, total_s: float) -> Sample
         shortfall=sum(one.shortfall for one in found),
         acceptance=sum(one.acceptance for one in found) / len(found),
         stages_s={
-            "encode": 1e-3 * sum(one.encode_ms for one in found),
+            "encode": drawn.encode_s,
             "generate": 1e-3 * sum(one.generate_ms for one in found),
             "total": total_s,
         },
@@ -139,7 +148,7 @@ def output_arrays(drawn: Drawn) -> dict[str, NDArray[Any]]:
 
     ``samples`` (n', d) for one picture and (b, n', d) for several, ``confidence`` likewise without the last
     axis where the model has a validity head, ``shortfall`` (b,): n minus what each picture had before the
-    cut, so that n' is n minus the largest, and ``seed`` (b,).
+    cut, so that n' is n minus the largest, ``novelty`` (b,) where the model tells, and ``seed`` (b,).
     """
     found = drawn.found
     count = min(len(one.samples) for one in found)
@@ -149,6 +158,8 @@ def output_arrays(drawn: Drawn) -> dict[str, NDArray[Any]]:
     if len(found) == 1:
         arrays = {name: array[0] for name, array in arrays.items()}
     arrays["shortfall"] = np.array([one.shortfall for one in found], dtype=np.int32)
+    if drawn.novelties:
+        arrays["novelty"] = np.array(drawn.novelties, dtype=np.float32)
     arrays["seed"] = np.array(drawn.seeds, dtype=np.uint64)
     return arrays
 
@@ -208,7 +219,7 @@ def _asked(
                 f"the output {output.name} cannot be had",
                 expected=f"each of {', '.join(arrays)} at most once, with no other parameter than {_BINARY}",
                 got=f"parameters {dict(output.parameters)}"[:200],
-                remedy="confidence is there for models with a validity head",
+                remedy="confidence is there for models with a validity head, novelty for those that tell it",
             )
         asked[output.name] = _flag(_BINARY, output.parameters.get(_BINARY, binary))
     return list(asked.items())

@@ -82,6 +82,9 @@ def test_a_model_describes_its_tensors(api: ApiClient) -> None:
     }
     scored = api.get("/v2/models/cspace-sampler/versions/4").json()
     assert [output["name"] for output in scored["outputs"]] == ["samples", "confidence", "shortfall", "seed"]
+    careful = api.get("/v2/models/cspace-sampler@careful").json()["outputs"]
+    names = ["samples", "confidence", "shortfall", "novelty", "seed"]
+    assert [output["name"] for output in careful] == names
     assert api.get("/v2/models/pretrained/versions/0").json()["versions"] == ["0"]
 
 
@@ -173,6 +176,18 @@ def test_the_shortfall_is_told_for_each_picture(api: ApiClient) -> None:
     assert alone[0] < alone[1] == 100
     assert found["shortfall"].tolist() == alone
     assert (found["samples"].shape, found["confidence"].shape) == ((2, 0, 2), (2, 0))
+
+
+def test_the_novelty_of_each_picture_is_told(api: ApiClient) -> None:
+    images = np.stack([np.full((48, 48, 3), level, np.uint8) for level in (150, 255)])
+    request = binary_request(images, parameters={"n": 5, "min_confidence": 0})
+    fields = {"model": "cspace-sampler@careful", "n": 5, "min_confidence": 0}
+    expected = [sampled(api, image, **fields)["scenario"]["novelty"] for image in images]
+    assert expected[0] != expected[1]
+    for _ in range(2):
+        found = outputs_of(infer(api, "cspace-sampler@careful", **request))["novelty"]
+        assert found.dtype == np.float32 and found.tolist() == pytest.approx(expected)
+    assert "novelty" not in outputs_of(infer(api, "cspace-sampler", **request))
 
 
 def test_an_answer_may_be_empty(api: ApiClient) -> None:

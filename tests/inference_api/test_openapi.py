@@ -31,6 +31,12 @@ def answers(document: dict[str, Any], path: str, method: str, status: str, media
     return schema
 
 
+def test_health_is_shown_as_free_and_the_rest_as_possibly_locked(document: dict[str, Any]) -> None:
+    free = {path for path, item in document["paths"].items() if item.get("get", {}).get("security") == []}
+    assert free == {"/health/live", "/health/ready", "/v2/health/live", "/v2/health/ready"}
+    assert document["security"] == [{}, {"key": []}]
+
+
 def test_every_page_of_the_contract_is_in_the_document(document: dict[str, Any]) -> None:
     assert document["openapi"].startswith("3.1")
     assert {path: set(item) for path, item in document["paths"].items()} == {

@@ -37,6 +37,17 @@ def test_the_least_recently_used_is_dropped(bundle: Bundle) -> None:
     assert cache.get(bundle, png_of(1)).picture is not dropped
 
 
+def test_pixels_are_known_by_what_they_are(bundle: Bundle) -> None:
+    cache = PictureCache(2)
+    first, again = cache.of_pixels(bundle, picture(0)), cache.of_pixels(bundle, picture(0).copy())
+    assert again.picture is first.picture
+    assert again.encode_ms == 0.0 < first.encode_ms
+    assert cache.of_pixels(bundle, picture(1)).picture is not first.picture
+    with pytest.raises(InputError):
+        cache.of_pixels(bundle, picture(0)[:-1])
+    assert len(cache) == 2
+
+
 def test_every_bundle_encodes_for_itself(bundle: Bundle, bundles: dict[str, Path]) -> None:
     cache, other = PictureCache(4), Bundle.load(bundles["other"])
     assert cache.get(bundle, png_of(0)).picture.digest == bundle.digest

@@ -20,9 +20,11 @@ def test_every_setting_is_read() -> None:
         "CSPACE_MODEL_POLL_S": "0.5",
         "CSPACE_PRETRAINED_MODEL": "/srv/shipped",
         "CSPACE_LOADED_MODELS": "7",
+        "CSPACE_CACHED_PICTURES": "9",
+        "CSPACE_API_THREADS": "3",
     }
     assert ApiSettings.from_environment(environment) == ApiSettings(
-        "http://127.0.0.1:5000", Path("/srv/models"), "arm", 0.5, Path("/srv/shipped"), 7
+        "http://127.0.0.1:5000", Path("/srv/models"), "arm", 0.5, Path("/srv/shipped"), 7, 9, 3
     )
 
 
@@ -34,6 +36,7 @@ def test_every_setting_is_read() -> None:
         ("CSPACE_MODEL_POLL_S", "inf"),
         ("CSPACE_MODEL_POLL_S", "soon"),
         ("CSPACE_LOADED_MODELS", "0"),
+        ("CSPACE_API_THREADS", "0"),
     ],
 )
 def test_a_wrong_setting_is_an_error_that_names_it(name: str, value: str) -> None:

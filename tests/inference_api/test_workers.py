@@ -12,6 +12,7 @@ import psutil
 import pytest
 
 from inference_api.__main__ import main
+from inference_api.settings import usable_cores
 from tests.inference_api.server import ServerProcess, server_process
 
 pytestmark = pytest.mark.e2e
@@ -50,6 +51,11 @@ def answered(server: ServerProcess) -> float:
     lines = httpx.get(f"{server.address}/metrics").text.splitlines()
     name = 'cspace_requests_total{method="POST",route="/sample",status="200"}'
     return sum(float(line.rsplit(" ", 1)[1]) for line in lines if line.startswith(name))
+
+
+def test_the_cores_are_shared_out(server: ServerProcess) -> None:
+    shared = {psutil.Process(worker).environ()["CSPACE_API_THREADS"] for worker in workers(server)}
+    assert shared == {str(max(1, usable_cores() // 2))}
 
 
 def test_all_processes_answer_alike_and_count_together(server: ServerProcess, png: bytes) -> None:
