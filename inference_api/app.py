@@ -8,7 +8,7 @@ from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 
 import anyio
-from anyio import CapacityLimiter, to_thread
+from anyio import to_thread
 from fastapi import FastAPI
 
 from inference_api.bundle_cache import BundleCache
@@ -29,6 +29,7 @@ from inference_api.settings import ApiSettings
 from inference_api.telemetry.metrics import Metrics
 from inference_api.telemetry.middleware import Observed
 from inference_api.telemetry.route_names import RouteNames
+from inference_api.turns import Turns
 from services.registry.models import ModelRegistry
 
 _LOG = logging.getLogger(__name__)
@@ -54,7 +55,7 @@ def create_app(settings: ApiSettings | None = None, registry: ModelRegistry | No
         # Before the first thread has an arena.
         few_arenas()
         app.state.store = store
-        app.state.limiter = CapacityLimiter(settings.threads)
+        app.state.turns = Turns(settings.threads, app.state.metrics.waiting)
         await to_thread.run_sync(store.load_shipped)
         looked = asyncio.Event()
         poll = asyncio.create_task(_poll(store, settings.poll_s, looked))

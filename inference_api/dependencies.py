@@ -1,11 +1,11 @@
-"""What routes are given: the store of models and the limit on simultaneous sampling."""
+"""What routes are given: the store of models and the turns in which requests are computed."""
 
 from typing import Annotated
 
-from anyio import CapacityLimiter
 from fastapi import Depends, Request
 
 from inference_api.model_store import ModelStore
+from inference_api.turns import Turns
 
 
 # Asynchronous although they wait for nothing: plain functions would each be sent to a thread.
@@ -15,11 +15,11 @@ async def get_store(request: Request) -> ModelStore:
     return store
 
 
-async def get_limiter(request: Request) -> CapacityLimiter:
-    """The app's limit on requests that are computed at the same time."""
-    limiter: CapacityLimiter = request.app.state.limiter
-    return limiter
+async def get_turns(request: Request) -> Turns:
+    """The turns in which the app computes."""
+    turns: Turns = request.app.state.turns
+    return turns
 
 
 Store = Annotated[ModelStore, Depends(get_store)]
-Limiter = Annotated[CapacityLimiter, Depends(get_limiter)]
+Turn = Annotated[Turns, Depends(get_turns)]

@@ -13,12 +13,19 @@ from pathlib import Path
 from typing import Literal
 
 from cspace.bundle import Bundle
-from cspace.errors import BundleError, CspaceError, ModelNotFoundError, RegistryError, StorageError
+from cspace.errors import (
+    BundleError,
+    CspaceError,
+    GoldenMismatchError,
+    ModelNotFoundError,
+    RegistryError,
+    StorageError,
+)
 from inference_api.bundle_cache import BundleCache
 from inference_api.pictures import PictureCache
 from inference_api.references import CHAMPION, PRETRAINED, ModelReference
 from inference_api.registry_view import RegistryView
-from inference_api.telemetry.observer import Nobody, Observer
+from inference_api.telemetry.observer import Nobody, Observer, Refusal
 from services.registry.models import ModelRegistry, ModelVersion
 
 _LOG = logging.getLogger(__name__)
@@ -189,10 +196,10 @@ class ModelStore:
             self._champion = _serve(view, version, CHAMPION)
         except (ModelNotReadyError, RegistryError, StorageError) as error:
             self._refused = (version.digest, self._clock() + RETRY_S)
-            self.observer.reloaded("refused")
+            self.observer.refused(_refusal(error))
             _LOG.warning("what is in service stays, %s cannot follow: %s", name, error)
         else:
-            self.observer.reloaded("served")
+            self.observer.reloaded()
             _LOG.info("in service: %s", name)
             self._remember(version)
 
@@ -211,6 +218,14 @@ def _serve(view: RegistryView, version: ModelVersion, alias: str | None) -> Serv
             f"{version.name}/{version.number} is refused", expected="a sound bundle", got=str(error)
         ) from error
     return ServedModel(bundle, version.name, version.number, alias, version.run_id or None)
+
+
+def _refusal(error: CspaceError) -> Refusal:
+    if isinstance(error, RegistryError):
+        return "registry"
+    if isinstance(error, StorageError):
+        return "storage"
+    return "golden" if isinstance(error.__cause__, GoldenMismatchError) else "bundle"
 
 
 def _unknown(reference: ModelReference) -> ModelNotFoundError:

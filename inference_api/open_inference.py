@@ -6,11 +6,10 @@ The protocol is KServe's and Triton's; its clients ask for samples here as they 
 from functools import partial
 from typing import Any
 
-from anyio import CapacityLimiter, to_thread
 from fastapi import APIRouter, FastAPI, Request
 from fastapi.responses import Response
 
-from inference_api.dependencies import Limiter, Store
+from inference_api.dependencies import Store, Turn
 from inference_api.model_store import PRETRAINED_VERSION, ModelStore, ServedModel
 from inference_api.problems import UNSUPPORTED_MEDIA_TYPE, RequestError
 from inference_api.protocol_errors import PREFIX, ProtocolErrors
@@ -27,6 +26,7 @@ from inference_api.tensor_schemas import (
     TensorMetadata,
 )
 from inference_api.tensors import JSON_LENGTH
+from inference_api.turns import Turns
 
 MEDIA_TYPES = ("application/json", "application/octet-stream")
 PLATFORM = "onnx_onnxv1"
@@ -135,9 +135,9 @@ def version_ready(store: Store, model: str, version: str) -> ModelReady:
 @router.post(
     "/models/{model}/infer", summary="Samples from a model", openapi_extra=_REQUEST, responses=_ANSWERS
 )
-async def infer(request: Request, store: Store, limiter: Limiter, model: str) -> Response:
+async def infer(request: Request, store: Store, turns: Turn, model: str) -> Response:
     """The same samples as `POST /sample` gives for the same picture, seed, parameters and model."""
-    return await _infer(request, store, limiter, reference_of(model))
+    return await _infer(request, store, turns, reference_of(model))
 
 
 @router.post(
@@ -146,20 +146,17 @@ async def infer(request: Request, store: Store, limiter: Limiter, model: str) ->
     openapi_extra=_REQUEST,
     responses=_ANSWERS,
 )
-async def version_infer(
-    request: Request, store: Store, limiter: Limiter, model: str, version: str
-) -> Response:
+async def version_infer(request: Request, store: Store, turns: Turn, model: str, version: str) -> Response:
     """As for a model; the shipped model has the version 0."""
-    return await _infer(request, store, limiter, reference_of(model, version))
+    return await _infer(request, store, turns, reference_of(model, version))
 
 
-async def _infer(
-    request: Request, store: ModelStore, limiter: CapacityLimiter, reference: ModelReference
-) -> Response:
+async def _infer(request: Request, store: ModelStore, turns: Turns, reference: ModelReference) -> Response:
     _check_media_type(request)
     body = await request.body()
-    work = partial(answer_inference, store, reference, body, request.headers.get(JSON_LENGTH))
-    return await to_thread.run_sync(work, limiter=limiter)
+    return await turns.run(
+        partial(answer_inference, store, reference, body, request.headers.get(JSON_LENGTH))
+    )
 
 
 def _describe(store: ModelStore, name: str, reference: ModelReference) -> ModelMetadata:

@@ -3,11 +3,10 @@
 import time
 from functools import partial
 
-from anyio import to_thread
 from fastapi import APIRouter, Request
 from fastapi.responses import PlainTextResponse, Response
 
-from inference_api.dependencies import Limiter, Store
+from inference_api.dependencies import Store, Turn
 from inference_api.model_store import PRETRAINED_VERSION
 from inference_api.openapi import GUARD_PROBLEMS, problem_responses, sample_extra, sample_responses
 from inference_api.problems import NO_MODEL, UNAUTHORIZED
@@ -26,7 +25,7 @@ router = APIRouter()
     openapi_extra=sample_extra(),
     responses=sample_responses(),
 )
-async def sample(request: Request, store: Store, limiter: Limiter) -> Response:
+async def sample(request: Request, store: Store, turns: Turn) -> Response:
     """The same seed, picture, parameters and model digest give the same samples on one machine.
 
     With `Accept: application/x-npy` the answer is the samples alone as a float32 `.npy`, the rest in headers.
@@ -34,8 +33,7 @@ async def sample(request: Request, store: Store, limiter: Limiter) -> Response:
     began = time.perf_counter()
     npy = prefers_npy(request.headers.get("accept"))
     fields = await read_fields(request)
-    work = partial(answer_request, store, fields, npy=npy, began=began)
-    return await to_thread.run_sync(work, limiter=limiter)
+    return await turns.run(partial(answer_request, store, fields, npy=npy, began=began))
 
 
 @router.get("/models", summary="Models that requests can name", responses=problem_responses(*GUARD_PROBLEMS))

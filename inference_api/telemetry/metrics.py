@@ -15,12 +15,12 @@ from prometheus_client.registry import Collector
 
 from inference_api.problems import PROBLEMS
 from inference_api.schemas import ModelInfo
-from inference_api.telemetry.observer import Outcome, Sampled
+from inference_api.telemetry.observer import REFUSALS, Refusal, Sampled
 from inference_api.telemetry.record import RequestRecord, current
 
 CONTENT_TYPE = "text/plain; version=0.0.4; charset=utf-8"
 STAGES = ("decode", "encode", "generate", "total")
-OUTCOMES: tuple[Outcome, ...] = ("served", "refused")
+NO_REASON = "none"
 METHODS = frozenset({"GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS", "TRACE", "CONNECT"})
 # From a picture that is known and a small network to a large n on a busy processor, in s.
 STAGE_BUCKETS_S = (0.0005, 0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0)
@@ -54,6 +54,12 @@ class Metrics:
             registry=registry,
             multiprocess_mode="livesum",
         )
+        self.waiting = Gauge(
+            "cspace_requests_waiting",
+            "Requests that wait for their turn to be computed.",
+            registry=registry,
+            multiprocess_mode="livesum",
+        )
         self._stages = Histogram(
             "cspace_stage_seconds",
             "Time in each stage of an answer with samples.",
@@ -75,15 +81,19 @@ class Metrics:
             registry=registry,
         )
         self._reloads = Counter(
-            "cspace_model_reloads", "Champions put into service, or refused.", ("outcome",), registry=registry
+            "cspace_model_reloads",
+            "Champions put into service, or refused.",
+            ("outcome", "reason"),
+            registry=registry,
         )
         # Else a rate over the first event of a kind would see no rise.
         for problem in PROBLEMS:
             self._failures.labels(problem.name)
         for stage in STAGES:
             self._stages.labels(stage)
-        for outcome in OUTCOMES:
-            self._reloads.labels(outcome)
+        self._reloads.labels("served", NO_REASON)
+        for reason in REFUSALS:
+            self._reloads.labels("refused", reason)
         ProcessCollector(registry=registry)
         registry.register(self._model)
 
@@ -101,9 +111,13 @@ class Metrics:
             record.model, record.n = answer.model, answer.n
             record.seed, record.shortfall = answer.seed, answer.shortfall
 
-    def reloaded(self, outcome: Outcome) -> None:
-        """Count a champion that was put into service, or refused."""
-        self._reloads.labels(outcome).inc()
+    def reloaded(self) -> None:
+        """Count a champion that was put into service."""
+        self._reloads.labels("served", NO_REASON).inc()
+
+    def refused(self, reason: Refusal) -> None:
+        """Count a champion that was not."""
+        self._reloads.labels("refused", reason).inc()
 
     def answered(self, route: str, method: str, status: int, record: RequestRecord) -> None:
         """Count a request."""

@@ -1,9 +1,12 @@
 """What the sampler and the store of models tell whoever watches them."""
 
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Literal, Protocol, get_args
 
-Outcome = Literal["served", "refused"]
+# Why a champion is not put into service: its bundle is damaged or not the registered one, its golden case
+# gives other answers here, the registry is away, or the cache cannot be written.
+Refusal = Literal["bundle", "golden", "registry", "storage"]
+REFUSALS: tuple[Refusal, ...] = get_args(Refusal)
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,8 +38,11 @@ class Observer(Protocol):
     def sampled(self, answer: Sampled) -> None:
         """A request for samples was answered."""
 
-    def reloaded(self, outcome: Outcome) -> None:
-        """A champion was put into service, or refused."""
+    def reloaded(self) -> None:
+        """A champion was put into service."""
+
+    def refused(self, reason: Refusal) -> None:
+        """A champion was not put into service; the one before it stays."""
 
 
 class Nobody:
@@ -45,5 +51,8 @@ class Nobody:
     def sampled(self, answer: Sampled) -> None:
         """Nothing."""
 
-    def reloaded(self, outcome: Outcome) -> None:
+    def reloaded(self) -> None:
+        """Nothing."""
+
+    def refused(self, reason: Refusal) -> None:
         """Nothing."""

@@ -3,7 +3,7 @@
 from dataclasses import replace
 from pathlib import Path
 
-from cspace.bundle import Bundle
+from cspace.bundle.files import read_files
 from services.registry.models import ModelVersion
 from tests.fakes.registry import FakeRegistry
 
@@ -21,7 +21,7 @@ class CountingRegistry(FakeRegistry):
     def add(self, bundle: Path, *aliases: str, name: str = MODEL, digest: str | None = None) -> int:
         """Register a bundle as the next version, under a false digest if one is given; its number."""
         run_id = f"run-{len(self._versions.get(name, [])) + 1}"
-        version = self.register(name, bundle, run_id, Bundle.load(bundle).digest, {})
+        version = self.register(name, bundle, run_id, read_files(bundle).digest, {})
         if digest is not None:
             self._versions[name][version.number - 1] = replace(version, digest=digest)
         for alias in aliases:

@@ -1,6 +1,9 @@
 """What /metrics says after known requests."""
 
+import hashlib
+import shutil
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +11,7 @@ import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
 from cspace.bundle import Bundle
+from cspace.bundle.golden import GoldenCase
 from inference_api.guards.protection import Protection
 from inference_api.problems import PROBLEMS
 from inference_api.telemetry.metrics import STAGES
@@ -157,21 +161,47 @@ def test_fallback_answers_and_the_model_in_service_follow_the_registry(
     assert value(found, "cspace_fallback_answers_total") == 1
 
 
-def test_reloads_are_counted_by_outcome(
-    start_api: StartApi, registry: CountingRegistry, bundles: dict[str, Path]
+def test_reloads_are_counted_by_outcome_and_reason(
+    start_api: StartApi, registry: CountingRegistry, bundles: dict[str, Path], tmp_path: Path
 ) -> None:
     api = start_api(registry)
-    found = scrape(api)
-    counts = [value(found, "cspace_model_reloads_total", outcome=name) for name in ("served", "refused")]
-    assert counts == [0, 0]
+
+    def counts() -> dict[str, float]:
+        found = scrape(api)
+        return {
+            reason: value(found, "cspace_model_reloads_total", outcome=outcome, reason=reason)
+            for outcome, reason in (
+                ("served", "none"),
+                ("refused", "bundle"),
+                ("refused", "golden"),
+                ("refused", "registry"),
+                ("refused", "storage"),
+            )
+        }
+
+    assert set(counts().values()) == {0}
     registry.add(bundles["plain"], "champion")
     api.refresh()
     api.refresh()
     registry.add(bundles["other"], "champion", digest="0" * 64)
     api.refresh()
-    found = scrape(api)
-    counts = [value(found, "cspace_model_reloads_total", outcome=name) for name in ("served", "refused")]
-    assert counts == [1, 1]
+    registry.add(with_another_answer(bundles["other"], tmp_path / "lying"), "champion")
+    api.refresh()
+    assert counts() == {"none": 1, "bundle": 1, "golden": 1, "registry": 0, "storage": 0}
+
+
+def with_another_answer(bundle: Path, folder: Path) -> Path:
+    """A bundle whose sums are right and whose golden samples are not what it gives."""
+    shutil.copytree(bundle, folder)
+    golden = folder / "golden.npz"
+    case = GoldenCase.from_npz(golden.read_bytes())
+    golden.write_bytes(replace(case, samples=-case.samples).to_npz())
+    sums = folder / "SHA256SUMS"
+    lines = [line.split("  ") for line in sums.read_text().splitlines()]
+    sums.write_text(
+        "".join(f"{hashlib.sha256((folder / name).read_bytes()).hexdigest()}  {name}\n" for _, name in lines)
+    )
+    return folder
 
 
 def test_without_a_model_there_is_no_series_of_one_and_readiness_is_a_failure(start_api: StartApi) -> None:

@@ -186,7 +186,8 @@ def test_the_novelty_of_each_picture_is_told(api: ApiClient) -> None:
     assert expected[0] != expected[1]
     for _ in range(2):
         found = outputs_of(infer(api, "cspace-sampler@careful", **request))["novelty"]
-        assert found.dtype == np.float32 and found.tolist() == pytest.approx(expected)
+        assert found.dtype == np.float32
+        assert found.tolist() == pytest.approx(expected)
     assert "novelty" not in outputs_of(infer(api, "cspace-sampler", **request))
 
 
