@@ -2,7 +2,7 @@
 FROM python:3.11-slim-bookworm AS requirements
 WORKDIR /src
 COPY pyproject.toml docker/requirements.py ./
-RUN python requirements.py api > /requirements.txt
+RUN python requirements.py api tracing > /requirements.txt
 
 FROM python:3.11-slim-bookworm
 ARG PIP_EXTRA_INDEX_URL=""

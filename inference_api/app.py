@@ -29,6 +29,7 @@ from inference_api.settings import ApiSettings
 from inference_api.telemetry.metrics import Metrics
 from inference_api.telemetry.middleware import Observed
 from inference_api.telemetry.route_names import RouteNames
+from inference_api.telemetry.tracing import TracedObserver, add_tracing, otlp_provider
 from inference_api.turns import Turns
 from services.registry.models import ModelRegistry
 
@@ -45,7 +46,8 @@ def create_app(settings: ApiSettings | None = None, registry: ModelRegistry | No
         registry: where the models are; MLflow at ``settings.registry_uri`` when None.
 
     Raises:
-        ConfigError: a setting in the environment is wrong, or the file of API keys.
+        ConfigError: a setting in the environment is wrong, or the file of API keys, or traces are asked for
+            and their packages are not there.
     """
     settings = settings or ApiSettings.from_environment()
     store = _make_store(settings, registry)
@@ -66,6 +68,9 @@ def create_app(settings: ApiSettings | None = None, registry: ModelRegistry | No
         poll.cancel()
         with suppress(asyncio.CancelledError):
             await poll
+        if app.state.traces is not None:
+            # Sends what is still waiting.
+            await to_thread.run_sync(app.state.traces.shutdown)
 
     app = FastAPI(
         title="cspace-sampler",
@@ -82,9 +87,13 @@ def create_app(settings: ApiSettings | None = None, registry: ModelRegistry | No
     app.add_middleware(LastResort)
     add_open_inference(app)
     metrics = Metrics(partial(_default_model, store), settings.metrics_folder)
-    store.observer = app.state.metrics = metrics
+    provider = otlp_provider() if settings.traces else None
+    app.state.metrics, app.state.traces = metrics, provider
+    store.observer = metrics if provider is None else TracedObserver(provider, metrics)
     app.add_middleware(Observed, metrics=metrics, names=RouteNames(app.router.routes))
     app.add_middleware(SecurityHeaders)
+    if provider is not None:
+        add_tracing(app, provider)
     app.openapi = lambda: document(app)  # type: ignore[method-assign]
     return app
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from cspace.errors import ConfigError
 from inference_api.guards.protection import Protection
+from inference_api.telemetry.tracing import wants_traces
 
 # The name is the metrics library's; `--workers` sets it.
 METRICS_FOLDER = "PROMETHEUS_MULTIPROC_DIR"
@@ -38,6 +39,7 @@ class ApiSettings:
         threads: how many requests one process computes at the same time, at least 1.
         metrics_folder: where the processes of one server keep their metrics; None for a single process.
         protection: who may ask, and how much.
+        traces: whether spans are sent, by OpenTelemetry's own variables.
     """
 
     registry_uri: str | None
@@ -50,6 +52,7 @@ class ApiSettings:
     threads: int = field(default_factory=usable_cores)
     metrics_folder: Path | None = None
     protection: Protection = field(default_factory=Protection)
+    traces: bool = False
 
     @classmethod
     def from_environment(cls, environment: Mapping[str, str] | None = None) -> "ApiSettings":
@@ -71,6 +74,7 @@ class ApiSettings:
             threads=int(_number(values, THREADS, usable_cores(), 1)),
             metrics_folder=Path(values[METRICS_FOLDER]) if values.get(METRICS_FOLDER) else None,
             protection=_protection(values),
+            traces=wants_traces(values),
         )
 
 

@@ -1,0 +1,112 @@
+"""Optional traces: a span a request and one for each of its stages, sent by OTLP to whoever collects them.
+
+Everything is set by OpenTelemetry's own variables (``OTEL_EXPORTER_OTLP_ENDPOINT``, ``OTEL_SERVICE_NAME``,
+``OTEL_TRACES_SAMPLER``, ...). Without an endpoint nothing is imported, nothing is traced, nothing is sent.
+"""
+
+import os
+import time
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+from fastapi import FastAPI
+
+from cspace.errors import ConfigError
+from inference_api.guards.pages import HEALTH, METRICS
+from inference_api.telemetry.observer import Observer, Refusal, Sampled
+from inference_api.telemetry.record import current
+
+if TYPE_CHECKING:
+    from opentelemetry.sdk.trace import TracerProvider
+
+ENDPOINTS = ("OTEL_EXPORTER_OTLP_ENDPOINT", "OTEL_EXPORTER_OTLP_TRACES_ENDPOINT")
+SERVICE = "cspace-sampler-api"
+# In the order in which they come to pass.
+_STAGES = ("decode", "encode", "generate")
+
+
+def wants_traces(environment: Mapping[str, str]) -> bool:
+    """Whether OpenTelemetry's variables name a place to send traces to."""
+    disabled = environment.get("OTEL_SDK_DISABLED", "").strip().lower() == "true"
+    return not disabled and any(environment.get(name) for name in ENDPOINTS)
+
+
+def otlp_provider() -> "TracerProvider":
+    """A provider that sends spans in batches, from a thread of its own.
+
+    Raises:
+        ConfigError: the packages are not installed.
+    """
+    try:
+        from opentelemetry.exporter.otlp.proto.http.trace_exporter import OTLPSpanExporter  # noqa: PLC0415
+        from opentelemetry.instrumentation import asgi as _  # noqa: F401, PLC0415
+        from opentelemetry.sdk.resources import Resource  # noqa: PLC0415
+        from opentelemetry.sdk.trace import TracerProvider  # noqa: PLC0415
+        from opentelemetry.sdk.trace.export import BatchSpanProcessor  # noqa: PLC0415
+    except ModuleNotFoundError as error:
+        raise ConfigError(
+            "traces cannot be sent",
+            expected="the packages of the extra tracing",
+            got=str(error),
+            remedy=f"pip install 'cspace-sampler[tracing]', or unset {' and '.join(ENDPOINTS)}",
+        ) from error
+    named = "OTEL_SERVICE_NAME" in os.environ
+    provider = TracerProvider(resource=Resource.create({} if named else {"service.name": SERVICE}))
+    provider.add_span_processor(BatchSpanProcessor(OTLPSpanExporter()))
+    return provider
+
+
+def add_tracing(app: FastAPI, provider: "TracerProvider") -> None:
+    """Trace every request but those that only watch; to be added last, so that nothing is outside."""
+    from opentelemetry.instrumentation.asgi import OpenTelemetryMiddleware  # noqa: PLC0415
+
+    app.add_middleware(
+        OpenTelemetryMiddleware,
+        tracer_provider=provider,
+        excluded_urls=",".join(f"{path}$" for path in (*HEALTH, METRICS)),
+        exclude_spans=["receive", "send"],
+    )
+
+
+class TracedObserver:
+    """Writes what is learnt of a request into its span, and passes it on.
+
+    Args:
+        provider: of the spans.
+        others: the observer that is told as well.
+    """
+
+    def __init__(self, provider: "TracerProvider", others: Observer) -> None:
+        self._tracer, self._others = provider.get_tracer("inference_api"), others
+
+    def sampled(self, answer: Sampled) -> None:
+        """Attributes on the request's span, and a span below it for each stage; the last one ends now."""
+        from opentelemetry.trace import get_current_span  # noqa: PLC0415
+
+        record = current()
+        attributes: dict[str, str | bool | int | float] = {
+            "cspace.request_id": "" if record is None else record.request_id,
+            "cspace.model": answer.model,
+            "cspace.fallback": answer.fallback,
+            "cspace.n": answer.n,
+            # In decimal, for an attribute has 63 bits.
+            "cspace.seed": str(answer.seed),
+            "cspace.shortfall": answer.shortfall,
+            "cspace.acceptance": answer.acceptance,
+        }
+        get_current_span().set_attributes(attributes)
+        stages = [(name, answer.stages_s[name]) for name in _STAGES if name in answer.stages_s]
+        begin = time.time_ns() - int(1e9 * sum(seconds for _, seconds in stages))
+        for name, seconds in stages:
+            end = begin + int(1e9 * seconds)
+            self._tracer.start_span(name, start_time=begin).end(end)
+            begin = end
+        self._others.sampled(answer)
+
+    def reloaded(self) -> None:
+        """Passed on; no request is concerned."""
+        self._others.reloaded()
+
+    def refused(self, reason: Refusal) -> None:
+        """Passed on; no request is concerned."""
+        self._others.refused(reason)
