@@ -4,7 +4,8 @@ are worth there.
     python benchmarks/evaluation/novelty.py inference_api/pretrained --scenarios 100
 
 Every kind changes the first test scenarios or their pictures in one way. The samples are judged by what is
-true of the scenario, whatever the picture shows: those of the generator alone, and those that the bundle serves.
+true of the scenario, whatever the picture shows: those of the generator alone, and those that the bundle
+serves.
 """
 
 import argparse
