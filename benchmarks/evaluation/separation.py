@@ -4,7 +4,7 @@
 
 Two questions, both on two joints, every score between clouds drawn anew for each repeat:
 
-1. In validation scenarios: real samples against real ones, against real ones with 0.1 rad of normal noise a
+1. In scenarios: real samples against real ones, against real ones with 0.1 rad of normal noise a
    joint, against uniform ones.
 2. A free space that an obstacle divides into two parts against one that is not divided. ``arm``: one disc
    of 0.3 or 0.5 m, which only the second link can reach, against the same disc where it blocks the first
@@ -35,7 +35,7 @@ from services.evaluator.complement import POINTS_PER_CELL, sample_complement
 from services.evaluator.complement_score import TurnedTimes, complement_score, turned_living_times
 from services.evaluator.scenes import Scene, Stage
 from services.evaluator.statistics import mean_interval
-from services.evaluator.topology import RelativeLivingTimes, geometry_score, mean_living_times
+from services.evaluator.topology import POINTS, RelativeLivingTimes, geometry_score, mean_living_times
 
 SPACE = TWO_LINK.space
 NOISE_RAD = 0.1
@@ -120,14 +120,14 @@ def blocked_share(scene: Scene) -> float:
     return 1.0 - float(np.mean(scene.checker.valid_batch(SPACE.sample_uniform(scene.rng(0), 20_000))))
 
 
-def validation_scenes(count: int, least_blocked: float):
+def scenes_of(split: Split, count: int, least_blocked: float):
     """The first scenarios of the split in which obstacles take at least that share of the joint space."""
-    stage = Stage(TWO_LINK, Camera(), Split.VALIDATION, SEED)
+    stage = Stage(TWO_LINK, Camera(), split, SEED)
     scenes = (Scene(stage, index) for index in itertools.count())
     return itertools.islice((scene for scene in scenes if blocked_share(scene) >= least_blocked), count)
 
 
-def cases(samples: int, scenarios: int, least_blocked: float):
+def cases(samples: int, split: Split, scenarios: int, least_blocked: float):
     """Name and what one repeat does, for every group of rows."""
     divisions = {
         f"arm, {radius} m": (arm_free(radius, 2.3 + radius), arm_free(radius, 1.5), None)
@@ -135,7 +135,7 @@ def cases(samples: int, scenarios: int, least_blocked: float):
     } | {"room": tuple(room_free(samples, wall) for wall in ("none", "middle", "side"))}
     for name, spaces in divisions.items():
         yield name, lambda *rest, spaces=spaces: division_repeat(*spaces, *rest)
-    for scene in validation_scenes(scenarios, least_blocked):
+    for scene in scenes_of(split, scenarios, least_blocked):
         name = f"scenario {scene.index}, {blocked_share(scene):.0%} blocked"
         yield name, lambda *rest, scene=scene: scenario_repeat(scene, *rest)
 
@@ -184,8 +184,9 @@ def main() -> int:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--samples", type=int, default=2000)
+    parser.add_argument("--samples", type=int, default=POINTS)
     parser.add_argument("--draws", type=int, default=100)
+    parser.add_argument("--split", choices=["validation", "test"], default="validation")
     parser.add_argument("--scenarios", type=int, default=4)
     parser.add_argument("--least-blocked", type=float, default=0.0, help="share of the joint space")
     parser.add_argument("--repeats", type=int, default=12)
@@ -193,7 +194,7 @@ def main() -> int:
     options = parser.parse_args()
     setting = {name: str(value) for name, value in vars(options).items() if name != "out"}
     rows: list[dict] = []
-    every = cases(options.samples, options.scenarios, options.least_blocked)
+    every = cases(options.samples, Split(options.split), options.scenarios, options.least_blocked)
     groups = [(name, once) for name, once in every if name.startswith(tuple(options.cases))]
     for repeat in range(options.repeats):
         for number, (name, once) in enumerate(groups):

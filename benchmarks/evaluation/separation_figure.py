@@ -13,6 +13,7 @@ from matplotlib.ticker import NullFormatter
 
 INK, MUTED = "#222222", "#6f6f6f"
 FLOOR, CHANGED, FARTHER, CONTROL = "#8f9aa6", "#e08b3e", "#b8402a", "#4f7cac"
+MEAN = "mean of scenarios"
 SAMPLES = (("real", FLOOR), ("noise", CHANGED), ("uniform", FARTHER))
 DIVISIONS = (
     ("whole, whole", FLOOR),
@@ -30,6 +31,17 @@ def line(axes, place, summary, singles, colour):
     axes.plot(mean, place, "D", ms=6, c=colour, mec="white", mew=0.8)
 
 
+def singles_of(content, case, pair, score):
+    """Single scores of a case; of all scenarios together the mean over them, one for each repeat."""
+    if case != MEAN:
+        return [row["scores"][pair][score] for row in content["rows"] if row["case"] == case]
+    by_repeat = {}
+    for row in content["rows"]:
+        if row["case"].startswith("scenario"):
+            by_repeat.setdefault(row["repeat"], []).append(row["scores"][pair][score])
+    return [sum(values) / len(values) for values in by_repeat.values()]
+
+
 def lines(axes, content, entries, score):
     """One line an entry: case, pair, label and colour."""
     for place, (case, pair, _, colour) in enumerate(entries):
@@ -38,14 +50,14 @@ def lines(axes, content, entries, score):
             for one in content["summary"]
             if (one["case"], one["pair"], one["score"]) == (case, pair, score)
         )
-        singles = [row["scores"][pair][score] for row in content["rows"] if row["case"] == case]
+        singles = singles_of(content, case, pair, score)
         line(axes, place, summary, singles, colour)
     axes.set_yticks(range(len(entries)), [label for _, _, label, _ in entries], color=INK)
     axes.set_ylim(len(entries) - 0.4, -0.6)
     axes.set_xscale("log")
     axes.xaxis.set_major_formatter("{x:g}")
     axes.xaxis.set_minor_formatter(NullFormatter())
-    axes.set_xlim(0.3, 100.0) if score == "gsc" else axes.set_xlim(5.0, 500.0)
+    axes.set_xlim(0.15, 100.0) if score == "gsc" else axes.set_xlim(4.0, 500.0)
     axes.grid(visible=True, axis="x", color="#e6e6e6")
     axes.set_axisbelow(True)
     axes.spines[["top", "right", "left"]].set_visible(False)
@@ -57,8 +69,8 @@ def draw(content) -> Figure:
     left, right = figure.subfigures(1, 2, width_ratios=(1.0, 1.05))
     scenarios = sorted({row["case"] for row in content["rows"] if row["case"].startswith("scenario")})
     entries = [
-        (case, pair, f"{case.split(',')[0]}: {pair}", colour)
-        for case in scenarios
+        (case, pair, f"{'all' if case == MEAN else case.split(',')[0]}: {pair}", colour)
+        for case in (*scenarios, MEAN)
         for pair, colour in SAMPLES
     ]
     axes = left.subplots()

@@ -21,6 +21,7 @@ from services.evaluator.samplers import BundleSampler
 from services.evaluator.scenes import Scene, Stage, measure_reconstruction, summary_rng
 from services.evaluator.statistics import Interval
 from services.evaluator.tables import Table
+from services.evaluator.topology import POINTS
 from services.evaluator.topology_scenes import scene_topology, summarise_topology
 from training.bundling import TrainedParts, make_bundle
 from training.config import TrainConfig
@@ -43,13 +44,15 @@ class Effort:
         topology: for GS-C, seen and unseen each.
         draws: of landmarks per cloud and turn.
         samples: per scenario.
+        topology_samples: points per cloud for GS-C.
     """
 
     scenarios: int = 100
     validation: int = 25
     topology: int = 8
-    draws: int = 20
+    draws: int = 50
     samples: int = 1000
+    topology_samples: int = POINTS
 
 
 def dataset_of(study: Study, column: Column) -> Dataset:
@@ -158,7 +161,8 @@ def _quality(stage: Stage, bundle: Bundle, scenarios: int, samples: int) -> Meas
 
 def _topology(stage: Stage, bundle: Bundle, effort: Effort) -> Measured:
     scenes = [Scene(stage, index) for index in range(effort.topology)]
-    rows = [scene_topology(scene, BundleSampler(bundle), effort.draws, effort.samples) for scene in scenes]
+    sampler = BundleSampler(bundle)
+    rows = [scene_topology(scene, sampler, effort.draws, effort.topology_samples) for scene in scenes]
     summary = summarise_topology(rows, summary_rng(stage.seed))[SCORE]
     return {"score": summary.score.to_dict(), "floor": summary.floor.to_dict()}
 

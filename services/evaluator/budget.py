@@ -6,6 +6,7 @@ from enum import StrEnum
 
 from cspace.problem import Family
 from cspace.scenario import Split
+from services.evaluator.topology import POINTS
 
 JUDGED = (Split.VALIDATION, Split.TEST)
 FAMILIES = (Family.NARROW, Family.UNIFORM)
@@ -35,6 +36,7 @@ class Budget:
         narrow_scenarios: per split, for reconstruction; those of the first planning problems of the family,
             as drawing one takes long, so no more than there are.
         disconnected_scenarios: per split, for reconstruction.
+        topology_samples: points per cloud for GS and GS-C.
     """
 
     scenarios: int
@@ -46,6 +48,7 @@ class Budget:
     draws: int
     narrow_scenarios: int = 0
     disconnected_scenarios: int = 0
+    topology_samples: int = POINTS
 
 
 QUICK = Budget(60, 1000, 30, 10, 1, 3, 50, narrow_scenarios=10, disconnected_scenarios=5)

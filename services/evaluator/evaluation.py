@@ -153,7 +153,10 @@ def _reconstruction_rows(unit: Unit, setting: Setting, sampler: Sampler) -> list
 
 def _topology_rows(unit: Unit, setting: Setting, sampler: Sampler) -> list[Row]:
     budget = setting.budget
-    return [scene_topology(scene, sampler, budget.draws, budget.samples) for scene in _scenes(unit, setting)]
+    return [
+        scene_topology(scene, sampler, budget.draws, budget.topology_samples)
+        for scene in _scenes(unit, setting)
+    ]
 
 
 def _planning_rows(unit: Unit, setting: Setting, sampler: Sampler) -> list[Row]:

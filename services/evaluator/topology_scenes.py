@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from services.evaluator.complement import sample_complement
 from services.evaluator.complement_score import TurnedTimes, complement_score, turned_living_times
 from services.evaluator.samplers import Sampler
-from services.evaluator.scenes import SAMPLES, Scene
+from services.evaluator.scenes import Scene
 from services.evaluator.statistics import Interval, mean_interval
-from services.evaluator.topology import LANDMARKS, Mapper, geometry_score, mean_living_times
+from services.evaluator.topology import LANDMARKS, POINTS, Mapper, geometry_score, mean_living_times
 
 Cloud = NDArray[np.float64]
 SCORES = ("gs", "gsc_boundary", "gsc_true")
@@ -62,7 +62,7 @@ def scene_topology(
     scene: Scene,
     sampler: Sampler,
     draws: int,
-    samples: int = SAMPLES,
+    samples: int = POINTS,
     mapper: Mapper = map,
     repeat: int = 0,
 ) -> SceneTopology:
@@ -92,7 +92,7 @@ def repeated_topology(
     sampler: Sampler,
     draws: int,
     repeats: int,
-    samples: int = SAMPLES,
+    samples: int = POINTS,
     mapper: Mapper = map,
 ) -> dict[str, ScoreSummary]:
     """GS and GS-C on one scenario with intervals: each repeat draws all samples and all landmarks anew.

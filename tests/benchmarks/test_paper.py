@@ -21,7 +21,7 @@ from tests.training.models.builders import tiny_module
 from training.models.checkpoint import Progress, save_checkpoint
 
 JOINT, SINGLE, MEANS, CLUSTERS = COLUMNS
-EFFORT = Effort(scenarios=2, validation=2, topology=1, draws=2, samples=80)
+EFFORT = Effort(scenarios=2, validation=2, topology=1, draws=2, samples=80, topology_samples=80)
 
 
 @pytest.fixture

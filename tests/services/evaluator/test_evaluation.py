@@ -30,6 +30,7 @@ TINY = Budget(
     draws=2,
     narrow_scenarios=1,
     disconnected_scenarios=2,
+    topology_samples=200,
 )
 FAMILIES = ["narrow", "disconnected"]
 

@@ -22,6 +22,7 @@ TINY = Budget(
     planner_seeds=1,
     topology_scenarios=1,
     draws=1,
+    topology_samples=150,
 )
 
 
