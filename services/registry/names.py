@@ -1,6 +1,7 @@
 """The names under which runs and models are found."""
 
 MODEL_NAME = "cspace-sampler"
+PATH_MODEL_NAME = "path-sampler"
 EXPERIMENT = "cspace-sampler"
 ALIAS_CHALLENGER = "challenger"
 ALIAS_CHAMPION = "champion"

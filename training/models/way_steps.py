@@ -1,0 +1,142 @@
+"""The steps of the way sampler as ONNX functions: costs that spread, a walk, points along a way.
+
+Written in ONNX itself, for onnxruntime runs a loop as it is: as an unrolled export of torch the graph would
+be many times as large and take ten times as long. What is decorated is the source of a graph and never runs
+in Python; types are those of ONNX.
+"""
+# mypy: ignore-errors
+
+import numpy as np
+from onnxscript import FLOAT, INT64, script
+from onnxscript import opset18 as op
+from onnxscript.values import Opset
+
+# Of a cell that no way leads to, as a gain; a float32 still tells single costs apart beside it.
+FAR = -1e6
+_LOCAL = Opset("cspace", 1)
+_TWO_PI = float(np.float32(2.0 * np.pi))
+
+
+@script(_LOCAL, default_opset=op)
+def _spread(weights: FLOAT, prices: FLOAT, last: INT64, wraps: FLOAT, sweeps: INT64) -> FLOAT:
+    """Gains (1, 1, c, c): minus the cost of the way from each cell to the goal's.
+
+    A step costs the weight of the cell it leaves times its length. ``prices`` (3,) are the lengths of a step
+    along the first joint, the second, and both; ``wraps`` (2,) is 1 for a circle.
+    """
+    # A slice of the border is the neighbour beyond it, or is as far away as can be.
+    side = op.Shape(weights, start=2, end=3)
+    zero, one = op.Constant(value_ints=[0]), op.Constant(value_ints=[1])
+    rows, columns = op.Constant(value_ints=[2]), op.Constant(value_ints=[3])
+    beyond = (1.0 - wraps) * op.Constant(value_float=FAR)
+    over_rows, over_columns = op.Gather(beyond, zero), op.Gather(beyond, one)
+    blank = op.Expand(
+        op.Constant(value_floats=[FAR]), op.Shape(op.Reshape(weights, op.Constant(value_ints=[-1])))
+    )
+    gains = op.Reshape(op.ScatterElements(blank, last, op.Constant(value_floats=[0.0])), op.Shape(weights))
+    first_price, second_price, both_price = op.Split(prices, num_outputs=3)
+    for _ in range(sweeps):
+        above = op.Slice(gains, side - 1, side, rows) + over_rows
+        below = op.Slice(gains, zero, one, rows) + over_rows
+        vertical = op.MaxPool(op.Concat(above, gains, below, axis=2), kernel_shape=[3, 1])
+        left = op.Slice(gains, side - 1, side, columns) + over_columns
+        right = op.Slice(gains, zero, one, columns) + over_columns
+        horizontal = op.MaxPool(op.Concat(left, gains, right, axis=3), kernel_shape=[1, 3])
+        left = op.Slice(vertical, side - 1, side, columns) + over_columns
+        right = op.Slice(vertical, zero, one, columns) + over_columns
+        diagonal = op.MaxPool(op.Concat(left, vertical, right, axis=3), kernel_shape=[1, 3])
+        gains = op.Max(
+            gains,
+            vertical - weights * first_price,
+            horizontal - weights * second_price,
+            diagonal - weights * both_price,
+        )
+    return gains
+
+
+@script(_LOCAL, default_opset=op)
+def _walk(
+    gains: FLOAT, weights: FLOAT, neighbours: INT64, lengths: FLOAT, first: INT64, last: INT64, steps: INT64
+) -> INT64:
+    """Numbers of the cells from the first one (1,) on, (steps + 1,); the last one's repeats at the end."""
+    flat = op.Constant(value_ints=[-1])
+    prices = lengths * op.Reshape(weights, flat)
+    onward = op.ArgMax(op.Gather(op.Reshape(gains, flat), neighbours) - prices, axis=0, keepdims=1)
+    following = op.Reshape(op.GatherElements(neighbours, onward, axis=0), flat)
+    # From the last cell one stays there.
+    following = op.ScatterElements(following, last, last)
+    at = op.Identity(first)
+    cells = op.Identity(first)
+    for _ in range(steps):
+        at = op.Gather(following, at)
+        cells = op.Concat(cells, at, axis=0)
+    return cells
+
+
+@script(_LOCAL, default_opset=op)
+def _along(corners: FLOAT, place: FLOAT, wraps: FLOAT) -> FLOAT:
+    """Points at shares (m, 1) of the length of a path (k, d), (m, d)."""
+    zero, one, end = (
+        op.Constant(value_ints=[0]),
+        op.Constant(value_ints=[1]),
+        op.Constant(value_ints=[-1]),
+    )
+    starts = op.Slice(corners, zero, end, zero)
+    plain = op.Slice(corners, one, op.Shape(corners, start=0, end=1), zero) - starts
+    legs = plain - wraps * _TWO_PI * op.Round(plain / _TWO_PI)
+    lengths = op.Sqrt(op.ReduceSum(legs * legs, one, keepdims=0))
+    reached = op.CumSum(lengths, op.Constant(value_int=0))
+    wanted = place * op.Gather(reached, end)
+    passed = op.Cast(op.LessOrEqual(op.Unsqueeze(reached, zero), wanted), to=7)
+    leg = op.Min(op.ReduceSum(passed, one, keepdims=0), op.Shape(lengths) - 1)
+    length = op.Gather(lengths, leg)
+    gone = op.Squeeze(wanted, one) - op.Gather(reached, leg) + length
+    share = op.Min(op.Max(gone / op.Max(length, op.Constant(value_float=1e-9)), 0.0), 1.0)
+    return op.Gather(starts, leg) + op.Unsqueeze(share, one) * op.Gather(legs, leg)
+
+
+@script(_LOCAL, default_opset=op)
+def _cell(ends: FLOAT, low: FLOAT, size: FLOAT, count: FLOAT, strides: INT64) -> INT64:
+    """Number of the cell (1,) that holds the first of the configurations (m, d)."""
+    zero, one = op.Constant(value_ints=[0]), op.Constant(value_ints=[1])
+    place = op.Floor((op.Slice(ends, zero, one, zero) - low) / size)
+    inside = op.Max(op.Min(place, count - 1.0), 0.0)
+    return op.ReduceSum(op.Cast(inside, to=7) * strides, one, keepdims=0)
+
+
+@script(default_opset=op)
+def way_samples(
+    confidence: FLOAT["n"],  # noqa: F821
+    place: FLOAT["m", 1],  # noqa: F821
+    jitter: FLOAT["m", 2],  # noqa: F821
+    start: FLOAT["m", 2],  # noqa: F821
+    goal: FLOAT["m", 2],  # noqa: F821
+    grid: FLOAT,
+    grid_shape: INT64,
+    neighbours: INT64,
+    step_lengths: FLOAT,
+    prices: FLOAT,
+    wraps: FLOAT,
+    low: FLOAT,
+    size: FLOAT,
+    count: FLOAT,
+    strides: INT64,
+    penalty: FLOAT,
+    levels: FLOAT,
+    sweeps: INT64,
+    tube: FLOAT,
+) -> FLOAT["m", 1, 2]:  # noqa: F821
+    """All of it, with what is fixed as inputs that the builder turns into initialisers."""
+    zero, one = op.Constant(value_ints=[0]), op.Constant(value_ints=[1])
+    read = op.Round(confidence * levels) / levels
+    weights = op.Reshape((1.0 - read) * penalty + 1.0, grid_shape)
+    first = _cell(start, low, size, count, strides)
+    last = _cell(goal, low, size, count, strides)
+    gains = _spread(weights, prices, last, wraps, sweeps)
+    cells = _walk(gains, weights, neighbours, step_lengths, first, last, sweeps)
+    # The ends themselves instead of the centres of their cells.
+    inner = op.Gather(grid, op.Slice(cells, one, op.Shape(cells), zero))
+    corners = op.Concat(op.Slice(start, zero, one, zero), inner, op.Slice(goal, zero, one, zero), axis=0)
+    # The output is named after the variable.
+    samples = op.Unsqueeze(_along(corners, place, wraps) + jitter * tube, one)
+    return samples  # noqa: RET504

@@ -1,0 +1,158 @@
+"""``python -m training.path_sampler BUNDLE FOLDER``: a path sampler of a bundle's validity head.
+
+Nothing is trained: the head's map of the joint space, the cheapest way through it and a tube round that make
+the samples (:mod:`training.models.ways`). What it writes is a bundle of the kind ``path``, which the
+inference API serves as any other; with ``--register`` it becomes a version of ``path-sampler`` as well.
+
+Exit codes: 0 done, 1 the bundle, the disk or the registry is bad, 2 the command is wrong.
+"""
+
+import argparse
+import os
+import sys
+from collections.abc import Sequence
+from dataclasses import asdict, fields, replace
+from pathlib import Path
+
+from cspace.bundle import Bundle, Provenance, RandomInput, write_bundle
+from cspace.bundle.files import ENCODER_FILE, NOVELTY_FILE, VALIDITY_FILE
+from cspace.errors import BundleError, ConfigError, CspaceError, InputError
+from services.registry.names import ALIAS_CHALLENGER, ALIAS_CHAMPION, EXPERIMENT, PATH_MODEL_NAME
+from training.models.ways import WaySettings, way_graph
+from training.provenance import command_line, now, source_state
+
+
+def make_path_bundle(source: Bundle, folder: Path, settings: WaySettings | None = None) -> Bundle:
+    """Write a path sampler that sees with another bundle's head, encodes as it does, and knows its novelty.
+
+    Args:
+        source: a bundle with a validity head, of a robot with two joints.
+        folder: where the path sampler is to be; must not exist.
+        settings: how the way is found.
+
+    Raises:
+        BundleError: the source has no validity head.
+        ConfigError: the robot has not two joints.
+        StorageError: the folder exists or cannot be written.
+    """
+    settings = settings or WaySettings()
+    if not source.has_validity:
+        raise BundleError("the bundle has no validity head", expected=VALIDITY_FILE, got=str(source.folder))
+    head = (source.folder / VALIDITY_FILE).read_bytes()
+    graphs = {
+        "encoder": (source.folder / ENCODER_FILE).read_bytes(),
+        "generator": way_graph(head, source.spec.robot.space, source.spec.latent_dim, settings),
+        "validity": head,
+    }
+    if source.spec.novelty_quantiles is not None:
+        graphs["novelty"] = (source.folder / NOVELTY_FILE).read_bytes()
+    origin, state = source.spec.provenance, source_state()
+    spec = replace(
+        source.spec,
+        kind="path",
+        model_kind="generator",
+        looks_at_picture=True,
+        samples_per_latent=1,
+        random_inputs=(
+            RandomInput("place", "uniform", (1,), 0.0, 1.0),
+            RandomInput("jitter", "normal", (source.spec.dim,)),
+        ),
+        standardisation=None,
+        uniform_share=0.0,
+        provenance=Provenance(
+            git_commit=state.commit,
+            git_dirty=state.dirty,
+            data_digest=origin.data_digest,
+            seeds=origin.seeds,
+            config={"ways": asdict(settings), "source_digest": source.digest},
+            created=now(),
+            command=command_line(),
+        ),
+    )
+    return Bundle.load(write_bundle(folder, spec, graphs))
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Parse, make, print."""
+    options = parser().parse_args(arguments)
+    try:
+        settings = WaySettings(**{item.name: getattr(options, item.name) for item in fields(WaySettings)})
+        uri = None if options.register is None else _registry_uri()
+        bundle = make_path_bundle(Bundle.load(options.bundle), options.folder, settings)
+        print(f"{bundle.folder}\n  digest {bundle.digest}")
+        if uri is not None:
+            print(f"  registered as {register(bundle, uri, options.register)}")
+    except (ConfigError, InputError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    except CspaceError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    return 0
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command line."""
+    parser = argparse.ArgumentParser(
+        prog="python -m training.path_sampler",
+        description="Make a path sampler of a bundle's validity head; nothing is trained.",
+        epilog="Reads MLFLOW_TRACKING_URI with --register. Exit codes: 0 done, 1 failed, 2 bad input.",
+    )
+    parser.add_argument("bundle", type=Path, help="a bundle with a validity head")
+    parser.add_argument("folder", type=Path, help="where the path sampler goes")
+    described = {
+        "cells": "of the map, along each joint",
+        "penalty": "what a rad costs more in collision",
+        "levels": "steps in which a confidence is read",
+        "sweeps": "over the map, and the longest way in cells",
+        "tube_rad": "standard deviation of the samples about the way",
+    }
+    for item in fields(WaySettings):
+        kind, text = type(item.default), f"{described[item.name]} (default: %(default)s)"
+        parser.add_argument(f"--{item.name.replace('_', '-')}", type=kind, default=item.default, help=text)
+    parser.add_argument(
+        "--register",
+        choices=(ALIAS_CHALLENGER, ALIAS_CHAMPION),
+        help=f"make it a version of {PATH_MODEL_NAME} with this alias",
+    )
+    return parser
+
+
+def register(bundle: Bundle, uri: str, alias: str) -> str:
+    """Make a bundle the next version of the path model, by a run that holds its settings; ``name/version``.
+
+    Raises:
+        RegistryError: the registry at ``uri`` does not answer.
+    """
+    # MLflow takes seconds to import.
+    from services.registry.mlflow_registry import MlflowRegistry  # noqa: PLC0415
+    from services.registry.mlflow_tracking import MlflowTracking  # noqa: PLC0415
+
+    provenance = bundle.spec.provenance
+    with MlflowTracking(uri).start(EXPERIMENT, PATH_MODEL_NAME) as run:
+        run.params(dict(provenance.config))
+        version = MlflowRegistry(uri).register(
+            PATH_MODEL_NAME,
+            bundle.folder,
+            run.run_id,
+            bundle.digest,
+            {
+                "data_digest": provenance.data_digest or "",
+                "source_digest": provenance.config["source_digest"],
+            },
+            alias=alias,
+        )
+    return f"{version.name}/{version.number}"
+
+
+def _registry_uri() -> str:
+    uri = os.environ.get("MLFLOW_TRACKING_URI")
+    if not uri:
+        raise ConfigError(
+            "there is no registry", expected="its address in MLFLOW_TRACKING_URI", got="nothing"
+        )
+    return uri
+
+
+if __name__ == "__main__":
+    sys.exit(main())
