@@ -58,6 +58,8 @@ def make_path_bundle(source: Bundle, folder: Path, settings: WaySettings | None 
             RandomInput("jitter", "normal", (source.spec.dim,)),
         ),
         standardisation=None,
+        # A planner drops what collides by itself, and the map has the head's doubts in it already.
+        confidence_threshold=0.0,
         uniform_share=0.0,
         provenance=Provenance(
             git_commit=state.commit,

@@ -53,19 +53,19 @@ class Arm:
     Args:
         range_rad: of the planner.
         uniform_share: None for OMPL's own uniform sampling.
-        min_confidence: what is asked of the sampler; None for its own threshold.
+        min_confidence: what is asked of the sampler.
     """
 
     range_rad: float = 1.0
     uniform_share: float | None = None
-    min_confidence: float | None = 0.0
+    min_confidence: float = 0.0
 
 
 ARMS = {
     BASE: Arm(),
     "uniform, range 0.5": Arm(range_rad=0.5),
     "path, 70 %": Arm(uniform_share=0.3),
-    "path, 70 %, filtered": Arm(uniform_share=0.3, min_confidence=None),
+    "path, 70 %, filtered": Arm(uniform_share=0.3, min_confidence=0.5),
     "path, 100 %": Arm(uniform_share=0.0),
 }
 

@@ -1,8 +1,8 @@
 """The steps of the way sampler as ONNX functions: costs that spread, a walk, points along a way.
 
-Written in ONNX itself, for onnxruntime runs a loop as it is: as an unrolled export of torch the graph would
-be many times as large and take ten times as long. What is decorated is the source of a graph and never runs
-in Python; types are those of ONNX.
+Written in ONNX itself, for onnxruntime runs a loop as it is: an export from torch would unroll it, into a
+graph that is larger and takes minutes to make. What is decorated is the source of a graph and never runs in
+Python; types are those of ONNX.
 """
 # mypy: ignore-errors
 
@@ -18,39 +18,39 @@ _TWO_PI = float(np.float32(2.0 * np.pi))
 
 
 @script(_LOCAL, default_opset=op)
-def _spread(weights: FLOAT, prices: FLOAT, last: INT64, wraps: FLOAT, sweeps: INT64) -> FLOAT:
+def _spread(
+    weights: FLOAT, prices: FLOAT, last: INT64, beyond_rows: FLOAT, beyond_columns: FLOAT, sweeps: INT64
+) -> FLOAT:
     """Gains (1, 1, c, c): minus the cost of the way from each cell to the goal's.
 
     A step costs the weight of the cell it leaves times its length. ``prices`` (3,) are the lengths of a step
-    along the first joint, the second, and both; ``wraps`` (2,) is 1 for a circle.
+    along the first joint, the second, and both. ``beyond_rows`` (c + 2, 1) and ``beyond_columns`` (1, c + 2)
+    are added where the grid is laid on beyond its ends: 0, or ``FAR`` where a joint has limits.
     """
-    # A slice of the border is the neighbour beyond it, or is as far away as can be.
     side = op.Shape(weights, start=2, end=3)
     zero, one = op.Constant(value_ints=[0]), op.Constant(value_ints=[1])
     rows, columns = op.Constant(value_ints=[2]), op.Constant(value_ints=[3])
-    beyond = (1.0 - wraps) * op.Constant(value_float=FAR)
-    over_rows, over_columns = op.Gather(beyond, zero), op.Gather(beyond, one)
     blank = op.Expand(
         op.Constant(value_floats=[FAR]), op.Shape(op.Reshape(weights, op.Constant(value_ints=[-1])))
     )
     gains = op.Reshape(op.ScatterElements(blank, last, op.Constant(value_floats=[0.0])), op.Shape(weights))
     first_price, second_price, both_price = op.Split(prices, num_outputs=3)
+    # What does not change stays outside of the loop.
+    up, across, aslant = weights * first_price, weights * second_price, weights * both_price
+    before = side - 1
+    # Names of inputs would not be renamed within the loop when the graph is joined to the head's.
+    over_rows, over_columns = op.Identity(beyond_rows), op.Identity(beyond_columns)
     for _ in range(sweeps):
-        above = op.Slice(gains, side - 1, side, rows) + over_rows
-        below = op.Slice(gains, zero, one, rows) + over_rows
-        vertical = op.MaxPool(op.Concat(above, gains, below, axis=2), kernel_shape=[3, 1])
-        left = op.Slice(gains, side - 1, side, columns) + over_columns
-        right = op.Slice(gains, zero, one, columns) + over_columns
-        horizontal = op.MaxPool(op.Concat(left, gains, right, axis=3), kernel_shape=[1, 3])
-        left = op.Slice(vertical, side - 1, side, columns) + over_columns
-        right = op.Slice(vertical, zero, one, columns) + over_columns
-        diagonal = op.MaxPool(op.Concat(left, vertical, right, axis=3), kernel_shape=[1, 3])
-        gains = op.Max(
-            gains,
-            vertical - weights * first_price,
-            horizontal - weights * second_price,
-            diagonal - weights * both_price,
-        )
+        above = op.Slice(gains, before, side, rows)
+        below = op.Slice(gains, zero, one, rows)
+        vertical = op.MaxPool(op.Concat(above, gains, below, axis=2) + over_rows, kernel_shape=[3, 1])
+        left = op.Slice(gains, before, side, columns)
+        right = op.Slice(gains, zero, one, columns)
+        horizontal = op.MaxPool(op.Concat(left, gains, right, axis=3) + over_columns, kernel_shape=[1, 3])
+        left = op.Slice(vertical, before, side, columns)
+        right = op.Slice(vertical, zero, one, columns)
+        diagonal = op.MaxPool(op.Concat(left, vertical, right, axis=3) + over_columns, kernel_shape=[1, 3])
+        gains = op.Max(gains, vertical - up, horizontal - across, diagonal - aslant)
     return gains
 
 
@@ -117,6 +117,8 @@ def way_samples(
     step_lengths: FLOAT,
     prices: FLOAT,
     wraps: FLOAT,
+    beyond_rows: FLOAT,
+    beyond_columns: FLOAT,
     low: FLOAT,
     size: FLOAT,
     count: FLOAT,
@@ -132,7 +134,7 @@ def way_samples(
     weights = op.Reshape((1.0 - read) * penalty + 1.0, grid_shape)
     first = _cell(start, low, size, count, strides)
     last = _cell(goal, low, size, count, strides)
-    gains = _spread(weights, prices, last, wraps, sweeps)
+    gains = _spread(weights, prices, last, beyond_rows, beyond_columns, sweeps)
     cells = _walk(gains, weights, neighbours, step_lengths, first, last, sweeps)
     # The ends themselves instead of the centres of their cells.
     inner = op.Gather(grid, op.Slice(cells, one, op.Shape(cells), zero))

@@ -43,7 +43,7 @@ class WaySettings:
     cells: int = 48
     penalty: float = 20.0
     levels: int = 64
-    sweeps: int = 96
+    sweeps: int = 64
     tube_rad: float = 0.1
 
     def __post_init__(self) -> None:
@@ -82,7 +82,7 @@ def way_graph(
     ways = inliner.inline_local_functions(source)
     _fix(ways, constants)
     head = onnx.load_from_string(validity)
-    _fix(head, {"configurations": constants["grid"]})
+    _show(head, constants["grid"])
     ways.ir_version = head.ir_version
     whole = compose.merge_models(
         compose.add_prefix(head, "head/", rename_inputs=False, rename_outputs=False),
@@ -109,6 +109,8 @@ def _constants(space: JointSpace, settings: WaySettings) -> dict[str, NDArray[An
         "step_lengths": lengths,
         "prices": np.array([size[0], size[1], np.hypot(*size)], dtype=np.float32),
         "wraps": np.array(space.periodic, dtype=np.float32),
+        "beyond_rows": _beyond(settings.cells, space.periodic[0]).reshape(-1, 1),
+        "beyond_columns": _beyond(settings.cells, space.periodic[1]).reshape(1, -1),
         "low": np.array(space.lower, dtype=np.float32),
         "size": size.astype(np.float32),
         "count": np.array(settings.cells, dtype=np.float32),
@@ -118,6 +120,12 @@ def _constants(space: JointSpace, settings: WaySettings) -> dict[str, NDArray[An
         "sweeps": np.array(settings.sweeps, dtype=np.int64),
         "tube": np.array(settings.tube_rad, dtype=np.float32),
     }
+
+
+def _beyond(cells: int, wraps: bool) -> NDArray[np.float32]:
+    line = np.zeros(cells + 2, dtype=np.float32)
+    line[[0, -1]] = 0.0 if wraps else FAR
+    return line
 
 
 def _neighbours(space: JointSpace, shape: tuple[int, ...]) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
@@ -136,6 +144,30 @@ def _neighbours(space: JointSpace, shape: tuple[int, ...]) -> tuple[NDArray[np.i
             numbers.append(np.where(inside, there, np.arange(place.shape[1])))
             lengths.append(np.where(inside, np.linalg.norm(step * spacing(space, shape)), -FAR))
     return np.array(numbers, dtype=np.int64), np.array(lengths, dtype=np.float32)
+
+
+def _show(head: onnx.ModelProto, grid: NDArray[Any]) -> None:
+    """Let the head look at the grid.
+
+    The number of its cells comes from the picture's shape, so that it is not known before the graph runs:
+    with fixed shapes onnxruntime turns the look-ups into an order that takes twice as long.
+    """
+    (entry,) = [entry for entry in head.graph.input if entry.name == "configurations"]
+    head.graph.input.remove(entry)
+    ends = {"grid_begin": [0], "grid_axis": [0], "grid_more": [len(grid) - 1]}
+    for name, value in ends.items():
+        head.graph.initializer.append(numpy_helper.from_array(np.array(value, dtype=np.int64), name))
+    head.graph.initializer.append(numpy_helper.from_array(grid, "grid_all"))
+    nodes = [
+        helper.make_node("Shape", ["image"], ["grid_pictures"], start=0, end=1),
+        helper.make_node("Add", ["grid_pictures", "grid_more"], ["grid_end"]),
+        helper.make_node("Slice", ["grid_all", "grid_begin", "grid_end", "grid_axis"], ["configurations"]),
+    ]
+    for node in reversed(nodes):
+        head.graph.node.insert(0, node)
+    # One picture, as the head takes it; said as if there could be several.
+    (image,) = [entry for entry in head.graph.input if entry.name == "image"]
+    image.type.tensor_type.shape.dim[0].dim_param = "pictures"
 
 
 def _fix(model: onnx.ModelProto, constants: dict[str, NDArray[Any]]) -> None:
