@@ -75,17 +75,19 @@ class Unit:
     family: Family | None = None
 
 
-def units(budget: Budget, joints: int = 2) -> list[Unit]:
+def units(budget: Budget, joints: int = 2, *, paths: bool = False) -> list[Unit]:
     """All units of an evaluation, the long ones first, so that workers end together.
 
     The problem families are drawn on a grid over two joints; other arms have no planning units and are judged
-    on the uniform scenarios alone.
+    on the uniform scenarios alone. Path models are judged by planning alone.
     """
     problems = {Split.VALIDATION: budget.validation_problems, Split.TEST: budget.test_problems}
     work: list[Unit] = []
     for family in FAMILIES if joints == 2 else ():
         for split in JUDGED:
             work += [Unit(Kind.PLANNING, split, *part, family) for part in _parts(problems[split], 5)]
+    if paths:
+        return work
     for split in JUDGED if joints == 2 else ():
         parts = _parts(budget.disconnected_scenarios, 5)
         work += [Unit(Kind.RECONSTRUCTION, split, *part, Family.DISCONNECTED) for part in parts]

@@ -14,7 +14,7 @@ from services.evaluator.budget import FAMILIES, SCENE_FAMILIES, Budget, Kind, Un
 from services.evaluator.planning import PlanningTrial, plan_trial
 from services.evaluator.planning_summary import FamilySummary, success_rate, summarise_family
 from services.evaluator.reconstruction import ReconstructionSummary, SceneQuality, summarise
-from services.evaluator.samplers import Sampler
+from services.evaluator.samplers import AnySampler, PathSampler, Sampler
 from services.evaluator.scenes import Scene, Stage, reconstruct, summary_rng
 from services.evaluator.statistics import Interval
 from services.evaluator.topology_scenes import (
@@ -42,12 +42,13 @@ Row = SceneQuality | SceneTopology | PlanningTrial
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """What an evaluation is about: whose arm, which camera, which seed, how much."""
+    """What an evaluation is about: arm, camera, seed, how much, and whether of a path model."""
 
     robot: PlanarArm
     camera: Camera
     seed: int
     budget: Budget
+    paths: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,10 +64,11 @@ class UnitResult:
 class SplitResult:
     """All of one split: summaries with the rows behind them.
 
-    ``reconstruction`` is of the uniform scenarios, ``families`` of the others; ``scenes`` are of all.
+    ``reconstruction`` is of the uniform scenarios, ``families`` of the others; ``scenes`` are of all. Path
+    models have none of the three.
     """
 
-    reconstruction: ReconstructionSummary
+    reconstruction: ReconstructionSummary | None
     planning: tuple[FamilySummary, ...]
     planning_success: Interval | None
     scenes: tuple[SceneQuality, ...]
@@ -86,15 +88,20 @@ class Evaluation:
     cpu_seconds: float
 
 
-def run_unit(unit: Unit, setting: Setting, sampler: Sampler) -> UnitResult:
-    """Measure one unit of work; its rows depend on nothing else."""
+def run_unit(unit: Unit, setting: Setting, sampler: AnySampler) -> UnitResult:
+    """Measure one unit of work; its rows depend on nothing else.
+
+    Raises:
+        EvaluationError: a path model is asked for samples of the free space.
+    """
     began = time.perf_counter()
-    measure = {
-        Kind.RECONSTRUCTION: _reconstruction_rows,
-        Kind.TOPOLOGY: _topology_rows,
-        Kind.PLANNING: _planning_rows,
-    }[unit.kind]
-    rows = measure(unit, setting, sampler)
+    if unit.kind is Kind.PLANNING:
+        rows = _planning_rows(unit, setting, sampler)
+    elif isinstance(sampler, PathSampler):
+        raise EvaluationError("path models are judged by planning alone", got=str(unit.kind))
+    else:
+        measure = _reconstruction_rows if unit.kind is Kind.RECONSTRUCTION else _topology_rows
+        rows = measure(unit, setting, sampler)
     return UnitResult(unit, tuple(rows), time.perf_counter() - began)
 
 
@@ -109,23 +116,24 @@ def assemble(results: Iterable[UnitResult], setting: Setting) -> Evaluation:
     shapes = [row for row in _rows(done, Split.TEST) if isinstance(row, SceneTopology)]
     return Evaluation(
         setting,
-        _split_result(_rows(done, Split.VALIDATION), rng),
-        _split_result(_rows(done, Split.TEST), rng),
+        _split_result(_rows(done, Split.VALIDATION), rng, paths=setting.paths),
+        _split_result(_rows(done, Split.TEST), rng, paths=setting.paths),
         summarise_topology(shapes, rng) if shapes else {},
         tuple(shapes),
         sum(result.seconds for result in done),
     )
 
 
-def _split_result(rows: Sequence[Row], rng: np.random.Generator) -> SplitResult:
+def _split_result(rows: Sequence[Row], rng: np.random.Generator, *, paths: bool) -> SplitResult:
     scenes = tuple(row for row in rows if isinstance(row, SceneQuality))
     trials = tuple(row for row in rows if isinstance(row, PlanningTrial))
     present = {trial.family for trial in trials}
     by_family = {family: [scene for scene in scenes if scene.family is family] for family in SCENE_FAMILIES}
     # Resampling of its own leaves the other intervals as they are in an evaluation without families.
     (apart,) = rng.spawn(1)
+    uniform = by_family.pop(Family.UNIFORM)
     return SplitResult(
-        summarise(by_family.pop(Family.UNIFORM), rng),
+        None if paths else summarise(uniform, rng),
         tuple(summarise_family(family, trials, rng) for family in FAMILIES if family in present),
         success_rate(trials) if trials else None,
         scenes,
@@ -159,7 +167,7 @@ def _topology_rows(unit: Unit, setting: Setting, sampler: Sampler) -> list[Row]:
     ]
 
 
-def _planning_rows(unit: Unit, setting: Setting, sampler: Sampler) -> list[Row]:
+def _planning_rows(unit: Unit, setting: Setting, sampler: AnySampler) -> list[Row]:
     if unit.family is None:
         raise EvaluationError("a unit of planning names no family", got=str(unit))
     rows: list[Row] = []
@@ -169,7 +177,8 @@ def _planning_rows(unit: Unit, setting: Setting, sampler: Sampler) -> list[Row]:
         for repeat in range(setting.budget.planner_seeds):
             seed = planner_seed(setting.seed, index, repeat)
             rows.append(plan_trial(problem, index, seed, sampler, PLANNER))
-        if unit.family is Family.NARROW and index < setting.budget.narrow_scenarios:
+        wanted = unit.family is Family.NARROW and index < setting.budget.narrow_scenarios
+        if wanted and not isinstance(sampler, PathSampler):
             scene = Scene(_stage(unit, setting), index, unit.family, problem)
             rows.append(reconstruct(scene, sampler, setting.budget.samples))
     return rows

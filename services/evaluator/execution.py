@@ -5,7 +5,7 @@ from functools import lru_cache
 
 from services.evaluator.budget import Unit
 from services.evaluator.evaluation import Setting, UnitResult, run_unit
-from services.evaluator.samplers import PackedBundle, Sampler, bundle_sampler
+from services.evaluator.samplers import AnySampler, PackedBundle, any_sampler
 
 Execute = Callable[[Sequence[Unit], Setting, PackedBundle], Iterator[UnitResult]]
 
@@ -22,5 +22,5 @@ def run_packed(unit: Unit, setting: Setting, packed: PackedBundle) -> UnitResult
 
 
 @lru_cache(maxsize=1)
-def _sampler(packed: PackedBundle) -> Sampler:
-    return bundle_sampler(packed.load())
+def _sampler(packed: PackedBundle) -> AnySampler:
+    return any_sampler(packed.load())

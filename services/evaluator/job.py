@@ -17,12 +17,14 @@ from services.evaluator.execution import Execute, run_here, run_packed
 from services.evaluator.gate import Verdict
 from services.evaluator.recording import decide, log_evaluation, record
 from services.evaluator.request import ModelReference, Request
-from services.evaluator.samplers import BundleSampler, PackedBundle
+from services.evaluator.samplers import AnySampler, BundleSampler, PackedBundle, PathBundleSampler
 from services.registry.models import ModelRegistry, ModelVersion
 from services.registry.names import EXPERIMENT
 from services.registry.tracking import Tracking
 
 RUN_NAME = "evaluation"
+# The families of problems are drawn on a grid over two joints.
+PLANE = 2
 Progress = Callable[[str], None]
 
 
@@ -65,7 +67,7 @@ def evaluate_version(
 
     Raises:
         ModelNotFoundError: there is no such version.
-        ConfigError: the version is a path model, which other metrics judge.
+        ConfigError: the version is a path model for another arm than one of two joints.
         BundleError: the version's bundle is damaged.
         CspaceError: measuring or recording failed.
     """
@@ -75,12 +77,13 @@ def evaluate_version(
         bundle = _load(registry, version, Path(folder))
         # Training registers under its parent run, which the trials are shown under as well.
         with tracking.start(EXPERIMENT, RUN_NAME, parent_run_id=version.run_id, tags=tags) as run:
-            setting = Setting(bundle.spec.robot, bundle.spec.camera, request.seed, request.budget)
+            spec = bundle.spec
+            setting = Setting(spec.robot, spec.camera, request.seed, request.budget, spec.kind == "path")
             progress(f"evaluating {version.name}/{version.number}, digest {bundle.digest[:12]}")
             evaluation = _measure(execute, setting, PackedBundle.pack(bundle), progress)
             verdict = decide(registry, version, evaluation)
             title = f"{version.name}/{version.number}"
-            figures = log_evaluation(run, evaluation, verdict, BundleSampler(bundle), title)
+            figures = log_evaluation(run, evaluation, verdict, _shown(bundle), title)
         if request.promote:
             record(registry, version, evaluation, verdict)
     return Outcome(version, evaluation, verdict, request.promote, run.run_id, figures)
@@ -126,15 +129,20 @@ def _find(registry: ModelRegistry, model: ModelReference) -> ModelVersion:
 
 def _load(registry: ModelRegistry, version: ModelVersion, folder: Path) -> Bundle:
     bundle = Bundle.load(registry.download(version, folder / "bundle"))
-    if bundle.spec.kind != "configuration":
+    if bundle.spec.kind == "path" and bundle.spec.dim != PLANE:
         raise ConfigError(
-            "this evaluation is for configuration models", expected="configuration", got=bundle.spec.kind
+            "path models are judged on problems of two joints", expected=str(PLANE), got=str(bundle.spec.dim)
         )
     return bundle
 
 
+def _shown(bundle: Bundle) -> AnySampler:
+    """What pictures are drawn with: all samples as they come."""
+    return PathBundleSampler(bundle) if bundle.spec.kind == "path" else BundleSampler(bundle)
+
+
 def _measure(execute: Execute, setting: Setting, packed: PackedBundle, progress: Progress) -> Evaluation:
-    work = units(setting.budget, setting.robot.dim)
+    work = units(setting.budget, setting.robot.dim, paths=setting.paths)
     results: list[UnitResult] = []
     for result in execute(work, setting, packed):
         results.append(result)

@@ -24,7 +24,7 @@ def flat_metrics(evaluation: Evaluation) -> dict[str, float]:
 
 
 def _split_metrics(split: SplitResult, prefix: str) -> dict[str, float]:
-    metrics = _reconstruction_metrics(split.reconstruction, prefix)
+    metrics = {} if split.reconstruction is None else _reconstruction_metrics(split.reconstruction, prefix)
     for name, summary in split.families.items():
         metrics |= _reconstruction_metrics(summary, f"{prefix}{name.value}_")
     if split.planning_success is not None:

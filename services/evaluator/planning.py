@@ -14,12 +14,14 @@ from numpy.typing import NDArray
 
 from cspace.problem import Family, Problem
 from cspace.render import render
-from services.evaluator.samplers import Sampler, ScoredSampler
+from services.evaluator.samplers import AnySampler, PathSampler, Samples, ScoredSampler
 from services.planner.ompl_planner import PlannerSettings, PlanResult, Reason, solve
 from services.planner.path_check import judge_path
 
 LEARNED_SAMPLES = 300
 UNIFORM_SHARE = 0.3
+# At which a path model's samples are filtered for comparison: even odds.
+PATH_CONFIDENCE = 0.5
 
 Solver = Callable[[Problem, PlannerSettings, NDArray[np.float32] | None, float], PlanResult]
 
@@ -68,7 +70,7 @@ def plan_trial(
     problem: Problem,
     index: int,
     seed: int,
-    sampler: Sampler,
+    sampler: AnySampler,
     settings: PlannerSettings,
     solver: Solver = solve,
 ) -> PlanningTrial:
@@ -78,28 +80,46 @@ def plan_trial(
         problem: start and goal in a scenario.
         index: the problem's number within its family.
         seed: of planner and sampler, above 0.
-        sampler: draws the learned samples from the scenario's picture.
+        sampler: draws the learned samples from the scenario's picture, and a path model from start and goal
+            as well.
         settings: of the planner; its seed is replaced.
         solver: the planner.
     """
     seeded = replace(settings, seed=seed)
     began = time.perf_counter()
     image = render(problem.scenario)
-    samples = sampler.sample(image, LEARNED_SAMPLES, seed)
+    samples = _samples(problem, image, seed, sampler)
     sampling_time_s = time.perf_counter() - began
     uniform, learned, *confident = (
         _outcome(problem, solver(problem, seeded, drawn, UNIFORM_SHARE), settings.resolution_rad)
-        for drawn in (None, samples, *_confident(image, seed, sampler))
+        for drawn in (None, samples, *_confident(problem, image, seed, sampler))
     )
     only = confident[0] if confident else None
     return PlanningTrial(problem.family, index, seed, uniform, learned, sampling_time_s, only)
 
 
-def _confident(image: NDArray[np.uint8], seed: int, sampler: Sampler) -> list[NDArray[np.float32]]:
+def _samples(
+    problem: Problem,
+    image: NDArray[np.uint8],
+    seed: int,
+    sampler: AnySampler,
+    min_confidence: float = 0.0,
+) -> Samples:
+    if not isinstance(sampler, PathSampler):
+        return sampler.sample(image, LEARNED_SAMPLES, seed)
+    return sampler.between(image, problem.start, problem.goal, LEARNED_SAMPLES, seed, min_confidence)
+
+
+def _confident(
+    problem: Problem, image: NDArray[np.uint8], seed: int, sampler: AnySampler
+) -> list[NDArray[np.float32]]:
     """As many learned samples, of those that the validity head lets pass; nothing without it or them."""
-    if not isinstance(sampler, ScoredSampler):
+    if isinstance(sampler, PathSampler):
+        samples = _samples(problem, image, seed, sampler, PATH_CONFIDENCE)
+    elif isinstance(sampler, ScoredSampler):
+        samples = sampler.confident(image, LEARNED_SAMPLES, seed).samples
+    else:
         return []
-    samples = sampler.confident(image, LEARNED_SAMPLES, seed).samples
     return [samples] if len(samples) == LEARNED_SAMPLES else []
 
 

@@ -3,20 +3,35 @@
 import tempfile
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
-from cspace.problem import Family
+from cspace.errors import EvaluationError
+from cspace.problem import Family, draw_problem
+from cspace.render import render
 from cspace.scenario import Split
 from services.evaluator.budget import SCENE_FAMILIES
-from services.evaluator.evaluation import Evaluation
+from services.evaluator.evaluation import PLANNER, Evaluation, planner_seed
 from services.evaluator.gallery import gallery
-from services.evaluator.gate import GATED, Candidate, Champion, Verdict, judge
+from services.evaluator.gate import (
+    GATED,
+    GATED_PATHS,
+    Candidate,
+    Champion,
+    PathCandidate,
+    Verdict,
+    judge,
+    judge_paths,
+)
 from services.evaluator.metrics import flat_metrics
+from services.evaluator.planning import LEARNED_SAMPLES, UNIFORM_SHARE
 from services.evaluator.reconstruction import SceneQuality
 from services.evaluator.reliability import reliability_diagram
 from services.evaluator.report import to_json, to_markdown
-from services.evaluator.samplers import Sampler
+from services.evaluator.samplers import AnySampler, PathSampler
 from services.evaluator.scenes import Scene, Stage
+from services.planner.ompl_planner import solve
+from services.planner.plot import draw_plan
 from services.registry.models import ModelRegistry, ModelVersion
 from services.registry.promotion import Decision, champions, record_decision
 from services.registry.tracking import RunLog
@@ -36,8 +51,19 @@ def decide(registry: ModelRegistry, version: ModelVersion, evaluation: Evaluatio
         for decision in champions(registry, version.name)
         if decision.version != version.number and decision.metrics.get(JOINTS) == joints
     ]
-    gain = evaluation.validation.reconstruction.precision_gain
-    return judge(Candidate(gain, _gated(evaluation)), earlier)
+    reconstruction = evaluation.validation.reconstruction
+    if reconstruction is None:
+        return judge_paths(_path_candidate(evaluation), earlier)
+    return judge(Candidate(reconstruction.precision_gain, _gated(evaluation)), earlier)
+
+
+def _path_candidate(evaluation: Evaluation) -> PathCandidate:
+    planning, trials = evaluation.validation.planning, evaluation.validation.trials
+    narrow = next((family for family in planning if family.family is Family.NARROW), None)
+    if narrow is None:
+        raise EvaluationError("path models are judged on narrow problems", expected="one or more", got="none")
+    solved = sum(trial.uniform.success for trial in trials) / len(trials)
+    return PathCandidate(narrow.edge_checks_ratio, solved, _gated(evaluation))
 
 
 def record(
@@ -54,7 +80,7 @@ def record(
 
 
 def log_evaluation(
-    run: RunLog, evaluation: Evaluation, verdict: Verdict, sampler: Sampler, title: str
+    run: RunLog, evaluation: Evaluation, verdict: Verdict, sampler: AnySampler, title: str
 ) -> tuple[str, ...]:
     """Metrics, settings, report and pictures into a run; returns the pictures' names."""
     setting = evaluation.setting
@@ -70,16 +96,34 @@ def log_evaluation(
             path.write_text(text, encoding="utf-8")
             run.artifact(path, REPORT_FOLDER)
         run.flush()
+    if isinstance(sampler, PathSampler):
+        return _plans(run, evaluation, sampler, title)
     names = []
     for split, measured in ((Split.VALIDATION, evaluation.validation), (Split.TEST, evaluation.test)):
         stage = Stage(setting.robot, setting.camera, split, setting.seed)
         shown = exhibits(stage, measured.scenes)
         names.append(f"gallery-{split}")
         run.figure(gallery([*shown], sampler, title, [*shown.values()]), names[-1])
-    head = evaluation.test.reconstruction.occupancy
-    if head is not None:
+    summary = evaluation.test.reconstruction
+    if summary is not None and summary.occupancy is not None:
         names.append("reliability")
-        run.figure(reliability_diagram(head, title), names[-1])
+        run.figure(reliability_diagram(summary.occupancy, title), names[-1])
+    return tuple(names)
+
+
+def _plans(run: RunLog, evaluation: Evaluation, sampler: PathSampler, title: str) -> tuple[str, ...]:
+    """The first test problem of each family, solved with the model's samples."""
+    names, setting = [], evaluation.setting
+    for summary in evaluation.test.planning:
+        family = summary.family
+        drawn = draw_problem(family, Split.TEST, setting.seed, 0, setting.robot)
+        problem = replace(drawn, scenario=replace(drawn.scenario, camera=setting.camera))
+        seed = planner_seed(setting.seed, 0, 0)
+        image = render(problem.scenario)
+        samples = sampler.between(image, problem.start, problem.goal, LEARNED_SAMPLES, seed)
+        plan = solve(problem, replace(PLANNER, seed=seed), samples, UNIFORM_SHARE, keep_tree=True)
+        names.append(f"plan-{family.value}")
+        run.figure(draw_plan(problem, plan, samples, f"{title}, {family.value}"), names[-1])
     return tuple(names)
 
 
@@ -98,4 +142,5 @@ def exhibits(stage: Stage, measured: Sequence[SceneQuality]) -> dict[Scene, str]
 
 def _gated(evaluation: Evaluation) -> dict[str, float]:
     metrics = flat_metrics(evaluation)
-    return {name: metrics[name] for name in GATED if name in metrics}
+    names = GATED_PATHS if evaluation.validation.reconstruction is None else GATED
+    return {name: metrics[name] for name in names if name in metrics}

@@ -56,16 +56,17 @@ def to_markdown(evaluation: Evaluation, title: str, reasons: Sequence[str]) -> s
     parts = [f"# {title}", "## Decision", "\n".join(f"- {reason}" for reason in reasons)]
     for name, split in (("validation", evaluation.validation), ("test", evaluation.test)):
         role = "decides" if name == "validation" else "reported only"
-        parts += [
-            f"## Reconstruction, {name} ({role})",
-            markdown(reconstruction_table(split)),
-            f"Gain in precision over uniform: {split.reconstruction.precision_gain:.3f}.",
-            RECONSTRUCTION_NOTE,
-        ]
+        if split.reconstruction is not None:
+            parts += [
+                f"## Reconstruction, {name} ({role})",
+                markdown(reconstruction_table(split)),
+                f"Gain in precision over uniform: {split.reconstruction.precision_gain:.3f}.",
+                RECONSTRUCTION_NOTE,
+            ]
         if split.families:
             heading = f"## Reconstruction by family, {name} (reported only)"
             parts += [heading, markdown(scene_family_table(split)), FAMILY_NOTE]
-        if split.reconstruction.occupancy is not None:
+        if occupancy_table(split):
             parts += [f"## Validity head, {name}", markdown(occupancy_table(split)), OCCUPANCY_NOTE]
         if split.planning:
             parts += [
@@ -75,9 +76,12 @@ def to_markdown(evaluation: Evaluation, title: str, reasons: Sequence[str]) -> s
             ]
     if evaluation.topology:
         parts += ["## Topology, test (reported only)", markdown(topology_table(evaluation)), TOPOLOGY_NOTE]
+    scenes = f"{budget.scenarios} scenarios a split, {budget.samples} samples each"
+    if evaluation.validation.reconstruction is None:
+        scenes = f"{budget.validation_problems} validation and {budget.test_problems} test problems a family"
     parts.append(
-        f"Seed {evaluation.setting.seed}, {budget.scenarios} scenarios a split, {budget.samples} samples "
-        "each; intervals of 95 % by bootstrap over scenarios, exact for success rates."
+        f"Seed {evaluation.setting.seed}, {scenes}; intervals of 95 % by bootstrap over scenarios, exact for "
+        "success rates."
     )
     return "\n\n".join(parts) + "\n"
 

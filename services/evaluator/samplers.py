@@ -1,4 +1,4 @@
-"""What can be judged: anything that turns a picture into configurations.
+"""What can be judged: anything that turns a picture, or a picture with start and goal, into configurations.
 
 A bundle in this process, a version behind the inference API, and the uniform sampler are all the same to the
 metrics.
@@ -20,6 +20,7 @@ from services.planner.sampling_client import SamplingClient
 
 Image = NDArray[np.uint8]
 Samples = NDArray[np.float32]
+Ends = NDArray[np.float64]
 
 
 class Sampler(Protocol):
@@ -59,6 +60,29 @@ class ScoredSampler(Sampler, Protocol):
     def confident(self, image: Image, n: int, seed: int) -> Confident:
         """``n`` configurations whose score reaches the threshold, drawn as they are served."""
         ...
+
+
+@runtime_checkable
+class PathSampler(Protocol):
+    """Draws configurations for a picture with start and goal."""
+
+    def between(
+        self, image: Image, start: Ends, goal: Ends, n: int, seed: int, min_confidence: float = 0.0
+    ) -> Samples:
+        """``n`` configurations (n, d) rad, the same ones for the same arguments.
+
+        Args:
+            image: uint8 (P, P, 3).
+            start: (d,) rad.
+            goal: (d,) rad.
+            n: how many; fewer come where too few reach the confidence.
+            seed: unsigned 64 bit.
+            min_confidence: what a validity head has to score.
+        """
+        ...
+
+
+AnySampler = Sampler | PathSampler
 
 
 @dataclass(frozen=True)
@@ -104,8 +128,28 @@ class ScoredBundleSampler(BundleSampler):
         return Confident(drawn.samples, drawn.acceptance)
 
 
+@dataclass(frozen=True)
+class PathBundleSampler:
+    """A bundle for paths in this process."""
+
+    bundle: Bundle
+
+    def between(
+        self, image: Image, start: Ends, goal: Ends, n: int, seed: int, min_confidence: float = 0.0
+    ) -> Samples:
+        """See :class:`PathSampler`."""
+        least = min_confidence if self.bundle.has_validity else 0.0
+        drawn = self.bundle.sample(image, n, seed, start=start, goal=goal, min_confidence=least)
+        return drawn.samples
+
+
+def any_sampler(bundle: Bundle) -> AnySampler:
+    """A bundle of either kind with all that it can do, none of its samples dropped."""
+    return PathBundleSampler(bundle) if bundle.spec.kind == "path" else bundle_sampler(bundle)
+
+
 def bundle_sampler(bundle: Bundle) -> BundleSampler:
-    """A bundle with all that it can do, none of its samples dropped."""
+    """A bundle for configurations with all that it can do, none of its samples dropped."""
     threshold = bundle.spec.confidence_threshold
     if threshold is None or not bundle.has_validity:
         return BundleSampler(bundle)

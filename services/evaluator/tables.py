@@ -14,7 +14,9 @@ MEASURES = ("precision", "coverage", "EDr", "k-NN precision", "k-NN recall")
 
 
 def reconstruction_table(split: SplitResult) -> Table:
-    """Sampler, uniform and real samples, one row each."""
+    """Sampler, uniform and real samples, one row each; empty for path models."""
+    if split.reconstruction is None:
+        return []
     rows = [["samples", *MEASURES, "precision p10", "precision min"]]
     for name, one in _samplers(split.reconstruction):
         low = (f"{one.precision_p10:.3f}", f"{one.precision_minimum:.3f}")
@@ -43,7 +45,7 @@ def occupancy_table(split: SplitResult) -> Table:
         near = "-" if head.near_accuracy is None else f"{head.near_accuracy:.3f}"
         cells = (f"{head.accuracy:.4f}", near, f"{head.calibration_error:.4f}", f"{head.acceptance:.3f}")
         rows.append([family, *cells])
-    return rows
+    return rows if len(rows) > 1 else []
 
 
 def planning_table(families: Sequence[FamilySummary]) -> Table:
@@ -84,7 +86,8 @@ def aligned(table: Table) -> str:
 
 def _by_family(split: SplitResult) -> list[tuple[str, ReconstructionSummary]]:
     others = [(family.value, summary) for family, summary in split.families.items()]
-    return [(Family.UNIFORM.value, split.reconstruction), *others]
+    uniform = [] if split.reconstruction is None else [(Family.UNIFORM.value, split.reconstruction)]
+    return [*uniform, *others]
 
 
 def _samplers(summary: ReconstructionSummary) -> list[tuple[str, SamplerSummary]]:

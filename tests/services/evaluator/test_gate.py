@@ -1,6 +1,6 @@
 import pytest
 
-from services.evaluator.gate import Candidate, Champion, Policy, judge
+from services.evaluator.gate import Candidate, Champion, PathCandidate, Policy, judge, judge_paths
 from services.evaluator.statistics import Interval
 
 GOOD = {"precision": 0.86, "coverage": 0.9, "edr": 0.2, "planning_success": 0.95}
@@ -84,3 +84,43 @@ def test_champions_without_a_metric_do_not_bind_it():
 def test_the_policy_is_an_argument():
     strict = Policy(coverage_floor=0.95)
     assert not judge(candidate(), [], strict).promoted
+
+
+PATHS = {"planning_success": 0.95, "narrow_edge_checks_ratio": 3.0}
+
+
+def path_candidate(low=1.5, uniform_success=0.9, **changes):
+    return PathCandidate(Interval(low + 1.0, low, low + 2.0, 30), uniform_success, PATHS | changes)
+
+
+def test_a_path_model_that_saves_checks_and_solves_as_much_is_promoted():
+    verdict = judge_paths(path_candidate(), [])
+    assert verdict.promoted
+    assert any(reason.startswith("saves edge checks in narrow problems") for reason in verdict.reasons)
+
+
+@pytest.mark.parametrize(
+    ("candidate", "words"),
+    [
+        (path_candidate(low=1.0), "does not save edge checks"),
+        (path_candidate(uniform_success=0.96), "solves fewer problems than uniform samples"),
+    ],
+)
+def test_a_path_model_that_saves_nothing_or_solves_less_is_refused(candidate, words):
+    verdict = judge_paths(candidate, [])
+    assert not verdict.promoted
+    assert any(reason.startswith(words) for reason in verdict.reasons)
+
+
+@pytest.mark.parametrize(
+    ("changes", "held"),
+    [
+        ({"narrow_edge_checks_ratio": 2.1}, True),
+        ({"narrow_edge_checks_ratio": 1.9}, False),
+        ({"planning_success": 0.84}, False),
+    ],
+)
+def test_a_path_model_stays_near_the_best_of_its_champions(changes, held):
+    champions = [Champion(1, PATHS), Champion(2, PATHS | {"narrow_edge_checks_ratio": 2.0})]
+    verdict = judge_paths(path_candidate(uniform_success=0.5, **changes), champions)
+    assert (verdict.promoted, verdict.against) == (held, 2)

@@ -4,6 +4,7 @@ from dataclasses import replace
 import pytest
 
 from cspace.errors import ConfigError, EvaluationError, ModelNotFoundError
+from cspace.robot import THREE_LINK
 from services.evaluator import __main__ as command
 from services.evaluator.budget import Budget, Kind, units
 from services.evaluator.execution import run_here
@@ -117,13 +118,13 @@ def test_an_unknown_version_is_an_error(tracking, registry):
         evaluate_version(request(f"{MODEL_NAME}/9"), tracking, registry)
 
 
-def test_a_path_model_is_refused(tracking, registry, tmp_path):
+def test_a_path_model_of_three_joints_is_refused(tracking, registry, tmp_path):
     from cspace.bundle import Bundle
 
-    bundle = Bundle.load(write_tiny_bundle(tmp_path / "path", kind="path"))
+    bundle = Bundle.load(write_tiny_bundle(tmp_path / "path", THREE_LINK, kind="path"))
     run_id = tracking.start(MODEL_NAME, "cluster-train").run_id
     registry.register(MODEL_NAME, bundle.folder, run_id, bundle.digest, {})
-    with pytest.raises(ConfigError, match="configuration models"):
+    with pytest.raises(ConfigError, match="two joints"):
         evaluate_version(request(f"{MODEL_NAME}/2"), tracking, registry)
 
 

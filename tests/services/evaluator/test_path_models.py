@@ -1,0 +1,106 @@
+"""Path models are judged by what a planner gains, with the shipped head's path sampler and a useless one."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cspace.bundle import Bundle
+from cspace.errors import EvaluationError
+from cspace.problem import Family
+from cspace.robot import TWO_LINK
+from cspace.scenario import Camera, Split
+from inference_api.settings import PRETRAINED_FOLDER
+from services.evaluator.budget import Budget, Kind, Unit, units
+from services.evaluator.evaluation import Setting, run_unit
+from services.evaluator.job import evaluate_version
+from services.evaluator.request import make_request
+from services.evaluator.samplers import PathBundleSampler, PathSampler, UniformSampler, any_sampler
+from services.registry import decisions
+from tests.bundles import picture, write_tiny_bundle
+from tests.fakes.registry import FakeRegistry, FakeTracking
+from training.path_sampler import make_path_bundle
+
+MODEL = "path-sampler"
+FEW = Budget(
+    scenarios=3,
+    samples=100,
+    validation_problems=6,
+    test_problems=1,
+    planner_seeds=1,
+    topology_scenarios=1,
+    draws=1,
+    narrow_scenarios=2,
+    disconnected_scenarios=2,
+)
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    return make_path_bundle(Bundle.load(PRETRAINED_FOLDER), tmp_path_factory.mktemp("paths") / "bundle")
+
+
+def evaluated(tmp_path: Path, bundle: Bundle, lines: list[str]):
+    tracking = FakeTracking()
+    registry = FakeRegistry(tmp_path / "registry", tracking.runs)
+    run_id = tracking.start(MODEL, "made").run_id
+    registry.register(MODEL, bundle.folder, run_id, bundle.digest, {}, alias="challenger")
+    request = replace(make_request(f"{MODEL}@challenger"), budget=FEW)
+    outcome = evaluate_version(request, tracking, registry, progress=lines.append)
+    return outcome, tracking.runs[outcome.run_id], registry
+
+
+def test_the_shipped_heads_path_sampler_is_promoted_for_what_it_saves(made, tmp_path):
+    lines = []
+    outcome, run, registry = evaluated(tmp_path, made, lines)
+    assert outcome.verdict.promoted, outcome.verdict.reasons
+    assert registry.by_alias(MODEL, "champion").number == 1
+    (decision,) = decisions(registry, MODEL)
+    assert set(decision.metrics) == {"planning_success", "narrow_edge_checks_ratio", "joints"}
+    assert decision.metrics["narrow_edge_checks_ratio"] > 1.0
+    assert not any("reconstruction" in line or "topology" in line for line in lines)
+    report = run.artifacts["report/evaluation.md"].decode()
+    assert "## Planning, validation (decides)" in report
+    assert "Reconstruction" not in report
+    assert "6 validation and 1 test problems a family" in report
+    assert set(outcome.figures) == {"plan-narrow", "plan-uniform"}
+    assert {f"figures/{name}.png" for name in outcome.figures} <= set(run.artifacts)
+    assert {"narrow_filter_ratio", "test_uniform_learned_success"} <= set(run.history)
+    assert "precision" not in run.history
+
+
+def test_a_path_model_that_knows_nothing_is_refused(tmp_path):
+    bundle = Bundle.load(write_tiny_bundle(tmp_path / "bundle", kind="path"))
+    outcome, _, registry = evaluated(tmp_path, bundle, [])
+    assert not outcome.verdict.promoted
+    assert any("does not save edge checks" in reason for reason in outcome.verdict.reasons)
+    assert not decisions(registry, MODEL)[0].promoted
+
+
+def test_start_and_goal_reach_the_model(made):
+    sampler = any_sampler(made)
+    assert isinstance(sampler, PathSampler)
+    assert not isinstance(UniformSampler(TWO_LINK.space), PathSampler)
+    image, start, goal = picture(0), np.array([0.5, 1.0]), np.array([-2.0, 0.0])
+    there, back = sampler.between(image, start, goal, 50, 3), sampler.between(image, goal, start, 50, 3)
+    expected = made.sample(image, 50, 3, start=start, goal=goal).samples
+    assert np.array_equal(there, expected)
+    assert not np.array_equal(there, back)
+
+
+def test_a_filter_is_asked_for_only_where_there_is_a_head(tmp_path):
+    plain = PathBundleSampler(Bundle.load(write_tiny_bundle(tmp_path / "plain", kind="path")))
+    ends = np.zeros(2), np.ones(2)
+    assert len(plain.between(picture(0), *ends, 20, 1, min_confidence=0.9)) == 20
+
+
+def test_path_models_have_planning_units_alone(made):
+    assert {unit.kind for unit in units(FEW, paths=True)} == {Kind.PLANNING}
+    setting = Setting(TWO_LINK, Camera(), 0, FEW, paths=True)
+    with pytest.raises(EvaluationError, match="judged by planning"):
+        run_unit(Unit(Kind.RECONSTRUCTION, Split.TEST, 0, 1), setting, PathBundleSampler(made))
+    (row,) = run_unit(
+        Unit(Kind.PLANNING, Split.TEST, 0, 1, Family.NARROW), setting, PathBundleSampler(made)
+    ).rows
+    assert row.learned.learned_drawn > 0
