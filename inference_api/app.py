@@ -109,7 +109,7 @@ def _make_store(settings: ApiSettings, registry: ModelRegistry | None) -> ModelS
         from services.registry.mlflow_registry import MlflowRegistry  # noqa: PLC0415
 
         registry = MlflowRegistry(settings.registry_uri)
-    cache = BundleCache(settings.cache_folder, settings.loaded_bundles)
+    cache = BundleCache(settings.cache_folder, settings.loaded_bundles, settings.stored_bundles)
     return ModelStore(
         registry,
         cache,

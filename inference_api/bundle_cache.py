@@ -8,6 +8,7 @@ import re
 import shutil
 import tempfile
 from collections import OrderedDict
+from contextlib import suppress
 from pathlib import Path
 from threading import Lock
 
@@ -28,11 +29,13 @@ class BundleCache:
     Args:
         folder: the cache on disk; made when first needed.
         capacity: bundles kept in memory, the least recently used dropped first.
+        stored: versions of each model kept on disk, likewise, beside its last champion; at least 1.
     """
 
-    def __init__(self, folder: Path, capacity: int) -> None:
+    def __init__(self, folder: Path, capacity: int, stored: int = 20) -> None:
         self._folder = folder
         self._capacity = capacity
+        self._stored = stored
         self._loaded: OrderedDict[tuple[str, int, str], Bundle] = OrderedDict()
         self._lock = Lock()
         self._loading = Lock()
@@ -92,19 +95,40 @@ class BundleCache:
         place = self._place(version)
         if (place / _BUNDLE).is_dir():
             try:
-                return _checked(Bundle.load(place / _BUNDLE), version)
+                bundle = _checked(Bundle.load(place / _BUNDLE), version)
             except BundleError:
                 # A damaged copy is fetched anew.
                 shutil.rmtree(place, ignore_errors=True)
+            else:
+                # Its time tells when it was used last; a cache that is read only keeps the old one.
+                with suppress(OSError):
+                    (place / _VERSION).touch()
+                return bundle
         try:
             self._download(version, registry, place)
         except OSError as error:
             raise _not_writable(self._folder, error) from error
         try:
-            return _checked(Bundle.load(place / _BUNDLE), version)
+            bundle = _checked(Bundle.load(place / _BUNDLE), version)
         except BundleError:
             shutil.rmtree(place, ignore_errors=True)
             raise
+        self._prune(version.name, place)
+        return bundle
+
+    def _prune(self, name: str, newest: Path) -> None:
+        """Delete the versions of a model that were not used for longest, beyond those that are kept."""
+        champion = self.last_champion(name)
+        safe = {newest} if champion is None else {newest, self._place(champion)}
+        with suppress(OSError):
+            found = sorted(
+                self._folder.glob(f"{name}/*/{_VERSION}"),
+                key=lambda path: path.stat().st_mtime_ns,
+                reverse=True,
+            )
+            for path in found[self._stored :]:
+                if path.parent not in safe:
+                    shutil.rmtree(path.parent, ignore_errors=True)
 
     def _download(self, version: ModelVersion, registry: ModelRegistry, place: Path) -> None:
         place.parent.mkdir(parents=True, exist_ok=True)

@@ -40,6 +40,7 @@ class ApiSettings:
         metrics_folder: where the processes of one server keep their metrics; None for a single process.
         protection: who may ask, and how much.
         traces: whether spans are sent, by OpenTelemetry's own variables.
+        stored_bundles: how many versions of each model stay on disk beside its champion, at least 1.
     """
 
     registry_uri: str | None
@@ -53,6 +54,7 @@ class ApiSettings:
     metrics_folder: Path | None = None
     protection: Protection = field(default_factory=Protection)
     traces: bool = False
+    stored_bundles: int = 20
 
     @classmethod
     def from_environment(cls, environment: Mapping[str, str] | None = None) -> "ApiSettings":
@@ -75,6 +77,7 @@ class ApiSettings:
             metrics_folder=Path(values[METRICS_FOLDER]) if values.get(METRICS_FOLDER) else None,
             protection=_protection(values),
             traces=wants_traces(values),
+            stored_bundles=int(_number(values, "CSPACE_STORED_MODELS", 20, 1)),
         )
 
 

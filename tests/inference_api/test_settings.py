@@ -37,6 +37,7 @@ def test_every_setting_is_read() -> None:
         ("CSPACE_MODEL_POLL_S", "soon"),
         ("CSPACE_LOADED_MODELS", "0"),
         ("CSPACE_API_THREADS", "0"),
+        ("CSPACE_STORED_MODELS", "0"),
     ],
 )
 def test_a_wrong_setting_is_an_error_that_names_it(name: str, value: str) -> None:

@@ -247,6 +247,30 @@ def test_the_least_recently_used_bundle_leaves_memory_first(
     assert served(store, "cspace-sampler/2") == ("cspace-sampler", 2)
 
 
+def test_the_versions_used_last_and_the_champion_stay_on_disk(
+    tmp_path: Path, registry: CountingRegistry, bundles: dict[str, Path]
+) -> None:
+    cache = BundleCache(tmp_path / "cache", 1, stored=2)
+    store = ModelStore(registry, cache, bundles["shipped"], "cspace-sampler", 0.0)
+    registry.add(bundles["plain"], "champion")
+    store.refresh()
+    for name in ("other", "path", "scored"):
+        registry.add(bundles[name])
+
+    def kept() -> set[str]:
+        return {path.name.partition("-")[0] for path in (tmp_path / "cache" / "cspace-sampler").glob("*-*")}
+
+    for text in ("cspace-sampler/2", "cspace-sampler/3"):
+        served(store, text)
+    assert kept() == {"1", "2", "3"}
+    # Used again from disk, so that the third is the one that was left alone for longest.
+    served(store, "cspace-sampler/2")
+    assert registry.downloads == 3
+    served(store, "cspace-sampler/4")
+    assert kept() == {"1", "2", "4"}
+    assert served(store, "cspace-sampler/3") == ("cspace-sampler", 3)
+
+
 def test_a_cache_that_cannot_be_written_leaves_what_is_in_service(
     tmp_path: Path, registry: CountingRegistry, bundles: dict[str, Path], clock: Clock
 ) -> None:
