@@ -1,12 +1,13 @@
-"""What samples that know start and goal gain: OMPL's RRT with a path sampler over HTTP against uniform RRT.
+"""What samples that know start and goal gain: RRT and RRT-Connect with a path sampler over HTTP.
 
     python benchmarks/planning/path_samplers.py --out build/paths --problems 600 --split test
 
-Makes the path sampler of the shipped bundle's validity head, serves it, and solves the same problems with the
-same seeds by every arm. Iterations of a run without success count as more than all others'. ``within 1000``
-is the share solved within 1000 iterations; the times are of the whole request and of the solve alone. The
-novelty of a picture changes no share here. Results lie beside each other as JSON lines, so that a stopped
-benchmark goes on.
+Makes the path sampler of the shipped bundle's validity head, serves it, and solves the same problems with
+the same seeds by every arm: OMPL's RRT and RRT-Connect with uniform samples, OMPL's RRT and the project's own
+RRT-Connect with those of the path sampler. Ratios are to the same planner with uniform samples. Iterations of
+a run without success count as more than all others'. ``within 1000`` is the share solved within 1000
+iterations; the times are of the whole request and of the solve alone. The novelty of a picture changes no
+share here. Results lie beside each other as JSON lines, so that a stopped benchmark goes on.
 """
 
 import argparse
@@ -37,13 +38,14 @@ from services.evaluator.statistics import bootstrap_interval, clopper_pearson, r
 from services.evaluator.tables import markdown
 from services.planner.ompl_planner import solve
 from services.planner.sampling_client import SamplingClient
+from services.planner.settings import RRT, RRT_CONNECT, SAMPLED_CONNECT
 from training.path_sampler import make_path_bundle
 
 SEED = 0
 SAMPLES = 300
 MOST = 20_000
 WITHIN = 1000
-BASE = "uniform"
+BASE, CONNECT = "uniform", "RRT-Connect, uniform"
 
 
 @dataclass(frozen=True)
@@ -54,11 +56,15 @@ class Arm:
         range_rad: of the planner.
         uniform_share: None for OMPL's own uniform sampling.
         min_confidence: what is asked of the sampler.
+        planner: by its name in the settings.
+        base: the arm that it is compared with.
     """
 
     range_rad: float = 1.0
     uniform_share: float | None = None
     min_confidence: float = 0.0
+    planner: str = RRT
+    base: str = BASE
 
 
 ARMS = {
@@ -67,6 +73,9 @@ ARMS = {
     "path, 70 %": Arm(uniform_share=0.3),
     "path, 70 %, filtered": Arm(uniform_share=0.3, min_confidence=0.5),
     "path, 100 %": Arm(uniform_share=0.0),
+    CONNECT: Arm(planner=RRT_CONNECT, base=CONNECT),
+    "RRT-Connect, path, 70 %": Arm(uniform_share=0.3, planner=SAMPLED_CONNECT, base=CONNECT),
+    "RRT-Connect, path, 100 %": Arm(uniform_share=0.0, planner=SAMPLED_CONNECT, base=CONNECT),
 }
 
 
@@ -92,7 +101,7 @@ def run(problem: Problem, arm: Arm, client: SamplingClient, seed: int) -> Run:
             min_confidence=arm.min_confidence,
         ).samples
     request_s = time.perf_counter() - began
-    settings = replace(PLANNER, range_rad=arm.range_rad, seed=seed, max_iterations=MOST)
+    settings = replace(PLANNER, planner=arm.planner, range_rad=arm.range_rad, seed=seed, max_iterations=MOST)
     found = solve(problem, settings, samples, arm.uniform_share or 0.0)
     iterations = found.iterations if found.solved else 2 * MOST
     return Run(iterations, float(found.length_rad) if found.solved else None, request_s, found.solve_time_s)
@@ -143,14 +152,14 @@ def table(rows: list[dict]) -> list[list[str]]:
         "length of uniform's",
     ]
     lines = [[*head, "request, ms", "solve, ms"]]
-    base = np.array([row["arms"][BASE]["iterations"] for row in rows], dtype=float)
-    for name in ARMS:
+    for name, arm in ARMS.items():
+        base = np.array([row["arms"][arm.base]["iterations"] for row in rows], dtype=float)
         runs = [row["arms"][name] for row in rows]
         values = np.array([one["iterations"] for one in runs], dtype=float)
         both = [
-            (one["length_rad"], row["arms"][BASE]["length_rad"])
+            (one["length_rad"], row["arms"][arm.base]["length_rad"])
             for one, row in zip(runs, rows, strict=True)
-            if one["length_rad"] and row["arms"][BASE]["length_rad"]
+            if one["length_rad"] and row["arms"][arm.base]["length_rad"]
         ]
         solved = int(np.sum(values <= WITHIN))
         lines.append(

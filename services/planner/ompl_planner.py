@@ -19,7 +19,14 @@ from services.planner.ompl_search import copy_tree, set_up
 from services.planner.path_check import judge_path, path_length_rad
 from services.planner.plan_result import PlanResult, Reason, SearchTree
 from services.planner.sample_mixture import GoalOnly, SampleMixture, StateDraws
-from services.planner.settings import LEARNED_PLANNERS, RRT_CONNECT, PlannerSettings, check_uniform_share
+from services.planner.sampled_connect import connect
+from services.planner.settings import (
+    LEARNED_PLANNERS,
+    RRT_CONNECT,
+    SAMPLED_CONNECT,
+    PlannerSettings,
+    check_uniform_share,
+)
 from services.planner.stopping import StoppingRule
 
 __all__ = ["DEFAULT_UNIFORM_SHARE", "PlanResult", "PlannerSettings", "Reason", "SearchTree", "solve"]
@@ -58,6 +65,8 @@ def solve(
     for end, reason in ((problem.start, Reason.START_COLLIDES), (problem.goal, Reason.GOAL_COLLIDES)):
         if not checker.valid(end):
             return _unsolved(problem, reason)
+    if settings.planner == SAMPLED_CONNECT:
+        return connect(problem, settings, learned, uniform_share, keep_tree=keep_tree)
     return _search(problem, settings, _draws(problem, settings, learned, uniform_share), checker, keep_tree)
 
 

@@ -8,9 +8,10 @@ from cspace.errors import ConfigError
 RRT = "RRT"
 RRT_STAR = "RRTstar"
 RRT_CONNECT = "RRTConnect"
-PLANNERS = (RRT, RRT_STAR, RRT_CONNECT)
-LEARNED_PLANNERS = (RRT, RRT_STAR)
-"""Planners that can draw learned samples; the others solve with OMPL's uniform samples only."""
+SAMPLED_CONNECT = "SampledRRTConnect"
+PLANNERS = (RRT, RRT_STAR, RRT_CONNECT, SAMPLED_CONNECT)
+LEARNED_PLANNERS = (RRT, RRT_STAR, SAMPLED_CONNECT)
+"""Planners that can draw learned samples; OMPL's RRTConnect draws uniform ones only."""
 
 MAX_SEED = 2**64 - 1
 
@@ -20,10 +21,10 @@ class PlannerSettings:
     """How a problem is solved.
 
     Args:
-        planner: one of ``PLANNERS``, by OMPL's name.
+        planner: one of ``PLANNERS``, by OMPL's name; the last is this project's own.
         range_rad: longest step of the tree, in OMPL's metric (the sum over the joints), rad.
         resolution_rad: largest distance between checked states of an edge in any joint, rad.
-        goal_bias: share of the goal among the drawn states; RRTConnect has none.
+        goal_bias: share of the goal among the drawn states; RRT-Connect has none.
         time_limit_s: wall time after which the search ends.
         max_iterations: states drawn after which the search ends.
         seed: of OMPL and of the sample mixture, unsigned 64 bit.

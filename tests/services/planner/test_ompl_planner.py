@@ -7,7 +7,7 @@ from cspace.errors import ConfigError, PlanningError
 from cspace.robot import THREE_LINK, PlanarArm
 from services.planner import validity
 from services.planner.ompl_planner import PlannerSettings, Reason, solve
-from services.planner.settings import LEARNED_PLANNERS, PLANNERS
+from services.planner.settings import LEARNED_PLANNERS, PLANNERS, RRT, RRT_STAR
 
 SETTINGS = PlannerSettings(max_iterations=2000, seed=1)
 
@@ -37,9 +37,9 @@ def test_the_length_is_the_torus_length_of_the_path(make_problem):
 
 @pytest.mark.parametrize("planner", LEARNED_PLANNERS)
 @pytest.mark.parametrize("samples", [None, uniform_samples(50)], ids=["uniform", "learned"])
-def test_every_iteration_is_the_goal_or_a_learned_or_a_uniform_state(blocked, planner, samples):
+def test_every_iteration_is_the_goal_or_a_learned_or_a_uniform_state(disconnected, planner, samples):
     settings = PlannerSettings(planner, goal_bias=0.0, max_iterations=150, seed=2)
-    result = solve(blocked, settings, samples)
+    result = solve(disconnected, settings, samples)
     assert result.reason == Reason.ITERATION_LIMIT
     assert result.iterations == 150
     assert result.learned_drawn + result.uniform_drawn == 150
@@ -98,7 +98,7 @@ def test_each_vertex_of_the_tree_is_a_learned_sample(make_problem):
     assert np.allclose(vertices, expected, atol=1e-12)
 
 
-@pytest.mark.parametrize("planner", LEARNED_PLANNERS)
+@pytest.mark.parametrize("planner", [RRT, RRT_STAR])
 def test_a_batch_within_a_region_confines_the_tree_to_it(make_problem, planner):
     samples = 0.5 * uniform_samples(200) / np.pi
     settings = PlannerSettings(planner, goal_bias=0.0, range_rad=0.2, max_iterations=200)

@@ -1,0 +1,207 @@
+"""RRT-Connect that draws from an array of samples, which OMPL's can not.
+
+Source: Kuffner and LaValle, RRT-Connect: An Efficient Approach to Single-Query Path Planning, ICRA 2000, with
+the steps, the metric (the sum over the joints) and the order of OMPL's, so that with uniform samples the two
+differ by chance alone.
+"""
+
+import time
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from cspace.collision import TWO_PI, CollisionChecker, arm_is_free, edge_is_free
+from cspace.problem import Problem
+from cspace.space import JointSpace
+from services.planner.path_check import judge_path, path_length_rad
+from services.planner.plan_result import PlanResult, Reason, SearchTree
+from services.planner.settings import PlannerSettings
+
+# Iterations between two looks at the clock.
+_BLOCK = 64
+_TRAPPED, _ADVANCED, _REACHED = 0, 1, 2
+
+
+class _Trees:
+    """The tree of the start and that of the goal, in arrays that grow."""
+
+    def __init__(self, start: NDArray[np.float64], goal: NDArray[np.float64], block: int) -> None:
+        # What one block of iterations adds at most to one tree.
+        self._block = block
+        self.nodes = np.empty((2, 4 * block, len(start)))
+        self.parents = np.full((2, 4 * block), -1, dtype=np.int64)
+        self.counts = np.ones(2, dtype=np.int64)
+        self.nodes[0, 0], self.nodes[1, 0] = start, goal
+
+    def make_room(self) -> None:
+        """Room for one more block."""
+        if self.counts.max() + self._block > self.nodes.shape[1]:
+            self.nodes = np.concatenate([self.nodes, np.empty_like(self.nodes)], axis=1)
+            self.parents = np.concatenate([self.parents, np.full_like(self.parents, -1)], axis=1)
+
+    def path(self, joint: tuple[int, int]) -> NDArray[np.float64]:
+        """From the start over the node that both trees share to the goal, (k, d)."""
+        halves = [self.nodes[side, self._to_root(side, joint[side])] for side in (0, 1)]
+        return np.concatenate([halves[0][::-1], halves[1][1:]])
+
+    def copy(self) -> SearchTree:
+        """Both trees as one forest."""
+        first = int(self.counts[0])
+        vertices = np.concatenate([self.nodes[side, : self.counts[side]] for side in (0, 1)])
+        edges = [
+            np.stack([self.parents[side, 1:count], np.arange(1, count)], axis=1) + side * first
+            for side, count in enumerate(self.counts)
+        ]
+        return SearchTree(vertices, np.concatenate(edges).astype(np.intp))
+
+    def _to_root(self, side: int, node: int) -> list[int]:
+        numbers = [node]
+        while self.parents[side, numbers[-1]] >= 0:
+            numbers.append(int(self.parents[side, numbers[-1]]))
+        return numbers
+
+
+def connect(
+    problem: Problem,
+    settings: PlannerSettings,
+    samples: NDArray[np.float64] | None,
+    uniform_share: float,
+    *,
+    keep_tree: bool = False,
+) -> PlanResult:
+    """Grow both trees until they meet; see :func:`services.planner.ompl_planner.solve`.
+
+    Args:
+        problem: start and goal, both free.
+        settings: of the planner; there is no goal bias.
+        samples: (n, d) learned samples in rad, drawn in this order and once each; None for uniform ones.
+        uniform_share: share of uniform samples while learned ones are left, 0 to 1.
+        keep_tree: whether the result holds both trees.
+    """
+    space = problem.scenario.robot.space
+    states, learned = drawn_states(space, samples, uniform_share, settings)
+    farthest = int(np.ceil(space.dim * np.pi / settings.range_rad)) + 2
+    trees = _Trees(space.wrap(problem.start), space.wrap(problem.goal), _BLOCK * farthest)
+    fixed = (settings.range_rad, settings.resolution_rad, *CollisionChecker(problem.scenario).kernel_args)
+    # A process's first call loads the compiled kernel, which is no part of a search.
+    _advance(trees.nodes, trees.parents, trees.counts, states[:0], 0, *fixed)
+    iterations, checks, side, joint = 0, 0, 0, (-1, -1)
+    began, reason = time.perf_counter(), Reason.ITERATION_LIMIT
+    while iterations < len(states) and joint[0] < 0:
+        if time.perf_counter() - began >= settings.time_limit_s:
+            reason = Reason.TIME_LIMIT
+            break
+        trees.make_room()
+        block = states[iterations : iterations + _BLOCK]
+        done, checked, side, *joint = _advance(trees.nodes, trees.parents, trees.counts, block, side, *fixed)
+        iterations, checks = iterations + done, checks + checked
+    solve_time_s = time.perf_counter() - began
+    path = np.empty((0, space.dim))
+    if joint[0] >= 0:
+        found = trees.path((joint[0], joint[1]))
+        reason = judge_path(problem, found, settings.resolution_rad)
+        path = found if reason is Reason.SOLVED else path
+    path.setflags(write=False)
+    learned_drawn = int(learned[:iterations].sum())
+    return PlanResult(
+        solved=reason is Reason.SOLVED,
+        path=path,
+        length_rad=path_length_rad(problem, path) if len(path) else float("nan"),
+        iterations=iterations,
+        edge_checks=checks,
+        solve_time_s=solve_time_s,
+        learned_drawn=learned_drawn,
+        uniform_drawn=iterations - learned_drawn,
+        reason=reason,
+        tree=trees.copy() if keep_tree else None,
+    )
+
+
+def drawn_states(
+    space: JointSpace,
+    samples: NDArray[np.float64] | None,
+    uniform_share: float,
+    settings: PlannerSettings,
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """All states that a search may draw, (max_iterations, d) rad, and which of them are learned."""
+    rng = np.random.default_rng(np.random.SeedSequence(settings.seed, spawn_key=(2,)))
+    states = space.sample_uniform(rng, settings.max_iterations)
+    learned = rng.random(len(states)) >= uniform_share
+    if samples is None:
+        learned[:] = False
+        return states, learned
+    learned[np.flatnonzero(learned)[len(samples) :]] = False
+    states[learned] = space.wrap(samples)[: int(learned.sum())]
+    return states, learned
+
+
+@njit(cache=True, nogil=True)
+def _advance(  # type: ignore[no-untyped-def]
+    nodes, parents, counts, states, side, reach, resolution, links, half_width, discs, lower, upper, periodic
+):
+    """Grow by a block of states: iterations, edge checks, whose turn it is, the shared node or -1 twice."""
+    checks = 0
+    for index in range(states.shape[0]):
+        other = 1 - side
+        status, checked = _grow(
+            nodes, parents, counts, side, states[index], reach, resolution,
+            links, half_width, discs, lower, upper, periodic,
+        )  # fmt: skip
+        checks += checked
+        if status != _TRAPPED:
+            target = nodes[side, counts[side] - 1].copy()
+            status = _ADVANCED
+            while status == _ADVANCED:
+                status, checked = _grow(
+                    nodes, parents, counts, other, target, reach, resolution,
+                    links, half_width, discs, lower, upper, periodic,
+                )  # fmt: skip
+                checks += checked
+            if status == _REACHED:
+                first, second = counts[0] - 1, counts[1] - 1
+                return index + 1, checks, other, first, second
+        side = other
+    return states.shape[0], checks, side, -1, -1
+
+
+@njit(cache=True, nogil=True)
+def _grow(  # type: ignore[no-untyped-def]
+    nodes, parents, counts, side, target, reach, resolution, links, half_width, discs, lower, upper, periodic
+):
+    """One step of a tree towards a configuration: trapped, advanced or reached, and the edges checked."""
+    dim = target.shape[0]
+    nearest, least = 0, np.inf
+    for node in range(counts[side]):
+        distance = 0.0
+        for joint in range(dim):
+            distance += abs(_gap(nodes[side, node, joint], target[joint], periodic[joint]))
+        if distance < least:
+            nearest, least = node, distance
+    share = min(1.0, reach / least) if least > 0.0 else 1.0
+    new = np.empty(dim)
+    for joint in range(dim):
+        begin = nodes[side, nearest, joint]
+        new[joint] = begin + share * _gap(begin, target[joint], periodic[joint])
+        if periodic[joint]:
+            new[joint] = (new[joint] + np.pi) % TWO_PI - np.pi
+    if share == 1.0:
+        new[:] = target
+    # The goal's tree looks at the new state before its edge, as OMPL's does.
+    if side == 1 and not arm_is_free(new, links, half_width, discs, lower, upper, periodic):
+        return _TRAPPED, 0
+    if not edge_is_free(
+        nodes[side, nearest], new, resolution, links, half_width, discs, lower, upper, periodic
+    ):
+        return _TRAPPED, 1
+    nodes[side, counts[side]] = new
+    parents[side, counts[side]] = nearest
+    counts[side] += 1
+    return (_REACHED if share == 1.0 else _ADVANCED), 1
+
+
+@njit(cache=True, nogil=True)
+def _gap(begin, end, wraps):  # type: ignore[no-untyped-def]
+    """The way from one angle to another, the shorter one on a circle."""
+    gap = end - begin
+    return (gap + np.pi) % TWO_PI - np.pi if wraps else gap
