@@ -12,6 +12,7 @@ from scipy.sparse.csgraph import connected_components
 
 from cspace.collision import CollisionChecker
 from cspace.distance import distance_to_false
+from cspace.grid_search import centres, spacing
 from cspace.scenario import Scenario
 
 # Cells a joint for two joints; more joints get as many cells in all.
@@ -39,20 +40,13 @@ class FreeGrid:
     @cached_property
     def spacing_rad(self) -> NDArray[np.float64]:
         """Size of a cell along each joint, (d,)."""
-        space = self.scenario.robot.space
-        return np.asarray(np.subtract(space.upper, space.lower) / self.cells, dtype=np.float64)
+        return spacing(self.scenario.robot.space, self._shape)
 
     @cached_property
     def free(self) -> NDArray[np.bool_]:
         """Which cells are free, (cells,) * d."""
-        space = self.scenario.robot.space
-        axes = [
-            low + (np.arange(self.cells) + 0.5) * step
-            for low, step in zip(space.lower, self.spacing_rad, strict=True)
-        ]
-        centres = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, space.dim)
-        valid = CollisionChecker(self.scenario).valid_batch(centres)
-        return np.reshape(valid, (self.cells,) * space.dim)
+        points = centres(self.scenario.robot.space, self._shape)
+        return np.reshape(CollisionChecker(self.scenario).valid_batch(points), self._shape)
 
     @cached_property
     def clearance_rad(self) -> NDArray[np.float64]:
@@ -105,6 +99,10 @@ class FreeGrid:
             middle = (low + high) / 2.0
             low, high = (middle, high) if self.joined(start, goal, middle) else (low, middle)
         return low
+
+    @property
+    def _shape(self) -> tuple[int, ...]:
+        return (self.cells,) * self.scenario.robot.dim
 
     def _close_seams(self, labels: NDArray[np.int64], count: int, *, diagonal: bool) -> NDArray[np.int64]:
         pairs = [np.empty((2, 0), dtype=np.int64)]
