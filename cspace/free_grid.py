@@ -12,7 +12,7 @@ from scipy.sparse.csgraph import connected_components
 
 from cspace.collision import CollisionChecker
 from cspace.distance import distance_to_false
-from cspace.grid_search import centres, spacing
+from cspace.grid_search import cells_of, centres, spacing
 from cspace.scenario import Scenario
 
 # Cells a joint for two joints; more joints get as many cells in all.
@@ -55,10 +55,7 @@ class FreeGrid:
 
     def cells_of(self, configurations: ArrayLike) -> tuple[NDArray[np.int64], ...]:
         """The cells that hold configurations (..., d) rad, as an index: d arrays (...)."""
-        space = self.scenario.robot.space
-        offset = (space.wrap(configurations) - np.asarray(space.lower)) / self.spacing_rad
-        cells: NDArray[np.int64] = np.clip(np.floor(offset).astype(np.int64), 0, self.cells - 1)
-        return tuple(np.moveaxis(cells, -1, 0))
+        return cells_of(self.scenario.robot.space, self._shape, configurations)
 
     def cell_of(self, configuration: ArrayLike) -> tuple[int, ...]:
         """The cell that holds a configuration (d,) rad."""

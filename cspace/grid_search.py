@@ -55,10 +55,18 @@ def centres(space: JointSpace, cells: tuple[int, ...]) -> NDArray[np.float64]:
     return np.asarray(np.asarray(space.lower) + (index + 0.5) * spacing(space, cells))
 
 
+def cells_of(
+    space: JointSpace, cells: tuple[int, ...], configurations: ArrayLike
+) -> tuple[NDArray[np.int64], ...]:
+    """The cells that hold configurations (..., d) rad, or are nearest, as an index: d arrays (...)."""
+    offset = (space.wrap(configurations) - np.asarray(space.lower)) / spacing(space, cells)
+    found: NDArray[np.int64] = np.clip(np.floor(offset).astype(np.int64), 0, np.asarray(cells) - 1)
+    return tuple(np.moveaxis(found, -1, 0))
+
+
 def cell_of(space: JointSpace, cells: tuple[int, ...], configuration: ArrayLike) -> tuple[int, ...]:
     """The cell that holds a configuration (d,) rad; for one outside the limits the nearest."""
-    offset = (space.wrap(configuration) - np.asarray(space.lower)) / spacing(space, cells)
-    return tuple(int(c) for c in np.clip(np.floor(offset).astype(np.int64), 0, np.asarray(cells) - 1))
+    return tuple(int(index) for index in cells_of(space, cells, configuration))
 
 
 def ways_to(space: JointSpace, weights: NDArray[np.float64], goal: ArrayLike) -> WayTree:

@@ -4,6 +4,8 @@ Nothing is trained: the head's map of the joint space, the cheapest way through 
 the samples (:mod:`training.models.ways`). What it writes is a bundle of the kind ``path``, which the
 inference API serves as any other; with ``--register`` it becomes a version of ``path-sampler`` as well.
 
+A folder that holds this very path sampler already is taken as it is, so that the command may be given again.
+
 Exit codes: 0 done, 1 the bundle, the disk or the registry is bad, 2 the command is wrong.
 """
 
@@ -66,12 +68,29 @@ def make_path_bundle(source: Bundle, folder: Path, settings: WaySettings | None 
             git_dirty=state.dirty,
             data_digest=origin.data_digest,
             seeds=origin.seeds,
-            config={"ways": asdict(settings), "source_digest": source.digest},
+            config=_recipe(source, settings),
             created=now(),
             command=command_line(),
         ),
     )
     return Bundle.load(write_bundle(folder, spec, graphs))
+
+
+def made_or_found(source: Bundle, folder: Path, settings: WaySettings) -> Bundle:
+    """The path sampler that the folder holds already, or one that is made there.
+
+    Raises:
+        CspaceError: as :func:`make_path_bundle`; what the folder holds was made of something else.
+    """
+    if folder.is_dir():
+        found = Bundle.load(folder)
+        if found.spec.provenance.config == _recipe(source, settings):
+            return found
+    return make_path_bundle(source, folder, settings)
+
+
+def _recipe(source: Bundle, settings: WaySettings) -> dict[str, object]:
+    return {"ways": asdict(settings), "source_digest": source.digest}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -80,7 +99,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         settings = WaySettings(**{item.name: getattr(options, item.name) for item in fields(WaySettings)})
         uri = None if options.register is None else _registry_uri()
-        bundle = make_path_bundle(Bundle.load(options.bundle), options.folder, settings)
+        bundle = made_or_found(Bundle.load(options.bundle), options.folder, settings)
         print(f"{bundle.folder}\n  digest {bundle.digest}")
         if uri is not None:
             print(f"  registered as {register(bundle, uri, options.register)}")

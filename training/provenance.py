@@ -54,8 +54,15 @@ def _copy(history: str | None, folder: Path) -> SourceState | None:
 
 
 def command_line() -> str:
-    """The command as a reader can type it again."""
-    return " ".join(["python", *sys.argv])
+    """The command as a reader can type it again in the project's folder, whatever folder that was here."""
+    spec = getattr(sys.modules["__main__"], "__spec__", None)
+    if spec is not None:
+        program = ["-m", spec.name.removesuffix(".__main__")]
+    else:
+        script, project = Path(sys.argv[0]), Path(__file__).resolve().parent.parent
+        inside = script.is_absolute() and script.is_relative_to(project)
+        program = [str(script.relative_to(project) if inside else script)]
+    return " ".join(["python", *program, *sys.argv[1:]])
 
 
 def now() -> str:

@@ -10,6 +10,8 @@ from services.evaluator.topology import POINTS
 
 JUDGED = (Split.VALIDATION, Split.TEST)
 FAMILIES = (Family.NARROW, Family.UNIFORM)
+# The families of problems are drawn on a grid over so many joints.
+PLANE = 2
 SCENE_FAMILIES = (Family.UNIFORM, Family.NARROW, Family.DISCONNECTED)
 
 
@@ -83,12 +85,12 @@ def units(budget: Budget, joints: int = 2, *, paths: bool = False) -> list[Unit]
     """
     problems = {Split.VALIDATION: budget.validation_problems, Split.TEST: budget.test_problems}
     work: list[Unit] = []
-    for family in FAMILIES if joints == 2 else ():
+    for family in FAMILIES if joints == PLANE else ():
         for split in JUDGED:
             work += [Unit(Kind.PLANNING, split, *part, family) for part in _parts(problems[split], 5)]
     if paths:
         return work
-    for split in JUDGED if joints == 2 else ():
+    for split in JUDGED if joints == PLANE else ():
         parts = _parts(budget.disconnected_scenarios, 5)
         work += [Unit(Kind.RECONSTRUCTION, split, *part, Family.DISCONNECTED) for part in parts]
     work += [Unit(Kind.TOPOLOGY, Split.TEST, *part) for part in _parts(budget.topology_scenarios, 1)]

@@ -11,20 +11,18 @@ from ray.exceptions import RayError, RayTaskError
 
 from cspace.bundle import Bundle
 from cspace.errors import ConfigError, CspaceError, JobError
-from services.evaluator.budget import Unit, units
+from services.evaluator.budget import PLANE, Unit, units
 from services.evaluator.evaluation import Evaluation, Setting, UnitResult, assemble
 from services.evaluator.execution import Execute, run_here, run_packed
 from services.evaluator.gate import Verdict
 from services.evaluator.recording import decide, log_evaluation, record
 from services.evaluator.request import ModelReference, Request
-from services.evaluator.samplers import AnySampler, BundleSampler, PackedBundle, PathBundleSampler
+from services.evaluator.samplers import PackedBundle, any_sampler
 from services.registry.models import ModelRegistry, ModelVersion
 from services.registry.names import EXPERIMENT
 from services.registry.tracking import Tracking
 
 RUN_NAME = "evaluation"
-# The families of problems are drawn on a grid over two joints.
-PLANE = 2
 Progress = Callable[[str], None]
 
 
@@ -83,7 +81,7 @@ def evaluate_version(
             evaluation = _measure(execute, setting, PackedBundle.pack(bundle), progress)
             verdict = decide(registry, version, evaluation)
             title = f"{version.name}/{version.number}"
-            figures = log_evaluation(run, evaluation, verdict, _shown(bundle), title)
+            figures = log_evaluation(run, evaluation, verdict, any_sampler(bundle), title)
         if request.promote:
             record(registry, version, evaluation, verdict)
     return Outcome(version, evaluation, verdict, request.promote, run.run_id, figures)
@@ -134,11 +132,6 @@ def _load(registry: ModelRegistry, version: ModelVersion, folder: Path) -> Bundl
             "path models are judged on problems of two joints", expected=str(PLANE), got=str(bundle.spec.dim)
         )
     return bundle
-
-
-def _shown(bundle: Bundle) -> AnySampler:
-    """What pictures are drawn with: all samples as they come."""
-    return PathBundleSampler(bundle) if bundle.spec.kind == "path" else BundleSampler(bundle)
 
 
 def _measure(execute: Execute, setting: Setting, packed: PackedBundle, progress: Progress) -> Evaluation:

@@ -1,5 +1,8 @@
 """From a bundle with a head to a path sampler that is registered, served, and used by the planner."""
 
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -89,6 +92,23 @@ def test_a_registered_path_sampler_is_served_by_name(tmp_path: Path, alias: str,
 
 for mark in MLFLOW_WARNINGS:
     test_a_registered_path_sampler_is_served_by_name = mark(test_a_registered_path_sampler_is_served_by_name)
+
+
+def test_the_command_may_be_given_again_and_names_no_machine(source: Path, tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "training.path_sampler", str(source), "paths"]
+    root = Path(__file__).parents[2]
+    environment = os.environ | {"PYTHONPATH": str(root)}
+    digests = set()
+    for _ in range(2):
+        done = subprocess.run(
+            command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False, timeout=100
+        )
+        assert done.returncode == 0, done.stderr
+        digests.add(Bundle.load(tmp_path / "paths").digest)
+    assert len(digests) == 1
+    told = Bundle.load(tmp_path / "paths").spec.provenance.command
+    assert told == f"python -m training.path_sampler {source} paths"
+    assert main([str(source), str(tmp_path / "paths"), "--cells", "24"]) == 1
 
 
 def test_a_bundle_without_a_head_or_with_three_joints_is_refused(tmp_path: Path) -> None:

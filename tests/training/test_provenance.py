@@ -2,12 +2,14 @@
 
 import shutil
 import subprocess
+import sys
+from importlib.machinery import ModuleSpec
 from pathlib import Path
 
 import pytest
 
 from training import provenance
-from training.provenance import UNKNOWN, SourceState, source_state
+from training.provenance import UNKNOWN, SourceState, command_line, source_state
 
 
 def git(folder: Path, *arguments: str) -> str:
@@ -77,3 +79,24 @@ def test_without_history_the_environment_names_the_commit(
     assert source_state() == SourceState(UNKNOWN, None)
     monkeypatch.setenv("CSPACE_GIT_COMMIT", "abc")
     assert source_state() == SourceState("abc", None)
+
+
+@pytest.mark.parametrize(
+    ("spec", "program", "expected"),
+    [
+        (None, "training/cluster_train.py", "python training/cluster_train.py --preset smoke"),
+        (None, str(Path(__file__).parents[2] / "training" / "x.py"), "python training/x.py --preset smoke"),
+        (
+            "training.path_sampler",
+            "/a/b/training/path_sampler.py",
+            "python -m training.path_sampler --preset smoke",
+        ),
+        ("services.evaluator.__main__", "/a/b/__main__.py", "python -m services.evaluator --preset smoke"),
+    ],
+)
+def test_the_command_names_no_folder_of_the_machine(
+    spec: str | None, program: str, expected: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys.modules["__main__"], "__spec__", spec and ModuleSpec(spec, None))
+    monkeypatch.setattr(sys, "argv", [program, "--preset", "smoke"])
+    assert command_line() == expected
