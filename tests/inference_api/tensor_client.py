@@ -1,5 +1,6 @@
 """Bodies of the Open Inference Protocol from the client's side, written apart from the server's code."""
 
+import base64
 import json
 from typing import Any
 
@@ -7,7 +8,13 @@ import httpx
 import numpy as np
 from numpy.typing import NDArray
 
+from cspace.image import encode_png
+from tests.bundles import picture
+from tests.inference_api.client import ApiClient
+
 LENGTH = "Inference-Header-Content-Length"
+INFER = "/v2/models/{}/infer"
+IMAGES = np.stack([picture(seed) for seed in range(3)])
 NUMPY = {"UINT8": "u1", "INT32": "<i4", "UINT64": "<u8", "FP32": "<f4"}
 
 
@@ -49,3 +56,17 @@ def outputs_of(answer: httpx.Response) -> dict[str, NDArray[Any]]:
             tail = tail[size:]
     assert tail == b""
     return arrays
+
+
+def infer(api: ApiClient, model: str, **options: Any) -> httpx.Response:
+    """The answer to a request for inference."""
+    return api.post(INFER.format(model), **options)
+
+
+def sampled(api: ApiClient, image: NDArray[np.uint8], **fields: Any) -> dict[str, Any]:
+    """The other page's answer to the same question."""
+    body = {"image": base64.b64encode(encode_png(image)).decode(), **fields}
+    answer = api.post("/sample", json=body)
+    assert answer.status_code == 200, answer.text
+    found: dict[str, Any] = answer.json()
+    return found

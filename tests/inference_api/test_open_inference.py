@@ -1,6 +1,5 @@
 """The Open Inference Protocol's pages: the samples of ``POST /sample``, in the protocol's words."""
 
-import base64
 import json
 from typing import Any
 
@@ -8,34 +7,19 @@ import httpx
 import numpy as np
 import pytest
 
-from cspace.bundle import Bundle, SampleSet
-from cspace.image import encode_png
+from cspace.bundle import Bundle
 from inference_api.body_limit import MAX_BODY_BYTES
-from inference_api.tensor_sampling import Drawn, output_arrays
-from tests.bundles import picture
 from tests.inference_api.client import ApiClient
 from tests.inference_api.conftest import StartApi
 from tests.inference_api.tensor_client import (
+    IMAGES,
     LENGTH,
     binary_request,
+    infer,
     json_input,
     outputs_of,
+    sampled,
 )
-
-IMAGES = np.stack([picture(seed) for seed in range(3)])
-INFER = "/v2/models/{}/infer"
-
-
-def infer(api: ApiClient, model: str, **options: Any) -> httpx.Response:
-    return api.post(INFER.format(model), **options)
-
-
-def sampled(api: ApiClient, image: np.ndarray, **fields: Any) -> dict[str, Any]:
-    body = {"image": base64.b64encode(encode_png(image)).decode(), **fields}
-    answer = api.post("/sample", json=body)
-    assert answer.status_code == 200, answer.text
-    found: dict[str, Any] = answer.json()
-    return found
 
 
 def assert_error(answer: httpx.Response, status: int, word: str = "") -> None:
@@ -123,72 +107,11 @@ def test_versions_are_named_in_the_address(api: ApiClient) -> None:
     assert_error(api.post("/v2/models/cspace-sampler/versions/99/infer", **request), 404)
 
 
-def test_every_picture_is_answered_as_it_would_be_alone_with_the_next_seed(api: ApiClient) -> None:
-    answer = infer(
-        api, "cspace-sampler", **binary_request(IMAGES, parameters={"n": 50, "seed": str(2**64 - 2)})
-    )
-    found = outputs_of(answer)
-    assert found["samples"].shape == (3, 50, 2)
-    assert found["seed"].tolist() == [2**64 - 2, 2**64 - 1, 0]
-    for image, seed, samples in zip(IMAGES, found["seed"].tolist(), found["samples"], strict=True):
-        alone = sampled(api, image, n=50, seed=str(seed))["samples"]
-        assert np.array_equal(samples, np.array(alone, np.float32))
-
-
 def test_a_drawn_seed_repeats_its_answer(api: ApiClient) -> None:
     first = outputs_of(infer(api, "cspace-sampler", **binary_request(IMAGES[:1], parameters={"n": 9})))
     seed = str(first["seed"][0])
     again = binary_request(IMAGES[:1], parameters={"n": 9, "seed": seed})
     assert np.array_equal(outputs_of(infer(api, "cspace-sampler", **again))["samples"], first["samples"])
-
-
-def sample_set(count: int, asked: int) -> SampleSet:
-    samples = np.arange(2 * count, dtype=np.float32).reshape(count, 2)
-    return SampleSet(
-        samples=samples,
-        confidence=samples[:, 0],
-        shortfall=asked - count,
-        acceptance=1.0,
-        encode_ms=0.0,
-        generate_ms=0.0,
-    )
-
-
-def test_several_pictures_are_cut_to_the_one_with_the_fewest_samples() -> None:
-    found = output_arrays(Drawn([sample_set(4, 5), sample_set(2, 5)], [7, 8]))
-    assert found["samples"].tolist() == [[[0, 1], [2, 3]], [[0, 1], [2, 3]]]
-    assert found["confidence"].tolist() == [[0, 2], [0, 2]]
-    assert (found["shortfall"].tolist(), found["seed"].tolist()) == ([1, 3], [7, 8])
-    alone = output_arrays(Drawn([sample_set(4, 5)], [7]))
-    assert (alone["samples"].shape, alone["confidence"].shape) == ((4, 2), (4,))
-    assert (alone["shortfall"].tolist(), alone["seed"].tolist()) == ([1], [7])
-
-
-def test_the_shortfall_is_told_for_each_picture(api: ApiClient) -> None:
-    images = np.stack([IMAGES[0], np.zeros_like(IMAGES[0])])
-    fields = {"n": 100, "min_confidence": 0.4}
-    request = binary_request(images, parameters={**fields, "seed": 5, "binary_data_output": True})
-    found = outputs_of(infer(api, "cspace-sampler@scored", **request))
-    alone = [
-        sampled(api, image, model="cspace-sampler@scored", seed=5 + index, **fields)["shortfall"]
-        for index, image in enumerate(images)
-    ]
-    assert alone[0] < alone[1] == 100
-    assert found["shortfall"].tolist() == alone
-    assert (found["samples"].shape, found["confidence"].shape) == ((2, 0, 2), (2, 0))
-
-
-def test_the_novelty_of_each_picture_is_told(api: ApiClient) -> None:
-    images = np.stack([np.full((48, 48, 3), level, np.uint8) for level in (150, 255)])
-    request = binary_request(images, parameters={"n": 5, "min_confidence": 0})
-    fields = {"model": "cspace-sampler@careful", "n": 5, "min_confidence": 0}
-    expected = [sampled(api, image, **fields)["scenario"]["novelty"] for image in images]
-    assert expected[0] != expected[1]
-    for _ in range(2):
-        found = outputs_of(infer(api, "cspace-sampler@careful", **request))["novelty"]
-        assert found.dtype == np.float32
-        assert found.tolist() == pytest.approx(expected)
-    assert "novelty" not in outputs_of(infer(api, "cspace-sampler", **request))
 
 
 def test_an_answer_may_be_empty(api: ApiClient) -> None:

@@ -4,7 +4,7 @@ from pathlib import Path
 import pytest
 
 from cspace.bundle import Bundle
-from cspace.errors import InputError, ModelNotFoundError, RegistryUnavailableError, StorageError
+from cspace.errors import ModelNotFoundError, RegistryUnavailableError, StorageError
 from inference_api.bundle_cache import BundleCache
 from inference_api.model_store import RETRY_S, ModelNotReadyError, ModelStore
 from inference_api.references import ModelReference
@@ -302,24 +302,3 @@ def test_the_list_of_models_names_all_that_a_request_can(api: ApiClient) -> None
 def test_the_list_without_a_champion_marks_the_shipped_model_as_default(start_api: StartApi) -> None:
     (only,) = start_api(None).get("/models").json()["models"]
     assert (only["reference"], only["default"], only["version"]) == ("pretrained", True, 0)
-
-
-@pytest.mark.parametrize(
-    ("text", "expected"),
-    [
-        ("cspace-sampler", ModelReference("cspace-sampler")),
-        ("a.b_c-d@blue-green", ModelReference("a.b_c-d", alias="blue-green")),
-        ("m/12", ModelReference("m", version=12)),
-    ],
-)
-def test_references_are_read_and_written(text: str, expected: ModelReference) -> None:
-    assert ModelReference.parse(text) == expected
-    assert str(expected) == text
-
-
-@pytest.mark.parametrize(
-    "text", ["", ".", "..", "a/", "a@", "/1", "a/01", "a/1/2", "a b", "a\n", ".hidden", "ä"]
-)
-def test_what_is_no_reference_is_refused(text: str) -> None:
-    with pytest.raises(InputError, match="name@alias"):
-        ModelReference.parse(text)
