@@ -44,8 +44,9 @@ class PathFinder:
     Args:
         scenario: known in full.
         goal: (d,) rad.
-        cells: of the grid, as for two joints.
+        cells: of the grid, as for two joints; of no meaning where the grid is given.
         resolution_rad: largest distance in any joint between the states of a path that are checked.
+        grid: the scenario's, where further goals have been asked of it before.
 
     Raises:
         ScenarioError: the goal is in collision.
@@ -57,13 +58,14 @@ class PathFinder:
         goal: ArrayLike,
         cells: int = PATH_CELLS,
         resolution_rad: float = RESOLUTION_RAD,
+        grid: FreeGrid | None = None,
     ) -> None:
         self._space, self._checker = scenario.robot.space, CollisionChecker(scenario)
         self._goal = self._space.wrap(goal)
         self._resolution_rad = resolution_rad
         if not self._checker.valid(self._goal):
             raise ScenarioError("the goal is in collision", expected="a free configuration", got=str(goal))
-        grid = FreeGrid(scenario, cells_per_joint(scenario.robot.dim, cells))
+        grid = grid or FreeGrid(scenario, cells_per_joint(scenario.robot.dim, cells))
         self._tree: WayTree = ways_to(self._space, clearance_weights(grid.clearance_rad), self._goal)
 
     def path_from(self, start: ArrayLike) -> NDArray[np.float64] | None:

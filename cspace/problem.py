@@ -131,20 +131,39 @@ def _search(
     return _Ends(start, goal, bottleneck) if bottleneck > 0.0 else None
 
 
-def _narrow_ends(scenario: Scenario, free: NDArray[np.float64], rng: np.random.Generator) -> _Ends | None:
-    """A pair drawn evenly from all pairs of ``free`` that a narrow passage joins and nothing wider."""
+def narrow_pairs(
+    scenario: Scenario, configurations: NDArray[np.float64]
+) -> tuple[FreeGrid, NDArray[np.int64]] | None:
+    """All pairs of free configurations that a narrow passage joins and nothing wider.
+
+    Args:
+        scenario: the arm among its discs.
+        configurations: (n, d) rad, free.
+
+    Returns:
+        The fine grid, and indices (k, 2) of starts and goals; None where there is no such pair.
+    """
     low, high = NARROW_RAD
     for cells in _SCREEN_CELLS:
         grid = FreeGrid(scenario, cells)
-        if not _passages(grid, free, 0.0, high + float(grid.spacing_rad.max()) / 2.0):
+        if not _passages(grid, configurations, 0.0, high + float(grid.spacing_rad.max()) / 2.0):
             return None
     grid = _fine(scenario)
-    if not _passages(grid, free, low, high):
+    if not _passages(grid, configurations, low, high):
         return None
-    sides, whole = _sides(grid, free, low, high)
+    sides, whole = _sides(grid, configurations, low, high)
     pairs = np.argwhere(
         (sides[:, None] != sides) & (whole[:, None] == whole) & (sides[:, None] > 0) & (sides > 0)
     )
+    return grid, pairs
+
+
+def _narrow_ends(scenario: Scenario, free: NDArray[np.float64], rng: np.random.Generator) -> _Ends | None:
+    """A pair drawn evenly from all pairs of ``free`` that a narrow passage joins and nothing wider."""
+    found = narrow_pairs(scenario, free)
+    if found is None:
+        return None
+    grid, pairs = found
     start, goal = free[pairs[rng.integers(len(pairs))]]
     return _Ends(start.copy(), goal.copy(), grid.bottleneck_rad(start, goal))
 

@@ -5,22 +5,15 @@ Unknown keys are errors, values are validated once, and nothing changes afterwar
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
-import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import Field, model_validator
 
-from cspace.errors import ConfigError
 from cspace.robot import PlanarArm
+from training.config_files import Section, load_values, named_presets, validated
 from training.datasets.config import DatasetConfig
 
 PRESET_FOLDER = Path(__file__).parent / "presets"
-
-
-class Section(BaseModel):
-    """A frozen part of the configuration that refuses unknown keys."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", populate_by_name=True)
 
 
 class VaeConfig(Section):
@@ -228,10 +221,6 @@ class TrainConfig(Section):
         unasked = self.clusters.form == "guided" and self.global_.local_critic_weight == 0
         return 0 if self.clusters.count == 1 and unasked else self.clusters.count
 
-    def to_dict(self) -> dict[str, Any]:
-        """Plain values for JSON, with the keys that ``--set`` takes."""
-        return self.model_dump(mode="json", by_alias=True)
-
 
 def load_config(preset: str, overrides: Sequence[str] = ()) -> TrainConfig:
     """A preset with ``key.sub=value`` overrides, validated.
@@ -243,61 +232,14 @@ def load_config(preset: str, overrides: Sequence[str] = ()) -> TrainConfig:
     Raises:
         ConfigError: an unknown preset or key, or a value of the wrong type or range.
     """
-    values = _read(preset)
-    values["preset"] = preset
-    for override in overrides:
-        _set(values, override)
-    try:
-        return TrainConfig.model_validate(values)
-    except ValidationError as error:
-        first = error.errors()[0]
-        raise ConfigError(
-            f"the configuration key {'.'.join(str(part) for part in first['loc']) or preset!r} does not fit",
-            expected=first["msg"],
-            got=repr(first["input"]),
-            remedy="cluster_train.py --help lists presets, --print-config the keys",
-        ) from error
+    return validated(TrainConfig, load_values(PRESET_FOLDER, preset, overrides), "cluster_train.py")
 
 
 def presets() -> list[str]:
     """Names of the presets that ship."""
-    return sorted(path.stem for path in PRESET_FOLDER.glob("*.yaml"))
+    return named_presets(PRESET_FOLDER)
 
 
 def robot_of(config: TrainConfig) -> PlanarArm:
     """The robot whose data a job generates."""
     return config.data.robot_value()
-
-
-def _read(preset: str) -> dict[str, Any]:
-    """A preset's values, on top of those of the preset that it names as its ``base``."""
-    path = PRESET_FOLDER / f"{preset}.yaml"
-    if not path.is_file() or path.parent != PRESET_FOLDER:
-        raise ConfigError("the preset is unknown", expected=", ".join(presets()), got=repr(preset))
-    values: dict[str, Any] = yaml.safe_load(path.read_text(encoding="utf-8")) or {}
-    base = values.pop("base", None)
-    return values if base is None else _merged(_read(base), values)
-
-
-def _merged(base: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
-    both = {key: _merged(base[key], changes[key]) for key in base if isinstance(changes.get(key), dict)}
-    return base | changes | both
-
-
-def _set(values: dict[str, Any], override: str) -> None:
-    key, separator, text = override.partition("=")
-    if not separator or not key:
-        raise ConfigError("an override does not fit", expected="key.sub=value", got=repr(override))
-    *parents, last = key.split(".")
-    for parent in parents:
-        values = values.setdefault(parent, {})
-        if not isinstance(values, dict):
-            raise ConfigError(
-                f"{key!r} is no section", expected="a section's name before the dot", got=parent
-            )
-    try:
-        values[last] = yaml.safe_load(text)
-    except yaml.YAMLError as error:
-        raise ConfigError(
-            f"the value of {key!r} is not YAML", expected="a scalar or a list", got=text
-        ) from error

@@ -19,6 +19,9 @@ _LABELS = {
     "kl": "KL divergence [nat]",
     "gate_divergence": "divergence from the true shares [nat]",
     "distillation_loss": "1 - cos to the mixture's answer",
+    "density_loss": "cross entropy of the density [nat]",
+    "flow_loss": "squared error of the velocity [rad^2]",
+    "path_error": "squared error of the embedding",
 }
 
 
@@ -47,11 +50,20 @@ def distillation_curves(history: History) -> Figure:
     return _curves({"distilled": history}, ("distillation_loss",), "step")
 
 
+def path_curves(histories: Mapping[str, History]) -> Figure:
+    """What each path model minimises over its steps; WGAN-GPs by their Wasserstein estimate."""
+    names = ("density_loss", "flow_loss", "path_error", "wasserstein_estimate")
+    shown = [name for name in names if any(name in history[0] for history in histories.values())]
+    return _curves(histories, shown, "step")
+
+
 def _curves(histories: Mapping[str, History], names: Sequence[str], x_label: str) -> Figure:
     figure = Figure(figsize=(4.2 * len(names), 3.4), layout="constrained")
     FigureCanvasAgg(figure)
     for axes, name in zip(figure.subplots(1, len(names), squeeze=False)[0], names, strict=True):
         for trial, history in histories.items():
+            if name not in history[0]:
+                continue
             axes.plot(
                 [row["step"] for row in history], [row[name] for row in history], label=trial, linewidth=1.2
             )
@@ -60,6 +72,10 @@ def _curves(histories: Mapping[str, History], names: Sequence[str], x_label: str
         axes.grid(visible=True, alpha=0.3)
         if name in _LOGARITHMIC:
             axes.set_yscale("log")
+        if len(histories) > 1 and len(names) > 1 and not all(name in rows[0] for rows in histories.values()):
+            axes.legend(fontsize=8)
     if len(histories) > 1:
-        figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=len(histories))
+        handles, labels = axes.get_legend_handles_labels()
+        if len(labels) == len(histories):
+            figure.legend(handles, labels, loc="outside lower center", ncols=len(histories))
     return figure

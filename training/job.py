@@ -4,19 +4,24 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Generic, TypeVar
+
+from pydantic import ValidationError
 
 from cspace.errors import ConfigError
 from services.registry.mlflow_tracking import MlflowTracking
 from services.registry.names import EXPERIMENT
 from services.registry.tracking import RunLog, Tracking
-from training.config import TrainConfig
+from training.config_files import Section
 from training.environment import Environment
 
 RECORD = "job.json"
 
+Config = TypeVar("Config", bound=Section)
+
 
 @dataclass(frozen=True, slots=True)
-class Job:
+class Job(Generic[Config]):
     """A job under way.
 
     Args:
@@ -28,7 +33,7 @@ class Job:
         children: child run by trial.
     """
 
-    config: TrainConfig
+    config: Config
     environment: Environment
     tracking: Tracking
     run: RunLog
@@ -36,21 +41,28 @@ class Job:
     children: dict[str, str]
 
     @classmethod
-    def start(cls, config: TrainConfig, environment: Environment, tags: Mapping[str, str]) -> "Job":
-        """A new job with a run of its own."""
+    def start(
+        cls, config: Config, environment: Environment, tags: Mapping[str, str], name: str = "cluster-train"
+    ) -> "Job[Config]":
+        """A new job with a run of its own, so named."""
         tracking = MlflowTracking(environment.tracking_uri)
-        run = tracking.start(EXPERIMENT, "cluster-train", tags=tags)
+        run = tracking.start(EXPERIMENT, name, tags=tags)
         job = cls(config, environment, tracking, run, job_folder(environment, run.run_id), {})
         job.folder.mkdir(parents=True, exist_ok=True)
         job._save()
         return job
 
     @classmethod
-    def resume(cls, run_id: str, environment: Environment) -> "Job":
+    def resume(cls, run_id: str, environment: Environment, kind: type[Config]) -> "Job[Config]":
         """A job that was stopped, with the runs that it had.
 
+        Args:
+            run_id: of the parent run.
+            environment: the same as the job's.
+            kind: of configuration that it had.
+
         Raises:
-            ConfigError: no such job worked in this data folder.
+            ConfigError: no such job worked in this data folder, or one of another kind.
         """
         folder = job_folder(environment, run_id)
         try:
@@ -62,7 +74,12 @@ class Job:
                 got=repr(run_id),
                 remedy="take the id of the line `run: ...` at the start of the job's log",
             ) from error
-        config = TrainConfig.model_validate(record["config"])
+        try:
+            config = kind.model_validate(record["config"])
+        except ValidationError as error:
+            raise ConfigError(
+                "the job is of another kind", expected=kind.__name__, got=str(error.errors()[0]["loc"])
+            ) from error
         tracking = MlflowTracking(environment.tracking_uri)
         return cls(config, environment, tracking, tracking.resume(run_id), folder, dict(record["children"]))
 

@@ -13,15 +13,16 @@ import argparse
 import os
 import sys
 from collections.abc import Sequence
-from dataclasses import asdict, fields, replace
+from dataclasses import asdict, fields
 from pathlib import Path
 
-from cspace.bundle import Bundle, Provenance, RandomInput, write_bundle
-from cspace.bundle.files import ENCODER_FILE, NOVELTY_FILE, VALIDITY_FILE
+from cspace.bundle import Bundle, RandomInput
+from cspace.bundle.files import VALIDITY_FILE
 from cspace.errors import BundleError, ConfigError, CspaceError, InputError
 from services.registry.names import ALIAS_CHALLENGER, ALIAS_CHAMPION, EXPERIMENT, PATH_MODEL_NAME
+from training.models.path_export import PathGraph
 from training.models.ways import WaySettings, way_graph
-from training.provenance import command_line, now, source_state
+from training.path_bundling import write_path_bundle
 
 
 def make_path_bundle(source: Bundle, folder: Path, settings: WaySettings | None = None) -> Bundle:
@@ -41,39 +42,18 @@ def make_path_bundle(source: Bundle, folder: Path, settings: WaySettings | None 
     if not source.has_validity:
         raise BundleError("the bundle has no validity head", expected=VALIDITY_FILE, got=str(source.folder))
     head = (source.folder / VALIDITY_FILE).read_bytes()
-    graphs = {
-        "encoder": (source.folder / ENCODER_FILE).read_bytes(),
-        "generator": way_graph(head, source.spec.robot.space, source.spec.latent_dim, settings),
-        "validity": head,
-    }
-    if source.spec.novelty_quantiles is not None:
-        graphs["novelty"] = (source.folder / NOVELTY_FILE).read_bytes()
-    origin, state = source.spec.provenance, source_state()
-    spec = replace(
-        source.spec,
-        kind="path",
-        model_kind="generator",
-        looks_at_picture=True,
-        samples_per_latent=1,
-        random_inputs=(
+    graph = PathGraph(
+        way_graph(head, source.spec.robot.space, source.spec.latent_dim, settings),
+        (
             RandomInput("place", "uniform", (1,), 0.0, 1.0),
             RandomInput("jitter", "normal", (source.spec.dim,)),
         ),
-        standardisation=None,
-        # A planner drops what collides by itself, and the map has the head's doubts in it already.
-        confidence_threshold=0.0,
-        uniform_share=0.0,
-        provenance=Provenance(
-            git_commit=state.commit,
-            git_dirty=state.dirty,
-            data_digest=origin.data_digest,
-            seeds=origin.seeds,
-            config=_recipe(source, settings),
-            created=now(),
-            command=command_line(),
-        ),
+        looks_at_picture=True,
     )
-    return Bundle.load(write_bundle(folder, spec, graphs))
+    origin = source.spec.provenance
+    return write_path_bundle(
+        folder, source, graph, origin.data_digest, origin.seeds, _recipe(source, settings)
+    )
 
 
 def made_or_found(source: Bundle, folder: Path, settings: WaySettings) -> Bundle:
@@ -127,6 +107,7 @@ def parser() -> argparse.ArgumentParser:
         "levels": "steps in which a confidence is read",
         "sweeps": "over the map, and the longest way in cells",
         "tube_rad": "standard deviation of the samples about the way",
+        "sweep": "samples from start to goal before the next begin at the start again",
     }
     for item in fields(WaySettings):
         kind, text = type(item.default), f"{described[item.name]} (default: %(default)s)"

@@ -76,10 +76,10 @@ def resume(run_id: str, environment: Environment) -> TrainResult:
         CspaceError: as for :func:`train`; ConfigError where there is no such job.
     """
     connect()
-    return _run(Job.resume(run_id, environment))
+    return _run(Job.resume(run_id, environment, TrainConfig))
 
 
-def _run(job: Job) -> TrainResult:
+def _run(job: Job[TrainConfig]) -> TrainResult:
     with job.run as run:
         _LOG.info("run: %s", run.run_id)
         dataset = prepare_data(job.config, job.environment.data_folder)
@@ -104,7 +104,11 @@ def _checkpoint(outcome: TrialOutcome | None) -> Path | None:
 
 
 def _register(
-    job: Job, dataset: Dataset, bundle: Bundle, outcomes: Sequence[TrialOutcome], figures: tuple[str, ...]
+    job: Job[TrainConfig],
+    dataset: Dataset,
+    bundle: Bundle,
+    outcomes: Sequence[TrialOutcome],
+    figures: tuple[str, ...],
 ) -> TrainResult:
     registry = MlflowRegistry(job.environment.tracking_uri)
     tags = {"data_digest": dataset.digest, "preset": job.config.preset, "seed": str(job.config.seed)}

@@ -45,7 +45,9 @@ def prepare_data(config: TrainConfig, data_folder: Path) -> Dataset:
     return generate(config.data, data_folder / "datasets" / config.data.folder_name)
 
 
-def train_on_pictures(job: Job, dataset: Dataset) -> tuple[TrialOutcome | None, TrialOutcome | None]:
+def train_on_pictures(
+    job: Job[TrainConfig], dataset: Dataset
+) -> tuple[TrialOutcome | None, TrialOutcome | None]:
     """Stage 3: one VAE over all pictures, shared by every later trial; the validity head beside it.
 
     Without configurations in collision, or with no steps for it, there is no head; with an encoder that is
@@ -73,7 +75,7 @@ def train_on_pictures(job: Job, dataset: Dataset) -> tuple[TrialOutcome | None, 
     return outcomes.get(VAE), outcomes.get(VALIDITY)
 
 
-def encode_and_cluster(job: Job, dataset: Dataset, vae: TrialOutcome | None) -> TrainingArrays:
+def encode_and_cluster(job: Job[TrainConfig], dataset: Dataset, vae: TrialOutcome | None) -> TrainingArrays:
     """Stage 4: latents of the scenarios, k-means over the configuration space, and cells for the gate.
 
     An encoder that is yet to be trained with the generator leaves the latents at zero.
@@ -119,7 +121,7 @@ def _partition(config: TrainConfig, free: NDArray[np.float32]) -> tuple[NDArray[
     return clusters[cells.labels], GatedCells(points, cells.labels, clusters)
 
 
-def train_gate(job: Job, arrays: TrainingArrays) -> tuple[TrainingArrays, TrialOutcome | None]:
+def train_gate(job: Job[TrainConfig], arrays: TrainingArrays) -> tuple[TrainingArrays, TrialOutcome | None]:
     """Stage 5, where there are cells: the gate, and what it says of every scenario."""
     if arrays.cells is None:
         return arrays, None
@@ -129,7 +131,7 @@ def train_gate(job: Job, arrays: TrainingArrays) -> tuple[TrainingArrays, TrialO
     return replace(arrays, cells=replace(arrays.cells, probabilities=probabilities)), gate
 
 
-def train_local(job: Job, arrays: TrainingArrays) -> list[TrialOutcome]:
+def train_local(job: Job[TrainConfig], arrays: TrainingArrays) -> list[TrialOutcome]:
     """Stage 6: one WGAN-GP a cluster, in parallel."""
     trials = [
         {
@@ -146,7 +148,7 @@ def train_local(job: Job, arrays: TrainingArrays) -> list[TrialOutcome]:
 
 
 def train_global(
-    job: Job, dataset: Dataset, arrays: TrainingArrays, local: Sequence[TrialOutcome]
+    job: Job[TrainConfig], dataset: Dataset, arrays: TrainingArrays, local: Sequence[TrialOutcome]
 ) -> list[TrialOutcome]:
     """Stage 7: the global WGAN-GP, guided by the local critics or with the encoder that it trains.
 
@@ -166,7 +168,7 @@ def train_global(
     return run_trials(trainable, [trial], shared, job.config.resources, job.folder / name)
 
 
-def encoder_checkpoint(job: Job, vae: TrialOutcome | None) -> Path:
+def encoder_checkpoint(job: Job[TrainConfig], vae: TrialOutcome | None) -> Path:
     """Where the encoder's weights are: in the job's own VAE trial, or where the configuration says.
 
     Raises:
@@ -180,6 +182,6 @@ def encoder_checkpoint(job: Job, vae: TrialOutcome | None) -> Path:
     return given
 
 
-def _shared(job: Job, arrays: TrainingArrays) -> dict[str, Any]:
+def _shared(job: Job[TrainConfig], arrays: TrainingArrays) -> dict[str, Any]:
     """What every trial on configurations gets."""
     return {"train": job.config, "arrays": arrays, "tracking_uri": job.environment.tracking_uri}

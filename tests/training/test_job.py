@@ -4,7 +4,7 @@ import pytest
 
 from cspace.errors import ConfigError
 from tests.fakes.registry import FakeTracking
-from training.config import load_config
+from training.config import TrainConfig, load_config
 from training.environment import Environment
 from training.job import RECORD, Job, job_folder
 
@@ -31,7 +31,7 @@ def test_the_record_holds_what_a_resumed_job_needs(environment, monkeypatch):
     job = started(environment, tracking)
     child = job.child("global")
     monkeypatch.setattr("training.job.MlflowTracking", lambda uri: tracking)
-    resumed = Job.resume(job.run.run_id, environment)
+    resumed = Job.resume(job.run.run_id, environment, TrainConfig)
     assert resumed.config == job.config
     assert resumed.child("global") == child
     assert resumed.run.run_id == job.run.run_id
@@ -41,4 +41,4 @@ def test_the_record_holds_what_a_resumed_job_needs(environment, monkeypatch):
 @pytest.mark.parametrize("run_id", ["nothing", "", "../.."])
 def test_a_job_that_never_was_is_an_error_that_says_what_to_give(environment, run_id):
     with pytest.raises(ConfigError, match="run's id"):
-        Job.resume(run_id, environment)
+        Job.resume(run_id, environment, TrainConfig)

@@ -1,4 +1,4 @@
-"""Data sets: ``python -m training.datasets generate|import|verify``.
+"""Data sets: ``python -m training.datasets generate|paths|import|verify``.
 
 Exit codes: 0 done; 1 the data or the disk is bad; 2 the command is wrong.
 """
@@ -16,7 +16,7 @@ from cspace.dataset import Dataset, open_dataset
 from cspace.errors import ConfigError, CspaceError, ScenarioError
 from cspace.robot import JointLimits, PlanarArm
 from cspace.scenario import Camera, Split
-from training.datasets.config import DatasetConfig
+from training.datasets.config import DatasetConfig, PathDatasetConfig
 from training.datasets.own import import_folder
 
 
@@ -54,6 +54,7 @@ def parser() -> argparse.ArgumentParser:
     _add_generate(
         commands.add_parser("generate", help="random scenarios, by Ray tasks; goes on where it stopped")
     )
+    _add_paths(commands.add_parser("paths", help="near-optimal paths between starts and goals, by Ray tasks"))
     _add_import(commands.add_parser("import", help="your own pictures (PNG) and configurations (.npy)"))
     verify = commands.add_parser("verify", help="check a folder's format and every file's digest")
     verify.add_argument("folder", type=Path)
@@ -70,7 +71,33 @@ def _add_generate(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--extra-image-count", type=int, default=fields["extra_image_count"].default)
     parser.add_argument("--shard-size", type=int, default=fields["shard_size"].default)
     _add_robot(parser)
-    parser.set_defaults(run=_generate)
+    parser.set_defaults(run=lambda options: _made(options, DatasetConfig))
+
+
+def _add_paths(parser: argparse.ArgumentParser) -> None:
+    fields = PathDatasetConfig.model_fields
+    parser.add_argument("folder", type=Path, help="where the data set goes")
+    parser.add_argument("--split", choices=[str(split) for split in Split], default=fields["split"].default)
+    kinds = {
+        int: (
+            "seed",
+            "scenario_count",
+            "pairs_per_scenario",
+            "points_per_path",
+            "free_per_scenario",
+            "shard_size",
+        ),
+        float: ("narrow_share", "time_limit_s"),
+    }
+    for kind, names in kinds.items():
+        for name in names:
+            described = fields[name].description
+            parser.add_argument(
+                f"--{name.replace('_', '-')}", type=kind, default=fields[name].default, help=described
+            )
+    parser.add_argument("--source", choices=("grid", "rrt_star"), default=fields["source"].default)
+    _add_robot(parser)
+    parser.set_defaults(run=lambda options: _made(options, PathDatasetConfig))
 
 
 def _add_import(parser: argparse.ArgumentParser) -> None:
@@ -122,12 +149,12 @@ def _limits(entries: Sequence[tuple[float, float, float]] | None, dim: int) -> J
     return tuple(limits)
 
 
-def _generate(options: argparse.Namespace) -> Dataset:
+def _made(options: argparse.Namespace, kind: type[DatasetConfig] | type[PathDatasetConfig]) -> Dataset:
     robot = _robot(options)
-    values = {name: getattr(options, name) for name in DatasetConfig.model_fields if name != "robot"}
+    values = {name: getattr(options, name) for name in kind.model_fields if name != "robot"}
     described = {key: value for key, value in robot.to_dict().items() if key != "kind"}
     try:
-        config = DatasetConfig.model_validate({**values, "robot": described})
+        config = kind.model_validate({**values, "robot": described})
     except ValidationError as error:
         first = error.errors()[0]
         raise ConfigError(

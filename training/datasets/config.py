@@ -19,18 +19,14 @@ class RobotConfig(BaseModel):
     joint_limits_rad: tuple[tuple[float, float] | None, ...] | None = None
 
 
-class DatasetConfig(BaseModel):
-    """Everything that fixes a generated data set."""
+class GeneratedConfig(BaseModel):
+    """What fixes any generated data set."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     robot: RobotConfig = RobotConfig()
     split: Literal["train", "validation", "test", "demo"] = "train"
     seed: int = Field(0, ge=0)
-    scenario_count: int = Field(3000, ge=1)
-    free_per_scenario: int = Field(300, ge=1)
-    collision_per_scenario: int = Field(50, ge=0)
-    extra_image_count: int = Field(6000, ge=0)
     shard_size: int = Field(500, ge=1)
 
     def robot_value(self) -> PlanarArm:
@@ -47,3 +43,35 @@ class DatasetConfig(BaseModel):
     def folder_name(self) -> str:
         """A name for the data set's folder: its split and its key."""
         return f"{self.split}-{self.key}"
+
+
+class DatasetConfig(GeneratedConfig):
+    """Everything that fixes a generated data set of configurations."""
+
+    scenario_count: int = Field(3000, ge=1)
+    free_per_scenario: int = Field(300, ge=1)
+    collision_per_scenario: int = Field(50, ge=0)
+    extra_image_count: int = Field(6000, ge=0)
+
+
+class PathDatasetConfig(GeneratedConfig):
+    """Everything that fixes a generated data set of paths."""
+
+    scenario_count: int = Field(4000, ge=1)
+    narrow_share: float = Field(
+        0.5, ge=0, le=1, description="of scenarios, with a narrow passage on every way"
+    )
+    pairs_per_scenario: int = Field(8, ge=1)
+    points_per_path: int = Field(64, ge=2)
+    free_per_scenario: int = Field(50, ge=1)
+    source: Literal["grid", "rrt_star"] = Field(
+        "grid",
+        description="grid: exact and near-optimal; rrt_star: OMPL's, with a limit in time, as in the paper",
+    )
+    time_limit_s: float = Field(10.0, gt=0, description="of RRT* for each path")
+    shard_size: int = Field(100, ge=1)
+
+    @property
+    def narrow_count(self) -> int:
+        """How many scenarios have a narrow passage; these come first."""
+        return round(self.narrow_share * self.scenario_count)

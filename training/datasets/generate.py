@@ -6,23 +6,31 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import ray
 from numpy.typing import NDArray
 from pydantic import ValidationError
 from ray.exceptions import RayError, RayTaskError
 
-from cspace.dataset import Dataset, open_dataset, require_room, write_dataset
+from cspace.dataset import Dataset, open_dataset, require_room
 from cspace.errors import CspaceError, DatasetError, JobError, StorageError
-from cspace.scenario import Camera
-from training.datasets.config import DatasetConfig
+from training.datasets.config import DatasetConfig, PathDatasetConfig
+from training.datasets.configurations import ConfigurationRecipe
+from training.datasets.paths import PathRecipe
 from training.datasets.progress import Progress
-from training.datasets.shards import Shard, load_shard, make_shard, plan_shards, save_shard
+from training.datasets.recipe import Recipe
+from training.datasets.shards import Shard, load_shard, save_shard
 
 _LOG = logging.getLogger("training")
 
+Generated = DatasetConfig | PathDatasetConfig
 
-def generate(config: DatasetConfig, folder: Path) -> Dataset:
+
+def recipe_of(config: Generated) -> Recipe:
+    """How the data set of a configuration is made."""
+    return PathRecipe(config) if isinstance(config, PathDatasetConfig) else ConfigurationRecipe(config)
+
+
+def generate(config: Generated, folder: Path) -> Dataset:
     """The data set of ``config`` at ``folder``: opened when it is there, finished or made otherwise.
 
     An interrupted generation leaves its finished shards beside the folder and goes on from them; shards of
@@ -36,30 +44,31 @@ def generate(config: DatasetConfig, folder: Path) -> Dataset:
     """
     if folder.exists():
         return _reuse(config, folder)
-    require_room(folder, _estimated_bytes(config))
-    partial = folder.with_name(f"{folder.name}.{config.key}.partial")
+    recipe = recipe_of(config)
+    # Twice the finished size: the shards are there until the arrays are written.
+    require_room(folder, 2 * recipe.finished_bytes)
+    partial = folder.with_name(f"{folder.name}.{recipe.key}.partial")
     try:
         partial.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise StorageError(
             "the data folder cannot be written", expected=str(partial), got=str(error)
         ) from error
-    shards = plan_shards(config)
-    missing = [shard for shard in shards if load_shard(partial, shard) is None]
+    missing = [shard for shard in recipe.plan() if load_shard(partial, shard) is None]
     with Progress("data", len(missing)) as progress:
         for _ in run_tasks(config, missing, partial):
             progress.advance()
-    dataset = _assemble(config, folder, partial, shards)
+    dataset = recipe.write(folder, lambda shard: _must_load(partial, shard))
     shutil.rmtree(partial, ignore_errors=True)
     return dataset
 
 
-def _reuse(config: DatasetConfig, folder: Path) -> Dataset:
+def _reuse(config: Generated, folder: Path) -> Dataset:
     dataset = open_dataset(folder)
     try:
-        there = DatasetConfig.model_validate(dict(dataset.manifest.generator)).key
+        there = type(config).model_validate(dict(dataset.manifest.generator)).key
     except ValidationError:
-        there = "somebody's own data"
+        there = "data of another kind, or somebody's own"
     if there != config.key:
         raise DatasetError(
             f"{folder} holds another data set",
@@ -71,14 +80,14 @@ def _reuse(config: DatasetConfig, folder: Path) -> Dataset:
     return dataset
 
 
-def run_tasks(config: DatasetConfig, shards: Iterable[Shard], partial: Path) -> Iterator[str]:
+def run_tasks(config: Generated, shards: Iterable[Shard], partial: Path) -> Iterator[str]:
     """Make shards in parallel on the cluster; yields each one's file as it is finished.
 
     Raises:
         CspaceError: what a task raised; JobError when its process died again and again.
     """
     task = ray.remote(num_cpus=1, max_retries=2)(_task)
-    waiting = [task.remote(config.model_dump(mode="json"), shard, str(partial)) for shard in shards]
+    waiting = [task.remote(config, shard, str(partial)) for shard in shards]
     try:
         while waiting:
             finished, waiting = ray.wait(waiting, num_returns=1)
@@ -92,25 +101,8 @@ def run_tasks(config: DatasetConfig, shards: Iterable[Shard], partial: Path) -> 
             ray.cancel(reference)
 
 
-def _task(config: dict[str, Any], shard: Shard, partial: str) -> str:
-    values = DatasetConfig.model_validate(config)
-    return str(save_shard(Path(partial), shard, make_shard(values, shard)))
-
-
-def _assemble(config: DatasetConfig, folder: Path, partial: Path, shards: list[Shard]) -> Dataset:
-    scenes, extras = ([_must_load(partial, s) for s in shards if s.extra is extra] for extra in (False, True))
-    collision = [part for scene in scenes for part in scene["collision"]]
-    return write_dataset(
-        folder,
-        robot=config.robot_value(),
-        camera=Camera(),
-        images=np.concatenate([scene["images"] for scene in scenes]),
-        free=[part for scene in scenes for part in scene["free"]],
-        collision=collision if config.collision_per_scenario else None,
-        discs=np.concatenate([scene["discs"] for scene in scenes]),
-        extra_images=np.concatenate([extra["images"] for extra in extras]) if extras else None,
-        generator=config.model_dump(mode="json"),
-    )
+def _task(config: Generated, shard: Shard, partial: str) -> str:
+    return str(save_shard(Path(partial), shard, recipe_of(config).make(shard)))
 
 
 def _must_load(partial: Path, shard: Shard) -> dict[str, NDArray[Any]]:
@@ -122,10 +114,3 @@ def _must_load(partial: Path, shard: Shard) -> dict[str, NDArray[Any]]:
             remedy="put the data folder where every node of the cluster can read and write it",
         )
     return arrays
-
-
-def _estimated_bytes(config: DatasetConfig) -> int:
-    """Twice the finished size: the shards are there until the arrays are written."""
-    pictures = (config.scenario_count + config.extra_image_count) * Camera().pixels ** 2 * 3
-    rows = config.scenario_count * (config.free_per_scenario + config.collision_per_scenario)
-    return 2 * (pictures + rows * 8 * len(config.robot.link_lengths_m))

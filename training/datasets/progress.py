@@ -18,12 +18,13 @@ class Progress:
     Args:
         what: what is being done.
         total: pieces in all.
+        unit: what a piece is.
     """
 
-    def __init__(self, what: str, total: int) -> None:
+    def __init__(self, what: str, total: int, unit: str = "shard") -> None:
         self.what, self.total, self.done = what, total, 0
         self.started = self.told = time.monotonic()
-        self.bar = tqdm(total=total, desc=what, unit="shard") if sys.stderr.isatty() else None
+        self.bar = tqdm(total=total, desc=what, unit=unit) if sys.stderr.isatty() else None
 
     def advance(self) -> None:
         """One more piece is done."""

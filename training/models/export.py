@@ -32,12 +32,12 @@ class _EncoderGraph(nn.Module):
 
 def encoder_graph(encoder: Encoder, pixels: int) -> bytes:
     """ONNX bytes: ``image`` (b, 3, P, P) to ``mu`` (b, L) and ``sigma`` (b, L)."""
-    return _export(
+    return exported(
         _EncoderGraph(encoder),
         (torch.zeros(2, 3, pixels, pixels),),
         ["image"],
         ["mu", "sigma"],
-        _batched("images", 1),
+        batched("images", 1),
     )
 
 
@@ -56,7 +56,7 @@ class _NoveltyGraph(nn.Module):
 def novelty_graph(scores: NoveltyScores, pixels: int, latent_dim: int) -> bytes:
     """ONNX bytes: ``image`` (1, 3, P, P) and ``mu`` (1, L) to ``scores`` (2,)."""
     inputs = (torch.zeros(1, 3, pixels, pixels), torch.zeros(1, latent_dim))
-    return _export(_NoveltyGraph(scores), inputs, ["image", "mu"], ["scores"], ({}, {}))
+    return exported(_NoveltyGraph(scores), inputs, ["image", "mu"], ["scores"], ({}, {}))
 
 
 class _ValidityGraph(nn.Module):
@@ -75,7 +75,7 @@ def validity_graph(head: ValidityHead, pixels: int, dim: int) -> bytes:
     """ONNX bytes: ``image`` (1, 3, P, P) and ``configurations`` (n, d) rad to ``confidence`` (n,)."""
     inputs = (torch.zeros(1, 3, pixels, pixels), torch.zeros(2, dim))
     rows = {0: torch.export.Dim("configurations", min=1)}
-    return _export(_ValidityGraph(head), inputs, ["image", "configurations"], ["confidence"], ({}, rows))
+    return exported(_ValidityGraph(head), inputs, ["image", "configurations"], ["confidence"], ({}, rows))
 
 
 def generator_graph(
@@ -89,7 +89,7 @@ def generator_graph(
     else:
         inputs = (latent, torch.zeros(2, dim), torch.zeros(2, noise_dim))
         names = ["latent", "base", "noise"]
-    return _export(generator, inputs, names, ["samples"], _batched("latents", len(inputs)))
+    return exported(generator, inputs, names, ["samples"], batched("latents", len(inputs)))
 
 
 def mixture_graph(sampler: GatedSampler, latent_dim: int, noise_dim: int, pixels: int) -> bytes:
@@ -113,26 +113,35 @@ def lookup_graph(sampler: LookupSampler, dim: int, latent_dim: int, noise_dim: i
 def _with_picture(
     sampler: nn.Module, inputs: tuple[Tensor, ...], names: list[str], pixels: int | None
 ) -> bytes:
-    axes = _batched("latents", len(inputs))
+    axes = batched("latents", len(inputs))
     if pixels is None:
-        return _export(sampler, inputs, names, ["samples"], axes)
+        return exported(sampler, inputs, names, ["samples"], axes)
     picture = torch.zeros(1, 3, pixels, pixels)
-    return _export(sampler, (*inputs, picture), [*names, "image"], ["samples"], (*axes, {}))
+    return exported(sampler, (*inputs, picture), [*names, "image"], ["samples"], (*axes, {}))
 
 
-def _batched(axis: str, count: int) -> tuple[dict[int, Any], ...]:
+def batched(axis: str, count: int) -> tuple[dict[int, Any], ...]:
     """Every input's first axis is one of a free length."""
     batch = torch.export.Dim(axis, min=1)
     return tuple({0: batch} for _ in range(count))
 
 
-def _export(
+def exported(
     module: nn.Module,
     inputs: tuple[Tensor, ...],
     names: list[str],
     outputs: list[str],
-    free_axes: tuple[dict[int, Any], ...],
+    free_axes: tuple[Any, ...],
 ) -> bytes:
+    """A module's graph, self-contained and without traces of the machine.
+
+    Args:
+        module: whose forward is exported.
+        inputs: examples.
+        names: of the inputs.
+        outputs: their names.
+        free_axes: for each input, its axes of a free length.
+    """
     module.eval()
     with _quiet():
         program = torch.onnx.export(

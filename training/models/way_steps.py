@@ -104,6 +104,16 @@ def _cell(ends: FLOAT, low: FLOAT, size: FLOAT, count: FLOAT, strides: INT64) ->
     return op.ReduceSum(op.Cast(inside, to=7) * strides, one, keepdims=0)
 
 
+@script(_LOCAL, default_opset=op)
+def _swept(place: FLOAT, sweep: INT64) -> FLOAT:
+    """Places (m, 1) in rising sweeps of so many rows, each within its row's own share of the way."""
+    rows = op.Shape(place, start=0, end=1)
+    count = op.Min(rows, sweep)
+    number = op.CumSum(op.Expand(op.Constant(value_ints=[1]), rows), op.Constant(value_int=0)) - 1
+    within = op.Unsqueeze(number - (number / count) * count, op.Constant(value_ints=[1]))
+    return (op.Cast(within, to=1) + place) / op.Cast(count, to=1)
+
+
 @script(default_opset=op)
 def way_samples(
     confidence: FLOAT["n"],  # noqa: F821
@@ -127,6 +137,7 @@ def way_samples(
     levels: FLOAT,
     sweeps: INT64,
     tube: FLOAT,
+    sweep: INT64,
 ) -> FLOAT["m", 1, 2]:  # noqa: F821
     """All of it, with what is fixed as inputs that the builder turns into initialisers."""
     zero, one = op.Constant(value_ints=[0]), op.Constant(value_ints=[1])
@@ -140,5 +151,38 @@ def way_samples(
     inner = op.Gather(grid, op.Slice(cells, one, op.Shape(cells), zero))
     corners = op.Concat(op.Slice(start, zero, one, zero), inner, op.Slice(goal, zero, one, zero), axis=0)
     # The output is named after the variable.
-    samples = op.Unsqueeze(_along(corners, place, wraps) + jitter * tube, one)
+    samples = op.Unsqueeze(_along(corners, _swept(place, sweep), wraps) + jitter * tube, one)
     return samples  # noqa: RET504
+
+
+@script(default_opset=op)
+def way_maps(
+    confidence: FLOAT["n"],  # noqa: F821
+    start: FLOAT["m", 2],  # noqa: F821
+    goal: FLOAT["m", 2],  # noqa: F821
+    grid_shape: INT64,
+    prices: FLOAT,
+    beyond_rows: FLOAT,
+    beyond_columns: FLOAT,
+    low: FLOAT,
+    size: FLOAT,
+    count: FLOAT,
+    strides: INT64,
+    penalty: FLOAT,
+    sweeps: INT64,
+    farthest: FLOAT,
+) -> FLOAT["k"]:  # noqa: F821
+    """Confidence, detour and progress of all cells, one after the other."""
+    flat = op.Constant(value_ints=[-1])
+    weights = op.Reshape((1.0 - confidence) * penalty + 1.0, grid_shape)
+    first = _cell(start, low, size, count, strides)
+    last = _cell(goal, low, size, count, strides)
+    behind = op.Reshape(_spread(weights, prices, first, beyond_rows, beyond_columns, sweeps), flat)
+    ahead = op.Reshape(_spread(weights, prices, last, beyond_rows, beyond_columns, sweeps), flat)
+    whole = behind + ahead
+    detour = op.Min(op.ReduceMax(whole, keepdims=0) - whole, farthest)
+    near = op.Cast(detour < farthest, to=1)
+    progress = near * behind / op.Min(whole, -0.000001)
+    # The output is named after the variable.
+    maps = op.Concat(confidence, detour, progress, axis=0)
+    return maps  # noqa: RET504

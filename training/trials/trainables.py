@@ -1,18 +1,14 @@
 """The functions that Tune runs: make the module, hand it to :func:`fit`, report to Tune."""
 
-import contextlib
-import logging
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from ray import tune
 
 from cspace.errors import JobError
-from services.registry.mlflow_tracking import MlflowTracking
 from training.config import TrainConfig
 from training.models.cells import CellBase
 from training.models.checkpoint import seeded_initialisation
@@ -21,12 +17,12 @@ from training.models.gate import GateModule
 from training.models.joint import JointModule
 from training.models.lookups import make_reader
 from training.models.mixture import Experts
-from training.models.modules import Metrics, TrialModule, VaeModule
+from training.models.modules import TrialModule, VaeModule
 from training.models.validity import ValidityModule
 from training.trials.arrays import TrainingArrays
-from training.trials.fit import Rhythm, fit
 from training.trials.loading import fresh_generator, load_critic, load_generator, make_wgan, torus_generator
 from training.trials.occupancy import OccupancyArrays
+from training.trials.tracked import fit_tracked
 
 VAE, VALIDITY, GATE, GLOBAL, DISTILLED = "vae", "validity", "gate", "global", "distilled"
 
@@ -49,7 +45,7 @@ def picture_trial(
             steps = train.validity.steps
         else:
             module, steps = VaeModule(train.vae, pictures, trial["seed"]), train.vae.steps
-    _fit(trial, module, steps, train, tracking_uri)
+    fit_tracked(trial, module, steps, train.resources, tracking_uri)
 
 
 def gate_trial(
@@ -60,7 +56,7 @@ def gate_trial(
     mu, sigma = torch.tensor(arrays.mu), torch.tensor(arrays.sigma)
     with seeded_initialisation(trial["seed"]):
         module = GateModule(train.gate, mu, sigma, arrays.shares(), trial["seed"])
-    _fit(trial, module, train.gate.steps, train, tracking_uri)
+    fit_tracked(trial, module, train.gate.steps, train.resources, tracking_uri)
 
 
 def local_trial(
@@ -69,7 +65,7 @@ def local_trial(
     """Train one cluster's WGAN-GP (Algorithm 1)."""
     trial = config["trial"]
     module = make_wgan(train.local, arrays, trial["cluster"], trial["seed"])
-    _fit(trial, module, train.local.steps, train, tracking_uri)
+    fit_tracked(trial, module, train.local.steps, train.resources, tracking_uri)
 
 
 def global_trial(
@@ -84,7 +80,7 @@ def global_trial(
     critics = [load_critic(train.local, arrays, Path(folder)) for folder in local_checkpoints]
     weight = train.global_.local_critic_weight
     module = make_wgan(train.global_, arrays, None, trial["seed"], critics, weight)
-    _fit(trial, module, train.global_.steps, train, tracking_uri)
+    fit_tracked(trial, module, train.global_.steps, train.resources, tracking_uri)
 
 
 def distillation_trial(
@@ -114,7 +110,7 @@ def distillation_trial(
             base,
             trial["seed"],
         )
-    _fit(trial, module, train.global_.steps, train, tracking_uri)
+    fit_tracked(trial, module, train.global_.steps, train.resources, tracking_uri)
 
 
 def joint_trial(
@@ -135,38 +131,8 @@ def joint_trial(
             arrays.scale,
             trial["seed"],
         )
-    _fit(trial, module, train.global_.steps, train, tracking_uri)
+    fit_tracked(trial, module, train.global_.steps, train.resources, tracking_uri)
 
 
 def _channels_first(images: NDArray[np.uint8]) -> torch.Tensor:
     return torch.tensor(np.ascontiguousarray(images.transpose(0, 3, 1, 2)))
-
-
-def _fit(
-    trial: Mapping[str, Any], module: TrialModule, steps: int, train: TrainConfig, tracking_uri: str
-) -> None:
-    # One thread a process: two torch pools on two cores are slower than one thread each.
-    torch.set_num_threads(1)
-    logging.basicConfig(level=logging.WARNING, format="%(message)s", force=True)
-    logging.getLogger("training").setLevel(logging.INFO)
-    for library in ("lightning.pytorch", "ray.train", "ray.tune"):
-        logging.getLogger(library).setLevel(logging.ERROR)
-    rhythm = Rhythm(train.resources.log_every_steps, train.resources.checkpoint_every_steps)
-    run = MlflowTracking(tracking_uri).resume(trial["run_id"])
-    with _checkpoint() as folder:
-        fit(trial["name"], module, steps, rhythm, run, _report, folder)
-
-
-def _report(metrics: Metrics, folder: Path | None) -> None:
-    checkpoint = None if folder is None else tune.Checkpoint.from_directory(str(folder))
-    tune.report(metrics, checkpoint=checkpoint)
-
-
-@contextlib.contextmanager
-def _checkpoint() -> Iterator[Path | None]:
-    checkpoint = tune.get_checkpoint()
-    if checkpoint is None:
-        yield None
-        return
-    with checkpoint.as_directory() as folder:
-        yield Path(folder)

@@ -14,7 +14,7 @@ from training.models.ways import WaySettings, way_graph
 
 LATENT = 3
 LIMITED = PlanarArm(joint_limits_rad=(None, (-3.0, 3.0)))
-STRAIGHT = WaySettings(tube_rad=0.0)
+STRAIGHT = WaySettings(tube_rad=0.0, sweep=1)
 
 
 def walled_head(wall_rad: float = 1.0, gap_rad: float = 0.5) -> bytes:
@@ -136,7 +136,7 @@ def test_a_way_is_as_cheap_as_dijkstras(session, head, start, goal):
 
 
 def test_samples_lie_about_the_way_as_widely_as_the_tube(head):
-    wide = opened(way_graph(head, TWO_LINK.space, LATENT, WaySettings(tube_rad=0.2)))
+    wide = opened(way_graph(head, TWO_LINK.space, LATENT, WaySettings(tube_rad=0.2, sweep=1)))
     ends = np.array([0.2, 2.0]), np.array([2.0, -2.5])
     rng = np.random.default_rng(0)
     place, jitter = rng.random(4000), rng.standard_normal((4000, 2))
@@ -178,3 +178,14 @@ def test_the_graph_stands_alone_and_is_small(head):
 def test_three_joints_are_refused(head):
     with pytest.raises(ConfigError, match="two joints"):
         way_graph(head, THREE_LINK.space, LATENT)
+
+
+def test_samples_come_in_sweeps_from_the_start_to_the_goal_and_are_spread_as_evenly(head):
+    start, goal = np.array([0.2, 2.0]), np.array([2.0, -2.5])
+    plain = opened(way_graph(head, TWO_LINK.space, LATENT, STRAIGHT))
+    swept = opened(way_graph(head, TWO_LINK.space, LATENT, WaySettings(tube_rad=0.0, sweep=8)))
+    place = np.random.default_rng(0).random(24)
+    wanted = (np.arange(24) % 8 + place) / 8
+    np.testing.assert_allclose(asked(swept, start, goal, place), asked(plain, start, goal, wanted), atol=1e-5)
+    few = asked(swept, start, goal, place[:3])
+    np.testing.assert_allclose(few, asked(plain, start, goal, (np.arange(3) + place[:3]) / 3), atol=1e-5)

@@ -1,0 +1,41 @@
+"""Small path data for the tests of path models: one kind of path through an empty space."""
+
+import numpy as np
+import torch
+
+from cspace.robot import TWO_LINK
+from cspace.scenario import Camera
+from training.models.path_samples import PathSamples
+from training.trials.path_arrays import PathArrays
+
+LATENT = 3
+POINTS = 17
+
+
+def straight_paths(count: int = 40, seed: int = 0) -> np.ndarray:
+    """Straight ways between random ends, (count, POINTS, 2) rad."""
+    rng = np.random.default_rng(seed)
+    space = TWO_LINK.space
+    ends = space.sample_uniform(rng, 2 * count).reshape(2, count, 2)
+    share = np.linspace(0.0, 1.0, POINTS)[:, None]
+    ways = ends[0][:, None] + share * space.difference(ends[0], ends[1])[:, None]
+    return space.wrap(ways).astype(np.float32)
+
+
+def arrays(count: int = 40, scenarios: int = 4, cells: int | None = 16) -> PathArrays:
+    """Straight paths in scenarios without an obstacle."""
+    images = np.full((scenarios, 48, 48, 3), 255, np.uint8)
+    zeros = np.zeros((scenarios, LATENT), np.float32)
+    maps = None if cells is None else np.full((scenarios, cells, cells), 255, np.uint8)
+    ids = np.arange(count) % scenarios
+    return PathArrays(TWO_LINK, Camera(), straight_paths(count), ids, zeros, zeros, images, maps)
+
+
+def samples(count: int = 40) -> PathSamples:
+    """The same as tensors."""
+    return arrays(count).samples()
+
+
+def generator(seed: int = 0) -> torch.Generator:
+    """A random generator."""
+    return torch.Generator().manual_seed(seed)

@@ -1,0 +1,209 @@
+"""Flow, conditional VAE and WGAN-GP over points of paths: what they learn, and how their graphs answer."""
+
+import numpy as np
+import onnxruntime
+import pytest
+import torch
+
+from cspace.grid_search import ways_to
+from cspace.robot import THREE_LINK, TWO_LINK
+from cspace.scenario import Camera
+from tests.training.models.path_builders import LATENT, arrays
+from tests.training.models.test_ways import walled_head
+from training.config import LookupConfig
+from training.models.lookups import make_lookups
+from training.models.path_condition import Condition, swept
+from training.models.path_density import CellGrid, DensitySampler, PathUNet
+from training.models.path_export import PointSampler, density_graph, point_graph
+from training.models.path_modules import PathGanModule
+from training.models.path_points import PathFlow, RefiningGenerator, blind
+from training.models.way_fields import WayFields, backwards, fields_to_store, stored_fields, way_maps_graph
+from training.path_config import DensityConfig, FlowConfig, PathGanConfig, PathTrainConfig, PathVaeConfig
+from training.trials.path_trials import make_path_module
+
+NO_LOOKUPS = LookupConfig()
+FEW = LookupConfig(points_per_link=3, side_m=0.0)
+SMALL = PathTrainConfig(
+    flow=FlowConfig(hidden=64, layers=2, steps=300, batch_size=256, lookups=NO_LOOKUPS),
+    cvae=PathVaeConfig(hidden=64, layers=2, steps=300, batch_size=256, place=True),
+    wgan=PathGanConfig(hidden=32, layers=2, critic_hidden=32, critic_layers=2, steps=40, batch_size=64),
+    wgan_lookups=PathGanConfig(
+        hidden=32, layers=2, critic_hidden=32, steps=4, batch_size=32, place=True, refinements=2, lookups=FEW
+    ),
+)
+ROWS = 64
+
+
+def trained(name, steps=None, given=None):
+    module = make_path_module(name, SMALL, given or arrays(count=1, scenarios=1), 0)
+    first: dict[str, float] = {}
+    for step in range(steps or getattr(SMALL, name).steps):
+        module.training_step(step, 0)
+        first = first or module.metrics()
+    return module.eval(), first
+
+
+def places_along(module, given, count=ROWS):
+    """Answers and true points at places along the only path."""
+    path = torch.tensor(given.paths[0])
+    condition = Condition(
+        torch.zeros(count, LATENT),
+        path[:1].expand(count, 2),
+        path[-1:].expand(count, 2),
+        torch.linspace(0.0, 1.0, count).unsqueeze(1),
+    )
+    noise = torch.rand(count, module.net.noise_dim, generator=torch.Generator().manual_seed(3))
+    with torch.no_grad():
+        found = module.net(condition, (2.0 * noise - 1.0) * torch.pi, blind).numpy().astype(np.float64)
+    space = TWO_LINK.space
+    wanted = given.paths[0][0] + np.linspace(0, 1, count)[:, None] * space.difference(
+        given.paths[0][0], given.paths[0][-1]
+    )
+    return np.linalg.norm(space.difference(wanted, found), axis=1)
+
+
+@pytest.mark.parametrize("name", ["flow", "cvae"])
+def test_a_model_that_is_asked_for_a_place_learns_the_only_path_there_is(name):
+    given = arrays(count=1, scenarios=1)
+    module, _ = trained(name, given=given)
+    # Uniform draws would be 2.4 rad away on average.
+    assert np.median(places_along(module, given)) < 0.5
+
+
+def test_the_critics_steps_change_the_generator_and_tell_their_losses():
+    module, first = trained("wgan")
+    assert set(first) == {"wasserstein_estimate", "gradient_penalty", "generator_loss"}
+    assert all(np.isfinite(list(module.metrics().values())))
+    fresh = make_path_module("wgan", SMALL, arrays(count=1, scenarios=1), 0)
+    before, after = fresh.net.state_dict(), module.net.state_dict()
+    assert any(not torch.equal(before[name], after[name]) for name in before)
+
+
+def test_a_guide_pulls_the_generator_its_way():
+    class Guide(torch.nn.Module):
+        def forward(self, points, condition, seen):
+            del condition, seen
+            return 50.0 * torch.cos(points[:, 0] - 1.0)
+
+    found = {}
+    given = arrays()
+    config = SMALL.wgan.model_copy(update={"guide_weight": 1.0, "steps": 60})
+    for name, guides in (("alone", []), ("guided", [Guide()])):
+        torch.manual_seed(0)  # noqa: TID251 - two modules that start alike
+        module = PathGanModule(config, given.samples(), None, 0, guides)
+        for step in range(60):
+            module.training_step(step, 0)
+        batch = module.samples.draw(200, module.rng)
+        with torch.no_grad():
+            points = module.net(module.condition(batch), module.normal(200, module.net.noise_dim), blind)
+        found[name] = torch.cos(points[:, 0] - 1.0).mean().item()
+    assert found["guided"] > found["alone"] + 0.3
+
+
+def test_a_refining_generators_base_covers_the_torus():
+    net = RefiningGenerator(2, LATENT, 8, 1, 1, 0, 0, place=False)
+    noise = torch.randn(4000, 3, generator=torch.Generator().manual_seed(0))
+    ends = torch.zeros(4000, 2)
+    points = net(Condition(torch.zeros(4000, LATENT), ends, ends, None), noise, blind)
+    counts = torch.histc(points[:, 0], bins=8, min=-torch.pi, max=torch.pi)
+    assert counts.min() > 400
+
+
+def feeds(names, rows=5, dim=2):
+    rng = np.random.default_rng(1)
+    shapes = {
+        "latent": (rows, LATENT), "start": (rows, dim), "goal": (rows, dim), "place": (rows, 1),
+        "noise": (rows, names.get("noise", 1)), "jitter": (rows, 2), "image": (1, 3, 48, 48),
+    }  # fmt: skip
+    found = {name: rng.random(shapes[name], dtype=np.float32) for name in names}
+    for name in {"start", "goal"} & set(found):
+        found[name][:] = found[name][0]
+    return found
+
+
+def answer(model, fed):
+    options = onnxruntime.SessionOptions()
+    options.log_severity_level = 4
+    session = onnxruntime.InferenceSession(model, options, providers=["CPUExecutionProvider"])
+    assert {entry.name for entry in session.get_inputs()} == set(fed)
+    return session.run(["samples"], fed)[0]
+
+
+@pytest.mark.parametrize("name", ["flow", "cvae", "wgan", "wgan_lookups"])
+def test_a_graph_answers_as_the_network_does(name):
+    module = make_path_module(name, SMALL, arrays(), 0).eval()
+    config = getattr(SMALL, name)
+    lookups = make_lookups(config.lookups, TWO_LINK, Camera())
+    graph = point_graph(PointSampler(module.net, lookups, place=config.place, sweep=4), LATENT, 48)
+    assert graph.looks_at_picture == (name == "wgan_lookups")
+    names = {item.name: item.shape[0] for item in graph.random_inputs}
+    extra = ["image"] if graph.looks_at_picture else []
+    fed = feeds(names | dict.fromkeys(["latent", "start", "goal", *extra], 0))
+    tensors = {key: torch.tensor(value) for key, value in fed.items()}
+    place = swept(tensors["place"], 4) if config.place else None
+    with torch.no_grad():
+        condition = Condition(tensors["latent"], tensors["start"], tensors["goal"], place)
+        wanted = module.net(
+            condition,
+            tensors["noise"],
+            blind if lookups is None else lambda at: lookups(tensors["image"], at.unsqueeze(0)).squeeze(0),
+        )
+    np.testing.assert_allclose(answer(graph.model, fed)[:, 0], wanted, atol=1e-4)
+    one = {key: value if key == "image" else value[:1] for key, value in fed.items()}
+    assert answer(graph.model, one).shape == (1, 1, 2)
+
+
+@pytest.mark.parametrize("ways", [True, False])
+def test_a_densitys_graph_sees_the_map_of_the_head_that_it_is_joined_to(ways):
+    config = DensityConfig(cells=16, width=4, ways=ways)
+    torch.manual_seed(0)  # noqa: TID251 - weights that are the same in every run
+    net = PathUNet(CellGrid(TWO_LINK.space, 16), 4, ways=ways).eval()
+    head = walled_head()
+    graph = density_graph(DensitySampler(net, config, sweep=4), head, TWO_LINK.space, LATENT)
+    fed = feeds(dict.fromkeys(["latent", "place", "jitter", "start", "goal", "image"], 0))
+    session = onnxruntime.InferenceSession(head, providers=["CPUExecutionProvider"])
+    grid = net.grid.centres.numpy()
+    (seen,) = session.run(["confidence"], {"image": fed["image"], "configurations": grid})
+    if ways:
+        maps = onnxruntime.InferenceSession(way_maps_graph(TWO_LINK.space, 16, 20.0).SerializeToString())
+        (seen,) = maps.run(["maps"], {"confidence": seen, "start": fed["start"], "goal": fed["goal"]})
+    with torch.no_grad():
+        parts = [torch.tensor(fed[name]) for name in ("place", "jitter", "start", "goal")]
+        wanted = DensitySampler(net, config, sweep=4)(torch.tensor(seen), *parts)
+    np.testing.assert_allclose(answer(graph.model, fed), wanted, atol=1e-4)
+
+
+def test_the_ways_fields_tell_detours_and_progress_as_dijkstras_ways_do():
+    session = onnxruntime.InferenceSession(walled_head(), providers=["CPUExecutionProvider"])
+    grid = CellGrid(TWO_LINK.space, 48).centres.numpy()
+    image = np.zeros((1, 3, 48, 48), np.float32)
+    (seen,) = session.run(["confidence"], {"image": image, "configurations": grid})
+    confidence = seen.reshape(48, 48).astype(np.float64)
+    start, goal = np.array([0.2, 2.0]), np.array([2.0, -2.5])
+    ways = WayFields(TWO_LINK.space, 48, 20.0)
+    detour, progress = ways.of(confidence, start, goal)
+    weights = 1.0 + 20.0 * (1.0 - confidence)
+    behind, ahead = (ways_to(TWO_LINK.space, weights, end).costs for end in (start, goal))
+    whole = behind + ahead
+    # A cell that looks blocked counts twice there; of free ones both tell the same.
+    near = (whole - whole.min() < 1.5) & (confidence > 0.999)
+    assert near.mean() > 0.02
+    assert np.abs(whole - whole.min() - detour)[near].max() < 0.25
+    assert np.abs(behind / whole - progress)[near].max() < 0.1
+
+
+def test_stored_fields_are_those_that_were_stored_either_way_round():
+    confidence, ends = np.ones((16, 16)), (np.array([-1.0, -1.0]), np.array([1.0, 1.0]))
+    ways = WayFields(TWO_LINK.space, 16, 20.0)
+    fields, other = ways.of(confidence, *ends), ways.of(confidence, *ends[::-1])
+    detour, progress = stored_fields(torch.tensor(fields_to_store(fields))[None])
+    assert np.abs(detour[0, 0].numpy() - fields[0]).max() < 0.006
+    assert np.abs(progress[0, 0].numpy() - fields[1]).max() < 0.003
+    assert np.abs(backwards(detour, progress)[0, 0].numpy() - other[1])[fields[0] < 2.5].max() < 0.01
+
+
+def test_a_flow_takes_any_number_of_joints():
+    flow = PathFlow(3, LATENT, 16, 1, 2, 0, place=True)
+    graph = point_graph(PointSampler(flow.eval(), None, place=True, sweep=2), LATENT, 48)
+    fed = feeds({"noise": 3} | dict.fromkeys(["latent", "start", "goal", "place"], 0), dim=THREE_LINK.dim)
+    assert answer(graph.model, fed).shape == (5, 1, 3)

@@ -1,0 +1,37 @@
+"""The validity head's map: its graph made to look at a fixed grid of the joint space."""
+
+from typing import Any
+
+import numpy as np
+import onnx
+from numpy.typing import NDArray
+from onnx import helper, numpy_helper
+
+
+def show_grid(head: onnx.ModelProto, grid: NDArray[Any]) -> None:
+    """Let the head look at the grid.
+
+    The number of its cells comes from the picture's shape, so that it is not known before the graph runs:
+    with fixed shapes onnxruntime turns the look-ups into an order that takes twice as long.
+    """
+    (entry,) = [entry for entry in head.graph.input if entry.name == "configurations"]
+    head.graph.input.remove(entry)
+    ends = {"grid_begin": [0], "grid_axis": [0], "grid_more": [len(grid) - 1]}
+    for name, value in ends.items():
+        head.graph.initializer.append(numpy_helper.from_array(np.array(value, dtype=np.int64), name))
+    head.graph.initializer.append(numpy_helper.from_array(grid, "grid_all"))
+    nodes = [
+        helper.make_node("Shape", ["image"], ["grid_pictures"], start=0, end=1),
+        helper.make_node("Add", ["grid_pictures", "grid_more"], ["grid_end"]),
+        helper.make_node("Slice", ["grid_all", "grid_begin", "grid_end", "grid_axis"], ["configurations"]),
+    ]
+    for node in reversed(nodes):
+        head.graph.node.insert(0, node)
+    # One picture, as the head takes it; said as if there could be several.
+    (image,) = [entry for entry in head.graph.input if entry.name == "image"]
+    image.type.tensor_type.shape.dim[0].dim_param = "pictures"
+
+
+def shaped(name: str, *shape: str | int) -> onnx.ValueInfoProto:
+    """A graph's float32 input or output of a shape, some of whose sizes may be names."""
+    return helper.make_tensor_value_info(name, onnx.TensorProto.FLOAT, shape)

@@ -1,0 +1,176 @@
+"""The job of path models: data, what a bundle sees of them, one trial a model, bundles, registry."""
+
+import logging
+import shutil
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from cspace.bundle import Bundle
+from cspace.dataset import Dataset, open_dataset
+from services.registry.mlflow_registry import MlflowRegistry
+from services.registry.names import ALIAS_CHALLENGER, PATH_MODEL_NAME
+from training.datasets.generate import generate
+from training.environment import Environment
+from training.figures import path_curves
+from training.job import Job
+from training.models.checkpoint import read_progress
+from training.models.ways import WaySettings
+from training.path_bundling import trained_bundle
+from training.path_config import PathTrainConfig
+from training.path_sampler import made_or_found
+from training.path_source import source_bundle
+from training.provenance import source_state
+from training.trials.guides import find_guides
+from training.trials.launch import TrialOutcome, connect, run_trials
+from training.trials.path_arrays import PathArrays, path_arrays
+from training.trials.path_trials import path_trial
+
+_LOG = logging.getLogger("training")
+
+JOB_NAME = "path-train"
+# The sampler that is not trained on paths, registered beside those that are.
+UNTRAINED = "ways"
+
+
+@dataclass(frozen=True, slots=True)
+class PathTrainResult:
+    """What a job leaves behind.
+
+    Args:
+        run_id: the parent run.
+        model: the registered model's name.
+        versions: number of each path model's version, which also has the path model's name as an alias.
+        digests: of each path model's bundle.
+        data_digest: the data set's digest.
+        seconds: from start to end of each trial, by Tune's clock.
+    """
+
+    run_id: str
+    model: str
+    versions: Mapping[str, int]
+    digests: Mapping[str, str]
+    data_digest: str
+    seconds: Mapping[str, float]
+
+
+def train_paths(config: PathTrainConfig, environment: Environment) -> PathTrainResult:
+    """Run the whole job.
+
+    Raises:
+        CspaceError: bad data or source, a failed trial, or a registry that does not answer.
+    """
+    connect()
+    source = source_state()
+    tags = {
+        "preset": config.preset,
+        "seed": str(config.seed),
+        "git.commit": source.commit,
+        "git.dirty": str(source.dirty),
+        "mlflow.source.git.commit": source.commit,
+        "mlflow.source.name": "training/path_train.py",
+        "mlflow.source.type": "JOB",
+    }
+    return _run(Job.start(config, environment, tags, JOB_NAME))
+
+
+def resume_paths(run_id: str, environment: Environment) -> PathTrainResult:
+    """Go on with a job that was stopped: finished trials stay, others start from their checkpoints.
+
+    Args:
+        run_id: the job's parent run.
+        environment: the same as the job's.
+
+    Raises:
+        CspaceError: as for :func:`train_paths`; ConfigError where there is no such job.
+    """
+    connect()
+    return _run(Job.resume(run_id, environment, PathTrainConfig))
+
+
+def _run(job: Job[PathTrainConfig]) -> PathTrainResult:
+    config = job.config
+    with job.run as run:
+        _LOG.info("run: %s", run.run_id)
+        registry = MlflowRegistry(job.environment.tracking_uri)
+        source = source_bundle(config.source, registry, job.folder / "source")
+        dataset = _data(config, job.environment.data_folder)
+        run.params(config.to_dict())
+        run.dataset(dataset.folder.name, dataset.digest, str(dataset.folder), "training")
+        cells = config.density.cells if "density" in config.models else None
+        penalty = config.density.penalty if config.density.ways else None
+        arrays = path_arrays(source, dataset, config.points, cells, penalty)
+        outcomes = _train(job, source, arrays)
+        histories = {outcome.name: read_progress(outcome.checkpoint).history for outcome in outcomes}
+        run.figure(path_curves(histories), "path-losses")
+        run.flush()
+        bundles = _bundles(job, source, dataset, arrays, outcomes)
+        versions = {name: _register(job, registry, name, bundle) for name, bundle in bundles.items()}
+        return PathTrainResult(
+            run_id=run.run_id,
+            model=PATH_MODEL_NAME,
+            versions=versions,
+            digests={name: bundle.digest for name, bundle in bundles.items()},
+            data_digest=dataset.digest,
+            seconds={outcome.name: outcome.ended_s - outcome.started_s for outcome in outcomes},
+        )
+
+
+def _data(config: PathTrainConfig, folder: Path) -> Dataset:
+    if config.data_folder is not None:
+        return open_dataset(config.data_folder)
+    return generate(config.data, folder / "datasets" / f"paths-{config.data.folder_name}")
+
+
+def _train(job: Job[PathTrainConfig], source: Bundle, arrays: PathArrays) -> list[TrialOutcome]:
+    config = job.config
+    guides = None if config.guides is None else find_guides(config.guides, source.digest)
+    trials = [{"name": name, "run_id": job.child(name), "seed": config.seed} for name in config.models]
+    _LOG.info("path models: %s on %d paths", ", ".join(config.models), len(arrays.ids))
+    shared = {
+        "train": config,
+        "arrays": arrays,
+        "guides": guides,
+        "tracking_uri": job.environment.tracking_uri,
+    }
+    return run_trials(path_trial, trials, shared, config.resources, job.folder / "models")
+
+
+def _bundles(
+    job: Job[PathTrainConfig],
+    source: Bundle,
+    dataset: Dataset,
+    arrays: PathArrays,
+    outcomes: list[TrialOutcome],
+) -> dict[str, Bundle]:
+    """The untrained sampler's bundle, where the source has a head for it, and those of all trials."""
+    bundles: dict[str, Bundle] = {}
+    if source.has_validity and source.spec.dim == 2:
+        bundles[UNTRAINED] = made_or_found(
+            source, job.folder / "bundles" / UNTRAINED, WaySettings(sweep=job.config.sweep)
+        )
+    for name, outcome in zip(job.config.models, outcomes, strict=True):
+        _LOG.info("bundle: exporting %s", name)
+        folder = job.folder / "bundles" / name
+        shutil.rmtree(folder, ignore_errors=True)
+        metrics = {**outcome.metrics, "training_s": outcome.ended_s - outcome.started_s}
+        bundles[name] = trained_bundle(
+            folder, name, job.config, arrays, source, dataset, outcome.checkpoint, metrics
+        )
+    return bundles
+
+
+def _register(job: Job[PathTrainConfig], registry: MlflowRegistry, name: str, bundle: Bundle) -> int:
+    tags = {
+        "path_model": name,
+        "data_digest": bundle.spec.provenance.data_digest or "",
+        "preset": job.config.preset,
+        "seed": str(job.config.seed),
+    }
+    version = registry.register(
+        PATH_MODEL_NAME, bundle.folder, job.child(name), bundle.digest, tags, alias=name.replace("_", "-")
+    )
+    if name == job.config.models[0]:
+        registry.set_alias(PATH_MODEL_NAME, ALIAS_CHALLENGER, version.number)
+    _LOG.info("registry: %s version %d, %s", PATH_MODEL_NAME, version.number, name)
+    return version.number
