@@ -16,6 +16,9 @@ from training.provenance import command_line, now, source_state
 from training.trials.path_arrays import PathArrays
 from training.trials.path_trials import load_density, load_points
 
+# Even odds: what the head takes for colliding rather than free would cost a planner a check for nothing.
+PATH_CONFIDENCE = 0.5
+
 
 def path_graph(
     name: PathModel, train: PathTrainConfig, arrays: PathArrays, source: Bundle, checkpoint: Path
@@ -29,7 +32,7 @@ def path_graph(
     config: PointConfig = getattr(train, name)
     net = load_points(name, train, arrays, checkpoint)
     lookups = make_lookups(config.lookups, spec.robot, spec.camera)
-    points = PointSampler(net, lookups, place=config.place, sweep=train.sweep)
+    points = PointSampler(net, lookups, place=config.place, sweep=train.sweep, jitter_rad=config.jitter_rad)
     return point_graph(points.eval(), spec.latent_dim, spec.camera.pixels)
 
 
@@ -71,8 +74,7 @@ def write_path_bundle(
         samples_per_latent=1,
         random_inputs=graph.random_inputs,
         standardisation=None,
-        # A planner drops what collides by itself, and a filter would break the order of the samples.
-        confidence_threshold=0.0 if source.has_validity else None,
+        confidence_threshold=PATH_CONFIDENCE if source.has_validity else None,
         uniform_share=0.0,
         provenance=Provenance(
             git_commit=state.commit,

@@ -28,7 +28,7 @@ class DensityConfig(Section):
     jitter_rad: float = Field(0.06, ge=0, description="standard deviation of the samples about the path")
     sharpness: float = Field(1.0, gt=0, description="power of the density that is drawn from")
     batch_size: int = Field(24, ge=1)
-    steps: int = Field(2500, ge=1)
+    steps: int = Field(1500, ge=1)
     learning_rate: float = Field(3e-3, gt=0)
 
 
@@ -39,6 +39,7 @@ class PointConfig(Section):
     layers: int = Field(3, ge=1)
     place: bool = Field(default=False, description="whether a sample is asked for at a place along the path")
     lookups: LookupConfig = LookupConfig()
+    jitter_rad: float = Field(0.0, ge=0, description="standard deviation that is added to the samples")
     batch_size: int = Field(512, ge=2)
     steps: int = Field(4000, ge=1)
     learning_rate: float = Field(2e-3, gt=0)
@@ -47,9 +48,13 @@ class PointConfig(Section):
 class FlowConfig(PointConfig):
     """Flow matching on the torus (Lipman et al. 2023; Chen and Lipman 2024)."""
 
-    place: bool = True
+    place: bool = False
     lookups: LookupConfig = LookupConfig(points_per_link=8, side_m=0.1)
-    evaluations: int = Field(4, ge=1, description="of the velocity for each sample")
+    jitter_rad: float = Field(0.05, ge=0)
+    hidden: int = Field(384, ge=1)
+    batch_size: int = Field(1024, ge=2)
+    steps: int = Field(10_000, ge=1)
+    evaluations: int = Field(8, ge=1, description="of the velocity for each sample")
 
 
 class PathVaeConfig(PointConfig):
@@ -101,7 +106,7 @@ class PathTrainConfig(Section):
     wgan: PathGanConfig = PathGanConfig()
     wgan_guided: PathGanConfig = PathGanConfig(guide_weight=0.1)
     wgan_lookups: PathGanConfig = PathGanConfig(
-        place=True, refinements=3, lookups=LookupConfig(points_per_link=8, side_m=0.1)
+        place=True, refinements=3, steps=600, lookups=LookupConfig(points_per_link=8, side_m=0.1)
     )
     resources: ResourceConfig = ResourceConfig(log_every_steps=50, checkpoint_every_steps=500)
 

@@ -146,9 +146,7 @@ def _bundles(
     """The untrained sampler's bundle, where the source has a head for it, and those of all trials."""
     bundles: dict[str, Bundle] = {}
     if source.has_validity and source.spec.dim == 2:
-        bundles[UNTRAINED] = made_or_found(
-            source, job.folder / "bundles" / UNTRAINED, WaySettings(sweep=job.config.sweep)
-        )
+        bundles[UNTRAINED] = made_or_found(source, job.folder / "bundles" / UNTRAINED, WaySettings())
     for name, outcome in zip(job.config.models, outcomes, strict=True):
         _LOG.info("bundle: exporting %s", name)
         folder = job.folder / "bundles" / name

@@ -106,8 +106,10 @@ def parser() -> argparse.ArgumentParser:
         "penalty": "what a rad costs more in collision",
         "levels": "steps in which a confidence is read",
         "sweeps": "over the map, and the longest way in cells",
-        "tube_rad": "standard deviation of the samples about the way",
-        "sweep": "samples from start to goal before the next begin at the start again",
+        "tube_rad": "standard deviation of the first sweep's samples about the way",
+        "widening_rad": "what each further sweep adds to it",
+        "widest_rad": "up to here, and of all samples without an order",
+        "gap_rad": "between samples of one sweep from start to goal; 0 for no order",
     }
     for item in fields(WaySettings):
         kind, text = type(item.default), f"{described[item.name]} (default: %(default)s)"

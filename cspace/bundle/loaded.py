@@ -30,6 +30,8 @@ from cspace.errors import BundleError, BundleIntegrityError, InputError
 from cspace.image import to_network
 from cspace.space import to_float32
 
+# Samples about a path are close to contact where it matters, and a further turn costs a further map.
+PATHS_PASS = 0.75
 # Bounds the memory of one call; a fixed size, so that it can not move a result.
 CHUNK_ROWS = 4096
 
@@ -170,8 +172,8 @@ class Bundle:
 
         wanted, acceptance = shares(request.count, len(request.epsilon_sigma)), 1.0
         if request.min_confidence > 0.0:
-            # Of the generator's samples nearly all pass, of uniform ones about every second.
-            expected = 1.0 - self.spec.uniform_share / 2.0
+            # Of a free-space generator's samples nearly all pass, of uniform ones about every second.
+            expected = 1.0 - self.spec.uniform_share / 2.0 if self.spec.kind != "path" else PATHS_PASS
             kept = gather(proposed, wanted, request.min_confidence, expected)
             samples, confidence, acceptance = kept.samples, kept.confidence, kept.acceptance
         elif self.has_validity:

@@ -47,20 +47,32 @@ class PointSampler(nn.Module):
         lookups: where it reads the picture; None without.
         place: whether it is asked for a place.
         sweep: rows from start to goal.
+        jitter_rad: standard deviation of what is added to the points; 0 for nothing.
     """
 
-    def __init__(self, net: PointNetwork, lookups: ArmLookups | None, *, place: bool, sweep: int) -> None:
+    def __init__(
+        self,
+        net: PointNetwork,
+        lookups: ArmLookups | None,
+        *,
+        place: bool,
+        sweep: int,
+        jitter_rad: float = 0.0,
+    ) -> None:
         super().__init__()
         self.net, self.lookups, self.place, self.sweep = net, lookups, place, sweep
+        self.jitter_rad = jitter_rad
 
     def forward(self, latent: Tensor, start: Tensor, goal: Tensor, noise: Tensor, *rest: Tensor) -> Tensor:
-        """Latent, start, goal, noise, then the place and the picture where it takes them, to (m, 1, d)."""
-        places = swept(rest[0], self.sweep) if self.place else None
-        image = rest[-1] if self.lookups is not None else None
+        """Latent, start, goal, noise, then place, jitter and picture where it takes them, to (m, 1, d)."""
+        more = list(rest)
+        places = swept(more.pop(0), self.sweep) if self.place else None
+        jitter = more.pop(0) if self.jitter_rad > 0.0 else None
+        image = more.pop(0) if self.lookups is not None else None
         points: Tensor = self.net(
             Condition(latent, start, goal, places), noise, lambda at: look(self.lookups, image, at)
         )
-        return points.unsqueeze(1)
+        return (points if jitter is None else points + self.jitter_rad * jitter).unsqueeze(1)
 
 
 def point_graph(sampler: PointSampler, latent_dim: int, pixels: int) -> PathGraph:
@@ -76,6 +88,10 @@ def point_graph(sampler: PointSampler, latent_dim: int, pixels: int) -> PathGrap
         rows.append(torch.zeros(2, 1))
         names.append("place")
         random.append(RandomInput("place", "uniform", (1,), 0.0, 1.0))
+    if sampler.jitter_rad > 0.0:
+        rows.append(torch.zeros(2, dim))
+        names.append("jitter")
+        random.append(RandomInput("jitter", "normal", (dim,)))
     axes = batched("latents", len(rows))
     if sampler.lookups is not None:
         rows.append(torch.zeros(1, 3, pixels, pixels))

@@ -198,7 +198,13 @@ class PathGanModule(PointModule):
 def make_flow(config: FlowConfig, dim: int, latent_dim: int, looked_up: int) -> PathFlow:
     """The flow that a configuration names."""
     return PathFlow(
-        dim, latent_dim, config.hidden, config.layers, config.evaluations, looked_up, place=config.place
+        dim,
+        latent_dim,
+        config.hidden,
+        config.layers,
+        config.evaluations,
+        looked_up,
+        place=config.place,
     )
 
 

@@ -74,25 +74,42 @@ def _walk(
 
 
 @script(_LOCAL, default_opset=op)
-def _along(corners: FLOAT, place: FLOAT, wraps: FLOAT) -> FLOAT:
-    """Points at shares (m, 1) of the length of a path (k, d), (m, d)."""
+def _rows_in_sweeps(place: FLOAT, sweep: INT64) -> tuple[INT64, INT64, INT64]:
+    """Number of each row (m, 1) within its sweep, number of its sweep, and rows of a sweep, at most all."""
+    rows = op.Shape(place, start=0, end=1)
+    count = op.Min(rows, sweep)
+    number = op.CumSum(op.Expand(op.Constant(value_ints=[1]), rows), op.Constant(value_int=0)) - 1
+    turn = number / count
+    last = op.Constant(value_ints=[1])
+    return op.Unsqueeze(number - turn * count, last), op.Unsqueeze(turn, last), count
+
+
+@script(_LOCAL, default_opset=op)
+def _legs(corners: FLOAT, wraps: FLOAT) -> FLOAT:
+    """From each corner (k, d) to the next by the shorter way round, (k - 1, d)."""
     zero, one, end = (
         op.Constant(value_ints=[0]),
         op.Constant(value_ints=[1]),
         op.Constant(value_ints=[-1]),
     )
-    starts = op.Slice(corners, zero, end, zero)
-    plain = op.Slice(corners, one, op.Shape(corners, start=0, end=1), zero) - starts
-    legs = plain - wraps * _TWO_PI * op.Round(plain / _TWO_PI)
+    plain = op.Slice(corners, one, op.Shape(corners, start=0, end=1), zero) - op.Slice(
+        corners, zero, end, zero
+    )
+    return plain - wraps * _TWO_PI * op.Round(plain / _TWO_PI)
+
+
+@script(_LOCAL, default_opset=op)
+def _along(corners: FLOAT, legs: FLOAT, wanted: FLOAT) -> FLOAT:
+    """Points at so many rad (m, 1) along a path of corners (k, d), (m, d)."""
+    one = op.Constant(value_ints=[1])
     lengths = op.Sqrt(op.ReduceSum(legs * legs, one, keepdims=0))
     reached = op.CumSum(lengths, op.Constant(value_int=0))
-    wanted = place * op.Gather(reached, end)
-    passed = op.Cast(op.LessOrEqual(op.Unsqueeze(reached, zero), wanted), to=7)
+    passed = op.Cast(op.LessOrEqual(op.Unsqueeze(reached, op.Constant(value_ints=[0])), wanted), to=7)
     leg = op.Min(op.ReduceSum(passed, one, keepdims=0), op.Shape(lengths) - 1)
     length = op.Gather(lengths, leg)
     gone = op.Squeeze(wanted, one) - op.Gather(reached, leg) + length
     share = op.Min(op.Max(gone / op.Max(length, op.Constant(value_float=1e-9)), 0.0), 1.0)
-    return op.Gather(starts, leg) + op.Unsqueeze(share, one) * op.Gather(legs, leg)
+    return op.Gather(corners, leg) + op.Unsqueeze(share, one) * op.Gather(legs, leg)
 
 
 @script(_LOCAL, default_opset=op)
@@ -102,16 +119,6 @@ def _cell(ends: FLOAT, low: FLOAT, size: FLOAT, count: FLOAT, strides: INT64) ->
     place = op.Floor((op.Slice(ends, zero, one, zero) - low) / size)
     inside = op.Max(op.Min(place, count - 1.0), 0.0)
     return op.ReduceSum(op.Cast(inside, to=7) * strides, one, keepdims=0)
-
-
-@script(_LOCAL, default_opset=op)
-def _swept(place: FLOAT, sweep: INT64) -> FLOAT:
-    """Places (m, 1) in rising sweeps of so many rows, each within its row's own share of the way."""
-    rows = op.Shape(place, start=0, end=1)
-    count = op.Min(rows, sweep)
-    number = op.CumSum(op.Expand(op.Constant(value_ints=[1]), rows), op.Constant(value_int=0)) - 1
-    within = op.Unsqueeze(number - (number / count) * count, op.Constant(value_ints=[1]))
-    return (op.Cast(within, to=1) + place) / op.Cast(count, to=1)
 
 
 @script(default_opset=op)
@@ -136,8 +143,10 @@ def way_samples(
     penalty: FLOAT,
     levels: FLOAT,
     sweeps: INT64,
+    gap: FLOAT,
     tube: FLOAT,
-    sweep: INT64,
+    widening: FLOAT,
+    widest: FLOAT,
 ) -> FLOAT["m", 1, 2]:  # noqa: F821
     """All of it, with what is fixed as inputs that the builder turns into initialisers."""
     zero, one = op.Constant(value_ints=[0]), op.Constant(value_ints=[1])
@@ -150,8 +159,16 @@ def way_samples(
     # The ends themselves instead of the centres of their cells.
     inner = op.Gather(grid, op.Slice(cells, one, op.Shape(cells), zero))
     corners = op.Concat(op.Slice(start, zero, one, zero), inner, op.Slice(goal, zero, one, zero), axis=0)
+    legs = _legs(corners, wraps)
+    whole = op.ReduceSum(op.Sqrt(op.ReduceSum(legs * legs, one, keepdims=0)), keepdims=0)
+    # As many samples a sweep as leave about the gap between two; one where there is to be no order.
+    sweep = op.Cast(op.Min(op.Ceil(whole / op.Max(gap, 1e-6)), 4096.0), to=7)
+    sweep = op.Max(op.Where(gap > 0.0, sweep, op.Constant(value_ints=[1])), 1)
+    number, turn, rows = _rows_in_sweeps(place, sweep)
+    wanted = (op.Cast(number, to=1) + place) / op.Cast(rows, to=1) * whole
+    width = op.Where(gap > 0.0, op.Min(tube + widening * op.Cast(turn, to=1), widest), widest)
     # The output is named after the variable.
-    samples = op.Unsqueeze(_along(corners, _swept(place, sweep), wraps) + jitter * tube, one)
+    samples = op.Unsqueeze(_along(corners, legs, wanted) + jitter * width, one)
     return samples  # noqa: RET504
 
 

@@ -6,7 +6,7 @@ way's length. All of that is one ONNX graph, so that a bundle holds it as any ot
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -34,9 +34,12 @@ class WaySettings:
         levels: a confidence is read in so many steps; what differs by rounding alone is the same way on every
             machine.
         sweeps: how often costs spread, and the longest way in cells.
-        tube_rad: standard deviation of the samples about the way.
-        sweep: samples from start to goal before the next begin at the start again; with 1 they come in no
-            order. A tree that grows from the start can use them best from the start on.
+        gap_rad: between the samples of one sweep from start to goal, before the next begin at the start
+            again; with 0 they come in no order. A tree that grows from the start can use them best from the
+            start on.
+        tube_rad: standard deviation of the first sweep's samples about the way.
+        widening_rad: what each further sweep adds to it, for the way may be wrong.
+        widest_rad: up to here; of all samples where they come in no order.
 
     Raises:
         ConfigError: a value is out of its range.
@@ -46,15 +49,19 @@ class WaySettings:
     penalty: float = 20.0
     levels: int = 64
     sweeps: int = 64
-    tube_rad: float = 0.07
-    sweep: int = 16
+    gap_rad: float = 0.3
+    tube_rad: float = 0.04
+    widening_rad: float = 0.01
+    widest_rad: float = 0.15
 
     def __post_init__(self) -> None:
-        leasts = {"cells": 3, "levels": 1, "sweeps": 1, "sweep": 1, "penalty": 0, "tube_rad": 0}
-        for name, least in leasts.items():
-            value = getattr(self, name)
+        leasts = {"cells": 3, "levels": 1, "sweeps": 1}
+        for item in fields(self):
+            value, least = getattr(self, item.name), leasts.get(item.name, 0)
             if not least <= value < math.inf:
-                raise ConfigError(f"{name} is out of range", expected=f"at least {least}", got=repr(value))
+                raise ConfigError(
+                    f"{item.name} is out of range", expected=f"at least {least}", got=repr(value)
+                )
 
 
 def way_graph(
@@ -107,5 +114,7 @@ def _constants(space: JointSpace, settings: WaySettings) -> dict[str, NDArray[An
         "levels": np.array(settings.levels, dtype=np.float32),
         "sweeps": np.array(settings.sweeps, dtype=np.int64),
         "tube": np.array(settings.tube_rad, dtype=np.float32),
-        "sweep": np.array([settings.sweep], dtype=np.int64),
+        "widening": np.array(settings.widening_rad, dtype=np.float32),
+        "widest": np.array(settings.widest_rad, dtype=np.float32),
+        "gap": np.array([settings.gap_rad], dtype=np.float32),
     }

@@ -24,7 +24,7 @@ from training.trials.path_trials import make_path_module
 NO_LOOKUPS = LookupConfig()
 FEW = LookupConfig(points_per_link=3, side_m=0.0)
 SMALL = PathTrainConfig(
-    flow=FlowConfig(hidden=64, layers=2, steps=300, batch_size=256, lookups=NO_LOOKUPS),
+    flow=FlowConfig(hidden=64, layers=2, steps=300, batch_size=256, place=True, lookups=NO_LOOKUPS),
     cvae=PathVaeConfig(hidden=64, layers=2, steps=300, batch_size=256, place=True),
     wgan=PathGanConfig(hidden=32, layers=2, critic_hidden=32, critic_layers=2, steps=40, batch_size=64),
     wgan_lookups=PathGanConfig(

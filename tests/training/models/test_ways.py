@@ -14,7 +14,7 @@ from training.models.ways import WaySettings, way_graph
 
 LATENT = 3
 LIMITED = PlanarArm(joint_limits_rad=(None, (-3.0, 3.0)))
-STRAIGHT = WaySettings(tube_rad=0.0, sweep=1)
+STRAIGHT = WaySettings(tube_rad=0.0, gap_rad=0.0, widest_rad=0.0)
 
 
 def walled_head(wall_rad: float = 1.0, gap_rad: float = 0.5) -> bytes:
@@ -136,7 +136,7 @@ def test_a_way_is_as_cheap_as_dijkstras(session, head, start, goal):
 
 
 def test_samples_lie_about_the_way_as_widely_as_the_tube(head):
-    wide = opened(way_graph(head, TWO_LINK.space, LATENT, WaySettings(tube_rad=0.2, sweep=1)))
+    wide = opened(way_graph(head, TWO_LINK.space, LATENT, WaySettings(widest_rad=0.2, gap_rad=0.0)))
     ends = np.array([0.2, 2.0]), np.array([2.0, -2.5])
     rng = np.random.default_rng(0)
     place, jitter = rng.random(4000), rng.standard_normal((4000, 2))
@@ -180,12 +180,24 @@ def test_three_joints_are_refused(head):
         way_graph(head, THREE_LINK.space, LATENT)
 
 
-def test_samples_come_in_sweeps_from_the_start_to_the_goal_and_are_spread_as_evenly(head):
+def test_samples_come_in_sweeps_from_the_start_to_the_goal_with_the_gap_between_them(head):
     start, goal = np.array([0.2, 2.0]), np.array([2.0, -2.5])
     plain = opened(way_graph(head, TWO_LINK.space, LATENT, STRAIGHT))
-    swept = opened(way_graph(head, TWO_LINK.space, LATENT, WaySettings(tube_rad=0.0, sweep=8)))
+    whole = asked(plain, start, goal, np.linspace(0.0, 1.0, 2001))
+    length = np.linalg.norm(difference(whole[:-1], whole[1:]), axis=1).sum()
+    settings = WaySettings(tube_rad=0.0, widening_rad=0.0, gap_rad=length / 7.5)
+    swept = opened(way_graph(head, TWO_LINK.space, LATENT, settings))
     place = np.random.default_rng(0).random(24)
     wanted = (np.arange(24) % 8 + place) / 8
-    np.testing.assert_allclose(asked(swept, start, goal, place), asked(plain, start, goal, wanted), atol=1e-5)
+    np.testing.assert_allclose(asked(swept, start, goal, place), asked(plain, start, goal, wanted), atol=1e-4)
     few = asked(swept, start, goal, place[:3])
-    np.testing.assert_allclose(few, asked(plain, start, goal, (np.arange(3) + place[:3]) / 3), atol=1e-5)
+    np.testing.assert_allclose(few, asked(plain, start, goal, (np.arange(3) + place[:3]) / 3), atol=1e-4)
+
+
+def test_every_sweep_is_wider_than_the_one_before_up_to_the_widest(head):
+    start, goal = np.array([0.2, 2.0]), np.array([2.0, -2.5])
+    settings = WaySettings(tube_rad=0.0, widening_rad=0.1, widest_rad=0.25, gap_rad=100.0)
+    graph = opened(way_graph(head, TWO_LINK.space, LATENT, settings))
+    place, jitter = np.full(5, 0.4), np.ones((5, 2))
+    beside = asked(graph, start, goal, place, jitter) - asked(graph, start, goal, place)
+    np.testing.assert_allclose(beside, np.array([[0.0, 0.1, 0.2, 0.25, 0.25]]).T * [[1.0, 1.0]], atol=1e-5)
