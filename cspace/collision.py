@@ -45,11 +45,11 @@ def arm_is_free(q, links, half_width, discs, lower, upper, periodic):  # type: i
 
 
 @njit(cache=True, nogil=True)
-def edge_is_free(a, b, resolution, links, half_width, discs, lower, upper, periodic):  # type: ignore[no-untyped-def]
-    """Whether the straight wrapped segment from ``a`` to ``b`` is free, both ends included.
+def checked_edge(a, b, resolution, links, half_width, discs, lower, upper, periodic):  # type: ignore[no-untyped-def]
+    """Whether the straight wrapped segment from ``a`` to ``b`` is free, and how many states were looked at.
 
-    Neighbouring states are at most ``resolution`` rad apart in every joint. They are looked at in the order
-    of a bisection, which finds collisions sooner and changes no result.
+    Both ends are included. Neighbouring states are at most ``resolution`` rad apart in every joint. They are
+    looked at in the order of a bisection, which finds collisions sooner and changes no result.
     """
     dim = links.shape[0]
     step = np.empty(dim)
@@ -64,19 +64,26 @@ def edge_is_free(a, b, resolution, links, half_width, discs, lower, upper, perio
     stride = 1
     while stride < count:
         stride *= 2
-    first = True
+    first, looked = True, 0
     while stride >= 1:
         start, jump = (0, stride) if first else (stride, 2 * stride)
         for index in range(start, count + 1, jump):
             for joint in range(dim):
                 q[joint] = a[joint] + step[joint] * index / count
+            looked += 1
             if not arm_is_free(q, links, half_width, discs, lower, upper, periodic):
-                return False
+                return False, looked
         first = False
         stride //= 2
     for joint in range(dim):
         q[joint] = a[joint] + step[joint]
-    return arm_is_free(q, links, half_width, discs, lower, upper, periodic)
+    return arm_is_free(q, links, half_width, discs, lower, upper, periodic), looked + 1
+
+
+@njit(cache=True, nogil=True)
+def edge_is_free(a, b, resolution, links, half_width, discs, lower, upper, periodic):  # type: ignore[no-untyped-def]
+    """Whether the straight wrapped segment from ``a`` to ``b`` is free, both ends included."""
+    return checked_edge(a, b, resolution, links, half_width, discs, lower, upper, periodic)[0]
 
 
 @njit(cache=True, nogil=True)

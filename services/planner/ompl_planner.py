@@ -4,6 +4,8 @@ Without learned samples the planner is OMPL's as it stands: its own uniform stat
 With them only the source of the states differs (see :mod:`services.planner.goal_region`): the metric, the
 nearest neighbours, the step, the edge checks and the goal test are the same. Seeds are the same as well, but
 the streams of random numbers are not, so single runs differ by chance as two seeds do.
+PRM (:mod:`services.planner.sampled_prm`) and SampledRRTConnect (:mod:`services.planner.sampled_connect`) take
+uniform states from this project's generator in both cases.
 """
 
 import time
@@ -15,19 +17,25 @@ from ompl import base as ob
 from cspace.collision import CollisionChecker
 from cspace.errors import PlanningError
 from cspace.problem import Problem
-from services.planner.ompl_search import copy_tree, set_up
-from services.planner.path_check import judge_path, path_length_rad
+from services.planner.cost_record import CostRecord
+from services.planner.ompl_search import OmplSearch, copy_tree, set_up
+from services.planner.outcome import Counts, outcome
 from services.planner.plan_result import PlanResult, Reason, SearchTree
 from services.planner.sample_mixture import GoalOnly, SampleMixture, StateDraws
 from services.planner.sampled_connect import connect
+from services.planner.sampled_prm import solve_by_roadmap
 from services.planner.settings import (
+    BIT_STAR,
     LEARNED_PLANNERS,
+    OPTIMISING_PLANNERS,
+    PRM,
     RRT_CONNECT,
     SAMPLED_CONNECT,
     PlannerSettings,
     check_uniform_share,
 )
 from services.planner.stopping import StoppingRule
+from services.planner.validity import EdgeValidator
 
 __all__ = ["DEFAULT_UNIFORM_SHARE", "PlanResult", "PlannerSettings", "Reason", "SearchTree", "solve"]
 
@@ -64,10 +72,13 @@ def solve(
     learned = _fitting(problem, settings, samples)
     for end, reason in ((problem.start, Reason.START_COLLIDES), (problem.goal, Reason.GOAL_COLLIDES)):
         if not checker.valid(end):
-            return _unsolved(problem, reason)
+            return outcome(problem, settings, None, reason, Counts())
     if settings.planner == SAMPLED_CONNECT:
         return connect(problem, settings, learned, uniform_share, keep_tree=keep_tree)
-    return _search(problem, settings, _draws(problem, settings, learned, uniform_share), checker, keep_tree)
+    draws = _draws(problem, settings, learned, uniform_share)
+    if settings.planner == PRM:
+        return solve_by_roadmap(problem, settings, draws, checker, keep_tree=keep_tree)
+    return _search(problem, settings, draws, checker, keep_tree)
 
 
 def _fitting(
@@ -96,12 +107,15 @@ def _fitting(
 def _draws(
     problem: Problem, settings: PlannerSettings, learned: NDArray[np.float64] | None, uniform_share: float
 ) -> StateDraws:
-    goal = problem.scenario.robot.space.wrap(problem.goal).tolist()
+    space = problem.scenario.robot.space
+    goal, goal_bias = space.wrap(problem.goal).tolist(), settings.goal_bias
+    if settings.planner == PRM:
+        # The goal is a milestone from the start, and uniform states come from here as well.
+        goal_bias, learned = 0.0, np.empty((0, space.dim)) if learned is None else learned
     if learned is None:
         return GoalOnly(goal)
     rng = np.random.default_rng(np.random.SeedSequence(settings.seed, spawn_key=(1,)))
-    space = problem.scenario.robot.space
-    return SampleMixture(space, goal, learned, settings.goal_bias, uniform_share, rng)
+    return SampleMixture(space, goal, learned, goal_bias, uniform_share, rng)
 
 
 def _search(
@@ -111,48 +125,46 @@ def _search(
     checker: CollisionChecker,
     keep_tree: bool,
 ) -> PlanResult:
-    run = set_up(problem, settings, draws, checker)
-    rule = StoppingRule(settings.max_iterations, settings.time_limit_s)
+    run = set_up(problem, settings, draws, checker, EdgeValidator)
+    rule = StoppingRule(
+        settings.max_iterations,
+        settings.time_limit_s,
+        # BIT* draws in batches and asks before each edge. It checks what it draws, and the start.
+        drawn=(lambda: max(0, run.states.checks - 1)) if settings.planner == BIT_STAR else None,
+    )
+    record = _cost_record(run, rule) if settings.planner in OPTIMISING_PLANNERS else None
     began = time.perf_counter()
-    status = run.planner.solve(ob.PlannerTerminationCondition(rule))
+    status = run.planner.solve(ob.PlannerTerminationCondition(record or rule))
     solve_time_s = time.perf_counter() - began
-    path = np.empty((0, run.access.dim))
-    reason = rule.reason or Reason.NO_PATH
+    found = None
     if status.getStatus() == ob.PlannerStatus.EXACT_SOLUTION:
         found = run.access.rows(run.definition.getSolutionPath().getStates())
-        reason = judge_path(problem, found, settings.resolution_rad)
-        path = found if reason is Reason.SOLVED else path
-    path.setflags(write=False)
+    if record is not None:
+        record.look()
     mixed = isinstance(draws, SampleMixture)
-    return PlanResult(
-        solved=reason is Reason.SOLVED,
-        path=path,
-        length_rad=path_length_rad(problem, path) if len(path) else float("nan"),
+    counts = Counts(
         iterations=rule.iterations,
-        edge_checks=run.validator.checks,
+        edge_checks=run.edges.checks,
+        state_checks=run.state_checks,
         solve_time_s=solve_time_s,
         learned_drawn=draws.learned_drawn,
         uniform_drawn=draws.uniform_drawn if mixed else _ompl_drawn(settings, rule.iterations, draws),
-        reason=reason,
-        tree=copy_tree(run) if keep_tree else None,
     )
+    return outcome(
+        problem,
+        settings,
+        found,
+        rule.reason or Reason.NO_PATH,
+        counts,
+        tree=copy_tree(run) if keep_tree else None,
+        costs=tuple(record.points) if record is not None else (),
+    )
+
+
+def _cost_record(run: OmplSearch[EdgeValidator], rule: StoppingRule) -> CostRecord:
+    return CostRecord(rule, lambda: float(run.planner.bestCost().value()), lambda: run.edges.checks)
 
 
 def _ompl_drawn(settings: PlannerSettings, iterations: int, draws: StateDraws) -> int:
     # RRTConnect roots a tree in the goal and then draws a uniform state in every iteration.
     return iterations if settings.planner == RRT_CONNECT else iterations - draws.goal_drawn
-
-
-def _unsolved(problem: Problem, reason: Reason) -> PlanResult:
-    path = np.empty((0, problem.scenario.robot.dim))
-    return PlanResult(
-        solved=False,
-        path=path,
-        length_rad=float("nan"),
-        iterations=0,
-        edge_checks=0,
-        solve_time_s=0.0,
-        learned_drawn=0,
-        uniform_drawn=0,
-        reason=reason,
-    )

@@ -1,7 +1,8 @@
 """The OMPL objects of one search: made here, read here, and gone with the function that asked for them."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 from ompl import base as ob
@@ -11,27 +12,40 @@ from ompl import util as ou
 from cspace.collision import CollisionChecker
 from cspace.problem import Problem
 from services.planner.goal_region import DrawnGoal
+from services.planner.path_objective import make_objective
 from services.planner.plan_result import SearchTree
 from services.planner.sample_mixture import SampleMixture, StateDraws
-from services.planner.settings import RRT_CONNECT, RRT_STAR, PlannerSettings
+from services.planner.settings import BIT_STAR, OPTIMISING_PLANNERS, PRM, RRT_CONNECT, PlannerSettings
 from services.planner.state_space import StateAccess, make_state_space
 from services.planner.validity import EdgeValidator, StateValidator
 
+Edges = TypeVar("Edges", bound=EdgeValidator)
+
 
 @dataclass(frozen=True, slots=True)
-class OmplSearch:
+class OmplSearch(Generic[Edges]):
     """The OMPL objects of one search; none of them outlives it."""
 
     planner: Any
     definition: Any
     information: Any
-    validator: EdgeValidator
+    edges: Edges
+    states: StateValidator
     access: StateAccess
+
+    @property
+    def state_checks(self) -> int:
+        """States that were looked at so far, within motions and alone."""
+        return self.edges.states + self.states.checks
 
 
 def set_up(
-    problem: Problem, settings: PlannerSettings, draws: StateDraws, checker: CollisionChecker
-) -> OmplSearch:
+    problem: Problem,
+    settings: PlannerSettings,
+    draws: StateDraws,
+    checker: CollisionChecker,
+    make_validator: Callable[[Any, CollisionChecker, float], Edges],
+) -> OmplSearch[Edges]:
     """Everything that a search needs, seeded.
 
     Args:
@@ -39,6 +53,7 @@ def set_up(
         settings: of the planner.
         draws: where the goal takes its states from; a mixture replaces OMPL's uniform sampler altogether.
         checker: of the scenario.
+        make_validator: of OMPL's space information, the checker and the resolution.
     """
     # OMPL calls a second seed in a process an error, yet takes it for all generators made from then on.
     ou.setLogLevel(ou.LOG_NONE)
@@ -46,9 +61,10 @@ def set_up(
     space = problem.scenario.robot.space
     access = StateAccess(space)
     information = ob.SpaceInformation(make_state_space(space))
-    validator = EdgeValidator(information, checker, settings.resolution_rad)
-    information.setStateValidityChecker(StateValidator(checker))
-    information.setMotionValidator(validator)
+    edges = make_validator(information, checker, settings.resolution_rad)
+    states = StateValidator(checker)
+    information.setStateValidityChecker(states)
+    information.setMotionValidator(edges)
     information.setup()
     definition = ob.ProblemDefinition(information)
     start = information.allocState()
@@ -57,20 +73,20 @@ def set_up(
     mixed = isinstance(draws, SampleMixture)
     goal = space.wrap(problem.goal).tolist()
     definition.setGoal(DrawnGoal(information, space, goal, draws, unlimited=mixed))
+    if settings.planner in OPTIMISING_PLANNERS:
+        definition.setOptimizationObjective(
+            make_objective(information, space, goal, settings.planner, stop_at_first=settings.stop_at_first)
+        )
     planner = _make_planner(information, definition, settings, 1.0 if mixed else settings.goal_bias)
-    return OmplSearch(planner, definition, information, validator, access)
+    return OmplSearch(planner, definition, information, edges, states, access)
 
 
 def _make_planner(information: Any, definition: Any, settings: PlannerSettings, goal_bias: float) -> Any:
     planner = getattr(og, settings.planner)(information)
-    planner.setRange(settings.range_rad)
-    if settings.planner != RRT_CONNECT:
+    if settings.planner not in (PRM, BIT_STAR):
+        planner.setRange(settings.range_rad)
+    if settings.planner not in (PRM, BIT_STAR, RRT_CONNECT):
         planner.setGoalBias(goal_bias)
-    if settings.planner == RRT_STAR:
-        objective = ob.PathLengthOptimizationObjective(information)
-        if settings.stop_at_first:
-            objective.setCostThreshold(ob.Cost(1e9))
-        definition.setOptimizationObjective(objective)
     planner.setProblemDefinition(definition)
     planner.setup()
     return planner
@@ -81,8 +97,11 @@ def _ompl_seed(seed: int) -> int:
     return int(np.random.SeedSequence(seed).generate_state(1)[0] % (2**31 - 1)) + 1
 
 
-def copy_tree(run: OmplSearch) -> SearchTree:
-    """The planner's tree as arrays that outlive it."""
+def copy_tree(run: OmplSearch[Edges]) -> SearchTree:
+    """The planner's tree as arrays that outlive it.
+
+    BIT* keeps about 12 kB for ever once it was asked for this; all else is given back.
+    """
     data = ob.PlannerData(run.information)
     run.planner.getPlannerData(data)
     count = data.numVertices()

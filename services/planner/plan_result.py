@@ -1,5 +1,6 @@
 """What a planner returns."""
 
+import math
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -22,7 +23,7 @@ class Reason(StrEnum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SearchTree:
-    """The tree (two for RRTConnect) when the search ended.
+    """The tree (two for RRTConnect; PRM's roadmap without lone vertices) when the search ended.
 
     Args:
         vertices: (V, d) rad.
@@ -31,6 +32,23 @@ class SearchTree:
 
     vertices: NDArray[np.float64]
     edges: NDArray[np.intp]
+
+
+@dataclass(frozen=True, slots=True)
+class CostPoint:
+    """A path of an optimising planner that was shorter than all before.
+
+    Args:
+        iterations: states that the planner had drawn.
+        edge_checks: motions that it had had checked.
+        time_s: since the search began.
+        length_rad: torus length (L2) of the path, which was checked at the planner's resolution only.
+    """
+
+    iterations: int
+    edge_checks: int
+    time_s: float
+    length_rad: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,13 +60,17 @@ class PlanResult:
             resolution.
         path: (k, d) rad; (0, d) unless solved.
         length_rad: torus length (L2) of the path; nan unless solved.
-        iterations: states that the planner drew, the goal among them.
+        iterations: states that the planner drew, free or not, the goal among them; for PRM without the goal,
+            which it holds from the start. InformedRRT* counts those that its sampler gave up as well.
         edge_checks: motions that the planner had checked.
         solve_time_s: wall time of the search alone.
         learned_drawn: how many of the drawn states came from the batch of learned samples.
         uniform_drawn: how many were uniform.
         reason: why the search ended.
         tree: the search tree, where it was asked for.
+        state_checks: states that were looked at, within motions and alone.
+        resolution_rad: largest distance between checked states of a motion in any joint.
+        costs: how the length fell, from the first solution on; empty unless solved by an optimising planner.
     """
 
     solved: bool
@@ -61,3 +83,6 @@ class PlanResult:
     uniform_drawn: int
     reason: str
     tree: SearchTree | None = None
+    state_checks: int = 0
+    resolution_rad: float = math.nan
+    costs: tuple[CostPoint, ...] = ()

@@ -11,10 +11,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from cspace.collision import TWO_PI, CollisionChecker, arm_is_free, edge_is_free
+from cspace.collision import TWO_PI, CollisionChecker, arm_is_free, checked_edge
 from cspace.problem import Problem
 from cspace.space import JointSpace
-from services.planner.path_check import judge_path, path_length_rad
+from services.planner.outcome import Counts, outcome
 from services.planner.plan_result import PlanResult, Reason, SearchTree
 from services.planner.settings import PlannerSettings
 
@@ -85,8 +85,9 @@ def connect(
     trees = _Trees(space.wrap(problem.start), space.wrap(problem.goal), _BLOCK * farthest)
     fixed = (settings.range_rad, settings.resolution_rad, *CollisionChecker(problem.scenario).kernel_args)
     # A process's first call loads the compiled kernel, which is no part of a search.
-    _advance(trees.nodes, trees.parents, trees.counts, states[:0], 0, *fixed)
-    iterations, checks, side, joint = 0, 0, 0, (-1, -1)
+    checks = np.zeros(2, dtype=np.int64)
+    _advance(trees.nodes, trees.parents, trees.counts, checks, states[:0], 0, *fixed)
+    iterations, side, joint = 0, 0, (-1, -1)
     began, reason = time.perf_counter(), Reason.ITERATION_LIMIT
     while iterations < len(states) and joint[0] < 0:
         if time.perf_counter() - began >= settings.time_limit_s:
@@ -94,28 +95,20 @@ def connect(
             break
         trees.make_room()
         block = states[iterations : iterations + _BLOCK]
-        done, checked, side, *joint = _advance(trees.nodes, trees.parents, trees.counts, block, side, *fixed)
-        iterations, checks = iterations + done, checks + checked
+        done, side, *joint = _advance(trees.nodes, trees.parents, trees.counts, checks, block, side, *fixed)
+        iterations += done
     solve_time_s = time.perf_counter() - began
-    path = np.empty((0, space.dim))
-    if joint[0] >= 0:
-        found = trees.path((joint[0], joint[1]))
-        reason = judge_path(problem, found, settings.resolution_rad)
-        path = found if reason is Reason.SOLVED else path
-    path.setflags(write=False)
     learned_drawn = int(learned[:iterations].sum())
-    return PlanResult(
-        solved=reason is Reason.SOLVED,
-        path=path,
-        length_rad=path_length_rad(problem, path) if len(path) else float("nan"),
+    counts = Counts(
         iterations=iterations,
-        edge_checks=checks,
+        edge_checks=int(checks[0]),
+        state_checks=int(checks[1]),
         solve_time_s=solve_time_s,
         learned_drawn=learned_drawn,
         uniform_drawn=iterations - learned_drawn,
-        reason=reason,
-        tree=trees.copy() if keep_tree else None,
     )
+    found = trees.path((joint[0], joint[1])) if joint[0] >= 0 else None
+    return outcome(problem, settings, found, reason, counts, tree=trees.copy() if keep_tree else None)
 
 
 def drawn_states(
@@ -138,38 +131,40 @@ def drawn_states(
 
 @njit(cache=True, nogil=True)
 def _advance(  # type: ignore[no-untyped-def]
-    nodes, parents, counts, states, side, reach, resolution, links, half_width, discs, lower, upper, periodic
-):
-    """Grow by a block of states: iterations, edge checks, whose turn it is, the shared node or -1 twice."""
-    checks = 0
+    nodes, parents, counts, checks, states, side, reach, resolution,
+    links, half_width, discs, lower, upper, periodic,
+):  # fmt: skip
+    """Grow by a block of states: iterations, whose turn it is, the shared node or -1 twice.
+
+    ``checks`` counts on: edges, and states within them and alone.
+    """
     for index in range(states.shape[0]):
         other = 1 - side
-        status, checked = _grow(
-            nodes, parents, counts, side, states[index], reach, resolution,
+        status = _grow(
+            nodes, parents, counts, checks, side, states[index], reach, resolution,
             links, half_width, discs, lower, upper, periodic,
         )  # fmt: skip
-        checks += checked
         if status != _TRAPPED:
             target = nodes[side, counts[side] - 1].copy()
             status = _ADVANCED
             while status == _ADVANCED:
-                status, checked = _grow(
-                    nodes, parents, counts, other, target, reach, resolution,
+                status = _grow(
+                    nodes, parents, counts, checks, other, target, reach, resolution,
                     links, half_width, discs, lower, upper, periodic,
                 )  # fmt: skip
-                checks += checked
             if status == _REACHED:
                 first, second = counts[0] - 1, counts[1] - 1
-                return index + 1, checks, other, first, second
+                return index + 1, other, first, second
         side = other
-    return states.shape[0], checks, side, -1, -1
+    return states.shape[0], side, -1, -1
 
 
 @njit(cache=True, nogil=True)
 def _grow(  # type: ignore[no-untyped-def]
-    nodes, parents, counts, side, target, reach, resolution, links, half_width, discs, lower, upper, periodic
-):
-    """One step of a tree towards a configuration: trapped, advanced or reached, and the edges checked."""
+    nodes, parents, counts, checks, side, target, reach, resolution,
+    links, half_width, discs, lower, upper, periodic,
+):  # fmt: skip
+    """One step of a tree towards a configuration: trapped, advanced or reached."""
     dim = target.shape[0]
     nearest, least = 0, np.inf
     for node in range(counts[side]):
@@ -188,16 +183,21 @@ def _grow(  # type: ignore[no-untyped-def]
     if share == 1.0:
         new[:] = target
     # The goal's tree looks at the new state before its edge, as OMPL's does.
-    if side == 1 and not arm_is_free(new, links, half_width, discs, lower, upper, periodic):
-        return _TRAPPED, 0
-    if not edge_is_free(
+    if side == 1:
+        checks[1] += 1
+        if not arm_is_free(new, links, half_width, discs, lower, upper, periodic):
+            return _TRAPPED
+    free, states = checked_edge(
         nodes[side, nearest], new, resolution, links, half_width, discs, lower, upper, periodic
-    ):
-        return _TRAPPED, 1
+    )
+    checks[0] += 1
+    checks[1] += states
+    if not free:
+        return _TRAPPED
     nodes[side, counts[side]] = new
     parents[side, counts[side]] = nearest
     counts[side] += 1
-    return (_REACHED if share == 1.0 else _ADVANCED), 1
+    return _REACHED if share == 1.0 else _ADVANCED
 
 
 @njit(cache=True, nogil=True)

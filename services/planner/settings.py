@@ -9,9 +9,14 @@ RRT = "RRT"
 RRT_STAR = "RRTstar"
 RRT_CONNECT = "RRTConnect"
 SAMPLED_CONNECT = "SampledRRTConnect"
-PLANNERS = (RRT, RRT_STAR, RRT_CONNECT, SAMPLED_CONNECT)
-LEARNED_PLANNERS = (RRT, RRT_STAR, SAMPLED_CONNECT)
-"""Planners that can draw learned samples; OMPL's RRTConnect draws uniform ones only."""
+PRM = "PRM"
+INFORMED_RRT_STAR = "InformedRRTstar"
+BIT_STAR = "BITstar"
+PLANNERS = (RRT, RRT_STAR, RRT_CONNECT, SAMPLED_CONNECT, PRM, INFORMED_RRT_STAR, BIT_STAR)
+LEARNED_PLANNERS = (RRT, RRT_STAR, SAMPLED_CONNECT, PRM)
+"""Planners that can draw learned samples; the others draw uniform ones only."""
+OPTIMISING_PLANNERS = (RRT_STAR, INFORMED_RRT_STAR, BIT_STAR)
+"""Planners that shorten their path while they are allowed to."""
 
 MAX_SEED = 2**64 - 1
 
@@ -21,14 +26,15 @@ class PlannerSettings:
     """How a problem is solved.
 
     Args:
-        planner: one of ``PLANNERS``, by OMPL's name; the last is this project's own.
-        range_rad: longest step of the tree, in OMPL's metric (the sum over the joints), rad.
+        planner: one of ``PLANNERS``, by OMPL's name; ``SampledRRTConnect`` is this project's own.
+        range_rad: longest step of a tree, in OMPL's metric (the sum over the joints), rad; PRM and BIT* have
+            none.
         resolution_rad: largest distance between checked states of an edge in any joint, rad.
-        goal_bias: share of the goal among the drawn states; RRT-Connect has none.
+        goal_bias: share of the goal among the drawn states; RRT-Connect, PRM and BIT* have none.
         time_limit_s: wall time after which the search ends.
-        max_iterations: states drawn after which the search ends.
+        max_iterations: states drawn after which the search ends; BIT* still ends the batch that it is at.
         seed: of OMPL and of the sample mixture, unsigned 64 bit.
-        stop_at_first: whether RRT* ends with its first solution; the others always do.
+        stop_at_first: whether the optimising planners end with their first solution; the others always do.
 
     Raises:
         ConfigError: a value is out of its range.

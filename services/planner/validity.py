@@ -5,12 +5,12 @@ from typing import Any
 import numpy as np
 from ompl import base as ob
 
-from cspace.collision import CollisionChecker, arm_is_free, edge_is_free
+from cspace.collision import CollisionChecker, arm_is_free, checked_edge
 from services.planner.state_space import StateAccess
 
 
 class EdgeValidator(ob.MotionValidator):  # type: ignore[misc]
-    """Checks the straight wrapped segment between two states and counts the checks.
+    """Checks the straight wrapped segment between two states and counts the checks, and the states in them.
 
     Args:
         information: OMPL's space information.
@@ -21,23 +21,25 @@ class EdgeValidator(ob.MotionValidator):  # type: ignore[misc]
     def __init__(self, information: Any, checker: CollisionChecker, resolution_rad: float) -> None:
         super().__init__(information)
         space = checker.scenario.robot.space
-        self.checks = 0
+        self.checks = self.states = 0
         self._access = StateAccess(space)
         self._arguments = (resolution_rad, *checker.kernel_args)
         self._from, self._to = np.zeros(space.dim), np.zeros(space.dim)
         # A process's first call loads the compiled kernel, which is no part of a search.
-        edge_is_free(self._from, self._to, *self._arguments)
+        checked_edge(self._from, self._to, *self._arguments)
 
     def checkMotion(self, start: Any, end: Any) -> bool:  # noqa: N802 - OMPL's name
         """Whether the motion is free, both ends included."""
         self.checks += 1
         self._access.read(start, self._from)
         self._access.read(end, self._to)
-        return bool(edge_is_free(self._from, self._to, *self._arguments))
+        free, states = checked_edge(self._from, self._to, *self._arguments)
+        self.states += states
+        return bool(free)
 
 
 class StateValidator:
-    """Checks one state.
+    """Checks one state and counts the checks.
 
     Args:
         checker: of the scenario.
@@ -45,6 +47,7 @@ class StateValidator:
 
     def __init__(self, checker: CollisionChecker) -> None:
         space = checker.scenario.robot.space
+        self.checks = 0
         self._access = StateAccess(space)
         self._arguments = checker.kernel_args
         self._buffer = np.zeros(space.dim)
@@ -52,5 +55,6 @@ class StateValidator:
 
     def __call__(self, state: Any) -> bool:
         """Whether the state is free."""
+        self.checks += 1
         self._access.read(state, self._buffer)
         return bool(arm_is_free(self._buffer, *self._arguments))

@@ -164,7 +164,7 @@ def test_the_time_limit_ends_a_search(disconnected):
 
 
 def test_a_path_that_the_planner_believes_in_is_still_checked(disconnected, monkeypatch):
-    monkeypatch.setattr(validity, "edge_is_free", lambda *_: True)
+    monkeypatch.setattr(validity, "checked_edge", lambda *_: (True, 1))
     result = solve(disconnected, SETTINGS)
     assert not result.solved
     assert result.reason == Reason.REJECTED
@@ -246,7 +246,7 @@ def test_an_empty_batch_is_as_good_as_none(blocked):
 
 def test_an_error_in_a_callback_reaches_the_caller_and_the_next_solve_works(blocked, monkeypatch):
     with monkeypatch.context() as patch:
-        patch.setattr(validity, "edge_is_free", lambda *_: 1 / 0)
+        patch.setattr(validity, "checked_edge", lambda *_: 1 / 0)
         with pytest.raises(ZeroDivisionError):
             solve(blocked, SETTINGS)
     assert solve(blocked, SETTINGS).solved

@@ -9,7 +9,7 @@ from services.planner.settings import PLANNERS, PlannerSettings
 @pytest.mark.parametrize(
     ("name", "value"),
     [
-        ("planner", "PRM"),
+        ("planner", "LazyPRM"),
         ("range_rad", 0.0),
         ("range_rad", float("nan")),
         ("range_rad", float("inf")),

@@ -1,0 +1,67 @@
+"""From a finished search to its result: the path judged, the counts kept."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cspace.problem import Problem
+from services.planner.path_check import judge_path, path_length_rad
+from services.planner.plan_result import CostPoint, PlanResult, Reason, SearchTree
+from services.planner.settings import PlannerSettings
+
+
+@dataclass(frozen=True, slots=True)
+class Counts:
+    """What a search took; see :class:`services.planner.plan_result.PlanResult`."""
+
+    iterations: int = 0
+    edge_checks: int = 0
+    state_checks: int = 0
+    solve_time_s: float = 0.0
+    learned_drawn: int = 0
+    uniform_drawn: int = 0
+
+
+def outcome(
+    problem: Problem,
+    settings: PlannerSettings,
+    found: NDArray[np.float64] | None,
+    reason: Reason,
+    counts: Counts,
+    *,
+    tree: SearchTree | None = None,
+    costs: tuple[CostPoint, ...] = (),
+) -> PlanResult:
+    """The result of a search.
+
+    Args:
+        problem: that was to be solved.
+        settings: of the planner.
+        found: (k, d) rad, the path that the planner believes in; None if it found none.
+        reason: why the search ended, for the case that there is no path.
+        counts: what it took.
+        tree: the search tree, where it was asked for.
+        costs: how the length fell.
+    """
+    path = np.empty((0, problem.scenario.robot.dim))
+    if found is not None:
+        reason = judge_path(problem, found, settings.resolution_rad)
+        path = found if reason is Reason.SOLVED else path
+    path.setflags(write=False)
+    solved = reason is Reason.SOLVED
+    return PlanResult(
+        solved=solved,
+        path=path,
+        length_rad=path_length_rad(problem, path) if solved else float("nan"),
+        iterations=counts.iterations,
+        edge_checks=counts.edge_checks,
+        solve_time_s=counts.solve_time_s,
+        learned_drawn=counts.learned_drawn,
+        uniform_drawn=counts.uniform_drawn,
+        reason=reason,
+        tree=tree,
+        state_checks=counts.state_checks,
+        resolution_rad=settings.resolution_rad,
+        costs=costs if solved else (),
+    )
