@@ -6,8 +6,12 @@ from enum import StrEnum
 
 from cspace.errors import ConfigError
 from services.planner.settings import (
+    BIT_STAR,
+    INFORMED_RRT_STAR,
     LEARNED_PLANNERS,
+    OPTIMISING_PLANNERS,
     PLANNERS,
+    PRM,
     RRT,
     RRT_CONNECT,
     RRT_STAR,
@@ -24,8 +28,14 @@ SAMPLE_COUNTS = (10, 30, 100, 300, 1000)
 MIN_CONFIDENCE = 0.5
 # The paper's perturbation schedule: what the encoder's standard deviation is raised by, in equal shares.
 SCHEDULE = (0.0, 0.25, 0.5, 1.0)
-NAMES = {RRT_STAR: "RRT*", RRT_CONNECT: "RRT-Connect", SAMPLED_CONNECT: "own RRT-Connect"}
-_UNIFORM = (RRT, RRT_CONNECT, SAMPLED_CONNECT, RRT_STAR)
+NAMES = {
+    RRT_STAR: "RRT*",
+    RRT_CONNECT: "RRT-Connect",
+    SAMPLED_CONNECT: "own RRT-Connect",
+    INFORMED_RRT_STAR: "InformedRRT*",
+    BIT_STAR: "BIT*",
+}
+_UNIFORM = (RRT, RRT_CONNECT, SAMPLED_CONNECT, RRT_STAR, INFORMED_RRT_STAR, BIT_STAR, PRM)
 
 
 class Group(StrEnum):
@@ -156,7 +166,7 @@ def _schedule_arms(sampler: str) -> Iterator[Arm]:
 def _optimising_arms(sampler: str | None) -> Iterator[Arm]:
     base = f"{_label(RRT_STAR)}, uniform, optimising"
     if sampler is None:
-        for planner in (RRT_STAR,):
+        for planner in OPTIMISING_PLANNERS:
             name = f"{_uniform(planner)}, optimising"
             yield Arm(name, Group.OPTIMISING, planner, base, stop_at_first=False)
         return

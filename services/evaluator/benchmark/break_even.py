@@ -163,18 +163,27 @@ def _limits(values: Sequence[float]) -> tuple[float, float]:
 
 def in_words(found: BreakEven) -> str:
     """``above 21 us [17, 26]``, ``always``, ``never``, or what else there is."""
-    costs = found.costs
-    if costs.never:
-        least = found.low_s[0]
-        return "never" if math.isinf(least) else f"never [{_us(least)}, never]"
+    costs, words = found.costs, costs_in_words(found.costs)
     if costs.always and found.low_s[1] == 0.0:
-        return "always"
+        return words
+    if costs.never and math.isinf(found.low_s[0]):
+        return words
+    edge = found.high_s if costs.low_s == 0.0 and not math.isinf(costs.high_s) else found.low_s
+    return f"{words} [{_us(edge[0])}, {_us(edge[1])}]"
+
+
+def costs_in_words(costs: WinningCosts) -> str:
+    """The same without limits."""
+    if costs.never or costs.always:
+        return "never" if costs.never else "always"
     if math.isinf(costs.high_s):
-        return f"above {_us(costs.low_s)} us [{_us(found.low_s[0])}, {_us(found.low_s[1])}]"
+        return f"above {_us(costs.low_s)} us"
     if costs.low_s == 0.0:
-        return f"below {_us(costs.high_s)} us [{_us(found.high_s[0])}, {_us(found.high_s[1])}]"
+        return f"below {_us(costs.high_s)} us"
     return f"between {_us(costs.low_s)} and {_us(costs.high_s)} us"
 
 
 def _us(seconds: float) -> str:
-    return "never" if math.isinf(seconds) else f"{1e6 * seconds:.3g}"
+    if math.isinf(seconds):
+        return "never"
+    return f"{1e6 * seconds:.3g}" if seconds < 1e-3 else f"{1e6 * seconds:.0f}"

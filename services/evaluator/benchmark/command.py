@@ -42,7 +42,9 @@ def parser() -> argparse.ArgumentParser:
     what.add_argument("--family", type=Family, choices=list(Family), action="append", help="default: all")
     what.add_argument("--split", type=Split, choices=SPLITS, default=Split.VALIDATION)
     what.add_argument(
-        "--problems", type=int, help="of each family (default: 300, of the paper's protocol 10)"
+        "--problems",
+        type=int,
+        help="of each family (default: 300, disconnected 30; of the paper's protocol 10)",
     )
     what.add_argument("--runs", type=int, help="of each problem (default: 1, of the paper's protocol 100)")
     what.add_argument("--seed", type=int, default=0, help="of problems, planners and samplers")
@@ -62,6 +64,7 @@ def parser() -> argparse.ArgumentParser:
         "--processes", type=int, default=os.cpu_count() or 1,
         help="on this machine; one gives the truest times (default: one a core)",
     )  # fmt: skip
+    how.add_argument("--pages", type=int, default=3, help="problems of each family that get a page")
     how.add_argument("--no-mlflow", action="store_true", help="log no run")
     how.add_argument("--list-arms", action="store_true", help="print the arms and end")
     return parser
@@ -93,15 +96,18 @@ def make_request(options: argparse.Namespace) -> Request:
     """
     arms = chosen_arms(options)
     protocol: Protocol = options.protocol
-    problems = PROBLEMS[protocol] if options.problems is None else options.problems
+    families = dict.fromkeys(options.family or FAMILIES[protocol])
+    problems = {family: options.problems or PROBLEMS[protocol][family] for family in families}
     repeats = RUNS[protocol] if options.runs is None else options.runs
-    for name, count in (("problems", problems), ("runs", repeats), ("processes", options.processes)):
-        if count < 1:
+    counts = {"problems": options.problems, "runs": repeats, "processes": options.processes}
+    if options.pages < 0:
+        raise ConfigError("there are too few pages", expected="0 or more", got=str(options.pages))
+    for name, count in counts.items():
+        if count is not None and count < 1:
             raise ConfigError(f"there are too few {name}", expected="at least 1", got=str(count))
     used = {arm.sampler for arm in arms}
     specs = [spec for spec in _specs(options) if spec.name in used]
-    families = tuple(dict.fromkeys(options.family or FAMILIES[protocol]))
-    return Request(options.out, _setting(options), families, problems, repeats, arms, tuple(specs))
+    return Request(options.out, _setting(options), problems, repeats, arms, tuple(specs), options.pages)
 
 
 def _setting(options: argparse.Namespace) -> Setting:

@@ -8,8 +8,8 @@ import numpy as np
 
 from cspace.problem import Family, Problem, draw_problem
 from cspace.scenario import Split
-from services.evaluator.benchmark.arms import Arm
-from services.evaluator.benchmark.edge_cost import edge_check_s
+from services.evaluator.benchmark.arms import RANGE_RAD, Arm
+from services.evaluator.benchmark.check_cost import state_check_s
 from services.evaluator.benchmark.runs import Run, finite
 from services.evaluator.benchmark.setting import Setting, Unit
 from services.evaluator.benchmark.sources import Ask, SourceSpec, ask, in_drawing_order
@@ -89,6 +89,7 @@ def measure(
     problem = known_problem(unit.family, setting.split, setting.seed, unit.index)
     seed = planner_seed(setting.seed, unit.index, unit.run)
     batches = Batches(problem, seed, specs, sources)
+    check_s = _state_check_s(unit.family, setting.split, setting.seed, unit.index, setting.resolution_rad)
     runs = []
     # In an order of their own in every unit: no arm is always the one that finds the caches warm.
     for position in np.random.default_rng([seed, 1]).permutation(len(unit.arms)):
@@ -97,9 +98,6 @@ def measure(
         settings = setting.planner(arm, unit.index, unit.run)
         samples = None if batch is None else in_drawing_order(batch, batches.wanted(arm))
         result = solve(problem, settings, samples, 1.0 - arm.learned_share)
-        check_s = _edge_check_s(
-            unit.family, setting.split, setting.seed, unit.index, arm.range_rad, setting.resolution_rad
-        )
         runs.append(_record(unit, setting, arm, problem, settings, result, batch, check_s))
     return sorted(runs, key=lambda run: run.arm)
 
@@ -110,11 +108,9 @@ def known_problem(family: Family, split: Split, seed: int, index: int) -> Proble
     return draw_problem(family, split, seed, index)
 
 
-@lru_cache(maxsize=16)
-def _edge_check_s(
-    family: Family, split: Split, seed: int, index: int, range_rad: float, resolution_rad: float
-) -> float:
-    return edge_check_s(known_problem(family, split, seed, index), range_rad, resolution_rad)
+@lru_cache(maxsize=4)
+def _state_check_s(family: Family, split: Split, seed: int, index: int, resolution_rad: float) -> float:
+    return state_check_s(known_problem(family, split, seed, index), RANGE_RAD, resolution_rad)
 
 
 def _record(
@@ -130,9 +126,9 @@ def _record(
     # Whatever the planner says of itself, the path is judged here.
     judged = judge_path(problem, result.path, settings.resolution_rad) if result.solved else result.reason
     solved = judged == Reason.SOLVED
-    costs = getattr(result, "costs", ()) if solved else ()
+    costs = result.costs if solved else ()
     request_s = 0.0 if batch is None else batch.round_trip_s
-    checked_s, timing, first = result.edge_checks * check_s, _timing(batch), _first(result, solved)
+    checked_s, timing, first = result.state_checks * check_s, _timing(batch), _first(result, solved)
     return Run(
         protocol=setting.protocol.value,
         family=unit.family.value,
@@ -156,10 +152,11 @@ def _record(
         reason=str(judged),
         iterations=result.iterations,
         edge_checks=result.edge_checks,
+        state_checks=result.state_checks,
         learned_drawn=result.learned_drawn,
         uniform_drawn=result.uniform_drawn,
         solve_s=result.solve_time_s,
-        edge_check_s=check_s,
+        state_check_s=check_s,
         check_s=checked_s,
         plan_s=result.solve_time_s - checked_s,
         request_s=request_s,
@@ -174,10 +171,10 @@ def _record(
         first_edge_checks=first.edge_checks,
         first_s=first.time_s,
         first_length_rad=first.length_rad,
-        cost_iterations=tuple(int(point.iterations) for point in costs),
-        cost_edge_checks=tuple(int(point.edge_checks) for point in costs),
-        cost_s=tuple(float(point.time_s) for point in costs),
-        cost_length_rad=tuple(float(point.length_rad) for point in costs),
+        cost_iterations=tuple(point.iterations for point in costs),
+        cost_edge_checks=tuple(point.edge_checks for point in costs),
+        cost_s=tuple(point.time_s for point in costs),
+        cost_length_rad=tuple(point.length_rad for point in costs),
         novelty=None if batch is None else batch.novelty,
         bottleneck_rad=finite(problem.bottleneck_rad),
     )
@@ -192,6 +189,6 @@ def _first(result: PlanResult, solved: bool) -> Milestone:
     """The first solution: of an optimising search the first improvement, of any other the end."""
     if not solved:
         return Milestone()
-    for point in getattr(result, "costs", ()):
+    for point in result.costs[:1]:
         return Milestone(point.iterations, point.edge_checks, point.time_s, point.length_rad)
     return Milestone(result.iterations, result.edge_checks, result.solve_time_s, float(result.length_rad))

@@ -9,6 +9,7 @@ from cspace.errors import EvaluationError
 from services.evaluator.benchmark.runs import Run
 
 Floats = NDArray[np.float64]
+Flags = NDArray[np.bool_]
 
 
 class PairedRuns:
@@ -60,6 +61,6 @@ class PairedRuns:
         numbers = [np.nan if value is None else float(value) for value in found]
         return np.array(numbers).reshape(len(self.problems), len(self.numbers))
 
-    def solved(self, arm: str) -> NDArray[np.bool_]:
+    def solved(self, arm: str) -> Flags:
         """(P, R) whether a run succeeded."""
         return self.values(arm, "solved").astype(bool)

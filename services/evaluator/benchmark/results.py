@@ -7,6 +7,7 @@ import numpy as np
 
 from cspace.problem import Family
 from services.evaluator.benchmark.arms import Arm
+from services.evaluator.benchmark.convergence import Convergence, converge
 from services.evaluator.benchmark.paired import PairedRuns
 from services.evaluator.benchmark.runs import Run
 from services.evaluator.benchmark.setting import Setting
@@ -22,11 +23,13 @@ class FamilyResult:
         family: which.
         runs: of all arms, paired.
         summaries: of the arms that end with their first solution.
+        convergence: of the optimising arms; none where there is no path.
     """
 
     family: Family
     runs: PairedRuns
     summaries: tuple[ArmSummary, ...]
+    convergence: tuple[Convergence, ...]
 
     @property
     def solvable(self) -> bool:
@@ -62,5 +65,15 @@ class Results:
             paired = PairedRuns(complete(run for run in runs if run.family == family.value))
             # A generator a family: its intervals do not depend on which others there are.
             rng = np.random.default_rng([setting.seed, list(Family).index(family)])
-            found[family] = FamilyResult(family, paired, tuple(summarise(paired, arms, rng)))
+            solvable = family is not Family.DISCONNECTED
+            found[family] = FamilyResult(
+                family,
+                paired,
+                tuple(summarise(paired, arms, rng)),
+                tuple(converge(paired, arms, rng)) if solvable else (),
+            )
         return cls(setting, tuple(arms), found)
+
+    def runs(self) -> list[Run]:
+        """Every run that counts, family by family and arm by arm."""
+        return [run for one in self.families.values() for arm in one.runs.arms for run in one.runs.runs(arm)]

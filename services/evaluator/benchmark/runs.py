@@ -30,11 +30,12 @@ DESCRIPTIONS = {
     "reason": "why the search ended, in words",
     "iterations": "states drawn until the search ended",
     "edge_checks": "motions checked until the search ended",
+    "state_checks": "states looked at, within motions and alone",
     "learned_drawn": "states that came from the learned samples",
     "uniform_drawn": "states that were uniform",
     "solve_s": "wall time of the search",
-    "edge_check_s": "what one edge check takes on this problem, measured in a loop of the kernel alone",
-    "check_s": "edge_checks times edge_check_s",
+    "state_check_s": "what a look at a state takes on this problem, measured in a loop of the kernel alone",
+    "check_s": "state_checks times state_check_s",
     "plan_s": "the rest of solve_s: everything but the checks",
     "request_s": "from asking for samples to having them; 0 for uniform ones",
     "decode_s": "of the request, the sampler's reading of the picture",
@@ -84,10 +85,11 @@ class Run:
     reason: str
     iterations: int
     edge_checks: int
+    state_checks: int
     learned_drawn: int
     uniform_drawn: int
     solve_s: float
-    edge_check_s: float
+    state_check_s: float
     check_s: float
     plan_s: float
     request_s: float

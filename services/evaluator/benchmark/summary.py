@@ -1,14 +1,13 @@
 """What the runs of one family say of each arm: quantiles with censored runs, ratios with intervals."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from services.evaluator.benchmark.arms import Arm, Group
 from services.evaluator.benchmark.break_even import BreakEven, Spent, break_even
-from services.evaluator.benchmark.paired import Floats, PairedRuns
+from services.evaluator.benchmark.paired import Flags, Floats, PairedRuns
 from services.evaluator.statistics import (
     CensoredSummary,
     Interval,
@@ -20,8 +19,8 @@ from services.evaluator.statistics import (
 )
 from services.planner.settings import RRT_CONNECT, SAMPLED_CONNECT
 
-Flags = NDArray[np.bool_]
 WITHIN = 1000
+PARTS = ("request", "server", "transport", "check")
 QUANTILES = (0.5, 0.9)
 RESAMPLES = 2000
 # Two programs of one algorithm.
@@ -34,6 +33,23 @@ class Ratios:
 
     median: Interval
     p90: Interval
+
+
+@dataclass(frozen=True, slots=True)
+class Worth:
+    """From which cost of a check on learned samples save wall time.
+
+    Args:
+        edge_base: cost of an edge check, over the same planner with uniform samples.
+        edge_best: likewise, over every uniform planner.
+        state_base: cost of a look at one state, over the same planner with uniform samples.
+        state_best: likewise, over every uniform planner.
+    """
+
+    edge_base: BreakEven
+    edge_best: BreakEven
+    state_base: BreakEven
+    state_best: BreakEven
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,11 +68,11 @@ class ArmSummary:
         own_best_ratios: iterations to that of ``own_best``; None where it is the base.
         length_ratio: first solutions' lengths over the base's, where both succeeded; None where none did.
         length_rad: mean length of the paths found, None where there are none.
-        request_ms: median and 90th percentile.
+        parts_ms: median and 90th percentile of the request, of what of it the server and the transport took,
+            and of the checks.
         solve_ms: likewise, of the search; runs without success rank last.
         total_ms: likewise, of both.
-        break_even_base: over the base; None for uniform arms.
-        break_even_best: over all uniform arms; None for uniform arms.
+        worth: break-even costs of a check; None for uniform arms.
     """
 
     arm: Arm
@@ -70,11 +86,10 @@ class ArmSummary:
     own_best_ratios: Ratios | None
     length_ratio: Interval | None
     length_rad: float | None
-    request_ms: tuple[float, float]
+    parts_ms: Mapping[str, tuple[float, float]]
     solve_ms: CensoredSummary
     total_ms: CensoredSummary
-    break_even_base: BreakEven | None
-    break_even_best: BreakEven | None
+    worth: Worth | None
 
 
 def summarise(runs: PairedRuns, arms: Sequence[Arm], rng: np.random.Generator) -> list[ArmSummary]:
@@ -93,11 +108,17 @@ def summarise(runs: PairedRuns, arms: Sequence[Arm], rng: np.random.Generator) -
     return [_arm(runs, arm, uniform, rng) for arm in present]
 
 
-def spent(runs: PairedRuns, arm: str) -> Spent:
-    """What an arm took apart from its checks, and how many those were, by problem."""
+def spent(runs: PairedRuns, arm: str, checks: str = "edge_checks") -> Spent:
+    """What an arm took apart from its checks, and how many those were, by problem.
+
+    Args:
+        runs: of one family.
+        arm: its name.
+        checks: the column that counts them: ``edge_checks`` or ``state_checks``.
+    """
     request_s, solve_s = runs.values(arm, "request_s"), runs.values(arm, "solve_s")
     fixed_s = request_s + solve_s - runs.values(arm, "check_s")
-    return Spent(fixed_s.sum(axis=1), runs.values(arm, "edge_checks").sum(axis=1))
+    return Spent(fixed_s.sum(axis=1), runs.values(arm, checks).sum(axis=1))
 
 
 def ratios(
@@ -140,8 +161,7 @@ def _arm(runs: PairedRuns, arm: Arm, uniform: Sequence[Arm], rng: np.random.Gene
     own_best = _own_best(runs, arm, uniform)
     is_base = arm.name == arm.base
     lengths = runs.values(arm.name, "length_rad")
-    times = {name: 1e3 * runs.values(arm.name, name) for name in ("request_s", "solve_s", "total_s")}
-    learned = arm.sampler is not None
+    times = {name: 1e3 * runs.values(arm.name, name) for name in ("solve_s", "total_s")}
     return ArmSummary(
         arm=arm,
         solved=clopper_pearson(int(solved.sum()), solved.size),
@@ -156,14 +176,15 @@ def _arm(runs: PairedRuns, arm: Arm, uniform: Sequence[Arm], rng: np.random.Gene
         ),
         length_ratio=None if is_base else length_ratio(runs, arm.name, arm.base, rng),
         length_rad=float(np.nanmean(lengths)) if solved.any() else None,
-        request_ms=(float(np.median(times["request_s"])), float(np.quantile(times["request_s"], 0.9))),
+        parts_ms={name: _median_p90(1e3 * runs.values(arm.name, f"{name}_s")) for name in PARTS},
         solve_ms=summarise_censored(times["solve_s"].ravel(), ~solved.ravel()),
         total_ms=summarise_censored(times["total_s"].ravel(), ~solved.ravel()),
-        break_even_base=_break_even(runs, arm, [arm.base], rng) if learned else None,
-        break_even_best=(
-            _break_even(runs, arm, [one.name for one in uniform], rng) if learned and uniform else None
-        ),
+        worth=None if arm.sampler is None else _worth(runs, arm, uniform, rng),
     )
+
+
+def _median_p90(values: Floats) -> tuple[float, float]:
+    return float(np.median(values)), float(np.quantile(values, 0.9))
 
 
 def _own_best(runs: PairedRuns, arm: Arm, uniform: Sequence[Arm]) -> str:
@@ -193,5 +214,13 @@ def length_ratio(runs: PairedRuns, arm: str, base: str, rng: np.random.Generator
     return ratio_of_sums_interval(sums[0][some], sums[1][some], rng) if some.any() else None
 
 
-def _break_even(runs: PairedRuns, arm: Arm, others: Sequence[str], rng: np.random.Generator) -> BreakEven:
-    return break_even(spent(runs, arm.name), [spent(runs, name) for name in others], rng, RESAMPLES)
+def _worth(runs: PairedRuns, arm: Arm, uniform: Sequence[Arm], rng: np.random.Generator) -> Worth:
+    every = [one.name for one in uniform] or [arm.base]
+    found = [
+        break_even(
+            spent(runs, arm.name, checks), [spent(runs, one, checks) for one in others], rng, RESAMPLES
+        )
+        for checks in ("edge_checks", "state_checks")
+        for others in ([arm.base], every)
+    ]
+    return Worth(*found)
