@@ -8,7 +8,7 @@ from pathlib import Path
 from cspace.problem import Family
 from cspace.robot import THREE_LINK, TWO_LINK, PlanarArm
 from services.planner.ompl_planner import DEFAULT_UNIFORM_SHARE
-from services.planner.planning import DEFAULT_SAMPLES, SampleRequest
+from services.planner.planning import DEFAULT_SAMPLES, PAPER_SCHEDULE, SampleRequest
 from services.planner.plot import check_figure_path
 from services.planner.sampling_client import DEFAULT_TIMEOUT_S
 from services.planner.settings import LEARNED_PLANNERS, RRT, PlannerSettings, check_uniform_share
@@ -116,7 +116,8 @@ def make_parser() -> argparse.ArgumentParser:
         nargs="+",
         default=(),
         metavar="E",
-        help="raise the encoder's standard deviation by each, in equal shares",
+        help="raise the encoder's standard deviation by each, in equal shares and in this order: the epsilon "
+        f"schedule of algorithm 3, for example {' '.join(f'{value:g}' for value in PAPER_SCHEDULE)}",
     )
     samples.add_argument(
         "--min-confidence", type=float, help="of the model's validity head (default: the model's own)"

@@ -21,6 +21,7 @@ from services.planner.cost_record import CostRecord
 from services.planner.ompl_search import OmplSearch, copy_tree, set_up
 from services.planner.outcome import Counts, outcome
 from services.planner.plan_result import PlanResult, Reason, SearchTree
+from services.planner.roadmap import Roadmap
 from services.planner.sample_mixture import GoalOnly, SampleMixture, StateDraws
 from services.planner.sampled_connect import connect
 from services.planner.sampled_prm import solve_by_roadmap
@@ -125,7 +126,8 @@ def _search(
     checker: CollisionChecker,
     keep_tree: bool,
 ) -> PlanResult:
-    run = set_up(problem, settings, draws, checker, EdgeValidator)
+    validator = Roadmap if keep_tree and settings.planner == BIT_STAR else EdgeValidator
+    run = set_up(problem, settings, draws, checker, validator)
     rule = StoppingRule(
         settings.max_iterations,
         settings.time_limit_s,
@@ -156,9 +158,13 @@ def _search(
         found,
         rule.reason or Reason.NO_PATH,
         counts,
-        tree=copy_tree(run) if keep_tree else None,
+        tree=_copy_tree(run) if keep_tree else None,
         costs=tuple(record.points) if record is not None else (),
     )
+
+
+def _copy_tree(run: OmplSearch[EdgeValidator]) -> SearchTree:
+    return run.edges.copy() if isinstance(run.edges, Roadmap) else copy_tree(run)
 
 
 def _cost_record(run: OmplSearch[EdgeValidator], rule: StoppingRule) -> CostRecord:

@@ -100,7 +100,7 @@ def _ompl_seed(seed: int) -> int:
 def copy_tree(run: OmplSearch[Edges]) -> SearchTree:
     """The planner's tree as arrays that outlive it.
 
-    BIT* keeps about 12 kB for ever once it was asked for this; all else is given back.
+    Not for BIT*, which never gives its memory back once it was asked for its tree (12 kB a search).
     """
     data = ob.PlannerData(run.information)
     run.planner.getPlannerData(data)

@@ -23,7 +23,9 @@ class Reason(StrEnum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SearchTree:
-    """The tree (two for RRTConnect; PRM's roadmap without lone vertices) when the search ended.
+    """The tree when the search ended: two for RRTConnect, PRM's roadmap without lone vertices.
+
+    For BIT* all motions that it found free, of which its tree is a part.
 
     Args:
         vertices: (V, d) rad.

@@ -13,6 +13,8 @@ from services.planner.samples import SampleBatch, SampleSource
 from services.planner.settings import RRT_CONNECT, PlannerSettings
 
 DEFAULT_SAMPLES = 300
+PAPER_SCHEDULE = (0.0, 0.25, 0.5, 1.0)
+"""The epsilon schedule of algorithm 3 in the MultiWGAN-GP paper, of which the paper gives no values."""
 # The percentile of novelty up to which a picture is taken for one like those of the training.
 ORDINARY = 0.95
 
@@ -25,7 +27,8 @@ class SampleRequest:
         n: how many samples.
         model: ``name``, ``name@alias``, ``name/version`` or ``pretrained``; None for the endpoint's default.
         seed: unsigned 64 bit; None for the planner's.
-        epsilon_sigma: what the encoder's standard deviation is raised by; empty for the endpoint's default.
+        epsilon_sigma: what the encoder's standard deviation is raised by, in equal shares and in this order;
+            empty for the endpoint's default.
         min_confidence: what the validity head has to score; None for the model's own threshold, 0 for all.
         with_ends: whether start and goal are sent, as path models require and others refuse.
     """

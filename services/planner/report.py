@@ -1,12 +1,15 @@
 """The outcome of a comparison as a small table and as JSON."""
 
 import math
+from dataclasses import asdict
 from typing import Any
 
 from services.planner.plan_result import PlanResult
 from services.planner.planning import Comparison
 
-_HEADINGS = ("planner", "outcome", "iterations", "checks", "learned", "uniform", "length rad", "time ms")
+_HEADINGS = (
+    "planner", "outcome", "iterations", "edges", "states", "learned", "uniform", "length rad", "time ms",
+)  # fmt: skip
 
 
 def comparison_table(comparison: Comparison, planner: str) -> str:
@@ -98,6 +101,7 @@ def _row(name: str, result: PlanResult) -> tuple[str, ...]:
         str(result.reason),
         str(result.iterations),
         str(result.edge_checks),
+        str(result.state_checks),
         str(result.learned_drawn),
         str(result.uniform_drawn),
         f"{result.length_rad:.2f}" if result.solved else "-",
@@ -111,10 +115,13 @@ def _run(result: PlanResult) -> dict[str, Any]:
         "reason": str(result.reason),
         "iterations": result.iterations,
         "edge_checks": result.edge_checks,
+        "state_checks": result.state_checks,
+        "resolution_rad": _number(result.resolution_rad),
         "learned_drawn": result.learned_drawn,
         "uniform_drawn": result.uniform_drawn,
         "length_rad": _number(result.length_rad),
         "solve_time_s": result.solve_time_s,
+        "costs": [asdict(point) for point in result.costs],
         "path": result.path.tolist(),
     }
 

@@ -1,4 +1,7 @@
-"""What OMPL's PRM has connected so far, so that Python knows when start and goal are one component."""
+"""The motions that a planner found free, as a graph: a PRM joins its milestones by just these.
+
+So Python knows when start and goal are one component, without a look into OMPL's roadmap.
+"""
 
 from typing import Any
 
@@ -9,11 +12,12 @@ from scipy.sparse.csgraph import dijkstra
 
 from cspace.collision import CollisionChecker
 from cspace.space import JointSpace
+from services.planner.plan_result import SearchTree
 from services.planner.validity import EdgeValidator
 
 
 class Roadmap(EdgeValidator):
-    """Checks motions for a PRM, which joins two milestones by every motion that is free, and keeps these.
+    """Checks motions and keeps those that are free.
 
     Args:
         information: OMPL's space information.
@@ -51,7 +55,7 @@ class Roadmap(EdgeValidator):
 
     def shortest_path(self, space: JointSpace, first: int, second: int) -> NDArray[np.float64]:
         """The shortest way (torus length, L2) between two joined milestones, (k, d) rad."""
-        rows = np.frombuffer(b"".join(self._numbers), dtype=np.float64).reshape(-1, space.dim)
+        rows = self._rows()
         # Twice the same pair would count twice in the sparse matrix.
         edges = np.unique(np.sort(np.array(self._edges, dtype=np.intp), axis=1), axis=0)
         lengths = space.distance(rows[edges[:, 0]], rows[edges[:, 1]])
@@ -61,6 +65,13 @@ class Roadmap(EdgeValidator):
         while numbers[-1] != first:
             numbers.append(int(before[numbers[-1]]))
         return rows[numbers[::-1]].copy()
+
+    def copy(self) -> SearchTree:
+        """All states and all free motions."""
+        return SearchTree(self._rows().copy(), np.array(self._edges, dtype=np.intp).reshape(-1, 2))
+
+    def _rows(self) -> NDArray[np.float64]:
+        return np.frombuffer(b"".join(self._numbers), dtype=np.float64).reshape(-1, len(self._from))
 
     def _root(self, number: int) -> int:
         while self._parents[number] != number:

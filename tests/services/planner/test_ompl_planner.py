@@ -99,6 +99,39 @@ def test_each_vertex_of_the_tree_is_a_learned_sample(make_problem):
     assert np.allclose(vertices, expected, atol=1e-12)
 
 
+@pytest.mark.parametrize("planner", LEARNED_PLANNERS)
+def test_all_that_a_planner_holds_is_learned_samples_and_the_ends(disconnected, planner):
+    samples = uniform_samples(150)
+    settings = PlannerSettings(planner, range_rad=100.0, goal_bias=0.0, max_iterations=150)
+    result = solve(disconnected, settings, samples, 0.0, keep_tree=True)
+    assert (result.learned_drawn, result.uniform_drawn) == (150, 0)
+    known = np.concatenate([samples, [disconnected.start, disconnected.goal]])
+    gaps = np.abs(result.tree.vertices[:, None] - known[None]).sum(axis=2)
+    assert np.all(gaps.min(axis=1) < 1e-12)
+    assert len(set(gaps.argmin(axis=1)) - {150, 151}) > 20
+
+
+@pytest.mark.parametrize("planner", PLANNERS)
+def test_states_are_counted_beside_the_edges_they_lie_on(disconnected, planner, monkeypatch):
+    looks = []
+    checked = validity.checked_edge
+
+    def noted(*arguments):
+        found = checked(*arguments)
+        looks.append(found[1])
+        return found
+
+    monkeypatch.setattr(validity, "checked_edge", noted)
+    result = solve(disconnected, PlannerSettings(planner, max_iterations=200, resolution_rad=0.05))
+    assert result.resolution_rad == 0.05
+    if planner != SAMPLED_CONNECT:
+        # Each set-up looks at one edge to load the compiled kernel.
+        assert result.edge_checks == len(looks) - 1
+        assert result.state_checks >= sum(looks[1:])
+    # An edge of at most half a turn has 63 steps of 0.05 rad, and its end is looked at twice.
+    assert result.edge_checks < result.state_checks < 65 * result.edge_checks + 1000
+
+
 @pytest.mark.parametrize("planner", [RRT, RRT_STAR])
 def test_a_batch_within_a_region_confines_the_tree_to_it(make_problem, planner):
     samples = 0.5 * uniform_samples(200) / np.pi

@@ -21,15 +21,16 @@ def settings(seed=1, **changes):
 def test_with_uniform_samples_it_searches_as_ompl_s_does(range_rad):
     problem = draw_problem(Family.NARROW, Split.DEMO, 31, 0)
     kinds = (SAMPLED_CONNECT, RRT_CONNECT)
-    counts, checks = {}, {}
+    counts, checks, states = {}, {}, {}
     for kind in kinds:
         found = [solve(problem, settings(seed, planner=kind, range_rad=range_rad)) for seed in range(150)]
         # A path that the finer check rejects now and then is either's.
         assert sum(one.solved for one in found) >= 145
         counts[kind] = [one.iterations for one in found]
         checks[kind] = [one.edge_checks for one in found]
+        states[kind] = [one.state_checks for one in found]
     assert np.median(counts[RRT_CONNECT]) > 5
-    for values in (counts, checks):
+    for values in (counts, checks, states):
         assert mannwhitneyu(*(values[kind] for kind in kinds)).pvalue > 1e-3
 
 

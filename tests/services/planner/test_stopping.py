@@ -16,6 +16,14 @@ def test_the_clock_starts_with_the_first_question():
     assert rule.reason is Reason.TIME_LIMIT
 
 
+def test_drawn_states_are_counted_where_a_question_is_no_iteration():
+    drawn = iter([0, 0, 100, 205, 205])
+    rule = StoppingRule(200, 100.0, clock=lambda: 0.0, drawn=lambda: next(drawn))
+    assert [rule() for _ in range(4)] == [False, False, False, True]
+    assert rule.iterations == 205
+    assert rule.reason is Reason.ITERATION_LIMIT
+
+
 def test_a_rule_that_ended_a_search_never_takes_it_back():
     times = iter([0.0, 5.0, 1.0])
     rule = StoppingRule(100, 2.0, clock=lambda: next(times))

@@ -1,0 +1,79 @@
+"""Whatever the learned samples are, or where there are none, a planner solves what uniform RRT solves."""
+
+import socket
+
+import numpy as np
+import pytest
+
+from cspace.collision import CollisionChecker
+from cspace.problem import Family, draw_problem
+from cspace.scenario import Split
+from services.planner.ompl_planner import PlannerSettings, solve
+from services.planner.planning import plan_with_api
+from services.planner.retries import RetryPolicy
+from services.planner.sampling_client import SamplingClient
+from services.planner.settings import LEARNED_PLANNERS, RRT
+
+GARBAGE = 300
+BUDGET = 20_000
+
+
+@pytest.fixture(scope="module")
+def solved_by_uniform_rrt():
+    drawn = [
+        draw_problem(family, Split.DEMO, 50, index)
+        for family, count in ((Family.UNIFORM, 17), (Family.NARROW, 5))
+        for index in range(count)
+    ]
+    settings = PlannerSettings(RRT, max_iterations=BUDGET, time_limit_s=60.0)
+    problems = [problem for problem in drawn if solve(problem, settings).solved]
+    assert len(problems) >= 20
+    return problems
+
+
+def colliding(problem):
+    """States in collision and no others."""
+    drawn = problem.scenario.robot.space.sample_uniform(np.random.default_rng(0), 40 * GARBAGE)
+    found = drawn[~CollisionChecker(problem.scenario).valid_batch(drawn)][:GARBAGE]
+    assert len(found) == GARBAGE
+    return found
+
+
+def one_free_point(problem):
+    return np.tile(problem.start, (GARBAGE, 1))
+
+
+def one_blocked_point(problem):
+    return np.tile(colliding(problem)[0], (GARBAGE, 1))
+
+
+@pytest.mark.parametrize("planner", LEARNED_PLANNERS)
+@pytest.mark.parametrize("garbage", [colliding, one_free_point, one_blocked_point])
+def test_a_model_that_only_emits_garbage_costs_no_solution(solved_by_uniform_rrt, planner, garbage):
+    settings = PlannerSettings(planner, max_iterations=BUDGET + GARBAGE, time_limit_s=60.0)
+    found = [solve(problem, settings, garbage(problem), 0.0) for problem in solved_by_uniform_rrt]
+    assert [result.reason for result in found] == ["solved"] * len(found)
+    # Uniform states come after the last learned one, and some searches needed them.
+    uniform = [result for result in found if result.uniform_drawn > 0]
+    assert uniform
+    assert all(result.learned_drawn == GARBAGE for result in uniform)
+
+
+@pytest.fixture
+def dead_address():
+    """Of a port that nobody listens at, and nobody else gets while the test runs."""
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        yield f"http://127.0.0.1:{taken.getsockname()[1]}"
+
+
+@pytest.mark.parametrize("planner", LEARNED_PLANNERS)
+def test_a_dead_server_costs_no_solution(solved_by_uniform_rrt, planner, dead_address):
+    settings = PlannerSettings(planner, max_iterations=BUDGET, time_limit_s=60.0)
+    with SamplingClient(dead_address, policy=RetryPolicy(attempts=1)) as client:
+        for problem in solved_by_uniform_rrt:
+            plan = plan_with_api(problem, client, settings)
+            assert plan.batch is None
+            assert dead_address in plan.unavailable
+            assert plan.result.solved
+            assert plan.result.learned_drawn == 0
