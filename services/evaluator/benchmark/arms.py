@@ -1,10 +1,11 @@
 """The arms of the benchmark: every way in which a problem is solved, as one table."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 from cspace.errors import ConfigError
+from services.planner.planning import PAPER_SCHEDULE
 from services.planner.settings import (
     BIT_STAR,
     INFORMED_RRT_STAR,
@@ -26,8 +27,6 @@ DEFAULT_SHARE = 0.7
 SAMPLES = 300
 SAMPLE_COUNTS = (10, 30, 100, 300, 1000)
 MIN_CONFIDENCE = 0.5
-# The paper's perturbation schedule: what the encoder's standard deviation is raised by, in equal shares.
-SCHEDULE = (0.0, 0.25, 0.5, 1.0)
 NAMES = {
     RRT_STAR: "RRT*",
     RRT_CONNECT: "RRT-Connect",
@@ -62,6 +61,8 @@ class Arm:
         learned_share: of learned samples among the drawn ones while there are any, 0 to 1.
         samples: how many learned samples are asked for.
         epsilon_sigma: what the encoder's standard deviation is raised by, in equal shares.
+        in_order: whether the samples of several values are drawn one value after the other, as algorithm 3 of
+            the paper has it, instead of mixed.
         min_confidence: what the sampler's validity head has to score; 0 for the samples as they come.
         range_rad: of the planner, in OMPL's metric.
         stop_at_first: whether the search ends with its first solution.
@@ -75,6 +76,7 @@ class Arm:
     learned_share: float = 0.0
     samples: int = 0
     epsilon_sigma: tuple[float, ...] = (0.0,)
+    in_order: bool = False
     min_confidence: float = 0.0
     range_rad: float = RANGE_RAD
     stop_at_first: bool = True
@@ -156,9 +158,11 @@ def _filtered_arms(sampler: str, min_confidence: float) -> Iterator[Arm]:
 
 
 def _schedule_arms(sampler: str) -> Iterator[Arm]:
-    """Perturbed samples against uniform ones beside as many that are not perturbed."""
-    least = 1.0 / len(SCHEDULE)
-    yield _with(sampler, RRT, Group.SCHEDULE, 1.0, "schedule", epsilon_sigma=SCHEDULE)
+    """Perturbed samples, mixed and in the paper's order, against uniform ones beside as many unperturbed."""
+    perturbed = _with(sampler, RRT, Group.SCHEDULE, 1.0, "schedule", epsilon_sigma=PAPER_SCHEDULE)
+    yield perturbed
+    yield replace(perturbed, name=f"{perturbed.name} in order", in_order=True)
+    least = 1.0 / len(PAPER_SCHEDULE)
     few = round(SAMPLES * least)
     yield _with(sampler, RRT, Group.SCHEDULE, least, f"{_percent(least)}, {few} samples", samples=few)
 
@@ -203,6 +207,6 @@ def _with(
         share,
         samples,
         epsilon_sigma,
-        min_confidence,
+        min_confidence=min_confidence,
         stop_at_first=stop_at_first,
     )

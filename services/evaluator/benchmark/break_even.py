@@ -96,9 +96,16 @@ class Spent:
     fixed_s: Floats
     checks: Floats
 
-    def total(self, rows: NDArray[np.intp] | slice = slice(None)) -> TimeLine:
-        """The line of the sums over some of the problems."""
-        return TimeLine(float(self.fixed_s[rows].sum()), float(self.checks[rows].sum()))
+    def total(self) -> TimeLine:
+        """The line of the sums over all problems."""
+        return TimeLine(float(self.fixed_s.sum()), float(self.checks.sum()))
+
+    def totals(self, rows: NDArray[np.intp]) -> list[TimeLine]:
+        """The lines of the sums over so many sets of problems, (sets, P) their numbers."""
+        sums = zip(
+            self.fixed_s[rows].sum(axis=1).tolist(), self.checks[rows].sum(axis=1).tolist(), strict=True
+        )
+        return [TimeLine(fixed_s, checks) for fixed_s, checks in sums]
 
     def typical(self) -> TimeLine:
         """The line of the medians."""
@@ -141,10 +148,9 @@ def break_even(
     count = len(learned.checks)
     if not count or any(len(other.checks) != count for other in others):
         raise EvaluationError("arms are compared on the same problems", got=f"{count} and others")
-    found = [
-        winning_costs(learned.total(rows), [other.total(rows) for other in others])
-        for rows in rng.integers(0, count, size=(resamples, count))
-    ]
+    rows = rng.integers(0, count, size=(resamples, count))
+    against = zip(*(other.totals(rows) for other in others), strict=True)
+    found = [winning_costs(mine, theirs) for mine, theirs in zip(learned.totals(rows), against, strict=True)]
     return BreakEven(
         winning_costs(learned.total(), [other.total() for other in others]),
         _limits([one.low_s for one in found]),

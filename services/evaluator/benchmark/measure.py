@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cspace.problem import Family, Problem, draw_problem
 from cspace.scenario import Split
@@ -12,7 +13,7 @@ from services.evaluator.benchmark.arms import RANGE_RAD, Arm
 from services.evaluator.benchmark.check_cost import state_check_s
 from services.evaluator.benchmark.runs import Run, finite
 from services.evaluator.benchmark.setting import Setting, Unit
-from services.evaluator.benchmark.sources import Ask, SourceSpec, ask, in_drawing_order
+from services.evaluator.benchmark.sources import Ask, SourceSpec, ask, mixed
 from services.evaluator.evaluation import planner_seed
 from services.planner.ompl_planner import PlanResult, solve
 from services.planner.path_check import judge_path
@@ -52,10 +53,6 @@ class Batches:
         self._specs, self._sources = specs, sources
         self._known: dict[tuple[str, Ask], SampleBatch] = {}
 
-    def wanted(self, arm: Arm) -> Ask:
-        """What an arm asks for."""
-        return Ask(self._seed, arm.samples, arm.epsilon_sigma, arm.min_confidence)
-
     def of(self, arm: Arm) -> SampleBatch | None:
         """The batch of an arm, None for uniform samples.
 
@@ -64,7 +61,7 @@ class Batches:
         """
         if arm.sampler is None:
             return None
-        wanted = self.wanted(arm)
+        wanted = Ask(self._seed, arm.samples, arm.epsilon_sigma, arm.min_confidence)
         key = (arm.sampler, wanted)
         if key not in self._known:
             source, spec = self._sources[arm.sampler], self._specs[arm.sampler]
@@ -96,10 +93,16 @@ def measure(
         arm = unit.arms[position]
         batch = batches.of(arm)
         settings = setting.planner(arm, unit.index, unit.run)
-        samples = None if batch is None else in_drawing_order(batch, batches.wanted(arm))
+        samples = None if batch is None else drawn_samples(arm, batch)
         result = solve(problem, settings, samples, 1.0 - arm.learned_share)
         runs.append(_record(unit, setting, arm, problem, settings, result, batch, check_s))
     return sorted(runs, key=lambda run: run.arm)
+
+
+def drawn_samples(arm: Arm, batch: SampleBatch) -> NDArray[np.float32]:
+    """The samples (n, d) rad in the order in which a planner is to draw them."""
+    one_kind = arm.in_order or len(arm.epsilon_sigma) == 1
+    return batch.samples if one_kind else mixed(batch.samples, batch.seed)
 
 
 @lru_cache(maxsize=4)

@@ -24,18 +24,19 @@ from services.evaluator.tables import Table, aligned, markdown
 READING = (
     "Values are medians with the 90th percentile in round brackets and 95 % limits in square ones: exact "
     "(Clopper-Pearson) for shares, by bootstrap over problems for the rest. A run without success ranks "
-    "behind all others and is never dropped; > marks a value that is only a lower bound. Ratios are to the"
-    " same planner with uniform samples at the same range; *best* is the uniform arm of that planner with "
-    f"the lowest median, over ranges and programs. *Within {WITHIN}* counts iterations. The filtered arms "
-    "take samples that the validity head lets pass."
+    "behind all others and is never dropped; > marks a value that is only a lower bound. *Paths rejected*:"
+    " by the independent check at ten times the planner's resolution, which makes a run one without "
+    "success. Ratios are to the same planner with uniform samples at the same range; *best* is the uniform"
+    f" arm of that planner with the lowest median, over ranges and programs. *Within {WITHIN}* counts "
+    "iterations. The filtered arms take samples that the validity head lets pass."
 )
 WORTH = (
     "With checks that cost c a piece, all runs of an arm take (requests + the planner's own work) + checks"
     " x c. The table says for which c the arm with learned samples takes less time than the one with "
     "uniform samples, and less than each uniform arm; c is the cost of an edge, or of a look at one state."
     " *never* as a limit: in some of the resampled problem sets it never does. A run without success "
-    "counts up to its limit, which favours the arm that has more of them. The last column takes medians "
-    "over problems instead of sums."
+    "counts up to where it ended, which favours the arm that has more of them. The last column takes "
+    "medians over problems instead of sums."
 )
 TIME = (
     "Checks are counted and multiplied by what one takes in a compiled loop on the same problem; *server* "

@@ -20,6 +20,7 @@ def arm_table(summaries: Sequence[ArmSummary]) -> Table:
         [
             "arm",
             f"solved within {WITHIN}",
+            "paths rejected",
             "iterations",
             "of uniform's median",
             "of its p90",
@@ -35,6 +36,7 @@ def arm_table(summaries: Sequence[ArmSummary]) -> Table:
         [
             one.arm.name,
             f"{one.within:.4f}",
+            str(one.rejected),
             quantiles(one.iterations),
             *_pair(one.iteration_ratios),
             *_pair(one.own_best_ratios),

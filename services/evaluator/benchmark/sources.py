@@ -7,6 +7,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cspace.bundle import Bundle
 from cspace.errors import ConfigError, SamplerError, SamplerUnavailableError
@@ -107,8 +108,6 @@ def opened(specs: Sequence[SourceSpec]) -> Iterator[Mapping[str, SampleSource]]:
 def ask(source: SampleSource, spec: SourceSpec, problem: Problem, wanted: Ask) -> SampleBatch:
     """One batch for a problem's picture, as for a picture that was never sent before.
 
-    Of several perturbations the samples are mixed, for a planner draws them in their order.
-
     Raises:
         SamplerUnavailableError: the source does not answer.
         SamplerError: it refused, or another model answered than the one that is measured.
@@ -131,11 +130,9 @@ def ask(source: SampleSource, spec: SourceSpec, problem: Problem, wanted: Ask) -
     return batch
 
 
-def in_drawing_order(batch: SampleBatch, wanted: Ask) -> np.ndarray[tuple[int, int], np.dtype[np.float32]]:
-    """The samples (n, d) rad as a planner is to draw them: those of several perturbations are mixed."""
-    if len(wanted.epsilon_sigma) == 1:
-        return batch.samples
-    return np.random.default_rng([wanted.seed, 3]).permutation(batch.samples)
+def mixed(samples: NDArray[np.float32], seed: int) -> NDArray[np.float32]:
+    """Samples (n, d) in an order of chance, the same one for the same seed."""
+    return np.random.default_rng([seed, 3]).permutation(samples)
 
 
 def parse_named(text: str) -> tuple[str, str]:

@@ -17,6 +17,7 @@ from services.evaluator.statistics import (
     ratio_of_sums_interval,
     summarise_censored,
 )
+from services.planner.plan_result import Reason
 from services.planner.settings import RRT_CONNECT, SAMPLED_CONNECT
 
 WITHIN = 1000
@@ -59,6 +60,7 @@ class ArmSummary:
     Args:
         arm: what was run.
         solved: share that was solved at all.
+        rejected: runs whose path the independent check refused; they are not solved.
         within: share that was solved within ``WITHIN`` iterations.
         iterations: quantiles; runs without success rank last.
         edge_checks: likewise.
@@ -77,6 +79,7 @@ class ArmSummary:
 
     arm: Arm
     solved: Interval
+    rejected: int
     within: Interval
     iterations: CensoredSummary
     edge_checks: CensoredSummary
@@ -165,6 +168,7 @@ def _arm(runs: PairedRuns, arm: Arm, uniform: Sequence[Arm], rng: np.random.Gene
     return ArmSummary(
         arm=arm,
         solved=clopper_pearson(int(solved.sum()), solved.size),
+        rejected=sum(run.reason == Reason.REJECTED for run in runs.runs(arm.name)),
         within=clopper_pearson(int((solved & (iterations <= WITHIN)).sum()), solved.size),
         iterations=summarise_censored(iterations.ravel(), ~solved.ravel()),
         edge_checks=summarise_censored(checks.ravel(), ~solved.ravel()),
