@@ -2,5 +2,6 @@
 
 samples.py -> sampling_client.py (async_sampling_client.py) fetch a batch over HTTP, by http_exchange.py and
 retries.py; local_sampler.py draws it in this process; sample_mixture.py -> goal_region.py hand it to OMPL;
-ompl_planner.py solves; planning.py joins both; plot.py draws what happened.
+sampled_prm.py and sampled_connect.py draw from it themselves; ompl_planner.py solves; planning.py joins both;
+plot.py draws what happened.
 """

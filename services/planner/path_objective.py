@@ -4,7 +4,7 @@ OMPL's own path length adds up the joints (L1), so many shortest ways of differe
 in an open scene RRT* with it ended 8 % above the shortest path and did not improve. OMPL's binding has no
 state space with an L2 metric on a torus and ignores a metric that is written in Python, so nearest neighbours
 and ranges stay L1. An objective can be written in Python; it costs 1 to 2 microseconds an edge that is
-weighed, and with it an iteration of RRT* takes three to six times as long as with OMPL's own.
+weighed, and with it an iteration of RRT* takes four to six times as long as with OMPL's own.
 
 It is also the only way to give InformedRRT* and BIT* an estimate to search by. They refuse OMPL's path length
 on a product of circles, and wrapped into a ``MultiOptimizationObjective``, which they accept, every estimate

@@ -22,7 +22,7 @@ BUDGET = 20_000
 def solved_by_uniform_rrt():
     drawn = [
         draw_problem(family, Split.DEMO, 50, index)
-        for family, count in ((Family.UNIFORM, 17), (Family.NARROW, 5))
+        for family, count in ((Family.UNIFORM, 17), (Family.NARROW, 4))
         for index in range(count)
     ]
     settings = PlannerSettings(RRT, max_iterations=BUDGET, time_limit_s=60.0)

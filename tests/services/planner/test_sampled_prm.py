@@ -87,7 +87,7 @@ def test_samples_along_a_path_save_draws():
 
 def test_uniform_draws_are_no_better_or_worse_than_ompl_s_own_valid_states(monkeypatch):
     problem = draw_problem(Family.NARROW, Split.DEMO, 31, 0)
-    ours = [solve(problem, settings(seed)).edge_checks for seed in range(80)]
+    ours = [solve(problem, settings(seed)).edge_checks for seed in range(60)]
 
     class Ends(sampled_prm.DrawnMilestones):
         """OMPL's own sampler after the ends."""
@@ -100,7 +100,7 @@ def test_uniform_draws_are_no_better_or_worse_than_ompl_s_own_valid_states(monke
             return super().sample(state) if self._ends else self.own.sample(state)
 
     monkeypatch.setattr(sampled_prm, "DrawnMilestones", Ends)
-    theirs = [solve(problem, settings(seed)).edge_checks for seed in range(80)]
+    theirs = [solve(problem, settings(seed)).edge_checks for seed in range(60)]
     assert ours[:20] != theirs[:20]
     assert mannwhitneyu(ours, theirs).pvalue > 1e-3
 
