@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 
 from services.evaluator.benchmark.arms import Arm, Group
 from services.evaluator.benchmark.convergence import best_known
+from services.evaluator.benchmark.count_figure import count_figure
 from services.evaluator.benchmark.curves import STYLE, Look, looks, panel_of, share_until
 from services.evaluator.benchmark.paired import Floats, PairedRuns
 from services.evaluator.benchmark.results import FamilyResult, Results
@@ -39,6 +40,9 @@ def all_figures(results: Results) -> Iterator[tuple[str, Figure]]:
         optimising = _present(results.arms, found.runs, stop_at_first=False)
         if optimising:
             yield f"cost-{found.family}", cost_figure(found, optimising)
+        counts = [arm for arm in results.arms if arm.group is Group.COUNTS]
+        if counts:
+            yield f"samples-{found.family}", count_figure(found.runs, counts)
     everywhere = [arm for arm in results.arms if arm.stop_at_first and arm.group is not Group.COUNTS]
     if everywhere:
         yield "boxes", box_figure(list(results.families.values()), everywhere)

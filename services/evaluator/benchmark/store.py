@@ -1,8 +1,12 @@
 """The runs of a benchmark in a folder: JSON lines beside a manifest, so that a stopped benchmark goes on."""
 
 import json
+import os
+import platform
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict
+from datetime import UTC, datetime
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -46,6 +50,8 @@ class RunStore:
         try:
             folder.mkdir(parents=True, exist_ok=True)
             merged = _merged(json.loads(path.read_text("utf-8")), told) if path.is_file() else told
+            # What times depend on, once for every command that ran here.
+            merged["sessions"] = [*merged.get("sessions", []), _session()]
             path.write_text(json.dumps(merged, indent=1) + "\n", "utf-8")
             store = cls(folder)
             store._mend()
@@ -105,7 +111,7 @@ def _merged(old: Mapping[str, Any], new: Mapping[str, Any]) -> dict[str, Any]:
                 got=json.dumps(new[part]),
                 remedy="name another folder with --out",
             )
-    merged = dict(new)
+    merged = {**new, "sessions": old.get("sessions", [])}
     for part in ("arms", "samplers"):
         for name, value in new[part].items():
             if old[part].get(name, value) != value:
@@ -117,6 +123,17 @@ def _merged(old: Mapping[str, Any], new: Mapping[str, Any]) -> dict[str, Any]:
                 )
         merged[part] = {**old[part], **new[part]}
     return merged
+
+
+def _session() -> dict[str, Any]:
+    return {
+        "started": datetime.now(UTC).isoformat(timespec="seconds"),
+        "processor": platform.processor() or platform.machine(),
+        "cores": os.cpu_count(),
+        "python": platform.python_version(),
+        "packages": {name: version(name) for name in ("ompl", "numpy", "numba", "onnxruntime")},
+        "cluster": os.environ.get("RAY_ADDRESS") or None,
+    }
 
 
 def complete(runs: Iterable[Run]) -> list[Run]:

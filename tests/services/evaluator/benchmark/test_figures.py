@@ -53,7 +53,8 @@ def test_the_share_solved_rises_with_what_a_run_may_take():
 
 def test_every_figure_shows_what_its_name_says(results):
     found = dict(all_figures(results))
-    assert set(found) == {"success-narrow", "first-solution-narrow", "cost-narrow", "boxes"}
+    named = {f"{name}-narrow" for name in ("success", "first-solution", "cost", "samples")}
+    assert set(found) == named | {"boxes"}
     for figure in found.values():
         assert all(axes.get_xlabel() for axes in figure.axes)
     success = found["success-narrow"].axes
@@ -63,6 +64,15 @@ def test_every_figure_shows_what_its_name_says(results):
     assert line.get_ydata()[-1] == pytest.approx(2 / 3)
     unsolved = [text.get_text() for text in found["first-solution-narrow"].axes[0].texts]
     assert unsolved == ["33.3 %", "33.3 %"]
+
+
+def test_success_against_the_samples_asked_for_has_its_limits(results):
+    axes = dict(all_figures(results))["samples-narrow"].axes[2]
+    ((line, _, (bars,)),) = axes.containers
+    assert line.get_xydata().tolist() == [[10.0, pytest.approx(2 / 3)]]
+    low, high = bars.get_segments()[0][:, 1]
+    # Two of three, after Clopper and Pearson.
+    assert (low, high) == (pytest.approx(0.0943, abs=1e-4), pytest.approx(0.9916, abs=1e-4))
 
 
 def test_samplers_have_colours_of_their_own_and_planners_panels():

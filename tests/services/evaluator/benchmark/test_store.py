@@ -57,6 +57,10 @@ def test_further_arms_and_samplers_may_join(tmp_path, setting):
     store = RunStore.open(tmp_path, setting, more, [replace(WAY, name="flow", digest="c" * 64)])
     assert set(store.manifest()["arms"]) == {"RRT, uniform", "RRT, way, 70 %", "RRT, flow, 70 %"}
     assert set(store.manifest()["samplers"]) == {"way", "flow"}
+    # What times depend on is told for both commands.
+    sessions = store.manifest()["sessions"]
+    assert len(sessions) == 2
+    assert all(session["packages"]["ompl"] for session in sessions)
 
 
 def test_a_line_that_is_no_run_and_a_folder_that_is_a_file_are_errors(tmp_path, setting):
