@@ -53,12 +53,22 @@ def paper_table(runs: PairedRuns, arms: Sequence[Arm], rng: np.random.Generator)
 
 
 def counts_table(runs: PairedRuns, arms: Sequence[Arm], rng: np.random.Generator) -> Table:
-    """Success and iterations against the number of samples asked for; empty without such arms."""
+    """Success and iterations against the number of samples asked for; empty without such arms.
+
+    Iterations are means over the runs of a problem, of which the median is told; a run without success counts
+    as much as the longest.
+    """
     swept = sorted(
         (arm for arm in arms if arm.group is Group.COUNTS), key=lambda arm: (arm.sampler, arm.samples)
     )
     rows = [
-        ["arm", "samples", *(f"within {count} iterations" for count in WITHIN_COUNTS), "solved", "iterations"]
+        [
+            "arm",
+            "samples",
+            *(f"within {count} iterations" for count in WITHIN_COUNTS),
+            "solved",
+            "iterations: a problem's mean",
+        ]
     ]
     for arm in swept:
         solved, iterations = runs.solved(arm.name), runs.values(arm.name, "iterations")
