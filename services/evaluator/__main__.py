@@ -1,5 +1,7 @@
 """Evaluate a registered version: ``python -m services.evaluator --model cspace-sampler@challenger``.
 
+``python -m services.evaluator planning`` is the planning benchmark (:mod:`services.evaluator.benchmark`).
+
 Exit codes: 0 evaluated, whether promoted or not; 1 the evaluation failed; 2 the request was wrong.
 """
 
@@ -10,6 +12,7 @@ import sys
 from collections.abc import Mapping, Sequence
 
 from cspace.errors import ConfigError, CspaceError, ModelNotFoundError
+from services.evaluator.benchmark.__main__ import main as planning_benchmark
 from services.evaluator.budget import BUDGETS
 from services.evaluator.job import Outcome, evaluate_version, executor
 from services.evaluator.metrics import flat_metrics
@@ -18,10 +21,15 @@ from services.evaluator.request import make_request
 from services.registry.mlflow_registry import MlflowRegistry
 from services.registry.mlflow_tracking import MlflowTracking
 
+BENCHMARK = "planning"
+
 
 def main(arguments: Sequence[str] | None = None, environment: Mapping[str, str] = os.environ) -> int:
     """Parse, evaluate, print; returns the exit code."""
-    options = _parser().parse_args(arguments)
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    if given[:1] == [BENCHMARK]:
+        return planning_benchmark(given[1:], environment)
+    options = _parser().parse_args(given)
     try:
         request = make_request(
             options.model,
@@ -70,7 +78,8 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="python -m services.evaluator",
         description="Judge a version on scenarios it was never trained on; promote it if the gate holds.",
-        epilog="Exit codes: 0 evaluated (promoted or not), 1 evaluation failed, 2 wrong request.",
+        epilog=f"`python -m services.evaluator {BENCHMARK} --help` tells of the planning benchmark. "
+        "Exit codes: 0 evaluated (promoted or not), 1 evaluation failed, 2 wrong request.",
     )
     parser.add_argument("--model", default="cspace-sampler@challenger", help="name@alias or name/version")
     parser.add_argument("--budget", choices=sorted(BUDGETS), default="quick", help="how much is evaluated")

@@ -7,7 +7,7 @@ from pathlib import Path
 from cspace.bundle import Bundle
 from cspace.errors import BundleError, InputError, SamplerError, SamplerUnavailableError
 from cspace.image import decode_png
-from services.planner.samples import MAX_SAMPLES, SampleBatch, drawn_seed
+from services.planner.samples import MAX_SAMPLES, SampleBatch, SourceTiming, drawn_seed
 
 PRETRAINED = "pretrained"
 
@@ -60,7 +60,10 @@ class LocalSampler:
         seed = drawn_seed(seed)
         began = time.perf_counter()
         try:
-            picture = self._bundle.prepare(decode_png(image_png, self._bundle.spec.pixels))
+            image = decode_png(image_png, self._bundle.spec.pixels)
+            decoded = time.perf_counter()
+            picture = self._bundle.prepare(image)
+            encoded = time.perf_counter()
             found = self._bundle.sample(
                 picture,
                 n,
@@ -72,6 +75,7 @@ class LocalSampler:
             )
         except (InputError, BundleError) as error:
             raise SamplerError("the local bundle refused the request", got=str(error)) from error
+        total_s = time.perf_counter() - began
         return SampleBatch(
             samples=found.samples,
             model_name=self._name,
@@ -79,6 +83,7 @@ class LocalSampler:
             digest=self._bundle.digest,
             seed=seed,
             shortfall=found.shortfall,
-            round_trip_s=time.perf_counter() - began,
+            round_trip_s=total_s,
             novelty=picture.novelty,
+            timing=SourceTiming(decoded - began, encoded - decoded, 1e-3 * found.generate_ms, total_s),
         )

@@ -3,12 +3,14 @@
 import io
 import math
 from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import astuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cspace.errors import SamplerError
-from services.planner.samples import SampleBatch
+from services.planner.samples import SampleBatch, SourceTiming
 
 NPY = "application/x-npy"
 
@@ -41,7 +43,27 @@ def read_batch(body: bytes, headers: Mapping[str, str], n: int, round_trip_s: fl
         shortfall=shortfall,
         round_trip_s=round_trip_s,
         novelty=_share(headers, "x-novelty") if "x-novelty" in headers else None,
+        timing=read_timing(headers.get("server-timing", "")),
     )
+
+
+def read_timing(header: str) -> SourceTiming | None:
+    """The entries decode, encode, generate and total of a ``Server-Timing`` header; None where one lacks.
+
+    Proxies add entries of their own or drop the header, so nothing in it is an error.
+    """
+    durations_s: dict[str, float] = {}
+    for entry in header.split(","):
+        name, *parameters = (part.strip() for part in entry.split(";"))
+        duration = next((one.removeprefix("dur=") for one in parameters if one.startswith("dur=")), "")
+        with suppress(ValueError):
+            durations_s[name] = 1e-3 * float(duration)
+    try:
+        found = SourceTiming(*(durations_s[name] for name in ("decode", "encode", "generate", "total")))
+    except KeyError:
+        return None
+    whole = all(math.isfinite(value) and value >= 0.0 for value in astuple(found))
+    return found if whole else None
 
 
 def _read_array(body: bytes) -> NDArray[np.float32]:

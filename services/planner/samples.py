@@ -12,6 +12,23 @@ MAX_SAMPLES = 20_000
 """Of one request."""
 
 
+@dataclass(frozen=True, slots=True)
+class SourceTiming:
+    """Where a source's own time went, in s; what a round trip takes beyond the total is transport.
+
+    Args:
+        decode_s: reading the picture; 0 for one that was known.
+        encode_s: the picture's latent; 0 for one that was known.
+        generate_s: drawing, and scoring where that is asked for.
+        total_s: all of it, what the other three leave out among it.
+    """
+
+    decode_s: float
+    encode_s: float
+    generate_s: float
+    total_s: float
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class SampleBatch:
     """Learned samples for one picture, with the model they come from.
@@ -26,6 +43,7 @@ class SampleBatch:
         round_trip_s: from the request to the checked answer, further attempts included.
         novelty: how unlike the model's training scenarios the picture is, 0 to 1; None where it is not told.
         fallback: whether another source answered because the server stayed away.
+        timing: where the source's own time went; None where it is not told.
     """
 
     samples: NDArray[np.float32]
@@ -37,6 +55,7 @@ class SampleBatch:
     round_trip_s: float
     fallback: bool = False
     novelty: float | None = None
+    timing: SourceTiming | None = None
 
 
 class SampleSource(Protocol):

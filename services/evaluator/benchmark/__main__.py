@@ -1,0 +1,54 @@
+"""The planning benchmark: ``python -m services.evaluator planning --out FOLDER --bundle NAME=FOLDER``."""
+
+import os
+import sys
+from collections.abc import Mapping, Sequence
+
+from cspace.errors import ConfigError, CspaceError
+from services.evaluator.benchmark.cluster import executor
+from services.evaluator.benchmark.command import chosen_arms, make_request, parser
+from services.evaluator.benchmark.files import REPORT
+from services.evaluator.benchmark.job import run_benchmark
+from services.evaluator.benchmark.report import terminal_tables
+from services.registry.tracking import Tracking
+
+
+def main(arguments: Sequence[str] | None = None, environment: Mapping[str, str] = os.environ) -> int:
+    """Parse, run, print; returns the exit code."""
+    options = parser().parse_args(arguments)
+    try:
+        if options.list_arms:
+            print("\n".join(f"{arm.group:11} {arm.name}" for arm in chosen_arms(options)))
+            return 0
+        tracking = None if options.no_mlflow else _tracking(environment)
+        request = make_request(options)
+        results = run_benchmark(request, executor(environment, options.processes), _show, tracking)
+    except ConfigError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    except CspaceError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    print(terminal_tables(results))
+    print(f"{request.out / REPORT}", flush=True)
+    return 0
+
+
+def _tracking(environment: Mapping[str, str]) -> Tracking:
+    uri = environment.get("MLFLOW_TRACKING_URI", "")
+    if not uri:
+        raise ConfigError(
+            "no tracking server is named", remedy="set MLFLOW_TRACKING_URI, or give --no-mlflow"
+        )
+    # MLflow takes seconds to import.
+    from services.registry.mlflow_tracking import MlflowTracking  # noqa: PLC0415
+
+    return MlflowTracking(uri)
+
+
+def _show(line: str) -> None:
+    print(line, flush=True)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,212 @@
+"""The arms of the benchmark: every way in which a problem is solved, as one table."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from enum import StrEnum
+
+from cspace.errors import ConfigError
+from services.planner.planning import PAPER_SCHEDULE
+from services.planner.settings import (
+    BIT_STAR,
+    INFORMED_RRT_STAR,
+    LEARNED_PLANNERS,
+    OPTIMISING_PLANNERS,
+    PLANNERS,
+    PRM,
+    RRT,
+    RRT_CONNECT,
+    RRT_STAR,
+    SAMPLED_CONNECT,
+)
+
+RANGE_RAD = 1.0
+# The ranges at which uniform RRT is measured as well, so that its own best one is known.
+OTHER_RANGES_RAD = (0.5, 2.0)
+LEARNED_SHARES = (0.7, 1.0)
+DEFAULT_SHARE = 0.7
+SAMPLES = 300
+SAMPLE_COUNTS = (10, 30, 100, 300, 1000)
+MIN_CONFIDENCE = 0.5
+NAMES = {
+    RRT_STAR: "RRT*",
+    RRT_CONNECT: "RRT-Connect",
+    SAMPLED_CONNECT: "own RRT-Connect",
+    INFORMED_RRT_STAR: "InformedRRT*",
+    BIT_STAR: "BIT*",
+}
+_UNIFORM = (RRT, RRT_CONNECT, SAMPLED_CONNECT, RRT_STAR, INFORMED_RRT_STAR, BIT_STAR, PRM)
+
+
+class Group(StrEnum):
+    """What an arm is there for."""
+
+    UNIFORM = "uniform"
+    LEARNED = "learned"
+    FILTERED = "filtered"
+    SCHEDULE = "schedule"
+    OPTIMISING = "optimising"
+    COUNTS = "counts"
+
+
+@dataclass(frozen=True, slots=True)
+class Arm:
+    """One way to solve a problem.
+
+    Args:
+        name: unique.
+        group: what it is there for.
+        planner: by its name in :mod:`services.planner.settings`.
+        base: name of the arm that it is compared with: the same planner with uniform samples.
+        sampler: name of the learned sampler; None for uniform samples.
+        learned_share: of learned samples among the drawn ones while there are any, 0 to 1.
+        samples: how many learned samples are asked for.
+        epsilon_sigma: what the encoder's standard deviation is raised by, in equal shares.
+        in_order: whether the samples of several values are drawn one value after the other, as algorithm 3 of
+            the paper has it, instead of mixed.
+        min_confidence: what the sampler's validity head has to score; 0 for the samples as they come.
+        range_rad: of the planner, in OMPL's metric.
+        stop_at_first: whether the search ends with its first solution.
+    """
+
+    name: str
+    group: Group
+    planner: str
+    base: str
+    sampler: str | None = None
+    learned_share: float = 0.0
+    samples: int = 0
+    epsilon_sigma: tuple[float, ...] = (0.0,)
+    in_order: bool = False
+    min_confidence: float = 0.0
+    range_rad: float = RANGE_RAD
+    stop_at_first: bool = True
+
+
+def table(samplers: Sequence[str], min_confidence: float = MIN_CONFIDENCE) -> tuple[Arm, ...]:
+    """All arms that there are.
+
+    Args:
+        samplers: names of the learned samplers.
+        min_confidence: of the filtered arms.
+    """
+    arms = [*_uniform_arms(), *_optimising_arms(None)]
+    for sampler in samplers:
+        arms += [*_learned_arms(sampler), *_filtered_arms(sampler, min_confidence)]
+        arms += [*_schedule_arms(sampler), *_optimising_arms(sampler), *_count_arms(sampler)]
+    return tuple(arms)
+
+
+def pick(arms: Sequence[Arm], wanted: Sequence[str], planners: Sequence[str] = ()) -> tuple[Arm, ...]:
+    """The arms of some names or groups, with the bases that they need.
+
+    Args:
+        arms: to choose from.
+        wanted: names of arms or groups.
+        planners: only arms of these planners; empty for all.
+
+    Raises:
+        ConfigError: a name is no arm's and no group's, a planner is none, or nothing is left.
+    """
+    known = {arm.name for arm in arms} | {group.value for group in Group}
+    for name in wanted:
+        if name not in known:
+            raise ConfigError("there is no such arm or group", expected=", ".join(Group), got=repr(name))
+    for planner in planners:
+        if planner not in PLANNERS:
+            raise ConfigError("the planner is unknown", expected=" or ".join(PLANNERS), got=repr(planner))
+    chosen = {
+        arm.name
+        for arm in arms
+        if {arm.name, arm.group.value} & set(wanted) and (not planners or arm.planner in planners)
+    }
+    chosen |= {arm.base for arm in arms if arm.name in chosen}
+    if not chosen:
+        raise ConfigError("no arm is left", got=f"arms {list(wanted)}, planners {list(planners)}")
+    return tuple(arm for arm in arms if arm.name in chosen)
+
+
+def _label(planner: str) -> str:
+    return NAMES.get(planner, planner)
+
+
+def _uniform(planner: str) -> str:
+    return f"{_label(planner)}, uniform"
+
+
+def _percent(share: float) -> str:
+    return f"{100.0 * share:.0f} %"
+
+
+def _uniform_arms() -> Iterator[Arm]:
+    for planner in _UNIFORM:
+        yield Arm(_uniform(planner), Group.UNIFORM, planner, _uniform(planner))
+    for range_rad in OTHER_RANGES_RAD:
+        name = f"{_uniform(RRT)}, range {range_rad:g}"
+        yield Arm(name, Group.UNIFORM, RRT, _uniform(RRT), range_rad=range_rad)
+
+
+def _learned_arms(sampler: str) -> Iterator[Arm]:
+    for planner in LEARNED_PLANNERS:
+        for share in LEARNED_SHARES:
+            yield _with(sampler, planner, Group.LEARNED, share, _percent(share))
+
+
+def _filtered_arms(sampler: str, min_confidence: float) -> Iterator[Arm]:
+    for share in LEARNED_SHARES:
+        name = f"{_percent(share)}, filtered"
+        yield _with(sampler, RRT, Group.FILTERED, share, name, min_confidence=min_confidence)
+
+
+def _schedule_arms(sampler: str) -> Iterator[Arm]:
+    """Perturbed samples, mixed and in the paper's order, against uniform ones beside as many unperturbed."""
+    perturbed = _with(sampler, RRT, Group.SCHEDULE, 1.0, "schedule", epsilon_sigma=PAPER_SCHEDULE)
+    yield perturbed
+    yield replace(perturbed, name=f"{perturbed.name} in order", in_order=True)
+    least = 1.0 / len(PAPER_SCHEDULE)
+    few = round(SAMPLES * least)
+    yield _with(sampler, RRT, Group.SCHEDULE, least, f"{_percent(least)}, {few} samples", samples=few)
+
+
+def _optimising_arms(sampler: str | None) -> Iterator[Arm]:
+    base = f"{_label(RRT_STAR)}, uniform, optimising"
+    if sampler is None:
+        for planner in OPTIMISING_PLANNERS:
+            name = f"{_uniform(planner)}, optimising"
+            yield Arm(name, Group.OPTIMISING, planner, base, stop_at_first=False)
+        return
+    for share in LEARNED_SHARES:
+        name = f"{_percent(share)}, optimising"
+        yield _with(sampler, RRT_STAR, Group.OPTIMISING, share, name, base=base, stop_at_first=False)
+
+
+def _count_arms(sampler: str) -> Iterator[Arm]:
+    for count in SAMPLE_COUNTS:
+        name = f"{_percent(DEFAULT_SHARE)}, {count} samples"
+        yield _with(sampler, RRT, Group.COUNTS, DEFAULT_SHARE, name, samples=count)
+
+
+def _with(
+    sampler: str,
+    planner: str,
+    group: Group,
+    share: float,
+    name: str,
+    *,
+    base: str | None = None,
+    samples: int = SAMPLES,
+    epsilon_sigma: tuple[float, ...] = (0.0,),
+    min_confidence: float = 0.0,
+    stop_at_first: bool = True,
+) -> Arm:
+    return Arm(
+        f"{_label(planner)}, {sampler}, {name}",
+        group,
+        planner,
+        base or _uniform(planner),
+        sampler,
+        share,
+        samples,
+        epsilon_sigma,
+        min_confidence=min_confidence,
+        stop_at_first=stop_at_first,
+    )

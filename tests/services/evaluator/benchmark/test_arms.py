@@ -1,0 +1,62 @@
+import pytest
+
+from cspace.errors import ConfigError
+from services.evaluator.benchmark.arms import MIN_CONFIDENCE, SAMPLES, Group, pick, table
+from services.planner.planning import PAPER_SCHEDULE
+from services.planner.settings import LEARNED_PLANNERS, PLANNERS, RRT
+
+ARMS = table(["flow", "way"])
+
+
+def names(*wanted, planners=()):
+    return [arm.name for arm in pick(ARMS, wanted, planners)]
+
+
+def test_every_arm_has_its_own_name_and_a_base_with_uniform_samples():
+    by_name = {arm.name: arm for arm in ARMS}
+    assert len(by_name) == len(ARMS)
+    for arm in ARMS:
+        base = by_name[arm.base]
+        assert base.sampler is None
+        assert base.planner == arm.planner or arm.group is Group.OPTIMISING
+        assert base.stop_at_first is arm.stop_at_first
+
+
+def test_every_planner_is_measured_with_uniform_samples_and_three_ranges_of_rrt():
+    uniform = pick(ARMS, [Group.UNIFORM])
+    assert {arm.planner for arm in uniform} == set(PLANNERS)
+    assert {arm.range_rad for arm in uniform if arm.planner == RRT} == {0.5, 1.0, 2.0}
+
+
+def test_every_planner_that_can_draws_each_sampler_at_both_shares():
+    learned = [arm for arm in ARMS if arm.group is Group.LEARNED]
+    found = {(arm.planner, arm.sampler, arm.learned_share) for arm in learned}
+    assert found == {(p, s, share) for p in LEARNED_PLANNERS for s in ("flow", "way") for share in (0.7, 1.0)}
+    assert all(arm.samples == SAMPLES and arm.min_confidence == 0.0 for arm in learned)
+
+
+def test_the_schedule_has_as_many_unperturbed_samples_as_the_mixture_it_is_compared_with():
+    mixed, in_order, uniform = (a for a in ARMS if a.group is Group.SCHEDULE and a.sampler == "way")
+    assert mixed.epsilon_sigma == in_order.epsilon_sigma == PAPER_SCHEDULE
+    assert (mixed.in_order, in_order.in_order) == (False, True)
+    assert uniform.samples == mixed.samples // len(PAPER_SCHEDULE)
+    assert uniform.learned_share == 1.0 / len(PAPER_SCHEDULE)
+
+
+def test_arms_are_picked_by_name_or_group_and_bring_their_bases():
+    assert names("RRT, way, 70 %") == ["RRT, uniform", "RRT, way, 70 %"]
+    assert len(names("learned", planners=["PRM"])) == 1 + 2 * 2
+    assert {arm.min_confidence for arm in pick(ARMS, ["filtered"])} == {0.0, MIN_CONFIDENCE}
+
+
+@pytest.mark.parametrize(
+    ("wanted", "planners", "words"),
+    [
+        (["nothing"], [], "no such arm"),
+        (["uniform"], ["EST"], "planner is unknown"),
+        (["filtered"], ["PRM"], "no arm is left"),
+    ],
+)
+def test_what_is_not_there_is_refused(wanted, planners, words):
+    with pytest.raises(ConfigError, match=words):
+        pick(ARMS, wanted, planners)

@@ -1,0 +1,16 @@
+from pathlib import Path
+
+from services.evaluator.benchmark.arms import Group
+from services.evaluator.benchmark.runs import DESCRIPTIONS
+
+TEXT = (Path(__file__).parents[4] / "docs" / "benchmark.md").read_text("utf-8")
+
+
+def test_the_document_names_every_column_as_the_table_has_it():
+    for name, what in DESCRIPTIONS.items():
+        assert f"| `{name}` | {what} |" in TEXT
+
+
+def test_the_document_names_every_group_of_arms():
+    for group in Group:
+        assert f"| `{group}` |" in TEXT

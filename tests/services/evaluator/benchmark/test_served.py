@@ -1,0 +1,96 @@
+"""The benchmark against a real inference API, and over a real Ray cluster."""
+
+import json
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from cspace.errors import SamplerError, SamplerUnavailableError
+from cspace.problem import Family
+from services.evaluator.benchmark import __main__ as command
+from services.evaluator.benchmark.arms import pick, table
+from services.evaluator.benchmark.cluster import executor, run_on_ray
+from services.evaluator.benchmark.setting import Unit
+from services.evaluator.benchmark.sources import bundled, served
+from services.evaluator.benchmark.spread import run_here
+from tests.bundles import write_tiny_bundle
+from tests.inference_api.server import api_server
+
+ROOT = Path(__file__).resolve().parents[4]
+NAMES = ("RRT, way, 70 %", "RRT, way, 100 %", "RRT, way, 70 %, filtered")
+
+
+@pytest.mark.e2e
+def test_a_model_behind_the_api_is_measured_with_what_its_server_tells(tmp_path, path_folder):
+    out = tmp_path / "out"
+    with api_server(tmp_path, {"CSPACE_PRETRAINED_MODEL": str(path_folder)}) as url:
+        given = [
+            "--out", str(out), "--api", url, "--model", "way=pretrained", "--family", "uniform",
+            "--problems", "3", "--processes", "1", "--pages", "1", "--no-mlflow", "--arms", *NAMES,
+        ]  # fmt: skip
+        assert command.main(given, {}) == 0
+    told = json.loads((out / "manifest.json").read_text())["samplers"]["way"]
+    assert (told["model"], told["transport"], told["with_ends"]) == ("pretrained", "HTTP", True)
+    frame = pd.read_parquet(out / "runs.parquet")
+    learned = frame[frame["sampler"] == "way"]
+    assert len(learned) == 3 * len(NAMES)
+    # No picture is known to the server from another request: each is decoded and encoded.
+    for column in ("decode_s", "encode_s", "generate_s", "transport_s"):
+        assert (learned[column] > 0.0).all(), column
+    assert learned["novelty"].between(0.0, 1.0).all()
+    parts = learned[["decode_s", "encode_s", "generate_s"]].sum(axis=1)
+    assert (parts <= learned["server_s"]).all()
+    assert (learned["server_s"] < learned["request_s"]).all()
+    assert learned["solved"].all()
+
+
+@pytest.mark.e2e
+def test_a_model_of_configurations_is_found_out_by_its_answers(tmp_path):
+    bundle = write_tiny_bundle(tmp_path / "bundle")
+    with api_server(tmp_path, {"CSPACE_PRETRAINED_MODEL": str(bundle)}) as url:
+        spec = served("tiny", "pretrained", url)
+        assert (spec.with_ends, spec.model, spec.url) == (False, "pretrained", url)
+        with pytest.raises(SamplerError):
+            served("tiny", "no-such-model@champion", url)
+    with pytest.raises(SamplerUnavailableError):
+        served("tiny", "pretrained", url)
+
+
+@pytest.mark.parametrize(
+    ("environment", "on_ray"),
+    [({}, False), ({"RAY_ADDRESS": "http://127.0.0.1:8265"}, False), ({"RAY_ADDRESS": "auto"}, True)],
+)
+def test_the_cluster_is_used_where_a_driver_can_reach_one(environment, on_ray):
+    assert (executor(environment, 2) is run_on_ray) is on_ray
+
+
+@pytest.mark.e2e
+def test_a_cluster_gives_the_same_runs_as_this_process(path_folder, setting, monkeypatch):
+    import ray
+
+    monkeypatch.setenv("RAY_USAGE_STATS_ENABLED", "0")
+    monkeypatch.setenv("RAY_AUTH_MODE", "disabled")
+    monkeypatch.delenv("RAY_ADDRESS", raising=False)
+    environment = {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
+    ray.init(
+        num_cpus=2,
+        include_dashboard=False,
+        _node_ip_address="127.0.0.1",
+        log_to_driver=False,
+        runtime_env={"env_vars": environment},
+    )
+    try:
+        arms = pick(table(["way"]), NAMES)
+        work = [Unit(Family.UNIFORM, index, 0, arms) for index in range(3)]
+        specs = [bundled("way", path_folder)]
+        there = [run for found in run_on_ray(work, setting, specs) for run in found]
+    finally:
+        ray.shutdown()
+    here = [run for found in run_here(work, setting, specs) for run in found]
+
+    def numbers(runs):
+        found = [(run.key, run.solved, run.iterations, run.edge_checks, run.length_rad) for run in runs]
+        return sorted(found, key=lambda one: one[0])
+
+    assert numbers(there) == numbers(here)
