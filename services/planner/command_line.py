@@ -70,6 +70,7 @@ def parse_command(arguments: Sequence[str] | None = None) -> Command:
         epsilon_sigma=tuple(options.epsilon_sigma),
         min_confidence=options.min_confidence,
         with_ends=options.path_model,
+        ordered=options.ordered,
     )
     return Command(
         url=options.api,
@@ -123,6 +124,11 @@ def make_parser() -> argparse.ArgumentParser:
         "--min-confidence", type=float, help="of the model's validity head (default: the model's own)"
     )
     samples.add_argument("--path-model", action="store_true", help="send start and goal as well")
+    samples.add_argument(
+        "--ordered",
+        action="store_true",
+        help="take the samples along the way through them, from the start on",
+    )
     search = parser.add_argument_group("search")
     search.add_argument("--planner", choices=LEARNED_PLANNERS, default=RRT, help="default %(default)s")
     search.add_argument(

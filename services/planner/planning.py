@@ -9,6 +9,7 @@ from cspace.problem import Problem
 from cspace.render import render
 from services.planner.ompl_planner import DEFAULT_UNIFORM_SHARE, solve
 from services.planner.plan_result import PlanResult
+from services.planner.sample_order import order_along
 from services.planner.samples import SampleBatch, SampleSource
 from services.planner.settings import RRT_CONNECT, PlannerSettings
 
@@ -31,6 +32,7 @@ class SampleRequest:
             empty for the endpoint's default.
         min_confidence: what the validity head has to score; None for the model's own threshold, 0 for all.
         with_ends: whether start and goal are sent, as path models require and others refuse.
+        ordered: whether the planner takes the samples along the way through them, from the start on.
     """
 
     n: int = DEFAULT_SAMPLES
@@ -39,6 +41,7 @@ class SampleRequest:
     epsilon_sigma: Sequence[float] = ()
     min_confidence: float | None = None
     with_ends: bool = False
+    ordered: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -106,6 +109,9 @@ def plan_with_api(
     samples = None
     if batch is not None:
         samples, uniform_share = batch.samples, raised_share(uniform_share, batch.novelty)
+        if request is not None and request.ordered:
+            space = problem.scenario.robot.space
+            samples = samples[order_along(samples, problem.start, problem.goal, space)]
     result = solve(problem, settings, samples, uniform_share, keep_tree=keep_tree)
     return ApiPlan(result, batch, unavailable, uniform_share)
 

@@ -46,6 +46,7 @@ class Group(StrEnum):
     SCHEDULE = "schedule"
     OPTIMISING = "optimising"
     COUNTS = "counts"
+    ORDERED = "ordered"
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,6 +64,7 @@ class Arm:
         epsilon_sigma: what the encoder's standard deviation is raised by, in equal shares.
         in_order: whether the samples of several values are drawn one value after the other, as algorithm 3 of
             the paper has it, instead of mixed.
+        ordered: whether the planner takes the samples along the way through them, from the start on.
         min_confidence: what the sampler's validity head has to score; 0 for the samples as they come.
         range_rad: of the planner, in OMPL's metric.
         stop_at_first: whether the search ends with its first solution.
@@ -77,6 +79,7 @@ class Arm:
     samples: int = 0
     epsilon_sigma: tuple[float, ...] = (0.0,)
     in_order: bool = False
+    ordered: bool = False
     min_confidence: float = 0.0
     range_rad: float = RANGE_RAD
     stop_at_first: bool = True
@@ -92,7 +95,8 @@ def table(samplers: Sequence[str], min_confidence: float = MIN_CONFIDENCE) -> tu
     arms = [*_uniform_arms(), *_optimising_arms(None)]
     for sampler in samplers:
         arms += [*_learned_arms(sampler), *_filtered_arms(sampler, min_confidence)]
-        arms += [*_schedule_arms(sampler), *_optimising_arms(sampler), *_count_arms(sampler)]
+        arms += [*_ordered_arms(sampler, min_confidence), *_schedule_arms(sampler)]
+        arms += [*_optimising_arms(sampler), *_count_arms(sampler)]
     return tuple(arms)
 
 
@@ -155,6 +159,15 @@ def _filtered_arms(sampler: str, min_confidence: float) -> Iterator[Arm]:
     for share in LEARNED_SHARES:
         name = f"{_percent(share)}, filtered"
         yield _with(sampler, RRT, Group.FILTERED, share, name, min_confidence=min_confidence)
+
+
+def _ordered_arms(sampler: str, min_confidence: float) -> Iterator[Arm]:
+    """Filtered samples, which the planner takes along the way through them."""
+    for planner in (RRT, SAMPLED_CONNECT):
+        for share in LEARNED_SHARES:
+            name = f"{_percent(share)}, ordered"
+            arm = _with(sampler, planner, Group.ORDERED, share, name, min_confidence=min_confidence)
+            yield replace(arm, ordered=True)
 
 
 def _schedule_arms(sampler: str) -> Iterator[Arm]:

@@ -1,7 +1,8 @@
 """One problem solved by all arms of a unit, with paired seeds, one after the other in this process."""
 
+import time
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -18,6 +19,7 @@ from services.evaluator.evaluation import planner_seed
 from services.planner.ompl_planner import PlanResult, solve
 from services.planner.path_check import judge_path
 from services.planner.plan_result import Reason
+from services.planner.sample_order import order_along
 from services.planner.samples import SampleBatch, SampleSource, SourceTiming
 from services.planner.settings import PlannerSettings
 
@@ -93,14 +95,21 @@ def measure(
         arm = unit.arms[position]
         batch = batches.of(arm)
         settings = setting.planner(arm, unit.index, unit.run)
-        samples = None if batch is None else drawn_samples(arm, batch)
+        began = time.perf_counter()
+        samples = None if batch is None else drawn_samples(arm, batch, problem)
+        order_s = time.perf_counter() - began
         result = solve(problem, settings, samples, 1.0 - arm.learned_share)
+        # Putting the samples in order is work of the planner's side.
+        result = replace(result, solve_time_s=result.solve_time_s + order_s)
         runs.append(_record(unit, setting, arm, problem, settings, result, batch, check_s))
     return sorted(runs, key=lambda run: run.arm)
 
 
-def drawn_samples(arm: Arm, batch: SampleBatch) -> NDArray[np.float32]:
+def drawn_samples(arm: Arm, batch: SampleBatch, problem: Problem) -> NDArray[np.float32]:
     """The samples (n, d) rad in the order in which a planner is to draw them."""
+    if arm.ordered:
+        space = problem.scenario.robot.space
+        return batch.samples[order_along(batch.samples, problem.start, problem.goal, space)]
     one_kind = arm.in_order or len(arm.epsilon_sigma) == 1
     return batch.samples if one_kind else mixed(batch.samples, batch.seed)
 

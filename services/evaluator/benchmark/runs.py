@@ -33,7 +33,7 @@ DESCRIPTIONS = {
     "state_checks": "states looked at, within motions and alone",
     "learned_drawn": "states that came from the learned samples",
     "uniform_drawn": "states that were uniform",
-    "solve_s": "wall time of the search",
+    "solve_s": "wall time of the search, putting samples in order included",
     "state_check_s": "what a look at a state takes on this problem, measured in a loop of the kernel alone",
     "check_s": "state_checks times state_check_s",
     "plan_s": "the rest of solve_s: everything but the checks",

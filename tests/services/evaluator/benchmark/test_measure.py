@@ -18,6 +18,7 @@ from services.evaluator.benchmark.measure import drawn_samples, known_problem, m
 from services.evaluator.benchmark.setting import Unit
 from services.evaluator.benchmark.sources import bundled, mixed, opened, parse_named
 from services.planner.plan_result import Reason
+from services.planner.sample_order import order_along
 from tests.bundles import picture, write_tiny_bundle
 
 NAMES = ("RRT, way, 70 %", "RRT, way, 100 %", "PRM, way, 100 %", "RRT*, way, 70 %, optimising")
@@ -129,12 +130,23 @@ def test_perturbed_samples_are_mixed_unless_the_papers_order_is_wanted(setting, 
     batch = sources["way"].sample(
         encode_png(picture(pixels=48)), 40, seed=3, epsilon_sigma=(0.0, 1.0), min_confidence=0.0, **ends
     )
-    in_order = drawn_samples(by_name["RRT, way, schedule in order"], batch)
-    shuffled = drawn_samples(by_name["RRT, way, schedule"], batch)
+    in_order = drawn_samples(by_name["RRT, way, schedule in order"], batch, problem)
+    shuffled = drawn_samples(by_name["RRT, way, schedule"], batch, problem)
     assert np.array_equal(in_order, batch.samples)
     assert not np.array_equal(shuffled, batch.samples)
     assert np.array_equal(shuffled, mixed(batch.samples, 3))
     assert np.array_equal(np.sort(shuffled, axis=0), np.sort(batch.samples, axis=0))
+
+
+def test_ordered_samples_are_the_same_ones_along_the_way(setting, spec, sources):
+    by_name = {arm.name: arm for arm in table(["way"])}
+    problem = known_problem(Family.UNIFORM, setting.split, 0, 0)
+    ends = {"start": problem.start.tolist(), "goal": problem.goal.tolist()}
+    batch = sources["way"].sample(encode_png(picture(pixels=48)), 40, seed=3, min_confidence=0.0, **ends)
+    ordered = drawn_samples(by_name["RRT, way, 70 %, ordered"], batch, problem)
+    order = order_along(batch.samples, problem.start, problem.goal, problem.scenario.robot.space)
+    assert np.array_equal(ordered, batch.samples[order])
+    assert not np.array_equal(ordered, batch.samples)
 
 
 def test_a_model_of_configurations_is_asked_without_start_and_goal(setting, tmp_path):
