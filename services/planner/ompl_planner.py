@@ -9,6 +9,7 @@ uniform states from this project's generator in both cases.
 """
 
 import time
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,7 +20,8 @@ from cspace.errors import PlanningError
 from cspace.problem import Problem
 from services.planner.cost_record import CostRecord
 from services.planner.ompl_search import OmplSearch, copy_tree, set_up
-from services.planner.outcome import Counts, outcome
+from services.planner.outcome import Counts, after, outcome
+from services.planner.path_check import CHECK_FACTOR
 from services.planner.plan_result import PlanResult, Reason, SearchTree
 from services.planner.roadmap import Roadmap
 from services.planner.sample_mixture import GoalOnly, SampleMixture, StateDraws
@@ -53,6 +55,10 @@ def solve(
 ) -> PlanResult:
     """Solve one problem; the same arguments give the same result, in any process.
 
+    Where the independent check rejects the path, for it grazes an obstacle between two states that were
+    checked, the search begins anew at the check's own resolution, with what is left of its limits. The result
+    counts both searches.
+
     OMPL holds the interpreter's lock while it searches and keeps its random seed in the process: one solve at
     a time in a process, no threads.
 
@@ -74,6 +80,28 @@ def solve(
     for end, reason in ((problem.start, Reason.START_COLLIDES), (problem.goal, Reason.GOAL_COLLIDES)):
         if not checker.valid(end):
             return outcome(problem, settings, None, reason, Counts())
+    result = _once(problem, settings, learned, uniform_share, checker, keep_tree)
+    iterations = settings.max_iterations - result.iterations
+    left_s = settings.time_limit_s - result.solve_time_s
+    if result.reason is not Reason.REJECTED or iterations < 1 or left_s <= 0.0:
+        return result
+    finer = replace(
+        settings,
+        resolution_rad=settings.resolution_rad / CHECK_FACTOR,
+        max_iterations=iterations,
+        time_limit_s=left_s,
+    )
+    return after(result, _once(problem, finer, learned, uniform_share, checker, keep_tree))
+
+
+def _once(
+    problem: Problem,
+    settings: PlannerSettings,
+    learned: NDArray[np.float64] | None,
+    uniform_share: float,
+    checker: CollisionChecker,
+    keep_tree: bool,
+) -> PlanResult:
     if settings.planner == SAMPLED_CONNECT:
         return connect(problem, settings, learned, uniform_share, keep_tree=keep_tree)
     draws = _draws(problem, settings, learned, uniform_share)

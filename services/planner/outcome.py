@@ -1,6 +1,6 @@
 """From a finished search to its result: the path judged, the counts kept."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,4 +64,27 @@ def outcome(
         state_checks=counts.state_checks,
         resolution_rad=settings.resolution_rad,
         costs=costs if solved else (),
+    )
+
+
+def after(first: PlanResult, second: PlanResult) -> PlanResult:
+    """The second search's result, with what both of them took."""
+    costs = tuple(
+        CostPoint(
+            point.iterations + first.iterations,
+            point.edge_checks + first.edge_checks,
+            point.time_s + first.solve_time_s,
+            point.length_rad,
+        )
+        for point in second.costs
+    )
+    return replace(
+        second,
+        iterations=first.iterations + second.iterations,
+        edge_checks=first.edge_checks + second.edge_checks,
+        state_checks=first.state_checks + second.state_checks,
+        solve_time_s=first.solve_time_s + second.solve_time_s,
+        learned_drawn=first.learned_drawn + second.learned_drawn,
+        uniform_drawn=first.uniform_drawn + second.uniform_drawn,
+        costs=costs,
     )
