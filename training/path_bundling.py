@@ -16,9 +16,6 @@ from training.provenance import command_line, now, source_state
 from training.trials.path_arrays import PathArrays
 from training.trials.path_trials import load_density, load_points
 
-# Even odds: what the head takes for colliding rather than free would cost a planner a check for nothing.
-PATH_CONFIDENCE = 0.5
-
 
 def path_graph(
     name: PathModel, train: PathTrainConfig, arrays: PathArrays, source: Bundle, checkpoint: Path
@@ -74,7 +71,8 @@ def write_path_bundle(
         samples_per_latent=1,
         random_inputs=graph.random_inputs,
         standardisation=None,
-        confidence_threshold=PATH_CONFIDENCE if source.has_validity else None,
+        # A planner drops what collides by itself, and a passage that the head closes has samples all the same.
+        confidence_threshold=0.0 if source.has_validity else None,
         uniform_share=0.0,
         provenance=Provenance(
             git_commit=state.commit,

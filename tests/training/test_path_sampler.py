@@ -41,7 +41,7 @@ def test_a_path_bundle_keeps_what_it_sees_with_and_tells_where_it_comes_from(
     assert (made.spec.kind, made.spec.conditions) == ("path", ("image", "start", "goal"))
     assert made.spec.provenance.config["source_digest"] == origin.digest
     assert made.spec.provenance.config["ways"]["cells"] == 48
-    assert made.spec.confidence_threshold == 0.5
+    assert made.spec.confidence_threshold == 0.0
     for name in ("encoder.onnx", "validity.onnx"):
         assert (made.folder / name).read_bytes() == (source / name).read_bytes()
     image = picture(1)
