@@ -71,7 +71,7 @@ def write_path_bundle(
         samples_per_latent=1,
         random_inputs=graph.random_inputs,
         standardisation=None,
-        # A planner drops what collides by itself, and a passage that the head closes has samples all the same.
+        # A planner drops what collides by itself, and a passage that the head closes keeps its samples.
         confidence_threshold=0.0 if source.has_validity else None,
         uniform_share=0.0,
         provenance=Provenance(
