@@ -3,7 +3,7 @@ import json
 import pytest
 
 from cspace.errors import ConfigError
-from training.cluster_train import main
+from training.cluster_train import COMMAND
 from training.config import TrainConfig, load_config, presets
 
 
@@ -112,22 +112,22 @@ def test_the_data_folder_changes_with_the_data_and_not_with_the_shards():
 
 
 def test_the_command_prints_its_configuration(capsys):
-    assert main(["--preset", "smoke", "--print-config"]) == 0
+    assert COMMAND.main(["--preset", "smoke", "--print-config"]) == 0
     assert json.loads(capsys.readouterr().out)["preset"] == "smoke"
 
 
 def test_the_command_ends_with_two_on_a_wrong_key(capsys):
-    assert main(["--set", "nonsense=1"]) == 2
+    assert COMMAND.main(["--set", "nonsense=1"]) == 2
     assert "nonsense" in capsys.readouterr().err
 
 
 def test_the_command_refuses_settings_for_a_job_that_has_its_own(capsys):
     with pytest.raises(SystemExit, match="2"):
-        main(["--resume", "abc", "--set", "seed=1"])
+        COMMAND.main(["--resume", "abc", "--set", "seed=1"])
     assert "--resume" in capsys.readouterr().err
 
 
 def test_the_command_says_which_setting_is_missing(capsys, monkeypatch):
     monkeypatch.delenv("MLFLOW_TRACKING_URI", raising=False)
-    assert main(["--preset", "smoke"]) == 2
+    assert COMMAND.main(["--preset", "smoke"]) == 2
     assert "MLFLOW_TRACKING_URI" in capsys.readouterr().err

@@ -1,0 +1,87 @@
+"""The command line of the jobs that train: parse, train or go on, print."""
+
+import argparse
+import dataclasses
+import json
+import logging
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from cspace.errors import CspaceError, InputError
+from training.config_files import Section
+from training.environment import Environment, job_environment
+
+# What runs a configuration, and what goes on with a run of an id.
+Train = Callable[[Any, Environment], Any]
+Resume = Callable[[str, Environment], Any]
+
+
+@dataclass(frozen=True, slots=True)
+class JobCommand:
+    """What tells one job's command from another's.
+
+    Args:
+        program: its name in messages.
+        description: for the help.
+        presets: names of those that ship.
+        preset: the default.
+        example: of an override.
+        load: a configuration of a preset and overrides.
+        job: imports what trains and what goes on; asked late, so that a wrong key is told at once and not
+            after the frameworks have loaded.
+    """
+
+    program: str
+    description: str
+    presets: Callable[[], Sequence[str]]
+    preset: str
+    example: str
+    load: Callable[[str, Sequence[str]], Section]
+    job: Callable[[], tuple[Train, Resume]]
+
+    def main(self, arguments: Sequence[str] | None = None) -> int:
+        """Parse, train, print; returns the exit code."""
+        line = self._parser()
+        options = line.parse_args(arguments)
+        if options.resume and options.overrides:
+            line.error("--resume goes on with the job's own configuration and takes no --set")
+        logging.basicConfig(level=logging.WARNING, format="%(message)s", stream=sys.stdout)
+        logging.getLogger("training").setLevel(logging.INFO)
+        try:
+            config = self.load(options.preset, options.overrides)
+            if options.print_config:
+                print(json.dumps(config.to_dict(), indent=2))
+                return 0
+            environment = job_environment()
+            train, resume = self.job()
+            result = resume(options.resume, environment) if options.resume else train(config, environment)
+        except CspaceError as error:
+            print(f"{self.program}: {error}", file=sys.stderr)
+            return 2 if isinstance(error, InputError) else 1
+        print("RESULT " + json.dumps(dataclasses.asdict(result)), flush=True)
+        return 0
+
+    def _parser(self) -> argparse.ArgumentParser:
+        parser = argparse.ArgumentParser(
+            description=self.description,
+            epilog="Reads MLFLOW_TRACKING_URI, CSPACE_DATA_DIR. "
+            "Exit codes: 0 registered, 1 failed, 2 bad input.",
+        )
+        parser.add_argument("--preset", default=self.preset, help=f"one of {', '.join(self.presets())}")
+        parser.add_argument(
+            "--set",
+            dest="overrides",
+            metavar="KEY=VALUE",
+            action="append",
+            default=[],
+            help=f"such as {self.example}",
+        )
+        parser.add_argument(
+            "--resume", metavar="RUN_ID", help="go on with a stopped job, by its own configuration"
+        )
+        parser.add_argument(
+            "--print-config", action="store_true", help="print the whole configuration and end"
+        )
+        return parser
