@@ -170,5 +170,9 @@ def _register(job: Job[PathTrainConfig], registry: MlflowRegistry, name: str, bu
     )
     if name == job.config.models[0]:
         registry.set_alias(PATH_MODEL_NAME, ALIAS_CHALLENGER, version.number)
+    if name == UNTRAINED:
+        # A run without a trial that would end it.
+        with job.tracking.resume(job.child(name)) as run:
+            run.params(dict(bundle.spec.provenance.config))
     _LOG.info("registry: %s version %d, %s", PATH_MODEL_NAME, version.number, name)
     return version.number

@@ -20,9 +20,8 @@ from cspace.bundle import Bundle, RandomInput
 from cspace.bundle.files import VALIDITY_FILE
 from cspace.errors import BundleError, ConfigError, CspaceError, InputError
 from services.registry.names import ALIAS_CHALLENGER, ALIAS_CHAMPION, EXPERIMENT, PATH_MODEL_NAME
-from training.models.path_export import PathGraph
 from training.models.ways import WaySettings, way_graph
-from training.path_bundling import write_path_bundle
+from training.path_writing import PathGraph, write_path_bundle
 
 
 def make_path_bundle(source: Bundle, folder: Path, settings: WaySettings | None = None) -> Bundle:

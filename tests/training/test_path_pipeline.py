@@ -47,6 +47,7 @@ def result(server, data_folder):
 
 
 @pytest.mark.e2e
+@pytest.mark.slow
 @pytest.mark.timeout(400)
 def test_every_model_is_a_version_of_its_own_that_draws_between_start_and_goal(result, server, tmp_path):
     assert set(result["versions"]) == {"ways", *ALL_MODELS}
@@ -68,12 +69,14 @@ def test_every_model_is_a_version_of_its_own_that_draws_between_start_and_goal(r
 
 
 @pytest.mark.e2e
+@pytest.mark.slow
 @pytest.mark.timeout(400)
 def test_the_models_can_be_compared_in_the_tracking_server(result, server):
     client = MlflowClient(server)
     experiment = client.get_experiment_by_name(EXPERIMENT).experiment_id
     runs = client.search_runs([experiment], f"tags.mlflow.parentRunId = '{result['run_id']}'")
     names = {run.info.run_name: set(run.data.metrics) for run in runs}
+    assert {run.info.status for run in runs} == {"FINISHED"}
     assert set(names) == {"ways", *ALL_MODELS}
     assert "density_loss" in names["density"]
     assert "flow_loss" in names["flow"]

@@ -1,7 +1,5 @@
 """Path models to ONNX graphs whose randomness is an input, with what a bundle's description says of them."""
 
-from dataclasses import dataclass
-
 import numpy as np
 import onnx
 import torch
@@ -19,24 +17,9 @@ from training.models.path_condition import Condition, swept
 from training.models.path_density import DensitySampler
 from training.models.path_points import PathDecoder, PathFlow, RefiningGenerator
 from training.models.way_fields import way_maps_graph
+from training.path_writing import PathGraph
 
 PointNetwork = PathFlow | PathDecoder | RefiningGenerator
-
-
-@dataclass(frozen=True, slots=True)
-class PathGraph:
-    """A path model's graph.
-
-    Args:
-        model: ONNX bytes: ``latent`` (m, L), the random inputs, ``start`` and ``goal`` (m, d) rad and, where
-            it looks at it, ``image`` (1, 3, P, P) to ``samples`` (m, 1, d) rad.
-        random_inputs: in the order in which they are drawn.
-        looks_at_picture: whether it takes ``image``.
-    """
-
-    model: bytes
-    random_inputs: tuple[RandomInput, ...]
-    looks_at_picture: bool
 
 
 class PointSampler(nn.Module):

@@ -299,6 +299,7 @@ def test_ompl_says_nothing(blocked, capfd):
     assert capfd.readouterr() == ("", "")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("planner", [RRT, SAMPLED_CONNECT, PRM])
 def test_a_path_that_the_check_rejects_is_searched_anew_at_the_checks_resolution(planner):
     settings = PlannerSettings(planner=planner, resolution_rad=2.0, range_rad=2.0, max_iterations=20_000)
