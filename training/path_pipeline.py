@@ -20,7 +20,7 @@ from training.path_bundling import trained_bundle
 from training.path_config import PathTrainConfig
 from training.path_sampler import made_or_found
 from training.path_source import source_bundle
-from training.provenance import source_state
+from training.provenance import job_tags
 from training.trials.guides import find_guides
 from training.trials.launch import TrialOutcome, connect, run_trials
 from training.trials.path_arrays import PathArrays, path_arrays
@@ -61,16 +61,7 @@ def train_paths(config: PathTrainConfig, environment: Environment) -> PathTrainR
         CspaceError: bad data or source, a failed trial, or a registry that does not answer.
     """
     connect()
-    source = source_state()
-    tags = {
-        "preset": config.preset,
-        "seed": str(config.seed),
-        "git.commit": source.commit,
-        "git.dirty": str(source.dirty),
-        "mlflow.source.git.commit": source.commit,
-        "mlflow.source.name": "training/path_train.py",
-        "mlflow.source.type": "JOB",
-    }
+    tags = job_tags(config.preset, config.seed, "training/path_train.py")
     return _run(Job.start(config, environment, tags, JOB_NAME))
 
 

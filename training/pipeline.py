@@ -14,7 +14,7 @@ from training.bundling import TrainedParts, make_bundle
 from training.config import TrainConfig
 from training.environment import Environment
 from training.job import Job
-from training.provenance import source_state
+from training.provenance import job_tags
 from training.reporting import log_result, log_start
 from training.stages import (
     encode_and_cluster,
@@ -62,7 +62,8 @@ def train(config: TrainConfig, environment: Environment) -> TrainResult:
         CspaceError: bad data, a failed trial, or a registry that does not answer.
     """
     connect()
-    return _run(Job.start(config, environment, _tags(config)))
+    tags = job_tags(config.preset, config.seed, "training/cluster_train.py")
+    return _run(Job.start(config, environment, tags))
 
 
 def resume(run_id: str, environment: Environment) -> TrainResult:
@@ -126,17 +127,3 @@ def _register(
         trials={outcome.name: (outcome.started_s, outcome.ended_s) for outcome in outcomes},
         figures=figures,
     )
-
-
-def _tags(config: TrainConfig) -> dict[str, str]:
-    source = source_state()
-    return {
-        "preset": config.preset,
-        "seed": str(config.seed),
-        "git.commit": source.commit,
-        "git.dirty": str(source.dirty),
-        # What MLflow's UI shows as the source.
-        "mlflow.source.git.commit": source.commit,
-        "mlflow.source.name": "training/cluster_train.py",
-        "mlflow.source.type": "JOB",
-    }

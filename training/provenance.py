@@ -37,6 +37,26 @@ def source_state() -> SourceState:
     )
 
 
+def job_tags(preset: str, seed: int, script: str) -> dict[str, str]:
+    """What a job's run is found by, and what MLflow's UI shows as its source.
+
+    Args:
+        preset: of its configuration.
+        seed: likewise.
+        script: in the project's folder.
+    """
+    source = source_state()
+    return {
+        "preset": preset,
+        "seed": str(seed),
+        "git.commit": source.commit,
+        "git.dirty": str(source.dirty),
+        "mlflow.source.git.commit": source.commit,
+        "mlflow.source.name": script,
+        "mlflow.source.type": "JOB",
+    }
+
+
 def _checkout(where: tuple[str, ...]) -> SourceState | None:
     commit = _git(*where, "rev-parse", "HEAD")
     changes = _git(*where, "status", "--porcelain", "--untracked-files=no")

@@ -10,7 +10,7 @@ from cspace.errors import JobError
 from training.models.checkpoint import load_weights, seeded_initialisation
 from training.models.lookups import make_reader
 from training.models.modules import TrialModule
-from training.models.path_density import CellGrid, DensityModule, PathUNet
+from training.models.path_density import DensityModule
 from training.models.path_modules import (
     FlowModule,
     PathGanModule,
@@ -19,6 +19,7 @@ from training.models.path_modules import (
     make_path_generator,
 )
 from training.models.path_points import PathDecoder, PathFlow, RefiningGenerator
+from training.models.path_unet import CellGrid, PathUNet
 from training.path_config import PathGanConfig, PathModel, PathTrainConfig, PointConfig
 from training.trials.guides import Guides
 from training.trials.path_arrays import PathArrays

@@ -7,15 +7,8 @@ import torch
 from cspace.robot import TWO_LINK, PlanarArm
 from tests.training.models.path_builders import arrays, generator
 from training.models.checkpoint import seeded_initialisation
-from training.models.path_density import (
-    CellGrid,
-    CellMaps,
-    DensityModule,
-    DensitySampler,
-    PathUNet,
-    WrappedConv,
-    path_targets,
-)
+from training.models.path_density import DensityModule, DensitySampler, path_targets
+from training.models.path_unet import CellGrid, CellMaps, PathUNet, WrappedConv
 from training.path_config import DensityConfig
 
 CELLS = 16

@@ -13,10 +13,11 @@ from tests.training.models.test_ways import walled_head
 from training.config import LookupConfig
 from training.models.lookups import make_lookups
 from training.models.path_condition import Condition, swept
-from training.models.path_density import CellGrid, DensitySampler, PathUNet
+from training.models.path_density import DensitySampler
 from training.models.path_export import PointSampler, density_graph, point_graph
 from training.models.path_modules import PathGanModule
 from training.models.path_points import PathFlow, RefiningGenerator, blind
+from training.models.path_unet import CellGrid, PathUNet
 from training.models.way_fields import WayFields, backwards, fields_to_store, stored_fields, way_maps_graph
 from training.path_config import DensityConfig, FlowConfig, PathGanConfig, PathTrainConfig, PathVaeConfig
 from training.trials.path_trials import make_path_module
