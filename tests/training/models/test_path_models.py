@@ -25,8 +25,8 @@ from training.trials.path_trials import make_path_module
 NO_LOOKUPS = LookupConfig()
 FEW = LookupConfig(points_per_link=3, side_m=0.0)
 SMALL = PathTrainConfig(
-    flow=FlowConfig(hidden=64, layers=2, steps=300, batch_size=256, place=True, lookups=NO_LOOKUPS),
-    cvae=PathVaeConfig(hidden=64, layers=2, steps=300, batch_size=256, place=True),
+    flow=FlowConfig(hidden=64, layers=2, steps=600, batch_size=256, place=True, lookups=NO_LOOKUPS),
+    cvae=PathVaeConfig(hidden=64, layers=2, steps=600, batch_size=256, place=True),
     wgan=PathGanConfig(hidden=32, layers=2, critic_hidden=32, critic_layers=2, steps=40, batch_size=64),
     wgan_lookups=PathGanConfig(
         hidden=32, layers=2, critic_hidden=32, steps=4, batch_size=32, place=True, refinements=2, lookups=FEW
@@ -67,7 +67,7 @@ def places_along(module, given, count=ROWS):
 def test_a_model_that_is_asked_for_a_place_learns_the_only_path_there_is(name):
     given = arrays(count=1, scenarios=1)
     module, _ = trained(name, given=given)
-    # Uniform draws would be 2.4 rad away on average.
+    # Uniform draws would be 2.4 rad away on average; six seeds gave 0.12 to 0.16 (flow) and 0.02 to 0.03 (VAE).
     assert np.median(places_along(module, given)) < 0.5
 
 
