@@ -1,5 +1,6 @@
 """A request for samples that is always the same."""
 
+from collections.abc import Mapping
 from typing import Any
 
 import httpx
@@ -8,12 +9,18 @@ from cspace.image import encode_png
 from cspace.render import render
 from cspace.robot import TWO_LINK
 from cspace.scenario import Split, random_scenarios
+from services.local.serving import wait_served
 from tests.compose.stack import Stack
 
 
 def ask_for_samples(stack: Stack, **fields: str) -> httpx.Response:
     """Ask for 300 samples of one picture, by one seed."""
     return httpx.post(f"{stack.url('API')}/sample", timeout=60, **request(**fields))
+
+
+def serves_champion(stack: Stack, decided: Mapping[str, Any]) -> None:
+    """Wait until the API answers with the version that the gate decided about. Raises when it does not."""
+    wait_served(stack.url("API"), f"{decided['model']}/{decided['version']}", default=True)
 
 
 def request(**fields: str) -> dict[str, Any]:

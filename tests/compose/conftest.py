@@ -9,7 +9,7 @@ import httpx
 import pytest
 import yaml
 
-from tests.compose.answers import ask_for_samples
+from tests.compose.answers import ask_for_samples, serves_champion
 from tests.compose.stack import Stack
 
 ROOT = Path(__file__).parents[2]
@@ -97,5 +97,10 @@ def trained(stack: Stack, untrained: httpx.Response) -> Mapping[str, Any]:
 
 @pytest.fixture(scope="session")
 def decided(stack: Stack, trained: Mapping[str, Any]) -> Mapping[str, Any]:
-    """What the evaluation job says of the gate's decision about that version."""
-    return stack.result("evaluate", "--model", f"{trained['model']}/{trained['version']}")
+    """What the evaluation job says of that version, which the API serves from then on, without a restart."""
+    started = stack.started_at("inference-api")
+    decision = stack.result("evaluate", "--model", f"{trained['model']}/{trained['version']}")
+    assert decision["promoted"] is True, decision["reasons"]
+    serves_champion(stack, decision)
+    assert stack.started_at("inference-api") == started
+    return decision

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from tests.compose.answers import ask_for_samples
+from tests.compose.answers import ask_for_samples, serves_champion
 from tests.compose.kept import Kept, data_files
 from tests.compose.load import Load
 from tests.compose.stack import Stack
@@ -39,6 +39,7 @@ def test_requests_fail_only_while_the_api_itself_is_down(stack: Stack, decided: 
         stack.start()
         back_s = time.monotonic()
         load.more_answers()
+    serves_champion(stack, decided)
     outside = [fault for fault in load.faults if fault.answered_s < killed_s or fault.sent_s > back_s]
     assert outside == []
     assert ask_for_samples(stack).json()["samples"] == before["samples"]
@@ -50,8 +51,7 @@ def test_the_api_comes_back_with_the_champion_while_the_registry_is_away(
     before = ask_for_samples(stack).json()
     stack.compose("kill", "mlflow", "inference-api")
     stack.compose("start", "inference-api")
-    with Load(stack) as load:
-        load.more_answers()
+    serves_champion(stack, decided)
     after = ask_for_samples(stack).json()
     stack.start()
     assert after["samples"] == before["samples"]
@@ -73,5 +73,6 @@ def test_down_and_up_again_keeps_runs_models_and_data(stack: Stack, decided: Map
     stack.start()
     assert Kept.by(stack) == kept
     assert data_files(stack) == data
+    serves_champion(stack, decided)
     again = ask_for_samples(stack).json()
     assert (again["model"], again["samples"]) == (answer["model"], answer["samples"])
