@@ -24,6 +24,19 @@ def test_the_cluster_takes_no_job_from_a_stranger(stack: Stack) -> None:
     assert httpx.get(f"{stack.url('RAY')}/api/jobs/", timeout=30).status_code == 401
 
 
+@pytest.mark.parametrize("service", ["postgres", "mlflow", "ray-head", "ray-worker", "inference-api"])
+def test_a_container_is_not_root_and_cannot_write_to_its_root(stack: Stack, service: str) -> None:
+    assert stack.compose("exec", "-T", service, "id", "-u").strip() != "0"
+    with pytest.raises(AssertionError, match="Read-only file system"):
+        stack.compose("exec", "-T", service, "touch", "/written")
+
+
+@pytest.mark.parametrize("framework", ["torch", "ray", "lightning", "sklearn"])
+def test_the_api_s_image_holds_no_training_framework(stack: Stack, framework: str) -> None:
+    with pytest.raises(AssertionError, match="ModuleNotFoundError"):
+        stack.compose("exec", "-T", "inference-api", "python", "-c", f"import {framework}")
+
+
 def test_a_new_version_is_served_to_those_who_name_it(stack: Stack, trained: Mapping[str, Any]) -> None:
     answer = ask_for_samples(stack, model=f"{trained['model']}/{trained['version']}")
     assert answer.status_code == 200, answer.text
