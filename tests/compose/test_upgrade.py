@@ -33,9 +33,9 @@ def revision(stack: Stack) -> str:
     return stack.compose("exec", "-T", "postgres", "psql", "--username=mlflow", *query, "mlflow").strip()
 
 
-def test_an_older_schema_is_migrated(engine: None, root: Path) -> None:
+def test_an_older_schema_is_migrated(stack: Stack, root: Path) -> None:
+    # The other stack has built the images.
     with Stack.lent(root) as old:
-        old.compose("build", "mlflow", limit_s=1200)
         old.compose("up", "--no-build", "--wait", "postgres")
         made = old.compose("run", "--rm", "--no-deps", "-T", "mlflow", "python", "-c", OLDER, URI)
         before, head = made.split()[-2:]
