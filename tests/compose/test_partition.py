@@ -56,7 +56,7 @@ def wait_for(log: Path, seen: Callable[[str], object], job: subprocess.Popen[byt
 
 # Ray gives a node up after about a minute.
 @pytest.mark.parametrize("away_s", [8.0, 75.0], ids=["back_soon", "given_up"])
-def test_a_training_completes_without_loss_although_its_worker_was_cut_off(
+def test_a_training_completes_without_a_gap_although_its_worker_was_cut_off(
     stack: Stack, untrained: httpx.Response, tmp_path: Path, away_s: float
 ) -> None:
     log = tmp_path / "job.log"
@@ -75,7 +75,10 @@ def test_a_training_completes_without_loss_although_its_worker_was_cut_off(
 
 
 def assert_every_trial_is_whole(stack: Stack, parent: str) -> None:
-    """One finished run for each trial, whose curve has no step twice and none missing."""
+    """One finished run for each trial, whose curve has no gap.
+
+    Steps after the last checkpoint that the head has heard of may be there twice: they are computed again.
+    """
     client = mlflow.MlflowClient(stack.url("MLFLOW"))
     experiment = client.get_run(parent).info.experiment_id
     runs = client.search_runs([experiment], f"tags.`mlflow.parentRunId` = '{parent}'")
@@ -86,4 +89,4 @@ def assert_every_trial_is_whole(stack: Stack, parent: str) -> None:
         if run.info.run_name not in {"local-0", "local-1"}:
             continue
         history = client.get_metric_history(run.info.run_id, "critic_loss")
-        assert [point.step for point in history] == [1, *range(2, STEPS + 1, 2)]
+        assert {1, *range(2, STEPS + 1, 2)} - {point.step for point in history} == set()
