@@ -45,11 +45,12 @@ test: $(INSTALLED) ## the fast tests, under 5 minutes
 test-all: $(INSTALLED) ## all tests that need neither a container engine nor a GPU
 	$(PYTEST) -m "$(ALL)"
 
-check: $(INSTALLED) ## format, lint, types, import rules, compose file, code in the documents
+check: $(INSTALLED) ## format, lint, types, import rules, images, compose file, manifests, code in the documents
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+	$(BIN)/hadolint docker/*.Dockerfile
 	$(PYTEST) -q -m "$(FAST)" tests/compose
 	$(PYTEST) -q -m "$(FAST)" $(wildcard README.md docs tests/docs)
 

@@ -21,7 +21,7 @@ ENV CSPACE_MODEL_CACHE=/var/lib/cspace/models \
     OMP_NUM_THREADS=1 \
     PYTHONPATH=/app \
     PYTHONUNBUFFERED=1
-USER cspace
+USER 1000
 WORKDIR /app
 EXPOSE 8000
 CMD ["python", "-m", "inference_api", "--host", "0.0.0.0", "--port", "8000"]

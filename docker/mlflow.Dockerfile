@@ -11,7 +11,7 @@ RUN pip install --no-cache-dir -c /tmp/constraints.txt -r /tmp/mlflow.txt
 
 RUN useradd --uid 1000 --create-home mlflow \
  && install -d -o mlflow -g mlflow /var/lib/mlflow
-USER mlflow
+USER 1000
 WORKDIR /var/lib/mlflow
 EXPOSE 5000
 CMD ["mlflow", "server", "--host", "0.0.0.0", "--port", "5000"]

@@ -10,6 +10,7 @@ from typing import Any
 
 import jsonschema
 import pytest
+import yaml
 
 
 @pytest.fixture(scope="module")
@@ -18,10 +19,10 @@ def schema() -> jsonschema.Draft202012Validator:
     return jsonschema.Draft202012Validator(json.loads(text))
 
 
-def test_the_compose_file_validates(
-    schema: jsonschema.Draft202012Validator, compose_file: Mapping[str, Any]
-) -> None:
-    assert [error.message for error in schema.iter_errors(compose_file)] == []
+@pytest.mark.parametrize("name", ["docker-compose.yml", "docker-compose.gpu.yml"])
+def test_the_compose_files_validate(schema: jsonschema.Draft202012Validator, root: Path, name: str) -> None:
+    parsed = yaml.safe_load((root / name).read_text(encoding="utf-8"))
+    assert [error.message for error in schema.iter_errors(parsed)] == []
 
 
 def test_a_misspelt_key_would_be_found(
@@ -32,11 +33,18 @@ def test_a_misspelt_key_would_be_found(
     assert "healtcheck" in " ".join(error.message for error in schema.iter_errors(broken))
 
 
+@pytest.mark.parametrize("files", ["docker-compose.yml", "docker-compose.yml:docker-compose.gpu.yml"])
 @pytest.mark.parametrize("env_file", ["/dev/null", ".env.example"])
-def test_compose_itself_accepts_the_file(compose_v2: None, root: Path, env_file: str) -> None:
+def test_compose_itself_accepts_the_files(compose_v2: None, root: Path, env_file: str, files: str) -> None:
     environment = {name: value for name, value in os.environ.items() if not name.startswith("CSPACE_")}
     command = ["docker", "compose", "--env-file", env_file, "--profile", "jobs", "config", "--quiet"]
     outcome = subprocess.run(
-        command, cwd=root, env=environment, capture_output=True, text=True, check=False, timeout=30
+        command,
+        cwd=root,
+        env={**environment, "COMPOSE_FILE": files},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=30,
     )
     assert (outcome.returncode, outcome.stderr) == (0, "")

@@ -1,68 +1,43 @@
-"""The whole flow in containers: come up, train, evaluate, serve the new version, go down."""
+"""The whole flow in containers: come up, train, evaluate, serve the new champion, take more workers."""
 
-import json
-from collections.abc import Iterator, Mapping
-from pathlib import Path
+from collections.abc import Mapping
 from typing import Any
 
 import httpx
 import numpy as np
 import pytest
 
-from cspace.image import encode_png
-from cspace.render import render
-from cspace.robot import TWO_LINK
-from cspace.scenario import Split, random_scenarios
+from tests.compose.answers import ask_for_samples
 from tests.compose.stack import Stack
 
 pytestmark = [pytest.mark.compose, pytest.mark.timeout(3600)]
 
-
-@pytest.fixture(scope="module")
-def stack(engine: None, root: Path) -> Iterator[Stack]:
-    stack = Stack.unique(root)
-    try:
-        stack.up()
-        yield stack
-    finally:
-        stack.down()
+COUNT_NODES = "import ray; ray.init(logging_level=50); print(sum(node['Alive'] for node in ray.nodes()))"
 
 
-@pytest.fixture(scope="module")
-def trained(stack: Stack) -> Mapping[str, Any]:
-    """What the training job says of the version that it registered."""
-    return result_of(stack.job("train"))
-
-
-def result_of(log: str) -> Mapping[str, Any]:
-    lines = [line for line in log.splitlines() if line.startswith("RESULT ")]
-    assert lines, log[-4000:]
-    result = json.loads(lines[-1].removeprefix("RESULT "))
-    assert isinstance(result, dict)
-    return result
-
-
-def ask_for_samples(stack: Stack, **fields: str) -> httpx.Response:
-    scenario = random_scenarios(Split.TEST, seed=3, count=1, robot=TWO_LINK)[0]
-    return httpx.post(
-        f"{stack.url('API')}/sample",
-        files={"image": ("scenario.png", encode_png(render(scenario)), "image/png")},
-        data={"n": "300", "seed": "7", **fields},
-        timeout=60,
-    )
-
-
-def test_an_empty_registry_serves_the_shipped_model(stack: Stack) -> None:
-    answer = ask_for_samples(stack)
-    assert answer.status_code == 200, answer.text
-    assert answer.json()["model"]["fallback"] is True
+def test_an_empty_registry_serves_the_shipped_model(untrained: httpx.Response) -> None:
+    assert untrained.status_code == 200, untrained.text
+    assert untrained.json()["model"]["fallback"] is True
 
 
 def test_the_cluster_takes_no_job_from_a_stranger(stack: Stack) -> None:
     assert httpx.get(f"{stack.url('RAY')}/api/jobs/", timeout=30).status_code == 401
 
 
-def test_the_new_version_is_served(stack: Stack, trained: Mapping[str, Any]) -> None:
+@pytest.mark.parametrize("service", ["postgres", "mlflow", "ray-head", "ray-worker", "inference-api"])
+def test_a_container_is_not_root_and_cannot_write_to_its_root(stack: Stack, service: str) -> None:
+    assert stack.compose("exec", "-T", service, "id", "-u").strip() != "0"
+    with pytest.raises(AssertionError, match="Read-only file system"):
+        stack.compose("exec", "-T", service, "touch", "/written")
+
+
+@pytest.mark.parametrize("framework", ["torch", "ray", "lightning", "sklearn"])
+def test_the_api_s_image_holds_no_training_framework(stack: Stack, framework: str) -> None:
+    with pytest.raises(AssertionError, match="ModuleNotFoundError"):
+        stack.compose("exec", "-T", "inference-api", "python", "-c", f"import {framework}")
+
+
+def test_a_new_version_is_served_to_those_who_name_it(stack: Stack, trained: Mapping[str, Any]) -> None:
     answer = ask_for_samples(stack, model=f"{trained['model']}/{trained['version']}")
     assert answer.status_code == 200, answer.text
     body = answer.json()
@@ -71,13 +46,27 @@ def test_the_new_version_is_served(stack: Stack, trained: Mapping[str, Any]) -> 
     assert body["model"]["digest"] == trained["digest"]
 
 
-def test_the_evaluation_decides_about_the_new_version(stack: Stack, trained: Mapping[str, Any]) -> None:
-    decision = result_of(stack.job("evaluate"))
-    assert decision["version"] == trained["version"]
-    assert decision["digest"] == trained["digest"]
-    assert isinstance(decision["promoted"], bool)
+def test_the_gate_promotes_it_and_the_api_serves_it(
+    stack: Stack, trained: Mapping[str, Any], decided: Mapping[str, Any]
+) -> None:
+    model = ask_for_samples(stack).json()["model"]
+    assert (model["fallback"], model["digest"]) == (False, trained["digest"])
+
+
+def test_a_version_that_learned_nothing_is_not_promoted(stack: Stack, decided: Mapping[str, Any]) -> None:
+    champion = ask_for_samples(stack).json()["model"]
+    weak = stack.result("train", "--preset", "smoke")
+    verdict = stack.result("evaluate")
+    assert (verdict["version"], verdict["promoted"]) == (weak["version"], False)
+    assert ask_for_samples(stack).json()["model"] == champion
 
 
 def test_a_failed_job_fails_the_command(stack: Stack) -> None:
     with pytest.raises(AssertionError, match="no_such_setting"):
         stack.job("train", "--set", "no_such_setting=1")
+
+
+def test_more_workers_join_the_cluster(stack: Stack) -> None:
+    stack.compose("up", "--no-build", "--wait", "--scale", "ray-worker=2", limit_s=300)
+    assert stack.compose("exec", "-T", "ray-head", "python", "-c", COUNT_NODES).split()[-1] == "3"
+    stack.start()

@@ -1,0 +1,30 @@
+"""A request for samples that is always the same."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import httpx
+
+from cspace.image import encode_png
+from cspace.render import render
+from cspace.robot import TWO_LINK
+from cspace.scenario import Split, random_scenarios
+from services.local.serving import wait_served
+from tests.compose.stack import Stack
+
+
+def ask_for_samples(stack: Stack, **fields: str) -> httpx.Response:
+    """Ask for 300 samples of one picture, by one seed."""
+    return httpx.post(f"{stack.url('API')}/sample", timeout=60, **request(**fields))
+
+
+def serves_champion(stack: Stack, decided: Mapping[str, Any]) -> None:
+    """Wait until the API answers with the version that the gate decided about. Raises when it does not."""
+    wait_served(stack.url("API"), f"{decided['model']}/{decided['version']}", default=True)
+
+
+def request(**fields: str) -> dict[str, Any]:
+    """The picture and the fields, as httpx takes them."""
+    scenario = random_scenarios(Split.TEST, seed=3, count=1, robot=TWO_LINK)[0]
+    picture = ("scenario.png", encode_png(render(scenario)), "image/png")
+    return {"files": {"image": picture}, "data": {"n": "300", "seed": "7", **fields}}

@@ -1,0 +1,143 @@
+"""The manifests for Kubernetes: fields that exist, images and settings as in Compose."""
+
+import copy
+import tomllib
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import pytest
+import yaml
+
+from training.config import presets
+
+FOLDER = Path(__file__).parents[2] / "docker" / "kuberay"
+MANIFESTS = [
+    (path.name, manifest)
+    for path in sorted(FOLDER.glob("*.yaml"))
+    for manifest in yaml.safe_load_all(path.read_text(encoding="utf-8"))
+]
+NAMES = [f"{file}:{manifest['kind']}" for file, manifest in MANIFESTS]
+
+
+@pytest.fixture(scope="module")
+def schema() -> jsonschema.Draft202012Validator:
+    text = Path(__file__).with_name("kuberay-schema.yaml").read_text(encoding="utf-8")
+    loaded = yaml.safe_load(text)
+    jsonschema.Draft202012Validator.check_schema(loaded)
+    return jsonschema.Draft202012Validator(loaded)
+
+
+@pytest.fixture(scope="module")
+def job() -> Mapping[str, Any]:
+    (found,) = (manifest for _, manifest in MANIFESTS if manifest["kind"] == "RayJob")
+    return dict(found)
+
+
+def pods() -> Iterator[Mapping[str, Any]]:
+    """The pod templates of all manifests."""
+    for _, manifest in MANIFESTS:
+        if manifest["kind"] == "Deployment":
+            yield manifest["spec"]["template"]
+        elif manifest["kind"] == "RayJob":
+            cluster = manifest["spec"]["rayClusterSpec"]
+            yield cluster["headGroupSpec"]["template"]
+            yield from (group["template"] for group in cluster["workerGroupSpecs"])
+
+
+def containers() -> list[Mapping[str, Any]]:
+    return [container for pod in pods() for container in pod["spec"]["containers"]]
+
+
+@pytest.mark.parametrize("manifest", [manifest for _, manifest in MANIFESTS], ids=NAMES)
+def test_a_manifest_has_fields_that_exist(
+    schema: jsonschema.Draft202012Validator, manifest: Mapping[str, Any]
+) -> None:
+    error = jsonschema.exceptions.best_match(schema.iter_errors(manifest))
+    assert error is None, f"{error.json_path}: {error.message}"
+
+
+@pytest.mark.parametrize("place", ["spec", "spec.rayClusterSpec", "spec.rayClusterSpec.headGroupSpec"])
+def test_a_misspelt_field_would_be_found(
+    schema: jsonschema.Draft202012Validator, job: Mapping[str, Any], place: str
+) -> None:
+    broken = copy.deepcopy(dict(job))
+    inner = broken
+    for step in place.split("."):
+        inner = inner[step]
+    inner["entryPoint"] = "python"
+    assert not schema.is_valid(broken)
+
+
+def test_a_token_without_a_version_of_ray_would_be_found(
+    schema: jsonschema.Draft202012Validator, job: Mapping[str, Any]
+) -> None:
+    broken = copy.deepcopy(dict(job))
+    del broken["spec"]["rayClusterSpec"]["rayVersion"]
+    assert not schema.is_valid(broken)
+
+
+def test_the_cluster_runs_the_pinned_ray_with_a_token(job: Mapping[str, Any], root: Path) -> None:
+    cluster = job["spec"]["rayClusterSpec"]
+    assert f"ray=={cluster['rayVersion']}" in (root / "constraints.txt").read_text(encoding="utf-8").split()
+    assert cluster["authOptions"]["mode"] == "token"
+
+
+def test_the_job_trains_a_preset_that_there_is(job: Mapping[str, Any]) -> None:
+    program, script, option, preset = job["spec"]["entrypoint"].split()
+    assert (program, option) == ("python", "--preset")
+    assert (FOLDER.parents[1] / script).is_file()
+    assert preset in presets()
+
+
+def test_images_are_those_of_the_compose_file(services: Mapping[str, Any]) -> None:
+    own = {service["image"] for service in services.values()}
+    for container in containers():
+        assert container["image"].removeprefix("registry.example/") in own
+
+
+def test_settings_are_those_that_the_compose_file_gives(services: Mapping[str, Any], root: Path) -> None:
+    version = tomllib.loads((root / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
+    for container in containers():
+        kind = "inference-api" if container["name"] == "inference-api" else "ray-head"
+        assert container["image"].endswith(f"{kind.removesuffix('-head')}:{version}")
+        given = {setting["name"]: setting["value"] for setting in container["env"]}
+        for name, value in services[kind]["environment"].items():
+            # The operator hands Ray its token; the address of MLflow is printed where nobody looks.
+            if not name.startswith(("RAY_AUTH", "MLFLOW_SUPPRESS")):
+                assert given[name] == value
+
+
+def test_no_pod_runs_as_root_or_writes_to_its_root() -> None:
+    for pod in pods():
+        assert pod["spec"]["securityContext"]["runAsNonRoot"] is True
+        assert pod["spec"]["securityContext"]["runAsUser"] == 1000
+    for container in containers():
+        assert container["securityContext"] == {
+            "allowPrivilegeEscalation": False,
+            "readOnlyRootFilesystem": True,
+            "capabilities": {"drop": ["ALL"]},
+        }
+        assert container["resources"]["limits"]["memory"]
+
+
+def test_every_mount_has_its_volume() -> None:
+    for pod in pods():
+        volumes = {volume["name"] for volume in pod["spec"]["volumes"]}
+        mounted = {mount["name"] for one in pod["spec"]["containers"] for mount in one["volumeMounts"]}
+        assert mounted == volumes
+
+
+def test_the_service_finds_the_pods_of_the_deployment() -> None:
+    found = {manifest["kind"]: manifest["spec"] for _, manifest in MANIFESTS}
+    labels = found["Deployment"]["template"]["metadata"]["labels"]
+    assert found["Service"]["selector"] == found["Deployment"]["selector"]["matchLabels"] == labels
+    names = {port["name"] for port in found["Deployment"]["template"]["spec"]["containers"][0]["ports"]}
+    assert {port["targetPort"] for port in found["Service"]["ports"]} <= names
+
+
+def test_the_api_asks_for_keys() -> None:
+    (api,) = (container for container in containers() if container["name"] == "inference-api")
+    assert "--allow-unauthenticated" not in api["command"]
+    assert "CSPACE_API_KEYS_FILE" in {setting["name"] for setting in api["env"]}
