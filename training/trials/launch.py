@@ -105,7 +105,7 @@ def run_trials(
     """
     bound = tune.with_resources(
         tune.with_parameters(trainable, **shared),
-        {"cpu": resources.cpus_per_trial, "gpu": resources.gpus_per_trial},
+        resources.of_a_trial(),
     )
     if tune.Tuner.can_restore(str(storage)):
         _LOG.info("%s: going on", storage.name)

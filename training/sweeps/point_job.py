@@ -1,0 +1,65 @@
+"""One point of a sweep: its training job, and how good its bundle is on validation scenarios."""
+
+import logging
+import time
+from dataclasses import dataclass
+
+from cspace.bundle import Bundle
+from cspace.errors import CspaceError
+from cspace.scenario import Split
+from services.evaluator.samplers import BundleSampler
+from services.evaluator.scenes import Stage, measure_reconstruction
+from training.config import TrainConfig
+from training.environment import Environment
+from training.job import job_folder
+from training.pipeline import train
+from training.sweeps.grid import Point
+from training.sweeps.record import PointResult
+
+
+@dataclass(frozen=True)
+class PointJob:
+    """A point's job, as its driver gets it; equal points are equal jobs.
+
+    Args:
+        point: which.
+        config: of its training.
+        environment: where it works.
+        job: the name under which it goes on.
+        parent_run_id: of the sweep.
+        scenarios: validation scenarios that judge its bundle.
+        register: whether the bundle becomes a version.
+    """
+
+    point: Point
+    config: TrainConfig
+    environment: Environment
+    job: str
+    parent_run_id: str
+    scenarios: int
+    register: bool
+
+    def __hash__(self) -> int:
+        return hash(self.job)
+
+
+def run_point(one: PointJob) -> PointResult:
+    """Train and measure; an error of the project is a result, for the other points go on."""
+    logging.getLogger("training").setLevel(logging.WARNING)
+    began = time.monotonic()
+    try:
+        result = train(
+            one.config, one.environment, one.job, parent_run_id=one.parent_run_id, register=one.register
+        )
+        metrics = quality(one, result.run_id)
+    except CspaceError as error:
+        return PointResult("failed", time.monotonic() - began, {}, error=str(error))
+    return PointResult("finished", time.monotonic() - began, metrics, result.run_id)
+
+
+def quality(one: PointJob, run_id: str) -> dict[str, float]:
+    """Precision, coverage and EDr of the bundle on validation scenarios, logged with its run."""
+    bundle = Bundle.load(job_folder(one.environment, run_id) / "bundle")
+    stage = Stage(bundle.spec.robot, bundle.spec.camera, Split.VALIDATION, 0)
+    found = measure_reconstruction(stage, BundleSampler(bundle), one.scenarios).sampler
+    return {name: getattr(found, name).estimate for name in ("precision", "coverage", "edr")}
