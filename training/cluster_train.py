@@ -3,6 +3,7 @@
 
 ray job submit training/cluster_train.py
 ray job submit --working-dir . -- python training/cluster_train.py --preset quickstart --set seed=1
+ray job submit --working-dir . -- python training/cluster_train.py --job arm-1   # again: it goes on
 ray job submit --working-dir . -- python training/cluster_train.py --resume RUN_ID
 """
 

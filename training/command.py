@@ -13,8 +13,11 @@ from cspace.errors import CspaceError, InputError
 from training.config_files import Section
 from training.environment import Environment, job_environment
 
-# What runs a configuration, and what goes on with a run of an id.
-Train = Callable[[Any, Environment], Any]
+# The exit code of a job that was asked to stop.
+STOPPED = 3
+
+# What runs a configuration under the name of a job or without one, and what goes on with a run of an id.
+Train = Callable[[Any, Environment, str | None], Any]
 Resume = Callable[[str, Environment], Any]
 
 
@@ -45,8 +48,8 @@ class JobCommand:
         """Parse, train, print; returns the exit code."""
         line = self._parser()
         options = line.parse_args(arguments)
-        if options.resume and options.overrides:
-            line.error("--resume goes on with the job's own configuration and takes no --set")
+        if options.resume and (options.overrides or options.job):
+            line.error("--resume goes on with the job's own configuration and takes neither --set nor --job")
         logging.basicConfig(level=logging.WARNING, format="%(message)s", stream=sys.stdout)
         logging.getLogger("training").setLevel(logging.INFO)
         try:
@@ -56,10 +59,17 @@ class JobCommand:
                 return 0
             environment = job_environment()
             train, resume = self.job()
-            result = resume(options.resume, environment) if options.resume else train(config, environment)
+            if options.resume:
+                result = resume(options.resume, environment)
+            else:
+                result = train(config, environment, options.job)
         except CspaceError as error:
             print(f"{self.program}: {error}", file=sys.stderr)
             return 2 if isinstance(error, InputError) else 1
+        except KeyboardInterrupt:
+            again = "submit it again" if options.job else "go on with --resume and the run's id"
+            print(f"{self.program}: stopped; nothing is lost: {again}", file=sys.stderr)
+            return STOPPED
         print("RESULT " + json.dumps(dataclasses.asdict(result)), flush=True)
         return 0
 
@@ -67,7 +77,7 @@ class JobCommand:
         parser = argparse.ArgumentParser(
             description=self.description,
             epilog="Reads MLFLOW_TRACKING_URI, CSPACE_DATA_DIR. "
-            "Exit codes: 0 registered, 1 failed, 2 bad input.",
+            "Exit codes: 0 registered, 1 failed, 2 bad input, 3 stopped and can go on.",
         )
         parser.add_argument("--preset", default=self.preset, help=f"one of {', '.join(self.presets())}")
         parser.add_argument(
@@ -77,6 +87,9 @@ class JobCommand:
             action="append",
             default=[],
             help=f"such as {self.example}",
+        )
+        parser.add_argument(
+            "--job", metavar="NAME", help="the job's name: submitted again under it, the job goes on"
         )
         parser.add_argument(
             "--resume", metavar="RUN_ID", help="go on with a stopped job, by its own configuration"

@@ -4,6 +4,7 @@ import logging
 import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from cspace.bundle import Bundle
@@ -13,7 +14,7 @@ from services.registry.names import ALIAS_CHALLENGER, PATH_MODEL_NAME
 from training.datasets.generate import generate
 from training.environment import Environment
 from training.figures import path_curves
-from training.job import Job
+from training.job import Job, kept_bundle
 from training.models.checkpoint import read_progress
 from training.models.ways import WaySettings
 from training.path_bundling import trained_bundle
@@ -22,13 +23,14 @@ from training.path_sampler import made_or_found
 from training.path_source import source_bundle
 from training.provenance import job_tags
 from training.trials.guides import find_guides
-from training.trials.launch import TrialOutcome, connect, run_trials
+from training.trials.launch import connect, run_trials
+from training.trials.outcomes import TrialOutcome
 from training.trials.path_arrays import PathArrays, path_arrays
 from training.trials.path_trials import path_trial
 
 _LOG = logging.getLogger("training")
 
-JOB_NAME = "path-train"
+JOB_TITLE = "path-train"
 # The sampler that is not trained on paths, registered beside those that are.
 UNTRAINED = "ways"
 
@@ -54,15 +56,24 @@ class PathTrainResult:
     seconds: Mapping[str, float]
 
 
-def train_paths(config: PathTrainConfig, environment: Environment) -> PathTrainResult:
-    """Run the whole job.
+def train_paths(
+    config: PathTrainConfig, environment: Environment, name: str | None = None
+) -> PathTrainResult:
+    """Run the whole job, or go on with the one that was submitted under this name before.
+
+    Args:
+        config: what it trains.
+        environment: where it works.
+        name: of the job; None always starts a new one.
 
     Raises:
-        CspaceError: bad data or source, a failed trial, or a registry that does not answer.
+        CspaceError: bad data or source, a failed trial, a registry that does not answer, or a name that
+            belongs to a job of other settings.
+        KeyboardInterrupt: it was asked to stop; it can be resumed.
     """
     connect()
     tags = job_tags(config.preset, config.seed, "training/path_train.py")
-    return _run(Job.start(config, environment, tags, JOB_NAME))
+    return _run(Job.start(config, environment, tags, JOB_TITLE, name))
 
 
 def resume_paths(run_id: str, environment: Environment) -> PathTrainResult:
@@ -81,10 +92,11 @@ def resume_paths(run_id: str, environment: Environment) -> PathTrainResult:
 
 def _run(job: Job[PathTrainConfig]) -> PathTrainResult:
     config = job.config
-    with job.run as run:
-        _LOG.info("run: %s", run.run_id)
+    with job.running() as run:
         registry = MlflowRegistry(job.environment.tracking_uri)
-        source = source_bundle(config.source, registry, job.folder / "source")
+        source = job.patiently(
+            "fetching the source", lambda: source_bundle(config.source, registry, job.folder / "source")
+        )
         dataset = _data(config, job.environment.data_folder)
         run.params(config.to_dict())
         run.dataset(dataset.folder.name, dataset.digest, str(dataset.folder), "training")
@@ -96,7 +108,10 @@ def _run(job: Job[PathTrainConfig]) -> PathTrainResult:
         run.figure(path_curves(histories), "path-losses")
         run.flush()
         bundles = _bundles(job, source, dataset, arrays, outcomes)
-        versions = {name: _register(job, registry, name, bundle) for name, bundle in bundles.items()}
+        versions = {
+            name: job.patiently(f"registering {name}", partial(_register, job, registry, name, bundle))
+            for name, bundle in bundles.items()
+        }
         return PathTrainResult(
             run_id=run.run_id,
             model=PATH_MODEL_NAME,
@@ -141,11 +156,14 @@ def _bundles(
     for name, outcome in zip(job.config.models, outcomes, strict=True):
         _LOG.info("bundle: exporting %s", name)
         folder = job.folder / "bundles" / name
-        shutil.rmtree(folder, ignore_errors=True)
-        metrics = {**outcome.metrics, "training_s": outcome.ended_s - outcome.started_s}
-        bundles[name] = trained_bundle(
-            folder, name, job.config, arrays, source, dataset, outcome.checkpoint, metrics
-        )
+        kept = kept_bundle(folder)
+        if kept is None:
+            shutil.rmtree(folder, ignore_errors=True)
+            metrics = {**outcome.metrics, "training_s": outcome.ended_s - outcome.started_s}
+            kept = trained_bundle(
+                folder, name, job.config, arrays, source, dataset, outcome.checkpoint, metrics
+            )
+        bundles[name] = kept
     return bundles
 
 

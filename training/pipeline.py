@@ -13,7 +13,7 @@ from services.registry.names import ALIAS_CHALLENGER, MODEL_NAME
 from training.bundling import TrainedParts, make_bundle
 from training.config import TrainConfig
 from training.environment import Environment
-from training.job import Job
+from training.job import Job, kept_bundle
 from training.provenance import job_tags
 from training.reporting import log_result, log_start
 from training.stages import (
@@ -25,7 +25,8 @@ from training.stages import (
     train_local,
     train_on_pictures,
 )
-from training.trials.launch import TrialOutcome, connect
+from training.trials.launch import connect
+from training.trials.outcomes import TrialOutcome
 
 _LOG = logging.getLogger("training")
 
@@ -55,15 +56,22 @@ class TrainResult:
     figures: tuple[str, ...]
 
 
-def train(config: TrainConfig, environment: Environment) -> TrainResult:
-    """Run the whole job.
+def train(config: TrainConfig, environment: Environment, name: str | None = None) -> TrainResult:
+    """Run the whole job, or go on with the one that was submitted under this name before.
+
+    Args:
+        config: what it trains.
+        environment: where it works.
+        name: of the job; None always starts a new one.
 
     Raises:
-        CspaceError: bad data, a failed trial, or a registry that does not answer.
+        CspaceError: bad data, a failed trial, a registry that does not answer, or a name that belongs to a
+            job of other settings.
+        KeyboardInterrupt: it was asked to stop; it can be resumed.
     """
     connect()
     tags = job_tags(config.preset, config.seed, "training/cluster_train.py")
-    return _run(Job.start(config, environment, tags))
+    return _run(Job.start(config, environment, tags, name=name))
 
 
 def resume(run_id: str, environment: Environment) -> TrainResult:
@@ -81,8 +89,7 @@ def resume(run_id: str, environment: Environment) -> TrainResult:
 
 
 def _run(job: Job[TrainConfig]) -> TrainResult:
-    with job.run as run:
-        _LOG.info("run: %s", run.run_id)
+    with job.running() as run:
         dataset = prepare_data(job.config, job.environment.data_folder)
         log_start(run, job.config, dataset)
         vae, head = train_on_pictures(job, dataset)
@@ -93,8 +100,10 @@ def _run(job: Job[TrainConfig]) -> TrainResult:
         generators = tuple(outcome.checkpoint for outcome in final or local)
         encoder = generators[0] if job.config.joint else encoder_checkpoint(job, vae)
         parts = TrainedParts(encoder, generators, _checkpoint(gate), _checkpoint(head), arrays)
-        shutil.rmtree(job.folder / "bundle", ignore_errors=True)
-        bundle = make_bundle(job.folder / "bundle", job.config, dataset, parts)
+        bundle = kept_bundle(job.folder / "bundle")
+        if bundle is None:
+            shutil.rmtree(job.folder / "bundle", ignore_errors=True)
+            bundle = make_bundle(job.folder / "bundle", job.config, dataset, parts)
         outcomes = [outcome for outcome in (vae, head, gate, *local, *final) if outcome is not None]
         figures = log_result(run, bundle, dataset, outcomes)
         return _register(job, dataset, bundle, outcomes, figures)
@@ -113,8 +122,11 @@ def _register(
 ) -> TrainResult:
     registry = MlflowRegistry(job.environment.tracking_uri)
     tags = {"data_digest": dataset.digest, "preset": job.config.preset, "seed": str(job.config.seed)}
-    version = registry.register(
-        MODEL_NAME, bundle.folder, job.run.run_id, bundle.digest, tags, alias=ALIAS_CHALLENGER
+    version = job.patiently(
+        "registering the bundle",
+        lambda: registry.register(
+            MODEL_NAME, bundle.folder, job.run.run_id, bundle.digest, tags, alias=ALIAS_CHALLENGER
+        ),
     )
     _LOG.info("registry: %s version %d, alias %s", MODEL_NAME, version.number, ALIAS_CHALLENGER)
     return TrainResult(

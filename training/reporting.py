@@ -14,7 +14,7 @@ from services.registry.tracking import RunLog
 from training.config import TrainConfig
 from training.figures import distillation_curves, gate_curves, vae_curves, validity_curves, wgan_curves
 from training.models.checkpoint import read_progress
-from training.trials.launch import TrialOutcome
+from training.trials.outcomes import TrialOutcome
 
 SHOWN_SCENARIOS = 3
 

@@ -81,8 +81,7 @@ def run(config: TrainConfig, environment: Environment, trials: int, scenarios: i
 
     connect()
     job = Job.start(config, environment, {"preset": config.preset, "search": "asha"})
-    with job.run as parent:
-        _LOG.info("run: %s", parent.run_id)
+    with job.running() as parent:
         dataset = prepare_data(config, environment.data_folder)
         parent.params(config.to_dict())
         vae, _ = train_on_pictures(job, dataset)

@@ -18,9 +18,10 @@ from training.encode import Latents, encode, load_encoder
 from training.job import Job
 from training.models.gate import gate_probabilities
 from training.trials.arrays import GatedCells, TrainingArrays
-from training.trials.launch import TrialOutcome, run_trials
+from training.trials.launch import run_trials
 from training.trials.loading import load_gate
 from training.trials.occupancy import OccupancyArrays
+from training.trials.outcomes import TrialOutcome
 from training.trials.trainables import (
     DISTILLED,
     GATE,

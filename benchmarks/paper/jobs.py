@@ -65,7 +65,7 @@ class Study:
         folder = self.job_folder(column)
         if folder is None:
             return {}
-        found = folder.glob(f"*/*trial=name_{trial}_run*/checkpoint_*/state.json")
+        found = folder.glob(f"*/{trial}/step-*/state.json")
         return {read_progress(state.parent).step: state.parent for state in sorted(found)}
 
     def encoder(self, base: Column) -> Path | None:

@@ -108,7 +108,7 @@ def main() -> int:
     out = options.out.resolve()
     out.mkdir(parents=True, exist_ok=True)
     first = run(out, "encoder", ("local.steps=2", "gate.steps=2"))
-    (encoder,) = (out / "data" / "jobs" / str(first["run_id"])).glob("*/*trial=name_vae_run*/checkpoint_*")
+    (encoder,) = (out / "data" / "jobs" / str(first["run_id"])).glob("*/vae/step-*")
     rows: dict[str, list[list[float]]] = {}
     for seed in range(options.seeds):
         for arm in arms(options.steps):

@@ -4,7 +4,7 @@ One call costs about as much for one metric as for many, so that a call a step w
 """
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 # MLflow's own limit of one batch.
@@ -26,6 +26,12 @@ class MetricPoint:
     value: float
     step: int
     time_ms: int
+
+
+def points_of(metrics: Mapping[str, float], step: int) -> list[MetricPoint]:
+    """The metrics of one step, logged now."""
+    now_ms = time.time_ns() // 1_000_000
+    return [MetricPoint(name, float(value), step, now_ms) for name, value in metrics.items()]
 
 
 class MetricBuffer:

@@ -1,4 +1,9 @@
-"""From a bundle to a version: a logged model of the run, its files, and the version that points to it."""
+"""From a bundle to a version: a logged model of the run, its files, and the version that points to it.
+
+Each step may be the last one of a process, and each call may be carried out without an answer. So what an
+interrupted attempt has finished is taken over, what it left half is deleted, and a version that a call
+made twice because it was repeated is one again.
+"""
 
 import tempfile
 from collections.abc import Mapping
@@ -12,6 +17,7 @@ from cspace.bundle import BundleSpec
 from services.registry.metric_buffer import MAX_BATCH
 from services.registry.mlflow_errors import mapped
 from services.registry.mlflow_model import save_model
+from services.registry.names import TAG_DIGEST
 
 MODEL_TYPE = "sampler"
 
@@ -24,7 +30,7 @@ def create_version(
     run_id: str,
     tags: Mapping[str, str],
 ) -> int:
-    """Upload a bundle as a model of its run and make it the next version.
+    """Upload a bundle as a model of its run and make it the next version, once.
 
     Args:
         client: of the server.
@@ -32,7 +38,7 @@ def create_version(
         bundle_folder: sound.
         spec: the bundle's.
         run_id: the run that made it.
-        tags: for the version and the logged model.
+        tags: for the version and the logged model, the digest among them.
 
     Returns:
         The version's number.
@@ -41,9 +47,12 @@ def create_version(
         RegistryError: MLflow refuses; the logged model, if there is one by then, is marked as failed.
     """
     with mapped(f"registering {name} for run {run_id}"):
-        model = _logged_model(client, name, bundle_folder, spec, run_id, tags)
+        run = client.get_run(run_id)
+        model = _finished_model(client, name, run, tags[TAG_DIGEST])
+        if model is None:
+            model = _logged_model(client, name, bundle_folder, spec, run, tags)
         _ensure_registered(client, name)
-        version = client.create_model_version(
+        client.create_model_version(
             name,
             _source(client, model),
             run_id=run_id,
@@ -51,7 +60,29 @@ def create_version(
             await_creation_for=0,
             model_id=model.model_id,
         )
-        return int(version.version)
+        return _only_version(client, name, run_id, tags[TAG_DIGEST])
+
+
+def _finished_model(client: MlflowClient, name: str, run: Run, digest: str) -> LoggedModel | None:
+    """The model that an interrupted attempt has uploaded whole; those that it has not are deleted."""
+    found = client.search_logged_models(
+        [run.info.experiment_id], f"source_run_id = '{run.info.run_id}' AND name = '{name}'"
+    )
+    same = [model for model in found if model.tags.get(TAG_DIGEST) == digest]
+    whole = [model for model in same if model.status == LoggedModelStatus.READY]
+    for model in same:
+        if model not in whole:
+            client.delete_logged_model(model.model_id)
+    return whole[0] if whole else None
+
+
+def _only_version(client: MlflowClient, name: str, run_id: str, digest: str) -> int:
+    """The version of a run and a digest; later ones of the same, which a repeated call has made, go."""
+    found = client.search_model_versions(f"name='{name}' AND run_id='{run_id}'")
+    numbers = sorted(int(one.version) for one in found if one.tags.get(TAG_DIGEST) == digest)
+    for number in numbers[1:]:
+        client.delete_model_version(name, str(number))
+    return numbers[0]
 
 
 def _logged_model(
@@ -59,10 +90,10 @@ def _logged_model(
     name: str,
     bundle_folder: Path,
     spec: BundleSpec,
-    run_id: str,
+    run: Run,
     tags: Mapping[str, str],
 ) -> LoggedModel:
-    run = client.get_run(run_id)
+    run_id = run.info.run_id
     model = client.create_logged_model(
         run.info.experiment_id, name, run_id, dict(tags), run.data.params, MODEL_TYPE
     )

@@ -2,7 +2,6 @@
 
 import json
 import tempfile
-import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, suppress
 from pathlib import Path
@@ -13,7 +12,7 @@ from mlflow import MlflowClient
 from mlflow.entities import Dataset, DatasetInput, InputTag, Metric, Param, RunTag
 
 from cspace.errors import RegistryError
-from services.registry.metric_buffer import MetricBuffer, MetricPoint
+from services.registry.metric_buffer import MAX_BATCH, MetricBuffer, MetricPoint, points_of
 from services.registry.mlflow_errors import mapped
 from services.registry.parameters import flatten
 from services.registry.tracking import Picture, RunStatus
@@ -68,14 +67,13 @@ class MlflowRun:
 
     def metrics(self, metrics: Mapping[str, float], step: int) -> None:
         """Log metrics, buffered."""
-        now_ms = time.time_ns() // 1_000_000
-        self._buffer.add(
-            [
-                MetricPoint(name, float(value), step, now_ms)
-                for name, value in metrics.items()
-                if step >= self._from_step and step > self._held.get(name, -1)
-            ]
-        )
+        self._buffer.add(self._wanted(points_of(metrics, step)))
+
+    def points(self, points: Sequence[MetricPoint]) -> None:
+        """Send metrics that were logged before, at once."""
+        wanted = self._wanted(points)
+        for first in range(0, len(wanted), MAX_BATCH):
+            self._send(wanted[first : first + MAX_BATCH])
 
     def tags(self, tags: Mapping[str, str]) -> None:
         """Set tags."""
@@ -120,8 +118,12 @@ class MlflowRun:
     def finish(self, status: RunStatus = "FINISHED") -> None:
         """Send what waits and end the run."""
         self.flush()
+        self.end(status)
+
+    def end(self, status: RunStatus, time_ms: int | None = None) -> None:
+        """End the run, at a time that is past or now."""
         with self._mapped("ending the run"):
-            self._client.set_terminated(self._run_id, status)
+            self._client.set_terminated(self._run_id, status, time_ms)
 
     def __enter__(self) -> Self:
         return self
@@ -135,6 +137,13 @@ class MlflowRun:
         # The error that ended the block matters more than a server that is away as well.
         with suppress(RegistryError):
             self.finish("FAILED" if issubclass(kind, Exception) else "KILLED")
+
+    def _wanted(self, points: Sequence[MetricPoint]) -> list[MetricPoint]:
+        return [
+            point
+            for point in points
+            if point.step >= self._from_step and point.step > self._held.get(point.name, -1)
+        ]
 
     def _send(self, points: Sequence[MetricPoint]) -> None:
         entities = [Metric(point.name, point.value, point.time_ms, point.step) for point in points]

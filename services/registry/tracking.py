@@ -95,14 +95,17 @@ class Tracking(Protocol):
         name: str,
         parent_run_id: str | None = None,
         tags: Mapping[str, str] | None = None,
+        key: str | None = None,
     ) -> RunLog:
-        """Start a run.
+        """Start a run, or go on with the one of the same key.
 
         Args:
             experiment: created when it is new.
             name: of the run.
             parent_run_id: the run under which it is shown.
             tags: commit, seeds, preset.
+            key: names the run within its experiment for whoever was interrupted before he could remember its
+                id: letters, digits, ``-``, ``_`` and ``/``. None always starts a new one.
         """
         ...
 
@@ -119,5 +122,13 @@ class Tracking(Protocol):
 
         Raises:
             RegistryError: there is no such run.
+        """
+        ...
+
+    def deliver(self) -> None:
+        """Send what had to wait for the server, of all runs. Without a place to wait in there is nothing.
+
+        Raises:
+            RegistryUnavailableError: the server is away.
         """
         ...

@@ -39,9 +39,9 @@ def begun(study, column, *lines, trial="global", steps=()):
     study.log(column).parent.mkdir(parents=True, exist_ok=True)
     study.log(column).write_text("\n".join(["run: abc", *lines]) + "\n", encoding="utf-8")
     folder = study.data / "jobs" / "abc"
-    for index, step in enumerate(steps):
+    for step in steps:
         history = ({"step": float(step), "wasserstein_estimate": 1.0, "generator_loss": 0.5},)
-        place = folder / trial / f"x_trial=name_{trial}_run_id_1" / f"checkpoint_{index:06d}"
+        place = folder / "stage" / trial / f"step-{step:09d}"
         save_checkpoint(place, tiny_module(), Progress(step, "run", history))
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "job.json").write_text("{}")

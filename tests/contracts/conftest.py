@@ -13,7 +13,7 @@ from tests.contracts.mlflow_server import mlflow_server
 from tests.contracts.run_records import RunRecord, read_fake, read_mlflow
 from tests.fakes.registry import FakeRegistry, FakeTracking
 
-BACKENDS = ["fake", "database", pytest.param("server", marks=pytest.mark.e2e)]
+BACKENDS = ["fake", "database", "spooled", pytest.param("server", marks=pytest.mark.e2e)]
 _numbers = itertools.count(1)
 
 
@@ -47,6 +47,8 @@ def backend(request: pytest.FixtureRequest, tmp_path: Path) -> Backend:
         tracking = FakeTracking()
         registry = FakeRegistry(tmp_path / "fake-registry", tracking.runs)
         return Backend(tracking, registry, lambda run_id: read_fake(tracking, run_id))
+    if request.param == "spooled":
+        return _mlflow(request.getfixturevalue("database_uri"), tmp_path / "spool")[1]
     return _mlflow(request.getfixturevalue(f"{request.param}_uri"))[1]
 
 
@@ -66,12 +68,13 @@ def model_name() -> str:
     return f"model-{next(_numbers)}"
 
 
-def _mlflow(uri: str) -> tuple[str, Backend]:
+def _mlflow(uri: str, spool_folder: Path | None = None) -> tuple[str, Backend]:
     from mlflow import MlflowClient
 
     from services.registry.mlflow_registry import MlflowRegistry
     from services.registry.mlflow_tracking import MlflowTracking
 
     client = MlflowClient(tracking_uri=uri, registry_uri=uri)
-    backend = Backend(MlflowTracking(uri), MlflowRegistry(uri), lambda run_id: read_mlflow(client, run_id))
+    tracking = MlflowTracking(uri, spool_folder=spool_folder)
+    backend = Backend(tracking, MlflowRegistry(uri), lambda run_id: read_mlflow(client, run_id))
     return uri, backend

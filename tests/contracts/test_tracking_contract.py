@@ -40,6 +40,23 @@ def test_a_child_names_its_parent(backend: Backend) -> None:
     assert backend.read(child.run_id).parent_run_id == parent.run_id
 
 
+def test_a_run_of_a_key_is_started_once_and_gone_on_with(backend: Backend) -> None:
+    first = backend.tracking.start(EXPERIMENT, "vae", tags={"preset": "smoke"}, key="job/one/vae")
+    first.metrics({"kl": 1.0}, 3)
+    first.finish()
+    again = backend.tracking.start(EXPERIMENT, "vae", key="job/one/vae")
+    assert again.run_id == first.run_id
+    assert backend.read(again.run_id).status == "RUNNING"
+    other = backend.tracking.start(EXPERIMENT, "vae", key="job/two/vae")
+    assert other.run_id != first.run_id
+
+
+def test_a_key_holds_within_its_experiment(backend: Backend) -> None:
+    first = backend.tracking.start(EXPERIMENT, "vae", key="job/three/vae")
+    other = backend.tracking.start("contract-elsewhere", "vae", key="job/three/vae")
+    assert other.run_id != first.run_id
+
+
 def test_nested_parameters_become_dotted_names(backend: Backend, run: RunLog) -> None:
     run.params({"critic": {"steps": 5, "betas": (0.0, 0.9)}, "seed": 7})
     assert backend.read(run.run_id).params == {

@@ -17,6 +17,7 @@ from cspace.errors import (
     StorageError,
 )
 from services.registry.models import ModelVersion
+from services.registry.names import TAG_KEY
 from services.registry.parameters import flatten
 from services.registry.tracking import Picture, RunLog, RunStatus
 
@@ -107,10 +108,19 @@ class FakeTracking:
         name: str,
         parent_run_id: str | None = None,
         tags: Mapping[str, str] | None = None,
+        key: str | None = None,
     ) -> RunLog:
+        if key is not None:
+            for run in self.runs.values():
+                if (run.experiment, run.tags.get(TAG_KEY)) == (experiment, key):
+                    return self.resume(run.run_id)
+            tags = {**(tags or {}), TAG_KEY: key}
         run_id = f"{len(self.runs) + 1:032x}"
         self.runs[run_id] = FakeRun(run_id, experiment, name, parent_run_id, tags=dict(tags or {}))
         return FakeRunLog(self.runs[run_id], {}, 0)
+
+    def deliver(self) -> None:
+        pass
 
     def resume(self, run_id: str, from_step: int | None = None) -> RunLog:
         if run_id not in self.runs:

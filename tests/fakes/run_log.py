@@ -21,5 +21,8 @@ class RecordingRun:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, kind: object, error: object, trace: object) -> None:
-        self.status = "FINISHED" if kind is None else "FAILED"
+    def __exit__(self, kind: type[BaseException] | None, error: object, trace: object) -> None:
+        if kind is None:
+            self.status = "FINISHED"
+        else:
+            self.status = "FAILED" if issubclass(kind, Exception) else "KILLED"

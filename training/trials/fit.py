@@ -1,26 +1,34 @@
 """One trial's training loop: Lightning, with buffered tracking, progress lines and checkpoints."""
 
 import logging
-import tempfile
 import time
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import lightning
 from torch.utils.data import DataLoader
 
 from services.registry.tracking import RunLog
-from training.models.checkpoint import Progress, load_checkpoint, read_progress, save_checkpoint
+from training.models.checkpoint import Progress, load_checkpoint, read_progress
 from training.models.data import StepCounter
 from training.models.modules import Metrics, TrialModule
+from training.trials.checkpoints import TrialFolder
 
-Keep = Callable[[Metrics, Path | None], None]
+
+class Report(Protocol):
+    """Takes a trial's last metrics, and whether they are of its last step."""
+
+    def __call__(self, metrics: Metrics, *, finished: bool) -> None:
+        """Take them."""
+        ...
+
 
 # Readers of a log want a line now and then, however fast the steps are.
 LINE_EVERY_S = 5.0
+# Whoever stops a job waits for this and for a checkpoint.
+STOP_LOOK_EVERY_S = 0.25
 
 _LOG = logging.getLogger("training")
 
@@ -33,6 +41,10 @@ class Rhythm:
     checkpoint_every_steps: int
 
 
+class TrialStopped(BaseException):
+    """The trial was asked to stop, and has written a checkpoint."""
+
+
 class TrialCallback(lightning.Callback):
     """Reports a trial's metrics and keeps its checkpoints.
 
@@ -42,8 +54,9 @@ class TrialCallback(lightning.Callback):
         steps: where it ends.
         rhythm: how often it reports.
         run: its tracking run.
-        keep: takes metrics and, when there is one, a checkpoint's folder.
-        resume: a checkpoint to fill the module from, once it is on its device.
+        folder: takes its checkpoints, and holds those of earlier attempts.
+        report: takes its last metrics now and then, and whether they are of its last step.
+        stopping: whether it is to end early.
     """
 
     def __init__(
@@ -53,11 +66,13 @@ class TrialCallback(lightning.Callback):
         steps: int,
         rhythm: Rhythm,
         run: RunLog,
-        keep: Keep,
-        resume: Path | None,
+        folder: TrialFolder,
+        report: Report,
+        stopping: Callable[[], bool],
     ) -> None:
         self.name, self.step, self.steps = name, progress.step, steps
-        self.rhythm, self.run, self.keep, self.resume = rhythm, run, keep, resume
+        self.rhythm, self.run, self.folder, self.report = rhythm, run, folder, report
+        self.stopping, self.stopped, self.looked_s = stopping, False, time.monotonic()
         self.history = [dict(row) for row in progress.history]
         self.first, self.started = progress.step, time.monotonic()
         self.shown_s = -LINE_EVERY_S
@@ -65,8 +80,9 @@ class TrialCallback(lightning.Callback):
     def on_fit_start(self, trainer: lightning.Trainer, pl_module: lightning.LightningModule) -> None:
         """Fill the module from the checkpoint; its tensors are where they stay by now."""
         del trainer
-        if self.resume is not None and isinstance(pl_module, TrialModule):
-            load_checkpoint(self.resume, pl_module)
+        checkpoint = self.folder.latest()
+        if checkpoint is not None and isinstance(pl_module, TrialModule):
+            load_checkpoint(checkpoint, pl_module)
         self.started = time.monotonic()
 
     def on_train_batch_end(
@@ -77,18 +93,20 @@ class TrialCallback(lightning.Callback):
         batch: Any,
         batch_idx: int,
     ) -> None:
-        """Log, checkpoint, or neither."""
-        del trainer, outputs, batch, batch_idx
+        """Log, checkpoint, or neither; and end where that is asked for."""
+        del outputs, batch, batch_idx
         self.step += 1
         last, first = self.step == self.steps, self.step == self.first + 1
         if not isinstance(pl_module, TrialModule):
             return
         if first or last or self.step % self.rhythm.log_every_steps == 0:
             self._log(pl_module)
-        if last or self.step % self.rhythm.checkpoint_every_steps == 0:
+        self.stopped = not last and self._asked_to_stop()
+        if last or self.stopped or self.step % self.rhythm.checkpoint_every_steps == 0:
             self._checkpoint(pl_module)
         elif first:
-            self.keep(self._row(), None)
+            self.report(self._row(), finished=False)
+        trainer.should_stop = self.stopped
 
     def _log(self, module: TrialModule) -> None:
         elapsed = time.monotonic() - self.started
@@ -106,11 +124,18 @@ class TrialCallback(lightning.Callback):
     def _row(self) -> Metrics:
         return dict(self.history[-1])
 
+    def _asked_to_stop(self) -> bool:
+        now = time.monotonic()
+        if now - self.looked_s < STOP_LOOK_EVERY_S:
+            return False
+        self.looked_s = now
+        return self.stopping()
+
     def _checkpoint(self, module: TrialModule) -> None:
-        progress = Progress(self.step, self.run.run_id, tuple(self.history))
-        with tempfile.TemporaryDirectory(prefix="trial-") as folder:
-            self.run.flush()
-            self.keep(self._row(), save_checkpoint(Path(folder) / "checkpoint", module, progress))
+        # First the metrics: a trial that goes on from here does not log them again.
+        self.run.flush()
+        self.folder.save(module, Progress(self.step, self.run.run_id, tuple(self.history)))
+        self.report(self._row(), finished=self.step == self.steps)
 
 
 def fit(
@@ -119,10 +144,11 @@ def fit(
     steps: int,
     rhythm: Rhythm,
     run: RunLog,
-    keep: Keep,
-    checkpoint: Path | None = None,
+    folder: TrialFolder,
+    report: Report,
+    stopping: Callable[[], bool] = lambda: False,
 ) -> None:
-    """Train ``module`` up to ``steps``, from a checkpoint when there is one.
+    """Train ``module`` up to ``steps``, from the last checkpoint when there is one.
 
     Args:
         name: the trial's name.
@@ -130,17 +156,23 @@ def fit(
         steps: generator steps in all.
         rhythm: how often it reports.
         run: its tracking run, finished here.
-        keep: takes metrics and checkpoints.
-        checkpoint: folder of an earlier attempt's checkpoint.
+        folder: of its checkpoints.
+        report: takes its last metrics now and then, and whether they are of its last step.
+        stopping: whether to write a checkpoint and end; asked several times a second.
+
+    Raises:
+        TrialStopped: it was, and did.
     """
+    checkpoint = folder.latest()
     progress = Progress(0, run.run_id, ()) if checkpoint is None else read_progress(checkpoint)
-    callback = TrialCallback(name, progress, steps, rhythm, run, keep, checkpoint)
+    callback = TrialCallback(name, progress, steps, rhythm, run, folder, report, stopping)
     with warnings.catch_warnings():
         # Lightning counsels on loader workers and loggers; the loader only counts steps.
         warnings.simplefilter("ignore")
         trainer = lightning.Trainer(
             accelerator="auto",
             devices=1,
+            min_epochs=0,
             max_epochs=1,
             logger=False,
             enable_checkpointing=False,
@@ -149,4 +181,10 @@ def fit(
             callbacks=[callback],
         )
         with run:
+            if progress.step >= steps:
+                # It had come to its end before whoever waits for it could be told.
+                report(dict(progress.history[-1]), finished=True)
+                return
             trainer.fit(module, DataLoader(StepCounter(progress.step, steps), batch_size=None))
+            if callback.stopped:
+                raise TrialStopped

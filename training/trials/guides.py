@@ -13,6 +13,7 @@ from training.models.checkpoint import load_weights, seeded_initialisation
 from training.models.lookups import make_lookups
 from training.models.modules import make_critic
 from training.models.networks import Critic
+from training.trials.checkpoints import TrialFolder
 
 JOB_RECORD = "job.json"
 
@@ -71,7 +72,8 @@ def find_guides(folder: Path, digest: str) -> Guides:
         raise ConfigError(
             "guides is no job's folder", expected=f"a folder with {JOB_RECORD}", got=str(error)
         ) from error
-    checkpoints = tuple(sorted(folder.glob("local/*/checkpoint_*")))
+    latest = (TrialFolder(trial).latest() for trial in sorted(folder.glob("local/*")))
+    checkpoints = tuple(checkpoint for checkpoint in latest if checkpoint is not None)
     if not checkpoints or train.local.critic_condition != "latent":
         raise ConfigError(
             "the job has no local critics that can guide",

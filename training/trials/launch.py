@@ -1,64 +1,26 @@
-"""Running trials on the cluster: Ray Tune with explicit resources, retries and checkpoints."""
+"""Running trials on the cluster: Ray Tune with explicit resources and retries.
+
+What a trial has done is known by its own checkpoints and by the record that is written when it finishes, not
+by Tune's picture of the experiment, which is seconds old when the driver is killed.
+"""
 
 import logging
 import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import ray
 from ray import tune
+from ray.tune.experiment import Trial
 
 from cspace.errors import JobError
 from training.config import ResourceConfig
-from training.models.modules import Metrics
+from training.trials.outcomes import Outcomes, TrialOutcome, TrialPlaces, read_outcome, stop_file
+from training.trials.stopping import Stop, end_on_request
 
 _LOG = logging.getLogger("training")
 
-
-@dataclass(frozen=True, slots=True)
-class TrialOutcome:
-    """What a finished trial leaves.
-
-    Args:
-        name: the trial's name.
-        checkpoint: folder with its weights.
-        metrics: its last metrics.
-        started_s: Unix time of its start by Tune's own clock.
-        ended_s: Unix time of its last report by Tune's own clock.
-    """
-
-    name: str
-    checkpoint: Path
-    metrics: Metrics
-    started_s: float
-    ended_s: float
-
-
-# What trials report of themselves; Tune adds more.
-OWN_METRICS = frozenset(
-    {
-        "vae_loss",
-        "reconstruction_loss",
-        "kl",
-        "validity_loss",
-        "validity_accuracy",
-        "critic_loss",
-        "wasserstein_estimate",
-        "gradient_penalty",
-        "generator_loss",
-        "gate_loss",
-        "gate_divergence",
-        "distillation_loss",
-        "density_loss",
-        "progress_loss",
-        "offset_loss",
-        "flow_loss",
-        "path_error",
-        "steps_per_s",
-    }
-)
 
 # The job's log is for its own progress; what the libraries print of theirs is switched off.
 QUIET = {
@@ -77,6 +39,7 @@ def connect() -> None:
         logging.getLogger(library).setLevel(logging.ERROR)
     if not ray.is_initialized():
         ray.init(logging_level=logging.WARNING, include_dashboard=False, runtime_env={"env_vars": QUIET})
+    end_on_request()
 
 
 def run_trials(
@@ -88,66 +51,85 @@ def run_trials(
 ) -> list[TrialOutcome]:
     """Run one trial for each entry, as many at once as the cluster has room for.
 
-    Where ``storage`` holds the trials of a job that was stopped, they go on from their checkpoints.
+    Where ``storage`` holds those of a job that was stopped, finished ones are not run again, and the others
+    go on from their checkpoints.
 
     Args:
         trainable: a Tune function trainable; gets ``{"trial": entry}`` and ``shared`` by keyword.
-        trials: small plain values a trial, each with a ``name``.
+        trials: small plain values a trial, each with a ``name``; it gets its ``places`` beside them.
         shared: arrays and settings, put into the object store once.
         resources: of each trial.
-        storage: folder for Tune's own files.
+        storage: the stage's folder, in the job's.
 
     Returns:
         Outcomes in the order of ``trials``.
 
     Raises:
         JobError: a trial failed more often than it may.
+        KeyboardInterrupt: the job was asked to stop; its trials have written their checkpoints.
     """
+    entries = [
+        {**trial, "places": TrialPlaces.within(storage, str(trial["name"])).entry()} for trial in trials
+    ]
+    left = [entry for entry in entries if _outcome(entry) is None]
+    if len(left) < len(entries):
+        _LOG.info("%s: %d of %d trials are finished", storage.name, len(entries) - len(left), len(entries))
+    if left:
+        _fit(trainable, left, shared, resources, storage)
+    outcomes = [_outcome(entry) for entry in entries]
+    return [outcome for outcome in outcomes if outcome is not None]
+
+
+def _fit(
+    trainable: Callable[..., None],
+    entries: Sequence[Mapping[str, Any]],
+    shared: Mapping[str, Any],
+    resources: ResourceConfig,
+    storage: Path,
+) -> None:
     bound = tune.with_resources(
         tune.with_parameters(trainable, **shared),
         resources.of_a_trial(),
     )
-    if tune.Tuner.can_restore(str(storage)):
-        _LOG.info("%s: going on", storage.name)
-        tuner = tune.Tuner.restore(str(storage), trainable=bound, resume_errored=True)
-    else:
-        tuner = tune.Tuner(
-            bound,
-            param_space={"trial": tune.grid_search(list(trials))},
-            tune_config=tune.TuneConfig(reuse_actors=True),
-            run_config=_run_config(resources, storage),
-        )
-    grid = tuner.fit()
+    stop = Stop(stop_file(storage.parent))
+    tuner = tune.Tuner(
+        bound,
+        param_space={"trial": tune.grid_search(list(entries))},
+        tune_config=tune.TuneConfig(
+            reuse_actors=True,
+            trial_name_creator=_trial_name,
+            trial_dirname_creator=_trial_name,
+        ),
+        run_config=tune.RunConfig(
+            name=_attempt(storage),
+            storage_path=str(storage),
+            failure_config=tune.FailureConfig(max_failures=resources.max_failures),
+            callbacks=[Outcomes(), stop],
+            verbose=0,
+        ),
+    )
+    with stop:
+        grid = tuner.fit()
     failed = [str(error) for error in grid.errors]
     if failed:
         raise JobError(
-            f"{len(failed)} of {len(trials)} trials failed",
+            f"{len(failed)} of {len(entries)} trials failed",
             expected=f"at most {resources.max_failures} faults each",
             got=failed[0].strip().splitlines()[-1],
-            remedy=f"the trials' logs are under {storage}",
+            remedy=f"their logs are under {storage}; submitted again the job goes on from its checkpoints",
         )
-    outcomes = {outcome.name: outcome for outcome in (_outcome(grid[index]) for index in range(len(grid)))}
-    return [outcomes[str(trial["name"])] for trial in trials]
+    if any(_outcome(entry) is None for entry in entries):
+        raise KeyboardInterrupt
 
 
-def _run_config(resources: ResourceConfig, storage: Path) -> tune.RunConfig:
-    return tune.RunConfig(
-        name=storage.name,
-        storage_path=str(storage.parent),
-        failure_config=tune.FailureConfig(max_failures=resources.max_failures),
-        checkpoint_config=tune.CheckpointConfig(num_to_keep=resources.checkpoints_kept),
-        verbose=0,
-    )
+def _attempt(storage: Path) -> str:
+    """A name for Tune's own files: each attempt has a folder, and none depends on an earlier one."""
+    return f"tune-{1 + sum(1 for _ in storage.glob('tune-*')):03d}"
 
 
-def _outcome(result: Any) -> TrialOutcome:
-    rows = result.metrics_dataframe
-    first, last = rows.iloc[0], rows.iloc[-1]
-    metrics = {key: float(value) for key, value in result.metrics.items() if key in OWN_METRICS}
-    return TrialOutcome(
-        name=str(result.config["trial"]["name"]),
-        checkpoint=Path(result.checkpoint.path),
-        metrics=metrics,
-        started_s=float(first["timestamp"] - first["time_total_s"]),
-        ended_s=float(last["timestamp"]),
-    )
+def _trial_name(trial: Trial) -> str:
+    return str(trial.config["trial"]["name"])
+
+
+def _outcome(entry: Mapping[str, Any]) -> TrialOutcome | None:
+    return read_outcome(TrialPlaces.of(entry).folder, str(entry["name"]))

@@ -2,26 +2,32 @@
 
 import contextlib
 import logging
-from collections.abc import Iterator, Mapping
-from pathlib import Path
+import os
+from collections.abc import Mapping
 from typing import Any
 
 import torch
 from ray import tune
 
+from services.registry.mlflow_health import lower_patience
 from services.registry.mlflow_tracking import MlflowTracking
 from training.config import ResourceConfig
 from training.models.modules import Metrics, TrialModule
-from training.trials.fit import Rhythm, fit
+from training.trials.checkpoints import TrialFolder
+from training.trials.fit import Rhythm, TrialStopped, fit
+from training.trials.outcomes import FINISHED, TrialPlaces
 
 
 def fit_tracked(
     trial: Mapping[str, Any], module: TrialModule, steps: int, resources: ResourceConfig, tracking_uri: str
 ) -> None:
-    """Train a trial's module, from its checkpoint on where it has one.
+    """Train a trial's module, from its last checkpoint on where it has one.
+
+    Training goes on while the tracking server is away: metrics wait on disk. A job that is being stopped ends
+    it early, with a checkpoint.
 
     Args:
-        trial: its ``name`` and ``run_id``.
+        trial: its ``name``, ``run_id`` and ``places``, see :class:`training.trials.outcomes.TrialPlaces`.
         module: to be trained.
         steps: in all.
         resources: how often it logs and checkpoints.
@@ -33,22 +39,15 @@ def fit_tracked(
     logging.getLogger("training").setLevel(logging.INFO)
     for library in ("lightning.pytorch", "ray.train", "ray.tune"):
         logging.getLogger(library).setLevel(logging.ERROR)
+    # What can not be sent is kept, so there is nothing to be patient for.
+    lower_patience(os.environ)
+    places = TrialPlaces.of(trial)
     rhythm = Rhythm(resources.log_every_steps, resources.checkpoint_every_steps)
-    run = MlflowTracking(tracking_uri).resume(trial["run_id"])
-    with _checkpoint() as folder:
-        fit(trial["name"], module, steps, rhythm, run, _report, folder)
+    folder = TrialFolder(places.folder, resources.checkpoints_kept)
+    with contextlib.suppress(TrialStopped), folder.alone():
+        run = MlflowTracking(tracking_uri, spool_folder=places.spool).resume(trial["run_id"])
+        fit(trial["name"], module, steps, rhythm, run, folder, _report, places.stop.exists)
 
 
-def _report(metrics: Metrics, folder: Path | None) -> None:
-    checkpoint = None if folder is None else tune.Checkpoint.from_directory(str(folder))
-    tune.report(metrics, checkpoint=checkpoint)
-
-
-@contextlib.contextmanager
-def _checkpoint() -> Iterator[Path | None]:
-    checkpoint = tune.get_checkpoint()
-    if checkpoint is None:
-        yield None
-        return
-    with checkpoint.as_directory() as folder:
-        yield Path(folder)
+def _report(metrics: Metrics, *, finished: bool) -> None:
+    tune.report({**metrics, FINISHED: finished})

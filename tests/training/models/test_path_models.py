@@ -67,7 +67,7 @@ def places_along(module, given, count=ROWS):
 def test_a_model_that_is_asked_for_a_place_learns_the_only_path_there_is(name):
     given = arrays(count=1, scenarios=1)
     module, _ = trained(name, given=given)
-    # Uniform draws would be 2.4 rad away on average; six seeds gave 0.12 to 0.16 (flow) and 0.02 to 0.03 (VAE).
+    # Uniform draws would be 2.4 rad away; six seeds gave 0.12 to 0.16 (flow) and 0.02 to 0.03 (VAE).
     assert np.median(places_along(module, given)) < 0.5
 
 

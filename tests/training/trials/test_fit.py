@@ -1,64 +1,95 @@
-import shutil
-
 import pytest
 import torch
 
 from tests.fakes.run_log import RecordingRun
 from tests.training.models.builders import tiny_module
 from training.models.checkpoint import read_progress
-from training.trials.fit import Rhythm, fit
+from training.trials.checkpoints import TrialFolder
+from training.trials.fit import Rhythm, TrialStopped, fit
 
 
-class Keeper:
-    """Copies checkpoints as Tune does; fails after a number of them when asked to."""
+class Reports:
+    """Takes a trial's reports; fails at one of them when asked to, as a process that is killed there."""
 
-    def __init__(self, folder, fail_after=None):
-        self.folder, self.fail_after, self.kept = folder, fail_after, 0
+    def __init__(self, fail_at=None):
+        self.rows, self.finished, self.fail_at = [], [], fail_at
 
-    def __call__(self, metrics, checkpoint):
-        if checkpoint is None:
-            return
-        self.kept += 1
-        shutil.copytree(checkpoint, self.folder, dirs_exist_ok=True)
-        if self.kept == self.fail_after:
+    def __call__(self, metrics, *, finished):
+        self.rows.append(dict(metrics))
+        self.finished.append(finished)
+        if len(self.rows) == self.fail_at:
             raise RuntimeError("stopped")
 
 
-def train(module, keep, run, checkpoint=None):
-    fit("local-0", module, 9, Rhythm(2, 4), run, keep, checkpoint)
+def train(module, folder, run, reports=None, stopping=lambda: False):
+    """Nine steps, logged every 2 and kept every 4."""
+    fit("local-0", module, 9, Rhythm(2, 4), run, TrialFolder(folder), reports or Reports(), stopping)
+
+
+def last(folder):
+    return read_progress(TrialFolder(folder).latest())
 
 
 def test_a_trial_logs_at_its_rhythm_and_at_its_ends(tmp_path):
     run = RecordingRun()
-    train(tiny_module(), Keeper(tmp_path / "c"), run)
+    train(tiny_module(), tmp_path, run)
     assert [step for step, _ in run.rows] == [1, 2, 4, 6, 8, 9]
     assert {"critic_loss", "generator_loss", "wasserstein_estimate", "steps_per_s"} <= set(run.rows[0][1])
     assert run.status == "FINISHED"
 
 
 def test_a_trial_ends_with_a_checkpoint_of_its_last_step_and_whole_history(tmp_path):
-    train(tiny_module(), Keeper(tmp_path / "c"), RecordingRun())
-    progress = read_progress(tmp_path / "c")
-    assert progress.step == 9
-    assert [row["step"] for row in progress.history] == [1, 2, 4, 6, 8, 9]
+    reports = Reports()
+    train(tiny_module(), tmp_path, RecordingRun(), reports)
+    assert last(tmp_path).step == 9
+    assert [row["step"] for row in last(tmp_path).history] == [1, 2, 4, 6, 8, 9]
+    assert reports.finished == [False, False, False, True]
+    assert reports.rows[-1]["step"] == 9
 
 
-def test_a_trial_that_was_stopped_goes_on_from_its_checkpoint_to_the_same_weights(tmp_path):
+def same_weights(one, other):
+    return all(torch.equal(value, other.state_dict()[name]) for name, value in one.state_dict().items())
+
+
+def test_a_trial_that_was_killed_goes_on_from_its_checkpoint_to_the_same_weights(tmp_path):
     whole = tiny_module()
-    train(whole, Keeper(tmp_path / "whole"), RecordingRun())
+    train(whole, tmp_path / "whole", RecordingRun())
     with pytest.raises(RuntimeError, match="stopped"):
-        train(tiny_module(), Keeper(tmp_path / "half", fail_after=1), RecordingRun())
-    assert read_progress(tmp_path / "half").step == 4
+        train(tiny_module(), tmp_path / "half", RecordingRun(), Reports(fail_at=2))
+    assert last(tmp_path / "half").step == 4
     resumed, run = tiny_module(), RecordingRun()
-    train(resumed, Keeper(tmp_path / "end"), run, tmp_path / "half")
+    train(resumed, tmp_path / "half", run)
     assert [step for step, _ in run.rows] == [5, 6, 8, 9]
-    for name, value in whole.state_dict().items():
-        assert torch.equal(value, resumed.state_dict()[name]), name
+    assert same_weights(whole, resumed)
+
+
+def test_a_trial_that_is_asked_to_stop_writes_a_checkpoint_first_and_loses_no_step(tmp_path, monkeypatch):
+    monkeypatch.setattr("training.trials.fit.STOP_LOOK_EVERY_S", 0.0)
+    whole, asked = tiny_module(), iter([False] * 5 + [True])
+    train(whole, tmp_path / "whole", RecordingRun())
+    run = RecordingRun()
+    with pytest.raises(TrialStopped):
+        train(tiny_module(), tmp_path / "half", run, stopping=lambda: next(asked))
+    assert last(tmp_path / "half").step == 6
+    assert run.status == "KILLED"
+    resumed = tiny_module()
+    train(resumed, tmp_path / "half", RecordingRun())
+    assert same_weights(whole, resumed)
+
+
+def test_a_trial_that_had_finished_reports_so_and_trains_nothing(tmp_path):
+    train(tiny_module(), tmp_path, RecordingRun())
+    reports, run = Reports(), RecordingRun()
+    train(tiny_module(), tmp_path, run, reports)
+    assert reports.finished == [True]
+    assert reports.rows[0]["step"] == 9
+    assert run.rows == []
+    assert run.status == "FINISHED"
 
 
 def test_a_trial_that_fails_leaves_a_failed_run(tmp_path):
     module, run = tiny_module(), RecordingRun()
     module.samples.configurations.resize_(0)
     with pytest.raises(IndexError):
-        train(module, Keeper(tmp_path / "c"), run)
+        train(module, tmp_path, run)
     assert run.status == "FAILED"

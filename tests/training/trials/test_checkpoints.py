@@ -1,0 +1,76 @@
+"""A trial's checkpoints are whole or not there."""
+
+import multiprocessing
+
+import pytest
+
+from cspace.errors import JobError
+from tests.training.models.builders import tiny_module
+from training.models.checkpoint import Progress, read_progress
+from training.trials.checkpoints import TrialFolder
+
+
+def save(folder, *steps):
+    for step in steps:
+        folder.save(tiny_module(), Progress(step, "run", ()))
+
+
+def test_a_trial_that_never_ran_has_none(tmp_path):
+    assert TrialFolder(tmp_path / "new").latest() is None
+
+
+def test_the_last_ones_stay(tmp_path):
+    folder = TrialFolder(tmp_path, keep=2)
+    save(folder, 4, 8, 12)
+    assert [read_progress(path).step for path in folder.checkpoints()] == [8, 12]
+
+
+def test_a_step_is_a_number_and_not_a_word(tmp_path):
+    folder = TrialFolder(tmp_path)
+    save(folder, 1000, 999_999)
+    assert read_progress(folder.latest()).step == 999_999
+
+
+def test_half_a_checkpoint_is_none_and_goes_with_the_next(tmp_path):
+    folder = TrialFolder(tmp_path)
+    save(folder, 4)
+    half = tmp_path / "step-000000008.tmp"
+    half.mkdir()
+    (half / "weights.safetensors").write_bytes(b"ha")
+    assert read_progress(folder.latest()).step == 4
+    save(folder, 12)
+    assert [path.name for path in tmp_path.iterdir()] == ["step-000000012"]
+
+
+def test_a_disk_that_is_full_leaves_the_checkpoint_that_was_there(tmp_path, monkeypatch):
+    folder = TrialFolder(tmp_path)
+    save(folder, 4)
+
+    def full(tensors, path):
+        path.write_bytes(b"ha")
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("training.models.checkpoint.save_file", full)
+    with pytest.raises(OSError, match="No space"):
+        save(folder, 8)
+    assert read_progress(folder.latest()).step == 4
+
+
+def hold(folder, held, done):
+    with TrialFolder(folder).alone():
+        held.set()
+        done.wait(60)
+
+
+def test_a_trial_is_trained_by_one_process_at_a_time(tmp_path):
+    context = multiprocessing.get_context("spawn")
+    held, done = context.Event(), context.Event()
+    other = context.Process(target=hold, args=(tmp_path, held, done))
+    other.start()
+    assert held.wait(60)
+    with pytest.raises(JobError, match="another process"), TrialFolder(tmp_path).alone(patience_s=0.3):
+        pass
+    other.kill()
+    other.join()
+    with TrialFolder(tmp_path).alone(patience_s=0.0):
+        assert TrialFolder(tmp_path).latest() is None
