@@ -16,6 +16,7 @@ import sys
 from collections.abc import Sequence
 
 from cspace.errors import CspaceError, InputError
+from training.command import STOPPED
 from training.config import load_config, presets
 from training.environment import job_environment
 from training.sweeps.grid import EXAMPLE, axis, points
@@ -28,7 +29,7 @@ def parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         description=(__doc__ or "").partition("\n")[0],
         epilog="Reads MLFLOW_TRACKING_URI, CSPACE_DATA_DIR. "
-        "Exit codes: 0 all points finished, 1 some failed, 2 bad input.",
+        "Exit codes: 0 all points finished, 1 some failed, 2 bad input, 3 stopped.",
     )
     parser.add_argument("--job", required=True, metavar="NAME", help="the sweep's name, by which it goes on")
     parser.add_argument("--preset", default="quickstart", help=f"one of {', '.join(presets())}")
@@ -74,6 +75,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except CspaceError as error:
         print(f"sweep: {error}", file=sys.stderr)
         return 2 if isinstance(error, InputError) else 1
+    except KeyboardInterrupt:
+        print("sweep: stopped; nothing is lost: submit it again", file=sys.stderr)
+        return STOPPED
     print("RESULT " + json.dumps(found), flush=True)
     return 0 if found["failed"] == 0 else 1
 

@@ -91,7 +91,7 @@ def orchestrated(config: TrainConfig, arrays: TrainingArrays, uri: str, out: Pat
         for index in range(trials)
     ]
     shared = {"train": config, "arrays": arrays, "tracking_uri": uri}
-    done = run_trials(local_trial, entries, shared, config.resources, out)
+    done = run_trials(local_trial, entries, shared, config.resources, out / "local")
     seconds = time.perf_counter() - began
     size = sum(path.stat().st_size for path in done[0].checkpoint.rglob("*") if path.is_file())
     return {"seconds": seconds, "checkpoint_bytes": size}

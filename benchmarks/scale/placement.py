@@ -2,8 +2,8 @@
 
     python benchmarks/scale/placement.py --out build/placement --nodes 1 4 16 32
 
-Each node has one slot and gets one trial, by the job's own code: it sleeps, reports ``--reports`` times and
-keeps a small checkpoint each time. All nodes share this machine's processor, so seconds say little about a
+Each node has one slot and gets one trial, by the job's own code: it sleeps, reports ``--reports`` times,
+and is done. All nodes share this machine's processor, so seconds say little about a
 real cluster of that size; what carries over is the driver's own processor time for a trial and for a report,
 and how often the arrays are stored. Sizes for which memory does not suffice are left out, and said so.
 """
@@ -12,7 +12,6 @@ import argparse
 import os
 import shutil
 import sys
-import tempfile
 import time
 from pathlib import Path
 
@@ -28,6 +27,7 @@ from ray.experimental import get_object_locations
 from services.evaluator.tables import markdown
 from training.config import ResourceConfig
 from training.trials.launch import run_trials
+from training.trials.outcomes import FINISHED
 
 # Enough to be stored, and little enough for the stores of many nodes in one memory.
 ARRAY_BYTES = 8 * 2**20
@@ -37,14 +37,14 @@ def sleeper():
     """A trainable; made here so that workers get it by value."""
 
     def sleep(config, array, reports, seconds, notes):
-        began = time.time()
-        for _ in range(reports):
-            time.sleep(seconds / reports)
-            with tempfile.TemporaryDirectory() as folder:
-                Path(folder, "weights").write_bytes(bytes(1000))
-                tune.report({"steps_per_s": 1.0}, checkpoint=tune.Checkpoint.from_directory(folder))
+        began, trial = time.time(), config["trial"]
         node = ray.get_runtime_context().get_node_id()
-        Path(notes, config["trial"]["name"]).write_text(f"{began} {time.time()} {node} {array.nbytes}")
+        for step in range(1, reports + 1):
+            time.sleep(seconds / reports)
+            if step == reports:
+                Path(notes, trial["name"]).write_text(f"{began} {time.time()} {node} {array.nbytes}")
+                Path(trial["places"]["folder"], f"step-{step:09d}").mkdir(parents=True)
+            tune.report({"steps_per_s": 1.0, FINISHED: step == reports})
 
     return sleep
 
@@ -68,7 +68,7 @@ def measure(count: int, reports: int, seconds: float, out: Path) -> dict:
         array = np.zeros(ARRAY_BYTES, dtype=np.uint8)
         shared = {"array": array, "reports": reports, "seconds": seconds, "notes": str(out / "notes")}
         called, wall, cpu = time.time(), time.perf_counter(), time.process_time()
-        run_trials(sleeper(), trials, shared, ResourceConfig(), out / "tune")
+        run_trials(sleeper(), trials, shared, ResourceConfig(), out / "job" / "sleep")
         wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
         memory = memory_bytes()
         ray.put = put

@@ -9,9 +9,11 @@ from cspace.errors import CspaceError
 from cspace.scenario import Split
 from services.evaluator.samplers import BundleSampler
 from services.evaluator.scenes import Stage, measure_reconstruction
+from services.registry.mlflow_tracking import MlflowTracking
 from training.config import TrainConfig
 from training.environment import Environment
 from training.job import job_folder
+from training.patience import patiently
 from training.pipeline import train
 from training.sweeps.grid import Point
 from training.sweeps.record import PointResult
@@ -54,6 +56,8 @@ def run_point(one: PointJob) -> PointResult:
         metrics = quality(one, result.run_id)
     except CspaceError as error:
         return PointResult("failed", time.monotonic() - began, {}, error=str(error))
+    except KeyboardInterrupt:
+        return PointResult("stopped", time.monotonic() - began, {}, error="asked to stop")
     return PointResult("finished", time.monotonic() - began, metrics, result.run_id)
 
 
@@ -62,4 +66,8 @@ def quality(one: PointJob, run_id: str) -> dict[str, float]:
     bundle = Bundle.load(job_folder(one.environment, run_id) / "bundle")
     stage = Stage(bundle.spec.robot, bundle.spec.camera, Split.VALIDATION, 0)
     found = measure_reconstruction(stage, BundleSampler(bundle), one.scenarios).sampler
-    return {name: getattr(found, name).estimate for name in ("precision", "coverage", "edr")}
+    metrics = {name: getattr(found, name).estimate for name in ("precision", "coverage", "edr")}
+    tracking, patience_s = MlflowTracking(one.environment.tracking_uri), one.environment.patience_s
+    with patiently("opening the point's run", lambda: tracking.resume(run_id), patience_s) as run:
+        run.metrics({f"validation_{name}": value for name, value in metrics.items()}, 0)
+    return metrics

@@ -22,14 +22,14 @@ class PointResult:
     """How a point ended.
 
     Args:
-        state: finished or failed; a failed one is run again when the sweep is.
+        state: finished, failed, or stopped before its end; but for finished ones they go on with the sweep.
         seconds: that its job took, over all attempts that this sweep saw to their end.
         metrics: by name; empty for a failed one.
         run_id: of its job in the tracking server; empty for one that failed before it had one.
         error: what failed; empty for a finished one.
     """
 
-    state: Literal["finished", "failed"]
+    state: Literal["finished", "failed", "stopped"]
     seconds: float
     metrics: Mapping[str, float]
     run_id: str = ""

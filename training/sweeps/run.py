@@ -12,6 +12,7 @@ from services.registry.names import EXPERIMENT
 from services.registry.tracking import RunLog
 from training.environment import Environment
 from training.job import job_folder, run_of
+from training.patience import PatientRun, patiently
 from training.provenance import job_tags
 from training.stages import prepare_data
 from training.sweeps.grid import Point
@@ -21,6 +22,7 @@ from training.sweeps.progress import stage_of
 from training.sweeps.record import PointResult, SweepRecord
 from training.sweeps.tables import Standing, final_table, progress_lines
 from training.trials.launch import connect
+from training.trials.outcomes import stop_file
 from training.trials.points import Look, run_side_by_side
 
 _LOG = logging.getLogger("training")
@@ -40,6 +42,7 @@ def run_sweep(plan: Plan, environment: Environment) -> dict[str, Any]:
     record, run = _open(record, plan, environment)
     with run:
         _LOG.info("run: %s", run.run_id)
+        run.params({"preset": plan.preset, "set": list(plan.overrides)})
         results = {point: found for point in plan.configs if (found := record.result(point)) is not None}
         kept = {point: found for point, found in results.items() if found.state == "finished"}
         _LOG.info("sweep: %d points, %d have finished before", len(plan.configs), len(kept))
@@ -48,15 +51,21 @@ def run_sweep(plan: Plan, environment: Environment) -> dict[str, Any]:
 
 
 def _open(record: SweepRecord | None, plan: Plan, environment: Environment) -> tuple[SweepRecord, RunLog]:
-    tracking = MlflowTracking(environment.tracking_uri)
-    if record is not None:
-        return record, tracking.resume(record.run_id)
-    seed = next(iter(plan.configs.values())).seed
-    tags = job_tags(plan.preset, seed, "training/sweep.py") | {"sweep": plan.name}
-    run = tracking.start(EXPERIMENT, f"sweep {plan.name}", tags=tags)
-    run.params({"preset": plan.preset, "set": list(plan.overrides)})
-    overrides = (environment.data_folder, plan.name, plan.preset, plan.overrides)
-    return SweepRecord.create(*overrides, run.run_id), run
+    tracking, patience_s = MlflowTracking(environment.tracking_uri), environment.patience_s
+    if record is None:
+        seed = next(iter(plan.configs.values())).seed
+        tags = job_tags(plan.preset, seed, "training/sweep.py") | {"sweep": plan.name}
+        title, key = f"sweep {plan.name}", f"sweep/{plan.name}"
+        started = patiently(
+            "starting the sweep's run",
+            lambda: tracking.start(EXPERIMENT, title, tags=tags, key=key),
+            patience_s,
+        )
+        settings = (environment.data_folder, plan.name, plan.preset, plan.overrides)
+        record = SweepRecord.create(*settings, started.run_id)
+    run_id = record.run_id
+    run = patiently("opening the sweep's run", lambda: tracking.resume(run_id), patience_s)
+    return record, PatientRun(run, patience_s)
 
 
 def _run_rest(
@@ -79,7 +88,13 @@ def _run_rest(
     for config in {str(one.config.data_folder or one.config.data.key): one.config for one in left}.values():
         prepare_data(config, environment.data_folder)
     found: dict[Point, PointResult] = {}
-    for look in run_side_by_side(left, run_point, plan.at_once, LOOK_EVERY_S):
+
+    def stop(one: PointJob) -> None:
+        run_id = run_of(environment, one.job)
+        if run_id is not None:
+            stop_file(job_folder(environment, run_id)).touch()
+
+    for look in run_side_by_side(left, run_point, plan.at_once, LOOK_EVERY_S, stop):
         if look.ended is not None:
             one, result = look.ended
             if not isinstance(result, PointResult):
@@ -114,7 +129,7 @@ def _report(plan: Plan, run: RunLog, folder: Path, results: Mapping[Point, Point
         _LOG.info("%s", line)
     (folder / TABLE).write_text(markdown(table) + "\n", encoding="utf-8")
     run.artifact(folder / TABLE)
-    failed = sum(result.state == "failed" for result in results.values())
+    failed = sum(result.state != "finished" for result in results.values())
     run.metrics({"points": float(len(results)), "failed": float(failed)}, 0)
     rows = [dict(zip(table[0], row, strict=True)) for row in table[1:]]
     return {"run_id": run.run_id, "job": plan.name, "failed": failed, "points": rows}

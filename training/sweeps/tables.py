@@ -15,7 +15,7 @@ class Standing:
 
     Args:
         point: which.
-        state: waiting, running, finished, failed.
+        state: waiting or running, or how it ended.
         doing: its stage or step, while it runs.
         elapsed_s: since it began, while it runs.
     """
@@ -58,8 +58,8 @@ def progress_lines(
             rest = None if math.isnan(whole) else max(0.0, whole - one.elapsed_s)
             doing = one.doing or "starting"
             lines.append(f"  {one.point.title} | running | {doing} | {_duration(rest)} left")
-        elif one.state == "failed":
-            lines.append(f"  {one.point.title} | failed | {results[one.point].error}")
+        elif one.state in ("failed", "stopped"):
+            lines.append(f"  {one.point.title} | {one.state} | {results[one.point].error}")
     return lines
 
 
@@ -86,7 +86,7 @@ def final_table(results: Mapping[Point, PointResult], sort: str) -> list[list[st
             f"{values[name]:.{0 if name == 'seconds' else 3}f}" if name in values else "-"
             for name in MEASURES
         ]
-        rows.append([*(str(value) for _, value in point.settings), *cells, result.run_id or "failed"])
+        rows.append([*(str(value) for _, value in point.settings), *cells, result.run_id or result.state])
     return rows
 
 
@@ -95,7 +95,7 @@ def measured(result: PointResult) -> dict[str, float]:
     return {**result.metrics, "seconds": result.seconds}
 
 
-_STATES = ("finished", "running", "waiting", "failed")
+_STATES = ("finished", "running", "waiting", "failed", "stopped")
 
 
 def _duration(seconds: float | None) -> str:

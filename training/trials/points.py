@@ -8,6 +8,9 @@ from typing import Generic, TypeVar
 import ray
 from ray.exceptions import RayError
 
+# How long jobs that were asked to end may take.
+STOP_S = 30.0
+
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
@@ -26,7 +29,11 @@ class Look(Generic[Item, Result]):
 
 
 def run_side_by_side(
-    items: Sequence[Item], run: Callable[[Item], Result], at_once: int, look_every_s: float
+    items: Sequence[Item],
+    run: Callable[[Item], Result],
+    at_once: int,
+    look_every_s: float,
+    stop: Callable[[Item], None],
 ) -> Iterator[Look[Item, Result]]:
     """Run a job for each item, so many at once; yields whenever one ends, and now and then.
 
@@ -38,10 +45,11 @@ def run_side_by_side(
         run: the job of one item, in a process of its own.
         at_once: one or more.
         look_every_s: the longest time between two looks.
+        stop: asks a job to end soon, without loss; called for those that run when an interrupt comes.
     """
     task = ray.remote(num_cpus=0, max_retries=2, max_calls=1, scheduling_strategy="SPREAD")(run)
     following = iter(items)
-    running: dict[ray.ObjectRef, Item] = {}
+    running: dict[ray.ObjectRef[Result], Item] = {}
     began: dict[Item, float] = {}
 
     def fill() -> None:
@@ -59,12 +67,17 @@ def run_side_by_side(
                 del began[item]
                 fill()
             yield Look(ended, dict(began))
+    except KeyboardInterrupt:
+        for item in running.values():
+            stop(item)
+        ray.wait(list(running), num_returns=len(running), timeout=STOP_S)
+        raise
     finally:
         for reference in running:
             ray.cancel(reference)
 
 
-def _result(reference: "ray.ObjectRef") -> Result | RayError:  # type: ignore[type-var]
+def _result(reference: "ray.ObjectRef[Result]") -> Result | RayError:
     try:
         result: Result = ray.get(reference)
     except RayError as error:

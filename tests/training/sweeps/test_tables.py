@@ -1,4 +1,3 @@
-import json
 import os
 
 import pytest
@@ -63,18 +62,19 @@ def test_the_final_table_goes_from_best_to_worst_and_failed_points_come_last(sor
     assert rows[-1][2:] == ["-", "-", "-", "1", "failed"]
 
 
-def test_the_stage_is_that_of_the_newest_report_with_the_last_step_of_each_trial(tmp_path):
-    def report(stage, trial, age_s, *steps):
-        path = tmp_path / stage / trial / "result.json"
-        path.parent.mkdir(parents=True)
-        path.write_text("".join(json.dumps({"step": step}) + "\n" for step in steps))
-        os.utime(path, (1000 - age_s, 1000 - age_s))
+def test_the_stage_is_the_one_that_began_last_with_the_step_of_each_trials_checkpoint(tmp_path):
+    def began(stage, trial, age_s, *steps):
+        folder = tmp_path / stage / trial
+        folder.mkdir(parents=True)
+        (folder / "lock").touch()
+        os.utime(folder / "lock", (1000 - age_s, 1000 - age_s))
+        for step in steps:
+            (folder / f"step-{step:09d}").mkdir()
 
+    (tmp_path / "spool").mkdir()
     assert stage_of(tmp_path) == ""
-    report("pictures", "vae", 50, 1.0, 400.0)
+    began("pictures", "vae", 50, 250, 400)
     assert stage_of(tmp_path) == "pictures, step 400"
-    report("local", "local-0", 10, 1.0)
-    report("local", "local-1", 5, 1.0, 250.0)
-    assert stage_of(tmp_path) == "local, step 1, 250"
-    (tmp_path / "local" / "local-1" / "result.json").write_text('{"step": 25')
-    assert stage_of(tmp_path) == "local, step 1, ?"
+    began("local", "local-0", 10)
+    began("local", "local-1", 5, 250)
+    assert stage_of(tmp_path) == "local, step 0, 250"

@@ -19,8 +19,8 @@ def cluster():
         yield
 
 
-def through(looks):
-    looks = list(looks)
+def through(items, job, at_once):
+    looks = list(run_side_by_side(items, job, at_once, 0.2, lambda item: None))
     ended = dict(look.ended for look in looks if look.ended is not None)
     return ended, looks
 
@@ -40,7 +40,7 @@ def test_no_more_jobs_run_than_may_and_none_takes_a_processor(cluster, tmp_path)
         (tmp_path / str(index)).write_text(f"{began} {time.time()}")
         return f"{answer} {index}"
 
-    ended, looks = through(run_side_by_side(range(5), job, 3, 0.2))
+    ended, looks = through(range(5), job, 3)
     assert ended == {index: f"trained {index}" for index in range(5)}
     assert max(len(look.began) for look in looks) == 3
     assert looks[-1].began == {}
@@ -56,7 +56,7 @@ def test_a_job_whose_process_dies_is_started_again(cluster, tmp_path):
             os._exit(1)
         return "done"
 
-    ended, _ = through(run_side_by_side([0, 1], job, 2, 0.2))
+    ended, _ = through([0, 1], job, 2)
     assert ended == {0: "done", 1: "done"}
 
 
@@ -64,7 +64,7 @@ def test_a_job_that_fails_is_told_of_and_the_others_go_on(cluster):
     def job(index):
         return 1 // index
 
-    ended, _ = through(run_side_by_side([0, 1], job, 1, 0.2))
+    ended, _ = through([0, 1], job, 1)
     assert isinstance(ended[0], RayError)
     assert "ZeroDivisionError" in str(ended[0])
     assert ended[1] == 1
