@@ -45,7 +45,7 @@ def run_side_by_side(
         run: the job of one item, in a process of its own.
         at_once: one or more.
         look_every_s: the longest time between two looks.
-        stop: asks a job to end soon, without loss; called for those that run when an interrupt comes.
+        stop: asks a job to end soon, without loss; called for those that run when the caller goes.
     """
     task = ray.remote(num_cpus=0, max_retries=2, max_calls=1, scheduling_strategy="SPREAD")(run)
     following = iter(items)
@@ -67,10 +67,12 @@ def run_side_by_side(
                 del began[item]
                 fill()
             yield Look(ended, dict(began))
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, GeneratorExit):
+        # The interrupt may come here, or to the caller, who then closes this generator.
         for item in running.values():
             stop(item)
-        ray.wait(list(running), num_returns=len(running), timeout=STOP_S)
+        if running:
+            ray.wait(list(running), num_returns=len(running), timeout=STOP_S)
         raise
     finally:
         for reference in running:
