@@ -7,7 +7,8 @@ from pathlib import Path
 
 import psutil
 import ray
-from ray._private import services
+from ray._common import utils as common
+from ray._private import services, utils
 from ray.cluster_utils import Cluster
 
 from training.trials.launch import QUIET
@@ -21,9 +22,12 @@ STORE_BYTES = 80 * 2**20
 def many_nodes(count: int) -> Iterator[Cluster]:
     """So many nodes of one slot each; the head is one of them."""
     os.environ.pop("RAY_ADDRESS", None)
+    os.environ |= QUIET
     os.environ["PYTHONPATH"] = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
     # A driver would replace the address by one of the machine, where none of the nodes listens.
     services.resolve_ip_for_localhost = lambda host: host
+    # Nor does anybody else's driver look for a cluster here.
+    utils.write_ray_address = common.reset_ray_address = _tell_nobody
     cluster = Cluster()
     try:
         for _ in range(count):
@@ -45,6 +49,10 @@ def many_nodes(count: int) -> Iterator[Cluster]:
     finally:
         ray.shutdown()
         cluster.shutdown()
+
+
+def _tell_nobody(*_: object) -> None:
+    pass
 
 
 def memory_bytes() -> int:

@@ -136,6 +136,8 @@ def main() -> int:
     options = parser.parse_args()
     out = options.out.resolve()
     results = out / "results.jsonl"
+    # What a driver does once in its life is done here.
+    measure(1, 1, 1.0, out / "trials")
     for count in sorted(options.nodes):
         for repeat in range(options.repeats):
             for reports in options.reports:
@@ -143,10 +145,9 @@ def main() -> int:
                 row = {"nodes": count, "reports": count * reports, "repeat": repeat}
                 if any(row.items() <= one.items() for one in rows):
                     continue
-                # Memory grows with the nodes, a share of which is fixed.
-                need = max(
-                    (one["memory_bytes"] / one["nodes"] for one in rows if one["nodes"] > 1), default=0.0
-                )
+                # Part of the memory is the driver's and the head's, so this errs on the safe side.
+                shares = [one["memory_bytes"] / one["nodes"] for one in rows if one["nodes"] <= count]
+                need = min(shares, default=0.0)
                 if need * count > min(options.memory_gb * 2**30, 0.8 * free_bytes()):
                     print(f"{count} nodes are left out: they would take {need * count / 2**30:.1f} GiB")
                     continue

@@ -17,7 +17,8 @@ WORKERS_SEE = {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
 def ray_nodes(nodes: Sequence[Mapping[str, Any]]) -> Iterator[list[str]]:
     """One node for each entry with what it offers, the head first; yields their ids, and ends them all."""
     import ray
-    from ray._private import services
+    from ray._common import utils as common
+    from ray._private import services, utils
     from ray.cluster_utils import Cluster
 
     from training.trials.launch import QUIET
@@ -29,6 +30,9 @@ def ray_nodes(nodes: Sequence[Mapping[str, Any]]) -> Iterator[list[str]]:
         patch.setenv("PYTHONPATH", os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")]))
         # A driver would replace the address by one of the machine, where none of the nodes listens.
         patch.setattr(services, "resolve_ip_for_localhost", lambda host: host)
+        # Nor does a driver of another test look for a cluster here.
+        patch.setattr(utils, "write_ray_address", lambda address, temp_dir=None: None)
+        patch.setattr(common, "reset_ray_address", lambda temp_dir=None: None)
         cluster = Cluster()
         try:
             ids = [
