@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 from mlflow import MlflowClient
 
+from cspace.bundle import Bundle
 from services.registry.names import EXPERIMENT
 from tests.contracts.mlflow_server import mlflow_server
 from tests.training.test_pipeline import submit
@@ -34,7 +35,7 @@ def test_a_sweep_trains_every_point_once_and_goes_on_in_a_grid_that_has_grown(tm
     command = ["--job", "counts", "--preset", "smoke", "--scenarios", "2", "--sort", "coverage"]
     with mlflow_server(tmp_path_factory.mktemp("mlflow")) as uri:
         first = submit(uri, data, *command, "--grid", "clusters.count=[1, 2]", script="sweep.py")
-        marks = {path: path.stat().st_mtime_ns for path in data.glob("jobs/*/*/*/result.json")}
+        marks = {path: path.stat().st_mtime_ns for path in data.glob("jobs/*/*/*/outcome.json")}
         grown = ["--grid", "clusters.count=[1, 2]", "--grid", "seed=[0]"]
         other = submit(uri, data, *command, *grown, script="sweep.py")
         again = submit(uri, data, *command, "--grid", "clusters.count=[1, 2, 3]", script="sweep.py")
@@ -54,11 +55,15 @@ def test_a_sweep_trains_every_point_once_and_goes_on_in_a_grid_that_has_grown(tm
     assert len(runs) == 5
     assert again["run_id"] == other["run_id"] == first["run_id"]
     assert {row["run"] for row in first["points"]} < {row["run"] for row in again["points"]}
+    assert len(marks) == 9
     assert {path: path.stat().st_mtime_ns for path in marks} == marks
     assert {child.info.status for child in children} == {parent.info.status} == {"FINISHED"}
     assert all(child.data.metrics["validation_coverage"] >= 0 for child in children)
     assert len(list((data / "datasets").iterdir())) == 1
     assert list(versions) == []
     assert "sweep.md" in tables
+    commands = {Bundle.load(path).spec.provenance.command for path in data.glob("jobs/*/bundle")}
+    single = "python training/cluster_train.py --preset smoke --set clusters.count="
+    assert {single + "1", single + "2", single + "3", f"{single}1 --set seed=0"} < commands
     results = [json.loads(path.read_text()) for path in Path(data, "sweeps", "counts", "results").iterdir()]
     assert {row["result"]["state"] for row in results} == {"finished"}

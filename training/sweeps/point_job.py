@@ -1,6 +1,8 @@
 """One point of a sweep: its training job, and how good its bundle is on validation scenarios."""
 
 import logging
+import shlex
+import sys
 import time
 from dataclasses import dataclass
 
@@ -26,6 +28,7 @@ class PointJob:
     Args:
         point: which.
         config: of its training.
+        overrides: that make it of its preset.
         environment: where it works.
         job: the name under which it goes on.
         parent_run_id: of the sweep.
@@ -35,6 +38,7 @@ class PointJob:
 
     point: Point
     config: TrainConfig
+    overrides: tuple[str, ...]
     environment: Environment
     job: str
     parent_run_id: str
@@ -49,6 +53,9 @@ def run_point(one: PointJob) -> PointResult:
     """Train and measure; an error of the project is a result, for the other points go on."""
     logging.getLogger("training").setLevel(logging.WARNING)
     began = time.monotonic()
+    # What the bundle says of its origin: the command that would train this point alone.
+    settings = [part for override in one.overrides for part in ("--set", shlex.quote(override))]
+    sys.argv = ["training/cluster_train.py", "--preset", one.config.preset, *settings]
     try:
         result = train(
             one.config, one.environment, one.job, parent_run_id=one.parent_run_id, register=one.register

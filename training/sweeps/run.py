@@ -75,6 +75,7 @@ def _run_rest(
         PointJob(
             point,
             config,
+            (*plan.overrides, *point.overrides),
             environment,
             record.job_id(point),
             record.run_id,
