@@ -4,6 +4,7 @@ import fcntl
 import json
 import logging
 import re
+import shutil
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -159,6 +160,7 @@ class Job(Generic[Config]):
             with self.run as run:
                 yield run
                 self.deliver()
+                self._tidy()
             # The run's own end may have had to wait as well.
             self.deliver()
 
@@ -186,6 +188,14 @@ class Job(Generic[Config]):
     def patiently(self, action: str, call: Callable[[], Answer]) -> Answer:
         """The answer of ``call``, asked again while the tracking server is away."""
         return patiently(action, call, self.environment.patience_s)
+
+    def _tidy(self) -> None:
+        """Delete what processes that were killed had begun to write; nobody else works here."""
+        for half in (*self.folder.rglob("*.tmp"), *self.folder.glob(".*"), self.folder / "stop"):
+            if half.is_dir():
+                shutil.rmtree(half, ignore_errors=True)
+            else:
+                half.unlink(missing_ok=True)
 
     def same(self, config: Config) -> "Job[Config]":
         """This job, if it has these settings.

@@ -36,6 +36,8 @@ def service_environment(settings: Settings, base: Mapping[str, str] = os.environ
         "RAY_AUTH_MODE": "token",
         # Trials say the same of themselves, and each line counts.
         "RAY_DEDUP_LOGS": "0",
+        # `ray job stop` gives a job this long to write its checkpoints.
+        "RAY_JOB_STOP_WAIT_TIME_S": "20",
         # Without this, Ray takes 127.0.0.1 for the machine's outer address and listens there. The switch is
         # named after the systems on which a head keeps to the loopback address by default.
         "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0",

@@ -15,32 +15,54 @@ START_S = 90.0
 LOOK_S = 0.2
 
 
+class MlflowServer:
+    """A server on a port of its own that can be ended, hard or soft, and started again on what it left.
+
+    Args:
+        folder: of its database, artifacts and log.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder, self.port = folder, free_port()
+        self.address = f"http://127.0.0.1:{self.port}"
+        self._process: subprocess.Popen[bytes] | None = None
+
+    def start(self) -> None:
+        """Start it and wait until it answers."""
+        log = self.folder / "server.log"
+        command = [sys.executable, "-m", "mlflow", "server", "--workers", "1", "--host", "127.0.0.1"]
+        command += ["--port", str(self.port), "--backend-store-uri", f"sqlite:///{self.folder / 'mlflow.db'}"]
+        command += ["--artifacts-destination", str(self.folder / "artifacts")]
+        environment = {
+            **os.environ,
+            "MLFLOW_SERVER_ENABLE_JOB_EXECUTION": "false",
+            "MLFLOW_DISABLE_TELEMETRY": "true",
+            "OMP_NUM_THREADS": "1",
+        }
+        with log.open("ab") as out:
+            self._process = subprocess.Popen(
+                command, stdout=out, stderr=out, cwd=self.folder, env=environment, start_new_session=True
+            )
+        _wait(self._process, self.address, log)
+
+    def end(self, number: int = signal.SIGTERM) -> None:
+        """End it by a signal; nothing where it does not run."""
+        if self._process is not None:
+            # It is the leader of its own group, which holds its workers and nobody else.
+            os.killpg(self._process.pid, number)
+            self._process.wait(30)
+            self._process = None
+
+
 @contextmanager
 def mlflow_server(folder: Path) -> Iterator[str]:
     """Run a server whose state lies in ``folder``; yields its address."""
-    port = free_port()
-    log = folder / "server.log"
-    command = [sys.executable, "-m", "mlflow", "server", "--workers", "1", "--host", "127.0.0.1"]
-    command += ["--port", str(port), "--backend-store-uri", f"sqlite:///{folder / 'mlflow.db'}"]
-    command += ["--artifacts-destination", str(folder / "artifacts")]
-    environment = {
-        **os.environ,
-        "MLFLOW_SERVER_ENABLE_JOB_EXECUTION": "false",
-        "MLFLOW_DISABLE_TELEMETRY": "true",
-        "OMP_NUM_THREADS": "1",
-    }
-    with log.open("wb") as out:
-        process = subprocess.Popen(
-            command, stdout=out, stderr=out, cwd=folder, env=environment, start_new_session=True
-        )
+    server = MlflowServer(folder)
     try:
-        address = f"http://127.0.0.1:{port}"
-        _wait(process, address, log)
-        yield address
+        server.start()
+        yield server.address
     finally:
-        # It is the leader of its own group, which holds its workers and nobody else.
-        os.killpg(process.pid, signal.SIGTERM)
-        process.wait(30)
+        server.end()
 
 
 def free_port() -> int:

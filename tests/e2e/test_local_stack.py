@@ -4,8 +4,9 @@ import ipaddress
 import json
 import socket
 import sys
+import time
 import urllib.request
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import psutil
@@ -98,6 +99,25 @@ def test_a_failing_job_ends_quickstart_with_1_and_the_end_of_its_log(stack: Loca
     assert "ray job logs raysubmit_" in error
 
 
+def test_ray_job_stop_writes_a_checkpoint_first_and_the_job_goes_on(stack: LocalStack) -> None:
+    steps = "--set vae.steps=1000000 --set resources.checkpoint_every_steps=1000000"
+    job = f"python training/cluster_train.py --preset smoke --job stopped --set validity.steps=0 {steps}"
+    outcome = stack.shell(f"ray job submit --no-wait --submission-id first -- {job}")
+    assert outcome.returncode == 0, outcome.stdout
+    wait_for(lambda: "vae: step" in stack.shell("ray job logs first").stdout)
+    outcome = stack.shell("timeout 60 ray job stop first")
+    assert "was stopped" in outcome.stdout, outcome.stdout
+    log = stack.shell("ray job logs first").stdout
+    assert "stopped; nothing is lost: submit it again" in log
+    (state,) = (stack.settings.data_folder / "jobs").glob("*/pictures/vae/step-*/state.json")
+    step = json.loads(state.read_text())["step"]
+    assert 0 < step < 1_000_000
+    # It goes on behind that checkpoint, and is stopped once more.
+    stack.shell(f"ray job submit --no-wait --submission-id second -- {job}")
+    wait_for(lambda: f"vae: step {step + 1}/" in stack.shell("ray job logs second").stdout)
+    stack.shell("timeout 60 ray job stop second")
+
+
 def test_state_is_not_cleaned_under_running_services(stack: LocalStack) -> None:
     assert stack.run("clean-state", "--yes").returncode == 1
     assert (stack.settings.home / "mlflow" / "mlflow.db").is_file()
@@ -139,6 +159,13 @@ def test_a_strangers_port_is_an_error_before_anything_starts(tmp_path: Path) -> 
     assert "set CSPACE_API_PORT" in outcome.stdout
     assert "process " in outcome.stdout
     assert list(idle.settings.run_folder.glob("*.json")) == []
+
+
+def wait_for(holds: Callable[[], bool], limit_s: float = 120.0) -> None:
+    """Look again and again until something holds."""
+    deadline = time.monotonic() + limit_s
+    while not holds():
+        assert time.monotonic() < deadline, "it did not come to that"
 
 
 def runs(process: psutil.Process) -> bool:

@@ -53,6 +53,7 @@ def test_a_promotion_in_mlflow_is_served_without_a_restart_and_outlives_the_regi
         assert httpx.get(f"{address}/health/ready", timeout=30).json()["registry"] == "unreachable"
 
 
+@pytest.mark.slow
 def test_a_registry_that_dies_in_the_middle_of_a_download_leaves_the_old_version_in_service(
     tmp_path: Path, png: bytes, bundles: dict[str, Path]
 ) -> None:

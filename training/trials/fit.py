@@ -105,7 +105,7 @@ class TrialCallback(lightning.Callback):
         if last or self.stopped or self.step % self.rhythm.checkpoint_every_steps == 0:
             self._checkpoint(pl_module)
         elif first:
-            self.report(self._row(), finished=False)
+            self.report(self.row(), finished=False)
         trainer.should_stop = self.stopped
 
     def _log(self, module: TrialModule) -> None:
@@ -121,7 +121,8 @@ class TrialCallback(lightning.Callback):
         shown = ", ".join(f"{key} {value:.4g}" for key, value in metrics.items() if key != "steps_per_s")
         _LOG.info("%s: step %d/%d, %s, %.0f s left", self.name, self.step, self.steps, shown, left)
 
-    def _row(self) -> Metrics:
+    def row(self) -> Metrics:
+        """The last metrics, with their step."""
         return dict(self.history[-1])
 
     def _asked_to_stop(self) -> bool:
@@ -135,7 +136,7 @@ class TrialCallback(lightning.Callback):
         # First the metrics: a trial that goes on from here does not log them again.
         self.run.flush()
         self.folder.save(module, Progress(self.step, self.run.run_id, tuple(self.history)))
-        self.report(self._row(), finished=self.step == self.steps)
+        self.report(self.row(), finished=False)
 
 
 def fit(
@@ -181,10 +182,10 @@ def fit(
             callbacks=[callback],
         )
         with run:
-            if progress.step >= steps:
-                # It had come to its end before whoever waits for it could be told.
-                report(dict(progress.history[-1]), finished=True)
-                return
-            trainer.fit(module, DataLoader(StepCounter(progress.step, steps), batch_size=None))
+            # A trial may have come to its end before whoever waits for it could be told.
+            if progress.step < steps:
+                trainer.fit(module, DataLoader(StepCounter(progress.step, steps), batch_size=None))
             if callback.stopped:
                 raise TrialStopped
+        # Not before its run has ended: nobody looks after a trial that counts as finished.
+        report(callback.row(), finished=True)

@@ -43,7 +43,7 @@ def test_a_trial_ends_with_a_checkpoint_of_its_last_step_and_whole_history(tmp_p
     train(tiny_module(), tmp_path, RecordingRun(), reports)
     assert last(tmp_path).step == 9
     assert [row["step"] for row in last(tmp_path).history] == [1, 2, 4, 6, 8, 9]
-    assert reports.finished == [False, False, False, True]
+    assert reports.finished == [False, False, False, False, True]
     assert reports.rows[-1]["step"] == 9
 
 

@@ -1,0 +1,97 @@
+"""What a job must have left behind, whatever happened to it on its way."""
+
+import json
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+
+from mlflow import MlflowClient
+from mlflow.entities import LoggedModelStatus
+
+from cspace.bundle import Bundle
+from services.registry.mlflow_registry import MlflowRegistry
+from services.registry.names import EXPERIMENT, MODEL_NAME
+from training.models.checkpoint import WEIGHTS
+from training.trials.checkpoints import TrialFolder
+
+STAGES = {
+    "vae": "pictures",
+    "validity": "pictures",
+    "local-0": "local",
+    "local-1": "local",
+    "global": "global",
+}
+
+
+@dataclass(frozen=True)
+class Left:
+    """What a finished job left.
+
+    Args:
+        run_id: of the parent run.
+        version: in the registry.
+        weights: bytes by trial.
+        digests: of the bundle's graphs by name.
+    """
+
+    run_id: str
+    version: int
+    weights: dict[str, bytes]
+    digests: dict[str, str]
+
+
+def left_behind(uri: str, data: Path, result: dict[str, object], steps: dict[str, int], every: int) -> Left:
+    """Look at everything; an assertion names what was lost or doubled.
+
+    Args:
+        uri: of the tracking server.
+        data: the jobs' data folder.
+        result: the job's own last line.
+        steps: of each trial.
+        every: steps between two points of a metric.
+    """
+    run_id, folder = str(result["run_id"]), data / "jobs" / str(result["run_id"])
+    client, registry = MlflowClient(uri), MlflowRegistry(uri)
+    _check_runs(client, run_id, steps, every)
+    versions = [one for one in registry.versions(MODEL_NAME) if one.run_id == run_id]
+    assert [one.number for one in versions] == [result["version"]]
+    bundle = Bundle.load(registry.download(versions[0], folder.parent / f"fetched-{run_id}"))
+    assert bundle.digest == result["digest"] == versions[0].digest
+    models = client.search_logged_models([_experiment(client)], f"source_run_id = '{run_id}'")
+    assert [model.status for model in models] == [LoggedModelStatus.READY]
+    _check_files(folder, set(steps))
+    weights = {}
+    for trial in steps:
+        (checkpoint,) = TrialFolder(folder / STAGES[trial] / trial).checkpoints()
+        weights[trial] = (checkpoint / WEIGHTS).read_bytes()
+    sums = (bundle.folder / "SHA256SUMS").read_text().splitlines()
+    digests = {line.split()[1]: line.split()[0] for line in sums if line.endswith(".onnx")}
+    return Left(run_id, versions[0].number, weights, digests)
+
+
+def _experiment(client: MlflowClient) -> str:
+    return str(client.get_experiment_by_name(EXPERIMENT).experiment_id)
+
+
+def _check_runs(client: MlflowClient, run_id: str, steps: dict[str, int], every: int) -> None:
+    assert client.get_run(run_id).info.status == "FINISHED"
+    children = client.search_runs([_experiment(client)], f"tags.mlflow.parentRunId = '{run_id}'")
+    names = [run.info.run_name for run in children]
+    assert sorted(names) == sorted(steps), "every trial has one run"
+    assert {run.info.status for run in children} == {"FINISHED"}
+    for run in children:
+        wanted = set(range(every, steps[run.info.run_name] + 1, every)) | {1, steps[run.info.run_name]}
+        for metric in run.data.metrics:
+            points = client.get_metric_history(run.info.run_id, metric)
+            counted = Counter(point.step for point in points)
+            assert max(counted.values()) == 1, f"{run.info.run_name}: {metric} has a step twice"
+            assert wanted <= set(counted), f"{run.info.run_name}: {metric} lacks {wanted - set(counted)}"
+
+
+def _check_files(folder: Path, trials: set[str]) -> None:
+    record = json.loads((folder / "job.json").read_text())
+    assert set(record["children"]) == trials
+    halves = [path for path in folder.rglob("*") if path.suffix == ".tmp" or path.name.startswith(".bundle")]
+    assert halves == []
+    assert not list((folder / "spool").glob("*")), "metrics wait to be sent"
+    assert not (folder / "stop").exists()

@@ -1,0 +1,153 @@
+"""Whatever is killed, filled or taken away while a job trains: submitted again by name, it loses nothing.
+
+Real processes throughout. Each fault strikes at a moment that is drawn from a seed; then the same command is
+given until it succeeds. What is left has to be what an undisturbed job leaves, to the last bit of the weights
+(the tally of what was injected and what was lost goes to ``build/chaos.md``).
+"""
+
+import json
+import os
+import random
+import subprocess
+import time
+from collections.abc import Iterator
+
+import pytest
+
+from tests.chaos import faults
+from tests.chaos.checks import Left, left_behind
+from tests.chaos.system import ROOT, Driver, System
+
+pytestmark = [pytest.mark.e2e, pytest.mark.timeout(600)]
+
+STEPS = {"vae": 150, "validity": 150, "local-0": 400, "local-1": 400, "global": 400}
+EVERY = 25
+SETTINGS = (
+    "vae.steps=150",
+    "validity.steps=150",
+    "local.steps=400",
+    "global.steps=400",
+    f"resources.log_every_steps={EVERY}",
+    "resources.checkpoint_every_steps=50",
+)
+TALLY = ROOT / "build" / "chaos.md"
+# More attempts than any fault should need.
+ATTEMPTS = 4
+QUICK = [("kill_worker", 0), ("kill_driver", 0)]
+REPEATED = [
+    *[("kill_worker", seed) for seed in range(1, 6)],
+    *[("kill_driver", seed) for seed in range(1, 6)],
+    *[("stop_job", seed) for seed in range(4)],
+    *[("kill_server", seed) for seed in range(4)],
+    *[("kill_head", seed) for seed in range(3)],
+]
+
+
+@pytest.fixture(scope="module")
+def system(tmp_path_factory: pytest.TempPathFactory) -> Iterator[System]:
+    with System(tmp_path_factory.mktemp("system"), tmp_path_factory.mktemp("data")) as system:
+        yield system
+
+
+def result_of(driver: Driver) -> dict[str, object]:
+    found = json.loads(driver.printed.rpartition("RESULT ")[2].splitlines()[0])
+    assert isinstance(found, dict)
+    return found
+
+
+@pytest.fixture(scope="module")
+def undisturbed(system: System) -> tuple[Left, float]:
+    """What a job leaves that nothing happens to, and how long it takes."""
+    began = time.monotonic()
+    driver = system.submit("undisturbed", SETTINGS)
+    assert driver.wait() == 0, driver.printed
+    taken_s = time.monotonic() - began
+    return left_behind(system.server.address, system.data, result_of(driver), STEPS, EVERY), taken_s
+
+
+def survive(system: System, fault: str, seed: int, undisturbed: tuple[Left, float]) -> list[Driver]:
+    """Strike a job once, submit it until it succeeds, and look at what it left; returns all attempts."""
+    whole, taken_s = undisturbed
+    rng = random.Random(f"{fault}-{seed}")  # noqa: S311 - a moment, not a secret
+    name, moment_s = f"{fault.replace('_', '-')}-{seed}", rng.uniform(0.2, 0.95) * taken_s
+    driver = system.submit(name, SETTINGS)
+    attempts = [driver]
+    for now_s in driver.moments():
+        if now_s >= moment_s:
+            break
+    struck = getattr(faults, fault)(system, driver, rng)
+    while attempts[-1].wait() != 0:
+        assert len(attempts) < ATTEMPTS, attempts[-1].printed
+        attempts.append(system.submit(name, SETTINGS))
+    left = left_behind(system.server.address, system.data, result_of(attempts[-1]), STEPS, EVERY)
+    assert left.weights == whole.weights
+    assert left.digests == whole.digests
+    _note(f"| {name} | {moment_s:.1f} | {'yes' if struck else 'too late'} | {len(attempts)} | 0 |")
+    return attempts
+
+
+def _note(row: str) -> None:
+    """A row of the tally; a fault that loses something fails its test and has none."""
+    TALLY.parent.mkdir(exist_ok=True)
+    if not TALLY.exists():
+        TALLY.write_text(
+            "| fault and seed | at, s | struck | submissions | lost |\n|---|---:|---|---:|---:|\n"
+        )
+    with TALLY.open("a") as file:
+        file.write(row + "\n")
+
+
+@pytest.mark.parametrize(("fault", "seed"), QUICK)
+def test_a_fault_loses_nothing(
+    fault: str, seed: int, system: System, undisturbed: tuple[Left, float]
+) -> None:
+    survive(system, fault, seed, undisturbed)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("fault", "seed"), REPEATED)
+def test_repeated_faults_lose_nothing(
+    fault: str, seed: int, system: System, undisturbed: tuple[Left, float]
+) -> None:
+    survive(system, fault, seed, undisturbed)
+
+
+@pytest.fixture
+def small_disk(tmp_path_factory: pytest.TempPathFactory) -> Iterator[System]:
+    """A system whose data folder is a disk of its own, which can be filled."""
+    data = tmp_path_factory.mktemp("disk")
+    if os.getuid() != 0:
+        pytest.skip("only root can mount a small disk")
+    mount = ["mount", "-t", "tmpfs", "-o", "size=400m", "tmpfs", str(data)]
+    if subprocess.run(mount, check=False).returncode != 0:
+        pytest.skip("no disk can be mounted here")
+    try:
+        with System(tmp_path_factory.mktemp("system"), data) as system:
+            yield system
+    finally:
+        subprocess.run(["umount", "--lazy", str(data)], check=True)  # noqa: S607
+
+
+@pytest.mark.slow
+def test_a_full_disk_loses_nothing_and_is_told(small_disk: System) -> None:
+    began = time.monotonic()
+    driver = small_disk.submit("undisturbed", SETTINGS)
+    assert driver.wait() == 0, driver.printed
+    taken_s = time.monotonic() - began
+    address = small_disk.server.address
+    whole = left_behind(address, small_disk.data, result_of(driver), STEPS, EVERY)
+    for seed in range(3):
+        attempts = survive(small_disk, "fill_disk", seed, (whole, taken_s))
+        if len(attempts) > 1:
+            assert "No space left" in attempts[0].printed or "too full" in attempts[0].printed
+
+
+@pytest.mark.slow
+def test_a_full_disk_is_told_before_the_work(small_disk: System) -> None:
+    filler = small_disk.data / "filler"
+    faults.fill(filler)
+    driver = small_disk.submit("full", SETTINGS)
+    assert driver.wait() != 0
+    assert "the data folder cannot be written" in driver.printed or "too full" in driver.printed
+    assert driver.printed.count("Traceback") == 0
+    filler.unlink()
