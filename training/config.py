@@ -162,10 +162,20 @@ class ResourceConfig(Section):
 
     cpus_per_trial: float = Field(1.0, gt=0)
     gpus_per_trial: float = Field(0.0, ge=0)
+    memory_mb_per_trial: float = Field(
+        0.0,
+        ge=0,
+        description="MiB that a node must have free for a trial, so that none is overfilled; 0 to ignore",
+    )
     max_failures: int = Field(2, ge=0)
     log_every_steps: int = Field(20, ge=1)
     checkpoint_every_steps: int = Field(250, ge=1)
     checkpoints_kept: int = Field(1, ge=1, description="of each trial, the last ones")
+
+    def of_a_trial(self) -> dict[str, float]:
+        """What a trial claims, in the words of Ray Tune; memory in bytes."""
+        claimed = {"cpu": self.cpus_per_trial, "gpu": self.gpus_per_trial}
+        return claimed | ({"memory": self.memory_mb_per_trial * 2**20} if self.memory_mb_per_trial else {})
 
 
 class TrainConfig(Section):

@@ -62,6 +62,7 @@ class Job(Generic[Config]):
         tags: Mapping[str, str],
         title: str = "cluster-train",
         name: str | None = None,
+        parent_run_id: str | None = None,
     ) -> "Job[Config]":
         """A new job with a run of its own, or the one that was submitted under this name before.
 
@@ -71,6 +72,7 @@ class Job(Generic[Config]):
             tags: of the run.
             title: of the run.
             name: of the job: letters, digits, ``-`` and ``_``.
+            parent_run_id: the run under which a new one is shown.
 
         Raises:
             ConfigError: the name is none, or belongs to a job of another configuration.
@@ -84,14 +86,14 @@ class Job(Generic[Config]):
                 got=repr(name),
             )
         prepare(environment)
-        known = None if name is None else _run_of(environment, name)
+        known = None if name is None else run_of(environment, name)
         if known is not None:
             return cls.resume(known, environment, type(config)).same(config)
         tracking = MlflowTracking(environment.tracking_uri)
         key = None if name is None else f"job/{name}"
         run = patiently(
             "starting the job's run",
-            lambda: tracking.start(EXPERIMENT, title, tags=tags, key=key),
+            lambda: tracking.start(EXPERIMENT, title, parent_run_id, tags, key=key),
             environment.patience_s,
         )
         folder = job_folder(environment, run.run_id)
@@ -218,6 +220,14 @@ def job_folder(environment: Environment, run_id: str) -> Path:
     return environment.data_folder / "jobs" / Path(run_id).name
 
 
+def run_of(environment: Environment, name: str) -> str | None:
+    """The run of the job of this name; None where none was submitted under it."""
+    try:
+        return str(json.loads(_pointer(environment, name).read_text(encoding="utf-8"))["run_id"])
+    except FileNotFoundError:
+        return None
+
+
 def kept_bundle(folder: Path) -> Bundle | None:
     """The bundle that an earlier attempt has left, whole; None otherwise."""
     try:
@@ -249,13 +259,6 @@ def prepare(environment: Environment) -> None:
 
 def _pointer(environment: Environment, name: str) -> Path:
     return environment.data_folder / "jobs" / "names" / f"{name}.json"
-
-
-def _run_of(environment: Environment, name: str) -> str | None:
-    try:
-        return str(json.loads(_pointer(environment, name).read_text(encoding="utf-8"))["run_id"])
-    except FileNotFoundError:
-        return None
 
 
 def _write(path: Path, record: Mapping[str, Any]) -> None:

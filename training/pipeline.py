@@ -2,7 +2,7 @@
 
 import logging
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -38,7 +38,7 @@ class TrainResult:
     Args:
         run_id: the parent run.
         model: the registered model's name.
-        version: the new version.
+        version: the new version; None where none was asked for.
         digest: the bundle's digest.
         data_digest: the data set's digest.
         metrics: last metrics of the global trial.
@@ -48,7 +48,7 @@ class TrainResult:
 
     run_id: str
     model: str
-    version: int
+    version: int | None
     digest: str
     data_digest: str
     metrics: Mapping[str, float]
@@ -56,13 +56,22 @@ class TrainResult:
     figures: tuple[str, ...]
 
 
-def train(config: TrainConfig, environment: Environment, name: str | None = None) -> TrainResult:
+def train(
+    config: TrainConfig,
+    environment: Environment,
+    name: str | None = None,
+    *,
+    parent_run_id: str | None = None,
+    register: bool = True,
+) -> TrainResult:
     """Run the whole job, or go on with the one that was submitted under this name before.
 
     Args:
         config: what it trains.
         environment: where it works.
         name: of the job; None always starts a new one.
+        parent_run_id: of the sweep whose point the job is; None for a job of its own.
+        register: whether the bundle becomes a version; it stays in the job's folder in any case.
 
     Raises:
         CspaceError: bad data, a failed trial, a registry that does not answer, or a name that belongs to a
@@ -71,7 +80,7 @@ def train(config: TrainConfig, environment: Environment, name: str | None = None
     """
     connect()
     tags = job_tags(config.preset, config.seed, "training/cluster_train.py")
-    return _run(Job.start(config, environment, tags, name=name))
+    return _run(Job.start(config, environment, tags, name=name, parent_run_id=parent_run_id), register)
 
 
 def resume(run_id: str, environment: Environment) -> TrainResult:
@@ -85,10 +94,10 @@ def resume(run_id: str, environment: Environment) -> TrainResult:
         CspaceError: as for :func:`train`; ConfigError where there is no such job.
     """
     connect()
-    return _run(Job.resume(run_id, environment, TrainConfig))
+    return _run(Job.resume(run_id, environment, TrainConfig), register=True)
 
 
-def _run(job: Job[TrainConfig]) -> TrainResult:
+def _run(job: Job[TrainConfig], register: bool) -> TrainResult:
     with job.running() as run:
         dataset = prepare_data(job.config, job.environment.data_folder)
         log_start(run, job.config, dataset)
@@ -106,20 +115,24 @@ def _run(job: Job[TrainConfig]) -> TrainResult:
             bundle = make_bundle(job.folder / "bundle", job.config, dataset, parts)
         outcomes = [outcome for outcome in (vae, head, gate, *local, *final) if outcome is not None]
         figures = log_result(run, bundle, dataset, outcomes)
-        return _register(job, dataset, bundle, outcomes, figures)
+        version = _register(job, dataset, bundle) if register else None
+    return TrainResult(
+        run_id=job.run.run_id,
+        model=MODEL_NAME,
+        version=version,
+        digest=bundle.digest,
+        data_digest=dataset.digest,
+        metrics=outcomes[-1].metrics,
+        trials={outcome.name: (outcome.started_s, outcome.ended_s) for outcome in outcomes},
+        figures=figures,
+    )
 
 
 def _checkpoint(outcome: TrialOutcome | None) -> Path | None:
     return None if outcome is None else outcome.checkpoint
 
 
-def _register(
-    job: Job[TrainConfig],
-    dataset: Dataset,
-    bundle: Bundle,
-    outcomes: Sequence[TrialOutcome],
-    figures: tuple[str, ...],
-) -> TrainResult:
+def _register(job: Job[TrainConfig], dataset: Dataset, bundle: Bundle) -> int:
     registry = MlflowRegistry(job.environment.tracking_uri)
     tags = {"data_digest": dataset.digest, "preset": job.config.preset, "seed": str(job.config.seed)}
     version = job.patiently(
@@ -129,13 +142,4 @@ def _register(
         ),
     )
     _LOG.info("registry: %s version %d, alias %s", MODEL_NAME, version.number, ALIAS_CHALLENGER)
-    return TrainResult(
-        run_id=job.run.run_id,
-        model=MODEL_NAME,
-        version=version.number,
-        digest=bundle.digest,
-        data_digest=dataset.digest,
-        metrics=outcomes[-1].metrics,
-        trials={outcome.name: (outcome.started_s, outcome.ended_s) for outcome in outcomes},
-        figures=figures,
-    )
+    return version.number

@@ -1,17 +1,14 @@
-"""The evaluation of a registered version: download, measure, judge, record. Ray is used here alone."""
+"""The evaluation of a registered version: download, measure, judge, record."""
 
-import logging
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import ray
-from ray.exceptions import RayError, RayTaskError
-
 from cspace.bundle import Bundle
-from cspace.errors import ConfigError, CspaceError, JobError
+from cspace.errors import ConfigError
 from services.evaluator.budget import PLANE, Unit, units
+from services.evaluator.cluster import on_cluster, spread
 from services.evaluator.evaluation import Evaluation, Setting, UnitResult, assemble
 from services.evaluator.execution import Execute, run_here, run_packed
 from services.evaluator.gate import Verdict
@@ -94,27 +91,16 @@ def run_on_ray(work: Sequence[Unit], setting: Setting, packed: PackedBundle) -> 
         JobError: the cluster does not answer, or a unit failed for good.
         CspaceError: what the unit itself raised.
     """
-    try:
-        if not ray.is_initialized():
-            ray.init(log_to_driver=False, logging_level=logging.WARNING, include_dashboard=False)
-        task = ray.remote(num_cpus=1, max_retries=2)(run_packed)
-        shared = ray.put(packed)
-        pending = [task.remote(unit, setting, shared) for unit in work]
-        while pending:
-            done, pending = ray.wait(pending, num_returns=1)
-            yield ray.get(done[0])
-    except RayTaskError as error:
-        if isinstance(error.cause, CspaceError):
-            raise error.cause from error
-        raise JobError("a unit of the evaluation failed", got=str(error.cause)) from error
-    except (RayError, ConnectionError) as error:
-        raise JobError("the cluster lost the evaluation", got=str(error)) from error
+    return spread(_run, work, (setting, packed), "evaluation")
 
 
 def executor(environment: Mapping[str, str]) -> Execute:
     """Over the cluster where RAY_ADDRESS names one; its http form is for submitting jobs only."""
-    address = environment.get("RAY_ADDRESS", "")
-    return run_on_ray if address and not address.startswith("http") else run_here
+    return run_on_ray if on_cluster(environment) else run_here
+
+
+def _run(unit: Unit, shared: tuple[Setting, PackedBundle]) -> UnitResult:
+    return run_packed(unit, *shared)
 
 
 def _find(registry: ModelRegistry, model: ModelReference) -> ModelVersion:

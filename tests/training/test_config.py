@@ -131,3 +131,14 @@ def test_the_command_says_which_setting_is_missing(capsys, monkeypatch):
     monkeypatch.delenv("MLFLOW_TRACKING_URI", raising=False)
     assert COMMAND.main(["--preset", "smoke"]) == 2
     assert "MLFLOW_TRACKING_URI" in capsys.readouterr().err
+
+
+def test_a_trial_claims_what_the_configuration_says_and_no_memory_unless_it_does():
+    assert load_config("smoke").resources.of_a_trial() == {"cpu": 1.0, "gpu": 0.0}
+    half = [
+        "resources.gpus_per_trial=0.5",
+        "resources.cpus_per_trial=2",
+        "resources.memory_mb_per_trial=1500",
+    ]
+    claimed = load_config("smoke", half).resources.of_a_trial()
+    assert claimed == {"cpu": 2.0, "gpu": 0.5, "memory": 1500 * 1024 * 1024}

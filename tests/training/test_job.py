@@ -8,7 +8,7 @@ from services.registry.names import TAG_KEY
 from tests.fakes.registry import FakeTracking
 from training.config import TrainConfig, load_config
 from training.environment import Environment, job_environment
-from training.job import RECORD, Job, job_folder, kept_bundle
+from training.job import RECORD, Job, job_folder, kept_bundle, run_of
 
 SMOKE = load_config("smoke", ["seed=4"])
 
@@ -162,3 +162,10 @@ def test_the_patience_is_a_setting(monkeypatch, tmp_path):
 
 def test_the_folder_of_a_job_is_within_the_data_folder(environment):
     assert job_folder(environment, "../../run") == environment.data_folder / "jobs" / "run"
+
+
+def test_a_job_of_a_sweep_is_shown_under_the_sweeps_run(environment, tracking):
+    job = Job.start(SMOKE, environment, {}, name="point", parent_run_id="sweep")
+    assert tracking.runs[job.run.run_id].parent_run_id == "sweep"
+    assert run_of(environment, "point") == job.run.run_id
+    assert run_of(environment, "nobody") is None

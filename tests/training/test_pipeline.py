@@ -38,12 +38,13 @@ def submit(uri, data_folder, *arguments, script="cluster_train.py"):
         "MLFLOW_TRACKING_URI": uri,
         "CSPACE_DATA_DIR": str(data_folder),
         "PYTHONPATH": str(ROOT),
+        # A cluster of its own, whatever else runs on this machine.
+        "RAY_ADDRESS": "local",
         "RAY_AUTH_MODE": "disabled",
         "RAY_USAGE_STATS_ENABLED": "0",
         "MLFLOW_DISABLE_TELEMETRY": "true",
         "OMP_NUM_THREADS": "1",
     }
-    environment.pop("RAY_ADDRESS", None)
     command = [sys.executable, str(ROOT / "training" / script), *arguments]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False, timeout=300)
     assert done.returncode == 0, done.stdout + done.stderr

@@ -89,7 +89,7 @@ def _fit(
 ) -> None:
     bound = tune.with_resources(
         tune.with_parameters(trainable, **shared),
-        {"cpu": resources.cpus_per_trial, "gpu": resources.gpus_per_trial},
+        resources.of_a_trial(),
     )
     stop = Stop(stop_file(storage.parent))
     tuner = tune.Tuner(

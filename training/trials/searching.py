@@ -69,7 +69,7 @@ def search(
     tuner = tune.Tuner(
         tune.with_resources(
             tune.with_parameters(search_trial, **shared),
-            {"cpu": resources.cpus_per_trial, "gpu": resources.gpus_per_trial},
+            resources.of_a_trial(),
         ),
         param_space={"settings": space()},
         tune_config=tune.TuneConfig(

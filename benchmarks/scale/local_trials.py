@@ -1,0 +1,221 @@
+"""What two worker slots give and what orchestration costs: the reference's local trials, by Ray and by hand.
+
+    make up
+    python benchmarks/scale/local_trials.py --out build/local_trials --tracking-uri http://127.0.0.1:5000
+
+Four arms, in an order that turns with the repeat, on the data, networks and batches of a preset.
+``together``: the preset's two local trials by the job's own code (Ray Tune, MLflow runs, checkpoints) on a
+cluster of two slots. ``apart``: the same on a cluster of one slot, hence one after the other. ``alone``: one
+trial on one slot. ``plain``: the same two trainings in two processes that know neither Ray nor MLflow nor
+Lightning, from a barrier after their imports. The clock runs from the call that starts the trials to its
+return; the cluster is up before. Latents are drawn, not encoded, which costs a step the same. Results are
+kept line by line.
+"""
+
+import argparse
+import contextlib
+import multiprocessing
+import os
+import shutil
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import psutil
+import ray
+import torch
+from lines import append, read, spread
+
+from cspace.dataset import Dataset
+from services.evaluator.tables import markdown
+from services.registry.mlflow_tracking import MlflowTracking
+from training.clustering import cluster, group, points_in_cells
+from training.config import TrainConfig, load_config
+from training.datasets.generate import generate
+from training.trials.arrays import GatedCells, TrainingArrays
+from training.trials.launch import QUIET, run_trials
+from training.trials.loading import make_wgan
+from training.trials.trainables import local_trial
+
+EXPERIMENT = "benchmark-scale"
+ROOT = Path(__file__).resolve().parents[2]
+ARMS = ("plain", "together", "apart", "alone")
+
+
+def slots(count: int) -> None:
+    """A cluster of this machine with so many worker slots."""
+    ray.shutdown()
+    os.environ |= QUIET
+    here = {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1", **QUIET}
+    ray.init(
+        address="local",
+        num_cpus=count,
+        include_dashboard=False,
+        log_to_driver=False,
+        logging_level="warning",
+        _node_ip_address="127.0.0.1",
+        runtime_env={"env_vars": here},
+    )
+
+
+def make_arrays(config: TrainConfig, dataset: Dataset) -> TrainingArrays:
+    """Configurations, clusters and cells as in the job; latents that are drawn."""
+    rng = np.random.default_rng(0)
+    free, images = np.array(dataset.free), np.array(dataset.images)
+    ids = np.repeat(np.arange(dataset.scenario_count), np.diff(dataset.free_offsets))
+    cells = cluster(free, config.gate.cells, config.clusters.fit_samples, config.seed)
+    clusters = group(cells, config.clusters.count, config.seed)
+    shape = (dataset.scenario_count, config.vae.latent_dim)
+    mu, sigma = rng.normal(size=shape).astype(np.float32), np.full(shape, 0.25, dtype=np.float32)
+    counts = np.zeros((dataset.scenario_count, config.gate.cells), dtype=np.float32)
+    np.add.at(counts, (ids, cells.labels), 1.0)
+    gated = GatedCells(
+        points_in_cells(cells, config.gate.points, config.seed),
+        cells.labels,
+        clusters,
+        counts / counts.sum(axis=1, keepdims=True),
+    )
+    labels = clusters[cells.labels]
+    return TrainingArrays(free, ids, labels, mu, sigma, dataset.robot, dataset.camera, images, gated)
+
+
+def orchestrated(config: TrainConfig, arrays: TrainingArrays, uri: str, out: Path, trials: int) -> dict:
+    """Seconds of the first so many local trials by the job's own code."""
+    shutil.rmtree(out, ignore_errors=True)
+    began = time.perf_counter()
+    tracking = MlflowTracking(uri)
+    entries = [
+        {
+            "name": f"local-{index}",
+            "run_id": tracking.start(EXPERIMENT, f"local-{index}").run_id,
+            "seed": config.seed + 1 + index,
+            "cluster": index,
+        }
+        for index in range(trials)
+    ]
+    shared = {"train": config, "arrays": arrays, "tracking_uri": uri}
+    done = run_trials(local_trial, entries, shared, config.resources, out / "local")
+    seconds = time.perf_counter() - began
+    size = sum(path.stat().st_size for path in done[0].checkpoint.rglob("*") if path.is_file())
+    return {"seconds": seconds, "checkpoint_bytes": size}
+
+
+def plain(config: TrainConfig, arrays: TrainingArrays) -> dict:
+    """Seconds of all local trainings at once, each a loop in a process of its own."""
+    context = multiprocessing.get_context("spawn")
+    count = config.clusters.count
+    ready, go = context.Barrier(count + 1), context.Barrier(count + 1)
+    workers = [
+        context.Process(target=_loop, args=(config, arrays, index, ready, go)) for index in range(count)
+    ]
+    for worker in workers:
+        worker.start()
+    ready.wait()
+    began, spent = time.perf_counter(), processor_s()
+    go.wait()
+    for worker in workers:
+        worker.join()
+    if any(worker.exitcode for worker in workers):
+        raise RuntimeError("a plain loop failed")
+    return {"seconds": time.perf_counter() - began, "processor_s": processor_s() - spent}
+
+
+def _loop(config, arrays, index, ready, go):
+    torch.set_num_threads(1)
+    ready.wait()
+    go.wait()
+    module = make_wgan(config.local, arrays, index, config.seed + 1 + index)
+    module.on_fit_start()
+    for step in range(config.local.steps):
+        module.training_step(step, step)
+
+
+def processor_s() -> float:
+    """Of this process and of all that it started, dead or alive."""
+    total = 0.0
+    for process in [psutil.Process(), *psutil.Process().children(recursive=True)]:
+        with contextlib.suppress(psutil.Error):
+            spent = process.cpu_times()
+            # Those that ended are counted where they were waited for.
+            total += spent.user + spent.system + spent.children_user + spent.children_system
+    return total
+
+
+def run(arm: str, config: TrainConfig, arrays: TrainingArrays, uri: str, out: Path) -> dict:
+    if arm == "plain":
+        return plain(config, arrays)
+    slots(2 if arm == "together" else 1)
+    try:
+        began = processor_s()
+        found = orchestrated(config, arrays, uri, out / arm, 1 if arm == "alone" else 2)
+        # Workers are ended behind the scenes, and count once they are.
+        time.sleep(5.0)
+        return found | {"processor_s": processor_s() - began}
+    finally:
+        ray.shutdown()
+
+
+def report(rows: list[dict]) -> str:
+    """Seconds of each arm, then ratios within repeats."""
+    table = [
+        [
+            "preset",
+            "steps a trial",
+            "repeats",
+            *ARMS,
+            "together / apart",
+            "together / plain",
+            "alone / together",
+        ]
+    ]
+    for preset, steps in sorted({(row["preset"], row["steps"]) for row in rows}):
+        mine = [row for row in rows if (row["preset"], row["steps"]) == (preset, steps)]
+        by_arm = {arm: {row["repeat"]: row["seconds"] for row in mine if row["arm"] == arm} for arm in ARMS}
+        cells = [spread(found.values()) if found else "-" for found in by_arm.values()]
+        for over, under in (("together", "apart"), ("together", "plain"), ("alone", "together")):
+            both = by_arm[over].keys() & by_arm[under].keys()
+            ratios = [by_arm[over][repeat] / by_arm[under][repeat] for repeat in both]
+            cells.append(spread(ratios, 3) if ratios else "-")
+        spent = [{row["repeat"]: row["processor_s"] for row in mine if row["arm"] == arm} for arm in ARMS[:2]]
+        both = spent[0].keys() & spent[1].keys()
+        ratios = [spent[1][repeat] / spent[0][repeat] for repeat in both]
+        cells.append(spread(ratios, 3) if ratios else "-")
+        table.append([preset, str(steps), str(max(map(len, by_arm.values()))), *cells])
+    return markdown(table)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--tracking-uri", required=True)
+    parser.add_argument("--preset", default="reference")
+    parser.add_argument("--steps", type=int, help="of each trial; the preset's own where none are given")
+    parser.add_argument("--repeats", type=int, default=3)
+    parser.add_argument("--arms", nargs="+", choices=ARMS, default=ARMS)
+    options = parser.parse_args()
+    out = options.out.resolve()
+    sets = [] if options.steps is None else [f"local.steps={options.steps}"]
+    config = load_config(options.preset, sets)
+    results = out / "results.jsonl"
+    arrays = None
+    for repeat in range(options.repeats):
+        turn = repeat % len(options.arms)
+        for arm in (*options.arms[turn:], *options.arms[:turn]):
+            row = {"preset": options.preset, "steps": config.local.steps, "arm": arm, "repeat": repeat}
+            if any(row.items() <= one.items() for one in read(results)):
+                continue
+            if arrays is None:
+                slots(2)
+                arrays = make_arrays(config, generate(config.data, out / "data" / config.data.folder_name))
+            row |= run(arm, config, arrays, options.tracking_uri, out / "trials")
+            append(results, row)
+            print(row, flush=True)
+    print(report(read(results)))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
