@@ -85,8 +85,10 @@ def test_the_cluster_runs_the_pinned_ray_with_a_token(job: Mapping[str, Any], ro
 
 
 def test_the_job_trains_a_preset_that_there_is(job: Mapping[str, Any]) -> None:
-    program, script, option, preset = job["spec"]["entrypoint"].split()
+    program, script, option, preset, naming, name = job["spec"]["entrypoint"].split()
     assert (program, option) == ("python", "--preset")
+    # By its name a further attempt goes on with what the volume holds.
+    assert (naming, name) == ("--job", job["metadata"]["name"])
     assert (FOLDER.parents[1] / script).is_file()
     assert preset in presets()
 
