@@ -69,9 +69,9 @@ def measure(config: TrainConfig, uri: str, out: Path) -> dict:
 def points(scenarios: int, samples: int, clusters: int) -> list[tuple[int, int, int]]:
     """The middle, and each number halved and doubled (clusters once more)."""
     found = [(scenarios, samples, clusters)]
+    found += [(scenarios, samples, count) for count in (1, 2 * clusters, 4 * clusters)]
     found += [(scenarios // 2, samples, clusters), (scenarios * 2, samples, clusters)]
-    found += [(scenarios, samples // 2, clusters), (scenarios, samples * 2, clusters)]
-    return found + [(scenarios, samples, count) for count in (1, 2 * clusters, 4 * clusters)]
+    return [*found, (scenarios, samples // 2, clusters), (scenarios, samples * 2, clusters)]
 
 
 def report(rows: list[dict]) -> str:

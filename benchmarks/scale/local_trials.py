@@ -13,7 +13,6 @@ kept line by line.
 """
 
 import argparse
-import contextlib
 import multiprocessing
 import os
 import shutil
@@ -22,7 +21,6 @@ import time
 from pathlib import Path
 
 import numpy as np
-import psutil
 import ray
 import torch
 from lines import append, read, spread
@@ -112,13 +110,13 @@ def plain(config: TrainConfig, arrays: TrainingArrays) -> dict:
     for worker in workers:
         worker.start()
     ready.wait()
-    began, spent = time.perf_counter(), processor_s()
+    began = time.perf_counter()
     go.wait()
     for worker in workers:
         worker.join()
     if any(worker.exitcode for worker in workers):
         raise RuntimeError("a plain loop failed")
-    return {"seconds": time.perf_counter() - began, "processor_s": processor_s() - spent}
+    return {"seconds": time.perf_counter() - began}
 
 
 def _loop(config, arrays, index, ready, go):
@@ -131,27 +129,12 @@ def _loop(config, arrays, index, ready, go):
         module.training_step(step, step)
 
 
-def processor_s() -> float:
-    """Of this process and of all that it started, dead or alive."""
-    total = 0.0
-    for process in [psutil.Process(), *psutil.Process().children(recursive=True)]:
-        with contextlib.suppress(psutil.Error):
-            spent = process.cpu_times()
-            # Those that ended are counted where they were waited for.
-            total += spent.user + spent.system + spent.children_user + spent.children_system
-    return total
-
-
 def run(arm: str, config: TrainConfig, arrays: TrainingArrays, uri: str, out: Path) -> dict:
     if arm == "plain":
         return plain(config, arrays)
     slots(2 if arm == "together" else 1)
     try:
-        began = processor_s()
-        found = orchestrated(config, arrays, uri, out / arm, 1 if arm == "alone" else 2)
-        # Workers are ended behind the scenes, and count once they are.
-        time.sleep(5.0)
-        return found | {"processor_s": processor_s() - began}
+        return orchestrated(config, arrays, uri, out / arm, 1 if arm == "alone" else 2)
     finally:
         ray.shutdown()
 
@@ -177,10 +160,6 @@ def report(rows: list[dict]) -> str:
             both = by_arm[over].keys() & by_arm[under].keys()
             ratios = [by_arm[over][repeat] / by_arm[under][repeat] for repeat in both]
             cells.append(spread(ratios, 3) if ratios else "-")
-        spent = [{row["repeat"]: row["processor_s"] for row in mine if row["arm"] == arm} for arm in ARMS[:2]]
-        both = spent[0].keys() & spent[1].keys()
-        ratios = [spent[1][repeat] / spent[0][repeat] for repeat in both]
-        cells.append(spread(ratios, 3) if ratios else "-")
         table.append([preset, str(steps), str(max(map(len, by_arm.values()))), *cells])
     return markdown(table)
 
