@@ -157,6 +157,7 @@ class Job(Generic[Config]):
                     remedy="wait for it, or stop it first",
                 ) from error
             _LOG.info("run: %s", self.run.run_id)
+            self._tidy()
             with self.run as run:
                 yield run
                 self.deliver()
@@ -190,7 +191,7 @@ class Job(Generic[Config]):
         return patiently(action, call, self.environment.patience_s)
 
     def _tidy(self) -> None:
-        """Delete what processes that were killed had begun to write; nobody else works here."""
+        """Delete what processes that were killed had begun to write, and the request to stop."""
         for half in (*self.folder.rglob("*.tmp"), *self.folder.glob(".*"), self.folder / "stop"):
             if half.is_dir():
                 shutil.rmtree(half, ignore_errors=True)

@@ -110,6 +110,15 @@ def test_a_job_that_runs_is_not_run_twice(environment, tracking):
     assert tracking.runs[job.run.run_id].status == "FINISHED"
 
 
+def test_what_an_attempt_left_half_and_the_request_to_stop_it_are_gone_in_the_next(environment, tracking):
+    job = Job.start(SMOKE, environment, {}, name="arm-1")
+    (job.folder / "local" / "step-000000004.tmp").mkdir(parents=True)
+    (job.folder / ".bundle-abc").mkdir()
+    (job.folder / "stop").touch()
+    with Job.start(SMOKE, environment, {}, name="arm-1").running():
+        assert sorted(path.name for path in job.folder.rglob("*")) == ["job.json", "local", "lock"]
+
+
 def test_an_interrupted_job_is_a_killed_run(environment, tracking):
     job = Job.start(SMOKE, environment, {})
     with pytest.raises(KeyboardInterrupt), job.running():

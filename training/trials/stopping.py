@@ -27,7 +27,8 @@ class Stop(tune.Callback):
     """While it is entered, SIGTERM tells the trials to write a checkpoint and end, and then ends Tune's loop.
 
     Args:
-        file: by which the trials are told.
+        file: by which the trials are told. Whoever is not the driver may make it as well, between two stages
+            too; the job deletes it when it is run again.
     """
 
     def __init__(self, file: Path) -> None:
@@ -36,7 +37,6 @@ class Stop(tune.Callback):
         self._main = threading.current_thread() is threading.main_thread()
 
     def __enter__(self) -> Self:
-        self._file.unlink(missing_ok=True)
         if self._main:
             self._before = signal.signal(signal.SIGTERM, self._request)
         return self
