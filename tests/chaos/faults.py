@@ -17,12 +17,13 @@ WORKER_S = 30.0
 
 def kill_worker(system: System, driver: Driver, rng: random.Random) -> bool:
     """Kill -9 a process that trains."""
-    for waited_s in driver.moments():
+    until_s = time.monotonic() + WORKER_S
+    for _ in driver.moments():
         workers = system.head.workers()
         if workers:
             rng.choice(workers).kill()
             return True
-        if waited_s > WORKER_S:
+        if time.monotonic() > until_s:
             break
     return False
 
@@ -69,8 +70,9 @@ def fill_disk(system: System, driver: Driver, rng: random.Random) -> bool:
     filler = system.data / "filler"
     fill(filler)
     try:
-        for waited_s in driver.moments():
-            if waited_s > 30.0:
+        until_s = time.monotonic() + 30.0
+        for _ in driver.moments():
+            if time.monotonic() > until_s:
                 break
     finally:
         filler.unlink()

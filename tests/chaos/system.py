@@ -147,11 +147,13 @@ class Driver:
         process: of the driver.
         log: of all drivers of the job.
         begins: where this one's part of the log begins.
+        began_s: when it was started, by the monotonic clock.
     """
 
     process: subprocess.Popen[bytes]
     log: Path
     begins: int
+    began_s: float = field(default_factory=time.monotonic)
 
     @property
     def printed(self) -> str:
@@ -172,8 +174,7 @@ class Driver:
             raise AssertionError(f"the job did not end:\n{self.printed}") from None
 
     def moments(self) -> Iterator[float]:
-        """Seconds since now, as long as it runs."""
-        began = time.monotonic()
+        """Seconds since it was started, as long as it runs."""
         while self.process.poll() is None:
-            yield time.monotonic() - began
+            yield time.monotonic() - self.began_s
             time.sleep(LOOK_S)

@@ -20,7 +20,7 @@ from services.registry.names import ALIAS_CHALLENGER, EXPERIMENT, MODEL_NAME
 from tests.contracts.mlflow_server import mlflow_server
 from tests.inference_api.client import running
 
-pytestmark = [pytest.mark.e2e, pytest.mark.timeout(400)]
+pytestmark = [pytest.mark.e2e, pytest.mark.slow, pytest.mark.timeout(400)]
 
 ROOT = Path(__file__).resolve().parents[2]
 # Long enough that two trials that run at once can be told from two that do not, by clocks of whole seconds.
@@ -133,7 +133,6 @@ def test_the_bundle_is_the_challenger_with_its_lineage_and_samples(result, serve
     assert samples.shape == (10, 2)
 
 
-@pytest.mark.slow
 def test_an_encoder_trained_with_the_generator_makes_a_bundle_and_a_resumed_job_trains_nothing_twice(
     server, data_folder, tmp_path
 ):
@@ -152,7 +151,6 @@ def test_an_encoder_trained_with_the_generator_makes_a_bundle_and_a_resumed_job_
     assert np.array_equal(*(each.sample(picture, 20, 1, min_confidence=0.0).samples for each in (one, other)))
 
 
-@pytest.mark.slow
 def test_a_three_link_arm_runs_through_the_same_job(server, data_folder, tmp_path):
     links = "data.robot.link_lengths_m=[1.6, 1.4, 1.0]"
     result = run_job(server, data_folder, links, "clusters.count=3", "global.local_critic_weight=0")
@@ -177,7 +175,6 @@ LOOKUPS = "{points_per_link: 3, side_m: 0.1}"
 GATED = ("gate.cells=4", "gate.steps=20", "gate.points=32", f"local.generator_lookups={LOOKUPS}")
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("form", "last"), [("mixture", "local-1"), ("distilled", "distilled"), ("guided", "global")]
 )
@@ -196,7 +193,6 @@ def test_every_form_of_the_clusters_ends_in_a_bundle_that_answers(form, last, se
     ).samples.shape == (9, 2)
 
 
-@pytest.mark.slow
 def test_the_same_seed_trains_the_same_sampler(result, server, data_folder, tmp_path):
     again = run_job(server, data_folder, f"local.steps={LOCAL_STEPS}", "resources.log_every_steps=200")
     assert again["version"] > result["version"]
@@ -212,7 +208,6 @@ def test_the_same_seed_trains_the_same_sampler(result, server, data_folder, tmp_
     np.testing.assert_array_equal(first, second)
 
 
-@pytest.mark.slow
 def test_a_search_tries_settings_and_ends_weak_trials_early(server, data_folder, client):
     tiny = ["gate.cells=4", "gate.steps=20", "gate.points=32", "local.steps=18"]
     options = [part for override in tiny for part in ("--set", override)]
