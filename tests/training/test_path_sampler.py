@@ -69,7 +69,8 @@ def test_the_shipped_head_makes_a_sampler_that_a_planner_gains_by(tmp_path: Path
 
 
 @pytest.mark.e2e
-@pytest.mark.parametrize("alias", ["champion", pytest.param("challenger", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("alias", ["champion", "challenger"])
 def test_a_registered_path_sampler_is_served_by_name(tmp_path: Path, alias: str, monkeypatch) -> None:
     for name in ("mlflow", "api"):
         (tmp_path / name).mkdir()

@@ -66,6 +66,7 @@ def test_the_cluster_is_used_where_a_driver_can_reach_one(environment, on_ray):
 
 
 @pytest.mark.e2e
+@pytest.mark.slow
 def test_a_cluster_gives_the_same_runs_as_this_process(path_folder, setting, monkeypatch):
     import ray
 
