@@ -3,10 +3,9 @@
 import json
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import AbstractContextManager, suppress
+from contextlib import AbstractContextManager
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 from mlflow import MlflowClient
 from mlflow.entities import Dataset, DatasetInput, InputTag, Metric, Param, RunTag
@@ -15,6 +14,7 @@ from cspace.errors import RegistryError
 from services.registry.metric_buffer import MAX_BATCH, MetricBuffer, MetricPoint, points_of
 from services.registry.mlflow_errors import mapped
 from services.registry.parameters import flatten
+from services.registry.run_block import RunBlock
 from services.registry.tracking import Picture, RunStatus
 
 # Limits of the server: parameters in one call, and characters of a data set's digest.
@@ -23,7 +23,7 @@ _MAX_DIGEST = 36
 _CONTEXT = "mlflow.data.context"
 
 
-class MlflowRun:
+class MlflowRun(RunBlock):
     """The port :class:`services.registry.tracking.RunLog` on MLflow; made by ``MlflowTracking``.
 
     Args:
@@ -124,19 +124,6 @@ class MlflowRun:
         """End the run, at a time that is past or now."""
         with self._mapped("ending the run"):
             self._client.set_terminated(self._run_id, status, time_ms)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        if kind is None:
-            self.finish()
-            return
-        # The error that ended the block matters more than a server that is away as well.
-        with suppress(RegistryError):
-            self.finish("FAILED" if issubclass(kind, Exception) else "KILLED")
 
     def _wanted(self, points: Sequence[MetricPoint]) -> list[MetricPoint]:
         return [

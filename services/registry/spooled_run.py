@@ -5,12 +5,12 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
-from cspace.errors import RegistryError, RegistryUnavailableError
+from cspace.errors import RegistryUnavailableError
 from services.registry.metric_buffer import MetricBuffer, MetricPoint, points_of
 from services.registry.mlflow_run import MlflowRun
+from services.registry.run_block import RunBlock
 from services.registry.spool import Ending, Spool
 from services.registry.tracking import Picture, RunStatus
 
@@ -19,7 +19,7 @@ _LOG = logging.getLogger("training")
 RETRY_S = 10.0
 
 
-class SpooledRun:
+class SpooledRun(RunBlock):
     """The port :class:`services.registry.tracking.RunLog` on MLflow with a spool.
 
     Metrics and the run's end never raise RegistryUnavailableError; everything else does, as its caller waits.
@@ -115,19 +115,6 @@ class SpooledRun:
     def dataset(self, name: str, digest: str, source: str, context: str) -> None:
         """Log a data set as an input."""
         self._opened().dataset(name, digest, source, context)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        if kind is None:
-            self.finish()
-            return
-        # The error that ended the block matters more than a server that refuses.
-        with suppress(RegistryError):
-            self.finish("FAILED" if issubclass(kind, Exception) else "KILLED")
 
     def _opened(self, *, fresh: bool = False) -> MlflowRun:
         if self._run is None or fresh:
