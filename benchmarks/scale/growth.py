@@ -10,14 +10,13 @@ that go into the object store once a stage, k-means and grouping, and the local 
 the job's own code. Networks and batches are the preset's. Results are kept line by line.
 """
 
-import argparse
 import shutil
 import sys
 import time
 from pathlib import Path
 
 import ray
-from lines import append, read, spread
+from lines import append, arguments, read, spread
 from local_trials import make_arrays, orchestrated, slots
 
 from services.evaluator.tables import markdown
@@ -87,11 +86,7 @@ def report(rows: list[dict]) -> str:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--tracking-uri", required=True)
+    parser = arguments(__doc__)
     parser.add_argument("--preset", default="reference")
     parser.add_argument("--scenarios", type=int, default=2000)
     parser.add_argument("--samples", type=int, default=250)

@@ -1,9 +1,20 @@
 """Results of a benchmark, a JSON object a line, so that one that was stopped goes on where it was."""
 
+import argparse
 import json
 import statistics
 from collections.abc import Iterable
 from pathlib import Path
+
+
+def arguments(description: str | None) -> argparse.ArgumentParser:
+    """What all benchmarks with a tracking server take."""
+    parser = argparse.ArgumentParser(
+        description=description, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--tracking-uri", required=True)
+    return parser
 
 
 def read(path: Path) -> list[dict]:

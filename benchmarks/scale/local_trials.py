@@ -12,7 +12,6 @@ return; the cluster is up before. Latents are drawn, not encoded, which costs a 
 kept line by line.
 """
 
-import argparse
 import multiprocessing
 import os
 import shutil
@@ -23,7 +22,7 @@ from pathlib import Path
 import numpy as np
 import ray
 import torch
-from lines import append, read, spread
+from lines import append, arguments, read, spread
 
 from cspace.dataset import Dataset
 from services.evaluator.tables import markdown
@@ -165,11 +164,7 @@ def report(rows: list[dict]) -> str:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--tracking-uri", required=True)
+    parser = arguments(__doc__)
     parser.add_argument("--preset", default="reference")
     parser.add_argument("--steps", type=int, help="of each trial; the preset's own where none are given")
     parser.add_argument("--repeats", type=int, default=3)

@@ -8,14 +8,12 @@ client is a process with a run of its own that calls as fast as it is answered. 
 seconds, so a server that answers 20 calls a second keeps up with 100 trials.
 """
 
-import argparse
 import multiprocessing
 import statistics
 import sys
 import time
-from pathlib import Path
 
-from lines import append, read, spread
+from lines import append, arguments, read, spread
 
 from services.evaluator.tables import markdown
 from services.registry.mlflow_tracking import MlflowTracking
@@ -71,11 +69,7 @@ def report(rows: list[dict]) -> str:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--tracking-uri", required=True)
+    parser = arguments(__doc__)
     parser.add_argument("--clients", type=int, nargs="+", default=[1, 2, 4, 8])
     parser.add_argument("--metrics", type=int, default=25, help="points of a call")
     parser.add_argument("--seconds", type=float, default=8.0)
