@@ -52,7 +52,7 @@ def left_behind(uri: str, data: Path, result: dict[str, object], steps: dict[str
     """
     run_id, folder = str(result["run_id"]), data / "jobs" / str(result["run_id"])
     client, registry = MlflowClient(uri), MlflowRegistry(uri)
-    _check_runs(client, run_id, steps, every)
+    check_runs(client, run_id, steps, every)
     versions = [one for one in registry.versions(MODEL_NAME) if one.run_id == run_id]
     assert [one.number for one in versions] == [result["version"]]
     bundle = Bundle.load(registry.download(versions[0], folder.parent / f"fetched-{run_id}"))
@@ -73,7 +73,8 @@ def _experiment(client: MlflowClient) -> str:
     return str(client.get_experiment_by_name(EXPERIMENT).experiment_id)
 
 
-def _check_runs(client: MlflowClient, run_id: str, steps: dict[str, int], every: int) -> None:
+def check_runs(client: MlflowClient, run_id: str, steps: dict[str, int], every: int) -> None:
+    """Whether each trial of a job has one finished run, whose curves have no gap and no step twice."""
     assert client.get_run(run_id).info.status == "FINISHED"
     children = client.search_runs([_experiment(client)], f"tags.mlflow.parentRunId = '{run_id}'")
     names = [run.info.run_name for run in children]

@@ -1,5 +1,6 @@
 """A Ray head, an MLflow server and a training job as processes of their own, each of which can be killed."""
 
+import json
 import os
 import re
 import shutil
@@ -12,7 +13,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
 import psutil
 
@@ -21,6 +22,18 @@ from tests.contracts.mlflow_server import MlflowServer, free_port
 ROOT = Path(__file__).resolve().parents[2]
 START_S = 60.0
 LOOK_S = 0.1
+# Steps between two points of a curve; twice as many between two checkpoints.
+EVERY = 25
+
+
+def settings(steps: dict[str, int]) -> tuple[str, ...]:
+    """The settings of a job with so many steps of each trial."""
+    sections = {"vae": "vae", "validity": "validity", "local": "local-0", "global": "global"}
+    return (
+        *(f"{section}.steps={steps[trial]}" for section, trial in sections.items()),
+        f"resources.log_every_steps={EVERY}",
+        f"resources.checkpoint_every_steps={2 * EVERY}",
+    )
 
 
 class RayHead:
@@ -124,10 +137,14 @@ class System:
         self.head.close()
 
     def submit(self, name: str, settings: tuple[str, ...]) -> "Driver":
-        """Run the job's command, as often as wanted under one name."""
-        options = [part for setting in settings for part in ("--set", setting)]
-        script = str(ROOT / "training" / "cluster_train.py")
-        command = [sys.executable, script, "--preset", "smoke", "--job", name, *options]
+        """Run a training job's command, as often as wanted under one name."""
+        return self.run(name, "cluster_train.py", settings)
+
+    def run(self, name: str, script: str, settings: tuple[str, ...], *options: str) -> "Driver":
+        """Run a command of ``training/`` on the preset ``smoke`` with settings and options of its own."""
+        sets = [part for setting in settings for part in ("--set", setting)]
+        path = str(ROOT / "training" / script)
+        command = [sys.executable, path, "--preset", "smoke", "--job", name, *sets, *options]
         log = self.folder / f"{name}.log"
         given = environment(
             RAY_ADDRESS=self.head.address,
@@ -159,6 +176,13 @@ class Driver:
     def printed(self) -> str:
         """What it has printed so far."""
         return self.log.read_bytes()[self.begins :].decode(errors="replace")
+
+    @property
+    def result(self) -> dict[str, Any]:
+        """What it prints at its end."""
+        found = json.loads(self.printed.rpartition("RESULT ")[2].splitlines()[0])
+        assert isinstance(found, dict)
+        return found
 
     def send(self, number: int) -> None:
         """Send a signal."""

@@ -5,7 +5,6 @@ given until it succeeds. What is left has to be what an undisturbed job leaves, 
 (the tally of what was injected and what was lost goes to ``build/chaos.md``).
 """
 
-import json
 import os
 import random
 import subprocess
@@ -16,7 +15,7 @@ import pytest
 
 from tests.chaos import faults
 from tests.chaos.checks import Left, left_behind
-from tests.chaos.system import ROOT, Driver, System
+from tests.chaos.system import EVERY, ROOT, Driver, System, settings
 
 pytestmark = [pytest.mark.e2e, pytest.mark.timeout(600)]
 
@@ -24,7 +23,6 @@ STEPS = {"vae": 150, "validity": 150, "local-0": 400, "local-1": 400, "global": 
 FEW = {"vae": 50, "validity": 50, "local-0": 150, "local-1": 150, "global": 150}
 # About what a job of few steps takes; its faults need no better moments.
 FEW_TAKE_S = 30.0
-EVERY = 25
 TALLY = ROOT / "build" / "chaos.md"
 # More attempts than any fault should need.
 ATTEMPTS = 4
@@ -37,26 +35,10 @@ REPEATED = [
 ]
 
 
-def settings(steps: dict[str, int]) -> tuple[str, ...]:
-    """The settings of a job with so many steps of each trial."""
-    sections = {"vae": "vae", "validity": "validity", "local": "local-0", "global": "global"}
-    return (
-        *(f"{section}.steps={steps[trial]}" for section, trial in sections.items()),
-        f"resources.log_every_steps={EVERY}",
-        f"resources.checkpoint_every_steps={2 * EVERY}",
-    )
-
-
 @pytest.fixture(scope="module")
 def system(tmp_path_factory: pytest.TempPathFactory) -> Iterator[System]:
     with System(tmp_path_factory.mktemp("system"), tmp_path_factory.mktemp("data")) as system:
         yield system
-
-
-def result_of(driver: Driver) -> dict[str, object]:
-    found = json.loads(driver.printed.rpartition("RESULT ")[2].splitlines()[0])
-    assert isinstance(found, dict)
-    return found
 
 
 @pytest.fixture(scope="module")
@@ -66,7 +48,7 @@ def undisturbed(system: System) -> tuple[Left, float]:
     driver = system.submit("undisturbed", settings(STEPS))
     assert driver.wait() == 0, driver.printed
     taken_s = time.monotonic() - began
-    return left_behind(system.server.address, system.data, result_of(driver), STEPS, EVERY), taken_s
+    return left_behind(system.server.address, system.data, driver.result, STEPS, EVERY), taken_s
 
 
 def survive(
@@ -90,7 +72,7 @@ def survive(
     while attempts[-1].wait() != 0:
         assert len(attempts) < ATTEMPTS, attempts[-1].printed
         attempts.append(system.submit(name, settings(steps)))
-    left = left_behind(system.server.address, system.data, result_of(attempts[-1]), steps, EVERY)
+    left = left_behind(system.server.address, system.data, attempts[-1].result, steps, EVERY)
     _note(f"| {name} | {', '.join(struck)} | {len(attempts)} | 0 |")
     return left, attempts
 
@@ -146,7 +128,7 @@ def test_a_full_disk_loses_nothing_and_is_told(small_disk: System) -> None:
     assert driver.wait() == 0, driver.printed
     taken_s = time.monotonic() - began
     address = small_disk.server.address
-    whole = left_behind(address, small_disk.data, result_of(driver), STEPS, EVERY)
+    whole = left_behind(address, small_disk.data, driver.result, STEPS, EVERY)
     for seed in range(3):
         left, attempts = survive(small_disk, ("fill_disk",), seed, taken_s, STEPS)
         assert same(left, whole)

@@ -7,11 +7,14 @@ from pathlib import Path
 from typing import Any
 
 import jsonschema
+import kubernetes_validate
 import pytest
 import yaml
 
 from training.config import presets
 
+# An older one and one of today.
+KUBERNETES = ("1.29", "1.36")
 FOLDER = Path(__file__).parents[2] / "docker" / "kuberay"
 MANIFESTS = [
     (path.name, manifest)
@@ -50,11 +53,40 @@ def containers() -> list[Mapping[str, Any]]:
     return [container for pod in pods() for container in pod["spec"]["containers"]]
 
 
-@pytest.mark.parametrize("manifest", [manifest for _, manifest in MANIFESTS], ids=NAMES)
-def test_a_manifest_has_fields_that_exist(
-    schema: jsonschema.Draft202012Validator, manifest: Mapping[str, Any]
+@pytest.mark.parametrize("version", KUBERNETES)
+@pytest.mark.parametrize(
+    "manifest",
+    [manifest for _, manifest in MANIFESTS if manifest["kind"] != "RayJob"],
+    ids=[name for name in NAMES if not name.endswith("RayJob")],
+)
+def test_kubernetes_knows_every_field(manifest: Mapping[str, Any], version: str) -> None:
+    kubernetes_validate.validate(dict(manifest), version, strict=True)
+
+
+@pytest.mark.parametrize("version", KUBERNETES)
+def test_kubernetes_knows_every_field_of_the_pods(version: str) -> None:
+    for template in pods():
+        kubernetes_validate.validate({"apiVersion": "v1", "kind": "Pod", **template}, version, strict=True)
+
+
+@pytest.mark.parametrize(
+    "place", ["", "securityContext", "containers.0", "containers.0.livenessProbe.httpGet"]
+)
+def test_a_misspelt_field_of_a_pod_would_be_found(place: str) -> None:
+    for template in pods():
+        broken = copy.deepcopy({"apiVersion": "v1", "kind": "Pod", **template})
+        inner = broken["spec"]
+        for step in filter(None, place.split(".")):
+            inner = inner[int(step) if step.isdecimal() else step]
+        inner["readOnlyRootFileSystem"] = True
+        with pytest.raises(kubernetes_validate.ValidationError, match="readOnlyRootFileSystem"):
+            kubernetes_validate.validate(broken, KUBERNETES[-1], strict=True)
+
+
+def test_the_operator_knows_every_field_of_the_job(
+    schema: jsonschema.Draft202012Validator, job: Mapping[str, Any]
 ) -> None:
-    error = jsonschema.exceptions.best_match(schema.iter_errors(manifest))
+    error = jsonschema.exceptions.best_match(schema.iter_errors(job))
     assert error is None, f"{error.json_path}: {error.message}"
 
 
