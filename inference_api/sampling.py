@@ -58,12 +58,15 @@ def answer_request(store: ModelStore, fields: RawFields, *, npy: bool, began: fl
         CspaceError: as the contract's table of errors.
     """
     values = parse_json(fields) if isinstance(fields, bytes) else parse_form(fields)
-    answer = sample(store, validate_request(values), began)
+    # A ``.npy`` holds samples alone: nobody would see the scores of those that are not filtered.
+    answer = sample(store, validate_request(values), began, tell_confidence=not npy)
     return npy_response(answer) if npy else json_response(answer)
 
 
-def sample(store: ModelStore, request: SampleRequest, began: float) -> Answer:
-    """Answer a valid request."""
+def sample(
+    store: ModelStore, request: SampleRequest, began: float, *, tell_confidence: bool = True
+) -> Answer:
+    """Answer a valid request; as :meth:`cspace.bundle.Bundle.sample` has it, scored for who is told."""
     named = request.model if "model" in request.model_fields_set else store.model_name
     served = store.resolve(ModelReference.parse(named))
     prepared = store.pictures.get(served.bundle, request.image)
@@ -76,6 +79,7 @@ def sample(store: ModelStore, request: SampleRequest, began: float) -> Answer:
         start=request.start,
         goal=request.goal,
         min_confidence=request.min_confidence,
+        tell_confidence=tell_confidence,
     )
     timing = TimingMs(
         decode=prepared.decode_ms,

@@ -42,6 +42,8 @@ def tiny_graphs(spec: BundleSpec, *, validity: bool = False, scale: float = 1.0)
     graphs = {"encoder": _encoder(spec, scale), "generator": _generator(spec, scale)}
     if spec.novelty_quantiles is not None:
         graphs["novelty"] = _novelty(spec)
+    if spec.looks_at_map:
+        graphs["map"] = _map(spec)
     if validity:
         graphs["validity"] = _validity(spec)
     return graphs
@@ -93,13 +95,14 @@ def _encoder(spec: BundleSpec, scale: float) -> bytes:
 def _generator(spec: BundleSpec, scale: float) -> bytes:
     inputs: dict[str, tuple[int | str, ...]] = {"latent": ("m", spec.latent_dim)}
     inputs |= {item.name: ("m", *item.shape) for item in spec.random_inputs}
+    inputs |= {"map": (3,)} if spec.looks_at_map else {}
     inputs |= dict.fromkeys(spec.endpoints, ("m", spec.dim))
     weights = {}
     nodes = []
     terms = []
     width = spec.samples_per_latent * spec.dim
     for name, size in inputs.items():
-        weights[f"{name}_weights"] = np.float32(scale) * _weights(int(size[1]), width, len(weights))
+        weights[f"{name}_weights"] = np.float32(scale) * _weights(int(size[-1]), width, len(weights))
         nodes.append(helper.make_node("MatMul", [name, f"{name}_weights"], [f"{name}_term"]))
         terms.append(f"{name}_term")
     weights["shape"] = np.array([-1, spec.samples_per_latent, spec.dim])
@@ -140,6 +143,13 @@ def _novelty(spec: BundleSpec) -> bytes:
     inputs = {"image": (1, 3, pixels, pixels), "mu": (1, spec.latent_dim)}
     weights = {"zero": np.float32(0.0), "one": np.array([1])}
     return _model(nodes, inputs, {"scores": (2,)}, weights)
+
+
+def _map(spec: BundleSpec) -> bytes:
+    """The brightest red, green and blue."""
+    node = helper.make_node("ReduceMax", ["image", "axes"], ["map"], keepdims=0)
+    inputs = {"image": (1, 3, spec.pixels, spec.pixels)}
+    return _model([node], inputs, {"map": (3,)}, {"axes": np.array([0, 2, 3])})
 
 
 def _weights(rows: int, columns: int, key: int = 0) -> NDArray[np.float32]:

@@ -16,12 +16,12 @@ from collections.abc import Sequence
 from dataclasses import asdict, fields
 from pathlib import Path
 
-from cspace.bundle import Bundle, RandomInput
+from cspace.bundle import Bundle
 from cspace.bundle.files import VALIDITY_FILE
 from cspace.errors import BundleError, ConfigError, CspaceError, InputError
 from services.registry.names import ALIAS_CHALLENGER, ALIAS_CHAMPION, EXPERIMENT, PATH_MODEL_NAME
 from training.models.ways import WaySettings, way_graph
-from training.path_writing import PathGraph, write_path_bundle
+from training.path_writing import write_path_bundle
 
 
 def make_path_bundle(source: Bundle, folder: Path, settings: WaySettings | None = None) -> Bundle:
@@ -41,14 +41,7 @@ def make_path_bundle(source: Bundle, folder: Path, settings: WaySettings | None 
     if not source.has_validity:
         raise BundleError("the bundle has no validity head", expected=VALIDITY_FILE, got=str(source.folder))
     head = (source.folder / VALIDITY_FILE).read_bytes()
-    graph = PathGraph(
-        way_graph(head, source.spec.robot.space, source.spec.latent_dim, settings),
-        (
-            RandomInput("place", "uniform", (1,), 0.0, 1.0),
-            RandomInput("jitter", "normal", (source.spec.dim,)),
-        ),
-        looks_at_picture=True,
-    )
+    graph = way_graph(head, source.spec.robot.space, source.spec.latent_dim, settings)
     origin = source.spec.provenance
     return write_path_bundle(
         folder, source, graph, origin.data_digest, origin.seeds, _recipe(source, settings)

@@ -16,14 +16,16 @@ class PathGraph:
 
     Args:
         model: ONNX bytes: ``latent`` (m, L), the random inputs, ``start`` and ``goal`` (m, d) rad and, where
-            it looks at it, ``image`` (1, 3, P, P) to ``samples`` (m, 1, d) rad.
+            it looks at them, ``image`` (1, 3, P, P) and ``map`` (k,) to ``samples`` (m, 1, d) rad.
         random_inputs: in the order in which they are drawn.
         looks_at_picture: whether it takes ``image``.
+        map: ONNX bytes: ``image`` (1, 3, P, P) to ``map`` (k,), where the model takes that.
     """
 
     model: bytes
     random_inputs: tuple[RandomInput, ...]
-    looks_at_picture: bool
+    looks_at_picture: bool = False
+    map: bytes | None = None
 
 
 def write_path_bundle(
@@ -55,12 +57,15 @@ def write_path_bundle(
         graphs["validity"] = (source.folder / VALIDITY_FILE).read_bytes()
     if source.spec.novelty_quantiles is not None:
         graphs["novelty"] = (source.folder / NOVELTY_FILE).read_bytes()
+    if graph.map is not None:
+        graphs["map"] = graph.map
     state = source_state()
     spec = replace(
         source.spec,
         kind="path",
         model_kind="generator",
         looks_at_picture=graph.looks_at_picture,
+        looks_at_map=graph.map is not None,
         samples_per_latent=1,
         random_inputs=graph.random_inputs,
         standardisation=None,

@@ -13,10 +13,12 @@ ENCODER_FILE = "encoder.onnx"
 GENERATOR_FILE = "generator.onnx"
 VALIDITY_FILE = "validity.onnx"
 NOVELTY_FILE = "novelty.onnx"
+MAP_FILE = "map.onnx"
 GOLDEN_FILE = "golden.npz"
 SUMS_FILE = "SHA256SUMS"
 REQUIRED_FILES = (SPEC_FILE, ENCODER_FILE, GENERATOR_FILE, GOLDEN_FILE)
-KNOWN_FILES = (*REQUIRED_FILES, VALIDITY_FILE, NOVELTY_FILE)
+OPTIONAL_FILES = (VALIDITY_FILE, NOVELTY_FILE, MAP_FILE)
+KNOWN_FILES = (*REQUIRED_FILES, *OPTIONAL_FILES)
 
 _LINE = re.compile(r"([0-9a-f]{64})  ([A-Za-z0-9._-]+)")
 
@@ -96,9 +98,9 @@ def _check_names(listed: set[str], present: set[str]) -> None:
 
 
 def _broken(name: str, problem: str) -> BundleIntegrityError:
+    perhaps = ", ".join(OPTIONAL_FILES)
     return BundleIntegrityError(
         f"{name}: {problem}",
-        expected=f"{', '.join(REQUIRED_FILES)}, perhaps {VALIDITY_FILE} and {NOVELTY_FILE}, "
-        "as SHA256SUMS lists them",
+        expected=f"{', '.join(REQUIRED_FILES)}, perhaps {perhaps}, as SHA256SUMS lists them",
         remedy="fetch the bundle again, or export it again",
     )

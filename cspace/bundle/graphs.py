@@ -52,6 +52,19 @@ class Graph:
                 got=f"{sorted(found_in)} -> {sorted(found_out)}",
             )
 
+    def sizes(self, output: str) -> tuple[int, ...]:
+        """The shape of an output that is the same for every feed.
+
+        Raises:
+            BundleIntegrityError: it depends on what is fed.
+        """
+        (found,) = (node.shape for node in self._session.get_outputs() if node.name == output)
+        if not all(isinstance(size, int) for size in found):
+            raise BundleIntegrityError(
+                f"{self._name}: the shape of {output} is not fixed", expected="numbers", got=str(found)
+            )
+        return tuple(found)
+
     def run(
         self, feeds: Mapping[str, NDArray[np.float32]], outputs: Mapping[str, tuple[int, ...]]
     ) -> dict[str, NDArray[np.float32]]:

@@ -13,6 +13,7 @@ from cspace.bundle.files import (
     ENCODER_FILE,
     GENERATOR_FILE,
     GOLDEN_FILE,
+    MAP_FILE,
     NOVELTY_FILE,
     SPEC_FILE,
     VALIDITY_FILE,
@@ -25,12 +26,12 @@ from cspace.bundle.keeping import gather
 from cspace.bundle.novelty import novelty
 from cspace.bundle.request import Request
 from cspace.bundle.samples import Encoding, Picture, SampleSet
-from cspace.bundle.spec import PICTURE, BundleSpec
+from cspace.bundle.spec import MAP, PICTURE, BundleSpec
 from cspace.errors import BundleError, BundleIntegrityError, InputError
 from cspace.image import to_network
 from cspace.space import to_float32
 
-# Samples about a path are close to contact where it matters, and a further turn costs a further map.
+# Samples about a path are close to contact where it matters, and a further turn costs a further search.
 PATHS_PASS = 0.75
 # Bounds the memory of one call; a fixed size, so that it can not move a result.
 CHUNK_ROWS = 4096
@@ -51,21 +52,13 @@ class Bundle:
             {"latent", *drawn, *self.spec.conditions},
             {"samples"},
         )
-        head = files.contents.get(VALIDITY_FILE)
-        self._validity = (
-            None if head is None else Graph(VALIDITY_FILE, head, {"image", "configurations"}, {"confidence"})
+        self._validity = _optional(files, VALIDITY_FILE, {"image", "configurations"}, {"confidence"})
+        self._novelty = _optional(files, NOVELTY_FILE, {"image", "mu"}, {"scores"})
+        _check_whole(
+            NOVELTY_FILE, self._novelty, "novelty_quantiles", self.spec.novelty_quantiles is not None
         )
-
-        novelty_graph = files.contents.get(NOVELTY_FILE)
-        if (novelty_graph is None) != (self.spec.novelty_quantiles is None):
-            raise BundleIntegrityError(
-                "the bundle's novelty is not whole",
-                expected=f"{NOVELTY_FILE} and novelty_quantiles, or neither",
-                got="one of them",
-            )
-        self._novelty = (
-            None if novelty_graph is None else Graph(NOVELTY_FILE, novelty_graph, {"image", "mu"}, {"scores"})
-        )
+        self._map = _optional(files, MAP_FILE, {"image"}, {"map"})
+        _check_whole(MAP_FILE, self._map, "the condition map", self.spec.looks_at_map)
 
     @classmethod
     def load(cls, folder: Path) -> "Bundle":
@@ -105,7 +98,14 @@ class Bundle:
         size = (1, self.spec.latent_dim)
         found = self._encoder.run({"image": pixels}, {"mu": size, "sigma": size})
         encoding = Encoding(found["mu"][0], found["sigma"][0])
-        return Picture(self.digest, pixels, encoding, self._novelty_of(pixels, found["mu"]))
+        return Picture(
+            self.digest, pixels, encoding, self._novelty_of(pixels, found["mu"]), self._map_of(pixels)
+        )
+
+    def _map_of(self, pixels: NDArray[np.float32]) -> NDArray[np.float32] | None:
+        if self._map is None:
+            return None
+        return self._map.run({"image": pixels}, {"map": self._map.sizes("map")})["map"]
 
     def _novelty_of(self, pixels: NDArray[np.float32], mu: NDArray[np.float32]) -> float | None:
         graph, quantiles = self._novelty, self.spec.novelty_quantiles
@@ -124,6 +124,7 @@ class Bundle:
         start: ArrayLike | None = None,
         goal: ArrayLike | None = None,
         min_confidence: float | None = None,
+        tell_confidence: bool = True,
     ) -> SampleSet:
         """``n`` configurations for a picture; the same arguments give bit-equal samples on one machine.
 
@@ -143,6 +144,7 @@ class Bundle:
             goal: as ``start``.
             min_confidence: what the validity head has to score, 0 to 1; None for the bundle's own threshold
                 (0 for a bundle without), 0 for all samples as they come.
+            tell_confidence: whether samples are scored that are not filtered; the samples are the same.
 
         Raises:
             InputError: an argument is out of range or does not fit the model.
@@ -176,7 +178,7 @@ class Bundle:
             expected = 1.0 - self.spec.uniform_share / 2.0 if self.spec.kind != "path" else PATHS_PASS
             kept = gather(proposed, wanted, request.min_confidence, expected)
             samples, confidence, acceptance = kept.samples, kept.confidence, kept.acceptance
-        elif self.has_validity:
+        elif self.has_validity and tell_confidence:
             samples, confidence = scored(wanted, 0)
         else:
             samples, confidence = drawn(wanted, 0), None
@@ -190,6 +192,7 @@ class Bundle:
     def _generate(self, draws: Draws, request: Request, picture: Picture) -> NDArray[np.float32]:
         spec = self.spec
         seen = {PICTURE: picture.pixels} if spec.looks_at_picture else {}
+        seen |= {} if picture.map is None else {MAP: picture.map}
         fixed = {
             name: np.asarray(point, dtype=np.float32)
             for name, point in (("start", request.start), ("goal", request.goal))
@@ -276,6 +279,20 @@ class Bundle:
         except InputError as error:
             raise BundleIntegrityError("the golden case does not fit its bundle", got=str(error)) from error
         case.compare(encoding.mu, encoding.sigma, answer.samples, answer.confidence)
+
+
+def _optional(files: BundleFiles, name: str, inputs: set[str], outputs: set[str]) -> Graph | None:
+    model = files.contents.get(name)
+    return None if model is None else Graph(name, model, inputs, outputs)
+
+
+def _check_whole(name: str, graph: Graph | None, beside: str, described: bool) -> None:
+    if (graph is None) == described:
+        raise BundleIntegrityError(
+            f"the bundle's {name} and its description do not fit",
+            expected=f"{name} and {beside}, or neither",
+            got="one of them",
+        )
 
 
 def _chunked(run: Callable[[slice], NDArray[np.float32]], rows: int) -> NDArray[np.float32]:

@@ -9,7 +9,7 @@ from cspace.bundle.strict_json import StrictObject
 from cspace.errors import BundleIntegrityError
 
 DISTRIBUTIONS = ("uniform", "normal")
-RESERVED_INPUTS = ("", "latent", "image", "start", "goal")
+RESERVED_INPUTS = ("", "latent", "image", "map", "start", "goal")
 
 
 @dataclass(frozen=True, slots=True)

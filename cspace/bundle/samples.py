@@ -28,12 +28,14 @@ class Picture:
         pixels: float32 (1, 3, P, P), as the graphs take it.
         encoding: the encoder's view of it.
         novelty: how unlike the training scenarios it is, 0 to 1; None for a bundle that does not tell.
+        map: float32 (k,), what the bundle's map graph makes of it; None for a bundle without.
     """
 
     digest: str
     pixels: NDArray[np.float32]
     encoding: Encoding
     novelty: float | None = None
+    map: NDArray[np.float32] | None = None
 
 
 @dataclass(frozen=True, slots=True)

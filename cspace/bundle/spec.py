@@ -20,7 +20,7 @@ _FIRST = 1
 KINDS = ("configuration", "path")
 MODEL_KINDS = ("generator", "mixture")
 ENDPOINTS = ("start", "goal")
-PICTURE = "image"
+PICTURE, MAP = "image", "map"
 MAX_PIXELS = 2048
 
 
@@ -35,6 +35,7 @@ class BundleSpec:
         camera: the part of the plane that the picture shows; its pixels are the encoder's input size.
         model_kind: ``generator`` or ``mixture``; both are one graph with the same inputs and outputs.
         looks_at_picture: whether the generator takes the picture itself beside its latent.
+        looks_at_map: whether it takes what the map graph makes of the picture, once for all its requests.
         samples_per_latent: K, samples that the generator draws from one latent.
         random_inputs: what the generator takes beside the latent, in the order in which it is drawn.
         standardisation: of the angles inside the graph, for information; the graph's output is in rad.
@@ -55,6 +56,7 @@ class BundleSpec:
     camera: Camera = field(default_factory=Camera)
     model_kind: str = "generator"
     looks_at_picture: bool = False
+    looks_at_map: bool = False
     samples_per_latent: int = 1
     random_inputs: tuple[RandomInput, ...] = ()
     standardisation: Standardisation | None = None
@@ -98,8 +100,9 @@ class BundleSpec:
 
     @property
     def conditions(self) -> tuple[str, ...]:
-        """What the generator takes beside the latent: the picture, start and goal, or nothing."""
-        return (*((PICTURE,) if self.looks_at_picture else ()), *self.endpoints)
+        """What the generator takes beside the latent: the picture, its map, start and goal, or nothing."""
+        seen = {PICTURE: self.looks_at_picture, MAP: self.looks_at_map}
+        return (*(name for name, taken in seen.items() if taken), *self.endpoints)
 
     @property
     def endpoints(self) -> tuple[str, ...]:
@@ -169,6 +172,7 @@ class BundleSpec:
                 camera=_camera(entry.get("camera")),
                 model_kind=entry.text("model_kind"),
                 looks_at_picture=PICTURE in entry.items("conditions"),
+                looks_at_map=MAP in entry.items("conditions"),
                 samples_per_latent=entry.integer("samples_per_latent"),
                 random_inputs=tuple(RandomInput.from_dict(item) for item in entry.items("random_inputs")),
                 standardisation=None if scale is None else _standardisation(scale),

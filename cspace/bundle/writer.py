@@ -9,6 +9,7 @@ from cspace.bundle.files import (
     ENCODER_FILE,
     GENERATOR_FILE,
     GOLDEN_FILE,
+    MAP_FILE,
     NOVELTY_FILE,
     SPEC_FILE,
     SUMS_FILE,
@@ -31,6 +32,7 @@ _GRAPH_FILES = {
     "generator": GENERATOR_FILE,
     "validity": VALIDITY_FILE,
     "novelty": NOVELTY_FILE,
+    "map": MAP_FILE,
 }
 
 
@@ -42,7 +44,7 @@ def write_bundle(
     Args:
         folder: where the bundle is to be; must not exist.
         spec: its description.
-        graphs: ``encoder``, ``generator`` and optionally ``validity`` and ``novelty`` to ONNX bytes.
+        graphs: ``encoder``, ``generator`` and optionally ``validity``, ``novelty`` and ``map`` to ONNX bytes.
         golden: the golden case; computed from a fixed picture and seed when None.
 
     Returns:
@@ -73,7 +75,7 @@ def _graph_files(graphs: Mapping[str, bytes]) -> dict[str, bytes]:
     if not {"encoder", "generator"} <= set(graphs) <= set(_GRAPH_FILES):
         raise BundleIntegrityError(
             "the bundle's graphs do not fit",
-            expected="encoder, generator and optionally validity and novelty",
+            expected="encoder, generator and optionally validity, novelty and map",
             got=", ".join(sorted(graphs)),
         )
     return {_GRAPH_FILES[name]: data for name, data in graphs.items()}

@@ -72,6 +72,7 @@ class LocalSampler:
                 start=start,
                 goal=goal,
                 min_confidence=min_confidence,
+                tell_confidence=False,
             )
         except (InputError, BundleError) as error:
             raise SamplerError("the local bundle refused the request", got=str(error)) from error

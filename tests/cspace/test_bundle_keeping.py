@@ -1,9 +1,12 @@
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cspace.bundle import Bundle
 from cspace.bundle.keeping import BUDGET, BUDGET_AT_LEAST, gather
+from tests.bundles import picture, write_tiny_bundle
 
 Scored = tuple[NDArray[np.float32], NDArray[np.float32]]
 
@@ -75,3 +78,16 @@ def test_a_handful_has_a_chance_too() -> None:
 def test_a_share_of_nothing_stays_empty() -> None:
     kept = gather(Source(0.9, 0.9, 0.9), [2, 0, 0], 0.5)
     assert kept.samples[:, 0].tolist() == [0.0, 0.0]
+
+
+def test_samples_are_the_same_where_nobody_is_told_their_confidence(tmp_path: Path) -> None:
+    bundle = Bundle.load(write_tiny_bundle(tmp_path / "bundle", validity=True))
+    told = bundle.sample(picture(), 40, 2, min_confidence=0.0)
+    untold = bundle.sample(picture(), 40, 2, min_confidence=0.0, tell_confidence=False)
+    assert told.confidence is not None
+    assert untold.confidence is None
+    np.testing.assert_array_equal(untold.samples, told.samples)
+    filtered = [
+        bundle.sample(picture(), 40, 2, min_confidence=0.4, tell_confidence=tell) for tell in (True, False)
+    ]
+    np.testing.assert_array_equal(filtered[0].samples, filtered[1].samples)

@@ -38,7 +38,7 @@ def test_a_path_bundle_keeps_what_it_sees_with_and_tells_where_it_comes_from(
 ) -> None:
     origin = Bundle.load(source)
     made = make_path_bundle(origin, tmp_path / "paths")
-    assert (made.spec.kind, made.spec.conditions) == ("path", ("image", "start", "goal"))
+    assert (made.spec.kind, made.spec.conditions) == ("path", ("map", "start", "goal"))
     assert made.spec.provenance.config["source_digest"] == origin.digest
     assert made.spec.provenance.config["ways"]["cells"] == 48
     assert made.spec.confidence_threshold == 0.0

@@ -7,8 +7,45 @@ import onnx
 from numpy.typing import NDArray
 from onnx import helper, numpy_helper
 
+MAP = "map"
 
-def show_grid(head: onnx.ModelProto, grid: NDArray[Any]) -> None:
+
+def map_graph(validity: bytes, grid: NDArray[Any]) -> bytes:
+    """A graph from a picture to the head's confidences on a grid.
+
+    Args:
+        validity: the head's graph: ``image`` (1, 3, P, P), ``configurations`` (n, d) to ``confidence`` (n,).
+        grid: (k, d) rad.
+
+    Returns:
+        ONNX bytes: ``image`` (1, 3, P, P) to ``map`` (k,).
+    """
+    head = onnx.load_from_string(validity)
+    _show(head, np.asarray(grid, dtype=np.float32))
+    named(head, "confidence", MAP)
+    (found,) = head.graph.output
+    head.graph.output.remove(found)
+    head.graph.output.append(shaped(MAP, len(grid)))
+    onnx.checker.check_model(head)
+    serialised: bytes = head.SerializeToString()
+    return serialised
+
+
+def named(model: onnx.ModelProto, name: str, wanted: str) -> None:
+    """Give a value of the graph, an input or output perhaps, another name."""
+    for node in model.graph.node:
+        for side in (node.input, node.output):
+            side[:] = [wanted if value == name else value for value in side]
+    for entry in (*model.graph.input, *model.graph.output):
+        entry.name = wanted if entry.name == name else entry.name
+
+
+def shaped(name: str, *shape: str | int) -> onnx.ValueInfoProto:
+    """A graph's float32 input or output of a shape, some of whose sizes may be names."""
+    return helper.make_tensor_value_info(name, onnx.TensorProto.FLOAT, shape)
+
+
+def _show(head: onnx.ModelProto, grid: NDArray[np.float32]) -> None:
     """Let the head look at the grid.
 
     The number of its cells comes from the picture's shape, so that it is not known before the graph runs:
@@ -30,8 +67,3 @@ def show_grid(head: onnx.ModelProto, grid: NDArray[Any]) -> None:
     # One picture, as the head takes it; said as if there could be several.
     (image,) = [entry for entry in head.graph.input if entry.name == "image"]
     image.type.tensor_type.shape.dim[0].dim_param = "pictures"
-
-
-def shaped(name: str, *shape: str | int) -> onnx.ValueInfoProto:
-    """A graph's float32 input or output of a shape, some of whose sizes may be names."""
-    return helper.make_tensor_value_info(name, onnx.TensorProto.FLOAT, shape)

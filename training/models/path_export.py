@@ -10,7 +10,7 @@ from cspace.bundle import RandomInput
 from cspace.grid_search import centres
 from cspace.space import JointSpace
 from training.models.export import batched, exported
-from training.models.head_map import shaped, show_grid
+from training.models.head_map import MAP, map_graph, named, shaped
 from training.models.lookups import ArmLookups
 from training.models.mixture import look
 from training.models.path_condition import Condition, swept
@@ -87,7 +87,7 @@ def point_graph(sampler: PointSampler, latent_dim: int, pixels: int) -> PathGrap
 
 
 def density_graph(sampler: DensitySampler, validity: bytes, space: JointSpace, latent_dim: int) -> PathGraph:
-    """The graph of the U-Net behind the validity head's: the head looks at the grid, the U-Net at its map.
+    """The graph of the U-Net, and that of the map which it sees, by the validity head.
 
     Args:
         sampler: trained.
@@ -96,20 +96,20 @@ def density_graph(sampler: DensitySampler, validity: bytes, space: JointSpace, l
         latent_dim: L; the latent is taken, as of all generators, and not looked at.
     """
     cells = sampler.net.grid.cells
-    seen = "maps" if sampler.net.ways else "confidence"
+    seen = "maps" if sampler.net.ways else MAP
     rows = (torch.zeros(sampler.net.maps * cells**2), *(torch.zeros(2, size) for size in (1, 2, 2, 2)))
     names = [seen, "place", "jitter", "start", "goal"]
     model = exported(sampler, rows, names, ["samples"], ({}, *batched("latents", 4)))
-    whole = onnx.load_from_string(validity)
-    whole = compose.add_prefix(whole, "head/", rename_inputs=False, rename_outputs=False)
-    show_grid(whole, centres(space, (cells, cells)).astype(np.float32))
+    whole = onnx.load_from_string(model)
     if sampler.net.ways:
-        whole = _joined(whole, way_maps_graph(space, cells, sampler.penalty), "confidence", "ways/")
-    whole = _joined(whole, onnx.load_from_string(model), seen, "paths/")
+        ways = way_maps_graph(space, cells, sampler.penalty)
+        named(ways, "confidence", MAP)
+        whole = _joined(ways, whole, seen, "paths/")
     whole.graph.input.append(shaped("latent", "latents", latent_dim))
     onnx.checker.check_model(whole)
     random = (RandomInput("place", "uniform", (1,), 0.0, 1.0), RandomInput("jitter", "normal", (2,)))
-    return PathGraph(whole.SerializeToString(), random, looks_at_picture=True)
+    grid = centres(space, (cells, cells))
+    return PathGraph(whole.SerializeToString(), random, map=map_graph(validity, grid))
 
 
 def _joined(first: onnx.ModelProto, second: onnx.ModelProto, through: str, prefix: str) -> onnx.ModelProto:

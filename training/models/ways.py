@@ -2,7 +2,8 @@
 
 The head tells how free each cell of a grid over the joint space is. Sweeps over the grid spread what the way
 to the goal costs, a walk from the start follows it, and the samples lie round points at random shares of the
-way's length. All of that is one ONNX graph, so that a bundle holds it as any other generator.
+way's length. All of that is two ONNX graphs, so that a bundle holds it as any other generator: the map, which
+a picture needs once, and the way.
 """
 
 import math
@@ -12,13 +13,15 @@ from typing import Any
 import numpy as np
 import onnx
 from numpy.typing import NDArray
-from onnx import compose, inliner
+from onnx import inliner
 
+from cspace.bundle import RandomInput
 from cspace.errors import ConfigError
 from cspace.space import JointSpace
-from training.models.head_map import shaped, show_grid
+from training.models.head_map import MAP, map_graph, named, shaped
 from training.models.way_graph import fixed, way_constants
 from training.models.way_steps import way_samples
+from training.path_writing import PathGraph
 
 PLANE = 2
 
@@ -66,7 +69,7 @@ class WaySettings:
 
 def way_graph(
     validity: bytes, space: JointSpace, latent_dim: int, settings: WaySettings | None = None
-) -> bytes:
+) -> PathGraph:
     """A bundle's path sampler by the map of its validity head.
 
     Args:
@@ -76,9 +79,9 @@ def way_graph(
         settings: how the way is found.
 
     Returns:
-        ONNX bytes: ``latent`` (m, L), ``place`` (m, 1) in [0, 1), ``jitter`` (m, 2) standard normal,
-        ``image`` (1, 3, P, P), ``start`` and ``goal`` (m, 2) rad, all rows alike, to ``samples`` (m, 1, 2)
-        rad.
+        The map's graph, and one from ``latent`` (m, L), ``place`` (m, 1) in [0, 1), ``jitter`` (m, 2)
+        standard normal, ``map`` (k,), ``start`` and ``goal`` (m, 2) rad, all rows alike, to ``samples``
+        (m, 1, 2) rad.
 
     Raises:
         ConfigError: the space has not two joints.
@@ -91,21 +94,14 @@ def way_graph(
     constants = _constants(space, settings)
     source = way_samples.to_model_proto()  # type: ignore[no-untyped-call]
     ways = fixed(inliner.inline_local_functions(source), constants)
-    head = onnx.load_from_string(validity)
-    show_grid(head, constants["grid"])
-    ways.ir_version = head.ir_version
-    whole = compose.merge_models(
-        compose.add_prefix(head, "head/", rename_inputs=False, rename_outputs=False),
-        compose.add_prefix(ways, "ways/", rename_inputs=False, rename_outputs=False),
-        io_map=[("confidence", "confidence")],
-    )
-    (samples,) = whole.graph.output
-    whole.graph.output.remove(samples)
-    whole.graph.output.append(shaped("samples", "latents", 1, PLANE))
-    whole.graph.input.append(shaped("latent", "latents", latent_dim))
-    onnx.checker.check_model(whole)
-    serialised: bytes = whole.SerializeToString()
-    return serialised
+    named(ways, "confidence", MAP)
+    (samples,) = ways.graph.output
+    ways.graph.output.remove(samples)
+    ways.graph.output.append(shaped("samples", "latents", 1, PLANE))
+    ways.graph.input.append(shaped("latent", "latents", latent_dim))
+    onnx.checker.check_model(ways)
+    random = (RandomInput("place", "uniform", (1,), 0.0, 1.0), RandomInput("jitter", "normal", (PLANE,)))
+    return PathGraph(ways.SerializeToString(), random, map=map_graph(validity, constants["grid"]))
 
 
 def _constants(space: JointSpace, settings: WaySettings) -> dict[str, NDArray[Any]]:

@@ -122,12 +122,12 @@ def feeds(names, rows=5, dim=2):
     return found
 
 
-def answer(model, fed):
+def answer(model, fed, output="samples"):
     options = onnxruntime.SessionOptions()
     options.log_severity_level = 4
     session = onnxruntime.InferenceSession(model, options, providers=["CPUExecutionProvider"])
     assert {entry.name for entry in session.get_inputs()} == set(fed)
-    return session.run(["samples"], fed)[0]
+    return session.run([output], fed)[0]
 
 
 @pytest.mark.parametrize("name", ["flow", "cvae", "wgan", "wgan_lookups"])
@@ -155,16 +155,17 @@ def test_a_graph_answers_as_the_network_does(name):
 
 
 @pytest.mark.parametrize("ways", [True, False])
-def test_a_densitys_graph_sees_the_map_of_the_head_that_it_is_joined_to(ways):
+def test_a_densitys_graph_sees_the_map_of_the_head_that_it_goes_with(ways):
     config = DensityConfig(cells=16, width=4, ways=ways)
     torch.manual_seed(0)  # noqa: TID251 - weights that are the same in every run
     net = PathUNet(CellGrid(TWO_LINK.space, 16), 4, ways=ways).eval()
     head = walled_head()
     graph = density_graph(DensitySampler(net, config, sweep=4), head, TWO_LINK.space, LATENT)
     fed = feeds(dict.fromkeys(["latent", "place", "jitter", "start", "goal", "image"], 0))
-    session = onnxruntime.InferenceSession(head, providers=["CPUExecutionProvider"])
-    grid = net.grid.centres.numpy()
-    (seen,) = session.run(["confidence"], {"image": fed["image"], "configurations": grid})
+    image = {"image": fed.pop("image")}
+    seen = answer(head, image | {"configurations": net.grid.centres.numpy()}, "confidence")
+    fed["map"] = answer(graph.map, image, "map")
+    np.testing.assert_allclose(fed["map"], seen, atol=1e-5)
     if ways:
         maps = onnxruntime.InferenceSession(way_maps_graph(TWO_LINK.space, 16, 20.0).SerializeToString())
         (seen,) = maps.run(["maps"], {"confidence": seen, "start": fed["start"], "goal": fed["goal"]})

@@ -11,6 +11,7 @@ from cspace.grid_search import centres, spacing, ways_to
 from cspace.robot import THREE_LINK, TWO_LINK, PlanarArm
 from cspace.space import difference
 from training.models.ways import WaySettings, way_graph
+from training.path_writing import PathGraph
 
 LATENT = 3
 LIMITED = PlanarArm(joint_limits_rad=(None, (-3.0, 3.0)))
@@ -70,17 +71,27 @@ def opened(graph: bytes) -> onnxruntime.InferenceSession:
     return onnxruntime.InferenceSession(graph, options, providers=["CPUExecutionProvider"])
 
 
-def asked(session: onnxruntime.InferenceSession, start, goal, place, jitter=None) -> np.ndarray:
+class Ways:
+    """The two graphs of a path sampler as a bundle runs them."""
+
+    def __init__(self, graph: PathGraph) -> None:
+        self._map, self._ways = opened(graph.map), opened(graph.model)
+
+    def run(self, feeds: dict[str, np.ndarray]) -> np.ndarray:
+        (seen,) = self._map.run(["map"], {"image": np.zeros((1, 3, 48, 48), np.float32)})
+        return self._ways.run(["samples"], feeds | {"map": seen})[0]
+
+
+def asked(session: Ways, start, goal, place, jitter=None) -> np.ndarray:
     rows = len(place)
     feeds = {
         "latent": np.zeros((rows, LATENT)),
         "place": np.reshape(place, (rows, 1)),
         "jitter": np.zeros((rows, 2)) if jitter is None else jitter,
-        "image": np.zeros((1, 3, 48, 48)),
         "start": np.tile(start, (rows, 1)),
         "goal": np.tile(goal, (rows, 1)),
     }
-    (samples,) = session.run(["samples"], {name: array.astype(np.float32) for name, array in feeds.items()})
+    samples = session.run({name: array.astype(np.float32) for name, array in feeds.items()})
     assert samples.shape == (rows, 1, 2)
     return samples[:, 0].astype(np.float64)
 
@@ -99,8 +110,8 @@ def head() -> bytes:
 
 
 @pytest.fixture(scope="module")
-def session(head: bytes) -> onnxruntime.InferenceSession:
-    return opened(way_graph(head, TWO_LINK.space, LATENT, STRAIGHT))
+def session(head: bytes) -> Ways:
+    return Ways(way_graph(head, TWO_LINK.space, LATENT, STRAIGHT))
 
 
 def test_a_way_leads_from_start_to_goal_through_the_gap(session, head):
@@ -136,27 +147,27 @@ def test_a_way_is_as_cheap_as_dijkstras(session, head, start, goal):
 
 
 def test_samples_lie_about_the_way_as_widely_as_the_tube(head):
-    wide = opened(way_graph(head, TWO_LINK.space, LATENT, WaySettings(widest_rad=0.2, gap_rad=0.0)))
+    wide = Ways(way_graph(head, TWO_LINK.space, LATENT, WaySettings(widest_rad=0.2, gap_rad=0.0)))
     ends = np.array([0.2, 2.0]), np.array([2.0, -2.5])
     rng = np.random.default_rng(0)
     place, jitter = rng.random(4000), rng.standard_normal((4000, 2))
     found = asked(wide, *ends, place, jitter)
-    narrow = opened(way_graph(head, TWO_LINK.space, LATENT, STRAIGHT))
+    narrow = Ways(way_graph(head, TWO_LINK.space, LATENT, STRAIGHT))
     np.testing.assert_allclose(found - asked(narrow, *ends, place), 0.2 * jitter, atol=1e-4)
 
 
 def test_a_limit_is_not_crossed_and_a_circle_is(head):
     ends = np.array([[-1.0, -2.8], [-1.0, 2.8]])
     place = np.linspace(0.0, 1.0, 501)
-    over_the_seam = asked(opened(way_graph(head, TWO_LINK.space, LATENT, STRAIGHT)), *ends, place)
+    over_the_seam = asked(Ways(way_graph(head, TWO_LINK.space, LATENT, STRAIGHT)), *ends, place)
     assert np.all(np.abs(over_the_seam[:, 1]) > 2.7)
-    within = asked(opened(way_graph(head, LIMITED.space, LATENT, STRAIGHT)), *ends, place)
+    within = asked(Ways(way_graph(head, LIMITED.space, LATENT, STRAIGHT)), *ends, place)
     assert np.any(np.abs(within[:, 1]) < 0.1)
     assert np.all(np.abs(within[:, 1]) <= 3.0)
 
 
 def test_rounding_in_the_head_does_not_move_the_way(session):
-    other = opened(way_graph(walled_head(wall_rad=1.0 + 1e-7), TWO_LINK.space, LATENT, STRAIGHT))
+    other = Ways(way_graph(walled_head(wall_rad=1.0 + 1e-7), TWO_LINK.space, LATENT, STRAIGHT))
     place = np.linspace(0.0, 1.0, 101)
     for start, goal in (((0.2, 2.0), (2.0, -2.5)), ((0.0, 0.0), (-2.5, 1.0))):
         ends = np.array(start), np.array(goal)
@@ -164,15 +175,22 @@ def test_rounding_in_the_head_does_not_move_the_way(session):
 
 
 def test_a_way_that_needs_more_cells_than_sweeps_still_gives_configurations(head):
-    hasty = opened(way_graph(head, TWO_LINK.space, LATENT, WaySettings(sweeps=3)))
+    hasty = Ways(way_graph(head, TWO_LINK.space, LATENT, WaySettings(sweeps=3)))
     found = asked(hasty, np.array([0.2, 2.0]), np.array([2.0, -2.5]), np.linspace(0.0, 1.0, 50))
     assert np.isfinite(found).all()
 
 
-def test_the_graph_stands_alone_and_is_small(head):
+def test_the_graphs_stand_alone_and_are_small(head):
     graph = way_graph(head, TWO_LINK.space, LATENT)
-    onnx.checker.check_model(onnx.load_from_string(graph))
-    assert len(graph) < 400_000
+    for model in (graph.model, graph.map):
+        onnx.checker.check_model(onnx.load_from_string(model))
+    assert len(graph.model) + len(graph.map) < 400_000
+
+
+def test_the_map_is_what_the_head_says_of_the_cells(head):
+    image = {"image": np.zeros((1, 3, 48, 48), np.float32)}
+    (seen,) = opened(way_graph(head, TWO_LINK.space, LATENT).map).run(["map"], image)
+    np.testing.assert_array_equal(seen, confidence(head, centres(TWO_LINK.space, (48, 48))))
 
 
 def test_three_joints_are_refused(head):
@@ -182,11 +200,11 @@ def test_three_joints_are_refused(head):
 
 def test_samples_come_in_sweeps_from_the_start_to_the_goal_with_the_gap_between_them(head):
     start, goal = np.array([0.2, 2.0]), np.array([2.0, -2.5])
-    plain = opened(way_graph(head, TWO_LINK.space, LATENT, STRAIGHT))
+    plain = Ways(way_graph(head, TWO_LINK.space, LATENT, STRAIGHT))
     whole = asked(plain, start, goal, np.linspace(0.0, 1.0, 2001))
     length = np.linalg.norm(difference(whole[:-1], whole[1:]), axis=1).sum()
     settings = WaySettings(tube_rad=0.0, widening_rad=0.0, gap_rad=length / 7.5)
-    swept = opened(way_graph(head, TWO_LINK.space, LATENT, settings))
+    swept = Ways(way_graph(head, TWO_LINK.space, LATENT, settings))
     place = np.random.default_rng(0).random(24)
     wanted = (np.arange(24) % 8 + place) / 8
     np.testing.assert_allclose(asked(swept, start, goal, place), asked(plain, start, goal, wanted), atol=1e-4)
@@ -197,7 +215,7 @@ def test_samples_come_in_sweeps_from_the_start_to_the_goal_with_the_gap_between_
 def test_every_sweep_is_wider_than_the_one_before_up_to_the_widest(head):
     start, goal = np.array([0.2, 2.0]), np.array([2.0, -2.5])
     settings = WaySettings(tube_rad=0.0, widening_rad=0.1, widest_rad=0.25, gap_rad=100.0)
-    graph = opened(way_graph(head, TWO_LINK.space, LATENT, settings))
+    graph = Ways(way_graph(head, TWO_LINK.space, LATENT, settings))
     place, jitter = np.full(5, 0.4), np.ones((5, 2))
     beside = asked(graph, start, goal, place, jitter) - asked(graph, start, goal, place)
     np.testing.assert_allclose(beside, np.array([[0.0, 0.1, 0.2, 0.25, 0.25]]).T * [[1.0, 1.0]], atol=1e-5)
