@@ -19,13 +19,21 @@ _TWO_PI = float(np.float32(2.0 * np.pi))
 
 @script(_LOCAL, default_opset=op)
 def _spread(
-    weights: FLOAT, prices: FLOAT, last: INT64, beyond_rows: FLOAT, beyond_columns: FLOAT, sweeps: INT64
+    weights: FLOAT,
+    prices: FLOAT,
+    last: INT64,
+    watched: INT64,
+    beyond_rows: FLOAT,
+    beyond_columns: FLOAT,
+    sweeps: INT64,
 ) -> FLOAT:
     """Gains (1, 1, c, c): minus the cost of the way from each cell to the goal's.
 
     A step costs the weight of the cell it leaves times its length. ``prices`` (3,) are the lengths of a step
     along the first joint, the second, and both. ``beyond_rows`` (c + 2, 1) and ``beyond_columns`` (1, c + 2)
-    are added where the grid is laid on beyond its ends: 0, or ``FAR`` where a joint has limits.
+    are added where the grid is laid on beyond its ends: 0, or ``FAR`` where a joint has limits. Sweeps end
+    once the gains of the ``watched`` cells (w,) are final, and with them those on their ways: a gain still to
+    come would have to come from one that has just risen and is above.
     """
     side = op.Shape(weights, start=2, end=3)
     zero, one = op.Constant(value_ints=[0]), op.Constant(value_ints=[1])
@@ -40,6 +48,8 @@ def _spread(
     before = side - 1
     # Names of inputs would not be renamed within the loop when the graph is joined to the head's.
     over_rows, over_columns = op.Identity(beyond_rows), op.Identity(beyond_columns)
+    seen, flat = op.Identity(watched), op.Constant(value_ints=[-1])
+    nothing = op.Constant(value_float=2.0 * FAR)
     for _ in range(sweeps):
         above = op.Slice(gains, before, side, rows)
         below = op.Slice(gains, zero, one, rows)
@@ -50,7 +60,13 @@ def _spread(
         left = op.Slice(vertical, before, side, columns)
         right = op.Slice(vertical, zero, one, columns)
         diagonal = op.MaxPool(op.Concat(left, vertical, right, axis=3) + over_columns, kernel_shape=[1, 3])
-        gains = op.Max(gains, vertical - up, horizontal - across, diagonal - aslant)
+        better = op.Max(gains, vertical - up, horizontal - across, diagonal - aslant)
+        highest = op.ReduceMax(op.Where(better > gains, better, nothing), keepdims=0)
+        lowest = op.ReduceMin(op.Gather(op.Reshape(better, flat), seen), keepdims=0)
+        gains = op.Identity(better)
+        final = highest <= lowest
+        if final:
+            break
     return gains
 
 
@@ -58,18 +74,21 @@ def _spread(
 def _walk(
     gains: FLOAT, weights: FLOAT, neighbours: INT64, lengths: FLOAT, first: INT64, last: INT64, steps: INT64
 ) -> INT64:
-    """Numbers of the cells from the first one (1,) on, (steps + 1,); the last one's repeats at the end."""
+    """Numbers of the cells from the first one (1,) on, over ``steps`` many; the last one repeats."""
     flat = op.Constant(value_ints=[-1])
     prices = lengths * op.Reshape(weights, flat)
     onward = op.ArgMax(op.Gather(op.Reshape(gains, flat), neighbours) - prices, axis=0, keepdims=1)
     following = op.Reshape(op.GatherElements(neighbours, onward, axis=0), flat)
     # From the last cell one stays there.
     following = op.ScatterElements(following, last, last)
-    at = op.Identity(first)
     cells = op.Identity(first)
+    # As many again with every turn, by steps that are twice as long.
     for _ in range(steps):
-        at = op.Gather(following, at)
-        cells = op.Concat(cells, at, axis=0)
+        cells = op.Concat(cells, op.Gather(following, cells), axis=0)
+        following = op.Gather(following, following)
+        enough = op.Size(cells) > steps
+        if enough:
+            break
     return cells
 
 
@@ -154,7 +173,7 @@ def way_samples(
     weights = op.Reshape((1.0 - read) * penalty + 1.0, grid_shape)
     first = _cell(start, low, size, count, strides)
     last = _cell(goal, low, size, count, strides)
-    gains = _spread(weights, prices, last, beyond_rows, beyond_columns, sweeps)
+    gains = _spread(weights, prices, last, first, beyond_rows, beyond_columns, sweeps)
     cells = _walk(gains, weights, neighbours, step_lengths, first, last, sweeps)
     # The ends themselves instead of the centres of their cells.
     inner = op.Gather(grid, op.Slice(cells, one, op.Shape(cells), zero))
@@ -194,8 +213,9 @@ def way_maps(
     weights = op.Reshape((1.0 - confidence) * penalty + 1.0, grid_shape)
     first = _cell(start, low, size, count, strides)
     last = _cell(goal, low, size, count, strides)
-    behind = op.Reshape(_spread(weights, prices, first, beyond_rows, beyond_columns, sweeps), flat)
-    ahead = op.Reshape(_spread(weights, prices, last, beyond_rows, beyond_columns, sweeps), flat)
+    every = op.Range(0, op.Size(confidence), 1)
+    behind = op.Reshape(_spread(weights, prices, first, every, beyond_rows, beyond_columns, sweeps), flat)
+    ahead = op.Reshape(_spread(weights, prices, last, every, beyond_rows, beyond_columns, sweeps), flat)
     whole = behind + ahead
     detour = op.Min(op.ReduceMax(whole, keepdims=0) - whole, farthest)
     near = op.Cast(detour < farthest, to=1)
