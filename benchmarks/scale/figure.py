@@ -26,7 +26,8 @@ def growth(axes: Axes, rows: list[dict], key: str) -> None:
     for stage, label in STAGES.items():
         found = [[row[stage] for row in mine if row[key] == value] for value in values]
         draw(axes, values, found, label)
-    axes.set(xlabel=TITLES[key], ylabel="seconds", xscale="log", yscale="log")
+    axes.set(xlabel=TITLES[key], ylabel="seconds", xscale="log")
+    axes.set_ylim(bottom=0.0)
     axes.set_xticks(values, [str(value) for value in values], minor=False)
     axes.set_xticks([], minor=True)
 
