@@ -5,8 +5,7 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 from cspace.bundle.files import read_files
 from cspace.errors import (
@@ -19,6 +18,7 @@ from cspace.errors import (
 from services.registry.models import ModelVersion
 from services.registry.names import TAG_KEY
 from services.registry.parameters import flatten
+from services.registry.run_block import RunBlock
 from services.registry.tracking import Picture, RunLog, RunStatus
 
 
@@ -38,7 +38,7 @@ class FakeRun:
     inputs: list[dict[str, str]] = field(default_factory=list)
 
 
-class FakeRunLog:
+class FakeRunLog(RunBlock):
     """A RunLog that writes straight into a FakeRun."""
 
     def __init__(self, run: FakeRun, held: Mapping[str, int], from_step: int) -> None:
@@ -83,17 +83,6 @@ class FakeRunLog:
 
     def finish(self, status: RunStatus = "FINISHED") -> None:
         self._run.status = status
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        if kind is None:
-            self.finish()
-        else:
-            self.finish("FAILED" if issubclass(kind, Exception) else "KILLED")
 
 
 class FakeTracking:
