@@ -42,7 +42,7 @@ clean-state: $(INSTALLED) ## delete runs, models, data and logs (asks; YES=1 doe
 test: $(INSTALLED) ## the fast tests, under 5 minutes
 	$(PYTEST) -m "$(FAST)"
 
-test-all: $(INSTALLED) ## all tests that need neither a container engine nor a GPU
+test-all: $(INSTALLED) ## all tests that need neither a container engine nor a GPU; wants Chromium
 	$(PYTEST) -m "$(ALL)"
 
 check: $(INSTALLED) ## format, lint, types, import rules, images, compose file, manifests, code in the documents

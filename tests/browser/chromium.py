@@ -3,6 +3,7 @@
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
 from playwright.sync_api import Page, sync_playwright
 
@@ -32,7 +33,13 @@ localStorage.setItem("mlflow.assistant.fab.autoOpenedOnFirstLoad_v1", "true");
 
 @contextmanager
 def browser_page() -> Iterator[Page]:
-    """An empty page of a browser that is closed afterwards; requests to other hosts are refused."""
+    """An empty page of a browser that is closed afterwards; requests to other hosts are refused.
+
+    Raises:
+        FileNotFoundError: there is no Chromium.
+    """
+    if not Path(PROGRAM).exists():
+        raise FileNotFoundError(f"{PROGRAM} is not there; on Debian: apt install chromium")
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=PROGRAM, args=list(OPTIONS), headless=True)
         try:
