@@ -9,7 +9,7 @@ from cspace.dataset import Dataset
 from training.models.lookups import make_lookups
 from training.models.path_density import DensitySampler
 from training.models.path_export import PointSampler, density_graph, point_graph
-from training.path_config import PathModel, PathTrainConfig, PointConfig
+from training.path_config import PathModel, PathTrainConfig
 from training.path_writing import PathGraph, write_path_bundle
 from training.trials.path_arrays import PathArrays
 from training.trials.path_trials import load_density, load_points
@@ -24,7 +24,7 @@ def path_graph(
         sampler = DensitySampler(load_density(train, arrays, checkpoint), train.density, train.sweep)
         head = (source.folder / VALIDITY_FILE).read_bytes()
         return density_graph(sampler.eval(), head, spec.robot.space, spec.latent_dim)
-    config: PointConfig = getattr(train, name)
+    config = train.points_of(name)
     net = load_points(name, train, arrays, checkpoint)
     lookups = make_lookups(config.lookups, spec.robot, spec.camera)
     points = PointSampler(net, lookups, place=config.place, sweep=train.sweep, jitter_rad=config.jitter_rad)

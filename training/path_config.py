@@ -12,8 +12,8 @@ from training.datasets.config import PathDatasetConfig
 
 PATH_PRESET_FOLDER = PRESET_FOLDER / "paths"
 
-PathModel = Literal["density", "flow", "cvae", "wgan", "wgan_guided", "wgan_lookups"]
-ALL_MODELS: tuple[PathModel, ...] = ("density", "flow", "cvae", "wgan", "wgan_lookups")
+PathModel = Literal["density", "flow", "flow_distilled", "cvae", "wgan", "wgan_guided", "wgan_lookups"]
+ALL_MODELS: tuple[PathModel, ...] = ("density", "flow", "flow_distilled", "cvae", "wgan", "wgan_lookups")
 
 
 class DensityConfig(Section):
@@ -55,6 +55,15 @@ class FlowConfig(PointConfig):
     batch_size: int = Field(1024, ge=2)
     steps: int = Field(10_000, ge=1)
     evaluations: int = Field(8, ge=1, description="of the velocity for each sample")
+
+
+class DistillationConfig(Section):
+    """A student that answers as the flow does, by fewer evaluations; in all else it is a copy of the flow."""
+
+    evaluations: int = Field(1, ge=1, description="of the student's network for each sample")
+    batch_size: int = Field(512, ge=2)
+    steps: int = Field(3000, ge=1)
+    learning_rate: float = Field(1e-3, gt=0)
 
 
 class PathVaeConfig(PointConfig):
@@ -102,6 +111,7 @@ class PathTrainConfig(Section):
     )
     density: DensityConfig = DensityConfig()
     flow: FlowConfig = FlowConfig()
+    flow_distilled: DistillationConfig = DistillationConfig()
     cvae: PathVaeConfig = PathVaeConfig()
     wgan: PathGanConfig = PathGanConfig()
     wgan_guided: PathGanConfig = PathGanConfig(guide_weight=0.1)
@@ -116,7 +126,16 @@ class PathTrainConfig(Section):
             raise ValueError("models names one or more, each once")
         if "wgan_guided" in self.models and self.guides is None:
             raise ValueError("wgan_guided needs guides: the folder of a job with local critics")
+        if "flow_distilled" in self.models and "flow" not in self.models:
+            raise ValueError("flow_distilled needs flow among the models, for it learns from it")
         return self
+
+    def points_of(self, name: PathModel) -> PointConfig:
+        """Sizes and look-ups of a model that gives points."""
+        if name == "flow_distilled":
+            return self.flow.model_copy(update={"evaluations": self.flow_distilled.evaluations})
+        found: PointConfig = getattr(self, name)
+        return found
 
 
 def load_path_config(preset: str, overrides: Sequence[str] = ()) -> PathTrainConfig:

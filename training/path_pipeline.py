@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from cspace.bundle import Bundle
 from cspace.dataset import Dataset, open_dataset
@@ -33,6 +34,8 @@ _LOG = logging.getLogger("training")
 JOB_TITLE = "path-train"
 # The sampler that is not trained on paths, registered beside those that are.
 UNTRAINED = "ways"
+# A model that learns from another one of the job, and that one.
+DISTILLED, TEACHER = "flow_distilled", "flow"
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,15 +134,26 @@ def _data(config: PathTrainConfig, folder: Path) -> Dataset:
 def _train(job: Job[PathTrainConfig], source: Bundle, arrays: PathArrays) -> list[TrialOutcome]:
     config = job.config
     guides = None if config.guides is None else find_guides(config.guides, source.digest)
-    trials = [{"name": name, "run_id": job.child(name), "seed": config.seed} for name in config.models]
+    trials: list[dict[str, Any]] = [
+        {"name": name, "run_id": job.child(name), "seed": config.seed} for name in config.models
+    ]
     _LOG.info("path models: %s on %d paths", ", ".join(config.models), len(arrays.ids))
-    shared = {
+    shared: dict[str, Any] = {
         "train": config,
         "arrays": arrays,
         "guides": guides,
         "tracking_uri": job.environment.tracking_uri,
     }
-    return run_trials(path_trial, trials, shared, config.resources, job.folder / "models")
+
+    def run(wanted: list[dict[str, Any]]) -> dict[str, TrialOutcome]:
+        outcomes = run_trials(path_trial, wanted, shared, config.resources, job.folder / "models")
+        return {outcome.name: outcome for outcome in outcomes}
+
+    found = run([trial for trial in trials if trial["name"] != DISTILLED])
+    if DISTILLED in config.models:
+        shared["teacher"] = found[TEACHER].checkpoint
+        found |= run([trial for trial in trials if trial["name"] == DISTILLED])
+    return [found[name] for name in config.models]
 
 
 def _bundles(

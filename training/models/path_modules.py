@@ -1,5 +1,7 @@
 """The Lightning shells of the path models that give points: flow matching, conditional VAE, WGAN-GP."""
 
+from collections.abc import Iterable
+
 import torch
 from torch import Tensor, nn
 from torch.optim.lr_scheduler import LambdaLR, OneCycleLR
@@ -61,7 +63,7 @@ class FlowModule(PointModule):
         super().__init__(config, samples, scenes, seed)
         self.config = config
         self.net = make_flow(config, self.dim, self.latent_dim, self.looked_up)
-        _one_cycle(self, config.learning_rate, config.steps)
+        one_cycle(self, self.parameters(), config.learning_rate, config.steps)
 
     def training_step(self, step: int, batch_index: int) -> None:
         """One step of the regression on velocities."""
@@ -73,7 +75,7 @@ class FlowModule(PointModule):
         way = torch.remainder(batch.points - base + torch.pi, 2.0 * torch.pi) - torch.pi
         found = self.net.velocity(at, time, self.condition(batch).features(), self.look(batch)(at))
         loss = (found - way).square().sum(dim=1).mean()
-        _descend(self, loss)
+        descend(self, loss)
         self.latest = {"flow_loss": loss.detach()}
 
 
@@ -86,7 +88,7 @@ class PathVaeModule(PointModule):
         sizes = (self.dim, self.latent_dim, config.hidden, config.layers, config.code_dim)
         self.net = PathDecoder(*sizes, 0, place=config.place)
         self.recogniser = PathRecogniser(*sizes, place=config.place)
-        _one_cycle(self, config.learning_rate, config.steps)
+        one_cycle(self, self.parameters(), config.learning_rate, config.steps)
 
     def training_step(self, step: int, batch_index: int) -> None:
         """One step of the evidence lower bound."""
@@ -98,7 +100,7 @@ class PathVaeModule(PointModule):
         wanted = torch.cat([torch.cos(batch.points), torch.sin(batch.points)], dim=1)
         error = (self.net.embedded(condition, code) - wanted).square().sum(dim=1).mean()
         kl = losses.kl_divergence(mean, log_variance).mean()
-        _descend(self, error + self.config.kl_weight * kl)
+        descend(self, error + self.config.kl_weight * kl)
         self.latest = {"path_error": error.detach(), "kl": kl.detach()}
 
 
@@ -228,13 +230,17 @@ def make_path_generator(
     )
 
 
-def _one_cycle(module: TrialModule, learning_rate: float, steps: int) -> None:
-    optimiser = torch.optim.Adam(module.parameters(), lr=learning_rate)
+def one_cycle(
+    module: TrialModule, parameters: Iterable[nn.Parameter], learning_rate: float, steps: int
+) -> None:
+    """Give a module Adam with a learning rate that rises once and falls."""
+    optimiser = torch.optim.Adam(parameters, lr=learning_rate)
     module.training_optimisers = [optimiser]
     module.training_schedules = [OneCycleLR(optimiser, learning_rate, total_steps=steps + 1, pct_start=0.1)]
 
 
-def _descend(module: TrialModule, loss: Tensor) -> None:
+def descend(module: TrialModule, loss: Tensor) -> None:
+    """One step of the module's only optimiser and its schedule."""
     (optimiser,) = module.training_optimisers
     optimiser.zero_grad()
     loss.backward()  # type: ignore[no-untyped-call]

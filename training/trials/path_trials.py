@@ -11,6 +11,7 @@ from training.models.checkpoint import load_weights, seeded_initialisation
 from training.models.lookups import make_reader
 from training.models.modules import TrialModule
 from training.models.path_density import DensityModule
+from training.models.path_distillation import FlowDistillationModule
 from training.models.path_modules import (
     FlowModule,
     PathGanModule,
@@ -20,7 +21,7 @@ from training.models.path_modules import (
 )
 from training.models.path_points import PathDecoder, PathFlow, RefiningGenerator
 from training.models.path_unet import CellGrid, PathUNet
-from training.path_config import PathGanConfig, PathModel, PathTrainConfig, PointConfig
+from training.path_config import FlowConfig, PathGanConfig, PathModel, PathTrainConfig, PointConfig
 from training.trials.guides import Guides
 from training.trials.path_arrays import PathArrays
 from training.trials.tracked import fit_tracked
@@ -34,23 +35,38 @@ def path_trial(
     arrays: PathArrays,
     guides: Guides | None,
     tracking_uri: str,
+    teacher: Path | None = None,
 ) -> None:
     """Train the path model that the trial is named after."""
     trial = config["trial"]
     name: PathModel = trial["name"]
     with seeded_initialisation(trial["seed"]):
-        module = make_path_module(name, train, arrays, trial["seed"], guides)
+        module = make_path_module(name, train, arrays, trial["seed"], guides, teacher)
     steps = getattr(train, name).steps
     fit_tracked(trial, module, steps, train.resources, tracking_uri)
 
 
 def make_path_module(
-    name: PathModel, train: PathTrainConfig, arrays: PathArrays, seed: int, guides: Guides | None = None
+    name: PathModel,
+    train: PathTrainConfig,
+    arrays: PathArrays,
+    seed: int,
+    guides: Guides | None = None,
+    teacher: Path | None = None,
 ) -> TrialModule:
     """A path model with its data, ready to be trained.
 
+    Args:
+        name: of the model.
+        train: sizes and budgets.
+        arrays: the data.
+        seed: of every draw.
+        guides: local critics, for the guided model.
+        teacher: the flow's checkpoint, for the distilled one.
+
     Raises:
-        JobError: the arrays have no maps for a density, or there are no guides for a guided model.
+        JobError: the arrays have no maps for a density, or there are no guides for a guided model, or no
+            teacher for a distilled one.
     """
     samples = arrays.samples()
     if name == "density":
@@ -62,6 +78,11 @@ def make_path_module(
         )
     if name == "flow":
         return FlowModule(train.flow, samples, _scenes(train.flow, arrays), seed)
+    if name == "flow_distilled":
+        if teacher is None:
+            raise JobError("a distilled flow needs a teacher", expected="the flow's checkpoint", got="none")
+        weights, scenes = load_weights(teacher, "net"), _scenes(train.flow, arrays)
+        return FlowDistillationModule(train.flow_distilled, train.flow, samples, scenes, weights, seed)
     if name == "cvae":
         return PathVaeModule(train.cvae, samples, _scenes(train.cvae, arrays), seed)
     config: PathGanConfig = getattr(train, name)
@@ -87,13 +108,13 @@ def load_points(
 ) -> PathFlow | PathDecoder | RefiningGenerator:
     """The flow, decoder or generator of a trial's checkpoint."""
     dim, latent_dim = arrays.paths.shape[2], arrays.mu.shape[1]
-    config: PointConfig = getattr(train, name)
+    config = train.points_of(name)
     reader = make_reader(config.lookups, _scenes(config, arrays))
     looked_up = 0 if reader is None else reader.lookups.values
     net: PathFlow | PathDecoder | RefiningGenerator
     with seeded_initialisation(0):
-        if name == "flow":
-            net = make_flow(train.flow, dim, latent_dim, looked_up)
+        if isinstance(config, FlowConfig):
+            net = make_flow(config, dim, latent_dim, looked_up)
         elif name == "cvae":
             sizes = (dim, latent_dim, train.cvae.hidden, train.cvae.layers, train.cvae.code_dim)
             net = PathDecoder(*sizes, 0, place=train.cvae.place)

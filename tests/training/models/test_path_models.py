@@ -35,10 +35,10 @@ SMALL = PathTrainConfig(
 ROWS = 64
 
 
-def trained(name, steps=None, given=None):
-    module = make_path_module(name, SMALL, given or arrays(count=1, scenarios=1), 0)
+def trained(name, steps=None, given=None, train=SMALL):
+    module = make_path_module(name, train, given or arrays(count=1, scenarios=1), 0)
     first: dict[str, float] = {}
-    for step in range(steps or getattr(SMALL, name).steps):
+    for step in range(steps or getattr(train, name).steps):
         module.training_step(step, 0)
         first = first or module.metrics()
     return module.eval(), first
