@@ -79,7 +79,7 @@ def draw_problem(
     """
     family, rng = Family(family), scenario_rng(split, seed, index)
     if family is Family.NARROW:
-        _require_resolution(robot)
+        require_resolution(robot)
     for rejected in range(MAX_DRAWS):
         scenario = random_scenario(rng, robot)
         proposals = robot.space.sample_uniform(rng, _PROPOSALS)
@@ -183,7 +183,12 @@ def _sides(
     return grid.components(high)[cells], grid.components(low, diagonal=low == 0.0)[cells]
 
 
-def _require_resolution(robot: PlanarArm) -> None:
+def require_resolution(robot: PlanarArm) -> None:
+    """Refuse narrow passages of a robot whose grid is too coarse for them.
+
+    Raises:
+        ScenarioError: it is.
+    """
     cell_rad = 2.0 * np.pi / cells_per_joint(robot.dim)
     if cell_rad > NARROW_RAD[1]:
         raise ScenarioError(

@@ -9,6 +9,7 @@ from mlflow import MlflowClient
 
 from cspace.bundle import Bundle
 from cspace.errors import ConfigError
+from cspace.robot import THREE_LINK
 from inference_api.settings import PRETRAINED_FOLDER
 from services.registry.mlflow_registry import MlflowRegistry
 from services.registry.names import ALIAS_CHALLENGER, EXPERIMENT, PATH_MODEL_NAME
@@ -155,3 +156,25 @@ def test_a_configuration_that_cannot_be_is_refused(override, message):
 def test_every_preset_is_a_configuration():
     for preset in ("paths", "smoke", "paper"):
         assert load_path_config(preset).preset == preset
+
+
+@pytest.mark.e2e
+@pytest.mark.slow
+@pytest.mark.timeout(400)
+def test_three_joints_take_the_same_job_without_the_models_of_a_grid(server, data_folder, tmp_path):
+    source = write_tiny_bundle(tmp_path / "source", THREE_LINK, validity=True)
+    made = train(
+        server,
+        data_folder,
+        f"source={source}",
+        f"data.robot.link_lengths_m={list(THREE_LINK.link_lengths_m)}",
+        "data.narrow_share=0",
+        "models=[flow, flow_distilled, cvae]",
+    )
+    # No grid, no untrained sampler.
+    assert set(made["versions"]) == {"flow", "flow_distilled", "cvae"}
+    registry = MlflowRegistry(server)
+    for name, number in made["versions"].items():
+        folder = registry.download(registry.version(PATH_MODEL_NAME, number), tmp_path / name)
+        ends = {"start": (0.5, 0.5, 0.1), "goal": (-0.5, -1.0, 0.3)}
+        assert Bundle.load(folder).sample(WHITE, 20, 1, **ends).samples.shape == (20, 3)

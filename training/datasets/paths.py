@@ -18,7 +18,7 @@ from cspace.dataset import Dataset, write_dataset
 from cspace.errors import DatasetError
 from cspace.free_grid import FreeGrid, cells_per_joint
 from cspace.grid_paths import PATH_CELLS, PathFinder, spread_points
-from cspace.problem import Family, Problem, narrow_pairs
+from cspace.problem import Family, Problem, narrow_pairs, require_resolution
 from cspace.render import render
 from cspace.scenario import Camera, Scenario, Split, random_scenario, scenario_rng
 from services.planner.ompl_planner import solve
@@ -55,7 +55,13 @@ class PathRecipe:
         return config.scenario_count * each
 
     def plan(self) -> list[Shard]:
-        """Ranges of scenarios."""
+        """Ranges of scenarios.
+
+        Raises:
+            ScenarioError: narrow passages are asked for, and the robot's grid is too coarse for them.
+        """
+        if self.config.narrow_count:
+            require_resolution(self.config.robot_value())
         total, size = self.config.scenario_count, self.config.shard_size
         return [Shard(first, min(size, total - first), extra=False) for first in range(0, total, size)]
 

@@ -5,13 +5,13 @@ import pytest
 
 from cspace.collision import CollisionChecker
 from cspace.dataset import open_dataset
-from cspace.errors import DatasetError
+from cspace.errors import DatasetError, ScenarioError
 from cspace.problem import NARROW_RAD, bottleneck_rad
 from cspace.render import render
 from cspace.robot import TWO_LINK
 from cspace.scenario import Disc, Scenario
 from training.datasets import generate as module
-from training.datasets.config import DatasetConfig, PathDatasetConfig
+from training.datasets.config import DatasetConfig, PathDatasetConfig, RobotConfig
 from training.datasets.generate import generate
 from training.datasets.paths import PathRecipe
 from training.datasets.shards import save_shard
@@ -114,3 +114,22 @@ def test_no_paths_at_all_are_an_error_that_says_so(monkeypatch):
     recipe = PathRecipe(SMALL)
     with pytest.raises(DatasetError, match="enough paths"):
         recipe.make(recipe.plan()[0])
+
+
+THREE = SMALL.model_copy(update={"robot": RobotConfig(link_lengths_m=(1.6, 1.4, 1.0)), "scenario_count": 2})
+
+
+def test_three_joints_have_paths_too():
+    recipe = PathRecipe(THREE.model_copy(update={"narrow_share": 0.0}))
+    (shard,) = recipe.plan()
+    made = recipe.make(shard)
+    assert made["paths"].shape == (2, 3, 33, 3)
+    for discs, paths in zip(made["discs"], made["paths"], strict=True):
+        robot = THREE.robot_value()
+        checker = CollisionChecker(Scenario(robot, tuple(Disc(*map(float, row)) for row in discs)))
+        assert checker.valid_batch(paths.reshape(-1, 3)).all()
+
+
+def test_narrow_passages_of_three_joints_are_refused_before_anything_is_drawn():
+    with pytest.raises(ScenarioError, match="narrow passages of 3 joints"):
+        PathRecipe(THREE.model_copy(update={"narrow_share": 0.5})).plan()
