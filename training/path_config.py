@@ -121,7 +121,7 @@ class PathTrainConfig(Section):
     resources: ResourceConfig = ResourceConfig(log_every_steps=50, checkpoint_every_steps=500)
 
     @model_validator(mode="after")
-    def _guided_models_have_guides(self) -> "PathTrainConfig":
+    def _models_have_what_they_need(self) -> "PathTrainConfig":
         if not self.models or len(set(self.models)) != len(self.models):
             raise ValueError("models names one or more, each once")
         if "wgan_guided" in self.models and self.guides is None:
