@@ -65,6 +65,10 @@ class DistillationConfig(Section):
     steps: int = Field(3000, ge=1)
     learning_rate: float = Field(1e-3, gt=0)
 
+    def student_of(self, flow: FlowConfig) -> FlowConfig:
+        """The student's network, from its teacher's."""
+        return flow.model_copy(update={"evaluations": self.evaluations})
+
 
 class PathVaeConfig(PointConfig):
     """A conditional VAE (Ichter, Harrison, Pavone 2018)."""
@@ -133,7 +137,7 @@ class PathTrainConfig(Section):
     def points_of(self, name: PathModel) -> PointConfig:
         """Sizes and look-ups of a model that gives points."""
         if name == "flow_distilled":
-            return self.flow.model_copy(update={"evaluations": self.flow_distilled.evaluations})
+            return self.flow_distilled.student_of(self.flow)
         found: PointConfig = getattr(self, name)
         return found
 

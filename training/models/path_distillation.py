@@ -44,12 +44,7 @@ class FlowDistillationModule(PointModule):
         self.teacher = make_flow(flow, self.dim, self.latent_dim, self.looked_up)
         self.teacher.load_state_dict(weights)
         self.teacher.requires_grad_(requires_grad=False)
-        self.net = make_flow(
-            flow.model_copy(update={"evaluations": config.evaluations}),
-            self.dim,
-            self.latent_dim,
-            self.looked_up,
-        )
+        self.net = make_flow(config.student_of(flow), self.dim, self.latent_dim, self.looked_up)
         self.net.load_state_dict(weights)
         one_cycle(self, self.net.parameters(), config.learning_rate, config.steps)
 
