@@ -5,6 +5,8 @@ VENV := .venv
 BIN := $(VENV)/bin
 LOCAL := $(BIN)/python -m services.local
 PYTEST := OMP_NUM_THREADS=1 MLFLOW_DISABLE_TELEMETRY=true RAY_USAGE_STATS_ENABLED=0 ORT_DISABLE_TELEMETRY=1 $(BIN)/python -m pytest
+# Test files side by side, one process a core; what starts real services runs alone.
+SIDE_BY_SIDE := -n auto --maxprocesses 4 --dist loadfile
 INSTALLED := $(VENV)/installed
 
 FAST := not slow and not e2e and not compose and not browser and not gpu
@@ -40,7 +42,7 @@ clean-state: $(INSTALLED) ## delete runs, models, data and logs (asks; YES=1 doe
 	@$(LOCAL) clean-state $(if $(YES),--yes)
 
 test: $(INSTALLED) ## the fast tests, under 5 minutes
-	$(PYTEST) -m "$(FAST)"
+	$(PYTEST) -m "$(FAST)" $(SIDE_BY_SIDE)
 
 test-all: $(INSTALLED) ## all tests that need neither a container engine nor a GPU; wants Chromium
 	$(PYTEST) -m "$(ALL)"
@@ -51,8 +53,7 @@ check: $(INSTALLED) ## format, lint, types, import rules, images, compose file, 
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 	$(BIN)/hadolint docker/*.Dockerfile
-	$(PYTEST) -q -m "$(FAST)" tests/compose
-	$(PYTEST) -q -m "$(FAST)" $(wildcard README.md docs tests/docs)
+	$(PYTEST) -q -m "$(FAST)" $(SIDE_BY_SIDE) tests/compose $(wildcard README.md docs tests/docs)
 
 format: $(INSTALLED) ## mend format and lint where a tool can
 	$(BIN)/ruff format .

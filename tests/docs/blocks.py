@@ -8,6 +8,7 @@ A shell block says on the line above its fence what runs it, in a comment that r
 | ``<!-- run: api -->`` | the fast tests, against an inference API with a tiny model |
 | ``<!-- run: make -->`` | the fast tests, each line as ``make --dry-run`` |
 | ``<!-- run: stack -->`` | the e2e tests, in the order of the document, against all services |
+| ``<!-- run: stack slow -->`` | the same, left out of the sample that CI takes |
 | ``<!-- run: elsewhere FILE -->`` | a test in FILE, which holds every word of ``words: ...`` after it |
 
 Python blocks run in the fast tests, JSON blocks are parsed, text blocks show what something prints.

@@ -51,6 +51,11 @@ def test_the_test_that_is_named_holds_the_words_that_are_named(block: Block) -> 
     assert [word for word in words.split() if word not in text or word not in block.source] == []
 
 
+@pytest.mark.parametrize("block", all_blocks(Kind.STACK), ids=lambda block: block.name)
+def test_a_block_against_all_services_is_slow_or_says_nothing(block: Block) -> None:
+    assert block.rest in {"", "slow"}
+
+
 def test_a_shell_block_without_a_mark_is_of_no_kind(tmp_path: Path) -> None:
     document = tmp_path / "page.md"
     document.write_text("text\n\n```bash\nrm -r nothing\n```\n", encoding="utf-8")

@@ -35,7 +35,13 @@ def session_lines() -> str:
     return next(block.source for block in BLOCKS if "services.local env" in block.source)
 
 
-@pytest.mark.parametrize("block", BLOCKS, ids=lambda block: block.name)
+@pytest.mark.parametrize(
+    "block",
+    [
+        pytest.param(block, marks=[pytest.mark.slow] * (block.rest == "slow"), id=block.name)
+        for block in BLOCKS
+    ],
+)
 def test_a_block_runs_against_all_services(block: Block, stack: LiveStack, session_lines: str) -> None:
     shell = Block(block.document, block.line, block.language, session_lines + block.source, block.mark, "")
     written = {name: str(stack.folder / name) for name in WRITTEN}
