@@ -45,7 +45,8 @@ test: $(INSTALLED) ## the fast tests, under 5 minutes
 	$(PYTEST) -m "$(FAST)" $(SIDE_BY_SIDE)
 
 test-all: $(INSTALLED) ## all tests that need neither a container engine nor a GPU; wants Chromium
-	$(PYTEST) -m "$(ALL)"
+	$(PYTEST) -m "$(FAST)" $(SIDE_BY_SIDE)
+	$(PYTEST) -m "$(ALL) and (slow or e2e or browser)"
 
 check: $(INSTALLED) ## format, lint, types, import rules, images, compose file, manifests, code in the documents
 	$(BIN)/ruff format --check .
