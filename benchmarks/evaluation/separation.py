@@ -11,7 +11,8 @@ Two questions, both on two joints, every score between clouds drawn anew for eac
    link, as in the paper's figure. ``room``: a square of free space with obstacles all round, against the
    same with a wall through its middle; here theory says what should be seen: no loop in either free space,
    one in the complement of the whole room, two in that of the divided one. ``rim``: the control, the room
-   with the wall along its side, as much free space and not divided.
+   with the wall along its side, as much free space and not divided. ``door``: the divided room against one
+   whose wall has a door of so many rad in its middle, which is whole and hardly another shape.
 
 Intervals are 95 % by bootstrap over repeats. A range is from the smallest to the largest single score: what
 one evaluation may see. Writes the rows as JSON and tables as Markdown; separation_figure.py draws them.
@@ -40,6 +41,7 @@ from services.evaluator.topology import POINTS, RelativeLivingTimes, geometry_sc
 SPACE = TWO_LINK.space
 NOISE_RAD = 0.1
 SEED = 0
+DOORS_RAD = (0.75, 1.5, 3.0)
 
 
 @dataclass(frozen=True)
@@ -86,7 +88,7 @@ def arm_free(radius_m: float, distance_m: float):
     return draw
 
 
-def room_free(samples_in_all: int, wall: str):
+def room_free(samples_in_all: int, wall: str, door_rad: float = 0.0):
     """Free configurations of the room; frame and wall are as wide as two cells of the complement's grid."""
     width = 2.0 * 2.0 * np.pi / int((samples_in_all / POINTS_PER_CELL) ** 0.5)
     half = np.pi - width
@@ -95,7 +97,7 @@ def room_free(samples_in_all: int, wall: str):
         inside = rng.uniform(-half, half, (4 * samples, 2))
         blocked = {
             "none": np.zeros(len(inside), dtype=bool),
-            "middle": np.abs(inside[:, 0]) < width / 2.0,
+            "middle": (np.abs(inside[:, 0]) < width / 2.0) & (np.abs(inside[:, 1]) >= door_rad / 2.0),
             "side": inside[:, 0] < -half + width,
         }
         return inside[~blocked[wall]][:samples]
@@ -133,6 +135,10 @@ def cases(samples: int, split: Split, scenarios: int, least_blocked: float):
         f"arm, {radius} m": (arm_free(radius, 2.3 + radius), arm_free(radius, 1.5), None)
         for radius in (0.3, 0.5)
     } | {"room": tuple(room_free(samples, wall) for wall in ("none", "middle", "side"))}
+    divisions |= {
+        f"door, {door} rad": (room_free(samples, "middle", door), room_free(samples, "middle"), None)
+        for door in DOORS_RAD
+    }
     for name, spaces in divisions.items():
         yield name, lambda *rest, spaces=spaces: division_repeat(*spaces, *rest)
     for scene in scenes_of(split, scenarios, least_blocked):
@@ -190,7 +196,7 @@ def main() -> int:
     parser.add_argument("--scenarios", type=int, default=4)
     parser.add_argument("--least-blocked", type=float, default=0.0, help="share of the joint space")
     parser.add_argument("--repeats", type=int, default=12)
-    parser.add_argument("--cases", nargs="+", default=["arm", "room", "scenario"])
+    parser.add_argument("--cases", nargs="+", default=["arm", "room", "door", "scenario"])
     options = parser.parse_args()
     setting = {name: str(value) for name, value in vars(options).items() if name != "out"}
     rows: list[dict] = []
