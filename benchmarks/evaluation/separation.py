@@ -41,7 +41,7 @@ from services.evaluator.topology import POINTS, RelativeLivingTimes, geometry_sc
 SPACE = TWO_LINK.space
 NOISE_RAD = 0.1
 SEED = 0
-DOORS_RAD = (0.75, 1.5, 3.0)
+DOORS_RAD = (0.5, 0.75, 1.0, 1.5, 3.0)
 
 
 @dataclass(frozen=True)
