@@ -1,6 +1,7 @@
 """Draws what separation.py has measured.
 
 python benchmarks/evaluation/separation_figure.py separation.json docs/images/gsc_separation.png
+python benchmarks/evaluation/separation_figure.py doors.json docs/images/gsc_doors.png --doors
 """
 
 import argparse
@@ -13,6 +14,11 @@ from matplotlib.ticker import NullFormatter
 
 INK, MUTED = "#222222", "#6f6f6f"
 FLOOR, CHANGED, FARTHER, CONTROL = "#8f9aa6", "#e08b3e", "#b8402a", "#4f7cac"
+DOORS = (
+    ("whole, whole", "floor: a door each", FLOOR),
+    ("divided, divided", "floor: divided each", CONTROL),
+    ("whole, divided", "a door against divided", FARTHER),
+)
 MEAN = "mean of scenarios"
 SAMPLES = (("real", FLOOR), ("noise", CHANGED), ("uniform", FARTHER))
 DIVISIONS = (
@@ -95,14 +101,45 @@ def draw(content) -> Figure:
     return figure
 
 
+def draw_doors(content) -> Figure:
+    """Both scores between a divided room and one with a door, by the width of the door."""
+    figure = Figure(figsize=(9.0, 3.6), dpi=100, layout="constrained")
+    found = {(one["case"], one["pair"], one["score"]): one for one in content["summary"]}
+    cases = sorted({case for case, *_ in found if case.startswith("door")}, key=width_of)
+    for axes, score, name in zip(figure.subplots(1, 2), ("gs", "gsc"), ("GS", "GS-C"), strict=True):
+        for number, (pair, label, colour) in enumerate(DOORS):
+            places = [at + 0.12 * (number - 1) for at in range(len(cases))]
+            rows = [found[case, pair, score] for case in cases]
+            means = [1e4 * row["estimate"] for row in rows]
+            axes.plot(places, means, "D", ms=5, c=colour, mec="white", mew=0.6, label=label)
+            axes.vlines(places, *([1e4 * row[end] for row in rows] for end in ("low", "high")), colour, lw=3)
+        axes.set_yscale("log")
+        axes.yaxis.set_major_formatter("{x:g}")
+        axes.set_xticks(range(len(cases)), [f"{width_of(case):g}" for case in cases])
+        axes.set_xlabel("width of the door, rad (the wall is 5.6 rad long)")
+        axes.set_ylabel(f"{name} x 1e4")
+        axes.set_title(name, loc="left", fontsize=11)
+        axes.grid(visible=True, axis="y", color="#e6e6e6")
+        axes.set_axisbelow(True)
+        axes.spines[["top", "right"]].set_visible(False)
+    figure.axes[0].legend(frameon=False, fontsize=8.5)
+    return figure
+
+
+def width_of(case: str) -> float:
+    return float(case.split()[1])
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("measured", type=Path)
     parser.add_argument("image", type=Path)
+    parser.add_argument("--doors", action="store_true", help="the cases of the door, by its width")
     options = parser.parse_args()
-    draw(json.loads(options.measured.read_text())).savefig(options.image)
+    picture = draw_doors if options.doors else draw
+    picture(json.loads(options.measured.read_text())).savefig(options.image)
     return 0
 
 
