@@ -80,7 +80,7 @@ def run(config: TrainConfig, environment: Environment, trials: int, scenarios: i
     from training.trials.searching import search  # noqa: PLC0415
 
     connect()
-    job = Job.start(config, environment, {"preset": config.preset, "search": "asha"})
+    job = Job.start(config, environment, {"preset": config.preset, "search": "asha"}, title="search")
     with job.running() as parent:
         dataset = prepare_data(config, environment.data_folder)
         parent.params(config.to_dict())

@@ -223,3 +223,6 @@ def test_a_search_tries_settings_and_ends_weak_trials_early(server, data_folder,
     runs = [child for child in children if child.info.run_name.startswith("search")]
     assert len(runs) == 4
     assert all("validation_edr" in run.data.metrics and "hidden" in run.data.params for run in runs)
+    for run in runs:
+        steps = [entry.step for entry in client.get_metric_history(run.info.run_id, "validation_edr")]
+        assert run.info.status == ("FINISHED" if max(steps) == 18 else "KILLED")

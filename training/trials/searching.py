@@ -63,8 +63,9 @@ def search(
     Raises:
         JobError: no trial reported anything.
     """
+    # A trial that reaches max_t is killed by Tune; one that reaches its steps is to end its run itself.
     scheduler = ASHAScheduler(
-        time_attr="step", max_t=steps, grace_period=max(1, steps // 9), reduction_factor=REDUCTION
+        time_attr="step", max_t=steps + 1, grace_period=max(1, steps // 9), reduction_factor=REDUCTION
     )
     tuner = tune.Tuner(
         tune.with_resources(
