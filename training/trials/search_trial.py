@@ -53,7 +53,7 @@ def search_trial(
     run = MlflowTracking(tracking_uri).start(EXPERIMENT, name, parent_run_id=parent_run_id)
     with run:
         run.params({key: str(value) for key, value in settings.items()})
-        every = max(1, gan.steps // looks)
+        every = -(-gan.steps // looks)
         for step in range(1, gan.steps + 1):
             module.training_step(step, step)
             if step % every == 0 or step == gan.steps:

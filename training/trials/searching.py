@@ -63,9 +63,12 @@ def search(
     Raises:
         JobError: no trial reported anything.
     """
-    # A trial that reaches max_t is killed by Tune; one that reaches its steps is to end its run itself.
+    # Two cuts. Tune kills what it ends, so neither a third cut nor max_t may fall on a trial's last step.
     scheduler = ASHAScheduler(
-        time_attr="step", max_t=steps + 1, grace_period=max(1, steps // 9), reduction_factor=REDUCTION
+        time_attr="step",
+        max_t=steps + 1,
+        grace_period=steps // REDUCTION**2 + 1,
+        reduction_factor=REDUCTION,
     )
     tuner = tune.Tuner(
         tune.with_resources(
