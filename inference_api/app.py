@@ -22,7 +22,7 @@ from inference_api.open_inference import add_open_inference
 from inference_api.openapi import document
 from inference_api.pictures import PictureCache
 from inference_api.problems import add_problem_handlers
-from inference_api.routes import router
+from inference_api.routes import add_routes
 from inference_api.sampling import model_info
 from inference_api.schemas import ModelInfo
 from inference_api.settings import ApiSettings
@@ -80,7 +80,7 @@ def create_app(settings: ApiSettings | None = None, registry: ModelRegistry | No
         docs_url=None,
         redoc_url=None,
     )
-    app.include_router(router)
+    add_routes(app)
     add_docs_page(app)
     add_problem_handlers(app)
     add_guards(app, settings.protection)

@@ -8,17 +8,27 @@ from inference_api.model_store import ModelStore
 from inference_api.turns import Turns
 
 
-# Asynchronous although they wait for nothing: plain functions would each be sent to a thread.
-async def get_store(request: Request) -> ModelStore:
+def store_of(request: Request) -> ModelStore:
     """The app's store of models."""
     store: ModelStore = request.app.state.store
     return store
 
 
-async def get_turns(request: Request) -> Turns:
+def turns_of(request: Request) -> Turns:
     """The turns in which the app computes."""
     turns: Turns = request.app.state.turns
     return turns
+
+
+# Asynchronous although they wait for nothing: plain functions would each be sent to a thread.
+async def get_store(request: Request) -> ModelStore:
+    """:func:`store_of` for routes."""
+    return store_of(request)
+
+
+async def get_turns(request: Request) -> Turns:
+    """:func:`turns_of` for routes."""
+    return turns_of(request)
 
 
 Store = Annotated[ModelStore, Depends(get_store)]

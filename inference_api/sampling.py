@@ -4,6 +4,7 @@ import io
 import secrets
 import time
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from fastapi.responses import Response
@@ -112,8 +113,7 @@ def json_response(answer: Answer) -> Response:
 
 def npy_response(answer: Answer) -> Response:
     """The samples alone as a float32 ``.npy``, the rest in headers."""
-    buffer = io.BytesIO()
-    np.save(buffer, np.ascontiguousarray(answer.found.samples, dtype="<f4"), allow_pickle=False)
+    samples = np.ascontiguousarray(answer.found.samples, dtype="<f4")
     served = answer.served
     timing = ", ".join(f"{name};dur={value:.3f}" for name, value in answer.timing.model_dump().items())
     headers = {
@@ -127,7 +127,16 @@ def npy_response(answer: Answer) -> Response:
     }
     if answer.novelty is not None:
         headers["X-Novelty"] = f"{answer.novelty:.6g}"
-    return Response(buffer.getvalue(), headers=headers, media_type=NPY)
+    return Response(_npy_head(samples.shape) + samples.tobytes(), headers=headers, media_type=NPY)
+
+
+@lru_cache(maxsize=64)
+def _npy_head(shape: tuple[int, ...]) -> bytes:
+    """What stands before the numbers in the ``.npy`` of a float32 array in C order."""
+    buffer = io.BytesIO()
+    described = {"descr": "<f4", "fortran_order": False, "shape": shape}
+    np.lib.format.write_array_header_1_0(buffer, described)
+    return buffer.getvalue()
 
 
 def sampled(answer: Answer, n: int) -> Sampled:

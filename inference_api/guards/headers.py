@@ -1,6 +1,5 @@
 """ASGI middleware for the headers that tell browsers what not to do with an answer."""
 
-from starlette.datastructures import MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 # After OWASP's REST Security Cheat Sheet. A page that needs more, /docs, brings a policy of its own.
@@ -11,6 +10,7 @@ SECURITY_HEADERS = {
     "Referrer-Policy": "no-referrer",
     "X-Content-Type-Options": "nosniff",
 }
+_RAW = [(name.lower().encode(), value.encode()) for name, value in SECURITY_HEADERS.items()]
 
 
 class SecurityHeaders:
@@ -31,9 +31,9 @@ class SecurityHeaders:
 
         async def with_headers(message: Message) -> None:
             if message["type"] == "http.response.start":
-                headers = MutableHeaders(scope=message)
-                for name, value in SECURITY_HEADERS.items():
-                    headers.setdefault(name, value)
+                headers = message.get("headers", [])
+                own = {name.lower() for name, _ in headers}
+                message["headers"] = [*headers, *(header for header in _RAW if header[0] not in own)]
             await send(message)
 
         await self._app(scope, receive, with_headers)

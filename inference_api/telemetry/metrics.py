@@ -60,7 +60,7 @@ class Metrics:
             registry=registry,
             multiprocess_mode="livesum",
         )
-        self._stages = Histogram(
+        stages = Histogram(
             "cspace_stage_seconds",
             "Time in each stage of an answer with samples.",
             ("stage",),
@@ -89,8 +89,7 @@ class Metrics:
         # Else a rate over the first event of a kind would see no rise.
         for problem in PROBLEMS:
             self._failures.labels(problem.name)
-        for stage in STAGES:
-            self._stages.labels(stage)
+        self._stage = {stage: stages.labels(stage) for stage in STAGES}
         self._reloads.labels("served", NO_REASON)
         for reason in REFUSALS:
             self._reloads.labels("refused", reason)
@@ -100,7 +99,7 @@ class Metrics:
     def sampled(self, answer: Sampled) -> None:
         """Count an answer with samples, and write it down for the request's line in the log."""
         for stage, seconds in answer.stages_s.items():
-            self._stages.labels(stage).observe(seconds)
+            self._stage[stage].observe(seconds)
         self._acceptance.observe(answer.acceptance)
         self._requested.inc(answer.n)
         self._returned.inc(answer.n - answer.shortfall)
