@@ -4,7 +4,7 @@ import http.client
 import os
 import subprocess
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -55,11 +55,15 @@ class Served:
 
 
 @contextmanager
-def served(settings: Mapping[str, str] | None = None, core: int = SERVER_CORE) -> Iterator[Served]:
+def served(
+    settings: Mapping[str, str] | None = None,
+    core: int = SERVER_CORE,
+    program: Sequence[str] = ("-m", "inference_api"),
+) -> Iterator[Served]:
     """The API on one core; without a registry unless the settings name one."""
     environment = {name: value for name, value in os.environ.items() if name != "MLFLOW_TRACKING_URI"}
     process = subprocess.Popen(
-        [sys.executable, "-m", "inference_api", "--port", "0"],
+        [sys.executable, *program, "--port", "0"],
         cwd=ROOT,
         env=environment | {"PYTHONUNBUFFERED": "1", "OMP_NUM_THREADS": "1"} | dict(settings or {}),
         stdout=subprocess.PIPE,

@@ -1,0 +1,110 @@
+"""The API with a watch on each step; what ``stages.py`` starts.
+
+    python benchmarks/serving/timed_server.py RECORDS --port 0
+
+Writes one JSON object a request of ``POST /sample``, step to seconds, when it ends.
+"""
+
+import argparse
+import atexit
+import json
+import sys
+from pathlib import Path
+
+import spans
+from onnxruntime import InferenceSession
+
+import inference_api.__main__ as command
+from cspace.bundle import Bundle, graphs, loaded
+from inference_api import app, pictures, routes, sampling, turns
+
+# The steps by name, as ``stages.py`` tells them.
+MIDDLEWARE, FORM, HAND_OVER, REST = "middleware, log, metrics", "form", "hand-over to the thread", "the rest"
+CHECKS, DECODE, RANDOM, WRITE = "checks of the request", "PNG decoding", "random numbers", "writing"
+AROUND = "around the sessions"
+SESSIONS = {
+    name: f"session: {name}" for name in ("encoder.onnx", "novelty.onnx", "generator.onnx", "validity.onnx")
+}
+
+
+def watch_steps() -> None:
+    """Put a watch on the functions that a request goes through."""
+    spans.wrap_coroutine(routes, "read_fields", FORM)
+    spans.wrap_coroutine(turns.Turns, "run", HAND_OVER)
+    spans.wrap(routes, "answer_request", REST)
+    for name in ("parse_form", "validate_request"):
+        spans.wrap(sampling, name, CHECKS)
+    spans.wrap(pictures, "decode_png", DECODE)
+    for name in ("prepare", "sample"):
+        spans.wrap(Bundle, name, AROUND)
+    for name in ("draw", "propose"):
+        spans.wrap(loaded, name, RANDOM)
+    spans.wrap(sampling, "npy_response", WRITE)
+    watch_sessions()
+
+
+def watch_sessions() -> None:
+    """The calls of onnxruntime by the graph's name, which the session itself does not know."""
+    names: dict[int, str] = {}
+    opened = graphs.Graph.__init__
+
+    def open_named(graph, name, *arguments):
+        opened(graph, name, *arguments)
+        names[id(graph._session)] = SESSIONS[name]  # noqa: SLF001 - which one it is, no more
+
+    graphs.Graph.__init__ = open_named
+    run = InferenceSession.run
+
+    def run_named(session, *arguments):
+        found = spans.request.get()
+        if found is None:
+            return run(session, *arguments)
+        began = found.begin(names[id(session)])
+        try:
+            return run(session, *arguments)
+        finally:
+            found.end(began)
+
+    InferenceSession.run = run_named
+
+
+def watch_requests(records: list[dict[str, float]]) -> None:
+    """Keep the steps of each request that asks for samples."""
+    create = app.create_app
+
+    def create_watched():
+        inner = create()
+
+        async def watched(scope, receive, send):
+            if scope.get("path") != "/sample":
+                return await inner(scope, receive, send)
+            found = spans.Spans()
+            spans.request.set(found)
+            began = found.begin(MIDDLEWARE)
+            try:
+                return await inner(scope, receive, send)
+            finally:
+                found.end(began)
+                records.append(found.own)
+                spans.request.set(None)
+
+        return watched
+
+    app.create_app = create_watched
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("records", type=Path, help="file to write; what follows is the API's")
+    options, others = parser.parse_known_args()
+    records: list[dict[str, float]] = []
+    watch_steps()
+    watch_requests(records)
+    atexit.register(lambda: options.records.write_text("\n".join(json.dumps(one) for one in records)))
+    return command.main(others)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
