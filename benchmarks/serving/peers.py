@@ -21,7 +21,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -94,10 +94,13 @@ def running(server: Server, environments: Path, model: Path) -> Iterator[int]:
     environment |= {"OMP_NUM_THREADS": "1", "CSPACE_PEER_PORT": str(port), "CSPACE_PEER_BUNDLE": str(BUNDLE)}
     environment |= {"PYTHONPATH": f"{HERE}{os.pathsep}{ROOT}", "RAY_USAGE_STATS_ENABLED": "0"}
     environment |= {"BENTOML_DO_NOT_TRACK": "True", "MLFLOW_DISABLE_TELEMETRY": "true"}
+    python = python_of(server, environments)
+    # MLflow calls uvicorn by its name.
+    environment["PATH"] = f"{python.parent}{os.pathsep}{environment.get('PATH', os.defpath)}"
     words = [word.format(port=port, model=model) for word in server.command]
     with tempfile.TemporaryFile() as log:
         process = subprocess.Popen(
-            [str(python_of(server, environments)), *words],
+            [str(python), *words],
             cwd=HERE if server.packages else ROOT,
             env=environment,
             stdout=log,
@@ -110,11 +113,17 @@ def running(server: Server, environments: Path, model: Path) -> Iterator[int]:
             _wait(process, port, server, log)
             yield port
         finally:
-            os.killpg(process.pid, signal.SIGTERM)
-            try:
-                process.wait(30)
-            except subprocess.TimeoutExpired:
-                os.killpg(process.pid, signal.SIGKILL)
+            stop(process)
+
+
+def stop(process: subprocess.Popen) -> None:
+    """End a server with all of its processes, of which there are none where it ended by itself."""
+    with suppress(ProcessLookupError):
+        os.killpg(process.pid, signal.SIGTERM)
+    try:
+        process.wait(30)
+    except subprocess.TimeoutExpired:
+        os.killpg(process.pid, signal.SIGKILL)
 
 
 def _wait(process: subprocess.Popen, port: int, server: Server, log) -> None:
