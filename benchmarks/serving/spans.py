@@ -3,7 +3,6 @@
 import functools
 import time
 from collections import defaultdict
-from collections.abc import Callable
 from contextvars import ContextVar
 from typing import Any
 
@@ -19,11 +18,6 @@ class Spans:
         self.own: dict[str, float] = defaultdict(float)
         # Name, and seconds that steps inside took.
         self._open: list[tuple[str, list[float]]] = []
-
-    @property
-    def innermost(self) -> str:
-        """The step that is under way."""
-        return self._open[-1][0]
 
     def begin(self, name: str) -> float:
         """Go into a step; when that was."""
@@ -43,8 +37,8 @@ class Spans:
 request: ContextVar[Spans | None] = ContextVar("request", default=None)
 
 
-def wrap(owner: Any, attribute: str, name: str | Callable[[Spans], str]) -> None:
-    """Measure each call of a function as a step; the name may follow from the step around it."""
+def wrap(owner: Any, attribute: str, name: str) -> None:
+    """Measure each call of a function in a request as a step."""
     inner = getattr(owner, attribute)
 
     @functools.wraps(inner)
@@ -52,7 +46,7 @@ def wrap(owner: Any, attribute: str, name: str | Callable[[Spans], str]) -> None
         spans = request.get()
         if spans is None:
             return inner(*arguments, **named)
-        began = spans.begin(name if isinstance(name, str) else name(spans))
+        began = spans.begin(name)
         try:
             return inner(*arguments, **named)
         finally:
