@@ -82,14 +82,19 @@ def bare(pngs: list[bytes], samples: int) -> float:
     return statistics.median(taken[WARM_UP:])
 
 
-def main() -> int:
+def turns_parser(description: str) -> argparse.ArgumentParser:
+    """Options of a benchmark whose rows take turns."""
     parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+        description=description, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--requests", type=int, default=200, help="a turn")
     parser.add_argument("--repeats", type=int, default=5, help="turns")
     parser.add_argument("--samples", type=int, default=300)
-    options = parser.parse_args()
+    return parser
+
+
+def main() -> int:
+    options = turns_parser(__doc__).parse_args()
     os.sched_setaffinity(0, {CLIENT_CORE % os.cpu_count()})
     # A picture for each request of each row and turn, so that none is known already.
     count = 3 * options.repeats * (options.requests + WARM_UP)

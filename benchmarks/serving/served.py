@@ -60,7 +60,10 @@ def served(
     core: int = SERVER_CORE,
     program: Sequence[str] = ("-m", "inference_api"),
 ) -> Iterator[Served]:
-    """The API on one core; without a registry unless the settings name one."""
+    """The API on one core; without a registry unless the settings name one.
+
+    The program is what Python runs: the API, or a script that starts it with something added.
+    """
     environment = {name: value for name, value in os.environ.items() if name != "MLFLOW_TRACKING_URI"}
     process = subprocess.Popen(
         [sys.executable, *program, "--port", "0"],

@@ -3,6 +3,8 @@
 import functools
 import time
 from collections import defaultdict
+from collections.abc import Iterator
+from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import Any
 
@@ -16,41 +18,40 @@ class Spans:
 
     def __init__(self) -> None:
         self.own: dict[str, float] = defaultdict(float)
-        # Name, and seconds that steps inside took.
-        self._open: list[tuple[str, list[float]]] = []
-
-    def begin(self, name: str) -> float:
-        """Go into a step; when that was."""
-        self._open.append((name, [0.0]))
-        return time.perf_counter()
-
-    def end(self, began: float) -> None:
-        """Leave the innermost step."""
-        taken = time.perf_counter() - began
-        name, (inside,) = self._open.pop()
-        self.own[name] += taken - inside
-        if self._open:
-            self._open[-1][1][0] += taken
+        # For each step that is under way the seconds of the steps inside it.
+        self.inside: list[float] = []
 
 
 # Handed on to the thread that computes, for a thread's work runs in a copy of its caller's context.
 request: ContextVar[Spans | None] = ContextVar("request", default=None)
 
 
+@contextmanager
+def step(name: str) -> Iterator[None]:
+    """Measure a block as a step of the request that it belongs to, if it belongs to one."""
+    spans = request.get()
+    if spans is None:
+        yield
+        return
+    spans.inside.append(0.0)
+    began = time.perf_counter()
+    try:
+        yield
+    finally:
+        taken = time.perf_counter() - began
+        spans.own[name] += taken - spans.inside.pop()
+        if spans.inside:
+            spans.inside[-1] += taken
+
+
 def wrap(owner: Any, attribute: str, name: str) -> None:
-    """Measure each call of a function in a request as a step."""
+    """Measure each call of a function as a step."""
     inner = getattr(owner, attribute)
 
     @functools.wraps(inner)
     def measured(*arguments, **named):
-        spans = request.get()
-        if spans is None:
+        with step(name):
             return inner(*arguments, **named)
-        began = spans.begin(name)
-        try:
-            return inner(*arguments, **named)
-        finally:
-            spans.end(began)
 
     setattr(owner, attribute, measured)
 
@@ -61,13 +62,7 @@ def wrap_coroutine(owner: Any, attribute: str, name: str) -> None:
 
     @functools.wraps(inner)
     async def measured(*arguments, **named):
-        spans = request.get()
-        if spans is None:
+        with step(name):
             return await inner(*arguments, **named)
-        began = spans.begin(name)
-        try:
-            return await inner(*arguments, **named)
-        finally:
-            spans.end(began)
 
     setattr(owner, attribute, measured)

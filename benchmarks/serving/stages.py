@@ -7,7 +7,6 @@ on each step (``timed_server.py``), which costs it a few microseconds a step. A 
 without the steps that it called; what is left of the client's time is the client, the kernel and uvicorn.
 """
 
-import argparse
 import json
 import os
 import statistics
@@ -18,49 +17,22 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import matplotlib.pyplot as plt
-from latency import WARM_UP, bare
+from latency import WARM_UP, bare, turns_parser
 from served import CLIENT_CORE, SERVER_CORE, Asker, machine, new_pictures, served
-from timed_server import (
-    AROUND,
-    CHECKS,
-    DECODE,
-    FORM,
-    HAND_OVER,
-    MIDDLEWARE,
-    RANDOM,
-    REST,
-    SESSIONS,
-    WRITE,
-)
+from timed_server import SESSIONS
+from timed_server import STEPS as SERVER_STEPS
 
 from services.evaluator.tables import markdown
 
 OUTSIDE = "client, kernel, uvicorn"
-STEPS = [
-    *SESSIONS.values(),
-    AROUND,
-    RANDOM,
-    DECODE,
-    CHECKS,
-    WRITE,
-    REST,
-    HAND_OVER,
-    FORM,
-    MIDDLEWARE,
-    OUTSIDE,
-]
+STEPS = (*SERVER_STEPS, OUTSIDE)
 NEW, KNOWN = "new picture", "picture sent before"
 
 Turn = dict[str, float]
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--requests", type=int, default=200, help="a turn")
-    parser.add_argument("--repeats", type=int, default=5, help="turns")
-    parser.add_argument("--samples", type=int, default=300)
+    parser = turns_parser(__doc__)
     parser.add_argument("--out", type=Path, default=Path("build/serving_stages.png"), help="the picture")
     options = parser.parse_args()
     os.sched_setaffinity(0, {CLIENT_CORE % os.cpu_count()})

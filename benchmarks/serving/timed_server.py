@@ -25,6 +25,18 @@ AROUND = "around the sessions"
 SESSIONS = {
     name: f"session: {name}" for name in ("encoder.onnx", "novelty.onnx", "generator.onnx", "validity.onnx")
 }
+STEPS = (
+    *SESSIONS.values(),
+    AROUND,
+    RANDOM,
+    DECODE,
+    CHECKS,
+    WRITE,
+    REST,
+    HAND_OVER,
+    FORM,
+    MIDDLEWARE,
+)
 
 
 def watch_steps() -> None:
@@ -56,14 +68,8 @@ def watch_sessions() -> None:
     run = InferenceSession.run
 
     def run_named(session, *arguments):
-        found = spans.request.get()
-        if found is None:
+        with spans.step(names[id(session)]):
             return run(session, *arguments)
-        began = found.begin(names[id(session)])
-        try:
-            return run(session, *arguments)
-        finally:
-            found.end(began)
 
     InferenceSession.run = run_named
 
@@ -80,11 +86,10 @@ def watch_requests(records: list[dict[str, float]]) -> None:
                 return await inner(scope, receive, send)
             found = spans.Spans()
             spans.request.set(found)
-            began = found.begin(MIDDLEWARE)
             try:
-                return await inner(scope, receive, send)
+                with spans.step(MIDDLEWARE):
+                    return await inner(scope, receive, send)
             finally:
-                found.end(began)
                 records.append(found.own)
                 spans.request.set(None)
 
