@@ -166,8 +166,9 @@ def _first_answer(client: SamplingClient, model: str) -> tuple[bool, SampleBatch
 
 def _opened(spec: SourceSpec, stack: ExitStack) -> SampleSource:
     if spec.packed is not None:
-        folder = stack.enter_context(TemporaryDirectory(prefix="cspace-bundle-"))
-        return LocalSampler(spec.packed.unpack(Path(folder)), name=spec.name)
+        # The sampler keeps what it needs in memory, and a worker that is ended would leave the folder behind.
+        with TemporaryDirectory(prefix="cspace-bundle-") as folder:
+            return LocalSampler(spec.packed.unpack(Path(folder)), name=spec.name)
     if spec.url is None:
         raise ConfigError("the sampler is neither a model nor a bundle", got=spec.name)
     return stack.enter_context(SamplingClient(spec.url))

@@ -10,13 +10,14 @@ from PIL import Image
 from cspace.bundle import Bundle
 from cspace.errors import ConfigError, SamplerError
 from cspace.image import decode_png, encode_png
-from cspace.problem import Family
+from cspace.problem import Family, draw_problem
+from cspace.scenario import Split
 from services.evaluator.benchmark.arms import pick, table
 from services.evaluator.benchmark.check_cost import state_check_s
 from services.evaluator.benchmark.fresh_png import fresh_png
 from services.evaluator.benchmark.measure import drawn_samples, known_problem, measure
 from services.evaluator.benchmark.setting import Unit
-from services.evaluator.benchmark.sources import bundled, mixed, opened, parse_named
+from services.evaluator.benchmark.sources import Ask, ask, bundled, mixed, opened, parse_named
 from services.planner.plan_result import Reason
 from services.planner.sample_order import order_along
 from tests.bundles import picture, write_tiny_bundle
@@ -34,6 +35,16 @@ def spec(path_folder):
 def sources(spec):
     with opened([spec]) as found:
         yield found
+
+
+def test_a_bundle_that_is_open_leaves_no_files_that_an_ended_worker_could_not_take_away(
+    spec, tmp_path, monkeypatch
+):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    with opened([spec]) as found:
+        assert not list(tmp_path.iterdir())
+        batch = ask(found["way"], spec, draw_problem(Family.NARROW, Split.DEMO, 1), Ask(3, 20))
+    assert batch.samples.shape == (20, 2)
 
 
 class Counting:
