@@ -85,18 +85,21 @@ class Arm:
     stop_at_first: bool = True
 
 
-def table(samplers: Sequence[str], min_confidence: float = MIN_CONFIDENCE) -> tuple[Arm, ...]:
+def table(
+    samplers: Sequence[str], min_confidence: float = MIN_CONFIDENCE, samples: int = SAMPLES
+) -> tuple[Arm, ...]:
     """All arms that there are.
 
     Args:
         samplers: names of the learned samplers.
-        min_confidence: of the filtered arms.
+        min_confidence: of the filtered and the ordered arms.
+        samples: how many an arm asks for that does not say so in its name.
     """
-    arms = [*_uniform_arms(), *_optimising_arms(None)]
+    arms = [*_uniform_arms(), *_optimising_arms(None, samples)]
     for sampler in samplers:
-        arms += [*_learned_arms(sampler), *_filtered_arms(sampler, min_confidence)]
-        arms += [*_ordered_arms(sampler, min_confidence), *_schedule_arms(sampler)]
-        arms += [*_optimising_arms(sampler), *_count_arms(sampler)]
+        arms += [*_learned_arms(sampler, samples), *_filtered_arms(sampler, samples, min_confidence)]
+        arms += [*_ordered_arms(sampler, samples, min_confidence), *_schedule_arms(sampler, samples)]
+        arms += [*_optimising_arms(sampler, samples), *_count_arms(sampler)]
     return tuple(arms)
 
 
@@ -149,38 +152,40 @@ def _uniform_arms() -> Iterator[Arm]:
         yield Arm(name, Group.UNIFORM, RRT, _uniform(RRT), range_rad=range_rad)
 
 
-def _learned_arms(sampler: str) -> Iterator[Arm]:
+def _learned_arms(sampler: str, samples: int) -> Iterator[Arm]:
     for planner in LEARNED_PLANNERS:
         for share in LEARNED_SHARES:
-            yield _with(sampler, planner, Group.LEARNED, share, _percent(share))
+            yield _with(sampler, planner, Group.LEARNED, share, _percent(share), samples=samples)
 
 
-def _filtered_arms(sampler: str, min_confidence: float) -> Iterator[Arm]:
+def _filtered_arms(sampler: str, samples: int, min_confidence: float) -> Iterator[Arm]:
     for share in LEARNED_SHARES:
         name = f"{_percent(share)}, filtered"
-        yield _with(sampler, RRT, Group.FILTERED, share, name, min_confidence=min_confidence)
+        yield _with(sampler, RRT, Group.FILTERED, share, name, samples=samples, min_confidence=min_confidence)
 
 
-def _ordered_arms(sampler: str, min_confidence: float) -> Iterator[Arm]:
+def _ordered_arms(sampler: str, samples: int, min_confidence: float) -> Iterator[Arm]:
     """Filtered samples, which the planner takes along the way through them."""
     for planner in (RRT, SAMPLED_CONNECT):
         for share in LEARNED_SHARES:
             name = f"{_percent(share)}, ordered"
-            arm = _with(sampler, planner, Group.ORDERED, share, name, min_confidence=min_confidence)
-            yield replace(arm, ordered=True)
+            arm = _with(sampler, planner, Group.ORDERED, share, name, samples=samples)
+            yield replace(arm, min_confidence=min_confidence, ordered=True)
 
 
-def _schedule_arms(sampler: str) -> Iterator[Arm]:
+def _schedule_arms(sampler: str, samples: int) -> Iterator[Arm]:
     """Perturbed samples, mixed and in the paper's order, against uniform ones beside as many unperturbed."""
-    perturbed = _with(sampler, RRT, Group.SCHEDULE, 1.0, "schedule", epsilon_sigma=PAPER_SCHEDULE)
+    perturbed = _with(
+        sampler, RRT, Group.SCHEDULE, 1.0, "schedule", samples=samples, epsilon_sigma=PAPER_SCHEDULE
+    )
     yield perturbed
     yield replace(perturbed, name=f"{perturbed.name} in order", in_order=True)
     least = 1.0 / len(PAPER_SCHEDULE)
-    few = round(SAMPLES * least)
+    few = round(samples * least)
     yield _with(sampler, RRT, Group.SCHEDULE, least, f"{_percent(least)}, {few} samples", samples=few)
 
 
-def _optimising_arms(sampler: str | None) -> Iterator[Arm]:
+def _optimising_arms(sampler: str | None, samples: int) -> Iterator[Arm]:
     base = f"{_label(RRT_STAR)}, uniform, optimising"
     if sampler is None:
         for planner in OPTIMISING_PLANNERS:
@@ -189,7 +194,9 @@ def _optimising_arms(sampler: str | None) -> Iterator[Arm]:
         return
     for share in LEARNED_SHARES:
         name = f"{_percent(share)}, optimising"
-        yield _with(sampler, RRT_STAR, Group.OPTIMISING, share, name, base=base, stop_at_first=False)
+        yield _with(
+            sampler, RRT_STAR, Group.OPTIMISING, share, name, samples=samples, base=base, stop_at_first=False
+        )
 
 
 def _count_arms(sampler: str) -> Iterator[Arm]:
@@ -205,8 +212,8 @@ def _with(
     share: float,
     name: str,
     *,
+    samples: int,
     base: str | None = None,
-    samples: int = SAMPLES,
     epsilon_sigma: tuple[float, ...] = (0.0,),
     min_confidence: float = 0.0,
     stop_at_first: bool = True,

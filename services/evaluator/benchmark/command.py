@@ -8,11 +8,12 @@ from pathlib import Path
 from cspace.errors import ConfigError
 from cspace.problem import Family
 from cspace.scenario import Split
-from services.evaluator.benchmark.arms import MIN_CONFIDENCE, Arm, Group, pick, table
+from services.evaluator.benchmark.arms import MIN_CONFIDENCE, SAMPLES, Arm, Group, pick, table
 from services.evaluator.benchmark.job import Request
 from services.evaluator.benchmark.setting import FAMILIES, LIMITS, PROBLEMS, RUNS, Protocol, Setting
 from services.evaluator.benchmark.sources import SourceSpec, bundled, parse_named, served
 from services.evaluator.request import MAX_SEED
+from services.planner.samples import MAX_SAMPLES
 from services.planner.settings import PLANNERS
 
 GROUPS = (Group.UNIFORM, Group.LEARNED, Group.OPTIMISING)
@@ -53,7 +54,16 @@ def parser() -> argparse.ArgumentParser:
         help=f"names of arms, or groups: {', '.join(Group)} (default: %(default)s)",
     )  # fmt: skip
     what.add_argument("--planners", nargs="+", default=[], metavar="PLANNER", help=", ".join(PLANNERS))
-    what.add_argument("--min-confidence", type=float, default=MIN_CONFIDENCE, help="of the filtered arms")
+    what.add_argument(
+        "--min-confidence",
+        type=float,
+        default=MIN_CONFIDENCE,
+        help="of the filtered and the ordered arms; 0: none is dropped",
+    )
+    what.add_argument(
+        "--samples", type=int, default=SAMPLES,
+        help="learned ones for a run, but in arms that name a number (default: %(default)s)",
+    )  # fmt: skip
     what.add_argument("--iterations", type=int, help="after which a search ends (default: 20000)")
     what.add_argument(
         "--optimising-iterations", type=int, help="the same, of optimising arms (default: 2000)"
@@ -79,11 +89,15 @@ def chosen_arms(options: argparse.Namespace) -> tuple[Arm, ...]:
     names = [parse_named(text)[0] for text in (*options.model, *options.bundle)]
     if len(set(names)) < len(names):
         raise ConfigError("samplers share a name", expected="NAME=REFERENCE with other names", got=str(names))
-    if not 0.0 < options.min_confidence <= 1.0:
+    if not 0.0 <= options.min_confidence <= 1.0:
         raise ConfigError(
-            "the confidence is out of range", expected="above 0, at most 1", got=str(options.min_confidence)
+            "the confidence is out of range", expected="0 to 1", got=str(options.min_confidence)
         )
-    return pick(table(names, options.min_confidence), options.arms, options.planners)
+    if not 1 <= options.samples <= MAX_SAMPLES:
+        raise ConfigError(
+            "the samples are out of range", expected=f"1 to {MAX_SAMPLES}", got=str(options.samples)
+        )
+    return pick(table(names, options.min_confidence, options.samples), options.arms, options.planners)
 
 
 def make_request(options: argparse.Namespace) -> Request:

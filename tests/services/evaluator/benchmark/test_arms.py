@@ -43,6 +43,23 @@ def test_the_schedule_has_as_many_unperturbed_samples_as_the_mixture_it_is_compa
     assert uniform.learned_share == 1.0 / len(PAPER_SCHEDULE)
 
 
+def test_arms_ask_for_as_many_samples_as_they_are_told_and_keep_a_number_that_is_in_their_name():
+    told = {arm.name: arm for arm in table(["way"], samples=700)}
+    plain = {arm.name: arm.samples for arm in table(["way"]) if arm.group is not Group.SCHEDULE}
+    changed = {name for name, samples in plain.items() if told[name].samples != samples}
+    assert changed == {
+        name for name, samples in plain.items() if samples == SAMPLES and "samples" not in name
+    }
+    assert {told[name].samples for name in changed} == {700}
+    assert told["RRT, way, 70 %, 30 samples"].samples == 30
+    assert told["RRT, way, 25 %, 175 samples"].samples == 175
+
+
+def test_the_filter_of_ordered_arms_is_that_of_the_filtered_ones():
+    arms = table(["way"], 0.25)
+    assert {arm.min_confidence for arm in pick(arms, ["filtered", "ordered"]) if arm.sampler} == {0.25}
+
+
 def test_arms_are_picked_by_name_or_group_and_bring_their_bases():
     assert names("RRT, way, 70 %") == ["RRT, uniform", "RRT, way, 70 %"]
     assert len(names("learned", planners=["PRM"])) == 1 + 2 * 2
