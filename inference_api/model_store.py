@@ -122,11 +122,14 @@ class ModelStore:
             self._shipped = ServedModel(bundle, PRETRAINED, PRETRAINED_VERSION)
 
     def refresh(self) -> None:
-        """Look the champion up and put it into service; the project's errors are logged, not raised."""
-        if self._view is None:
-            return
+        """Look up the champion and what requests named lately; the project's errors are not raised."""
+        if self._view is not None:
+            self._follow_champion(self._view)
+            self._view.keep_up()
+
+    def _follow_champion(self, view: RegistryView) -> None:
         try:
-            version = self._view.champion(self.model_name)
+            version = view.champion(self.model_name)
         except RegistryError:
             if self._champion is not None:
                 return
@@ -134,7 +137,7 @@ class ModelStore:
         if version is None:
             self._champion = None
         elif not self._is_champion(version) and not self._is_refused(version):
-            self._promote(self._view, version)
+            self._promote(view, version)
 
     def resolve(self, reference: ModelReference) -> ServedModel:
         """The model that a reference names.

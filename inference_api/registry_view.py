@@ -3,17 +3,31 @@
 import logging
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import partial
 from threading import Lock
 from typing import TypeVar
 
 from cspace.bundle import Bundle
-from cspace.errors import ModelNotFoundError, RegistryError, RegistryUnavailableError
+from cspace.errors import CspaceError, ModelNotFoundError, RegistryError, RegistryUnavailableError
 from inference_api.bundle_cache import BundleCache
 from inference_api.references import CHAMPION, ModelReference
 from services.registry.models import ModelRegistry, ModelVersion
 
 _Answer = TypeVar("_Answer")
 _LOG = logging.getLogger(__name__)
+# For how long after a request named it a reference is looked up in the background.
+IN_USE_S = 60.0
+
+
+@dataclass(slots=True)
+class _Known:
+    """What a reference stood for, until when that is trusted, and when a request named it last; seconds."""
+
+    version: ModelVersion
+    until_s: float
+    used_s: float
 
 
 class RegistryView:
@@ -37,7 +51,7 @@ class RegistryView:
         self._cache = cache
         self._lookup_s = lookup_s
         self._clock = clock
-        self._known: dict[ModelReference, tuple[float, ModelVersion]] = {}
+        self._known: dict[ModelReference, _Known] = {}
         self._away_until: float | None = None
         self._lock = Lock()
 
@@ -64,10 +78,13 @@ class RegistryView:
             ModelNotFoundError: there is no such version.
             RegistryError: the registry does not answer and nothing is known.
         """
+        asked_s = self._clock()
         with self._lock:
-            expires, known = self._known.get(reference, (0.0, None))
-        if known is not None and self._clock() < expires:
-            return known
+            known = self._known.get(reference)
+            if known is not None:
+                known.used_s = asked_s
+        if known is not None and asked_s < known.until_s:
+            return known.version
         try:
             self._leave_alone_while_away()
             found = self._ask(lambda: self._find(reference))
@@ -76,13 +93,40 @@ class RegistryView:
                 self._known.pop(reference, None)
             raise
         except RegistryError:
-            stored = known or self._stored(reference)
+            stored = self._stored(reference) if known is None else known.version
             if stored is None:
                 raise
             return stored
         with self._lock:
-            self._known[reference] = (self._clock() + self._lookup_s, found)
+            self._known[reference] = _Known(found, self._clock() + self._lookup_s, asked_s)
         return found
+
+    def keep_up(self) -> None:
+        """Look up again what requests named lately, and load what took its place, so that no request waits.
+
+        To be called every ``lookup_s``; what it finds is trusted for twice as long, to outlast the next call.
+        What cannot be loaded is told to the request that names it.
+        """
+        now_s = self._clock()
+        with self._lock:
+            lately = [
+                (named, known) for named, known in self._known.items() if now_s - known.used_s < IN_USE_S
+            ]
+        for reference, known in lately:
+            try:
+                self._leave_alone_while_away()
+                found = self._ask(partial(self._find, reference))
+            except ModelNotFoundError:
+                with self._lock:
+                    self._known.pop(reference, None)
+                continue
+            except RegistryError:
+                return
+            if (found.number, found.digest) != (known.version.number, known.version.digest):
+                with suppress(CspaceError):
+                    self.bundle(found)
+            with self._lock:
+                known.version, known.until_s = found, self._clock() + 2.0 * self._lookup_s
 
     def versions(self, name: str) -> Sequence[ModelVersion]:
         """Versions of a model, newest first; those of the cache while the registry is away."""
