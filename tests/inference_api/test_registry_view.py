@@ -8,28 +8,24 @@ from cspace.errors import ModelNotFoundError
 from inference_api.bundle_cache import BundleCache
 from inference_api.references import ModelReference
 from inference_api.registry_view import IN_USE_S, RegistryView
+from tests.inference_api.clock import Clock
 from tests.inference_api.fake_registry import MODEL, CountingRegistry
 
 POLL_S = 2.0
 CHALLENGER = ModelReference.parse(f"{MODEL}@challenger")
 
 
-class Clock:
-    """Seconds that pass when told."""
-
-    now = 100.0
-
-    def __call__(self) -> float:
-        return self.now
+class Polled(Clock):
+    """A clock that can go on to the background's next look."""
 
     def a_poll_later(self) -> None:
-        """The time between two looks of the background: the pause, and what the look itself takes."""
+        """The time between two looks: the pause, and what the look itself takes."""
         self.now += POLL_S + 0.1
 
 
 @pytest.fixture
-def clock() -> Clock:
-    return Clock()
+def clock() -> Polled:
+    return Polled()
 
 
 @pytest.fixture
@@ -39,7 +35,7 @@ def cache(tmp_path: Path) -> BundleCache:
 
 @pytest.fixture
 def view(
-    registry: CountingRegistry, cache: BundleCache, clock: Clock, bundles: dict[str, Path]
+    registry: CountingRegistry, cache: BundleCache, clock: Polled, bundles: dict[str, Path]
 ) -> RegistryView:
     """Of a registry with two versions, the first of which is the challenger."""
     registry.add(bundles["plain"], "challenger")
@@ -55,7 +51,7 @@ def asked_for(registry: CountingRegistry, view: RegistryView, reference: ModelRe
 
 @pytest.mark.parametrize("reference", [CHALLENGER, ModelReference.parse(f"{MODEL}/1")], ids=str)
 def test_only_the_first_of_many_requests_asks_the_registry(
-    view: RegistryView, registry: CountingRegistry, clock: Clock, reference: ModelReference
+    view: RegistryView, registry: CountingRegistry, clock: Polled, reference: ModelReference
 ) -> None:
     assert asked_for(registry, view, reference) == (1, True)
     for _ in range(5):
@@ -65,7 +61,7 @@ def test_only_the_first_of_many_requests_asks_the_registry(
 
 
 def test_a_successor_is_loaded_before_a_request_names_it(
-    view: RegistryView, registry: CountingRegistry, cache: BundleCache, clock: Clock
+    view: RegistryView, registry: CountingRegistry, cache: BundleCache, clock: Polled
 ) -> None:
     view.look_up(CHALLENGER)
     registry.set_alias(MODEL, "challenger", 2)
@@ -76,7 +72,7 @@ def test_a_successor_is_loaded_before_a_request_names_it(
 
 
 def test_what_did_not_change_is_not_loaded_again_after_it_left_memory(
-    view: RegistryView, registry: CountingRegistry, clock: Clock
+    view: RegistryView, registry: CountingRegistry, clock: Polled
 ) -> None:
     view.look_up(CHALLENGER)
     clock.a_poll_later()
@@ -85,7 +81,7 @@ def test_what_did_not_change_is_not_loaded_again_after_it_left_memory(
 
 
 def test_a_reference_that_nobody_names_for_a_while_is_left_alone(
-    view: RegistryView, registry: CountingRegistry, clock: Clock
+    view: RegistryView, registry: CountingRegistry, clock: Polled
 ) -> None:
     view.look_up(CHALLENGER)
     clock.now += IN_USE_S + 1.0
@@ -96,7 +92,7 @@ def test_a_reference_that_nobody_names_for_a_while_is_left_alone(
 
 
 def test_an_alias_that_was_taken_away_is_unknown(
-    view: RegistryView, registry: CountingRegistry, clock: Clock
+    view: RegistryView, registry: CountingRegistry, clock: Polled
 ) -> None:
     view.look_up(CHALLENGER)
     registry.drop_alias("challenger")
@@ -107,7 +103,7 @@ def test_an_alias_that_was_taken_away_is_unknown(
 
 
 def test_while_the_registry_is_away_it_is_asked_once_and_what_is_known_stays(
-    view: RegistryView, registry: CountingRegistry, clock: Clock
+    view: RegistryView, registry: CountingRegistry, clock: Polled
 ) -> None:
     view.look_up(CHALLENGER)
     view.look_up(ModelReference.parse(f"{MODEL}/2"))
@@ -120,7 +116,7 @@ def test_while_the_registry_is_away_it_is_asked_once_and_what_is_known_stays(
 
 
 def test_a_successor_that_is_refused_is_fetched_once_and_told_to_the_request(
-    view: RegistryView, registry: CountingRegistry, bundles: dict[str, Path], clock: Clock
+    view: RegistryView, registry: CountingRegistry, bundles: dict[str, Path], clock: Polled
 ) -> None:
     view.look_up(CHALLENGER)
     registry.add(bundles["other"], "challenger", digest="1" * 64)

@@ -9,18 +9,9 @@ from inference_api.bundle_cache import BundleCache
 from inference_api.model_store import RETRY_S, ModelNotReadyError, ModelStore
 from inference_api.references import ModelReference
 from tests.inference_api.client import ApiClient
+from tests.inference_api.clock import Clock
 from tests.inference_api.conftest import StartApi
 from tests.inference_api.fake_registry import CountingRegistry
-
-
-class Clock:
-    """Seconds that pass when told."""
-
-    def __init__(self) -> None:
-        self.now = 100.0
-
-    def __call__(self) -> float:
-        return self.now
 
 
 @pytest.fixture
