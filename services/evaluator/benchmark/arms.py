@@ -159,13 +159,14 @@ def _learned_arms(sampler: str, samples: int) -> Iterator[Arm]:
 
 
 def _filtered_arms(sampler: str, samples: int, min_confidence: float) -> Iterator[Arm]:
-    for share in LEARNED_SHARES:
+    """None where the confidence drops nothing: they would be the learned arms under another name."""
+    for share in LEARNED_SHARES if min_confidence > 0.0 else ():
         name = f"{_percent(share)}, filtered"
         yield _with(sampler, RRT, Group.FILTERED, share, name, samples=samples, min_confidence=min_confidence)
 
 
 def _ordered_arms(sampler: str, samples: int, min_confidence: float) -> Iterator[Arm]:
-    """Filtered samples, which the planner takes along the way through them."""
+    """Samples that the planner takes along the way through them, filtered where a confidence is asked for."""
     for planner in (RRT, SAMPLED_CONNECT):
         for share in LEARNED_SHARES:
             name = f"{_percent(share)}, ordered"

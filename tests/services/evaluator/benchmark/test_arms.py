@@ -60,6 +60,13 @@ def test_the_filter_of_ordered_arms_is_that_of_the_filtered_ones():
     assert {arm.min_confidence for arm in pick(arms, ["filtered", "ordered"]) if arm.sampler} == {0.25}
 
 
+def test_a_confidence_that_drops_nothing_leaves_no_arm_that_calls_itself_filtered():
+    arms = table(["way"], 0.0)
+    with pytest.raises(ConfigError, match="no arm is left"):
+        pick(arms, ["filtered"])
+    assert {arm.min_confidence for arm in pick(arms, ["ordered"])} == {0.0}
+
+
 def test_arms_are_picked_by_name_or_group_and_bring_their_bases():
     assert names("RRT, way, 70 %") == ["RRT, uniform", "RRT, way, 70 %"]
     assert len(names("learned", planners=["PRM"])) == 1 + 2 * 2
