@@ -63,6 +63,7 @@ def parse_command(arguments: Sequence[str] | None = None) -> Command:
         time_limit_s=options.time_limit,
         max_iterations=options.max_iterations,
         seed=options.seed if options.planner_seed is None else options.planner_seed,
+        colliding_last=options.colliding_last,
     )
     request = SampleRequest(
         n=options.n,
@@ -128,6 +129,11 @@ def make_parser() -> argparse.ArgumentParser:
         "--ordered",
         action="store_true",
         help="take the samples along the way through them, from the start on",
+    )
+    samples.add_argument(
+        "--colliding-last",
+        action="store_true",
+        help="check each sample as its turn comes, and take those that collide after all others",
     )
     search = parser.add_argument_group("search")
     search.add_argument("--planner", choices=LEARNED_PLANNERS, default=RRT, help="default %(default)s")

@@ -38,7 +38,7 @@ from services.planner.settings import (
     check_uniform_share,
 )
 from services.planner.stopping import StoppingRule
-from services.planner.validity import EdgeValidator
+from services.planner.validity import EdgeValidator, free_test
 
 __all__ = ["DEFAULT_UNIFORM_SHARE", "PlanResult", "PlannerSettings", "Reason", "SearchTree", "solve"]
 
@@ -104,7 +104,7 @@ def _once(
 ) -> PlanResult:
     if settings.planner == SAMPLED_CONNECT:
         return connect(problem, settings, learned, uniform_share, keep_tree=keep_tree)
-    draws = _draws(problem, settings, learned, uniform_share)
+    draws = _draws(problem, settings, learned, uniform_share, checker)
     if settings.planner == PRM:
         return solve_by_roadmap(problem, settings, draws, checker, keep_tree=keep_tree)
     return _search(problem, settings, draws, checker, keep_tree)
@@ -134,7 +134,11 @@ def _fitting(
 
 
 def _draws(
-    problem: Problem, settings: PlannerSettings, learned: NDArray[np.float64] | None, uniform_share: float
+    problem: Problem,
+    settings: PlannerSettings,
+    learned: NDArray[np.float64] | None,
+    uniform_share: float,
+    checker: CollisionChecker,
 ) -> StateDraws:
     space = problem.scenario.robot.space
     goal, goal_bias = space.wrap(problem.goal).tolist(), settings.goal_bias
@@ -144,7 +148,8 @@ def _draws(
     if learned is None:
         return GoalOnly(goal)
     rng = np.random.default_rng(np.random.SeedSequence(settings.seed, spawn_key=(1,)))
-    return SampleMixture(space, goal, learned, goal_bias, uniform_share, rng)
+    is_free = free_test(checker) if settings.colliding_last else None
+    return SampleMixture(space, goal, learned, goal_bias, uniform_share, rng, is_free)
 
 
 def _search(

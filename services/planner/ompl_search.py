@@ -32,11 +32,12 @@ class OmplSearch(Generic[Edges]):
     edges: Edges
     states: StateValidator
     access: StateAccess
+    draws: StateDraws
 
     @property
     def state_checks(self) -> int:
         """States that were looked at so far, within motions and alone."""
-        return self.edges.states + self.states.checks
+        return self.edges.states + self.states.checks + self.draws.state_checks
 
 
 def set_up(
@@ -78,7 +79,7 @@ def set_up(
             make_objective(information, space, goal, settings.planner, stop_at_first=settings.stop_at_first)
         )
     planner = _make_planner(information, definition, settings, 1.0 if mixed else settings.goal_bias)
-    return OmplSearch(planner, definition, information, edges, states, access)
+    return OmplSearch(planner, definition, information, edges, states, access, draws)
 
 
 def _make_planner(information: Any, definition: Any, settings: PlannerSettings, goal_bias: float) -> Any:

@@ -1,6 +1,7 @@
 """Which state a planner draws next: the goal, a learned sample, or a uniform one."""
 
-from collections.abc import Sequence
+from collections import deque
+from collections.abc import Callable, Sequence
 from typing import Protocol
 
 import numpy as np
@@ -17,6 +18,7 @@ class StateDraws(Protocol):
     goal_drawn: int
     learned_drawn: int
     uniform_drawn: int
+    state_checks: int
 
     def draw(self) -> Sequence[float]:
         """The next configuration, d values in rad."""
@@ -31,7 +33,7 @@ class GoalOnly:
     """Gives the goal; for planners that draw uniform states themselves."""
 
     def __init__(self, goal: Sequence[float]) -> None:
-        self.goal_drawn = self.learned_drawn = self.uniform_drawn = 0
+        self.goal_drawn = self.learned_drawn = self.uniform_drawn = self.state_checks = 0
         self._goal = goal
 
     def draw(self) -> Sequence[float]:
@@ -56,6 +58,9 @@ class SampleMixture:
         goal_bias: share of the goal, 0 to 1.
         uniform_share: share of uniform samples among the others while learned ones are left, 0 to 1.
         rng: the random generator.
+        is_free: checks a configuration of d values in rad. Learned samples that it rejects are put off until
+            all others are drawn: they may still lead towards a passage, so none is dropped. Each is checked
+            as its turn comes. None checks nothing.
     """
 
     def __init__(
@@ -66,11 +71,14 @@ class SampleMixture:
         goal_bias: float,
         uniform_share: float,
         rng: np.random.Generator,
+        is_free: Callable[[Sequence[float]], bool] | None = None,
     ) -> None:
-        self.goal_drawn = self.learned_drawn = self.uniform_drawn = 0
+        self.goal_drawn = self.learned_drawn = self.uniform_drawn = self.state_checks = 0
         self._space, self._rng = space, rng
         self._goal, self._goal_bias = goal, goal_bias
-        self._samples: list[list[float]] = space.wrap(samples).tolist()
+        self._is_free = is_free
+        self._samples: deque[list[float]] = deque(space.wrap(samples).tolist())
+        self._put_off: deque[list[float]] = deque()
         self._uniform_share = uniform_share
         # Drawn in blocks: one call of numpy for each state would cost more than checking its edge.
         self._choices: list[list[float]] = []
@@ -84,14 +92,25 @@ class SampleMixture:
         if for_goal < self._goal_bias:
             self.goal_drawn += 1
             return self._goal
-        if self.learned_drawn < len(self._samples) and for_uniform >= self._uniform_share:
+        if (self._samples or self._put_off) and for_uniform >= self._uniform_share:
             self.learned_drawn += 1
-            return self._samples[self.learned_drawn - 1]
+            return self._draw_learned()
         return self._draw_uniform()
 
     def goal_reached(self) -> None:
         """No goal is drawn from now on, as in OMPL's own RRT* with a single goal state."""
         self._goal_bias = 0.0
+
+    def _draw_learned(self) -> Sequence[float]:
+        while self._samples:
+            sample = self._samples.popleft()
+            if self._is_free is None:
+                return sample
+            self.state_checks += 1
+            if self._is_free(sample):
+                return sample
+            self._put_off.append(sample)
+        return self._put_off.popleft()
 
     def _draw_uniform(self) -> Sequence[float]:
         if not self._uniform:

@@ -8,6 +8,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
+from cspace.collision import CollisionChecker
 from cspace.space import JointSpace
 
 SWEEP = 24
@@ -40,6 +41,20 @@ def order_along(
     sweeps = -(-len(rows) // max(1, sweep))
     rank = np.arange(len(rows))
     return np.asarray(along[np.argsort(rank % sweeps, kind="stable")], dtype=np.intp)
+
+
+def colliding_last(samples: ArrayLike, checker: CollisionChecker) -> NDArray[np.intp]:
+    """The order of samples in which those that collide come after all others; else it stays as it is.
+
+    Args:
+        samples: (n, d) rad.
+        checker: of the scenario.
+
+    Returns:
+        (n,) a permutation.
+    """
+    rows = checker.scenario.robot.space.wrap(np.asarray(samples, dtype=np.float64))
+    return np.argsort(~checker.valid_batch(rows), kind="stable")
 
 
 @njit(cache=True, nogil=True)

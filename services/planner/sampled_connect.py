@@ -16,6 +16,7 @@ from cspace.problem import Problem
 from cspace.space import JointSpace
 from services.planner.outcome import Counts, outcome
 from services.planner.plan_result import PlanResult, Reason, SearchTree
+from services.planner.sample_order import colliding_last
 from services.planner.settings import PlannerSettings
 
 # Iterations between two looks at the clock.
@@ -80,12 +81,18 @@ def connect(
         keep_tree: whether the result holds both trees.
     """
     space = problem.scenario.robot.space
+    checker = CollisionChecker(problem.scenario)
+    began = time.perf_counter()
+    looked_at = 0
+    if samples is not None and settings.colliding_last:
+        samples, looked_at = samples[colliding_last(samples, checker)], len(samples)
+    sorted_s = time.perf_counter() - began
     states, learned = drawn_states(space, samples, uniform_share, settings)
     farthest = int(np.ceil(space.dim * np.pi / settings.range_rad)) + 2
     trees = _Trees(space.wrap(problem.start), space.wrap(problem.goal), _BLOCK * farthest)
-    fixed = (settings.range_rad, settings.resolution_rad, *CollisionChecker(problem.scenario).kernel_args)
+    fixed = (settings.range_rad, settings.resolution_rad, *checker.kernel_args)
     # A process's first call loads the compiled kernel, which is no part of a search.
-    checks = np.zeros(2, dtype=np.int64)
+    checks = np.array([0, looked_at], dtype=np.int64)
     _advance(trees.nodes, trees.parents, trees.counts, checks, states[:0], 0, *fixed)
     iterations, side, joint = 0, 0, (-1, -1)
     began, reason = time.perf_counter(), Reason.ITERATION_LIMIT
@@ -97,7 +104,7 @@ def connect(
         block = states[iterations : iterations + _BLOCK]
         done, side, *joint = _advance(trees.nodes, trees.parents, trees.counts, checks, block, side, *fixed)
         iterations += done
-    solve_time_s = time.perf_counter() - began
+    solve_time_s = time.perf_counter() - began + sorted_s
     learned_drawn = int(learned[:iterations].sum())
     counts = Counts(
         iterations=iterations,

@@ -35,6 +35,8 @@ class PlannerSettings:
         max_iterations: states drawn after which the search ends; BIT* still ends the batch that it is at.
         seed: of OMPL and of the sample mixture, unsigned 64 bit.
         stop_at_first: whether the optimising planners end with their first solution; the others always do.
+        colliding_last: whether learned samples that collide are drawn after all others instead of in their
+            turn.
 
     Raises:
         ConfigError: a value is out of its range.
@@ -48,6 +50,7 @@ class PlannerSettings:
     max_iterations: int = 5000
     seed: int = 1
     stop_at_first: bool = True
+    colliding_last: bool = False
 
     def __post_init__(self) -> None:
         if self.planner not in PLANNERS:

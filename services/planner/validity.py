@@ -1,5 +1,6 @@
 """Collision checks as OMPL calls them: the project's numba kernels behind two thin callbacks."""
 
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -58,3 +59,16 @@ class StateValidator:
         self.checks += 1
         self._access.read(state, self._buffer)
         return bool(arm_is_free(self._buffer, *self._arguments))
+
+
+def free_test(checker: CollisionChecker) -> Callable[[Sequence[float]], bool]:
+    """A check of configurations of d values in rad, as plain numbers instead of OMPL's states."""
+    buffer, arguments = np.zeros(checker.scenario.robot.dim), checker.kernel_args
+    # A process's first call loads the compiled kernel, which is no part of a search.
+    arm_is_free(buffer, *arguments)
+
+    def is_free(configuration: Sequence[float]) -> bool:
+        buffer[:] = configuration
+        return bool(arm_is_free(buffer, *arguments))
+
+    return is_free

@@ -47,6 +47,7 @@ class Group(StrEnum):
     OPTIMISING = "optimising"
     COUNTS = "counts"
     ORDERED = "ordered"
+    CHECKED = "checked"
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,6 +67,7 @@ class Arm:
             the paper has it, instead of mixed.
         ordered: whether the planner takes the samples along the way through them, from the start on.
         min_confidence: what the sampler's validity head has to score; 0 for the samples as they come.
+        colliding_last: whether the planner takes samples that collide after all others.
         range_rad: of the planner, in OMPL's metric.
         stop_at_first: whether the search ends with its first solution.
     """
@@ -81,6 +83,7 @@ class Arm:
     in_order: bool = False
     ordered: bool = False
     min_confidence: float = 0.0
+    colliding_last: bool = False
     range_rad: float = RANGE_RAD
     stop_at_first: bool = True
 
@@ -98,7 +101,8 @@ def table(
     arms = [*_uniform_arms(), *_optimising_arms(None, samples)]
     for sampler in samplers:
         arms += [*_learned_arms(sampler, samples), *_filtered_arms(sampler, samples, min_confidence)]
-        arms += [*_ordered_arms(sampler, samples, min_confidence), *_schedule_arms(sampler, samples)]
+        arms += [*_ordered_arms(sampler, samples, min_confidence), *_checked_arms(sampler, samples)]
+        arms += [*_schedule_arms(sampler, samples)]
         arms += [*_optimising_arms(sampler, samples), *_count_arms(sampler)]
     return tuple(arms)
 
@@ -172,6 +176,17 @@ def _ordered_arms(sampler: str, samples: int, min_confidence: float) -> Iterator
             name = f"{_percent(share)}, ordered"
             arm = _with(sampler, planner, Group.ORDERED, share, name, samples=samples)
             yield replace(arm, min_confidence=min_confidence, ordered=True)
+
+
+def _checked_arms(sampler: str, samples: int) -> Iterator[Arm]:
+    """Samples of which the planner takes those that collide last, as they come and along the way."""
+    for planner in (RRT, SAMPLED_CONNECT):
+        for share in LEARNED_SHARES:
+            name = f"{_percent(share)}, colliding last"
+            arm = _with(sampler, planner, Group.CHECKED, share, name, samples=samples)
+            yield replace(arm, colliding_last=True)
+            name = f"{_label(planner)}, {sampler}, {_percent(share)}, ordered, colliding last"
+            yield replace(arm, name=name, ordered=True, colliding_last=True)
 
 
 def _schedule_arms(sampler: str, samples: int) -> Iterator[Arm]:

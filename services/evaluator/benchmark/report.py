@@ -19,6 +19,7 @@ from services.evaluator.benchmark.rows import (
 )
 from services.evaluator.benchmark.setting import Protocol
 from services.evaluator.benchmark.summary import WITHIN
+from services.evaluator.benchmark.treated import treated_table
 from services.evaluator.tables import Table, aligned, markdown
 
 READING = (
@@ -52,6 +53,10 @@ OPTIMISING = (
 )
 GIVING_UP = (
     "There is no path, so a success would be false; what is told is the effort until a limit ends the search."
+)
+TREATED = (
+    "Beside the same planner with the same sampler's samples as they come, run by run under the same seeds: "
+    "how many of the other's runs the arm does not solve, and how many it solves that the other does not."
 )
 PAPER = (
     "Lengths are means over the runs with a path. Times are means over all runs, one without a path "
@@ -138,6 +143,7 @@ def _tables(found: FamilyResult, results: Results) -> list[tuple[str, Table, str
         ("Break-even costs of a check", worth_table(found.summaries), WORTH),
         ("The paper's columns", paper, PAPER),
         ("Work", arm_table(found.summaries), ""),
+        ("Samples filtered, ordered, checked", treated_table(found.runs, arms, rng), TREATED),
         ("Time", time_table(found.summaries), TIME),
         ("Optimising", convergence_table(found.convergence), OPTIMISING),
         ("Samples asked for", counts_table(found.runs, arms, rng), ""),

@@ -58,6 +58,7 @@ class Setting:
             max_iterations=self.max_iterations if arm.stop_at_first else self.optimising_iterations,
             seed=planner_seed(self.seed, index, run),
             stop_at_first=arm.stop_at_first,
+            colliding_last=arm.colliding_last,
         )
 
 

@@ -47,10 +47,15 @@ def one_blocked_point(problem):
     return np.tile(colliding(problem)[0], (GARBAGE, 1))
 
 
+@pytest.mark.parametrize("colliding_last", [False, True])
 @pytest.mark.parametrize("planner", LEARNED_PLANNERS)
 @pytest.mark.parametrize("garbage", [colliding, one_free_point, one_blocked_point])
-def test_a_model_that_only_emits_garbage_costs_no_solution(solved_by_uniform_rrt, planner, garbage):
-    settings = PlannerSettings(planner, max_iterations=BUDGET + GARBAGE, time_limit_s=60.0)
+def test_a_model_that_only_emits_garbage_costs_no_solution(
+    solved_by_uniform_rrt, planner, garbage, colliding_last
+):
+    settings = PlannerSettings(
+        planner, max_iterations=BUDGET + GARBAGE, time_limit_s=60.0, colliding_last=colliding_last
+    )
     found = [solve(problem, settings, garbage(problem), 0.0) for problem in solved_by_uniform_rrt]
     assert [result.reason for result in found] == ["solved"] * len(found)
     # Uniform states come after the last learned one, and some searches needed them.

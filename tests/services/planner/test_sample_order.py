@@ -1,10 +1,11 @@
-"""Samples ordered along the way through them."""
+"""Samples ordered along the way through them, and by whether they collide."""
 
 import numpy as np
 import pytest
 
+from cspace.collision import CollisionChecker
 from cspace.robot import TWO_LINK, PlanarArm
-from services.planner.sample_order import order_along
+from services.planner.sample_order import colliding_last, order_along
 
 SPACE = TWO_LINK.space
 
@@ -42,3 +43,16 @@ def test_a_way_round_the_seam_is_one_way_and_with_limits_it_is_not():
 def test_every_sample_is_kept_once_even_where_all_are_alike(count):
     order = order_along(np.zeros((count, 2)), (0.0, 0.0), (0.0, 0.0), SPACE)
     assert sorted(order.tolist()) == list(range(count))
+
+
+def test_those_that_collide_come_last_and_else_the_order_stays(blocked):
+    checker = CollisionChecker(blocked.scenario)
+    samples = np.random.default_rng(0).uniform(-9.0, 9.0, (200, 2))
+    free = checker.valid_batch(SPACE.wrap(samples))
+    assert 20 < free.sum() < 180
+    order = colliding_last(samples, checker)
+    assert order.tolist() == [*np.flatnonzero(free), *np.flatnonzero(~free)]
+
+
+def test_of_no_samples_the_order_is_empty(blocked):
+    assert len(colliding_last(np.empty((0, 2)), CollisionChecker(blocked.scenario))) == 0

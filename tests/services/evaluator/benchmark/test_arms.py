@@ -60,6 +60,15 @@ def test_the_filter_of_ordered_arms_is_that_of_the_filtered_ones():
     assert {arm.min_confidence for arm in pick(arms, ["filtered", "ordered"]) if arm.sampler} == {0.25}
 
 
+def test_checked_arms_take_the_samples_as_they_come_but_for_those_that_collide():
+    checked = [arm for arm in table(["way"]) if arm.group is Group.CHECKED]
+    assert len(checked) == 8
+    for arm in checked:
+        assert (arm.colliding_last, arm.min_confidence, arm.epsilon_sigma) == (True, 0.0, (0.0,))
+        assert arm.ordered is ("ordered" in arm.name)
+    assert not any(arm.colliding_last for arm in table(["way"]) if arm.group is not Group.CHECKED)
+
+
 def test_a_confidence_that_drops_nothing_leaves_no_arm_that_calls_itself_filtered():
     arms = table(["way"], 0.0)
     with pytest.raises(ConfigError, match="no arm is left"):

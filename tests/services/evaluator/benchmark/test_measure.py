@@ -149,6 +149,18 @@ def test_perturbed_samples_are_mixed_unless_the_papers_order_is_wanted(setting, 
     assert np.array_equal(np.sort(shuffled, axis=0), np.sort(batch.samples, axis=0))
 
 
+def test_checked_arms_take_all_that_others_take_and_count_what_they_check(setting, spec, sources):
+    wanted = [f"RRT, way, 100 %{rest}" for rest in ("", ", colliding last")]
+    short = replace(setting, max_iterations=400)
+    found = run(pick(table(["way"]), wanted), Family.DISCONNECTED, short, spec, sources)
+    plain, checked = (found[name] for name in wanted)
+    assert plain.learned_drawn == checked.learned_drawn == 300
+    assert plain.samples_got == checked.samples_got == 300
+    assert not plain.solved
+    assert checked.group == "checked"
+    assert checked.iterations == plain.iterations == 400
+
+
 def test_ordered_samples_are_the_same_ones_along_the_way(setting, spec, sources):
     by_name = {arm.name: arm for arm in table(["way"])}
     problem = known_problem(Family.UNIFORM, setting.split, 0, 0)
