@@ -88,22 +88,37 @@ class Arm:
     stop_at_first: bool = True
 
 
-def table(
-    samplers: Sequence[str], min_confidence: float = MIN_CONFIDENCE, samples: int = SAMPLES
-) -> tuple[Arm, ...]:
+@dataclass(frozen=True, slots=True)
+class Taken:
+    """How arms take learned samples where their group leaves it open.
+
+    Args:
+        min_confidence: of the filtered and the ordered arms.
+        samples: how many an arm asks for that does not say so in its name.
+        shares: of learned samples among the drawn ones, 0 to 1 each; of every one there is an arm.
+    """
+
+    min_confidence: float = MIN_CONFIDENCE
+    samples: int = SAMPLES
+    shares: tuple[float, ...] = LEARNED_SHARES
+
+
+_AS_USUAL = Taken()
+
+
+def table(samplers: Sequence[str], taken: Taken = _AS_USUAL) -> tuple[Arm, ...]:
     """All arms that there are.
 
     Args:
         samplers: names of the learned samplers.
-        min_confidence: of the filtered and the ordered arms.
-        samples: how many an arm asks for that does not say so in its name.
+        taken: how the arms take their samples.
     """
-    arms = [*_uniform_arms(), *_optimising_arms(None, samples)]
+    arms = [*_uniform_arms(), *_optimising_arms(None, taken)]
     for sampler in samplers:
-        arms += [*_learned_arms(sampler, samples), *_filtered_arms(sampler, samples, min_confidence)]
-        arms += [*_ordered_arms(sampler, samples, min_confidence), *_checked_arms(sampler, samples)]
-        arms += [*_schedule_arms(sampler, samples)]
-        arms += [*_optimising_arms(sampler, samples), *_count_arms(sampler)]
+        arms += [*_learned_arms(sampler, taken), *_filtered_arms(sampler, taken)]
+        arms += [*_ordered_arms(sampler, taken), *_checked_arms(sampler, taken)]
+        arms += [*_schedule_arms(sampler, taken.samples)]
+        arms += [*_optimising_arms(sampler, taken), *_count_arms(sampler)]
     return tuple(arms)
 
 
@@ -145,7 +160,7 @@ def _uniform(planner: str) -> str:
 
 
 def _percent(share: float) -> str:
-    return f"{100.0 * share:.0f} %"
+    return f"{100.0 * share:g} %"
 
 
 def _uniform_arms() -> Iterator[Arm]:
@@ -156,34 +171,35 @@ def _uniform_arms() -> Iterator[Arm]:
         yield Arm(name, Group.UNIFORM, RRT, _uniform(RRT), range_rad=range_rad)
 
 
-def _learned_arms(sampler: str, samples: int) -> Iterator[Arm]:
+def _learned_arms(sampler: str, taken: Taken) -> Iterator[Arm]:
     for planner in LEARNED_PLANNERS:
-        for share in LEARNED_SHARES:
-            yield _with(sampler, planner, Group.LEARNED, share, _percent(share), samples=samples)
+        for share in taken.shares:
+            yield _with(sampler, planner, Group.LEARNED, share, _percent(share), samples=taken.samples)
 
 
-def _filtered_arms(sampler: str, samples: int, min_confidence: float) -> Iterator[Arm]:
+def _filtered_arms(sampler: str, taken: Taken) -> Iterator[Arm]:
     """None where the confidence drops nothing: they would be the learned arms under another name."""
-    for share in LEARNED_SHARES if min_confidence > 0.0 else ():
+    least = taken.min_confidence
+    for share in taken.shares if least > 0.0 else ():
         name = f"{_percent(share)}, filtered"
-        yield _with(sampler, RRT, Group.FILTERED, share, name, samples=samples, min_confidence=min_confidence)
+        yield _with(sampler, RRT, Group.FILTERED, share, name, samples=taken.samples, min_confidence=least)
 
 
-def _ordered_arms(sampler: str, samples: int, min_confidence: float) -> Iterator[Arm]:
+def _ordered_arms(sampler: str, taken: Taken) -> Iterator[Arm]:
     """Samples that the planner takes along the way through them, filtered where a confidence is asked for."""
     for planner in (RRT, SAMPLED_CONNECT):
-        for share in LEARNED_SHARES:
+        for share in taken.shares:
             name = f"{_percent(share)}, ordered"
-            arm = _with(sampler, planner, Group.ORDERED, share, name, samples=samples)
-            yield replace(arm, min_confidence=min_confidence, ordered=True)
+            arm = _with(sampler, planner, Group.ORDERED, share, name, samples=taken.samples)
+            yield replace(arm, min_confidence=taken.min_confidence, ordered=True)
 
 
-def _checked_arms(sampler: str, samples: int) -> Iterator[Arm]:
+def _checked_arms(sampler: str, taken: Taken) -> Iterator[Arm]:
     """Samples of which the planner takes those that collide last, as they come and along the way."""
     for planner in (RRT, SAMPLED_CONNECT):
-        for share in LEARNED_SHARES:
+        for share in taken.shares:
             name = f"{_percent(share)}, colliding last"
-            arm = _with(sampler, planner, Group.CHECKED, share, name, samples=samples)
+            arm = _with(sampler, planner, Group.CHECKED, share, name, samples=taken.samples)
             yield replace(arm, colliding_last=True)
             name = f"{_label(planner)}, {sampler}, {_percent(share)}, ordered, colliding last"
             yield replace(arm, name=name, ordered=True, colliding_last=True)
@@ -201,18 +217,19 @@ def _schedule_arms(sampler: str, samples: int) -> Iterator[Arm]:
     yield _with(sampler, RRT, Group.SCHEDULE, least, f"{_percent(least)}, {few} samples", samples=few)
 
 
-def _optimising_arms(sampler: str | None, samples: int) -> Iterator[Arm]:
+def _optimising_arms(sampler: str | None, taken: Taken) -> Iterator[Arm]:
     base = f"{_label(RRT_STAR)}, uniform, optimising"
     if sampler is None:
         for planner in OPTIMISING_PLANNERS:
             name = f"{_uniform(planner)}, optimising"
             yield Arm(name, Group.OPTIMISING, planner, base, stop_at_first=False)
         return
-    for share in LEARNED_SHARES:
+    for share in taken.shares:
         name = f"{_percent(share)}, optimising"
         yield _with(
-            sampler, RRT_STAR, Group.OPTIMISING, share, name, samples=samples, base=base, stop_at_first=False
-        )
+            sampler, RRT_STAR, Group.OPTIMISING, share, name,
+            samples=taken.samples, base=base, stop_at_first=False,
+        )  # fmt: skip
 
 
 def _count_arms(sampler: str) -> Iterator[Arm]:

@@ -8,7 +8,16 @@ from pathlib import Path
 from cspace.errors import ConfigError
 from cspace.problem import Family
 from cspace.scenario import Split
-from services.evaluator.benchmark.arms import MIN_CONFIDENCE, SAMPLES, Arm, Group, pick, table
+from services.evaluator.benchmark.arms import (
+    LEARNED_SHARES,
+    MIN_CONFIDENCE,
+    SAMPLES,
+    Arm,
+    Group,
+    Taken,
+    pick,
+    table,
+)
 from services.evaluator.benchmark.job import Request
 from services.evaluator.benchmark.setting import FAMILIES, LIMITS, PROBLEMS, RUNS, Protocol, Setting
 from services.evaluator.benchmark.sources import SourceSpec, bundled, parse_named, served
@@ -64,6 +73,10 @@ def parser() -> argparse.ArgumentParser:
         "--samples", type=int, default=SAMPLES,
         help="learned ones for a run, but in arms that name a number (default: %(default)s)",
     )  # fmt: skip
+    what.add_argument(
+        "--shares", type=float, nargs="+", default=LEARNED_SHARES, metavar="SHARE",
+        help="of learned samples, 0 to 1; of each there is an arm (default: 0.7 1)",
+    )  # fmt: skip
     what.add_argument("--iterations", type=int, help="after which a search ends (default: 20000)")
     what.add_argument(
         "--optimising-iterations", type=int, help="the same, of optimising arms (default: 2000)"
@@ -97,7 +110,11 @@ def chosen_arms(options: argparse.Namespace) -> tuple[Arm, ...]:
         raise ConfigError(
             "the samples are out of range", expected=f"1 to {MAX_SAMPLES}", got=str(options.samples)
         )
-    return pick(table(names, options.min_confidence, options.samples), options.arms, options.planners)
+    shares = tuple(dict.fromkeys(options.shares))
+    if not all(0.0 < share <= 1.0 for share in shares):
+        raise ConfigError("a share is out of range", expected="above 0 to 1", got=str(options.shares))
+    taken = Taken(options.min_confidence, options.samples, shares)
+    return pick(table(names, taken), options.arms, options.planners)
 
 
 def make_request(options: argparse.Namespace) -> Request:

@@ -43,10 +43,14 @@ def treated_table(runs: PairedRuns, arms: Sequence[Arm], rng: np.random.Generato
 
 def plain_arm(arm: Arm, arms: Sequence[Arm]) -> Arm | None:
     """The arm that takes the samples as they come and is else the same; None if there is none."""
-    if not (arm.min_confidence > 0.0 or arm.ordered or arm.colliding_last):
+    if not _treated(arm):
         return None
-    same = (one for one in arms if one.group is Group.LEARNED and _planning(one) == _planning(arm))
-    return next(same, None)
+    plain = (one for one in arms if one.group is Group.LEARNED and not _treated(one))
+    return next((one for one in plain if _planning(one) == _planning(arm)), None)
+
+
+def _treated(arm: Arm) -> bool:
+    return arm.min_confidence > 0.0 or arm.ordered or arm.colliding_last
 
 
 def _planning(arm: Arm) -> tuple[object, ...]:

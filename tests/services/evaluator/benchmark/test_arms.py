@@ -1,7 +1,7 @@
 import pytest
 
 from cspace.errors import ConfigError
-from services.evaluator.benchmark.arms import MIN_CONFIDENCE, SAMPLES, Group, pick, table
+from services.evaluator.benchmark.arms import MIN_CONFIDENCE, SAMPLES, Group, Taken, pick, table
 from services.planner.planning import PAPER_SCHEDULE
 from services.planner.settings import LEARNED_PLANNERS, PLANNERS, RRT
 
@@ -44,7 +44,7 @@ def test_the_schedule_has_as_many_unperturbed_samples_as_the_mixture_it_is_compa
 
 
 def test_arms_ask_for_as_many_samples_as_they_are_told_and_keep_a_number_that_is_in_their_name():
-    told = {arm.name: arm for arm in table(["way"], samples=700)}
+    told = {arm.name: arm for arm in table(["way"], Taken(samples=700))}
     plain = {arm.name: arm.samples for arm in table(["way"]) if arm.group is not Group.SCHEDULE}
     changed = {name for name, samples in plain.items() if told[name].samples != samples}
     assert changed == {
@@ -55,8 +55,19 @@ def test_arms_ask_for_as_many_samples_as_they_are_told_and_keep_a_number_that_is
     assert told["RRT, way, 25 %, 175 samples"].samples == 175
 
 
+def test_there_is_an_arm_for_every_share_that_is_told():
+    plain, told = table(["way"]), table(["way"], Taken(shares=(0.85, 0.55)))
+    assert len(told) == len(plain)
+    shared = (Group.LEARNED, Group.FILTERED, Group.ORDERED, Group.CHECKED)
+    assert {arm.learned_share for arm in told if arm.group in shared} == {0.85, 0.55}
+    by_name = {arm.name: arm for arm in told}
+    assert by_name["RRT, way, 55 %, colliding last"].learned_share == 0.55
+    assert by_name["RRT*, way, 85 %, optimising"].learned_share == 0.85
+    assert by_name["RRT, way, 70 %, 30 samples"].learned_share == 0.7
+
+
 def test_the_filter_of_ordered_arms_is_that_of_the_filtered_ones():
-    arms = table(["way"], 0.25)
+    arms = table(["way"], Taken(0.25))
     assert {arm.min_confidence for arm in pick(arms, ["filtered", "ordered"]) if arm.sampler} == {0.25}
 
 
@@ -70,7 +81,7 @@ def test_checked_arms_take_the_samples_as_they_come_but_for_those_that_collide()
 
 
 def test_a_confidence_that_drops_nothing_leaves_no_arm_that_calls_itself_filtered():
-    arms = table(["way"], 0.0)
+    arms = table(["way"], Taken(0.0))
     with pytest.raises(ConfigError, match="no arm is left"):
         pick(arms, ["filtered"])
     assert {arm.min_confidence for arm in pick(arms, ["ordered"])} == {0.0}

@@ -188,6 +188,8 @@ def test_the_command_runs_and_goes_on(tmp_path, path_folder, capsys):
         (["--min-confidence", "-0.1"], "confidence is out of range"),
         (["--min-confidence", "1.1"], "confidence is out of range"),
         (["--samples", "0"], "samples are out of range"),
+        (["--shares", "0.7", "0"], "share is out of range"),
+        (["--shares", "1.1"], "share is out of range"),
         (["--samples", "20001"], "samples are out of range"),
         (["--arms", "nothing"], "no such arm"),
         (["--model", "path-sampler@champion"], "behind an API"),
