@@ -3,6 +3,7 @@ import json
 import pytest
 
 from services.planner import __main__ as command
+from services.planner.command_line import parse_command
 from tests.fakes.sample_server import sample_server
 from tests.fakes.sample_source import FakeSampleSource
 
@@ -59,6 +60,11 @@ def test_a_problem_without_a_path_returns_1_and_null_lengths(capsys):
     assert outcome["samples"] is None
     assert "127.0.0.1:9" in outcome["sampler_unavailable"]
     assert all(run["length_rad"] is None and not run["path"] for run in outcome["runs"].values())
+
+
+def test_samples_that_collide_come_last_where_that_is_asked_for():
+    assert not parse_command(UNIFORM).settings.colliding_last
+    assert parse_command([*UNIFORM, "--colliding-last"]).settings.colliding_last
 
 
 @pytest.mark.parametrize(
