@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from cspace.bundle import Bundle, write_bundle
-from cspace.bundle.draws import draw, propose, shares
 from cspace.errors import InputError
 from cspace.robot import THREE_LINK, TWO_LINK, PlanarArm
 from tests.bundles import LATENT, picture, tiny_graphs, tiny_spec, write_tiny_bundle
@@ -105,37 +104,6 @@ def test_sampling_leaves_the_global_random_state_alone(bundle: Bundle) -> None:
     assert all(np.array_equal(one, two) for one, two in zip(state, after, strict=True))
 
 
-@pytest.mark.parametrize(
-    ("count", "parts", "expected"),
-    [(300, 4, [75, 75, 75, 75]), (10, 4, [4, 2, 2, 2]), (2, 3, [2, 0, 0]), (1, 1, [1])],
-)
-def test_samples_are_shared_equally_with_the_remainder_to_the_first(
-    count: int, parts: int, expected: list[int]
-) -> None:
-    assert shares(count, parts) == expected
-
-
-def test_draws_follow_the_documented_order() -> None:
-    spec = tiny_spec()
-    mu, sigma = np.arange(LATENT, dtype=np.float32), np.full(LATENT, 0.5, dtype=np.float32)
-    draws = draw(spec, mu, sigma, (3, 2), 11, (0.0, 2.0))
-    rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(11)))
-    eta = rng.standard_normal((5, LATENT), dtype=np.float32)
-    raised = np.array([0.5, 0.5, 0.5, 2.5, 2.5], dtype=np.float32)[:, None]
-    np.testing.assert_array_equal(draws.latents, mu + raised * eta)
-    low, high = np.float32(-np.pi), np.float32(np.pi)
-    base = low + (high - low) * rng.random((5, 2), dtype=np.float32)
-    np.testing.assert_array_equal(draws.random_inputs["base"], base)
-    np.testing.assert_array_equal(draws.random_inputs["noise"], rng.standard_normal((5, 2), dtype=np.float32))
-
-
-def test_surplus_samples_of_a_shares_last_latent_are_left_out() -> None:
-    spec = tiny_spec(samples_per_latent=4)
-    zeros = np.zeros(LATENT, dtype=np.float32)
-    kept = draw(spec, zeros, zeros, (6, 5), 0, (0.0, 1.0)).kept
-    assert kept.astype(int).tolist() == [[1, 1, 1, 1], [1, 1, 0, 0], [1, 1, 1, 1], [1, 0, 0, 0]]
-
-
 def test_the_encoder_tells_pictures_apart(bundle: Bundle) -> None:
     first, second = bundle.encode(picture(0)), bundle.encode(picture(1))
     assert first.mu.shape == first.sigma.shape == (LATENT,)
@@ -210,19 +178,6 @@ def test_a_uniform_share_is_shown_to_the_head_where_a_request_filters(tmp_path: 
         np.testing.assert_array_equal(found.confidence, with_share.score(picture(), found.samples))
         again = with_share.sample(picture(), n, 3, epsilon_sigma=(0.0, 0.5))
         assert found.samples.tobytes() == again.samples.tobytes()
-
-
-def test_uniform_proposals_lie_among_the_others_in_their_order() -> None:
-    spec = replace(tiny_spec(), uniform_share=0.25)
-    proposals = propose(spec, (300, 100), 7, 0)
-    assert proposals.uniform[:300].sum() == 300 - proposals.learned[0]
-    assert proposals.uniform[300:].sum() == 100 - proposals.learned[1]
-    assert 0.18 < proposals.uniform.mean() < 0.32
-    learned = np.full((sum(proposals.learned), 2), 9.0, dtype=np.float32)
-    mixed = proposals.mixed_with(learned)
-    np.testing.assert_array_equal(mixed[:, 0] == 9.0, ~proposals.uniform)
-    assert np.abs(mixed[proposals.uniform]).max() < np.pi
-    assert not np.array_equal(propose(spec, (300, 100), 7, 1).uniform, proposals.uniform)
 
 
 def test_a_confidence_that_none_reaches_gives_an_empty_answer(scored: Bundle) -> None:

@@ -1,0 +1,51 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cspace.bundle.draws import draw, propose, shares
+from tests.bundles import LATENT, tiny_spec
+
+
+@pytest.mark.parametrize(
+    ("count", "parts", "expected"),
+    [(300, 4, [75, 75, 75, 75]), (10, 4, [4, 2, 2, 2]), (2, 3, [2, 0, 0]), (1, 1, [1])],
+)
+def test_samples_are_shared_equally_with_the_remainder_to_the_first(
+    count: int, parts: int, expected: list[int]
+) -> None:
+    assert shares(count, parts) == expected
+
+
+def test_draws_follow_the_documented_order() -> None:
+    spec = tiny_spec()
+    mu, sigma = np.arange(LATENT, dtype=np.float32), np.full(LATENT, 0.5, dtype=np.float32)
+    draws = draw(spec, mu, sigma, (3, 2), 11, (0.0, 2.0))
+    rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(11)))
+    eta = rng.standard_normal((5, LATENT), dtype=np.float32)
+    raised = np.array([0.5, 0.5, 0.5, 2.5, 2.5], dtype=np.float32)[:, None]
+    np.testing.assert_array_equal(draws.latents, mu + raised * eta)
+    low, high = np.float32(-np.pi), np.float32(np.pi)
+    base = low + (high - low) * rng.random((5, 2), dtype=np.float32)
+    np.testing.assert_array_equal(draws.random_inputs["base"], base)
+    np.testing.assert_array_equal(draws.random_inputs["noise"], rng.standard_normal((5, 2), dtype=np.float32))
+
+
+def test_surplus_samples_of_a_shares_last_latent_are_left_out() -> None:
+    spec = tiny_spec(samples_per_latent=4)
+    zeros = np.zeros(LATENT, dtype=np.float32)
+    kept = draw(spec, zeros, zeros, (6, 5), 0, (0.0, 1.0)).kept
+    assert kept.astype(int).tolist() == [[1, 1, 1, 1], [1, 1, 0, 0], [1, 1, 1, 1], [1, 0, 0, 0]]
+
+
+def test_uniform_proposals_lie_among_the_others_in_their_order() -> None:
+    spec = replace(tiny_spec(), uniform_share=0.25)
+    proposals = propose(spec, (300, 100), 7, 0)
+    assert proposals.uniform[:300].sum() == 300 - proposals.learned[0]
+    assert proposals.uniform[300:].sum() == 100 - proposals.learned[1]
+    assert 0.18 < proposals.uniform.mean() < 0.32
+    learned = np.full((sum(proposals.learned), 2), 9.0, dtype=np.float32)
+    mixed = proposals.mixed_with(learned)
+    np.testing.assert_array_equal(mixed[:, 0] == 9.0, ~proposals.uniform)
+    assert np.abs(mixed[proposals.uniform]).max() < np.pi
+    assert not np.array_equal(propose(spec, (300, 100), 7, 1).uniform, proposals.uniform)
