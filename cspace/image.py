@@ -4,20 +4,21 @@ Drawing is in :mod:`cspace.render`, which needs numba; this module does not, so 
 """
 
 import io
-import struct
-import warnings
+from collections.abc import Iterator
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, UnidentifiedImageError
+from PIL import Image
 
 from cspace.errors import ImageError
+from cspace.png import PngHeader, canonical_png, damaged, read_header
 
 MIN_SIDE = 16
 MAX_SIDE = 2048
-_SIGNATURE = b"\x89PNG\r\n\x1a\n"
-_MODES = {"RGB", "RGBA", "L", "LA", "P", "1"}
+# Columns that are averaged at a time: a whole picture as floats would take 50 MB.
+_BAND = 128
 
 
 def encode_png(image: NDArray[np.uint8]) -> bytes:
@@ -39,31 +40,15 @@ def decode_png(data: bytes, pixels: int = 48) -> NDArray[np.uint8]:
     Raises:
         ImageError: not a PNG, 16-bit, animated, not square, below 16 or above 2048 pixels, or damaged.
     """
-    side, depth = _header(data)
-    if depth == 16:
-        raise ImageError("the picture has 16 bits a channel", expected="at most 8", got="16")
+    header = read_header(data)
+    _check_size(header)
+    content = canonical_png(data, header)
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error")
-            with Image.open(io.BytesIO(data), formats=["PNG"]) as picture:
-                if getattr(picture, "is_animated", False) or "default_image" in picture.info:
-                    raise ImageError(
-                        "the picture is animated", expected="a single frame", remedy="send one frame"
-                    )
-                rgb = _to_rgb(picture)
-    except (
-        OSError,
-        SyntaxError,
-        ValueError,
-        EOFError,
-        struct.error,
-        Warning,
-        UnidentifiedImageError,
-    ) as error:
-        if isinstance(error, ImageError):
-            raise
-        raise ImageError("the picture is damaged", expected="a complete PNG file", got=str(error)) from error
-    return rgb if side == pixels else _average(rgb, pixels)
+        with Image.open(io.BytesIO(content), formats=["PNG"]) as picture:
+            return _to_rgb(picture) if header.width == pixels else _average(picture, pixels)
+    except Exception as error:
+        # All, for there is no list of what a decoder raises for bytes from outside.
+        raise damaged(_reason(error)) from error
 
 
 def to_network(images: NDArray[np.uint8]) -> NDArray[np.float32]:
@@ -72,29 +57,28 @@ def to_network(images: NDArray[np.uint8]) -> NDArray[np.float32]:
     return np.ascontiguousarray(np.moveaxis(scaled, -1, -3))
 
 
-def _header(data: bytes) -> tuple[int, int]:
-    """Side and bit depth from the header alone, so that no bomb is ever decoded."""
-    if len(data) < 33 or not data.startswith(_SIGNATURE) or data[12:16] != b"IHDR":
-        raise ImageError(
-            "the picture is not a PNG", expected="a PNG file", got=f"{len(data)} bytes of something else"
-        )
-    width, height, depth = struct.unpack(">IIB", data[16:25])
-    if width != height:
-        raise ImageError("the picture is not square", expected="width = height", got=f"{width} x {height}")
-    if not MIN_SIDE <= width <= MAX_SIDE:
+def _check_size(header: PngHeader) -> None:
+    """By the header alone, so that no bomb is ever decoded."""
+    size = f"{header.width} x {header.height}"
+    if header.width != header.height:
+        raise ImageError("the picture is not square", expected="width = height", got=size)
+    if not MIN_SIDE <= header.width <= MAX_SIDE:
         raise ImageError(
             "the picture's size is out of range",
             expected=f"{MIN_SIDE} to {MAX_SIDE} pixels a side",
-            got=f"{width} x {height}",
+            got=size,
         )
-    return int(width), int(depth)
+    if header.depth == 16:
+        raise ImageError("the picture has 16 bits a channel", expected="at most 8", got="16")
+
+
+def _reason(error: Exception) -> str:
+    # Some messages of Pillow hold an object's address, which is nobody's business.
+    text = str(error)
+    return type(error).__name__ if not text or "0x" in text else text[:200]
 
 
 def _to_rgb(picture: Image.Image) -> NDArray[np.uint8]:
-    if picture.mode not in _MODES:
-        raise ImageError(
-            "the picture's mode is not supported", expected=", ".join(sorted(_MODES)), got=picture.mode
-        )
     if picture.mode in ("RGBA", "LA") or "transparency" in picture.info:
         rgba = picture.convert("RGBA")
         ground = Image.new("RGBA", rgba.size, (255, 255, 255, 255))
@@ -102,13 +86,23 @@ def _to_rgb(picture: Image.Image) -> NDArray[np.uint8]:
     return np.asarray(picture.convert("RGB"), dtype=np.uint8)
 
 
-def _average(rgb: NDArray[np.uint8], pixels: int) -> NDArray[np.uint8]:
+def _average(picture: Image.Image, pixels: int) -> NDArray[np.uint8]:
     """Area averaging: every target pixel is the mean of the source area that it covers."""
-    weights = _overlap(rgb.shape[0], pixels)
-    rows = np.tensordot(weights, rgb.astype(np.float32), axes=(1, 0))
+    side = picture.width
+    weights = _overlap(side, pixels)
+    rows = np.empty((pixels, side, 3), dtype=np.float32)
+    for left, right in _bands(side):
+        band = _to_rgb(picture.crop((left, 0, right, side)))
+        rows[:, left:right] = np.tensordot(weights, band.astype(np.float32), axes=(1, 0))
     both: NDArray[np.float32] = np.tensordot(weights, rows, axes=(1, 1)).transpose(1, 0, 2)
     rounded = np.clip(np.floor(both + np.float32(0.5)), 0, 255)
     return np.asarray(rounded, dtype=np.uint8)
+
+
+def _bands(side: int) -> Iterator[tuple[int, int]]:
+    """First columns and those behind the last, in widths about equal: a narrow rest might round otherwise."""
+    count = -(-side // _BAND)
+    return pairwise(side * index // count for index in range(count + 1))
 
 
 def _overlap(source: int, target: int) -> NDArray[Any]:
