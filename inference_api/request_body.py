@@ -1,6 +1,5 @@
 """Bodies of requests, by media type, to plain field values; nothing is judged here but the form."""
 
-import json
 import re
 from dataclasses import dataclass
 from typing import Any
@@ -9,15 +8,15 @@ from fastapi import Request
 from python_multipart.multipart import parse_options_header
 
 from cspace.errors import InputError
+from inference_api.multipart_form import Part, is_boundary, read_parts
 from inference_api.problems import MALFORMED_BODY, UNSUPPORTED_MEDIA_TYPE, RequestError
+from inference_api.strict_json import load_json, parse_json
 
-# A form has eight names, one of them repeatable.
-MAX_FORM_FIELDS = 2000
-MAX_FORM_FILES = 16
-MAX_FIELD_BYTES = 64 * 1024
+MAX_CONTENT_TYPE = 500
 
 _WHOLE = re.compile(r"[+-]?[0-9]{1,40}", re.ASCII)
-_NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]{1,4})?", re.ASCII)
+# Every text is read in one way at most, so that a long one takes no time with the square of its length.
+_NUMBER = re.compile(r"[+-]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][+-]?[0-9]{1,4})?", re.ASCII)
 _WHOLE_FIELDS = ("n", "seed")
 _NUMBER_FIELDS = ("min_confidence",)
 _ARRAY_FIELDS = ("start", "goal")
@@ -25,76 +24,59 @@ KNOWN_FIELDS = ("image", "model", "epsilon_sigma", *_WHOLE_FIELDS, *_NUMBER_FIEL
 
 
 @dataclass(frozen=True, slots=True)
-class Part:
-    """One part of a multipart form.
+class RawFields:
+    """A body that is read and not parsed yet.
 
     Args:
-        name: of the field.
-        value: a file's bytes, or a plain field's text.
+        body: as it came.
+        boundary: of a multipart form; None for JSON.
     """
 
-    name: str
-    value: bytes | str
-
-
-RawFields = bytes | list[Part]
+    body: bytes
+    boundary: bytes | None = None
 
 
 async def read_fields(request: Request) -> RawFields:
-    """Read a body: JSON as bytes, a multipart form as its parts.
+    """Read a body whose media type is supported; on the event loop nothing more is done with it.
 
     Raises:
-        RequestError: another media type, a body that is too large, or a form that is torn.
+        RequestError: another media type, a form without a usable boundary, or a body that is too large.
     """
     coding = request.headers.get("content-encoding", "identity").strip().lower()
-    media_type, options = parse_options_header(request.headers.get("content-type"))
+    content_type = request.headers.get("content-type", "")
+    media_type, options = parse_options_header(content_type if len(content_type) <= MAX_CONTENT_TYPE else "")
     if coding != "identity" or media_type not in (b"application/json", b"multipart/form-data"):
         raise RequestError(
             UNSUPPORTED_MEDIA_TYPE,
             "the body's media type is not supported",
             expected="multipart/form-data or application/json, without a content coding",
-            got=f"{media_type.decode('latin-1') or 'no content type'}, {coding}"[:200],
+            got=f"{content_type[:100] or 'no content type'}, {coding}"[:200],
         )
-    body = await request.body()
     if media_type == b"application/json":
-        return body
-    end = b"--" + options.get(b"boundary", b"") + b"--"
-    if end not in body:
+        return RawFields(await request.body())
+    boundary = options.get(b"boundary", b"")
+    if not is_boundary(boundary):
         raise RequestError(
             MALFORMED_BODY,
-            "the multipart body is torn",
-            expected="a boundary in the content type and a body that ends with it",
-            got=f"{len(body)} bytes without it",
+            "the multipart body has no usable boundary",
+            expected="a boundary of 1 to 70 letters, digits and '()+_,-./:=? in the content type",
+            got=repr(boundary)[:100],
         )
-    limits = {"max_files": MAX_FORM_FILES, "max_fields": MAX_FORM_FIELDS, "max_part_size": MAX_FIELD_BYTES}
-    async with request.form(**limits) as form:
-        return [
-            Part(name, value if isinstance(value, str) else await value.read())
-            for name, value in form.multi_items()
-        ]
+    return RawFields(await request.body(), boundary)
 
 
-def parse_json(body: bytes) -> dict[str, Any]:
-    """A JSON object with unique keys and finite numbers.
-
-    Raises:
-        RequestError: the body is not that.
-    """
-    values = load_json("the body", body)
-    if not isinstance(values, dict):
-        raise RequestError(
-            MALFORMED_BODY, "the body is no JSON object", expected="an object", got=type(values).__name__
-        )
-    return values
-
-
-def parse_form(parts: list[Part]) -> dict[str, Any]:
-    """The fields of a form; text that is no number stays text, for the schema to refuse.
+def parse_fields(raw: RawFields) -> dict[str, Any]:
+    """The values of a body's fields by name; for a thread, for it may take a tenth of a second.
 
     Raises:
         InputError: a field that is not repeatable is repeated, or file and text are mixed up.
-        RequestError: an array is not JSON.
+        RequestError: the body or an array in it is malformed.
     """
+    return parse_json(raw.body) if raw.boundary is None else _values(read_parts(raw.body, raw.boundary))
+
+
+def _values(parts: list[Part]) -> dict[str, Any]:
+    """Of a form; text that is no number stays text, for the schema to refuse."""
     values: dict[str, Any] = {}
     for part in parts:
         name, value = part.name, part.value
@@ -107,7 +89,7 @@ def parse_form(parts: list[Part]) -> dict[str, Any]:
         if name == "epsilon_sigma":
             values.setdefault(name, []).append(_convert(name, value))
         elif name in values:
-            raise InputError(f"{name} is repeated", expected="one value", got="several")
+            raise InputError(f"{name[:100]} is repeated", expected="one value", got="several")
         else:
             values[name] = _convert(name, value)
     return values
@@ -122,37 +104,5 @@ def _convert(name: str, value: bytes | str) -> object:
     if name in (*_NUMBER_FIELDS, "epsilon_sigma") and _NUMBER.fullmatch(text):
         return float(text)
     if name in _ARRAY_FIELDS:
-        return load_json(name, text.encode("utf-8", errors="replace"))
+        return load_json(name, text.encode("utf-8"))
     return value
-
-
-def load_json(what: str, data: bytes) -> object:
-    """Strict JSON: UTF-8, finite numbers, unique keys.
-
-    Args:
-        what: the text's name in messages.
-        data: the text.
-
-    Raises:
-        RequestError: it is not that.
-    """
-    try:
-        return json.loads(data.decode("utf-8"), parse_constant=_refuse, object_pairs_hook=_unique)
-    except (ValueError, RecursionError) as error:
-        raise RequestError(
-            MALFORMED_BODY,
-            f"{what} is not JSON",
-            expected="UTF-8 JSON, not deeply nested, with finite numbers and unique keys",
-            got=str(error)[:200],
-        ) from error
-
-
-def _refuse(name: str) -> float:
-    raise ValueError(f"{name} is not JSON")
-
-
-def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    values = dict(pairs)
-    if len(values) != len(pairs):
-        raise ValueError("a key stands twice in one object")
-    return values

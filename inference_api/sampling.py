@@ -12,7 +12,7 @@ from fastapi.responses import Response
 from cspace.bundle import SampleSet
 from inference_api.model_store import ModelStore, ServedModel
 from inference_api.references import ModelReference
-from inference_api.request_body import RawFields, parse_form, parse_json
+from inference_api.request_body import RawFields, parse_fields
 from inference_api.schemas import (
     JointSpaceInfo,
     ModelInfo,
@@ -58,7 +58,7 @@ def answer_request(store: ModelStore, fields: RawFields, *, npy: bool, began: fl
     Raises:
         CspaceError: as the contract's table of errors.
     """
-    values = parse_json(fields) if isinstance(fields, bytes) else parse_form(fields)
+    values = parse_fields(fields)
     # A ``.npy`` holds samples alone: nobody would see the scores of those that are not filtered.
     answer = sample(store, validate_request(values), began, tell_confidence=not npy)
     return npy_response(answer) if npy else json_response(answer)

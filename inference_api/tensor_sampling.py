@@ -16,8 +16,8 @@ from cspace.errors import InputError
 from inference_api.model_store import ModelStore, ServedModel
 from inference_api.pictures import PictureCache
 from inference_api.references import PRETRAINED, ModelReference
-from inference_api.request_body import load_json, parse_json
 from inference_api.schemas import MAX_SAMPLES, SampleRequest
+from inference_api.strict_json import MAX_TENSOR_MARKS, load_json, parse_json
 from inference_api.telemetry.observer import Sampled
 from inference_api.tensor_schemas import InferenceRequest, Parameter, RequestedOutput
 from inference_api.tensors import JSON_LENGTH, Tensor, read_tensors, split_body, write_tensors
@@ -75,7 +75,7 @@ def answer_inference(
     """
     began = time.perf_counter()
     parts = split_body(body, json_length)
-    request = _validated(parse_json(parts.head))
+    request = _validated(parse_json(parts.head, MAX_TENSOR_MARKS))
     tensors = read_tensors(request.inputs, parts.tail)
     binary, fields = _split_parameters(request.parameters)
     wanted = validate_request({**fields, IMAGE: b""})
