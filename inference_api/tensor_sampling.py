@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from fastapi.responses import Response
 from numpy.typing import NDArray
-from pydantic import ValidationError
 
 from cspace.bundle import MAX_SEED, Bundle, SampleSet
 from cspace.errors import InputError
@@ -17,17 +16,16 @@ from inference_api.model_store import ModelStore, ServedModel
 from inference_api.pictures import PictureCache
 from inference_api.references import PRETRAINED, ModelReference
 from inference_api.schemas import MAX_SAMPLES, SampleRequest
-from inference_api.strict_json import MAX_TENSOR_MARKS, load_json, parse_json
 from inference_api.telemetry.observer import Sampled
-from inference_api.tensor_schemas import InferenceRequest, Parameter, RequestedOutput
+from inference_api.tensor_request import flag, read_request, split_parameters
+from inference_api.tensor_schemas import RequestedOutput
 from inference_api.tensors import JSON_LENGTH, Tensor, read_tensors, split_body, write_tensors
-from inference_api.validation import brief, validate_request
+from inference_api.validation import brief_members, validate_request
 
 IMAGE = "image"
-_ARRAYS = ("epsilon_sigma", "start", "goal")
-_FIELDS = ("n", "seed", "min_confidence", *_ARRAYS)
+# Each is encoded, and has a seed.
+MAX_PICTURES = 256
 _BINARY = "binary_data"
-_ALL_BINARY = "binary_data_output"
 _OPTIONS = {"epsilon_sigma", "start", "goal", "min_confidence"}
 
 
@@ -75,9 +73,9 @@ def answer_inference(
     """
     began = time.perf_counter()
     parts = split_body(body, json_length)
-    request = _validated(parse_json(parts.head, MAX_TENSOR_MARKS))
+    request = read_request(parts.head)
     tensors = read_tensors(request.inputs, parts.tail)
-    binary, fields = _split_parameters(request.parameters)
+    binary, fields = split_parameters(request.parameters)
     wanted = validate_request({**fields, IMAGE: b""})
     served = store.resolve(reference)
     drawn = draw(served.bundle, _images(served.bundle, tensors), wanted, store.pictures)
@@ -99,7 +97,7 @@ def draw(bundle: Bundle, images: NDArray[np.uint8], request: SampleRequest, know
 
     Args:
         bundle: the model.
-        images: uint8 (b, P, P, 3), b at least 1.
+        images: uint8 (b, P, P, 3), b from 1 to :data:`MAX_PICTURES`.
         request: what is asked for each; its picture is not looked at.
         known: pictures that are encoded already.
 
@@ -164,42 +162,17 @@ def output_arrays(drawn: Drawn) -> dict[str, NDArray[Any]]:
     return arrays
 
 
-def _validated(values: Mapping[str, Any]) -> InferenceRequest:
-    try:
-        return InferenceRequest.model_validate(values)
-    except ValidationError as error:
-        first = error.errors(include_url=False, include_context=False)[0]
-        place = ".".join(str(part) for part in first["loc"])[:200]
-        got = "nothing" if first["type"] == "missing" else brief(first["input"])
-        raise InputError(f"{place} is wrong", expected=first["msg"], got=got) from error
-
-
-def _split_parameters(parameters: Mapping[str, Parameter]) -> tuple[bool, dict[str, object]]:
-    """Whether outputs come as bytes by default, and the fields of a request for samples."""
-    unknown = sorted(set(parameters) - {*_FIELDS, _ALL_BINARY})
-    if unknown:
-        known = f"one of {', '.join((*_FIELDS, _ALL_BINARY))}"
-        raise InputError("a parameter is unknown", expected=known, got=repr(unknown[0])[:100])
-    binary = _flag(_ALL_BINARY, parameters.get(_ALL_BINARY, False))
-    fields: dict[str, object] = {name: value for name, value in parameters.items() if name != _ALL_BINARY}
-    for name in _ARRAYS:
-        value = fields.get(name)
-        if isinstance(value, str):
-            fields[name] = load_json(name, value.encode("utf-8", errors="replace"))
-    return binary, fields
-
-
 def _images(bundle: Bundle, tensors: Mapping[str, NDArray[Any]]) -> NDArray[np.uint8]:
     pixels = bundle.spec.pixels
     image = tensors.get(IMAGE)
     if set(tensors) != {IMAGE} or image is None:
         got = ", ".join(tensors)[:100]
         raise InputError("the inputs are wrong", expected=f"one with the name {IMAGE}", got=got)
-    fits = image.ndim == 4 and image.shape[1:] == (pixels, pixels, 3) and len(image) > 0
+    fits = image.ndim == 4 and image.shape[1:] == (pixels, pixels, 3) and 1 <= len(image) <= MAX_PICTURES
     if image.dtype != np.uint8 or not fits:
         raise InputError(
             f"the input {IMAGE} does not fit the model",
-            expected=f"UINT8 of shape [b, {pixels}, {pixels}, 3], b at least 1",
+            expected=f"UINT8 of shape [b, {pixels}, {pixels}, 3], b from 1 to {MAX_PICTURES}",
             got=f"{image.dtype} of shape {list(image.shape)}",
             remedy="POST /sample takes PNG files of any size",
         )
@@ -218,17 +191,11 @@ def _asked(
             raise InputError(
                 f"the output {output.name} cannot be had",
                 expected=f"each of {', '.join(arrays)} at most once, with no other parameter than {_BINARY}",
-                got=f"parameters {dict(output.parameters)}"[:200],
+                got=f"parameters {brief_members(output.parameters)}"[:200],
                 remedy="confidence is there for models with a validity head, novelty for those that tell it",
             )
-        asked[output.name] = _flag(_BINARY, output.parameters.get(_BINARY, binary))
+        asked[output.name] = flag(_BINARY, output.parameters.get(_BINARY, binary))
     return list(asked.items())
-
-
-def _flag(name: str, value: Parameter) -> bool:
-    if not isinstance(value, bool):
-        raise InputError(f"{name} is wrong", expected="true or false", got=brief(value))
-    return value
 
 
 def _head(served: ServedModel) -> dict[str, Any]:

@@ -8,6 +8,7 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 from cspace.errors import InputError
 from inference_api.problems import MALFORMED_BODY, RequestError
 from inference_api.tensor_schemas import InputTensor
-from inference_api.validation import brief
+from inference_api.validation import brief, brief_members
 
 JSON_LENGTH = "Inference-Header-Content-Length"
 DTYPES: dict[str, np.dtype[Any]] = {
@@ -25,6 +26,8 @@ DTYPES: dict[str, np.dtype[Any]] = {
     "UINT64": np.dtype("<u8"),
     "FP32": np.dtype("<f4"),
 }
+# Of an axis; with the eight that there may be, no product has more than 75 digits.
+MAX_SIZE = 2**31 - 1
 _DATATYPES = {dtype: name for name, dtype in DTYPES.items()}
 _SIZE = "binary_data_size"
 
@@ -111,13 +114,14 @@ def read_tensors(inputs: Sequence[InputTensor], tail: bytes) -> dict[str, NDArra
         if tensor.name in arrays:
             raise InputError(f"the input {tensor.name} is repeated", expected="one", got="several")
         dtype = DTYPES.get(tensor.datatype)
-        if dtype is None or any(size < 1 for size in tensor.shape):
-            raise _wrong(tensor, f"one of {', '.join(DTYPES)} with sizes from 1", "another")
+        if dtype is None or not all(1 <= size <= MAX_SIZE for size in tensor.shape):
+            raise _wrong(tensor, f"one of {', '.join(DTYPES)} with sizes from 1 to {MAX_SIZE}", "another")
         if tensor.data is not None:
             arrays[tensor.name] = _from_json(tensor, dtype)
         else:
             size = _binary_size(tensor, dtype, len(tail) - at)
-            arrays[tensor.name] = np.frombuffer(tail[at : at + size], dtype).reshape(tensor.shape)
+            count = size // dtype.itemsize
+            arrays[tensor.name] = np.frombuffer(tail, dtype, count, at).reshape(tensor.shape)
             at += size
     if at != len(tail):
         raise InputError(
@@ -155,17 +159,28 @@ def _little_endian(array: NDArray[Any]) -> NDArray[Any]:
 
 
 def _from_json(tensor: InputTensor, dtype: np.dtype[Any]) -> NDArray[Any]:
+    data = tensor.data or []
     if tensor.parameters:
-        raise _wrong(tensor, "data without parameters", f"both data and {brief(dict(tensor.parameters))}")
-    # As objects, for NumPy would take truths for ones and large whole numbers for floats.
-    array = np.array(tensor.data, dtype=object)
-    count = math.prod(tensor.shape)
-    if array.size != count or array.shape not in ((count,), tuple(tensor.shape)):
-        raise _wrong(tensor, f"{count} numbers, flat or nested as the shape", f"an array of {array.shape}")
-    numbers = array.ravel().tolist()
+        raise _wrong(tensor, "data without parameters", f"both data and {brief_members(tensor.parameters)}")
+    numbers = _by_rows(data, tensor.shape)
+    if numbers is None:
+        count = math.prod(tensor.shape)
+        raise _wrong(tensor, f"{count} numbers, flat or nested as the shape", f"a {brief(data)}")
     if not _holds(dtype, numbers):
         raise _wrong(tensor, f"numbers that {tensor.datatype} holds", "others")
     return np.array(numbers, dtype).reshape(tensor.shape)
+
+
+def _by_rows(data: list[Any], shape: Sequence[int]) -> list[Any] | None:
+    """The values of a list that is flat or nested as a shape; None where it is neither."""
+    if len(data) == math.prod(shape) and not isinstance(data[0], list):
+        return data
+    level: list[Any] = [data]
+    for size in shape:
+        if not all(isinstance(inner, list) and len(inner) == size for inner in level):
+            return None
+        level = list(chain.from_iterable(level))
+    return level
 
 
 def _holds(dtype: np.dtype[Any], numbers: list[Any]) -> bool:
@@ -183,7 +198,7 @@ def _binary_size(tensor: InputTensor, dtype: np.dtype[Any], left: int) -> int:
     size = tensor.parameters.get(_SIZE)
     expected = math.prod(tensor.shape) * dtype.itemsize
     if set(tensor.parameters) != {_SIZE} or isinstance(size, bool) or size != expected:
-        got = f"parameters {dict(tensor.parameters)}"[:200]
+        got = f"parameters {brief_members(tensor.parameters)}"[:200]
         raise _wrong(tensor, f"data, or {_SIZE} {expected} as the shape needs and nothing else", got)
     if expected > left:
         raise _wrong(tensor, f"{expected} bytes behind the JSON object", f"{left}")
@@ -191,8 +206,9 @@ def _binary_size(tensor: InputTensor, dtype: np.dtype[Any], left: int) -> int:
 
 
 def _wrong(tensor: InputTensor, expected: str, got: str) -> InputError:
+    shape = f"[{', '.join(map(brief, tensor.shape))}]"[:100]
     return InputError(
-        f"the input {tensor.name} of type {tensor.datatype} and shape {str(tensor.shape)[:100]} is wrong",
+        f"the input {tensor.name} of type {tensor.datatype} and shape {shape} is wrong",
         expected=expected[:200],
         got=got,
     )

@@ -1,6 +1,7 @@
 """Field values to a valid :class:`SampleRequest`, with messages in the contract's words."""
 
 from collections.abc import Mapping
+from itertools import islice
 from typing import Any
 
 from pydantic import ValidationError
@@ -9,6 +10,7 @@ from cspace.errors import InputError
 from inference_api.schemas import MAX_SAMPLES, FieldProblem, SampleRequest
 
 MAX_REPORTED = 8
+_SHOWN_BITS = 128
 
 EXPECTED = {
     "image": "a PNG: a file in a form, base64 text in JSON",
@@ -60,7 +62,16 @@ def _field_problem(kind: str, location: tuple[int | str, ...], value: object) ->
 
 
 def brief(value: object) -> str:
-    """A short description of an untrusted value; never walks into it, however deep it is."""
+    """A short description of an untrusted value; never walks into it, however deep or long it is."""
     if isinstance(value, bytes | list | dict):
         return f"{type(value).__name__} of length {len(value)}"
+    if isinstance(value, int) and value.bit_length() > _SHOWN_BITS:
+        # Its digits might be more than Python turns into text.
+        return f"a whole number of {value.bit_length()} bits"
     return repr(value[:100] if isinstance(value, str) else value)[:120]
+
+
+def brief_members(values: Mapping[str, object]) -> str:
+    """The same for an object's first members."""
+    shown = [f"{brief(name)}: {brief(value)}" for name, value in islice(values.items(), 3)]
+    return ", ".join([*shown, "..."] if len(values) > len(shown) else shown) or "none"
