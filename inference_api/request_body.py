@@ -13,9 +13,10 @@ from inference_api.problems import MALFORMED_BODY, UNSUPPORTED_MEDIA_TYPE, Reque
 from inference_api.strict_json import load_json, parse_json
 
 MAX_CONTENT_TYPE = 500
+# More is no number that anybody writes, but work for the expressions below.
+_MAX_NUMBER = 400
 
 _WHOLE = re.compile(r"[+-]?[0-9]{1,40}", re.ASCII)
-# Every text is read in one way at most, so that a long one takes no time with the square of its length.
 _NUMBER = re.compile(r"[+-]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][+-]?[0-9]{1,4})?", re.ASCII)
 _WHOLE_FIELDS = ("n", "seed")
 _NUMBER_FIELDS = ("min_confidence",)
@@ -101,7 +102,8 @@ def _convert(name: str, value: bytes | str) -> object:
     text = value.strip()
     if name in _WHOLE_FIELDS and _WHOLE.fullmatch(text):
         return int(text)
-    if name in (*_NUMBER_FIELDS, "epsilon_sigma") and _NUMBER.fullmatch(text):
+    numeric = name in (*_NUMBER_FIELDS, "epsilon_sigma") and len(text) <= _MAX_NUMBER
+    if numeric and _NUMBER.fullmatch(text):
         return float(text)
     if name in _ARRAY_FIELDS:
         return load_json(name, text.encode("utf-8"))

@@ -3,16 +3,18 @@
 import json
 from typing import Any
 
+import numpy as np
+
 from inference_api.problems import MALFORMED_BODY, RequestError
 
 # Commas, colons and opening brackets. The largest request for samples has about 1200: two configurations and
 # a schedule.
 MAX_MARKS = 5_000
-# As numbers, 21 pictures of 48 pixels a side; the parser holds the interpreter for about 50 ms.
-MAX_TENSOR_MARKS = 150_000
+# As numbers, 14 pictures of 48 pixels a side; the parser holds the interpreter for about 40 ms.
+MAX_TENSOR_MARKS = 100_000
 # Reading a whole number takes time with the square of its digits; 8 MiB of long ones would take 0.15 s.
 MAX_DIGITS = 1_000
-_MARKS = (b",", b":", b"[", b"{")
+_MARKS = b",:[{"
 
 
 def parse_json(body: bytes, most: int = MAX_MARKS) -> dict[str, Any]:
@@ -44,7 +46,8 @@ def load_json(what: str, data: bytes, most: int = MAX_MARKS) -> object:
     Raises:
         RequestError: it is not that.
     """
-    marks = sum(map(data.count, _MARKS))
+    octets = np.frombuffer(data, np.uint8)
+    marks = sum(int(np.count_nonzero(octets == mark)) for mark in _MARKS)
     if marks > most:
         raise RequestError(
             MALFORMED_BODY,

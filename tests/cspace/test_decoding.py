@@ -1,0 +1,140 @@
+"""Decoding in bands against decoding of the whole picture; what it takes of memory; many threads at once."""
+
+import io
+import subprocess
+import sys
+import threading
+import warnings
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from PIL import Image
+
+from cspace.errors import ImageError
+from cspace.image import decode_png, encode_png
+from tests.cspace.png_files import (
+    GREY,
+    KINDS,
+    PALETTE,
+    RGB,
+    chunk,
+    file,
+    header,
+    pixels,
+    random_samples,
+)
+
+END = chunk(b"IEND")
+
+
+def whole_picture(data: bytes, target: int) -> NDArray[np.uint8]:
+    """What decoding means, with the picture as floats at once."""
+    with Image.open(io.BytesIO(data)) as picture:
+        if picture.mode in ("RGBA", "LA") or "transparency" in picture.info:
+            rgba = picture.convert("RGBA")
+            ground = Image.new("RGBA", rgba.size, (255, 255, 255, 255))
+            rgb = np.asarray(Image.alpha_composite(ground, rgba).convert("RGB"))
+        else:
+            rgb = np.asarray(picture.convert("RGB"))
+    side = len(rgb)
+    if side == target:
+        return rgb
+    edges = np.arange(target + 1) * (side / target)
+    cells = np.arange(side)[None, :]
+    covered = np.minimum(edges[1:, None], cells + 1) - np.maximum(edges[:-1, None], cells)
+    weights = (np.clip(covered, 0.0, None) * (target / side)).astype(np.float32)
+    rows = np.tensordot(weights, rgb.astype(np.float32), axes=(1, 0))
+    both = np.tensordot(weights, rows, axes=(1, 1)).transpose(1, 0, 2)
+    return np.clip(np.floor(both + np.float32(0.5)), 0, 255).astype(np.uint8)
+
+
+def random_file(rng: np.random.Generator, side: int, depth: int, colour: int, interlace: int) -> bytes:
+    """Half of those that may have a transparent colour do."""
+    chunks = [header(side, side, depth, colour, interlace)]
+    if colour == PALETTE:
+        chunks.append(chunk(b"PLTE", rng.bytes(3 * 2**depth)))
+    if rng.random() < 0.5:
+        if colour == PALETTE:
+            chunks.append(chunk(b"tRNS", rng.bytes(2**depth)))
+        elif colour in (GREY, RGB):
+            chunks.append(chunk(b"tRNS", b"\0\1" * (1 if colour == GREY else 3)))
+    return file(*chunks, pixels(random_samples(rng, side, depth, colour), depth, interlace), END)
+
+
+@pytest.mark.parametrize("interlace", [0, 1], ids=["rows", "interlaced"])
+@pytest.mark.parametrize(("depth", "colour"), KINDS)
+def test_every_kind_of_picture_is_what_it_was_to_the_byte(depth: int, colour: int, interlace: int) -> None:
+    rng = np.random.default_rng(100 * depth + 10 * colour + interlace)
+    sides = [16, 17, 47, 48, 49, 96, 128, 129, 250, 385, *rng.integers(16, 400, 4).tolist()]
+    for side in sides:
+        data = random_file(rng, side, depth, colour, interlace)
+        for target in (48, 32):
+            np.testing.assert_array_equal(decode_png(data, target), whole_picture(data, target))
+
+
+@pytest.mark.parametrize("side", [1000, 1537, 2047, 2048])
+def test_large_pictures_are_what_they_were_to_the_byte(side: int) -> None:
+    rng = np.random.default_rng(side)
+    for depth, colour in ((8, RGB), (8, PALETTE)):
+        data = random_file(rng, side, depth, colour, 0)
+        np.testing.assert_array_equal(decode_png(data), whole_picture(data, 48))
+
+
+MEMORY = """
+import numpy as np
+from cspace.image import decode_png, encode_png
+from tests.cspace.png_files import RGBA, chunk, file, header, pixels
+
+def kib(key):
+    with open("/proc/self/status") as status:
+        return next(int(line.split()[1]) for line in status if line.startswith(key))
+
+def large():
+    samples = np.zeros((2048, 2048, 4), np.uint8)
+    samples[:700, :, :3] = np.random.default_rng(0).integers(0, 256, (700, 2048, 3))
+    samples[..., 3] = 200
+    return file(header(2048, 2048, 8, RGBA), chunk(b"tEXt", b"k"), pixels(samples, 8), chunk(b"IEND"))
+
+decode_png(encode_png(np.zeros((200, 200, 3), np.uint8)))
+data = open(DATA, "rb").read() if DATA else None
+if data is None:
+    import sys
+    sys.stdout.buffer.write(large())
+else:
+    before = kib("VmRSS")
+    decode_png(data)
+    print(kib("VmHWM") - before)
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+def test_the_largest_picture_takes_less_than_40_mb(tmp_path) -> None:
+    def run(data: str) -> bytes:
+        code = MEMORY.replace("DATA", repr(data))
+        return subprocess.run([sys.executable, "-c", code], capture_output=True, check=True).stdout
+
+    path = tmp_path / "large.png"
+    path.write_bytes(run(""))
+    assert path.stat().st_size > 4_000_000
+    assert int(run(str(path))) * 1024 < 40_000_000
+
+
+def test_many_threads_leave_the_warnings_of_the_process_alone() -> None:
+    good = encode_png(np.full((20, 20, 3), 7, np.uint8))
+    start = threading.Barrier(8)
+
+    def work(_: int) -> None:
+        start.wait()
+        for _ in range(150):
+            assert (decode_png(good) == 7).all()
+            with pytest.raises(ImageError):
+                decode_png(good[:-20])
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("default")
+        before = list(warnings.filters)
+        with ThreadPoolExecutor(8) as pool:
+            list(pool.map(work, range(8)))
+        assert warnings.filters == before
