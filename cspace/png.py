@@ -53,7 +53,7 @@ def read_header(data: bytes) -> PngHeader:
     width, height, depth, colour, compression, filtering, interlace = struct.unpack(">IIBBBBB", data[16:29])
     _check_sum(memoryview(data)[12:33])
     if depth not in _DEPTHS.get(colour, ()) or compression or filtering or interlace > 1:
-        raise damaged(f"depth {depth}, colour type {colour}, {compression}, {filtering}, {interlace}")
+        raise damaged(f"a header of depth {depth} and colour type {colour}, or methods, that do not exist")
     return PngHeader(width, height, depth, colour)
 
 

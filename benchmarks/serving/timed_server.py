@@ -44,7 +44,7 @@ def watch_steps() -> None:
     spans.wrap_coroutine(routes, "read_fields", FORM)
     spans.wrap_coroutine(turns.Turns, "run", HAND_OVER)
     spans.wrap(routes, "answer_request", REST)
-    for name in ("parse_form", "validate_request"):
+    for name in ("parse_fields", "validate_request"):
         spans.wrap(sampling, name, CHECKS)
     spans.wrap(pictures, "decode_png", DECODE)
     for name in ("prepare", "sample"):

@@ -11,15 +11,20 @@ import json
 import random
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
+from cspace.image import encode_png
 from tests.inference_api.png_fuzz import png
 
 # With 300 pictures behind it still less than a server takes.
 MOST_BYTES = 6 * 2**20
 SAMPLE, INFER = "/sample", "/v2/models/{}/infer"
 MODELS = ("pretrained", "cspace-sampler", "cspace-sampler@path", "nobody", "a%40b", "%00", "..", "x" * 500)
+GOOD = base64.b64encode(encode_png(np.zeros((16, 16, 3), np.uint8))).decode()
+BOUNDARIES = (b"x", b"-", b"----", b"a b", b"'", b"b" * 70, b"b" * 71, b"", b"\xff", b"limit ")
+WRONG_SIZES = (-1, 2**63, True, 1.5, "1", 10**400)
 PARAMETERS = ("n", "seed", "epsilon_sigma", "start", "goal", "binary_data_output", "min_confidence")
 JSON_LENGTH = "Inference-Header-Content-Length"
 HUGE_NUMBERS = (10**400, -(10**400), 2**31, 2**63, 2**64, -1, 0, 1e308, 5e-324, 2**31 - 1, 10**999)
@@ -74,7 +79,7 @@ def requests(rng: random.Random) -> Iterator[FuzzRequest]:
 
 def picture(rng: random.Random) -> FuzzRequest:
     """A good form or JSON object round a wrong picture."""
-    data = png(rng)
+    data = png(rng)[: MOST_BYTES // 2]
     if rng.random() < 0.5:
         text = json.dumps({"image": base64.b64encode(data).decode(), "n": 3, "model": "pretrained"})
         return FuzzRequest(SAMPLE, {"content-type": "application/json"}, text.encode())
@@ -87,20 +92,16 @@ def picture(rng: random.Random) -> FuzzRequest:
 
 def form(rng: random.Random) -> FuzzRequest:
     """A multipart form with wrong boundaries, headers, names, texts or ends."""
-    boundary = rng.choice(
-        [b"limit", b"x", b"-", b"----", b"a b", b"'", b"b" * 70, b"b" * 71, b"", b"\xff", b"limit "]
-    )
+    boundary = _mostly(rng, b"limit", *BOUNDARIES)
     mark = b"--" + boundary
     parts = [mark + _gap(rng) + _part(rng, boundary) for _ in range(rng.choice([0, 1, 2, 3, 5, 5, 5, 20]))]
-    parts *= rng.choice([1] * 9 + [500])
-    end = rng.choice(
-        [b"--\r\n", b"--\r\n", b"--\r\n", b"--", b"", b"-", b"\r\n", b"--" + mark + b"\r\n", b"--rest" * 50]
-    )
-    body = rng.choice([b"", b"", b"", b"\r\n", b"preamble\r\n", b"-"]) + b"".join(parts) + mark + end
+    parts *= rng.choice([1] * 9 + [500]) if sum(map(len, parts)) < 8000 else 1
+    end = _mostly(rng, b"--\r\n", b"--", b"", b"-", b"\r\n", b"--" + mark + b"\r\n", b"--rest" * 50)
+    body = _mostly(rng, b"", b"\r\n", b"preamble\r\n", b"-") + b"".join(parts) + mark + end
     charset = rng.choice(
         ["", "", "; charset=punycode", "; charset=idna", "; charset=utf-16", "; charset=\0", "; " * 40]
     )
-    quoted = rng.choice(["boundary={}", 'boundary="{}"', "boundary*={}", 'boundary="{}', "BOUNDARY={}"])
+    quoted = _mostly(rng, 'boundary="{}"', "boundary={}", "boundary*={}", 'boundary="{}', "BOUNDARY={}")
     content_type = "multipart/form-data; " + quoted.format(boundary.decode("latin-1")) + charset
     return FuzzRequest(SAMPLE, {"content-type": content_type}, _torn(rng, body))
 
@@ -109,55 +110,49 @@ def sample_json(rng: random.Random) -> FuzzRequest:
     """A JSON object with members of other types, wide, deep, huge, twice, or torn."""
     members = {
         name: _value(rng, rng.choice([0, 0, 1, 2]))
-        for name in (
-            "image",
-            "n",
-            "model",
-            "seed",
-            "epsilon_sigma",
-            "start",
-            "goal",
-            "min_confidence",
-            "colour",
-        )
-        if rng.random() < 0.4
+        for name in ("image", "model", "colour", *PARAMETERS)
+        if rng.random() < 0.2
     }
+    if rng.random() < 0.7:
+        members |= {"image": GOOD, "n": members.get("n", 3)}
     return FuzzRequest(SAMPLE, {"content-type": "application/json"}, _torn(rng, _written(rng, members)))
 
 
 def tensors(rng: random.Random) -> FuzzRequest:
     """A request of the Open Inference Protocol with shapes, types, sizes and lengths that do not fit."""
-    images = np.zeros((rng.choice([1, 1, 1, 2, 0, 300]), 48, 48, 3), np.uint8)
+    images = np.zeros((_mostly(rng, 1, 2, 0, 300), 48, 48, 3), np.uint8)
     tail = b""
     entry: dict[str, object] = {
-        "name": rng.choice(["image", "image", "image", "\ud800", "x" * 200, 3]),
-        "datatype": rng.choice(["UINT8", "UINT8", "UINT8", "FP32", "UINT64", "INT32", "BYTES", "", None]),
-        "shape": rng.choice([list(images.shape)] * 4 + [_shape(rng), _shape(rng)]),
+        "name": _mostly(rng, "image", "\ud800", "x" * 200, 3),
+        "datatype": _mostly(rng, "UINT8", "FP32", "UINT64", "INT32", "BYTES", "", None),
+        "shape": _mostly(rng, list(images.shape), _shape(rng)),
     }
     if rng.random() < 0.6:
-        tail = images.tobytes()[: rng.choice([None, None, -1, 100])]
-        size = rng.choice([images.nbytes, images.nbytes, len(tail), -1, 2**63, True, 1.5, "1", 10**400])
+        tail = images.tobytes()[: _mostly(rng, None, -1, 100)]
+        size = _mostly(rng, images.nbytes, len(tail), *WRONG_SIZES)
         entry["parameters"] = {"binary_data_size": size}
     else:
-        entry["data"] = rng.choice(
-            [[0] * 6912, [0] * 6912, _value(rng, 2), [_value(rng, 2)], [10**400], [[[]]] * 50]
+        entry["data"] = _mostly(
+            rng, [0] * 6912, _value(rng, 2), [_value(rng, 2)], [10**400], [[[]]] * 50, [[0] * 6912]
         )
-    body: dict[str, object] = {"inputs": [entry] * rng.choice([1, 1, 1, 2, 0, 17])}
+    body: dict[str, object] = {"inputs": [entry] * _mostly(rng, 1, 2, 0, 17), "parameters": {"n": 3}}
     for name in ("id", "outputs", "parameters", "model_name", "colour"):
-        if rng.random() < 0.25:
+        if rng.random() < 0.1:
             body[name] = _value(rng, 2)
     if rng.random() < 0.4:
-        body["parameters"] = {name: _value(rng, 0) for name in PARAMETERS if rng.random() < 0.4}
+        body["parameters"] = {name: _value(rng, 0) for name in PARAMETERS if rng.random() < 0.3}
     head = _written(rng, body)
-    length = rng.choice(
-        [str(len(head))] * 6 + ["0", "-1", str(len(head) + 1), "9" * 30, "1e3", "", str(2**64)]
-    )
-    headers = {} if rng.random() < 0.05 else {JSON_LENGTH: length}
+    lengths = ("0", "-1", str(len(head) + 1), "9" * 30, "1e3", "", str(2**64))
+    headers = {} if rng.random() < 0.05 else {JSON_LENGTH: _mostly(rng, str(len(head)), *lengths)}
     return FuzzRequest(INFER.format(rng.choice(MODELS[:3] * 3 + MODELS)), headers, _torn(rng, head) + tail)
 
 
+def _mostly(rng: random.Random, good: Any, *others: Any) -> Any:
+    return rng.choice(others) if rng.random() < 0.12 else good
+
+
 def _gap(rng: random.Random) -> bytes:
-    return rng.choice([b"\r\n"] * 20 + [b" \r\n", b"\n", b"\r", b"", b"x\r\n", b" " * 5000 + b"\r\n"])
+    return _mostly(rng, b"\r\n", *[b"\r\n"] * 9, b" \r\n", b"\n", b"\r", b"", b"x\r\n", b" " * 5000 + b"\r\n")
 
 
 def _part(rng: random.Random, boundary: bytes) -> bytes:
@@ -188,9 +183,7 @@ def _part(rng: random.Random, boundary: bytes) -> bytes:
         ]
     )
     lines = [b"Content-Disposition: " + disposition % name]
-    lines += rng.choice(
-        [[], [], [], [b"a: b"] * 9, [b": x"], [b"no colon"], [b"x: " + b"y" * 5000], [b"\0: 1"]]
-    )
+    lines += _mostly(rng, [], [b"a: b"] * 9, [b": x"], [b"no colon"], [b"x: " + b"y" * 5000], [b"\0: 1"])
     value = rng.choice(
         [
             b"3",
@@ -202,7 +195,7 @@ def _part(rng: random.Random, boundary: bytes) -> bytes:
             rng.randbytes(rng.choice([0, 10, 1000])),
             b"\r\n--" + boundary[:-1],
             b"x" * rng.choice([70_000, 2]),
-            png(rng),
+            png(rng)[:100_000],
             b"--" + boundary + b"--",
         ]
     )
@@ -249,11 +242,11 @@ def _written(rng: random.Random, value: object) -> bytes:
 
 def _torn(rng: random.Random, body: bytes) -> bytes:
     body, chance = body[:MOST_BYTES], rng.random()
-    if not body or chance < 0.8:
+    if not body or chance < 0.9:
         return body
     at = rng.randrange(len(body))
-    if chance < 0.87:
-        return body[:at]
     if chance < 0.94:
+        return body[:at]
+    if chance < 0.97:
         return body[:at] + rng.randbytes(rng.choice([1, 2, 8])) + body[at:]
     return body[:at] + body[at + rng.choice([1, 4, 100]) :]

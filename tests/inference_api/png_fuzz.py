@@ -53,19 +53,18 @@ def _good(rng: random.Random) -> list[bytes]:
 
 
 def _twice(rng: random.Random, chunks: list[bytes]) -> list[bytes]:
-    return (
-        [*chunks, rng.choice(chunks)]
-        if rng.random() < 0.3
-        else sorted(chunks * 2, key=lambda _: rng.random())
-    )
+    at = rng.randrange(len(chunks) or 1)
+    return [*chunks[:at], *chunks[at : at + 1], *chunks[at:]]
 
 
 def _shuffled(rng: random.Random, chunks: list[bytes]) -> list[bytes]:
-    return rng.sample(chunks, len(chunks))
+    first = rng.choice([0, 1, 1, 1])
+    return chunks[:first] + rng.sample(chunks[first:], len(chunks[first:]))
 
 
 def _dropped(rng: random.Random, chunks: list[bytes]) -> list[bytes]:
-    return chunks[:-1] if rng.random() < 0.3 else rng.sample(chunks, max(len(chunks) - 1, 0))
+    at = rng.randint(0, len(chunks))
+    return chunks[:at] + chunks[at + 1 :]
 
 
 def _other_header(rng: random.Random, chunks: list[bytes]) -> list[bytes]:
@@ -82,7 +81,7 @@ def _extra(rng: random.Random, chunks: list[bytes]) -> list[bytes]:
     )
     return [
         *chunks[:at],
-        *[chunk(rng.choice(EXTRAS), contents)] * rng.choice([1, 1, 2, 11_000]),
+        *[chunk(rng.choice(EXTRAS), contents)] * rng.choice([1, 1, 2, 11_000 if len(contents) < 10 else 3]),
         *chunks[at:],
     ]
 
