@@ -16,6 +16,7 @@ CspaceError
 │   └── ModelNotFoundError              no such model, version or alias
 ├── SamplerError                        the sampling endpoint refused a request
 │   └── SamplerUnavailableError         it does not answer
+│       └── SamplerAnswerError          its answer cannot be used
 ├── PlanningError                       a planner was asked for something impossible
 ├── EvaluationError                     an evaluation that cannot be computed
 ├── ServiceError                        processes of this machine
@@ -125,6 +126,10 @@ class SamplerError(CspaceError):
 
 class SamplerUnavailableError(SamplerError):
     """The sampling endpoint does not answer."""
+
+
+class SamplerAnswerError(SamplerUnavailableError):
+    """The sampling endpoint's answer cannot be used: as good as none."""
 
 
 class PlanningError(CspaceError):

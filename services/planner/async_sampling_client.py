@@ -6,20 +6,15 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from types import TracebackType
-from typing import Self
+from typing import Self, cast
 
 import anyio
 import anyio.to_thread
 import httpx
 
-from cspace.errors import SamplerError, SamplerUnavailableError
-from services.planner.http_exchange import (
-    Endpoint,
-    Failure,
-    Question,
-    lost,
-    read_answer,
-)
+from cspace.errors import SamplerAnswerError, SamplerError, SamplerUnavailableError
+from services.planner.http_answer import Failure, IncomingAnswer, lost
+from services.planner.http_exchange import LIMITS, Endpoint, Question
 from services.planner.retries import RetryPolicy
 from services.planner.samples import SampleBatch, SampleSource, drawn_seed
 from services.planner.sampling_client import DEFAULT_POLICY, DEFAULT_TIMEOUT_S
@@ -46,7 +41,10 @@ class AsyncSamplingClient:
     ) -> None:
         self._endpoint = Endpoint(url, timeout_s, connect_timeout_s, policy, api_key)
         self._fallback = fallback
-        self._http = httpx.AsyncClient(**self._endpoint.options, transport=transport)
+        self._closed = False
+        self._transport = (
+            httpx.AsyncHTTPTransport(trust_env=False, limits=LIMITS) if transport is None else transport
+        )
 
     @property
     def url(self) -> str:
@@ -69,6 +67,7 @@ class AsyncSamplingClient:
 
         Raises:
             SamplerUnavailableError: as there.
+            SamplerAnswerError: as there.
             SamplerError: as there.
         """
         seed = drawn_seed(seed)
@@ -88,7 +87,8 @@ class AsyncSamplingClient:
 
     async def aclose(self) -> None:
         """Close the connections."""
-        await self._http.aclose()
+        self._closed = True
+        await self._transport.aclose()
 
     async def __aenter__(self) -> Self:
         return self
@@ -102,6 +102,8 @@ class AsyncSamplingClient:
         await self.aclose()
 
     async def _ask(self, question: Question, began: float) -> SampleBatch:
+        if self._closed:
+            raise RuntimeError("the client is closed")
         tried = 0
         while True:
             found = await self._attempt(question, began)
@@ -115,9 +117,31 @@ class AsyncSamplingClient:
             await anyio.sleep(pause_s)
 
     async def _attempt(self, question: Question, began: float) -> SampleBatch | Failure:
-        timeout = self._endpoint.timeout(time.perf_counter() - began)
+        spent_s = time.perf_counter() - began
+        request = self._endpoint.request(question, spent_s)
         try:
-            answer = await self._http.post(f"{self.url}/sample", timeout=timeout, **question.form)
-        except (httpx.HTTPError, httpx.StreamError) as error:
+            with anyio.fail_after(self._endpoint.policy.deadline_s - spent_s):
+                answer = await self._transport.handle_async_request(request)
+                try:
+                    return await self._read(answer, question, began)
+                except SamplerAnswerError:
+                    await _hang_up(answer)
+                    raise
+                finally:
+                    await answer.aclose()
+        except SamplerAnswerError as error:
+            return Failure(error)
+        except Exception as error:  # noqa: BLE001 - whatever a stranger's bytes bring out of the HTTP library
             return lost(error, self._endpoint)
-        return read_answer(answer, question.n, time.perf_counter() - began)
+
+    async def _read(self, answer: httpx.Response, question: Question, began: float) -> SampleBatch | Failure:
+        incoming = IncomingAnswer(answer, question, began + self._endpoint.policy.deadline_s)
+        async for chunk in cast("httpx.AsyncByteStream", answer.stream):
+            incoming.take(chunk)
+        return incoming.conclude(time.perf_counter() - began)
+
+
+async def _hang_up(answer: httpx.Response) -> None:
+    """As the other client's."""
+    if (stream := answer.extensions.get("network_stream")) is not None:
+        await stream.aclose()

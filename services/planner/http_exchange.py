@@ -1,23 +1,19 @@
-"""Requests to the sampling endpoint and its answers, apart from how they travel: shared by both clients."""
+"""Requests to the sampling endpoint, apart from how they travel: shared by both clients."""
 
+import base64
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import httpx
 
-from cspace.errors import ConfigError, SamplerError, SamplerUnavailableError
-from services.planner.npy_answer import NPY, read_batch
-from services.planner.retries import RetryPolicy, parse_retry_after
-from services.planner.samples import SampleBatch
+from cspace.errors import ConfigError
+from services.planner.npy_body import NPY
+from services.planner.retries import RetryPolicy
+from services.planner.samples import MAX_SAMPLES
 
-_START_REMEDY = "check that the inference API runs and that the address is right"
-# Statuses after which the same request may find an answer.
-_AGAIN = (httpx.codes.TOO_MANY_REQUESTS, httpx.codes.SERVICE_UNAVAILABLE)
-# A time-out while reading is not among them: the server works on the request, and another would add to that.
-_LOST = (httpx.NetworkError, httpx.ConnectTimeout, httpx.RemoteProtocolError)
 # Shorter than what the server keeps an idle connection for, so that it is the client that closes it.
 LIMITS = httpx.Limits(max_connections=100, max_keepalive_connections=20, keepalive_expiry=45.0)
 
@@ -28,9 +24,9 @@ class Endpoint:
 
     Args:
         url: of the API, for example ``http://127.0.0.1:8000``; a slash at its end is taken away.
-        timeout_s: for each read and write.
+        timeout_s: for each read and write, within what the policy's deadline leaves.
         connect_timeout_s: for connecting; ``timeout_s`` when None.
-        policy: when a request is sent again.
+        policy: when a request is sent again, and when it is given up.
         api_key: sent as ``Authorization: Bearer``; None sends none.
 
     Raises:
@@ -42,6 +38,7 @@ class Endpoint:
     connect_timeout_s: float | None
     policy: RetryPolicy
     api_key: str | None = field(repr=False)
+    _headers: dict[str, str] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         limits = (
@@ -56,27 +53,34 @@ class Endpoint:
         if key is not None and not (key and key.isascii() and key.isprintable() and " " not in key):
             raise ConfigError("the API key can not be", expected="printable ASCII without spaces")
         object.__setattr__(self, "url", _checked(self.url))
+        object.__setattr__(self, "_headers", _headers(self.url, key))
 
     @property
     def connect_s(self) -> float:
         """Time limit for connecting."""
         return self.timeout_s if self.connect_timeout_s is None else self.connect_timeout_s
 
-    @property
-    def headers(self) -> dict[str, str]:
-        """What every request carries."""
-        key = {} if self.api_key is None else {"Authorization": f"Bearer {self.api_key}"}
-        return {"Accept": f"{NPY}, application/problem+json", **key}
-
-    @property
-    def options(self) -> dict[str, Any]:
-        """Of httpx's client; without the environment's proxies, for loopback must not leave the machine."""
-        return {"headers": self.headers, "limits": LIMITS, "trust_env": False}
-
     def timeout(self, spent_s: float) -> httpx.Timeout:
         """Time limits of an attempt, within what the deadline leaves."""
         left = max(self.policy.deadline_s - spent_s, 1e-3)
-        return httpx.Timeout(min(self.timeout_s, left), connect=min(self.connect_s, left))
+        # Half for the connection and half for TLS, which have this limit each: cut short by the deadline
+        # itself, the awaited transport would leave a socket in the middle of its handshake open.
+        return httpx.Timeout(min(self.timeout_s, left), connect=min(self.connect_s, 0.5 * left))
+
+    def request(self, question: "Question", spent_s: float) -> httpx.Request:
+        """A question as it is sent.
+
+        Transports are given it as it is. A client of httpx would store a stranger's cookies and look at where
+        he redirects to.
+        """
+        return httpx.Request(
+            "POST",
+            f"{self.url}/sample",
+            headers=self._headers,
+            data=question.fields,
+            files={"image": ("scenario.png", question.image_png, "image/png")},
+            extensions={"timeout": self.timeout(spent_s).as_dict()},
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -115,9 +119,9 @@ class Question:
         return fields
 
     @property
-    def form(self) -> dict[str, Any]:
-        """The arguments of an httpx request."""
-        return {"data": self.fields, "files": {"image": ("scenario.png", self.image_png, "image/png")}}
+    def asked(self) -> int:
+        """The samples that an answer may hold; a server refuses the rest."""
+        return min(max(self.n, 0), MAX_SAMPLES)
 
     @property
     def options(self) -> dict[str, Any]:
@@ -132,57 +136,22 @@ class Question:
         }
 
 
-@dataclass(frozen=True, slots=True)
-class Failure:
-    """An attempt that gave no samples.
-
-    Args:
-        error: what it stands for.
-        again: whether the same request may find an answer later.
-        retry_after_s: what the server asks to wait at least, None when it does not.
-    """
-
-    error: SamplerError
-    again: bool = False
-    retry_after_s: float | None = None
-
-
-def read_answer(answer: httpx.Response, n: int, round_trip_s: float) -> SampleBatch | Failure:
-    """The batch of an answer, or why there is none.
-
-    Args:
-        answer: whole.
-        n: how many samples were asked for.
-        round_trip_s: how long it took.
-    """
-    if answer.status_code != httpx.codes.OK:
-        again = answer.status_code in _AGAIN
-        return Failure(_refusal(answer), again, parse_retry_after(answer.headers.get("retry-after")))
-    try:
-        return read_batch(answer.content, answer.headers, n, round_trip_s)
-    except SamplerError as error:
-        return Failure(error)
-
-
-def lost(error: httpx.HTTPError | httpx.StreamError, endpoint: Endpoint) -> Failure:
-    """What an error of httpx stands for."""
-    if isinstance(error, httpx.TimeoutException):
-        limit_s = endpoint.connect_s if isinstance(error, httpx.ConnectTimeout) else endpoint.timeout_s
-        found = SamplerUnavailableError(
-            f"the sampling endpoint {endpoint.url} did not answer in time",
-            expected=f"an answer within {limit_s} s",
-            got=type(error).__name__,
-            remedy=_START_REMEDY,
-        )
-    else:
-        found = SamplerUnavailableError(
-            f"the sampling endpoint {endpoint.url} can not be reached",
-            got=str(error) or type(error).__name__,
-            remedy=_START_REMEDY,
-        )
-    # It is raised elsewhere, where the cause would be lost.
-    found.__cause__ = error
-    return Failure(found, isinstance(error, _LOST))
+def _headers(url: str, key: str | None) -> dict[str, str]:
+    """What every request carries; an address with a name and a password has them before the key."""
+    headers = {
+        # The body as it is: what unpacks it would decide how much memory an answer takes.
+        "Accept": f"{NPY}, application/problem+json",
+        "Accept-Encoding": "identity",
+        "Connection": "keep-alive",
+        "User-Agent": f"python-httpx/{httpx.__version__}",
+    }
+    parsed = httpx.URL(url)
+    if parsed.username or parsed.password:
+        pair = f"{parsed.username}:{parsed.password}".encode()
+        headers["Authorization"] = f"Basic {base64.b64encode(pair).decode()}"
+    elif key is not None:
+        headers["Authorization"] = f"Bearer {key}"
+    return headers
 
 
 def _checked(url: str) -> str:
@@ -202,25 +171,3 @@ def _bad_url(url: str) -> ConfigError:
         got=repr(url),
         remedy="for example http://127.0.0.1:8000",
     )
-
-
-def _refusal(answer: httpx.Response) -> SamplerError:
-    """The error that an answer other than 200 stands for, with the problem's own words (RFC 9457)."""
-    problem = _problem(answer)
-    kind = SamplerUnavailableError if answer.status_code in _AGAIN else SamplerError
-    title = problem.get("title") or f"{answer.status_code} {answer.reason_phrase}".strip()
-    named = f" ({problem['type']})" if problem.get("type") else ""
-    got = problem.get("detail") or f"status {answer.status_code}"
-    return kind(f"the sampling endpoint refused the request: {title}{named}", got=got)
-
-
-def _problem(answer: httpx.Response) -> Mapping[str, str]:
-    if "json" not in answer.headers.get("content-type", ""):
-        return {}
-    try:
-        members = answer.json()
-    except (ValueError, RecursionError):
-        return {}
-    if not isinstance(members, dict):
-        return {}
-    return {name: value for name, value in members.items() if isinstance(value, str)}

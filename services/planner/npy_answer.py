@@ -1,47 +1,62 @@
-"""Reading the sampling endpoint's ``.npy`` answer: bytes and headers from outside, checked before use."""
+"""What the headers of the sampling endpoint's ``.npy`` answer say, checked against the question."""
 
-import io
 import math
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import astuple
+from dataclasses import astuple, dataclass
 
-import numpy as np
-from numpy.typing import NDArray
+from services.planner.answer_errors import unusable
+from services.planner.http_exchange import Question
+from services.planner.npy_body import NPY
+from services.planner.samples import SourceTiming
 
-from cspace.errors import SamplerError
-from services.planner.samples import SampleBatch, SourceTiming
+_PRETRAINED = "pretrained"
+_MAX_TEXT = 256
+_MAX_TIMING = 1024
+_DIGEST_CHARACTERS = frozenset("0123456789abcdef")
 
-NPY = "application/x-npy"
+
+@dataclass(frozen=True, slots=True)
+class AnswerHead:
+    """As :class:`services.planner.samples.SampleBatch` has it, without the samples."""
+
+    model_name: str
+    model_version: int
+    digest: str
+    seed: int
+    shortfall: int
+    novelty: float | None
+    timing: SourceTiming | None
 
 
-def read_batch(body: bytes, headers: Mapping[str, str], n: int, round_trip_s: float) -> SampleBatch:
-    """The batch that an answer holds.
+def read_head(headers: Mapping[str, str], question: Question) -> AnswerHead:
+    """The headers of an answer.
 
     Args:
-        body: a float32 ``.npy`` of shape (n - shortfall, d).
         headers: of the answer; names in any case if the mapping does not mind it.
-        n: how many samples were asked for.
-        round_trip_s: how long the answer took.
+        question: which it has to answer.
 
     Raises:
-        SamplerError: a header or the array is missing or wrong.
+        SamplerAnswerError: a header is missing, wrong, or answers another question.
     """
     media_type = headers.get("content-type", "").partition(";")[0].strip().lower()
     if media_type != NPY:
-        raise _unusable("has another media type", NPY, repr(media_type))
-    shortfall = _count(headers, "x-shortfall")
-    samples = _read_array(body)
-    if len(samples) != n - shortfall:
-        raise _unusable("has another number of samples", f"{n} - {shortfall}", str(len(samples)))
-    return SampleBatch(
-        samples=samples,
-        model_name=_text(headers, "x-model-name"),
-        model_version=_count(headers, "x-model-version"),
-        digest=_text(headers, "x-model-digest"),
-        seed=_count(headers, "x-seed"),
+        raise unusable("has another media type", NPY, repr(media_type))
+    seed = _count(headers, "x-seed", 20)
+    if seed != question.seed:
+        raise unusable("is for another seed", str(question.seed), str(seed))
+    shortfall = _count(headers, "x-shortfall", 9)
+    if shortfall > question.n:
+        raise unusable("lacks more samples than were asked for", f"at most {question.n}", str(shortfall))
+    name, version = _text(headers, "x-model-name"), _count(headers, "x-model-version", 9)
+    if not _answers(question.model, name, version):
+        raise unusable("comes from another model", str(question.model), f"{name}/{version}")
+    return AnswerHead(
+        model_name=name,
+        model_version=version,
+        digest=_digest(headers),
+        seed=seed,
         shortfall=shortfall,
-        round_trip_s=round_trip_s,
         novelty=_share(headers, "x-novelty") if "x-novelty" in headers else None,
         timing=read_timing(headers.get("server-timing", "")),
     )
@@ -53,7 +68,7 @@ def read_timing(header: str) -> SourceTiming | None:
     Proxies add entries of their own or drop the header, so nothing in it is an error.
     """
     durations_s: dict[str, float] = {}
-    for entry in header.split(","):
+    for entry in header.split(",") if len(header) <= _MAX_TIMING else ():
         name, *parameters = (part.strip() for part in entry.split(";"))
         duration = next((one.removeprefix("dur=") for one in parameters if one.startswith("dur=")), "")
         with suppress(ValueError):
@@ -66,45 +81,43 @@ def read_timing(header: str) -> SourceTiming | None:
     return found if whole else None
 
 
-def _read_array(body: bytes) -> NDArray[np.float32]:
-    buffer = io.BytesIO(body)
-    try:
-        version = np.lib.format.read_magic(buffer)
-        if version != (1, 0):
-            raise _unusable("has another .npy version", "1.0", ".".join(map(str, version)))
-        shape, by_columns, dtype = np.lib.format.read_array_header_1_0(buffer)
-    except ValueError as error:
-        raise _unusable("is no .npy file", "a .npy file", str(error)) from error
-    content = memoryview(body)[buffer.tell() :]
-    # Shape against size first: a header may claim any shape, and an array of it would be allocated.
-    fits = len(shape) == 2 and min(shape) >= 0 and 4 * shape[0] * shape[1] == len(content)
-    if dtype != np.dtype("<f4") or by_columns or not fits:
-        raise _unusable(
-            "holds another array",
-            "float32 of shape (n, d), by rows",
-            f"{dtype} of shape {shape} in {len(content)} bytes",
-        )
-    samples = np.frombuffer(content, dtype="<f4").reshape(shape).astype(np.float32, copy=False)
-    # As real numbers: float32(pi) lies above pi.
-    angles = samples.astype(np.float64)
-    if not np.all((angles >= -np.pi) & (angles < np.pi)):
-        wrong = int(np.sum(~((angles >= -np.pi) & (angles < np.pi))))
-        raise _unusable("holds values that are no wrapped angles", "[-pi, pi)", f"{wrong} others")
-    return samples
+def _answers(asked: str | None, name: str, version: int) -> bool:
+    """Whether a model is the one that a reference names.
+
+    The shipped model stands in for a default model without a champion. Which model is the default only the
+    server knows, so it may do that for every bare name; an alias or a version has no stand-in.
+    """
+    if asked is None:
+        return True
+    asked_name, slash, asked_version = asked.partition("/")
+    if slash:
+        return (name, str(version)) == (asked_name, asked_version)
+    bare, at, _ = asked.partition("@")
+    return name == bare or (not at and (name, version) == (_PRETRAINED, 0))
 
 
 def _text(headers: Mapping[str, str], name: str) -> str:
     value = headers.get(name, "")
     if not value:
-        raise _unusable("lacks a header", name, "nothing")
+        raise unusable("lacks a header", name, "nothing")
+    if len(value) > _MAX_TEXT or not (value.isascii() and value.isprintable()):
+        expected = f"at most {_MAX_TEXT} printable ASCII characters"
+        raise unusable(f"has a wrong header {name}", expected, repr(value[:40]))
     return value
 
 
-def _count(headers: Mapping[str, str], name: str) -> int:
+def _count(headers: Mapping[str, str], name: str, digits: int) -> int:
     value = _text(headers, name)
-    if not (value.isascii() and value.isdigit() and len(value) <= 20):
-        raise _unusable(f"has a wrong header {name}", "a whole number", repr(value[:40]))
+    if not (value.isdigit() and len(value) <= digits):
+        raise unusable(f"has a wrong header {name}", "a whole number", repr(value[:40]))
     return int(value)
+
+
+def _digest(headers: Mapping[str, str]) -> str:
+    value = _text(headers, "x-model-digest")
+    if len(value) != 64 or not _DIGEST_CHARACTERS.issuperset(value):
+        raise unusable("has a wrong header x-model-digest", "a SHA-256 in hexadecimal", repr(value[:80]))
+    return value
 
 
 def _share(headers: Mapping[str, str], name: str) -> float:
@@ -114,14 +127,5 @@ def _share(headers: Mapping[str, str], name: str) -> float:
     except ValueError:
         share = math.nan
     if not 0.0 <= share <= 1.0:
-        raise _unusable(f"has a wrong header {name}", "a number from 0 to 1", repr(value[:40]))
+        raise unusable(f"has a wrong header {name}", "a number from 0 to 1", repr(value[:40]))
     return share
-
-
-def _unusable(what: str, expected: str, got: str) -> SamplerError:
-    return SamplerError(
-        f"the sampling endpoint's answer {what}",
-        expected=expected,
-        got=got,
-        remedy="check that the address is an inference API of this release",
-    )

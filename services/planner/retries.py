@@ -7,6 +7,9 @@ from email.utils import parsedate_to_datetime
 
 from cspace.errors import ConfigError
 
+_MAX_DIGITS = 9
+_MAX_DATE = 64
+
 
 @dataclass(frozen=True, slots=True)
 class RetryPolicy:
@@ -16,7 +19,8 @@ class RetryPolicy:
         attempts: requests in all, at least 1; 1 never sends a request again.
         base_s: bound of the first pause; it doubles from pause to pause.
         cap_s: largest bound of a pause.
-        deadline_s: no attempt begins later than this after the first one began.
+        deadline_s: after the first attempt began no other begins, and the one that goes on is given up,
+            however little it needs for each of its reads.
 
     Raises:
         ConfigError: a value is out of range.
@@ -52,7 +56,7 @@ class RetryPolicy:
 
 
 def parse_retry_after(value: str | None, now: datetime | None = None) -> float | None:
-    """The header ``Retry-After`` (RFC 9110, 10.2.3) in s, not negative; None when absent or neither form.
+    """The header ``Retry-After`` (RFC 9110, 10.2.3) in s, 0 to infinity; None when absent or neither form.
 
     Args:
         value: seconds or an HTTP date.
@@ -60,10 +64,14 @@ def parse_retry_after(value: str | None, now: datetime | None = None) -> float |
     """
     text = (value or "").strip()
     if text.isascii() and text.isdigit():
-        return float(text[:12])
+        # Longer than anybody waits; a caller gives up.
+        return float(text) if len(text) <= _MAX_DIGITS else math.inf
+    if len(text) > _MAX_DATE:
+        return None
     try:
         date = parsedate_to_datetime(text)
-    except ValueError:
+        date = date if date.tzinfo else date.replace(tzinfo=UTC)
+        return max(0.0, (date - (now or datetime.now(UTC))).total_seconds())
+    # A year or a zone of many digits overflows.
+    except (ValueError, OverflowError):
         return None
-    date = date if date.tzinfo else date.replace(tzinfo=UTC)
-    return max(0.0, (date - (now or datetime.now(UTC))).total_seconds())

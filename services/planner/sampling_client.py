@@ -5,18 +5,14 @@ import time
 from collections.abc import Sequence
 from dataclasses import replace
 from types import TracebackType
-from typing import Self
+from typing import Self, cast
 
 import httpx
 
-from cspace.errors import SamplerError, SamplerUnavailableError
-from services.planner.http_exchange import (
-    Endpoint,
-    Failure,
-    Question,
-    lost,
-    read_answer,
-)
+from cspace.errors import SamplerAnswerError, SamplerError, SamplerUnavailableError
+from services.planner.deadline_transport import DeadlineTransport, deadline
+from services.planner.http_answer import Failure, IncomingAnswer, lost
+from services.planner.http_exchange import LIMITS, Endpoint, Question
 from services.planner.retries import RetryPolicy
 from services.planner.samples import SampleBatch, SampleSource, drawn_seed
 
@@ -37,10 +33,12 @@ class SamplingClient:
         url: of the API, for example ``http://127.0.0.1:8000``.
         timeout_s: for each read and write.
         connect_timeout_s: for connecting; ``timeout_s`` when None.
-        policy: when a request is sent again.
+        policy: when a request is sent again; its deadline holds for connecting, sending and reading in all
+            attempts together, whatever the time limits of their parts.
         api_key: sent as ``Authorization: Bearer``; None sends none.
-        fallback: answers while the API stays away, with the same seed; the batch says so.
-        transport: of httpx; None for the network.
+        fallback: answers while the API stays away or its answers can not be used, with the same seed; the
+            batch says so. The deadline does not hold for it.
+        transport: of httpx; None for the network, where alone the deadline holds for every byte.
 
     Raises:
         ConfigError: the address, a time limit or the key can not be.
@@ -59,7 +57,8 @@ class SamplingClient:
     ) -> None:
         self._endpoint = Endpoint(url, timeout_s, connect_timeout_s, policy, api_key)
         self._fallback = fallback
-        self._http = httpx.Client(**self._endpoint.options, transport=transport)
+        self._closed = False
+        self._transport = DeadlineTransport(LIMITS) if transport is None else transport
 
     @property
     def url(self) -> str:
@@ -81,9 +80,10 @@ class SamplingClient:
         """See :class:`services.planner.samples.SampleSource`.
 
         Raises:
-            SamplerUnavailableError: no connection, no answer in time, no model ready (503), or too many
-                requests (429), and no fallback that answers.
-            SamplerError: the request was refused, or the answer can not be used.
+            SamplerUnavailableError: no connection, no answer in time, no model ready (503), too many requests
+                (429), or a server that fails (5xx), and no fallback that answers.
+            SamplerAnswerError: likewise, for an answer that can not be used.
+            SamplerError: the request was refused (4xx).
         """
         seed = drawn_seed(seed)
         question = Question(image_png, n, model, seed, epsilon_sigma, start, goal, min_confidence)
@@ -101,7 +101,8 @@ class SamplingClient:
 
     def close(self) -> None:
         """Close the connection."""
-        self._http.close()
+        self._closed = True
+        self._transport.close()
 
     def __enter__(self) -> Self:
         return self
@@ -115,6 +116,8 @@ class SamplingClient:
         self.close()
 
     def _ask(self, question: Question, began: float) -> SampleBatch:
+        if self._closed:
+            raise RuntimeError("the client is closed")
         tried = 0
         while True:
             found = self._attempt(question, began)
@@ -128,9 +131,34 @@ class SamplingClient:
             time.sleep(pause_s)
 
     def _attempt(self, question: Question, began: float) -> SampleBatch | Failure:
-        timeout = self._endpoint.timeout(time.perf_counter() - began)
+        request = self._endpoint.request(question, time.perf_counter() - began)
+        until = began + self._endpoint.policy.deadline_s
         try:
-            answer = self._http.post(f"{self.url}/sample", timeout=timeout, **question.form)
-        except (httpx.HTTPError, httpx.StreamError) as error:
+            with deadline(until):
+                answer = self._transport.handle_request(request)
+                try:
+                    return self._read(answer, question, began, until)
+                except SamplerAnswerError:
+                    _hang_up(answer)
+                    raise
+                finally:
+                    answer.close()
+        except SamplerAnswerError as error:
+            return Failure(error)
+        except Exception as error:  # noqa: BLE001 - whatever a stranger's bytes bring out of the HTTP library
             return lost(error, self._endpoint)
-        return read_answer(answer, question.n, time.perf_counter() - began)
+
+    @staticmethod
+    def _read(
+        answer: httpx.Response, question: Question, began: float, until: float
+    ) -> SampleBatch | Failure:
+        incoming = IncomingAnswer(answer, question, until)
+        for chunk in cast("httpx.SyncByteStream", answer.stream):
+            incoming.take(chunk)
+        return incoming.conclude(time.perf_counter() - began)
+
+
+def _hang_up(answer: httpx.Response) -> None:
+    """Close the connection: an answer that was read whole would leave it to be used again."""
+    if (stream := answer.extensions.get("network_stream")) is not None:
+        stream.close()

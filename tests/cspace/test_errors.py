@@ -26,3 +26,8 @@ def test_what_is_not_known_is_not_said():
 def test_wrong_values_are_value_errors_as_well():
     assert issubclass(errors.DamagedFileError, ValueError)
     assert not issubclass(errors.BundleError, ValueError)
+
+
+def test_an_answer_that_can_not_be_used_counts_like_none():
+    assert issubclass(errors.SamplerAnswerError, errors.SamplerUnavailableError)
+    assert issubclass(errors.SamplerUnavailableError, errors.SamplerError)
