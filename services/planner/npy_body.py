@@ -53,9 +53,10 @@ def read_samples(body: bytes, n: int) -> NDArray[np.float32]:
         expected = f"{n} samples of 1 to {MAX_JOINTS} joints, float32"
         raise unusable("holds another array", expected, f"({rows}, {joints}) in {size} bytes")
     samples = np.frombuffer(body, dtype="<f4", offset=head.end()).reshape(rows, joints)
-    # As real numbers: float32(pi) lies above pi.
-    angles = samples.astype(np.float64)
-    if not np.all((angles >= -np.pi) & (angles < np.pi)):
+    # As real numbers: float32(pi) lies above pi. A signalling NaN would warn, or raise where warnings do.
+    with np.errstate(invalid="ignore"):
+        angles = samples.astype(np.float64)
         wrong = int(np.sum(~((angles >= -np.pi) & (angles < np.pi))))
+    if wrong:
         raise unusable("holds values that are no wrapped angles", "[-pi, pi)", f"{wrong} others")
     return samples.astype(np.float32, copy=False)

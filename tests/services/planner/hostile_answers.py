@@ -98,6 +98,7 @@ BODIES: dict[str, Script] = {
         "a head longer than the file": b"\x93NUMPY\x01\x00\xff\xff" + GOOD_BODY[10:],
         "version 2": GOOD_BODY[:6] + b"\x02\x00" + GOOD_BODY[8:],
         "no number": GOOD_BODY[:-4] + struct.pack("<f", float("nan")),
+        "a signalling NaN": GOOD_BODY[:-4] + b"\x01\x00\x80\x7f",
         "nothing": b"",
     }.items()
 }

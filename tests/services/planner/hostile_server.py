@@ -6,12 +6,14 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from typing import Any
 
 import numpy as np
 
 from tests.fakes.sample_server import npy
 
 Script = Callable[[socket.socket], None]
+Wrap = Callable[[socket.socket], socket.socket]
 
 SEED = 7
 """That every good answer is for."""
@@ -77,10 +79,11 @@ class HostileServer:
     Args:
         script: what it does to a connection after a request.
         reads: whether it reads requests, whose heads it keeps.
+        wrap: what it does with a connection first.
     """
 
-    def __init__(self, script: Script, *, reads: bool = True) -> None:
-        self.script, self.reads = script, reads
+    def __init__(self, script: Script, *, reads: bool = True, wrap: Wrap = lambda link: link) -> None:
+        self.script, self.reads, self.wrap = script, reads, wrap
         self.connections = 0
         self.heads: list[bytes] = []
         self._links: list[socket.socket] = []
@@ -117,12 +120,12 @@ class HostileServer:
             thread.start()
 
     def _serve(self, link: socket.socket) -> None:
-        with link, suppress(OSError, EOFError):
-            link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        with link, suppress(OSError, EOFError), self.wrap(link) as wrapped:
             while self.reads:
-                self.heads.append(read_request(link))
-                self.script(link)
-            self.script(link)
+                self.heads.append(read_request(wrapped))
+                self.script(wrapped)
+            self.script(wrapped)
 
 
 def read_request(link: socket.socket) -> bytes:
@@ -150,9 +153,9 @@ def _received(link: socket.socket) -> bytes:
 
 
 @contextmanager
-def hostile_server(script: Script, *, reads: bool = True) -> Iterator[HostileServer]:
-    """A server on a free loopback port, ended with all its connections."""
-    server = HostileServer(script, reads=reads)
+def hostile_server(script: Script, **options: Any) -> Iterator[HostileServer]:
+    """A server on a free loopback port, ended with all its connections; options as the class has them."""
+    server = HostileServer(script, **options)
     try:
         yield server
     finally:

@@ -11,7 +11,7 @@ from services.planner.retries import RetryPolicy
 from services.planner.samples import SampleBatch
 from tests.fakes.sample_source import DIGEST, FakeSampleSource
 from tests.services.planner.clients import KINDS, ask
-from tests.services.planner.hostile_answers import ANSI, ATTACKS, ENDLESS, problem
+from tests.services.planner.hostile_answers import ANSI, ATTACKS, BODIES, ENDLESS, problem
 from tests.services.planner.hostile_server import SEED, N, hostile_server, plays, whole
 
 PNG = b"\x89PNG picture"
@@ -54,6 +54,13 @@ def test_whatever_comes_the_error_is_of_the_one_tree_and_can_be_printed(kind: st
     told = str(caught.value)
     assert told.isprintable()
     assert len(told) < 1500
+
+
+@kinds
+@pytest.mark.parametrize("name", BODIES)
+def test_a_body_that_is_no_array_of_samples_is_an_answer_that_can_not_be_used(kind: str, name: str) -> None:
+    with hostile_server(BODIES[name]) as server, pytest.raises(SamplerAnswerError, match="answer"):
+        asked(kind, server.url)
 
 
 @kinds

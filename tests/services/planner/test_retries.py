@@ -1,3 +1,4 @@
+import math
 from datetime import UTC, datetime
 
 import pytest
@@ -26,6 +27,7 @@ def test_the_server_s_wish_is_waited_for_within_the_deadline() -> None:
     assert POLICY.pause_s(1, 0.0, 0.01, 0.9) == pytest.approx(0.09)
     assert POLICY.pause_s(1, 3.0, 7.0, 0.9) is None
     assert POLICY.pause_s(1, 9.99, None, 0.9) is None
+    assert POLICY.pause_s(1, 0.0, math.inf, 0.9) is None
 
 
 @given(
@@ -58,6 +60,13 @@ def test_no_pause_leads_past_the_deadline_or_below_the_server_s_wish(
         ("1.5", None),
         ("soon", None),
         ("²", None),
+        ("9" * 9, 999_999_999.0),
+        ("9" * 10, math.inf),
+        ("9" * 5000, math.inf),
+        ("Sat, 01 Mar " + "9" * 20 + " 12:00:00 GMT", None),
+        ("Sat, 01 Mar 2025 12:00:00 +999999999999", None),
+        ("Sat, 01 Mar 9999 12:00:00 -2359", 251_635_161_540.0),
+        ("Sat, 01 Mar 2025 12:00:30 GMT" + " " * 80 + "(why)", None),
     ],
 )
 def test_retry_after_is_seconds_or_a_date(value: str | None, expected: float | None) -> None:

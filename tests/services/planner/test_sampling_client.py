@@ -268,3 +268,23 @@ def test_problems_are_errors_of_the_one_tree():
     for status in range(400, 600, 7):
         with pytest.raises(CspaceError):
             client_of(httpx.Response(status, content=json.dumps({"title": "x"}))).sample(PNG, 2, seed=SEED)
+
+
+def test_a_client_that_is_closed_asks_no_more():
+    client = client_of(answer_of())
+    client.close()
+    with pytest.raises(RuntimeError, match="closed"):
+        client.sample(PNG, 2, seed=SEED)
+
+
+def test_an_address_s_name_and_password_are_sent():
+    sent = []
+
+    def handle(request: httpx.Request) -> httpx.Response:
+        sent.append(request)
+        return answer_of()
+
+    with SamplingClient("http://me:s3cret@test:1", transport=httpx.MockTransport(handle)) as client:
+        client.sample(PNG, 2, seed=SEED)
+    assert sent[0].headers["authorization"] == "Basic bWU6czNjcmV0"
+    assert sent[0].headers["host"] == "test:1"
