@@ -50,36 +50,50 @@ class ProblemType:
         return _PREFIX + self.name
 
 
+MALFORMED_REQUEST = ProblemType("malformed-request", 400, "This is no HTTP request")
 MALFORMED_BODY = ProblemType("malformed-body", 400, "The body or its JSON is malformed")
 UNAUTHORIZED = ProblemType("unauthorized", 401, "A key is needed")
+FOREIGN_ORIGIN = ProblemType("foreign-origin", 403, "Another site's page may not use this server")
 UNKNOWN_MODEL = ProblemType("unknown-model", 404, "No such model")
 NOT_FOUND = ProblemType("not-found", 404, "No such page")
 METHOD_NOT_ALLOWED = ProblemType("method-not-allowed", 405, "The page does not take this method")
 REQUEST_TIMEOUT = ProblemType("request-timeout", 408, "The body did not arrive in time")
+HEADERS_TIMEOUT = ProblemType("headers-timeout", 408, "The headers did not arrive in time")
 BODY_TOO_LARGE = ProblemType("body-too-large", 413, "The body is too large")
+URI_TOO_LONG = ProblemType("uri-too-long", 414, "The path is too long")
 UNSUPPORTED_MEDIA_TYPE = ProblemType("unsupported-media-type", 415, "The body's media type is not supported")
+UNKNOWN_HOST = ProblemType("unknown-host", 421, "The server does not answer under this name")
 INVALID_IMAGE = ProblemType("invalid-image", 422, "The picture is not acceptable")
 INVALID_VALUE = ProblemType("invalid-value", 422, "A field is wrong")
 TOO_MANY_REQUESTS = ProblemType("too-many-requests", 429, "The client asks too often")
+HEADERS_TOO_LARGE = ProblemType("headers-too-large", 431, "The headers are too large")
 INTERNAL_ERROR = ProblemType("internal-error", 500, "The server failed")
 OVERLOADED = ProblemType("overloaded", 503, "The server answers too many requests already")
+SHUTTING_DOWN = ProblemType("shutting-down", 503, "The server is shutting down")
 NO_MODEL = ProblemType("no-model", 503, "No model is ready")
 REGISTRY_UNAVAILABLE = ProblemType("registry-unavailable", 503, "The model registry does not answer")
 
 PROBLEMS = (
+    MALFORMED_REQUEST,
     MALFORMED_BODY,
     UNAUTHORIZED,
+    FOREIGN_ORIGIN,
     UNKNOWN_MODEL,
     NOT_FOUND,
     METHOD_NOT_ALLOWED,
     REQUEST_TIMEOUT,
+    HEADERS_TIMEOUT,
     BODY_TOO_LARGE,
+    URI_TOO_LONG,
     UNSUPPORTED_MEDIA_TYPE,
+    UNKNOWN_HOST,
     INVALID_IMAGE,
     INVALID_VALUE,
     TOO_MANY_REQUESTS,
+    HEADERS_TOO_LARGE,
     INTERNAL_ERROR,
     OVERLOADED,
+    SHUTTING_DOWN,
     NO_MODEL,
     REGISTRY_UNAVAILABLE,
 )
