@@ -1,6 +1,5 @@
 """Token buckets by client, and the ASGI middleware that asks them."""
 
-import ipaddress
 import math
 import time
 from collections import OrderedDict
@@ -8,13 +7,12 @@ from collections.abc import Callable
 
 from starlette.types import ASGIApp, Receive, Scope, Send
 
+from inference_api.connections.addresses import subscriber
 from inference_api.guards.authentication import CLIENT
 from inference_api.guards.pages import is_watching
 from inference_api.problems import TOO_MANY_REQUESTS, problem_response
 
 MAX_CLIENTS = 4096
-# What one subscriber is usually given; single addresses of it are free to choose.
-SUBSCRIBER_BITS = 64
 
 
 class TokenBuckets:
@@ -92,11 +90,4 @@ def client_of(scope: Scope) -> str:
     """By whom requests are counted: the name of the key, else the peer's address, of IPv6 the first half."""
     if CLIENT in scope:
         return f"key {scope[CLIENT]}"
-    host = (scope.get("client") or ("unknown", 0))[0]
-    try:
-        address = ipaddress.ip_address(host)
-    except ValueError:
-        return f"peer {host}"
-    if address.version == 4:
-        return f"peer {address}"
-    return f"peer {ipaddress.ip_network((address, SUBSCRIBER_BITS), strict=False)}"
+    return f"peer {subscriber((scope.get('client') or ('unknown', 0))[0])}"

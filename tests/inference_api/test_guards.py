@@ -36,6 +36,7 @@ PAGES = (
 @pytest.fixture
 def keys_file(tmp_path: Path) -> Path:
     path = tmp_path / "keys"
+    path.touch(0o600)
     path.write_text(f"other:{digest_of('csk_another')}\nrobot:{digest_of(KEY)}\n")
     return path
 
@@ -79,7 +80,7 @@ def test_health_needs_no_key(locked: ApiClient, path: str) -> None:
     "path", ["/health/../models", "/health/live/../../models", "//models", "/health/ready/", "/Health/live"]
 )
 def test_no_way_of_writing_a_path_goes_round_the_key(locked: ApiClient, path: str) -> None:
-    assert locked.get(f"http://api.test{path}").status_code == 401
+    assert locked.get(f"http://localhost{path}").status_code == 401
 
 
 @pytest.mark.parametrize("token", ["wrong", KEY + "x", KEY[:-1], digest_of(KEY), "robot", "%00", "é"])
@@ -101,7 +102,7 @@ def test_requests_above_the_bound_are_refused_at_once_and_later_ones_answered() 
             await PlainTextResponse("done")(scope, receive, send)
 
         transport = httpx.ASGITransport(Concurrency(slow, limit=2))
-        async with httpx.AsyncClient(transport=transport, base_url="http://api.test") as client:
+        async with httpx.AsyncClient(transport=transport, base_url="http://localhost") as client:
             held = [asyncio.create_task(client.get("/slow")) for _ in range(2)]
             for _ in held:
                 await entered.acquire()
@@ -124,7 +125,7 @@ def test_a_place_is_free_again_after_a_failure() -> None:
             raise ZeroDivisionError
 
         transport = httpx.ASGITransport(Concurrency(fail, limit=1), raise_app_exceptions=False)
-        async with httpx.AsyncClient(transport=transport, base_url="http://api.test") as client:
+        async with httpx.AsyncClient(transport=transport, base_url="http://localhost") as client:
             return [(await client.get("/")).status_code for _ in range(3)]
 
     assert asyncio.run(scenario()) == [500, 500, 500]
@@ -175,6 +176,11 @@ def test_the_clients_that_are_remembered_are_bounded_and_the_oldest_goes_first()
         ("2001:db8::1", "2001:db8::ffff:1", True),
         ("2001:db8::1", "2001:db8:0:1::1", False),
         ("testclient", "testclient", True),
+        ("192.0.2.1", "::ffff:192.0.2.1", True),
+        ("::ffff:192.0.2.1", "::ffff:192.0.2.2", False),
+        ("192.0.2.1", "64:ff9b::192.0.2.1", True),
+        ("2002:c000:201::1", "2002:c000:201:ffff::1", True),
+        ("fe80::1%eth0", "fe80::2%eth1", True),
     ],
 )
 def test_addresses_of_one_subscriber_are_one_client(first: str, second: str, same: bool) -> None:
