@@ -7,8 +7,10 @@ only, because a key is 256 random bits and not a password that somebody chose.
 import argparse
 import hashlib
 import hmac
+import logging
 import re
 import secrets
+import stat
 import sys
 from collections.abc import Mapping
 from pathlib import Path
@@ -17,6 +19,8 @@ from cspace.errors import ConfigError
 
 PREFIX = "csk_"
 KEY_BYTES = 32
+_LOG = logging.getLogger(__name__)
+_OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
 _NAME = re.compile(r"[A-Za-z0-9._-]{1,64}", re.ASCII)
 _DIGEST = re.compile(r"[0-9a-f]{64}", re.ASCII)
 
@@ -36,9 +40,11 @@ class ApiKeys:
         """Read a file of lines ``name:sha256``; empty lines and those with ``#`` first do not count.
 
         Raises:
-            ConfigError: the file cannot be read, holds no key, or a line is wrong.
+            ConfigError: the file cannot be read, may be written by others than its owner, holds no key, or a
+                line is wrong.
         """
         try:
+            mode = path.stat().st_mode
             lines = path.read_text(encoding="utf-8").splitlines()
         except (OSError, ValueError) as error:
             raise ConfigError(
@@ -46,6 +52,14 @@ class ApiKeys:
                 got=str(error),
                 remedy="name another one in CSPACE_API_KEYS_FILE",
             ) from error
+        if mode & _OTHERS_WRITE:
+            # Whoever writes a digest into it has a key.
+            raise ConfigError(
+                f"the file of API keys {path} is not its owner's alone",
+                expected="a file that its owner alone may write",
+                got=f"mode {stat.filemode(mode)}",
+                remedy=f"chmod go-w {path}",
+            )
         digests: dict[str, str] = {}
         for number, line in enumerate(lines, start=1):
             entry = line.strip()
@@ -68,6 +82,14 @@ class ApiKeys:
             if hmac.compare_digest(digest, known):
                 found = name
         return found
+
+
+def warn_of_readers(path: Path) -> None:
+    """Say in the log that a file of keys can be read by everybody; secrets of containers are mounted so."""
+    if path.stat().st_mode & stat.S_IROTH:
+        _LOG.warning(
+            "everybody on this machine may read the file of API keys; it holds digests only; chmod o-r"
+        )
 
 
 def digest_of(token: str) -> str:

@@ -4,10 +4,12 @@ import hashlib
 from pathlib import Path
 
 import pytest
+from fastapi import FastAPI
 
 from cspace.errors import ConfigError
 from inference_api.guards.authentication import bearer_token
 from inference_api.guards.exposure import check_exposure, is_loopback
+from inference_api.guards.install import add_guards
 from inference_api.guards.protection import Protection
 from inference_api.keys import ApiKeys, main
 
@@ -76,6 +78,29 @@ def test_a_file_that_is_not_there_or_no_text_is_an_error(tmp_path: Path) -> None
     for name in ("nothing", "bytes"):
         with pytest.raises(ConfigError, match="CSPACE_API_KEYS_FILE"):
             ApiKeys.read(tmp_path / name)
+
+
+@pytest.mark.parametrize("mode", [0o620, 0o602, 0o666])
+def test_a_file_that_others_may_write_is_an_error(tmp_path: Path, mode: int) -> None:
+    path = tmp_path / "keys"
+    path.write_text(f"lab:{DIGEST}\n")
+    path.chmod(mode)
+    with pytest.raises(ConfigError, match="chmod go-w"):
+        ApiKeys.read(path)
+    path.chmod(0o444)
+    assert ApiKeys.read(path).name_of("csk_unknown") is None
+
+
+@pytest.mark.parametrize(("mode", "lines"), [(0o600, 0), (0o640, 0), (0o444, 1), (0o644, 1)])
+def test_a_file_that_everybody_may_read_leaves_one_line(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, mode: int, lines: int
+) -> None:
+    path = tmp_path / "keys"
+    path.write_text(f"lab:{DIGEST}\n")
+    path.chmod(mode)
+    add_guards(FastAPI(), Protection(keys_file=path))
+    assert len(caplog.messages) == lines
+    assert DIGEST not in caplog.text
 
 
 def test_a_wrong_name_makes_no_key(capsys: pytest.CaptureFixture[str]) -> None:
