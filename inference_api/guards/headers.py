@@ -10,7 +10,7 @@ SECURITY_HEADERS = {
     "Referrer-Policy": "no-referrer",
     "X-Content-Type-Options": "nosniff",
 }
-_RAW = [(name.lower().encode(), value.encode()) for name, value in SECURITY_HEADERS.items()]
+RAW_SECURITY_HEADERS = [(name.lower().encode(), value.encode()) for name, value in SECURITY_HEADERS.items()]
 
 
 class SecurityHeaders:
@@ -33,7 +33,10 @@ class SecurityHeaders:
             if message["type"] == "http.response.start":
                 headers = message.get("headers", [])
                 own = {name.lower() for name, _ in headers}
-                message["headers"] = [*headers, *(header for header in _RAW if header[0] not in own)]
+                message["headers"] = [
+                    *headers,
+                    *(header for header in RAW_SECURITY_HEADERS if header[0] not in own),
+                ]
             await send(message)
 
         await self._app(scope, receive, with_headers)

@@ -1,14 +1,16 @@
 """The guards of an app, in order."""
 
 from fastapi import FastAPI
+from uvicorn.middleware.proxy_headers import ProxyHeadersMiddleware
 
 from inference_api.body_limit import BodyLimit
 from inference_api.guards.authentication import Authentication
 from inference_api.guards.body_time import BodyTime
 from inference_api.guards.concurrency import Concurrency
+from inference_api.guards.doors import Doors
 from inference_api.guards.protection import Protection
 from inference_api.guards.rate import RateLimit, TokenBuckets
-from inference_api.keys import ApiKeys
+from inference_api.keys import ApiKeys, warn_of_readers
 
 
 def add_guards(app: FastAPI, protection: Protection) -> None:
@@ -17,7 +19,7 @@ def add_guards(app: FastAPI, protection: Protection) -> None:
     Raises:
         ConfigError: the file of keys is not one.
     """
-    app.add_middleware(BodyLimit)
+    app.add_middleware(BodyLimit, held_bytes=protection.held_body_bytes)
     app.add_middleware(BodyTime, limit_s=protection.body_timeout_s)
     app.add_middleware(Concurrency, limit=protection.max_in_flight)
     if protection.rate_per_s > 0:
@@ -25,3 +27,7 @@ def add_guards(app: FastAPI, protection: Protection) -> None:
         app.add_middleware(RateLimit, buckets=buckets)
     if protection.keys_file is not None:
         app.add_middleware(Authentication, keys=ApiKeys.read(protection.keys_file))
+        warn_of_readers(protection.keys_file)
+    app.add_middleware(Doors, hosts=protection.hosts, origins=protection.origins)
+    if protection.trusted_proxies:
+        app.add_middleware(ProxyHeadersMiddleware, trusted_hosts=list(protection.trusted_proxies))

@@ -1,10 +1,11 @@
 """ASGI middleware that answers where nobody else did."""
 
+import asyncio
 import logging
 
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from inference_api.problems import INTERNAL_ERROR, problem_response
+from inference_api.problems import INTERNAL_ERROR, SHUTTING_DOWN, problem_response
 
 _LOG = logging.getLogger(__name__)
 
@@ -13,7 +14,7 @@ class LastResort:
     """Logs an error that nobody caught and answers 500, inside the middlewares that watch and rewrite.
 
     The framework's own last resort lies outside of them all: its answer would carry neither a request id nor
-    security headers.
+    security headers. A request that is cut off at the server's end is told so with 503.
 
     Args:
         app: that may fail.
@@ -36,6 +37,16 @@ class LastResort:
 
         try:
             await self._app(scope, receive, seen)
+        except asyncio.CancelledError:
+            # The server cancels what is in flight when its time to end is up, and does nothing after it.
+            if began:
+                raise
+            await problem_response(
+                SHUTTING_DOWN,
+                "the server was told to end before this request was answered",
+                remedy="ask again: another process may answer by then",
+                headers={"Connection": "close", "Retry-After": "1"},
+            )(scope, receive, send)
         except Exception:
             if began:
                 raise

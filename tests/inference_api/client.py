@@ -41,7 +41,7 @@ class ApiClient:
 def running(app: FastAPI) -> Iterator[ApiClient]:
     """Start an app, hand out its client, shut it down."""
     transport = httpx.ASGITransport(app, raise_app_exceptions=False)
-    client = httpx.AsyncClient(transport=transport, base_url="http://api.test")
+    client = httpx.AsyncClient(transport=transport, base_url="http://localhost")
     with (
         start_blocking_portal() as portal,
         portal.wrap_async_context_manager(app.router.lifespan_context(app)),

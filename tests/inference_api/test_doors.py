@@ -1,0 +1,173 @@
+"""Names under which the server answers, and pages that may use it."""
+
+import pytest
+
+from cspace.errors import ConfigError
+from inference_api.guards.names import host_names, origins, proxies
+from inference_api.guards.protection import Protection
+from tests.inference_api.answers import PNG, assert_problem
+from tests.inference_api.client import ApiClient
+from tests.inference_api.conftest import StartApi
+
+
+@pytest.fixture
+def named(start_api: StartApi) -> ApiClient:
+    protection = Protection(
+        hosts=("api.example", "[2001:db8::1]"),
+        origins=("https://site.example",),
+        trusted_proxies=("127.0.0.1",),
+    )
+    return start_api(protection=protection)
+
+
+@pytest.mark.parametrize(
+    "host",
+    [
+        "localhost",
+        "localhost:8000",
+        "LOCALHOST",
+        "127.0.0.1:1",
+        "[::1]",
+        "[::1]:80",
+        "API.example:443",
+        "[2001:DB8::1]",
+    ],
+)
+def test_known_names_are_answered_with_any_port(named: ApiClient, host: str) -> None:
+    assert named.get("/models", headers={"host": host}).status_code == 200
+
+
+@pytest.mark.parametrize(
+    "host",
+    [
+        "evil.example",
+        "localhost.evil.example",
+        "127.0.0.1.evil.example",
+        "evil.example:8000",
+        "",
+        ":80",
+        "[::2]",
+        "[::1",
+        "localhost@evil.example",
+        "api.example.",
+        "10.0.0.1",
+    ],
+)
+@pytest.mark.parametrize("path", ["/models", "/nothing", "/docs", "/metrics"])
+def test_other_names_are_421(named: ApiClient, host: str, path: str) -> None:
+    answer = named.get(path, headers={"host": host})
+    assert_problem(answer, 421, "unknown-host")
+    assert answer.headers["cache-control"] == "no-store"
+    assert "x-request-id" in answer.headers
+
+
+def test_a_name_that_is_missing_or_there_twice_is_421(named: ApiClient) -> None:
+    twice = named._call(
+        lambda: named._client.get("/models", headers=[("host", "localhost"), ("host", "localhost")])
+    )
+    assert_problem(twice, 421, "unknown-host")
+
+    async def without() -> int:
+        request = named._client.build_request("GET", "/models")
+        del request.headers["host"]
+        return (await named._client.send(request)).status_code
+
+    assert named._portal.call(without) == 421
+
+
+def test_health_is_answered_under_any_name_for_any_page(named: ApiClient) -> None:
+    for path in ("/health/live", "/health/ready", "/v2/health/live"):
+        assert named.get(path, headers={"host": "10.1.2.3:8000", "origin": "null"}).status_code == 200
+
+
+def test_a_star_answers_under_any_name(start_api: StartApi) -> None:
+    api = start_api(protection=Protection(hosts=("*",)))
+    assert api.get("/models", headers={"host": "any.example"}).status_code == 200
+    assert api.get("/models", headers={"host": ""}).status_code == 421
+
+
+PAGE = {"host": "localhost:8000"}
+CASES = [
+    ("GET", {}, 200),
+    ("GET", {"origin": "http://localhost:8000"}, 200),
+    ("GET", {"origin": "HTTP://LOCALHOST:8000"}, 200),
+    ("GET", {"origin": "https://site.example"}, 200),
+    ("GET", {"origin": "https://site.example", "sec-fetch-site": "cross-site"}, 200),
+    ("GET", {"origin": "http://localhost:8001"}, 403),
+    ("GET", {"origin": "https://localhost:8000"}, 403),
+    ("GET", {"origin": "http://evil.example"}, 403),
+    ("GET", {"origin": "null"}, 403),
+    ("GET", {"origin": ""}, 403),
+    ("GET", {"sec-fetch-site": "same-origin"}, 200),
+    ("GET", {"sec-fetch-site": "none"}, 200),
+    ("GET", {"sec-fetch-site": "cross-site", "sec-fetch-mode": "navigate"}, 200),
+    ("GET", {"sec-fetch-site": "cross-site", "sec-fetch-mode": "no-cors"}, 403),
+    ("GET", {"sec-fetch-site": "same-site"}, 403),
+    ("POST", {"sec-fetch-site": "same-origin", "origin": "http://localhost:8000"}, 200),
+    ("POST", {"sec-fetch-site": "cross-site", "sec-fetch-mode": "navigate"}, 403),
+    ("POST", {"origin": "http://evil.example"}, 403),
+]
+
+
+@pytest.mark.parametrize(("method", "headers", "status"), CASES)
+def test_pages_of_other_sites_may_link_here_and_nothing_else(
+    named: ApiClient, method: str, headers: dict[str, str], status: int
+) -> None:
+    if method == "POST":
+        answer = named.post("/sample", files={"image": PNG}, headers={**PAGE, **headers})
+    else:
+        answer = named.get("/models", headers={**PAGE, **headers})
+    assert answer.status_code == status
+    if status == 403:
+        assert_problem(answer, 403, "foreign-origin")
+
+
+def test_below_v2_a_refusal_has_the_protocols_form(named: ApiClient) -> None:
+    answer = named.get("/v2", headers={"host": "evil.example"})
+    assert (answer.status_code, set(answer.json())) == (421, {"error"})
+
+
+def test_behind_a_trusted_proxy_a_page_of_its_own_scheme_is_its_own(named: ApiClient) -> None:
+    headers = {"host": "api.example", "origin": "https://api.example"}
+    assert named.get("/models", headers=headers).status_code == 403
+    assert named.get("/models", headers={**headers, "x-forwarded-proto": "https"}).status_code == 200
+
+
+def test_forwarded_addresses_count_behind_trusted_proxies_only(start_api: StartApi) -> None:
+    def statuses(api: ApiClient) -> list[int]:
+        return [
+            api.get("/models", headers={"x-forwarded-for": f"192.0.2.{number}"}).status_code
+            for number in range(3)
+        ]
+
+    # The client in this process has the address 127.0.0.1.
+    limited = Protection(rate_per_s=0.001, rate_burst=1)
+    assert statuses(start_api(protection=limited)) == [200, 429, 429]
+    trusting = Protection(rate_per_s=0.001, rate_burst=1, trusted_proxies=("127.0.0.0/8",))
+    assert statuses(start_api(protection=trusting)) == [200, 200, 200]
+
+
+def test_lists_of_names_are_read() -> None:
+    assert host_names(" api, 10.0.0.1,::1,[::2],*,") == ("api", "10.0.0.1", "[::1]", "[::2]", "*")
+    assert origins("https://a.example:8443,http://[::1]:1") == ("https://a.example:8443", "http://[::1]:1")
+    assert proxies("10.0.0.0/8, ::1") == ("10.0.0.0/8", "::1")
+    assert host_names("") == origins("") == proxies("") == ()
+
+
+@pytest.mark.parametrize(
+    ("read", "text", "setting"),
+    [
+        (host_names, "http://api", "CSPACE_API_HOSTS"),
+        (host_names, "api:80", "CSPACE_API_HOSTS"),
+        (host_names, "a b", "CSPACE_API_HOSTS"),
+        (origins, "site.example", "CSPACE_API_ORIGINS"),
+        (origins, "https://site.example/", "CSPACE_API_ORIGINS"),
+        (origins, "*", "CSPACE_API_ORIGINS"),
+        (proxies, "*", "CSPACE_API_TRUSTED_PROXIES"),
+        (proxies, "proxy.example", "CSPACE_API_TRUSTED_PROXIES"),
+        (proxies, "10.0.0.1/8", "CSPACE_API_TRUSTED_PROXIES"),
+    ],
+)
+def test_a_wrong_list_is_an_error_that_names_its_setting(read, text: str, setting: str) -> None:  # type: ignore[no-untyped-def]
+    with pytest.raises(ConfigError, match=setting):
+        read(text)
