@@ -12,8 +12,11 @@ from uvicorn.config import STARTUP_FAILURE
 from uvicorn.supervisors import Multiprocess
 
 from cspace.errors import ConfigError, PortTakenError
-from inference_api.guards.exposure import check_exposure
-from inference_api.settings import METRICS_FOLDER, THREADS, ApiSettings, usable_cores
+from inference_api.connections.config import ApiConfig
+from inference_api.ending import end_in_time
+from inference_api.guards.exposure import check_exposure, is_wildcard
+from inference_api.guards.names import bracketed
+from inference_api.settings import HOSTS, METRICS_FOLDER, THREADS, ApiSettings, usable_cores
 from inference_api.telemetry.logs import LOG_FORMS, log_settings
 
 DESCRIPTION = (
@@ -21,12 +24,22 @@ DESCRIPTION = (
     "CSPACE_MODEL_CACHE, CSPACE_MODEL_NAME, CSPACE_MODEL_POLL_S, CSPACE_PRETRAINED_MODEL, "
     "CSPACE_LOADED_MODELS, CSPACE_STORED_MODELS, CSPACE_CACHED_PICTURES, CSPACE_API_THREADS, "
     "CSPACE_API_KEYS_FILE, CSPACE_API_MAX_IN_FLIGHT, CSPACE_API_BODY_TIMEOUT_S, CSPACE_API_RATE, "
-    "CSPACE_API_BURST."
+    "CSPACE_API_BURST, CSPACE_API_HELD_BODIES_MIB, CSPACE_API_MAX_CONNECTIONS, CSPACE_API_HEADER_TIMEOUT_S, "
+    "CSPACE_API_WRITE_TIMEOUT_S, CSPACE_API_GRACE_S, CSPACE_API_HOSTS (names that the server answers to "
+    "beside loopback and --host, * for any), CSPACE_API_ORIGINS (of other sites' pages), "
+    "CSPACE_API_TRUSTED_PROXIES (addresses or networks whose X-Forwarded-For is believed)."
 )
 
 
+# Uvicorn's supervisor looks at its signals twice a second.
+SUPERVISOR_MARGIN_S = 0.5
+
+
 def main(arguments: list[str] | None = None) -> int:
-    """Parse, listen, serve; 0 after a shutdown, 1 when it could not start, 2 for wrong settings."""
+    """Parse, listen, serve; 0 after a shutdown, 1 when it could not start, 2 for wrong settings.
+
+    A shutdown that threads hold up ends the process with 3.
+    """
     parser = argparse.ArgumentParser(prog="python -m inference_api", description=DESCRIPTION)
     parser.add_argument("--host", default="127.0.0.1", help="address to listen on (default: %(default)s)")
     parser.add_argument("--port", type=int, default=8000, help="0 for a free one (default: %(default)s)")
@@ -48,7 +61,7 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         settings = ApiSettings.from_environment()
         check_exposure(options.host, settings.protection, allowed=options.allow_unauthenticated)
-        _prepare(settings)
+        _prepare(settings, options.host)
         listener = _listen(options.host, options.port)
     except ConfigError as error:
         print(error, file=sys.stderr)
@@ -58,21 +71,13 @@ def main(arguments: list[str] | None = None) -> int:
         return 1
     host, port = listener.getsockname()[:2]
     print(f"serving on http://{host}:{port} (documentation at http://{host}:{port}/docs)", flush=True)
-    config = uvicorn.Config(
-        "inference_api.app:create_app",
-        factory=True,
-        workers=options.workers,
-        timeout_keep_alive=60,
-        timeout_graceful_shutdown=10,
-        log_config=log_settings(options.log),
-        # The app writes one line a request of its own.
-        access_log=False,
-        server_header=False,
+    config = ApiConfig(
+        settings.connections, settings.grace_s, options.workers, log_config=log_settings(options.log)
     )
     return _serve(config, listener)
 
 
-def _serve(config: uvicorn.Config, listener: socket.socket) -> int:
+def _serve(config: ApiConfig, listener: socket.socket) -> int:
     if config.workers == 1:
         server = uvicorn.Server(config)
         server.run(sockets=[listener])
@@ -82,8 +87,15 @@ def _serve(config: uvicorn.Config, listener: socket.socket) -> int:
         # The cores are shared out, or the processes would compute against each other.
         os.environ.setdefault(THREADS, str(max(1, usable_cores() // config.workers)))
         supervisor = Multiprocess(config, [listener])
+        # The processes end by themselves in time; this is for what keeps one from even trying.
+        end_in_time(config.grace_s + SUPERVISOR_MARGIN_S, lambda: _kill(supervisor))
         supervisor.run()
     return 1 if any(process.exitcode == STARTUP_FAILURE for process in supervisor.processes) else 0
+
+
+def _kill(supervisor: Multiprocess) -> None:
+    for process in supervisor.processes:
+        process.process.kill()
 
 
 def _at_least_one(text: str) -> int:
@@ -92,8 +104,10 @@ def _at_least_one(text: str) -> int:
     return int(text)
 
 
-def _prepare(settings: ApiSettings) -> None:
-    """What holds for the whole process, before anything heavy is imported."""
+def _prepare(settings: ApiSettings, host: str) -> None:
+    """What holds for the whole process and those that it starts, before anything heavy is imported."""
+    if not is_wildcard(host):
+        os.environ[HOSTS] = ",".join(dict.fromkeys((*settings.protection.hosts, bracketed(host))))
     # One BLAS thread; two on two busy cores are an order of magnitude slower.
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     os.environ.setdefault("MLFLOW_ENABLE_ARTIFACTS_PROGRESS_BAR", "false")

@@ -7,12 +7,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from cspace.errors import ConfigError
+from inference_api.connections.limits import MIB, ConnectionLimits
+from inference_api.guards.names import host_names, origins, proxies
 from inference_api.guards.protection import Protection
 from inference_api.telemetry.tracing import wants_traces
 
 # The name is the metrics library's; `--workers` sets it.
 METRICS_FOLDER = "PROMETHEUS_MULTIPROC_DIR"
 THREADS = "CSPACE_API_THREADS"
+HOSTS = "CSPACE_API_HOSTS"
 DEFAULT_MODEL = "cspace-sampler"
 PRETRAINED_FOLDER = Path(__file__).parent / "pretrained"
 
@@ -41,6 +44,8 @@ class ApiSettings:
         protection: who may ask, and how much.
         traces: whether spans are sent, by OpenTelemetry's own variables.
         stored_bundles: how many versions of each model stay on disk beside its champion, at least 1.
+        connections: bounds on connections.
+        grace_s: for requests in flight when the server is told to end, in whole s, at least 1.
     """
 
     registry_uri: str | None
@@ -55,6 +60,8 @@ class ApiSettings:
     protection: Protection = field(default_factory=Protection)
     traces: bool = False
     stored_bundles: int = 20
+    connections: ConnectionLimits = field(default_factory=ConnectionLimits)
+    grace_s: int = 10
 
     @classmethod
     def from_environment(cls, environment: Mapping[str, str] | None = None) -> "ApiSettings":
@@ -78,6 +85,12 @@ class ApiSettings:
             protection=_protection(values),
             traces=wants_traces(values),
             stored_bundles=int(_number(values, "CSPACE_STORED_MODELS", 20, 1)),
+            connections=ConnectionLimits(
+                connections=int(_number(values, "CSPACE_API_MAX_CONNECTIONS", 512, 1)),
+                header_timeout_s=_number(values, "CSPACE_API_HEADER_TIMEOUT_S", 10.0, 0.01),
+                write_timeout_s=_number(values, "CSPACE_API_WRITE_TIMEOUT_S", 10.0, 0.01),
+            ),
+            grace_s=int(_number(values, "CSPACE_API_GRACE_S", 10, 1)),
         )
 
 
@@ -89,6 +102,11 @@ def _protection(values: Mapping[str, str]) -> Protection:
         body_timeout_s=_number(values, "CSPACE_API_BODY_TIMEOUT_S", 30.0, 0.01),
         rate_per_s=_number(values, "CSPACE_API_RATE", 0.0, 0.0),
         rate_burst=int(_number(values, "CSPACE_API_BURST", 20, 1)),
+        # Less would refuse bodies that are not too large.
+        held_body_bytes=int(MIB * _number(values, "CSPACE_API_HELD_BODIES_MIB", 64, 8)),
+        hosts=host_names(values.get(HOSTS, "")),
+        origins=origins(values.get("CSPACE_API_ORIGINS", "")),
+        trusted_proxies=proxies(values.get("CSPACE_API_TRUSTED_PROXIES", "")),
     )
 
 

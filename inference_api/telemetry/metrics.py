@@ -60,6 +60,12 @@ class Metrics:
             registry=registry,
             multiprocess_mode="livesum",
         )
+        self.connections = Gauge(
+            "cspace_connections",
+            "Connections that are open.",
+            registry=registry,
+            multiprocess_mode="livesum",
+        )
         stages = Histogram(
             "cspace_stage_seconds",
             "Time in each stage of an answer with samples.",

@@ -1,0 +1,56 @@
+"""uvicorn's configuration, with what this server adds; light to import, for it is made before all else."""
+
+from typing import TYPE_CHECKING
+
+import uvicorn
+
+from inference_api.connections.limits import ConnectionLimits
+from inference_api.connections.table import ConnectionTable
+from inference_api.ending import end_in_time
+
+if TYPE_CHECKING:
+    from inference_api.telemetry.metrics import Metrics
+
+KEEP_ALIVE_S = 60
+
+
+class ApiConfig(uvicorn.Config):
+    """The configuration of one server; it travels to each of its processes, where it is loaded.
+
+    Args:
+        limits: of connections.
+        grace_s: for requests in flight when the server is told to end, in whole s.
+        workers: processes.
+        log_config: for :func:`logging.config.dictConfig`.
+    """
+
+    table: ConnectionTable
+    metrics: "Metrics"
+
+    def __init__(
+        self, limits: ConnectionLimits, grace_s: int, workers: int, log_config: dict[str, object]
+    ) -> None:
+        super().__init__(
+            "inference_api.app:create_app",
+            factory=True,
+            http="inference_api.connections.protocol:BoundedProtocol",
+            # A request to upgrade is answered as a request, by the guards and the pages.
+            ws="none",
+            workers=workers,
+            timeout_keep_alive=KEEP_ALIVE_S,
+            timeout_graceful_shutdown=grace_s,
+            log_config=log_config,
+            # The app writes one line a request of its own, and knows which proxies it trusts.
+            access_log=False,
+            proxy_headers=False,
+            server_header=False,
+        )
+        self.limits = limits
+        self.grace_s = grace_s
+
+    def load(self) -> None:
+        """Load the app, in the process that serves and after uvicorn has taken the signals."""
+        super().load()
+        self.metrics = self.loaded_app.state.metrics
+        self.table = ConnectionTable(self.limits, self.metrics.connections)
+        end_in_time(self.grace_s)
