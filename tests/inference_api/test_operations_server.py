@@ -27,7 +27,7 @@ LOOKS, LOOK_S = 200, 0.05
 def half_sent(server: ServerProcess, *headers: str) -> Iterator[socket.socket]:
     """A connection on which half of a request for samples has been sent."""
     target = urlsplit(server.address)
-    head = ("POST /sample HTTP/1.1", "Host: x", "Content-Type: application/json", *headers)
+    head = ("POST /sample HTTP/1.1", "Host: localhost", "Content-Type: application/json", *headers)
     lines = "\r\n".join((*head, f"Content-Length: {len(BODY)}", "", ""))
     with socket.create_connection((target.hostname, target.port), timeout=60) as connection:
         connection.sendall(lines.encode() + BODY[:20])

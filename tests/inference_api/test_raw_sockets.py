@@ -29,7 +29,11 @@ def address(tmp_path_factory: pytest.TempPathFactory, bundles: dict[str, Path]) 
 
 
 def head(length: int | str, *further: bytes) -> bytes:
-    lines = [b"POST /sample HTTP/1.1", b"Host: x", b"Content-Type: multipart/form-data; boundary=edge"]
+    lines = [
+        b"POST /sample HTTP/1.1",
+        b"Host: localhost",
+        b"Content-Type: multipart/form-data; boundary=edge",
+    ]
     return b"\r\n".join([*lines, b"Content-Length: %s" % str(length).encode(), *further, b"", b""])
 
 
@@ -77,7 +81,7 @@ def whole(png: bytes) -> bytes:
 CASES = {
     "not HTTP": b"\x00\x01\x02 nothing of the kind\r\n\r\n",
     "another version": b"GET / HTTP/9.9\r\n\r\n",
-    "a method like none": b"DANCE /sample HTTP/1.1\r\nHost: x\r\n\r\n",
+    "a method like none": b"DANCE /sample HTTP/1.1\r\nHost: localhost\r\n\r\n",
     "no host": b"GET /health/live HTTP/1.1\r\n\r\n",
     "a length below zero": head(-5),
     "a length that is no number": head("many"),
@@ -93,8 +97,8 @@ CASES = {
     "a longer body than told": head(10) + FIELD * 3,
     "a flood of headers": head(0, *[b"X-%d: %s" % (i, b"y" * 1000) for i in range(300)]),
     "one endless header": head(0, b"X-Long: " + b"y" * 300_000),
-    "a path without an end": b"GET /" + b"a" * 300_000 + b" HTTP/1.1\r\nHost: x\r\n\r\n",
-    "escapes in the path": b"GET /%00%ff/..%2f..%2fetc HTTP/1.1\r\nHost: x\r\n\r\n",
+    "a path without an end": b"GET /" + b"a" * 300_000 + b" HTTP/1.1\r\nHost: localhost\r\n\r\n",
+    "escapes in the path": b"GET /%00%ff/..%2f..%2fetc HTTP/1.1\r\nHost: localhost\r\n\r\n",
 }
 
 

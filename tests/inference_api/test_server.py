@@ -22,7 +22,7 @@ from inference_api.body_limit import MAX_BODY_BYTES
 from tests.inference_api.server import ROOT, api_server
 
 pytestmark = pytest.mark.e2e
-HEAD = b"POST /sample HTTP/1.1\r\nHost: x\r\nContent-Type: application/json\r\n"
+HEAD = b"POST /sample HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\n"
 
 
 @pytest.fixture(scope="module")

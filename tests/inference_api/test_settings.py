@@ -3,6 +3,7 @@ from pathlib import Path
 import pytest
 
 from cspace.errors import ConfigError
+from inference_api.connections.limits import ConnectionLimits
 from inference_api.settings import PRETRAINED_FOLDER, ApiSettings
 
 
@@ -28,6 +29,26 @@ def test_every_setting_is_read() -> None:
     )
 
 
+def test_the_settings_of_the_edge_are_read() -> None:
+    environment = {
+        "CSPACE_API_MAX_CONNECTIONS": "7",
+        "CSPACE_API_HEADER_TIMEOUT_S": "1.5",
+        "CSPACE_API_WRITE_TIMEOUT_S": "2.5",
+        "CSPACE_API_GRACE_S": "3",
+        "CSPACE_API_HELD_BODIES_MIB": "9",
+        "CSPACE_API_HOSTS": "api,::1",
+        "CSPACE_API_ORIGINS": "https://site.example",
+        "CSPACE_API_TRUSTED_PROXIES": "10.0.0.0/8",
+    }
+    settings = ApiSettings.from_environment(environment)
+    assert settings.connections == ConnectionLimits(7, 1.5, 2.5)
+    assert settings.grace_s == 3
+    protection = settings.protection
+    assert (protection.held_body_bytes, protection.hosts) == (9 * 2**20, ("api", "[::1]"))
+    assert protection.origins == ("https://site.example",)
+    assert protection.trusted_proxies == ("10.0.0.0/8",)
+
+
 @pytest.mark.parametrize(
     ("name", "value"),
     [
@@ -38,6 +59,14 @@ def test_every_setting_is_read() -> None:
         ("CSPACE_LOADED_MODELS", "0"),
         ("CSPACE_API_THREADS", "0"),
         ("CSPACE_STORED_MODELS", "0"),
+        ("CSPACE_API_MAX_CONNECTIONS", "0"),
+        ("CSPACE_API_HEADER_TIMEOUT_S", "0"),
+        ("CSPACE_API_WRITE_TIMEOUT_S", "soon"),
+        ("CSPACE_API_GRACE_S", "0"),
+        ("CSPACE_API_HELD_BODIES_MIB", "7"),
+        ("CSPACE_API_HOSTS", "api:80"),
+        ("CSPACE_API_ORIGINS", "*"),
+        ("CSPACE_API_TRUSTED_PROXIES", "*"),
     ],
 )
 def test_a_wrong_setting_is_an_error_that_names_it(name: str, value: str) -> None:
