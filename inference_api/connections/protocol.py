@@ -155,6 +155,9 @@ class BoundedProtocol(HttpToolsProtocol):
         self.waiting_since = self.loop.time()
         self._running = None
         super().on_response_complete()
+        if self.pipeline and self._linger_until is None and not self.transport.is_closing():
+            # uvicorn reads on after each answer, and a client that is ahead could lengthen its queue.
+            self.flow.pause_reading()
         if self._refusal is not None and self._owed == 0:
             self._say(self._refusal)
 

@@ -138,8 +138,8 @@ def test_settings_are_those_that_the_compose_file_gives(services: Mapping[str, A
         assert container["image"].endswith(f"{kind.removesuffix('-head')}:{version}")
         given = {setting["name"]: setting.get("value") for setting in container["env"]}
         for name, value in services[kind]["environment"].items():
-            # The operator hands Ray its token; the address of MLflow is printed where nobody looks; the API has
-            # other names.
+            # The operator hands Ray its token; the address of MLflow is printed where nobody looks.
+            # The API is known by other names.
             if not name.startswith(("RAY_AUTH", "MLFLOW_SUPPRESS", "CSPACE_API_HOSTS")):
                 assert given[name] == value
 

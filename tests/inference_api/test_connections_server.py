@@ -199,6 +199,19 @@ def test_too_many_requests_at_once_on_one_connection_are_not_queued(address: str
     assert answer.count(b"HTTP/1.1 400 ") == 1
 
 
+def test_a_client_that_is_always_a_few_requests_ahead_is_answered(address: str) -> None:
+    with connect(address) as link:
+        link.sendall(20 * HEALTH)
+        received = b""
+        for sent in range(20, 200):
+            while received.count(b"HTTP/1.1 200 ") < sent - 19:
+                received += link.recv(65536)
+            link.sendall(HEALTH)
+        while received.count(b"HTTP/1.1 200 ") < 200:
+            received += link.recv(65536)
+    assert b"HTTP/1.1 400 " not in received
+
+
 REFUSED = {
     "an unknown page": (head("POST", "/nothing", "Content-Length: 5000000"), b"404"),
     "a method": (head("PUT", "/sample", "Content-Length: 5000000"), b"405"),

@@ -9,6 +9,7 @@ import time
 from contextlib import ExitStack
 from pathlib import Path
 
+import httpx
 import psutil
 import pytest
 
@@ -53,6 +54,44 @@ def test_a_process_without_such_a_thread_ends_at_once_and_in_order() -> None:
     code, took_s, wrote = told_to_end("20")
     assert (code, wrote) == (0, b"")
     assert took_s < 5
+
+
+SERVER = """
+import sys, threading, time
+from inference_api.__main__ import main
+threading.Thread(target=time.sleep, args=(60.0,)).start()
+sys.exit(main(["--port", "0"]))
+"""
+
+
+@pytest.mark.e2e
+def test_a_server_with_a_thread_that_hangs_ends_after_its_grace(
+    tmp_path: Path, bundles: dict[str, Path]
+) -> None:
+    settings = {"CSPACE_PRETRAINED_MODEL": str(bundles["plain"]), "CSPACE_API_GRACE_S": str(GRACE_S)}
+    environment = {**os.environ, **settings, "CSPACE_MODEL_CACHE": str(tmp_path), "PYTHONUNBUFFERED": "1"}
+    environment.pop("MLFLOW_TRACKING_URI", None)
+    command = [sys.executable, "-c", SERVER]
+    with subprocess.Popen(
+        command, cwd=ROOT, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    ) as process:
+        assert process.stdout
+        assert process.stderr
+        address = process.stdout.readline().decode().split()[2]
+        until(lambda: answers(address))
+        process.terminate()
+        began = time.monotonic()
+        assert process.wait(30) == FORCED
+        assert time.monotonic() - began < GRACE_S + MARGIN_S + 3
+        assert b"is ended" in process.stderr.read()
+
+
+def answers(address: str) -> bool:
+    """Whether a server is there already."""
+    try:
+        return lives(address)
+    except httpx.TransportError:
+        return False
 
 
 def slow_request(request_id: str) -> bytes:
