@@ -1,7 +1,10 @@
 """The files of a bundle and their sums: read once, verified, and used from memory ever after."""
 
+import errno
 import hashlib
+import os
 import re
+import stat
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +22,13 @@ SUMS_FILE = "SHA256SUMS"
 REQUIRED_FILES = (SPEC_FILE, ENCODER_FILE, GENERATOR_FILE, GOLDEN_FILE)
 OPTIONAL_FILES = (VALIDITY_FILE, NOVELTY_FILE, MAP_FILE)
 KNOWN_FILES = (*REQUIRED_FILES, *OPTIONAL_FILES)
+
+# The shipped bundle's largest graph has 1.3 MB, its description 11 kB.
+GRAPH_BYTES = 256 * 2**20
+TOTAL_BYTES = 512 * 2**20
+LIMITS_BYTES = {SPEC_FILE: 2**20, GOLDEN_FILE: 4 * 2**20, SUMS_FILE: 16 * 2**10} | dict.fromkeys(
+    (ENCODER_FILE, GENERATOR_FILE, *OPTIONAL_FILES), GRAPH_BYTES
+)
 
 _LINE = re.compile(r"([0-9a-f]{64})  ([A-Za-z0-9._-]+)")
 
@@ -45,35 +55,81 @@ def sums_of(contents: Mapping[str, bytes]) -> bytes:
 def read_files(folder: Path) -> BundleFiles:
     """Read a bundle's folder and hold it against its ``SHA256SUMS``.
 
-    Only plain files straight in the folder are ever opened, and only under the names of the schema, so that
-    nothing that a bundle says can point outside of it.
+    Only plain files straight in the folder are ever opened, only under the names of the schema, and no more
+    of them is read than a bundle may hold. What was opened is what is looked at: nothing that is exchanged
+    meanwhile is followed.
 
     Raises:
-        BundleIntegrityError: a file is missing, extra, a link, changed, or the sums are not readable.
+        BundleIntegrityError: a file is missing, extra, a link, changed, too large, or the sums are not
+            readable.
     """
     try:
-        present = {entry.name: entry for entry in folder.iterdir()}
-        _check_plain(present)
-        if SUMS_FILE not in present:
-            raise _broken("SHA256SUMS", "missing")
-        sums = present.pop(SUMS_FILE).read_bytes()
-        listed = _parse_sums(sums)
-        _check_names(set(listed), set(present))
-        contents = {name: entry.read_bytes() for name, entry in present.items()}
-    except OSError as error:
+        place = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+        try:
+            contents = _read_all(place)
+        finally:
+            os.close(place)
+    except (OSError, ValueError) as error:
         raise BundleIntegrityError(
-            "the bundle cannot be read", expected="a readable folder", got=str(error)
+            "the bundle cannot be read",
+            expected="a readable folder",
+            got=getattr(error, "strerror", None) or type(error).__name__,
         ) from error
+    sums = contents.pop(SUMS_FILE)
+    listed = _parse_sums(sums)
+    _check_names(set(listed), set(contents))
     for name, data in contents.items():
         if hashlib.sha256(data).hexdigest() != listed[name]:
             raise _broken(name, "changed since its sum was written")
     return BundleFiles(contents, hashlib.sha256(sums).hexdigest())
 
 
-def _check_plain(present: Mapping[str, Path]) -> None:
-    for name, entry in present.items():
-        if entry.is_symlink() or not entry.is_file():
+def _read_all(place: int) -> dict[str, bytes]:
+    """Every file of an open folder, ``SHA256SUMS`` first, within the limits of each and of all."""
+    names = set()
+    with os.scandir(place) as entries:
+        for entry in entries:
+            names.add(entry.name)
+            # The first that does not belong ends it, however many follow.
+            if entry.name not in LIMITS_BYTES:
+                raise _broken(_shown(entry.name), "not part of a bundle")
+    if SUMS_FILE not in names:
+        raise _broken(SUMS_FILE, "missing")
+    left = TOTAL_BYTES
+    contents: dict[str, bytes] = {}
+    for name in (SUMS_FILE, *(known for known in KNOWN_FILES if known in names)):
+        contents[name] = _read(place, name, min(LIMITS_BYTES[name], left))
+        left -= len(contents[name])
+    return contents
+
+
+def _read(place: int, name: str, limit_bytes: int) -> bytes:
+    """A plain file of an open folder; opening neither follows a link nor waits for a pipe's other end."""
+    flags = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
+    try:
+        opened = os.open(name, flags, dir_fd=place)
+    except OSError as error:
+        # A link, or a socket.
+        if error.errno in (errno.ELOOP, errno.ENXIO):
+            raise _broken(name, "not a plain file") from error
+        raise
+    try:
+        found = os.fstat(opened)
+        if not stat.S_ISREG(found.st_mode):
             raise _broken(name, "not a plain file")
+        if found.st_size > limit_bytes:
+            raise _broken(name, f"{found.st_size} bytes, more than {limit_bytes}")
+        with os.fdopen(opened, "rb", closefd=False) as file:
+            data = file.read(found.st_size + 1)
+    finally:
+        os.close(opened)
+    if len(data) != found.st_size:
+        raise _broken(name, "changed while it was read")
+    return data
+
+
+def _shown(name: str) -> str:
+    return name.encode("utf-8", "backslashreplace").decode()[:100]
 
 
 def _parse_sums(sums: bytes) -> dict[str, str]:

@@ -1,7 +1,6 @@
 """The golden case: a request with the answers that its bundle gave where it was written."""
 
 import io
-import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -9,12 +8,30 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cspace.bundle.npz import read_arrays
 from cspace.errors import BundleIntegrityError, GoldenMismatchError
 from cspace.space import difference
 
 TOLERANCE = 1e-4
 _REQUEST = ("image", "count", "seed", "epsilon_sigma", "start", "goal")
 _ANSWERS = ("mu", "sigma", "samples", "confidence")
+_FLOATS = ("<f4", "<f8")
+# Name to its types and number of axes.
+_ARRAYS = {
+    "image": (("|u1",), 3),
+    "count": (("<i8", "<i4"), 0),
+    "seed": (("<u8",), 0),
+    "epsilon_sigma": (_FLOATS, 1),
+    "start": (_FLOATS, 1),
+    "goal": (_FLOATS, 1),
+    "mu": (_FLOATS, 1),
+    "sigma": (_FLOATS, 1),
+    "samples": (_FLOATS, 2),
+    "confidence": (_FLOATS, 1),
+}
+_OPTIONAL = {"start", "goal", "confidence"}
+# As many as the inference API takes.
+MAX_COUNT, MAX_EPSILONS = 20_000, 1_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,33 +77,29 @@ class GoldenCase:
         Raises:
             BundleIntegrityError: not a golden case.
         """
-        try:
-            with np.load(io.BytesIO(data), allow_pickle=False) as archive:
-                values = {name: archive[name] for name in archive.files}
-            return cls(
-                values["image"],
-                int(values["count"]),
-                int(values["seed"]),
-                tuple(values["epsilon_sigma"].tolist()),
-                values["mu"],
-                values["sigma"],
-                values["samples"],
-                tuple(values["start"].tolist()) if "start" in values else None,
-                tuple(values["goal"].tolist()) if "goal" in values else None,
-                values.get("confidence"),
-            )
-        except (
-            KeyError,
-            ValueError,
-            TypeError,
-            OSError,
-            EOFError,
-            AttributeError,
-            zipfile.BadZipFile,
-        ) as error:
+        values = read_arrays(data, _ARRAYS, "golden.npz")
+        missing = sorted(set(_ARRAYS) - _OPTIONAL - set(values))
+        count = int(values["count"]) if "count" in values else 0
+        epsilons = values.get("epsilon_sigma", np.empty(0))
+        if missing or not 1 <= count <= MAX_COUNT or not 1 <= len(epsilons) <= MAX_EPSILONS:
             raise BundleIntegrityError(
-                "golden.npz is not a golden case", expected=f"arrays {_REQUEST + _ANSWERS}", got=str(error)
-            ) from error
+                "golden.npz is not a golden case",
+                expected=f"1 to {MAX_COUNT} samples of 1 to {MAX_EPSILONS} epsilons, all arrays",
+                got=f"{count} samples of {len(epsilons)}, without {missing}",
+                remedy="export the bundle again",
+            )
+        return cls(
+            values["image"],
+            count,
+            int(values["seed"]),
+            tuple(epsilons.tolist()),
+            values["mu"],
+            values["sigma"],
+            values["samples"],
+            tuple(values["start"].tolist()) if "start" in values else None,
+            tuple(values["goal"].tolist()) if "goal" in values else None,
+            values.get("confidence"),
+        )
 
     def compare(
         self,

@@ -1,17 +1,19 @@
-"""The ONNX graphs of a bundle: opened from memory, on one thread, with onnxruntime's errors mapped."""
+"""The ONNX graphs of a bundle: checked, opened, and held to the names and shapes of the description."""
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cspace.bundle.runtime import onnx_errors, onnx_runtime
+from cspace.bundle.deadlines import RUN_LIMIT_S
+from cspace.bundle.onnx_check import check_graph
+from cspace.bundle.sessions import Session
 from cspace.errors import BundleError, BundleIntegrityError
 
-# The protobuf bytes of an external-data entry: key (field 1) "location", value (field 2).
-_EXTERNAL_DATA = b"\n\x08location\x12"
-_FATAL = 4
+# A picture's map is computed once and kept with it.
+MAX_OUTPUT_ELEMENTS = 2**20
 
 
 class Graph:
@@ -22,46 +24,48 @@ class Graph:
         model: the file's bytes.
         inputs: the names that it must take, no more and no fewer.
         outputs: the names that it must give.
+        run_limit_s: how long a run may take.
+        shapes: of those inputs whose shape the graph does not tell.
 
     Raises:
-        BundleIntegrityError: not a graph, other names, or weights outside the file.
+        BundleIntegrityError: not a graph, more than a bundle's graph may be, or other names.
+        BundleError: what it computes from constants does not end in time.
     """
 
-    def __init__(self, name: str, model: bytes, inputs: set[str], outputs: set[str]) -> None:
-        if _EXTERNAL_DATA in model:
-            raise BundleIntegrityError(
-                f"{name} keeps weights outside the bundle",
-                expected="a graph that is self-contained",
-                remedy="export it without external data",
-            )
-        try:
-            self._session = onnx_runtime().InferenceSession(
-                model, _options(), providers=["CPUExecutionProvider"]
-            )
-        except onnx_errors() as error:
-            raise BundleIntegrityError(
-                f"{name} cannot be opened", expected="an ONNX graph", got=str(error)
-            ) from error
+    def __init__(
+        self,
+        name: str,
+        model: bytes,
+        inputs: set[str],
+        outputs: set[str],
+        run_limit_s: float = RUN_LIMIT_S,
+        shapes: Mapping[str, tuple[int, ...]] | None = None,
+    ) -> None:
         self._name = name
-        found_in = {node.name for node in self._session.get_inputs()}
-        found_out = {node.name for node in self._session.get_outputs()}
+        folding = check_graph(name, model)
+        self._session = Session(name, model, folding, run_limit_s, shapes or {})
+        found_in = {node.name for node in self._session.inputs()}
+        found_out = {node.name for node in self._session.outputs()}
         if found_in != inputs or not outputs <= found_out:
             raise BundleIntegrityError(
                 f"{name} has other inputs or outputs",
                 expected=f"{sorted(inputs)} -> {sorted(outputs)}",
-                got=f"{sorted(found_in)} -> {sorted(found_out)}",
+                got=f"{sorted(found_in)} -> {sorted(found_out)}"[:500],
             )
 
     def sizes(self, output: str) -> tuple[int, ...]:
         """The shape of an output that is the same for every feed.
 
         Raises:
-            BundleIntegrityError: it depends on what is fed.
+            BundleIntegrityError: it depends on what is fed, or is too large to be kept.
         """
-        (found,) = (node.shape for node in self._session.get_outputs() if node.name == output)
-        if not all(isinstance(size, int) for size in found):
+        (found,) = (node.shape for node in self._session.outputs() if node.name == output)
+        fixed = all(isinstance(size, int) and size >= 0 for size in found)
+        if not fixed or math.prod(found) > MAX_OUTPUT_ELEMENTS:
             raise BundleIntegrityError(
-                f"{self._name}: the shape of {output} is not fixed", expected="numbers", got=str(found)
+                f"{self._name}: the shape of {output} is not fixed",
+                expected=f"numbers, at most {MAX_OUTPUT_ELEMENTS} elements",
+                got=str(found)[:200],
             )
         return tuple(found)
 
@@ -78,12 +82,9 @@ class Graph:
             Output name to float32 array.
 
         Raises:
-            BundleError: the graph fails, or an output has another shape or is not finite.
+            BundleError: the graph fails or does not end, or an output has another shape or is not finite.
         """
-        try:
-            found = self._session.run(list(outputs), dict(feeds))
-        except onnx_errors() as error:
-            raise BundleError(f"{self._name} failed", got=str(error)) from error
+        found = self._session.run(list(outputs), dict(feeds))
         return {
             name: self._checked(name, array, shape)
             for (name, shape), array in zip(outputs.items(), found, strict=True)
@@ -100,15 +101,3 @@ class Graph:
         if not np.all(np.isfinite(result)):
             raise BundleError(f"{self._name}: {name} is not finite", expected="finite numbers")
         return result
-
-
-def _options() -> Any:
-    ort = onnx_runtime()
-    options = ort.SessionOptions()
-    options.intra_op_num_threads = 1
-    options.inter_op_num_threads = 1
-    options.execution_mode = ort.ExecutionMode.ORT_SEQUENTIAL
-    options.use_deterministic_compute = True
-    # What fails is raised; the library's own lines on stderr would say it twice.
-    options.log_severity_level = _FATAL
-    return options

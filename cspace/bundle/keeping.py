@@ -37,7 +37,13 @@ class Kept:
     acceptance: float
 
 
-def gather(draw: DrawScored, shares: Sequence[int], threshold: float, expected: float = 1.0) -> Kept:
+def gather(
+    draw: DrawScored,
+    shares: Sequence[int],
+    threshold: float,
+    expected: float = 1.0,
+    between: Callable[[], None] | None = None,
+) -> Kept:
     """As many samples of each share as are wanted, or as many as the budget finds.
 
     Args:
@@ -46,6 +52,7 @@ def gather(draw: DrawScored, shares: Sequence[int], threshold: float, expected: 
         shares: how many are wanted of each.
         threshold: the least confidence, 0 to 1.
         expected: share that is likely to pass, above 0 to 1; a further turn costs more than a few too many.
+        between: called between two turns; what it raises passes through.
     """
     left = max(BUDGET * sum(shares), BUDGET_AT_LEAST)
     found: list[tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.intp]]] = []
@@ -53,6 +60,8 @@ def gather(draw: DrawScored, shares: Sequence[int], threshold: float, expected: 
     drawn = passed = turn = 0
     wanted = [math.ceil(share * (1 + EXTRA) / expected) for share in shares]
     while True:
+        if turn and between is not None:
+            between()
         counts = _within(wanted, left)
         samples, confidence = draw(counts, turn)
         good = confidence >= np.float32(threshold)

@@ -1,26 +1,19 @@
 """The deployable artefact: load it, verify it, sample from it. onnxruntime and numpy, no torch, no pickle."""
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from cspace.bundle.chunks import Between, chunked
+from cspace.bundle.deadlines import RUN_LIMIT_S
 from cspace.bundle.draws import Draws, draw, propose, shares
-from cspace.bundle.files import (
-    ENCODER_FILE,
-    GENERATOR_FILE,
-    GOLDEN_FILE,
-    MAP_FILE,
-    NOVELTY_FILE,
-    SPEC_FILE,
-    VALIDITY_FILE,
-    BundleFiles,
-    read_files,
-)
+from cspace.bundle.files import GOLDEN_FILE, SPEC_FILE, BundleFiles, read_files
 from cspace.bundle.golden import GoldenCase
+from cspace.bundle.graph_set import open_graphs
 from cspace.bundle.graphs import Graph
 from cspace.bundle.keeping import gather
 from cspace.bundle.novelty import novelty
@@ -33,44 +26,46 @@ from cspace.space import to_float32
 
 # Samples about a path are close to contact where it matters, and a further turn costs a further search.
 PATHS_PASS = 0.75
-# Bounds the memory of one call; a fixed size, so that it can not move a result.
-CHUNK_ROWS = 4096
 
 
 class Bundle:
     """A loaded bundle; safe to share between threads. Make one with :meth:`load`."""
 
-    def __init__(self, folder: Path, files: BundleFiles) -> None:
+    def __init__(self, folder: Path, files: BundleFiles, run_limit_s: float = RUN_LIMIT_S) -> None:
         self.folder = folder
         self.digest = files.digest
         self.spec = BundleSpec.from_json(files.contents[SPEC_FILE])
-        drawn = {item.name for item in self.spec.random_inputs}
-        self._encoder = Graph(ENCODER_FILE, files.contents[ENCODER_FILE], {"image"}, {"mu", "sigma"})
-        self._generator = Graph(
-            GENERATOR_FILE,
-            files.contents[GENERATOR_FILE],
-            {"latent", *drawn, *self.spec.conditions},
-            {"samples"},
-        )
-        self._validity = _optional(files, VALIDITY_FILE, {"image", "configurations"}, {"confidence"})
-        self._novelty = _optional(files, NOVELTY_FILE, {"image", "mu"}, {"scores"})
-        _check_whole(
-            NOVELTY_FILE, self._novelty, "novelty_quantiles", self.spec.novelty_quantiles is not None
-        )
-        self._map = _optional(files, MAP_FILE, {"image"}, {"map"})
-        _check_whole(MAP_FILE, self._map, "the condition map", self.spec.looks_at_map)
+        graphs = open_graphs(self.spec, files, run_limit_s)
+        self._encoder, self._generator = graphs.encoder, graphs.generator
+        self._validity, self._novelty, self._map = graphs.validity, graphs.novelty, graphs.map
 
     @classmethod
-    def load(cls, folder: Path) -> "Bundle":
-        """Read a bundle, verify its sums and schema, and replay its golden case.
+    def load(cls, folder: Path, *, replay: bool = True, run_limit_s: float = RUN_LIMIT_S) -> "Bundle":
+        """Read a bundle, verify its sums, schema and graphs, and replay its golden case.
+
+        Whatever the folder holds, it becomes a bundle or one of these errors. The bytes may come from anybody
+        who can write to a registry, so nothing of them is followed, unpickled or computed without a bound.
+
+        Args:
+            folder: of the bundle.
+            replay: False where another process of this machine has just replayed the same digest.
+            run_limit_s: how long one run of one graph may take, above 0.
 
         Raises:
             BundleIntegrityError: sums, schema, files or graphs are wrong.
             GoldenMismatchError: the golden case gives other answers here.
+            BundleError: a graph fails or does not end in time.
         """
         files = read_files(Path(folder))
-        bundle = cls(Path(folder), files)
-        bundle._replay(GoldenCase.from_npz(files.contents[GOLDEN_FILE]))
+        try:
+            bundle = cls(Path(folder), files, run_limit_s)
+            case = GoldenCase.from_npz(files.contents[GOLDEN_FILE])
+            if replay:
+                bundle._replay(case)
+        except MemoryError as error:
+            raise BundleIntegrityError(
+                "the bundle does not fit into the memory", expected="a model that this machine can hold"
+            ) from error
         return bundle
 
     @property
@@ -125,6 +120,7 @@ class Bundle:
         goal: ArrayLike | None = None,
         min_confidence: float | None = None,
         tell_confidence: bool = True,
+        between: Between | None = None,
     ) -> SampleSet:
         """``n`` configurations for a picture; the same arguments give bit-equal samples on one machine.
 
@@ -145,6 +141,8 @@ class Bundle:
             min_confidence: what the validity head has to score, 0 to 1; None for the bundle's own threshold
                 (0 for a bundle without), 0 for all samples as they come.
             tell_confidence: whether samples are scored that are not filtered; the samples are the same.
+            between: called between the parts of a large request and between its turns, never for a small one;
+                may raise to stop it, which passes through.
 
         Raises:
             InputError: an argument is out of range or does not fit the model.
@@ -160,23 +158,23 @@ class Bundle:
         def drawn(counts: Sequence[int], turn: int) -> NDArray[np.float32]:
             mu, sigma = picture.encoding.mu, picture.encoding.sigma
             draws = draw(self.spec, mu, sigma, counts, request.seed, request.epsilon_sigma, turn)
-            return to_float32(self._generate(draws, request, picture))
+            return to_float32(self._generate(draws, request, picture, between))
 
         def scored(counts: Sequence[int], turn: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
             samples = drawn(counts, turn)
-            return samples, self.score(picture, samples)
+            return samples, self._score(self._head(), picture.pixels, samples, between)
 
         def proposed(counts: Sequence[int], turn: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
             proposals = propose(self.spec, counts, request.seed, turn)
             learned = drawn(proposals.learned, turn) if any(proposals.learned) else None
             samples = proposals.mixed_with(learned)
-            return samples, self.score(picture, samples)
+            return samples, self._score(self._head(), picture.pixels, samples, between)
 
         wanted, acceptance = shares(request.count, len(request.epsilon_sigma)), 1.0
         if request.min_confidence > 0.0:
             # Of a free-space generator's samples nearly all pass, of uniform ones about every second.
             expected = 1.0 - self.spec.uniform_share / 2.0 if self.spec.kind != "path" else PATHS_PASS
-            kept = gather(proposed, wanted, request.min_confidence, expected)
+            kept = gather(proposed, wanted, request.min_confidence, expected, between)
             samples, confidence, acceptance = kept.samples, kept.confidence, kept.acceptance
         elif self.has_validity and tell_confidence:
             samples, confidence = scored(wanted, 0)
@@ -189,7 +187,9 @@ class Bundle:
             samples, confidence, request.count - len(samples), acceptance, encode_ms, generate_ms
         )
 
-    def _generate(self, draws: Draws, request: Request, picture: Picture) -> NDArray[np.float32]:
+    def _generate(
+        self, draws: Draws, request: Request, picture: Picture, between: Between | None
+    ) -> NDArray[np.float32]:
         spec = self.spec
         seen = {PICTURE: picture.pixels} if spec.looks_at_picture else {}
         seen |= {} if picture.map is None else {MAP: picture.map}
@@ -206,7 +206,7 @@ class Bundle:
             shape = (len(latents), spec.samples_per_latent, spec.dim)
             return self._generator.run(feeds, {"samples": shape})["samples"]
 
-        return _chunked(run, len(draws.latents))[draws.kept]
+        return chunked(run, len(draws.latents), between)[draws.kept]
 
     def score(
         self, image: NDArray[np.uint8] | Picture, configurations: NDArray[np.float32]
@@ -221,9 +221,7 @@ class Bundle:
             InputError: the bundle has no validity head, or picture or configurations do not fit.
             BundleError: the graph fails.
         """
-        head = self._validity
-        if head is None:
-            raise InputError("the model has no validity head", remedy="train one with validity.steps above 0")
+        head = self._head()
         pixels = image.pixels if isinstance(image, Picture) else self._network_image(image)
         shape = np.shape(configurations)
         if len(shape) != 2 or not shape[0] or shape[1] != self.spec.dim:
@@ -232,13 +230,26 @@ class Bundle:
                 expected=f"shape (n, {self.spec.dim}), n at least 1",
                 got=str(shape),
             )
+        return self._score(head, pixels, configurations, None)
 
+    def _head(self) -> Graph:
+        if self._validity is None:
+            raise InputError("the model has no validity head", remedy="train one with validity.steps above 0")
+        return self._validity
+
+    def _score(
+        self,
+        head: Graph,
+        pixels: NDArray[np.float32],
+        configurations: NDArray[np.float32],
+        between: Between | None,
+    ) -> NDArray[np.float32]:
         def run(rows: slice) -> NDArray[np.float32]:
             part = configurations[rows]
             feeds = {"image": pixels, "configurations": part}
             return head.run(feeds, {"confidence": (len(part),)})["confidence"]
 
-        confidence = _chunked(run, len(configurations))
+        confidence = chunked(run, len(configurations), between)
         if np.any((confidence < 0.0) | (confidence > 1.0)):
             raise BundleError("the validity head gives no probabilities", expected="values from 0 to 1")
         return confidence
@@ -279,21 +290,3 @@ class Bundle:
         except InputError as error:
             raise BundleIntegrityError("the golden case does not fit its bundle", got=str(error)) from error
         case.compare(encoding.mu, encoding.sigma, answer.samples, answer.confidence)
-
-
-def _optional(files: BundleFiles, name: str, inputs: set[str], outputs: set[str]) -> Graph | None:
-    model = files.contents.get(name)
-    return None if model is None else Graph(name, model, inputs, outputs)
-
-
-def _check_whole(name: str, graph: Graph | None, beside: str, described: bool) -> None:
-    if (graph is None) == described:
-        raise BundleIntegrityError(
-            f"the bundle's {name} and its description do not fit",
-            expected=f"{name} and {beside}, or neither",
-            got="one of them",
-        )
-
-
-def _chunked(run: Callable[[slice], NDArray[np.float32]], rows: int) -> NDArray[np.float32]:
-    return np.concatenate([run(slice(at, at + CHUNK_ROWS)) for at in range(0, rows, CHUNK_ROWS)])

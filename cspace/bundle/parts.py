@@ -9,6 +9,7 @@ from cspace.bundle.strict_json import StrictObject
 from cspace.errors import BundleIntegrityError
 
 DISTRIBUTIONS = ("uniform", "normal")
+MAX_NAME, MAX_AXES, MAX_SIZE = 64, 7, 4096
 RESERVED_INPUTS = ("", "latent", "image", "map", "start", "goal")
 
 
@@ -42,11 +43,13 @@ class RandomInput:
             fits = self.low is not None and self.high is not None and self.low < self.high
             fits = fits and math.isfinite(self.high or 0.0) and math.isfinite(self.low or 0.0)
         taken = self.name in RESERVED_INPUTS
-        if taken or not fits or any(size < 1 for size in self.shape):
+        sizes = len(self.shape) <= MAX_AXES and all(1 <= size <= MAX_SIZE for size in self.shape)
+        if taken or not fits or not sizes or len(self.name) > MAX_NAME:
             raise BundleIntegrityError(
                 "a random input of the bundle does not fit",
-                expected="a name of its own, a positive shape, finite low < high where uniform and none else",
-                got=repr(self),
+                expected="a short name of its own, a small positive shape, finite low < high where uniform "
+                "and none else",
+                got=repr(self)[:200],
             )
 
     def to_dict(self) -> dict[str, Any]:
@@ -119,4 +122,4 @@ class Provenance:
 def one_of(what: str, value: str, allowed: tuple[str, ...]) -> None:
     """Raise BundleIntegrityError unless ``value`` is one of ``allowed``."""
     if value not in allowed:
-        raise BundleIntegrityError(f"{what} is unknown", expected=" or ".join(allowed), got=repr(value))
+        raise BundleIntegrityError(f"{what} is unknown", expected=" or ".join(allowed), got=repr(value)[:200])

@@ -6,8 +6,13 @@ comes in time: its environment variable, unless the user has set it.
 """
 
 import os
+import re
 from functools import cache
 from typing import Any
+
+_LONGEST = 300
+# The folders of a path, of whatever kind; its last part stays.
+_FOLDERS = re.compile(r"(?:[A-Za-z]:)?(?:[\w.~+-]*[/\\])+")
 
 
 @cache
@@ -24,4 +29,10 @@ def onnx_errors() -> tuple[type[Exception], ...]:
     """What onnxruntime raises; its exceptions share no base below Exception."""
     state = vars(onnx_runtime().capi.onnxruntime_pybind11_state)
     kinds = [kind for kind in state.values() if isinstance(kind, type) and issubclass(kind, Exception)]
-    return (*kinds, RuntimeError, ValueError)
+    return (*kinds, RuntimeError, ValueError, MemoryError)
+
+
+def said(error: BaseException) -> str:
+    """What a library's error says, without folders of the machine and of a bounded length."""
+    text = str(error) or type(error).__name__
+    return _FOLDERS.sub("", text[: 4 * _LONGEST])[:_LONGEST]

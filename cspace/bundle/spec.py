@@ -1,6 +1,7 @@
 """What a bundle says about itself: the typed twin of ``bundle.json``, validated to the last key."""
 
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any
@@ -21,7 +22,11 @@ KINDS = ("configuration", "path")
 MODEL_KINDS = ("generator", "mixture")
 ENDPOINTS = ("start", "goal")
 PICTURE, MAP = "image", "map"
-MAX_PIXELS = 2048
+MIN_PIXELS, MAX_PIXELS = 16, 2048
+# What a request draws for one latent is at most so many numbers, and so is what it gets for one.
+MAX_PER_LATENT = 4096
+MAX_LATENT, MAX_JOINTS, MAX_RANDOM_INPUTS = 1024, 64, 16
+MAX_QUANTILES, MAX_SCORES = 1001, 16
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,10 +76,11 @@ class BundleSpec:
         names = [item.name for item in self.random_inputs]
         threshold, share, scale = self.confidence_threshold, self.uniform_share, self.standardisation
         wrong = [
-            "latent_dim" if self.latent_dim < 1 else "",
-            "samples_per_latent" if self.samples_per_latent < 1 else "",
-            "camera" if not 1 <= self.camera.pixels <= MAX_PIXELS else "",
-            "random_inputs" if len(set(names)) != len(names) else "",
+            "robot" if self.robot.dim > MAX_JOINTS else "",
+            "latent_dim" if not 1 <= self.latent_dim <= MAX_LATENT else "",
+            "samples_per_latent" if not 1 <= self.samples_per_latent * self.dim <= MAX_PER_LATENT else "",
+            "camera" if not MIN_PIXELS <= self.camera.pixels <= MAX_PIXELS else "",
+            "random_inputs" if len(set(names)) != len(names) or self._draws_too_much() else "",
             "confidence_threshold" if threshold is not None and not 0.0 <= threshold <= 1.0 else "",
             "uniform_share" if not 0.0 <= share < 1.0 or (share and self.kind == "path") else "",
             "novelty_quantiles" if not _rise(self.novelty_quantiles) else "",
@@ -83,10 +89,15 @@ class BundleSpec:
         if any(wrong):
             raise BundleIntegrityError(
                 "the bundle's description does not fit",
-                expected="positive sizes, different names, a threshold within 0..1, a share below 1, "
-                "rising quantiles",
-                got=", ".join(f"{name} = {getattr(self, name)!r}" for name in wrong if name),
+                expected=f"at most {MAX_JOINTS} joints, a latent of 1..{MAX_LATENT}, {MIN_PIXELS}.."
+                f"{MAX_PIXELS} pixels, at most {MAX_PER_LATENT} numbers drawn for a latent and given for it, "
+                "different names, a threshold within 0..1, a share below 1, rising quantiles",
+                got=", ".join(f"{name} = {getattr(self, name)!r}"[:200] for name in wrong if name),
             )
+
+    def _draws_too_much(self) -> bool:
+        drawn = sum(math.prod(item.shape) for item in self.random_inputs)
+        return drawn > MAX_PER_LATENT or len(self.random_inputs) > MAX_RANDOM_INPUTS
 
     @property
     def dim(self) -> int:
@@ -148,7 +159,7 @@ class BundleSpec:
             raise BundleIntegrityError(
                 "the bundle's description is not plain JSON",
                 expected="finite numbers, texts, lists and mappings",
-                got=str(error),
+                got=str(error)[:200],
                 remedy="convert arrays, paths and NaN before they enter the provenance",
             ) from error
         return text.encode() + b"\n"
@@ -181,9 +192,11 @@ class BundleSpec:
                 novelty_quantiles=None if absent else _quantiles(entry.get("novelty_quantiles")),
                 provenance=Provenance.from_dict(entry.get("provenance")),
             )
-        except ScenarioError as error:
+        except (ScenarioError, ValueError, TypeError, AttributeError) as error:
+            # Those that are none of the project's are of a robot whose numbers are no numbers.
+            expected = error.expected if isinstance(error, ScenarioError) else "numbers where numbers belong"
             raise BundleIntegrityError(
-                "the bundle's description does not fit", expected=error.expected, got=str(error)
+                "the bundle's description does not fit", expected=expected, got=str(error)[:200]
             ) from error
         for name in ("joint_space", "image", "conditions"):
             entry.must_be(name, spec.to_dict()[name])
@@ -216,7 +229,7 @@ def _version(values: object) -> int:
         raise BundleIntegrityError(
             "the bundle's schema is another",
             expected=f"schema_version {_FIRST} or {SCHEMA_VERSION}",
-            got=repr(version),
+            got=repr(version)[:200],
             remedy="use the release of cspace-sampler that wrote the bundle, or export it again",
         )
     return version
@@ -225,8 +238,13 @@ def _version(values: object) -> int:
 def _rise(quantiles: tuple[tuple[float, ...], ...] | None) -> bool:
     if quantiles is None:
         return True
+    if len(quantiles) > MAX_SCORES:
+        return False
     rows = [np.asarray(row, dtype=np.float64) for row in quantiles]
-    rising = (len(row) > 1 and np.isfinite(row).all() and (np.diff(row) >= 0.0).all() for row in rows)
+    rising = (
+        1 < len(row) <= MAX_QUANTILES and np.isfinite(row).all() and (np.diff(row) >= 0.0).all()
+        for row in rows
+    )
     return bool(rows) and all(rising)
 
 

@@ -7,23 +7,36 @@ from typing import Any
 
 from cspace.errors import BundleIntegrityError
 
+MAX_BYTES = 2**20
+MAX_DEPTH = 32
+# As seeds are unsigned.
+_LARGEST = 2**64 - 1
+_SHOWN = 200
+
 
 def parse_json(data: bytes) -> object:
-    """Strict JSON: UTF-8, no NaN or infinity, no key twice in one object.
+    """Strict JSON: UTF-8, no NaN or infinity, no key twice in one object, no more than people write.
 
     Raises:
-        BundleIntegrityError: the bytes are not that.
+        BundleIntegrityError: the bytes are not that, or too many, too deep or of too large numbers.
     """
     try:
-        return json.loads(
-            data.decode("utf-8"), parse_constant=_refuse_constant, object_pairs_hook=_unique_object
+        values: object = json.loads(
+            _bounded(data).decode("utf-8"),
+            parse_constant=_refuse_constant,
+            parse_int=_integer,
+            parse_float=_number,
+            object_pairs_hook=_unique_object,
         )
+        _check_depth(values)
     except (ValueError, RecursionError) as error:
         raise BundleIntegrityError(
             "the bundle's description is not JSON",
-            expected="UTF-8 JSON with finite numbers and unique keys",
-            got=str(error),
+            expected=f"UTF-8 JSON of at most {MAX_BYTES} bytes, {MAX_DEPTH} deep, with finite numbers of 64 "
+            "bits and unique keys",
+            got=str(error)[:_SHOWN],
         ) from error
+    return values
 
 
 class StrictObject:
@@ -47,7 +60,7 @@ class StrictObject:
             raise BundleIntegrityError(
                 f"{where} has other keys",
                 expected=f"exactly {sorted(keys)}",
-                got=f"missing {missing}, unknown {unknown}",
+                got=f"missing {missing}, unknown {unknown}"[:_SHOWN],
             )
         self._values: Mapping[str, Any] = values
 
@@ -124,11 +137,49 @@ class StrictObject:
 
     def _wrong(self, expected: str, got: object, key: str | None = None) -> BundleIntegrityError:
         place = self._where if key is None else f"{self._where}: {key}"
-        return BundleIntegrityError(f"{place} does not fit", expected=expected, got=repr(got)[:200])
+        return BundleIntegrityError(f"{place} does not fit", expected=expected, got=repr(got)[:_SHOWN])
 
 
 def _refuse_constant(name: str) -> float:
     raise ValueError(f"{name} is not JSON")
+
+
+def _bounded(data: bytes) -> bytes:
+    if len(data) > MAX_BYTES:
+        raise ValueError(f"{len(data)} bytes")
+    return data
+
+
+def _integer(text: str) -> int:
+    value = int(text) if len(text) <= len(str(-_LARGEST)) else _LARGEST + 1
+    if abs(value) > _LARGEST:
+        raise ValueError(f"{text[:_SHOWN]} has more than 64 bits")
+    return value
+
+
+def _number(text: str) -> float:
+    value = float(text)
+    if not math.isfinite(value):
+        raise ValueError(f"{text[:_SHOWN]} is not finite")
+    return value
+
+
+def _check_depth(values: object) -> None:
+    """Bounded nesting, so that nothing later recurses too deep; texts that can be written again."""
+    layer: list[object] = [values]
+    for _ in range(MAX_DEPTH + 1):
+        if not layer:
+            return
+        below: list[object] = []
+        for value in layer:
+            if isinstance(value, dict):
+                below += [*value, *value.values()]
+            elif isinstance(value, list):
+                below += value
+            elif isinstance(value, str):
+                value.encode()
+        layer = below
+    raise ValueError(f"nested more than {MAX_DEPTH} deep")
 
 
 def _unique_object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

@@ -60,13 +60,15 @@ def write_bundle(
     contents[GOLDEN_FILE] = case.to_npz()
     if folder.exists():
         raise StorageError(
-            "the bundle's folder exists", expected="a new folder", got=str(folder), remedy="choose another"
+            "the bundle's folder exists", expected="a new folder", got=folder.name, remedy="choose another"
         )
     try:
         _write_beside_and_rename(folder, {**contents, SUMS_FILE: sums_of(contents)})
     except OSError as error:
         raise StorageError(
-            "the bundle cannot be written", expected=f"room and rights at {folder}", got=str(error)
+            "the bundle cannot be written",
+            expected=f"room and rights where {folder.name} is to be",
+            got=error.strerror or type(error).__name__,
         ) from error
     return folder
 
