@@ -85,7 +85,7 @@ def folded(operator: str, inputs: Sequence[Value]) -> Value:
         return _broadcast(inputs, sizes)
     if operator == "Concat":
         return Value(sum(sizes), constant=True)
-    if operator in ("Gather", "MatMul"):
+    if operator in ("Gather", "MatMul") and len(sizes) == 2:
         return Value(sizes[0] * sizes[1], constant=True)
     asked = elements_asked_for(operator, inputs)
     return Value(asked, constant=True)

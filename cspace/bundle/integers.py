@@ -61,7 +61,7 @@ def is_natural(operator: str, inputs: Sequence[Value], kind: int | None) -> bool
 
 
 def is_apart(operator: str, inputs: Sequence[Value], kind: int | None) -> bool:
-    """Whether a node's output is surely not negative, or far below: the highest of nothing, or a sum too large.
+    """Whether a node's output is surely not negative, or far below: the highest of nothing, a sum too large.
 
     A small number more leaves it so, as often as a run can add one.
     """

@@ -1,0 +1,295 @@
+"""Encoder graphs as somebody would write them who wants more from a bundle than an answer."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import onnx
+from onnx import TensorProto, helper, numpy_helper
+
+from tests.bundles import LATENT, PIXELS
+
+BESIDE = "beside.bin"
+FLOAT, INT64, BOOL = TensorProto.FLOAT, TensorProto.INT64, TensorProto.BOOL
+node = helper.make_node
+value = helper.make_tensor_value_info
+
+
+def varint(number: int) -> bytes:
+    data = b""
+    while number > 0x7F:
+        data, number = data + bytes([number & 0x7F | 0x80]), number >> 7
+    return data + bytes([number])
+
+
+def field(number: int, payload: bytes | int) -> bytes:
+    """One field of a protobuf message."""
+    if isinstance(payload, int):
+        return varint(number << 3) + varint(payload)
+    return varint(number << 3 | 2) + varint(len(payload)) + payload
+
+
+def external(name: str = "weights") -> bytes:
+    """A tensor of (3, L) float32 outside of the bundle, its entry's value before its key."""
+    entry = field(2, BESIDE.encode()) + field(1, b"location")
+    dims = field(1, 3) + field(1, LATENT)
+    return dims + field(2, FLOAT) + field(8, name.encode()) + field(13, entry) + field(14, 1)
+
+
+def graph(nodes: Sequence[Any], constants: Mapping[str, Any] | None = None) -> onnx.GraphProto:
+    """An encoder's graph from nodes or constants that give ``mu`` or a ``number`` to add to it."""
+    given = {name for each in nodes for name in each.output}
+    ends = [node("Sigmoid", ["mu"], ["sigma"])]
+    if "mu" not in given:
+        ends = [
+            node("GlobalAveragePool", ["image"], ["pooled"]),
+            node("Flatten", ["pooled"], ["flat"]),
+            node("MatMul", ["flat", "weights"], ["plain"]),
+            node("ReduceMax", ["number"], ["largest"], keepdims=0),
+            node("Add", ["plain", "largest"], ["mu"]),
+            *ends,
+        ]
+    constants = {"weights": np.ones((3, LATENT), np.float32), **(constants or {})}
+    if "weights" in given:
+        del constants["weights"]
+    sizes = {"mu": ("b", LATENT), "sigma": ("b", LATENT)}
+    return helper.make_graph(
+        [*nodes, *ends],
+        "encoder",
+        [value("image", FLOAT, ("b", 3, PIXELS, PIXELS))],
+        [value(name, FLOAT, size) for name, size in sizes.items()],
+        [numpy_helper.from_array(np.asarray(array), name) for name, array in constants.items()],
+    )
+
+
+def model(whole: onnx.GraphProto, functions: Sequence[Any] = (), domains: Sequence[str] = ()) -> bytes:
+    """The bytes of an encoder."""
+    opsets = [helper.make_opsetid("", 18), *(helper.make_opsetid(domain, 1) for domain in domains)]
+    made = helper.make_model(whole, opset_imports=opsets, ir_version=10, functions=list(functions))
+    return bytes(made.SerializeToString())
+
+
+def with_raw(whole: bytes, number: int, payload: bytes) -> bytes:
+    """A model whose graph has one more field, whose bytes stay as they are."""
+    made = onnx.load_from_string(whole)
+    inner = made.graph.SerializeToString() + field(number, payload)
+    made.ClearField("graph")
+    return bytes(made.SerializeToString()) + field(7, inner)
+
+
+def loop(turns: Any, body_nodes: Sequence[Any] = (), after: Sequence[Any] = ()) -> list[Any]:
+    """A loop over ``x`` of so many turns, a name or "" for none."""
+    body = helper.make_graph(
+        [*body_nodes, node("Identity", ["go"], ["on"]), node("Sin", ["x"], ["next_x"])],
+        "body",
+        [value("i", INT64, ()), value("go", BOOL, ()), value("x", FLOAT, (1,))],
+        [value("on", BOOL, ()), value("next_x", FLOAT, (1,))],
+    )
+    return [node("Loop", [turns, "true", "begin"], ["number"], body=body), *after]
+
+
+LOOPED = {"true": np.ones((), bool), "begin": np.ones(1, np.float32)}
+
+
+def in_an_initializer() -> bytes:
+    whole = graph([], {"number": np.float32(0.0)})
+    del whole.initializer[0]
+    return with_raw(model(whole), 5, external())
+
+
+def constant_node(output: str) -> bytes:
+    """A Constant whose tensor lies outside."""
+    attribute = field(1, b"value") + field(5, external("")) + field(20, onnx.AttributeProto.TENSOR)
+    return field(2, output.encode()) + field(4, b"Constant") + field(5, attribute)
+
+
+def in_a_constant() -> bytes:
+    whole = graph([], {"number": np.float32(0.0)})
+    del whole.initializer[0]
+    nodes = b"".join(field(1, each.SerializeToString()) for each in whole.node)
+    del whole.node[:]
+    inner = field(1, constant_node("weights")) + nodes + whole.SerializeToString()
+    made = onnx.load_from_string(model(helper.make_graph([], "none", [], [])))
+    made.ClearField("graph")
+    return bytes(made.SerializeToString()) + field(7, inner)
+
+
+def in_a_loops_body() -> bytes:
+    """An initializer of the body outside of the bundle."""
+    whole = graph(loop("turns"), {**LOOPED, "turns": np.int64(2)})
+    (at,) = [index for index, each in enumerate(whole.node) if each.op_type == "Loop"]
+    looped = whole.node[at]
+    inner = looped.attribute[0].g.SerializeToString() + field(5, external("unused"))
+    del looped.attribute[:]
+    attribute = field(1, b"body") + field(6, inner) + field(20, onnx.AttributeProto.GRAPH)
+    raw = looped.SerializeToString() + field(5, attribute)
+    nodes = [each.SerializeToString() for each in whole.node]
+    nodes[at] = raw
+    del whole.node[:]
+    inner = b"".join(field(1, each) for each in nodes) + whole.SerializeToString()
+    made = onnx.load_from_string(model(helper.make_graph([], "none", [], [])))
+    made.ClearField("graph")
+    return bytes(made.SerializeToString()) + field(7, inner)
+
+
+def in_a_sparse_initializer() -> bytes:
+    return with_raw(model(graph([], {"number": np.float32(0.0)})), 15, field(1, external("sparse")))
+
+
+def in_a_function() -> bytes:
+    """A function of the model's own whose constant lies outside."""
+    function = field(1, b"outside") + field(5, b"weights") + field(7, constant_node("weights"))
+    function += field(9, helper.make_opsetid("", 18).SerializeToString()) + field(10, b"local")
+    called = node("outside", [], ["weights"], domain="local")
+    return model(graph([called], {"number": np.float32(0.0)}), domains=["local"]) + field(25, function)
+
+
+def endless(turns: int = 2**62) -> bytes:
+    return model(graph(loop("turns"), {**LOOPED, "turns": np.int64(turns)}))
+
+
+def endless_by_condition() -> bytes:
+    return model(graph(loop(""), LOOPED))
+
+
+def endless_by_a_computed_number() -> bytes:
+    """A number of turns that the graph computes."""
+    counted = [
+        node("Size", ["image"], ["size"]),
+        node("Mul", ["size", "size"], ["square"]),
+        node("Mul", ["square", "size"], ["turns"]),
+    ]
+    return model(graph([*counted, *loop("turns")], LOOPED))
+
+
+def nested(turns: int = 5_000) -> bytes:
+    """Loops within a loop, each short enough by itself."""
+    inner = loop("turns")[0]
+    within = helper.make_graph(
+        [inner, node("Identity", ["outer_go"], ["outer_on"]), node("Add", ["number", "z"], ["next_z"])],
+        "outer",
+        [value("j", INT64, ()), value("outer_go", BOOL, ()), value("z", FLOAT, (1,))],
+        [value("outer_on", BOOL, ()), value("next_z", FLOAT, (1,))],
+    )
+    nodes = [
+        node("Loop", ["turns", "true", "begin"], ["all"], body=within),
+        node("GlobalAveragePool", ["image"], ["pooled"]),
+        node("Flatten", ["pooled"], ["flat"]),
+        node("MatMul", ["flat", "weights"], ["plain"]),
+        node("Add", ["plain", "all"], ["mu"]),
+    ]
+    return model(graph(nodes, {**LOOPED, "turns": np.int64(turns)}))
+
+
+def endless_in_a_function() -> bytes:
+    opsets = [helper.make_opsetid("", 18)]
+    function = helper.make_function(
+        "local", "endless", ["turns", "true", "begin"], ["number"], loop("turns"), opsets
+    )
+    called = node("endless", ["turns", "true", "begin"], ["number"], domain="local")
+    constants = {**LOOPED, "turns": np.int64(2**62)}
+    return model(graph([called], constants), [function], ["local"])
+
+
+def recursive() -> bytes:
+    """Two functions that call each other."""
+    opsets = [helper.make_opsetid("", 18), helper.make_opsetid("local", 1)]
+    functions = [
+        helper.make_function("local", one, ["a"], ["b"], [node(other, ["a"], ["b"], domain="local")], opsets)
+        for one, other in (("f", "g"), ("g", "f"))
+    ]
+    called = node("f", ["begin"], ["number"], domain="local")
+    return model(graph([called], LOOPED), functions, ["local"])
+
+
+def of_another_domain() -> bytes:
+    called = node("Inverse", ["square"], ["number"], domain="com.microsoft")
+    return model(graph([called], {"square": np.eye(2, dtype=np.float32)}), domains=["com.microsoft"])
+
+
+def random() -> bytes:
+    return model(graph([node("RandomNormal", [], ["number"], shape=[1])]))
+
+
+def branch() -> bytes:
+    """An If; nothing in the project needs one."""
+    arm = helper.make_graph([node("Sin", ["begin"], ["r"])], "arm", [], [value("r", FLOAT, (1,))])
+    return model(graph([node("If", ["true"], ["number"], then_branch=arm, else_branch=arm)], LOOPED))
+
+
+def huge(operator: str) -> bytes:
+    """2^40 elements that a short graph asks for."""
+    shape = np.array([2**20, 2**20])
+    nodes = {
+        "ConstantOfShape": [node("ConstantOfShape", ["shape"], ["number"])],
+        "Expand": [node("Expand", ["begin", "shape"], ["number"])],
+        "Tile": [
+            node("Reshape", ["begin", "ones"], ["square"]),
+            node("Tile", ["square", "shape"], ["number"]),
+        ],
+        "Range": [
+            node("Range", ["none", "many", "step"], ["range"]),
+            node("Cast", ["range"], ["number"], to=FLOAT),
+        ],
+    }[operator]
+    ranged = {"none": np.int64(0), "many": np.int64(2**40), "step": np.int64(1)}
+    constants = {**LOOPED, "shape": shape, "ones": np.array([1, 1]), **ranged}
+    return model(graph(nodes, constants))
+
+
+def slow_to_open(side: int = 1500, products: int = 200) -> bytes:
+    """Products of constants, which onnxruntime computes while it opens a graph."""
+    nodes = [node("Expand", ["begin", "shape"], ["m0"])]
+    nodes += [node("MatMul", [f"m{index}", "m0"], [f"m{index + 1}"]) for index in range(products)]
+    nodes += [node("ReduceMax", [f"m{products}"], ["number"], keepdims=0)]
+    constants = {"begin": np.float32(1e-4), "shape": np.array([side, side])}
+    return model(graph(nodes, constants))
+
+
+def slow_to_open_in_a_loop() -> bytes:
+    """The same within a loop that is never entered, where no trial would come by."""
+    body = [node("Expand", ["small", "shape"], ["m0"])]
+    body += [node("MatMul", [f"m{index}", "m0"], [f"m{index + 1}"]) for index in range(200)]
+    constants = {**LOOPED, "turns": np.int64(0), "small": np.float32(1e-4), "shape": np.array([1500, 1500])}
+    return model(graph(loop("turns", body), constants))
+
+
+def dividing(operator: str, divisor: str = "minus") -> bytes:
+    """The smallest integer by -1; the divisor may be a constant or computed."""
+    nodes = [
+        node("Neg", ["one"], ["computed"]),
+        node(operator, ["smallest", divisor], ["quotient"]),
+        node("Cast", ["quotient"], ["number"], to=FLOAT),
+    ]
+    constants = {"smallest": np.array([-(2**63)]), "minus": np.array([-1]), "one": np.array([1])}
+    return model(graph(nodes, constants))
+
+
+def no_group() -> bytes:
+    """A convolution in no group at all."""
+    kernel = np.ones((3, 1, 3, 3), np.float32)
+    return model(graph([node("ConvTranspose", ["image", "kernel"], ["number"], group=0)], {"kernel": kernel}))
+
+
+def wrong_size(size: int) -> bytes:
+    """Weights of another size than their bytes."""
+    made = onnx.load_from_string(model(graph([], {"number": np.float32(0.0)})))
+    made.graph.initializer[0].dims[1] = size
+    return bytes(made.SerializeToString())
+
+
+def deep(levels: int = 12) -> bytes:
+    """Loops within loops."""
+    inner: Any = helper.make_graph([], "inner", [], [])
+    for _ in range(levels):
+        inner = helper.make_graph([node("Loop", ["t", "c"], [], body=inner)], "g", [], [])
+    whole = graph(list(inner.node), {"number": np.float32(0.0), "t": np.int64(1), "c": np.ones((), bool)})
+    return model(whole)
+
+
+def trained() -> bytes:
+    return model(graph([], {"number": np.float32(0.0)})) + field(20, field(1, b""))
+
+
+def plain() -> bytes:
+    return model(graph([], {"number": np.float32(0.0)}))

@@ -1,0 +1,137 @@
+"""Runs that do not end, and what may happen between the parts of those that do."""
+
+import os
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cspace.bundle import Bundle
+from cspace.bundle.chunks import CHUNK_ROWS
+from cspace.bundle.deadlines import Deadlines
+from cspace.bundle.golden import GoldenCase
+from cspace.bundle.graphs import Graph
+from cspace.errors import BundleError, GoldenMismatchError
+from tests.bundles import PIXELS, picture, write_tiny_bundle
+from tests.cspace import hostile_graphs as hostile
+from tests.cspace.test_bundle_integrity import resign
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    return write_tiny_bundle(tmp_path / "bundle", validity=True)
+
+
+def slow_graph(limit_s: float) -> Graph:
+    """As many turns as a graph may take, each over a large tensor: minutes."""
+    nodes = hostile.loop("turns", [hostile.node("MatMul", ["large", "large"], ["product"])])
+    constants = {**hostile.LOOPED, "turns": np.int64(10_000), "large": np.ones((300, 300), np.float32)}
+    whole = hostile.model(hostile.graph(nodes, constants))
+    return Graph("encoder.onnx", whole, {"image"}, {"mu", "sigma"}, limit_s)
+
+
+def run(graph: Graph) -> object:
+    image = np.zeros((1, 3, PIXELS, PIXELS), np.float32)
+    return graph.run({"image": image}, {"mu": (1, 4), "sigma": (1, 4)})
+
+
+@pytest.mark.timeout(20)
+def test_a_run_that_does_not_end_is_ended_and_nothing_is_printed(capfd: pytest.CaptureFixture[str]) -> None:
+    graph = slow_graph(limit_s=0.3)
+    began = time.monotonic()
+    with pytest.raises(BundleError, match="did not end in time"):
+        run(graph)
+    assert time.monotonic() - began < 5.0
+    assert capfd.readouterr() == ("", "")
+
+
+def test_a_run_that_was_ended_leaves_the_graph_as_it_was(folder: Path) -> None:
+    bundle = Bundle.load(folder, run_limit_s=10.0)
+    before = bundle.sample(picture(), 20, 1).samples
+    with pytest.raises(BundleError, match="did not end"):
+        run(slow_graph(limit_s=0.1))
+    assert before.tobytes() == bundle.sample(picture(), 20, 1).samples.tobytes()
+
+
+def test_what_ends_in_time_is_not_ended() -> None:
+    deadlines, ended = Deadlines(), []
+    with deadlines.ended_by(0.05, lambda: ended.append("late")):
+        pass
+    deadlines.begin("slow", 0.01, lambda: ended.append("slow"))
+    give_up = time.monotonic() + 10.0
+    while not ended and time.monotonic() < give_up:
+        time.sleep(0.01)
+    assert ended == ["slow"]
+    assert deadlines._ends == {}
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="needs fork")
+@pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")
+def test_a_child_process_has_its_own_watch() -> None:
+    deadlines = Deadlines()
+    deadlines.begin("parent", 60.0, lambda: None)
+    child = os.fork()
+    if child == 0:
+        ended: list[int] = []
+        deadlines.begin("child", 0.01, lambda: ended.append(1))
+        give_up = time.monotonic() + 5.0
+        while not ended and time.monotonic() < give_up:
+            time.sleep(0.01)
+        os._exit(0 if ended else 1)
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
+    deadlines.done("parent")
+
+
+class StopError(Exception):
+    pass
+
+
+def test_between_is_never_called_for_a_request_of_one_part(folder: Path) -> None:
+    def never() -> None:
+        raise StopError
+
+    bundle = Bundle.load(folder)
+    for n in (1, 300, CHUNK_ROWS):
+        assert len(bundle.sample(picture(), n, 1, between=never).samples) == n
+
+
+def test_between_is_called_between_the_parts_of_generator_and_head(folder: Path) -> None:
+    bundle, calls = Bundle.load(folder), []
+    n = 3 * CHUNK_ROWS + 1
+    found = bundle.sample(picture(), n, 1, between=lambda: calls.append(1))
+    assert len(calls) == 6
+    assert found.samples.tobytes() == bundle.sample(picture(), n, 1).samples.tobytes()
+
+
+def test_between_is_called_between_the_turns_of_a_filtered_request(folder: Path) -> None:
+    bundle, calls = Bundle.load(folder), []
+    found = bundle.sample(picture(), 100, 1, min_confidence=0.7, between=lambda: calls.append(1))
+    assert calls
+    assert found.samples.tobytes() == bundle.sample(picture(), 100, 1, min_confidence=0.7).samples.tobytes()
+
+
+@pytest.mark.parametrize("request_", [{"n": CHUNK_ROWS + 1}, {"n": 100, "min_confidence": 0.99}])
+def test_what_between_raises_passes_through(folder: Path, request_: dict[str, float]) -> None:
+    def stop() -> None:
+        raise StopError
+
+    with pytest.raises(StopError):
+        Bundle.load(folder).sample(picture(), seed=1, between=stop, **request_)  # type: ignore[arg-type]
+
+
+def test_without_a_replay_all_but_the_golden_case_is_checked(folder: Path) -> None:
+    case = GoldenCase.from_npz((folder / "golden.npz").read_bytes())
+    other = GoldenCase(**{name: getattr(case, name) for name in case.__slots__} | {"mu": case.mu + 1.0})
+    (folder / "golden.npz").write_bytes(other.to_npz())
+    resign(folder)
+    with pytest.raises(GoldenMismatchError):
+        Bundle.load(folder)
+    assert Bundle.load(folder, replay=False).has_validity
+    (folder / "encoder.onnx").write_bytes(hostile.endless())
+    with pytest.raises(BundleError, match="changed"):
+        Bundle.load(folder, replay=False)
+    resign(folder)
+    with pytest.raises(BundleError, match="Loop"):
+        Bundle.load(folder, replay=False)
