@@ -110,12 +110,6 @@ def _prepare(settings: ApiSettings, host: str) -> None:
         os.environ[HOSTS] = ",".join(dict.fromkeys((*settings.protection.hosts, bracketed(host))))
     # One BLAS thread; two on two busy cores are an order of magnitude slower.
     os.environ.setdefault("OMP_NUM_THREADS", "1")
-    os.environ.setdefault("MLFLOW_ENABLE_ARTIFACTS_PROGRESS_BAR", "false")
-    if settings.registry_uri is not None:
-        # Not above, for it brings MLflow with it, and an API without a registry does without.
-        from services.registry.mlflow_health import lower_patience  # noqa: PLC0415
-
-        lower_patience(os.environ)
     for number in (signal.SIGINT, signal.SIGTERM):
         # The server shuts down, then raises the signal again; without this that would look like a crash.
         signal.signal(number, lambda *_: sys.exit(0))

@@ -1,16 +1,16 @@
 """The application: settings in, a FastAPI app out; models are loaded when it starts, not when it is made."""
 
-import asyncio
-import logging
 from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager, suppress
+from contextlib import asynccontextmanager
 from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 
-import anyio
 from anyio import to_thread
 from fastapi import FastAPI
 
+from inference_api.apart.disk import DiskCache
+from inference_api.apart.parts import parts_apart, parts_here
+from inference_api.apart.polling import following
 from inference_api.bundle_cache import BundleCache
 from inference_api.docs_page import add_docs_page
 from inference_api.guards.headers import SecurityHeaders
@@ -33,7 +33,6 @@ from inference_api.telemetry.tracing import TracedObserver, add_tracing, otlp_pr
 from inference_api.turns import Turns
 from services.registry.models import ModelRegistry
 
-_LOG = logging.getLogger(__name__)
 # Long enough for a registry nearby, short enough for a health check's patience.
 FIRST_LOOK_S = 20.0
 
@@ -58,16 +57,8 @@ def create_app(settings: ApiSettings | None = None, registry: ModelRegistry | No
         few_arenas()
         app.state.store = store
         app.state.turns = Turns(settings.threads, app.state.metrics.waiting)
-        await to_thread.run_sync(store.load_shipped)
-        looked = asyncio.Event()
-        poll = asyncio.create_task(_poll(store, settings.poll_s, looked))
-        # Else the shipped model would answer the first requests although there is a champion.
-        with anyio.move_on_after(FIRST_LOOK_S):
-            await looked.wait()
-        yield
-        poll.cancel()
-        with suppress(asyncio.CancelledError):
-            await poll
+        async with following(store, settings.poll_s, FIRST_LOOK_S):
+            yield
         if app.state.traces is not None:
             # Sends what is still waiting.
             await to_thread.run_sync(app.state.traces.shutdown)
@@ -104,30 +95,18 @@ def _default_model(store: ModelStore) -> ModelInfo | None:
 
 
 def _make_store(settings: ApiSettings, registry: ModelRegistry | None) -> ModelStore:
-    if registry is None and settings.registry_uri is not None:
-        # MLflow takes seconds to import, and an API without a registry does without.
-        from services.registry.mlflow_registry import MlflowRegistry  # noqa: PLC0415
-
-        registry = MlflowRegistry(settings.registry_uri)
-    cache = BundleCache(settings.cache_folder, settings.loaded_bundles, settings.stored_bundles)
+    disk = DiskCache(settings.cache_folder, settings.stored_bundles)
+    parts = parts_here(disk, registry) if registry is not None else parts_apart(disk, settings.registry_uri)
+    cache = BundleCache(disk, parts.near, parts.far, settings.loaded_bundles)
     return ModelStore(
-        registry,
+        parts.registry,
         cache,
         settings.pretrained_folder,
         settings.model_name,
         settings.poll_s,
         pictures=PictureCache(settings.cached_pictures),
+        children=parts.children,
     )
-
-
-async def _poll(store: ModelStore, poll_s: float, looked: asyncio.Event) -> None:
-    while True:
-        try:
-            await to_thread.run_sync(store.refresh)
-        except Exception:  # noqa: BLE001 - a loop that has ended would never serve another promotion
-            _LOG.exception("looking the champion up failed")
-        looked.set()
-        await anyio.sleep(poll_s)
 
 
 def _version() -> str:

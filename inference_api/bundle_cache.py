@@ -1,172 +1,216 @@
-"""Downloaded bundles: on disk for the next start and for when the registry is away, in memory for use.
+"""Bundles in memory by version, and how a version gets there: downloaded, verified apart, then opened here.
 
-A version lies at ``<cache>/<name>/<number>-<digest>/`` with its bundle and ``version.json``. The digest is
-part of the name because a registry that was set up anew counts its versions from 1 again.
+A version is loaded once however many ask for it. What has to be downloaded waits in another lane than what
+is on disk, so that a slow registry does not delay the latter. What could not be loaded is not tried again
+at once, for whoever names it could keep a lane busy with it.
 """
 
-import re
-import shutil
-import tempfile
+import math
+import time
 from collections import OrderedDict
-from contextlib import suppress
+from collections.abc import Callable
+from concurrent.futures import Future
+from functools import partial
 from pathlib import Path
 from threading import Lock
 
 from cspace.bundle import Bundle
-from cspace.errors import BundleError, BundleIntegrityError, StorageError
-from inference_api.version_files import read_version, write_version
-from services.registry.models import ModelRegistry, ModelVersion
+from cspace.errors import BundleError, CspaceError
+from inference_api.apart.disk import DiskCache
+from inference_api.apart.lanes import Lane
+from inference_api.apart.loading import BundleLoader, NotVerifiedError, check_digest
+from inference_api.apart.remembered import Remembered
+from services.registry.models import ModelVersion
 
-_BUNDLE = "bundle"
-_VERSION = "version.json"
-_CHAMPION = "champion.json"
-_DIGEST = re.compile(r"[0-9a-f]{64}")
+# A bundle that was refused is tried again, but not for every request.
+RETRY_S = 15.0
+# As what failed for another reason, which may be over soon.
+SOON_S = 2.0
+# A version may vanish between two steps, while other processes prune the cache.
+ATTEMPTS = 5
+_REMEMBERED = 1024
+Key = tuple[str, int, str]
+
+
+class NotLoadedYetError(CspaceError):
+    """The bundle is on its way."""
 
 
 class BundleCache:
     """Bundles by version; safe to share between threads.
 
     Args:
-        folder: the cache on disk; made when first needed.
+        disk: where downloaded versions are.
+        near: verifies what is on disk already.
+        far: downloads and verifies the rest.
         capacity: bundles kept in memory, the least recently used dropped first.
-        stored: versions of each model kept on disk, likewise, beside its last champion; at least 1.
+        clock: seconds, monotonic.
     """
 
-    def __init__(self, folder: Path, capacity: int, stored: int = 20) -> None:
-        self._folder = folder
+    def __init__(
+        self,
+        disk: DiskCache,
+        near: BundleLoader,
+        far: BundleLoader,
+        capacity: int,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.disk = disk
+        self._near, self._far = near, far
         self._capacity = capacity
-        self._stored = stored
-        self._loaded: OrderedDict[tuple[str, int, str], Bundle] = OrderedDict()
+        self._loaded: OrderedDict[Key, Bundle] = OrderedDict()
+        self._pending: dict[Key, Future[Bundle]] = {}
+        self._failed: Remembered[Key, CspaceError] = Remembered(_REMEMBERED, clock)
+        # By digest: equal sums are equal bytes, so what was verified once need not be again.
+        self._verified: Remembered[str, str] = Remembered(_REMEMBERED, clock)
         self._lock = Lock()
-        self._loading = Lock()
+        self._near_lane, self._far_lane = Lane("near"), Lane("far")
 
-    def get(self, version: ModelVersion, registry: ModelRegistry) -> Bundle:
-        """The version's bundle from memory, disk or the registry, whichever has it first.
-
-        Raises:
-            BundleError: the bundle is refused.
-            RegistryError: it has to be downloaded and can not.
-            StorageError: the cache cannot be written.
-        """
-        key = (version.name, version.number, version.digest)
-        bundle = self._in_memory(key)
-        if bundle is not None:
-            return bundle
-        with self._loading:
-            bundle = self._in_memory(key) or self._load(version, registry)
-            with self._lock:
-                self._loaded[key] = bundle
-                while len(self._loaded) > self._capacity:
-                    self._loaded.popitem(last=False)
-        return bundle
-
-    def is_loaded(self, version: ModelVersion) -> bool:
-        """Whether the version is in memory."""
-        with self._lock:
-            return (version.name, version.number, version.digest) in self._loaded
-
-    def stored(self, name: str) -> list[ModelVersion]:
-        """Versions of a model that are on disk, oldest first."""
-        found = [read_version(path) for path in self._folder.glob(f"{name}/*/{_VERSION}")]
-        return sorted((version for version in found if version), key=lambda version: version.created_ms)
-
-    def last_champion(self, name: str) -> ModelVersion | None:
-        """The champion of a model when the registry was last there."""
-        return read_version(self._folder / name / _CHAMPION)
-
-    def remember_champion(self, version: ModelVersion) -> None:
-        """Keep a version as the last known champion of its model.
-
-        Raises:
-            StorageError: the cache cannot be written.
-        """
-        try:
-            write_version(self._folder / version.name / _CHAMPION, version)
-        except OSError as error:
-            raise _not_writable(self._folder, error) from error
-
-    def _in_memory(self, key: tuple[str, int, str]) -> Bundle | None:
+    def peek(self, version: ModelVersion) -> Bundle | None:
+        """The version's bundle if it is in memory."""
+        key = key_of(version)
         with self._lock:
             if key in self._loaded:
                 self._loaded.move_to_end(key)
             return self._loaded.get(key)
 
-    def _load(self, version: ModelVersion, registry: ModelRegistry) -> Bundle:
-        place = self._place(version)
-        if (place / _BUNDLE).is_dir():
-            try:
-                bundle = _checked(Bundle.load(place / _BUNDLE), version)
-            except BundleError:
-                # A damaged copy is fetched anew.
-                shutil.rmtree(place, ignore_errors=True)
-            else:
-                # Its time tells when it was used last; a cache that is read only keeps the old one.
-                with suppress(OSError):
-                    (place / _VERSION).touch()
-                return bundle
+    def start(self, version: ModelVersion, *, first: bool = False) -> Future[Bundle]:
+        """The version's bundle, now or later: this waits for nothing.
+
+        Args:
+            version: which.
+            first: before all others that wait.
+
+        Returns:
+            What raises BundleError for a bundle that is refused, RegistryError for one that cannot be
+            downloaded, StorageError for a cache that cannot be written, and NotLoadedYetError if too many
+            wait already.
+        """
+        key = key_of(version)
+        bundle, failed = self.peek(version), self._failed.get(key)
+        if bundle is not None or failed is not None:
+            return _done(bundle, failed)
+        with self._lock:
+            if key in self._pending:
+                return self._pending[key]
+            future = self._pending[key] = Future[Bundle]()
         try:
-            self._download(version, registry, place)
-        except OSError as error:
-            raise _not_writable(self._folder, error) from error
+            is_near = self.disk.holds(version)
+        except (CspaceError, OSError):
+            # The lane comes by the same error and tells it.
+            is_near = True
+        lane, load = (self._near_lane, self._load_near) if is_near else (self._far_lane, self._load_far)
+        if not lane.put(partial(self._settle, version, future, load), first=first):
+            self._finish(key, future, None, _too_many())
+        return future
+
+    def get(self, version: ModelVersion, wait_s: float) -> Bundle:
+        """The version's bundle, waited for.
+
+        Args:
+            version: which.
+            wait_s: for how long, at most.
+
+        Raises:
+            NotLoadedYetError: it takes longer.
+            CspaceError: as :meth:`start` has it.
+        """
         try:
-            bundle = _checked(Bundle.load(place / _BUNDLE), version)
+            return self.start(version).result(wait_s)
+        except TimeoutError:
+            raise NotLoadedYetError(
+                f"{version.name}/{version.number} is still being fetched", remedy="ask again in some seconds"
+            ) from None
+
+    def is_loaded(self, version: ModelVersion) -> bool:
+        """Whether the version is in memory."""
+        with self._lock:
+            return key_of(version) in self._loaded
+
+    def _settle(
+        self,
+        version: ModelVersion,
+        future: Future[Bundle],
+        load: Callable[[ModelVersion], Bundle | None],
+    ) -> None:
+        bundle, error = None, None
+        try:
+            bundle = load(version)
+        except CspaceError as caught:
+            error = caught
+        except Exception as caught:  # noqa: BLE001 - whoever waits has to be told, and the lane goes on
+            error = NotVerifiedError("a model could not be loaded", got=type(caught).__name__)
+        if bundle is None and error is None:
+            self._far_lane.put(partial(self._settle, version, future, self._load_far), first=True)
+            return
+        self._finish(key_of(version), future, bundle, error)
+
+    def _finish(
+        self, key: Key, future: Future[Bundle], bundle: Bundle | None, error: CspaceError | None
+    ) -> None:
+        if error is not None and not isinstance(error, NotLoadedYetError):
+            self._failed.put(key, error, RETRY_S if isinstance(error, BundleError) else SOON_S)
+        with self._lock:
+            self._pending.pop(key, None)
+            if bundle is not None:
+                self._loaded[key] = bundle
+                while len(self._loaded) > self._capacity:
+                    self._loaded.popitem(last=False)
+        if bundle is not None:
+            future.set_result(bundle)
+        else:
+            future.set_exception(error)
+
+    def _load_near(self, version: ModelVersion) -> Bundle | None:
+        """None for a copy that is damaged, which is not there any more then."""
+        try:
+            return self._open(version, self._near)
         except BundleError:
-            shutil.rmtree(place, ignore_errors=True)
-            raise
-        self._prune(version.name, place)
+            # Raises for a version that cannot be in the cache at all.
+            self.disk.remove(version)
+            return None
+
+    def _load_far(self, version: ModelVersion) -> Bundle:
+        for attempt in range(ATTEMPTS):
+            self._far.download(version)
+            try:
+                return self._open(version, self._far)
+            except BundleError:
+                has_vanished = not self.disk.holds(version)
+                if not has_vanished:
+                    self.disk.remove(version)
+                if not has_vanished or attempt == ATTEMPTS - 1:
+                    raise
+        raise AssertionError("unreachable")
+
+    def _open(self, version: ModelVersion, loader: BundleLoader) -> Bundle:
+        if self._verified.get(version.digest) is None:
+            loader.verify(version)
+        bundle = open_verified(self.disk.bundle(version))
+        check_digest(bundle.digest, version)
+        self._verified.put(version.digest, version.name, math.inf)
+        self.disk.touch(version)
         return bundle
 
-    def _prune(self, name: str, newest: Path) -> None:
-        """Delete the versions of a model that were not used for longest, beyond those that are kept."""
-        champion = self.last_champion(name)
-        safe = {newest} if champion is None else {newest, self._place(champion)}
-        with suppress(OSError):
-            found = sorted(
-                self._folder.glob(f"{name}/*/{_VERSION}"),
-                key=lambda path: path.stat().st_mtime_ns,
-                reverse=True,
-            )
-            for path in found[self._stored :]:
-                if path.parent not in safe:
-                    shutil.rmtree(path.parent, ignore_errors=True)
 
-    def _download(self, version: ModelVersion, registry: ModelRegistry, place: Path) -> None:
-        place.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(prefix=".download-", dir=place.parent) as temporary:
-            beside = Path(temporary)
-            got = registry.download(version, beside / "download")
-            whole = beside / "whole"
-            whole.mkdir()
-            got.rename(whole / _BUNDLE)
-            write_version(whole / _VERSION, version)
-            if not place.exists():
-                whole.rename(place)
-
-    def _place(self, version: ModelVersion) -> Path:
-        if _DIGEST.fullmatch(version.digest) is None:
-            raise BundleIntegrityError(
-                f"{version.name}/{version.number} was registered without a digest",
-                expected="64 hexadecimal digits",
-                got=repr(version.digest)[:100],
-                remedy="register the bundle again",
-            )
-        return self._folder / version.name / f"{version.number}-{version.digest[:16]}"
+def open_verified(folder: Path) -> Bundle:
+    """A bundle whose golden case was replayed elsewhere."""
+    return Bundle.load(folder)
 
 
-def _checked(bundle: Bundle, version: ModelVersion) -> Bundle:
-    if version.digest != bundle.digest:
-        raise BundleIntegrityError(
-            f"the bundle of {version.name}/{version.number} is not the one that was registered",
-            expected=f"digest {version.digest}",
-            got=bundle.digest,
-        )
-    return bundle
+def key_of(version: ModelVersion) -> Key:
+    """What tells versions apart, also those of a registry that was set up anew."""
+    return version.name, version.number, version.digest
 
 
-def _not_writable(folder: Path, error: OSError) -> StorageError:
-    return StorageError(
-        "the model cache cannot be written",
-        expected=f"room and rights at {folder}",
-        got=str(error),
-        remedy="free some space, or set CSPACE_MODEL_CACHE to another folder",
-    )
+def _done(bundle: Bundle | None, error: CspaceError | None) -> Future[Bundle]:
+    future: Future[Bundle] = Future()
+    if bundle is not None:
+        future.set_result(bundle)
+    else:
+        future.set_exception(error)
+    return future
+
+
+def _too_many() -> NotLoadedYetError:
+    return NotLoadedYetError("too many models are being fetched", remedy="ask again in some seconds")

@@ -21,17 +21,18 @@ from cspace.errors import (
     RegistryError,
     StorageError,
 )
-from inference_api.bundle_cache import BundleCache
+from inference_api.apart.child import Child
+from inference_api.apart.succession import Fetch, Succession
+from inference_api.bundle_cache import BundleCache, NotLoadedYetError
 from inference_api.pictures import PictureCache
 from inference_api.references import CHAMPION, PRETRAINED, ModelReference
-from inference_api.registry_view import RegistryView
+from inference_api.registry_view import LOAD_WAIT_S, RegistryView
 from inference_api.telemetry.observer import Nobody, Observer, Refusal
-from services.registry.models import ModelRegistry, ModelVersion
+from services.registry.models import ModelLookups, ModelVersion
+from services.registry.scrubbing import anonymous
 
 _LOG = logging.getLogger(__name__)
 PRETRAINED_VERSION = 0
-# A champion that could not be put into service is tried again, but not at every look.
-RETRY_S = 15.0
 
 
 class ModelNotReadyError(CspaceError):
@@ -70,17 +71,21 @@ class ModelStore:
         lookup_s: how long a looked-up version or alias is trusted.
         clock: seconds, monotonic.
         pictures: those that were encoded already; none are kept when None.
+        wait_s: how long :meth:`resolve` waits for a bundle, at most.
+        children: of the registry and the cache; they start and end with the store.
     """
 
     def __init__(
         self,
-        registry: ModelRegistry | None,
+        registry: ModelLookups | None,
         cache: BundleCache,
         pretrained_folder: Path,
         model_name: str,
         lookup_s: float = 2.0,
         clock: Callable[[], float] = time.monotonic,
         pictures: PictureCache | None = None,
+        wait_s: float = LOAD_WAIT_S,
+        children: Sequence[Child] = (),
     ) -> None:
         self.observer: Observer = Nobody()
         self.pictures = PictureCache(0) if pictures is None else pictures
@@ -88,10 +93,10 @@ class ModelStore:
         self._cache = cache
         self._view = None if registry is None else RegistryView(registry, cache, lookup_s, clock)
         self._pretrained_folder = pretrained_folder
-        self._clock = clock
         self._champion: ServedModel | None = None
         self._shipped: ServedModel | None = None
-        self._refused: tuple[str, float] = ("", 0.0)
+        self._succession = Succession(cache, self._succeeded, self._failed, clock)
+        self._wait_s, self._children = wait_s, tuple(children)
 
     @property
     def registry_state(self) -> Literal["none", "reachable", "unreachable"]:
@@ -99,6 +104,11 @@ class ModelStore:
         if self._view is None:
             return "none"
         return "unreachable" if self._view.is_away else "reachable"
+
+    @property
+    def successor(self) -> Literal["none", "pending", "refused"]:
+        """Whether there is a champion that is not in service: it is being fetched, or could not follow."""
+        return self._succession.state
 
     @property
     def shipped(self) -> ServedModel | None:
@@ -121,31 +131,54 @@ class ModelStore:
         else:
             self._shipped = ServedModel(bundle, PRETRAINED, PRETRAINED_VERSION)
 
-    def refresh(self) -> None:
-        """Look up the champion and what requests named lately; the project's errors are not raised."""
-        if self._view is not None:
-            self._follow_champion(self._view)
-            self._view.keep_up()
+    def start(self) -> None:
+        """Start the children that are needed at once, without waiting for them."""
+        # One to ask the registry, and one that looks at the last champion, which is on disk.
+        has_champion = self._cache.disk.last_champion(self.model_name) is not None
+        for child in self._children[: 2 if has_champion else 1]:
+            child.start()
 
-    def _follow_champion(self, view: RegistryView) -> None:
+    def close(self) -> None:
+        """End the children: whoever waits for them gets an error at once."""
+        for child in self._children:
+            child.close()
+
+    def refresh(self, wait_s: float = LOAD_WAIT_S) -> None:
+        """Look up the champion and what requests named lately; the project's errors are not raised.
+
+        Args:
+            wait_s: for what has to be loaded, at most; it comes into service when it is there, waited for
+                or not.
+        """
+        for child in self._children:
+            child.tend()
+        if self._view is not None:
+            until_s = time.monotonic() + wait_s
+            fetch = self._follow_champion(self._view)
+            self._view.keep_up(wait_s)
+            if fetch is not None:
+                self._succession.wait_for(fetch, max(0.0, until_s - time.monotonic()))
+
+    def _follow_champion(self, view: RegistryView) -> Fetch | None:
         try:
             version = view.champion(self.model_name)
         except RegistryError:
             if self._champion is not None:
-                return
-            version = self._cache.last_champion(self.model_name)
-        if version is None:
-            self._champion = None
-        elif not self._is_champion(version) and not self._is_refused(version):
-            self._promote(view, version)
+                return None
+            version = self._cache.disk.last_champion(self.model_name)
+        if version is None or self._is_champion(version):
+            if version is None:
+                self._champion = None
+            self._succession.none()
+            return None
+        return self._succession.fetch(version)
 
-    def resolve(self, reference: ModelReference) -> ServedModel:
-        """The model that a reference names.
+    def resolve_now(self, reference: ModelReference) -> ServedModel | None:
+        """The model that a reference names, from memory alone; None when :meth:`resolve` has to be asked.
 
         Raises:
-            ModelNotFoundError: there is no such model.
-            RegistryError: the registry is needed and does not answer.
-            ModelNotReadyError: the model cannot be served.
+            ModelNotFoundError: there is no such model, or there was none a moment ago.
+            ModelNotReadyError: no model answers by default.
         """
         if reference.name == PRETRAINED:
             if not reference.is_bare:
@@ -159,10 +192,38 @@ class ModelStore:
         if self._view is None:
             raise _unknown(reference)
         try:
-            version = self._view.look_up(reference)
+            version = self._view.recall(reference)
         except ModelNotFoundError as error:
             raise _unknown(reference) from error
-        return _serve(self._view, version, CHAMPION if reference.is_bare else reference.alias)
+        bundle = None if version is None else self._cache.peek(version)
+        return None if version is None or bundle is None else _served(bundle, version, _alias(reference))
+
+    def resolve(self, reference: ModelReference) -> ServedModel:
+        """The model that a reference names; may ask the registry and wait for a bundle.
+
+        Raises:
+            ModelNotFoundError: there is no such model.
+            RegistryError: the registry is needed and does not answer.
+            StorageError: the cache cannot be written.
+            ModelNotReadyError: the model cannot be served, or is still being fetched.
+        """
+        found = self.resolve_now(reference)
+        if found is not None:
+            return found
+        view, until_s = self._view, time.monotonic() + self._wait_s
+        if view is None:
+            raise _unknown(reference)
+        try:
+            version = view.look_up(reference)
+        except ModelNotFoundError as error:
+            raise _unknown(reference) from error
+        try:
+            bundle = self._cache.get(version, max(0.0, until_s - time.monotonic()))
+        except NotLoadedYetError as error:
+            raise ModelNotReadyError(error.what, remedy=error.remedy) from None
+        except BundleError as error:
+            raise _not_sound(version, error) from error
+        return _served(bundle, version, _alias(reference))
 
     def versions(self) -> Sequence[ModelVersion]:
         """Versions of the default model, newest first; those of the cache while the registry is away."""
@@ -189,46 +250,48 @@ class ModelStore:
             version.digest,
         )
 
-    def _is_refused(self, version: ModelVersion) -> bool:
-        digest, until = self._refused
-        return digest == version.digest and self._clock() < until
+    def _succeeded(self, version: ModelVersion, bundle: Bundle) -> None:
+        self._champion = _served(bundle, version, CHAMPION)
+        self.observer.reloaded()
+        _LOG.info("in service: %s/%d", version.name, version.number)
+        self._remember(version)
 
-    def _promote(self, view: RegistryView, version: ModelVersion) -> None:
-        name = f"{version.name}/{version.number}"
-        try:
-            self._champion = _serve(view, version, CHAMPION)
-        except (ModelNotReadyError, RegistryError, StorageError) as error:
-            self._refused = (version.digest, self._clock() + RETRY_S)
-            self.observer.refused(_refusal(error))
-            _LOG.warning("what is in service stays, %s cannot follow: %s", name, error)
-        else:
-            self.observer.reloaded()
-            _LOG.info("in service: %s", name)
-            self._remember(version)
+    def _failed(self, version: ModelVersion, error: BaseException) -> None:
+        self.observer.refused(_refusal(error))
+        _LOG.warning(
+            "what is in service stays, %s/%d cannot follow: %s",
+            version.name,
+            version.number,
+            anonymous(str(error)),
+        )
 
     def _remember(self, version: ModelVersion) -> None:
         try:
-            self._cache.remember_champion(version)
+            self._cache.disk.remember_champion(version)
         except StorageError as error:
             _LOG.warning("the champion will not be remembered over a restart: %s", error)
 
 
-def _serve(view: RegistryView, version: ModelVersion, alias: str | None) -> ServedModel:
-    try:
-        bundle = view.bundle(version)
-    except BundleError as error:
-        raise ModelNotReadyError(
-            f"{version.name}/{version.number} is refused", expected="a sound bundle", got=str(error)
-        ) from error
+def _served(bundle: Bundle, version: ModelVersion, alias: str | None) -> ServedModel:
     return ServedModel(bundle, version.name, version.number, alias, version.run_id or None)
 
 
-def _refusal(error: CspaceError) -> Refusal:
+def _alias(reference: ModelReference) -> str | None:
+    return CHAMPION if reference.is_bare else reference.alias
+
+
+def _not_sound(version: ModelVersion, error: BundleError) -> ModelNotReadyError:
+    return ModelNotReadyError(
+        f"{version.name}/{version.number} is refused", expected="a sound bundle", got=anonymous(str(error))
+    )
+
+
+def _refusal(error: BaseException) -> Refusal:
     if isinstance(error, RegistryError):
         return "registry"
     if isinstance(error, StorageError):
         return "storage"
-    return "golden" if isinstance(error.__cause__, GoldenMismatchError) else "bundle"
+    return "golden" if isinstance(error, GoldenMismatchError) else "bundle"
 
 
 def _unknown(reference: ModelReference) -> ModelNotFoundError:

@@ -3,17 +3,39 @@
 import re
 from dataclasses import dataclass
 
-from cspace.errors import InputError
+from cspace.errors import ConfigError, InputError
 
 CHAMPION = "champion"
 PRETRAINED = "pretrained"
 
 # Names become folders of the cache: no separators, no leading dot.
+_NAME = r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}"
 _PATTERN = re.compile(
-    r"(?P<name>[A-Za-z0-9][A-Za-z0-9._-]{0,99})"
+    rf"(?P<name>{_NAME})"
     r"(?:@(?P<alias>[A-Za-z0-9_-]{1,100})|/(?P<version>[1-9][0-9]{0,8}))?",
     re.ASCII,
 )
+
+
+def is_model_name(text: str) -> bool:
+    """Whether a text can be a model's name, and so a folder's of the cache."""
+    return re.fullmatch(_NAME, text, re.ASCII) is not None
+
+
+def served_name(text: str) -> str:
+    """The name of the model whose champion is the default, as ``CSPACE_MODEL_NAME`` sets it.
+
+    Raises:
+        ConfigError: no request could name it.
+    """
+    if not is_model_name(text) or text == PRETRAINED:
+        raise ConfigError(
+            "the setting CSPACE_MODEL_NAME is wrong",
+            expected=f"1 to 100 letters, digits, '.', '_' and '-', first a letter or digit; not {PRETRAINED}",
+            got=repr(text)[:200],
+            remedy="name a registered model, or unset it",
+        )
+    return text
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,6 +8,8 @@ from mlflow.exceptions import MlflowException
 from requests.exceptions import HTTPError, RequestException
 
 from cspace.errors import ModelNotFoundError, RegistryError, RegistryUnavailableError, StorageError
+from services.registry.failures import disk_failure
+from services.registry.scrubbing import without_user_info
 
 # A name that MLflow calls invalid names nothing, and a missing alias is an "invalid parameter" to it.
 _MISSING = frozenset({"RESOURCE_DOES_NOT_EXIST", "INVALID_PARAMETER_VALUE", "NOT_FOUND"})
@@ -26,15 +28,17 @@ def mapped(action: str, *, lookup: bool = False) -> Iterator[None]:
     Raises:
         RegistryUnavailableError: no connection, no answer in time, or a server that can not answer now.
         ModelNotFoundError: there is none, in a lookup.
-        StorageError: a file of this machine can not be read or written.
+        StorageError: a file of this machine can not be read or written, however deep that is wrapped.
         RegistryError: anything else.
     """
     try:
         yield
-    except MlflowException as error:
-        raise _from_mlflow(action, error, lookup) from error
-    except RequestException as error:
-        raise _from_requests(action, error) from error
+    except (MlflowException, OSError) as error:
+        # First of all, for the exceptions of requests are OSErrors, and MLflow wraps both kinds alike.
+        disk = disk_failure(error)
+        if disk is not None:
+            raise _not_writable(action, disk) from error
+        raise _of_network(action, error, lookup) from error
     except (ValueError, KeyError, TypeError, ParseError) as error:
         # JSON or protobuf that does not parse: whatever answers there, it is no MLflow server.
         raise RegistryError(
@@ -50,8 +54,6 @@ def mapped(action: str, *, lookup: bool = False) -> Iterator[None]:
             got=_words(error),
             remedy="install mlflow, or start a server on the database and give its address",
         ) from error
-    except OSError as error:
-        raise StorageError(action, expected="a folder with room and rights", got=_words(error)) from error
 
 
 def unavailable(action: str, got: str) -> RegistryUnavailableError:
@@ -61,6 +63,23 @@ def unavailable(action: str, got: str) -> RegistryUnavailableError:
         expected="an MLflow server at MLFLOW_TRACKING_URI",
         got=got,
         remedy="start it, or wait until its database is back",
+    )
+
+
+def _of_network(action: str, error: MlflowException | OSError, lookup: bool) -> RegistryError | StorageError:
+    if isinstance(error, MlflowException):
+        return _from_mlflow(action, error, lookup)
+    if isinstance(error, RequestException):
+        return _from_requests(action, error)
+    return _not_writable(action, error.strerror or type(error).__name__)
+
+
+def _not_writable(action: str, got: str) -> StorageError:
+    return StorageError(
+        f"{action}: a file of this machine cannot be read or written",
+        expected="a folder with room and rights",
+        got=got,
+        remedy="free some space, or choose another folder",
     )
 
 
@@ -88,5 +107,6 @@ def _from_requests(action: str, error: RequestException) -> RegistryError:
 
 
 def _words(error: BaseException) -> str:
-    words = " ".join(str(error).split()) or type(error).__name__
+    """Others' words, which may hold the address with its password."""
+    words = without_user_info(" ".join(str(error).split())) or type(error).__name__
     return words if len(words) <= _MAX_WORDS else words[:_MAX_WORDS] + " ..."

@@ -12,6 +12,7 @@ from mlflow.utils.credentials import get_default_host_creds
 from mlflow.utils.rest_utils import http_request
 
 from services.registry.mlflow_errors import mapped, unavailable
+from services.registry.scrubbing import without_user_info
 
 _PROBE = "/api/2.0/mlflow/registered-models/search"
 _SERVING = {
@@ -34,7 +35,7 @@ def check_reachable(uri: str, patience_s: float) -> None:
     """
     if not uri.startswith(("http://", "https://")):
         return
-    action = f"asking {uri}"
+    action = f"asking {without_user_info(uri)}"
     with mapped(action):
         answer = http_request(  # type: ignore[no-untyped-call]
             get_default_host_creds(uri),  # type: ignore[no-untyped-call]

@@ -33,7 +33,7 @@ class MlflowRegistry:
     """
 
     def __init__(self, uri: str, *, patience_s: float = 3.0) -> None:
-        with mapped(f"opening {uri}"):
+        with mapped("opening the registry"):
             self._client = MlflowClient(tracking_uri=uri, registry_uri=uri)
         self._uri = uri
         self._patience_s = patience_s

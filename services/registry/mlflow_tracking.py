@@ -40,7 +40,7 @@ class MlflowTracking:
         clock: Callable[[], float] = time.monotonic,
         spool_folder: Path | None = None,
     ) -> None:
-        with mapped(f"opening {uri}"):
+        with mapped("opening the tracking server"):
             self._client = MlflowClient(tracking_uri=uri, registry_uri=uri)
         self._buffer_size = buffer_size
         self._buffer_age_s = buffer_age_s

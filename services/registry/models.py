@@ -29,7 +29,31 @@ class ModelVersion:
     created_ms: int
 
 
-class ModelRegistry(Protocol):
+class ModelLookups(Protocol):
+    """What serving asks a registry; with the errors of :class:`ModelRegistry`."""
+
+    def version(self, name: str, number: int) -> ModelVersion:
+        """One version by its number.
+
+        Raises:
+            ModelNotFoundError: there is none.
+        """
+        ...
+
+    def by_alias(self, name: str, alias: str) -> ModelVersion:
+        """The version that an alias points to.
+
+        Raises:
+            ModelNotFoundError: there is no such model or alias.
+        """
+        ...
+
+    def versions(self, name: str) -> tuple[ModelVersion, ...]:
+        """All versions, newest first; empty for an unknown model."""
+        ...
+
+
+class ModelRegistry(ModelLookups, Protocol):
     """Where bundles become versions.
 
     Every method raises RegistryUnavailableError within seconds when the registry does not answer, and
@@ -63,26 +87,6 @@ class ModelRegistry(Protocol):
             BundleIntegrityError: the folder is damaged or has another digest.
             RegistryError: there is no such run.
         """
-        ...
-
-    def version(self, name: str, number: int) -> ModelVersion:
-        """One version by its number.
-
-        Raises:
-            ModelNotFoundError: there is none.
-        """
-        ...
-
-    def by_alias(self, name: str, alias: str) -> ModelVersion:
-        """The version that an alias points to.
-
-        Raises:
-            ModelNotFoundError: there is no such model or alias.
-        """
-        ...
-
-    def versions(self, name: str) -> tuple[ModelVersion, ...]:
-        """All versions, newest first; empty for an unknown model."""
         ...
 
     def set_alias(self, name: str, alias: str, number: int) -> None:

@@ -5,6 +5,8 @@ from pathlib import Path
 import pytest
 
 from cspace.errors import ModelNotFoundError
+from inference_api.apart.disk import DiskCache
+from inference_api.apart.loading import LoaderHere
 from inference_api.bundle_cache import BundleCache
 from inference_api.references import ModelReference
 from inference_api.registry_view import IN_USE_S, RegistryView
@@ -29,8 +31,10 @@ def clock() -> Polled:
 
 
 @pytest.fixture
-def cache(tmp_path: Path) -> BundleCache:
-    return BundleCache(tmp_path / "cache", 2)
+def cache(tmp_path: Path, registry: CountingRegistry, clock: Polled) -> BundleCache:
+    disk = DiskCache(tmp_path / "cache")
+    loader = LoaderHere(disk, registry)
+    return BundleCache(disk, loader, loader, 2, clock)
 
 
 @pytest.fixture

@@ -5,8 +5,10 @@ import pytest
 
 from cspace.bundle import Bundle
 from cspace.errors import ModelNotFoundError, RegistryUnavailableError, StorageError
-from inference_api.bundle_cache import BundleCache
-from inference_api.model_store import RETRY_S, ModelNotReadyError, ModelStore
+from inference_api.apart.disk import DiskCache
+from inference_api.apart.loading import LoaderHere
+from inference_api.bundle_cache import RETRY_S, BundleCache
+from inference_api.model_store import ModelNotReadyError, ModelStore
 from inference_api.references import ModelReference
 from tests.inference_api.client import ApiClient
 from tests.inference_api.clock import Clock
@@ -27,9 +29,10 @@ def store(tmp_path: Path, registry: CountingRegistry, bundles: dict[str, Path], 
 def make_store(
     folder: Path, registry: CountingRegistry, bundles: dict[str, Path], clock: Clock
 ) -> ModelStore:
-    store = ModelStore(
-        registry, BundleCache(folder / "cache", 2), bundles["shipped"], "cspace-sampler", 2.0, clock
-    )
+    disk = DiskCache(folder / "cache")
+    loader = LoaderHere(disk, registry)
+    cache = BundleCache(disk, loader, loader, 2, clock)
+    store = ModelStore(registry, cache, bundles["shipped"], "cspace-sampler", 2.0, clock)
     store.load_shipped()
     return store
 
@@ -241,7 +244,9 @@ def test_the_least_recently_used_bundle_leaves_memory_first(
 def test_the_versions_used_last_and_the_champion_stay_on_disk(
     tmp_path: Path, registry: CountingRegistry, bundles: dict[str, Path]
 ) -> None:
-    cache = BundleCache(tmp_path / "cache", 1, stored=2)
+    disk = DiskCache(tmp_path / "cache", stored=2)
+    loader = LoaderHere(disk, registry)
+    cache = BundleCache(disk, loader, loader, 1)
     store = ModelStore(registry, cache, bundles["shipped"], "cspace-sampler", 0.0)
     registry.add(bundles["plain"], "champion")
     store.refresh()
