@@ -27,11 +27,14 @@ class ChildLimits:
         start_s: until it is ready; imports on a busy machine take their time.
         idle_s: without work, after which it leaves by itself; None for never.
         memory_bytes: address space beyond its libraries.
+        is_patient: whether another process follows at once on one that was late or died at work, and not
+            after a pause; for work whose failures are not the next one's.
     """
 
     start_s: float = 60.0
     idle_s: float | None = 30.0
     memory_bytes: int = MEMORY_BYTES
+    is_patient: bool = True
 
 
 class Child:
@@ -104,9 +107,10 @@ class Child:
             raise ChildError("it is busy", at_work=False)
         try:
             reply = self._converse(job, arguments, limit_s)
-        except ChildError:
-            if self._process is not None:
-                self._clear()
+        except ChildError as error:
+            had_process = self._process is not None
+            self._clear()
+            if had_process and not (error.at_work and self._limits.is_patient):
                 self._resting_until_s = time.monotonic() + self._pause_s
                 self._pause_s = min(2.0 * self._pause_s, LONGEST_PAUSE_S)
             raise

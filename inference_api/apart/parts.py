@@ -1,6 +1,6 @@
 """The registry and the loaders of a store: in children for serving, in this process over a given registry."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from cspace.errors import RegistryUnavailableError
 from inference_api.apart.child import Child, ChildLimits
@@ -73,8 +73,9 @@ def parts_apart(disk: DiskCache, uri: str | None, limits: Limits | None = None) 
     if uri is None:
         return Parts(None, NoLoader(), NoLoader())
     limits = limits or Limits()
-    # It is asked every few seconds, and MLflow takes seconds to import.
-    staying = ChildLimits(limits.child.start_s, None, limits.child.memory_bytes)
+    # It is asked every few seconds, and MLflow takes seconds to import: it stays, and a registry that made
+    # one late makes the next one late.
+    staying = replace(limits.child, idle_s=None, is_patient=False)
     cache = {
         "registry_uri": uri,
         "cache_folder": str(disk.folder.absolute()),
