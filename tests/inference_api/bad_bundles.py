@@ -47,7 +47,9 @@ def write_hungry_bundle(folder: Path) -> Path:
         helper.make_node("ReduceSum", ["whole"], ["sum"], keepdims=0),
         helper.make_node("Mul", ["sum", "zero"], ["nothing"]),
         helper.make_node("Add", ["nothing", "huge"], ["size"]),
-        helper.make_node("ConstantOfShape", ["size"], ["heap"], value=numpy_helper.from_array(np.ones(1, "f"))),
+        helper.make_node(
+            "ConstantOfShape", ["size"], ["heap"], value=numpy_helper.from_array(np.ones(1, "f"))
+        ),
         helper.make_node("ReduceMax", ["heap"], ["most"], keepdims=0),
         helper.make_node("Add", ["flat", "most"], ["mu"]),
         helper.make_node("Sigmoid", ["mu"], ["sigma"]),

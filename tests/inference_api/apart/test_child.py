@@ -194,7 +194,11 @@ def test_a_child_in_the_middle_of_a_loop_ends_when_its_parent_dies(
 ) -> None:
     place(write_looping_bundle(tmp_path / "looping"))
     done = subprocess.run(
-        [sys.executable, "-c", ORPHAN, str(disk.folder)], cwd=ROOT, capture_output=True, text=True, check=False
+        [sys.executable, "-c", ORPHAN, str(disk.folder)],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
     )
     assert done.returncode == 7, done.stderr
     pid = int(done.stdout)
