@@ -38,7 +38,7 @@ def database_uri(tmp_path_factory: pytest.TempPathFactory) -> str:
     with pytest.MonkeyPatch.context() as patch:
         # The store fixes its folder of artifacts, ./mlruns, when it is opened for the first time.
         patch.chdir(folder)
-        return _mlflow(f"sqlite:///{folder / 'mlflow.db'}")[0]
+        return mlflow_backend(f"sqlite:///{folder / 'mlflow.db'}")[0]
 
 
 @pytest.fixture(params=BACKENDS)
@@ -48,8 +48,8 @@ def backend(request: pytest.FixtureRequest, tmp_path: Path) -> Backend:
         registry = FakeRegistry(tmp_path / "fake-registry", tracking.runs)
         return Backend(tracking, registry, lambda run_id: read_fake(tracking, run_id))
     if request.param == "spooled":
-        return _mlflow(request.getfixturevalue("database_uri"), tmp_path / "spool")[1]
-    return _mlflow(request.getfixturevalue(f"{request.param}_uri"))[1]
+        return mlflow_backend(request.getfixturevalue("database_uri"), tmp_path / "spool")[1]
+    return mlflow_backend(request.getfixturevalue(f"{request.param}_uri"))[1]
 
 
 @pytest.fixture
@@ -68,7 +68,8 @@ def model_name() -> str:
     return f"model-{next(_numbers)}"
 
 
-def _mlflow(uri: str, spool_folder: Path | None = None) -> tuple[str, Backend]:
+def mlflow_backend(uri: str, spool_folder: Path | None = None) -> tuple[str, Backend]:
+    """Tracking and registry at an address, which is returned as well."""
     from mlflow import MlflowClient
 
     from services.registry.mlflow_registry import MlflowRegistry
@@ -76,5 +77,5 @@ def _mlflow(uri: str, spool_folder: Path | None = None) -> tuple[str, Backend]:
 
     client = MlflowClient(tracking_uri=uri, registry_uri=uri)
     tracking = MlflowTracking(uri, spool_folder=spool_folder)
-    backend = Backend(tracking, MlflowRegistry(uri), lambda run_id: read_mlflow(client, run_id))
+    backend = Backend(tracking, MlflowRegistry(uri), lambda run_id: readmlflow_backend(client, run_id))
     return uri, backend

@@ -1,15 +1,19 @@
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from cspace.bundle import Bundle
 from cspace.errors import BundleIntegrityError, ModelNotFoundError, RegistryError, StorageError
+from inference_api.apart.disk import DiskCache
+from inference_api.apart.loading import BundleLoader, LoaderHere
+from inference_api.apart.parts import Limits, parts_apart
 from services.registry.models import ModelRegistry, ModelVersion
 from services.registry.names import ALIAS_CHALLENGER, ALIAS_CHAMPION
 from services.registry.promotion import Decision, champions, decisions, record_decision
 from services.registry.tracking import Tracking
 from tests.bundles import write_tiny_bundle
-from tests.contracts.conftest import Backend
+from tests.contracts.conftest import Backend, mlflow_backend
 from tests.contracts.mlflow_warnings import MLFLOW_WARNINGS
 
 pytestmark = MLFLOW_WARNINGS
@@ -170,3 +174,73 @@ def _decision(version: ModelVersion, *, promoted: bool, at_ms: int) -> Decision:
     reasons = ("precision beats uniform beyond the interval: gain +0.151 over 60 scenarios",)
     metrics = {"precision": 0.845, "coverage": 0.877}
     return Decision(version.name, version.number, promoted, reasons, metrics, None, at_ms)
+
+
+@pytest.fixture
+def loader(registry: ModelRegistry, tmp_path: Path) -> LoaderHere:
+    return LoaderHere(DiskCache(tmp_path / "cache"), registry)
+
+
+def test_a_loader_brings_a_version_into_the_cache_and_finds_it_sound(
+    loader: BundleLoader, first: ModelVersion, tmp_path: Path
+) -> None:
+    check_loading(loader, first, tmp_path / "cache")
+
+
+def check_loading(loader: BundleLoader, first: ModelVersion, cache: Path) -> None:
+    """What every loader does, over ``cache`` and the registry that has ``first``."""
+    disk = DiskCache(cache)
+    loader.download(first)
+    assert disk.stored(first.name) == [first]
+    loader.verify(first)
+    # A second time there is nothing to do.
+    loader.download(first)
+    false = replace(first, digest="1" * 64)
+    loader.download(false)
+    with pytest.raises(BundleIntegrityError, match="not the one that was registered"):
+        loader.verify(false)
+    with pytest.raises(BundleIntegrityError, match="cannot be read"):
+        loader.verify(replace(first, number=8))
+    with pytest.raises(ModelNotFoundError):
+        loader.download(replace(first, number=7))
+    with pytest.raises(BundleIntegrityError, match="without a digest"):
+        loader.download(replace(first, digest=""))
+    with pytest.raises(StorageError):
+        loader.download(replace(first, name="../m"))
+    (disk.bundle(first) / "encoder.onnx").write_bytes(b"torn")
+    with pytest.raises(BundleIntegrityError, match=r"encoder\.onnx"):
+        loader.verify(first)
+
+
+@pytest.mark.e2e
+def test_lookups_and_loading_in_child_processes_keep_the_contract(
+    server_uri: str, bundle: Bundle, other: Bundle, model_name: str, tmp_path: Path
+) -> None:
+    _, backend = mlflow_backend(server_uri)
+    run_id = backend.tracking.start("contract", "global").run_id
+    here, tags = backend.registry, {"data_digest": "d1", "note": 'it\'s "better" → yes'}
+    first = here.register(model_name, bundle.folder, run_id, bundle.digest, tags, alias=ALIAS_CHALLENGER)
+    parts = parts_apart(DiskCache(tmp_path / "cache"), server_uri, Limits(lookup_s=30.0))
+    try:
+        apart = parts.registry
+        assert apart is not None
+        assert apart.version(model_name, 1) == first
+        here.set_alias(model_name, ALIAS_CHAMPION, 1)
+        second = here.register(model_name, other.folder, run_id, other.digest, {})
+        assert apart.by_alias(model_name, ALIAS_CHAMPION) == here.by_alias(model_name, ALIAS_CHAMPION)
+        assert apart.versions(model_name) == here.versions(model_name)
+        assert [version.number for version in apart.versions(model_name)] == [2, 1]
+        for name in ("nobody", "no'body", "a/b", "a:b", "no such\\", "", "é" * 300):
+            with pytest.raises(ModelNotFoundError):
+                apart.version(name, 1)
+            with pytest.raises(ModelNotFoundError):
+                apart.by_alias(name, ALIAS_CHAMPION)
+            assert apart.versions(name) == ()
+        with pytest.raises(ModelNotFoundError):
+            apart.version(model_name, 7)
+        check_loading(parts.far, here.version(model_name, 1), tmp_path / "cache")
+        parts.far.download(second)
+        parts.near.verify(second)
+    finally:
+        for child in parts.children:
+            child.close()
