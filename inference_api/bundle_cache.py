@@ -15,15 +15,16 @@ from pathlib import Path
 from threading import Lock
 
 from cspace.bundle import Bundle
-from cspace.errors import BundleError, CspaceError
+from cspace.errors import BundleError, CspaceError, RegistryError
 from inference_api.apart.disk import DiskCache
 from inference_api.apart.lanes import Lane
 from inference_api.apart.loading import BundleLoader, NotVerifiedError, check_digest
 from inference_api.apart.remembered import Remembered
 from services.registry.models import ModelVersion
 
-# A bundle that was refused is tried again, but not for every request.
-RETRY_S = 15.0
+# A bundle that was refused is tried again, but not for every request, and less and less often: equal sums are
+# equal bytes, and each try may take a core for as long as a verification may.
+RETRY_S, LONGEST_RETRY_S = 15.0, 900.0
 # As what failed for another reason, which may be over soon.
 SOON_S = 2.0
 # A version may vanish between two steps, while other processes prune the cache.
@@ -34,6 +35,14 @@ Key = tuple[str, int, str]
 
 class NotLoadedYetError(CspaceError):
     """The bundle is on its way."""
+
+
+class _DamagedError(Exception):
+    """The copy on disk is damaged, and not there any more."""
+
+    def __init__(self, error: BundleError) -> None:
+        super().__init__(str(error))
+        self.error = error
 
 
 class BundleCache:
@@ -60,6 +69,7 @@ class BundleCache:
         self._capacity = capacity
         self._loaded: OrderedDict[Key, Bundle] = OrderedDict()
         self._pending: dict[Key, Future[Bundle]] = {}
+        self._refusals: Remembered[Key, int] = Remembered(_REMEMBERED, clock)
         self._failed: Remembered[Key, CspaceError] = Remembered(_REMEMBERED, clock)
         # By digest: equal sums are equal bytes, so what was verified once need not be again.
         self._verified: Remembered[str, str] = Remembered(_REMEMBERED, clock)
@@ -131,25 +141,30 @@ class BundleCache:
         self,
         version: ModelVersion,
         future: Future[Bundle],
-        load: Callable[[ModelVersion], Bundle | None],
+        load: Callable[[ModelVersion], Bundle],
     ) -> None:
         bundle, error = None, None
         try:
             bundle = load(version)
+        except _DamagedError as damaged:
+            again = partial(self._load_anew, damaged.error)
+            self._far_lane.put(partial(self._settle, version, future, again), first=True)
+            return
         except CspaceError as caught:
             error = caught
         except Exception as caught:  # noqa: BLE001 - whoever waits has to be told, and the lane goes on
             error = NotVerifiedError("a model could not be loaded", got=type(caught).__name__)
-        if bundle is None and error is None:
-            self._far_lane.put(partial(self._settle, version, future, self._load_far), first=True)
-            return
         self._finish(key_of(version), future, bundle, error)
 
     def _finish(
         self, key: Key, future: Future[Bundle], bundle: Bundle | None, error: CspaceError | None
     ) -> None:
-        if error is not None and not isinstance(error, NotLoadedYetError):
-            self._failed.put(key, error, RETRY_S if isinstance(error, BundleError) else SOON_S)
+        if isinstance(error, BundleError):
+            times = self._refusals.get(key) or 0
+            self._refusals.put(key, times + 1, math.inf)
+            self._failed.put(key, error, min(RETRY_S * 2.0**times, LONGEST_RETRY_S))
+        elif error is not None and not isinstance(error, NotLoadedYetError):
+            self._failed.put(key, error, SOON_S)
         with self._lock:
             self._pending.pop(key, None)
             if bundle is not None:
@@ -161,14 +176,20 @@ class BundleCache:
         else:
             future.set_exception(error)
 
-    def _load_near(self, version: ModelVersion) -> Bundle | None:
-        """None for a copy that is damaged, which is not there any more then."""
+    def _load_near(self, version: ModelVersion) -> Bundle:
         try:
             return self._open(version, self._near)
-        except BundleError:
+        except BundleError as error:
             # Raises for a version that cannot be in the cache at all.
             self.disk.remove(version)
-            return None
+            raise _DamagedError(error) from None
+
+    def _load_anew(self, damage: BundleError, version: ModelVersion) -> Bundle:
+        try:
+            return self._load_far(version)
+        except RegistryError:
+            # What was wrong with the copy says more than that there is no other.
+            raise damage from None
 
     def _load_far(self, version: ModelVersion) -> Bundle:
         for attempt in range(ATTEMPTS):

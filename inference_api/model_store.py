@@ -72,7 +72,7 @@ class ModelStore:
         clock: seconds, monotonic.
         pictures: those that were encoded already; none are kept when None.
         wait_s: how long :meth:`resolve` waits for a bundle, at most.
-        children: of the registry and the cache; they start and end with the store.
+        children: of the registry, and of the near and the far loader; they start and end with the store.
     """
 
     def __init__(
@@ -133,10 +133,12 @@ class ModelStore:
 
     def start(self) -> None:
         """Start the children that are needed at once, without waiting for them."""
-        # One to ask the registry, and one that looks at the last champion, which is on disk.
+        # One asks the registry; the others look at the last champion on disk, or fetch one where there is none.
         has_champion = self._cache.disk.last_champion(self.model_name) is not None
-        for child in self._children[: 2 if has_champion else 1]:
-            child.start()
+        unneeded = 2 if has_champion else 1
+        for place, child in enumerate(self._children):
+            if place != unneeded:
+                child.start()
 
     def close(self) -> None:
         """End the children: whoever waits for them gets an error at once."""

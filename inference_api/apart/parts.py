@@ -35,7 +35,7 @@ class Parts:
         registry: for lookups; None without one.
         near: verifies what is on disk.
         far: downloads and verifies.
-        children: the processes of these, those that are needed at once first.
+        children: the processes of these, in this order.
     """
 
     registry: ModelLookups | None

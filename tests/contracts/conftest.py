@@ -77,5 +77,5 @@ def mlflow_backend(uri: str, spool_folder: Path | None = None) -> tuple[str, Bac
 
     client = MlflowClient(tracking_uri=uri, registry_uri=uri)
     tracking = MlflowTracking(uri, spool_folder=spool_folder)
-    backend = Backend(tracking, MlflowRegistry(uri), lambda run_id: readmlflow_backend(client, run_id))
+    backend = Backend(tracking, MlflowRegistry(uri), lambda run_id: read_mlflow(client, run_id))
     return uri, backend

@@ -35,7 +35,7 @@ def write_looping_bundle(folder: Path) -> Path:
         helper.make_node("Loop", ["rounds", "yes", "flat"], ["mu"], body=body),
         helper.make_node("Sigmoid", ["mu"], ["sigma"]),
     ]
-    weights = {"rounds": np.array(2**62), "yes": np.array(True)}
+    weights = {"rounds": np.array(2**62), "yes": np.bool_(1)}
     return _write(folder, nodes, weights)
 
 

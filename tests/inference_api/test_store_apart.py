@@ -11,7 +11,7 @@ import pytest
 from cspace.errors import BundleError, ModelNotFoundError, RegistryError
 from inference_api.apart.disk import DiskCache
 from inference_api.apart.loading import LoaderHere
-from inference_api.bundle_cache import BundleCache
+from inference_api.bundle_cache import RETRY_S, BundleCache
 from inference_api.model_store import ModelNotReadyError, ModelStore
 from inference_api.references import ModelReference
 from inference_api.registry_view import REMEMBERED
@@ -181,6 +181,14 @@ def test_a_bundle_that_was_refused_is_not_verified_for_every_request(
         with pytest.raises(ModelNotReadyError, match="refused"):
             store.resolve(reference(f"{MODEL}/1"))
     assert loader.asked == 1
+    # Nor at every look, and less and less often.
+    asked = []
+    for _ in range(20):
+        clock.now += RETRY_S + 1.0
+        store.refresh()
+        asked.append(loader.asked)
+    assert asked[0] == 2
+    assert asked[-1] <= 6
     assert disk.stored(MODEL) == []
 
 

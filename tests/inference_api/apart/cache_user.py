@@ -1,9 +1,10 @@
-"""``python cache_user.py CACHE BUNDLE SEED ROUNDS``: loads and removes versions in a cache that others use."""
+"""``cache_user.py CACHE BUNDLE SEED ROUNDS``: loads and removes versions in a cache that others use."""
 
-import random
 import shutil
 import sys
 from pathlib import Path
+
+import numpy as np
 
 from cspace.bundle.files import read_files
 from inference_api.apart.disk import DiskCache
@@ -26,14 +27,15 @@ class Loader:
 
 def main() -> None:
     cache, bundle, seed, rounds = Path(sys.argv[1]), Path(sys.argv[2]), sys.argv[3], int(sys.argv[4])
-    chance = random.Random(seed)
+    chance = np.random.default_rng(int(seed))
     # One version is kept beside the newest, so that nearly every download takes another one away.
     disk = DiskCache(cache, stored=2)
     loader = Loader(disk, bundle)
     digest = read_files(bundle).digest
-    print("ready", flush=True)
+    sys.stdout.write("ready\n")
+    sys.stdout.flush()
     for _ in range(rounds):
-        version = ModelVersion("m", chance.randint(1, 4), "", digest, (), {}, 0)
+        version = ModelVersion("m", int(chance.integers(1, 5)), "", digest, (), {}, 0)
         BundleCache(disk, loader, loader, 1).get(version, 60.0)
         disk.remember_champion(version)
         if chance.random() < 0.2:

@@ -38,7 +38,7 @@ def names(disk: DiskCache) -> set[str]:
     return {path.name for path in (disk.folder / "m").iterdir()}
 
 
-@pytest.mark.parametrize("name", ["../m", "..", "m/../../m", "/tmp/m", ".m", "", "m\n"])
+@pytest.mark.parametrize("name", ["../m", "..", "m/../../m", "/srv/m", ".m", "", "m\n"])
 def test_a_name_that_leads_elsewhere_is_never_a_folder(disk: DiskCache, tmp_path: Path, name: str) -> None:
     version = replace(VERSION, name=name)
     for change in (
