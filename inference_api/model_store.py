@@ -133,7 +133,7 @@ class ModelStore:
 
     def start(self) -> None:
         """Start the children that are needed at once, without waiting for them."""
-        # One asks the registry; the others look at the last champion on disk, or fetch one where there is none.
+        # One asks the registry, another looks at the last champion on disk, or fetches the first one.
         has_champion = self._cache.disk.last_champion(self.model_name) is not None
         unneeded = 2 if has_champion else 1
         for place, child in enumerate(self._children):
