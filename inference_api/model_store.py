@@ -16,18 +16,17 @@ from cspace.bundle import Bundle
 from cspace.errors import (
     BundleError,
     CspaceError,
-    GoldenMismatchError,
     ModelNotFoundError,
     RegistryError,
     StorageError,
 )
 from inference_api.apart.child import Child
-from inference_api.apart.succession import Fetch, Succession
+from inference_api.apart.succession import Fetch, Succession, refusal_of
 from inference_api.bundle_cache import BundleCache, NotLoadedYetError
 from inference_api.pictures import PictureCache
 from inference_api.references import CHAMPION, PRETRAINED, ModelReference
 from inference_api.registry_view import LOAD_WAIT_S, RegistryView
-from inference_api.telemetry.observer import Nobody, Observer, Refusal
+from inference_api.telemetry.observer import Nobody, Observer
 from services.registry.models import ModelLookups, ModelVersion
 from services.registry.scrubbing import anonymous
 
@@ -259,7 +258,7 @@ class ModelStore:
         self._remember(version)
 
     def _failed(self, version: ModelVersion, error: BaseException) -> None:
-        self.observer.refused(_refusal(error))
+        self.observer.refused(refusal_of(error))
         _LOG.warning(
             "what is in service stays, %s/%d cannot follow: %s",
             version.name,
@@ -286,14 +285,6 @@ def _not_sound(version: ModelVersion, error: BundleError) -> ModelNotReadyError:
     return ModelNotReadyError(
         f"{version.name}/{version.number} is refused", expected="a sound bundle", got=anonymous(str(error))
     )
-
-
-def _refusal(error: BaseException) -> Refusal:
-    if isinstance(error, RegistryError):
-        return "registry"
-    if isinstance(error, StorageError):
-        return "storage"
-    return "golden" if isinstance(error, GoldenMismatchError) else "bundle"
 
 
 def _unknown(reference: ModelReference) -> ModelNotFoundError:

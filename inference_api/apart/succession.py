@@ -8,7 +8,9 @@ from threading import Lock
 from typing import Literal
 
 from cspace.bundle import Bundle
+from cspace.errors import GoldenMismatchError, RegistryError, StorageError
 from inference_api.bundle_cache import RETRY_S, BundleCache, key_of
+from inference_api.telemetry.observer import Refusal
 from services.registry.models import ModelVersion
 
 
@@ -87,3 +89,12 @@ class Succession:
             else:
                 self._refused = (fetch.version.digest, self._clock() + RETRY_S)
                 self._failed(fetch.version, error)
+
+
+def refusal_of(error: BaseException) -> Refusal:
+    """Why a successor has not come into service, in the words of the metrics."""
+    if isinstance(error, RegistryError):
+        return "registry"
+    if isinstance(error, StorageError):
+        return "storage"
+    return "golden" if isinstance(error, GoldenMismatchError) else "bundle"
