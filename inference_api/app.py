@@ -31,6 +31,7 @@ from inference_api.telemetry.middleware import Observed
 from inference_api.telemetry.route_names import RouteNames
 from inference_api.telemetry.tracing import TracedObserver, add_tracing, otlp_provider
 from inference_api.turns import Turns
+from inference_api.waiting_room import WaitingRoom
 from services.registry.models import ModelRegistry
 
 # Long enough for a registry nearby, short enough for a health check's patience.
@@ -57,6 +58,7 @@ def create_app(settings: ApiSettings | None = None, registry: ModelRegistry | No
         few_arenas()
         app.state.store = store
         app.state.turns = Turns(settings.threads, app.state.metrics.waiting)
+        app.state.room = WaitingRoom()
         async with following(store, settings.poll_s, FIRST_LOOK_S):
             yield
         if app.state.traces is not None:

@@ -1,4 +1,4 @@
-"""What routes are given: the store of models and the turns in which requests are computed."""
+"""What routes are given: the store of models, and where requests are computed and wait."""
 
 from typing import Annotated
 
@@ -6,6 +6,7 @@ from fastapi import Depends, Request
 
 from inference_api.model_store import ModelStore
 from inference_api.turns import Turns
+from inference_api.waiting_room import WaitingRoom
 
 
 def store_of(request: Request) -> ModelStore:
@@ -20,6 +21,12 @@ def turns_of(request: Request) -> Turns:
     return turns
 
 
+def room_of(request: Request) -> WaitingRoom:
+    """Where requests wait for models that have to be fetched."""
+    room: WaitingRoom = request.app.state.room
+    return room
+
+
 # Asynchronous although they wait for nothing: plain functions would each be sent to a thread.
 async def get_store(request: Request) -> ModelStore:
     """:func:`store_of` for routes."""
@@ -31,5 +38,11 @@ async def get_turns(request: Request) -> Turns:
     return turns_of(request)
 
 
+async def get_room(request: Request) -> WaitingRoom:
+    """:func:`room_of` for routes."""
+    return room_of(request)
+
+
 Store = Annotated[ModelStore, Depends(get_store)]
 Turn = Annotated[Turns, Depends(get_turns)]
+Room = Annotated[WaitingRoom, Depends(get_room)]

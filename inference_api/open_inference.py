@@ -9,12 +9,15 @@ from typing import Any
 from fastapi import APIRouter, FastAPI, Request
 from fastapi.responses import Response
 
-from inference_api.dependencies import Store, Turn
+from inference_api.dependencies import Room, Store, Turn, room_of, store_of, turns_of
+from inference_api.exchange import respond
+from inference_api.guards.rate import client_of
+from inference_api.health import default_model
 from inference_api.model_store import PRETRAINED_VERSION, ModelStore, ServedModel
 from inference_api.problems import UNSUPPORTED_MEDIA_TYPE, RequestError
 from inference_api.protocol_errors import PREFIX, ProtocolErrors
 from inference_api.references import PRETRAINED, ModelReference
-from inference_api.tensor_sampling import IMAGE, answer_inference, reference_of
+from inference_api.tensor_sampling import IMAGE, read_inference, reference_of
 from inference_api.tensor_schemas import (
     InferenceAnswer,
     ModelMetadata,
@@ -26,7 +29,6 @@ from inference_api.tensor_schemas import (
     TensorMetadata,
 )
 from inference_api.tensors import JSON_LENGTH
-from inference_api.turns import Turns
 
 MEDIA_TYPES = ("application/json", "application/octet-stream")
 PLATFORM = "onnx_onnxv1"
@@ -57,7 +59,7 @@ def _errors(*statuses: int) -> dict[int | str, dict[str, Any]]:
     return {**dict.fromkeys(statuses, described), "default": described}
 
 
-_MODEL_ERRORS = _errors(400, 401, 404, 429, 500, 503)
+_MODEL_ERRORS = _errors(400, 401, 403, 404, 421, 429, 500, 503)
 _ANSWERS: dict[int | str, dict[str, Any]] = {
     200: {
         "model": InferenceAnswer,
@@ -69,7 +71,7 @@ _ANSWERS: dict[int | str, dict[str, Any]] = {
             }
         },
     },
-    **_errors(400, 401, 404, 408, 413, 415, 429, 500, 503),
+    **_errors(400, 401, 403, 404, 408, 413, 415, 421, 429, 500, 503),
 }
 
 router = APIRouter(prefix=PREFIX, tags=["Open Inference Protocol"])
@@ -96,28 +98,31 @@ async def live() -> ServerLive:
 
 
 @router.get("/health/ready", summary="Whether samples can be asked for", responses=_errors(503))
-async def ready(store: Store) -> ServerReady:
+async def ready(store: Store, turns: Turn) -> ServerReady:
     """503 while no model answers by default."""
-    store.resolve(ModelReference(store.model_name))
+    default_model(store, turns)
     return ServerReady()
 
 
 @router.get("/models/{model}", summary="A model's tensors", responses=_MODEL_ERRORS)
-def metadata(store: Store, model: str) -> ModelMetadata:
+async def metadata(request: Request, store: Store, room: Room, model: str) -> ModelMetadata:
     """Names, types and shapes; the outputs are given as for one picture."""
-    return _describe(store, model, reference_of(model))
+    return await room.run(partial(_describe, store, model, reference_of(model)), client_of(request.scope))
 
 
 @router.get("/models/{model}/versions/{version}", summary="A version's tensors", responses=_MODEL_ERRORS)
-def version_metadata(store: Store, model: str, version: str) -> ModelMetadata:
+async def version_metadata(
+    request: Request, store: Store, room: Room, model: str, version: str
+) -> ModelMetadata:
     """As for a model; the shipped model has the version 0."""
-    return _describe(store, model, reference_of(model, version))
+    reference = reference_of(model, version)
+    return await room.run(partial(_describe, store, model, reference), client_of(request.scope))
 
 
 @router.get("/models/{model}/ready", summary="Whether a model can be asked", responses=_MODEL_ERRORS)
-def model_ready(store: Store, model: str) -> ModelReady:
+async def model_ready(request: Request, store: Store, room: Room, model: str) -> ModelReady:
     """Loads the model if it is not in memory."""
-    store.resolve(reference_of(model))
+    await room.run(partial(store.resolve, reference_of(model)), client_of(request.scope))
     return ModelReady(name=model)
 
 
@@ -126,18 +131,18 @@ def model_ready(store: Store, model: str) -> ModelReady:
     summary="Whether a version can be asked",
     responses=_MODEL_ERRORS,
 )
-def version_ready(store: Store, model: str, version: str) -> ModelReady:
+async def version_ready(request: Request, store: Store, room: Room, model: str, version: str) -> ModelReady:
     """Loads the version if it is not in memory."""
-    store.resolve(reference_of(model, version))
+    await room.run(partial(store.resolve, reference_of(model, version)), client_of(request.scope))
     return ModelReady(name=model)
 
 
 @router.post(
     "/models/{model}/infer", summary="Samples from a model", openapi_extra=_REQUEST, responses=_ANSWERS
 )
-async def infer(request: Request, store: Store, turns: Turn, model: str) -> Response:
+async def infer(request: Request, model: str) -> Response:
     """The same samples as `POST /sample` gives for the same picture, seed, parameters and model."""
-    return await _infer(request, store, turns, reference_of(model))
+    return await _infer(request, reference_of(model))
 
 
 @router.post(
@@ -146,17 +151,16 @@ async def infer(request: Request, store: Store, turns: Turn, model: str) -> Resp
     openapi_extra=_REQUEST,
     responses=_ANSWERS,
 )
-async def version_infer(request: Request, store: Store, turns: Turn, model: str, version: str) -> Response:
+async def version_infer(request: Request, model: str, version: str) -> Response:
     """As for a model; the shipped model has the version 0."""
-    return await _infer(request, store, turns, reference_of(model, version))
+    return await _infer(request, reference_of(model, version))
 
 
-async def _infer(request: Request, store: ModelStore, turns: Turns, reference: ModelReference) -> Response:
+async def _infer(request: Request, reference: ModelReference) -> Response:
     _check_media_type(request)
-    body = await request.body()
-    return await turns.run(
-        partial(answer_inference, store, reference, body, request.headers.get(JSON_LENGTH))
-    )
+    store, body = store_of(request), await request.body()
+    ask = partial(read_inference, store, reference, body, request.headers.get(JSON_LENGTH))
+    return await respond(request, store, turns_of(request), room_of(request), ask)
 
 
 def _describe(store: ModelStore, name: str, reference: ModelReference) -> ModelMetadata:

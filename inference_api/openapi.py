@@ -8,39 +8,55 @@ from fastapi.openapi.utils import get_openapi
 from inference_api.guards.pages import HEALTH
 from inference_api.problems import (
     BODY_TOO_LARGE,
+    FOREIGN_ORIGIN,
+    HEADERS_TIMEOUT,
+    HEADERS_TOO_LARGE,
     INTERNAL_ERROR,
     INVALID_IMAGE,
     INVALID_VALUE,
     MALFORMED_BODY,
+    MALFORMED_REQUEST,
     MEDIA_TYPE,
     NO_MODEL,
     OVERLOADED,
     REGISTRY_UNAVAILABLE,
     REQUEST_TIMEOUT,
+    SHUTTING_DOWN,
     TOO_MANY_REQUESTS,
     UNAUTHORIZED,
+    UNKNOWN_HOST,
     UNKNOWN_MODEL,
     UNSUPPORTED_MEDIA_TYPE,
+    URI_TOO_LONG,
     ProblemType,
 )
 from inference_api.sampling import NPY
 from inference_api.schemas import Problem, SampleAnswer, SampleRequest, multipart_schema
 from inference_api.tensor_schemas import InferenceRequest
 
-# What the guards answer on every page but those of health.
-GUARD_PROBLEMS = (UNAUTHORIZED, TOO_MANY_REQUESTS, OVERLOADED)
-SAMPLE_PROBLEMS = (
-    MALFORMED_BODY,
+# What is answered before any page is looked for: by the guards, and by the protocol below them.
+GUARD_PROBLEMS = (
+    MALFORMED_REQUEST,
     UNAUTHORIZED,
+    FOREIGN_ORIGIN,
+    HEADERS_TIMEOUT,
+    URI_TOO_LONG,
+    UNKNOWN_HOST,
+    TOO_MANY_REQUESTS,
+    HEADERS_TOO_LARGE,
+    OVERLOADED,
+    SHUTTING_DOWN,
+)
+SAMPLE_PROBLEMS = (
+    *GUARD_PROBLEMS,
+    MALFORMED_BODY,
     UNKNOWN_MODEL,
     REQUEST_TIMEOUT,
     BODY_TOO_LARGE,
     UNSUPPORTED_MEDIA_TYPE,
     INVALID_IMAGE,
     INVALID_VALUE,
-    TOO_MANY_REQUESTS,
     INTERNAL_ERROR,
-    OVERLOADED,
     NO_MODEL,
     REGISTRY_UNAVAILABLE,
 )

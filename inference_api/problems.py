@@ -13,13 +13,11 @@ from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect
 
 from cspace.errors import (
-    BundleError,
     CspaceError,
     ImageError,
     InputError,
     ModelNotFoundError,
     RegistryError,
-    StorageError,
 )
 from inference_api.model_store import ModelNotReadyError
 from inference_api.telemetry.record import note_reason
@@ -67,6 +65,8 @@ INVALID_IMAGE = ProblemType("invalid-image", 422, "The picture is not acceptable
 INVALID_VALUE = ProblemType("invalid-value", 422, "A field is wrong")
 TOO_MANY_REQUESTS = ProblemType("too-many-requests", 429, "The client asks too often")
 HEADERS_TOO_LARGE = ProblemType("headers-too-large", 431, "The headers are too large")
+# nginx's number for it; nobody reads the answer, but metrics and log tell of it.
+CLIENT_GONE = ProblemType("client-gone", 499, "The client went away")
 INTERNAL_ERROR = ProblemType("internal-error", 500, "The server failed")
 OVERLOADED = ProblemType("overloaded", 503, "The server answers too many requests already")
 SHUTTING_DOWN = ProblemType("shutting-down", 503, "The server is shutting down")
@@ -91,12 +91,19 @@ PROBLEMS = (
     INVALID_VALUE,
     TOO_MANY_REQUESTS,
     HEADERS_TOO_LARGE,
+    CLIENT_GONE,
     INTERNAL_ERROR,
     OVERLOADED,
     SHUTTING_DOWN,
     NO_MODEL,
     REGISTRY_UNAVAILABLE,
 )
+# All that a client is told of failures that are not about its request.
+_ABOUT_THE_SERVER = {
+    INTERNAL_ERROR: "the server failed; its log says how",
+    REGISTRY_UNAVAILABLE: "the model that was asked for is not here, and the model registry does not answer; "
+    "ask again in some seconds",
+}
 _BY_STATUS = {404: NOT_FOUND, 405: METHOD_NOT_ALLOWED, 413: BODY_TOO_LARGE, 415: UNSUPPORTED_MEDIA_TYPE}
 # In this order: the first that fits decides.
 _BY_ERROR: tuple[tuple[type[CspaceError], ProblemType], ...] = (
@@ -145,9 +152,13 @@ def add_problem_handlers(app: FastAPI) -> None:
     @app.exception_handler(CspaceError)
     def project_error(_: Request, error: CspaceError) -> Response:
         problem = problem_of(error)
-        if isinstance(error, BundleError | StorageError) or problem is INTERNAL_ERROR:
-            _LOG.error("a request failed: %s", error)
-            return problem_response(INTERNAL_ERROR, error.what)
+        told = _ABOUT_THE_SERVER.get(problem)
+        if told is not None:
+            # Its words may hold an address, a path or a secret: they are for the log.
+            _LOG.log(
+                logging.ERROR if problem is INTERNAL_ERROR else logging.WARNING, "a request failed: %s", error
+            )
+            return problem_response(problem, told)
         errors = [item.model_dump() for item in error.problems] if isinstance(error, FieldsError) else None
         return problem_response(
             problem,
@@ -167,7 +178,7 @@ def add_problem_handlers(app: FastAPI) -> None:
 
     @app.exception_handler(ClientDisconnect)
     def gone(_: Request, __: ClientDisconnect) -> Response:
-        return problem_response(MALFORMED_BODY, "the client went away before the body was complete")
+        return problem_response(CLIENT_GONE, "the client went away before its answer")
 
     @app.exception_handler(Exception)
     def unforeseen(_: Request, __: Exception) -> Response:

@@ -9,13 +9,16 @@ from fastapi import APIRouter, FastAPI, Request
 from fastapi.responses import PlainTextResponse, Response
 from fastapi.routing import APIRoute
 
-from inference_api.dependencies import Store, store_of, turns_of
-from inference_api.model_store import PRETRAINED_VERSION
+from inference_api.dependencies import Room, Store, Turn, room_of, store_of, turns_of
+from inference_api.exchange import respond
+from inference_api.guards.rate import client_of
+from inference_api.health import default_model
+from inference_api.model_store import PRETRAINED_VERSION, ModelStore
 from inference_api.openapi import GUARD_PROBLEMS, problem_responses, sample_extra, sample_responses
 from inference_api.problems import NO_MODEL, UNAUTHORIZED
-from inference_api.references import PRETRAINED, ModelReference
+from inference_api.references import PRETRAINED
 from inference_api.request_body import read_fields
-from inference_api.sampling import answer_request, model_info, prefers_npy
+from inference_api.sampling import model_info, prefers_npy, read_question
 from inference_api.schemas import ListedModel, Live, ModelList, Ready
 from inference_api.telemetry.metrics import CONTENT_TYPE, Metrics
 
@@ -56,13 +59,18 @@ async def sample(request: Request) -> Response:
     began = time.perf_counter()
     npy = prefers_npy(request.headers.get("accept"))
     fields = await read_fields(request)
-    answer = partial(answer_request, store_of(request), fields, npy=npy, began=began)
-    return await turns_of(request).run(answer)
+    store = store_of(request)
+    ask = partial(read_question, store, fields, npy=npy, began=began)
+    return await respond(request, store, turns_of(request), room_of(request), ask)
 
 
 @router.get("/models", summary="Models that requests can name", responses=problem_responses(*GUARD_PROBLEMS))
-def models(store: Store) -> ModelList:
+async def models(request: Request, store: Store, room: Room) -> ModelList:
     """Versions of the default model, newest first, and the shipped model."""
+    return await room.run(partial(_listed, store), client_of(request.scope))
+
+
+def _listed(store: ModelStore) -> ModelList:
     served = store.default
     default = None if served is None else (served.name, served.version)
     listed = [
@@ -116,7 +124,7 @@ async def live() -> Live:
 @router.get(
     "/health/ready", summary="Whether samples can be asked for", responses=problem_responses(NO_MODEL)
 )
-async def ready(store: Store) -> Ready:
-    """The model that answers requests that name none; 503 without one."""
-    served = store.resolve(ModelReference(store.model_name))
-    return Ready(registry=store.registry_state, model=model_info(served))
+async def ready(store: Store, turns: Turn) -> Ready:
+    """The model that answers requests that name none; 503 without one, or while no request ends any more."""
+    served = default_model(store, turns)
+    return Ready(registry=store.registry_state, successor=store.successor, model=model_info(served))

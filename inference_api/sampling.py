@@ -9,7 +9,8 @@ from functools import lru_cache
 import numpy as np
 from fastapi.responses import Response
 
-from cspace.bundle import SampleSet
+from cspace.bundle import BundleSpec, SampleSet
+from cspace.bundle.keeping import BUDGET, BUDGET_AT_LEAST
 from inference_api.model_store import ModelStore, ServedModel
 from inference_api.references import ModelReference
 from inference_api.request_body import RawFields, parse_fields
@@ -22,9 +23,12 @@ from inference_api.schemas import (
     TimingMs,
 )
 from inference_api.telemetry.observer import Sampled
+from inference_api.turns import Turn
 from inference_api.validation import validate_request
 
 NPY = "application/x-npy"
+# What decoding and encoding a further picture costs, in samples that are drawn.
+PICTURE_ROWS = 200
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,30 +50,71 @@ class Answer:
     timing: TimingMs
 
 
-def answer_request(store: ModelStore, fields: RawFields, *, npy: bool, began: float) -> Response:
-    """Parse, validate, sample and write.
+@dataclass(frozen=True, slots=True)
+class SampleQuestion:
+    """A valid request for samples; an :class:`~inference_api.exchange.Question`.
+
+    Args:
+        store: where pictures are known and observers told.
+        request: what is asked.
+        reference: the model that it names.
+        npy: whether the client prefers the samples alone as ``.npy``.
+        began: ``time.perf_counter()`` when the request came in, s.
+    """
+
+    store: ModelStore
+    request: SampleRequest
+    reference: ModelReference
+    npy: bool
+    began: float
+
+    def answer(self, served: ServedModel, turn: Turn) -> Response:
+        """Sample and write.
+
+        Raises:
+            CspaceError: as the contract's table of errors.
+            ClientDisconnect: the client has gone away.
+        """
+        # A ``.npy`` holds samples alone: nobody would see the scores of those that are not filtered.
+        answer = sample(self.store, served, self.request, self.began, turn, tell_confidence=not self.npy)
+        return npy_response(answer) if self.npy else json_response(answer)
+
+
+def read_question(store: ModelStore, fields: RawFields, *, npy: bool, began: float) -> SampleQuestion:
+    """Parse and validate.
 
     Args:
         store: where the models are.
         fields: the body as it was read.
-        npy: whether the client prefers the samples alone as ``.npy``.
-        began: ``time.perf_counter()`` when the request came in, s.
+        npy: as :class:`SampleQuestion` has it.
+        began: likewise.
 
     Raises:
         CspaceError: as the contract's table of errors.
     """
-    values = parse_fields(fields)
-    # A ``.npy`` holds samples alone: nobody would see the scores of those that are not filtered.
-    answer = sample(store, validate_request(values), began, tell_confidence=not npy)
-    return npy_response(answer) if npy else json_response(answer)
+    request = validate_request(parse_fields(fields))
+    named = request.model if "model" in request.model_fields_set else store.model_name
+    return SampleQuestion(store, request, ModelReference.parse(named), npy, began)
+
+
+def rows_of(spec: BundleSpec, request: SampleRequest, pictures: int = 1) -> float:
+    """What a request may cost at most, in samples that are drawn."""
+    threshold = spec.confidence_threshold if request.min_confidence is None else request.min_confidence
+    drawn = max(BUDGET * request.n, BUDGET_AT_LEAST) if threshold else request.n
+    return float(pictures * drawn + (pictures - 1) * PICTURE_ROWS)
 
 
 def sample(
-    store: ModelStore, request: SampleRequest, began: float, *, tell_confidence: bool = True
+    store: ModelStore,
+    served: ServedModel,
+    request: SampleRequest,
+    began: float,
+    turn: Turn,
+    *,
+    tell_confidence: bool = True,
 ) -> Answer:
     """Answer a valid request; as :meth:`cspace.bundle.Bundle.sample` has it, scored for who is told."""
-    named = request.model if "model" in request.model_fields_set else store.model_name
-    served = store.resolve(ModelReference.parse(named))
+    turn.spend(rows_of(served.bundle.spec, request))
     prepared = store.pictures.get(served.bundle, request.image)
     seed = secrets.randbits(64) if request.seed is None else request.seed
     found = served.bundle.sample(
@@ -81,6 +126,7 @@ def sample(
         goal=request.goal,
         min_confidence=request.min_confidence,
         tell_confidence=tell_confidence,
+        between=turn.between,
     )
     timing = TimingMs(
         decode=prepared.decode_ms,

@@ -190,6 +190,9 @@ class Ready(BaseModel):
 
     status: Literal["ready"] = "ready"
     registry: Literal["none", "reachable", "unreachable"]
+    successor: Literal["none", "pending", "refused"] = Field(
+        description="Whether there is a champion that is not in service: being fetched, or refused."
+    )
     model: ModelInfo
 
 

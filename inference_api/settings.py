@@ -10,6 +10,7 @@ from cspace.errors import ConfigError
 from inference_api.connections.limits import MIB, ConnectionLimits
 from inference_api.guards.names import host_names, origins, proxies
 from inference_api.guards.protection import Protection
+from inference_api.references import served_name
 from inference_api.telemetry.tracing import wants_traces
 
 # The name is the metrics library's; `--workers` sets it.
@@ -75,7 +76,7 @@ class ApiSettings:
         return cls(
             registry_uri=values.get("MLFLOW_TRACKING_URI") or None,
             cache_folder=Path(values.get("CSPACE_MODEL_CACHE") or cache),
-            model_name=values.get("CSPACE_MODEL_NAME") or DEFAULT_MODEL,
+            model_name=served_name(values.get("CSPACE_MODEL_NAME") or DEFAULT_MODEL),
             poll_s=_number(values, "CSPACE_MODEL_POLL_S", 2.0, 0.01),
             pretrained_folder=Path(values.get("CSPACE_PRETRAINED_MODEL") or PRETRAINED_FOLDER),
             loaded_bundles=int(_number(values, "CSPACE_LOADED_MODELS", 4, 1)),

@@ -13,13 +13,15 @@ from numpy.typing import NDArray
 from cspace.bundle import MAX_SEED, Bundle, SampleSet
 from cspace.errors import InputError
 from inference_api.model_store import ModelStore, ServedModel
-from inference_api.pictures import PictureCache
+from inference_api.pictures import PictureCache, Prepared
 from inference_api.references import PRETRAINED, ModelReference
+from inference_api.sampling import rows_of
 from inference_api.schemas import MAX_SAMPLES, SampleRequest
 from inference_api.telemetry.observer import Sampled
 from inference_api.tensor_request import flag, read_request, split_parameters
-from inference_api.tensor_schemas import RequestedOutput
+from inference_api.tensor_schemas import InferenceRequest, RequestedOutput
 from inference_api.tensors import JSON_LENGTH, Tensor, read_tensors, split_body, write_tensors
+from inference_api.turns import Turn
 from inference_api.validation import brief_members, validate_request
 
 IMAGE = "image"
@@ -57,10 +59,54 @@ def reference_of(model: str, version: str | None = None) -> ModelReference:
     return ModelReference.parse(f"{model}/{version}")
 
 
-def answer_inference(
+@dataclass(frozen=True, slots=True, eq=False)
+class InferenceQuestion:
+    """A request whose tensors are read; an :class:`~inference_api.exchange.Question`.
+
+    Args:
+        store: where pictures are known and observers told.
+        reference: the model that it names.
+        request: the JSON object.
+        tensors: its inputs by name.
+        wanted: what is asked for each picture.
+        binary: whether outputs come as bytes unless they are asked for otherwise.
+        began: ``time.perf_counter()`` when the request was read, s.
+    """
+
+    store: ModelStore
+    reference: ModelReference
+    request: InferenceRequest
+    tensors: Mapping[str, NDArray[Any]]
+    wanted: SampleRequest
+    binary: bool
+    began: float
+
+    def answer(self, served: ServedModel, turn: Turn) -> Response:
+        """Sample and write.
+
+        Raises:
+            CspaceError: as the contract's table of errors.
+            ClientDisconnect: the client has gone away.
+        """
+        images = _images(served.bundle, self.tensors)
+        drawn = draw(served.bundle, images, self.wanted, self.store.pictures, turn)
+        spent_s = time.perf_counter() - self.began
+        self.store.observer.sampled(sampled(served, drawn, self.wanted.n, spent_s))
+        arrays = output_arrays(drawn)
+        asked = _asked(self.request.outputs, arrays, self.binary)
+        outputs = [Tensor(name, arrays[name], as_bytes) for name, as_bytes in asked]
+        head = _head(served) | ({} if self.request.id is None else {"id": self.request.id})
+        written = write_tensors(head, outputs)
+        if written.json_length is None:
+            return Response(written.content, media_type="application/json")
+        headers = {JSON_LENGTH: str(written.json_length)}
+        return Response(written.content, headers=headers, media_type="application/octet-stream")
+
+
+def read_inference(
     store: ModelStore, reference: ModelReference, body: bytes, json_length: str | None
-) -> Response:
-    """Parse, validate, sample and write.
+) -> InferenceQuestion:
+    """Parse and validate.
 
     Args:
         store: where the models are.
@@ -77,22 +123,12 @@ def answer_inference(
     tensors = read_tensors(request.inputs, parts.tail)
     binary, fields = split_parameters(request.parameters)
     wanted = validate_request({**fields, IMAGE: b""})
-    served = store.resolve(reference)
-    drawn = draw(served.bundle, _images(served.bundle, tensors), wanted, store.pictures)
-    store.observer.sampled(sampled(served, drawn, wanted.n, time.perf_counter() - began))
-    arrays = output_arrays(drawn)
-    outputs = [
-        Tensor(name, arrays[name], as_bytes) for name, as_bytes in _asked(request.outputs, arrays, binary)
-    ]
-    head = _head(served) | ({} if request.id is None else {"id": request.id})
-    written = write_tensors(head, outputs)
-    if written.json_length is None:
-        return Response(written.content, media_type="application/json")
-    headers = {JSON_LENGTH: str(written.json_length)}
-    return Response(written.content, headers=headers, media_type="application/octet-stream")
+    return InferenceQuestion(store, reference, request, tensors, wanted, binary, began)
 
 
-def draw(bundle: Bundle, images: NDArray[np.uint8], request: SampleRequest, known: PictureCache) -> Drawn:
+def draw(
+    bundle: Bundle, images: NDArray[np.uint8], request: SampleRequest, known: PictureCache, turn: Turn
+) -> Drawn:
     """Samples for each picture as it would get them alone, with the seeds seed, seed + 1, ... modulo 2^64.
 
     Args:
@@ -100,6 +136,7 @@ def draw(bundle: Bundle, images: NDArray[np.uint8], request: SampleRequest, know
         images: uint8 (b, P, P, 3), b from 1 to :data:`MAX_PICTURES`.
         request: what is asked for each; its picture is not looked at.
         known: pictures that are encoded already.
+        turn: told the cost, and asked between pictures.
 
     Raises:
         InputError: these are more samples than one request may ask for, or a value does not fit the model.
@@ -111,14 +148,17 @@ def draw(bundle: Bundle, images: NDArray[np.uint8], request: SampleRequest, know
             got=f"{request.n} times {len(images)}",
             remedy="ask for fewer at a time",
         )
+    turn.spend(rows_of(bundle.spec, request, len(images)))
     first = secrets.randbits(64) if request.seed is None else request.seed
     seeds = [(first + index) % (MAX_SEED + 1) for index in range(len(images))]
     options = request.model_dump(include=_OPTIONS)
-    prepared = [known.of_pixels(bundle, image) for image in images]
-    found = [
-        bundle.sample(one.picture, request.n, seed, **options)
-        for one, seed in zip(prepared, seeds, strict=True)
-    ]
+    prepared: list[Prepared] = []
+    found: list[SampleSet] = []
+    for image, seed in zip(images, seeds, strict=True):
+        if found:
+            turn.between()
+        prepared.append(known.of_pixels(bundle, image))
+        found.append(bundle.sample(prepared[-1].picture, request.n, seed, between=turn.between, **options))
     novelties = [one.picture.novelty for one in prepared if one.picture.novelty is not None]
     return Drawn(found, seeds, novelties, 1e-3 * sum(one.encode_ms for one in prepared))
 

@@ -65,5 +65,10 @@ def log_settings(form: LogForm) -> dict[str, Any]:
         "formatters": {"line": {"()": f"{formatter.__module__}.{formatter.__qualname__}"}},
         "handlers": {"standard-error": {"class": "logging.StreamHandler", "formatter": "line"}},
         "root": {"level": "WARNING", "handlers": ["standard-error"]},
-        "loggers": {"inference_api": {"level": "INFO"}, "uvicorn": {"level": "INFO"}},
+        # What the form's parser thinks of a client's bytes is told to the client.
+        "loggers": {
+            "inference_api": {"level": "INFO"},
+            "uvicorn": {"level": "INFO"},
+            "python_multipart": {"level": "ERROR"},
+        },
     }

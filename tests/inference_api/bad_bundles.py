@@ -9,15 +9,21 @@ from numpy.typing import NDArray
 from onnx import TensorProto, helper, numpy_helper
 
 from cspace.bundle.files import ENCODER_FILE, SUMS_FILE, sums_of
+from cspace.bundle.loops import MAX_TURNS
 from tests.bundles import tiny_spec, write_tiny_bundle
 
 
 def write_looping_bundle(folder: Path) -> Path:
-    """Its encoder goes round 2^62 times."""
+    """Its encoder goes round as often as a bundle's may, for minutes; one without end would not be opened."""
     body = helper.make_graph(
         [
             helper.make_node("Identity", ["go"], ["go_on"]),
-            helper.make_node("Sin", ["at"], ["next"]),
+            helper.make_node("ReduceMean", ["at"], ["mean"], keepdims=1),
+            helper.make_node("Expand", ["mean", "side"], ["wide"]),
+            helper.make_node("MatMul", ["wide", "wide"], ["product"]),
+            helper.make_node("ReduceMean", ["product"], ["small"], keepdims=1),
+            helper.make_node("Tanh", ["small"], ["smaller"]),
+            helper.make_node("Mul", ["at", "smaller"], ["next"]),
         ],
         "body",
         [
@@ -35,7 +41,7 @@ def write_looping_bundle(folder: Path) -> Path:
         helper.make_node("Loop", ["rounds", "yes", "flat"], ["mu"], body=body),
         helper.make_node("Sigmoid", ["mu"], ["sigma"]),
     ]
-    weights = {"rounds": np.array(2**62), "yes": np.bool_(1)}
+    weights = {"rounds": np.array(MAX_TURNS), "yes": np.bool_(1), "side": np.array([1024, 1024])}
     return _write(folder, nodes, weights)
 
 

@@ -45,7 +45,7 @@ def client_of(api: ApiClient) -> SamplingClient:
         answer = api.post(request.url.path, content=request.read(), headers=dict(request.headers))
         return httpx.Response(answer.status_code, headers=answer.headers, content=answer.content)
 
-    return SamplingClient("http://test:1", transport=httpx.MockTransport(passed_on))
+    return SamplingClient("http://localhost:1", transport=httpx.MockTransport(passed_on))
 
 
 def one_value(path_bundle, problem, epsilon):

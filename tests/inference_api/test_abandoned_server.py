@@ -1,0 +1,78 @@
+"""Requests whose clients have gone away, and dear ones beside cheap ones, at a real server."""
+
+import json
+import socket
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import httpx
+import pytest
+from prometheus_client.parser import text_string_to_metric_families
+
+from tests.inference_api.attacks import png, read_answer, sample
+from tests.inference_api.server import ServerProcess, server_process
+
+pytestmark = pytest.mark.e2e
+
+PATIENCE_S = 60.0
+LEFT = 30
+DEAREST = sample(png(48), n="20000", min_confidence="1", model="pretrained")
+CHEAP = sample(png(48), n="5", seed="7")
+
+
+@pytest.fixture
+def server(tmp_path: Path) -> Iterator[ServerProcess]:
+    """The model that ships, on one thread, for the tiny ones of other tests cost nothing."""
+    with server_process(tmp_path, {"CSPACE_API_THREADS": "1"}, "--log", "json") as found:
+        yield found
+
+
+def metric(address: str, name: str) -> float:
+    text = httpx.get(f"{address}/metrics", timeout=PATIENCE_S).text
+    families = text_string_to_metric_families(text)
+    return next(one.value for family in families for one in family.samples if one.name == name)
+
+
+def until(address: str, name: str, value: float) -> None:
+    deadline = time.monotonic() + PATIENCE_S
+    while metric(address, name) != value:
+        assert time.monotonic() < deadline, name
+
+
+def reasons(server: ServerProcess) -> list[str]:
+    lines = [line for line in server.log.read_text().splitlines() if line.startswith("{")]
+    return [line["reason"] for line in map(json.loads, lines) if "reason" in line]
+
+
+def connect(server: ServerProcess) -> socket.socket:
+    port = int(server.address.rsplit(":", 1)[1])
+    return socket.create_connection(("127.0.0.1", port), timeout=PATIENCE_S)
+
+
+def test_what_was_left_is_not_computed_and_each_leaves_one_line(server: ServerProcess) -> None:
+    links = [connect(server) for _ in range(LEFT)]
+    for link in links:
+        link.sendall(DEAREST)
+    until(server.address, "cspace_requests_waiting", LEFT - 1)
+    for link in links:
+        link.close()
+    until(server.address, "cspace_requests_in_flight", 1)
+    assert metric(server.address, "cspace_samples_requested_total") == 0
+    assert reasons(server) == ["client-gone"] * LEFT
+    assert "Traceback" not in server.log.read_text()
+
+
+def test_a_cheap_request_is_answered_before_the_dear_ones_that_came_first(server: ServerProcess) -> None:
+    dear = [connect(server) for _ in range(5)]
+    for link in dear:
+        link.sendall(DEAREST)
+    until(server.address, "cspace_requests_waiting", len(dear) - 1)
+    with connect(server) as link:
+        link.sendall(CHEAP)
+        answer = read_answer(link)
+    assert answer.startswith(b"HTTP/1.1 200 ")
+    # None of the dear ones is done by then.
+    assert metric(server.address, "cspace_samples_requested_total") == 5
+    for link in dear:
+        link.close()
