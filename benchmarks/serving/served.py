@@ -57,10 +57,10 @@ class Served:
 @contextmanager
 def served(
     settings: Mapping[str, str] | None = None,
-    core: int = SERVER_CORE,
+    core: int | None = SERVER_CORE,
     program: Sequence[str] = ("-m", "inference_api"),
 ) -> Iterator[Served]:
-    """The API on one core; without a registry unless the settings name one.
+    """The API on one core, or on all for None; without a registry unless the settings name one.
 
     The program is what Python runs: the API, or a script that starts it with something added.
     """
@@ -72,7 +72,7 @@ def served(
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
         text=True,
-        preexec_fn=lambda: os.sched_setaffinity(0, {core}),  # noqa: PLW1509 - nothing else runs yet
+        preexec_fn=lambda: core is None or os.sched_setaffinity(0, {core}),  # noqa: PLW1509 - nothing else runs yet
     )
     try:
         address = process.stdout.readline().split()[2]

@@ -1,0 +1,119 @@
+"""The whole surface by structure, against a real server: no 500, no hang, no growth, and good requests go on.
+
+Case ``number`` is made from the seed ``number`` alone, so that the one that fails can be repeated:
+``python -m tests.inference_api.test_surface_fuzz NUMBER`` prints its bytes.
+"""
+
+import os
+import random
+import socket
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+
+from tests.inference_api import body_fuzz, http_fuzz
+from tests.inference_api.attacks import png, read_answer, request, sample
+from tests.inference_api.server import ServerProcess, server_process
+
+SAMPLE_S, WHOLE_S = 45.0, 600.0
+PATIENCE_S = 20.0
+CHECK_EVERY = 50
+GROWTH_MIB = 64
+# What the contract knows; 500 is not among them.
+STATUSES = {200, 307, 400, 401, 403, 404, 405, 408, 413, 414, 415, 421, 422, 429, 431, 503}
+GOOD = sample(png(48, seed=1), n="5", seed="7")
+
+
+def case(number: int) -> bytes:
+    """The bytes of one case."""
+    rng = random.Random(number)  # noqa: S311 - a fuzz that can be repeated
+    kind = number % 4
+    if kind == 0:
+        return http_fuzz.message(rng)
+    if kind == 1 and rng.random() < 0.3:
+        return http_fuzz.upgrade(rng)
+    made = body_fuzz.one(rng)
+    media_type = made.headers.get("Content-Type", "")
+    further = [f"{name}: {value}" for name, value in made.headers.items() if name != "Content-Type"]
+    return request(made.path, made.body, media_type, *further)
+
+
+def send(port: int, data: bytes) -> bytes:
+    """What comes back, all of it where the server closes, until it falls silent where it does not."""
+    with socket.create_connection(("127.0.0.1", port), timeout=PATIENCE_S) as link:
+        answer = b""
+        with suppress(ConnectionError):
+            link.sendall(data)
+            # As one that has said all there is to say; else a message without its end waits for its deadline.
+            link.shutdown(socket.SHUT_WR)
+        with suppress(ConnectionError):
+            while part := link.recv(65536):
+                answer += part
+        return answer
+
+
+def statuses(answer: bytes) -> Iterator[int]:
+    """Of the answers that came back to back."""
+    for line in answer.split(b"HTTP/1.1 ")[1:]:
+        yield int(line[:3])
+
+
+def resident_mib(server: ServerProcess) -> float:
+    pages = int(Path(f"/proc/{server.process.pid}/statm").read_text().split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 1024**2
+
+
+def good(port: int) -> bytes:
+    """The samples that a good request is answered with."""
+    with socket.create_connection(("127.0.0.1", port), timeout=PATIENCE_S) as link:
+        link.sendall(GOOD)
+        answer = read_answer(link)
+    assert answer.startswith(b"HTTP/1.1 200 "), answer[:500]
+    return answer.partition(b'"samples":')[2].partition(b'"confidence"')[0]
+
+
+@pytest.fixture(scope="module")
+def server(tmp_path_factory: pytest.TempPathFactory, bundles: dict[str, Path]) -> Iterator[ServerProcess]:
+    chosen = {"CSPACE_PRETRAINED_MODEL": str(bundles["careful"]), "CSPACE_CACHED_PICTURES": "16"}
+    with server_process(tmp_path_factory.mktemp("fuzz"), chosen) as found:
+        yield found
+
+
+def fuzz(server: ServerProcess, first: int, seconds: float) -> int:
+    """Send cases for so long; how many there were."""
+    port, number = int(server.address.rsplit(":", 1)[1]), first
+    expected, before = good(port), 0.0
+    until = time.monotonic() + seconds
+    while time.monotonic() < until:
+        answer = send(port, case(number))
+        assert set(statuses(answer)) <= STATUSES, f"case {number}: {answer[:500]!r}"
+        assert not answer or answer.startswith(b"HTTP/1.1 "), f"case {number}: {answer[:500]!r}"
+        if (number - first) % CHECK_EVERY == 0:
+            assert good(port) == expected, f"after case {number}"
+        number += 1
+        if number - first == 4 * CHECK_EVERY:
+            # Warm by now: what is still to come is growth.
+            before = resident_mib(server)
+    grown = resident_mib(server) - before
+    assert grown < GROWTH_MIB, f"{grown:.0f} MiB in {number - first} cases"
+    return number - first
+
+
+@pytest.mark.e2e
+def test_a_sample_of_the_surface(server: ServerProcess) -> None:
+    assert fuzz(server, 0, SAMPLE_S) > 4 * CHECK_EVERY
+
+
+@pytest.mark.e2e
+@pytest.mark.slow
+@pytest.mark.timeout(2 * WHOLE_S)
+def test_ten_minutes_of_the_surface(server: ServerProcess) -> None:
+    assert fuzz(server, 1_000_000, WHOLE_S) > 4 * CHECK_EVERY
+
+
+if __name__ == "__main__":
+    sys.stdout.buffer.write(case(int(sys.argv[1])))
