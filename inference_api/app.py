@@ -16,7 +16,7 @@ from inference_api.docs_page import add_docs_page
 from inference_api.guards.headers import SecurityHeaders
 from inference_api.guards.install import add_guards
 from inference_api.guards.last_resort import LastResort
-from inference_api.memory import few_arenas
+from inference_api.memory import few_arenas, settle
 from inference_api.model_store import ModelStore
 from inference_api.open_inference import add_open_inference
 from inference_api.openapi import document
@@ -60,6 +60,7 @@ def create_app(settings: ApiSettings | None = None, registry: ModelRegistry | No
         app.state.turns = Turns(settings.threads, app.state.metrics.waiting)
         app.state.room = WaitingRoom()
         async with following(store, settings.poll_s, FIRST_LOOK_S):
+            settle()
             yield
         if app.state.traces is not None:
             # Sends what is still waiting.

@@ -4,6 +4,7 @@ A model that is at hand answers in the turn in which the request was read. One t
 loaded while nobody's turn is taken, in a waiting room of its own that is bounded, too.
 """
 
+import asyncio
 from collections.abc import Callable
 from functools import partial
 from typing import Protocol
@@ -11,6 +12,7 @@ from typing import Protocol
 from fastapi import Request
 from fastapi.responses import Response
 
+from inference_api.connections.departure import DEPARTURE
 from inference_api.guards.rate import client_of
 from inference_api.model_store import ModelStore, ServedModel
 from inference_api.references import ModelReference
@@ -50,21 +52,33 @@ async def respond(
         CspaceError: as the contract's table of errors.
         ClientDisconnect: the client has gone away.
     """
-    client, gone = client_of(request.scope), partial(_gone, request)
+    client = client_of(request.scope)
+    watch = request.scope.get(DEPARTURE) or partial(_watch, request)
 
     def first(turn: Turn) -> Response | Question:
         question = ask()
         served = store.resolve_now(question.reference)
         return question if served is None else question.answer(served, turn)
 
-    found = await turns.run(first, client, gone)
+    found = await turns.run(first, client, watch)
     if isinstance(found, Response):
         return found
     served = await room.run(partial(store.resolve, found.reference), client)
-    return await turns.run(partial(found.answer, served), client, gone)
+    return await turns.run(partial(found.answer, served), client, watch)
 
 
-async def _gone(request: Request) -> None:
-    """Return when the client has gone away; the body has been read, so that nothing else can come."""
-    while (await request.receive())["type"] != "http.disconnect":
-        pass
+def _watch(request: Request, leave: Callable[[], None]) -> Callable[[], None]:
+    """By a task that waits for word of it; for servers that do not tell by themselves."""
+
+    async def wait() -> None:
+        # The body has been read, so that nothing else can come.
+        while (await request.receive())["type"] != "http.disconnect":
+            pass
+        leave()
+
+    waiting = asyncio.ensure_future(wait())
+
+    def end() -> None:
+        waiting.cancel()
+
+    return end

@@ -14,7 +14,9 @@ MAX_MARKS = 5_000
 MAX_TENSOR_MARKS = 100_000
 # Reading a whole number takes time with the square of its digits; 8 MiB of long ones would take 0.15 s.
 MAX_DIGITS = 1_000
-_MARKS = b",:[{"
+# A text of nothing else would hold the interpreter for 20 ms. Base64 in JSON that escapes slashes has fewer.
+MAX_ESCAPES = 200_000
+_MARKS, _ESCAPE = b",:[{", ord("\\")
 
 
 def parse_json(body: bytes, most: int = MAX_MARKS) -> dict[str, Any]:
@@ -55,6 +57,15 @@ def load_json(what: str, data: bytes, most: int = MAX_MARKS) -> object:
             expected=f"at most {most} commas, colons and opening brackets",
             got=str(marks),
             remedy="send pictures as PNG, or as binary tensors behind the JSON object",
+        )
+    escapes = int(np.count_nonzero(octets == _ESCAPE))
+    if escapes > MAX_ESCAPES:
+        raise RequestError(
+            MALFORMED_BODY,
+            f"{what} holds too many escapes",
+            expected=f"at most {MAX_ESCAPES} backslashes",
+            got=str(escapes),
+            remedy="write texts in UTF-8",
         )
     try:
         return json.loads(

@@ -1,12 +1,13 @@
 """Requests are computed in turns: so many at the same time in threads, the others wait, fairly by client.
 
 A long request is cut into stints: between two of them it hands its turn to whoever waits, and ends where its
-client has gone away. Long ones never have all the threads, unless there is but one.
+client has gone away. Long ones never have all the threads, unless there is but one; few are under way at a
+time.
 """
 
 import asyncio
 import time
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
 from threading import Event, Lock
@@ -19,10 +20,14 @@ from starlette.requests import ClientDisconnect
 from inference_api.fair_queue import FairQueue
 
 Result = TypeVar("Result")
-Gone = Callable[[], Awaitable[None]]
+# Takes what is to be called when the client goes away, and returns what ends that; both on the event loop.
+Watch = Callable[[Callable[[], None]], Callable[[], None]]
 
-# In rows, that is samples drawn: what a request costs before more is known of it, and what a stint is worth.
-USUAL_ROWS, STINT_ROWS = 320.0, 4096.0
+# In rows, that is samples drawn: what a request costs before more is known of it, what a stint is worth, and
+# above what a request is long.
+USUAL_ROWS, STINT_ROWS, LONG_ROWS = 320.0, 512.0, 4096.0
+# Long requests that have begun and not ended, each with its part of an answer: of one client, in all.
+LONG_OF_CLIENT, LONG_AT_ONCE = 2, 16
 # Computing that has not come to the end of a stint for so long does not work as it should.
 STUCK_S = 20.0
 
@@ -33,20 +38,20 @@ class Turn:
     Args:
         turns: where it belongs.
         client: whose it is.
-        gone: returns when the client has gone away; None where nobody can tell.
+        watch: tells when the client goes away; None where nobody can.
     """
 
-    def __init__(self, turns: "Turns", client: str, gone: Gone | None) -> None:
+    def __init__(self, turns: "Turns", client: str, watch: Watch | None) -> None:
         self.client = client
         self.is_long = False
         # When the present stint began.
         self.since_s = 0.0
-        self.called: asyncio.Future[None] | None = None
-        self._turns, self._gone = turns, gone
+        self.called: asyncio.Future[bool] | None = None
+        self._turns, self._watch = turns, watch
         self._loop = asyncio.get_running_loop()
         self._began, self._ended, self._abandoned = False, False, False
         self._lock, self._resumed = Lock(), Event()
-        self._listener: asyncio.Task[None] | None = None
+        self._unwatch: Callable[[], None] | None = None
 
     def spend(self, rows: float) -> None:
         """Tell what the request costs; from the thread, before the cost arises.
@@ -57,7 +62,7 @@ class Turn:
         Raises:
             ClientDisconnect: the client has gone away.
         """
-        if rows > STINT_ROWS:
+        if rows > LONG_ROWS:
             # Pays stint by stint.
             self.is_long = True
             self._step_aside()
@@ -94,14 +99,13 @@ class Turn:
 
     def resume(self) -> None:
         """It is this request's turn; on the event loop."""
-        if self.called is not None and not self.called.done():
-            self.called.set_result(None)
+        self._call(there=True)
         self._resumed.set()
 
     def listen(self) -> None:
-        """Stop the work when the client goes away; on the event loop."""
-        if self._gone is not None and self._listener is None and not self._ended:
-            self._listener = asyncio.ensure_future(self._wait_for_end(self._gone))
+        """Stop waiting and working when the client goes away; on the event loop."""
+        if self._watch is not None and self._unwatch is None and not self._ended:
+            self._unwatch = self._watch(self._leave)
 
     @property
     def is_abandoned(self) -> bool:
@@ -118,24 +122,16 @@ class Turn:
 
     def stop_listening(self) -> None:
         """The work has ended, or goes on for nobody; on the event loop."""
-        if self._listener is not None:
-            self._listener.cancel()
+        if self._unwatch is not None:
+            self._unwatch()
 
-    async def heard(self, called: "asyncio.Future[None]") -> bool:
-        """Wait for a call or the client's end, whichever comes first; whether the client is still there."""
-        if self._gone is None:
-            await called
-            return True
-        listener = asyncio.ensure_future(self._gone())
-        try:
-            await asyncio.wait((called, listener), return_when=asyncio.FIRST_COMPLETED)
-            return not listener.done()
-        finally:
-            listener.cancel()
-
-    async def _wait_for_end(self, gone: Gone) -> None:
-        await gone()
+    def _leave(self) -> None:
         self.abandon()
+        self._call(there=False)
+
+    def _call(self, *, there: bool) -> None:
+        if self.called is not None and not self.called.done():
+            self.called.set_result(there)
 
     def _charge(self, rows: float) -> None:
         self._loop.call_soon_threadsafe(self._turns.charge, self.client, rows)
@@ -164,6 +160,7 @@ class Turns:
         self._waiting = waiting
         self._queue: FairQueue[Turn] = FairQueue()
         self._running: set[Turn] = set()
+        self._under_way: set[Turn] = set()
         # Threads are more than places, for those that have stepped aside keep theirs.
         self._limiter = CapacityLimiter(float("inf"))
 
@@ -179,19 +176,21 @@ class Turns:
         running = tuple(self._running)
         return len(running) >= self._places and all(now_s - turn.since_s > STUCK_S for turn in running)
 
-    async def run(self, work: Callable[[Turn], Result], client: str = "", gone: Gone | None = None) -> Result:
+    async def run(
+        self, work: Callable[[Turn], Result], client: str = "", watch: Watch | None = None
+    ) -> Result:
         """What the work returns or raises.
 
         Args:
             work: takes its turn, which it may tell its cost and ask between its parts.
             client: by whom work is shared out.
-            gone: returns when the client has gone away, which takes its request out of the queue, or ends
-                it at its next pause; None where nobody can tell.
+            watch: tells when the client goes away, which takes its request out of the queue, or ends it at
+                its next pause; None where nobody can.
 
         Raises:
             ClientDisconnect: the client has gone away.
         """
-        turn = Turn(self, client, gone)
+        turn = Turn(self, client, watch)
         if len(self._running) < self._places and not self.anybody_waits:
             self._queue.begin(client, USUAL_ROWS)
             self._seat(turn)
@@ -226,16 +225,21 @@ class Turns:
         if self._queue.discard(turn):
             self._waiting.dec()
         self._running.discard(turn)
+        self._under_way.discard(turn)
         self._call_next()
 
     async def _wait(self, turn: Turn) -> None:
         turn.called = called = asyncio.get_running_loop().create_future()
         self._push(turn, USUAL_ROWS)
+        # Those that wait may be long ones that may not take what is free.
+        self._call_next()
+        turn.listen()
         there = False
         try:
-            there = await turn.heard(called)
+            there = await called
         finally:
             if not there:
+                turn.stop_listening()
                 self.leave(turn)
         if not there:
             raise ClientDisconnect
@@ -243,6 +247,8 @@ class Turns:
     def _seat(self, turn: Turn) -> None:
         turn.since_s = time.monotonic()
         self._running.add(turn)
+        if turn.is_long:
+            self._under_way.add(turn)
 
     def _push(self, turn: Turn, rows: float) -> None:
         self._queue.push(turn.client, rows, turn)
@@ -258,4 +264,10 @@ class Turns:
             turn.resume()
 
     def _may_compute(self, turn: Turn) -> bool:
-        return not turn.is_long or sum(other.is_long for other in self._running) < self._long_places
+        if not turn.is_long:
+            return True
+        if sum(other.is_long for other in self._running) >= self._long_places:
+            return False
+        of_client = sum(other.client == turn.client for other in self._under_way)
+        is_few = of_client < LONG_OF_CLIENT and len(self._under_way) < LONG_AT_ONCE
+        return is_few or turn in self._under_way

@@ -59,16 +59,20 @@ def served(
     settings: Mapping[str, str] | None = None,
     core: int | None = SERVER_CORE,
     program: Sequence[str] = ("-m", "inference_api"),
+    root: Path = ROOT,
 ) -> Iterator[Served]:
     """The API on one core, or on all for None; without a registry unless the settings name one.
 
-    The program is what Python runs: the API, or a script that starts it with something added.
+    The program is what Python runs: the API, or a script that starts it with something added. The root is
+    that of the checkout that it is taken from.
     """
     environment = {name: value for name, value in os.environ.items() if name != "MLFLOW_TRACKING_URI"}
     process = subprocess.Popen(
         [sys.executable, *program, "--port", "0"],
-        cwd=ROOT,
-        env=environment | {"PYTHONUNBUFFERED": "1", "OMP_NUM_THREADS": "1"} | dict(settings or {}),
+        cwd=root,
+        env=environment
+        | {"PYTHONUNBUFFERED": "1", "OMP_NUM_THREADS": "1", "PYTHONPATH": str(root)}
+        | dict(settings or {}),
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
         text=True,

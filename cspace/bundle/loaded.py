@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cspace.bundle.chunks import Between, chunked
+from cspace.bundle.chunks import CHUNK_ROWS, PATH_CHUNK_ROWS, Between, chunked
 from cspace.bundle.deadlines import RUN_LIMIT_S
 from cspace.bundle.draws import Draws, draw, propose, shares
 from cspace.bundle.files import GOLDEN_FILE, SPEC_FILE, BundleFiles, read_files
@@ -206,7 +206,8 @@ class Bundle:
             shape = (len(latents), spec.samples_per_latent, spec.dim)
             return self._generator.run(feeds, {"samples": shape})["samples"]
 
-        return chunked(run, len(draws.latents), between)[draws.kept]
+        chunk_rows = PATH_CHUNK_ROWS if spec.kind == "path" else CHUNK_ROWS
+        return chunked(run, len(draws.latents), between, chunk_rows)[draws.kept]
 
     def score(
         self, image: NDArray[np.uint8] | Picture, configurations: NDArray[np.float32]

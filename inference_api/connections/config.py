@@ -1,5 +1,6 @@
 """uvicorn's configuration, with what this server adds; light to import, for it is made before all else."""
 
+import sys
 from typing import TYPE_CHECKING
 
 import uvicorn
@@ -12,6 +13,7 @@ if TYPE_CHECKING:
     from inference_api.telemetry.metrics import Metrics
 
 KEEP_ALIVE_S = 60
+SWITCH_S = 0.00005
 
 
 class ApiConfig(uvicorn.Config):
@@ -51,6 +53,9 @@ class ApiConfig(uvicorn.Config):
     def load(self) -> None:
         """Load the app, in the process that serves and after uvicorn has taken the signals."""
         super().load()
+        # A request comes back to the interpreter after every graph, and would each time wait for 5 ms while
+        # the event loop is busy with somebody's small requests.
+        sys.setswitchinterval(SWITCH_S)
         self.metrics = self.loaded_app.state.metrics
         self.table = ConnectionTable(self.limits, self.metrics.connections)
         end_in_time(self.grace_s)

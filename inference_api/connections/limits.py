@@ -16,6 +16,7 @@ class ConnectionLimits:
             request from the connection on.
         write_timeout_s: for an answer that the client does not read, above 0; what is unsent lengthens it.
         write_bytes_per_s: by how much.
+        unread_bytes: of answers that the clients of one address leave unread for a second or longer, in all.
         header_bytes: of request line and headers together; as much again may stand beside a body, as
             trailers and chunk extensions.
         headers: of one request, trailers included.
@@ -30,6 +31,7 @@ class ConnectionLimits:
     header_timeout_s: float = 10.0
     write_timeout_s: float = 10.0
     write_bytes_per_s: int = 64 * KIB
+    unread_bytes: int = 16 * MIB
     header_bytes: int = 32 * KIB
     headers: int = 100
     target_bytes: int = 8 * KIB

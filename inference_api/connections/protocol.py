@@ -10,6 +10,7 @@ from uvicorn.server import ServerState
 from inference_api.connections.addresses import subscriber
 from inference_api.connections.answering import closing_where_unread
 from inference_api.connections.bounds import MessageBounds, RefusedError
+from inference_api.connections.departure import DEPARTURE, Departure
 from inference_api.connections.linger import LingeringTransport
 from inference_api.connections.refusal import Refusal, refuse
 from inference_api.problems import HEADERS_TIMEOUT, MALFORMED_REQUEST
@@ -19,6 +20,8 @@ if TYPE_CHECKING:
 
     from inference_api.connections.config import ApiConfig
 
+# A client that reads takes less for what a buffer holds.
+UNREAD_S = 1.0
 _MALFORMED = Refusal(MALFORMED_REQUEST, "these bytes are no HTTP/1.1", "use an HTTP client")
 _QUEUE = Refusal(
     MALFORMED_REQUEST,
@@ -52,6 +55,7 @@ class BoundedProtocol(HttpToolsProtocol):
         super().__init__(config, server_state, app_state, _loop)
         self._limits, self._table, self._metrics = config.limits, config.table, config.metrics
         self._bounds = MessageBounds(config.limits)
+        self._departure = Departure()
         self.address = "unknown"
         self.waiting_since = self.loop.time()
         # Answers that are owed, the one that is being made, and what is said after the last one.
@@ -81,6 +85,7 @@ class BoundedProtocol(HttpToolsProtocol):
         """Give the place back, and tell the answer that is being made."""
         self._table.remove(self)
         self.pipeline.clear()
+        self._departure.tell()
         if self._running is not None:
             # uvicorn tells the last of several alone.
             self._running.disconnected = True
@@ -133,6 +138,7 @@ class BoundedProtocol(HttpToolsProtocol):
             raise RefusedError(_QUEUE)
         if self.parser.should_upgrade() and any(_announces_body(*header) for header in self.headers):
             raise RefusedError(_UPGRADE)
+        cast("dict[str, Any]", self.scope)[DEPARTURE] = self._departure
         super().on_headers_complete()
         self._owed += 1
         self._head_since = None
@@ -179,6 +185,12 @@ class BoundedProtocol(HttpToolsProtocol):
             self._head_since = None if self._head_since is None else now
         elif self._head_since is not None and now - self._head_since > limits.header_timeout_s:
             self._head_is_late()
+
+    def unread_bytes(self, now: float) -> int:
+        """What the client has left unread for a while."""
+        if self._unsent is None or now - self._unsent[0] < UNREAD_S:
+            return 0
+        return self.transport.get_write_buffer_size()
 
     def resume_writing(self) -> None:
         """Enough was read for the client to have all its time again."""

@@ -22,6 +22,9 @@ class Connection(Protocol):
     def look(self, now: float) -> None:
         """End what is overdue; ``now`` in s, of the loop's clock."""
 
+    def unread_bytes(self, now: float) -> int:
+        """What its client has left unread for a while."""
+
     def cut(self) -> None:
         """Close it, whatever is unsent."""
 
@@ -85,8 +88,20 @@ class ConnectionTable:
                 return min(waiting, key=lambda one: one.waiting_since)
         return new
 
+    def _cut_unread(self, of_address: list[Connection], now: float) -> None:
+        """Close what is not read, the most first, until the rest is within bounds."""
+        unread = {connection: connection.unread_bytes(now) for connection in of_address}
+        left = sum(unread.values())
+        for connection in sorted(unread, key=lambda one: unread[one], reverse=True):
+            if left <= self._limits.unread_bytes:
+                return
+            left -= unread[connection]
+            connection.cut()
+
     def _look(self, loop: asyncio.AbstractEventLoop) -> None:
         now = loop.time()
-        for connection in [one for of_address in self._open.values() for one in of_address]:
-            connection.look(now)
+        for of_address in [list(connections) for connections in self._open.values()]:
+            for connection in of_address:
+                connection.look(now)
+            self._cut_unread(of_address, now)
         self._sweep = loop.call_later(SWEEP_S, self._look, loop) if self._count else None

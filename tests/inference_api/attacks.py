@@ -18,6 +18,8 @@ from contextlib import suppress
 import numpy as np
 
 HOST = "127.0.0.1"
+# Another address than that of whoever else asks, so that the server can tell them apart.
+SOURCE = ("127.0.0.2", 0)
 PATIENCE_S = 15.0
 MIB = 1024 * 1024
 Attack = Callable[[int, float], None]
@@ -68,9 +70,14 @@ def sample(picture: bytes, **fields: str) -> bytes:
     return request("/sample", body, "multipart/form-data; boundary=edge")
 
 
+def connect(port: int, timeout_s: float = PATIENCE_S) -> socket.socket:
+    """A connection of the attacker's."""
+    return socket.create_connection((HOST, port), timeout=timeout_s, source_address=SOURCE)
+
+
 def exchange(port: int, data: bytes) -> bytes:
     """Send, and read until the answer is there or the server closes; what came."""
-    with socket.create_connection((HOST, port), timeout=PATIENCE_S) as link:
+    with connect(port) as link:
         with suppress(OSError):
             link.sendall(data)
         return read_answer(link)
@@ -117,7 +124,7 @@ def endless_headers(port: int, until: float) -> None:
     while time.monotonic() < until:
         block = many if turn % 2 else b"y" * len(many)
         turn += 1
-        with suppress(OSError), socket.create_connection((HOST, port), timeout=PATIENCE_S) as link:
+        with suppress(OSError), connect(port) as link:
             link.sendall(b"GET /health/live HTTP/1.1\r\nHost: x\r\nX-Long: ")
             for _ in range(300 * MIB // len(block)):
                 if time.monotonic() >= until:
@@ -129,7 +136,7 @@ def never_reading(port: int, until: float) -> None:
     """Requests with large answers, one behind the other, of which none is read."""
     one = sample(png(48), n="20000", min_confidence="0")
     while time.monotonic() < until:
-        with suppress(OSError), socket.create_connection((HOST, port), timeout=1.0) as link:
+        with suppress(OSError), connect(port, 1.0) as link:
             while time.monotonic() < until:
                 link.sendall(one)
 
@@ -138,7 +145,7 @@ def pipelined(port: int, until: float) -> None:
     """Small requests without a pause, whose answers are read and thrown away."""
     many = b"GET /health/live HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n" * 1000
     while time.monotonic() < until:
-        with suppress(OSError), socket.create_connection((HOST, port), timeout=PATIENCE_S) as link:
+        with suppress(OSError), connect(port) as link:
             link.sendall(many)
             while link.recv(65536) and time.monotonic() < until:
                 pass
@@ -148,7 +155,7 @@ def slow_body(port: int, until: float) -> None:
     """A body of 8 MiB of which a byte comes now and then."""
     start = request("/sample", b"", "application/json", length=8 * MIB)
     while time.monotonic() < until:
-        with suppress(OSError), socket.create_connection((HOST, port), timeout=PATIENCE_S) as link:
+        with suppress(OSError), connect(port) as link:
             link.sendall(start)
             while time.monotonic() < until:
                 link.sendall(b" ")
@@ -159,7 +166,7 @@ def abandoned(port: int, until: float) -> None:
     """The dearest requests there are, each left at once."""
     one = sample(png(48), n="20000", min_confidence="1")
     while time.monotonic() < until:
-        with suppress(OSError), socket.create_connection((HOST, port), timeout=PATIENCE_S) as link:
+        with suppress(OSError), connect(port) as link:
             link.sendall(one)
         time.sleep(0.05)
 

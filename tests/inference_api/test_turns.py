@@ -3,8 +3,7 @@
 import asyncio
 import threading
 import time
-from collections.abc import Callable, Coroutine
-from typing import Any
+from collections.abc import Callable
 
 import anyio
 import pytest
@@ -13,10 +12,10 @@ from prometheus_client import CollectorRegistry, Gauge
 from starlette.requests import ClientDisconnect
 
 from inference_api import turns as turns_module
-from inference_api.turns import STINT_ROWS, Turn, Turns
+from inference_api.turns import LONG_OF_CLIENT, LONG_ROWS, Turn, Turns, Watch
 
 PATIENCE_S = 20.0
-LONG = 2 * STINT_ROWS
+LONG = 2 * LONG_ROWS
 
 
 @pytest.fixture
@@ -50,11 +49,17 @@ class Gate:
         assert await to_thread.run_sync(self.runs.wait, PATIENCE_S)
 
 
-def leaving(after: asyncio.Event) -> Callable[[], Coroutine[Any, Any, None]]:
-    async def gone() -> None:
-        await after.wait()
+def leaving(after: asyncio.Event) -> Watch:
+    """A client that goes away when an event comes."""
 
-    return gone
+    def watch(leave: Callable[[], None]) -> Callable[[], None]:
+        async def wait() -> None:
+            await after.wait()
+            leave()
+
+        return asyncio.ensure_future(wait()).cancel
+
+    return watch
 
 
 def test_one_more_than_the_threads_waits_and_is_counted_until_its_turn(waiting: Gauge) -> None:
@@ -216,6 +221,51 @@ def test_long_requests_leave_a_thread_to_the_others(waiting: Gauge) -> None:
 
     anyio.run(scenario)
     assert max(most) == 2
+
+
+def test_a_free_place_that_long_requests_may_not_take_is_taken_at_once(waiting: Gauge) -> None:
+    begun, done = threading.Semaphore(0), threading.Event()
+
+    def work(turn: Turn) -> None:
+        turn.spend(LONG)
+        begun.release()
+        assert done.wait(PATIENCE_S)
+
+    async def scenario() -> None:
+        turns = Turns(2, waiting)
+        async with anyio.create_task_group() as group:
+            for _ in range(2):
+                group.start_soon(turns.run, work, "greedy")
+            assert await to_thread.run_sync(lambda: begun.acquire(timeout=PATIENCE_S))
+            await until(lambda: value(waiting) == 1)
+            with anyio.fail_after(PATIENCE_S):
+                # The long one that runs comes to no pause, and the other one may not run beside it.
+                assert await turns.run(lambda turn: "short", "other") == "short"
+            done.set()
+
+    anyio.run(scenario)
+
+
+def test_few_long_requests_of_a_client_are_under_way_at_once(waiting: Gauge) -> None:
+    under_way, most = set(), []
+
+    def work(turn: Turn) -> None:
+        turn.spend(LONG)
+        under_way.add(turn)
+        most.append(sum(other.client == turn.client for other in under_way))
+        for _ in range(5):
+            time.sleep(0.001)
+            turn.between()
+        under_way.discard(turn)
+
+    async def scenario() -> None:
+        turns = Turns(3, waiting)
+        async with anyio.create_task_group() as group:
+            for number in range(12):
+                group.start_soon(turns.run, work, f"client {number % 2}")
+
+    anyio.run(scenario)
+    assert max(most) == LONG_OF_CLIENT
 
 
 def test_one_that_is_cancelled_keeps_its_place_until_its_thread_ends(waiting: Gauge) -> None:
