@@ -29,7 +29,8 @@ def test_it_answers_by_default_and_ends_by_itself_with_all_its_processes(
                 began_s = time.monotonic()
                 answer = client.post("/sample", files={"image": png}, data={"n": "3"})
                 assert (answer.status_code, answer.json()["model"]["fallback"]) == (200, True)
-                assert time.monotonic() - began_s < 2.0
+                # A look at the registry is given up after 8 s.
+                assert time.monotonic() - began_s < 7.0
             named = client.post(
                 "/sample", files={"image": png}, data={"model": "cspace-sampler/7"}, timeout=60
             )

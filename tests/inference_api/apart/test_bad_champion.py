@@ -71,7 +71,8 @@ def test_it_is_refused_in_time_and_takes_nothing_of_this_process(
                 assert store.resolve(DEFAULT).fallback
                 slowest_s = max(slowest_s, time.perf_counter() - began_s)
                 looking.join(0.01)
-        assert slowest_s < 0.1
+        # Nobody waits for the verification.
+        assert slowest_s < VERIFY_S
         assert f"m/1 cannot follow: {reason}" in caplog.text
         assert str(tmp_path) not in caplog.text
         # It was taken off the disk, and cannot be had again while the registry is away.

@@ -123,7 +123,7 @@ def test_a_folder_that_another_holds_is_waited_for_and_then_given_up(disk: DiskC
     began_s = time.monotonic()
     with pytest.raises(StorageError, match="in use"):
         disk.remove(VERSION)
-    assert 0.2 <= time.monotonic() - began_s < 2.0
+    assert 0.2 <= time.monotonic() - began_s < 8.0
     # Another model's folder is free, and reading needs no lock.
     disk.download(replace(VERSION, name="n"), written)
     assert disk.stored("m") == []
