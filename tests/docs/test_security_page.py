@@ -9,7 +9,9 @@ from tests.docs.blocks import ROOT
 _TEST = re.compile(r"`(test_\w+\.py)::(test_\w+)`")
 TEXT = (ROOT / "docs" / "security.md").read_text(encoding="utf-8")
 LINES = [line for line in TEXT.splitlines() if re.match(r"\| API\d", line)]
-ATTACKERS = [line for line in TEXT.splitlines() if re.match(r"\| (a|an) (page|client|writer|malicious)", line)]
+ATTACKERS = [
+    line for line in TEXT.splitlines() if re.match(r"\| (a|an) (page|client|writer|malicious)", line)
+]
 
 
 def exists(file: str, name: str) -> bool:
