@@ -86,8 +86,8 @@ class Turn:
         """The work's result; in the thread."""
         with self._lock:
             self._began = True
-            self._stop_if_abandoned()
         try:
+            self._stop_if_abandoned()
             return work(self)
         finally:
             with self._lock:

@@ -126,6 +126,7 @@ def test_what_is_in_flight_when_the_grace_is_over_is_told_so(
 
 
 @pytest.mark.e2e
+@pytest.mark.slow
 def test_processes_that_do_not_answer_their_supervisor_are_ended_with_it(
     tmp_path: Path, bundles: dict[str, Path]
 ) -> None:

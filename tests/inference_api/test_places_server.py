@@ -43,6 +43,7 @@ def server(tmp_path_factory: pytest.TempPathFactory, bundles: dict[str, Path]) -
         yield found
 
 
+@pytest.mark.slow
 def test_a_client_that_reads_no_answers_is_cut_and_its_places_are_free(server: ServerProcess) -> None:
     before = peak_mib(server.process.pid)
     # Each asks for all samples there are, so that the buffers of both sides overflow.

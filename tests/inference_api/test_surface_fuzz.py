@@ -20,7 +20,7 @@ from tests.inference_api import body_fuzz, http_fuzz
 from tests.inference_api.attacks import png, read_answer, sample
 from tests.inference_api.server import ServerProcess, server_process
 
-SAMPLE_S, WHOLE_S = 45.0, 600.0
+SAMPLE_S, WHOLE_S = 20.0, 600.0
 PATIENCE_S = 20.0
 CHECK_EVERY = 50
 GROWTH_MIB = 64
@@ -49,13 +49,18 @@ def send(port: int, data: bytes) -> bytes:
     """What comes back, all of it where the server closes, until it falls silent where it does not."""
     with socket.create_connection(("127.0.0.1", port), timeout=PATIENCE_S) as link:
         answer = b""
-        with suppress(ConnectionError):
+        try:
             link.sendall(data)
             # As one that has said all there is to say; else a message without its end waits for its deadline.
             link.shutdown(socket.SHUT_WR)
-        with suppress(ConnectionError):
             while part := link.recv(65536):
                 answer += part
+        except TimeoutError:
+            raise
+        except OSError:
+            # Closed before all was sent, or read.
+            with suppress(OSError):
+                answer += link.recv(65536)
         return answer
 
 
@@ -97,7 +102,7 @@ def fuzz(server: ServerProcess, first: int, seconds: float) -> int:
         if (number - first) % CHECK_EVERY == 0:
             assert good(port) == expected, f"after case {number}"
         number += 1
-        if number - first == 4 * CHECK_EVERY:
+        if number - first == CHECK_EVERY:
             # Warm by now: what is still to come is growth.
             before = resident_mib(server)
     grown = resident_mib(server) - before
@@ -107,14 +112,14 @@ def fuzz(server: ServerProcess, first: int, seconds: float) -> int:
 
 @pytest.mark.e2e
 def test_a_sample_of_the_surface(server: ServerProcess) -> None:
-    assert fuzz(server, 0, SAMPLE_S) > 4 * CHECK_EVERY
+    assert fuzz(server, 0, SAMPLE_S) > CHECK_EVERY
 
 
 @pytest.mark.e2e
 @pytest.mark.slow
 @pytest.mark.timeout(2 * WHOLE_S)
 def test_ten_minutes_of_the_surface(server: ServerProcess) -> None:
-    assert fuzz(server, 1_000_000, WHOLE_S) > 4 * CHECK_EVERY
+    assert fuzz(server, 1_000_000, WHOLE_S) > CHECK_EVERY
 
 
 if __name__ == "__main__":

@@ -268,6 +268,41 @@ def test_few_long_requests_of_a_client_are_under_way_at_once(waiting: Gauge) -> 
     assert max(most) == LONG_OF_CLIENT
 
 
+def test_a_client_that_leaves_when_it_is_called_and_before_its_thread_begins_leaves_its_place(
+    waiting: Gauge,
+) -> None:
+    gate, computed = Gate(), []
+
+    async def scenario() -> None:
+        turns = Turns(1, waiting)
+        clients: list[Callable[[], None]] = []
+
+        def watch(leave: Callable[[], None]) -> Callable[[], None]:
+            clients.append(leave)
+            return lambda: None
+
+        async def ask() -> None:
+            with pytest.raises(ClientDisconnect):
+                await turns.run(lambda turn: computed.append(1), "gone", watch)
+
+        async with anyio.create_task_group() as group:
+            group.start_soon(turns.run, gate)
+            await gate.is_at_work()
+            group.start_soon(ask)
+            await until(lambda: value(waiting) == 1)
+            first = next(iter(turns._running))
+            # In one step of the loop: the place is free, the next one is called, and goes.
+            turns.leave(first)
+            clients[0]()
+            gate.open.set()
+        with anyio.fail_after(PATIENCE_S):
+            assert await turns.run(lambda turn: "next") == "next"
+        assert not turns._running
+
+    anyio.run(scenario)
+    assert computed == []
+
+
 def test_one_that_is_cancelled_keeps_its_place_until_its_thread_ends(waiting: Gauge) -> None:
     gate = Gate()
 
