@@ -98,7 +98,8 @@ def plan_with_api(
         keep_tree: whether the result holds the search tree.
 
     Raises:
-        SamplerError: the source refused the request, or its answer can not be used.
+        SamplerError: the source refused the request; of this kind, SamplerAnswerError: its answer can not be
+            used.
         PlanningError: the planner takes no samples.
     """
     batch, unavailable = None, None

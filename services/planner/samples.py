@@ -89,7 +89,8 @@ class SampleSource(Protocol):
 
         Raises:
             SamplerUnavailableError: the source does not answer or has no model ready.
-            SamplerError: it refused the request, or its answer can not be used.
+            SamplerError: it refused the request; of this kind, SamplerAnswerError: its answer can not be
+                used.
         """
         ...
 
