@@ -1,0 +1,53 @@
+"""Work and clients for tests of turns."""
+
+import asyncio
+import threading
+from collections.abc import Callable
+
+import anyio
+from anyio import to_thread
+from prometheus_client import Gauge
+
+from inference_api.turns import LONG_ROWS, Turn, Watch
+
+PATIENCE_S = 20.0
+LONG = 2 * LONG_ROWS
+
+
+def value(gauge: Gauge) -> float:
+    (family,) = gauge.collect()
+    return family.samples[0].value
+
+
+async def until(condition: Callable[[], bool]) -> None:
+    with anyio.fail_after(PATIENCE_S):
+        while not condition():
+            await anyio.sleep(0.005)
+
+
+class Gate:
+    """Work that says that it runs, and goes on when it is told."""
+
+    def __init__(self) -> None:
+        self.runs, self.open = threading.Event(), threading.Event()
+
+    def __call__(self, turn: Turn) -> int:
+        self.runs.set()
+        assert self.open.wait(PATIENCE_S)
+        return 7
+
+    async def is_at_work(self) -> None:
+        assert await to_thread.run_sync(self.runs.wait, PATIENCE_S)
+
+
+def leaving(after: asyncio.Event) -> Watch:
+    """A client that goes away when an event comes."""
+
+    def watch(leave: Callable[[], None]) -> Callable[[], None]:
+        async def wait() -> None:
+            await after.wait()
+            leave()
+
+        return asyncio.ensure_future(wait()).cancel
+
+    return watch
