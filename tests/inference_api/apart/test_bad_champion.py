@@ -60,6 +60,8 @@ def test_it_is_refused_in_time_and_takes_nothing_of_this_process(
     store.observer = seen = Refusals()
     store.load_shipped()
     before = psutil.Process().memory_info().rss
+    # Other tests of this process may have left some of their own.
+    others = set(psutil.Process().children(recursive=True))
     try:
         store.start()
         with caplog.at_level(logging.WARNING):
@@ -82,4 +84,4 @@ def test_it_is_refused_in_time_and_takes_nothing_of_this_process(
         assert psutil.Process().memory_info().rss - before < 20 * 2**20
     finally:
         store.close()
-    assert psutil.Process().children(recursive=True) == []
+    assert set(psutil.Process().children(recursive=True)) <= others
