@@ -5,6 +5,7 @@ for before ends, whichever is later. The earliest start is next. A client that a
 the clock, and one that asks for its first piece is next.
 """
 
+from collections import deque
 from collections.abc import Callable
 from typing import Generic, TypeVar
 
@@ -13,7 +14,7 @@ MAX_CLIENTS = 4096
 
 
 class FairQueue(Generic[Item]):
-    """Items that wait, by client; for one thread.
+    """Items that wait, by client; for one thread, but for :meth:`charge`.
 
     Args:
         capacity: how many clients are remembered at least while they are ahead of the clock.
@@ -23,6 +24,8 @@ class FairQueue(Generic[Item]):
         self._capacity = capacity
         self._clock = 0.0
         self._ends: dict[str, float] = {}
+        # Not accounted for yet. To wake the other thread for each would cost more than what it tells.
+        self._charges: deque[tuple[str, float]] = deque()
         self._waiting: list[tuple[float, Item]] = []
 
     def __len__(self) -> int:
@@ -42,8 +45,11 @@ class FairQueue(Generic[Item]):
         self._waiting.append((self._start(client, cost), item))
 
     def charge(self, client: str, cost: float) -> None:
-        """Account for what begun work costs beyond what was told; what comes later waits longer."""
-        self._ends[client] = max(self._clock, self._ends.get(client, 0.0)) + cost
+        """Account for what begun work costs beyond what was told; what comes later waits longer.
+
+        From any thread.
+        """
+        self._charges.append((client, cost))
 
     def pop(self, fits: Callable[[Item], bool]) -> Item | None:
         """The next item among those that fit, None without one; the first come of equal starts."""
@@ -61,8 +67,13 @@ class FairQueue(Generic[Item]):
         return len(self._waiting) < before
 
     def _start(self, client: str, cost: float) -> float:
+        while self._charges:
+            self._extend(*self._charges.popleft())
         if len(self._ends) > self._capacity:
             self._ends = {name: end for name, end in self._ends.items() if end > self._clock}
+        return self._extend(client, cost)
+
+    def _extend(self, client: str, cost: float) -> float:
         start = max(self._clock, self._ends.get(client, 0.0))
         self._ends[client] = start + cost
         return start

@@ -67,7 +67,7 @@ class Turn:
             self.is_long = True
             self._step_aside()
         elif rows > USUAL_ROWS:
-            self._charge(rows - USUAL_ROWS)
+            self._turns.charge(self.client, rows - USUAL_ROWS)
 
     def between(self) -> None:
         """The end of a stint; from the thread. Returns when it is this request's turn again.
@@ -78,7 +78,7 @@ class Turn:
         if self._turns.anybody_waits:
             self._step_aside()
         else:
-            self._charge(STINT_ROWS)
+            self._turns.charge(self.client, STINT_ROWS)
         self.since_s = time.monotonic()
         self._stop_if_abandoned()
 
@@ -132,9 +132,6 @@ class Turn:
     def _call(self, *, there: bool) -> None:
         if self.called is not None and not self.called.done():
             self.called.set_result(there)
-
-    def _charge(self, rows: float) -> None:
-        self._loop.call_soon_threadsafe(self._turns.charge, self.client, rows)
 
     def _step_aside(self) -> None:
         self._resumed.clear()
@@ -207,7 +204,7 @@ class Turns:
                 self.leave(turn)
 
     def charge(self, client: str, rows: float) -> None:
-        """Account for what a request of a client turned out to cost."""
+        """Account for what a request of a client turned out to cost; from any thread."""
         self._queue.charge(client, rows)
 
     def hand_over(self, turn: Turn) -> None:
