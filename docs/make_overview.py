@@ -13,18 +13,18 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from cspace.bundle import Bundle, SampleSet
-from cspace.collision import CollisionChecker
 from cspace.errors import CspaceError
-from cspace.image import encode_png
-from cspace.problem import Family, Problem, draw_problem
-from cspace.render import render
-from cspace.scenario import Split
-from services.planner.configuration_panel import draw_configurations
-from services.planner.ompl_planner import solve
-from services.planner.palette import GOAL
+from cspace.worlds.planar.collision import CollisionChecker
+from cspace.worlds.planar.picture import encode_png
+from cspace.worlds.planar.problems import Family, Problem, draw_problem
+from cspace.worlds.planar.render import render
+from cspace.worlds.planar.scene import Split
+from services.planner.drawing.configuration_panel import draw_configurations
+from services.planner.drawing.palette import GOAL
+from services.planner.drawing.workspace_panel import draw_workspace
 from services.planner.plan_result import PlanResult
+from services.planner.search.ompl_planner import solve
 from services.planner.settings import PlannerSettings
-from services.planner.workspace_panel import draw_workspace
 
 ROOT = Path(__file__).parents[1]
 SAMPLES = 1000

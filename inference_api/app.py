@@ -8,31 +8,31 @@ from importlib.metadata import PackageNotFoundError, version
 from anyio import to_thread
 from fastapi import FastAPI
 
-from inference_api.apart.disk import DiskCache
-from inference_api.apart.parts import parts_apart, parts_here
-from inference_api.apart.polling import following
-from inference_api.bundle_cache import BundleCache
-from inference_api.docs_page import add_docs_page
 from inference_api.guards.headers import SecurityHeaders
 from inference_api.guards.install import add_guards
 from inference_api.guards.last_resort import LastResort
 from inference_api.memory import few_arenas, settle
-from inference_api.model_store import ModelStore
-from inference_api.open_inference import add_open_inference
+from inference_api.models.apart.disk import DiskCache
+from inference_api.models.apart.parts import parts_apart, parts_here
+from inference_api.models.bundle_cache import BundleCache
+from inference_api.models.pictures import PictureCache
+from inference_api.models.polling import following
+from inference_api.models.store import ModelStore
+from inference_api.open_inference.pages import add_open_inference
 from inference_api.openapi import document
-from inference_api.pictures import PictureCache
+from inference_api.pages.docs_page import add_docs_page
+from inference_api.pages.sample import add_routes
+from inference_api.pages.sampling import model_info
+from inference_api.pages.schemas import ModelInfo
 from inference_api.problems import add_problem_handlers
-from inference_api.routes import add_routes
-from inference_api.sampling import model_info
-from inference_api.schemas import ModelInfo
 from inference_api.settings import ApiSettings
 from inference_api.telemetry.metrics import Metrics
 from inference_api.telemetry.middleware import Observed
 from inference_api.telemetry.route_names import RouteNames
 from inference_api.telemetry.tracing import TracedObserver, add_tracing, otlp_provider
-from inference_api.turns import Turns
-from inference_api.waiting_room import WaitingRoom
-from services.registry.models import ModelRegistry
+from inference_api.turns.turns import Turns
+from inference_api.turns.waiting_room import WaitingRoom
+from services.registry.models.port import ModelRegistry
 
 # Long enough for a registry nearby, short enough for a health check's patience.
 FIRST_LOOK_S = 20.0

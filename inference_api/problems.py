@@ -19,9 +19,8 @@ from cspace.errors import (
     ModelNotFoundError,
     RegistryError,
 )
-from inference_api.model_store import ModelNotReadyError
-from inference_api.telemetry.record import note_reason
-from inference_api.validation import FieldsError
+from inference_api.failures import FieldsError, ModelNotReadyError
+from inference_api.record import note_reason
 
 _LOG = logging.getLogger(__name__)
 MEDIA_TYPE = "application/problem+json"

@@ -10,7 +10,7 @@ from cspace.errors import ConfigError
 from inference_api.connections.limits import MIB, ConnectionLimits
 from inference_api.guards.names import host_names, origins, proxies
 from inference_api.guards.protection import Protection
-from inference_api.references import served_name
+from inference_api.models.references import served_name
 from inference_api.telemetry.tracing import wants_traces
 
 # The name is the metrics library's; `--workers` sets it.

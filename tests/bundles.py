@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from onnx import TensorProto, helper, numpy_helper
 
 from cspace.bundle import BundleSpec, GoldenCase, Provenance, RandomInput, write_bundle
-from cspace.robot import TWO_LINK, PlanarArm
+from cspace.worlds.planar.arm import TWO_LINK, PlanarArm
 
 LATENT = 4
 PIXELS = 48

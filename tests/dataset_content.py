@@ -4,8 +4,8 @@ from typing import Any
 
 import numpy as np
 
-from cspace.robot import TWO_LINK, PlanarArm
-from cspace.scenario import Camera
+from cspace.worlds.planar.arm import TWO_LINK, PlanarArm
+from cspace.worlds.planar.scene import Camera
 
 CAMERA = Camera(pixels=16)
 SCENARIOS, EXTRAS = 3, 2

@@ -10,12 +10,12 @@ ray job submit --working-dir . -- python training/cluster_train.py --resume RUN_
 import sys
 
 from training.command import JobCommand, Resume, Train
-from training.config import load_config, presets
+from training.config.clusters import load_config, presets
 
 
 def job() -> tuple[Train, Resume]:
     """What trains, and what goes on."""
-    from training.pipeline import resume, train  # noqa: PLC0415
+    from training.clusters.pipeline import resume, train  # noqa: PLC0415
 
     return train, resume
 

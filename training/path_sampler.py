@@ -1,7 +1,7 @@
 """``python -m training.path_sampler BUNDLE FOLDER``: a path sampler of a bundle's validity head.
 
 Nothing is trained: the head's map of the joint space, the cheapest way through it and a tube round that make
-the samples (:mod:`training.models.ways`). What it writes is a bundle of the kind ``path``, which the
+the samples (:mod:`training.paths.ways`). What it writes is a bundle of the kind ``path``, which the
 inference API serves as any other; with ``--register`` it becomes a version of ``path-sampler`` as well.
 
 A folder that holds this very path sampler already is taken as it is, so that the command may be given again.
@@ -13,56 +13,14 @@ import argparse
 import os
 import sys
 from collections.abc import Sequence
-from dataclasses import asdict, fields
+from dataclasses import fields
 from pathlib import Path
 
 from cspace.bundle import Bundle
-from cspace.bundle.files import VALIDITY_FILE
-from cspace.errors import BundleError, ConfigError, CspaceError, InputError
+from cspace.errors import ConfigError, CspaceError, InputError
 from services.registry.names import ALIAS_CHALLENGER, ALIAS_CHAMPION, EXPERIMENT, PATH_MODEL_NAME
-from training.models.ways import WaySettings, way_graph
-from training.path_writing import write_path_bundle
-
-
-def make_path_bundle(source: Bundle, folder: Path, settings: WaySettings | None = None) -> Bundle:
-    """Write a path sampler that sees with another bundle's head, encodes as it does, and knows its novelty.
-
-    Args:
-        source: a bundle with a validity head, of a robot with two joints.
-        folder: where the path sampler is to be; must not exist.
-        settings: how the way is found.
-
-    Raises:
-        BundleError: the source has no validity head.
-        ConfigError: the robot has not two joints.
-        StorageError: the folder exists or cannot be written.
-    """
-    settings = settings or WaySettings()
-    if not source.has_validity:
-        raise BundleError("the bundle has no validity head", expected=VALIDITY_FILE, got=str(source.folder))
-    head = (source.folder / VALIDITY_FILE).read_bytes()
-    graph = way_graph(head, source.spec.robot.space, source.spec.latent_dim, settings)
-    origin = source.spec.provenance
-    return write_path_bundle(
-        folder, source, graph, origin.data_digest, origin.seeds, _recipe(source, settings)
-    )
-
-
-def made_or_found(source: Bundle, folder: Path, settings: WaySettings) -> Bundle:
-    """The path sampler that the folder holds already, or one that is made there.
-
-    Raises:
-        CspaceError: as :func:`make_path_bundle`; what the folder holds was made of something else.
-    """
-    if folder.is_dir():
-        found = Bundle.load(folder)
-        if found.spec.provenance.config == _recipe(source, settings):
-            return found
-    return make_path_bundle(source, folder, settings)
-
-
-def _recipe(source: Bundle, settings: WaySettings) -> dict[str, object]:
-    return {"ways": asdict(settings), "source_digest": source.digest}
+from training.paths.untrained import made_or_found
+from training.paths.ways import WaySettings
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -121,8 +79,8 @@ def register(bundle: Bundle, uri: str, alias: str) -> str:
         RegistryError: the registry at ``uri`` does not answer.
     """
     # MLflow takes seconds to import.
-    from services.registry.mlflow_registry import MlflowRegistry  # noqa: PLC0415
-    from services.registry.mlflow_tracking import MlflowTracking  # noqa: PLC0415
+    from services.registry.models.mlflow_registry import MlflowRegistry  # noqa: PLC0415
+    from services.registry.tracking.mlflow_tracking import MlflowTracking  # noqa: PLC0415
 
     provenance = bundle.spec.provenance
     with MlflowTracking(uri).start(EXPERIMENT, PATH_MODEL_NAME) as run:

@@ -9,12 +9,12 @@ ray job submit --working-dir . -- python training/path_train.py --resume RUN_ID
 import sys
 
 from training.command import JobCommand, Resume, Train
-from training.path_config import load_path_config, path_presets
+from training.config.paths import load_path_config, path_presets
 
 
 def job() -> tuple[Train, Resume]:
     """What trains, and what goes on."""
-    from training.path_pipeline import resume_paths, train_paths  # noqa: PLC0415
+    from training.paths.pipeline import resume_paths, train_paths  # noqa: PLC0415
 
     return train_paths, resume_paths
 

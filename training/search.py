@@ -18,8 +18,8 @@ from dataclasses import replace
 import numpy as np
 
 from cspace.errors import ConfigError, CspaceError, InputError
-from training.config import TrainConfig, load_config, presets
-from training.environment import Environment, job_environment
+from training.config.clusters import TrainConfig, load_config, presets
+from training.jobs.environment import Environment, job_environment
 
 _LOG = logging.getLogger("training")
 LOOKS = 9
@@ -68,16 +68,16 @@ def run(config: TrainConfig, environment: Environment, trials: int, scenarios: i
         CspaceError: bad data, or no trial that came to an end.
     """
     # Imported here so that a wrong key is told at once, not after the frameworks have loaded.
-    from training.job import Job  # noqa: PLC0415
-    from training.stages import (  # noqa: PLC0415
+    from training.clusters.stages import (  # noqa: PLC0415
         encode_and_cluster,
         encoder_checkpoint,
         prepare_data,
         train_gate,
         train_on_pictures,
     )
+    from training.jobs.job import Job  # noqa: PLC0415
     from training.trials.launch import connect  # noqa: PLC0415
-    from training.trials.searching import search  # noqa: PLC0415
+    from training.trials.searching.search import search  # noqa: PLC0415
 
     connect()
     job = Job.start(config, environment, {"preset": config.preset, "search": "asha"}, title="search")

@@ -17,8 +17,8 @@ from collections.abc import Sequence
 
 from cspace.errors import CspaceError, InputError
 from training.command import STOPPED
-from training.config import load_config, presets
-from training.environment import job_environment
+from training.config.clusters import load_config, presets
+from training.jobs.environment import job_environment
 from training.sweeps.grid import EXAMPLE, axis, points
 from training.sweeps.plan import Plan
 from training.sweeps.record import MEASURES

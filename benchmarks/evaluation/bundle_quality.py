@@ -1,6 +1,6 @@
 """How good a bundle is, without a registry: precision, coverage, EDr, its validity head, on unseen scenarios.
 
-    python benchmarks/evaluation/bundle_quality.py inference_api/pretrained --scenarios 200
+    python -m benchmarks.evaluation.bundle_quality inference_api/pretrained --scenarios 200
 
 The test split is for reporting: decide on validation (``--split validation``), then look at test once.
 """
@@ -14,14 +14,13 @@ from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
 
-from machine import machine
-
+from benchmarks.machine import machine
 from cspace.bundle import Bundle
-from cspace.scenario import Split
-from services.evaluator.reconstruction import SceneQuality, summarise
-from services.evaluator.samplers import bundle_sampler
-from services.evaluator.scenes import SAMPLES, Scene, Stage, reconstruct, summary_rng
-from services.evaluator.tables import markdown
+from cspace.worlds.planar.scene import Split
+from services.evaluator.evaluation.tables import markdown
+from services.evaluator.measures.reconstruction import SceneQuality, summarise
+from services.evaluator.measures.samplers import bundle_sampler
+from services.evaluator.measures.scenes import SAMPLES, Scene, Stage, reconstruct, summary_rng
 
 TIMED = (300, 1000)
 

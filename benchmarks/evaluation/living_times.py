@@ -1,6 +1,6 @@
 """How long living times take: draws of 64 landmarks from 5000 points, in one process and in two.
 
-    OMP_NUM_THREADS=1 python benchmarks/evaluation/living_times.py
+    OMP_NUM_THREADS=1 python -m benchmarks.evaluation.living_times
 
 The points are free configurations of two joints round a square obstacle. The peer is what the original
 implementation does: every witness hands GUDHI the list of all its landmarks. Peer and product take turns in
@@ -16,11 +16,10 @@ from contextlib import nullcontext
 
 import gudhi
 import numpy as np
-from machine import machine
 from scipy.spatial.distance import cdist
 
-from services.evaluator.processes import ProcessMapper
-from services.evaluator.topology import (
+from benchmarks.machine import machine
+from services.evaluator.measures.topology.geometry_score import (
     I_MAX,
     LANDMARKS,
     default_gamma,
@@ -28,7 +27,8 @@ from services.evaluator.topology import (
     mean_living_times,
     relative_living_times,
 )
-from services.evaluator.witness import witness_complex
+from services.evaluator.measures.topology.witness import witness_complex
+from services.evaluator.processes import ProcessMapper
 
 SEED = 0
 

@@ -1,7 +1,7 @@
 """What the novelty of a picture tells: how high it is for pictures unlike the training's, and what samples
 are worth there.
 
-    python benchmarks/evaluation/novelty.py inference_api/pretrained --scenarios 100
+    python -m benchmarks.evaluation.novelty inference_api/pretrained --scenarios 100
 
 Every kind changes the first test scenarios or their pictures in one way. The samples are judged by what is
 true of the scenario, whatever the picture shows: those of the generator alone, and those that the bundle
@@ -15,16 +15,16 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from machine import machine
 from numpy.typing import NDArray
 from PIL import Image, ImageFilter
 
+from benchmarks.machine import machine
 from cspace.bundle import Bundle
-from cspace.collision import CollisionChecker
-from cspace.render import render
-from cspace.scenario import Camera, Disc, Scenario, Split, random_scenario, scenario_rng
+from cspace.worlds.planar.collision import CollisionChecker
+from cspace.worlds.planar.render import render
+from cspace.worlds.planar.scene import Camera, Disc, Scenario, Split, random_scenario, scenario_rng
+from services.evaluator.evaluation.tables import markdown
 from services.evaluator.statistics import mean_interval, quantile_interval
-from services.evaluator.tables import markdown
 
 SAMPLES = 1000
 # From here on the planner raises its share of uniform samples.

@@ -1,6 +1,6 @@
 """Do uniform proposals beside the generator's samples buy coverage, once the validity head has filtered both?
 
-    python benchmarks/evaluation/proposals.py --bundle inference_api/pretrained --scenarios 60
+    python -m benchmarks.evaluation.proposals --bundle inference_api/pretrained --scenarios 60
 
 A share of what the head is shown is uniform. What it lets pass at the bundle's threshold is kept until there
 are 1000, on validation scenarios; a share of 1 is the head alone.
@@ -11,15 +11,15 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from machine import machine
 
+from benchmarks.machine import machine
 from cspace.bundle import Bundle
-from cspace.scenario import Split
 from cspace.space import to_float32
-from services.evaluator.reconstruction import sample_quality
-from services.evaluator.scenes import SAMPLES, Scene, Stage
+from cspace.worlds.planar.scene import Split
+from services.evaluator.evaluation.tables import markdown
+from services.evaluator.measures.reconstruction import sample_quality
+from services.evaluator.measures.scenes import SAMPLES, Scene, Stage
 from services.evaluator.statistics import mean_interval, ratio_of_sums_interval
-from services.evaluator.tables import markdown
 
 SHARES = (0.0, 0.05, 0.1, 0.25, 0.5, 1.0)
 # Enough for 1000 to pass where a fifth of the joint space is free.

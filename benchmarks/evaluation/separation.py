@@ -1,6 +1,6 @@
 """What GS and GS-C tell apart: real, noisy and uniform samples; a divided free space from a whole one.
 
-    OMP_NUM_THREADS=1 python benchmarks/evaluation/separation.py --out results/separation
+    OMP_NUM_THREADS=1 python -m benchmarks.evaluation.separation --out results/separation
 
 Two questions, both on two joints, every score between clouds drawn anew for each repeat:
 
@@ -27,16 +27,25 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from machine import machine
 
-from cspace.collision import CollisionChecker
-from cspace.robot import TWO_LINK
-from cspace.scenario import Camera, Disc, Scenario, Split
-from services.evaluator.complement import POINTS_PER_CELL, sample_complement
-from services.evaluator.complement_score import TurnedTimes, complement_score, turned_living_times
-from services.evaluator.scenes import Scene, Stage
+from benchmarks.machine import machine
+from cspace.worlds.planar.arm import TWO_LINK
+from cspace.worlds.planar.collision import CollisionChecker
+from cspace.worlds.planar.scene import Camera, Disc, Scenario, Split
+from services.evaluator.measures.scenes import Scene, Stage
+from services.evaluator.measures.topology.complement import POINTS_PER_CELL, sample_complement
+from services.evaluator.measures.topology.complement_score import (
+    TurnedTimes,
+    complement_score,
+    turned_living_times,
+)
+from services.evaluator.measures.topology.geometry_score import (
+    POINTS,
+    RelativeLivingTimes,
+    geometry_score,
+    mean_living_times,
+)
 from services.evaluator.statistics import mean_interval
-from services.evaluator.topology import POINTS, RelativeLivingTimes, geometry_score, mean_living_times
 
 SPACE = TWO_LINK.space
 NOISE_RAD = 0.1

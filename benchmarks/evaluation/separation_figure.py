@@ -1,7 +1,7 @@
 """Draws what separation.py has measured.
 
-python benchmarks/evaluation/separation_figure.py separation.json docs/images/gsc_separation.png
-python benchmarks/evaluation/separation_figure.py doors.json docs/images/gsc_doors.png --doors
+python -m benchmarks.evaluation.separation_figure separation.json docs/images/gsc_separation.png
+python -m benchmarks.evaluation.separation_figure doors.json docs/images/gsc_doors.png --doors
 """
 
 import argparse

@@ -10,10 +10,10 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from cspace.errors import EvaluationError
-from services.evaluator.gallery import COLLISION_COLOUR, FREE_COLOUR, SHOWN_SAMPLES, free_map
-from services.evaluator.samplers import Sampler
-from services.evaluator.scenes import Scene, Stage
-from services.evaluator.topology_scenes import scene_topology
+from services.evaluator.evaluation.gallery import COLLISION_COLOUR, FREE_COLOUR, SHOWN_SAMPLES, free_map
+from services.evaluator.measures.samplers import Sampler
+from services.evaluator.measures.scenes import Scene, Stage
+from services.evaluator.measures.topology_scenes import scene_topology
 
 # Okabe and Ito's palette, told apart by the colour-blind, too.
 COLOURS = ("#d55e00", "#0072b2", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")

@@ -16,17 +16,17 @@ from benchmarks.paper.jobs import Study
 from cspace.bundle import Bundle
 from cspace.dataset import Dataset, open_dataset
 from cspace.errors import EvaluationError
-from cspace.scenario import Split
-from services.evaluator.samplers import BundleSampler
-from services.evaluator.scenes import Scene, Stage, measure_reconstruction, summary_rng
+from cspace.worlds.planar.scene import Split
+from services.evaluator.evaluation.tables import Table
+from services.evaluator.measures.samplers import BundleSampler
+from services.evaluator.measures.scenes import Scene, Stage, measure_reconstruction, summary_rng
+from services.evaluator.measures.topology.geometry_score import POINTS
+from services.evaluator.measures.topology_scenes import scene_topology, summarise_topology
 from services.evaluator.statistics import Interval
-from services.evaluator.tables import Table
-from services.evaluator.topology import POINTS
-from services.evaluator.topology_scenes import scene_topology, summarise_topology
-from training.bundling import TrainedParts, make_bundle
-from training.config import TrainConfig
-from training.encode import Latents
+from training.clusters.bundling import TrainedParts, make_bundle
+from training.config.clusters import TrainConfig
 from training.models.checkpoint import read_progress
+from training.models.encode import Latents
 from training.trials.arrays import TrainingArrays
 
 Measured = dict[str, Any]

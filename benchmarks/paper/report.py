@@ -21,10 +21,10 @@ from benchmarks.paper.measures import (
 )
 from cspace.bundle import Bundle
 from cspace.errors import EvaluationError
-from cspace.scenario import Split
-from services.evaluator.samplers import BundleSampler
-from services.evaluator.scenes import Stage, measure_reconstruction
-from services.evaluator.tables import markdown
+from cspace.worlds.planar.scene import Split
+from services.evaluator.evaluation.tables import markdown
+from services.evaluator.measures.samplers import BundleSampler
+from services.evaluator.measures.scenes import Stage, measure_reconstruction
 
 # Enough for a caption; the table's scores stand on several scenarios.
 CAPTION_DRAWS = 50

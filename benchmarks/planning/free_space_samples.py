@@ -1,6 +1,6 @@
 """What samples of the free space gain or cost in planning, with and without the validity head's filter.
 
-    python benchmarks/planning/free_space_samples.py --problems 300
+    python -m benchmarks.planning.free_space_samples --problems 300
 
 Uniform samples, a bundle's samples, and those of them that pass its head solve the same validation problems
 with the same seeds. One process; about a second a narrow problem, most of it spent on finding the problem.
@@ -13,13 +13,13 @@ from pathlib import Path
 import numpy as np
 
 from cspace.bundle import Bundle
-from cspace.problem import Family, draw_problem
-from cspace.scenario import Split
-from services.evaluator.evaluation import PLANNER, planner_seed
-from services.evaluator.planning import plan_trial
-from services.evaluator.planning_summary import summarise_family
-from services.evaluator.samplers import bundle_sampler
-from services.evaluator.tables import aligned, planning_table
+from cspace.worlds.planar.problems import Family, draw_problem
+from cspace.worlds.planar.scene import Split
+from services.evaluator.evaluation.tables import aligned, planning_table
+from services.evaluator.evaluation.units import PLANNER, planner_seed
+from services.evaluator.measures.planning import plan_trial
+from services.evaluator.measures.planning_summary import summarise_family
+from services.evaluator.measures.samplers import bundle_sampler
 
 ROOT = Path(__file__).parents[2]
 SEED = 0

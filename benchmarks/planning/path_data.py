@@ -1,6 +1,6 @@
 """How good the paths are that path models learn from: their length over the best that long searches find.
 
-    python benchmarks/planning/path_data.py --problems 40 --seconds 10
+    python -m benchmarks.planning.path_data --problems 40 --seconds 10
 
 Paths of the exact grid, and of OMPL's RRT* after a quarter of a second and after ``--seconds``; the best
 known path is the shortest of these and of BIT* after ``--seconds``. Lengths are on the torus, paths checked
@@ -14,13 +14,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from cspace.grid_paths import PathFinder
-from cspace.problem import Family, Problem, draw_problem
-from cspace.scenario import Split
+from cspace.worlds.planar.grid_paths import PathFinder
+from cspace.worlds.planar.problems import Family, Problem, draw_problem
+from cspace.worlds.planar.scene import Split
+from services.evaluator.evaluation.tables import markdown
 from services.evaluator.statistics import bootstrap_interval
-from services.evaluator.tables import markdown
-from services.planner.ompl_planner import solve
-from services.planner.path_check import path_length_rad
+from services.planner.search.ompl_planner import solve
+from services.planner.search.path_check import path_length_rad
 from services.planner.settings import BIT_STAR, RRT_STAR, PlannerSettings
 
 SHORT_S = 0.25

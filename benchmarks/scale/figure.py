@@ -1,6 +1,6 @@
 """One picture of what grows how, from the results of the other benchmarks of this folder.
 
-python benchmarks/scale/figure.py --growth build/growth --placement build/placement --out build/scaling.png
+python -m benchmarks.scale.figure --growth build/growth --placement build/placement --out build/scaling.png
 """
 
 import argparse
@@ -9,8 +9,9 @@ import sys
 from pathlib import Path
 
 import matplotlib.pyplot as plt
-from lines import read
 from matplotlib.axes import Axes
+
+from benchmarks.scale.lines import read
 
 STAGES = {"data_s": "data", "cluster_s": "clustering", "trials_s": "local trials"}
 TITLES = {"scenarios": "scenarios", "samples": "samples a scenario", "clusters": "clusters (trials)"}

@@ -1,7 +1,7 @@
 """What two worker slots give and what orchestration costs: the reference's local trials, by Ray and by hand.
 
     make up
-    python benchmarks/scale/local_trials.py --out build/local_trials --tracking-uri http://127.0.0.1:5000
+    python -m benchmarks.scale.local_trials --out build/local_trials --tracking-uri http://127.0.0.1:5000
 
 Four arms, in an order that turns with the repeat, on the data, networks and batches of a preset.
 ``together``: the preset's two local trials by the job's own code (Ray Tune, MLflow runs, checkpoints) on a
@@ -22,13 +22,13 @@ from pathlib import Path
 import numpy as np
 import ray
 import torch
-from lines import append, arguments, read, spread
 
+from benchmarks.scale.lines import append, arguments, read, spread
 from cspace.dataset import Dataset
-from services.evaluator.tables import markdown
-from services.registry.mlflow_tracking import MlflowTracking
-from training.clustering import cluster, group, points_in_cells
-from training.config import TrainConfig, load_config
+from services.evaluator.evaluation.tables import markdown
+from services.registry.tracking.mlflow_tracking import MlflowTracking
+from training.clusters.clustering import cluster, group, points_in_cells
+from training.config.clusters import TrainConfig, load_config
 from training.datasets.generate import generate
 from training.trials.arrays import GatedCells, TrainingArrays
 from training.trials.launch import QUIET, run_trials

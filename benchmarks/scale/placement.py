@@ -1,6 +1,6 @@
 """What many trials on many nodes cost the driver: real Ray nodes on one machine, trials that only sleep.
 
-    python benchmarks/scale/placement.py --out build/placement --nodes 1 4 16 32
+    python -m benchmarks.scale.placement --out build/placement --nodes 1 4 16 32
 
 Each node has one slot and gets one trial, by the job's own code: it sleeps, reports ``--reports`` times,
 and is done. All nodes share this machine's processor, so seconds say little about a
@@ -19,13 +19,13 @@ os.environ |= {"RAY_AUTH_MODE": "disabled", "RAY_USAGE_STATS_ENABLED": "0"}
 
 import numpy as np
 import ray
-from lines import append, read, spread
-from nodes import free_bytes, many_nodes, memory_bytes
 from ray import tune
 from ray.experimental import get_object_locations
 
-from services.evaluator.tables import markdown
-from training.config import ResourceConfig
+from benchmarks.scale.lines import append, read, spread
+from benchmarks.scale.nodes import free_bytes, many_nodes, memory_bytes
+from services.evaluator.evaluation.tables import markdown
+from training.config.clusters import ResourceConfig
 from training.trials.launch import run_trials
 from training.trials.outcomes import FINISHED
 

@@ -1,7 +1,7 @@
 """How many trials a tracking server keeps up with: calls a second from ever more clients.
 
     make up
-    python benchmarks/scale/tracking_rate.py --out build/tracking --tracking-uri http://127.0.0.1:5000
+    python -m benchmarks.scale.tracking_rate --out build/tracking --tracking-uri http://127.0.0.1:5000
 
 A call is what a trial sends when its buffer is five seconds old: ``--metrics`` points of one run. Every
 client is a process with a run of its own that calls as fast as it is answered. A trial calls once in five
@@ -13,10 +13,9 @@ import statistics
 import sys
 import time
 
-from lines import append, arguments, read, spread
-
-from services.evaluator.tables import markdown
-from services.registry.mlflow_tracking import MlflowTracking
+from benchmarks.scale.lines import append, arguments, read, spread
+from services.evaluator.evaluation.tables import markdown
+from services.registry.tracking.mlflow_tracking import MlflowTracking
 
 EXPERIMENT = "benchmark-scale"
 BUFFER_AGE_S = 5.0

@@ -1,6 +1,6 @@
 """What one hostile client without a key can do: memory, health, another client's samples, attack by attack.
 
-    python benchmarks/serving/attacks.py --seconds 10
+    python -m benchmarks.serving.attacks --seconds 10
 
 Server, attacker and two clients are processes of their own. One client asks for 300 samples with a pause of
 20 ms between two requests, the other asks every 20 ms whether the server is alive. Each attack runs between
@@ -19,13 +19,15 @@ import time
 from pathlib import Path
 
 import numpy as np
-from served import ROOT, Asker, Served, machine, new_pictures, served
 
-sys.path.insert(0, str(ROOT))
-from services.evaluator.tables import markdown
+from benchmarks.serving.served import ROOT, Asker, Served, machine, new_pictures, served
+from services.evaluator.evaluation.tables import markdown
 from tests.inference_api.attacks import ATTACKS
 
 SAMPLES, PAUSE_S, WARM_UP_S = 300, 0.02, 3.0
+# What sharing the processors with an attacker costs by itself.
+CONTROL = "a process that computes and sends nothing"
+_BUSY = "import sys, time\nend = time.monotonic() + float(sys.argv[1])\nwhile time.monotonic() < end: pass"
 
 
 def ask_samples(port: int, seconds: float, answers) -> None:
@@ -87,15 +89,9 @@ def stretch(api: Served, seconds: float, attack: str | None = None) -> tuple[lis
     watch.start()
     attacker = None
     if attack is not None:
-        command = [
-            sys.executable,
-            "-m",
-            "tests.inference_api.attacks",
-            attack,
-            str(api.port),
-            str(seconds + 2),
-        ]
-        attacker = subprocess.Popen(command, cwd=ROOT)
+        sent = ["-m", "tests.inference_api.attacks", attack, str(api.port)]
+        program = ["-c", _BUSY] if attack == CONTROL else sent
+        attacker = subprocess.Popen([sys.executable, *program, str(seconds + 2)], cwd=ROOT)
         # Python and the first bodies take a second to come up.
         time.sleep(1.5)
     context = multiprocessing.get_context("spawn")
@@ -125,13 +121,15 @@ def main() -> int:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--seconds", type=float, default=10.0, help="of a stretch (default: %(default)s)")
-    parser.add_argument("--only", action="append", choices=ATTACKS, help="these attacks; all when absent")
+    parser.add_argument(
+        "--only", action="append", choices=(CONTROL, *ATTACKS), help="these attacks; all when absent"
+    )
     options = parser.parse_args()
     table = [["attack", "memory, MiB", "health, ms", "usual p99, ms", "p99, ms", "ratio", "refused"]]
     with served(core=None) as api:
         stretch(api, WARM_UP_S)
         usual = p99(stretch(api, options.seconds)[0])
-        for attack in options.only or ATTACKS:
+        for attack in options.only or (CONTROL, *ATTACKS):
             samples, health, grown = stretch(api, options.seconds, attack)
             after = p99(stretch(api, options.seconds)[0])
             calm, usual = (usual + after) / 2, after

@@ -1,6 +1,6 @@
 """Two checkouts in turns: what requests take, and how many a server answers, by one and by the other.
 
-    python benchmarks/serving/in_turns.py --before /path/to/other/checkout --requests 500
+    python -m benchmarks.serving.in_turns --before /path/to/other/checkout --requests 500
 
 Both servers run all the time on one core, the client on the other, and every request goes to one and then to
 the other, the first of the two changing. Throughput: eight clients without a pause, in stretches of two
@@ -16,10 +16,10 @@ from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
-from load import Client, capacity
-from served import CLIENT_CORE, ROOT, Asker, machine, new_pictures, served
 
-from services.evaluator.tables import markdown
+from benchmarks.serving.load import Client, capacity
+from benchmarks.serving.served import CLIENT_CORE, ROOT, Asker, machine, new_pictures, served
+from services.evaluator.evaluation.tables import markdown
 
 SAMPLES, WARM_UP, STRETCH_S, AT_ONCE = 300, 30, 2.0, 8
 Took = list[list[float]]

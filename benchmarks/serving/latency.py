@@ -1,6 +1,6 @@
 """One client, one server on one core: the whole request beside the bare session calls, in the same run.
 
-    python benchmarks/serving/latency.py --requests 200 --repeats 5
+    python -m benchmarks.serving.latency --requests 200 --repeats 5
 
 Server and bare sessions take turns on the same core, the client has another. Every picture is new, except
 where the row says that it was sent before. The client is Python's own ``http.client`` over one kept
@@ -17,14 +17,14 @@ from collections.abc import Callable
 
 import numpy as np
 import onnxruntime
-from served import BUNDLE, CLIENT_CORE, SERVER_CORE, Asker, machine, new_pictures, served
 
+from benchmarks.serving.served import BUNDLE, CLIENT_CORE, SERVER_CORE, Asker, machine, new_pictures, served
 from cspace.bundle import Bundle
 from cspace.bundle.draws import draw, propose
 from cspace.bundle.keeping import EXTRA
-from cspace.image import decode_png
-from services.evaluator.tables import markdown
-from services.planner.sampling_client import SamplingClient
+from cspace.worlds.planar.picture import decode_png
+from services.evaluator.evaluation.tables import markdown
+from services.planner.sources.sampling_client import SamplingClient
 
 WARM_UP = 20
 

@@ -1,6 +1,6 @@
 """A server under load: its capacity, a minute at 70 % of it, and three times as much as it can do.
 
-    python benchmarks/serving/load.py --seconds 60
+    python -m benchmarks.serving.load --seconds 60
 
 Requests for 300 samples arrive at random times (Poisson) whether or not earlier ones were answered, and their
 time counts from when they were due. The server has one core, the client the other. Every second picture was
@@ -16,9 +16,9 @@ import time
 from dataclasses import dataclass, field
 
 import numpy as np
-from served import CLIENT_CORE, Served, form, machine, new_pictures, served
 
-from services.evaluator.tables import markdown
+from benchmarks.serving.served import CLIENT_CORE, Served, form, machine, new_pictures, served
+from services.evaluator.evaluation.tables import markdown
 
 SAMPLES = 300
 PICTURES = 2000

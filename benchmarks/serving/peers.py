@@ -1,6 +1,6 @@
 """The same bundle behind this project's API and behind four peers, on the same core, in the same run.
 
-    python benchmarks/serving/peers.py --environments build/peers --seconds 15 --repeats 3
+    python -m benchmarks.serving.peers --environments build/peers --seconds 15 --repeats 3
 
 Every peer runs in a virtual environment of its own below ``--environments`` (made on the first call), with
 one worker on one core; the client has the other. Each asks for 300 samples of a new picture, JSON both ways,
@@ -26,11 +26,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from served import BUNDLE, CLIENT_CORE, ROOT, SERVER_CORE, machine, new_pictures
 
+from benchmarks.serving.served import BUNDLE, CLIENT_CORE, ROOT, SERVER_CORE, machine, new_pictures
 from cspace.bundle import Bundle
-from services.evaluator.tables import markdown
-from services.registry.mlflow_model import save_model
+from services.evaluator.evaluation.tables import markdown
+from services.registry.models.mlflow_model import save_model
 
 SAMPLES, PICTURES, CLIENTS = 300, 3000, (1, 8, 32)
 HERE = Path(__file__).resolve().parent / "peer_servers"

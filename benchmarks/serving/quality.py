@@ -1,6 +1,6 @@
 """Whether what clients get is what the bundle gives: quality over HTTP beside that of the bundle itself.
 
-    python benchmarks/serving/quality.py --scenarios 100
+    python -m benchmarks.serving.quality --scenarios 100
 
 Nothing but ``n`` and a seed is asked for, so the model's own threshold holds. On the test scenarios; the
 seeds over HTTP are others than those of the bundle, but for the last row, which has the same.
@@ -11,16 +11,16 @@ import sys
 from dataclasses import dataclass
 
 import numpy as np
-from served import BUNDLE, machine, served
 
+from benchmarks.serving.served import BUNDLE, machine, served
 from cspace.bundle import Bundle
-from cspace.scenario import Split
-from services.evaluator.reconstruction import SceneQuality, summarise
-from services.evaluator.samplers import BundleSampler, HttpSampler, Image, Sampler, Samples
-from services.evaluator.scenes import SAMPLES, Scene, Stage, reconstruct, summary_rng
+from cspace.worlds.planar.scene import Split
+from services.evaluator.evaluation.tables import markdown
+from services.evaluator.measures.reconstruction import SceneQuality, summarise
+from services.evaluator.measures.samplers import BundleSampler, HttpSampler, Image, Sampler, Samples
+from services.evaluator.measures.scenes import SAMPLES, Scene, Stage, reconstruct, summary_rng
 from services.evaluator.statistics import difference_interval
-from services.evaluator.tables import markdown
-from services.planner.sampling_client import SamplingClient
+from services.planner.sources.sampling_client import SamplingClient
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,6 @@
 """Promotions under load: two versions take turns as champion while clients go on asking.
 
-    python benchmarks/serving/reloads.py --out build/reloads --reloads 250
+    python -m benchmarks.serving.reloads --out build/reloads --reloads 250
 
 A real MLflow store, the real server with its poll, two clients without a pause. Reported: requests,
 failures, versions seen, and the slope of resident memory over reloads with its 95 % interval.
@@ -17,12 +17,12 @@ from pathlib import Path
 
 import numpy as np
 from scipy import stats
-from served import BUNDLE, Asker, machine, new_pictures, served
 
+from benchmarks.serving.served import BUNDLE, Asker, machine, new_pictures, served
 from cspace.bundle import Bundle, Provenance, write_bundle
-from services.registry.mlflow_registry import MlflowRegistry
-from services.registry.mlflow_tracking import MlflowTracking
+from services.registry.models.mlflow_registry import MlflowRegistry
 from services.registry.names import ALIAS_CHAMPION, EXPERIMENT, MODEL_NAME
+from services.registry.tracking.mlflow_tracking import MlflowTracking
 
 GRAPHS = ("encoder", "generator", "validity", "novelty")
 # The first reloads fill caches and pools.

@@ -9,13 +9,10 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-# What a benchmark ran on is told by a script of the next folder.
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "evaluation"))
-from machine import machine
-
-from cspace.image import encode_png
-from cspace.render import render
-from cspace.scenario import Split, random_scenarios
+from benchmarks.machine import machine
+from cspace.worlds.planar.picture import encode_png
+from cspace.worlds.planar.render import render
+from cspace.worlds.planar.scene import Split, random_scenarios
 
 __all__ = [
     "BUNDLE",

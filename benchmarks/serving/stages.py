@@ -1,6 +1,6 @@
 """Where the time of a request goes: each step by itself, beside the bare session calls of the same run.
 
-    python benchmarks/serving/stages.py --requests 200 --repeats 5 --out build/serving_stages.png
+    python -m benchmarks.serving.stages --requests 200 --repeats 5 --out build/serving_stages.png
 
 One client, one server on one core, ``.npy`` answers, as in ``latency.py``. The server is the API with a watch
 on each step (``timed_server.py``), which costs it a few microseconds a step. A step's time is what it took
@@ -17,12 +17,12 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import matplotlib.pyplot as plt
-from latency import WARM_UP, bare, turns_parser
-from served import CLIENT_CORE, SERVER_CORE, Asker, machine, new_pictures, served
-from timed_server import SESSIONS
-from timed_server import STEPS as SERVER_STEPS
 
-from services.evaluator.tables import markdown
+from benchmarks.serving.latency import WARM_UP, bare, turns_parser
+from benchmarks.serving.served import CLIENT_CORE, SERVER_CORE, Asker, machine, new_pictures, served
+from benchmarks.serving.timed_server import SESSIONS
+from benchmarks.serving.timed_server import STEPS as SERVER_STEPS
+from services.evaluator.evaluation.tables import markdown
 
 OUTSIDE = "client, kernel, uvicorn"
 STEPS = (*SERVER_STEPS, OUTSIDE)
@@ -55,7 +55,7 @@ def one_turn(pngs: list[bytes], samples: int) -> Turn:
     """Milliseconds of each step in one server's life, without the first requests."""
     with tempfile.TemporaryDirectory() as folder:
         records, taken = Path(folder) / "records.jsonl", []
-        program = [str(Path(__file__).with_name("timed_server.py")), str(records)]
+        program = ["-m", "benchmarks.serving.timed_server", str(records)]
         with served(core=SERVER_CORE, program=program) as api:
             ask = Asker(api.port, samples)
             for png in pngs:

@@ -1,6 +1,6 @@
 """The API with a watch on each step; what ``stages.py`` starts.
 
-    python benchmarks/serving/timed_server.py RECORDS --port 0
+    python -m benchmarks.serving.timed_server RECORDS --port 0
 
 Writes one JSON object a request of ``POST /sample``, step to seconds, when it ends.
 """
@@ -11,12 +11,17 @@ import json
 import sys
 from pathlib import Path
 
-import spans
 from onnxruntime import InferenceSession
 
 import inference_api.__main__ as command
-from cspace.bundle import Bundle, graphs, loaded
-from inference_api import app, pictures, routes, sampling, turns
+from benchmarks.serving import spans
+from cspace.bundle import Bundle, loaded
+from cspace.bundle.running import graphs
+from inference_api import app
+from inference_api.models import pictures
+from inference_api.pages import sample as routes
+from inference_api.pages import sampling
+from inference_api.turns import turns
 
 # The steps by name, as ``stages.py`` tells them.
 MIDDLEWARE, FORM, HAND_OVER, REST = "middleware, log, metrics", "form", "hand-over to the thread", "the rest"

@@ -1,7 +1,7 @@
 """Do clusters pay? Every form of the per-cluster trials at an equal total budget, over seeds, in pairs.
 
-    python benchmarks/training/clusters.py --out build/clusters --workers 2
-    python benchmarks/training/clusters.py --out build/clusters --table
+    python -m benchmarks.training.clusters --out build/clusters --workers 2
+    python -m benchmarks.training.clusters --out build/clusters --table
 
 An arm is a form with or without look-ups. All arms of one number of joints share data, latents and validation
 scenarios, and spend the same generator steps of the same batch on networks of the same width over all their
@@ -18,24 +18,24 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from clusters_report import write_report
 from safetensors.torch import load_file, save_file
 
-from training.clustering import cluster, group, points_in_cells
-from training.config import TrainConfig, load_config
+from benchmarks.training.clusters_report import write_report
+from training.clusters.clustering import cluster, group, points_in_cells
+from training.config.clusters import TrainConfig, load_config
 from training.datasets.generate import generate
-from training.encode import encode
 from training.models.cells import CellBase
 from training.models.checkpoint import seeded_initialisation
 from training.models.distillation import DistillationModule
+from training.models.encode import encode
 from training.models.gate import GateModule, gate_probabilities
-from training.models.lookups import make_lookups, make_reader
+from training.models.lookups.lookups import make_lookups, make_reader
 from training.models.mixture import Experts, LookupSampler
 from training.models.modules import VaeModule, WganGpModule
 from training.models.networks import Encoder, TorusGenerator
 from training.trials.arrays import GatedCells, TrainingArrays
 from training.trials.loading import fresh_generator, gated_sampler, make_wgan
-from training.trials.quality import Validation
+from training.trials.searching.quality import Validation
 
 SCENARIOS = 40
 WIDTH = {"hidden": 64, "critic_hidden": 64, "batch_size": 256}

@@ -7,13 +7,13 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from services.evaluator.evaluation.tables import markdown
 from services.evaluator.statistics import (
     Interval,
     difference_interval,
     mean_interval,
     ratio_of_sums_interval,
 )
-from services.evaluator.tables import markdown
 
 
 def read(out: Path):

@@ -1,6 +1,6 @@
 """Steps a second, and seconds until the sampler is good: EDr below 0.3, precision above 0.84, one thread.
 
-    python benchmarks/training/time_to_quality.py --out build/time --repeats 3
+    python -m benchmarks.training.time_to_quality --out build/time --repeats 3
 
 Trains what the quickstart trains, one part after the other on one thread (or on a GPU where there is one),
 and stops the clock whenever it looks at the quality, on validation scenarios. Beside it, in the same run,
@@ -20,12 +20,12 @@ from typing import Self
 
 import lightning
 import torch
-from clusters import Trainer
-from forgetful import ForgetfulRun
 from torch.utils.data import DataLoader, TensorDataset
 
-from training.clustering import cluster, group, points_in_cells
-from training.config import load_config
+from benchmarks.training.clusters import Trainer
+from benchmarks.training.forgetful import ForgetfulRun
+from training.clusters.clustering import cluster, group, points_in_cells
+from training.config.clusters import load_config
 from training.models.checkpoint import seeded_initialisation
 from training.models.data import Batch, ScenarioSamples
 from training.models.gate import GateModule, gate_probabilities

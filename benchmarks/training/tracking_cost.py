@@ -1,7 +1,7 @@
 """What tracking costs: a WGAN-GP of the default size with and without an MLflow run, in turns.
 
     make up
-    python benchmarks/training/tracking_cost.py --tracking-uri http://127.0.0.1:5000
+    python -m benchmarks.training.tracking_cost --tracking-uri http://127.0.0.1:5000
 
 Each pair trains the same steps from the same seed, once with a run that forgets and once with a run
 on the server, in an order that alternates. The cost is the ratio of a pair's wall times less one; the
@@ -17,10 +17,10 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from forgetful import ForgetfulRun
 
-from services.registry.mlflow_tracking import MlflowTracking
-from training.config import load_config
+from benchmarks.training.forgetful import ForgetfulRun
+from services.registry.tracking.mlflow_tracking import MlflowTracking
+from training.config.clusters import load_config
 from training.models.checkpoint import seeded_initialisation
 from training.models.data import ScenarioSamples
 from training.models.modules import WganGpModule

@@ -1,6 +1,6 @@
 """Do workers buy quality? Real jobs on a Ray cluster of two workers: wall time by Tune's clocks, and quality.
 
-    python benchmarks/training/workers.py --out build/workers --seeds 3
+    python -m benchmarks.training.workers --out build/workers --seeds 3
 
 All jobs share data and encoder and have no validity head. ``budget`` is in generator steps of one network.
 A job's time is that from the start of its first to the end of its last trial after the encoder; quality is
@@ -19,10 +19,10 @@ from pathlib import Path
 import numpy as np
 
 from cspace.bundle import Bundle
-from cspace.scenario import Split
-from services.evaluator.samplers import BundleSampler
-from services.evaluator.scenes import Stage, measure_reconstruction
-from services.evaluator.tables import markdown
+from cspace.worlds.planar.scene import Split
+from services.evaluator.evaluation.tables import markdown
+from services.evaluator.measures.samplers import BundleSampler
+from services.evaluator.measures.scenes import Stage, measure_reconstruction
 
 ROOT = Path(__file__).resolve().parents[2]
 SCENARIOS = 40

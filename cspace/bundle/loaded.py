@@ -8,21 +8,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cspace.bundle.chunks import CHUNK_ROWS, PATH_CHUNK_ROWS, Between, chunked
-from cspace.bundle.deadlines import RUN_LIMIT_S
 from cspace.bundle.draws import Draws, draw, propose, shares
 from cspace.bundle.files import GOLDEN_FILE, SPEC_FILE, BundleFiles, read_files
 from cspace.bundle.golden import GoldenCase
-from cspace.bundle.graph_set import open_graphs
-from cspace.bundle.graphs import Graph
 from cspace.bundle.keeping import gather
 from cspace.bundle.novelty import novelty
 from cspace.bundle.request import Request
+from cspace.bundle.running.chunks import CHUNK_ROWS, PATH_CHUNK_ROWS, Between, chunked
+from cspace.bundle.running.deadlines import RUN_LIMIT_S
+from cspace.bundle.running.graph_set import open_graphs
+from cspace.bundle.running.graphs import Graph
 from cspace.bundle.samples import Encoding, Picture, SampleSet
 from cspace.bundle.spec import MAP, PICTURE, BundleSpec
 from cspace.errors import BundleError, BundleIntegrityError, InputError
-from cspace.image import to_network
 from cspace.space import to_float32
+from cspace.worlds.planar.picture import to_network
 
 # Samples about a path are close to contact where it matters, and a further turn costs a further search.
 PATHS_PASS = 0.75
@@ -274,7 +274,7 @@ class Bundle:
                 "the picture does not fit the model",
                 expected=f"uint8 {shape}",
                 got=f"{getattr(image, 'dtype', type(image).__name__)} {getattr(image, 'shape', '')}",
-                remedy="read PNG files with cspace.image.decode_png(data, pixels)",
+                remedy="read PNG files with cspace.worlds.planar.picture.decode_png(data, pixels)",
             )
         return to_network(image[None])
 

@@ -11,9 +11,9 @@ import numpy as np
 from cspace.bundle.parts import Provenance, RandomInput, one_of
 from cspace.bundle.strict_json import StrictObject, parse_json
 from cspace.errors import BundleIntegrityError, ScenarioError
-from cspace.robot import PlanarArm
-from cspace.scenario import Camera
 from cspace.space import Standardisation
+from cspace.worlds.planar.arm import PlanarArm
+from cspace.worlds.planar.scene import Camera
 
 SCHEMA_VERSION = 2
 # Written before uniform_share and novelty_quantiles were; read as 0 and none.

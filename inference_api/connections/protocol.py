@@ -7,12 +7,12 @@ import httptools
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol, RequestResponseCycle
 from uvicorn.server import ServerState
 
-from inference_api.connections.addresses import subscriber
 from inference_api.connections.answering import closing_where_unread
 from inference_api.connections.bounds import MessageBounds, RefusedError
 from inference_api.connections.departure import DEPARTURE, Departure
 from inference_api.connections.linger import LingeringTransport
 from inference_api.connections.refusal import Refusal, refuse
+from inference_api.guards.addresses import subscriber
 from inference_api.problems import HEADERS_TIMEOUT, MALFORMED_REQUEST
 
 if TYPE_CHECKING:

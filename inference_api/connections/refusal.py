@@ -5,9 +5,9 @@ from dataclasses import dataclass
 
 from inference_api.guards.headers import RAW_SECURITY_HEADERS
 from inference_api.problems import ProblemType, problem_response
+from inference_api.record import RequestRecord, begin, choose_request_id, end
 from inference_api.telemetry.access_log import log_request
 from inference_api.telemetry.metrics import Metrics
-from inference_api.telemetry.record import RequestRecord, begin, choose_request_id, end
 from inference_api.telemetry.route_names import UNKNOWN
 
 # What a client writes in their place is not repeated: it may be anything.

@@ -3,10 +3,10 @@
 from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Receive, Scope, Send
 
-from inference_api.guards.pages import is_health
 from inference_api.keys import ApiKeys
+from inference_api.page_names import is_health
 from inference_api.problems import UNAUTHORIZED, problem_response
-from inference_api.telemetry.record import note_client
+from inference_api.record import note_client
 
 # Where the name of the caller's key stands in a request's scope.
 CLIENT = "cspace.client"

@@ -2,9 +2,9 @@
 
 from starlette.types import ASGIApp, Receive, Scope, Send
 
-from inference_api.guards.pages import is_watching
 from inference_api.guards.rate import client_of
 from inference_api.guards.shares import Full, Shares
+from inference_api.page_names import is_watching
 from inference_api.problems import OVERLOADED, problem_response
 
 RETRY_AFTER_S = 1

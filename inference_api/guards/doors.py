@@ -9,7 +9,7 @@ from collections.abc import Iterable
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from inference_api.guards.names import ANY
-from inference_api.guards.pages import is_health
+from inference_api.page_names import is_health
 from inference_api.problems import FOREIGN_ORIGIN, UNKNOWN_HOST, problem_response
 
 LOOPBACK_NAMES = ("localhost", "127.0.0.1", "[::1]")

@@ -3,8 +3,8 @@
 from fastapi import FastAPI
 from uvicorn.middleware.proxy_headers import ProxyHeadersMiddleware
 
-from inference_api.body_limit import BodyLimit
 from inference_api.guards.authentication import Authentication
+from inference_api.guards.body_limit import BodyLimit
 from inference_api.guards.body_time import BodyTime
 from inference_api.guards.concurrency import Concurrency
 from inference_api.guards.doors import Doors

@@ -7,9 +7,9 @@ from collections.abc import Callable
 
 from starlette.types import ASGIApp, Receive, Scope, Send
 
-from inference_api.connections.addresses import subscriber
+from inference_api.guards.addresses import subscriber
 from inference_api.guards.authentication import CLIENT
-from inference_api.guards.pages import is_watching
+from inference_api.page_names import is_watching
 from inference_api.problems import TOO_MANY_REQUESTS, problem_response
 
 MAX_CLIENTS = 4096

@@ -2,8 +2,8 @@
 
 import logging
 
+from inference_api.record import RequestRecord
 from inference_api.telemetry.logs import FIELDS
-from inference_api.telemetry.record import RequestRecord
 
 _LOG = logging.getLogger("inference_api.access")
 

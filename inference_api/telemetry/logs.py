@@ -5,7 +5,7 @@ import logging
 from datetime import UTC, datetime
 from typing import Any, Literal
 
-from inference_api.telemetry.record import current
+from inference_api.record import current
 
 # The attribute of a log record that holds its fields.
 FIELDS = "cspace_fields"

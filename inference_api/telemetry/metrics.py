@@ -6,6 +6,7 @@ that the server itself chooses, one model.
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Protocol
 
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, generate_latest
 from prometheus_client.core import GaugeMetricFamily, Metric
@@ -14,9 +15,8 @@ from prometheus_client.process_collector import ProcessCollector
 from prometheus_client.registry import Collector
 
 from inference_api.problems import PROBLEMS
-from inference_api.schemas import ModelInfo
+from inference_api.record import RequestRecord, current
 from inference_api.telemetry.observer import REFUSALS, Refusal, Sampled
-from inference_api.telemetry.record import RequestRecord, current
 
 CONTENT_TYPE = "text/plain; version=0.0.4; charset=utf-8"
 STAGES = ("decode", "encode", "generate", "total")
@@ -25,6 +25,15 @@ METHODS = frozenset({"GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS",
 # From a picture that is known and a small network to a large n on a busy processor, in s.
 STAGE_BUCKETS_S = (0.0005, 0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0)
 ACCEPTANCE_BUCKETS = (0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 1.0)
+
+
+class ModelInService(Protocol):
+    """What is told of the model that answers."""
+
+    name: str
+    version: int
+    digest: str
+    fallback: bool
 
 
 class Metrics:
@@ -36,7 +45,7 @@ class Metrics:
             (``PROMETHEUS_MULTIPROC_DIR``); None for a single process.
     """
 
-    def __init__(self, model: Callable[[], ModelInfo | None], shared: Path | None = None) -> None:
+    def __init__(self, model: Callable[[], ModelInService | None], shared: Path | None = None) -> None:
         self._shared, self._model = shared, _ModelCollector(model)
         self._registry = registry = CollectorRegistry()
         self._requests = Counter(
@@ -144,7 +153,7 @@ class Metrics:
 class _ModelCollector(Collector):
     """One series with the value 1: the model in service now, however it came there."""
 
-    def __init__(self, model: Callable[[], ModelInfo | None]) -> None:
+    def __init__(self, model: Callable[[], ModelInService | None]) -> None:
         self._model = model
 
     def describe(self) -> Iterator[Metric]:

@@ -5,9 +5,9 @@ import time
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from inference_api.record import RequestRecord, begin, choose_request_id, end
 from inference_api.telemetry.access_log import log_request
 from inference_api.telemetry.metrics import Metrics
-from inference_api.telemetry.record import RequestRecord, begin, choose_request_id, end
 from inference_api.telemetry.route_names import RouteNames
 
 HEADER = "X-Request-ID"

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING
 from fastapi import FastAPI
 
 from cspace.errors import ConfigError
-from inference_api.guards.pages import HEALTH, METRICS
+from inference_api.page_names import HEALTH, METRICS
+from inference_api.record import current
 from inference_api.telemetry.observer import Observer, Refusal, Sampled
-from inference_api.telemetry.record import current
 
 if TYPE_CHECKING:
     from opentelemetry.sdk.trace import TracerProvider

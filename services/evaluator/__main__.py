@@ -13,13 +13,13 @@ from collections.abc import Mapping, Sequence
 
 from cspace.errors import ConfigError, CspaceError, ModelNotFoundError
 from services.evaluator.benchmark.__main__ import main as planning_benchmark
-from services.evaluator.budget import BUDGETS
-from services.evaluator.job import Outcome, evaluate_version, executor
-from services.evaluator.metrics import flat_metrics
-from services.evaluator.report import terminal_table
-from services.evaluator.request import make_request
-from services.registry.mlflow_registry import MlflowRegistry
-from services.registry.mlflow_tracking import MlflowTracking
+from services.evaluator.evaluation.budget import BUDGETS
+from services.evaluator.evaluation.job import Outcome, evaluate_version, executor
+from services.evaluator.evaluation.metrics import flat_metrics
+from services.evaluator.evaluation.report import terminal_table
+from services.evaluator.evaluation.request import make_request
+from services.registry.models.mlflow_registry import MlflowRegistry
+from services.registry.tracking.mlflow_tracking import MlflowTracking
 
 BENCHMARK = "planning"
 

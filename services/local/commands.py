@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 from cspace.errors import ConfigError
 from services.local.environment import shell_lines
+from services.local.servers.stack import down, require_down, services, status, up
 from services.local.settings import Settings
-from services.local.stack import down, require_down, services, status, up
 from services.local.state import drop_state, size_bytes, size_text
 from services.local.texts import addresses, shell_help, status_table
 
@@ -74,7 +74,7 @@ def _confirmed(question: str) -> bool:
 
 def _quickstart(settings: Settings, options: argparse.Namespace) -> int:
     # Imported here: it brings the evaluator's and the planner's libraries, which no other command needs.
-    from services.local.quickstart import quickstart  # noqa: PLC0415
+    from services.local.quickstart.tour import quickstart  # noqa: PLC0415
 
     quickstart(settings, options.train, options.evaluate, _say)
     return 0

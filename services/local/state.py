@@ -4,7 +4,7 @@ import shutil
 from pathlib import Path
 
 from cspace.errors import StorageError
-from services.local.ray_head import temp_folder
+from services.local.servers.ray_head import temp_folder
 from services.local.settings import FOLDERS, Settings
 
 

@@ -4,8 +4,8 @@ import time
 from collections.abc import Sequence
 
 from services.local.environment import shell_lines
+from services.local.servers.stack import ServiceStatus
 from services.local.settings import Settings
-from services.local.stack import ServiceStatus
 from services.local.state import size_bytes, size_text
 
 

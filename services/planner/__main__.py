@@ -8,13 +8,13 @@ import sys
 from collections.abc import Sequence
 
 from cspace.errors import CspaceError
-from cspace.problem import draw_problem
-from cspace.scenario import Split
+from cspace.worlds.planar.problems import draw_problem
+from cspace.worlds.planar.scene import Split
 from services.planner.command_line import Command, parse_command
+from services.planner.drawing.plot import draw_plan, save_figure
 from services.planner.planning import Comparison, compare_with_api
-from services.planner.plot import draw_plan, save_figure
 from services.planner.report import comparison_json, comparison_table
-from services.planner.sampling_client import SamplingClient
+from services.planner.sources.sampling_client import SamplingClient
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -5,13 +5,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from cspace.problem import Family
-from cspace.robot import THREE_LINK, TWO_LINK, PlanarArm
-from services.planner.ompl_planner import DEFAULT_UNIFORM_SHARE
+from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK, PlanarArm
+from cspace.worlds.planar.problems import Family
+from services.planner.drawing.plot import check_figure_path
 from services.planner.planning import DEFAULT_SAMPLES, PAPER_SCHEDULE, SampleRequest
-from services.planner.plot import check_figure_path
-from services.planner.sampling_client import DEFAULT_TIMEOUT_S
+from services.planner.search.ompl_planner import DEFAULT_UNIFORM_SHARE
 from services.planner.settings import LEARNED_PLANNERS, RRT, PlannerSettings, check_uniform_share
+from services.planner.sources.sampling_client import DEFAULT_TIMEOUT_S
 
 ROBOTS = {"two-link": TWO_LINK, "three-link": THREE_LINK}
 

@@ -4,14 +4,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from cspace.errors import SamplerError, SamplerUnavailableError
-from cspace.image import encode_png
-from cspace.problem import Problem
-from cspace.render import render
-from services.planner.ompl_planner import DEFAULT_UNIFORM_SHARE, solve
+from cspace.worlds.planar.picture import encode_png
+from cspace.worlds.planar.problems import Problem
+from cspace.worlds.planar.render import render
 from services.planner.plan_result import PlanResult
-from services.planner.sample_order import order_along
-from services.planner.samples import SampleBatch, SampleSource
+from services.planner.search.ompl_planner import DEFAULT_UNIFORM_SHARE, solve
+from services.planner.search.sample_order import order_along
 from services.planner.settings import RRT_CONNECT, PlannerSettings
+from services.planner.sources.samples import SampleBatch, SampleSource
 
 DEFAULT_SAMPLES = 300
 PAPER_SCHEDULE = (0.0, 0.25, 0.5, 1.0)
@@ -91,7 +91,7 @@ def plan_with_api(
 
     Args:
         problem: start and goal in a scenario.
-        source: of samples, usually a :class:`services.planner.sampling_client.SamplingClient`.
+        source: of samples, usually a :class:`services.planner.sources.sampling_client.SamplingClient`.
         settings: of the planner.
         request: what is asked of the source.
         uniform_share: of uniform samples mixed in, raised where the picture is like none the model knows.

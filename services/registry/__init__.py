@@ -5,7 +5,7 @@ are imported by their own names because they bring MLflow with them; ``promotion
 decides.
 """
 
-from services.registry.models import ModelRegistry, ModelVersion
+from services.registry.models.port import ModelRegistry, ModelVersion
 from services.registry.names import ALIAS_CHALLENGER, ALIAS_CHAMPION, EXPERIMENT, MODEL_NAME
 from services.registry.promotion import (
     Decision,
@@ -14,7 +14,7 @@ from services.registry.promotion import (
     decisions_of,
     record_decision,
 )
-from services.registry.tracking import RunLog, Tracking
+from services.registry.tracking.port import RunLog, Tracking
 
 __all__ = [
     "ALIAS_CHALLENGER",

@@ -7,5 +7,5 @@ ALIAS_CHALLENGER = "challenger"
 ALIAS_CHAMPION = "champion"
 
 TAG_DIGEST = "digest"
-# On a run: what :meth:`services.registry.tracking.Tracking.start` finds it by.
+# On a run: what :meth:`services.registry.tracking.port.Tracking.start` finds it by.
 TAG_KEY = "cspace.key"

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from cspace.errors import RegistryError
-from services.registry.models import ModelRegistry, ModelVersion
+from services.registry.models.port import ModelRegistry, ModelVersion
 from services.registry.names import ALIAS_CHAMPION
 
 PREFIX = "decision."

@@ -17,7 +17,7 @@ from mlflow.pyfunc.model import PythonModel
 from numpy.typing import NDArray
 
 from cspace.bundle import Bundle
-from cspace.image import decode_png
+from cspace.worlds.planar.picture import decode_png
 
 DEFAULT_COUNT = 300
 

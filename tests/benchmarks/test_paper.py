@@ -12,10 +12,10 @@ from benchmarks.paper.figures import convergence, reconstruction, typical
 from benchmarks.paper.jobs import Pace, Study, steps_of
 from benchmarks.paper.measures import Effort, final_quality, learning_curve, table
 from cspace.bundle import Bundle
-from cspace.robot import TWO_LINK
-from cspace.scenario import Camera, Split
-from services.evaluator.samplers import BundleSampler
-from services.evaluator.scenes import Scene, Stage
+from cspace.worlds.planar.arm import TWO_LINK
+from cspace.worlds.planar.scene import Camera, Split
+from services.evaluator.measures.samplers import BundleSampler
+from services.evaluator.measures.scenes import Scene, Stage
 from tests.bundles import write_tiny_bundle
 from tests.training.models.builders import tiny_module
 from training.models.checkpoint import Progress, save_checkpoint

@@ -9,7 +9,7 @@ from mlflow import MlflowClient
 from mlflow.entities import LoggedModelStatus
 
 from cspace.bundle import Bundle
-from services.registry.mlflow_registry import MlflowRegistry
+from services.registry.models.mlflow_registry import MlflowRegistry
 from services.registry.names import EXPERIMENT, MODEL_NAME
 from training.models.checkpoint import WEIGHTS
 from training.trials.checkpoints import TrialFolder

@@ -5,11 +5,11 @@ from typing import Any
 
 import httpx
 
-from cspace.image import encode_png
-from cspace.render import render
-from cspace.robot import TWO_LINK
-from cspace.scenario import Split, random_scenarios
-from services.local.serving import wait_served
+from cspace.worlds.planar.arm import TWO_LINK
+from cspace.worlds.planar.picture import encode_png
+from cspace.worlds.planar.render import render
+from cspace.worlds.planar.scene import Split, random_scenarios
+from services.local.quickstart.serving import wait_served
 from tests.compose.stack import Stack
 
 

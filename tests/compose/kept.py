@@ -7,8 +7,8 @@ from pathlib import Path
 import mlflow
 
 from cspace.bundle import Bundle
-from services.registry.mlflow_registry import MlflowRegistry
-from services.registry.models import ModelVersion
+from services.registry.models.mlflow_registry import MlflowRegistry
+from services.registry.models.port import ModelVersion
 from services.registry.names import MODEL_NAME
 from tests.compose.stack import Stack
 

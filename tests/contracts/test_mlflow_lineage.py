@@ -14,10 +14,10 @@ import pytest
 from mlflow import MlflowClient
 
 from cspace.bundle import Bundle
-from cspace.image import encode_png
-from services.registry.mlflow_registry import MlflowRegistry
-from services.registry.mlflow_tracking import MlflowTracking
-from services.registry.models import ModelVersion
+from cspace.worlds.planar.picture import encode_png
+from services.registry.models.mlflow_registry import MlflowRegistry
+from services.registry.models.port import ModelVersion
+from services.registry.tracking.mlflow_tracking import MlflowTracking
 from tests.bundles import picture, write_tiny_bundle
 from tests.contracts.mlflow_warnings import MLFLOW_WARNINGS
 
@@ -94,7 +94,7 @@ import importlib.util, sys
 from pathlib import Path
 import mlflow.telemetry.client
 from cspace.errors import RegistryError
-from services.registry.mlflow_registry import MlflowRegistry
+from services.registry.models.mlflow_registry import MlflowRegistry
 
 uri, name, digest, run_id, folder = sys.argv[1:]
 for heavy in ("pandas", "sklearn", "sqlalchemy", "flask", "matplotlib", "torch"):

@@ -5,13 +5,13 @@ import pytest
 
 from cspace.bundle import Bundle
 from cspace.errors import BundleIntegrityError, ModelNotFoundError, RegistryError, StorageError
-from inference_api.apart.disk import DiskCache
-from inference_api.apart.loading import BundleLoader, LoaderHere
-from inference_api.apart.parts import Limits, parts_apart
-from services.registry.models import ModelRegistry, ModelVersion
+from inference_api.models.apart.disk import DiskCache
+from inference_api.models.apart.loading import BundleLoader, LoaderHere
+from inference_api.models.apart.parts import Limits, parts_apart
+from services.registry.models.port import ModelRegistry, ModelVersion
 from services.registry.names import ALIAS_CHALLENGER, ALIAS_CHAMPION
 from services.registry.promotion import Decision, champions, decisions, record_decision
-from services.registry.tracking import Tracking
+from services.registry.tracking.port import Tracking
 from tests.bundles import write_tiny_bundle
 from tests.contracts.conftest import Backend, mlflow_backend
 from tests.contracts.mlflow_warnings import MLFLOW_WARNINGS

@@ -9,11 +9,11 @@ import pytest
 from anyio.from_thread import BlockingPortal, start_blocking_portal
 
 from cspace.errors import SamplerError, SamplerUnavailableError
-from cspace.image import encode_png
-from services.planner.async_sampling_client import AsyncSamplingClient
-from services.planner.local_sampler import LocalSampler
-from services.planner.samples import SampleBatch, SampleSource
-from services.planner.sampling_client import SamplingClient
+from cspace.worlds.planar.picture import encode_png
+from services.planner.sources.async_sampling_client import AsyncSamplingClient
+from services.planner.sources.local_sampler import LocalSampler
+from services.planner.sources.samples import SampleBatch, SampleSource
+from services.planner.sources.sampling_client import SamplingClient
 from tests.bundles import picture, write_tiny_bundle
 from tests.fakes.sample_server import sample_server
 from tests.fakes.sample_source import FakeSampleSource

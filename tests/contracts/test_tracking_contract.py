@@ -4,7 +4,7 @@ from pathlib import Path
 import pytest
 
 from cspace.errors import RegistryError
-from services.registry.tracking import RunLog, Tracking
+from services.registry.tracking.port import RunLog, Tracking
 from tests.contracts.conftest import Backend
 from tests.contracts.mlflow_warnings import MLFLOW_WARNINGS
 

@@ -9,10 +9,10 @@ import onnx
 import pytest
 
 from cspace.bundle import Bundle
-from cspace.bundle import sessions as opening
-from cspace.bundle.graphs import Graph
-from cspace.bundle.onnx_check import check_graph
-from cspace.bundle.operators import OPERATORS
+from cspace.bundle.onnx.check import check_graph
+from cspace.bundle.onnx.operators import OPERATORS
+from cspace.bundle.running import sessions as opening
+from cspace.bundle.running.graphs import Graph
 from cspace.errors import BundleError, BundleIntegrityError
 from tests.bundles import LATENT, write_tiny_bundle
 from tests.cspace import hostile_graphs as hostile

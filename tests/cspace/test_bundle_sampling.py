@@ -11,7 +11,7 @@ import pytest
 
 from cspace.bundle import Bundle, write_bundle
 from cspace.errors import InputError
-from cspace.robot import THREE_LINK, TWO_LINK, PlanarArm
+from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK, PlanarArm
 from tests.bundles import LATENT, picture, tiny_graphs, tiny_spec, write_tiny_bundle
 
 # More digits of pi than a double has.

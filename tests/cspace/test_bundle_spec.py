@@ -8,9 +8,9 @@ import pytest
 
 from cspace.bundle import BundleSpec, Provenance, RandomInput
 from cspace.errors import BundleIntegrityError
-from cspace.robot import THREE_LINK, TWO_LINK
-from cspace.scenario import Camera
 from cspace.space import Standardisation
+from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK
+from cspace.worlds.planar.scene import Camera
 from tests.bundles import tiny_spec
 
 

@@ -11,10 +11,10 @@ from pathlib import Path
 
 import psutil
 
-from services.local.ports import free_ports
-from services.local.processes import family
-from services.local.ray_head import temp_folder
-from services.local.records import read_record
+from services.local.servers.ports import free_ports
+from services.local.servers.processes import family
+from services.local.servers.ray_head import temp_folder
+from services.local.servers.records import read_record
 from services.local.settings import Settings
 
 ROOT = Path(__file__).parents[2]

@@ -12,10 +12,10 @@ from pathlib import Path
 import psutil
 import pytest
 
-from services.local.health import answers
-from services.local.jobs import RayJobs, follow
-from services.local.ray_token import read_token
-from services.local.results import training_result
+from services.local.quickstart.jobs import RayJobs, follow
+from services.local.quickstart.results import training_result
+from services.local.servers.health import answers
+from services.local.servers.ray_token import read_token
 from tests.e2e.local_stack import NAMES, LocalStack
 
 pytestmark = [pytest.mark.e2e, pytest.mark.timeout(900)]

@@ -15,11 +15,11 @@ from cspace.errors import (
     RegistryUnavailableError,
     StorageError,
 )
-from services.registry.models import ModelVersion
+from services.registry.models.port import ModelVersion
 from services.registry.names import TAG_KEY
-from services.registry.parameters import flatten
-from services.registry.run_block import RunBlock
-from services.registry.tracking import Picture, RunLog, RunStatus
+from services.registry.tracking.parameters import flatten
+from services.registry.tracking.port import Picture, RunLog, RunStatus
+from services.registry.tracking.run_block import RunBlock
 
 
 @dataclass

@@ -12,7 +12,7 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 import numpy as np
 
 from cspace.errors import SamplerError, SamplerUnavailableError
-from services.planner.samples import SampleBatch, SampleSource
+from services.planner.sources.samples import SampleBatch, SampleSource
 
 Answer = tuple[int, dict[str, str], bytes]
 

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from cspace.errors import SamplerError, SamplerUnavailableError
 from cspace.space import to_float32
-from services.planner.samples import SampleBatch
+from services.planner.sources.samples import SampleBatch
 
 MODEL = "pretrained"
 DIGEST = "f" * 64

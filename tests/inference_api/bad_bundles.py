@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from onnx import TensorProto, helper, numpy_helper
 
 from cspace.bundle.files import ENCODER_FILE, SUMS_FILE, sums_of
-from cspace.bundle.loops import MAX_TURNS
+from cspace.bundle.onnx.loops import MAX_TURNS
 from tests.bundles import tiny_spec, write_tiny_bundle
 
 

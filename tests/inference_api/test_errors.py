@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from cspace.bundle import Bundle
-from inference_api.body_limit import MAX_BODY_BYTES
+from inference_api.guards.body_limit import MAX_BODY_BYTES
 from tests.inference_api.answers import IMAGE, PNG, assert_answers, assert_problem
 from tests.inference_api.client import ApiClient
 from tests.inference_api.conftest import StartApi

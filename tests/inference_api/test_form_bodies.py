@@ -10,9 +10,8 @@ import httpx
 import pytest
 from fastapi import Request
 
-from cspace.image import encode_png
-from inference_api.body_limit import MAX_BODY_BYTES
-from inference_api.multipart_form import (
+from cspace.worlds.planar.picture import encode_png
+from inference_api.bodies.multipart_form import (
     MAX_FIELD_BYTES,
     MAX_FORM_FIELDS,
     MAX_FORM_FILES,
@@ -22,8 +21,9 @@ from inference_api.multipart_form import (
     is_boundary,
     read_parts,
 )
+from inference_api.bodies.request_body import MAX_CONTENT_TYPE, RawFields, parse_fields, read_fields
+from inference_api.guards.body_limit import MAX_BODY_BYTES
 from inference_api.problems import RequestError
-from inference_api.request_body import MAX_CONTENT_TYPE, RawFields, parse_fields, read_fields
 from tests.bundles import picture
 from tests.cspace.png_files import chunk
 from tests.inference_api.answers import PNG, assert_answers, assert_problem

@@ -10,12 +10,12 @@ import pytest
 from starlette.responses import PlainTextResponse
 from starlette.types import Receive, Scope, Send
 
-from inference_api.docs_page import policy
 from inference_api.guards.concurrency import Concurrency
 from inference_api.guards.headers import SECURITY_HEADERS
 from inference_api.guards.protection import Protection
 from inference_api.guards.rate import TokenBuckets, client_of
 from inference_api.keys import digest_of
+from inference_api.pages.docs_page import policy
 from tests.inference_api.answers import PNG, assert_problem
 from tests.inference_api.client import ApiClient
 from tests.inference_api.conftest import StartApi

@@ -20,7 +20,7 @@ from inference_api.app import create_app
 from inference_api.settings import ApiSettings
 from tests.bundles import picture
 from tests.inference_api.client import running
-from cspace.image import encode_png
+from cspace.worlds.planar.picture import encode_png
 
 settings = ApiSettings(None, Path({cache!r}), pretrained_folder=Path({bundle!r}))
 with running(create_app(settings)) as api:
@@ -42,7 +42,8 @@ def test_the_api_serves_without_the_training_frameworks(tmp_path: Path, bundles:
 def test_importing_the_api_does_nothing_but_import(tmp_path: Path) -> None:
     code = (
         "import os, threading; before = dict(os.environ);"
-        "import inference_api.app, inference_api.routes, inference_api.model_store, inference_api.__main__;"
+        "import inference_api.app, inference_api.pages.sample, inference_api.models.store;"
+        "import inference_api.__main__;"
         "assert threading.active_count() == 1; assert dict(os.environ) == before;"
         "assert not os.listdir('.')"
     )

@@ -7,13 +7,13 @@ from contextlib import suppress
 import pytest
 
 from cspace.errors import CspaceError
-from inference_api.body_limit import MAX_BODY_BYTES
+from inference_api.bodies.request_body import RawFields, parse_fields
+from inference_api.bodies.strict_json import MAX_DIGITS, MAX_MARKS, MAX_TENSOR_MARKS, load_json
+from inference_api.guards.body_limit import MAX_BODY_BYTES
+from inference_api.open_inference.tensor_request import read_request
+from inference_api.open_inference.tensors import read_tensors
+from inference_api.pages.validation import validate_request
 from inference_api.problems import RequestError
-from inference_api.request_body import RawFields, parse_fields
-from inference_api.strict_json import MAX_DIGITS, MAX_MARKS, MAX_TENSOR_MARKS, load_json
-from inference_api.tensor_request import read_request
-from inference_api.tensors import read_tensors
-from inference_api.validation import validate_request
 from tests.inference_api.client import ApiClient
 from tests.inference_api.tensor_client import infer
 

@@ -11,7 +11,7 @@ from anyio import to_thread
 from prometheus_client import CollectorRegistry, Gauge
 from starlette.requests import ClientDisconnect
 
-from inference_api.turns import LONG_OF_CLIENT, Turn, Turns
+from inference_api.turns.turns import LONG_OF_CLIENT, Turn, Turns
 from tests.inference_api.turn_work import LONG, PATIENCE_S, leaving, until, value
 
 

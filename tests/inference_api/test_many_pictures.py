@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cspace.bundle import SampleSet
-from inference_api.tensor_sampling import Drawn, output_arrays
+from inference_api.open_inference.tensor_sampling import Drawn, output_arrays
 from tests.inference_api.client import ApiClient
 from tests.inference_api.tensor_client import IMAGES, binary_request, infer, outputs_of, sampled
 

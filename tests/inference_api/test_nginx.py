@@ -9,7 +9,7 @@ from pathlib import Path
 import httpx
 import pytest
 
-from inference_api.body_limit import MAX_BODY_BYTES
+from inference_api.guards.body_limit import MAX_BODY_BYTES
 from tests.inference_api.answers import IMAGE, PNG
 from tests.inference_api.proxy import NAME, Proxy, nginx_before
 from tests.inference_api.raw import head, metric, one_answer

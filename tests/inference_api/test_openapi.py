@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from jsonschema import Draft202012Validator
 
-from inference_api.openapi import SAMPLE_PROBLEMS
+from inference_api.pages.described import SAMPLE_PROBLEMS
 from tests.bundles import picture
 from tests.inference_api.client import ApiClient
 from tests.inference_api.tensor_client import LENGTH, json_input

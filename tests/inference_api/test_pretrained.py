@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from cspace.bundle import Bundle
-from cspace.collision import CollisionChecker
-from cspace.render import render
-from cspace.robot import TWO_LINK
-from cspace.scenario import Split, random_scenarios
+from cspace.worlds.planar.arm import TWO_LINK
+from cspace.worlds.planar.collision import CollisionChecker
+from cspace.worlds.planar.render import render
+from cspace.worlds.planar.scene import Split, random_scenarios
 from inference_api.settings import PRETRAINED_FOLDER
 
 MAX_BYTES = 40_000_000

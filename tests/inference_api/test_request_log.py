@@ -10,8 +10,8 @@ from urllib.parse import quote
 import pytest
 
 from cspace.bundle import Bundle
+from inference_api.record import choose_request_id
 from inference_api.telemetry.logs import JsonFormatter, LogForm, TextFormatter, log_settings
-from inference_api.telemetry.record import choose_request_id
 from tests.bundles import picture
 from tests.inference_api.answers import PNG
 from tests.inference_api.client import ApiClient

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from cspace.bundle import Bundle
-from cspace.image import decode_png, encode_png
-from inference_api.sampling import prefers_npy
+from cspace.worlds.planar.picture import decode_png, encode_png
+from inference_api.pages.sampling import prefers_npy
 from tests.bundles import picture
 from tests.inference_api.client import ApiClient
 from tests.inference_api.conftest import StartApi

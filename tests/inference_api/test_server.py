@@ -17,8 +17,8 @@ import numpy as np
 import pytest
 
 from cspace.bundle import Bundle
-from cspace.image import decode_png
-from inference_api.body_limit import MAX_BODY_BYTES
+from cspace.worlds.planar.picture import decode_png
+from inference_api.guards.body_limit import MAX_BODY_BYTES
 from tests.inference_api.server import ROOT, api_server
 
 pytestmark = pytest.mark.e2e

@@ -7,7 +7,7 @@ import pytest
 from starlette.responses import PlainTextResponse
 from starlette.types import Receive, Scope, Send
 
-from inference_api.body_limit import BodyLimit
+from inference_api.guards.body_limit import BodyLimit
 from inference_api.guards.concurrency import Concurrency
 from inference_api.guards.protection import Protection
 from inference_api.guards.shares import Shares

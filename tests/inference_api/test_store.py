@@ -5,11 +5,12 @@ import pytest
 
 from cspace.bundle import Bundle
 from cspace.errors import ModelNotFoundError, RegistryUnavailableError, StorageError
-from inference_api.apart.disk import DiskCache
-from inference_api.apart.loading import LoaderHere
-from inference_api.bundle_cache import RETRY_S, BundleCache
-from inference_api.model_store import ModelNotReadyError, ModelStore
-from inference_api.references import ModelReference
+from inference_api.failures import ModelNotReadyError
+from inference_api.models.apart.disk import DiskCache
+from inference_api.models.apart.loading import LoaderHere
+from inference_api.models.bundle_cache import RETRY_S, BundleCache
+from inference_api.models.references import ModelReference
+from inference_api.models.store import ModelStore
 from tests.inference_api.client import ApiClient
 from tests.inference_api.clock import Clock
 from tests.inference_api.conftest import StartApi

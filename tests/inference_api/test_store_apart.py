@@ -9,13 +9,14 @@ from pathlib import Path
 import pytest
 
 from cspace.errors import BundleError, ModelNotFoundError, RegistryError
-from inference_api.apart.disk import DiskCache
-from inference_api.apart.loading import LoaderHere
-from inference_api.bundle_cache import RETRY_S, BundleCache
-from inference_api.model_store import ModelNotReadyError, ModelStore
-from inference_api.references import ModelReference
-from inference_api.registry_view import REMEMBERED
-from services.registry.models import ModelVersion
+from inference_api.failures import ModelNotReadyError
+from inference_api.models.apart.disk import DiskCache
+from inference_api.models.apart.loading import LoaderHere
+from inference_api.models.bundle_cache import RETRY_S, BundleCache
+from inference_api.models.references import ModelReference
+from inference_api.models.registry_view import REMEMBERED
+from inference_api.models.store import ModelStore
+from services.registry.models.port import ModelVersion
 from tests.inference_api.clock import Clock
 from tests.inference_api.fake_registry import MODEL, CountingRegistry
 

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from cspace.errors import InputError
-from inference_api.tensor_request import MAX_MEMBERS, MAX_TEXT, read_request
-from inference_api.tensor_sampling import MAX_PICTURES
-from inference_api.tensor_schemas import InputTensor
-from inference_api.tensors import MAX_SIZE, read_tensors
-from inference_api.validation import brief, brief_members
+from inference_api.open_inference.tensor_request import MAX_MEMBERS, MAX_TEXT, read_request
+from inference_api.open_inference.tensor_sampling import MAX_PICTURES
+from inference_api.open_inference.tensor_schemas import InputTensor
+from inference_api.open_inference.tensors import MAX_SIZE, read_tensors
+from inference_api.pages.validation import brief, brief_members
 from tests.inference_api.client import ApiClient
 from tests.inference_api.tensor_client import IMAGES, binary_request, infer, json_input, outputs_of
 

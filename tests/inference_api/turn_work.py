@@ -8,7 +8,7 @@ import anyio
 from anyio import to_thread
 from prometheus_client import Gauge
 
-from inference_api.turns import LONG_ROWS, Turn, Watch
+from inference_api.turns.turns import LONG_ROWS, Turn, Watch
 
 PATIENCE_S = 20.0
 LONG = 2 * LONG_ROWS

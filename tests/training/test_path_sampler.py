@@ -10,19 +10,20 @@ import pytest
 
 from cspace.bundle import Bundle
 from cspace.errors import BundleError, ConfigError, InputError
-from cspace.problem import Family, draw_problem
-from cspace.robot import THREE_LINK
-from cspace.scenario import Split
+from cspace.worlds.planar.arm import THREE_LINK
+from cspace.worlds.planar.problems import Family, draw_problem
+from cspace.worlds.planar.scene import Split
 from inference_api.settings import PRETRAINED_FOLDER
-from services.planner.local_sampler import LocalSampler
-from services.planner.ompl_planner import PlannerSettings
 from services.planner.planning import SampleRequest, plan_with_api
-from services.planner.sampling_client import SamplingClient
+from services.planner.search.ompl_planner import PlannerSettings
+from services.planner.sources.local_sampler import LocalSampler
+from services.planner.sources.sampling_client import SamplingClient
 from tests.bundles import picture, write_tiny_bundle
 from tests.contracts.mlflow_server import mlflow_server
 from tests.contracts.mlflow_warnings import MLFLOW_WARNINGS
 from tests.inference_api.server import api_server
-from training.path_sampler import main, make_path_bundle
+from training.path_sampler import main
+from training.paths.untrained import make_path_bundle
 
 START, GOAL = (0.5, 0.5), (-0.5, -1.0)
 PATHS = SampleRequest(with_ends=True, min_confidence=0.0)
@@ -98,7 +99,7 @@ for mark in MLFLOW_WARNINGS:
 
 def test_the_command_may_be_given_again_and_names_no_machine(source: Path, tmp_path: Path) -> None:
     command = [sys.executable, "-m", "training.path_sampler", str(source), "paths"]
-    root = Path(__file__).parents[2]
+    root = Path(__file__).parents[3]
     environment = os.environ | {"PYTHONPATH": str(root)}
     digests = set()
     for _ in range(2):

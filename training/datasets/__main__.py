@@ -14,8 +14,8 @@ from pydantic import ValidationError
 
 from cspace.dataset import Dataset, open_dataset
 from cspace.errors import ConfigError, CspaceError, ScenarioError
-from cspace.robot import JointLimits, PlanarArm
-from cspace.scenario import Camera, Split
+from cspace.worlds.planar.arm import JointLimits, PlanarArm
+from cspace.worlds.planar.scene import Camera, Split
 from training.datasets.config import DatasetConfig, PathDatasetConfig
 from training.datasets.own import import_folder
 

@@ -6,7 +6,7 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from cspace.robot import PlanarArm
+from cspace.worlds.planar.arm import PlanarArm
 
 
 class RobotConfig(BaseModel):

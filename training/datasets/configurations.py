@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cspace.dataset import Dataset, write_dataset
-from cspace.scenario import Camera
+from cspace.worlds.planar.scene import Camera
 from training.datasets.config import DatasetConfig
 from training.datasets.recipe import Arrays
 from training.datasets.shards import Shard, make_shard, plan_shards

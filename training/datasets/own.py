@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from cspace.dataset import Dataset, require_room, write_dataset
 from cspace.errors import DatasetError, ImageError
-from cspace.image import decode_png
-from cspace.robot import PlanarArm
-from cspace.scenario import Camera
+from cspace.worlds.planar.arm import PlanarArm
+from cspace.worlds.planar.picture import decode_png
+from cspace.worlds.planar.scene import Camera
 
 EXTRA_FOLDER = "extra"
 COLLISION_ENDING = ".collision.npy"

@@ -2,7 +2,8 @@
 
 The first scenarios have a narrow passage between every start and its goal, the others are drawn at random. A
 path's points lie at equal distances along it. Where the paths come from is a choice: the exact grid of
-:mod:`cspace.grid_paths`, or OMPL's RRT* with a limit in time, as in the MultiWGAN-GP paper (section 4).
+:mod:`cspace.worlds.planar.grid_paths`, or OMPL's RRT* with a limit in time, as in the MultiWGAN-GP paper
+(section 4).
 """
 
 from collections.abc import Callable, Iterator
@@ -13,15 +14,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cspace.collision import CollisionChecker
 from cspace.dataset import Dataset, write_dataset
 from cspace.errors import DatasetError
-from cspace.free_grid import FreeGrid, cells_per_joint
-from cspace.grid_paths import PATH_CELLS, PathFinder, spread_points
-from cspace.problem import Family, Problem, narrow_pairs, require_resolution
-from cspace.render import render
-from cspace.scenario import Camera, Scenario, Split, random_scenario, scenario_rng
-from services.planner.ompl_planner import solve
+from cspace.worlds.planar.collision import CollisionChecker
+from cspace.worlds.planar.free_grid import FreeGrid, cells_per_joint
+from cspace.worlds.planar.grid_paths import PATH_CELLS, PathFinder, spread_points
+from cspace.worlds.planar.problems import Family, Problem, narrow_pairs, require_resolution
+from cspace.worlds.planar.render import render
+from cspace.worlds.planar.scene import Camera, Scenario, Split, random_scenario, scenario_rng
+from services.planner.search.ompl_planner import solve
 from services.planner.settings import RRT_STAR, PlannerSettings
 from training.datasets.config import PathDatasetConfig
 from training.datasets.recipe import Arrays

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cspace.collision import CollisionChecker
 from cspace.errors import DatasetError, StorageError
-from cspace.render import render
-from cspace.scenario import Scenario, Split, random_scenario, scenario_rng
+from cspace.worlds.planar.collision import CollisionChecker
+from cspace.worlds.planar.render import render
+from cspace.worlds.planar.scene import Scenario, Split, random_scenario, scenario_rng
 from training.datasets.config import DatasetConfig
 
 # Pictures alone come from the same split under indices that no scenario with configurations has.

@@ -7,7 +7,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 from torch.optim.lr_scheduler import OneCycleLR
 
-from training.config import GateConfig
+from training.config.clusters import GateConfig
 from training.models.modules import TrialModule
 from training.models.networks import mlp
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from training.config import GlobalConfig, VaeConfig
+from training.config.clusters import GlobalConfig, VaeConfig
 from training.models import losses
 from training.models.data import Batch, ScenarioSamples
 from training.models.modules import WganGpModule

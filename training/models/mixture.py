@@ -8,7 +8,7 @@ from torch.nn import functional
 
 from training.models.cells import CellPoints
 from training.models.gate import Gate
-from training.models.lookups import ArmLookups
+from training.models.lookups.lookups import ArmLookups
 from training.models.networks import TorusGenerator
 
 

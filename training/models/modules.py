@@ -6,11 +6,11 @@ from torch import Tensor, nn
 from torch.optim import Optimizer
 from torch.optim.lr_scheduler import LambdaLR, OneCycleLR
 
-from training.config import GanConfig, VaeConfig
+from training.config.clusters import GanConfig, VaeConfig
 from training.models import losses
 from training.models.cells import Base, UniformBase
 from training.models.data import Batch, ScenarioSamples
-from training.models.lookups import Scenes, make_reader, values_read
+from training.models.lookups.lookups import Scenes, make_reader, values_read
 from training.models.networks import Critic, Decoder, Encoder, MeansGenerator, TorusGenerator
 
 Metrics = dict[str, float]

@@ -7,10 +7,10 @@ from torch import Tensor, nn
 from torch.nn import functional
 from torch.optim.lr_scheduler import OneCycleLR
 
-from cspace.robot import PlanarArm
-from cspace.scenario import Camera
-from training.config import ValidityConfig
-from training.models.lookups import ArmLookups
+from cspace.worlds.planar.arm import PlanarArm
+from cspace.worlds.planar.scene import Camera
+from training.config.clusters import ValidityConfig
+from training.models.lookups.lookups import ArmLookups
 from training.models.modules import TrialModule
 from training.models.networks import mlp
 

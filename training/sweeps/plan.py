@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from training.config import TrainConfig
+from training.config.clusters import TrainConfig
 from training.sweeps.grid import Point
 
 

@@ -8,15 +8,15 @@ from dataclasses import dataclass
 
 from cspace.bundle import Bundle
 from cspace.errors import CspaceError
-from cspace.scenario import Split
-from services.evaluator.samplers import BundleSampler
-from services.evaluator.scenes import Stage, measure_reconstruction
-from services.registry.mlflow_tracking import MlflowTracking
-from training.config import TrainConfig
-from training.environment import Environment
-from training.job import job_folder
-from training.patience import patiently
-from training.pipeline import train
+from cspace.worlds.planar.scene import Split
+from services.evaluator.measures.samplers import BundleSampler
+from services.evaluator.measures.scenes import Stage, measure_reconstruction
+from services.registry.tracking.mlflow_tracking import MlflowTracking
+from training.clusters.pipeline import train
+from training.config.clusters import TrainConfig
+from training.jobs.environment import Environment
+from training.jobs.job import job_folder
+from training.jobs.patience import patiently
 from training.sweeps.grid import Point
 from training.sweeps.record import PointResult
 

@@ -6,15 +6,15 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from services.evaluator.tables import aligned, markdown
-from services.registry.mlflow_tracking import MlflowTracking
+from services.evaluator.evaluation.tables import aligned, markdown
 from services.registry.names import EXPERIMENT
-from services.registry.tracking import RunLog
-from training.environment import Environment
-from training.job import job_folder, run_of
-from training.patience import PatientRun, patiently
-from training.provenance import job_tags
-from training.stages import prepare_data
+from services.registry.tracking.mlflow_tracking import MlflowTracking
+from services.registry.tracking.port import RunLog
+from training.clusters.stages import prepare_data
+from training.jobs.environment import Environment
+from training.jobs.job import job_folder, run_of
+from training.jobs.patience import PatientRun, patiently
+from training.jobs.provenance import job_tags
 from training.sweeps.grid import Point
 from training.sweeps.plan import Plan
 from training.sweeps.point_job import PointJob, run_point

@@ -6,11 +6,11 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from cspace.robot import PlanarArm
-from cspace.scenario import Camera
+from cspace.worlds.planar.arm import PlanarArm
+from cspace.worlds.planar.scene import Camera
 from training.models.cells import Base, CellBase, CellPoints
 from training.models.data import ScenarioSamples
-from training.models.lookups import Scenes
+from training.models.lookups.lookups import Scenes
 
 # Keeps a row of probabilities from vanishing where the gate gives a scenario none of a cluster's cells.
 _LEAST_PROBABILITY = 1e-8

@@ -10,7 +10,7 @@ from typing import Any, Protocol
 import lightning
 from torch.utils.data import DataLoader
 
-from services.registry.tracking import RunLog
+from services.registry.tracking.port import RunLog
 from training.models.checkpoint import Progress, load_checkpoint, read_progress
 from training.models.data import StepCounter
 from training.models.modules import Metrics, TrialModule

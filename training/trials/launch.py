@@ -15,7 +15,7 @@ from ray import tune
 from ray.tune.experiment import Trial
 
 from cspace.errors import JobError
-from training.config import ResourceConfig
+from training.config.clusters import ResourceConfig
 from training.trials.outcomes import Outcomes, TrialOutcome, TrialPlaces, read_outcome, stop_file
 from training.trials.stopping import Stop, end_on_request
 

@@ -6,10 +6,10 @@ from pathlib import Path
 import torch
 
 from cspace.errors import JobError
-from training.config import GanConfig, LookupConfig, TrainConfig
+from training.config.clusters import GanConfig, LookupConfig, TrainConfig
 from training.models.checkpoint import load_weights, seeded_initialisation
 from training.models.gate import Gate
-from training.models.lookups import make_lookups
+from training.models.lookups.lookups import make_lookups
 from training.models.mixture import Experts, GatedSampler
 from training.models.modules import WganGpModule, make_critic, make_generator
 from training.models.networks import Critic, MeansGenerator, TorusGenerator

@@ -7,8 +7,8 @@ import torch
 from numpy.typing import NDArray
 
 from cspace.dataset import Dataset
-from cspace.robot import PlanarArm
-from cspace.scenario import Camera
+from cspace.worlds.planar.arm import PlanarArm
+from cspace.worlds.planar.scene import Camera
 from training.models.validity import OccupancySamples
 
 

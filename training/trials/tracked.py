@@ -10,8 +10,8 @@ import torch
 from ray import tune
 
 from services.registry.mlflow_health import lower_patience
-from services.registry.mlflow_tracking import MlflowTracking
-from training.config import ResourceConfig
+from services.registry.tracking.mlflow_tracking import MlflowTracking
+from training.config.clusters import ResourceConfig
 from training.models.modules import Metrics, TrialModule
 from training.trials.checkpoints import TrialFolder
 from training.trials.fit import Rhythm, TrialStopped, fit

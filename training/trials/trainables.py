@@ -9,13 +9,13 @@ import torch
 from numpy.typing import NDArray
 
 from cspace.errors import JobError
-from training.config import TrainConfig
+from training.config.clusters import TrainConfig
 from training.models.cells import CellBase
 from training.models.checkpoint import seeded_initialisation
 from training.models.distillation import DistillationModule
 from training.models.gate import GateModule
 from training.models.joint import JointModule
-from training.models.lookups import make_reader
+from training.models.lookups.lookups import make_reader
 from training.models.mixture import Experts
 from training.models.modules import TrialModule, VaeModule
 from training.models.validity import ValidityModule

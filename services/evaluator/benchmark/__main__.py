@@ -5,12 +5,12 @@ import sys
 from collections.abc import Mapping, Sequence
 
 from cspace.errors import ConfigError, CspaceError
-from services.evaluator.benchmark.cluster import executor
 from services.evaluator.benchmark.command import chosen_arms, make_request, parser
-from services.evaluator.benchmark.files import REPORT
 from services.evaluator.benchmark.job import run_benchmark
-from services.evaluator.benchmark.report import terminal_tables
-from services.registry.tracking import Tracking
+from services.evaluator.benchmark.runs.cluster import executor
+from services.evaluator.benchmark.telling.files import REPORT
+from services.evaluator.benchmark.telling.report import terminal_tables
+from services.registry.tracking.port import Tracking
 
 
 def main(arguments: Sequence[str] | None = None, environment: Mapping[str, str] = os.environ) -> int:
@@ -41,7 +41,7 @@ def _tracking(environment: Mapping[str, str]) -> Tracking:
             "no tracking server is named", remedy="set MLFLOW_TRACKING_URI, or give --no-mlflow"
         )
     # MLflow takes seconds to import.
-    from services.registry.mlflow_tracking import MlflowTracking  # noqa: PLC0415
+    from services.registry.tracking.mlflow_tracking import MlflowTracking  # noqa: PLC0415
 
     return MlflowTracking(uri)
 

@@ -6,9 +6,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from cspace.errors import ConfigError
-from cspace.problem import Family
-from cspace.scenario import Split
-from services.evaluator.benchmark.arms import (
+from cspace.worlds.planar.problems import Family
+from cspace.worlds.planar.scene import Split
+from services.evaluator.benchmark.job import Request
+from services.evaluator.benchmark.runs.arms import (
     LEARNED_SHARES,
     MIN_CONFIDENCE,
     SAMPLES,
@@ -18,12 +19,11 @@ from services.evaluator.benchmark.arms import (
     pick,
     table,
 )
-from services.evaluator.benchmark.job import Request
-from services.evaluator.benchmark.setting import FAMILIES, LIMITS, PROBLEMS, RUNS, Protocol, Setting
-from services.evaluator.benchmark.sources import SourceSpec, bundled, parse_named, served
-from services.evaluator.request import MAX_SEED
-from services.planner.samples import MAX_SAMPLES
+from services.evaluator.benchmark.runs.setting import FAMILIES, LIMITS, PROBLEMS, RUNS, Protocol, Setting
+from services.evaluator.benchmark.runs.sources import SourceSpec, bundled, parse_named, served
+from services.evaluator.evaluation.request import MAX_SEED
 from services.planner.settings import PLANNERS
+from services.planner.sources.samples import MAX_SAMPLES
 
 GROUPS = (Group.UNIFORM, Group.LEARNED, Group.OPTIMISING)
 SPLITS = (Split.VALIDATION, Split.TEST)

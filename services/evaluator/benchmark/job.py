@@ -4,18 +4,18 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from cspace.problem import Family
-from services.evaluator.benchmark.arms import Arm
-from services.evaluator.benchmark.files import log_run, write_files
-from services.evaluator.benchmark.pages import pages
-from services.evaluator.benchmark.progress import Progress
-from services.evaluator.benchmark.results import Results
-from services.evaluator.benchmark.runs import Run
-from services.evaluator.benchmark.setting import Setting, units
-from services.evaluator.benchmark.sources import SourceSpec
-from services.evaluator.benchmark.spread import Execute
-from services.evaluator.benchmark.store import RunStore
-from services.registry.tracking import Tracking
+from cspace.worlds.planar.problems import Family
+from services.evaluator.benchmark.runs.arms import Arm
+from services.evaluator.benchmark.runs.progress import Progress
+from services.evaluator.benchmark.runs.run import Run
+from services.evaluator.benchmark.runs.setting import Setting, units
+from services.evaluator.benchmark.runs.sources import SourceSpec
+from services.evaluator.benchmark.runs.spread import Execute
+from services.evaluator.benchmark.runs.store import RunStore
+from services.evaluator.benchmark.summary.results import Results
+from services.evaluator.benchmark.telling.files import log_run, write_files
+from services.evaluator.benchmark.telling.pages import pages
+from services.registry.tracking.port import Tracking
 
 Show = Callable[[str], None]
 

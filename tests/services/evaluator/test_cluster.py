@@ -4,15 +4,15 @@ import pytest
 
 from cspace.bundle import Bundle
 from cspace.errors import EvaluationError
-from cspace.problem import Family
-from cspace.robot import TWO_LINK
-from cspace.scenario import Camera, Split
-from services.evaluator.budget import QUICK, Kind, Unit
-from services.evaluator.evaluation import Setting, assemble
-from services.evaluator.execution import run_here
-from services.evaluator.job import run_on_ray
-from services.evaluator.metrics import flat_metrics
-from services.evaluator.samplers import PackedBundle
+from cspace.worlds.planar.arm import TWO_LINK
+from cspace.worlds.planar.problems import Family
+from cspace.worlds.planar.scene import Camera, Split
+from services.evaluator.evaluation.budget import QUICK, Kind, Unit
+from services.evaluator.evaluation.execution import run_here
+from services.evaluator.evaluation.job import run_on_ray
+from services.evaluator.evaluation.metrics import flat_metrics
+from services.evaluator.evaluation.units import Setting, assemble
+from services.evaluator.measures.samplers import PackedBundle
 from tests.bundles import write_tiny_bundle
 
 ROOT = Path(__file__).resolve().parents[3]

@@ -8,19 +8,19 @@ import pytest
 
 from cspace.bundle import Bundle
 from cspace.errors import EvaluationError
-from cspace.problem import Family
-from cspace.robot import TWO_LINK
-from cspace.scenario import Camera, Split
+from cspace.worlds.planar.arm import TWO_LINK
+from cspace.worlds.planar.problems import Family
+from cspace.worlds.planar.scene import Camera, Split
 from inference_api.settings import PRETRAINED_FOLDER
-from services.evaluator.budget import Budget, Kind, Unit, units
-from services.evaluator.evaluation import Setting, run_unit
-from services.evaluator.job import evaluate_version
-from services.evaluator.request import make_request
-from services.evaluator.samplers import PathBundleSampler, PathSampler, UniformSampler, any_sampler
+from services.evaluator.evaluation.budget import Budget, Kind, Unit, units
+from services.evaluator.evaluation.job import evaluate_version
+from services.evaluator.evaluation.request import make_request
+from services.evaluator.evaluation.units import Setting, run_unit
+from services.evaluator.measures.samplers import PathBundleSampler, PathSampler, UniformSampler, any_sampler
 from services.registry import decisions
 from tests.bundles import picture, write_tiny_bundle
 from tests.fakes.registry import FakeRegistry, FakeTracking
-from training.path_sampler import make_path_bundle
+from training.paths.untrained import make_path_bundle
 
 MODEL = "path-sampler"
 FEW = Budget(

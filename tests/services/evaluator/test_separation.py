@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from cspace.robot import TWO_LINK
-from cspace.scenario import Camera, Split
-from services.evaluator.complement import POINTS_PER_CELL, sample_complement
-from services.evaluator.complement_score import complement_score, turned_living_times
-from services.evaluator.scenes import Scene, Stage
+from cspace.worlds.planar.arm import TWO_LINK
+from cspace.worlds.planar.scene import Camera, Split
+from services.evaluator.measures.scenes import Scene, Stage
+from services.evaluator.measures.topology.complement import POINTS_PER_CELL, sample_complement
+from services.evaluator.measures.topology.complement_score import complement_score, turned_living_times
 from services.evaluator.statistics import mean_interval
 
 SPACE = TWO_LINK.space

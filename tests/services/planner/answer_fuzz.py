@@ -15,10 +15,10 @@ import numpy as np
 from anyio.from_thread import start_blocking_portal
 
 from cspace.errors import SamplerError
-from services.planner.async_sampling_client import AsyncSamplingClient
-from services.planner.retries import RetryPolicy
-from services.planner.samples import SampleBatch
-from services.planner.sampling_client import SamplingClient
+from services.planner.sources.async_sampling_client import AsyncSamplingClient
+from services.planner.sources.retries import RetryPolicy
+from services.planner.sources.samples import SampleBatch
+from services.planner.sources.sampling_client import SamplingClient
 from tests.services.planner.hostile_server import GOOD_BODY, GOOD_HEADERS, SEED, N, hostile_server
 
 PNG = b"\x89PNG picture"

@@ -2,9 +2,9 @@
 
 import anyio
 
-from services.planner.async_sampling_client import AsyncSamplingClient
-from services.planner.samples import SampleBatch
-from services.planner.sampling_client import SamplingClient
+from services.planner.sources.async_sampling_client import AsyncSamplingClient
+from services.planner.sources.samples import SampleBatch
+from services.planner.sources.sampling_client import SamplingClient
 
 KINDS = ("sync", "async")
 

@@ -11,13 +11,13 @@ import pytest
 from anyio.from_thread import start_blocking_portal
 
 from cspace.errors import ConfigError, SamplerError, SamplerUnavailableError
-from cspace.image import encode_png
-from services.planner import async_sampling_client, sampling_client
-from services.planner.async_sampling_client import AsyncSamplingClient
-from services.planner.local_sampler import LocalSampler
-from services.planner.retries import RetryPolicy
-from services.planner.samples import SampleBatch
-from services.planner.sampling_client import SamplingClient
+from cspace.worlds.planar.picture import encode_png
+from services.planner.sources import async_sampling_client, sampling_client
+from services.planner.sources.async_sampling_client import AsyncSamplingClient
+from services.planner.sources.local_sampler import LocalSampler
+from services.planner.sources.retries import RetryPolicy
+from services.planner.sources.samples import SampleBatch
+from services.planner.sources.sampling_client import SamplingClient
 from tests.bundles import picture, write_tiny_bundle
 from tests.fakes.sample_server import npy, read_form, sample_server
 from tests.fakes.sample_source import DIGEST, FakeSampleSource

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cspace.collision import CollisionChecker
-from cspace.problem import Family, draw_problem
-from cspace.scenario import Split
-from services.planner.ompl_planner import PlannerSettings, solve
-from services.planner.sample_order import colliding_last
+from cspace.worlds.planar.collision import CollisionChecker
+from cspace.worlds.planar.problems import Family, draw_problem
+from cspace.worlds.planar.scene import Split
+from services.planner.search.ompl_planner import PlannerSettings, solve
+from services.planner.search.sample_order import colliding_last
 from services.planner.settings import LEARNED_PLANNERS
 
 SAMPLES = np.random.default_rng(0).uniform(-np.pi, np.pi, (60, 2))

@@ -5,14 +5,14 @@ import socket
 import numpy as np
 import pytest
 
-from cspace.collision import CollisionChecker
-from cspace.problem import Family, draw_problem
-from cspace.scenario import Split
-from services.planner.ompl_planner import PlannerSettings, solve
+from cspace.worlds.planar.collision import CollisionChecker
+from cspace.worlds.planar.problems import Family, draw_problem
+from cspace.worlds.planar.scene import Split
 from services.planner.planning import plan_with_api
-from services.planner.retries import RetryPolicy
-from services.planner.sampling_client import SamplingClient
+from services.planner.search.ompl_planner import PlannerSettings, solve
 from services.planner.settings import LEARNED_PLANNERS, RRT
+from services.planner.sources.retries import RetryPolicy
+from services.planner.sources.sampling_client import SamplingClient
 
 GARBAGE = 300
 BUDGET = 20_000

@@ -7,13 +7,15 @@ import numpy as np
 import pytest
 from ompl import base as ob
 
-from cspace.problem import Family, draw_problem
-from cspace.robot import THREE_LINK, PlanarArm
-from cspace.scenario import Split
-from services.planner.cost_record import CostRecord
-from services.planner.ompl_planner import PlannerSettings, solve
-from services.planner.path_objective import TorusLengthByGoal, make_objective
+from cspace.worlds.planar.arm import THREE_LINK, PlanarArm
+from cspace.worlds.planar.problems import Family, draw_problem
+from cspace.worlds.planar.scene import Split
 from services.planner.plan_result import CostPoint
+from services.planner.search.cost_record import CostRecord
+from services.planner.search.ompl_planner import PlannerSettings, solve
+from services.planner.search.path_objective import TorusLengthByGoal, make_objective
+from services.planner.search.state_space import StateAccess, make_state_space
+from services.planner.search.stopping import StoppingRule
 from services.planner.settings import (
     BIT_STAR,
     INFORMED_RRT_STAR,
@@ -21,8 +23,6 @@ from services.planner.settings import (
     PLANNERS,
     RRT_STAR,
 )
-from services.planner.state_space import StateAccess, make_state_space
-from services.planner.stopping import StoppingRule
 
 PATIENT = {"stop_at_first": False, "max_iterations": 1500}
 

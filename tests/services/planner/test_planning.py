@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from cspace.errors import SamplerError
-from cspace.image import decode_png
-from cspace.render import render
-from services.planner.ompl_planner import PlannerSettings, solve
+from cspace.worlds.planar.picture import decode_png
+from cspace.worlds.planar.render import render
 from services.planner.planning import SampleRequest, compare_with_api, plan_with_api, raised_share
-from services.planner.sampling_client import SamplingClient
+from services.planner.search.ompl_planner import PlannerSettings, solve
+from services.planner.sources.sampling_client import SamplingClient
 from tests.fakes.sample_source import FakeSampleSource
 
 SETTINGS = PlannerSettings(seed=3)

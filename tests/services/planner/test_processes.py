@@ -8,16 +8,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from services.planner.ompl_planner import PlannerSettings, solve
+from services.planner.search.ompl_planner import PlannerSettings, solve
 from services.planner.settings import LEARNED_PLANNERS, PLANNERS
 
 ROOT = Path(__file__).parents[3]
 SETTING = """
 import numpy as np
-from cspace.problem import Family, Problem
-from cspace.robot import TWO_LINK
-from cspace.scenario import Disc, Scenario
-from services.planner.ompl_planner import PlannerSettings, solve
+from cspace.worlds.planar.problems import Family, Problem
+from cspace.worlds.planar.arm import TWO_LINK
+from cspace.worlds.planar.scene import Disc, Scenario
+from services.planner.search.ompl_planner import PlannerSettings, solve
 from services.planner.settings import LEARNED_PLANNERS, PLANNERS
 
 scenario = Scenario(TWO_LINK, (Disc(0.0, 3.0),))

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from cspace.problem import Family, draw_problem
-from cspace.scenario import Split
-from services.planner import outcome as outcome_module
-from services.planner.ompl_planner import PlannerSettings, Reason, solve
+from cspace.worlds.planar.problems import Family, draw_problem
+from cspace.worlds.planar.scene import Split
+from services.planner.search import outcome as outcome_module
+from services.planner.search.ompl_planner import PlannerSettings, Reason, solve
 from services.planner.settings import PRM, RRT, SAMPLED_CONNECT
 
 SETTINGS = PlannerSettings(max_iterations=2000, seed=1)

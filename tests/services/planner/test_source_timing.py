@@ -2,10 +2,10 @@
 
 import pytest
 
-from cspace.image import encode_png
-from services.planner.local_sampler import LocalSampler
-from services.planner.npy_answer import read_timing
-from services.planner.samples import SourceTiming
+from cspace.worlds.planar.picture import encode_png
+from services.planner.sources.local_sampler import LocalSampler
+from services.planner.sources.npy_answer import read_timing
+from services.planner.sources.samples import SourceTiming
 from tests.bundles import picture, write_tiny_bundle
 
 

@@ -4,9 +4,9 @@ from PIL import Image
 
 from cspace.dataset import open_dataset
 from cspace.errors import DatasetError, StorageError
-from cspace.render import render
-from cspace.robot import THREE_LINK, TWO_LINK
-from cspace.scenario import Camera, Split, random_scenarios
+from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK
+from cspace.worlds.planar.render import render
+from cspace.worlds.planar.scene import Camera, Split, random_scenarios
 from training.datasets.own import import_folder
 
 

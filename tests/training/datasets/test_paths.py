@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from cspace.collision import CollisionChecker
 from cspace.dataset import open_dataset
 from cspace.errors import DatasetError, ScenarioError
-from cspace.problem import NARROW_RAD, bottleneck_rad
-from cspace.render import render
-from cspace.robot import TWO_LINK
-from cspace.scenario import Disc, Scenario
+from cspace.worlds.planar.arm import TWO_LINK
+from cspace.worlds.planar.collision import CollisionChecker
+from cspace.worlds.planar.problems import NARROW_RAD, bottleneck_rad
+from cspace.worlds.planar.render import render
+from cspace.worlds.planar.scene import Disc, Scenario
 from training.datasets import generate as module
 from training.datasets.config import DatasetConfig, PathDatasetConfig, RobotConfig
 from training.datasets.generate import generate

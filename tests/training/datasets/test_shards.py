@@ -1,11 +1,11 @@
 import numpy as np
 import pytest
 
-from cspace.collision import CollisionChecker
 from cspace.errors import DatasetError, StorageError
-from cspace.render import render
-from cspace.robot import PlanarArm
-from cspace.scenario import Scenario, Split, random_scenarios
+from cspace.worlds.planar.arm import PlanarArm
+from cspace.worlds.planar.collision import CollisionChecker
+from cspace.worlds.planar.render import render
+from cspace.worlds.planar.scene import Scenario, Split, random_scenarios
 from training.datasets.config import DatasetConfig, RobotConfig
 from training.datasets.shards import (
     Shard,

@@ -2,7 +2,7 @@
 
 import torch
 
-from training.config import GanConfig, GlobalConfig, VaeConfig
+from training.config.clusters import GanConfig, GlobalConfig, VaeConfig
 from training.models.checkpoint import seeded_initialisation
 from training.models.data import ScenarioSamples
 from training.models.joint import JointModule

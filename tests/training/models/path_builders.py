@@ -3,10 +3,10 @@
 import numpy as np
 import torch
 
-from cspace.robot import TWO_LINK
-from cspace.scenario import Camera
-from training.models.path_samples import PathSamples
-from training.trials.path_arrays import PathArrays
+from cspace.worlds.planar.arm import TWO_LINK
+from cspace.worlds.planar.scene import Camera
+from training.models.paths.samples import PathSamples
+from training.trials.paths.arrays import PathArrays
 
 LATENT = 3
 POINTS = 17

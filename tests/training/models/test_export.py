@@ -5,9 +5,9 @@ import onnxruntime
 import pytest
 import torch
 
-from cspace.robot import TWO_LINK
-from cspace.scenario import Camera
-from training.config import ValidityConfig
+from cspace.worlds.planar.arm import TWO_LINK
+from cspace.worlds.planar.scene import Camera
+from training.config.clusters import ValidityConfig
 from training.models.export import encoder_graph, generator_graph, novelty_graph, validity_graph
 from training.models.networks import Decoder, Encoder, MeansGenerator, TorusGenerator
 from training.models.novelty import NoveltyScores

@@ -5,16 +5,16 @@ import onnxruntime
 import pytest
 import torch
 
-from cspace.robot import TWO_LINK
-from cspace.scenario import Camera
+from cspace.worlds.planar.arm import TWO_LINK
+from cspace.worlds.planar.scene import Camera
 from tests.training.models.builders import TINY, ring_samples
-from training.config import GanConfig, GateConfig
+from training.config.clusters import GanConfig, GateConfig
 from training.models.cells import CellBase, CellPoints, UniformBase
 from training.models.checkpoint import seeded_initialisation
 from training.models.distillation import DistillationModule
 from training.models.export import lookup_graph, mixture_graph
 from training.models.gate import Gate, GateModule, gate_probabilities
-from training.models.lookups import ArmLookups
+from training.models.lookups.lookups import ArmLookups
 from training.models.mixture import Experts, GatedSampler, LookupSampler
 from training.models.networks import TorusGenerator
 

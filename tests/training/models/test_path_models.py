@@ -5,22 +5,22 @@ import onnxruntime
 import pytest
 import torch
 
-from cspace.grid_search import ways_to
-from cspace.robot import THREE_LINK, TWO_LINK
-from cspace.scenario import Camera
+from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK
+from cspace.worlds.planar.grid_search import ways_to
+from cspace.worlds.planar.scene import Camera
 from tests.training.models.path_builders import LATENT, arrays
-from tests.training.models.test_ways import walled_head
-from training.config import LookupConfig
-from training.models.lookups import make_lookups
-from training.models.path_condition import Condition, swept
-from training.models.path_density import DensitySampler
-from training.models.path_export import PointSampler, density_graph, point_graph
-from training.models.path_modules import PathGanModule
-from training.models.path_points import PathFlow, RefiningGenerator, blind
-from training.models.path_unet import CellGrid, PathUNet
-from training.models.way_fields import WayFields, backwards, fields_to_store, stored_fields, way_maps_graph
-from training.path_config import DensityConfig, FlowConfig, PathGanConfig, PathTrainConfig, PathVaeConfig
-from training.trials.path_trials import make_path_module
+from tests.training.paths.test_ways import walled_head
+from training.config.clusters import LookupConfig
+from training.config.paths import DensityConfig, FlowConfig, PathGanConfig, PathTrainConfig, PathVaeConfig
+from training.models.lookups.lookups import make_lookups
+from training.models.paths.condition import Condition, swept
+from training.models.paths.density import DensitySampler
+from training.models.paths.modules import PathGanModule
+from training.models.paths.points import PathFlow, RefiningGenerator, blind
+from training.models.paths.unet import CellGrid, PathUNet
+from training.models.ways.fields import WayFields, backwards, fields_to_store, stored_fields, way_maps_graph
+from training.paths.export import PointSampler, density_graph, point_graph
+from training.trials.paths.trainables import make_path_module
 
 NO_LOOKUPS = LookupConfig()
 FEW = LookupConfig(points_per_link=3, side_m=0.0)

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 import torch
 
-from cspace.collision import CollisionChecker
-from cspace.render import render
-from cspace.robot import TWO_LINK
-from cspace.scenario import Camera, Split, random_scenarios
-from training.config import ValidityConfig
+from cspace.worlds.planar.arm import TWO_LINK
+from cspace.worlds.planar.collision import CollisionChecker
+from cspace.worlds.planar.render import render
+from cspace.worlds.planar.scene import Camera, Split, random_scenarios
+from training.config.clusters import ValidityConfig
 from training.models.checkpoint import seeded_initialisation
 from training.models.validity import OccupancySamples, ValidityModule
 

@@ -1,7 +1,7 @@
 import pytest
 
 from cspace.errors import ConfigError
-from training.config import load_config
+from training.config.clusters import load_config
 from training.sweeps.grid import axis, points
 
 

@@ -5,8 +5,8 @@ import pytest
 import torch
 
 from cspace.dataset import write_dataset
-from cspace.robot import TWO_LINK
-from cspace.scenario import Camera
+from cspace.worlds.planar.arm import TWO_LINK
+from cspace.worlds.planar.scene import Camera
 from training.trials.occupancy import OccupancyArrays
 
 FREE = [np.full((3, 2), 0.5, dtype=np.float32), np.full((2, 2), 1.0, dtype=np.float32)]

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tests.training.trials.ray_nodes import ray_nodes
-from training.config import ResourceConfig
+from training.config.clusters import ResourceConfig
 from training.trials.launch import run_trials
 from training.trials.outcomes import FINISHED
 

@@ -6,11 +6,11 @@ from pathlib import Path
 import pytest
 
 from cspace.bundle import Bundle
-from cspace.scenario import Split
+from cspace.worlds.planar.scene import Split
 from inference_api.settings import PRETRAINED_FOLDER
-from services.evaluator.benchmark.runs import Run
-from services.evaluator.benchmark.setting import Protocol, Setting
-from training.path_sampler import make_path_bundle
+from services.evaluator.benchmark.runs.run import Run
+from services.evaluator.benchmark.runs.setting import Protocol, Setting
+from training.paths.untrained import make_path_bundle
 
 EXAMPLE = Run(
     protocol="families",

@@ -1,7 +1,7 @@
 from pathlib import Path
 
-from services.evaluator.benchmark.arms import Group
-from services.evaluator.benchmark.runs import DESCRIPTIONS
+from services.evaluator.benchmark.runs.arms import Group
+from services.evaluator.benchmark.runs.run import DESCRIPTIONS
 
 TEXT = (Path(__file__).parents[4] / "docs" / "benchmark.md").read_text("utf-8")
 

@@ -8,16 +8,16 @@ import pandas as pd
 import pytest
 
 from cspace.errors import ConfigError, EvaluationError, JobError
-from cspace.problem import Family
+from cspace.worlds.planar.problems import Family
 from services.evaluator import __main__ as evaluator
 from services.evaluator.benchmark import __main__ as command
-from services.evaluator.benchmark.arms import pick, table
 from services.evaluator.benchmark.job import Request, run_benchmark
-from services.evaluator.benchmark.progress import Progress
-from services.evaluator.benchmark.report import terminal_tables
-from services.evaluator.benchmark.sources import bundled
-from services.evaluator.benchmark.spread import processes, run_here
-from services.evaluator.benchmark.store import RUNS
+from services.evaluator.benchmark.runs.arms import pick, table
+from services.evaluator.benchmark.runs.progress import Progress
+from services.evaluator.benchmark.runs.sources import bundled
+from services.evaluator.benchmark.runs.spread import processes, run_here
+from services.evaluator.benchmark.runs.store import RUNS
+from services.evaluator.benchmark.telling.report import terminal_tables
 from tests.fakes.registry import FakeTracking
 
 ARMS = ("RRT, way, 70 %", "own RRT-Connect, way, 70 %", "RRT*, way, 70 %, optimising")
@@ -47,7 +47,7 @@ def make_request(path_folder):
 @pytest.fixture
 def undrawn(monkeypatch):
     """No figures, which take longer than all runs."""
-    monkeypatch.setattr("services.evaluator.benchmark.files.all_figures", lambda results: ())
+    monkeypatch.setattr("services.evaluator.benchmark.telling.files.all_figures", lambda results: ())
 
 
 def numbers(folder) -> list[dict]:
@@ -222,7 +222,7 @@ def test_the_arms_are_listed(tmp_path, capsys):
 def test_a_process_that_dies_is_told_with_its_remedy(setting, monkeypatch):
     from concurrent.futures.process import BrokenProcessPool
 
-    from services.evaluator.benchmark import spread
+    from services.evaluator.benchmark.runs.run import spread
 
     class Dying:
         def __init__(self, *given):

@@ -7,13 +7,13 @@ import pandas as pd
 import pytest
 
 from cspace.errors import SamplerError, SamplerUnavailableError
-from cspace.problem import Family
+from cspace.worlds.planar.problems import Family
 from services.evaluator.benchmark import __main__ as command
-from services.evaluator.benchmark.arms import pick, table
-from services.evaluator.benchmark.cluster import executor, run_on_ray
-from services.evaluator.benchmark.setting import Unit
-from services.evaluator.benchmark.sources import bundled, served
-from services.evaluator.benchmark.spread import run_here
+from services.evaluator.benchmark.runs.arms import pick, table
+from services.evaluator.benchmark.runs.cluster import executor, run_on_ray
+from services.evaluator.benchmark.runs.setting import Unit
+from services.evaluator.benchmark.runs.sources import bundled, served
+from services.evaluator.benchmark.runs.spread import run_here
 from tests.bundles import write_tiny_bundle
 from tests.inference_api.server import api_server
 

@@ -1,0 +1,1 @@
+"""Measurements, each by its command; nothing else imports them."""

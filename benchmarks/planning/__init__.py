@@ -1,0 +1,1 @@
+"""What planners gain, and what data cost."""

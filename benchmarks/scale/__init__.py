@@ -1,0 +1,1 @@
+"""Many trials, nodes and runs."""

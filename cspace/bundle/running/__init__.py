@@ -1,0 +1,1 @@
+"""Graphs in onnxruntime: sessions, their limits of time, and batches in chunks."""

@@ -1,0 +1,120 @@
+"""What the arrays of a data set must be; a bad one is an error that names its file."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cspace.errors import DatasetError
+from cspace.worlds.planar.arm import PlanarArm
+from cspace.worlds.planar.scene import Camera
+
+_BLOCK = 1_000_000
+
+
+def check_arrays(
+    arrays: Mapping[str, NDArray[Any]],
+    robot: PlanarArm,
+    camera: Camera,
+    required: Sequence[str],
+    optional: Sequence[str],
+) -> None:
+    """Check names, shapes, types, offsets and angles.
+
+    Raises:
+        DatasetError: something does not fit; says which file, what was expected and what came.
+    """
+    missing, unknown = set(required) - set(arrays), set(arrays) - set(required) - set(optional)
+    if missing or unknown:
+        raise DatasetError(
+            "the data set's files do not fit",
+            expected=f"{', '.join(required)} and optionally {', '.join(optional)}",
+            got=f"without {sorted(missing)}, with {sorted(unknown)}",
+        )
+    picture = (camera.pixels, camera.pixels, 3)
+    scenarios = len(arrays["images"])
+    _must("images.npy", arrays["images"], np.uint8, (None, *picture))
+    if scenarios == 0:
+        raise DatasetError("images.npy is empty", expected="at least one scenario", got="none")
+    if "extra_images" in arrays:
+        _must("extra_images.npy", arrays["extra_images"], np.uint8, (None, *picture))
+    if "discs" in arrays:
+        _must_be_discs(arrays["discs"], scenarios)
+    _must_own("free", arrays, robot.dim, scenarios)
+    if "collision" in arrays or "collision_offsets" in arrays:
+        _must_own("collision", arrays, robot.dim, scenarios)
+    if {"paths", "path_offsets", "path_scenario"} & set(arrays):
+        _must_hold_paths(arrays, robot.dim, scenarios)
+
+
+def _must(file: str, array: NDArray[Any], dtype: type, shape: tuple[int | None, ...]) -> None:
+    fits = array.ndim == len(shape) and all(
+        want in (None, have) for want, have in zip(shape, array.shape, strict=True)
+    )
+    if array.dtype != dtype or not fits:
+        wanted = ", ".join("any" if size is None else str(size) for size in shape)
+        raise DatasetError(
+            f"{file} does not fit",
+            expected=f"{np.dtype(dtype)} of shape ({wanted})",
+            got=f"{array.dtype} of shape {array.shape}",
+        )
+
+
+def _must_own(name: str, arrays: Mapping[str, NDArray[Any]], dim: int, scenarios: int) -> None:
+    if name not in arrays or f"{name}_offsets" not in arrays:
+        raise DatasetError(f"{name}.npy and {name}_offsets.npy belong together", got="only one of them")
+    _must_be_angles(f"{name}.npy", arrays[name], dim)
+    _must_be_offsets(f"{name}_offsets.npy", arrays[f"{name}_offsets"], scenarios, len(arrays[name]))
+
+
+def _must_hold_paths(arrays: Mapping[str, NDArray[Any]], dim: int, scenarios: int) -> None:
+    if not {"paths", "path_offsets", "path_scenario"} <= set(arrays):
+        raise DatasetError(
+            "paths.npy, path_offsets.npy and path_scenario.npy belong together", got="some of them"
+        )
+    _must_be_angles("paths.npy", arrays["paths"], dim)
+    owner = arrays["path_scenario"]
+    _must("path_scenario.npy", owner, np.int64, (None,))
+    _must_be_offsets("path_offsets.npy", arrays["path_offsets"], len(owner), len(arrays["paths"]))
+    if len(owner) and not (owner.min() >= 0 and owner.max() < scenarios):
+        raise DatasetError(
+            "path_scenario.npy does not fit",
+            expected=f"0 to {scenarios - 1}",
+            got=f"{owner.min()} to {owner.max()}",
+        )
+
+
+def _must_be_discs(discs: NDArray[Any], scenarios: int) -> None:
+    _must("discs.npy", discs, np.float64, (scenarios, None, 3))
+    if not np.isfinite(discs).all() or not (discs[..., 2] > 0.0).all():
+        bad = discs[~np.isfinite(discs).all(axis=-1) | ~(discs[..., 2] > 0.0)][0]
+        raise DatasetError(
+            "discs.npy holds values that are no discs",
+            expected="finite x, y and a radius above 0, m",
+            got=str(bad),
+        )
+
+
+def _must_be_angles(file: str, array: NDArray[Any], dim: int) -> None:
+    _must(file, array, np.float32, (None, dim))
+    for start in range(0, len(array), _BLOCK):
+        block = array[start : start + _BLOCK].astype(np.float64)
+        inside = (block >= -np.pi) & (block < np.pi)
+        if not inside.all():
+            raise DatasetError(
+                f"{file} holds values that are no angles",
+                expected="finite rad in [-pi, pi)",
+                got=str(block[~inside][0]),
+                remedy="wrap them with cspace.space.to_float32",
+            )
+
+
+def _must_be_offsets(file: str, offsets: NDArray[Any], parts: int, rows: int) -> None:
+    _must(file, offsets, np.int64, (parts + 1,))
+    if offsets[0] != 0 or offsets[-1] != rows or (np.diff(offsets) < 0).any():
+        raise DatasetError(
+            f"{file} does not fit",
+            expected=f"rising from 0 to {rows}",
+            got=f"from {offsets[0]} to {offsets[-1]}",
+        )

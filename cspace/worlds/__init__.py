@@ -1,0 +1,1 @@
+"""Worlds: what a robot is, how it is seen, and what counts as a collision; one folder each."""

@@ -1,0 +1,115 @@
+"""Pictures at the edge: untrusted PNG bytes to RGB arrays, RGB arrays to PNG and to network input.
+
+Drawing is in :mod:`cspace.worlds.planar.render`, which needs numba; this module does not, so that a server
+can do without.
+"""
+
+import io
+from collections.abc import Iterator
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from cspace.errors import ImageError
+from cspace.png import PngHeader, canonical_png, damaged, read_header
+
+MIN_SIDE = 16
+MAX_SIDE = 2048
+# Columns that are averaged at a time: a whole picture as floats would take 50 MB.
+_BAND = 128
+
+
+def encode_png(image: NDArray[np.uint8]) -> bytes:
+    """An RGB picture (H, W, 3) uint8 as PNG bytes."""
+    buffer = io.BytesIO()
+    Image.fromarray(np.ascontiguousarray(image, dtype=np.uint8)).save(buffer, format="PNG")
+    return buffer.getvalue()
+
+
+def decode_png(data: bytes, pixels: int = 48) -> NDArray[np.uint8]:
+    """An untrusted PNG as (pixels, pixels, 3) uint8.
+
+    RGB as it is, RGBA over white, grey and palette as RGB; resized by area averaging.
+
+    Args:
+        data: the file's bytes.
+        pixels: side of the result.
+
+    Raises:
+        ImageError: not a PNG, 16-bit, animated, not square, below 16 or above 2048 pixels, or damaged.
+    """
+    header = read_header(data)
+    _check_size(header)
+    content = canonical_png(data, header)
+    try:
+        with Image.open(io.BytesIO(content), formats=["PNG"]) as picture:
+            return _to_rgb(picture) if header.width == pixels else _average(picture, pixels)
+    except Exception as error:
+        # All, for there is no list of what a decoder raises for bytes from outside.
+        raise damaged(_reason(error)) from error
+
+
+def to_network(images: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """(..., H, W, 3) uint8 to (..., 3, H, W) float32 in [-1, 1]."""
+    scaled = images.astype(np.float32) / np.float32(127.5) - np.float32(1.0)
+    return np.ascontiguousarray(np.moveaxis(scaled, -1, -3))
+
+
+def _check_size(header: PngHeader) -> None:
+    """By the header alone, so that no bomb is ever decoded."""
+    size = f"{header.width} x {header.height}"
+    if header.width != header.height:
+        raise ImageError("the picture is not square", expected="width = height", got=size)
+    if not MIN_SIDE <= header.width <= MAX_SIDE:
+        raise ImageError(
+            "the picture's size is out of range",
+            expected=f"{MIN_SIDE} to {MAX_SIDE} pixels a side",
+            got=size,
+        )
+    if header.depth == 16:
+        raise ImageError("the picture has 16 bits a channel", expected="at most 8", got="16")
+
+
+def _reason(error: Exception) -> str:
+    # Some messages of Pillow hold an object's address, which is nobody's business.
+    text = str(error)
+    return type(error).__name__ if not text or "0x" in text else text[:200]
+
+
+def _to_rgb(picture: Image.Image) -> NDArray[np.uint8]:
+    if picture.mode in ("RGBA", "LA") or "transparency" in picture.info:
+        rgba = picture.convert("RGBA")
+        ground = Image.new("RGBA", rgba.size, (255, 255, 255, 255))
+        picture = Image.alpha_composite(ground, rgba)
+    return np.asarray(picture.convert("RGB"), dtype=np.uint8)
+
+
+def _average(picture: Image.Image, pixels: int) -> NDArray[np.uint8]:
+    """Area averaging: every target pixel is the mean of the source area that it covers."""
+    side = picture.width
+    weights = _overlap(side, pixels)
+    rows = np.empty((pixels, side, 3), dtype=np.float32)
+    for left, right in _bands(side):
+        band = _to_rgb(picture.crop((left, 0, right, side)))
+        rows[:, left:right] = np.tensordot(weights, band.astype(np.float32), axes=(1, 0))
+    both: NDArray[np.float32] = np.tensordot(weights, rows, axes=(1, 1)).transpose(1, 0, 2)
+    rounded = np.clip(np.floor(both + np.float32(0.5)), 0, 255)
+    return np.asarray(rounded, dtype=np.uint8)
+
+
+def _bands(side: int) -> Iterator[tuple[int, int]]:
+    """First columns and those behind the last, in widths about equal: a narrow rest might round otherwise."""
+    count = -(-side // _BAND)
+    return pairwise(side * index // count for index in range(count + 1))
+
+
+def _overlap(source: int, target: int) -> NDArray[Any]:
+    """(target, source) shares: how much of each source pixel a target pixel covers, rows summing to one."""
+    edges = np.arange(target + 1) * (source / target)
+    left, right = edges[:-1, None], edges[1:, None]
+    cells = np.arange(source)[None, :]
+    shares = np.clip(np.minimum(right, cells + 1) - np.maximum(left, cells), 0.0, None)
+    return np.asarray(shares * (target / source), dtype=np.float32)

@@ -1,0 +1,203 @@
+"""Planning problems: seeded start and goal in a scenario, by family.
+
+| family | start and goal |
+|---|---|
+| ``uniform`` | any two free configurations in one component of the free space |
+| ``narrow`` | the same, with a bottleneck of 0.03 to 0.08 rad that lies on the way between them |
+| ``disconnected`` | in different components: there is no path |
+
+A start that is itself close to a collision has a small bottleneck and yet an easy way out, and nearly all
+random pairs with a bottleneck of 0.03 to 0.08 rad are of this kind. So both ends of a narrow problem keep a
+clearance above 0.08 rad, and they are drawn together: a scenario is one draw, and about one in forty has such
+a pair.
+"""
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cspace.errors import ScenarioError
+from cspace.worlds.planar.arm import TWO_LINK, PlanarArm
+from cspace.worlds.planar.collision import CollisionChecker
+from cspace.worlds.planar.free_grid import FreeGrid, cells_per_joint
+from cspace.worlds.planar.scene import Scenario, Split, random_scenario, scenario_rng
+
+NARROW_RAD = (0.03, 0.08)
+MAX_DRAWS = 5000
+# Coarse grids tell most scenarios from the narrow family for a tenth of the cost.
+_SCREEN_CELLS = (128, 256)
+_PROPOSALS = 1000
+
+
+class Family(StrEnum):
+    """What a problem is like."""
+
+    UNIFORM = "uniform"
+    NARROW = "narrow"
+    DISCONNECTED = "disconnected"
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """A planning problem.
+
+    Args:
+        scenario: the arm among its discs.
+        start: (d,) rad.
+        goal: (d,) rad.
+        family: what it is like.
+        bottleneck_rad: largest clearance at which start and goal stay connected; 0 without a path.
+        seed: that it was drawn from.
+        rejected: draws before it that were not of the family.
+    """
+
+    scenario: Scenario
+    start: NDArray[np.float64]
+    goal: NDArray[np.float64]
+    family: Family
+    bottleneck_rad: float
+    seed: int
+    rejected: int
+
+
+def draw_problem(
+    family: Family, split: Split, seed: int, index: int = 0, robot: PlanarArm = TWO_LINK
+) -> Problem:
+    """Draw scenarios with start and goal until one belongs to the family.
+
+    Args:
+        family: which.
+        split: what the problem may be used for.
+        seed: of the problem set.
+        index: of the problem within it.
+        robot: the arm.
+
+    Raises:
+        ScenarioError: none was found in 5000 draws.
+    """
+    family, rng = Family(family), scenario_rng(split, seed, index)
+    if family is Family.NARROW:
+        require_resolution(robot)
+    for rejected in range(MAX_DRAWS):
+        scenario = random_scenario(rng, robot)
+        proposals = robot.space.sample_uniform(rng, _PROPOSALS)
+        free = proposals[CollisionChecker(scenario).valid_batch(proposals)]
+        found = _search(family, scenario, free, rng)
+        if found is not None:
+            for end in (found.start, found.goal):
+                end.setflags(write=False)
+            return Problem(scenario, found.start, found.goal, family, found.bottleneck_rad, seed, rejected)
+    raise ScenarioError(
+        f"no {family} problem was found",
+        expected=f"one in {MAX_DRAWS} draws",
+        got="none",
+        remedy="another family, or another robot",
+    )
+
+
+def connected(scenario: Scenario, start: ArrayLike, goal: ArrayLike) -> bool:
+    """Whether a path exists, by flood fill on the fine grid."""
+    return _fine(scenario).joined(start, goal)
+
+
+def bottleneck_rad(scenario: Scenario, start: ArrayLike, goal: ArrayLike) -> float:
+    """Largest clearance, in rad on the torus, at which start and goal stay connected; 0 without a path."""
+    return _fine(scenario).bottleneck_rad(start, goal)
+
+
+@dataclass(frozen=True, slots=True)
+class _Ends:
+    start: NDArray[np.float64]
+    goal: NDArray[np.float64]
+    bottleneck_rad: float
+
+
+def _search(
+    family: Family, scenario: Scenario, free: NDArray[np.float64], rng: np.random.Generator
+) -> _Ends | None:
+    """Ends of the family among free configurations (n, d), None when there are none."""
+    if len(free) < 2:
+        return None
+    if family is Family.NARROW:
+        return _narrow_ends(scenario, free, rng)
+    grid, (start, goal) = _fine(scenario), free[:2].copy()
+    if family is Family.DISCONNECTED:
+        # Cells that touch in a corner count as connected here: no path may hide between two cells.
+        first, second = grid.components(diagonal=True)[grid.cells_of(free[:2])]
+        return _Ends(start, goal, 0.0) if first > 0 and second > 0 and first != second else None
+    bottleneck = grid.bottleneck_rad(start, goal)
+    return _Ends(start, goal, bottleneck) if bottleneck > 0.0 else None
+
+
+def narrow_pairs(
+    scenario: Scenario, configurations: NDArray[np.float64]
+) -> tuple[FreeGrid, NDArray[np.int64]] | None:
+    """All pairs of free configurations that a narrow passage joins and nothing wider.
+
+    Args:
+        scenario: the arm among its discs.
+        configurations: (n, d) rad, free.
+
+    Returns:
+        The fine grid, and indices (k, 2) of starts and goals; None where there is no such pair.
+    """
+    low, high = NARROW_RAD
+    for cells in _SCREEN_CELLS:
+        grid = FreeGrid(scenario, cells)
+        if not _passages(grid, configurations, 0.0, high + float(grid.spacing_rad.max()) / 2.0):
+            return None
+    grid = _fine(scenario)
+    if not _passages(grid, configurations, low, high):
+        return None
+    sides, whole = _sides(grid, configurations, low, high)
+    pairs = np.argwhere(
+        (sides[:, None] != sides) & (whole[:, None] == whole) & (sides[:, None] > 0) & (sides > 0)
+    )
+    return grid, pairs
+
+
+def _narrow_ends(scenario: Scenario, free: NDArray[np.float64], rng: np.random.Generator) -> _Ends | None:
+    """A pair drawn evenly from all pairs of ``free`` that a narrow passage joins and nothing wider."""
+    found = narrow_pairs(scenario, free)
+    if found is None:
+        return None
+    grid, pairs = found
+    start, goal = free[pairs[rng.integers(len(pairs))]]
+    return _Ends(start.copy(), goal.copy(), grid.bottleneck_rad(start, goal))
+
+
+def _passages(grid: FreeGrid, free: NDArray[np.float64], low: float, high: float) -> bool:
+    """Whether some two of ``free`` are joined at clearance ``low`` and apart at ``high``."""
+    sides, whole = _sides(grid, free, low, high)
+    kinds = np.unique(np.stack([whole, sides])[:, sides > 0], axis=1)
+    return bool(len(np.unique(kinds[0])) < kinds.shape[1])
+
+
+def _sides(
+    grid: FreeGrid, free: NDArray[np.float64], low: float, high: float
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Each configuration's component at clearance ``high`` and at ``low``, (n,) each; 0 is none."""
+    cells = grid.cells_of(free)
+    return grid.components(high)[cells], grid.components(low, diagonal=low == 0.0)[cells]
+
+
+def require_resolution(robot: PlanarArm) -> None:
+    """Refuse narrow passages of a robot whose grid is too coarse for them.
+
+    Raises:
+        ScenarioError: it is.
+    """
+    cell_rad = 2.0 * np.pi / cells_per_joint(robot.dim)
+    if cell_rad > NARROW_RAD[1]:
+        raise ScenarioError(
+            f"narrow passages of {robot.dim} joints are finer than the grid",
+            expected=f"cells below {NARROW_RAD[1]} rad",
+            got=f"{cell_rad:.3f} rad",
+            remedy="another family, or a robot of two joints",
+        )
+
+
+def _fine(scenario: Scenario) -> FreeGrid:
+    return FreeGrid(scenario, cells_per_joint(scenario.robot.dim))

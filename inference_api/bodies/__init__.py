@@ -1,0 +1,1 @@
+"""Bodies of requests: forms and JSON, counted before they are parsed."""

@@ -1,0 +1,110 @@
+"""Bodies of requests, by media type, to plain field values; nothing is judged here but the form."""
+
+import re
+from dataclasses import dataclass
+from typing import Any
+
+from fastapi import Request
+from python_multipart.multipart import parse_options_header
+
+from cspace.errors import InputError
+from inference_api.bodies.multipart_form import Part, is_boundary, read_parts
+from inference_api.bodies.strict_json import load_json, parse_json
+from inference_api.problems import MALFORMED_BODY, UNSUPPORTED_MEDIA_TYPE, RequestError
+
+MAX_CONTENT_TYPE = 500
+# More is no number that anybody writes, but work for the expressions below.
+_MAX_NUMBER = 400
+
+_WHOLE = re.compile(r"[+-]?[0-9]{1,40}", re.ASCII)
+_NUMBER = re.compile(r"[+-]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][+-]?[0-9]{1,4})?", re.ASCII)
+_WHOLE_FIELDS = ("n", "seed")
+_NUMBER_FIELDS = ("min_confidence",)
+_ARRAY_FIELDS = ("start", "goal")
+KNOWN_FIELDS = ("image", "model", "epsilon_sigma", *_WHOLE_FIELDS, *_NUMBER_FIELDS, *_ARRAY_FIELDS)
+
+
+@dataclass(frozen=True, slots=True)
+class RawFields:
+    """A body that is read and not parsed yet.
+
+    Args:
+        body: as it came.
+        boundary: of a multipart form; None for JSON.
+    """
+
+    body: bytes
+    boundary: bytes | None = None
+
+
+async def read_fields(request: Request) -> RawFields:
+    """Read a body whose media type is supported; on the event loop nothing more is done with it.
+
+    Raises:
+        RequestError: another media type, a form without a usable boundary, or a body that is too large.
+    """
+    coding = request.headers.get("content-encoding", "identity").strip().lower()
+    content_type = request.headers.get("content-type", "")
+    media_type, options = parse_options_header(content_type if len(content_type) <= MAX_CONTENT_TYPE else "")
+    if coding != "identity" or media_type not in (b"application/json", b"multipart/form-data"):
+        raise RequestError(
+            UNSUPPORTED_MEDIA_TYPE,
+            "the body's media type is not supported",
+            expected="multipart/form-data or application/json, without a content coding",
+            got=f"{content_type[:100] or 'no content type'}, {coding}"[:200],
+        )
+    if media_type == b"application/json":
+        return RawFields(await request.body())
+    boundary = options.get(b"boundary", b"")
+    if not is_boundary(boundary):
+        raise RequestError(
+            MALFORMED_BODY,
+            "the multipart body has no usable boundary",
+            expected="a boundary of 1 to 70 letters, digits and '()+_,-./:=? in the content type",
+            got=repr(boundary)[:100],
+        )
+    return RawFields(await request.body(), boundary)
+
+
+def parse_fields(raw: RawFields) -> dict[str, Any]:
+    """The values of a body's fields by name; for a thread, for it may take a tenth of a second.
+
+    Raises:
+        InputError: a field that is not repeatable is repeated, or file and text are mixed up.
+        RequestError: the body or an array in it is malformed.
+    """
+    return parse_json(raw.body) if raw.boundary is None else _values(read_parts(raw.body, raw.boundary))
+
+
+def _values(parts: list[Part]) -> dict[str, Any]:
+    """Of a form; text that is no number stays text, for the schema to refuse."""
+    values: dict[str, Any] = {}
+    for part in parts:
+        name, value = part.name, part.value
+        if name in KNOWN_FIELDS and isinstance(value, bytes) != (name == "image"):
+            raise InputError(
+                f"{name} came in the wrong form",
+                expected="image as a file, every other field as text",
+                got="a file" if isinstance(value, bytes) else "text",
+            )
+        if name == "epsilon_sigma":
+            values.setdefault(name, []).append(_convert(name, value))
+        elif name in values:
+            raise InputError(f"{name[:100]} is repeated", expected="one value", got="several")
+        else:
+            values[name] = _convert(name, value)
+    return values
+
+
+def _convert(name: str, value: bytes | str) -> object:
+    if isinstance(value, bytes):
+        return value
+    text = value.strip()
+    if name in _WHOLE_FIELDS and _WHOLE.fullmatch(text):
+        return int(text)
+    numeric = name in (*_NUMBER_FIELDS, "epsilon_sigma") and len(text) <= _MAX_NUMBER
+    if numeric and _NUMBER.fullmatch(text):
+        return float(text)
+    if name in _ARRAY_FIELDS:
+        return load_json(name, text.encode("utf-8"))
+    return value

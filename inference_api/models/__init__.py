@@ -1,0 +1,1 @@
+"""The models that answer: found in the registry, verified apart, loaded, kept."""

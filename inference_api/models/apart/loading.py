@@ -1,0 +1,124 @@
+"""Downloading and verifying bundles: the port, in this process for tests, and in a child for serving."""
+
+from typing import Protocol
+
+from cspace.bundle import Bundle
+from cspace.bundle.files import read_files
+from cspace.errors import BundleError, BundleIntegrityError, RegistryUnavailableError
+from inference_api.models.apart.disk import DiskCache
+from inference_api.models.apart.processes.child import Child
+from inference_api.models.apart.processes.pipes import ChildError
+from inference_api.models.version_files import to_values
+from services.registry.models.port import ModelRegistry, ModelVersion
+
+DOWNLOAD_S = 90.0
+VERIFY_S = 30.0
+
+
+class BundleLoader(Protocol):
+    """What brings a version into the cache on disk and tells whether it is sound there."""
+
+    def download(self, version: ModelVersion) -> None:
+        """Put a version into the cache on disk; nothing if it is there.
+
+        Raises:
+            RegistryError: it cannot be downloaded.
+            StorageError: the cache cannot be written.
+        """
+        ...
+
+    def verify(self, version: ModelVersion) -> None:
+        """Hold the version on disk against its sums, the registered digest and its golden case.
+
+        Raises:
+            BundleError: it is not sound, it is not the registered one, or it is not there.
+        """
+        ...
+
+
+class LoaderHere:
+    """The port in this process, which waits for whatever the registry and the bundle do.
+
+    Args:
+        disk: the cache.
+        registry: where versions are downloaded from.
+    """
+
+    def __init__(self, disk: DiskCache, registry: ModelRegistry) -> None:
+        self._disk, self._registry = disk, registry
+
+    def download(self, version: ModelVersion) -> None:
+        """See :meth:`BundleLoader.download`."""
+        self._disk.download(version, self._registry.download)
+
+    def verify(self, version: ModelVersion) -> None:
+        """See :meth:`BundleLoader.verify`."""
+        verify(self._disk, version)
+
+
+class LoaderApart:
+    """The port in a child process.
+
+    Args:
+        child: in the role of ``loading``.
+        download_s: for a download.
+        verify_s: for a verification.
+    """
+
+    def __init__(self, child: Child, download_s: float = DOWNLOAD_S, verify_s: float = VERIFY_S) -> None:
+        self._child, self._download_s, self._verify_s = child, download_s, verify_s
+
+    def download(self, version: ModelVersion) -> None:
+        """See :meth:`BundleLoader.download`."""
+        try:
+            self._child.call("download", {"version": to_values(version)}, self._download_s)
+        except ChildError as error:
+            raise RegistryUnavailableError(
+                f"{version.name}/{version.number} cannot be downloaded",
+                expected=f"a whole bundle within {self._download_s:g} s",
+                got=str(error),
+                remedy="ask again when the registry is well",
+            ) from None
+
+    def verify(self, version: ModelVersion) -> None:
+        """See :meth:`BundleLoader.verify`."""
+        try:
+            self._child.call("verify", {"version": to_values(version)}, self._verify_s)
+        except ChildError as error:
+            label = f"{version.name}/{version.number}"
+            if not error.at_work:
+                raise NotVerifiedError(
+                    f"{label} cannot be verified", got=str(error), remedy="ask again in some seconds"
+                ) from None
+            raise BundleError(
+                f"the bundle of {label} does not stand its verification",
+                expected=f"its golden case within {self._verify_s:g} s and the memory of a process",
+                got=str(error),
+                remedy="export the bundle again",
+            ) from None
+
+
+class NotVerifiedError(RegistryUnavailableError):
+    """Nobody could look at the bundle, which says nothing about it."""
+
+
+def verify(disk: DiskCache, version: ModelVersion) -> None:
+    """As :meth:`BundleLoader.verify`, in this process."""
+    folder = disk.bundle(version)
+    # Before any of its graphs is opened.
+    check_digest(read_files(folder).digest, version)
+    Bundle.load(folder)
+
+
+def check_digest(digest: str, version: ModelVersion) -> None:
+    """Hold a bundle's digest against the registered one.
+
+    Raises:
+        BundleIntegrityError: it is another one.
+    """
+    if version.digest != digest:
+        raise BundleIntegrityError(
+            f"the bundle of {version.name}/{version.number} is not the one that was registered",
+            expected=f"digest {version.digest}",
+            got=digest,
+        )

@@ -1,0 +1,292 @@
+"""Which bundle answers which reference: the champion in service, others on demand, the shipped one else.
+
+The champion is looked up in the background (:meth:`ModelStore.refresh`), so that a promotion is served
+without a restart and no request waits for the registry. A champion that is refused, or a registry that is
+away, leaves the one in service. With no champion at all the shipped bundle answers, and the answer says so.
+"""
+
+import logging
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+from cspace.bundle import Bundle
+from cspace.errors import (
+    BundleError,
+    ModelNotFoundError,
+    RegistryError,
+    StorageError,
+)
+from inference_api.failures import ModelNotReadyError
+from inference_api.models.apart.processes.child import Child
+from inference_api.models.bundle_cache import BundleCache, NotLoadedYetError
+from inference_api.models.pictures import PictureCache
+from inference_api.models.references import CHAMPION, PRETRAINED, ModelReference
+from inference_api.models.registry_view import LOAD_WAIT_S, RegistryView
+from inference_api.models.succession import Fetch, Succession, refusal_of
+from inference_api.telemetry.observer import Nobody, Observer
+from services.registry.models.port import ModelLookups, ModelVersion
+from services.registry.scrubbing import anonymous
+
+_LOG = logging.getLogger(__name__)
+PRETRAINED_VERSION = 0
+
+
+@dataclass(frozen=True, slots=True)
+class ServedModel:
+    """A loaded bundle with the name under which it answers.
+
+    Args:
+        bundle: the bundle.
+        name: of the registered model, or ``pretrained``.
+        version: its number in the registry, 0 for the shipped model.
+        alias: by which it was found, None when it was not.
+        run_id: the training run, None for the shipped model.
+        fallback: whether the shipped model stands in for a champion.
+    """
+
+    bundle: Bundle
+    name: str
+    version: int
+    alias: str | None = None
+    run_id: str | None = None
+    fallback: bool = False
+
+
+class ModelStore:
+    """Bundles by reference; safe to share between threads.
+
+    Args:
+        registry: None serves the shipped model only.
+        cache: of downloaded bundles.
+        pretrained_folder: the shipped bundle.
+        model_name: whose champion is the default.
+        lookup_s: how long a looked-up version or alias is trusted.
+        clock: seconds, monotonic.
+        pictures: those that were encoded already; none are kept when None.
+        wait_s: how long :meth:`resolve` waits for a bundle, at most.
+        children: of the registry, and of the near and the far loader; they start and end with the store.
+    """
+
+    def __init__(
+        self,
+        registry: ModelLookups | None,
+        cache: BundleCache,
+        pretrained_folder: Path,
+        model_name: str,
+        lookup_s: float = 2.0,
+        clock: Callable[[], float] = time.monotonic,
+        pictures: PictureCache | None = None,
+        wait_s: float = LOAD_WAIT_S,
+        children: Sequence[Child] = (),
+    ) -> None:
+        self.observer: Observer = Nobody()
+        self.pictures = PictureCache(0) if pictures is None else pictures
+        self.model_name = model_name
+        self._cache = cache
+        self._view = None if registry is None else RegistryView(registry, cache, lookup_s, clock)
+        self._pretrained_folder = pretrained_folder
+        self._champion: ServedModel | None = None
+        self._shipped: ServedModel | None = None
+        self._succession = Succession(cache, self._succeeded, self._failed, clock)
+        self._wait_s, self._children = wait_s, tuple(children)
+
+    @property
+    def registry_state(self) -> Literal["none", "reachable", "unreachable"]:
+        """Whether the registry answered when it was asked last."""
+        if self._view is None:
+            return "none"
+        return "unreachable" if self._view.is_away else "reachable"
+
+    @property
+    def successor(self) -> Literal["none", "pending", "refused"]:
+        """Whether there is a champion that is not in service: it is being fetched, or could not follow."""
+        return self._succession.state
+
+    @property
+    def shipped(self) -> ServedModel | None:
+        """The shipped model, None without a usable one."""
+        return self._shipped
+
+    @property
+    def default(self) -> ServedModel | None:
+        """The model that answers requests that name none, None without one."""
+        if self._champion is None and self._shipped is not None:
+            return replace(self._shipped, fallback=True)
+        return self._champion
+
+    def load_shipped(self) -> None:
+        """Load the shipped bundle; without a usable one the reason is logged and the store goes on."""
+        try:
+            bundle = Bundle.load(self._pretrained_folder)
+        except BundleError as error:
+            _LOG.warning("the shipped model is not usable: %s", error)
+        else:
+            self._shipped = ServedModel(bundle, PRETRAINED, PRETRAINED_VERSION)
+
+    def start(self) -> None:
+        """Start the children that are needed at once, without waiting for them."""
+        # One asks the registry, another looks at the last champion on disk, or fetches the first one.
+        has_champion = self._cache.disk.last_champion(self.model_name) is not None
+        unneeded = 2 if has_champion else 1
+        for place, child in enumerate(self._children):
+            if place != unneeded:
+                child.start()
+
+    def close(self) -> None:
+        """End the children: whoever waits for them gets an error at once."""
+        for child in self._children:
+            child.close()
+
+    def refresh(self, wait_s: float = LOAD_WAIT_S) -> None:
+        """Look up the champion and what requests named lately; the project's errors are not raised.
+
+        Args:
+            wait_s: for what has to be loaded, at most; it comes into service when it is there, waited for
+                or not.
+        """
+        for child in self._children:
+            child.tend()
+        if self._view is not None:
+            until_s = time.monotonic() + wait_s
+            fetch = self._follow_champion(self._view)
+            self._view.keep_up(wait_s)
+            if fetch is not None:
+                self._succession.wait_for(fetch, max(0.0, until_s - time.monotonic()))
+
+    def _follow_champion(self, view: RegistryView) -> Fetch | None:
+        try:
+            version = view.champion(self.model_name)
+        except RegistryError:
+            if self._champion is not None:
+                return None
+            version = self._cache.disk.last_champion(self.model_name)
+        if version is None or self._is_champion(version):
+            if version is None:
+                self._champion = None
+            self._succession.none()
+            return None
+        return self._succession.fetch(version)
+
+    def resolve_now(self, reference: ModelReference) -> ServedModel | None:
+        """The model that a reference names, from memory alone; None when :meth:`resolve` has to be asked.
+
+        Raises:
+            ModelNotFoundError: there is no such model, or there was none a moment ago.
+            ModelNotReadyError: no model answers by default.
+        """
+        if reference.name == PRETRAINED:
+            if not reference.is_bare:
+                raise _unknown(reference)
+            return self._shipped_or_raise()
+        if reference == ModelReference(self.model_name):
+            return self.default or self._shipped_or_raise()
+        champion = self._champion
+        if champion is not None and reference == ModelReference(self.model_name, CHAMPION):
+            return champion
+        if self._view is None:
+            raise _unknown(reference)
+        try:
+            version = self._view.recall(reference)
+        except ModelNotFoundError as error:
+            raise _unknown(reference) from error
+        bundle = None if version is None else self._cache.peek(version)
+        return None if version is None or bundle is None else _served(bundle, version, _alias(reference))
+
+    def resolve(self, reference: ModelReference) -> ServedModel:
+        """The model that a reference names; may ask the registry and wait for a bundle.
+
+        Raises:
+            ModelNotFoundError: there is no such model.
+            RegistryError: the registry is needed and does not answer.
+            StorageError: the cache cannot be written.
+            ModelNotReadyError: the model cannot be served, or is still being fetched.
+        """
+        found = self.resolve_now(reference)
+        if found is not None:
+            return found
+        view, until_s = self._view, time.monotonic() + self._wait_s
+        if view is None:
+            raise _unknown(reference)
+        try:
+            version = view.look_up(reference)
+        except ModelNotFoundError as error:
+            raise _unknown(reference) from error
+        try:
+            bundle = self._cache.get(version, max(0.0, until_s - time.monotonic()))
+        except NotLoadedYetError as error:
+            raise ModelNotReadyError(error.what, remedy=error.remedy) from None
+        except BundleError as error:
+            raise _not_sound(version, error) from error
+        return _served(bundle, version, _alias(reference))
+
+    def versions(self) -> Sequence[ModelVersion]:
+        """Versions of the default model, newest first; those of the cache while the registry is away."""
+        return [] if self._view is None else self._view.versions(self.model_name)
+
+    def is_loaded(self, version: ModelVersion) -> bool:
+        """Whether a version is in memory."""
+        return self._is_champion(version) or self._cache.is_loaded(version)
+
+    def _shipped_or_raise(self) -> ServedModel:
+        if self._shipped is None:
+            raise ModelNotReadyError(
+                "no model is ready",
+                expected=f"a champion of {self.model_name}, or a shipped model",
+                got=f"none (registry: {self.registry_state})",
+                remedy="train and promote a model, or ask again when the registry is back",
+            )
+        return self._shipped
+
+    def _is_champion(self, version: ModelVersion) -> bool:
+        current = self._champion
+        return current is not None and (current.version, current.bundle.digest) == (
+            version.number,
+            version.digest,
+        )
+
+    def _succeeded(self, version: ModelVersion, bundle: Bundle) -> None:
+        self._champion = _served(bundle, version, CHAMPION)
+        self.observer.reloaded()
+        _LOG.info("in service: %s/%d", version.name, version.number)
+        self._remember(version)
+
+    def _failed(self, version: ModelVersion, error: BaseException) -> None:
+        self.observer.refused(refusal_of(error))
+        _LOG.warning(
+            "what is in service stays, %s/%d cannot follow: %s",
+            version.name,
+            version.number,
+            anonymous(str(error)),
+        )
+
+    def _remember(self, version: ModelVersion) -> None:
+        try:
+            self._cache.disk.remember_champion(version)
+        except StorageError as error:
+            _LOG.warning("the champion will not be remembered over a restart: %s", error)
+
+
+def _served(bundle: Bundle, version: ModelVersion, alias: str | None) -> ServedModel:
+    return ServedModel(bundle, version.name, version.number, alias, version.run_id or None)
+
+
+def _alias(reference: ModelReference) -> str | None:
+    return CHAMPION if reference.is_bare else reference.alias
+
+
+def _not_sound(version: ModelVersion, error: BundleError) -> ModelNotReadyError:
+    return ModelNotReadyError(
+        f"{version.name}/{version.number} is refused", expected="a sound bundle", got=anonymous(str(error))
+    )
+
+
+def _unknown(reference: ModelReference) -> ModelNotFoundError:
+    return ModelNotFoundError(
+        "the model is unknown",
+        expected="a model, version or alias of the registry, or pretrained",
+        got=str(reference),
+        remedy="GET /models lists the models",
+    )

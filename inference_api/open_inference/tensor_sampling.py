@@ -1,0 +1,246 @@
+"""One request of the Open Inference Protocol from the bytes of its body to those of its answer."""
+
+import secrets
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from fastapi.responses import Response
+from numpy.typing import NDArray
+
+from cspace.bundle import MAX_SEED, Bundle, SampleSet
+from cspace.errors import InputError
+from inference_api.models.pictures import PictureCache, Prepared
+from inference_api.models.references import PRETRAINED, ModelReference
+from inference_api.models.store import ModelStore, ServedModel
+from inference_api.open_inference.tensor_request import flag, read_request, split_parameters
+from inference_api.open_inference.tensor_schemas import InferenceRequest, RequestedOutput
+from inference_api.open_inference.tensors import JSON_LENGTH, Tensor, read_tensors, split_body, write_tensors
+from inference_api.pages.sampling import rows_of
+from inference_api.pages.schemas import MAX_SAMPLES, SampleRequest
+from inference_api.pages.validation import brief_members, validate_request
+from inference_api.telemetry.observer import Sampled
+from inference_api.turns.turns import Turn
+
+IMAGE = "image"
+# Each is encoded, and has a seed.
+MAX_PICTURES = 256
+_BINARY = "binary_data"
+_OPTIONS = {"epsilon_sigma", "start", "goal", "min_confidence"}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Drawn:
+    """Samples for one or several pictures.
+
+    Args:
+        found: one set for each picture.
+        seeds: of each.
+        novelties: of each; empty where the model does not tell.
+        encode_s: time in the encoder; 0 where all pictures were known.
+    """
+
+    found: list[SampleSet]
+    seeds: list[int]
+    novelties: list[float] = field(default_factory=list)
+    encode_s: float = 0.0
+
+
+def reference_of(model: str, version: str | None = None) -> ModelReference:
+    """The model that an address names; the shipped one has the version 0.
+
+    Raises:
+        InputError: there are no such names.
+    """
+    if version is None or (model, version) == (PRETRAINED, "0"):
+        return ModelReference.parse(model)
+    return ModelReference.parse(f"{model}/{version}")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class InferenceQuestion:
+    """A request whose tensors are read; an :class:`~inference_api.pages.exchange.Question`.
+
+    Args:
+        store: where pictures are known and observers told.
+        reference: the model that it names.
+        request: the JSON object.
+        tensors: its inputs by name.
+        wanted: what is asked for each picture.
+        binary: whether outputs come as bytes unless they are asked for otherwise.
+        began: ``time.perf_counter()`` when the request was read, s.
+    """
+
+    store: ModelStore
+    reference: ModelReference
+    request: InferenceRequest
+    tensors: Mapping[str, NDArray[Any]]
+    wanted: SampleRequest
+    binary: bool
+    began: float
+
+    def answer(self, served: ServedModel, turn: Turn) -> Response:
+        """Sample and write.
+
+        Raises:
+            CspaceError: as the contract's table of errors.
+            ClientDisconnect: the client has gone away.
+        """
+        images = _images(served.bundle, self.tensors)
+        drawn = draw(served.bundle, images, self.wanted, self.store.pictures, turn)
+        spent_s = time.perf_counter() - self.began
+        self.store.observer.sampled(sampled(served, drawn, self.wanted.n, spent_s))
+        arrays = output_arrays(drawn)
+        asked = _asked(self.request.outputs, arrays, self.binary)
+        outputs = [Tensor(name, arrays[name], as_bytes) for name, as_bytes in asked]
+        head = _head(served) | ({} if self.request.id is None else {"id": self.request.id})
+        written = write_tensors(head, outputs)
+        if written.json_length is None:
+            return Response(written.content, media_type="application/json")
+        headers = {JSON_LENGTH: str(written.json_length)}
+        return Response(written.content, headers=headers, media_type="application/octet-stream")
+
+
+def read_inference(
+    store: ModelStore, reference: ModelReference, body: bytes, json_length: str | None
+) -> InferenceQuestion:
+    """Parse and validate.
+
+    Args:
+        store: where the models are.
+        reference: the model.
+        body: of the request.
+        json_length: of its JSON object, as the header has it; None for all of the body.
+
+    Raises:
+        CspaceError: as the contract's table of errors.
+    """
+    began = time.perf_counter()
+    parts = split_body(body, json_length)
+    request = read_request(parts.head)
+    tensors = read_tensors(request.inputs, parts.tail)
+    binary, fields = split_parameters(request.parameters)
+    wanted = validate_request({**fields, IMAGE: b""})
+    return InferenceQuestion(store, reference, request, tensors, wanted, binary, began)
+
+
+def draw(
+    bundle: Bundle, images: NDArray[np.uint8], request: SampleRequest, known: PictureCache, turn: Turn
+) -> Drawn:
+    """Samples for each picture as it would get them alone, with the seeds seed, seed + 1, ... modulo 2^64.
+
+    Args:
+        bundle: the model.
+        images: uint8 (b, P, P, 3), b from 1 to :data:`MAX_PICTURES`.
+        request: what is asked for each; its picture is not looked at.
+        known: pictures that are encoded already.
+        turn: told the cost, and asked between pictures.
+
+    Raises:
+        InputError: these are more samples than one request may ask for, or a value does not fit the model.
+    """
+    if request.n * len(images) > MAX_SAMPLES:
+        raise InputError(
+            "these are too many samples",
+            expected=f"n times the number of pictures at most {MAX_SAMPLES}",
+            got=f"{request.n} times {len(images)}",
+            remedy="ask for fewer at a time",
+        )
+    turn.spend(rows_of(bundle.spec, request, len(images)))
+    first = secrets.randbits(64) if request.seed is None else request.seed
+    seeds = [(first + index) % (MAX_SEED + 1) for index in range(len(images))]
+    options = request.model_dump(include=_OPTIONS)
+    prepared: list[Prepared] = []
+    found: list[SampleSet] = []
+    for image, seed in zip(images, seeds, strict=True):
+        if found:
+            turn.between()
+        prepared.append(known.of_pixels(bundle, image))
+        found.append(bundle.sample(prepared[-1].picture, request.n, seed, between=turn.between, **options))
+    novelties = [one.picture.novelty for one in prepared if one.picture.novelty is not None]
+    return Drawn(found, seeds, novelties, 1e-3 * sum(one.encode_ms for one in prepared))
+
+
+def sampled(served: ServedModel, drawn: Drawn, n: int, total_s: float) -> Sampled:
+    """An answer with ``n`` samples asked for each picture as observers are told of it; nothing is decoded."""
+    found = drawn.found
+    return Sampled(
+        model=f"{served.name}/{served.version}",
+        fallback=served.fallback,
+        n=n * len(found),
+        seed=drawn.seeds[0],
+        shortfall=sum(one.shortfall for one in found),
+        acceptance=sum(one.acceptance for one in found) / len(found),
+        stages_s={
+            "encode": drawn.encode_s,
+            "generate": 1e-3 * sum(one.generate_ms for one in found),
+            "total": total_s,
+        },
+    )
+
+
+def output_arrays(drawn: Drawn) -> dict[str, NDArray[Any]]:
+    """Every output by name; several pictures are cut to the number of samples of the one that has fewest.
+
+    ``samples`` (n', d) for one picture and (b, n', d) for several, ``confidence`` likewise without the last
+    axis where the model has a validity head, ``shortfall`` (b,): n minus what each picture had before the
+    cut, so that n' is n minus the largest, ``novelty`` (b,) where the model tells, and ``seed`` (b,).
+    """
+    found = drawn.found
+    count = min(len(one.samples) for one in found)
+    arrays: dict[str, NDArray[Any]] = {"samples": np.stack([one.samples[:count] for one in found])}
+    scores = [one.confidence[:count] for one in found if one.confidence is not None]
+    arrays |= {"confidence": np.stack(scores)} if scores else {}
+    if len(found) == 1:
+        arrays = {name: array[0] for name, array in arrays.items()}
+    arrays["shortfall"] = np.array([one.shortfall for one in found], dtype=np.int32)
+    if drawn.novelties:
+        arrays["novelty"] = np.array(drawn.novelties, dtype=np.float32)
+    arrays["seed"] = np.array(drawn.seeds, dtype=np.uint64)
+    return arrays
+
+
+def _images(bundle: Bundle, tensors: Mapping[str, NDArray[Any]]) -> NDArray[np.uint8]:
+    pixels = bundle.spec.pixels
+    image = tensors.get(IMAGE)
+    if set(tensors) != {IMAGE} or image is None:
+        got = ", ".join(tensors)[:100]
+        raise InputError("the inputs are wrong", expected=f"one with the name {IMAGE}", got=got)
+    fits = image.ndim == 4 and image.shape[1:] == (pixels, pixels, 3) and 1 <= len(image) <= MAX_PICTURES
+    if image.dtype != np.uint8 or not fits:
+        raise InputError(
+            f"the input {IMAGE} does not fit the model",
+            expected=f"UINT8 of shape [b, {pixels}, {pixels}, 3], b from 1 to {MAX_PICTURES}",
+            got=f"{image.dtype} of shape {list(image.shape)}",
+            remedy="POST /sample takes PNG files of any size",
+        )
+    return image
+
+
+def _asked(
+    requested: Sequence[RequestedOutput] | None, arrays: Mapping[str, NDArray[Any]], binary: bool
+) -> list[tuple[str, bool]]:
+    """Names of the outputs in their order, each with whether it comes as bytes."""
+    if not requested:
+        return [(name, binary) for name in arrays]
+    asked: dict[str, bool] = {}
+    for output in requested:
+        if output.name not in arrays or output.name in asked or set(output.parameters) - {_BINARY}:
+            raise InputError(
+                f"the output {output.name} cannot be had",
+                expected=f"each of {', '.join(arrays)} at most once, with no other parameter than {_BINARY}",
+                got=f"parameters {brief_members(output.parameters)}"[:200],
+                remedy="confidence is there for models with a validity head, novelty for those that tell it",
+            )
+        asked[output.name] = flag(_BINARY, output.parameters.get(_BINARY, binary))
+    return list(asked.items())
+
+
+def _head(served: ServedModel) -> dict[str, Any]:
+    return {
+        "model_name": served.name,
+        "model_version": str(served.version),
+        "parameters": {"digest": served.bundle.digest, "fallback": served.fallback},
+    }

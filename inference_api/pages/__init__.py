@@ -1,0 +1,1 @@
+"""The pages of the API: samples, models, health, and their description."""

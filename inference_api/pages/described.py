@@ -1,0 +1,115 @@
+"""What FastAPI cannot see of the pages for the OpenAPI document: bodies read by hand, ``.npy``, problems."""
+
+from typing import Any
+
+from inference_api.pages.sampling import NPY
+from inference_api.pages.schemas import SampleAnswer, SampleRequest, multipart_schema
+from inference_api.problems import (
+    BODY_TOO_LARGE,
+    FOREIGN_ORIGIN,
+    HEADERS_TIMEOUT,
+    HEADERS_TOO_LARGE,
+    INTERNAL_ERROR,
+    INVALID_IMAGE,
+    INVALID_VALUE,
+    MALFORMED_BODY,
+    MALFORMED_REQUEST,
+    MEDIA_TYPE,
+    NO_MODEL,
+    OVERLOADED,
+    REGISTRY_UNAVAILABLE,
+    REQUEST_TIMEOUT,
+    SHUTTING_DOWN,
+    TOO_MANY_REQUESTS,
+    UNAUTHORIZED,
+    UNKNOWN_HOST,
+    UNKNOWN_MODEL,
+    UNSUPPORTED_MEDIA_TYPE,
+    URI_TOO_LONG,
+    ProblemType,
+)
+
+# What is answered before any page is looked for: by the guards, and by the protocol below them.
+GUARD_PROBLEMS = (
+    MALFORMED_REQUEST,
+    UNAUTHORIZED,
+    FOREIGN_ORIGIN,
+    HEADERS_TIMEOUT,
+    URI_TOO_LONG,
+    UNKNOWN_HOST,
+    TOO_MANY_REQUESTS,
+    HEADERS_TOO_LARGE,
+    OVERLOADED,
+    SHUTTING_DOWN,
+)
+SAMPLE_PROBLEMS = (
+    *GUARD_PROBLEMS,
+    MALFORMED_BODY,
+    UNKNOWN_MODEL,
+    REQUEST_TIMEOUT,
+    BODY_TOO_LARGE,
+    UNSUPPORTED_MEDIA_TYPE,
+    INVALID_IMAGE,
+    INVALID_VALUE,
+    INTERNAL_ERROR,
+    NO_MODEL,
+    REGISTRY_UNAVAILABLE,
+)
+_HEADERS = {
+    "X-Model-Name": "Name of the model that answered.",
+    "X-Model-Version": "Its number in the registry, 0 for the shipped model.",
+    "X-Model-Digest": "SHA-256 of the bundle's sums.",
+    "X-Seed": "The seed that was used, in decimal.",
+    "X-Shortfall": "n minus what was returned.",
+    "X-Acceptance": "Share of what was drawn that reached the confidence asked for.",
+    "X-Novelty": "How unlike the training scenarios the picture is, 0 to 1, where the model tells.",
+    "Server-Timing": "decode, encode, generate and total, in ms.",
+}
+
+
+def sample_extra() -> dict[str, Any]:
+    """The request body of ``POST /sample`` in both forms."""
+    content = {
+        "multipart/form-data": {"schema": multipart_schema()},
+        "application/json": {"schema": SampleRequest.model_json_schema()},
+    }
+    return {"requestBody": {"required": True, "content": content}}
+
+
+def sample_responses() -> dict[int | str, dict[str, Any]]:
+    """The answers of ``POST /sample``."""
+    headers = {
+        name: {"description": f"{text} With `Accept: {NPY}` only.", "schema": {"type": "string"}}
+        for name, text in _HEADERS.items()
+    }
+    text = "The client's own, or one that the server chose; every answer carries it."
+    headers["X-Request-ID"] = {"description": text, "schema": {"type": "string"}}
+    binary = {
+        "schema": {"type": "string", "format": "binary", "description": "float32 array (samples, joints)"}
+    }
+    success = {
+        "description": "Samples, as JSON or as `.npy`.",
+        "model": SampleAnswer,
+        "content": {NPY: binary},
+        "headers": headers,
+    }
+    return {200: success, **problem_responses(*SAMPLE_PROBLEMS)}
+
+
+def problem_responses(*problems: ProblemType) -> dict[int | str, dict[str, Any]]:
+    """Answers that are problems, one entry a status."""
+    responses: dict[int | str, dict[str, Any]] = {}
+    for status in dict.fromkeys(problem.status for problem in problems):
+        same = [problem for problem in problems if problem.status == status]
+        examples = {
+            problem.name: {
+                "value": {"type": problem.uri, "title": problem.title, "status": status, "detail": "..."}
+            }
+            for problem in same
+        }
+        schema = {"$ref": "#/components/schemas/Problem"}
+        responses[status] = {
+            "description": "; ".join(problem.title for problem in same) + ".",
+            "content": {MEDIA_TYPE: {"schema": schema, "examples": examples}},
+        }
+    return responses

@@ -1,0 +1,130 @@
+"""The pages of the API; each hands its work to a thread and comes back with the answer."""
+
+import time
+from collections.abc import Callable, Coroutine
+from functools import partial
+from typing import Any
+
+from fastapi import APIRouter, FastAPI, Request
+from fastapi.responses import PlainTextResponse, Response
+from fastapi.routing import APIRoute
+
+from inference_api.bodies.request_body import read_fields
+from inference_api.guards.rate import client_of
+from inference_api.models.references import PRETRAINED
+from inference_api.models.store import PRETRAINED_VERSION, ModelStore
+from inference_api.pages.dependencies import Room, Store, Turn, room_of, store_of, turns_of
+from inference_api.pages.described import GUARD_PROBLEMS, problem_responses, sample_extra, sample_responses
+from inference_api.pages.exchange import respond
+from inference_api.pages.health import default_model
+from inference_api.pages.sampling import model_info, prefers_npy, read_question
+from inference_api.pages.schemas import ListedModel, Live, ModelList, Ready
+from inference_api.problems import NO_MODEL, UNAUTHORIZED
+from inference_api.telemetry.metrics import CONTENT_TYPE, Metrics
+
+router = APIRouter()
+
+
+class DirectRoute(APIRoute):
+    """A route whose function takes the request and returns the response, with nothing put in between.
+
+    What FastAPI does for parameters that there are none of would cost a fiftieth of an answer.
+    """
+
+    def get_route_handler(self) -> Callable[[Request], Coroutine[Any, Any, Response]]:
+        """The function itself."""
+        handler: Callable[[Request], Coroutine[Any, Any, Response]] = self.endpoint
+        return handler
+
+
+def add_routes(app: FastAPI) -> None:
+    """Serve the pages; that which is asked most is looked up first."""
+    app.router.add_api_route(
+        "/sample",
+        sample,
+        methods=["POST"],
+        summary="Draw collision-free configurations for a picture",
+        openapi_extra=sample_extra(),
+        responses=sample_responses(),
+        route_class_override=DirectRoute,
+    )
+    app.include_router(router)
+
+
+async def sample(request: Request) -> Response:
+    """The same seed, picture, parameters and model digest give the same samples on one machine.
+
+    With `Accept: application/x-npy` the answer is the samples alone as a float32 `.npy`, the rest in headers.
+    """
+    began = time.perf_counter()
+    npy = prefers_npy(request.headers.get("accept"))
+    fields = await read_fields(request)
+    store = store_of(request)
+    ask = partial(read_question, store, fields, npy=npy, began=began)
+    return await respond(request, store, turns_of(request), room_of(request), ask)
+
+
+@router.get("/models", summary="Models that requests can name", responses=problem_responses(*GUARD_PROBLEMS))
+async def models(request: Request, store: Store, room: Room) -> ModelList:
+    """Versions of the default model, newest first, and the shipped model."""
+    return await room.run(partial(_listed, store), client_of(request.scope))
+
+
+def _listed(store: ModelStore) -> ModelList:
+    served = store.default
+    default = None if served is None else (served.name, served.version)
+    listed = [
+        ListedModel(
+            reference=f"{version.name}/{version.number}",
+            name=version.name,
+            version=version.number,
+            aliases=list(version.aliases),
+            run_id=version.run_id or None,
+            digest=version.digest,
+            loaded=store.is_loaded(version),
+            default=(version.name, version.number) == default,
+        )
+        for version in store.versions()
+    ]
+    shipped = store.shipped
+    if shipped is not None:
+        listed.append(
+            ListedModel(
+                reference=PRETRAINED,
+                name=PRETRAINED,
+                version=PRETRAINED_VERSION,
+                aliases=[],
+                run_id=None,
+                digest=shipped.bundle.digest,
+                loaded=True,
+                default=default == (PRETRAINED, PRETRAINED_VERSION),
+            )
+        )
+    return ModelList(default=store.model_name, registry=store.registry_state, models=listed)
+
+
+@router.get(
+    "/metrics",
+    summary="What Prometheus scrapes",
+    response_class=PlainTextResponse,
+    responses=problem_responses(UNAUTHORIZED),
+)
+async def metrics(request: Request) -> Response:
+    """Requests, failures, latencies, acceptance, reloads and the model in service, as text."""
+    found: Metrics = request.app.state.metrics
+    return Response(found.render(), media_type=CONTENT_TYPE)
+
+
+@router.get("/health/live", summary="Whether the process answers")
+async def live() -> Live:
+    """Always ok; says nothing about models."""
+    return Live()
+
+
+@router.get(
+    "/health/ready", summary="Whether samples can be asked for", responses=problem_responses(NO_MODEL)
+)
+async def ready(store: Store, turns: Turn) -> Ready:
+    """The model that answers requests that name none; 503 without one, or while no request ends any more."""
+    served = default_model(store, turns)
+    return Ready(registry=store.registry_state, successor=store.successor, model=model_info(served))

@@ -1,0 +1,235 @@
+"""One request from field values to the bytes of its answer; runs in a worker thread, off the event loop."""
+
+import io
+import secrets
+import time
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from fastapi.responses import Response
+
+from cspace.bundle import BundleSpec, SampleSet
+from cspace.bundle.keeping import BUDGET, BUDGET_AT_LEAST
+from inference_api.bodies.request_body import RawFields, parse_fields
+from inference_api.models.references import ModelReference
+from inference_api.models.store import ModelStore, ServedModel
+from inference_api.pages.schemas import (
+    JointSpaceInfo,
+    ModelInfo,
+    SampleAnswer,
+    SampleRequest,
+    ScenarioInfo,
+    TimingMs,
+)
+from inference_api.pages.validation import validate_request
+from inference_api.telemetry.observer import Sampled
+from inference_api.turns.turns import Turn
+
+NPY = "application/x-npy"
+# What decoding and encoding a further picture costs, in samples that are drawn.
+PICTURE_ROWS = 200
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """What the sampler found, before it is written as JSON or ``.npy``.
+
+    Args:
+        served: the model that answered.
+        found: its samples.
+        novelty: of the picture; None where the model does not tell.
+        seed: the seed that was used.
+        timing: where the time went.
+    """
+
+    served: ServedModel
+    found: SampleSet
+    novelty: float | None
+    seed: int
+    timing: TimingMs
+
+
+@dataclass(frozen=True, slots=True)
+class SampleQuestion:
+    """A valid request for samples; an :class:`~inference_api.pages.exchange.Question`.
+
+    Args:
+        store: where pictures are known and observers told.
+        request: what is asked.
+        reference: the model that it names.
+        npy: whether the client prefers the samples alone as ``.npy``.
+        began: ``time.perf_counter()`` when the request came in, s.
+    """
+
+    store: ModelStore
+    request: SampleRequest
+    reference: ModelReference
+    npy: bool
+    began: float
+
+    def answer(self, served: ServedModel, turn: Turn) -> Response:
+        """Sample and write.
+
+        Raises:
+            CspaceError: as the contract's table of errors.
+            ClientDisconnect: the client has gone away.
+        """
+        # A ``.npy`` holds samples alone: nobody would see the scores of those that are not filtered.
+        answer = sample(self.store, served, self.request, self.began, turn, tell_confidence=not self.npy)
+        return npy_response(answer) if self.npy else json_response(answer)
+
+
+def read_question(store: ModelStore, fields: RawFields, *, npy: bool, began: float) -> SampleQuestion:
+    """Parse and validate.
+
+    Args:
+        store: where the models are.
+        fields: the body as it was read.
+        npy: as :class:`SampleQuestion` has it.
+        began: likewise.
+
+    Raises:
+        CspaceError: as the contract's table of errors.
+    """
+    request = validate_request(parse_fields(fields))
+    named = request.model if "model" in request.model_fields_set else store.model_name
+    return SampleQuestion(store, request, ModelReference.parse(named), npy, began)
+
+
+def rows_of(spec: BundleSpec, request: SampleRequest, pictures: int = 1) -> float:
+    """What a request may cost at most, in samples that are drawn."""
+    threshold = spec.confidence_threshold if request.min_confidence is None else request.min_confidence
+    drawn = max(BUDGET * request.n, BUDGET_AT_LEAST) if threshold else request.n
+    return float(pictures * drawn + (pictures - 1) * PICTURE_ROWS)
+
+
+def sample(
+    store: ModelStore,
+    served: ServedModel,
+    request: SampleRequest,
+    began: float,
+    turn: Turn,
+    *,
+    tell_confidence: bool = True,
+) -> Answer:
+    """Answer a valid request; as :meth:`cspace.bundle.Bundle.sample` has it, scored for who is told."""
+    turn.spend(rows_of(served.bundle.spec, request))
+    prepared = store.pictures.get(served.bundle, request.image)
+    seed = secrets.randbits(64) if request.seed is None else request.seed
+    found = served.bundle.sample(
+        prepared.picture,
+        request.n,
+        seed,
+        epsilon_sigma=request.epsilon_sigma,
+        start=request.start,
+        goal=request.goal,
+        min_confidence=request.min_confidence,
+        tell_confidence=tell_confidence,
+        between=turn.between,
+    )
+    timing = TimingMs(
+        decode=prepared.decode_ms,
+        encode=prepared.encode_ms,
+        generate=found.generate_ms,
+        total=1e3 * (time.perf_counter() - began),
+    )
+    answer = Answer(served, found, prepared.picture.novelty, seed, timing)
+    store.observer.sampled(sampled(answer, request.n))
+    return answer
+
+
+def json_response(answer: Answer) -> Response:
+    """The whole answer as JSON."""
+    found, spec = answer.found, answer.served.bundle.spec
+    # Constructed, not validated: the lists come from an array, and walking them costs more than sampling.
+    body = SampleAnswer.model_construct(
+        samples=found.samples.tolist(),
+        confidence=None if found.confidence is None else found.confidence.tolist(),
+        shortfall=found.shortfall,
+        acceptance=found.acceptance,
+        scenario=ScenarioInfo(novelty=answer.novelty),
+        joint_space=JointSpaceInfo(**spec.joint_space),
+        model=model_info(answer.served),
+        seed=str(answer.seed),
+        timing_ms=answer.timing,
+    )
+    return Response(body.model_dump_json(), media_type="application/json")
+
+
+def npy_response(answer: Answer) -> Response:
+    """The samples alone as a float32 ``.npy``, the rest in headers."""
+    samples = np.ascontiguousarray(answer.found.samples, dtype="<f4")
+    served = answer.served
+    timing = ", ".join(f"{name};dur={value:.3f}" for name, value in answer.timing.model_dump().items())
+    headers = {
+        "X-Model-Name": served.name,
+        "X-Model-Version": str(served.version),
+        "X-Model-Digest": served.bundle.digest,
+        "X-Seed": str(answer.seed),
+        "X-Shortfall": str(answer.found.shortfall),
+        "X-Acceptance": f"{answer.found.acceptance:.6g}",
+        "Server-Timing": timing,
+    }
+    if answer.novelty is not None:
+        headers["X-Novelty"] = f"{answer.novelty:.6g}"
+    return Response(_npy_head(samples.shape) + samples.tobytes(), headers=headers, media_type=NPY)
+
+
+@lru_cache(maxsize=64)
+def _npy_head(shape: tuple[int, ...]) -> bytes:
+    """What stands before the numbers in the ``.npy`` of a float32 array in C order."""
+    buffer = io.BytesIO()
+    described = {"descr": "<f4", "fortran_order": False, "shape": shape}
+    np.lib.format.write_array_header_1_0(buffer, described)
+    return buffer.getvalue()
+
+
+def sampled(answer: Answer, n: int) -> Sampled:
+    """An answer to a request for ``n`` samples as observers are told of it."""
+    served, found = answer.served, answer.found
+    return Sampled(
+        model=f"{served.name}/{served.version}",
+        fallback=served.fallback,
+        n=n,
+        seed=answer.seed,
+        shortfall=found.shortfall,
+        acceptance=found.acceptance,
+        stages_s={stage: 1e-3 * value for stage, value in answer.timing.model_dump().items()},
+    )
+
+
+def model_info(served: ServedModel) -> ModelInfo:
+    """A served model as answers describe it."""
+    return ModelInfo(
+        name=served.name,
+        version=served.version,
+        alias=served.alias,
+        run_id=served.run_id,
+        digest=served.bundle.digest,
+        fallback=served.fallback,
+    )
+
+
+def prefers_npy(accept: str | None) -> bool:
+    """Whether an ``Accept`` header ranks ``.npy`` above JSON; it has to name it."""
+    npy, other = 0.0, 0.0
+    for entry in (accept or "").split(","):
+        media_type, *parameters = (part.strip().lower() for part in entry.split(";"))
+        quality = _quality(parameters)
+        if media_type == NPY:
+            npy = max(npy, quality)
+        elif media_type == "application/json":
+            other = max(other, quality)
+    return npy > 0.0 and npy >= other
+
+
+def _quality(parameters: list[str]) -> float:
+    for parameter in parameters:
+        name, _, value = parameter.partition("=")
+        if name.strip() == "q":
+            try:
+                return float(value)
+            except ValueError:
+                return 0.0
+    return 1.0

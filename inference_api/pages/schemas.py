@@ -1,0 +1,226 @@
+"""Requests and answers of the API as types; the OpenAPI document is made from them."""
+
+import base64
+import binascii
+import re
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, WithJsonSchema
+
+from cspace.bundle import MAX_EPSILON, MAX_SEED
+from inference_api.failures import FieldProblem
+
+MAX_SAMPLES = 20_000
+MAX_EPSILONS = 1000
+MAX_JOINTS = 64
+
+_SEED = re.compile(r"[0-9]{1,20}", re.ASCII)
+
+
+def _decode_image(value: object) -> object:
+    """Base64 text to bytes; bytes stay as they are (a file of a multipart body)."""
+    if not isinstance(value, str):
+        return value
+    try:
+        return base64.b64decode(value, validate=True)
+    except (binascii.Error, ValueError) as error:
+        raise ValueError("not base64") from error
+
+
+def _parse_seed(value: object) -> object:
+    return int(value) if isinstance(value, str) and _SEED.fullmatch(value) else value
+
+
+def _as_list(value: object) -> object:
+    return [value] if isinstance(value, int | float) and not isinstance(value, bool) else value
+
+
+_Image = Annotated[
+    bytes,
+    BeforeValidator(_decode_image),
+    WithJsonSchema({"type": "string", "contentEncoding": "base64", "contentMediaType": "image/png"}),
+]
+_Seed = Annotated[
+    Annotated[int, Field(ge=0, le=MAX_SEED)] | None,
+    BeforeValidator(_parse_seed),
+    WithJsonSchema(
+        {
+            "anyOf": [
+                {"type": "integer", "minimum": 0, "maximum": MAX_SEED},
+                {"type": "string", "pattern": "^[0-9]{1,20}$"},
+                {"type": "null"},
+            ]
+        }
+    ),
+]
+_Epsilon = Annotated[float, Field(ge=0.0, le=MAX_EPSILON, allow_inf_nan=False)]
+_EpsilonSchema = {"type": "number", "minimum": 0, "maximum": MAX_EPSILON}
+_Schedule = Annotated[
+    Annotated[list[_Epsilon], Field(min_length=1, max_length=MAX_EPSILONS)],
+    BeforeValidator(_as_list),
+    WithJsonSchema(
+        {
+            "anyOf": [
+                _EpsilonSchema,
+                {"type": "array", "items": _EpsilonSchema, "minItems": 1, "maxItems": MAX_EPSILONS},
+            ]
+        }
+    ),
+]
+_Confidence = Annotated[float, Field(ge=0.0, le=1.0, allow_inf_nan=False)] | None
+_Angle = Annotated[float, Field(allow_inf_nan=False)]
+_Configuration = Annotated[list[_Angle], Field(max_length=MAX_JOINTS)]
+
+
+class SampleRequest(BaseModel):
+    """A request for samples; unknown fields are errors."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
+
+    image: _Image = Field(
+        description="The scenario as a square PNG of 16 to 2048 pixels: RGB as it is, RGBA over white, grey "
+        "and palette as RGB; 16-bit and animated ones are refused. Resized by area averaging."
+    )
+    n: int = Field(300, ge=1, le=MAX_SAMPLES, description="How many samples.")
+    model: str = Field(
+        "cspace-sampler",
+        max_length=300,
+        description="`name` (its champion), `name@alias`, `name/version`, or `pretrained` (shipped).",
+    )
+    seed: _Seed = Field(
+        None,
+        description="Unsigned 64 bit as number or decimal string; drawn and returned when absent. "
+        "The samples for a smaller n are not promised to be a prefix.",
+    )
+    epsilon_sigma: _Schedule = Field(
+        [0.0],
+        description="The encoder's standard deviation is raised by each value; equal shares of the samples "
+        "in this order, the remainder to the first.",
+    )
+    start: _Configuration | None = Field(
+        None, description="Configuration in rad, wrapped; for path models and only for them."
+    )
+    goal: _Configuration | None = Field(None, description="As `start`.")
+    min_confidence: _Confidence = Field(
+        None,
+        description="What the model's validity head has to score; more are drawn for those that do not. "
+        "Absent, the model's own threshold holds; 0 takes all; above 0 only for models that have a head.",
+    )
+
+
+class JointSpaceInfo(BaseModel):
+    """The space that the samples live in."""
+
+    kind: Literal["torus"]
+    dim: int
+    unit: Literal["rad"]
+
+
+class ScenarioInfo(BaseModel):
+    """What the model makes of the picture."""
+
+    novelty: float | None = Field(
+        description="How unlike the training scenarios it is: the share of known pictures that are less "
+        "unusual, 0 to 1; null for a model that does not tell."
+    )
+
+
+class ModelInfo(BaseModel):
+    """The model that answered."""
+
+    name: str
+    version: int = Field(description="Number in the registry; 0 for the shipped model.")
+    alias: str | None = Field(description="By which it was found.")
+    run_id: str | None
+    digest: str = Field(description="SHA-256 of the bundle's sums.")
+    fallback: bool = Field(description="Whether the shipped model stands in for a champion.")
+
+
+class TimingMs(BaseModel):
+    """Where the time went, in ms."""
+
+    decode: float
+    encode: float
+    generate: float
+    total: float
+
+
+class SampleAnswer(BaseModel):
+    """Samples for one picture."""
+
+    samples: list[list[float]] = Field(description="Configurations in rad, each angle in [-pi, pi).")
+    confidence: list[float] | None = Field(description="The validity head's score of each sample.")
+    shortfall: int = Field(description="n minus what was returned.")
+    acceptance: float = Field(description="Share of what was drawn that reached the confidence asked for.")
+    scenario: ScenarioInfo
+    joint_space: JointSpaceInfo
+    model: ModelInfo
+    seed: str = Field(description="The seed that was used, in decimal.", pattern="^[0-9]{1,20}$")
+    timing_ms: TimingMs
+
+
+class ListedModel(BaseModel):
+    """A model that a request can name."""
+
+    reference: str = Field(description="What to write into `model`.")
+    name: str
+    version: int
+    aliases: list[str]
+    run_id: str | None
+    digest: str
+    loaded: bool = Field(description="Whether it is in memory.")
+    default: bool = Field(description="Whether it answers requests that name no model.")
+
+
+class ModelList(BaseModel):
+    """The models that requests can name."""
+
+    default: str
+    registry: Literal["none", "reachable", "unreachable"]
+    models: list[ListedModel]
+
+
+class Live(BaseModel):
+    """The process answers."""
+
+    status: Literal["live"] = "live"
+
+
+class Ready(BaseModel):
+    """Samples can be asked for."""
+
+    status: Literal["ready"] = "ready"
+    registry: Literal["none", "reachable", "unreachable"]
+    successor: Literal["none", "pending", "refused"] = Field(
+        description="Whether there is a champion that is not in service: being fetched, or refused."
+    )
+    model: ModelInfo
+
+
+class Problem(BaseModel):
+    """RFC 9457 problem details."""
+
+    type: str
+    title: str
+    status: int
+    detail: str
+    expected: str | None = None
+    got: str | None = None
+    remedy: str | None = None
+    errors: list[FieldProblem] | None = None
+
+
+def multipart_schema() -> dict[str, Any]:
+    """The JSON schema of the multipart form of :class:`SampleRequest`."""
+    schema = SampleRequest.model_json_schema()
+    fields = schema["properties"]
+    description = fields["image"]["description"]
+    fields["image"] = {"type": "string", "format": "binary", "description": description}
+    schedule = fields["epsilon_sigma"]
+    fields["epsilon_sigma"] = {
+        "type": "array",
+        "items": dict(_EpsilonSchema),
+        "maxItems": MAX_EPSILONS,
+        "description": f"{schedule['description']} Repeat the field for several values.",
+    }
+    return schema

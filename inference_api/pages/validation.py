@@ -1,0 +1,64 @@
+"""Field values to a valid :class:`SampleRequest`, with messages in the contract's words."""
+
+from collections.abc import Mapping
+from itertools import islice
+from typing import Any
+
+from pydantic import ValidationError
+
+from inference_api.failures import FieldProblem, FieldsError
+from inference_api.pages.schemas import MAX_SAMPLES, SampleRequest
+
+MAX_REPORTED = 8
+_SHOWN_BITS = 128
+
+EXPECTED = {
+    "image": "a PNG: a file in a form, base64 text in JSON",
+    "n": f"a whole number from 1 to {MAX_SAMPLES}",
+    "model": "name, name@alias, name/version or pretrained",
+    "seed": "an unsigned 64-bit whole number, or its decimal digits as text",
+    "epsilon_sigma": "one or more finite numbers from 0 to 10",
+    "start": "an array of finite angles in rad",
+    "goal": "an array of finite angles in rad",
+    "min_confidence": "a finite number from 0 to 1",
+}
+
+
+def validate_request(values: Mapping[str, Any]) -> SampleRequest:
+    """Check field values.
+
+    Raises:
+        FieldsError: a field is unknown, missing or wrong.
+    """
+    try:
+        return SampleRequest.model_validate(values)
+    except ValidationError as error:
+        found = error.errors(include_url=False, include_context=False)[:MAX_REPORTED]
+        raise FieldsError(
+            [_field_problem(item["type"], item["loc"], item["input"]) for item in found]
+        ) from error
+
+
+def _field_problem(kind: str, location: tuple[int | str, ...], value: object) -> FieldProblem:
+    field = str(location[0])[:100] if location else ""
+    if kind == "extra_forbidden":
+        expected = f"one of {', '.join(EXPECTED)}"
+        return FieldProblem(field=field, expected=expected, got="an unknown field")
+    got = "nothing" if kind == "missing" else brief(value)
+    return FieldProblem(field=field, expected=EXPECTED.get(field, "another value"), got=got)
+
+
+def brief(value: object) -> str:
+    """A short description of an untrusted value; never walks into it, however deep or long it is."""
+    if isinstance(value, bytes | list | dict):
+        return f"{type(value).__name__} of length {len(value)}"
+    if isinstance(value, int) and value.bit_length() > _SHOWN_BITS:
+        # Its digits might be more than Python turns into text.
+        return f"a whole number of {value.bit_length()} bits"
+    return repr(value[:100] if isinstance(value, str) else value)[:120]
+
+
+def brief_members(values: Mapping[str, object]) -> str:
+    """The same for an object's first members."""
+    shown = [f"{brief(name)}: {brief(value)}" for name, value in islice(values.items(), 3)]
+    return ", ".join([*shown, "..."] if len(values) > len(shown) else shown) or "none"

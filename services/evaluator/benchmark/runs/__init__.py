@@ -1,0 +1,1 @@
+"""What the benchmark compares, under which limits, and the runs themselves."""

@@ -1,0 +1,206 @@
+"""One problem solved by all arms of a unit, with paired seeds, one after the other in this process."""
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cspace.worlds.planar.problems import Family, Problem, draw_problem
+from cspace.worlds.planar.scene import Split
+from services.evaluator.benchmark.runs.arms import RANGE_RAD, Arm
+from services.evaluator.benchmark.runs.check_cost import state_check_s
+from services.evaluator.benchmark.runs.run import Run, finite
+from services.evaluator.benchmark.runs.setting import Setting, Unit
+from services.evaluator.benchmark.runs.sources import Ask, SourceSpec, ask, mixed
+from services.evaluator.evaluation.units import planner_seed
+from services.planner.plan_result import Reason
+from services.planner.search.ompl_planner import PlanResult, solve
+from services.planner.search.path_check import judge_path
+from services.planner.search.sample_order import order_along
+from services.planner.settings import PlannerSettings
+from services.planner.sources.samples import SampleBatch, SampleSource, SourceTiming
+
+
+@dataclass(frozen=True, slots=True)
+class Milestone:
+    """When a search had its first solution; None where it had none."""
+
+    iterations: int | None = None
+    edge_checks: int | None = None
+    time_s: float | None = None
+    length_rad: float | None = None
+
+
+class Batches:
+    """The batches of one run; arms that ask for the same share one, and all of them count its time.
+
+    Args:
+        problem: whose picture is sent.
+        seed: of the samples.
+        specs: the samplers by name.
+        sources: those that are open, by name.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        seed: int,
+        specs: Mapping[str, SourceSpec],
+        sources: Mapping[str, SampleSource],
+    ) -> None:
+        self._problem, self._seed = problem, seed
+        self._specs, self._sources = specs, sources
+        self._known: dict[tuple[str, Ask], SampleBatch] = {}
+
+    def of(self, arm: Arm) -> SampleBatch | None:
+        """The batch of an arm, None for uniform samples.
+
+        Raises:
+            SamplerError: as :func:`services.evaluator.benchmark.runs.sources.ask`.
+        """
+        if arm.sampler is None:
+            return None
+        wanted = Ask(self._seed, arm.samples, arm.epsilon_sigma, arm.min_confidence)
+        key = (arm.sampler, wanted)
+        if key not in self._known:
+            source, spec = self._sources[arm.sampler], self._specs[arm.sampler]
+            self._known[key] = ask(source, spec, self._problem, wanted)
+        return self._known[key]
+
+
+def measure(
+    unit: Unit, setting: Setting, specs: Mapping[str, SourceSpec], sources: Mapping[str, SampleSource]
+) -> list[Run]:
+    """Run the arms of a unit; nothing that a run holds depends on another unit.
+
+    Args:
+        unit: problem, run and arms.
+        setting: the limits.
+        specs: the samplers by name.
+        sources: those that are open, by name.
+
+    Raises:
+        SamplerError: a sampler does not answer: a run without its samples would measure another arm.
+    """
+    problem = known_problem(unit.family, setting.split, setting.seed, unit.index)
+    seed = planner_seed(setting.seed, unit.index, unit.run)
+    batches = Batches(problem, seed, specs, sources)
+    check_s = _state_check_s(unit.family, setting.split, setting.seed, unit.index, setting.resolution_rad)
+    runs = []
+    # In an order of their own in every unit: no arm is always the one that finds the caches warm.
+    for position in np.random.default_rng([seed, 1]).permutation(len(unit.arms)):
+        arm = unit.arms[position]
+        batch = batches.of(arm)
+        settings = setting.planner(arm, unit.index, unit.run)
+        began = time.perf_counter()
+        samples = None if batch is None else drawn_samples(arm, batch, problem)
+        order_s = time.perf_counter() - began
+        result = solve(problem, settings, samples, 1.0 - arm.learned_share)
+        # Putting the samples in order is work of the planner's side.
+        result = replace(result, solve_time_s=result.solve_time_s + order_s)
+        runs.append(_record(unit, setting, arm, problem, settings, result, batch, check_s))
+    return sorted(runs, key=lambda run: run.arm)
+
+
+def drawn_samples(arm: Arm, batch: SampleBatch, problem: Problem) -> NDArray[np.float32]:
+    """The samples (n, d) rad in the order in which a planner is to draw them."""
+    if arm.ordered:
+        space = problem.scenario.robot.space
+        return batch.samples[order_along(batch.samples, problem.start, problem.goal, space)]
+    one_kind = arm.in_order or len(arm.epsilon_sigma) == 1
+    return batch.samples if one_kind else mixed(batch.samples, batch.seed)
+
+
+@lru_cache(maxsize=4)
+def known_problem(family: Family, split: Split, seed: int, index: int) -> Problem:
+    """A problem, kept for the next run on it: a narrow one takes half a second to find."""
+    return draw_problem(family, split, seed, index)
+
+
+@lru_cache(maxsize=4)
+def _state_check_s(family: Family, split: Split, seed: int, index: int, resolution_rad: float) -> float:
+    return state_check_s(known_problem(family, split, seed, index), RANGE_RAD, resolution_rad)
+
+
+def _record(
+    unit: Unit,
+    setting: Setting,
+    arm: Arm,
+    problem: Problem,
+    settings: PlannerSettings,
+    result: PlanResult,
+    batch: SampleBatch | None,
+    check_s: float,
+) -> Run:
+    # Whatever the planner says of itself, the path is judged here.
+    judged = judge_path(problem, result.path, settings.resolution_rad) if result.solved else result.reason
+    solved = judged == Reason.SOLVED
+    costs = result.costs if solved else ()
+    request_s = 0.0 if batch is None else batch.round_trip_s
+    checked_s, timing, first = result.state_checks * check_s, _timing(batch), _first(result, solved)
+    return Run(
+        protocol=setting.protocol.value,
+        family=unit.family.value,
+        problem=unit.index,
+        run=unit.run,
+        seed=settings.seed,
+        arm=arm.name,
+        group=arm.group.value,
+        planner=arm.planner,
+        sampler=arm.sampler,
+        learned_share=arm.learned_share,
+        samples_asked=arm.samples,
+        samples_got=0 if batch is None else len(batch.samples),
+        epsilon_sigma=arm.epsilon_sigma,
+        min_confidence=arm.min_confidence,
+        range_rad=arm.range_rad,
+        stop_at_first=arm.stop_at_first,
+        iteration_limit=settings.max_iterations,
+        time_limit_s=settings.time_limit_s,
+        solved=solved,
+        reason=str(judged),
+        iterations=result.iterations,
+        edge_checks=result.edge_checks,
+        state_checks=result.state_checks,
+        learned_drawn=result.learned_drawn,
+        uniform_drawn=result.uniform_drawn,
+        solve_s=result.solve_time_s,
+        state_check_s=check_s,
+        check_s=checked_s,
+        plan_s=result.solve_time_s - checked_s,
+        request_s=request_s,
+        decode_s=timing.decode_s,
+        encode_s=timing.encode_s,
+        generate_s=timing.generate_s,
+        server_s=timing.total_s,
+        transport_s=request_s - timing.total_s,
+        total_s=request_s + result.solve_time_s,
+        length_rad=float(result.length_rad) if solved else None,
+        first_iterations=first.iterations,
+        first_edge_checks=first.edge_checks,
+        first_s=first.time_s,
+        first_length_rad=first.length_rad,
+        cost_iterations=tuple(point.iterations for point in costs),
+        cost_edge_checks=tuple(point.edge_checks for point in costs),
+        cost_s=tuple(point.time_s for point in costs),
+        cost_length_rad=tuple(point.length_rad for point in costs),
+        novelty=None if batch is None else batch.novelty,
+        bottleneck_rad=finite(problem.bottleneck_rad),
+    )
+
+
+def _timing(batch: SampleBatch | None) -> SourceTiming:
+    """Where a request's time went; of a source that does not tell, all of it is transport."""
+    return SourceTiming(0.0, 0.0, 0.0, 0.0) if batch is None or batch.timing is None else batch.timing
+
+
+def _first(result: PlanResult, solved: bool) -> Milestone:
+    """The first solution: of an optimising search the first improvement, of any other the end."""
+    if not solved:
+        return Milestone()
+    for point in result.costs[:1]:
+        return Milestone(point.iterations, point.edge_checks, point.time_s, point.length_rad)
+    return Milestone(result.iterations, result.edge_checks, result.solve_time_s, float(result.length_rad))

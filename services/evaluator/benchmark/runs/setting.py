@@ -1,0 +1,119 @@
+"""Under which limits the benchmark's runs are made, and which runs there are."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from itertools import product
+
+from cspace.worlds.planar.problems import Family
+from cspace.worlds.planar.scene import Split
+from services.evaluator.benchmark.runs.arms import Arm
+from services.evaluator.evaluation.units import planner_seed
+from services.planner.settings import PlannerSettings
+
+
+class Protocol(StrEnum):
+    """How much is run on what.
+
+    ``families``: many problems of every family, once each, to a limit of iterations. ``paper``: few problems,
+    many times each, to a limit of wall time.
+    """
+
+    FAMILIES = "families"
+    PAPER = "paper"
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """What all runs of a benchmark have in common; runs of another setting are never mixed with them.
+
+    Args:
+        protocol: how much is run on what.
+        split: of the scenarios.
+        seed: of problems, planners and samplers.
+        max_iterations: states drawn after which a search ends without a path.
+        optimising_iterations: the same for a search that goes on after its first solution.
+        time_limit_s: wall time after which a search ends.
+        goal_bias: of planners that have one.
+        resolution_rad: largest distance between checked states of an edge in any joint, rad.
+    """
+
+    protocol: Protocol
+    split: Split
+    seed: int
+    max_iterations: int
+    optimising_iterations: int
+    time_limit_s: float
+    goal_bias: float = 0.05
+    resolution_rad: float = 0.0314
+
+    def planner(self, arm: Arm, index: int, run: int) -> PlannerSettings:
+        """The settings of one run; the seed is the same for every arm."""
+        return PlannerSettings(
+            planner=arm.planner,
+            range_rad=arm.range_rad,
+            resolution_rad=self.resolution_rad,
+            goal_bias=self.goal_bias,
+            time_limit_s=self.time_limit_s,
+            max_iterations=self.max_iterations if arm.stop_at_first else self.optimising_iterations,
+            seed=planner_seed(self.seed, index, run),
+            stop_at_first=arm.stop_at_first,
+            colliding_last=arm.colliding_last,
+        )
+
+
+FAMILIES_LIMITS = {"max_iterations": 20_000, "optimising_iterations": 2000, "time_limit_s": 10.0}
+# The paper stops by the clock alone; so many iterations no planner here makes in a second.
+PAPER_LIMITS = {"max_iterations": 200_000, "optimising_iterations": 200_000, "time_limit_s": 1.0}
+LIMITS: Mapping[Protocol, Mapping[str, float]] = {
+    Protocol.FAMILIES: FAMILIES_LIMITS,
+    Protocol.PAPER: PAPER_LIMITS,
+}
+# A problem without a path takes every arm to its limit, about a minute in all.
+PROBLEMS: Mapping[Protocol, Mapping[Family, int]] = {
+    Protocol.FAMILIES: {Family.NARROW: 300, Family.UNIFORM: 300, Family.DISCONNECTED: 30},
+    Protocol.PAPER: {Family.NARROW: 10, Family.UNIFORM: 10, Family.DISCONNECTED: 10},
+}
+RUNS = {Protocol.FAMILIES: 1, Protocol.PAPER: 100}
+FAMILIES: Mapping[Protocol, tuple[Family, ...]] = {
+    Protocol.FAMILIES: (Family.NARROW, Family.UNIFORM, Family.DISCONNECTED),
+    Protocol.PAPER: (Family.UNIFORM, Family.NARROW),
+}
+
+Key = tuple[str, int, int, str]
+
+
+@dataclass(frozen=True, slots=True)
+class Unit:
+    """One run of one problem with some arms: what one process does at a time.
+
+    Args:
+        family: of the problem.
+        index: of the problem within its family.
+        run: its number.
+        arms: that are still to be run.
+    """
+
+    family: Family
+    index: int
+    run: int
+    arms: tuple[Arm, ...]
+
+
+def units(problems: Mapping[Family, int], runs: int, arms: Sequence[Arm], done: set[Key]) -> Iterator[Unit]:
+    """What is still to be done, problem by problem.
+
+    Without a path there is none to shorten, so disconnected problems have no optimising arms.
+
+    Args:
+        problems: how many of each family.
+        runs: of each problem.
+        arms: for each run.
+        done: family, problem, run and arm of the runs that there are.
+    """
+    for family, count in problems.items():
+        mine = [arm for arm in arms if arm.stop_at_first or family is not Family.DISCONNECTED]
+        for index, run in product(range(count), range(runs)):
+            missing = tuple(arm for arm in mine if (family.value, index, run, arm.name) not in done)
+            if missing:
+                yield Unit(family, index, run, missing)

@@ -1,0 +1,178 @@
+"""The learned samplers of a benchmark: models behind an API, or bundles in the process; each one pinned."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cspace.bundle import Bundle
+from cspace.errors import ConfigError, SamplerError, SamplerUnavailableError
+from cspace.worlds.planar.picture import encode_png
+from cspace.worlds.planar.problems import Family, Problem, draw_problem
+from cspace.worlds.planar.render import render
+from cspace.worlds.planar.scene import Split
+from services.evaluator.benchmark.runs.fresh_png import fresh_png
+from services.evaluator.measures.samplers import PackedBundle
+from services.planner.sources.local_sampler import LocalSampler
+from services.planner.sources.samples import SampleBatch, SampleSource
+from services.planner.sources.sampling_client import SamplingClient
+
+
+@dataclass(frozen=True, slots=True)
+class SourceSpec:
+    """Where samples come from, with all that a worker process needs to ask for them.
+
+    Args:
+        name: in the names of arms.
+        digest: of the bundle that has to answer.
+        with_ends: whether start and goal are sent, as path models require and others refuse.
+        model: reference at the API, pinned to a version; None for a bundle.
+        url: of the API; None for a bundle.
+        packed: the bundle's files; None for a model behind an API.
+    """
+
+    name: str
+    digest: str
+    with_ends: bool
+    model: str | None = None
+    url: str | None = None
+    packed: PackedBundle | None = None
+
+    @property
+    def described(self) -> dict[str, object]:
+        """For manifest and report."""
+        over = "HTTP" if self.url is not None else "none: a bundle in the planner's process"
+        return {"model": self.model, "digest": self.digest, "with_ends": self.with_ends, "transport": over}
+
+
+@dataclass(frozen=True, slots=True)
+class Ask:
+    """What is asked of a source for one run.
+
+    Args:
+        seed: of the run.
+        samples: how many.
+        epsilon_sigma: as the arm has it.
+        min_confidence: likewise.
+    """
+
+    seed: int
+    samples: int
+    epsilon_sigma: tuple[float, ...] = (0.0,)
+    min_confidence: float = 0.0
+
+
+def served(name: str, model: str, url: str) -> SourceSpec:
+    """A model behind an API, pinned to the version that answers now.
+
+    Raises:
+        SamplerError: the API refuses, or does not answer.
+    """
+    with SamplingClient(url) as client:
+        with_ends, batch = _first_answer(client, model)
+    # The shipped model has no number in a registry.
+    pinned = f"{batch.model_name}/{batch.model_version}" if batch.model_version else batch.model_name
+    return SourceSpec(name, batch.digest, with_ends, pinned, url)
+
+
+def bundled(name: str, folder: Path) -> SourceSpec:
+    """A bundle that answers in the planner's own process.
+
+    Raises:
+        BundleError: it is damaged.
+    """
+    bundle = Bundle.load(folder)
+    return SourceSpec(name, bundle.digest, bundle.spec.kind == "path", packed=PackedBundle.pack(bundle))
+
+
+@contextmanager
+def opened(specs: Sequence[SourceSpec]) -> Iterator[Mapping[str, SampleSource]]:
+    """The sources by name, each of them asked once, so that no first run pays for what only a first one has.
+
+    Raises:
+        SamplerError: one of them does not answer.
+        BundleError: a bundle is damaged.
+    """
+    with ExitStack() as stack:
+        found: dict[str, SampleSource] = {}
+        for spec in specs:
+            found[spec.name] = _opened(spec, stack)
+            ask(found[spec.name], spec, _example(), Ask(1, 10))
+        yield found
+
+
+def ask(source: SampleSource, spec: SourceSpec, problem: Problem, wanted: Ask) -> SampleBatch:
+    """One batch for a problem's picture, as for a picture that was never sent before.
+
+    Raises:
+        SamplerUnavailableError: the source does not answer.
+        SamplerError: it refused, or another model answered than the one that is measured.
+    """
+    note = f"{wanted.seed} {wanted.samples} {wanted.epsilon_sigma} {wanted.min_confidence}"
+    batch = source.sample(
+        fresh_png(encode_png(render(problem.scenario)), note),
+        wanted.samples,
+        model=spec.model,
+        seed=wanted.seed,
+        epsilon_sigma=wanted.epsilon_sigma,
+        start=problem.start.tolist() if spec.with_ends else None,
+        goal=problem.goal.tolist() if spec.with_ends else None,
+        min_confidence=wanted.min_confidence,
+    )
+    if batch.digest != spec.digest:
+        raise SamplerError(
+            f"another model answers for {spec.name}", expected=spec.digest[:12], got=batch.digest[:12]
+        )
+    return batch
+
+
+def mixed(samples: NDArray[np.float32], seed: int) -> NDArray[np.float32]:
+    """Samples (n, d) in an order of chance, the same one for the same seed."""
+    return np.random.default_rng([seed, 3]).permutation(samples)
+
+
+def parse_named(text: str) -> tuple[str, str]:
+    """``NAME=VALUE``, or a value that is its own name up to its version.
+
+    Raises:
+        ConfigError: a part is empty.
+    """
+    name, separator, value = text.partition("=")
+    if not separator:
+        name, value = text.partition("@")[0].partition("/")[0], text
+    if not name or not value or "," in name:
+        raise ConfigError(
+            "the sampler has no proper name", expected="NAME=VALUE without a comma", got=repr(text)
+        )
+    return name, value
+
+
+def _first_answer(client: SamplingClient, model: str) -> tuple[bool, SampleBatch]:
+    """Whether a model wants start and goal is told only by its answers."""
+    problem = _example()
+    png = encode_png(render(problem.scenario))
+    ends = {"start": problem.start.tolist(), "goal": problem.goal.tolist()}
+    try:
+        return True, client.sample(png, 10, model=model, seed=1, min_confidence=0.0, **ends)
+    except SamplerUnavailableError:
+        raise
+    except SamplerError:
+        return False, client.sample(png, 10, model=model, seed=1, min_confidence=0.0)
+
+
+def _opened(spec: SourceSpec, stack: ExitStack) -> SampleSource:
+    if spec.packed is not None:
+        # The sampler keeps what it needs in memory, and a worker that is ended would leave the folder behind.
+        with TemporaryDirectory(prefix="cspace-bundle-") as folder:
+            return LocalSampler(spec.packed.unpack(Path(folder)), name=spec.name)
+    if spec.url is None:
+        raise ConfigError("the sampler is neither a model nor a bundle", got=spec.name)
+    return stack.enter_context(SamplingClient(spec.url))
+
+
+def _example() -> Problem:
+    return draw_problem(Family.UNIFORM, Split.DEMO, 0)

@@ -1,0 +1,157 @@
+"""The runs of a benchmark in a folder: JSON lines beside a manifest, so that a stopped benchmark goes on."""
+
+import json
+import os
+import platform
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from cspace.errors import ConfigError, EvaluationError, StorageError
+from services.evaluator.benchmark.runs.arms import Arm
+from services.evaluator.benchmark.runs.run import Run
+from services.evaluator.benchmark.runs.setting import Key, Setting
+from services.evaluator.benchmark.runs.sources import SourceSpec
+
+MANIFEST, RUNS = "manifest.json", "runs.jsonl"
+SCHEMA = 1
+
+
+class RunStore:
+    """Appends runs and reads them back. Make one with :meth:`open`; one process writes at a time."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self._path = folder / RUNS
+
+    @classmethod
+    def open(
+        cls, folder: Path, setting: Setting, arms: Iterable[Arm], specs: Iterable[SourceSpec]
+    ) -> "RunStore":
+        """Start a folder, or go on with one of the same setting; further arms may be added to it.
+
+        Raises:
+            ConfigError: the folder holds runs of another setting, or of arms or samplers of the same names
+                that are others.
+            StorageError: the folder can not be written.
+        """
+        told: dict[str, Any] = {
+            "schema": SCHEMA,
+            "setting": asdict(setting),
+            "arms": {arm.name: asdict(arm) for arm in arms},
+            "samplers": {spec.name: spec.described for spec in specs},
+        }
+        # As JSON has it: lists for tuples.
+        told = json.loads(json.dumps(told))
+        path = folder / MANIFEST
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            merged = _merged(json.loads(path.read_text("utf-8")), told) if path.is_file() else told
+            # What times depend on, once for every command that ran here.
+            merged["sessions"] = [*merged.get("sessions", []), _session()]
+            path.write_text(json.dumps(merged, indent=1) + "\n", "utf-8")
+            store = cls(folder)
+            store._mend()
+        except OSError as error:
+            raise StorageError(f"the folder {folder} can not be used", got=str(error)) from error
+        return store
+
+    def runs(self) -> list[Run]:
+        """All runs, in a fixed order whatever order they came in.
+
+        Raises:
+            EvaluationError: a line can not be read.
+        """
+        if not self._path.is_file():
+            return []
+        lines = self._path.read_text("utf-8").splitlines()
+        return sorted((Run.from_json(line) for line in lines), key=lambda run: run.key)
+
+    def done(self) -> set[Key]:
+        """The runs that there are."""
+        return {run.key for run in self.runs()}
+
+    def append(self, runs: Iterable[Run]) -> None:
+        """Keep the runs of a unit for good.
+
+        Raises:
+            StorageError: they can not be written.
+        """
+        try:
+            with self._path.open("a", encoding="utf-8") as file:
+                file.write("".join(run.to_json() + "\n" for run in runs))
+        except OSError as error:
+            raise StorageError("the runs can not be kept", got=str(error)) from error
+
+    def manifest(self) -> dict[str, Any]:
+        """What the folder is about."""
+        found: dict[str, Any] = json.loads((self.folder / MANIFEST).read_text("utf-8"))
+        return found
+
+    def _mend(self) -> None:
+        """Drop what a killed process left of a last line."""
+        if not self._path.is_file():
+            return
+        content = self._path.read_bytes()
+        whole = content.rfind(b"\n") + 1
+        if whole < len(content):
+            with self._path.open("r+b") as file:
+                file.truncate(whole)
+
+
+def _merged(old: Mapping[str, Any], new: Mapping[str, Any]) -> dict[str, Any]:
+    for part in ("schema", "setting"):
+        if old.get(part) != new[part]:
+            raise ConfigError(
+                f"the folder holds runs of another {part}",
+                expected=json.dumps(old.get(part)),
+                got=json.dumps(new[part]),
+                remedy="name another folder with --out",
+            )
+    merged = {**new, "sessions": old.get("sessions", [])}
+    for part in ("arms", "samplers"):
+        for name, value in new[part].items():
+            if old[part].get(name, value) != value:
+                raise ConfigError(
+                    f"the folder holds runs of another {part[:-1]} named {name}",
+                    expected=json.dumps(old[part][name]),
+                    got=json.dumps(value),
+                    remedy="give it another name, or name another folder with --out",
+                )
+        merged[part] = {**old[part], **new[part]}
+    return merged
+
+
+def _session() -> dict[str, Any]:
+    return {
+        "started": datetime.now(UTC).isoformat(timespec="seconds"),
+        "processor": platform.processor() or platform.machine(),
+        "cores": os.cpu_count(),
+        "python": platform.python_version(),
+        "packages": {name: version(name) for name in ("ompl", "numpy", "numba", "onnxruntime")},
+        "cluster": os.environ.get("RAY_ADDRESS") or None,
+    }
+
+
+def complete(runs: Iterable[Run]) -> list[Run]:
+    """Of every family the runs of those problems that all of its arms have run, so that arms are paired.
+
+    Raises:
+        EvaluationError: there are no runs.
+    """
+    kept: list[Run] = []
+    by_family: dict[str, list[Run]] = {}
+    for run in runs:
+        by_family.setdefault(run.family, []).append(run)
+    for mine in by_family.values():
+        held: dict[str, set[tuple[int, int]]] = {}
+        for run in mine:
+            held.setdefault(run.arm, set()).add((run.problem, run.run))
+        shared = set.intersection(*held.values())
+        kept += [run for run in mine if (run.problem, run.run) in shared]
+    if not kept:
+        raise EvaluationError("no problem was run by all arms", expected="one or more", got="none")
+    return kept

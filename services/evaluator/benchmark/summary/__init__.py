@@ -1,0 +1,1 @@
+"""Runs reduced to numbers with intervals."""

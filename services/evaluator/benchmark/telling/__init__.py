@@ -1,0 +1,1 @@
+"""What a benchmark tells: tables, figures, files, metrics."""

@@ -1,0 +1,1 @@
+"""An evaluation: units of work, the gate, the record and the report."""

@@ -1,0 +1,133 @@
+"""Pictures for people: what the sampler was shown, what is true, what it answered and where it erred."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from numpy.typing import NDArray
+
+from cspace.worlds.planar.problems import Family
+from services.evaluator.measures.nearest import COVERAGE_RADIUS_RAD, covered
+from services.evaluator.measures.samplers import Sampler
+from services.evaluator.measures.scenes import Scene
+
+GRID = 160
+SHOWN_SAMPLES = 1000
+FREE_COLOUR, COLLISION_COLOUR, MISSED_COLOUR = "#1f77b4", "#d62728", "#ff9f1c"
+END_COLOUR = "#2ca02c"
+POINTS = (
+    ("sample", FREE_COLOUR, "o", 3),
+    ("sample in collision", COLLISION_COLOUR, "o", 4),
+    (f"free, no sample within {COVERAGE_RADIUS_RAD} rad", MISSED_COLOUR, "s", 4),
+    ("start and goal of the family's problem", END_COLOUR, "X", 7),
+)
+
+
+def gallery(
+    scenes: Sequence[Scene], sampler: Sampler, title: str, notes: Sequence[str] | None = None
+) -> Figure:
+    """One row a scenario: the picture, the true free space, the samples with both kinds of mistakes marked.
+
+    A mistake is a sample in collision, or a free configuration that no sample is near. Of more than two
+    joints the first two are shown, without the second kind, which a projection would hide.
+
+    Args:
+        scenes: what is shown.
+        sampler: whose samples.
+        title: of the whole.
+        notes: words beside each scenario's name.
+    """
+    figure = Figure(figsize=(9.0, 0.7 + 2.9 * len(scenes)), dpi=110, layout="constrained")
+    FigureCanvasAgg(figure)
+    panels = figure.subplots(len(scenes), 3, squeeze=False)
+    for row, scene, note in zip(panels, scenes, notes or [""] * len(scenes), strict=True):
+        _picture(row[0], scene, note)
+        _truth(row[1], scene)
+        _samples(row[2], scene, sampler)
+    figure.suptitle(title)
+    handles = [
+        Line2D([], [], color=colour, marker=marker, markersize=size, linestyle="none", label=label)
+        for label, colour, marker, size in POINTS
+    ]
+    figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), fontsize=8, frameon=False)
+    return figure
+
+
+def _picture(axes: Axes, scene: Scene, note: str) -> None:
+    camera = scene.stage.camera
+    axes.imshow(scene.image, extent=(camera.x_min_m, camera.x_max_m, camera.y_min_m, camera.y_max_m))
+    family = "" if scene.family is Family.UNIFORM else f"{scene.family.value} "
+    name = f"{scene.stage.split}, {family}scenario {scene.index}"
+    axes.set_title(f"{name}\n{note}" if note else name, fontsize=9)
+    axes.set_xlabel("x [m]")
+    axes.set_ylabel("y [m]")
+
+
+def _truth(axes: Axes, scene: Scene) -> None:
+    if scene.space.dim == 2:
+        free_map(axes, scene)
+        axes.set_title(f"truth: grey is in collision{_passage(scene)}", fontsize=9)
+    else:
+        real = scene.free(SHOWN_SAMPLES, scene.rng(7))
+        axes.scatter(real[:, 0], real[:, 1], s=2, color=FREE_COLOUR, linewidths=0)
+        axes.set_title("free configurations, joints 1 and 2", fontsize=9)
+    if scene.problem is not None:
+        ends = np.stack([scene.problem.start, scene.problem.goal])
+        axes.scatter(
+            ends[:, 0],
+            ends[:, 1],
+            s=50,
+            marker="X",
+            color=END_COLOUR,
+            edgecolors="white",
+            clip_on=False,
+            zorder=3,
+        )
+    _joint_axes(axes, scene)
+
+
+def _passage(scene: Scene) -> str:
+    if scene.problem is None:
+        return ""
+    bottleneck_rad = scene.problem.bottleneck_rad
+    return f"\nbottleneck {bottleneck_rad:.3f} rad" if bottleneck_rad > 0.0 else "\nno path"
+
+
+def _samples(axes: Axes, scene: Scene, sampler: Sampler) -> None:
+    drawn = np.asarray(sampler.sample(scene.image, SHOWN_SAMPLES, scene.sampler_seed()), dtype=np.float64)
+    free = scene.checker.valid_batch(drawn)
+    held_out = scene.free(SHOWN_SAMPLES, scene.rng(0))
+    reached = covered(held_out, drawn, scene.space)
+    if scene.space.dim == 2:
+        free_map(axes, scene)
+        missed = held_out[~reached]
+        axes.scatter(missed[:, 0], missed[:, 1], s=9, marker="s", color=MISSED_COLOUR, linewidths=0)
+    for mask, colour, size in ((free, FREE_COLOUR, 2), (~free, COLLISION_COLOUR, 5)):
+        axes.scatter(drawn[mask, 0], drawn[mask, 1], s=size, color=colour, linewidths=0)
+    shares = f"{free.mean():.1%} free, {reached.mean():.1%} covered"
+    axes.set_title(f"{len(drawn)} samples\n{shares}", fontsize=9)
+    _joint_axes(axes, scene)
+
+
+def free_map(axes: Axes, scene: Scene) -> None:
+    """White where free, grey in collision."""
+    first, second = (
+        np.linspace(low, high, GRID) for low, high in zip(scene.space.lower, scene.space.upper, strict=True)
+    )
+    grid: NDArray[np.float64] = np.stack(np.meshgrid(first, second), axis=-1).reshape(-1, 2)
+    free = scene.checker.valid_batch(grid).reshape(GRID, GRID)
+    extent = (first[0], first[-1], second[0], second[-1])
+    axes.imshow(free, extent=extent, origin="lower", cmap="gray", vmin=-2.0, vmax=1.0, aspect="auto")
+
+
+def _joint_axes(axes: Axes, scene: Scene) -> None:
+    for joint, axis in enumerate((axes.xaxis, axes.yaxis)):
+        if scene.space.periodic[joint]:
+            axis.set_ticks([-np.pi, 0.0, np.pi], labels=["-\u03c0", "0", "\u03c0"])
+        axis.set_label_text(f"theta{joint + 1} [rad]")
+    axes.set_box_aspect(1.0)
+    axes.set_xlim(scene.space.lower[0], scene.space.upper[0])
+    axes.set_ylim(scene.space.lower[1], scene.space.upper[1])

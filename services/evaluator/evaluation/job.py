@@ -1,0 +1,131 @@
+"""The evaluation of a registered version: download, measure, judge, record."""
+
+import tempfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from cspace.bundle import Bundle
+from cspace.errors import ConfigError
+from services.evaluator.cluster import on_cluster, spread
+from services.evaluator.evaluation.budget import PLANE, Unit, units
+from services.evaluator.evaluation.execution import Execute, run_here, run_packed
+from services.evaluator.evaluation.gate import Verdict
+from services.evaluator.evaluation.recording import decide, log_evaluation, record
+from services.evaluator.evaluation.request import ModelReference, Request
+from services.evaluator.evaluation.units import Evaluation, Setting, UnitResult, assemble
+from services.evaluator.measures.samplers import PackedBundle, any_sampler
+from services.registry.models.port import ModelRegistry, ModelVersion
+from services.registry.names import EXPERIMENT
+from services.registry.tracking.port import Tracking
+
+RUN_NAME = "evaluation"
+Progress = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What an evaluation led to.
+
+    Args:
+        version: that was judged.
+        evaluation: all that was measured.
+        verdict: the gate's decision.
+        recorded: whether the decision was recorded, and the alias moved if it was a promotion.
+        run_id: of the evaluation's tracking run.
+        figures: names of the pictures in that run.
+    """
+
+    version: ModelVersion
+    evaluation: Evaluation
+    verdict: Verdict
+    recorded: bool
+    run_id: str
+    figures: tuple[str, ...]
+
+
+def evaluate_version(
+    request: Request,
+    tracking: Tracking,
+    registry: ModelRegistry,
+    execute: Execute = run_here,
+    progress: Progress = print,
+) -> Outcome:
+    """Evaluate a version, log it beside its training, and let the gate decide.
+
+    Args:
+        request: which version and how much.
+        tracking: where the evaluation's run is logged.
+        registry: where the version comes from and the decision goes.
+        execute: in this process or over a cluster; the numbers are the same.
+        progress: takes lines for people.
+
+    Raises:
+        ModelNotFoundError: there is no such version.
+        ConfigError: the version is a path model for another arm than one of two joints.
+        BundleError: the version's bundle is damaged.
+        CspaceError: measuring or recording failed.
+    """
+    version = _find(registry, request.model)
+    tags = {"model_version": str(version.number), "model_digest": version.digest}
+    with tempfile.TemporaryDirectory(prefix="cspace-evaluation-") as folder:
+        bundle = _load(registry, version, Path(folder))
+        # Training registers under its parent run, which the trials are shown under as well.
+        with tracking.start(EXPERIMENT, RUN_NAME, parent_run_id=version.run_id, tags=tags) as run:
+            spec = bundle.spec
+            setting = Setting(spec.robot, spec.camera, request.seed, request.budget, spec.kind == "path")
+            progress(f"evaluating {version.name}/{version.number}, digest {bundle.digest[:12]}")
+            evaluation = _measure(execute, setting, PackedBundle.pack(bundle), progress)
+            verdict = decide(registry, version, evaluation)
+            title = f"{version.name}/{version.number}"
+            figures = log_evaluation(run, evaluation, verdict, any_sampler(bundle), title)
+        if request.promote:
+            record(registry, version, evaluation, verdict)
+    return Outcome(version, evaluation, verdict, request.promote, run.run_id, figures)
+
+
+def run_on_ray(work: Sequence[Unit], setting: Setting, packed: PackedBundle) -> Iterator[UnitResult]:
+    """Results as they come from the cluster that RAY_ADDRESS names; a lost worker's unit is run again.
+
+    Raises:
+        JobError: the cluster does not answer, or a unit failed for good.
+        CspaceError: what the unit itself raised.
+    """
+    return spread(_run, work, (setting, packed), "evaluation")
+
+
+def executor(environment: Mapping[str, str]) -> Execute:
+    """Over the cluster where RAY_ADDRESS names one; its http form is for submitting jobs only."""
+    return run_on_ray if on_cluster(environment) else run_here
+
+
+def _run(unit: Unit, shared: tuple[Setting, PackedBundle]) -> UnitResult:
+    return run_packed(unit, *shared)
+
+
+def _find(registry: ModelRegistry, model: ModelReference) -> ModelVersion:
+    if model.alias is not None:
+        return registry.by_alias(model.name, model.alias)
+    if model.number is None:
+        raise ConfigError("the model reference names no version", got=str(model))
+    return registry.version(model.name, model.number)
+
+
+def _load(registry: ModelRegistry, version: ModelVersion, folder: Path) -> Bundle:
+    bundle = Bundle.load(registry.download(version, folder / "bundle"))
+    if bundle.spec.kind == "path" and bundle.spec.dim != PLANE:
+        raise ConfigError(
+            "path models are judged on problems of two joints", expected=str(PLANE), got=str(bundle.spec.dim)
+        )
+    return bundle
+
+
+def _measure(execute: Execute, setting: Setting, packed: PackedBundle, progress: Progress) -> Evaluation:
+    work = units(setting.budget, setting.robot.dim, paths=setting.paths)
+    results: list[UnitResult] = []
+    for result in execute(work, setting, packed):
+        results.append(result)
+        unit = result.unit
+        what = f"{unit.kind}{f' {unit.family}' if unit.family else ''}, {unit.split}"
+        progress(f"{len(results):3d}/{len(work)}  {what}, {unit.count} in {result.seconds:.1f} s")
+    return assemble(results, setting)

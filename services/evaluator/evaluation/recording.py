@@ -1,0 +1,146 @@
+"""What an evaluation leaves behind: a tracking run with report and pictures, a decision on the version."""
+
+import tempfile
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from cspace.errors import EvaluationError
+from cspace.worlds.planar.problems import Family, draw_problem
+from cspace.worlds.planar.render import render
+from cspace.worlds.planar.scene import Split
+from services.evaluator.evaluation.budget import SCENE_FAMILIES
+from services.evaluator.evaluation.gallery import gallery
+from services.evaluator.evaluation.gate import (
+    GATED,
+    GATED_PATHS,
+    Candidate,
+    Champion,
+    PathCandidate,
+    Verdict,
+    judge,
+    judge_paths,
+)
+from services.evaluator.evaluation.metrics import flat_metrics
+from services.evaluator.evaluation.report import to_json, to_markdown
+from services.evaluator.evaluation.units import PLANNER, Evaluation, planner_seed
+from services.evaluator.measures.planning import LEARNED_SAMPLES, UNIFORM_SHARE
+from services.evaluator.measures.reconstruction import SceneQuality
+from services.evaluator.measures.reliability import reliability_diagram
+from services.evaluator.measures.samplers import AnySampler, PathSampler
+from services.evaluator.measures.scenes import Scene, Stage
+from services.planner.drawing.plot import draw_plan
+from services.planner.search.ompl_planner import solve
+from services.registry.models.port import ModelRegistry, ModelVersion
+from services.registry.promotion import Decision, champions, record_decision
+from services.registry.tracking.port import RunLog
+
+# The first scenarios of the uniform family; with the least precise one of every family they make a gallery.
+GALLERY_SCENARIOS = 2
+REPORT_FOLDER = "report"
+# Only champions of arms with as many joints are compared.
+JOINTS = "joints"
+
+
+def decide(registry: ModelRegistry, version: ModelVersion, evaluation: Evaluation) -> Verdict:
+    """The gate's verdict against all earlier champions of the model."""
+    joints = evaluation.setting.robot.dim
+    earlier = [
+        Champion(decision.version, decision.metrics)
+        for decision in champions(registry, version.name)
+        if decision.version != version.number and decision.metrics.get(JOINTS) == joints
+    ]
+    reconstruction = evaluation.validation.reconstruction
+    if reconstruction is None:
+        return judge_paths(_path_candidate(evaluation), earlier)
+    return judge(Candidate(reconstruction.precision_gain, _gated(evaluation)), earlier)
+
+
+def _path_candidate(evaluation: Evaluation) -> PathCandidate:
+    planning, trials = evaluation.validation.planning, evaluation.validation.trials
+    narrow = next((family for family in planning if family.family is Family.NARROW), None)
+    if narrow is None:
+        raise EvaluationError("path models are judged on narrow problems", expected="one or more", got="none")
+    solved = sum(trial.uniform.success for trial in trials) / len(trials)
+    return PathCandidate(narrow.edge_checks_ratio, solved, _gated(evaluation))
+
+
+def record(
+    registry: ModelRegistry, version: ModelVersion, evaluation: Evaluation, verdict: Verdict
+) -> Decision:
+    """Append the decision to the version's log and move the alias if it is a promotion."""
+    metrics = {**_gated(evaluation), JOINTS: float(evaluation.setting.robot.dim)}
+    now_ms = time.time_ns() // 1_000_000
+    decision = Decision(
+        version.name, version.number, verdict.promoted, verdict.reasons, metrics, verdict.against, now_ms
+    )
+    record_decision(registry, decision)
+    return decision
+
+
+def log_evaluation(
+    run: RunLog, evaluation: Evaluation, verdict: Verdict, sampler: AnySampler, title: str
+) -> tuple[str, ...]:
+    """Metrics, settings, report and pictures into a run; returns the pictures' names."""
+    setting = evaluation.setting
+    run.params({"seed": setting.seed, "scenarios": setting.budget.scenarios, "budget": str(setting.budget)})
+    run.metrics(flat_metrics(evaluation), 0)
+    run.tags({"promoted": str(verdict.promoted).lower()})
+    with tempfile.TemporaryDirectory(prefix="cspace-report-") as folder:
+        for name, text in (
+            ("evaluation.md", to_markdown(evaluation, title, verdict.reasons)),
+            ("evaluation.json", to_json(evaluation)),
+        ):
+            path = Path(folder) / name
+            path.write_text(text, encoding="utf-8")
+            run.artifact(path, REPORT_FOLDER)
+        run.flush()
+    if isinstance(sampler, PathSampler):
+        return _plans(run, evaluation, sampler, title)
+    names = []
+    for split, measured in ((Split.VALIDATION, evaluation.validation), (Split.TEST, evaluation.test)):
+        stage = Stage(setting.robot, setting.camera, split, setting.seed)
+        shown = exhibits(stage, measured.scenes)
+        names.append(f"gallery-{split}")
+        run.figure(gallery([*shown], sampler, title, [*shown.values()]), names[-1])
+    summary = evaluation.test.reconstruction
+    if summary is not None and summary.occupancy is not None:
+        names.append("reliability")
+        run.figure(reliability_diagram(summary.occupancy, title), names[-1])
+    return tuple(names)
+
+
+def _plans(run: RunLog, evaluation: Evaluation, sampler: PathSampler, title: str) -> tuple[str, ...]:
+    """The first test problem of each family, solved with the model's samples."""
+    names, setting = [], evaluation.setting
+    for summary in evaluation.test.planning:
+        family = summary.family
+        drawn = draw_problem(family, Split.TEST, setting.seed, 0, setting.robot)
+        problem = replace(drawn, scenario=replace(drawn.scenario, camera=setting.camera))
+        seed = planner_seed(setting.seed, 0, 0)
+        image = render(problem.scenario)
+        samples = sampler.between(image, problem.start, problem.goal, LEARNED_SAMPLES, seed)
+        plan = solve(problem, replace(PLANNER, seed=seed), samples, UNIFORM_SHARE, keep_tree=True)
+        names.append(f"plan-{family.value}")
+        run.figure(draw_plan(problem, plan, samples, f"{title}, {family.value}"), names[-1])
+    return tuple(names)
+
+
+def exhibits(stage: Stage, measured: Sequence[SceneQuality]) -> dict[Scene, str]:
+    """The scenarios of a gallery with a note on each: some as they come, then the least precise by family."""
+    shown: dict[Scene, str] = {}
+    for family in SCENE_FAMILIES:
+        mine = [row for row in measured if row.family is family]
+        worst = min(mine, key=lambda row: row.sampler.precision, default=None)
+        if family is Family.UNIFORM:
+            shown |= {Scene(stage, row.index): "" for row in mine[:GALLERY_SCENARIOS]}
+        if worst is not None:
+            shown[Scene(stage, worst.index, family)] = f"least precise of {len(mine)}"
+    return shown
+
+
+def _gated(evaluation: Evaluation) -> dict[str, float]:
+    metrics = flat_metrics(evaluation)
+    names = GATED_PATHS if evaluation.validation.reconstruction is None else GATED
+    return {name: metrics[name] for name in names if name in metrics}

@@ -1,0 +1,81 @@
+"""What an evaluation is asked for: which version, how much, and whether it may promote."""
+
+import re
+from dataclasses import dataclass, replace
+
+from cspace.errors import ConfigError
+from services.evaluator.evaluation.budget import BUDGETS, Budget
+
+MAX_SEED = 2**63 - 1
+_REFERENCE = re.compile(r"(?P<name>[A-Za-z0-9_.-]+)(?:@(?P<alias>[A-Za-z0-9_.-]+)|/(?P<number>[1-9][0-9]*))")
+
+
+@dataclass(frozen=True, slots=True)
+class ModelReference:
+    """A version of a registered model, by alias or by number."""
+
+    name: str
+    alias: str | None = None
+    number: int | None = None
+
+    @classmethod
+    def parse(cls, text: str) -> "ModelReference":
+        """``name@alias`` or ``name/version``.
+
+        Raises:
+            ConfigError: the text is neither.
+        """
+        found = _REFERENCE.fullmatch(text)
+        if found is None:
+            raise ConfigError(
+                "the model reference is unknown", expected="name@alias or name/version", got=repr(text)
+            )
+        number = found["number"]
+        return cls(found["name"], found["alias"], None if number is None else int(number))
+
+    def __str__(self) -> str:
+        return f"{self.name}@{self.alias}" if self.alias is not None else f"{self.name}/{self.number}"
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """One evaluation.
+
+    Args:
+        model: the version under test.
+        budget: how much is evaluated.
+        seed: of scenarios, samples and problems.
+        promote: whether the decision is recorded and the alias moved.
+    """
+
+    model: ModelReference
+    budget: Budget
+    seed: int = 0
+    promote: bool = True
+
+
+def make_request(
+    model: str, *, budget: str = "quick", scenarios: int | None = None, seed: int = 0, promote: bool = True
+) -> Request:
+    """A request from texts and numbers of the command line.
+
+    Args:
+        model: ``name@alias`` or ``name/version``.
+        budget: ``quick`` or ``full``.
+        scenarios: per split, instead of the budget's.
+        seed: 0 to 2^63 - 1.
+        promote: see :class:`Request`.
+
+    Raises:
+        ConfigError: a value is out of range.
+    """
+    if budget not in BUDGETS:
+        raise ConfigError("the budget is unknown", expected=" or ".join(BUDGETS), got=repr(budget))
+    if not 0 <= seed <= MAX_SEED:
+        raise ConfigError("the seed is out of range", expected=f"0 to {MAX_SEED}", got=str(seed))
+    if scenarios is not None and scenarios < 1:
+        raise ConfigError("there are too few scenarios", expected="at least 1", got=str(scenarios))
+    chosen = BUDGETS[budget]
+    if scenarios is not None:
+        chosen = replace(chosen, scenarios=scenarios)
+    return Request(ModelReference.parse(model), chosen, seed, promote)

@@ -1,0 +1,190 @@
+"""One evaluation: units of work measured one by one, then put together into tables with intervals."""
+
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from cspace.errors import EvaluationError
+from cspace.worlds.planar.arm import PlanarArm
+from cspace.worlds.planar.problems import Family, draw_problem
+from cspace.worlds.planar.scene import Camera, Split
+from services.evaluator.evaluation.budget import FAMILIES, SCENE_FAMILIES, Budget, Kind, Unit
+from services.evaluator.measures.planning import PlanningTrial, plan_trial
+from services.evaluator.measures.planning_summary import FamilySummary, success_rate, summarise_family
+from services.evaluator.measures.reconstruction import ReconstructionSummary, SceneQuality, summarise
+from services.evaluator.measures.samplers import AnySampler, PathSampler, Sampler
+from services.evaluator.measures.scenes import Scene, Stage, reconstruct, summary_rng
+from services.evaluator.measures.topology_scenes import (
+    SceneTopology,
+    ScoreSummary,
+    scene_topology,
+    summarise_topology,
+)
+from services.evaluator.statistics import Interval
+from services.planner.search.ompl_planner import PlannerSettings
+
+# Fixed and named in every report: the range decides how strong the uniform baseline is, and a limit in
+# iterations makes a run independent of the machine's load, which the limit in time only guards.
+PLANNER = PlannerSettings(
+    planner="RRT",
+    range_rad=1.0,
+    resolution_rad=0.0314,
+    goal_bias=0.05,
+    time_limit_s=10.0,
+    max_iterations=1000,
+    seed=1,
+)
+
+Row = SceneQuality | SceneTopology | PlanningTrial
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """What an evaluation is about: arm, camera, seed, how much, and whether of a path model."""
+
+    robot: PlanarArm
+    camera: Camera
+    seed: int
+    budget: Budget
+    paths: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class UnitResult:
+    """The rows of one unit of work, and the time that it took."""
+
+    unit: Unit
+    rows: tuple[Row, ...]
+    seconds: float
+
+
+@dataclass(frozen=True, slots=True)
+class SplitResult:
+    """All of one split: summaries with the rows behind them.
+
+    ``reconstruction`` is of the uniform scenarios, ``families`` of the others; ``scenes`` are of all. Path
+    models have none of the three.
+    """
+
+    reconstruction: ReconstructionSummary | None
+    planning: tuple[FamilySummary, ...]
+    planning_success: Interval | None
+    scenes: tuple[SceneQuality, ...]
+    trials: tuple[PlanningTrial, ...]
+    families: Mapping[Family, ReconstructionSummary]
+
+
+@dataclass(frozen=True, slots=True)
+class Evaluation:
+    """Validation decides, test is reported; topology is of test scenarios."""
+
+    setting: Setting
+    validation: SplitResult
+    test: SplitResult
+    topology: Mapping[str, ScoreSummary]
+    topology_scenes: tuple[SceneTopology, ...]
+    cpu_seconds: float
+
+
+def run_unit(unit: Unit, setting: Setting, sampler: AnySampler) -> UnitResult:
+    """Measure one unit of work; its rows depend on nothing else.
+
+    Raises:
+        EvaluationError: a path model is asked for samples of the free space.
+    """
+    began = time.perf_counter()
+    if unit.kind is Kind.PLANNING:
+        rows = _planning_rows(unit, setting, sampler)
+    elif isinstance(sampler, PathSampler):
+        raise EvaluationError("path models are judged by planning alone", got=str(unit.kind))
+    else:
+        measure = _reconstruction_rows if unit.kind is Kind.RECONSTRUCTION else _topology_rows
+        rows = measure(unit, setting, sampler)
+    return UnitResult(unit, tuple(rows), time.perf_counter() - began)
+
+
+def assemble(results: Iterable[UnitResult], setting: Setting) -> Evaluation:
+    """Put the results together, in whatever order they came.
+
+    Raises:
+        EvaluationError: a group is empty.
+    """
+    done = sorted(results, key=lambda result: (result.unit.family or "", result.unit.first))
+    rng = summary_rng(setting.seed)
+    shapes = [row for row in _rows(done, Split.TEST) if isinstance(row, SceneTopology)]
+    return Evaluation(
+        setting,
+        _split_result(_rows(done, Split.VALIDATION), rng, paths=setting.paths),
+        _split_result(_rows(done, Split.TEST), rng, paths=setting.paths),
+        summarise_topology(shapes, rng) if shapes else {},
+        tuple(shapes),
+        sum(result.seconds for result in done),
+    )
+
+
+def _split_result(rows: Sequence[Row], rng: np.random.Generator, *, paths: bool) -> SplitResult:
+    scenes = tuple(row for row in rows if isinstance(row, SceneQuality))
+    trials = tuple(row for row in rows if isinstance(row, PlanningTrial))
+    present = {trial.family for trial in trials}
+    by_family = {family: [scene for scene in scenes if scene.family is family] for family in SCENE_FAMILIES}
+    # Resampling of its own leaves the other intervals as they are in an evaluation without families.
+    (apart,) = rng.spawn(1)
+    uniform = by_family.pop(Family.UNIFORM)
+    return SplitResult(
+        None if paths else summarise(uniform, rng),
+        tuple(summarise_family(family, trials, rng) for family in FAMILIES if family in present),
+        success_rate(trials) if trials else None,
+        scenes,
+        trials,
+        {family: summarise(mine, apart) for family, mine in by_family.items() if mine},
+    )
+
+
+def _rows(results: Sequence[UnitResult], split: Split) -> list[Row]:
+    return [row for result in results if result.unit.split == split for row in result.rows]
+
+
+def _stage(unit: Unit, setting: Setting) -> Stage:
+    return Stage(setting.robot, setting.camera, unit.split, setting.seed)
+
+
+def _scenes(unit: Unit, setting: Setting) -> list[Scene]:
+    stage, family = _stage(unit, setting), unit.family or Family.UNIFORM
+    return [Scene(stage, index, family) for index in range(unit.first, unit.first + unit.count)]
+
+
+def _reconstruction_rows(unit: Unit, setting: Setting, sampler: Sampler) -> list[Row]:
+    return [reconstruct(scene, sampler, setting.budget.samples) for scene in _scenes(unit, setting)]
+
+
+def _topology_rows(unit: Unit, setting: Setting, sampler: Sampler) -> list[Row]:
+    budget = setting.budget
+    return [
+        scene_topology(scene, sampler, budget.draws, budget.topology_samples)
+        for scene in _scenes(unit, setting)
+    ]
+
+
+def _planning_rows(unit: Unit, setting: Setting, sampler: AnySampler) -> list[Row]:
+    if unit.family is None:
+        raise EvaluationError("a unit of planning names no family", got=str(unit))
+    rows: list[Row] = []
+    for index in range(unit.first, unit.first + unit.count):
+        drawn = draw_problem(unit.family, unit.split, setting.seed, index, setting.robot)
+        problem = replace(drawn, scenario=replace(drawn.scenario, camera=setting.camera))
+        for repeat in range(setting.budget.planner_seeds):
+            seed = planner_seed(setting.seed, index, repeat)
+            rows.append(plan_trial(problem, index, seed, sampler, PLANNER))
+        wanted = unit.family is Family.NARROW and index < setting.budget.narrow_scenarios
+        if wanted and not isinstance(sampler, PathSampler):
+            scene = Scene(_stage(unit, setting), index, unit.family, problem)
+            rows.append(reconstruct(scene, sampler, setting.budget.samples))
+    return rows
+
+
+def planner_seed(seed: int, index: int, repeat: int) -> int:
+    """The seed of one run, in 1...2^31 - 1; OMPL takes no zero."""
+    state = np.random.SeedSequence(entropy=seed, spawn_key=(98, index, repeat)).generate_state(1)
+    return 1 + int(state[0]) % (2**31 - 1)

@@ -1,0 +1,196 @@
+"""Scenarios that are judged, with their picture, their exact truth and their own streams of random numbers.
+
+Everything random belongs to one scenario, so that results do not depend on how scenarios are spread over
+workers.
+"""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cspace.errors import EvaluationError
+from cspace.space import JointSpace, to_float32
+from cspace.worlds.planar.arm import PlanarArm
+from cspace.worlds.planar.collision import CollisionChecker
+from cspace.worlds.planar.problems import Family, Problem, draw_problem
+from cspace.worlds.planar.render import render
+from cspace.worlds.planar.scene import Camera, Scenario, Split, random_scenario, scenario_rng
+from services.evaluator.measures.occupancy import SceneOccupancy, scene_occupancy
+from services.evaluator.measures.reconstruction import (
+    ReconstructionSummary,
+    SceneQuality,
+    sample_quality,
+    summarise,
+)
+from services.evaluator.measures.samplers import Sampler, ScoredSampler
+
+SAMPLES = 1000
+# Rejection gives up here; the smallest free share that was ever drawn is 0.2.
+PROPOSALS_PER_SAMPLE = 200
+# Uniform configurations on which a validity head is judged.
+OCCUPANCY_SAMPLES = 2000
+# The stream of the confident samples, apart from those of the other measurements.
+CONFIDENT_STREAM = 20
+# The children of a scenario's stream that families own, above all streams of the uniform one.
+FAMILY_STREAMS = {Family.NARROW: 60, Family.DISCONNECTED: 61}
+
+
+@dataclass(frozen=True)
+class Stage:
+    """What all scenarios of an evaluation share: whose arm, which camera, which split, which seed."""
+
+    robot: PlanarArm
+    camera: Camera
+    split: Split
+    seed: int
+
+
+@dataclass(frozen=True)
+class Scene:
+    """One scenario with its truth.
+
+    Args:
+        stage: what it shares with the others.
+        index: its number within split and family.
+        family: of the problem that it was drawn for; uniform ones are drawn as those for training are.
+        drawn: that problem, where it is at hand; else it is drawn when it is needed.
+    """
+
+    stage: Stage
+    index: int
+    family: Family = Family.UNIFORM
+    drawn: Problem | None = None
+
+    @cached_property
+    def problem(self) -> Problem | None:
+        """Start and goal that make it a scenario of its family; None in the uniform one."""
+        if self.family is Family.UNIFORM or self.drawn is not None:
+            return self.drawn
+        return draw_problem(self.family, self.stage.split, self.stage.seed, self.index, self.stage.robot)
+
+    @cached_property
+    def scenario(self) -> Scenario:
+        """The scenario, seen by the evaluation's camera."""
+        if self.problem is None:
+            drawn = random_scenario(self._scenario_rng(), self.stage.robot)
+        else:
+            drawn = self.problem.scenario
+        return replace(drawn, camera=self.stage.camera)
+
+    @cached_property
+    def image(self) -> NDArray[np.uint8]:
+        """Its picture, (P, P, 3)."""
+        return render(self.scenario)
+
+    @cached_property
+    def checker(self) -> CollisionChecker:
+        """Its exact collision checks."""
+        return CollisionChecker(self.scenario)
+
+    @property
+    def space(self) -> JointSpace:
+        """The robot's joint space."""
+        return self.stage.robot.space
+
+    def rng(self, stream: int) -> np.random.Generator:
+        """One of the scenario's own streams; independent of the one that drew the discs."""
+        root = self._scenario_rng()
+        if self.family is not Family.UNIFORM:
+            root = _child(root, FAMILY_STREAMS[self.family])
+        return _child(root, stream)
+
+    def sampler_seed(self, stream: int = 0) -> int:
+        """A seed for the sampler under test, unsigned 63 bit."""
+        return int(self.rng(10 + stream).integers(0, 2**63))
+
+    def free(self, count: int, rng: np.random.Generator) -> NDArray[np.float64]:
+        """``count`` uniform free configurations, (count, d) rad.
+
+        Raises:
+            EvaluationError: the scenario has next to no free space.
+        """
+        found = self._draw(count, rng, free=True)
+        if len(found) < count:
+            raise EvaluationError(
+                "a scenario has next to no free space", expected=f"{count} free", got=str(len(found))
+            )
+        return found
+
+    def collisions(self, count: int, rng: np.random.Generator) -> NDArray[np.float64]:
+        """At most ``count`` uniform configurations in collision; none where all discs are out of reach."""
+        return self._draw(count, rng, free=False)
+
+    def _draw(self, count: int, rng: np.random.Generator, *, free: bool) -> NDArray[np.float64]:
+        kept: list[NDArray[np.float64]] = []
+        for _ in range(PROPOSALS_PER_SAMPLE // 2):
+            proposals = self.space.sample_uniform(rng, 2 * count)
+            kept.append(proposals[self.checker.valid_batch(proposals) == free])
+            if sum(map(len, kept)) >= count:
+                break
+        return np.concatenate(kept)[:count]
+
+    def _scenario_rng(self) -> np.random.Generator:
+        return scenario_rng(self.stage.split, self.stage.seed, self.index)
+
+
+def _child(rng: np.random.Generator, number: int) -> np.random.Generator:
+    return rng.spawn(number + 1)[number]
+
+
+def reconstruct(scene: Scene, sampler: Sampler, samples: int = SAMPLES) -> SceneQuality:
+    """The sampler, uniform samples and further real samples against the same held-out free configurations.
+
+    Raises:
+        EvaluationError: the sampler returned nothing, or what is not finite.
+    """
+    held_out = scene.free(samples, scene.rng(0))
+    groups = (
+        np.asarray(sampler.sample(scene.image, samples, scene.sampler_seed()), dtype=np.float64),
+        scene.space.sample_uniform(scene.rng(1), samples),
+        scene.free(samples, scene.rng(2)),
+    )
+    free = scene.checker.valid_batch
+    drawn, uniform, real = (sample_quality(group, held_out, scene.space, free) for group in groups)
+    quality = SceneQuality(scene.index, drawn, uniform, real, family=scene.family)
+    if not isinstance(sampler, ScoredSampler):
+        return quality
+    confident = sampler.confident(scene.image, samples, scene.sampler_seed(CONFIDENT_STREAM))
+    if len(confident.samples) == samples:
+        found = sample_quality(confident.samples.astype(np.float64), held_out, scene.space, free)
+        quality = replace(quality, confident=found)
+    return replace(quality, occupancy=_occupancy(scene, sampler, confident.acceptance))
+
+
+def _occupancy(scene: Scene, sampler: ScoredSampler, acceptance: float) -> SceneOccupancy:
+    tried = to_float32(scene.space.sample_uniform(scene.rng(3), OCCUPANCY_SAMPLES))
+    return scene_occupancy(
+        sampler.score(scene.image, tried),
+        scene.checker.valid_batch(tried),
+        scene.checker.clearance(tried),
+        acceptance,
+    )
+
+
+def measure_reconstruction(
+    stage: Stage, sampler: Sampler, scenarios: int, samples: int = SAMPLES
+) -> ReconstructionSummary:
+    """Any sampler on the first scenarios of a split, with intervals; for one behind the inference API, too.
+
+    Args:
+        stage: robot, camera, split and seed.
+        sampler: under test.
+        scenarios: how many.
+        samples: per scenario.
+
+    Raises:
+        EvaluationError: no scenarios, or the sampler returned nothing.
+    """
+    scenes = [reconstruct(Scene(stage, index), sampler, samples) for index in range(scenarios)]
+    return summarise(scenes, summary_rng(stage.seed))
+
+
+def summary_rng(seed: int) -> np.random.Generator:
+    """The generator of the bootstrap; its stream is apart from every scenario's."""
+    return np.random.default_rng(np.random.SeedSequence(entropy=seed, spawn_key=(99,)))

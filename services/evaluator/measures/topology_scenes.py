@@ -1,0 +1,164 @@
+"""The topology of one scenario's samples: GS and GS-C, each beside its noise floor.
+
+The floor is the score between two samples of the real distribution, taken the same way. A score near its
+floor says nothing; and as the scores are blind to position, they are never told without precision and
+coverage.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from services.evaluator.measures.samplers import Sampler
+from services.evaluator.measures.scenes import Scene
+from services.evaluator.measures.topology.complement import sample_complement
+from services.evaluator.measures.topology.complement_score import (
+    TurnedTimes,
+    complement_score,
+    turned_living_times,
+)
+from services.evaluator.measures.topology.geometry_score import (
+    LANDMARKS,
+    POINTS,
+    Mapper,
+    geometry_score,
+    mean_living_times,
+)
+from services.evaluator.statistics import Interval, mean_interval
+
+Cloud = NDArray[np.float64]
+SCORES = ("gs", "gsc_boundary", "gsc_true")
+
+
+@dataclass(frozen=True, slots=True)
+class Scored:
+    """A score of the sampler beside the score of further real samples."""
+
+    score: float
+    floor: float
+
+
+@dataclass(frozen=True, slots=True)
+class SceneTopology:
+    """Topology of one scenario.
+
+    Args:
+        index: the scenario's number within its split.
+        gs: geometry score.
+        gsc_boundary: GS-C, the complements of both sides by the boundary algorithm; without the turns where
+            there are not two joints.
+        gsc_true: GS-C, the real side's complement from its true collision states; likewise.
+        remainder: largest share of living time with too many loops to be counted.
+    """
+
+    index: int
+    gs: Scored
+    gsc_boundary: Scored
+    gsc_true: Scored
+    remainder: float
+
+
+@dataclass(frozen=True, slots=True)
+class ScoreSummary:
+    """A score and its floor, over scenarios or over the repeats of one."""
+
+    score: Interval
+    floor: Interval
+
+
+def scene_topology(
+    scene: Scene,
+    sampler: Sampler,
+    draws: int,
+    samples: int = POINTS,
+    mapper: Mapper = map,
+    repeat: int = 0,
+) -> SceneTopology:
+    """GS and GS-C of a sampler on one scenario.
+
+    Args:
+        scene: the scenario.
+        sampler: under test.
+        draws: of landmarks, per cloud and turn.
+        samples: points per cloud.
+        mapper: spreads the draws; results do not depend on it.
+        repeat: another number draws other samples and landmarks, independent of all others'.
+    """
+    seed = int(_stream(scene, 11, repeat).integers(0, 2**63))
+    generated = np.asarray(sampler.sample(scene.image, samples, seed), dtype=np.float64)
+    real, again = (scene.free(samples, _stream(scene, stream, repeat)) for stream in (3, 4))
+    clouds = (real, generated, again)
+    rng = _stream(scene, 5, repeat)
+    times = [mean_living_times(cloud, rng, draws=draws, mapper=mapper) for cloud in clouds]
+    plain = Scored(geometry_score(times[0], times[1]), geometry_score(times[0], times[2]))
+    boundary, true = _complement_scores(scene, clouds, _stream(scene, 6, repeat), draws, mapper)
+    return SceneTopology(scene.index, plain, boundary, true, max(one.remainder for one in times))
+
+
+def repeated_topology(
+    scene: Scene,
+    sampler: Sampler,
+    draws: int,
+    repeats: int,
+    samples: int = POINTS,
+    mapper: Mapper = map,
+) -> dict[str, ScoreSummary]:
+    """GS and GS-C on one scenario with intervals: each repeat draws all samples and all landmarks anew.
+
+    The intervals hold the chance in the samples and in the landmarks, and say nothing about other scenarios.
+
+    Args:
+        scene: the scenario.
+        sampler: under test.
+        draws: of landmarks, per cloud and turn.
+        repeats: a bootstrap wants ten or more.
+        samples: points per cloud.
+        mapper: spreads the draws; results do not depend on it.
+
+    Raises:
+        EvaluationError: no repeats.
+    """
+    rows = [scene_topology(scene, sampler, draws, samples, mapper, repeat) for repeat in range(repeats)]
+    return summarise_topology(rows, scene.rng(7))
+
+
+def summarise_topology(scenes: Sequence[SceneTopology], rng: np.random.Generator) -> dict[str, ScoreSummary]:
+    """Means of every score that was taken, with intervals over scenarios.
+
+    Raises:
+        EvaluationError: no scenarios.
+    """
+    summary = {}
+    for name in SCORES:
+        rows = [getattr(scene, name) for scene in scenes]
+        scores, floors = [row.score for row in rows], [row.floor for row in rows]
+        summary[name] = ScoreSummary(mean_interval(scores, rng), mean_interval(floors, rng))
+    return summary
+
+
+def _stream(scene: Scene, stream: int, repeat: int) -> np.random.Generator:
+    """One of the scenario's streams, or an independent child of it for a further repeat."""
+    rng = scene.rng(stream)
+    return rng.spawn(repeat)[-1] if repeat else rng
+
+
+def _complement_scores(
+    scene: Scene, clouds: tuple[Cloud, Cloud, Cloud], rng: np.random.Generator, draws: int, mapper: Mapper
+) -> tuple[Scored, Scored]:
+    """GS-C with the real side's complement by the boundary algorithm, and with its true collision states."""
+    count = len(clouds[0])
+
+    def turned(cloud: Cloud) -> TurnedTimes:
+        return turned_living_times(cloud, scene.space, rng, draws=draws, mapper=mapper)
+
+    real, ours, again = (turned(cloud) for cloud in clouds)
+    real_c, ours_c, again_c = (turned(sample_complement(c, scene.space, rng, count)) for c in clouds)
+    collisions = scene.collisions(count, rng)
+    # Fewer collision states than landmarks in a hundred thousand draws: no obstacle to speak of.
+    true_c = turned(collisions if len(collisions) >= LANDMARKS else collisions[:0])
+    return (
+        Scored(complement_score(real, ours, real_c, ours_c), complement_score(real, again, real_c, again_c)),
+        Scored(complement_score(real, ours, true_c, ours_c), complement_score(real, again, true_c, again_c)),
+    )

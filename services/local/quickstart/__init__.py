@@ -1,0 +1,1 @@
+"""The guided run: start, train, evaluate, promote, serve, plan."""

@@ -1,0 +1,48 @@
+"""Precision and coverage of a version as a client sees it: over HTTP, on scenarios never trained on."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from cspace.worlds.planar.arm import TWO_LINK, PlanarArm
+from cspace.worlds.planar.scene import Camera, Split
+from services.evaluator.measures.reconstruction import ReconstructionSummary, summarise
+from services.evaluator.measures.samplers import HttpSampler
+from services.evaluator.measures.scenes import Scene, Stage, reconstruct
+from services.planner.sources.sampling_client import SamplingClient
+
+SCENARIOS = 100
+SAMPLES = 1000
+# Other scenarios than those of the evaluation job, whose seed is 0.
+SEED = 1
+
+
+@dataclass(frozen=True, slots=True)
+class ServedQuality:
+    """The summary with how it was measured."""
+
+    reference: str
+    scenarios: int
+    samples: int
+    summary: ReconstructionSummary
+
+
+def served_quality(
+    url: str,
+    reference: str,
+    *,
+    robot: PlanarArm = TWO_LINK,
+    scenarios: int = SCENARIOS,
+    samples: int = SAMPLES,
+) -> ServedQuality:
+    """Ask for a version by ``name/version`` without its validity filter and judge what comes.
+
+    Raises:
+        SamplerUnavailableError: the API does not answer.
+        SamplerError: it refused a request.
+    """
+    stage = Stage(robot, Camera(), Split.TEST, SEED)
+    with SamplingClient(url) as client:
+        sampler = HttpSampler(client, model=reference, min_confidence=0.0)
+        rows = [reconstruct(Scene(stage, index), sampler, samples) for index in range(scenarios)]
+    return ServedQuality(reference, scenarios, samples, summarise(rows, np.random.default_rng(SEED)))

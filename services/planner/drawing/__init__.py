@@ -1,0 +1,1 @@
+"""Paths and configurations as pictures."""

@@ -1,0 +1,1 @@
+"""OMPL's planners and the project's own, with samples from outside."""

@@ -1,0 +1,147 @@
+"""The HTTP client of ``POST /sample`` for programs with an event loop, asyncio's or trio's."""
+
+import random
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+from types import TracebackType
+from typing import Self, cast
+
+import anyio
+import anyio.to_thread
+import httpx
+
+from cspace.errors import SamplerAnswerError, SamplerError, SamplerUnavailableError
+from services.planner.sources.http_answer import Failure, IncomingAnswer, lost
+from services.planner.sources.http_exchange import LIMITS, Endpoint, Question
+from services.planner.sources.retries import RetryPolicy
+from services.planner.sources.samples import SampleBatch, SampleSource, drawn_seed
+from services.planner.sources.sampling_client import DEFAULT_POLICY, DEFAULT_TIMEOUT_S
+
+
+class AsyncSamplingClient:
+    """As :class:`services.planner.sources.sampling_client.SamplingClient`, awaited; tasks may share one.
+
+    Args:
+        url: as there, and so the rest.
+        fallback: answers in a thread while the API stays away.
+    """
+
+    def __init__(
+        self,
+        url: str,
+        timeout_s: float = DEFAULT_TIMEOUT_S,
+        *,
+        connect_timeout_s: float | None = None,
+        policy: RetryPolicy = DEFAULT_POLICY,
+        api_key: str | None = None,
+        fallback: SampleSource | None = None,
+        transport: httpx.AsyncBaseTransport | None = None,
+    ) -> None:
+        self._endpoint = Endpoint(url, timeout_s, connect_timeout_s, policy, api_key)
+        self._fallback = fallback
+        self._closed = False
+        self._transport = (
+            httpx.AsyncHTTPTransport(trust_env=False, limits=LIMITS) if transport is None else transport
+        )
+
+    @property
+    def url(self) -> str:
+        """Of the API, without a slash at its end."""
+        return self._endpoint.url
+
+    async def sample(
+        self,
+        image_png: bytes,
+        n: int,
+        *,
+        model: str | None = None,
+        seed: int | None = None,
+        epsilon_sigma: Sequence[float] = (),
+        start: Sequence[float] | None = None,
+        goal: Sequence[float] | None = None,
+        min_confidence: float | None = None,
+    ) -> SampleBatch:
+        """See :meth:`services.planner.sources.sampling_client.SamplingClient.sample`.
+
+        Raises:
+            SamplerUnavailableError: as there.
+            SamplerAnswerError: as there.
+            SamplerError: as there.
+        """
+        seed = drawn_seed(seed)
+        question = Question(image_png, n, model, seed, epsilon_sigma, start, goal, min_confidence)
+        began = time.perf_counter()
+        try:
+            return await self._ask(question, began)
+        except SamplerUnavailableError as error:
+            if self._fallback is None:
+                raise
+            work = partial(self._fallback.sample, image_png, n, **question.options)
+            try:
+                batch = await anyio.to_thread.run_sync(work)
+            except SamplerError as refusal:
+                raise error from refusal
+            return replace(batch, fallback=True, round_trip_s=time.perf_counter() - began)
+
+    async def aclose(self) -> None:
+        """Close the connections."""
+        self._closed = True
+        await self._transport.aclose()
+
+    async def __aenter__(self) -> Self:
+        return self
+
+    async def __aexit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        await self.aclose()
+
+    async def _ask(self, question: Question, began: float) -> SampleBatch:
+        if self._closed:
+            raise RuntimeError("the client is closed")
+        tried = 0
+        while True:
+            found = await self._attempt(question, began)
+            if isinstance(found, SampleBatch):
+                return found
+            tried += 1
+            spent_s, draw = time.perf_counter() - began, random.random()  # noqa: S311 - jitter is no secret
+            pause_s = self._endpoint.policy.pause_s(tried, spent_s, found.retry_after_s, draw)
+            if not found.again or pause_s is None:
+                raise found.error
+            await anyio.sleep(pause_s)
+
+    async def _attempt(self, question: Question, began: float) -> SampleBatch | Failure:
+        spent_s = time.perf_counter() - began
+        request = self._endpoint.request(question, spent_s)
+        try:
+            with anyio.fail_after(self._endpoint.policy.deadline_s - spent_s):
+                answer = await self._transport.handle_async_request(request)
+                try:
+                    return await self._read(answer, question, began)
+                except SamplerAnswerError:
+                    await _hang_up(answer)
+                    raise
+                finally:
+                    await answer.aclose()
+        except SamplerAnswerError as error:
+            return Failure(error)
+        except Exception as error:  # noqa: BLE001 - whatever a stranger's bytes bring out of the HTTP library
+            return lost(error, self._endpoint)
+
+    async def _read(self, answer: httpx.Response, question: Question, began: float) -> SampleBatch | Failure:
+        incoming = IncomingAnswer(answer, question, began + self._endpoint.policy.deadline_s)
+        async for chunk in cast("httpx.AsyncByteStream", answer.stream):
+            incoming.take(chunk)
+        return incoming.conclude(time.perf_counter() - began)
+
+
+async def _hang_up(answer: httpx.Response) -> None:
+    """As the other client's."""
+    if (stream := answer.extensions.get("network_stream")) is not None:
+        await stream.aclose()

@@ -1,0 +1,131 @@
+"""What the headers of the sampling endpoint's ``.npy`` answer say, checked against the question."""
+
+import math
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import astuple, dataclass
+
+from services.planner.sources.answer_errors import unusable
+from services.planner.sources.http_exchange import Question
+from services.planner.sources.npy_body import NPY
+from services.planner.sources.samples import SourceTiming
+
+_PRETRAINED = "pretrained"
+_MAX_TEXT = 256
+_MAX_TIMING = 1024
+_DIGEST_CHARACTERS = frozenset("0123456789abcdef")
+
+
+@dataclass(frozen=True, slots=True)
+class AnswerHead:
+    """As :class:`services.planner.sources.samples.SampleBatch` has it, without the samples."""
+
+    model_name: str
+    model_version: int
+    digest: str
+    seed: int
+    shortfall: int
+    novelty: float | None
+    timing: SourceTiming | None
+
+
+def read_head(headers: Mapping[str, str], question: Question) -> AnswerHead:
+    """The headers of an answer.
+
+    Args:
+        headers: of the answer; names in any case if the mapping does not mind it.
+        question: which it has to answer.
+
+    Raises:
+        SamplerAnswerError: a header is missing, wrong, or answers another question.
+    """
+    media_type = headers.get("content-type", "").partition(";")[0].strip().lower()
+    if media_type != NPY:
+        raise unusable("has another media type", NPY, repr(media_type))
+    seed = _count(headers, "x-seed", 20)
+    if seed != question.seed:
+        raise unusable("is for another seed", str(question.seed), str(seed))
+    shortfall = _count(headers, "x-shortfall", 9)
+    if shortfall > question.n:
+        raise unusable("lacks more samples than were asked for", f"at most {question.n}", str(shortfall))
+    name, version = _text(headers, "x-model-name"), _count(headers, "x-model-version", 9)
+    if not _answers(question.model, name, version):
+        raise unusable("comes from another model", str(question.model), f"{name}/{version}")
+    return AnswerHead(
+        model_name=name,
+        model_version=version,
+        digest=_digest(headers),
+        seed=seed,
+        shortfall=shortfall,
+        novelty=_share(headers, "x-novelty") if "x-novelty" in headers else None,
+        timing=read_timing(headers.get("server-timing", "")),
+    )
+
+
+def read_timing(header: str) -> SourceTiming | None:
+    """The entries decode, encode, generate and total of a ``Server-Timing`` header; None where one lacks.
+
+    Proxies add entries of their own or drop the header, so nothing in it is an error.
+    """
+    durations_s: dict[str, float] = {}
+    for entry in header.split(",") if len(header) <= _MAX_TIMING else ():
+        name, *parameters = (part.strip() for part in entry.split(";"))
+        duration = next((one.removeprefix("dur=") for one in parameters if one.startswith("dur=")), "")
+        with suppress(ValueError):
+            durations_s[name] = 1e-3 * float(duration)
+    try:
+        found = SourceTiming(*(durations_s[name] for name in ("decode", "encode", "generate", "total")))
+    except KeyError:
+        return None
+    whole = all(math.isfinite(value) and value >= 0.0 for value in astuple(found))
+    return found if whole else None
+
+
+def _answers(asked: str | None, name: str, version: int) -> bool:
+    """Whether a model is the one that a reference names.
+
+    The shipped model stands in for a default model without a champion. Which model is the default only the
+    server knows, so it may do that for every bare name; an alias or a version has no stand-in.
+    """
+    if asked is None:
+        return True
+    asked_name, slash, asked_version = asked.partition("/")
+    if slash:
+        return (name, str(version)) == (asked_name, asked_version)
+    bare, at, _ = asked.partition("@")
+    return name == bare or (not at and (name, version) == (_PRETRAINED, 0))
+
+
+def _text(headers: Mapping[str, str], name: str) -> str:
+    value = headers.get(name, "")
+    if not value:
+        raise unusable("lacks a header", name, "nothing")
+    if len(value) > _MAX_TEXT or not (value.isascii() and value.isprintable()):
+        expected = f"at most {_MAX_TEXT} printable ASCII characters"
+        raise unusable(f"has a wrong header {name}", expected, repr(value[:40]))
+    return value
+
+
+def _count(headers: Mapping[str, str], name: str, digits: int) -> int:
+    value = _text(headers, name)
+    if not (value.isdigit() and len(value) <= digits):
+        raise unusable(f"has a wrong header {name}", "a whole number", repr(value[:40]))
+    return int(value)
+
+
+def _digest(headers: Mapping[str, str]) -> str:
+    value = _text(headers, "x-model-digest")
+    if len(value) != 64 or not _DIGEST_CHARACTERS.issuperset(value):
+        raise unusable("has a wrong header x-model-digest", "a SHA-256 in hexadecimal", repr(value[:80]))
+    return value
+
+
+def _share(headers: Mapping[str, str], name: str) -> float:
+    value = _text(headers, name)
+    try:
+        share = float(value)
+    except ValueError:
+        share = math.nan
+    if not 0.0 <= share <= 1.0:
+        raise unusable(f"has a wrong header {name}", "a number from 0 to 1", repr(value[:40]))
+    return share

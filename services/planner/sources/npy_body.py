@@ -1,0 +1,62 @@
+"""The body of the sampling endpoint's answer: a ``.npy`` file from outside, checked before use.
+
+NumPy's own reader evaluates the header as a Python literal, which raises whatever a header likes and takes as
+much memory. The endpoint writes one form of header, and that form alone is read.
+"""
+
+import re
+
+import numpy as np
+from numpy.typing import NDArray
+
+from services.planner.sources.answer_errors import unusable
+
+NPY = "application/x-npy"
+"""Media type."""
+MAX_HEAD_BYTES = 256
+"""Before the numbers; the endpoint writes 128."""
+MAX_JOINTS = 64
+"""Of a robot; wider arrays are none of samples."""
+
+_HEAD = re.compile(
+    rb"\x93NUMPY\x01\x00"
+    rb"(?P<length>[\x00-\xff]{2})"
+    rb"\{'descr': '<f4', 'fortran_order': False, "
+    rb"'shape': \((?P<n>[0-9]{1,9}), (?P<d>[0-9]{1,9})\), \} {0,240}\n"
+)
+
+
+def max_body_bytes(n: int) -> int:
+    """The largest ``.npy`` that holds ``n`` samples of at most ``MAX_JOINTS`` joints."""
+    return MAX_HEAD_BYTES + 4 * MAX_JOINTS * n
+
+
+def read_samples(body: bytes, n: int) -> NDArray[np.float32]:
+    """The samples of a ``.npy`` file, (n, d) float32 rad.
+
+    Args:
+        body: the file, whole.
+        n: how many there have to be.
+
+    Raises:
+        SamplerAnswerError: it is no such file, or holds other numbers than wrapped angles.
+    """
+    head = _HEAD.match(body, 0, MAX_HEAD_BYTES)
+    if head is None or int.from_bytes(head["length"], "little") != head.end() - 10:
+        raise unusable("is no .npy file of samples", "float32 of shape (n, d), by rows", repr(body[:80]))
+    rows, joints = int(head["n"]), int(head["d"])
+    size = len(body) - head.end()
+    if rows != n:
+        raise unusable("has another number of samples", str(n), str(rows))
+    # Shape against size: a header may claim any shape.
+    if not 1 <= joints <= MAX_JOINTS or 4 * rows * joints != size:
+        expected = f"{n} samples of 1 to {MAX_JOINTS} joints, float32"
+        raise unusable("holds another array", expected, f"({rows}, {joints}) in {size} bytes")
+    samples = np.frombuffer(body, dtype="<f4", offset=head.end()).reshape(rows, joints)
+    # As real numbers: float32(pi) lies above pi. A signalling NaN would warn, or raise where warnings do.
+    with np.errstate(invalid="ignore"):
+        angles = samples.astype(np.float64)
+        wrong = int(np.sum(~((angles >= -np.pi) & (angles < np.pi))))
+    if wrong:
+        raise unusable("holds values that are no wrapped angles", "[-pi, pi)", f"{wrong} others")
+    return samples.astype(np.float32, copy=False)

@@ -1,0 +1,164 @@
+"""The HTTP client of ``POST /sample``."""
+
+import random
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from types import TracebackType
+from typing import Self, cast
+
+import httpx
+
+from cspace.errors import SamplerAnswerError, SamplerError, SamplerUnavailableError
+from services.planner.sources.deadline_transport import DeadlineTransport, deadline
+from services.planner.sources.http_answer import Failure, IncomingAnswer, lost
+from services.planner.sources.http_exchange import LIMITS, Endpoint, Question
+from services.planner.sources.retries import RetryPolicy
+from services.planner.sources.samples import SampleBatch, SampleSource, drawn_seed
+
+__all__ = ["RetryPolicy", "SampleBatch", "SamplingClient"]
+
+DEFAULT_TIMEOUT_S = 10.0
+DEFAULT_POLICY = RetryPolicy()
+
+
+class SamplingClient:
+    """Asks an inference API for samples over one kept connection. Use as a context manager, or close it.
+
+    A request costs about 1 ms beside the server's work; never send one from a planner's callback, which would
+    stop the search (and the interpreter) for as long. A lost connection, 503 and 429 are tried again; the
+    seed, drawn here when none is given, makes that the same request.
+
+    Args:
+        url: of the API, for example ``http://127.0.0.1:8000``.
+        timeout_s: for each read and write.
+        connect_timeout_s: for connecting; ``timeout_s`` when None.
+        policy: when a request is sent again; its deadline holds for connecting, sending and reading in all
+            attempts together, whatever the time limits of their parts.
+        api_key: sent as ``Authorization: Bearer``; None sends none.
+        fallback: answers while the API stays away or its answers can not be used, with the same seed; the
+            batch says so. The deadline does not hold for it.
+        transport: of httpx; None for the network, where alone the deadline holds for every byte.
+
+    Raises:
+        ConfigError: the address, a time limit or the key can not be.
+    """
+
+    def __init__(
+        self,
+        url: str,
+        timeout_s: float = DEFAULT_TIMEOUT_S,
+        *,
+        connect_timeout_s: float | None = None,
+        policy: RetryPolicy = DEFAULT_POLICY,
+        api_key: str | None = None,
+        fallback: SampleSource | None = None,
+        transport: httpx.BaseTransport | None = None,
+    ) -> None:
+        self._endpoint = Endpoint(url, timeout_s, connect_timeout_s, policy, api_key)
+        self._fallback = fallback
+        self._closed = False
+        self._transport = DeadlineTransport(LIMITS) if transport is None else transport
+
+    @property
+    def url(self) -> str:
+        """Of the API, without a slash at its end."""
+        return self._endpoint.url
+
+    def sample(
+        self,
+        image_png: bytes,
+        n: int,
+        *,
+        model: str | None = None,
+        seed: int | None = None,
+        epsilon_sigma: Sequence[float] = (),
+        start: Sequence[float] | None = None,
+        goal: Sequence[float] | None = None,
+        min_confidence: float | None = None,
+    ) -> SampleBatch:
+        """See :class:`services.planner.sources.samples.SampleSource`.
+
+        Raises:
+            SamplerUnavailableError: no connection, no answer in time, no model ready (503), too many requests
+                (429), or a server that fails (5xx), and no fallback that answers.
+            SamplerAnswerError: likewise, for an answer that can not be used.
+            SamplerError: the request was refused (4xx).
+        """
+        seed = drawn_seed(seed)
+        question = Question(image_png, n, model, seed, epsilon_sigma, start, goal, min_confidence)
+        began = time.perf_counter()
+        try:
+            return self._ask(question, began)
+        except SamplerUnavailableError as error:
+            if self._fallback is None:
+                raise
+            try:
+                batch = self._fallback.sample(image_png, n, **question.options)
+            except SamplerError as refusal:
+                raise error from refusal
+            return replace(batch, fallback=True, round_trip_s=time.perf_counter() - began)
+
+    def close(self) -> None:
+        """Close the connection."""
+        self._closed = True
+        self._transport.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def _ask(self, question: Question, began: float) -> SampleBatch:
+        if self._closed:
+            raise RuntimeError("the client is closed")
+        tried = 0
+        while True:
+            found = self._attempt(question, began)
+            if isinstance(found, SampleBatch):
+                return found
+            tried += 1
+            spent_s, draw = time.perf_counter() - began, random.random()  # noqa: S311 - jitter is no secret
+            pause_s = self._endpoint.policy.pause_s(tried, spent_s, found.retry_after_s, draw)
+            if not found.again or pause_s is None:
+                raise found.error
+            time.sleep(pause_s)
+
+    def _attempt(self, question: Question, began: float) -> SampleBatch | Failure:
+        request = self._endpoint.request(question, time.perf_counter() - began)
+        until = began + self._endpoint.policy.deadline_s
+        try:
+            with deadline(until):
+                answer = self._transport.handle_request(request)
+                try:
+                    return self._read(answer, question, began, until)
+                except SamplerAnswerError:
+                    _hang_up(answer)
+                    raise
+                finally:
+                    answer.close()
+        except SamplerAnswerError as error:
+            return Failure(error)
+        except Exception as error:  # noqa: BLE001 - whatever a stranger's bytes bring out of the HTTP library
+            return lost(error, self._endpoint)
+
+    @staticmethod
+    def _read(
+        answer: httpx.Response, question: Question, began: float, until: float
+    ) -> SampleBatch | Failure:
+        incoming = IncomingAnswer(answer, question, until)
+        for chunk in cast("httpx.SyncByteStream", answer.stream):
+            incoming.take(chunk)
+        return incoming.conclude(time.perf_counter() - began)
+
+
+def _hang_up(answer: httpx.Response) -> None:
+    """Close the connection: an answer that was read whole would leave it to be used again."""
+    if (stream := answer.extensions.get("network_stream")) is not None:
+        stream.close()

@@ -1,0 +1,1 @@
+"""Registered models: the port, and MLflow's adapter."""

@@ -1,0 +1,157 @@
+"""The model registry on an MLflow server.
+
+Looking up and downloading work with ``mlflow-skinny`` alone; registering needs the whole of MLflow. A version
+belongs to one of MLflow's logged models, which ties it to its run and, through the run's inputs, to the data.
+"""
+
+import tempfile
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+from mlflow import MlflowClient
+from mlflow.artifacts import download_artifacts
+from mlflow.entities.model_registry import ModelVersion as MlflowVersion
+
+from cspace.errors import ModelNotFoundError, StorageError
+from services.registry.mlflow_errors import mapped
+from services.registry.mlflow_health import check_reachable
+from services.registry.models.mlflow_model import BUNDLE_PATH, read_spec
+from services.registry.models.mlflow_registering import create_version
+from services.registry.models.port import ModelVersion
+from services.registry.names import TAG_DIGEST
+
+_PAGE = 100
+
+
+class MlflowRegistry:
+    """The port :class:`services.registry.models.port.ModelRegistry` on MLflow.
+
+    Args:
+        uri: of the tracking server, or ``sqlite:///…`` where the whole of mlflow is installed.
+        patience_s: how long the server may take to show that it is there, before each operation.
+    """
+
+    def __init__(self, uri: str, *, patience_s: float = 3.0) -> None:
+        with mapped("opening the registry"):
+            self._client = MlflowClient(tracking_uri=uri, registry_uri=uri)
+        self._uri = uri
+        self._patience_s = patience_s
+
+    def register(
+        self,
+        name: str,
+        bundle_folder: Path,
+        run_id: str,
+        digest: str,
+        tags: Mapping[str, str],
+        *,
+        alias: str | None = None,
+    ) -> ModelVersion:
+        """Make a bundle a version; see :meth:`services.registry.models.port.ModelRegistry.register`."""
+        all_tags = {**tags, TAG_DIGEST: digest}
+        spec = read_spec(bundle_folder, digest)
+        self._ready()
+        found = [one for one in self.versions(name) if (one.run_id, one.digest) == (run_id, digest)]
+        if found:
+            number = found[-1].number
+            self.set_tags(name, number, all_tags)
+        else:
+            number = create_version(self._client, name, bundle_folder, spec, run_id, all_tags)
+        if alias is not None:
+            self.set_alias(name, alias, number)
+        return self.version(name, number)
+
+    def version(self, name: str, number: int) -> ModelVersion:
+        """One version by its number; see :meth:`services.registry.models.port.ModelRegistry.version`."""
+        self._ready()
+        with mapped(f"looking up {name}/{number}", lookup=True):
+            return _version(self._client.get_model_version(name, str(number)))
+
+    def by_alias(self, name: str, alias: str) -> ModelVersion:
+        """The version of an alias; see :meth:`services.registry.models.port.ModelRegistry.by_alias`."""
+        self._ready()
+        with mapped(f"looking up {name}@{alias}", lookup=True):
+            return _version(self._client.get_model_version_by_alias(name, alias))
+
+    def versions(self, name: str) -> tuple[ModelVersion, ...]:
+        """All versions, newest first; see :meth:`services.registry.models.port.ModelRegistry.versions`."""
+        if "'" in name:
+            # It would end the filter's quotes, and MLflow has no way to escape it.
+            return ()
+        self._ready()
+        found: list[ModelVersion] = []
+        token: str | None = ""
+        with mapped(f"listing the versions of {name}"):
+            while token is not None:
+                page = self._client.search_model_versions(f"name='{name}'", _PAGE, page_token=token or None)
+                found += [_version(one) for one in page]
+                token = page.token or None
+            aliases = self._aliases(name) if found else {}
+        complete = [replace(one, aliases=aliases.get(one.number, ())) for one in found]
+        return tuple(sorted(complete, key=lambda one: one.number, reverse=True))
+
+    def set_alias(self, name: str, alias: str, number: int) -> None:
+        """Point an alias to a version; see :meth:`services.registry.models.port.ModelRegistry.set_alias`."""
+        self._ready()
+        with mapped(f"pointing {name}@{alias} to {number}", lookup=True):
+            self._client.set_registered_model_alias(name, alias, str(number))
+
+    def set_tags(self, name: str, number: int, tags: Mapping[str, str]) -> None:
+        """Set tags on a version; see :meth:`services.registry.models.port.ModelRegistry.set_tags`."""
+        self._ready()
+        with mapped(f"setting tags on {name}/{number}", lookup=True):
+            for key, value in tags.items():
+                self._client.set_model_version_tag(name, str(number), key, value)
+
+    def download(self, version: ModelVersion, folder: Path) -> Path:
+        """Fetch a version's bundle; see :meth:`services.registry.models.port.ModelRegistry.download`."""
+        if folder.exists():
+            raise StorageError("the download's folder exists", expected="a new folder", got=str(folder))
+        self._ready()
+        label = f"{version.name}/{version.number}"
+        with mapped(f"looking up {label}", lookup=True):
+            source = self._client.get_model_version_download_uri(version.name, str(version.number))
+        with mapped(f"downloading {label}"):
+            folder.parent.mkdir(parents=True, exist_ok=True)
+            with tempfile.TemporaryDirectory(prefix=f".{folder.name}-", dir=folder.parent) as beside:
+                got = Path(self._fetch(f"{source}/{BUNDLE_PATH}", beside))
+                if not got.is_dir() or not any(got.iterdir()):
+                    raise ModelNotFoundError(
+                        f"{label} holds no bundle", expected=BUNDLE_PATH, got="a model of another kind"
+                    )
+                got.rename(folder)
+        return folder
+
+    def _aliases(self, name: str) -> dict[int, tuple[str, ...]]:
+        """By version number; MLflow's search for versions leaves them out."""
+        numbers = {
+            alias: int(number) for alias, number in self._client.get_registered_model(name).aliases.items()
+        }
+        return {
+            number: tuple(sorted(alias for alias in numbers if numbers[alias] == number))
+            for number in numbers.values()
+        }
+
+    def _fetch(self, source: str, folder: str) -> str:
+        return str(
+            download_artifacts(
+                artifact_uri=source, dst_path=folder, tracking_uri=self._uri, registry_uri=self._uri
+            )
+        )
+
+    def _ready(self) -> None:
+        check_reachable(self._uri, self._patience_s)
+
+
+def _version(found: MlflowVersion) -> ModelVersion:
+    tags = dict(found.tags)
+    return ModelVersion(
+        name=found.name,
+        number=int(found.version),
+        run_id=found.run_id or "",
+        digest=tags.get(TAG_DIGEST, ""),
+        aliases=tuple(sorted(found.aliases)),
+        tags=tags,
+        created_ms=int(found.creation_timestamp),
+    )

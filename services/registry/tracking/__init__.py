@@ -1,0 +1,1 @@
+"""Tracked runs: the port, MLflow's adapter, and what waits while MLflow is away."""

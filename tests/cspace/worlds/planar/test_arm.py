@@ -1,0 +1,74 @@
+import json
+from math import inf, nan, pi, sqrt
+
+import numpy as np
+import pytest
+
+from cspace.errors import ScenarioError
+from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK, PlanarArm
+
+
+def test_two_links_reach_where_they_point():
+    positions = TWO_LINK.joint_positions_m([[0.0, 0.0], [pi / 2, 0.0], [pi / 2, -pi / 2], [pi / 4, pi / 2]])
+    assert positions.shape == (4, 3, 2)
+    np.testing.assert_allclose(positions[:, 0], 0.0)
+    np.testing.assert_allclose(positions[:, 1], [[2, 0], [0, 2], [0, 2], [sqrt(2), sqrt(2)]], atol=1e-12)
+    np.testing.assert_allclose(positions[:, 2], [[4, 0], [0, 4], [2, 2], [0, 2 * sqrt(2)]], atol=1e-12)
+
+
+def test_every_joint_is_relative_to_the_link_before():
+    arm = PlanarArm(link_lengths_m=(3.0, 2.0, 1.0))
+    positions = arm.joint_positions_m([[pi / 2, pi / 2, pi / 2]])[0]
+    np.testing.assert_allclose(positions, [[0, 0], [0, 3], [-2, 3], [-2, 2]], atol=1e-12)
+
+
+def test_reach_and_dimension_come_from_the_links():
+    assert (TWO_LINK.dim, TWO_LINK.reach_m) == (2, 4.0)
+    assert (THREE_LINK.dim, THREE_LINK.reach_m) == (3, 4.0)
+
+
+def test_joints_are_circles_unless_they_have_limits():
+    space = PlanarArm(joint_limits_rad=(None, (-1.0, 2.0))).space
+    assert space.periodic == (True, False)
+    assert (space.lower, space.upper) == ((-pi, -1.0), (pi, 2.0))
+
+
+@pytest.mark.parametrize("arm", [TWO_LINK, THREE_LINK, PlanarArm(joint_limits_rad=(None, (-1.0, 2.0)))])
+def test_a_robot_survives_json(arm):
+    assert PlanarArm.from_dict(json.loads(json.dumps(arm.to_dict()))) == arm
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        {"link_lengths_m": ()},
+        {"link_lengths_m": (1.0, 0.0)},
+        {"link_lengths_m": (1.0, inf)},
+        {"link_lengths_m": (1.0, nan)},
+        {"half_width_m": 0.0},
+        {"half_width_m": nan},
+        {"joint_limits_rad": (None,)},
+        {"joint_limits_rad": (None, (1.0, 1.0))},
+        {"joint_limits_rad": (None, (-4.0, 1.0))},
+        {"joint_limits_rad": (None, (nan, 1.0))},
+    ],
+)
+def test_a_robot_that_cannot_be_is_an_error(values):
+    with pytest.raises(ScenarioError, match="expected"):
+        PlanarArm(**values)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"link_lengths_m": None},
+        {"link_lengths_m": 2.0},
+        {"half_width_m": None},
+        {"joint_limits_rad": [[1.0], None]},
+        {"colour": "blue"},
+        {"kind": "crane"},
+    ],
+)
+def test_a_description_that_does_not_fit_is_an_error(change):
+    with pytest.raises(ScenarioError):
+        PlanarArm.from_dict(TWO_LINK.to_dict() | change)

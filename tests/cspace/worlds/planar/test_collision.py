@@ -1,0 +1,147 @@
+import itertools
+
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+from cspace.errors import ScenarioError
+from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK, PlanarArm
+from cspace.worlds.planar.collision import CollisionChecker, arm_is_free, edge_is_free
+from cspace.worlds.planar.scene import Disc, Scenario
+
+LIMITED = PlanarArm(joint_limits_rad=(None, (-2.0, 2.5)))
+ROBOTS = st.sampled_from([TWO_LINK, THREE_LINK, LIMITED])
+# Nearer to contact than this, the order of the additions decides.
+ROUNDING_M = 1e-9
+
+coordinates = st.floats(-5.0, 5.0)
+disc_lists = st.lists(
+    st.builds(Disc, coordinates, coordinates, st.floats(0.1, 2.0)), min_size=0, max_size=4
+).map(tuple)
+angles = st.floats(-7.0, 7.0)
+
+
+def reference_clearance(scenario, q):
+    """Plain numpy, one link and one disc at a time: distance of a point to a segment, less both radii."""
+    points = np.zeros((scenario.robot.dim + 1, 2))
+    for joint, length in enumerate(scenario.robot.link_lengths_m):
+        heading = np.sum(q[: joint + 1])
+        points[joint + 1] = points[joint] + length * np.array([np.cos(heading), np.sin(heading)])
+    gaps = [np.inf]
+    for tail, head in itertools.pairwise(points):
+        for disc in scenario.discs:
+            centre = np.array([disc.x_m, disc.y_m])
+            share = np.clip(np.dot(centre - tail, head - tail) / np.dot(head - tail, head - tail), 0.0, 1.0)
+            nearest = tail + share * (head - tail)
+            gaps.append(np.linalg.norm(centre - nearest) - disc.radius_m - scenario.robot.half_width_m)
+    return min(gaps)
+
+
+def within_limits(scenario, q):
+    limits = scenario.robot.joint_limits_rad or (None,) * scenario.robot.dim
+    return all(lim is None or lim[0] <= value <= lim[1] for lim, value in zip(limits, q, strict=True))
+
+
+@st.composite
+def scenes(draw):
+    robot = draw(ROBOTS)
+    q = np.array([draw(angles) for _ in range(robot.dim)])
+    return Scenario(robot, draw(disc_lists)), q
+
+
+@given(scenes())
+@settings(deadline=None, max_examples=200)
+def test_clearance_is_the_distance_between_capsules_and_discs(scene):
+    scenario, q = scene
+    assert CollisionChecker(scenario).clearance(q[None])[0] == pytest.approx(
+        reference_clearance(scenario, q), abs=1e-9
+    )
+
+
+@given(scenes())
+@settings(deadline=None, max_examples=200)
+def test_a_configuration_is_free_when_clear_of_discs_and_within_limits(scene):
+    scenario, q = scene
+    clearance = reference_clearance(scenario, q)
+    assume(abs(clearance) > ROUNDING_M)
+    assert CollisionChecker(scenario).valid(q) == (clearance > 0.0 and within_limits(scenario, q))
+
+
+@given(scenes(), st.data(), st.sampled_from([0.05, 0.2, 1.0]))
+@settings(deadline=None, max_examples=100)
+def test_an_edge_is_free_when_all_its_states_are(scene, data, resolution):
+    scenario, a = scene
+    b = np.array([data.draw(angles) for _ in range(scenario.robot.dim)])
+    way = scenario.robot.space.difference(a, b)
+    count = max(1, int(np.ceil(np.abs(way).max() / resolution)))
+    states = [a + way * share for share in np.linspace(0.0, 1.0, count + 1)]
+    clearances = np.array([reference_clearance(scenario, q) for q in states])
+    assume(np.abs(clearances).min() > ROUNDING_M)
+    expected = bool((clearances > 0.0).all()) and all(within_limits(scenario, q) for q in states)
+    assert CollisionChecker(scenario).edge(a, b, resolution) == expected
+
+
+def test_batches_singles_and_raw_kernels_agree():
+    scenario = Scenario(TWO_LINK, (Disc(2.5, 1.0), Disc(-2.0, -2.0)))
+    checker, rng = CollisionChecker(scenario), np.random.default_rng(0)
+    starts, ends = rng.uniform(-np.pi, np.pi, (2, 300, 2))
+    batch, edges = checker.valid_batch(starts), checker.edge_batch(starts, ends, 0.05)
+    assert batch.any()
+    assert not batch.all()
+    assert edges.any()
+    assert not edges.all()
+    assert batch.tolist() == [checker.valid(q) for q in starts]
+    assert batch.tolist() == [arm_is_free(q, *checker.kernel_args) for q in starts]
+    assert edges.tolist() == [checker.edge(a, b, 0.05) for a, b in zip(starts, ends, strict=True)]
+    raw = [edge_is_free(a, b, 0.05, *checker.kernel_args) for a, b in zip(starts, ends, strict=True)]
+    assert edges.tolist() == raw
+
+
+def test_touching_is_a_collision():
+    # The stretched arm's capsule ends at y = 0.1; the disc's lowest point is there as well.
+    touching = Scenario(TWO_LINK, (Disc(2.0, 1.0, 0.9),))
+    assert not CollisionChecker(touching).valid([0.0, 0.0])
+    assert CollisionChecker(Scenario(TWO_LINK, (Disc(2.0, 1.0, 0.899),))).valid([0.0, 0.0])
+
+
+def test_an_edge_takes_the_shorter_way_round_a_circle():
+    # At an angle of pi the first link points at (-2, 0); a disc above the base blocks the other way.
+    scenario = Scenario(TWO_LINK, (Disc(0.0, 3.0),))
+    assert CollisionChecker(scenario).edge([-0.2, 0.0], [0.2, 0.0], 0.02)
+    assert CollisionChecker(scenario).edge([3.0, 0.0], [-3.0, 0.0], 0.02)
+    assert not CollisionChecker(scenario).edge([0.5, 0.0], [2.6, 0.0], 0.02)
+
+
+def test_an_edge_does_not_wrap_round_a_limited_joint():
+    robot = PlanarArm(joint_limits_rad=((-3.1, 3.1), None))
+    scenario = Scenario(robot, (Disc(0.0, 3.0),))
+    # The short way would leave the limits, the straight one passes the disc.
+    assert not CollisionChecker(scenario).edge([3.0, 0.0], [-3.0, 0.0], 0.02)
+
+
+def test_both_ends_of_an_edge_are_looked_at():
+    scenario = Scenario(TWO_LINK, (Disc(4.0, 0.0, 0.05),))
+    checker = CollisionChecker(scenario)
+    assert not checker.edge([0.0, 0.0], [0.4, 0.0], 10.0)
+    assert not checker.edge([0.4, 0.0], [0.0, 0.0], 10.0)
+    assert checker.edge([0.4, 0.0], [0.8, 0.0], 10.0)
+
+
+def test_without_discs_everything_within_the_limits_is_free():
+    checker = CollisionChecker(Scenario(LIMITED, ()))
+    assert checker.valid([0.0, 2.5])
+    assert not checker.valid([0.0, 2.6])
+    assert np.isinf(checker.clearance([[0.0, 0.0]])[0])
+
+
+@pytest.mark.parametrize("shape", [(4,), (4, 3), (2, 2, 2)])
+def test_configurations_of_another_robot_are_an_error(shape):
+    with pytest.raises(ScenarioError, match=r"\(N, 2\)"):
+        CollisionChecker(Scenario(TWO_LINK, ())).valid_batch(np.zeros(shape))
+
+
+@pytest.mark.parametrize("resolution", [0.0, -0.1, float("nan")])
+def test_a_resolution_that_is_not_positive_is_an_error(resolution):
+    with pytest.raises(ScenarioError, match="resolution"):
+        CollisionChecker(Scenario(TWO_LINK, ())).edge([0.0, 0.0], [1.0, 1.0], resolution)

@@ -1,0 +1,183 @@
+import io
+import struct
+import zlib
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from PIL import Image
+
+from cspace.errors import ImageError
+from cspace.worlds.planar.picture import decode_png, encode_png, to_network
+
+SIGNATURE = b"\x89PNG\r\n\x1a\n"
+PICTURE = np.random.default_rng(0).integers(0, 256, (48, 48, 3), dtype=np.uint8)
+
+
+def png(picture, **options):
+    buffer = io.BytesIO()
+    picture.save(buffer, format="PNG", **options)
+    return buffer.getvalue()
+
+
+def chunk(kind, data):
+    return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+
+def header(width, height, depth=8, colour=2):
+    return SIGNATURE + chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, depth, colour, 0, 0, 0))
+
+
+def plain(mode, colour, side=48):
+    return Image.new(mode, (side, side), colour)
+
+
+def test_an_rgb_picture_comes_back_as_it_was():
+    np.testing.assert_array_equal(decode_png(encode_png(PICTURE)), PICTURE)
+
+
+@pytest.mark.parametrize(
+    ("picture", "colour"),
+    [
+        (plain("RGB", (1, 2, 3)), (1, 2, 3)),
+        (plain("L", 100), (100, 100, 100)),
+        (plain("1", 1), (255, 255, 255)),
+        (plain("RGBA", (255, 0, 0, 255)), (255, 0, 0)),
+        (plain("RGBA", (255, 0, 0, 0)), (255, 255, 255)),
+        (plain("RGBA", (0, 0, 255, 51)), (204, 204, 255)),
+        (plain("LA", (0, 0)), (255, 255, 255)),
+        (plain("LA", (0, 255)), (0, 0, 0)),
+        (plain("RGB", (9, 200, 30)).convert("P", palette=Image.Palette.ADAPTIVE), (9, 200, 30)),
+    ],
+    ids=["rgb", "grey", "bilevel", "opaque", "clear", "glass", "clear-grey", "opaque-grey", "palette"],
+)
+def test_other_kinds_of_pixels_become_rgb_over_white(picture, colour):
+    decoded = decode_png(png(picture))
+    assert decoded.dtype == np.uint8
+    np.testing.assert_array_equal(decoded, np.broadcast_to(np.array(colour, dtype=np.uint8), (48, 48, 3)))
+
+
+def test_a_transparent_colour_is_white_ground():
+    palette = plain("RGB", (9, 200, 30)).convert("P", palette=Image.Palette.ADAPTIVE)
+    assert (decode_png(png(palette, transparency=palette.getpixel((0, 0)))) == 255).all()
+    assert (decode_png(png(plain("L", 7), transparency=7)) == 255).all()
+    assert (decode_png(png(plain("RGB", (1, 2, 3)), transparency=(1, 2, 3))) == 255).all()
+
+
+def test_shrinking_averages_areas():
+    blocks = PICTURE.repeat(2, axis=0).repeat(2, axis=1)
+    np.testing.assert_array_equal(decode_png(encode_png(blocks)), PICTURE)
+    quarters = np.zeros((96, 96, 3), dtype=np.uint8)
+    quarters[::2, ::2] = 200
+    assert (decode_png(encode_png(quarters)) == 50).all()
+
+
+def test_a_target_pixel_that_cuts_source_pixels_takes_its_share_of_them():
+    # 24 from 36: each target pixel covers one and a half source pixels a side.
+    stripes = np.zeros((36, 36, 3), dtype=np.uint8)
+    stripes[:, 0::3] = 240
+    first = decode_png(encode_png(stripes), pixels=24)[0, :4, 0]
+    np.testing.assert_array_equal(first, [160, 0, 160, 0])
+
+
+def test_growing_repeats_pixels():
+    small = PICTURE[:16, :16]
+    np.testing.assert_array_equal(decode_png(encode_png(small)), small.repeat(3, axis=0).repeat(3, axis=1))
+
+
+@pytest.mark.parametrize("side", [16, 17, 49, 1000, 2048])
+def test_sizes_from_16_to_2048_are_taken(side):
+    grey = decode_png(png(plain("L", 130, side)))
+    assert grey.shape == (48, 48, 3)
+    assert (grey == 130).all()
+
+
+@pytest.mark.parametrize("side", [1, 15, 2049])
+def test_other_sizes_are_refused(side):
+    with pytest.raises(ImageError, match=rf"16 to 2048.*got {side} x {side}"):
+        decode_png(png(plain("L", 0, side)))
+
+
+def test_a_picture_that_is_not_square_is_refused():
+    with pytest.raises(ImageError, match="square"):
+        decode_png(png(Image.new("RGB", (48, 49))))
+
+
+def test_a_decompression_bomb_is_refused_by_its_header():
+    with pytest.raises(ImageError, match="60000 x 60000"):
+        decode_png(header(60000, 60000) + chunk(b"IDAT", b"") + chunk(b"IEND", b""))
+
+
+def test_sixteen_bits_are_refused():
+    with pytest.raises(ImageError, match="16 bits"):
+        decode_png(png(Image.fromarray(np.zeros((48, 48), dtype=np.uint16))))
+    with pytest.raises(ImageError, match="16 bits"):
+        decode_png(header(48, 48, depth=16) + chunk(b"IDAT", b"") + chunk(b"IEND", b""))
+
+
+def test_an_animation_is_refused():
+    frames = [plain("RGB", (shade, 0, 0)) for shade in (0, 100, 200)]
+    with pytest.raises(ImageError, match="animated"):
+        decode_png(png(frames[0], save_all=True, append_images=frames[1:]))
+    with pytest.raises(ImageError, match="animated"):
+        decode_png(png(frames[0], save_all=True, append_images=frames[1:], default_image=True))
+
+
+@pytest.mark.parametrize(
+    "data",
+    [b"", b"PNG", SIGNATURE, b"{}" * 100, SIGNATURE + bytes(100)],
+    ids=["empty", "short", "signature", "json", "zeros"],
+)
+def test_what_is_no_png_is_refused(data):
+    with pytest.raises(ImageError, match="not a PNG"):
+        decode_png(data)
+
+
+@pytest.mark.parametrize("kind", ["JPEG", "GIF", "BMP", "WEBP", "TIFF"])
+def test_other_formats_are_refused(kind):
+    buffer = io.BytesIO()
+    plain("RGB", 0).save(buffer, format=kind)
+    with pytest.raises(ImageError, match="not a PNG"):
+        decode_png(buffer.getvalue())
+
+
+@pytest.mark.parametrize("share", [0.3, 0.6, 0.95])
+def test_a_truncated_file_is_refused(share):
+    data = encode_png(PICTURE)
+    with pytest.raises(ImageError, match="damaged"):
+        decode_png(data[: int(len(data) * share)])
+
+
+def test_a_picture_without_pixels_is_refused():
+    with pytest.raises(ImageError):
+        decode_png(header(48, 48) + chunk(b"IEND", b""))
+
+
+@given(st.integers(0, 10**6), st.integers(1, 255))
+@settings(deadline=None, max_examples=150)
+def test_a_flipped_byte_is_an_image_error_or_a_picture(place, change):
+    data = bytearray(encode_png(PICTURE[:20, :20]))
+    data[place % len(data)] ^= change
+    try:
+        decoded = decode_png(bytes(data))
+    except ImageError:
+        return
+    assert decoded.shape == (48, 48, 3)
+
+
+@given(st.binary(max_size=200))
+@settings(deadline=None)
+def test_anything_after_a_good_header_is_an_image_error(rest):
+    with pytest.raises(ImageError):
+        decode_png(header(48, 48) + rest)
+
+
+def test_the_network_takes_channels_first_from_minus_one_to_one():
+    batch = to_network(np.stack([np.zeros_like(PICTURE), np.full_like(PICTURE, 255), PICTURE]))
+    assert batch.dtype == np.float32
+    assert batch.shape == (3, 3, 48, 48)
+    assert batch.flags.c_contiguous
+    assert (batch[0] == -1.0).all()
+    assert (batch[1] == 1.0).all()
+    assert batch[2, 1, 5, 7] == pytest.approx(PICTURE[5, 7, 1] / 127.5 - 1.0, abs=1e-6)

@@ -1,0 +1,96 @@
+import numpy as np
+import pytest
+from PIL import Image, ImageDraw
+
+from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK
+from cspace.worlds.planar.render import render, render_batch
+from cspace.worlds.planar.scene import Camera, Disc, Scenario, Split, random_scenarios
+
+WHITE, RED, BLUE = (255, 255, 255), (255, 0, 0), (0, 0, 255)
+FINE = 16
+
+
+def drawn_by_pillow(scenario):
+    """Another program's picture to the same description: shapes at 16 times the size, then averaged."""
+    camera, robot = scenario.camera, scenario.robot
+    side = camera.pixels * FINE
+    scale = side / (camera.x_max_m - camera.x_min_m)
+    picture = Image.new("RGB", (side, side), WHITE)
+    draw = ImageDraw.Draw(picture)
+
+    def at(x_m, y_m):
+        return (x_m - camera.x_min_m) * scale, (camera.y_max_m - y_m) * scale
+
+    def disc(x_m, y_m, radius_m, colour):
+        x, y = at(x_m, y_m)
+        radius = radius_m * scale
+        draw.ellipse((x - radius, y - radius, x + radius, y + radius), fill=colour)
+
+    width = robot.half_width_m
+    (left, top), (right, bottom) = at(0.0, width), at(robot.reach_m, -width)
+    draw.rectangle((left, top, right, bottom), fill=BLUE)
+    disc(0.0, 0.0, width, BLUE)
+    disc(robot.reach_m, 0.0, width, BLUE)
+    for one in scenario.discs:
+        disc(one.x_m, one.y_m, one.radius_m, RED)
+    return np.asarray(picture.reduce(FINE))
+
+
+@pytest.mark.parametrize("scenario", random_scenarios(Split.DEMO, 3, 8), ids=str)
+def test_a_picture_drawn_by_another_program_agrees(scenario):
+    ours, theirs = render(scenario).astype(int), drawn_by_pillow(scenario).astype(int)
+    # An outline of a sixteenth of a pixel, on the rims only.
+    assert np.abs(ours - theirs).max() <= 40
+    assert np.abs(ours - theirs).mean() < 0.6
+
+
+def test_the_camera_may_be_finer_and_elsewhere():
+    scenario = Scenario(THREE_LINK, (Disc(1.0, 2.0),), Camera(-3.0, 5.0, -4.0, 4.0, 96))
+    ours, theirs = render(scenario).astype(int), drawn_by_pillow(scenario).astype(int)
+    assert ours.shape == (96, 96, 3)
+    assert np.abs(ours - theirs).max() <= 40
+
+
+def test_colours_are_exact_away_from_outlines():
+    # Pixel (row, column) covers x from -5 + column / 4.8 and y below 5 - row / 4.8.
+    picture = render(Scenario(TWO_LINK, (Disc(-3.0, 3.0),)))
+    assert picture.dtype == np.uint8
+    assert picture.shape == (48, 48, 3)
+    assert tuple(picture[9, 9]) == RED
+    assert tuple(picture[0, 47]) == WHITE
+    assert set(map(tuple, picture[40])) == {WHITE}
+
+
+def test_y_points_up():
+    picture = render(Scenario(TWO_LINK, (Disc(0.0, 4.0),)))
+    red = (picture == RED).all(axis=-1)
+    assert red[:10].any()
+    assert not red[10:].any()
+
+
+def test_discs_are_drawn_over_the_arm():
+    picture = render(Scenario(TWO_LINK, (Disc(2.0, 0.0),)))
+    middle = picture[23:25, 33]
+    assert (middle == RED).all()
+    assert picture[23:25, 26, 2].min() == 255
+    assert picture[23:25, 26, 0].max() < 255
+
+
+def test_the_arm_is_drawn_at_angle_zero():
+    picture = render(Scenario(TWO_LINK, ()))
+    bluish = picture[..., 0] < 255
+    rows, columns = np.nonzero(bluish)
+    assert set(rows) == {23, 24}
+    # From the base's cap at x = -0.1 m to the tip's at x = 4.1 m.
+    assert (columns.min(), columns.max()) == (23, 43)
+
+
+def test_area_is_kept_by_the_anti_aliasing():
+    picture = render(Scenario(TWO_LINK, (Disc(-2.0, -2.5, 1.3),)))
+    red_share = (255.0 - picture[..., 2]) / 255.0
+    assert red_share.sum() * (10.0 / 48) ** 2 == pytest.approx(np.pi * 1.3**2, rel=5e-3)
+
+
+def test_a_batch_is_the_pictures_one_by_one():
+    scenarios = random_scenarios(Split.DEMO, 0, 3)
+    np.testing.assert_array_equal(render_batch(scenarios), np.stack([render(s) for s in scenarios]))

@@ -1,0 +1,90 @@
+import json
+
+import numpy as np
+import pytest
+
+from cspace.errors import ScenarioError
+from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK
+from cspace.worlds.planar.collision import CollisionChecker
+from cspace.worlds.planar.scene import Camera, Disc, Scenario, Split, random_scenarios, scenario_rng
+
+COUNT = 1500
+PINNED = (2.091881118312129, -1.5918146715586463)
+
+
+@pytest.fixture(scope="module")
+def scenarios():
+    return random_scenarios(Split.VALIDATION, 11, COUNT)
+
+
+def test_discs_lie_where_the_method_puts_them(scenarios):
+    discs = np.stack([scenario.disc_array for scenario in scenarios])
+    assert discs.shape == (COUNT, 3, 3)
+    assert (discs[..., 2] == 1.0).all()
+    assert (np.abs(discs[..., :2]) <= 4.0).all()
+    distances = np.hypot(discs[..., 0], discs[..., 1])
+    assert distances.min() >= 1.3
+    # Uniform over the square less the circle: close to its rim on either side.
+    assert distances.min() < 1.35
+    assert np.abs(discs[..., :2]).max() > 3.99
+    np.testing.assert_allclose(discs[..., :2].mean(axis=(0, 1)), 0.0, atol=0.15)
+
+
+def test_two_links_find_the_share_of_free_space_that_the_method_names(scenarios):
+    q = TWO_LINK.space.sample_uniform(np.random.default_rng(0), 400)
+    free = np.array([CollisionChecker(scenario).valid_batch(q).mean() for scenario in scenarios])
+    # Four standard errors of 1500 scenarios of sd 0.14, and the half unit of the printed figure.
+    assert free.mean() == pytest.approx(0.69, abs=0.02)
+    assert free.std() == pytest.approx(0.14, abs=0.02)
+    assert free.min() > 0.1
+
+
+def test_the_home_pose_collides_as_often_as_the_method_names(scenarios):
+    colliding = np.mean([not CollisionChecker(scenario).valid([0.0, 0.0]) for scenario in scenarios])
+    assert colliding == pytest.approx(0.29, abs=0.05)
+
+
+def test_a_seed_gives_the_same_scenarios_and_a_longer_list_starts_with_the_shorter():
+    assert random_scenarios(Split.TEST, 5, 3) == random_scenarios(Split.TEST, 5, 10)[:3]
+
+
+def test_the_streams_of_earlier_versions_stay_as_they_are():
+    # Published results name seeds; a change of these numbers would silently change what they mean.
+    first = random_scenarios(Split.TEST, 5, 1)[0].discs[0]
+    assert (first.x_m, first.y_m) == pytest.approx(PINNED, abs=1e-12)
+
+
+def test_splits_seeds_and_indices_share_no_scenario():
+    seen = {
+        scenario.discs[0].x_m
+        for split in Split
+        for seed in (0, 1, 2, 3, 4)
+        for scenario in random_scenarios(split, seed, 50)
+    }
+    assert len(seen) == 4 * 5 * 50
+
+
+def test_an_unknown_split_is_refused():
+    with pytest.raises(ValueError, match="holdout"):
+        scenario_rng("holdout", 0, 0)
+
+
+def test_scenarios_of_another_robot_have_the_same_discs():
+    two, three = (random_scenarios(Split.DEMO, 1, 4, robot) for robot in (TWO_LINK, THREE_LINK))
+    assert [s.discs for s in two] == [s.discs for s in three]
+    assert {s.robot for s in three} == {THREE_LINK}
+
+
+def test_a_scenario_survives_json():
+    scenario = Scenario(THREE_LINK, (Disc(1.5, 2.5, 0.5), Disc(-2.0, 0.0)), Camera(-4, 4, -4, 4, 64))
+    assert Scenario.from_dict(json.loads(json.dumps(scenario.to_dict()))) == scenario
+
+
+def test_a_scenario_without_discs_has_an_empty_array():
+    assert Scenario(TWO_LINK, ()).disc_array.shape == (0, 3)
+
+
+@pytest.mark.parametrize("change", [{"pixels": None}, {"pixels": "many"}, {"x_min_m": []}])
+def test_a_camera_that_does_not_fit_is_an_error(change):
+    with pytest.raises(ScenarioError, match="camera"):
+        Camera.from_dict(Camera().to_dict() | change)

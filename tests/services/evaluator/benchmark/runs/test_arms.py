@@ -1,0 +1,106 @@
+import pytest
+
+from cspace.errors import ConfigError
+from services.evaluator.benchmark.runs.arms import MIN_CONFIDENCE, SAMPLES, Group, Taken, pick, table
+from services.planner.planning import PAPER_SCHEDULE
+from services.planner.settings import LEARNED_PLANNERS, PLANNERS, RRT
+
+ARMS = table(["flow", "way"])
+
+
+def names(*wanted, planners=()):
+    return [arm.name for arm in pick(ARMS, wanted, planners)]
+
+
+def test_every_arm_has_its_own_name_and_a_base_with_uniform_samples():
+    by_name = {arm.name: arm for arm in ARMS}
+    assert len(by_name) == len(ARMS)
+    for arm in ARMS:
+        base = by_name[arm.base]
+        assert base.sampler is None
+        assert base.planner == arm.planner or arm.group is Group.OPTIMISING
+        assert base.stop_at_first is arm.stop_at_first
+
+
+def test_every_planner_is_measured_with_uniform_samples_and_three_ranges_of_rrt():
+    uniform = pick(ARMS, [Group.UNIFORM])
+    assert {arm.planner for arm in uniform} == set(PLANNERS)
+    assert {arm.range_rad for arm in uniform if arm.planner == RRT} == {0.5, 1.0, 2.0}
+
+
+def test_every_planner_that_can_draws_each_sampler_at_both_shares():
+    learned = [arm for arm in ARMS if arm.group is Group.LEARNED]
+    found = {(arm.planner, arm.sampler, arm.learned_share) for arm in learned}
+    assert found == {(p, s, share) for p in LEARNED_PLANNERS for s in ("flow", "way") for share in (0.7, 1.0)}
+    assert all(arm.samples == SAMPLES and arm.min_confidence == 0.0 for arm in learned)
+
+
+def test_the_schedule_has_as_many_unperturbed_samples_as_the_mixture_it_is_compared_with():
+    mixed, in_order, uniform = (a for a in ARMS if a.group is Group.SCHEDULE and a.sampler == "way")
+    assert mixed.epsilon_sigma == in_order.epsilon_sigma == PAPER_SCHEDULE
+    assert (mixed.in_order, in_order.in_order) == (False, True)
+    assert uniform.samples == mixed.samples // len(PAPER_SCHEDULE)
+    assert uniform.learned_share == 1.0 / len(PAPER_SCHEDULE)
+
+
+def test_arms_ask_for_as_many_samples_as_they_are_told_and_keep_a_number_that_is_in_their_name():
+    told = {arm.name: arm for arm in table(["way"], Taken(samples=700))}
+    plain = {arm.name: arm.samples for arm in table(["way"]) if arm.group is not Group.SCHEDULE}
+    changed = {name for name, samples in plain.items() if told[name].samples != samples}
+    assert changed == {
+        name for name, samples in plain.items() if samples == SAMPLES and "samples" not in name
+    }
+    assert {told[name].samples for name in changed} == {700}
+    assert told["RRT, way, 70 %, 30 samples"].samples == 30
+    assert told["RRT, way, 25 %, 175 samples"].samples == 175
+
+
+def test_there_is_an_arm_for_every_share_that_is_told():
+    plain, told = table(["way"]), table(["way"], Taken(shares=(0.85, 0.55)))
+    assert len(told) == len(plain)
+    shared = (Group.LEARNED, Group.FILTERED, Group.ORDERED, Group.CHECKED)
+    assert {arm.learned_share for arm in told if arm.group in shared} == {0.85, 0.55}
+    by_name = {arm.name: arm for arm in told}
+    assert by_name["RRT, way, 55 %, colliding last"].learned_share == 0.55
+    assert by_name["RRT*, way, 85 %, optimising"].learned_share == 0.85
+    assert by_name["RRT, way, 70 %, 30 samples"].learned_share == 0.7
+
+
+def test_the_filter_of_ordered_arms_is_that_of_the_filtered_ones():
+    arms = table(["way"], Taken(0.25))
+    assert {arm.min_confidence for arm in pick(arms, ["filtered", "ordered"]) if arm.sampler} == {0.25}
+
+
+def test_checked_arms_take_the_samples_as_they_come_but_for_those_that_collide():
+    checked = [arm for arm in table(["way"]) if arm.group is Group.CHECKED]
+    assert len(checked) == 8
+    for arm in checked:
+        assert (arm.colliding_last, arm.min_confidence, arm.epsilon_sigma) == (True, 0.0, (0.0,))
+        assert arm.ordered is ("ordered" in arm.name)
+    assert not any(arm.colliding_last for arm in table(["way"]) if arm.group is not Group.CHECKED)
+
+
+def test_a_confidence_that_drops_nothing_leaves_no_arm_that_calls_itself_filtered():
+    arms = table(["way"], Taken(0.0))
+    with pytest.raises(ConfigError, match="no arm is left"):
+        pick(arms, ["filtered"])
+    assert {arm.min_confidence for arm in pick(arms, ["ordered"])} == {0.0}
+
+
+def test_arms_are_picked_by_name_or_group_and_bring_their_bases():
+    assert names("RRT, way, 70 %") == ["RRT, uniform", "RRT, way, 70 %"]
+    assert len(names("learned", planners=["PRM"])) == 1 + 2 * 2
+    assert {arm.min_confidence for arm in pick(ARMS, ["filtered"])} == {0.0, MIN_CONFIDENCE}
+
+
+@pytest.mark.parametrize(
+    ("wanted", "planners", "words"),
+    [
+        (["nothing"], [], "no such arm"),
+        (["uniform"], ["EST"], "planner is unknown"),
+        (["filtered"], ["PRM"], "no arm is left"),
+    ],
+)
+def test_what_is_not_there_is_refused(wanted, planners, words):
+    with pytest.raises(ConfigError, match=words):
+        pick(ARMS, wanted, planners)

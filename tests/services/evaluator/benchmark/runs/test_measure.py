@@ -1,0 +1,224 @@
+"""Real problems, the real planners, and samples of the shipped head's path sampler."""
+
+from collections import Counter
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from cspace.bundle import Bundle
+from cspace.errors import ConfigError, SamplerError
+from cspace.worlds.planar.picture import decode_png, encode_png
+from cspace.worlds.planar.problems import Family, draw_problem
+from cspace.worlds.planar.scene import Split
+from services.evaluator.benchmark.runs.arms import pick, table
+from services.evaluator.benchmark.runs.check_cost import state_check_s
+from services.evaluator.benchmark.runs.fresh_png import fresh_png
+from services.evaluator.benchmark.runs.measure import drawn_samples, known_problem, measure
+from services.evaluator.benchmark.runs.setting import Unit
+from services.evaluator.benchmark.runs.sources import Ask, ask, bundled, mixed, opened, parse_named
+from services.planner.plan_result import Reason
+from services.planner.search.sample_order import order_along
+from tests.bundles import picture, write_tiny_bundle
+
+NAMES = ("RRT, way, 70 %", "RRT, way, 100 %", "PRM, way, 100 %", "RRT*, way, 70 %, optimising")
+ARMS = pick(table(["way"]), NAMES)
+
+
+@pytest.fixture(scope="module")
+def spec(path_folder):
+    return bundled("way", path_folder)
+
+
+@pytest.fixture(scope="module")
+def sources(spec):
+    with opened([spec]) as found:
+        yield found
+
+
+def test_a_bundle_that_is_open_leaves_no_files_that_an_ended_worker_could_not_take_away(
+    spec, tmp_path, monkeypatch
+):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    with opened([spec]) as found:
+        assert not list(tmp_path.iterdir())
+        batch = ask(found["way"], spec, draw_problem(Family.NARROW, Split.DEMO, 1), Ask(3, 20))
+    assert batch.samples.shape == (20, 2)
+
+
+class Counting:
+    """A source that counts what it is asked."""
+
+    def __init__(self, source):
+        self.source, self.asked = source, Counter()
+
+    def sample(self, image_png, n, **options):
+        self.asked[n, options["epsilon_sigma"], options["min_confidence"]] += 1
+        return self.source.sample(image_png, n, **options)
+
+
+def run(arms, family, setting, spec, sources, index=0):
+    found = measure(Unit(family, index, 0, tuple(arms)), setting, {"way": spec}, sources)
+    return {one.arm: one for one in found}
+
+
+def test_every_arm_solves_the_same_problem_with_the_same_seed(setting, spec, sources):
+    found = run(ARMS, Family.NARROW, setting, spec, sources)
+    assert set(found) == {arm.name for arm in ARMS}
+    assert len({one.seed for one in found.values()}) == 1
+    assert all(one.solved for one in found.values())
+    for one in found.values():
+        assert one.total_s == one.request_s + one.solve_s
+        assert one.check_s + one.plan_s == pytest.approx(one.solve_s)
+        assert one.check_s == one.state_checks * one.state_check_s > 0.0
+        learned = one.sampler == "way"
+        assert (one.learned_drawn > 0) is learned
+        assert (one.samples_got, one.samples_asked) == ((300, 300) if learned else (0, 0))
+
+
+def test_a_request_is_split_and_one_in_this_process_has_no_transport(setting, spec, sources):
+    found = run(ARMS, Family.NARROW, setting, spec, sources)
+    one = found["RRT, way, 70 %"]
+    assert min(one.decode_s, one.encode_s, one.generate_s) > 0.0
+    assert one.decode_s + one.encode_s + one.generate_s <= one.server_s
+    assert (one.transport_s, one.request_s) == (0.0, one.server_s)
+    assert found["RRT, uniform"].request_s == 0.0
+
+
+def test_arms_that_ask_for_the_same_share_a_request(setting, spec, sources):
+    counting = Counting(sources["way"])
+    wanted = (*NAMES, "RRT, way, schedule", "RRT, way, schedule in order", "RRT, way, 70 %, filtered")
+    found = run(pick(table(["way"]), wanted), Family.UNIFORM, setting, spec, {"way": counting})
+    assert sorted(counting.asked.values()) == [1, 1, 1]
+    plain = [found[name] for name in NAMES]
+    assert len({one.request_s for one in plain}) == 1
+
+
+def test_an_optimising_run_tells_how_the_length_fell(setting, spec, sources):
+    one = run(ARMS, Family.NARROW, setting, spec, sources)["RRT*, way, 70 %, optimising"]
+    assert one.iterations == setting.optimising_iterations
+    assert len(one.cost_s) == len(one.cost_iterations) == len(one.cost_edge_checks) >= 2
+    assert list(one.cost_length_rad) == sorted(one.cost_length_rad, reverse=True)
+    assert (one.first_length_rad, one.first_iterations) == (one.cost_length_rad[0], one.cost_iterations[0])
+    assert one.length_rad <= one.first_length_rad + 1e-9
+
+
+def test_the_first_solution_of_other_runs_is_their_end(setting, spec, sources):
+    one = run(ARMS, Family.NARROW, setting, spec, sources)["RRT, uniform"]
+    assert (one.first_iterations, one.first_length_rad) == (one.iterations, one.length_rad)
+    assert one.cost_s == ()
+
+
+def test_where_there_is_no_path_nothing_succeeds_and_the_limit_ends_it(setting, spec, sources):
+    short = replace(setting, max_iterations=200)
+    arms = [arm for arm in ARMS if arm.stop_at_first]
+    for one in run(arms, Family.DISCONNECTED, short, spec, sources).values():
+        assert not one.solved
+        assert (one.reason, one.iterations) == (Reason.ITERATION_LIMIT, 200)
+        assert one.length_rad is one.first_s is one.first_iterations is None
+        assert one.bottleneck_rad == 0.0
+
+
+def test_a_path_that_the_independent_check_refuses_is_no_success(setting, spec, sources, monkeypatch):
+    monkeypatch.setattr(
+        "services.evaluator.benchmark.runs.measure.judge_path", lambda *given: Reason.REJECTED, raising=True
+    )
+    for one in run(ARMS, Family.UNIFORM, setting, spec, sources).values():
+        assert (one.solved, one.length_rad, one.cost_s) == (False, None, ())
+        assert one.reason == Reason.REJECTED
+
+
+def test_another_model_than_the_one_that_was_named_is_an_error(setting, spec, sources):
+    with pytest.raises(SamplerError, match="another model answers for way"):
+        run(ARMS, Family.UNIFORM, setting, replace(spec, digest="0" * 64), sources)
+
+
+def test_perturbed_samples_are_mixed_unless_the_papers_order_is_wanted(setting, spec, sources):
+    by_name = {arm.name: arm for arm in table(["way"])}
+    problem = known_problem(Family.UNIFORM, setting.split, 0, 0)
+    ends = {"start": problem.start.tolist(), "goal": problem.goal.tolist()}
+    batch = sources["way"].sample(
+        encode_png(picture(pixels=48)), 40, seed=3, epsilon_sigma=(0.0, 1.0), min_confidence=0.0, **ends
+    )
+    in_order = drawn_samples(by_name["RRT, way, schedule in order"], batch, problem)
+    shuffled = drawn_samples(by_name["RRT, way, schedule"], batch, problem)
+    assert np.array_equal(in_order, batch.samples)
+    assert not np.array_equal(shuffled, batch.samples)
+    assert np.array_equal(shuffled, mixed(batch.samples, 3))
+    assert np.array_equal(np.sort(shuffled, axis=0), np.sort(batch.samples, axis=0))
+
+
+def test_checked_arms_take_all_that_others_take_and_count_what_they_check(setting, spec, sources):
+    wanted = [f"RRT, way, 100 %{rest}" for rest in ("", ", colliding last")]
+    short = replace(setting, max_iterations=400)
+    found = run(pick(table(["way"]), wanted), Family.DISCONNECTED, short, spec, sources)
+    plain, checked = (found[name] for name in wanted)
+    assert plain.learned_drawn == checked.learned_drawn == 300
+    assert plain.samples_got == checked.samples_got == 300
+    assert not plain.solved
+    assert checked.group == "checked"
+    assert checked.iterations == plain.iterations == 400
+
+
+def test_ordered_samples_are_the_same_ones_along_the_way(setting, spec, sources):
+    by_name = {arm.name: arm for arm in table(["way"])}
+    problem = known_problem(Family.UNIFORM, setting.split, 0, 0)
+    ends = {"start": problem.start.tolist(), "goal": problem.goal.tolist()}
+    batch = sources["way"].sample(encode_png(picture(pixels=48)), 40, seed=3, min_confidence=0.0, **ends)
+    ordered = drawn_samples(by_name["RRT, way, 70 %, ordered"], batch, problem)
+    order = order_along(batch.samples, problem.start, problem.goal, problem.scenario.robot.space)
+    assert np.array_equal(ordered, batch.samples[order])
+    assert not np.array_equal(ordered, batch.samples)
+
+
+def test_a_model_of_configurations_is_asked_without_start_and_goal(setting, tmp_path):
+    plain = bundled("way", write_tiny_bundle(tmp_path / "bundle"))
+    assert not plain.with_ends
+    with opened([plain]) as found:
+        one = run(ARMS, Family.UNIFORM, setting, plain, found)["RRT, way, 70 %"]
+    assert one.samples_got == 300
+
+
+def test_a_fresh_png_is_another_file_of_the_same_picture(tmp_path):
+    png = encode_png(picture())
+    first, second = fresh_png(png, "1"), fresh_png(png, "2")
+    assert len({png, first, second}) == 3
+    for data in (first, second):
+        assert np.array_equal(decode_png(data), picture())
+    path = tmp_path / "note.png"
+    path.write_bytes(second)
+    with Image.open(path) as opened_picture:
+        opened_picture.load()
+        assert opened_picture.info["Comment"] == "2"
+    with pytest.raises(ValueError, match="IEND"):
+        fresh_png(png[:-1], "1")
+
+
+def test_a_look_at_a_state_takes_well_under_the_time_of_a_python_call(setting):
+    # No bound on a machine's speed: less than a thousandth of a second, and more than nothing.
+    found = state_check_s(known_problem(Family.UNIFORM, setting.split, 0, 0), 1.0, 0.0314)
+    assert 0.0 < found < 1e-3
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("path-sampler@champion", ("path-sampler", "path-sampler@champion")),
+        ("path-sampler/3", ("path-sampler", "path-sampler/3")),
+        ("new=build/a=b", ("new", "build/a=b")),
+    ],
+)
+def test_a_sampler_is_named_or_names_itself(text, expected):
+    assert parse_named(text) == expected
+
+
+@pytest.mark.parametrize("text", ["", "=x", "a=", "a,b=x"])
+def test_a_sampler_without_a_proper_name_is_refused(text):
+    with pytest.raises(ConfigError, match="no proper name"):
+        parse_named(text)
+
+
+def test_the_digest_is_that_of_the_bundle(spec, path_folder):
+    assert spec.digest == Bundle.load(path_folder).digest
+    assert spec.with_ends

@@ -1,0 +1,82 @@
+"""The pictures of single scenarios: which are shown and what is marked on them."""
+
+import numpy as np
+import pytest
+
+from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK
+from cspace.worlds.planar.problems import Family
+from cspace.worlds.planar.scene import Camera, Split
+from services.evaluator.evaluation.gallery import MISSED_COLOUR, SHOWN_SAMPLES, gallery
+from services.evaluator.evaluation.recording import exhibits
+from services.evaluator.measures.reconstruction import SampleQuality, SceneQuality
+from services.evaluator.measures.samplers import UniformSampler
+from services.evaluator.measures.scenes import Scene, Stage
+
+STAGE = Stage(TWO_LINK, Camera(), Split.TEST, 0)
+
+
+def measured(family, *precisions):
+    qualities = [SampleQuality(precision, 0.9, 0.1, 0.9, 0.9) for precision in precisions]
+    return [SceneQuality(i, q, q, q, family=family) for i, q in enumerate(qualities)]
+
+
+def marked(axes, colour):
+    """How many points of a colour a panel holds."""
+    from matplotlib.colors import to_rgba
+
+    return sum(
+        len(points.get_offsets())
+        for points in axes.collections
+        if np.allclose(points.get_facecolor()[:1], to_rgba(colour))
+    )
+
+
+@pytest.mark.parametrize("robot", [TWO_LINK, THREE_LINK])
+def test_the_gallery_has_three_panels_a_scenario(robot, tmp_path):
+    stage = Stage(robot, Camera(), Split.TEST, 0)
+    figure = gallery([Scene(stage, 0), Scene(stage, 1)], UniformSampler(robot.space), "two scenarios")
+    figure.savefig(tmp_path / "gallery.png")
+    assert len(figure.axes) == 6
+    assert (tmp_path / "gallery.png").stat().st_size > 10_000
+    assert "free" in figure.axes[2].get_title()
+
+
+def test_free_configurations_that_no_sample_is_near_are_marked():
+    scene = Scene(STAGE, 0)
+
+    class Collapsed:
+        def sample(self, image, n, seed):
+            return np.tile(scene.free(1, scene.rng(0)), (n, 1)).astype(np.float32)
+
+    panel = gallery([scene], Collapsed(), "collapsed").axes[2]
+    assert "100.0% free" in panel.get_title()
+    assert 0.95 * SHOWN_SAMPLES < marked(panel, MISSED_COLOUR) < SHOWN_SAMPLES
+
+
+def test_a_problem_s_ends_and_its_passage_are_shown_with_the_note():
+    scene = Scene(STAGE, 0, Family.DISCONNECTED)
+    figure = gallery([scene], UniformSampler(TWO_LINK.space), "one", ["least precise of 3"])
+    picture, truth, _ = figure.axes
+    assert picture.get_title() == "test, disconnected scenario 0\nleast precise of 3"
+    assert truth.get_title().endswith("no path")
+    assert np.array_equal(truth.collections[0].get_offsets(), [scene.problem.start, scene.problem.goal])
+
+
+def test_the_first_scenarios_and_the_least_precise_of_every_family_are_exhibits():
+    rows = [
+        *measured(Family.UNIFORM, 0.9, 0.8, 0.7, 0.6, 0.65),
+        *measured(Family.NARROW, 0.5, 0.4),
+        *measured(Family.DISCONNECTED, 0.3),
+    ]
+    assert exhibits(STAGE, rows) == {
+        Scene(STAGE, 0): "",
+        Scene(STAGE, 1): "",
+        Scene(STAGE, 3): "least precise of 5",
+        Scene(STAGE, 1, Family.NARROW): "least precise of 2",
+        Scene(STAGE, 0, Family.DISCONNECTED): "least precise of 1",
+    }
+
+
+def test_a_scenario_is_shown_once():
+    rows = measured(Family.UNIFORM, 0.9, 0.2, 0.7)
+    assert exhibits(STAGE, rows) == {Scene(STAGE, 0): "", Scene(STAGE, 1): "least precise of 3"}

@@ -1,0 +1,196 @@
+import json
+from dataclasses import replace
+
+import pytest
+
+from cspace.errors import ConfigError, EvaluationError, ModelNotFoundError
+from cspace.worlds.planar.arm import THREE_LINK
+from services.evaluator import __main__ as command
+from services.evaluator.evaluation.budget import Budget, Kind, units
+from services.evaluator.evaluation.execution import run_here
+from services.evaluator.evaluation.job import evaluate_version, executor, run_on_ray
+from services.evaluator.evaluation.metrics import flat_metrics
+from services.evaluator.evaluation.request import make_request
+from services.registry import ALIAS_CHALLENGER, ALIAS_CHAMPION, MODEL_NAME, decisions
+from tests.bundles import write_tiny_bundle
+from tests.fakes.registry import FakeRegistry, FakeTracking
+
+TINY = Budget(
+    scenarios=2,
+    samples=150,
+    validation_problems=0,
+    test_problems=0,
+    planner_seeds=1,
+    topology_scenarios=1,
+    draws=1,
+    topology_samples=150,
+)
+
+
+def request(model=f"{MODEL_NAME}@{ALIAS_CHALLENGER}", *, promote=True):
+    return replace(make_request(model, promote=promote), budget=TINY)
+
+
+@pytest.fixture
+def tracking():
+    return FakeTracking()
+
+
+@pytest.fixture
+def registry(tmp_path, tracking):
+    """A registry with one version, the challenger, made by the run of a training."""
+    from cspace.bundle import Bundle
+
+    store = FakeRegistry(tmp_path / "registry", tracking.runs)
+    run = tracking.start(MODEL_NAME, "cluster-train")
+    bundle = Bundle.load(write_tiny_bundle(tmp_path / "bundle"))
+    store.register(MODEL_NAME, bundle.folder, run.run_id, bundle.digest, {}, alias=ALIAS_CHALLENGER)
+    return store
+
+
+def passing(monkeypatch):
+    """Let the gate pass: the tiny model is no better than uniform, and the decision is not the point here."""
+    from services.evaluator.evaluation import recording
+
+    judge = recording.judge
+    monkeypatch.setattr(recording, "judge", lambda *given: replace(judge(*given), promoted=True))
+
+
+def test_an_evaluation_is_a_child_of_the_training_with_metrics_report_and_pictures(tracking, registry):
+    outcome = evaluate_version(request(), tracking, registry, progress=lambda line: None)
+    run = tracking.runs[outcome.run_id]
+    assert (run.name, run.status) == ("evaluation", "FINISHED")
+    assert run.parent_run_id == registry.version(MODEL_NAME, 1).run_id
+    assert run.history["precision"][0][1] == flat_metrics(outcome.evaluation)["precision"]
+    assert {"test_coverage", "edr", "test_gs_floor", "precision_gain_low"} <= set(run.history)
+    assert run.tags["model_version"] == "1"
+    assert b"## Decision" in run.artifacts["report/evaluation.md"]
+    assert json.loads(run.artifacts["report/evaluation.json"])["setting"]["seed"] == 0
+    assert {f"figures/{name}.png" for name in outcome.figures} <= set(run.artifacts)
+
+
+def test_a_refused_version_is_recorded_and_the_champion_stays(tracking, registry):
+    outcome = evaluate_version(request(), tracking, registry, progress=lambda line: None)
+    assert not outcome.verdict.promoted
+    (decision,) = decisions(registry, MODEL_NAME)
+    assert not decision.promoted
+    assert decision.reasons == outcome.verdict.reasons
+    assert set(decision.metrics) == {"precision", "coverage", "edr", "joints"}
+    with pytest.raises(ModelNotFoundError):
+        registry.by_alias(MODEL_NAME, ALIAS_CHAMPION)
+
+
+def test_a_promoted_version_becomes_the_champion(tracking, registry, monkeypatch):
+    passing(monkeypatch)
+    evaluate_version(request(), tracking, registry, progress=lambda line: None)
+    assert registry.by_alias(MODEL_NAME, ALIAS_CHAMPION).number == 1
+    assert decisions(registry, MODEL_NAME)[0].promoted
+
+
+def test_a_version_is_not_compared_with_its_own_earlier_promotion(tracking, registry, monkeypatch):
+    passing(monkeypatch)
+    for _ in range(2):
+        outcome = evaluate_version(request(), tracking, registry, progress=lambda line: None)
+    assert outcome.verdict.against is None
+
+
+def test_without_promotion_nothing_is_recorded(tracking, registry, monkeypatch):
+    passing(monkeypatch)
+    outcome = evaluate_version(request(promote=False), tracking, registry, progress=lambda line: None)
+    assert not outcome.recorded
+    assert decisions(registry, MODEL_NAME) == ()
+    assert tracking.runs[outcome.run_id].status == "FINISHED"
+
+
+def test_an_evaluation_that_fails_leaves_a_failed_run_and_no_decision(tracking, registry):
+    def failing(work, setting, packed):
+        raise EvaluationError("a unit failed")
+        yield
+
+    with pytest.raises(EvaluationError):
+        evaluate_version(request(), tracking, registry, failing, lambda line: None)
+    assert [run.status for run in tracking.runs.values()] == ["RUNNING", "FAILED"]
+    assert decisions(registry, MODEL_NAME) == ()
+
+
+def test_an_unknown_version_is_an_error(tracking, registry):
+    with pytest.raises(ModelNotFoundError):
+        evaluate_version(request(f"{MODEL_NAME}/9"), tracking, registry)
+
+
+def test_a_path_model_of_three_joints_is_refused(tracking, registry, tmp_path):
+    from cspace.bundle import Bundle
+
+    bundle = Bundle.load(write_tiny_bundle(tmp_path / "path", THREE_LINK, kind="path"))
+    run_id = tracking.start(MODEL_NAME, "cluster-train").run_id
+    registry.register(MODEL_NAME, bundle.folder, run_id, bundle.digest, {})
+    with pytest.raises(ConfigError, match="two joints"):
+        evaluate_version(request(f"{MODEL_NAME}/2"), tracking, registry)
+
+
+def test_progress_tells_every_unit(tracking, registry):
+    lines = []
+    evaluate_version(request(), tracking, registry, progress=lines.append)
+    assert len(lines) == 1 + len(units(TINY))
+    assert f"{MODEL_NAME}/1" in lines[0]
+    assert lines[-1].lstrip().startswith(f"{len(units(TINY))}/{len(units(TINY))}")
+
+
+@pytest.mark.parametrize(
+    ("environment", "expected"),
+    [
+        ({}, run_here),
+        ({"RAY_ADDRESS": ""}, run_here),
+        ({"RAY_ADDRESS": "http://127.0.0.1:8265"}, run_here),
+        ({"RAY_ADDRESS": "127.0.0.1:6379"}, run_on_ray),
+        ({"RAY_ADDRESS": "auto"}, run_on_ray),
+    ],
+)
+def test_the_cluster_is_used_where_a_driver_can_reach_one(environment, expected):
+    assert executor(environment) is expected
+
+
+def test_the_command_prints_the_tables_and_a_result_line(tracking, registry, monkeypatch, capsys):
+    monkeypatch.setattr(command, "MlflowTracking", lambda uri: tracking)
+    monkeypatch.setattr(command, "MlflowRegistry", lambda uri: registry)
+    monkeypatch.setattr(command, "make_request", lambda *given, **options: request(promote=False))
+    assert command.main([], {"MLFLOW_TRACKING_URI": "http://127.0.0.1:1"}) == 0
+    *lines, last = capsys.readouterr().out.splitlines()
+    told = json.loads(last.removeprefix("RESULT "))
+    assert (told["model"], told["version"], told["promoted"]) == (MODEL_NAME, 1, False)
+    assert told["metrics"]["real_precision"] == 1.0
+    assert any(line.startswith("not promoted") for line in lines)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "environment"),
+    [
+        (["--model", "nothing"], {"MLFLOW_TRACKING_URI": "http://127.0.0.1:1"}),
+        (["--scenarios", "0"], {"MLFLOW_TRACKING_URI": "http://127.0.0.1:1"}),
+        ([], {}),
+    ],
+)
+def test_a_wrong_request_ends_with_2(arguments, environment, capsys):
+    assert command.main(arguments, environment) == 2
+    assert "error: " in capsys.readouterr().err
+
+
+def test_an_unknown_model_ends_with_2_and_a_silent_registry_with_1(tracking, registry, monkeypatch, capsys):
+    monkeypatch.setattr(command, "MlflowTracking", lambda uri: tracking)
+    monkeypatch.setattr(command, "MlflowRegistry", lambda uri: registry)
+    environment = {"MLFLOW_TRACKING_URI": "http://127.0.0.1:1"}
+    assert command.main(["--model", f"{MODEL_NAME}/9"], environment) == 2
+    registry.away = True
+    assert command.main([], environment) == 1
+    assert capsys.readouterr().err.count("error: ") == 2
+
+
+def test_help_names_the_exit_codes(capsys):
+    with pytest.raises(SystemExit) as ended:
+        command.main(["--help"])
+    assert ended.value.code == 0
+    assert "Exit codes" in capsys.readouterr().out
+
+
+def test_a_budget_without_problems_has_no_planning_units():
+    assert not [unit for unit in units(TINY) if unit.kind == Kind.PLANNING]

@@ -1,0 +1,217 @@
+import json
+import random
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cspace.bundle import Bundle
+from cspace.errors import EvaluationError
+from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK
+from cspace.worlds.planar.problems import Family
+from cspace.worlds.planar.scene import Camera, Split
+from services.evaluator.evaluation.budget import QUICK, Budget, Kind, Unit, units
+from services.evaluator.evaluation.execution import run_here
+from services.evaluator.evaluation.metrics import flat_metrics
+from services.evaluator.evaluation.report import terminal_table, to_json, to_markdown
+from services.evaluator.evaluation.units import Setting, assemble, planner_seed, run_unit
+from services.evaluator.measures.planning import PlanningTrial
+from services.evaluator.measures.samplers import PackedBundle, UniformSampler
+from services.evaluator.measures.scenes import Scene, Stage, reconstruct
+from tests.bundles import write_tiny_bundle
+
+TINY = Budget(
+    scenarios=4,
+    samples=200,
+    validation_problems=2,
+    test_problems=1,
+    planner_seeds=1,
+    topology_scenarios=1,
+    draws=2,
+    narrow_scenarios=1,
+    disconnected_scenarios=2,
+    topology_samples=200,
+)
+FAMILIES = ["narrow", "disconnected"]
+
+
+def setting(robot=TWO_LINK, budget=TINY):
+    return Setting(robot, Camera(), 3, budget)
+
+
+def timeless(evaluation):
+    """Everything that a seed fixes; times are not."""
+    metrics = flat_metrics(evaluation)
+    return {name: value for name, value in metrics.items() if "time" not in name and "seconds" not in name}
+
+
+@pytest.fixture(scope="module")
+def results():
+    return [run_unit(unit, setting(), UniformSampler(TWO_LINK.space)) for unit in units(TINY)]
+
+
+@pytest.fixture(scope="module")
+def evaluation(results):
+    return assemble(results, setting())
+
+
+def test_the_order_of_the_results_does_not_matter(results, evaluation):
+    shuffled = list(results)
+    random.Random(1).shuffle(shuffled)  # noqa: S311 - an order, no secret
+    assert timeless(assemble(shuffled, setting())) == timeless(evaluation)
+
+
+def test_the_size_of_the_units_does_not_matter(results):
+    sampler = UniformSampler(TWO_LINK.space)
+    whole = run_unit(Unit(Kind.RECONSTRUCTION, Split.TEST, 0, 4), setting(), sampler).rows
+    parts = [
+        run_unit(Unit(Kind.RECONSTRUCTION, Split.TEST, i, 1), setting(), sampler).rows[0] for i in range(4)
+    ]
+    assert list(whole) == parts
+
+
+def test_splits_are_measured_on_their_own_scenarios(evaluation):
+    validation, test = evaluation.validation, evaluation.test
+    assert len(validation.scenes) == len(test.scenes) == 7
+    assert not set(validation.scenes) & set(test.scenes)
+    assert [len(split.trials) for split in (validation, test)] == [4, 2]
+
+
+def test_families_are_summarised_each_for_itself(evaluation):
+    for split in (evaluation.validation, evaluation.test):
+        assert list(split.families) == FAMILIES
+        assert [split.families[family].sampler.precision.count for family in FAMILIES] == [1, 2]
+        assert split.reconstruction.sampler.precision.count == 4
+        (narrow,) = [row for row in split.scenes if row.family is Family.NARROW]
+        assert split.families[Family.NARROW].sampler.precision_minimum == narrow.sampler.precision
+    metrics = flat_metrics(evaluation)
+    disconnected = [row for row in evaluation.test.scenes if row.family is Family.DISCONNECTED]
+    assert metrics["test_disconnected_coverage"] == pytest.approx(
+        np.mean([row.sampler.coverage for row in disconnected])
+    )
+    assert metrics["test_narrow_real_precision"] == 1.0
+
+
+def test_families_change_no_number_of_the_uniform_scenarios(results, evaluation):
+    kept = {
+        None: object,
+        Family.DISCONNECTED: (),
+        Family.NARROW: PlanningTrial,
+        Family.UNIFORM: PlanningTrial,
+    }
+    without = [
+        replace(result, rows=tuple(row for row in result.rows if isinstance(row, kept[result.unit.family])))
+        for result in results
+    ]
+    plain = assemble(without, setting())
+    assert not plain.test.families
+    assert timeless(plain).items() <= timeless(evaluation).items()
+    assert "by family" not in terminal_table(plain)
+
+
+def test_a_narrow_problem_is_planned_and_its_scenario_sampled(results):
+    unit = next(
+        result
+        for result in results
+        if (result.unit.kind, result.unit.family, result.unit.split)
+        == (Kind.PLANNING, Family.NARROW, Split.VALIDATION)
+    )
+    assert [type(row).__name__ for row in unit.rows] == ["PlanningTrial", "SceneQuality", "PlanningTrial"]
+    stage = Stage(TWO_LINK, Camera(), Split.VALIDATION, 3)
+    alone = reconstruct(Scene(stage, 0, Family.NARROW), UniformSampler(TWO_LINK.space), TINY.samples)
+    assert unit.rows[1] == alone
+
+
+def test_three_joints_have_no_units_of_a_family():
+    assert {unit.family for unit in units(QUICK, joints=3)} == {None}
+
+
+def test_an_evaluation_without_scenarios_is_an_error(results):
+    planning = [result for result in results if result.unit.kind == Kind.PLANNING]
+    with pytest.raises(EvaluationError):
+        assemble(planning, setting())
+
+
+def test_metrics_are_finite_and_carry_their_limits(evaluation):
+    metrics = flat_metrics(evaluation)
+    assert all(np.isfinite(value) for value in metrics.values())
+    for name in (
+        "precision",
+        "coverage",
+        "edr",
+        "test_uniform_coverage",
+        "planning_success",
+        "test_gsc_true",
+        "knn_precision",
+        "test_real_knn_recall",
+        "narrow_uniform_knn_precision",
+    ):
+        assert metrics[f"{name}_low"] <= metrics[f"{name}_high"]
+        assert name in metrics
+    assert metrics["real_precision"] == 1.0
+    assert metrics["uniform_edr"] == 1.0
+    assert "test_gs_floor" in metrics
+
+
+def test_the_json_holds_every_row(evaluation):
+    told = json.loads(to_json(evaluation))
+    assert len(told["validation"]["scenes"]) == 7
+    assert list(told["validation"]["families"]) == FAMILIES
+    assert {row["family"] for row in told["test"]["scenes"]} == {"uniform", *FAMILIES}
+    assert {row["family"] for row in told["test"]["trials"]} == {"uniform", "narrow"}
+    assert told["planner"]["planner"] == "RRT"
+
+
+def test_the_markdown_names_the_decision_and_every_table(evaluation):
+    text = to_markdown(evaluation, "cspace-sampler/4", ["coverage 0.959 is at or above the floor"])
+    assert text.startswith("# cspace-sampler/4\n")
+    assert "- coverage 0.959 is at or above the floor" in text
+    for heading in (
+        "Reconstruction, validation (decides)",
+        "Reconstruction by family, validation (reported only)",
+        "Planning, test (reported only)",
+        "Topology",
+    ):
+        assert f"## {heading}" in text
+    tables = [line for line in text.splitlines() if line.startswith("|")]
+    assert all(line.endswith("|") for line in tables)
+
+
+def test_the_terminal_table_is_aligned(evaluation):
+    lines = terminal_table(evaluation).splitlines()
+    header = next(index for index, line in enumerate(lines) if line.startswith("samples"))
+    column = lines[header].index("precision")
+    assert [lines[header + row][column - 2 : column] for row in (1, 2, 3)] == ["  "] * 3
+    assert lines[header + 3].startswith("real     1.000")
+    families = lines.index("by family, test")
+    assert [line.split()[:3] for line in lines[families + 5 : families + 7]] == [
+        ["narrow", "1", "sampler"],
+        ["narrow", "1", "uniform"],
+    ]
+
+
+def test_three_joints_are_evaluated_without_planning_and_with_both_scores():
+    budget = replace(TINY, scenarios=2)
+    sampler = UniformSampler(THREE_LINK.space)
+    work = units(budget, joints=3)
+    evaluation = assemble(
+        [run_unit(unit, setting(THREE_LINK, budget), sampler) for unit in work], setting(THREE_LINK)
+    )
+    assert evaluation.validation.planning_success is None
+    assert set(evaluation.topology) == {"gs", "gsc_boundary", "gsc_true"}
+    assert "planning_success" not in flat_metrics(evaluation)
+
+
+def test_a_packed_bundle_is_evaluated_in_this_process(tmp_path):
+    packed = PackedBundle.pack(Bundle.load(write_tiny_bundle(tmp_path / "bundle")))
+    work = [Unit(Kind.RECONSTRUCTION, Split.TEST, 0, 1), Unit(Kind.RECONSTRUCTION, Split.TEST, 1, 1)]
+    first, second = run_here(work, setting(), packed)
+    assert first.rows[0] != second.rows[0]
+    assert next(run_here(work, setting(), packed)).rows == first.rows
+
+
+def test_planner_seeds_differ_and_are_never_zero():
+    seeds = {planner_seed(0, index, repeat) for index in range(50) for repeat in range(3)}
+    assert len(seeds) == 150
+    assert min(seeds) >= 1
+    assert max(seeds) < 2**31

@@ -1,0 +1,65 @@
+from pathlib import Path
+
+import pytest
+
+from cspace.errors import ServiceStartError
+from services.local.servers.ray_head import MAX_TEMP_PATH, ray_head, temp_folder
+from services.local.servers.ray_token import ensure_token, read_token, token_headers
+from services.local.settings import Settings
+
+
+def test_the_head_listens_on_loopback_and_asks_for_the_token(settings: Settings) -> None:
+    service = ray_head(settings)
+    command = service.command()
+    assert {"--node-ip-address=127.0.0.1", "--dashboard-host=127.0.0.1"} <= set(command)
+    assert service.environment["RAY_AUTH_MODE"] == "token"
+    # Without it the head would listen on the machine's outer address in spite of the options.
+    assert service.environment["RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"] == "0"
+
+
+def test_jobs_without_a_working_dir_run_in_the_projects_root(settings: Settings) -> None:
+    assert ray_head(settings).folder == settings.root
+
+
+def test_rays_folder_is_short_enough_for_sockets_under_a_long_tmpdir(
+    settings: Settings, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("tempfile.tempdir", "/a/very/long/folder/for/temporary/files/of/somebody")
+    assert len(str(temp_folder(settings))) <= MAX_TEMP_PATH
+
+
+def test_state_folders_have_different_ray_folders(settings: Settings, tmp_path: Path) -> None:
+    other = Settings(home=tmp_path / "other", root=settings.root)
+    assert temp_folder(settings) != temp_folder(other)
+    assert temp_folder(settings) == temp_folder(settings)
+
+
+def test_a_token_is_made_once_for_the_user_alone(tmp_path: Path) -> None:
+    environment = {"HOME": str(tmp_path)}
+    assert read_token(environment) is None
+    assert token_headers(environment) == {}
+    ensure_token(environment)
+    token = read_token(environment)
+    ensure_token(environment)
+    assert token is not None
+    assert len(token) == 64
+    assert read_token(environment) == token
+    assert token_headers(environment) == {"Authorization": f"Bearer {token}"}
+    path = tmp_path / ".ray" / "auth_token"
+    assert path.stat().st_mode & 0o077 == 0
+    assert [found.name for found in path.parent.iterdir()] == ["auth_token"]
+
+
+def test_the_variable_comes_before_the_named_file_before_the_home_folder(tmp_path: Path) -> None:
+    ensure_token({"HOME": str(tmp_path)})
+    named = tmp_path / "token"
+    named.write_text("named\n", encoding="utf-8")
+    environment = {"HOME": str(tmp_path), "RAY_AUTH_TOKEN_PATH": str(named)}
+    assert read_token(environment) == "named"
+    assert read_token({**environment, "RAY_AUTH_TOKEN": "direct"}) == "direct"
+
+
+def test_a_named_token_file_that_is_missing_is_an_error(tmp_path: Path) -> None:
+    environment = {"HOME": str(tmp_path), "RAY_AUTH_TOKEN_PATH": str(tmp_path / "absent")}
+    with pytest.raises(ServiceStartError, match="RAY_AUTH_TOKEN_PATH"):
+        ensure_token(environment)

@@ -1,0 +1,43 @@
+import numpy as np
+import pytest
+
+from cspace.errors import ConfigError
+from training.clusters.clustering import cluster
+
+
+def two_groups(count=300):
+    rng = np.random.default_rng(0)
+    near = rng.normal(0.0, 0.2, size=(count, 2))
+    across_the_seam = rng.normal(np.pi, 0.2, size=(count, 2))
+    wrapped = np.mod(across_the_seam + np.pi, 2 * np.pi) - np.pi
+    return np.concatenate([near, wrapped]).astype(np.float32)
+
+
+def test_a_group_across_the_seam_stays_one_cluster():
+    labels = cluster(two_groups(), 2, 100, seed=0).labels
+    assert len(set(labels[:300])) == len(set(labels[300:])) == 1
+    assert labels[0] != labels[-1]
+
+
+def test_every_configuration_is_labelled_once():
+    result = cluster(two_groups(), 3, 100, seed=0)
+    assert sum(result.sizes) == 600
+    assert result.centres.shape == (3, 4)
+
+
+def test_the_same_seed_gives_the_same_clusters():
+    first, second = (cluster(two_groups(), 4, 200, seed=5) for _ in range(2))
+    np.testing.assert_array_equal(first.labels, second.labels)
+
+
+def test_three_joints_need_no_other_code():
+    rng = np.random.default_rng(0)
+    assert cluster(rng.uniform(-np.pi, np.pi, (200, 3)).astype(np.float32), 2, 200, seed=0).centres.shape == (
+        2,
+        6,
+    )
+
+
+def test_more_clusters_than_configurations_are_refused():
+    with pytest.raises(ConfigError, match="at least 5"):
+        cluster(np.zeros((3, 2), dtype=np.float32), 5, 10, seed=0)

@@ -1,0 +1,80 @@
+"""The known pictures and their quantiles, and that a trained VAE finds strange pictures strange."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from cspace.bundle.novelty import novelty
+from cspace.dataset import open_dataset, write_dataset
+from cspace.worlds.planar.picture import to_network
+from cspace.worlds.planar.render import render, render_batch
+from cspace.worlds.planar.scene import Disc, Split, random_scenarios
+from tests.dataset_content import content
+from training.clusters.novelty import KNOWN_PICTURES, known_pictures, known_quantiles, load_scores
+from training.config.clusters import VaeConfig
+from training.models.checkpoint import Progress, save_checkpoint, seeded_initialisation
+from training.models.encode import load_encoder
+from training.models.modules import VaeModule
+
+CONFIG = VaeConfig(latent_dim=16, width=8, steps=1)
+
+
+def checkpoint(folder, config, pictures):
+    with seeded_initialisation(0):
+        module = VaeModule(config, torch.tensor(pictures.transpose(0, 3, 1, 2).copy()), 0)
+    for step in range(config.steps):
+        module.training_step(step, step)
+    return save_checkpoint(folder / "checkpoint", module, Progress(config.steps, "run"))
+
+
+def opened(folder, **changes):
+    write_dataset(folder / "data", **content(**changes))
+    return open_dataset(folder / "data")
+
+
+def test_generated_scenarios_are_held_against_validation_scenarios_of_the_same_camera(tmp_path):
+    dataset = opened(tmp_path)
+    images = known_pictures(dataset)
+    assert images.shape == (KNOWN_PICTURES, 16, 16, 3)
+    (first,) = random_scenarios(Split.VALIDATION, 0, 1, dataset.robot)
+    np.testing.assert_array_equal(images[0], render(replace(first, camera=dataset.camera)))
+
+
+def test_data_of_ones_own_are_held_against_their_own_pictures(tmp_path):
+    dataset = opened(tmp_path, generator={"from": "elsewhere"})
+    np.testing.assert_array_equal(known_pictures(dataset), dataset.images)
+
+
+def test_both_scores_have_rising_quantiles(tmp_path):
+    dataset = opened(tmp_path)
+    folder = checkpoint(tmp_path, CONFIG, np.array(dataset.images))
+    quantiles = known_quantiles(CONFIG, folder, load_scores(CONFIG, 16, folder), dataset)
+    assert np.shape(quantiles) == (2, 101)
+    assert (np.diff(quantiles, axis=1) >= 0).all()
+
+
+@pytest.mark.slow
+def test_a_trained_vae_finds_strange_pictures_strange(tmp_path):
+    config = VaeConfig(steps=150)
+    seen = random_scenarios(Split.TRAIN, 0, 1000)
+    folder = checkpoint(tmp_path, config, render_batch(seen))
+    dataset = opened(tmp_path, camera=seen[0].camera, images=render_batch(seen[:3]), extra_images=None)
+    scores, encoder = load_scores(config, 48, folder), load_encoder(config, 48, folder)
+    quantiles = known_quantiles(config, folder, scores, dataset)
+
+    def found(images):
+        pictures = torch.from_numpy(to_network(images))
+        with torch.inference_mode():
+            rows = scores(pictures, encoder(pictures)[0]).numpy()
+        return np.array([novelty(row, quantiles) for row in rows])
+
+    fresh = random_scenarios(Split.VALIDATION, 3, 60)
+    crowd = [
+        replace(one, discs=one.discs + tuple(Disc(x, -3.5, 0.8) for x in (-3.0, 0.0, 3.0))) for one in fresh
+    ]
+    ordinary = found(render_batch(fresh))
+    assert np.mean(ordinary > 0.95) < 0.2
+    for strange in (render_batch(crowd), 255 - render_batch(fresh)):
+        assert np.mean(found(strange) > 0.95) > 0.8

@@ -1,0 +1,228 @@
+"""The whole job on a real Ray and a real MLflow server: every stage, nothing learned."""
+
+import base64
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mlflow import MlflowClient
+
+from cspace.bundle import Bundle
+from cspace.worlds.planar.picture import encode_png
+from inference_api.app import create_app
+from inference_api.settings import ApiSettings
+from services.registry.models.mlflow_registry import MlflowRegistry
+from services.registry.names import ALIAS_CHALLENGER, EXPERIMENT, MODEL_NAME
+from tests.contracts.mlflow_server import mlflow_server
+from tests.inference_api.client import running
+
+pytestmark = [pytest.mark.e2e, pytest.mark.slow, pytest.mark.timeout(400)]
+
+ROOT = Path(__file__).resolve().parents[3]
+# Long enough that two trials that run at once can be told from two that do not, by clocks of whole seconds.
+LOCAL_STEPS = 1200
+
+
+def run_job(uri, data_folder, *overrides):
+    """Run the job as a user does and return its result line."""
+    settings = [part for override in overrides for part in ("--set", override)]
+    return submit(uri, data_folder, "--preset", "smoke", *settings)
+
+
+def submit(uri, data_folder, *arguments, script="cluster_train.py"):
+    environment = os.environ | {
+        "MLFLOW_TRACKING_URI": uri,
+        "CSPACE_DATA_DIR": str(data_folder),
+        "PYTHONPATH": str(ROOT),
+        # A cluster of its own, whatever else runs on this machine.
+        "RAY_ADDRESS": "local",
+        "RAY_AUTH_MODE": "disabled",
+        "RAY_USAGE_STATS_ENABLED": "0",
+        "MLFLOW_DISABLE_TELEMETRY": "true",
+        "OMP_NUM_THREADS": "1",
+    }
+    command = [sys.executable, str(ROOT / "training" / script), *arguments]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False, timeout=300)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return json.loads(done.stdout.rpartition("RESULT ")[2].splitlines()[0])
+
+
+@pytest.fixture(scope="module")
+def server(tmp_path_factory):
+    with mlflow_server(tmp_path_factory.mktemp("mlflow")) as uri:
+        yield uri
+
+
+@pytest.fixture(scope="module")
+def data_folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("data")
+
+
+@pytest.fixture(scope="module")
+def result(server, data_folder):
+    return run_job(server, data_folder, f"local.steps={LOCAL_STEPS}", "resources.log_every_steps=200")
+
+
+@pytest.fixture(scope="module")
+def client(server):
+    return MlflowClient(tracking_uri=server)
+
+
+def test_the_two_local_trials_overlap_by_rays_own_timestamps(result):
+    (first_start, first_end), (second_start, second_end) = (result["trials"][f"local-{i}"] for i in (0, 1))
+    assert min(first_end, second_end) - max(first_start, second_start) >= 1.0
+    assert result["trials"]["vae"][1] <= first_start + 1.0
+    assert result["trials"]["global"][0] >= max(first_end, second_end) - 1.0
+
+
+def test_every_trial_is_a_finished_child_of_the_jobs_run(result, client):
+    experiment = client.get_experiment_by_name(EXPERIMENT).experiment_id
+    query = f"tags.mlflow.parentRunId = '{result['run_id']}'"
+    children = client.search_runs([experiment], query)
+    assert {child.info.run_name for child in children} == {
+        "vae",
+        "validity",
+        "local-0",
+        "local-1",
+        "global",
+    }
+    assert {child.info.status for child in children} == {"FINISHED"}
+
+
+def test_the_wgan_trials_share_their_metric_names(result, client):
+    experiment = client.get_experiment_by_name(EXPERIMENT).experiment_id
+    runs = client.search_runs([experiment], f"tags.mlflow.parentRunId = '{result['run_id']}'")
+    names = {run.info.run_name: set(run.data.metrics) for run in runs}
+    assert names["local-0"] == names["local-1"] == names["global"]
+    assert {"critic_loss", "generator_loss", "wasserstein_estimate", "steps_per_s"} <= names["global"]
+
+
+def test_the_parent_holds_configuration_data_pictures_and_source(result, client):
+    run = client.get_run(result["run_id"])
+    assert run.info.status == "FINISHED"
+    assert run.data.params["local.steps"] == str(LOCAL_STEPS)
+    assert run.data.tags["preset"] == "smoke"
+    assert {"git.commit", "git.dirty", "seed"} <= set(run.data.tags)
+    assert [entry.dataset.digest for entry in run.inputs.dataset_inputs] == [result["data_digest"][:36]]
+    pictures = {Path(entry.path).stem for entry in client.list_artifacts(result["run_id"], "figures")}
+    assert (
+        pictures
+        == set(result["figures"])
+        == {
+            "vae-losses",
+            "validity-losses",
+            "wgan-losses",
+            "samples-seen",
+            "samples-unseen",
+        }
+    )
+
+
+def test_the_bundle_is_the_challenger_with_its_lineage_and_samples(result, server, tmp_path):
+    registry = MlflowRegistry(server)
+    version = registry.by_alias(MODEL_NAME, ALIAS_CHALLENGER)
+    assert (version.number, version.run_id) == (result["version"], result["run_id"])
+    bundle = Bundle.load(registry.download(version, tmp_path / "bundle"))
+    assert bundle.digest == version.digest == result["digest"]
+    assert bundle.spec.provenance.data_digest == result["data_digest"]
+    samples = bundle.sample(np.full((48, 48, 3), 255, dtype=np.uint8), 10, 1, min_confidence=0.0).samples
+    assert samples.shape == (10, 2)
+
+
+def test_an_encoder_trained_with_the_generator_makes_a_bundle_and_a_resumed_job_trains_nothing_twice(
+    server, data_folder, tmp_path
+):
+    joint = ("global.encoder=joint", "global.critic_condition=projection", "global.local_critic_weight=0")
+    first = run_job(server, data_folder, *joint, "clusters.count=1", "validity.steps=0")
+    assert set(first["trials"]) == {"global"}
+    assert {"reconstruction_loss", "kl", "generator_loss"} <= set(first["metrics"])
+    again = submit(server, data_folder, "--resume", first["run_id"])
+    assert (again["run_id"], again["trials"]) == (first["run_id"], first["trials"])
+    registry = MlflowRegistry(server)
+    picture = np.full((48, 48, 3), 255, dtype=np.uint8)
+    one, other = (
+        Bundle.load(registry.download(registry.version("cspace-sampler", result["version"]), tmp_path / name))
+        for name, result in (("first", first), ("again", again))
+    )
+    assert np.array_equal(*(each.sample(picture, 20, 1, min_confidence=0.0).samples for each in (one, other)))
+
+
+def test_a_three_link_arm_runs_through_the_same_job(server, data_folder, tmp_path):
+    links = "data.robot.link_lengths_m=[1.6, 1.4, 1.0]"
+    result = run_job(server, data_folder, links, "clusters.count=3", "global.local_critic_weight=0")
+    assert set(result["trials"]) == {"vae", "validity", "local-0", "local-1", "local-2", "global"}
+    registry = MlflowRegistry(server)
+    bundle = Bundle.load(
+        registry.download(registry.version(MODEL_NAME, result["version"]), tmp_path / "bundle")
+    )
+    settings = ApiSettings(
+        registry_uri=None, cache_folder=tmp_path / "cache", pretrained_folder=bundle.folder
+    )
+    with running(create_app(settings, None)) as client:
+        body = {
+            "image": base64.b64encode(encode_png(np.full((48, 48, 3), 255, dtype=np.uint8))).decode(),
+            "n": 7,
+        }
+        answer = client.post("/sample", json=body | {"min_confidence": 0})
+    assert np.shape(answer.json()["samples"]) == (7, 3)
+
+
+LOOKUPS = "{points_per_link: 3, side_m: 0.1}"
+GATED = ("gate.cells=4", "gate.steps=20", "gate.points=32", f"local.generator_lookups={LOOKUPS}")
+
+
+@pytest.mark.parametrize(
+    ("form", "last"), [("mixture", "local-1"), ("distilled", "distilled"), ("guided", "global")]
+)
+def test_every_form_of_the_clusters_ends_in_a_bundle_that_answers(form, last, server, data_folder, tmp_path):
+    result = run_job(server, data_folder, f"clusters.form={form}", *GATED, f"local.critic_lookups={LOOKUPS}",
+                     f"global.generator_lookups={LOOKUPS}", f"global.critic_lookups={LOOKUPS}")  # fmt: skip
+    expected = {"vae", "validity", "gate", "local-0", "local-1", last}
+    assert set(result["trials"]) == expected
+    registry = MlflowRegistry(server)
+    bundle = Bundle.load(
+        registry.download(registry.version(MODEL_NAME, result["version"]), tmp_path / "bundle")
+    )
+    assert bundle.spec.looks_at_picture
+    assert bundle.sample(
+        np.full((48, 48, 3), 255, dtype=np.uint8), 9, 1, min_confidence=0.0
+    ).samples.shape == (9, 2)
+
+
+def test_the_same_seed_trains_the_same_sampler(result, server, data_folder, tmp_path):
+    again = run_job(server, data_folder, f"local.steps={LOCAL_STEPS}", "resources.log_every_steps=200")
+    assert again["version"] > result["version"]
+    registry = MlflowRegistry(server)
+    bundles = [
+        Bundle.load(
+            registry.download(registry.version(MODEL_NAME, one["version"]), tmp_path / str(one["version"]))
+        )
+        for one in (result, again)
+    ]
+    picture = np.full((48, 48, 3), 255, dtype=np.uint8)
+    first, second = (bundle.sample(picture, 50, 3, min_confidence=0.0).samples for bundle in bundles)
+    np.testing.assert_array_equal(first, second)
+
+
+def test_a_search_tries_settings_and_ends_weak_trials_early(server, data_folder, client):
+    tiny = ["gate.cells=4", "gate.steps=20", "gate.points=32", "local.steps=18"]
+    options = [part for override in tiny for part in ("--set", override)]
+    options += ["--preset", "smoke", "--trials", "4", "--scenarios", "2"]
+    result = submit(server, data_folder, *options, script="search.py")
+    tried = result["tried"]
+    assert len(tried) == 4
+    assert len({json.dumps(one["settings"], sort_keys=True) for one in tried}) == 4
+    assert max(one["step"] for one in tried) == 18
+    assert [one["step"] for one in tried] == sorted((one["step"] for one in tried), reverse=True)
+    experiment = client.get_experiment_by_name(EXPERIMENT).experiment_id
+    children = client.search_runs([experiment], f"tags.mlflow.parentRunId = '{result['run_id']}'")
+    runs = [child for child in children if child.info.run_name.startswith("search")]
+    assert len(runs) == 4
+    assert all("validation_edr" in run.data.metrics and "hidden" in run.data.params for run in runs)
+    for run in runs:
+        steps = [entry.step for entry in client.get_metric_history(run.info.run_id, "validation_edr")]
+        assert run.info.status == ("FINISHED" if max(steps) == 18 else "KILLED")

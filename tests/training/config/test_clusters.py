@@ -1,0 +1,144 @@
+import json
+
+import pytest
+
+from cspace.errors import ConfigError
+from training.cluster_train import COMMAND
+from training.config.clusters import TrainConfig, load_config, presets
+
+
+@pytest.mark.parametrize("preset", presets())
+def test_every_preset_that_ships_is_valid(preset):
+    assert load_config(preset).preset == preset
+
+
+def test_the_quickstart_is_built_on_what_pays():
+    config = load_config("quickstart")
+    assert config.local.penalty == config.global_.penalty == "one_sided"
+    assert config.global_.generator == "torus"
+    assert config.clusters.count == 2
+    assert config.data.scenario_count >= 2000
+
+
+def test_the_paper_preset_is_the_papers_numbers():
+    config = load_config("paper")
+    assert (config.data.scenario_count, config.data.free_per_scenario) == (100, 10_000)
+    assert (config.local.means, config.local.sigma, config.local.smooth_maximum) == (4, 0.025, 0.1)
+    assert (config.global_.means, config.global_.sigma, config.global_.local_critic_weight) == (1, 0.0, 1.0)
+    assert (config.local.penalty, config.local.critic_condition) == ("two_sided", "projection")
+    assert (config.vae.latent_dim, config.local.critic_steps, config.local.batch_size) == (512, 5, 512)
+
+
+def test_the_papers_columns_differ_from_its_preset_only_where_they_must():
+    def flat(values, prefix=""):
+        rows = {}
+        for key, value in values.items():
+            rows |= flat(value, f"{prefix}{key}.") if isinstance(value, dict) else {prefix + key: value}
+        return rows
+
+    def changes(preset):
+        base, column = (flat(load_config(name).to_dict()) for name in ("paper", preset))
+        return {key: value for key, value in column.items() if base[key] != value and key != "preset"}
+
+    alone = {"clusters.count": 1, "global.local_critic_weight": 0.0}
+    means = {"global.means": 4, "global.sigma": 0.025, "global.smooth_maximum": 0.1}
+    assert changes("paper_single") == alone
+    assert changes("paper_means") == alone | means
+    assert changes("paper_joint") == alone | {"global.encoder": "joint", "vae.batch_size": 16}
+
+
+def test_local_trials_run_unless_there_is_one_cluster_and_nobody_asks_its_critic():
+    assert load_config("paper").local_trials == 2
+    assert load_config("paper_single").local_trials == 0
+    assert load_config("paper_single", ["global.local_critic_weight=0.5"]).local_trials == 1
+    assert load_config("smoke", ["global.local_critic_weight=0"]).local_trials == 2
+
+
+@pytest.mark.parametrize(
+    ("overrides", "says"),
+    [
+        (["global.critic_condition=latent"], "projection"),
+        (["clusters.count=2"], "local trials"),
+        (["global.local_critic_weight=0.5"], "local trials"),
+        (["vae.checkpoint=/somewhere"], "own encoder"),
+        (["global.encoder=both"], "joint"),
+        (["global.reconstruction_weight=-1"], "greater than or equal to 0"),
+    ],
+)
+def test_a_joint_encoder_refuses_what_it_can_not_be_with(overrides, says):
+    with pytest.raises(ConfigError, match=says):
+        load_config("paper_joint", overrides)
+
+
+def test_an_override_reaches_its_key_and_leaves_its_neighbours():
+    config = load_config("quickstart", ["global.steps=7", "data.robot.link_lengths_m=[1, 1, 1]", "seed=3"])
+    assert (config.global_.steps, config.seed) == (7, 3)
+    assert config.data.robot_value().dim == 3
+    assert config.local.steps == load_config("quickstart").local.steps
+
+
+@pytest.mark.parametrize(
+    ("override", "says"),
+    [
+        ("global.step=7", "global.step"),
+        ("nonsense=1", "nonsense"),
+        ("global.steps=-1", "greater than or equal to 1"),
+        ("global.steps=many", "global.steps"),
+        ("global.steps", "key.sub=value"),
+        ("seed.deep=1", "seed"),
+        ("global.steps=[1", "YAML"),
+    ],
+)
+def test_a_wrong_override_is_an_error_that_names_it(override, says):
+    with pytest.raises(ConfigError, match=says.replace(".", r"\.")):
+        load_config("quickstart", [override])
+
+
+@pytest.mark.parametrize("preset", ["nothing", "../presets/quickstart", ""])
+def test_an_unknown_preset_is_an_error_that_lists_the_known_ones(preset):
+    with pytest.raises(ConfigError, match="quickstart"):
+        load_config(preset)
+
+
+def test_a_configuration_survives_its_own_json():
+    config = load_config("three_link")
+    assert TrainConfig.model_validate(json.loads(json.dumps(config.to_dict()))) == config
+
+
+def test_the_data_folder_changes_with_the_data_and_not_with_the_shards():
+    plain = load_config("quickstart").data
+    assert plain.folder_name == load_config("quickstart", ["data.shard_size=7"]).data.folder_name
+    assert plain.folder_name != load_config("quickstart", ["data.seed=7"]).data.folder_name
+
+
+def test_the_command_prints_its_configuration(capsys):
+    assert COMMAND.main(["--preset", "smoke", "--print-config"]) == 0
+    assert json.loads(capsys.readouterr().out)["preset"] == "smoke"
+
+
+def test_the_command_ends_with_two_on_a_wrong_key(capsys):
+    assert COMMAND.main(["--set", "nonsense=1"]) == 2
+    assert "nonsense" in capsys.readouterr().err
+
+
+def test_the_command_refuses_settings_for_a_job_that_has_its_own(capsys):
+    with pytest.raises(SystemExit, match="2"):
+        COMMAND.main(["--resume", "abc", "--set", "seed=1"])
+    assert "--resume" in capsys.readouterr().err
+
+
+def test_the_command_says_which_setting_is_missing(capsys, monkeypatch):
+    monkeypatch.delenv("MLFLOW_TRACKING_URI", raising=False)
+    assert COMMAND.main(["--preset", "smoke"]) == 2
+    assert "MLFLOW_TRACKING_URI" in capsys.readouterr().err
+
+
+def test_a_trial_claims_what_the_configuration_says_and_no_memory_unless_it_does():
+    assert load_config("smoke").resources.of_a_trial() == {"cpu": 1.0, "gpu": 0.0}
+    half = [
+        "resources.gpus_per_trial=0.5",
+        "resources.cpus_per_trial=2",
+        "resources.memory_mb_per_trial=1500",
+    ]
+    claimed = load_config("smoke", half).resources.of_a_trial()
+    assert claimed == {"cpu": 2.0, "gpu": 0.5, "memory": 1500 * 1024 * 1024}

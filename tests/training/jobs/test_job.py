@@ -1,0 +1,180 @@
+import json
+import multiprocessing
+
+import pytest
+
+from cspace.errors import ConfigError, JobError, RegistryUnavailableError, StorageError
+from services.registry.names import TAG_KEY
+from tests.fakes.registry import FakeTracking
+from training.config.clusters import TrainConfig, load_config
+from training.jobs.environment import Environment, job_environment
+from training.jobs.job import RECORD, Job, job_folder, kept_bundle, run_of
+
+SMOKE = load_config("smoke", ["seed=4"])
+
+
+@pytest.fixture
+def environment(tmp_path):
+    return Environment("unused", tmp_path, patience_s=0.0)
+
+
+@pytest.fixture
+def tracking(monkeypatch):
+    tracking = FakeTracking()
+    monkeypatch.setattr("training.jobs.job.MlflowTracking", lambda uri, **spool: tracking)
+    return tracking
+
+
+def test_a_trial_keeps_its_run_however_often_it_is_asked_for(environment, tracking):
+    job = Job.start(SMOKE, environment, {})
+    assert job.child("global") == job.child("global") != job.child("vae")
+    assert len(tracking.runs) == 3
+
+
+def test_the_record_holds_what_a_resumed_job_needs(environment, tracking):
+    job = Job.start(SMOKE, environment, {})
+    child = job.child("global")
+    resumed = Job.resume(job.run.run_id, environment, TrainConfig)
+    assert resumed.config == job.config
+    assert resumed.child("global") == child
+    assert resumed.run.run_id == job.run.run_id
+    assert json.loads((resumed.folder / RECORD).read_text())["children"] == {"global": child}
+
+
+@pytest.mark.parametrize("run_id", ["nothing", "", "../.."])
+def test_a_job_that_never_was_is_an_error_that_says_what_to_give(environment, run_id):
+    with pytest.raises(ConfigError, match="run's id"):
+        Job.resume(run_id, environment, TrainConfig)
+
+
+def test_jobs_without_a_name_are_different_ones(environment, tracking):
+    assert Job.start(SMOKE, environment, {}).folder != Job.start(SMOKE, environment, {}).folder
+
+
+def test_a_name_names_one_job(environment, tracking):
+    first = Job.start(SMOKE, environment, {"preset": "smoke"}, name="arm-1")
+    child = first.child("vae")
+    again = Job.start(SMOKE, environment, {"preset": "smoke"}, name="arm-1")
+    other = Job.start(SMOKE, environment, {}, name="arm-2")
+    assert (again.run.run_id, again.child("vae")) == (first.run.run_id, child)
+    assert other.run.run_id != first.run.run_id
+    assert len(tracking.runs) == 3
+
+
+def test_a_driver_that_is_killed_before_it_could_note_its_run_finds_it(environment, tracking, monkeypatch):
+    started = tracking.start("cspace-sampler", "cluster-train", key="job/arm-1")
+    assert Job.start(SMOKE, environment, {}, name="arm-1").run.run_id == started.run_id
+    # The same for a trial's run: it is there, and the record does not know of it.
+    job = Job.start(SMOKE, environment, {}, name="arm-1")
+    child = job.child("vae")
+    path = job.folder / RECORD
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"children": {}}))
+    assert Job.start(SMOKE, environment, {}, name="arm-1").child("vae") == child
+    assert tracking.runs[child].tags[TAG_KEY] == f"{job.run.run_id}/vae"
+
+
+def test_a_name_of_other_settings_is_refused_with_the_difference(environment, tracking):
+    Job.start(SMOKE, environment, {}, name="arm-1")
+    with pytest.raises(ConfigError, match=r"seed=4; got seed=5; .*--resume"):
+        Job.start(load_config("smoke", ["seed=5"]), environment, {}, name="arm-1")
+
+
+@pytest.mark.parametrize("name", ["", "-a", "a/b", "../a", "a b", "ä", "x" * 64, "a'b"])
+def test_a_name_that_is_none_is_refused(environment, name):
+    with pytest.raises(ConfigError, match="letters, digits"):
+        Job.start(SMOKE, environment, {}, name=name)
+
+
+def hold(folder, held, done):
+    import fcntl
+
+    with (folder / "lock").open("a") as handle:
+        fcntl.flock(handle, fcntl.LOCK_EX)
+        held.set()
+        done.wait(60)
+
+
+def test_a_job_that_runs_is_not_run_twice(environment, tracking):
+    job = Job.start(SMOKE, environment, {}, name="arm-1")
+    context = multiprocessing.get_context("spawn")
+    held, done = context.Event(), context.Event()
+    other = context.Process(target=hold, args=(job.folder, held, done))
+    other.start()
+    assert held.wait(60)
+    with pytest.raises(JobError, match="running already"), job.running():
+        pass
+    done.set()
+    other.join()
+    with job.running() as run:
+        assert run.run_id == job.run.run_id
+    assert tracking.runs[job.run.run_id].status == "FINISHED"
+
+
+def test_what_an_attempt_left_half_and_the_request_to_stop_it_are_gone_in_the_next(environment, tracking):
+    job = Job.start(SMOKE, environment, {}, name="arm-1")
+    (job.folder / "local" / "step-000000004.tmp").mkdir(parents=True)
+    (job.folder / ".bundle-abc").mkdir()
+    (job.folder / "stop").touch()
+    with Job.start(SMOKE, environment, {}, name="arm-1").running():
+        assert sorted(path.name for path in job.folder.rglob("*")) == ["job.json", "local", "lock"]
+
+
+def test_an_interrupted_job_is_a_killed_run(environment, tracking):
+    job = Job.start(SMOKE, environment, {})
+    with pytest.raises(KeyboardInterrupt), job.running():
+        raise KeyboardInterrupt
+    assert tracking.runs[job.run.run_id].status == "KILLED"
+
+
+def test_what_waited_is_delivered_before_a_job_counts_as_done(environment, tracking, monkeypatch):
+    def away():
+        raise RegistryUnavailableError("away")
+
+    job = Job.start(SMOKE, environment, {})
+    monkeypatch.setattr(tracking, "deliver", away)
+    with pytest.raises(RegistryUnavailableError, match="nothing is lost"), job.running():
+        pass
+    assert tracking.runs[job.run.run_id].status == "FAILED"
+
+
+def test_a_folder_that_can_not_be_written_is_told_before_the_work(tmp_path, tracking):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(StorageError, match="cannot be written"):
+        Job.start(SMOKE, Environment("unused", tmp_path / "file" / "data"), {})
+    assert tracking.runs == {}
+
+
+def test_a_disk_without_room_is_told_before_the_work(environment, tracking, monkeypatch):
+    monkeypatch.setattr("cspace.dataset.RESERVE_BYTES", 2**62)
+    with pytest.raises(StorageError, match="too full"):
+        Job.start(SMOKE, environment, {})
+    assert tracking.runs == {}
+
+
+def test_half_a_bundle_is_not_kept(tmp_path):
+    assert kept_bundle(tmp_path / "none") is None
+    (tmp_path / "half").mkdir()
+    (tmp_path / "half" / "bundle.json").write_text("{}")
+    assert kept_bundle(tmp_path / "half") is None
+
+
+def test_the_patience_is_a_setting(monkeypatch, tmp_path):
+    monkeypatch.setenv("MLFLOW_TRACKING_URI", "http://127.0.0.1:1")
+    monkeypatch.setenv("CSPACE_DATA_DIR", str(tmp_path))
+    assert job_environment().patience_s == 600.0
+    monkeypatch.setenv("CSPACE_TRACKING_PATIENCE_S", "5")
+    assert job_environment().patience_s == 5.0
+    monkeypatch.setenv("CSPACE_TRACKING_PATIENCE_S", "long")
+    with pytest.raises(ConfigError, match="seconds"):
+        job_environment()
+
+
+def test_the_folder_of_a_job_is_within_the_data_folder(environment):
+    assert job_folder(environment, "../../run") == environment.data_folder / "jobs" / "run"
+
+
+def test_a_job_of_a_sweep_is_shown_under_the_sweeps_run(environment, tracking):
+    job = Job.start(SMOKE, environment, {}, name="point", parent_run_id="sweep")
+    assert tracking.runs[job.run.run_id].parent_run_id == "sweep"
+    assert run_of(environment, "point") == job.run.run_id
+    assert run_of(environment, "nobody") is None

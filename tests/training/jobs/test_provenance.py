@@ -1,0 +1,102 @@
+"""The commit of a checkout, of an uploaded copy, and of sources without history."""
+
+import shutil
+import subprocess
+import sys
+from importlib.machinery import ModuleSpec
+from pathlib import Path
+
+import pytest
+
+from training.jobs import provenance
+from training.jobs.provenance import UNKNOWN, SourceState, command_line, source_state
+
+
+def git(folder: Path, *arguments: str) -> str:
+    who = ["-c", "user.name=t", "-c", "user.email=t@example.org"]
+    done = subprocess.run(
+        ["git", "-C", str(folder), *who, *arguments],  # noqa: S607 - git is found where the user has it
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    return done.stdout.strip()
+
+
+@pytest.fixture
+def checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A repository with a module at training/jobs/provenance.py and a file that uploads leave out."""
+    root = tmp_path / "checkout"
+    for name in ("training/jobs/provenance.py", "tests/large.txt"):
+        (root / name).parent.mkdir(parents=True)
+        (root / name).write_text("as committed\n")
+    git(root, "init", "--quiet")
+    git(root, "add", ".")
+    git(root, "commit", "--quiet", "--message", "first")
+    for name in ("CSPACE_GIT_DIR", "CSPACE_GIT_COMMIT"):
+        monkeypatch.delenv(name, raising=False)
+    run_from(root, monkeypatch)
+    return root
+
+
+def run_from(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(provenance, "__file__", str(root / "training" / "provenance.py"))
+
+
+@pytest.fixture
+def copy(checkout: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An upload of the checkout."""
+    root = tmp_path / "copy"
+    shutil.copytree(checkout / "training", root / "training")
+    run_from(root, monkeypatch)
+    return root
+
+
+def test_a_checkout_tells_commit_and_changes(checkout: Path) -> None:
+    commit = git(checkout, "rev-parse", "HEAD")
+    assert source_state() == SourceState(commit, dirty=False)
+    (checkout / "tests" / "large.txt").write_text("changed\n")
+    assert source_state() == SourceState(commit, dirty=True)
+
+
+def test_an_uploaded_copy_is_compared_with_the_history_it_came_from(
+    checkout: Path, copy: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("CSPACE_GIT_DIR", str(checkout / ".git"))
+    commit = git(checkout, "rev-parse", "HEAD")
+    assert source_state() == SourceState(commit, dirty=False)
+    (copy / "training" / "provenance.py").write_text("changed\n")
+    assert source_state() == SourceState(commit, dirty=True)
+    assert git(checkout, "status", "--porcelain") == ""
+
+
+@pytest.mark.usefixtures("copy")
+@pytest.mark.parametrize("history", ["", "/nowhere/.git"])
+def test_without_history_the_environment_names_the_commit(
+    history: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("CSPACE_GIT_DIR", history)
+    assert source_state() == SourceState(UNKNOWN, None)
+    monkeypatch.setenv("CSPACE_GIT_COMMIT", "abc")
+    assert source_state() == SourceState("abc", None)
+
+
+@pytest.mark.parametrize(
+    ("spec", "program", "expected"),
+    [
+        (None, "training/cluster_train.py", "python training/cluster_train.py --preset smoke"),
+        (None, str(Path(__file__).parents[3] / "training" / "x.py"), "python training/x.py --preset smoke"),
+        (
+            "training.path_sampler",
+            "/a/b/training/path_sampler.py",
+            "python -m training.path_sampler --preset smoke",
+        ),
+        ("services.evaluator.__main__", "/a/b/__main__.py", "python -m services.evaluator --preset smoke"),
+    ],
+)
+def test_the_command_names_no_folder_of_the_machine(
+    spec: str | None, program: str, expected: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys.modules["__main__"], "__spec__", spec and ModuleSpec(spec, None))
+    monkeypatch.setattr(sys, "argv", [program, "--preset", "smoke"])
+    assert command_line() == expected

@@ -1,0 +1,100 @@
+"""Where the arm reads the picture, and what it reads there."""
+
+import numpy as np
+import pytest
+import torch
+
+from cspace.worlds.planar.arm import TWO_LINK, PlanarArm
+from cspace.worlds.planar.scene import Camera
+from training.models.lookups.lookups import ArmLookups, PictureReader
+
+THREE_LINK = PlanarArm((1.6, 1.4, 1.0), 0.1)
+
+
+def positions(lookups, camera, configurations):
+    """Points of the links in the plane: (..., d) rad to (..., points, 2) m."""
+    across, down = lookups.shares_of_frame(configurations).chunk(2, dim=-1)
+    x = camera.x_min_m + across * (camera.x_max_m - camera.x_min_m)
+    y = camera.y_max_m - down * (camera.y_max_m - camera.y_min_m)
+    return torch.stack([x, y], dim=-1)
+
+
+@pytest.mark.parametrize("robot", [TWO_LINK, THREE_LINK], ids=["two links", "three links"])
+def test_the_middle_row_runs_along_each_link_from_joint_to_joint(robot):
+    configurations = np.random.default_rng(0).uniform(-np.pi, np.pi, (5, robot.dim))
+    lookups = ArmLookups(robot, Camera(), points_per_link=4, side_m=0.1)
+    found = positions(lookups, Camera(), torch.tensor(configurations, dtype=torch.float32))
+    rows = found.view(5, robot.dim, 3, 4, 2).numpy()
+    joints = robot.joint_positions_m(configurations)
+    np.testing.assert_allclose(rows[:, :, 1, 0], joints[:, :-1], atol=1e-5)
+    np.testing.assert_allclose(rows[:, :, 1, -1], joints[:, 1:], atol=1e-5)
+
+
+def test_the_outer_rows_lie_beside_the_link_at_their_distance():
+    lookups = ArmLookups(TWO_LINK, Camera(), points_per_link=4, side_m=0.3)
+    rows = positions(lookups, Camera(), torch.tensor([[0.7, -1.9]])).view(2, 3, 4, 2)
+    for link in rows:
+        along = link[1, -1] - link[1, 0]
+        for side in (link[0], link[2]):
+            gap = side - link[1]
+            torch.testing.assert_close(gap.norm(dim=1), torch.full((4,), 0.3))
+            torch.testing.assert_close(gap @ along, torch.zeros(4), atol=1e-5, rtol=0.0)
+
+
+@pytest.mark.parametrize(
+    "camera", [Camera(), Camera(x_min_m=-3.0, x_max_m=6.0, y_min_m=-7.0, y_max_m=5.0)], ids=["usual", "other"]
+)
+def test_a_picture_that_shows_coordinates_is_read_as_the_points_coordinates(camera):
+    # Pixel centres, y up: each pixel holds where it is, and bilinear look-ups are exact for that.
+    centre = (np.arange(camera.pixels) + 0.5) / camera.pixels
+    x = camera.x_min_m + centre * (camera.x_max_m - camera.x_min_m)
+    y = camera.y_max_m - centre * (camera.y_max_m - camera.y_min_m)
+    picture = torch.tensor(np.stack(np.meshgrid(x, y)), dtype=torch.float32)[None]
+    lookups = ArmLookups(PlanarArm((1.2, 1.0), 0.1), camera, points_per_link=5, side_m=0.1)
+    configurations = torch.rand(1, 7, 2, generator=torch.Generator().manual_seed(0)) * 6.0 - 3.0
+    read = lookups(picture, configurations).view(1, 7, lookups.points, 2)
+    torch.testing.assert_close(read, positions(lookups, camera, configurations), atol=1e-4, rtol=0.0)
+
+
+def test_one_picture_alone_is_read_as_among_others():
+    rng = torch.Generator().manual_seed(1)
+    pictures, lookups = torch.rand(3, 3, 48, 48, generator=rng), ArmLookups(THREE_LINK, Camera(), 6, 0.2)
+    configurations = torch.rand(3, 50, 3, generator=rng) * 6.0 - 3.0
+    together = lookups(pictures, configurations)
+    for picture, rows, expected in zip(pictures, configurations, together, strict=True):
+        alone = lookups(picture.unsqueeze(0), rows.unsqueeze(0)).squeeze(0)
+        torch.testing.assert_close(alone, expected, atol=2e-5, rtol=0.0)
+
+
+def test_beyond_the_frame_the_edge_is_read():
+    picture = torch.zeros(1, 1, 48, 48)
+    picture[..., -1] = 1.0
+    camera = Camera(x_min_m=-1.0, x_max_m=1.0, y_min_m=-1.0, y_max_m=1.0)
+    read = ArmLookups(TWO_LINK, camera, points_per_link=2, side_m=0.0)(picture, torch.zeros(1, 1, 2))
+    # Both links point along x, from the base in the middle of the picture: at 0, 2, 2 and 4 m.
+    assert read.view(2, 2).tolist() == [[0.0, 1.0], [1.0, 1.0]]
+
+
+def reader(points_per_link=4, side_m=0.1):
+    images = torch.randint(256, (3, 48, 48, 3), dtype=torch.uint8, generator=torch.Generator().manual_seed(2))
+    return PictureReader(ArmLookups(THREE_LINK, Camera(), points_per_link, side_m), images), images
+
+
+def test_the_reader_sees_in_each_ones_picture_what_the_lookups_see():
+    read, images = reader()
+    rng = torch.Generator().manual_seed(0)
+    ids, configurations = torch.tensor([2, 0, 1, 2]), torch.rand(4, 3, generator=rng) * 6.0 - 3.0
+    pictures = images[ids].permute(0, 3, 1, 2).float() / 127.5 - 1.0
+    expected = read.lookups(pictures, configurations.unsqueeze(1)).squeeze(1)
+    torch.testing.assert_close(read(ids, configurations), expected, atol=2e-4, rtol=0.0)
+
+
+def test_the_readers_derivative_and_its_derivative_are_those_of_finite_differences():
+    read, _ = reader(points_per_link=2)
+    read = read.double()
+    ids = torch.tensor([0, 1])
+    configurations = torch.tensor([[0.3, -1.1, 2.0], [1.7, 0.4, -0.6]], dtype=torch.float64)
+    configurations.requires_grad_()
+    see = lambda q: read(ids, q).square().mean(dim=1)  # noqa: E731
+    assert torch.autograd.gradcheck(see, configurations, eps=1e-7, atol=1e-4)
+    assert torch.autograd.gradgradcheck(see, configurations, eps=1e-7, atol=1e-3)

@@ -1,0 +1,180 @@
+"""The job of path models on a real Ray and a real MLflow server: what it registers, serves and resumes."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mlflow import MlflowClient
+
+from cspace.bundle import Bundle
+from cspace.errors import ConfigError
+from cspace.worlds.planar.arm import THREE_LINK
+from inference_api.settings import PRETRAINED_FOLDER
+from services.registry.models.mlflow_registry import MlflowRegistry
+from services.registry.names import ALIAS_CHALLENGER, EXPERIMENT, PATH_MODEL_NAME
+from tests.bundles import write_tiny_bundle
+from tests.contracts.mlflow_server import mlflow_server
+from tests.fakes.registry import FakeRegistry
+from tests.training.clusters.test_pipeline import submit
+from training.config.paths import ALL_MODELS, load_path_config
+from training.paths.source import source_bundle
+from training.trials.paths.guides import find_guides
+
+JOB = "path_train.py"
+START, GOAL = (0.5, 0.5), (-0.5, -1.0)
+WHITE = np.full((48, 48, 3), 255, dtype=np.uint8)
+
+
+def train(uri, data_folder, *overrides):
+    parts = [part for override in overrides for part in ("--set", override)]
+    return submit(uri, data_folder, "--preset", "smoke", *parts, script=JOB)
+
+
+@pytest.fixture(scope="module")
+def server(tmp_path_factory):
+    with mlflow_server(tmp_path_factory.mktemp("mlflow")) as uri:
+        yield uri
+
+
+@pytest.fixture(scope="module")
+def data_folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("data")
+
+
+@pytest.fixture(scope="module")
+def result(server, data_folder):
+    return train(server, data_folder, f"source={PRETRAINED_FOLDER}")
+
+
+@pytest.mark.e2e
+@pytest.mark.slow
+@pytest.mark.timeout(400)
+def test_every_model_is_a_version_of_its_own_that_draws_between_start_and_goal(result, server, tmp_path):
+    assert set(result["versions"]) == {"ways", *ALL_MODELS}
+    assert len(set(result["versions"].values())) == len(result["versions"])
+    registry = MlflowRegistry(server)
+    for name, number in result["versions"].items():
+        version = registry.by_alias(PATH_MODEL_NAME, name.replace("_", "-"))
+        assert version.number == number
+        bundle = Bundle.load(registry.download(version, tmp_path / name))
+        assert (bundle.spec.kind, bundle.digest) == ("path", result["digests"][name])
+        samples = bundle.sample(WHITE, 20, 1, start=START, goal=GOAL).samples
+        assert samples.shape == (20, 2)
+        assert len(np.unique(samples, axis=0)) == 20
+        if name != "ways":
+            assert bundle.spec.provenance.data_digest == result["data_digest"]
+            assert bundle.spec.provenance.metrics["training_s"] > 0
+    challenger = registry.by_alias(PATH_MODEL_NAME, ALIAS_CHALLENGER)
+    assert challenger.number == result["versions"]["density"]
+
+
+@pytest.mark.e2e
+@pytest.mark.slow
+@pytest.mark.timeout(400)
+def test_the_models_can_be_compared_in_the_tracking_server(result, server):
+    client = MlflowClient(server)
+    experiment = client.get_experiment_by_name(EXPERIMENT).experiment_id
+    runs = client.search_runs([experiment], f"tags.mlflow.parentRunId = '{result['run_id']}'")
+    names = {run.info.run_name: set(run.data.metrics) for run in runs}
+    assert {run.info.status for run in runs} == {"FINISHED"}
+    assert set(names) == {"ways", *ALL_MODELS}
+    assert "density_loss" in names["density"]
+    assert "flow_loss" in names["flow"]
+    assert {"wasserstein_estimate", "generator_loss"} <= names["wgan"] == names["wgan_lookups"]
+    parent = client.get_run(result["run_id"])
+    assert parent.data.params["sweep"] == "16"
+    pictures = {Path(entry.path).stem for entry in client.list_artifacts(result["run_id"], "figures")}
+    assert pictures == {"path-losses"}
+
+
+@pytest.mark.e2e
+@pytest.mark.slow
+@pytest.mark.timeout(400)
+def test_a_resumed_job_trains_nothing_twice_and_registers_the_same(result, server, data_folder):
+    again = submit(server, data_folder, "--resume", result["run_id"], script=JOB)
+    assert (again["run_id"], again["seconds"]) == (result["run_id"], result["seconds"])
+    assert again["data_digest"] == result["data_digest"]
+
+
+@pytest.mark.e2e
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+def test_the_local_critics_of_an_earlier_job_guide_a_model_that_sees_with_its_encoder(server, data_folder):
+    earlier = submit(server, data_folder, "--preset", "smoke", "--set", "clusters.count=2")
+    folder = data_folder / "jobs" / earlier["run_id"]
+    made = train(
+        server, data_folder, f"source={folder / 'bundle'}", f"guides={folder}", "models=[wgan_guided, wgan]"
+    )
+    assert set(made["versions"]) >= {"wgan_guided", "wgan"}
+    assert made["digests"]["wgan_guided"] != made["digests"]["wgan"]
+
+
+def test_guides_of_another_encoder_and_folders_without_a_job_are_refused(tmp_path):
+    with pytest.raises(ConfigError, match="no job's folder"):
+        find_guides(tmp_path, "0" * 64)
+    record = {"config": {"preset": "smoke"}, "children": {}}
+    (tmp_path / "job.json").write_text(json.dumps(record), encoding="utf-8")
+    with pytest.raises(ConfigError, match="no local critics"):
+        find_guides(tmp_path, "0" * 64)
+    (tmp_path / "local" / "local-0" / "step-000000001").mkdir(parents=True)
+    write_tiny_bundle(tmp_path / "bundle")
+    with pytest.raises(ConfigError, match="other latents"):
+        find_guides(tmp_path, "0" * 64)
+
+
+def test_a_source_is_a_folder_or_a_registered_version(tmp_path):
+    folder = write_tiny_bundle(tmp_path / "bundle", validity=True)
+    registry = FakeRegistry(tmp_path / "registry")
+    bundle = source_bundle(str(folder), registry, tmp_path / "fetched")
+    assert bundle.folder == folder
+    registry.register("sampler", folder, "run", bundle.digest, {}, alias="champion")
+    for index, reference in enumerate(("sampler@champion", "sampler/1")):
+        fetched = source_bundle(reference, registry, tmp_path / f"fetched{index}")
+        assert fetched.digest == bundle.digest
+        assert fetched.folder != folder
+    with pytest.raises(ConfigError, match="name@alias"):
+        source_bundle("nowhere", registry, tmp_path / "other")
+
+
+@pytest.mark.parametrize(
+    ("override", "message"),
+    [
+        ("models=[]", "models"),
+        ("models=[flow, flow]", "models"),
+        ("models=[wgan_guided]", "guides"),
+        ("models=[unknown]", "models"),
+        ("density.cells=10", "density.cells"),
+        ("nothing=1", "nothing"),
+    ],
+)
+def test_a_configuration_that_cannot_be_is_refused(override, message):
+    with pytest.raises(ConfigError, match=message):
+        load_path_config("paths", [override])
+
+
+def test_every_preset_is_a_configuration():
+    for preset in ("paths", "smoke", "paper"):
+        assert load_path_config(preset).preset == preset
+
+
+@pytest.mark.e2e
+@pytest.mark.slow
+@pytest.mark.timeout(400)
+def test_three_joints_take_the_same_job_without_the_models_of_a_grid(server, data_folder, tmp_path):
+    source = write_tiny_bundle(tmp_path / "source", THREE_LINK, validity=True)
+    made = train(
+        server,
+        data_folder,
+        f"source={source}",
+        f"data.robot.link_lengths_m={list(THREE_LINK.link_lengths_m)}",
+        "data.narrow_share=0",
+        "models=[flow, flow_distilled, cvae]",
+    )
+    # No grid, no untrained sampler.
+    assert set(made["versions"]) == {"flow", "flow_distilled", "cvae"}
+    registry = MlflowRegistry(server)
+    for name, number in made["versions"].items():
+        folder = registry.download(registry.version(PATH_MODEL_NAME, number), tmp_path / name)
+        ends = {"start": (0.5, 0.5, 0.1), "goal": (-0.5, -1.0, 0.3)}
+        assert Bundle.load(folder).sample(WHITE, 20, 1, **ends).samples.shape == (20, 3)

@@ -1,0 +1,1 @@
+"""From a data set to a bundle of configurations: clusters, local trials, the global model."""

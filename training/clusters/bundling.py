@@ -1,0 +1,166 @@
+"""From trained weights to a bundle."""
+
+import math
+import shutil
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from cspace.bundle import Bundle, BundleSpec, Provenance, RandomInput, write_bundle
+from cspace.dataset import Dataset
+from cspace.space import Standardisation
+from training.clusters.novelty import known_quantiles, load_scores
+from training.clusters.threshold import choose_threshold, choose_uniform_share, validation_scores
+from training.config.clusters import GanConfig, TrainConfig, ValidityConfig
+from training.jobs.provenance import command_line, now, source_state
+from training.models.checkpoint import load_weights, seeded_initialisation
+from training.models.encode import load_encoder
+from training.models.export import (
+    encoder_graph,
+    generator_graph,
+    lookup_graph,
+    mixture_graph,
+    novelty_graph,
+    validity_graph,
+)
+from training.models.lookups.lookups import make_lookups
+from training.models.mixture import LookupSampler
+from training.models.validity import ValidityHead
+from training.trials.arrays import TrainingArrays
+from training.trials.loading import gated_sampler, load_gate, load_generator, torus_generator
+
+THRESHOLD_SCENARIOS = 40
+# Where the truth of further scenarios is not known, as with data of one's own.
+FALLBACK_THRESHOLD = 0.8
+
+
+@dataclass(frozen=True, slots=True)
+class TrainedParts:
+    """What the trials left: folders of checkpoints, and the arrays they were trained on.
+
+    Args:
+        encoder: the VAE's, or the generator's own where the two were trained together.
+        generators: one, or in a mixture that of every cluster.
+        gate: None without one.
+        validity: None without a validity head.
+        arrays: the data.
+    """
+
+    encoder: Path
+    generators: tuple[Path, ...]
+    gate: Path | None
+    validity: Path | None
+    arrays: TrainingArrays
+
+
+def make_bundle(folder: Path, config: TrainConfig, dataset: Dataset, parts: TrainedParts) -> Bundle:
+    """Export the networks, write the bundle, and load it again as any reader would.
+
+    Raises:
+        BundleError: the exported graphs do not make a bundle.
+        StorageError: the folder exists or cannot be written.
+    """
+    gan, latent_dim, dim = generator_config(config), config.vae.latent_dim, dataset.dim
+    encoder = load_encoder(config.vae, dataset.camera.pixels, parts.encoder)
+    graphs = {
+        "encoder": encoder_graph(encoder, dataset.camera.pixels),
+        "generator": _sampler_graph(config, parts),
+    }
+    if parts.validity is not None:
+        with seeded_initialisation(0):
+            head = ValidityHead(config.validity, dataset.robot, dataset.camera)
+        head.load_state_dict(load_weights(parts.validity, "head"))
+        graphs["validity"] = validity_graph(head, dataset.camera.pixels, dim)
+    known = None
+    # The paper's joint baseline stays as the paper has it.
+    if not config.joint:
+        scores = load_scores(config.vae, dataset.camera.pixels, parts.encoder)
+        known = known_quantiles(config.vae, parts.encoder, scores, dataset)
+        graphs["novelty"] = novelty_graph(scores, dataset.camera.pixels, latent_dim)
+    has_head = parts.validity is not None
+    scale = Standardisation(*(tuple(float(v) for v in part) for part in parts.arrays.scale))
+    spec = BundleSpec(
+        robot=dataset.robot,
+        latent_dim=latent_dim,
+        camera=dataset.camera,
+        model_kind="generator" if parts.gate is None else "mixture",
+        looks_at_picture=gan.generator_lookups.points_per_link > 0,
+        samples_per_latent=gan.means,
+        random_inputs=random_inputs(gan, dim, gated=parts.gate is not None),
+        confidence_threshold=(config.validity.threshold or FALLBACK_THRESHOLD) if has_head else None,
+        uniform_share=(config.validity.uniform_share or 0.0) if has_head else 0.0,
+        novelty_quantiles=known,
+        standardisation=scale if gan.generator == "means" else None,
+        provenance=_provenance(config, dataset),
+    )
+    if has_head and dataset.generator_seed is not None:
+        spec = _with_choices(folder.with_name(folder.name + "-draft"), config.validity, spec, graphs)
+    return Bundle.load(write_bundle(folder, spec, graphs))
+
+
+def _with_choices(
+    folder: Path, config: ValidityConfig, spec: BundleSpec, graphs: Mapping[str, bytes]
+) -> BundleSpec:
+    """By the rules of ``threshold``, from a draft of the bundle that is deleted again."""
+    threshold, share = config.threshold, config.uniform_share
+    if threshold is not None and share is not None:
+        return spec
+    try:
+        draft = Bundle.load(write_bundle(folder, spec, graphs))
+        learned, uniform = validation_scores(draft, spec.robot, spec.camera, THRESHOLD_SCENARIOS)
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+    precision, acceptance = config.target_precision, config.target_acceptance
+    if threshold is None:
+        threshold = choose_threshold(learned, precision)
+    if share is None:
+        share = choose_uniform_share(learned, uniform, threshold, precision, acceptance)
+    return replace(spec, confidence_threshold=threshold, uniform_share=share)
+
+
+def generator_config(config: TrainConfig) -> GanConfig:
+    """The shape of the generators that a bundle holds: local ones in a mixture, else the global one."""
+    return config.local if config.clusters.form == "mixture" else config.global_
+
+
+def random_inputs(gan: GanConfig, dim: int, *, gated: bool) -> tuple[RandomInput, ...]:
+    """The random inputs of a generator's graph, in the order in which they are drawn."""
+    if gan.generator == "means":
+        return (RandomInput("noise", "normal", (gan.means, dim)),)
+    noise = RandomInput("noise", "normal", (gan.noise_dim,))
+    if not gated:
+        return (RandomInput("base", "uniform", (dim,), -math.pi, math.pi), noise)
+    return (
+        RandomInput("cell", "uniform", (1,), 0.0, 1.0),
+        RandomInput("place", "uniform", (1,), 0.0, 1.0),
+        RandomInput("jitter", "uniform", (dim,), -0.5, 0.5),
+        noise,
+    )
+
+
+def _sampler_graph(config: TrainConfig, parts: TrainedParts) -> bytes:
+    gan, arrays = generator_config(config), parts.arrays
+    latent_dim, pixels = config.vae.latent_dim, arrays.camera.pixels
+    generators = [load_generator(gan, arrays, folder) for folder in parts.generators]
+    lookups = make_lookups(gan.generator_lookups, arrays.robot, arrays.camera)
+    if parts.gate is not None:
+        gate = load_gate(config, parts.gate)
+        sampler = gated_sampler(gate, arrays, generators, gan.generator_lookups)
+        return mixture_graph(sampler, latent_dim, gan.noise_dim, pixels)
+    if lookups is not None:
+        plain = LookupSampler(torus_generator(generators[0]), lookups)
+        return lookup_graph(plain, arrays.robot.dim, latent_dim, gan.noise_dim, pixels)
+    return generator_graph(generators[0], arrays.robot.dim, latent_dim, gan.noise_dim)
+
+
+def _provenance(config: TrainConfig, dataset: Dataset) -> Provenance:
+    source = source_state()
+    return Provenance(
+        git_commit=source.commit,
+        git_dirty=source.dirty,
+        data_digest=dataset.digest,
+        seeds={"train": config.seed, "data": config.data.seed},
+        config=config.to_dict(),
+        created=now(),
+        command=command_line(),
+    )

@@ -1,0 +1,56 @@
+"""The novelty of a bundle: the decoder's scores, and how they lie over pictures that are not new."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from cspace.bundle.novelty import quantiles_of
+from cspace.dataset import Dataset
+from cspace.worlds.planar.picture import to_network
+from cspace.worlds.planar.render import render_batch
+from cspace.worlds.planar.scene import Split, random_scenarios
+from training.config.clusters import VaeConfig
+from training.models.checkpoint import load_weights, seeded_initialisation
+from training.models.encode import load_encoder
+from training.models.networks import Decoder
+from training.models.novelty import NoveltyScores
+
+KNOWN_PICTURES = 400
+
+
+def load_scores(config: VaeConfig, pixels: int, checkpoint: Path) -> NoveltyScores:
+    """The scores by the decoder of a VAE trial's checkpoint."""
+    with seeded_initialisation(0):
+        decoder = Decoder(pixels, config.latent_dim, config.width)
+    decoder.load_state_dict(load_weights(checkpoint, "decoder"))
+    return NoveltyScores(decoder, pixels).eval()
+
+
+def known_quantiles(
+    config: VaeConfig, checkpoint: Path, scores: NoveltyScores, dataset: Dataset
+) -> tuple[tuple[float, ...], ...]:
+    """Quantiles of both scores over pictures of the kind that the VAE was trained on.
+
+    Where the scenarios were generated these are validation scenarios; with data of one's own, of which
+    there are no others, they are the pictures of the data set, and the percentiles a little too high.
+    """
+    images = known_pictures(dataset)
+    encoder = load_encoder(config, images.shape[1], checkpoint)
+    found = []
+    with torch.inference_mode():
+        for start in range(0, len(images), 100):
+            pictures = torch.from_numpy(to_network(images[start : start + 100]))
+            found.append(scores(pictures, encoder(pictures)[0]).numpy())
+    return quantiles_of(np.concatenate(found))
+
+
+def known_pictures(dataset: Dataset) -> NDArray[np.uint8]:
+    """At most 400 pictures (n, P, P, 3)."""
+    if dataset.generator_seed is None:
+        rows = np.linspace(0, dataset.scenario_count - 1, min(KNOWN_PICTURES, dataset.scenario_count))
+        return np.array(dataset.images[rows.astype(np.int64)])
+    scenarios = random_scenarios(Split.VALIDATION, 0, KNOWN_PICTURES, dataset.robot)
+    return render_batch([replace(scenario, camera=dataset.camera) for scenario in scenarios])

@@ -1,0 +1,145 @@
+"""The main job: data, VAE and validity head, clusters, gate, local trials, global trial, bundle, registry."""
+
+import logging
+import shutil
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from cspace.bundle import Bundle
+from cspace.dataset import Dataset
+from services.registry.models.mlflow_registry import MlflowRegistry
+from services.registry.names import ALIAS_CHALLENGER, MODEL_NAME
+from training.clusters.bundling import TrainedParts, make_bundle
+from training.clusters.reporting import log_result, log_start
+from training.clusters.stages import (
+    encode_and_cluster,
+    encoder_checkpoint,
+    prepare_data,
+    train_gate,
+    train_global,
+    train_local,
+    train_on_pictures,
+)
+from training.config.clusters import TrainConfig
+from training.jobs.environment import Environment
+from training.jobs.job import Job, kept_bundle
+from training.jobs.provenance import job_tags
+from training.trials.launch import connect
+from training.trials.outcomes import TrialOutcome
+
+_LOG = logging.getLogger("training")
+
+
+@dataclass(frozen=True, slots=True)
+class TrainResult:
+    """What a job leaves behind.
+
+    Args:
+        run_id: the parent run.
+        model: the registered model's name.
+        version: the new version; None where none was asked for.
+        digest: the bundle's digest.
+        data_digest: the data set's digest.
+        metrics: last metrics of the global trial.
+        trials: start and end of every trial, Unix time by Tune's clock.
+        figures: names of the pictures logged with the run.
+    """
+
+    run_id: str
+    model: str
+    version: int | None
+    digest: str
+    data_digest: str
+    metrics: Mapping[str, float]
+    trials: Mapping[str, tuple[float, float]]
+    figures: tuple[str, ...]
+
+
+def train(
+    config: TrainConfig,
+    environment: Environment,
+    name: str | None = None,
+    *,
+    parent_run_id: str | None = None,
+    register: bool = True,
+) -> TrainResult:
+    """Run the whole job, or go on with the one that was submitted under this name before.
+
+    Args:
+        config: what it trains.
+        environment: where it works.
+        name: of the job; None always starts a new one.
+        parent_run_id: of the sweep whose point the job is; None for a job of its own.
+        register: whether the bundle becomes a version; it stays in the job's folder in any case.
+
+    Raises:
+        CspaceError: bad data, a failed trial, a registry that does not answer, or a name that belongs to a
+            job of other settings.
+        KeyboardInterrupt: it was asked to stop; it can be resumed.
+    """
+    connect()
+    tags = job_tags(config.preset, config.seed, "training/cluster_train.py")
+    return _run(Job.start(config, environment, tags, name=name, parent_run_id=parent_run_id), register)
+
+
+def resume(run_id: str, environment: Environment) -> TrainResult:
+    """Go on with a job that was stopped: finished trials stay, others start from their checkpoints.
+
+    Args:
+        run_id: the job's parent run.
+        environment: the same as the job's.
+
+    Raises:
+        CspaceError: as for :func:`train`; ConfigError where there is no such job.
+    """
+    connect()
+    return _run(Job.resume(run_id, environment, TrainConfig), register=True)
+
+
+def _run(job: Job[TrainConfig], register: bool) -> TrainResult:
+    with job.running() as run:
+        dataset = prepare_data(job.config, job.environment.data_folder)
+        log_start(run, job.config, dataset)
+        vae, head = train_on_pictures(job, dataset)
+        arrays, gate = train_gate(job, encode_and_cluster(job, dataset, vae))
+        local = train_local(job, arrays)
+        final = train_global(job, dataset, arrays, local)
+        _LOG.info("bundle: exporting")
+        generators = tuple(outcome.checkpoint for outcome in final or local)
+        encoder = generators[0] if job.config.joint else encoder_checkpoint(job, vae)
+        parts = TrainedParts(encoder, generators, _checkpoint(gate), _checkpoint(head), arrays)
+        bundle = kept_bundle(job.folder / "bundle")
+        if bundle is None:
+            shutil.rmtree(job.folder / "bundle", ignore_errors=True)
+            bundle = make_bundle(job.folder / "bundle", job.config, dataset, parts)
+        outcomes = [outcome for outcome in (vae, head, gate, *local, *final) if outcome is not None]
+        figures = log_result(run, bundle, dataset, outcomes)
+        version = _register(job, dataset, bundle) if register else None
+    return TrainResult(
+        run_id=job.run.run_id,
+        model=MODEL_NAME,
+        version=version,
+        digest=bundle.digest,
+        data_digest=dataset.digest,
+        metrics=outcomes[-1].metrics,
+        trials={outcome.name: (outcome.started_s, outcome.ended_s) for outcome in outcomes},
+        figures=figures,
+    )
+
+
+def _checkpoint(outcome: TrialOutcome | None) -> Path | None:
+    return None if outcome is None else outcome.checkpoint
+
+
+def _register(job: Job[TrainConfig], dataset: Dataset, bundle: Bundle) -> int:
+    registry = MlflowRegistry(job.environment.tracking_uri)
+    tags = {"data_digest": dataset.digest, "preset": job.config.preset, "seed": str(job.config.seed)}
+    version = job.patiently(
+        "registering the bundle",
+        lambda: registry.register(
+            MODEL_NAME, bundle.folder, job.run.run_id, bundle.digest, tags, alias=ALIAS_CHALLENGER
+        ),
+    )
+    _LOG.info("registry: %s version %d, alias %s", MODEL_NAME, version.number, ALIAS_CHALLENGER)
+    return version.number

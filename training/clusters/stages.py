@@ -1,0 +1,188 @@
+"""The stages of a training job, each from what the one before left."""
+
+import logging
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cspace.dataset import Dataset, open_dataset
+from cspace.errors import ConfigError
+from training.clusters.clustering import cluster, group, points_in_cells
+from training.config.clusters import TrainConfig
+from training.datasets.generate import generate
+from training.jobs.job import Job
+from training.models.encode import Latents, encode, load_encoder
+from training.models.gate import gate_probabilities
+from training.trials.arrays import GatedCells, TrainingArrays
+from training.trials.launch import run_trials
+from training.trials.loading import load_gate
+from training.trials.occupancy import OccupancyArrays
+from training.trials.outcomes import TrialOutcome
+from training.trials.trainables import (
+    DISTILLED,
+    GATE,
+    GLOBAL,
+    VAE,
+    VALIDITY,
+    distillation_trial,
+    gate_trial,
+    global_trial,
+    joint_trial,
+    local_trial,
+    picture_trial,
+)
+
+_LOG = logging.getLogger("training")
+
+
+def prepare_data(config: TrainConfig, data_folder: Path) -> Dataset:
+    """The user's own data set, or the configured one, generated unless it is there already."""
+    if config.data_folder is not None:
+        return open_dataset(config.data_folder)
+    return generate(config.data, data_folder / "datasets" / config.data.folder_name)
+
+
+def train_on_pictures(
+    job: Job[TrainConfig], dataset: Dataset
+) -> tuple[TrialOutcome | None, TrialOutcome | None]:
+    """Stage 3: one VAE over all pictures, shared by every later trial; the validity head beside it.
+
+    Without configurations in collision, or with no steps for it, there is no head; with an encoder that is
+    there already, or that is trained with the generator, there is no VAE.
+    """
+    config = job.config
+    images = np.asarray(dataset.images)
+    if dataset.extra_images is not None:
+        images = np.concatenate([images, dataset.extra_images])
+    occupancy = OccupancyArrays.of(dataset) if config.validity.steps > 0 else None
+    vae = not config.joint and config.vae.checkpoint is None
+    names = [name for name, wanted in ((VAE, vae), (VALIDITY, occupancy is not None)) if wanted]
+    if not names:
+        return None, None
+    _LOG.info("%s: %d pictures", " and ".join(names), len(images))
+    trials = [{"name": name, "run_id": job.child(name), "seed": config.seed} for name in names]
+    shared = {
+        "train": config,
+        "images": images,
+        "occupancy": occupancy,
+        "tracking_uri": job.environment.tracking_uri,
+    }
+    done = run_trials(picture_trial, trials, shared, config.resources, job.folder / "pictures")
+    outcomes = {outcome.name: outcome for outcome in done}
+    return outcomes.get(VAE), outcomes.get(VALIDITY)
+
+
+def encode_and_cluster(job: Job[TrainConfig], dataset: Dataset, vae: TrialOutcome | None) -> TrainingArrays:
+    """Stage 4: latents of the scenarios, k-means over the configuration space, and cells for the gate.
+
+    An encoder that is yet to be trained with the generator leaves the latents at zero.
+    """
+    config, images = job.config, np.asarray(dataset.images)
+    if config.joint:
+        latents = Latents.none(len(images), config.vae.latent_dim)
+    else:
+        latents = encode(
+            load_encoder(config.vae, dataset.camera.pixels, encoder_checkpoint(job, vae)), images
+        )
+    free = np.asarray(dataset.free)
+    ids = np.repeat(np.arange(dataset.scenario_count), np.diff(dataset.free_offsets))
+    labels, cells = _partition(config, free)
+    sizes = np.bincount(labels, minlength=config.clusters.count)
+    _LOG.info("clusters: sizes %s", ", ".join(map(str, sizes)))
+    looked_up = any(
+        part.points_per_link
+        for gan in (config.local, config.global_)
+        for part in (gan.generator_lookups, gan.critic_lookups)
+    )
+    return TrainingArrays(
+        free,
+        ids,
+        labels,
+        latents.mu,
+        latents.sigma,
+        dataset.robot,
+        dataset.camera,
+        images if looked_up else None,
+        cells,
+    )
+
+
+def _partition(config: TrainConfig, free: NDArray[np.float32]) -> tuple[NDArray[np.int64], GatedCells | None]:
+    """The cluster of each configuration; with a gate, clusters are groups of its cells."""
+    count, rows, seed = config.clusters.count, config.clusters.fit_samples, config.seed
+    if config.gate.cells == 0:
+        return cluster(free, count, rows, seed).labels, None
+    cells = cluster(free, config.gate.cells, rows, seed)
+    clusters = group(cells, count, seed)
+    points = points_in_cells(cells, config.gate.points, seed)
+    return clusters[cells.labels], GatedCells(points, cells.labels, clusters)
+
+
+def train_gate(job: Job[TrainConfig], arrays: TrainingArrays) -> tuple[TrainingArrays, TrialOutcome | None]:
+    """Stage 5, where there are cells: the gate, and what it says of every scenario."""
+    if arrays.cells is None:
+        return arrays, None
+    trial = {"name": GATE, "run_id": job.child(GATE), "seed": job.config.seed}
+    gate = run_trials(gate_trial, [trial], _shared(job, arrays), job.config.resources, job.folder / GATE)[0]
+    probabilities = gate_probabilities(load_gate(job.config, gate.checkpoint), arrays.mu)
+    return replace(arrays, cells=replace(arrays.cells, probabilities=probabilities)), gate
+
+
+def train_local(job: Job[TrainConfig], arrays: TrainingArrays) -> list[TrialOutcome]:
+    """Stage 6: one WGAN-GP a cluster, in parallel."""
+    trials = [
+        {
+            "name": f"local-{index}",
+            "run_id": job.child(f"local-{index}"),
+            "seed": job.config.seed + 1 + index,
+            "cluster": index,
+        }
+        for index in range(job.config.local_trials)
+    ]
+    if not trials:
+        return []
+    return run_trials(local_trial, trials, _shared(job, arrays), job.config.resources, job.folder / "local")
+
+
+def train_global(
+    job: Job[TrainConfig], dataset: Dataset, arrays: TrainingArrays, local: Sequence[TrialOutcome]
+) -> list[TrialOutcome]:
+    """Stage 7: the global WGAN-GP, guided by the local critics or with the encoder that it trains.
+
+    Or one generator that distils the mixture; a mixture itself needs neither, for its local generators are
+    what is served.
+    """
+    form, shared = job.config.clusters.form, _shared(job, arrays)
+    if form == "mixture":
+        return []
+    trainable: Callable[..., None]
+    name, trainable = (DISTILLED, distillation_trial) if form == "distilled" else (GLOBAL, global_trial)
+    trial = {"name": name, "run_id": job.child(name), "seed": job.config.seed}
+    if job.config.joint:
+        trainable, shared["images"] = joint_trial, np.asarray(dataset.images)
+    else:
+        shared["local_checkpoints"] = [str(outcome.checkpoint) for outcome in local]
+    return run_trials(trainable, [trial], shared, job.config.resources, job.folder / name)
+
+
+def encoder_checkpoint(job: Job[TrainConfig], vae: TrialOutcome | None) -> Path:
+    """Where the encoder's weights are: in the job's own VAE trial, or where the configuration says.
+
+    Raises:
+        ConfigError: nowhere.
+    """
+    given = job.config.vae.checkpoint
+    if vae is not None:
+        return vae.checkpoint
+    if given is None or not given.is_dir():
+        raise ConfigError("there is no encoder", expected="a VAE trial's checkpoint", got=str(given))
+    return given
+
+
+def _shared(job: Job[TrainConfig], arrays: TrainingArrays) -> dict[str, Any]:
+    """What every trial on configurations gets."""
+    return {"train": job.config, "arrays": arrays, "tracking_uri": job.environment.tracking_uri}

@@ -1,0 +1,1 @@
+"""What a job is told, from presets and files; checked once."""

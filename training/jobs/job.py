@@ -1,0 +1,268 @@
+"""One training job: its configuration, its runs and its folder, so that a stopped one can go on."""
+
+import fcntl
+import json
+import logging
+import re
+import shutil
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Generic, TypeVar
+
+from pydantic import ValidationError
+
+from cspace.bundle import Bundle
+from cspace.dataset import require_room
+from cspace.errors import BundleError, ConfigError, JobError, StorageError
+from services.registry.names import EXPERIMENT
+from services.registry.tracking.mlflow_tracking import MlflowTracking
+from services.registry.tracking.parameters import flatten
+from services.registry.tracking.port import RunLog, Tracking
+from training.config.files import Section
+from training.jobs.environment import Environment
+from training.jobs.patience import PatientRun, patiently
+
+RECORD = "job.json"
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,62}")
+_LOG = logging.getLogger("training")
+
+Config = TypeVar("Config", bound=Section)
+Answer = TypeVar("Answer")
+
+
+@dataclass(frozen=True, slots=True)
+class Job(Generic[Config]):
+    """A job under way.
+
+    Args:
+        config: what it trains.
+        environment: where it works.
+        tracking: its server; metrics that it does not take wait in the job's folder.
+        run: the parent run.
+        folder: of its trials, named after the run; ``job.json`` there holds configuration and child runs.
+        children: child run by trial.
+        name: under which it can be submitted again; None for a job that only its run names.
+    """
+
+    config: Config
+    environment: Environment
+    tracking: Tracking
+    run: RunLog
+    folder: Path
+    children: dict[str, str]
+    name: str | None = None
+
+    @classmethod
+    def start(
+        cls,
+        config: Config,
+        environment: Environment,
+        tags: Mapping[str, str],
+        title: str = "cluster-train",
+        name: str | None = None,
+        parent_run_id: str | None = None,
+    ) -> "Job[Config]":
+        """A new job with a run of its own, or the one that was submitted under this name before.
+
+        Args:
+            config: what it trains; under a name that is known, the same as before.
+            environment: where it works.
+            tags: of the run.
+            title: of the run.
+            name: of the job: letters, digits, ``-`` and ``_``.
+            parent_run_id: the run under which a new one is shown.
+
+        Raises:
+            ConfigError: the name is none, or belongs to a job of another configuration.
+            StorageError: the data folder is full or cannot be written.
+            RegistryUnavailableError: the tracking server stayed away.
+        """
+        if name is not None and not _NAME.fullmatch(name):
+            raise ConfigError(
+                "a job's name does not fit",
+                expected="1 to 63 letters, digits, - and _, a letter or digit first",
+                got=repr(name),
+            )
+        prepare(environment)
+        known = None if name is None else run_of(environment, name)
+        if known is not None:
+            return cls.resume(known, environment, type(config)).same(config)
+        tracking = MlflowTracking(environment.tracking_uri)
+        key = None if name is None else f"job/{name}"
+        run = patiently(
+            "starting the job's run",
+            lambda: tracking.start(EXPERIMENT, title, parent_run_id, tags, key=key),
+            environment.patience_s,
+        )
+        folder = job_folder(environment, run.run_id)
+        if not (folder / RECORD).exists():
+            folder.mkdir(parents=True, exist_ok=True)
+            _write(folder / RECORD, {"config": config.to_dict(), "children": {}, "name": name})
+        if name is not None:
+            _write(_pointer(environment, name), {"run_id": run.run_id})
+        return cls.resume(run.run_id, environment, type(config)).same(config)
+
+    @classmethod
+    def resume(cls, run_id: str, environment: Environment, kind: type[Config]) -> "Job[Config]":
+        """A job that was stopped, with the runs that it had.
+
+        Args:
+            run_id: of the parent run.
+            environment: the same as the job's.
+            kind: of configuration that it had.
+
+        Raises:
+            ConfigError: no such job worked in this data folder, or one of another kind.
+            RegistryUnavailableError: the tracking server stayed away.
+        """
+        folder = job_folder(environment, run_id)
+        try:
+            record = json.loads((folder / RECORD).read_text(encoding="utf-8"))
+        except (OSError, ValueError) as error:
+            raise ConfigError(
+                "there is no such job to go on with",
+                expected=f"a run's id with {RECORD} under {folder.parent}",
+                got=repr(run_id),
+                remedy="take the id of the line `run: ...` at the start of the job's log",
+            ) from error
+        try:
+            config = kind.model_validate(record["config"])
+        except ValidationError as error:
+            raise ConfigError(
+                "the job is of another kind", expected=kind.__name__, got=str(error.errors()[0]["loc"])
+            ) from error
+        tracking = MlflowTracking(environment.tracking_uri, spool_folder=folder / "spool")
+        run = patiently("opening the job's run", lambda: tracking.resume(run_id), environment.patience_s)
+        children, patient = dict(record["children"]), PatientRun(run, environment.patience_s)
+        return cls(config, environment, tracking, patient, folder, children, record.get("name"))
+
+    @contextmanager
+    def running(self) -> Iterator[RunLog]:
+        """The run, for as long as this process works on the job; afterwards nothing waits to be sent.
+
+        Raises:
+            JobError: another process works on it.
+            RegistryUnavailableError: the tracking server stayed away at the end.
+        """
+        with (self.folder / "lock").open("a") as handle:
+            try:
+                # The system frees it when the process ends, however it ends.
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError as error:
+                raise JobError(
+                    "the job is running already",
+                    got=f"run {self.run.run_id}",
+                    remedy="wait for it, or stop it first",
+                ) from error
+            _LOG.info("run: %s", self.run.run_id)
+            self._tidy()
+            with self.run as run:
+                yield run
+                self.deliver()
+                self._tidy()
+            # The run's own end may have had to wait as well.
+            self.deliver()
+
+    def child(self, name: str) -> str:
+        """A trial's run, made here so that a retried trial and a resumed job continue it."""
+        if name not in self.children:
+            run = self.patiently(
+                f"starting the run of {name}",
+                lambda: self.tracking.start(
+                    EXPERIMENT,
+                    name,
+                    parent_run_id=self.run.run_id,
+                    key=f"{self.run.run_id}/{name}",
+                ),
+            )
+            self.children[name] = run.run_id
+            record = {"config": self.config.to_dict(), "children": self.children, "name": self.name}
+            _write(self.folder / RECORD, record)
+        return self.children[name]
+
+    def deliver(self) -> None:
+        """Send what trials could not send while the tracking server was away."""
+        self.patiently("sending what waited", self.tracking.deliver)
+
+    def patiently(self, action: str, call: Callable[[], Answer]) -> Answer:
+        """The answer of ``call``, asked again while the tracking server is away."""
+        return patiently(action, call, self.environment.patience_s)
+
+    def _tidy(self) -> None:
+        """Delete what processes that were killed had begun to write, and the request to stop."""
+        for half in (*self.folder.rglob("*.tmp"), *self.folder.glob(".*"), self.folder / "stop"):
+            if half.is_dir():
+                shutil.rmtree(half, ignore_errors=True)
+            else:
+                half.unlink(missing_ok=True)
+
+    def same(self, config: Config) -> "Job[Config]":
+        """This job, if it has these settings.
+
+        Raises:
+            ConfigError: it has others.
+        """
+        ours, given = flatten(self.config.to_dict()), flatten(config.to_dict())
+        changed = sorted(key for key in ours.keys() | given.keys() if ours.get(key) != given.get(key))
+        if changed:
+            raise ConfigError(
+                f"the job {self.name} has other settings",
+                expected=", ".join(f"{key}={ours.get(key)}" for key in changed[:5]),
+                got=", ".join(f"{key}={given.get(key)}" for key in changed[:5]),
+                remedy=f"take another name, or go on as it began by --resume {self.run.run_id}",
+            )
+        return self
+
+
+def job_folder(environment: Environment, run_id: str) -> Path:
+    """Where the job of a run keeps its trials."""
+    return environment.data_folder / "jobs" / Path(run_id).name
+
+
+def run_of(environment: Environment, name: str) -> str | None:
+    """The run of the job of this name; None where none was submitted under it."""
+    try:
+        return str(json.loads(_pointer(environment, name).read_text(encoding="utf-8"))["run_id"])
+    except FileNotFoundError:
+        return None
+
+
+def kept_bundle(folder: Path) -> Bundle | None:
+    """The bundle that an earlier attempt has left, whole; None otherwise."""
+    try:
+        return Bundle.load(folder) if folder.is_dir() else None
+    except BundleError:
+        return None
+
+
+def prepare(environment: Environment) -> None:
+    """See that the data folder can be written and has room, before the long work.
+
+    Raises:
+        StorageError: it cannot, or has not.
+    """
+    try:
+        (environment.data_folder / "jobs" / "names").mkdir(parents=True, exist_ok=True)
+        probe = environment.data_folder / "jobs" / ".probe"
+        probe.write_text("", encoding="utf-8")
+        probe.unlink(missing_ok=True)
+    except OSError as error:
+        raise StorageError(
+            "the data folder cannot be written",
+            expected="a folder with room and rights",
+            got=str(error),
+            remedy="set CSPACE_DATA_DIR to another one",
+        ) from error
+    require_room(environment.data_folder, 0)
+
+
+def _pointer(environment: Environment, name: str) -> Path:
+    return environment.data_folder / "jobs" / "names" / f"{name}.json"
+
+
+def _write(path: Path, record: Mapping[str, Any]) -> None:
+    beside = path.with_name(f"{path.name}.tmp")
+    beside.write_text(json.dumps(record, indent=2), encoding="utf-8")
+    beside.replace(path)

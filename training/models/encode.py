@@ -1,0 +1,49 @@
+"""Latents of the scenarios: every picture through the trained encoder, once, for all later trials."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from cspace.worlds.planar.picture import to_network
+from training.config.clusters import VaeConfig
+from training.models.checkpoint import load_weights, seeded_initialisation
+from training.models.networks import Encoder
+
+_BLOCK = 256
+
+
+@dataclass(frozen=True, slots=True)
+class Latents:
+    """Mean and standard deviation of each picture's latent, (S, L) each."""
+
+    mu: NDArray[np.float32]
+    sigma: NDArray[np.float32]
+
+    @classmethod
+    def none(cls, scenarios: int, latent_dim: int) -> "Latents":
+        """Zeros for ``scenarios`` pictures whose encoder does not exist yet."""
+        empty = np.zeros((scenarios, latent_dim), dtype=np.float32)
+        return cls(empty, empty)
+
+
+def load_encoder(config: VaeConfig, pixels: int, checkpoint: Path) -> Encoder:
+    """The encoder of a VAE trial's checkpoint, ready to be asked."""
+    with seeded_initialisation(0):
+        encoder = Encoder(pixels, config.latent_dim, config.width, config.patches)
+    encoder.load_state_dict(load_weights(checkpoint, "encoder"))
+    encoder.eval()
+    return encoder
+
+
+def encode(encoder: Encoder, images: NDArray[np.uint8]) -> Latents:
+    """Latents of (S, P, P, 3) pictures."""
+    means, deviations = [], []
+    with torch.inference_mode():
+        for start in range(0, len(images), _BLOCK):
+            mu, log_variance = encoder(torch.from_numpy(to_network(images[start : start + _BLOCK])))
+            means.append(mu.numpy())
+            deviations.append((log_variance / 2.0).exp().numpy())
+    return Latents(np.concatenate(means), np.concatenate(deviations))

@@ -1,0 +1,1 @@
+"""Models of samples between a start and a goal."""

@@ -1,0 +1,48 @@
+"""From a trained path model to a bundle that sees with the source's encoder and validity head."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from cspace.bundle import Bundle
+from cspace.bundle.files import VALIDITY_FILE
+from cspace.dataset import Dataset
+from training.config.paths import PathModel, PathTrainConfig
+from training.models.lookups.lookups import make_lookups
+from training.models.paths.density import DensitySampler
+from training.paths.export import PointSampler, density_graph, point_graph
+from training.paths.writing import PathGraph, write_path_bundle
+from training.trials.paths.arrays import PathArrays
+from training.trials.paths.trainables import load_density, load_points
+
+
+def path_graph(
+    name: PathModel, train: PathTrainConfig, arrays: PathArrays, source: Bundle, checkpoint: Path
+) -> PathGraph:
+    """The graph of a trial's network."""
+    spec = source.spec
+    if name == "density":
+        sampler = DensitySampler(load_density(train, arrays, checkpoint), train.density, train.sweep)
+        head = (source.folder / VALIDITY_FILE).read_bytes()
+        return density_graph(sampler.eval(), head, spec.robot.space, spec.latent_dim)
+    config = train.points_of(name)
+    net = load_points(name, train, arrays, checkpoint)
+    lookups = make_lookups(config.lookups, spec.robot, spec.camera)
+    points = PointSampler(net, lookups, place=config.place, sweep=train.sweep, jitter_rad=config.jitter_rad)
+    return point_graph(points.eval(), spec.latent_dim, spec.camera.pixels)
+
+
+def trained_bundle(
+    folder: Path,
+    name: PathModel,
+    train: PathTrainConfig,
+    arrays: PathArrays,
+    source: Bundle,
+    dataset: Dataset,
+    checkpoint: Path,
+    metrics: Mapping[str, float],
+) -> Bundle:
+    """The bundle of one trial."""
+    graph = path_graph(name, train, arrays, source, checkpoint)
+    seeds = {"training": train.seed, "data": dataset.generator_seed}
+    recipe = {"path_model": name, "source_digest": source.digest, **train.to_dict()}
+    return write_path_bundle(folder, source, graph, dataset.digest, seeds, recipe, metrics)

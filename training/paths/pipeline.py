@@ -1,0 +1,201 @@
+"""The job of path models: data, what a bundle sees of them, one trial a model, bundles, registry."""
+
+import logging
+import shutil
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from cspace.bundle import Bundle
+from cspace.dataset import Dataset, open_dataset
+from services.registry.models.mlflow_registry import MlflowRegistry
+from services.registry.names import ALIAS_CHALLENGER, PATH_MODEL_NAME
+from training.config.paths import PathTrainConfig
+from training.datasets.generate import generate
+from training.jobs.environment import Environment
+from training.jobs.figures import path_curves
+from training.jobs.job import Job, kept_bundle
+from training.jobs.provenance import job_tags
+from training.models.checkpoint import read_progress
+from training.paths.bundling import trained_bundle
+from training.paths.source import source_bundle
+from training.paths.untrained import made_or_found
+from training.paths.ways import WaySettings
+from training.trials.launch import connect, run_trials
+from training.trials.outcomes import TrialOutcome
+from training.trials.paths.arrays import PathArrays, path_arrays
+from training.trials.paths.guides import find_guides
+from training.trials.paths.trainables import path_trial
+
+_LOG = logging.getLogger("training")
+
+JOB_TITLE = "path-train"
+# The sampler that is not trained on paths, registered beside those that are.
+UNTRAINED = "ways"
+# A model that learns from another one of the job, and that one.
+DISTILLED, TEACHER = "flow_distilled", "flow"
+
+
+@dataclass(frozen=True, slots=True)
+class PathTrainResult:
+    """What a job leaves behind.
+
+    Args:
+        run_id: the parent run.
+        model: the registered model's name.
+        versions: number of each path model's version, which also has the path model's name as an alias.
+        digests: of each path model's bundle.
+        data_digest: the data set's digest.
+        seconds: from start to end of each trial, by Tune's clock.
+    """
+
+    run_id: str
+    model: str
+    versions: Mapping[str, int]
+    digests: Mapping[str, str]
+    data_digest: str
+    seconds: Mapping[str, float]
+
+
+def train_paths(
+    config: PathTrainConfig, environment: Environment, name: str | None = None
+) -> PathTrainResult:
+    """Run the whole job, or go on with the one that was submitted under this name before.
+
+    Args:
+        config: what it trains.
+        environment: where it works.
+        name: of the job; None always starts a new one.
+
+    Raises:
+        CspaceError: bad data or source, a failed trial, a registry that does not answer, or a name that
+            belongs to a job of other settings.
+        KeyboardInterrupt: it was asked to stop; it can be resumed.
+    """
+    connect()
+    tags = job_tags(config.preset, config.seed, "training/path_train.py")
+    return _run(Job.start(config, environment, tags, JOB_TITLE, name))
+
+
+def resume_paths(run_id: str, environment: Environment) -> PathTrainResult:
+    """Go on with a job that was stopped: finished trials stay, others start from their checkpoints.
+
+    Args:
+        run_id: the job's parent run.
+        environment: the same as the job's.
+
+    Raises:
+        CspaceError: as for :func:`train_paths`; ConfigError where there is no such job.
+    """
+    connect()
+    return _run(Job.resume(run_id, environment, PathTrainConfig))
+
+
+def _run(job: Job[PathTrainConfig]) -> PathTrainResult:
+    config = job.config
+    with job.running() as run:
+        registry = MlflowRegistry(job.environment.tracking_uri)
+        source = job.patiently(
+            "fetching the source", lambda: source_bundle(config.source, registry, job.folder / "source")
+        )
+        dataset = _data(config, job.environment.data_folder)
+        run.params(config.to_dict())
+        run.dataset(dataset.folder.name, dataset.digest, str(dataset.folder), "training")
+        cells = config.density.cells if "density" in config.models else None
+        penalty = config.density.penalty if config.density.ways else None
+        arrays = path_arrays(source, dataset, config.points, cells, penalty)
+        outcomes = _train(job, source, arrays)
+        histories = {outcome.name: read_progress(outcome.checkpoint).history for outcome in outcomes}
+        run.figure(path_curves(histories), "path-losses")
+        run.flush()
+        bundles = _bundles(job, source, dataset, arrays, outcomes)
+        versions = {
+            name: job.patiently(f"registering {name}", partial(_register, job, registry, name, bundle))
+            for name, bundle in bundles.items()
+        }
+        return PathTrainResult(
+            run_id=run.run_id,
+            model=PATH_MODEL_NAME,
+            versions=versions,
+            digests={name: bundle.digest for name, bundle in bundles.items()},
+            data_digest=dataset.digest,
+            seconds={outcome.name: outcome.ended_s - outcome.started_s for outcome in outcomes},
+        )
+
+
+def _data(config: PathTrainConfig, folder: Path) -> Dataset:
+    if config.data_folder is not None:
+        return open_dataset(config.data_folder)
+    return generate(config.data, folder / "datasets" / f"paths-{config.data.folder_name}")
+
+
+def _train(job: Job[PathTrainConfig], source: Bundle, arrays: PathArrays) -> list[TrialOutcome]:
+    config = job.config
+    guides = None if config.guides is None else find_guides(config.guides, source.digest)
+    trials: list[dict[str, Any]] = [
+        {"name": name, "run_id": job.child(name), "seed": config.seed} for name in config.models
+    ]
+    _LOG.info("path models: %s on %d paths", ", ".join(config.models), len(arrays.ids))
+    shared: dict[str, Any] = {
+        "train": config,
+        "arrays": arrays,
+        "guides": guides,
+        "tracking_uri": job.environment.tracking_uri,
+    }
+
+    def run(wanted: list[dict[str, Any]]) -> dict[str, TrialOutcome]:
+        outcomes = run_trials(path_trial, wanted, shared, config.resources, job.folder / "models")
+        return {outcome.name: outcome for outcome in outcomes}
+
+    found = run([trial for trial in trials if trial["name"] != DISTILLED])
+    if DISTILLED in config.models:
+        shared["teacher"] = found[TEACHER].checkpoint
+        found |= run([trial for trial in trials if trial["name"] == DISTILLED])
+    return [found[name] for name in config.models]
+
+
+def _bundles(
+    job: Job[PathTrainConfig],
+    source: Bundle,
+    dataset: Dataset,
+    arrays: PathArrays,
+    outcomes: list[TrialOutcome],
+) -> dict[str, Bundle]:
+    """The untrained sampler's bundle, where the source has a head for it, and those of all trials."""
+    bundles: dict[str, Bundle] = {}
+    if source.has_validity and source.spec.dim == 2:
+        bundles[UNTRAINED] = made_or_found(source, job.folder / "bundles" / UNTRAINED, WaySettings())
+    for name, outcome in zip(job.config.models, outcomes, strict=True):
+        _LOG.info("bundle: exporting %s", name)
+        folder = job.folder / "bundles" / name
+        kept = kept_bundle(folder)
+        if kept is None:
+            shutil.rmtree(folder, ignore_errors=True)
+            metrics = {**outcome.metrics, "training_s": outcome.ended_s - outcome.started_s}
+            kept = trained_bundle(
+                folder, name, job.config, arrays, source, dataset, outcome.checkpoint, metrics
+            )
+        bundles[name] = kept
+    return bundles
+
+
+def _register(job: Job[PathTrainConfig], registry: MlflowRegistry, name: str, bundle: Bundle) -> int:
+    tags = {
+        "path_model": name,
+        "data_digest": bundle.spec.provenance.data_digest or "",
+        "preset": job.config.preset,
+        "seed": str(job.config.seed),
+    }
+    version = registry.register(
+        PATH_MODEL_NAME, bundle.folder, job.child(name), bundle.digest, tags, alias=name.replace("_", "-")
+    )
+    if name == job.config.models[0]:
+        registry.set_alias(PATH_MODEL_NAME, ALIAS_CHALLENGER, version.number)
+    if name == UNTRAINED:
+        # A run without a trial that would end it.
+        with job.tracking.resume(job.child(name)) as run:
+            run.params(dict(bundle.spec.provenance.config))
+    _LOG.info("registry: %s version %d, %s", PATH_MODEL_NAME, version.number, name)
+    return version.number
