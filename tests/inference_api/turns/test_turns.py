@@ -10,8 +10,8 @@ from anyio import to_thread
 from prometheus_client import CollectorRegistry, Gauge
 from starlette.requests import ClientDisconnect
 
-from inference_api.turns.turns import Turn, Turns
 from inference_api.turns import turns as turns_module
+from inference_api.turns.turns import Turn, Turns
 from tests.inference_api.turn_work import PATIENCE_S, Gate, leaving, until, value
 
 

@@ -129,7 +129,9 @@ class DiskUsage(NamedTuple):
 
 def test_a_full_disk_is_told_before_the_first_shard(tmp_path, monkeypatch):
     here = HereInsteadOfRay(monkeypatch)
-    monkeypatch.setattr("cspace.dataset.shutil.disk_usage", lambda path: DiskUsage(2**40, 2**40, 2**20))
+    monkeypatch.setattr(
+        "cspace.dataset.folder.shutil.disk_usage", lambda path: DiskUsage(2**40, 2**40, 2**20)
+    )
     with pytest.raises(StorageError, match="too full"):
         generate(SMALL, tmp_path / "data")
     assert here.made == []

@@ -222,7 +222,7 @@ def test_the_arms_are_listed(tmp_path, capsys):
 def test_a_process_that_dies_is_told_with_its_remedy(setting, monkeypatch):
     from concurrent.futures.process import BrokenProcessPool
 
-    from services.evaluator.benchmark.runs.run import spread
+    from services.evaluator.benchmark.runs import spread
 
     class Dying:
         def __init__(self, *given):

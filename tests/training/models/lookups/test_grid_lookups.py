@@ -13,9 +13,9 @@ from cspace.worlds.planar.scene import Camera
 from tests.training.paths.test_ways import walled_head
 from training.config.clusters import ValidityConfig
 from training.models.export import validity_graph
+from training.models.lookups import head_map
 from training.models.lookups.grid_lookups import fast_map
 from training.models.lookups.head_map import map_graph
-from training.models.lookups import head_map
 from training.models.validity import ValidityHead
 
 PIXELS = 48

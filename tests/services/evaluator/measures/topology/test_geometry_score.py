@@ -16,7 +16,7 @@ from services.evaluator.measures.topology.geometry_score import (
 from services.evaluator.measures.topology.witness import witness_complex
 from services.evaluator.processes import ProcessMapper
 
-CASES = Path(__file__).parent / "data" / "living_times.npz"
+CASES = Path(__file__).with_name("living_times.npz")
 CASE_NAMES = ("disk_0.007812", "ring7_0.000937", "ring_0.125000", "square_0.001250", "tworing_0.007812")
 
 
