@@ -1,8 +1,8 @@
 """Experiment tracking, the model registry, and promotion: ports, MLflow's adapters, the rules between them.
 
-``tracking`` and ``models`` hold the ports; ``mlflow_tracking`` and ``mlflow_registry`` their adapters, which
-are imported by their own names because they bring MLflow with them; ``promotion`` records what the evaluator
-decides.
+``tracking.port`` and ``models.port`` are the ports; ``tracking.mlflow_tracking`` and
+``models.mlflow_registry`` their adapters, which are imported by their own names because they bring MLflow
+with them; ``promotion`` records what the evaluator decides.
 """
 
 from services.registry.models.port import ModelRegistry, ModelVersion

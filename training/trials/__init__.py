@@ -1,1 +1,1 @@
-"""The Ray Tune trials: VAE, one WGAN-GP a cluster, the global WGAN-GP. The only code that knows Tune."""
+"""The Ray Tune trials: VAE, gate, WGAN-GPs, path models, searches. The only code that knows Tune."""

@@ -1,7 +1,6 @@
 """The planning benchmark: many ways to solve the same problems with the same seeds, measured run by run.
 
-In the order of a benchmark: ``arms`` says what is compared and ``setting`` under which limits; ``sources``
-are the learned samplers; ``measure`` runs one problem with all its arms, in the processes of ``spread`` or
-on a ``cluster``; ``store`` keeps the runs; ``break_even``, ``summary`` and ``convergence`` reduce them; the
-rest tells.
+In the order of a benchmark: ``runs`` says what is compared, measures and keeps it; ``summary`` reduces the
+runs to numbers with intervals; ``telling`` writes tables, figures and files; ``job`` does all three,
+``command`` asks for it.
 """

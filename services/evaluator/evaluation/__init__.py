@@ -1,1 +1,4 @@
-"""An evaluation: units of work, the gate, the record and the report."""
+"""An evaluation: its units of work, its gate, its record and its report.
+
+``units`` are measured by ``execution``, ``gate`` decides, ``report`` tells, ``job`` records.
+"""
