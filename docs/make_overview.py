@@ -14,11 +14,12 @@ from numpy.typing import NDArray
 
 from cspace.bundle import Bundle, SampleSet
 from cspace.errors import CspaceError
+from cspace.problem import Problem
+from cspace.splits import Split
 from cspace.worlds.planar.collision import CollisionChecker
 from cspace.worlds.planar.picture import encode_png
-from cspace.worlds.planar.problems import Family, Problem, draw_problem
+from cspace.worlds.planar.problems import Family, draw_problem
 from cspace.worlds.planar.render import render
-from cspace.worlds.planar.scene import Split
 from services.planner.drawing.configuration_panel import draw_configurations
 from services.planner.drawing.palette import GOAL
 from services.planner.drawing.workspace_panel import draw_workspace
@@ -42,7 +43,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     try:
         bundle = Bundle.load(options.bundle)
-        problem = draw_problem(Family.UNIFORM, Split.DEMO, SEED, robot=bundle.spec.robot)
+        problem = draw_problem(Family.UNIFORM, Split.DEMO, SEED, robot=bundle.spec.world.body)
         picture = render(problem.scenario)
         found = bundle.sample(picture, SAMPLES, SEED, min_confidence=0.0)
         doubted = _doubted(found, bundle.spec.confidence_threshold)

@@ -10,6 +10,7 @@ from onnx import TensorProto, helper, numpy_helper
 
 from cspace.bundle import BundleSpec, GoldenCase, Provenance, RandomInput, write_bundle
 from cspace.worlds.planar.arm import TWO_LINK, PlanarArm
+from cspace.worlds.planar.world import PlanarWorld
 
 LATENT = 4
 PIXELS = 48
@@ -24,7 +25,7 @@ def tiny_spec(
 ) -> BundleSpec:
     """The description of the tiny bundle."""
     return BundleSpec(
-        robot=robot,
+        world=PlanarWorld(robot),
         latent_dim=LATENT,
         kind=kind,
         model_kind=model_kind,

@@ -5,7 +5,8 @@ from typing import Any
 import numpy as np
 
 from cspace.worlds.planar.arm import TWO_LINK, PlanarArm
-from cspace.worlds.planar.scene import Camera
+from cspace.worlds.planar.camera import Camera
+from cspace.worlds.planar.world import PlanarWorld
 
 CAMERA = Camera(pixels=16)
 SCENARIOS, EXTRAS = 3, 2
@@ -15,13 +16,12 @@ def content(robot: PlanarArm = TWO_LINK, seed: int = 0, **changes: Any) -> dict[
     """Arguments of ``write_dataset``: three scenarios, one without free, one without colliding ones."""
     rng, dim = np.random.default_rng(seed), robot.dim
     values = {
-        "robot": robot,
-        "camera": CAMERA,
+        "world": PlanarWorld(robot, CAMERA),
         "images": rng.integers(0, 256, (SCENARIOS, 16, 16, 3), dtype=np.uint8),
         "free": [rng.uniform(-np.pi, np.pi, (count, dim)) for count in (4, 0, 6)],
         "collision": [rng.uniform(-np.pi, np.pi, (count, dim)) for count in (1, 2, 0)],
         "paths": [(2, rng.uniform(-np.pi, np.pi, (5, dim))), (0, rng.uniform(-np.pi, np.pi, (2, dim)))],
-        "discs": rng.uniform(0.5, 4, (SCENARIOS, 3, 3)),
+        "scenes": {"discs": rng.uniform(0.5, 4, (SCENARIOS, 3, 3))},
         "extra_images": rng.integers(0, 256, (EXTRAS, 16, 16, 3), dtype=np.uint8),
         "generator": {"seed": 7},
     }

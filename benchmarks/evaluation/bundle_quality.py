@@ -16,7 +16,7 @@ from pathlib import Path
 
 from benchmarks.machine import machine
 from cspace.bundle import Bundle
-from cspace.worlds.planar.scene import Split
+from cspace.splits import Split
 from services.evaluator.evaluation.tables import markdown
 from services.evaluator.measures.reconstruction import SceneQuality, summarise
 from services.evaluator.measures.samplers import bundle_sampler
@@ -27,7 +27,7 @@ TIMED = (300, 1000)
 
 def measure(folder: Path, split: Split, seed: int, indices: range) -> list[SceneQuality]:
     bundle = Bundle.load(folder)
-    stage = Stage(bundle.spec.robot, bundle.spec.camera, split, seed)
+    stage = Stage(bundle.spec.world, split, seed)
     return [reconstruct(Scene(stage, index), bundle_sampler(bundle)) for index in indices]
 
 
@@ -74,7 +74,7 @@ def main() -> int:
 def _times(folder: Path) -> str:
     """Milliseconds for one picture, encoder, generator and head together, one thread."""
     bundle = Bundle.load(folder)
-    stage = Stage(bundle.spec.robot, bundle.spec.camera, Split.VALIDATION, 0)
+    stage = Stage(bundle.spec.world, Split.VALIDATION, 0)
     image, told = Scene(stage, 0).image, []
     for count in TIMED:
         taken = []

@@ -20,9 +20,11 @@ from PIL import Image, ImageFilter
 
 from benchmarks.machine import machine
 from cspace.bundle import Bundle
+from cspace.splits import Split, scenario_rng
+from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.collision import CollisionChecker
 from cspace.worlds.planar.render import render
-from cspace.worlds.planar.scene import Camera, Disc, Scenario, Split, random_scenario, scenario_rng
+from cspace.worlds.planar.scene import Disc, Scenario, random_scenario
 from services.evaluator.evaluation.tables import markdown
 from services.evaluator.statistics import mean_interval, quantile_interval
 
@@ -111,7 +113,7 @@ def row_of(bundle: Bundle, kind: Kind, scenarios: int) -> list[str]:
     told, alone, served = [], [], []
     for index in range(scenarios):
         rng = scenario_rng(Split.TEST, 0, index)
-        scenario = kind.scenario(random_scenario(rng, bundle.spec.robot), rng)
+        scenario = kind.scenario(random_scenario(rng, bundle.spec.world.body), rng)
         shown = kind.picture(render(scenario), rng)
         told.append(bundle.prepare(shown).novelty)
         alone.append(precision(bundle, scenario, shown, index, 0.0))

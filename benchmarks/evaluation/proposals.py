@@ -15,7 +15,7 @@ import numpy as np
 from benchmarks.machine import machine
 from cspace.bundle import Bundle
 from cspace.space import to_float32
-from cspace.worlds.planar.scene import Split
+from cspace.splits import Split
 from services.evaluator.evaluation.tables import markdown
 from services.evaluator.measures.reconstruction import sample_quality
 from services.evaluator.measures.scenes import SAMPLES, Scene, Stage
@@ -45,7 +45,7 @@ def main() -> int:
     parser.add_argument("--scenarios", type=int, default=60)
     options = parser.parse_args()
     bundle = Bundle.load(options.bundle)
-    stage = Stage(bundle.spec.robot, bundle.spec.camera, Split.VALIDATION, 0)
+    stage = Stage(bundle.spec.world, Split.VALIDATION, 0)
     scenes = [Scene(stage, index) for index in range(options.scenarios)]
     real = [scene.free(SAMPLES, scene.rng(0)) for scene in scenes]
     base = [

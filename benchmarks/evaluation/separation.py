@@ -29,9 +29,12 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.machine import machine
+from cspace.splits import Split
 from cspace.worlds.planar.arm import TWO_LINK
+from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.collision import CollisionChecker
-from cspace.worlds.planar.scene import Camera, Disc, Scenario, Split
+from cspace.worlds.planar.scene import Disc, Scenario
+from cspace.worlds.planar.world import PlanarWorld
 from services.evaluator.measures.scenes import Scene, Stage
 from services.evaluator.measures.topology.complement import POINTS_PER_CELL, sample_complement
 from services.evaluator.measures.topology.complement_score import (
@@ -133,7 +136,7 @@ def blocked_share(scene: Scene) -> float:
 
 def scenes_of(split: Split, count: int, least_blocked: float):
     """The first scenarios of the split in which obstacles take at least that share of the joint space."""
-    stage = Stage(TWO_LINK, Camera(), split, SEED)
+    stage = Stage(PlanarWorld(TWO_LINK, Camera()), split, SEED)
     scenes = (Scene(stage, index) for index in itertools.count())
     return itertools.islice((scene for scene in scenes if blocked_share(scene) >= least_blocked), count)
 

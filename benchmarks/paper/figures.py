@@ -141,7 +141,7 @@ def _smooth(values: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _picture(axes: Axes, scene: Scene) -> None:
-    camera = scene.stage.camera
+    camera = scene.stage.world.sensor
     axes.imshow(scene.image, extent=(camera.x_min_m, camera.x_max_m, camera.y_min_m, camera.y_max_m))
     axes.set_xlabel("x [m]")
     seen = "training" if scene.stage.split == "train" else "unseen"

@@ -16,7 +16,7 @@ from benchmarks.paper.jobs import Study
 from cspace.bundle import Bundle
 from cspace.dataset import Dataset, open_dataset
 from cspace.errors import EvaluationError
-from cspace.worlds.planar.scene import Split
+from cspace.splits import Split
 from services.evaluator.evaluation.tables import Table
 from services.evaluator.measures.samplers import BundleSampler
 from services.evaluator.measures.scenes import Scene, Stage, measure_reconstruction, summary_rng
@@ -85,7 +85,7 @@ def plain_arrays(config: TrainConfig, dataset: Dataset) -> TrainingArrays:
     count = dataset.scenario_count
     free, ids = np.asarray(dataset.free), np.repeat(np.arange(count), np.diff(dataset.free_offsets))
     latents = Latents.none(count, config.vae.latent_dim)
-    return TrainingArrays(free, ids, 0 * ids, latents.mu, latents.sigma, dataset.robot, dataset.camera)
+    return TrainingArrays(free, ids, 0 * ids, latents.mu, latents.sigma, dataset.world)
 
 
 def learning_curve(study: Study, column: Column, made: Mapping[int, Bundle], effort: Effort) -> Measured:
@@ -148,7 +148,7 @@ def base_of(columns: Sequence[Column]) -> Column:
 
 
 def _stage(bundle: Bundle, split: Split, seed: int) -> Stage:
-    return Stage(bundle.spec.robot, bundle.spec.camera, split, seed)
+    return Stage(bundle.spec.world, split, seed)
 
 
 def _quality(stage: Stage, bundle: Bundle, scenarios: int, samples: int) -> Measured:

@@ -21,7 +21,7 @@ from benchmarks.paper.measures import (
 )
 from cspace.bundle import Bundle
 from cspace.errors import EvaluationError
-from cspace.worlds.planar.scene import Split
+from cspace.splits import Split
 from services.evaluator.evaluation.tables import markdown
 from services.evaluator.measures.samplers import BundleSampler
 from services.evaluator.measures.scenes import Stage, measure_reconstruction
@@ -51,7 +51,7 @@ def judge_columns(
         curves[column.label] = learning_curve(study, column, made, effort)
         last[column] = made[max(made)]
         found[column.name] = final_quality(study, column, last[column], seed, effort)
-    stage = Stage(dataset.robot, dataset.camera, Split.VALIDATION, 0)
+    stage = Stage(dataset.world, Split.VALIDATION, 0)
     uniform = measure_reconstruction(
         stage, BundleSampler(last[trained[0]]), effort.validation, effort.samples
     )
@@ -89,9 +89,6 @@ def _training(study: Study, column: Column, bundle: Bundle) -> dict[str, Any]:
 
 def _draw_reconstruction(study: Study, last: dict[Column, Bundle], seed: int) -> None:
     spec = next(iter(last.values())).spec
-    scenes = [
-        typical(Stage(spec.robot, spec.camera, split, of))
-        for split, of in ((Split.TRAIN, seed), (Split.DEMO, 0))
-    ]
+    scenes = [typical(Stage(spec.world, split, of)) for split, of in ((Split.TRAIN, seed), (Split.DEMO, 0))]
     samplers = {column.label: BundleSampler(bundle) for column, bundle in last.items()}
     reconstruction(scenes, samplers, CAPTION_DRAWS).savefig(study.out / "reconstruction.png", dpi=100)

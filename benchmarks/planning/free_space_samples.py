@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from cspace.bundle import Bundle
+from cspace.splits import Split
 from cspace.worlds.planar.problems import Family, draw_problem
-from cspace.worlds.planar.scene import Split
 from services.evaluator.evaluation.tables import aligned, planning_table
 from services.evaluator.evaluation.units import PLANNER, planner_seed
 from services.evaluator.measures.planning import plan_trial
@@ -36,7 +36,7 @@ def main() -> int:
     sampler = bundle_sampler(Bundle.load(options.bundle))
     trials = []
     for index in range(options.problems):
-        problem = draw_problem(options.family, Split.VALIDATION, SEED, index, sampler.bundle.spec.robot)
+        problem = draw_problem(options.family, Split.VALIDATION, SEED, index, sampler.bundle.spec.world.body)
         trials.append(plan_trial(problem, index, planner_seed(SEED, index, 0), sampler, PLANNER))
         if (index + 1) % 25 == 0:
             print(f"{index + 1}/{options.problems}", file=sys.stderr, flush=True)

@@ -74,7 +74,7 @@ def make_arrays(config: TrainConfig, dataset: Dataset) -> TrainingArrays:
         counts / counts.sum(axis=1, keepdims=True),
     )
     labels = clusters[cells.labels]
-    return TrainingArrays(free, ids, labels, mu, sigma, dataset.robot, dataset.camera, images, gated)
+    return TrainingArrays(free, ids, labels, mu, sigma, dataset.world, images, gated)
 
 
 def orchestrated(config: TrainConfig, arrays: TrainingArrays, uri: str, out: Path, trials: int) -> dict:

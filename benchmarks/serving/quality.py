@@ -14,7 +14,7 @@ import numpy as np
 
 from benchmarks.serving.served import BUNDLE, machine, served
 from cspace.bundle import Bundle
-from cspace.worlds.planar.scene import Split
+from cspace.splits import Split
 from services.evaluator.evaluation.tables import markdown
 from services.evaluator.measures.reconstruction import SceneQuality, summarise
 from services.evaluator.measures.samplers import BundleSampler, HttpSampler, Image, Sampler, Samples
@@ -44,7 +44,7 @@ def main() -> int:
     parser.add_argument("--scenarios", type=int, default=100)
     options = parser.parse_args()
     bundle = Bundle.load(BUNDLE)
-    stage = Stage(bundle.spec.robot, bundle.spec.camera, Split.TEST, 0)
+    stage = Stage(bundle.spec.world, Split.TEST, 0)
     own = BundleSampler(bundle, min_confidence=bundle.spec.confidence_threshold or 0.0)
     with served() as api, SamplingClient(f"http://127.0.0.1:{api.port}") as client:
         over_http = HttpSampler(client, min_confidence=None)

@@ -21,6 +21,7 @@ import torch
 from safetensors.torch import load_file, save_file
 
 from benchmarks.training.clusters_report import write_report
+from cspace.worlds.planar.world import PlanarWorld
 from training.clusters.clustering import cluster, group, points_in_cells
 from training.config.clusters import TrainConfig, load_config
 from training.datasets.generate import generate
@@ -113,8 +114,8 @@ def prepare(joints: int, out: Path) -> tuple[TrainingArrays, Encoder, torch.Tens
     ids = np.repeat(np.arange(dataset.scenario_count), np.diff(dataset.free_offsets))
     empty = np.zeros((0, config.vae.latent_dim), dtype=np.float32)
     labels = np.zeros(len(free), dtype=np.int64)
-    camera, images = dataset.camera, np.array(images)
-    arrays = TrainingArrays(free, ids, labels, empty, empty, dataset.robot, camera, images)
+    camera, images = dataset.world.sensor, np.array(images)
+    arrays = TrainingArrays(free, ids, labels, empty, empty, dataset.world.body, camera, images)
     return arrays, module.encoder, pictures
 
 
@@ -125,7 +126,7 @@ class Trainer:
         self.arrays, encoder, self.pictures = prepare(joints, out)
         self.encode_with(encoder)
         robot, camera = self.arrays.robot, self.arrays.camera
-        self.validation = Validation.draw(self.encoder, robot, camera, SCENARIOS)
+        self.validation = Validation.draw(self.encoder, PlanarWorld(robot, camera), SCENARIOS)
 
     def encode_with(self, encoder: Encoder) -> None:
         self.encoder = encoder.eval()
@@ -141,7 +142,7 @@ class Trainer:
     def train(self, task: Task) -> torch.nn.Module:
         arm, config = task.arm, task.config()
         arrays, gate = self.partition(task, config)
-        lookups = make_lookups(config.local.generator_lookups, arrays.robot, arrays.camera)
+        lookups = make_lookups(config.local.generator_lookups, arrays.world)
         if arm.form in ("single", "guided"):
             generator = self.ungated(task, arrays)
             return generator if lookups is None else LookupSampler(generator, lookups)

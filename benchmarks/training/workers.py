@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from cspace.bundle import Bundle
-from cspace.worlds.planar.scene import Split
+from cspace.splits import Split
 from services.evaluator.evaluation.tables import markdown
 from services.evaluator.measures.samplers import BundleSampler
 from services.evaluator.measures.scenes import Stage, measure_reconstruction
@@ -90,7 +90,7 @@ def run(out: Path, name: str, settings: tuple[str, ...]) -> dict[str, object]:
 def judge(out: Path, result: dict[str, object]) -> list[float]:
     """Seconds, precision, coverage, EDr."""
     bundle = Bundle.load(out / "data" / "jobs" / str(result["run_id"]) / "bundle")
-    stage = Stage(bundle.spec.robot, bundle.spec.camera, Split.VALIDATION, 0)
+    stage = Stage(bundle.spec.world, Split.VALIDATION, 0)
     found = measure_reconstruction(stage, BundleSampler(bundle), SCENARIOS).sampler
     clocks = [clock for name, clock in result["trials"].items() if name != "vae"]
     seconds = max(end for _, end in clocks) - min(start for start, _ in clocks)

@@ -22,7 +22,6 @@ from cspace.bundle.samples import Encoding, Picture, SampleSet
 from cspace.bundle.spec import MAP, PICTURE, BundleSpec
 from cspace.errors import BundleError, BundleIntegrityError, InputError
 from cspace.space import to_float32
-from cspace.worlds.planar.picture import to_network
 
 # Samples about a path are close to contact where it matters, and a further turn costs a further search.
 PATHS_PASS = 0.75
@@ -268,15 +267,15 @@ class Bundle:
         return image
 
     def _network_image(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
-        shape = (self.spec.pixels, self.spec.pixels, 3)
+        shape = self.spec.world.sensor.picture_shape
         if getattr(image, "shape", None) != shape or image.dtype != np.uint8:
             raise InputError(
                 "the picture does not fit the model",
                 expected=f"uint8 {shape}",
                 got=f"{getattr(image, 'dtype', type(image).__name__)} {getattr(image, 'shape', '')}",
-                remedy="read PNG files with cspace.worlds.planar.picture.decode_png(data, pixels)",
+                remedy="read files with bundle.spec.world.sensor.decode(data)",
             )
-        return to_network(image[None])
+        return self.spec.world.sensor.to_network(image[None])
 
     def _replay(self, case: GoldenCase) -> None:
         arguments: dict[str, Any] = {

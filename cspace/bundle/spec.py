@@ -3,7 +3,7 @@
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -12,12 +12,13 @@ from cspace.bundle.parts import Provenance, RandomInput, one_of
 from cspace.bundle.strict_json import StrictObject, parse_json
 from cspace.errors import BundleIntegrityError, ScenarioError
 from cspace.space import Standardisation
-from cspace.worlds.planar.arm import PlanarArm
-from cspace.worlds.planar.scene import Camera
+from cspace.world import World
+from cspace.worlds import read_world
 
-SCHEMA_VERSION = 2
-# Written before uniform_share and novelty_quantiles were; read as 0 and none.
-_FIRST = 1
+SCHEMA_VERSION = 3
+# Without uniform_share and novelty_quantiles, read as 0 and none; robot and camera of a planar world by
+# themselves, read as that.
+_WITHOUT_SHARE, _WITHOUT_WORLD = (1,), (1, 2)
 KINDS = ("configuration", "path")
 MODEL_KINDS = ("generator", "mixture")
 ENDPOINTS = ("start", "goal")
@@ -34,10 +35,9 @@ class BundleSpec:
     """The contract between a bundle's graphs and whoever samples from them.
 
     Args:
-        robot: the arm whose configurations are sampled.
+        world: whose configurations are sampled, and how it is seen; its pixels are the encoder's input size.
         latent_dim: L, size of the encoder's mean and standard deviation.
         kind: ``configuration`` (free configurations) or ``path`` (conditioned on start and goal).
-        camera: the part of the plane that the picture shows; its pixels are the encoder's input size.
         model_kind: ``generator`` or ``mixture``; both are one graph with the same inputs and outputs.
         looks_at_picture: whether the generator takes the picture itself beside its latent.
         looks_at_map: whether it takes what the map graph makes of the picture, once for all its requests.
@@ -55,10 +55,9 @@ class BundleSpec:
         BundleIntegrityError: a value cannot be.
     """
 
-    robot: PlanarArm
+    world: World
     latent_dim: int
     kind: str = "configuration"
-    camera: Camera = field(default_factory=Camera)
     model_kind: str = "generator"
     looks_at_picture: bool = False
     looks_at_map: bool = False
@@ -76,15 +75,15 @@ class BundleSpec:
         names = [item.name for item in self.random_inputs]
         threshold, share, scale = self.confidence_threshold, self.uniform_share, self.standardisation
         wrong = [
-            "robot" if self.robot.dim > MAX_JOINTS else "",
+            "world" if self.dim > MAX_JOINTS else "",
             "latent_dim" if not 1 <= self.latent_dim <= MAX_LATENT else "",
             "samples_per_latent" if not 1 <= self.samples_per_latent * self.dim <= MAX_PER_LATENT else "",
-            "camera" if not MIN_PIXELS <= self.camera.pixels <= MAX_PIXELS else "",
+            "pixels" if not MIN_PIXELS <= self.pixels <= MAX_PIXELS else "",
             "random_inputs" if len(set(names)) != len(names) or self._draws_too_much() else "",
             "confidence_threshold" if threshold is not None and not 0.0 <= threshold <= 1.0 else "",
             "uniform_share" if not 0.0 <= share < 1.0 or (share and self.kind == "path") else "",
             "novelty_quantiles" if not _rise(self.novelty_quantiles) else "",
-            "standardisation" if scale is not None and len(scale.mean) != self.robot.dim else "",
+            "standardisation" if scale is not None and len(scale.mean) != self.dim else "",
         ]
         if any(wrong):
             raise BundleIntegrityError(
@@ -102,12 +101,12 @@ class BundleSpec:
     @property
     def dim(self) -> int:
         """d, number of joints."""
-        return self.robot.dim
+        return self.world.dim
 
     @property
     def pixels(self) -> int:
         """P, side of the picture that the encoder takes."""
-        return self.camera.pixels
+        return self.world.sensor.pixels
 
     @property
     def conditions(self) -> tuple[str, ...]:
@@ -131,10 +130,9 @@ class BundleSpec:
         return {
             "schema_version": SCHEMA_VERSION,
             "kind": self.kind,
-            "robot": self.robot.to_dict(),
+            "world": self.world.to_dict(),
             "joint_space": self.joint_space,
-            "camera": self.camera.to_dict(),
-            "image": _image_convention(self.pixels),
+            "image": self.world.sensor.convention,
             "latent_dim": self.latent_dim,
             "model_kind": self.model_kind,
             "samples_per_latent": self.samples_per_latent,
@@ -172,15 +170,15 @@ class BundleSpec:
             BundleIntegrityError: the schema version is another, or a key or value does not fit.
         """
         version = _version(values)
-        absent = {"uniform_share", "novelty_quantiles"} if version == _FIRST else set()
-        entry = StrictObject("bundle.json", values, _KEYS - absent)
+        absent = {"uniform_share", "novelty_quantiles"} if version in _WITHOUT_SHARE else set()
+        older = version in _WITHOUT_WORLD
+        entry = StrictObject("bundle.json", values, (_FIRST_KEYS if older else _KEYS) - absent)
         scale = entry.get("standardisation")
         try:
             spec = cls(
-                robot=PlanarArm.from_dict(entry.mapping("robot")),
+                world=_world(entry, ("robot", "camera") if older else ()),
                 latent_dim=entry.integer("latent_dim"),
                 kind=entry.text("kind"),
-                camera=_camera(entry.get("camera")),
                 model_kind=entry.text("model_kind"),
                 looks_at_picture=PICTURE in entry.items("conditions"),
                 looks_at_map=MAP in entry.items("conditions"),
@@ -213,22 +211,20 @@ class BundleSpec:
 
 
 _KEYS = {
-    "schema_version", "kind", "robot", "joint_space", "camera", "image", "latent_dim", "model_kind",
+    "schema_version", "kind", "world", "joint_space", "image", "latent_dim", "model_kind",
     "samples_per_latent", "random_inputs", "standardisation", "conditions", "confidence_threshold",
     "uniform_share", "novelty_quantiles", "provenance",
 }  # fmt: skip
-
-
-def _image_convention(pixels: int) -> dict[str, Any]:
-    return {"pixels": pixels, "channels": "RGB", "range": [-1, 1]}
+_FIRST_KEYS = _KEYS - {"world"} | {"robot", "camera"}
 
 
 def _version(values: object) -> int:
     version = values.get("schema_version") if isinstance(values, Mapping) else None
-    if version not in (_FIRST, SCHEMA_VERSION) or not isinstance(version, int) or version is True:
+    known = (*_WITHOUT_WORLD, SCHEMA_VERSION)
+    if version not in known or not isinstance(version, int) or version is True:
         raise BundleIntegrityError(
             "the bundle's schema is another",
-            expected=f"schema_version {_FIRST} or {SCHEMA_VERSION}",
+            expected=f"schema_version {', '.join(map(str, known))}",
             got=repr(version)[:200],
             remedy="use the release of cspace-sampler that wrote the bundle, or export it again",
         )
@@ -256,15 +252,8 @@ def _quantiles(values: object) -> tuple[tuple[float, ...], ...] | None:
     return tuple(tuple(row) for row in numbers)
 
 
-def _camera(values: object) -> Camera:
-    entry = StrictObject("camera", values, {item.name for item in fields(Camera)})
-    return Camera(
-        x_min_m=entry.number("x_min_m"),
-        x_max_m=entry.number("x_max_m"),
-        y_min_m=entry.number("y_min_m"),
-        y_max_m=entry.number("y_max_m"),
-        pixels=entry.integer("pixels"),
-    )
+def _world(entry: StrictObject, parts: tuple[str, ...]) -> World:
+    return read_world({name: entry.mapping(name) for name in parts} if parts else entry.mapping("world"))
 
 
 def _standardisation(values: object) -> Standardisation:

@@ -7,16 +7,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cspace.errors import DatasetError
-from cspace.worlds.planar.arm import PlanarArm
-from cspace.worlds.planar.scene import Camera
+from cspace.world import World
 
 _BLOCK = 1_000_000
 
 
 def check_arrays(
     arrays: Mapping[str, NDArray[Any]],
-    robot: PlanarArm,
-    camera: Camera,
+    world: World,
     required: Sequence[str],
     optional: Sequence[str],
 ) -> None:
@@ -25,6 +23,7 @@ def check_arrays(
     Raises:
         DatasetError: something does not fit; says which file, what was expected and what came.
     """
+    optional = (*optional, *world.scene_files)
     missing, unknown = set(required) - set(arrays), set(arrays) - set(required) - set(optional)
     if missing or unknown:
         raise DatasetError(
@@ -32,20 +31,19 @@ def check_arrays(
             expected=f"{', '.join(required)} and optionally {', '.join(optional)}",
             got=f"without {sorted(missing)}, with {sorted(unknown)}",
         )
-    picture = (camera.pixels, camera.pixels, 3)
+    picture = world.sensor.picture_shape
     scenarios = len(arrays["images"])
     _must("images.npy", arrays["images"], np.uint8, (None, *picture))
     if scenarios == 0:
         raise DatasetError("images.npy is empty", expected="at least one scenario", got="none")
     if "extra_images" in arrays:
         _must("extra_images.npy", arrays["extra_images"], np.uint8, (None, *picture))
-    if "discs" in arrays:
-        _must_be_discs(arrays["discs"], scenarios)
-    _must_own("free", arrays, robot.dim, scenarios)
+    world.check_scenes(arrays, scenarios)
+    _must_own("free", arrays, world.dim, scenarios)
     if "collision" in arrays or "collision_offsets" in arrays:
-        _must_own("collision", arrays, robot.dim, scenarios)
+        _must_own("collision", arrays, world.dim, scenarios)
     if {"paths", "path_offsets", "path_scenario"} & set(arrays):
-        _must_hold_paths(arrays, robot.dim, scenarios)
+        _must_hold_paths(arrays, world.dim, scenarios)
 
 
 def _must(file: str, array: NDArray[Any], dtype: type, shape: tuple[int | None, ...]) -> None:
@@ -82,17 +80,6 @@ def _must_hold_paths(arrays: Mapping[str, NDArray[Any]], dim: int, scenarios: in
             "path_scenario.npy does not fit",
             expected=f"0 to {scenarios - 1}",
             got=f"{owner.min()} to {owner.max()}",
-        )
-
-
-def _must_be_discs(discs: NDArray[Any], scenarios: int) -> None:
-    _must("discs.npy", discs, np.float64, (scenarios, None, 3))
-    if not np.isfinite(discs).all() or not (discs[..., 2] > 0.0).all():
-        bad = discs[~np.isfinite(discs).all(axis=-1) | ~(discs[..., 2] > 0.0)][0]
-        raise DatasetError(
-            "discs.npy holds values that are no discs",
-            expected="finite x, y and a radius above 0, m",
-            got=str(bad),
         )
 
 

@@ -6,7 +6,7 @@
 | ``free.npy``, ``free_offsets.npy`` | (M, d) float32 rad; scenario i owns rows offsets[i]:offsets[i+1] |
 | ``collision.npy``, ``collision_offsets.npy`` | the same for configurations in collision, optional |
 | ``paths.npy``, ``path_offsets.npy``, ``path_scenario.npy`` | (T, d), rows of a path, scenario; optional |
-| ``discs.npy`` | (S, D, 3) float64 x, y, radius in m, where the geometry is known; optional |
+| what the world names | the geometry of the scenarios, where it is known; planar: ``discs.npy``, (S, D, 3) |
 | ``extra_images.npy`` | (E, P, P, 3) uint8, pictures without configurations; optional |
 """
 
@@ -24,13 +24,10 @@ from cspace.dataset.checks import check_arrays
 from cspace.dataset.manifest import MANIFEST_FILE, Manifest, file_digest
 from cspace.errors import DamagedFileError, DatasetError, StorageError
 from cspace.space import to_float32
-from cspace.worlds.planar.arm import PlanarArm
-from cspace.worlds.planar.scene import Camera
+from cspace.world import World
 
 REQUIRED = ("images", "free", "free_offsets")
-OPTIONAL = (
-    "collision", "collision_offsets", "paths", "path_offsets", "path_scenario", "discs", "extra_images",
-)  # fmt: skip
+OPTIONAL = ("collision", "collision_offsets", "paths", "path_offsets", "path_scenario", "extra_images")
 # Room that stays free on the disk after a data set has been written.
 RESERVE_BYTES = 256 * 2**20
 
@@ -52,14 +49,9 @@ class Dataset:
     arrays: Arrays
 
     @property
-    def robot(self) -> PlanarArm:
-        """The arm."""
-        return self.manifest.robot
-
-    @property
-    def camera(self) -> Camera:
-        """What the pictures show."""
-        return self.manifest.camera
+    def world(self) -> World:
+        """Robot and sensor."""
+        return self.manifest.world
 
     @property
     def digest(self) -> str:
@@ -69,7 +61,7 @@ class Dataset:
     @property
     def dim(self) -> int:
         """Number of joints."""
-        return self.robot.dim
+        return self.world.dim
 
     @property
     def scenario_count(self) -> int:
@@ -100,11 +92,6 @@ class Dataset:
     def collision_offsets(self) -> NDArray[np.int64] | None:
         """(S + 1,)."""
         return self.arrays.get("collision_offsets")
-
-    @property
-    def discs(self) -> NDArray[np.float64] | None:
-        """(S, D, 3) m."""
-        return self.arrays.get("discs")
 
     @property
     def extra_images(self) -> NDArray[np.uint8] | None:
@@ -154,20 +141,19 @@ def open_dataset(folder: Path, *, verify: bool = True) -> Dataset:
                 f"{path} is damaged", expected=f"SHA-256 {expected}", got=got, remedy="make or copy it again"
             )
     arrays = {Path(name).stem: _load(folder / name) for name in manifest.files}
-    check_arrays(arrays, manifest.robot, manifest.camera, REQUIRED, OPTIONAL)
+    check_arrays(arrays, manifest.world, REQUIRED, OPTIONAL)
     return Dataset(folder, manifest, arrays)
 
 
 def write_dataset(
     folder: Path,
     *,
-    robot: PlanarArm,
-    camera: Camera,
+    world: World,
     images: NDArray[np.uint8],
     free: Sequence[NDArray[Any]],
     collision: Sequence[NDArray[Any]] | None = None,
     paths: Sequence[tuple[int, NDArray[Any]]] | None = None,
-    discs: NDArray[np.float64] | None = None,
+    scenes: Arrays | None = None,
     extra_images: NDArray[np.uint8] | None = None,
     generator: Mapping[str, Any],
 ) -> Dataset:
@@ -175,13 +161,12 @@ def write_dataset(
 
     Args:
         folder: must not exist.
-        robot: the arm.
-        camera: what the pictures show.
+        world: robot and sensor.
         images: (S, P, P, 3).
         free: one (n_i, d) rad array a scenario.
         collision: the same for configurations in collision.
         paths: (scenario, waypoints (t, d) rad) each.
-        discs: (S, D, 3) m.
+        scenes: the geometry of all scenarios, where it is known, as the world's arrays.
         extra_images: (E, P, P, 3).
         generator: how the data were made; JSON values.
 
@@ -189,18 +174,18 @@ def write_dataset(
         DatasetError: the arrays do not fit each other or the robot.
         StorageError: the folder exists, the disk is too full, or it cannot be written.
     """
-    arrays: dict[str, NDArray[Any]] = {"images": images, **_rows("free", free, robot.dim)}
+    arrays: dict[str, NDArray[Any]] = {"images": images, **_rows("free", free, world.dim)}
     if collision is not None:
-        arrays |= _rows("collision", collision, robot.dim)
+        arrays |= _rows("collision", collision, world.dim)
     if paths is not None:
-        waypoints = _rows("paths", [path for _, path in paths], robot.dim)
+        waypoints = _rows("paths", [path for _, path in paths], world.dim)
         arrays |= {"paths": waypoints["paths"], "path_offsets": waypoints["paths_offsets"]}
         arrays["path_scenario"] = np.array([scenario for scenario, _ in paths], dtype=np.int64)
-    arrays |= {} if discs is None else {"discs": np.asarray(discs, dtype=np.float64)}
+    arrays |= {name: np.asarray(array, dtype=np.float64) for name, array in (scenes or {}).items()}
     arrays |= {} if extra_images is None else {"extra_images": extra_images}
-    check_arrays(arrays, robot, camera, REQUIRED, OPTIONAL)
+    check_arrays(arrays, world, REQUIRED, OPTIONAL)
     counts = {name: len(array) for name, array in arrays.items() if not name.endswith("_offsets")}
-    _write(Path(folder), arrays, Manifest(robot, camera, counts, generator, {}))
+    _write(Path(folder), arrays, Manifest(world, counts, generator, {}))
     return open_dataset(folder, verify=False)
 
 
@@ -229,7 +214,7 @@ def _write(folder: Path, arrays: Arrays, manifest: Manifest) -> None:
             for name, array in arrays.items():
                 np.save(beside / f"{name}.npy", array, allow_pickle=False)
                 files[f"{name}.npy"] = file_digest(beside / f"{name}.npy")
-            whole = Manifest(manifest.robot, manifest.camera, manifest.counts, manifest.generator, files)
+            whole = Manifest(manifest.world, manifest.counts, manifest.generator, files)
             (beside / MANIFEST_FILE).write_text(whole.to_json(), encoding="utf-8")
             beside.chmod(0o755)
             beside.rename(folder)

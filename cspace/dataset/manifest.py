@@ -8,13 +8,16 @@ from pathlib import Path
 from typing import Any
 
 from cspace.errors import DamagedFileError, DatasetError, ScenarioError
-from cspace.worlds.planar.arm import PlanarArm
-from cspace.worlds.planar.scene import Camera
+from cspace.world import World
+from cspace.worlds import FIRST, read_world
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
+# Told robot and camera of a planar world by themselves; read as that.
+_FIRST = 1
 MANIFEST_FILE = "manifest.json"
-_KEYS = {"schema_version", "robot", "camera", "counts", "generator", "files", "digest"}
-_OBJECTS = ("robot", "camera", "counts", "generator", "files")
+_KEYS = {"schema_version", "world", "counts", "generator", "files", "digest"}
+_FIRST_KEYS = _KEYS - {"world"} | {"robot", "camera"}
+_OBJECTS = ("counts", "generator", "files")
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,31 +25,28 @@ class Manifest:
     """A data set's description.
 
     Args:
-        robot: the arm.
-        camera: what the pictures show.
+        world: robot and sensor.
         counts: scenarios, configurations and so on, for people.
         generator: how the data were made; any JSON values.
         files: SHA-256 of each file by its name.
     """
 
-    robot: PlanarArm
-    camera: Camera
+    world: World
     counts: Mapping[str, int]
     generator: Mapping[str, Any]
     files: Mapping[str, str]
 
     @property
     def digest(self) -> str:
-        """One SHA-256 over robot, camera and all files; two data sets with equal content share it."""
-        content = {"robot": self.robot.to_dict(), "camera": self.camera.to_dict(), "files": dict(self.files)}
+        """One SHA-256 over the world and all files; two data sets with equal content share it."""
+        content = {**self._world(), "files": dict(self.files)}
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
     def to_json(self) -> str:
         """The text of ``manifest.json``."""
         content = {
             "schema_version": SCHEMA_VERSION,
-            "robot": self.robot.to_dict(),
-            "camera": self.camera.to_dict(),
+            "world": self.world.to_dict(),
             "counts": dict(self.counts),
             "generator": dict(self.generator),
             "files": dict(self.files),
@@ -65,15 +65,20 @@ class Manifest:
         path = folder / MANIFEST_FILE
         values = _read_object(path)
         try:
-            robot, camera = PlanarArm.from_dict(values["robot"]), Camera.from_dict(values["camera"])
+            world = read_world(values["world"])
         except ScenarioError as error:
             raise DatasetError(
                 f"{path}: {error.what}", expected=error.expected, got=error.got, remedy=error.remedy
             ) from error
-        manifest = cls(robot, camera, values["counts"], values["generator"], values["files"])
+        manifest = cls(world, values["counts"], values["generator"], values["files"])
         if manifest.digest != values["digest"]:
             raise DamagedFileError(f"{path} is damaged", expected=values["digest"], got=manifest.digest)
         return manifest
+
+    def _world(self) -> dict[str, Any]:
+        # A world of the first kind without its name, so that the digests of older data sets stay.
+        told = self.world.to_dict()
+        return {key: value for key, value in told.items() if key != "kind"} if told["kind"] == FIRST else told
 
 
 def _read_object(path: Path) -> dict[str, Any]:
@@ -89,17 +94,20 @@ def _read_object(path: Path) -> dict[str, Any]:
         ) from error
     except (ValueError, RecursionError) as error:
         raise DatasetError(f"{path} is not JSON", expected="a manifest", got=str(error)) from error
+    if isinstance(values, dict) and values.get("schema_version") == _FIRST and set(values) == _FIRST_KEYS:
+        world = {"robot": values.pop("robot"), "camera": values.pop("camera")}
+        values |= {"schema_version": SCHEMA_VERSION, "world": world}
     if not isinstance(values, dict) or set(values) != _KEYS or values["schema_version"] != SCHEMA_VERSION:
         raise DatasetError(
             f"{path} is not a manifest of schema {SCHEMA_VERSION}",
             expected=f"the keys {', '.join(sorted(_KEYS))}",
             got=", ".join(sorted(values)) if isinstance(values, dict) else type(values).__name__,
         )
-    wrong = [key for key in _OBJECTS if not isinstance(values[key], dict)]
+    wrong = [key for key in ("world", *_OBJECTS) if not isinstance(values[key], dict)]
     if wrong or not all(isinstance(digest, str) for digest in values["files"].values()):
         raise DatasetError(
             f"{path} is not a manifest of schema {SCHEMA_VERSION}",
-            expected=f"objects as {', '.join(_OBJECTS)}, digests as files",
+            expected=f"objects as world, {', '.join(_OBJECTS)}, digests as files",
             got=f"something else as {', '.join(wrong) or 'a digest'}",
         )
     return values

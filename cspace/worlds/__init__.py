@@ -1,1 +1,68 @@
-"""Worlds: what a robot is, how it is seen, and what counts as a collision; one folder each."""
+"""The kinds of worlds, one folder each, and the one door to them."""
+
+from collections.abc import Mapping
+from functools import lru_cache
+from importlib import import_module
+from typing import Any, Protocol, cast
+
+from cspace.errors import ScenarioError
+from cspace.workshop import Checker, Workshop
+from cspace.world import Image, Scene, World
+
+# Each folder has ``world`` (numpy alone) with ``read``, and ``workshop`` with ``open_workshop``.
+KINDS = ("planar",)
+# What files are of that do not name their kind: older than kinds are.
+FIRST = "planar"
+
+
+class _Reader(Protocol):
+    DEFAULT: World
+
+    def read(self, values: Mapping[str, Any]) -> World: ...
+
+
+class _Opener(Protocol):
+    def open_workshop(self, world: World) -> Workshop: ...
+
+
+def read_world(values: Mapping[str, Any]) -> World:
+    """The inverse of :meth:`cspace.world.World.to_dict`.
+
+    Raises:
+        ScenarioError: the kind is unknown, or a value does not fit it.
+    """
+    kind = values.get("kind", FIRST)
+    if kind not in KINDS:
+        raise ScenarioError(
+            "the world is unknown", expected=f"one of {', '.join(KINDS)}", got=repr(kind)[:200]
+        )
+    module = cast("_Reader", import_module(f"{__name__}.{kind}.world"))
+    return module.read({key: value for key, value in values.items() if key != "kind"})
+
+
+def default_world() -> World:
+    """The world of examples and commands that name none."""
+    module = cast("_Reader", import_module(f"{__name__}.{FIRST}.world"))
+    return module.DEFAULT
+
+
+@lru_cache(maxsize=16)
+def workshop_of(world: World) -> Workshop:
+    """The workshop of a world; its kernels are loaded at the first call."""
+    module = cast("_Opener", import_module(f"{__name__}.{world.kind}.workshop"))
+    return module.open_workshop(world)
+
+
+def checker_of(scene: Scene) -> Checker:
+    """The collision checks of a scene."""
+    return workshop_of(scene.world).checker(scene)
+
+
+def picture_of(scene: Scene) -> Image:
+    """The picture of a scene."""
+    return workshop_of(scene.world).render(scene)
+
+
+def picture_file_of(scene: Scene) -> bytes:
+    """The same as a file."""
+    return scene.world.sensor.encode(picture_of(scene))

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cspace.bundle import Bundle, Picture
-from cspace.worlds.planar.picture import decode_png
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +47,7 @@ class PictureCache:
             InputError: not a picture that is accepted.
             BundleError: the encoder fails.
         """
-        return self._get(bundle, b"png" + _digest(png), lambda: decode_png(png, bundle.spec.pixels))
+        return self._get(bundle, b"png" + _digest(png), lambda: bundle.spec.world.sensor.decode(png))
 
     def of_pixels(self, bundle: Bundle, image: NDArray[np.uint8]) -> Prepared:
         """A picture that is decoded already, uint8 (P, P, 3).

@@ -8,8 +8,8 @@ import sys
 from collections.abc import Sequence
 
 from cspace.errors import CspaceError
+from cspace.splits import Split
 from cspace.worlds.planar.problems import draw_problem
-from cspace.worlds.planar.scene import Split
 from services.planner.command_line import Command, parse_command
 from services.planner.drawing.plot import draw_plan, save_figure
 from services.planner.planning import Comparison, compare_with_api

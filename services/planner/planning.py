@@ -4,9 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from cspace.errors import SamplerError, SamplerUnavailableError
-from cspace.worlds.planar.picture import encode_png
-from cspace.worlds.planar.problems import Problem
-from cspace.worlds.planar.render import render
+from cspace.problem import Problem
+from cspace.worlds import picture_file_of
 from services.planner.plan_result import PlanResult
 from services.planner.search.ompl_planner import DEFAULT_UNIFORM_SHARE, solve
 from services.planner.search.sample_order import order_along
@@ -111,7 +110,7 @@ def plan_with_api(
     if batch is not None:
         samples, uniform_share = batch.samples, raised_share(uniform_share, batch.novelty)
         if request is not None and request.ordered:
-            space = problem.scenario.robot.space
+            space = problem.space
             samples = samples[order_along(samples, problem.start, problem.goal, space)]
     result = solve(problem, settings, samples, uniform_share, keep_tree=keep_tree)
     return ApiPlan(result, batch, unavailable, uniform_share)
@@ -142,7 +141,7 @@ def request_samples(
     """
     ends = (problem.start.tolist(), problem.goal.tolist()) if request.with_ends else (None, None)
     batch = source.sample(
-        encode_png(render(problem.scenario)),
+        picture_file_of(problem.scenario),
         request.n,
         model=request.model,
         seed=settings.seed if request.seed is None else request.seed,
@@ -151,7 +150,7 @@ def request_samples(
         goal=ends[1],
         min_confidence=request.min_confidence,
     )
-    dim = problem.scenario.robot.dim
+    dim = problem.space.dim
     if len(batch.samples) and batch.samples.shape[1] != dim:
         raise SamplerError(
             f"the samples of {batch.model_name}/{batch.model_version} are for another robot",

@@ -80,7 +80,7 @@ def _problem_line(comparison: Comparison) -> str:
         if problem.bottleneck_rad == 0.0
         else "nothing in reach"
     )
-    return f"{problem.family}, seed {problem.seed}, {problem.scenario.robot.dim} joints, {passage}"
+    return f"{problem.family}, seed {problem.seed}, {problem.space.dim} joints, {passage}"
 
 
 def _samples_line(comparison: Comparison) -> str:

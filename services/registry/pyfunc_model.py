@@ -17,7 +17,6 @@ from mlflow.pyfunc.model import PythonModel
 from numpy.typing import NDArray
 
 from cspace.bundle import Bundle
-from cspace.worlds.planar.picture import decode_png
 
 DEFAULT_COUNT = 300
 
@@ -48,7 +47,7 @@ class BundleModel(PythonModel):
 
     def _sample(self, row: dict[str, Any], count: int, seed: int) -> NDArray[np.float32]:
         bundle = self._bundle
-        image = decode_png(row["image"], bundle.spec.pixels)
+        image = bundle.spec.world.sensor.decode(row["image"])
         ends = {name: row[name] for name in bundle.spec.endpoints}
         return bundle.sample(image, count, seed, min_confidence=0.0, **ends).samples
 

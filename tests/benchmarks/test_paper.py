@@ -12,8 +12,10 @@ from benchmarks.paper.figures import convergence, reconstruction, typical
 from benchmarks.paper.jobs import Pace, Study, steps_of
 from benchmarks.paper.measures import Effort, final_quality, learning_curve, table
 from cspace.bundle import Bundle
+from cspace.splits import Split
 from cspace.worlds.planar.arm import TWO_LINK
-from cspace.worlds.planar.scene import Camera, Split
+from cspace.worlds.planar.camera import Camera
+from cspace.worlds.planar.world import PlanarWorld
 from services.evaluator.measures.samplers import BundleSampler
 from services.evaluator.measures.scenes import Scene, Stage
 from tests.bundles import write_tiny_bundle
@@ -146,7 +148,7 @@ def test_the_convergence_draws_a_line_a_column(study, bundle):
 
 
 def test_the_reconstruction_marks_as_many_mistakes_as_there_are(bundle):
-    scene = typical(Stage(TWO_LINK, Camera(), Split.DEMO, 0), among=3)
+    scene = typical(Stage(PlanarWorld(TWO_LINK, Camera()), Split.DEMO, 0), among=3)
     figure = reconstruction([scene], {"one": BundleSampler(bundle)}, draws=2)
     drawn = np.asarray(bundle.sample(scene.image, 1000, scene.sampler_seed()).samples, dtype=np.float64)
     wrong = int((~scene.checker.valid_batch(drawn)).sum())
@@ -157,7 +159,7 @@ def test_the_reconstruction_marks_as_many_mistakes_as_there_are(bundle):
 
 
 def test_the_typical_scenario_is_the_median_by_free_share():
-    stage = Stage(TWO_LINK, Camera(), Split.DEMO, 0)
+    stage = Stage(PlanarWorld(TWO_LINK, Camera()), Split.DEMO, 0)
     grid = np.stack(np.meshgrid(*[np.linspace(-np.pi, np.pi, 120)] * 2), axis=-1).reshape(-1, 2)
     shares = [Scene(stage, index).checker.valid_batch(grid).mean() for index in range(5)]
     # Far enough from its neighbours that a thousand draws tell it from them.

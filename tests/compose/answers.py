@@ -5,10 +5,11 @@ from typing import Any
 
 import httpx
 
+from cspace.splits import Split
 from cspace.worlds.planar.arm import TWO_LINK
 from cspace.worlds.planar.picture import encode_png
 from cspace.worlds.planar.render import render
-from cspace.worlds.planar.scene import Split, random_scenarios
+from cspace.worlds.planar.scene import random_scenarios
 from services.local.quickstart.serving import wait_served
 from tests.compose.stack import Stack
 

@@ -17,6 +17,7 @@ import pytest
 from cspace.bundle import Bundle, files
 from cspace.bundle.golden import GoldenCase
 from cspace.errors import BundleIntegrityError, StorageError
+from cspace.worlds.planar.camera import Camera
 from tests.bundles import write_tiny_bundle
 from tests.cspace.test_bundle_integrity import resign
 
@@ -227,6 +228,10 @@ def _inputs(**change: Any) -> list[dict[str, Any]]:
     return [{"name": "u", "distribution": "normal", "shape": [2], "low": None, "high": None, **change}]
 
 
+def _world(robot: dict[str, Any]) -> dict[str, Any]:
+    return {"kind": "planar", "robot": robot, "camera": Camera().to_dict()}
+
+
 def _robot(**change: Any) -> dict[str, Any]:
     return {"kind": "planar_arm", "half_width_m": 0.1, "joint_limits_rad": None} | change
 
@@ -254,10 +259,12 @@ DESCRIPTIONS: dict[str, Callable[[dict[str, Any]], str]] = {
     "a random input with a long name": described(random_inputs=_inputs(name="u" * 10_000)),
     "quantiles without an end": described(novelty_quantiles=[list(range(100_000))]),
     "scores without an end": described(novelty_quantiles=[[0.0, 1.0]] * 1000),
-    "many joints": described(robot=_robot(link_lengths_m=[1.0] * 1000)),
-    "lengths that are words": described(robot=_robot(link_lengths_m=["long", "short"])),
-    "lengths that are none": described(robot=_robot(link_lengths_m=[None])),
-    "limits that are a number": described(robot=_robot(link_lengths_m=[1.0, 1.0], joint_limits_rad=3)),
+    "many joints": described(world=_world(_robot(link_lengths_m=[1.0] * 1000))),
+    "lengths that are words": described(world=_world(_robot(link_lengths_m=["long", "short"]))),
+    "lengths that are none": described(world=_world(_robot(link_lengths_m=[None]))),
+    "limits that are a number": described(
+        world=_world(_robot(link_lengths_m=[1.0, 1.0], joint_limits_rad=3))
+    ),
     "a deep provenance": _nested,
     "half a character": lambda values: json.dumps(values).replace('"tests"', '"\\ud800"'),
     "a version as deep as it goes": lambda values: '{"schema_version": ' + "[" * 500 + "]" * 500 + "}",

@@ -10,14 +10,15 @@ from cspace.bundle import BundleSpec, Provenance, RandomInput
 from cspace.errors import BundleIntegrityError
 from cspace.space import Standardisation
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK
-from cspace.worlds.planar.scene import Camera
+from cspace.worlds.planar.camera import Camera
+from cspace.worlds.planar.world import PlanarWorld
 from tests.bundles import tiny_spec
 
 
 def full_spec() -> BundleSpec:
     return dataclasses.replace(
         tiny_spec(THREE_LINK, kind="path", samples_per_latent=4, model_kind="mixture"),
-        camera=Camera(pixels=32),
+        world=PlanarWorld(THREE_LINK, Camera(pixels=32)),
         standardisation=Standardisation((0.0, 0.1, 0.2), (1.0, 2.0, 3.0)),
         confidence_threshold=0.8,
         novelty_quantiles=((0.0, 0.5, 1.0), (0.0, 0.0, 2.0)),
@@ -42,18 +43,20 @@ def test_a_description_survives_the_way_through_json(spec: BundleSpec) -> None:
 def test_the_json_has_exactly_the_fields_of_the_schema() -> None:
     values = json.loads(full_spec().to_json())
     assert set(values) == {
-        "schema_version", "kind", "robot", "joint_space", "camera", "image", "latent_dim", "model_kind",
+        "schema_version", "kind", "world", "joint_space", "image", "latent_dim", "model_kind",
         "samples_per_latent", "random_inputs", "standardisation", "conditions", "confidence_threshold",
         "uniform_share", "novelty_quantiles", "provenance",
     }  # fmt: skip
-    assert values["schema_version"] == 2
+    assert values["schema_version"] == 3
     assert values["joint_space"] == {"kind": "torus", "dim": 3, "unit": "rad"}
     assert values["image"] == {"pixels": 32, "channels": "RGB", "range": [-1, 1]}
     assert values["conditions"] == ["start", "goal"]
 
 
+WORLD = full_spec().world.to_dict()
 CHANGES: list[dict[str, Any]] = [
-    {"schema_version": 3},
+    {"schema_version": 4},
+    {"schema_version": 2},
     {"schema_version": 1},
     {"schema_version": 2.0},
     {"schema_version": True},
@@ -61,14 +64,14 @@ CHANGES: list[dict[str, Any]] = [
     {"kind": "paths"},
     {"kind": None},
     {"model_kind": "flow"},
-    {"robot": {"kind": "planar_arm", "link_lengths_m": [], "half_width_m": 0.1}},
-    {"robot": "two links"},
-    {"robot": {"kind": "humanoid"}},
+    {"world": WORLD | {"robot": {"kind": "planar_arm", "link_lengths_m": [], "half_width_m": 0.1}}},
+    {"world": WORLD | {"robot": "two links"}},
+    {"world": WORLD | {"robot": {"kind": "humanoid"}}},
     {"joint_space": {"kind": "torus", "dim": 5, "unit": "rad"}},
     {"joint_space": {"kind": "torus", "dim": 3, "unit": "deg"}},
-    {"camera": {"x_min_m": -5}},
-    {"camera": {"x_min_m": -5, "x_max_m": 5, "y_min_m": -5, "y_max_m": "5", "pixels": 32}},
-    {"camera": {"x_min_m": -5, "x_max_m": 5, "y_min_m": -5, "y_max_m": 5, "pixels": 0}},
+    {"world": WORLD | {"camera": {"x_min_m": -5}}},
+    {"world": WORLD | {"camera": {"x_min_m": -5, "x_max_m": 5, "y_min_m": -5, "y_max_m": "5", "pixels": 32}}},
+    {"world": WORLD | {"camera": {"x_min_m": -5, "x_max_m": 5, "y_min_m": -5, "y_max_m": 5, "pixels": 0}}},
     {"image": {"pixels": 32, "channels": "BGR", "range": [-1, 1]}},
     {"latent_dim": 0},
     {"latent_dim": 4.0},
@@ -165,11 +168,11 @@ def test_a_random_input_that_cannot_be_drawn_is_refused(values: tuple[Any, ...])
 def test_two_random_inputs_of_one_name_are_refused() -> None:
     noise = RandomInput("noise", "normal", (2,))
     with pytest.raises(BundleIntegrityError, match="random_inputs"):
-        BundleSpec(TWO_LINK, 4, random_inputs=(noise, noise))
+        BundleSpec(PlanarWorld(TWO_LINK), 4, random_inputs=(noise, noise))
 
 
 @pytest.mark.parametrize("value", [np.float32(1.0), math.nan, {1}])
 def test_a_provenance_that_is_not_plain_json_is_refused_with_a_remedy(value: object) -> None:
-    spec = BundleSpec(TWO_LINK, 4, provenance=Provenance(metrics={"precision": value}))
+    spec = BundleSpec(PlanarWorld(TWO_LINK), 4, provenance=Provenance(metrics={"precision": value}))
     with pytest.raises(BundleIntegrityError, match="convert"):
         spec.to_json()

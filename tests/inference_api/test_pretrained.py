@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from cspace.bundle import Bundle
+from cspace.splits import Split
 from cspace.worlds.planar.arm import TWO_LINK
 from cspace.worlds.planar.collision import CollisionChecker
 from cspace.worlds.planar.render import render
-from cspace.worlds.planar.scene import Split, random_scenarios
+from cspace.worlds.planar.scene import random_scenarios
 from inference_api.settings import PRETRAINED_FOLDER
 
 MAX_BYTES = 40_000_000
@@ -24,7 +25,7 @@ def bundle() -> Bundle:
 
 
 def test_it_holds_a_bundle_and_nothing_else(bundle: Bundle) -> None:
-    assert bundle.spec.robot == TWO_LINK
+    assert bundle.spec.world.body == TWO_LINK
     files = sorted(PRETRAINED_FOLDER.iterdir())
     assert [file.name for file in files] == [
         "SHA256SUMS",

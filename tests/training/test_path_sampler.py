@@ -10,9 +10,9 @@ import pytest
 
 from cspace.bundle import Bundle
 from cspace.errors import BundleError, ConfigError, InputError
+from cspace.splits import Split
 from cspace.worlds.planar.arm import THREE_LINK
 from cspace.worlds.planar.problems import Family, draw_problem
-from cspace.worlds.planar.scene import Split
 from inference_api.settings import PRETRAINED_FOLDER
 from services.planner.planning import SampleRequest, plan_with_api
 from services.planner.search.ompl_planner import PlannerSettings

@@ -61,28 +61,27 @@ def make_bundle(folder: Path, config: TrainConfig, dataset: Dataset, parts: Trai
         StorageError: the folder exists or cannot be written.
     """
     gan, latent_dim, dim = generator_config(config), config.vae.latent_dim, dataset.dim
-    encoder = load_encoder(config.vae, dataset.camera.pixels, parts.encoder)
+    encoder = load_encoder(config.vae, dataset.world.sensor.pixels, parts.encoder)
     graphs = {
-        "encoder": encoder_graph(encoder, dataset.camera.pixels),
+        "encoder": encoder_graph(encoder, dataset.world.sensor.pixels),
         "generator": _sampler_graph(config, parts),
     }
     if parts.validity is not None:
         with seeded_initialisation(0):
-            head = ValidityHead(config.validity, dataset.robot, dataset.camera)
+            head = ValidityHead(config.validity, dataset.world)
         head.load_state_dict(load_weights(parts.validity, "head"))
-        graphs["validity"] = validity_graph(head, dataset.camera.pixels, dim)
+        graphs["validity"] = validity_graph(head, dataset.world.sensor.pixels, dim)
     known = None
     # The paper's joint baseline stays as the paper has it.
     if not config.joint:
-        scores = load_scores(config.vae, dataset.camera.pixels, parts.encoder)
+        scores = load_scores(config.vae, dataset.world.sensor.pixels, parts.encoder)
         known = known_quantiles(config.vae, parts.encoder, scores, dataset)
-        graphs["novelty"] = novelty_graph(scores, dataset.camera.pixels, latent_dim)
+        graphs["novelty"] = novelty_graph(scores, dataset.world.sensor.pixels, latent_dim)
     has_head = parts.validity is not None
     scale = Standardisation(*(tuple(float(v) for v in part) for part in parts.arrays.scale))
     spec = BundleSpec(
-        robot=dataset.robot,
+        world=dataset.world,
         latent_dim=latent_dim,
-        camera=dataset.camera,
         model_kind="generator" if parts.gate is None else "mixture",
         looks_at_picture=gan.generator_lookups.points_per_link > 0,
         samples_per_latent=gan.means,
@@ -107,7 +106,7 @@ def _with_choices(
         return spec
     try:
         draft = Bundle.load(write_bundle(folder, spec, graphs))
-        learned, uniform = validation_scores(draft, spec.robot, spec.camera, THRESHOLD_SCENARIOS)
+        learned, uniform = validation_scores(draft, spec.world, THRESHOLD_SCENARIOS)
     finally:
         shutil.rmtree(folder, ignore_errors=True)
     precision, acceptance = config.target_precision, config.target_acceptance
@@ -140,17 +139,17 @@ def random_inputs(gan: GanConfig, dim: int, *, gated: bool) -> tuple[RandomInput
 
 def _sampler_graph(config: TrainConfig, parts: TrainedParts) -> bytes:
     gan, arrays = generator_config(config), parts.arrays
-    latent_dim, pixels = config.vae.latent_dim, arrays.camera.pixels
+    latent_dim, pixels = config.vae.latent_dim, arrays.world.sensor.pixels
     generators = [load_generator(gan, arrays, folder) for folder in parts.generators]
-    lookups = make_lookups(gan.generator_lookups, arrays.robot, arrays.camera)
+    lookups = make_lookups(gan.generator_lookups, arrays.world)
     if parts.gate is not None:
         gate = load_gate(config, parts.gate)
         sampler = gated_sampler(gate, arrays, generators, gan.generator_lookups)
         return mixture_graph(sampler, latent_dim, gan.noise_dim, pixels)
     if lookups is not None:
         plain = LookupSampler(torus_generator(generators[0]), lookups)
-        return lookup_graph(plain, arrays.robot.dim, latent_dim, gan.noise_dim, pixels)
-    return generator_graph(generators[0], arrays.robot.dim, latent_dim, gan.noise_dim)
+        return lookup_graph(plain, arrays.world.dim, latent_dim, gan.noise_dim, pixels)
+    return generator_graph(generators[0], arrays.world.dim, latent_dim, gan.noise_dim)
 
 
 def _provenance(config: TrainConfig, dataset: Dataset) -> Provenance:

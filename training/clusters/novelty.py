@@ -1,6 +1,5 @@
 """The novelty of a bundle: the decoder's scores, and how they lie over pictures that are not new."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,9 +8,8 @@ from numpy.typing import NDArray
 
 from cspace.bundle.novelty import quantiles_of
 from cspace.dataset import Dataset
-from cspace.worlds.planar.picture import to_network
-from cspace.worlds.planar.render import render_batch
-from cspace.worlds.planar.scene import Split, random_scenarios
+from cspace.splits import Split
+from cspace.worlds import workshop_of
 from training.config.clusters import VaeConfig
 from training.models.checkpoint import load_weights, seeded_initialisation
 from training.models.encode import load_encoder
@@ -42,7 +40,7 @@ def known_quantiles(
     found = []
     with torch.inference_mode():
         for start in range(0, len(images), 100):
-            pictures = torch.from_numpy(to_network(images[start : start + 100]))
+            pictures = torch.from_numpy(dataset.world.sensor.to_network(images[start : start + 100]))
             found.append(scores(pictures, encoder(pictures)[0]).numpy())
     return quantiles_of(np.concatenate(found))
 
@@ -52,5 +50,6 @@ def known_pictures(dataset: Dataset) -> NDArray[np.uint8]:
     if dataset.generator_seed is None:
         rows = np.linspace(0, dataset.scenario_count - 1, min(KNOWN_PICTURES, dataset.scenario_count))
         return np.array(dataset.images[rows.astype(np.int64)])
-    scenarios = random_scenarios(Split.VALIDATION, 0, KNOWN_PICTURES, dataset.robot)
-    return render_batch([replace(scenario, camera=dataset.camera) for scenario in scenarios])
+    workshop = workshop_of(dataset.world)
+    scenes = workshop.scenes(Split.VALIDATION, 0, KNOWN_PICTURES)
+    return np.stack([workshop.render(scene) for scene in scenes])

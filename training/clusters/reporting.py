@@ -6,7 +6,7 @@ from matplotlib.figure import Figure
 
 from cspace.bundle import Bundle
 from cspace.dataset import Dataset
-from cspace.worlds.planar.scene import Split
+from cspace.splits import Split
 from services.evaluator.evaluation.gallery import gallery
 from services.evaluator.measures.samplers import BundleSampler
 from services.evaluator.measures.scenes import Scene, Stage
@@ -68,5 +68,5 @@ def _galleries(bundle: Bundle, dataset: Dataset) -> dict[str, Figure]:
 
 
 def _scenes(dataset: Dataset, split: Split, seed: int) -> list[Scene]:
-    stage = Stage(dataset.robot, dataset.camera, split, seed)
+    stage = Stage(dataset.world, split, seed)
     return [Scene(stage, index) for index in range(SHOWN_SCENARIOS)]

@@ -86,7 +86,7 @@ def encode_and_cluster(job: Job[TrainConfig], dataset: Dataset, vae: TrialOutcom
         latents = Latents.none(len(images), config.vae.latent_dim)
     else:
         latents = encode(
-            load_encoder(config.vae, dataset.camera.pixels, encoder_checkpoint(job, vae)), images
+            load_encoder(config.vae, dataset.world.sensor.pixels, encoder_checkpoint(job, vae)), images
         )
     free = np.asarray(dataset.free)
     ids = np.repeat(np.arange(dataset.scenario_count), np.diff(dataset.free_offsets))
@@ -104,8 +104,7 @@ def encode_and_cluster(job: Job[TrainConfig], dataset: Dataset, vae: TrialOutcom
         labels,
         latents.mu,
         latents.sigma,
-        dataset.robot,
-        dataset.camera,
+        dataset.world,
         images if looked_up else None,
         cells,
     )

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from cspace.bundle import Bundle
 from cspace.space import to_float32
-from cspace.worlds.planar.arm import PlanarArm
-from cspace.worlds.planar.scene import Camera, Split
+from cspace.splits import Split
+from cspace.world import World
 from services.evaluator.measures.scenes import Scene, Stage
 
 # Of a scene's seeds, apart from those that the evaluator's measurements use.
@@ -100,10 +100,10 @@ def _precise(passing: NDArray[np.float64], target: float) -> bool:
 
 
 def validation_scores(
-    bundle: Bundle, robot: PlanarArm, camera: Camera, scenarios: int, samples: int = 1000
+    bundle: Bundle, world: World, scenarios: int, samples: int = 1000
 ) -> tuple[list[Scored], list[Scored]]:
     """A bundle's samples and uniform ones in validation scenarios, as its head scores them."""
-    stage = Stage(robot, camera, Split.VALIDATION, 0)
+    stage = Stage(world, Split.VALIDATION, 0)
     learned: list[Scored] = []
     uniform: list[Scored] = []
     for scene in (Scene(stage, index) for index in range(scenarios)):

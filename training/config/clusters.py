@@ -9,7 +9,6 @@ from typing import Literal
 
 from pydantic import Field, model_validator
 
-from cspace.worlds.planar.arm import PlanarArm
 from training.config.files import Section, load_values, named_presets, validated
 from training.datasets.config import DatasetConfig
 
@@ -248,8 +247,3 @@ def load_config(preset: str, overrides: Sequence[str] = ()) -> TrainConfig:
 def presets() -> list[str]:
     """Names of the presets that ship."""
     return named_presets(PRESET_FOLDER)
-
-
-def robot_of(config: TrainConfig) -> PlanarArm:
-    """The robot whose data a job generates."""
-    return config.data.robot_value()

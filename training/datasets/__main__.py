@@ -14,8 +14,10 @@ from pydantic import ValidationError
 
 from cspace.dataset import Dataset, open_dataset
 from cspace.errors import ConfigError, CspaceError, ScenarioError
+from cspace.splits import Split
 from cspace.worlds.planar.arm import JointLimits, PlanarArm
-from cspace.worlds.planar.scene import Camera, Split
+from cspace.worlds.planar.camera import Camera
+from cspace.worlds.planar.world import PlanarWorld
 from training.datasets.config import DatasetConfig, PathDatasetConfig
 from training.datasets.own import import_folder
 
@@ -182,7 +184,7 @@ def _import(options: argparse.Namespace) -> Dataset:
             got=f"{options.pixels} pixels, {options.view}",
         )
     camera = Camera(x_min_m, x_max_m, y_min_m, y_max_m, options.pixels)
-    return import_folder(options.source, options.folder, robot=_robot(options), camera=camera)
+    return import_folder(options.source, options.folder, world=PlanarWorld(_robot(options), camera))
 
 
 if __name__ == "__main__":

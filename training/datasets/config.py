@@ -7,6 +7,7 @@ from typing import Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from cspace.worlds.planar.arm import PlanarArm
+from cspace.worlds.planar.world import PlanarWorld
 
 
 class RobotConfig(BaseModel):
@@ -29,9 +30,11 @@ class GeneratedConfig(BaseModel):
     seed: int = Field(0, ge=0)
     shard_size: int = Field(500, ge=1)
 
-    def robot_value(self) -> PlanarArm:
-        """The robot as the value that the rest of the code takes."""
-        return PlanarArm(self.robot.link_lengths_m, self.robot.half_width_m, self.robot.joint_limits_rad)
+    @property
+    def world(self) -> PlanarWorld:
+        """Robot and sensor as the value that the rest of the code takes."""
+        arm = self.robot
+        return PlanarWorld(PlanarArm(arm.link_lengths_m, arm.half_width_m, arm.joint_limits_rad))
 
     @property
     def key(self) -> str:

@@ -1,5 +1,6 @@
 """Data sets of free and colliding configurations, as a recipe."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cspace.dataset import Dataset, write_dataset
-from cspace.worlds.planar.scene import Camera
 from training.datasets.config import DatasetConfig
 from training.datasets.recipe import Arrays
 from training.datasets.shards import Shard, make_shard, plan_shards
@@ -30,9 +30,9 @@ class ConfigurationRecipe:
     def finished_bytes(self) -> int:
         """Of pictures and configurations."""
         config = self.config
-        pictures = (config.scenario_count + config.extra_image_count) * Camera().pixels ** 2 * 3
+        pictures = config.scenario_count + config.extra_image_count
         rows = config.scenario_count * (config.free_per_scenario + config.collision_per_scenario)
-        return pictures + rows * 8 * len(config.robot.link_lengths_m)
+        return pictures * math.prod(config.world.sensor.picture_shape) + rows * 8 * config.world.dim
 
     def plan(self) -> list[Shard]:
         """Scenarios, then pictures alone."""
@@ -46,15 +46,15 @@ class ConfigurationRecipe:
         """See :func:`cspace.dataset.write_dataset`."""
         shards = self.plan()
         scenes, extras = ([load(s) for s in shards if s.extra is extra] for extra in (False, True))
+        known = self.config.world.scene_files
         collision = [part for scene in scenes for part in scene["collision"]]
         return write_dataset(
             folder,
-            robot=self.config.robot_value(),
-            camera=Camera(),
+            world=self.config.world,
             images=np.concatenate([scene["images"] for scene in scenes]),
             free=[part for scene in scenes for part in scene["free"]],
             collision=collision if self.config.collision_per_scenario else None,
-            discs=np.concatenate([scene["discs"] for scene in scenes]),
+            scenes={name: np.concatenate([scene[name] for scene in scenes]) for name in known},
             extra_images=np.concatenate([extra["images"] for extra in extras]) if extras else None,
             generator=self.config.model_dump(mode="json"),
         )

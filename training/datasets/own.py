@@ -16,9 +16,7 @@ from numpy.typing import NDArray
 
 from cspace.dataset import Dataset, require_room, write_dataset
 from cspace.errors import DatasetError, ImageError
-from cspace.worlds.planar.arm import PlanarArm
-from cspace.worlds.planar.picture import decode_png
-from cspace.worlds.planar.scene import Camera
+from cspace.world import World
 
 EXTRA_FOLDER = "extra"
 COLLISION_ENDING = ".collision.npy"
@@ -40,14 +38,13 @@ class OwnScenario:
     collision: NDArray[np.float64]
 
 
-def import_folder(source: Path, folder: Path, *, robot: PlanarArm, camera: Camera) -> Dataset:
+def import_folder(source: Path, folder: Path, *, world: World) -> Dataset:
     """Write the data set of a folder of pictures, scenarios in the order of their names.
 
     Args:
         source: pictures and arrays as above; any size from 16 to 2048 pixels, resized to the camera's.
         folder: the data set's, must not exist.
-        robot: whose configurations they are.
-        camera: what the pictures show, and how many pixels the data set's have.
+        world: robot and sensor.
 
     Raises:
         DatasetError: a file is missing or does not fit; it is named.
@@ -60,13 +57,12 @@ def import_folder(source: Path, folder: Path, *, robot: PlanarArm, camera: Camer
         )
     _refuse_strays(source, pictures)
     require_room(folder, 2 * sum(path.stat().st_size for path in source.glob("*.npy")))
-    scenarios = [_read(picture, robot, camera) for picture in pictures]
-    extras = [_picture(path, camera) for path in sorted((source / EXTRA_FOLDER).glob("*.png"))]
+    scenarios = [_read(picture, world) for picture in pictures]
+    extras = [_picture(path, world) for path in sorted((source / EXTRA_FOLDER).glob("*.png"))]
     has_collision = any(len(scenario.collision) for scenario in scenarios)
     return write_dataset(
         folder,
-        robot=robot,
-        camera=camera,
+        world=world,
         images=np.stack([scenario.image for scenario in scenarios]),
         free=[scenario.free for scenario in scenarios],
         collision=[scenario.collision for scenario in scenarios] if has_collision else None,
@@ -75,18 +71,18 @@ def import_folder(source: Path, folder: Path, *, robot: PlanarArm, camera: Camer
     )
 
 
-def _read(picture: Path, robot: PlanarArm, camera: Camera) -> OwnScenario:
-    free = _configurations(picture.with_suffix(".npy"), robot.dim)
+def _read(picture: Path, world: World) -> OwnScenario:
+    free = _configurations(picture.with_suffix(".npy"), world.dim)
     path = picture.with_suffix(COLLISION_ENDING)
-    collision = _configurations(path, robot.dim) if path.exists() else np.empty((0, robot.dim))
-    return OwnScenario(_picture(picture, camera), free, collision)
+    collision = _configurations(path, world.dim) if path.exists() else np.empty((0, world.dim))
+    return OwnScenario(_picture(picture, world), free, collision)
 
 
-def _picture(path: Path, camera: Camera) -> NDArray[np.uint8]:
+def _picture(path: Path, world: World) -> NDArray[np.uint8]:
     try:
         if path.stat().st_size > _MAX_PICTURE_BYTES:
             raise DatasetError(f"{path} is too large", expected="at most 8 MiB")
-        return decode_png(path.read_bytes(), camera.pixels)
+        return world.sensor.decode(path.read_bytes())
     except OSError as error:
         raise DatasetError(f"{path} cannot be read", got=str(error)) from error
     except ImageError as error:

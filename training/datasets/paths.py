@@ -6,6 +6,7 @@ path's points lie at equal distances along it. Where the paths come from is a ch
 (section 4).
 """
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,12 +17,14 @@ from numpy.typing import NDArray
 
 from cspace.dataset import Dataset, write_dataset
 from cspace.errors import DatasetError
+from cspace.problem import Problem
+from cspace.splits import Split, scenario_rng
 from cspace.worlds.planar.collision import CollisionChecker
 from cspace.worlds.planar.free_grid import FreeGrid, cells_per_joint
 from cspace.worlds.planar.grid_paths import PATH_CELLS, PathFinder, spread_points
-from cspace.worlds.planar.problems import Family, Problem, narrow_pairs, require_resolution
+from cspace.worlds.planar.problems import Family, narrow_pairs, require_resolution
 from cspace.worlds.planar.render import render
-from cspace.worlds.planar.scene import Camera, Scenario, Split, random_scenario, scenario_rng
+from cspace.worlds.planar.scene import Scenario, random_scenario
 from services.planner.search.ompl_planner import solve
 from services.planner.settings import RRT_STAR, PlannerSettings
 from training.datasets.config import PathDatasetConfig
@@ -52,7 +55,7 @@ class PathRecipe:
         """Of pictures, configurations and paths."""
         config = self.config
         rows = config.free_per_scenario + config.pairs_per_scenario * config.points_per_path
-        each = Camera().pixels ** 2 * 3 + rows * 4 * len(config.robot.link_lengths_m)
+        each = math.prod(config.world.sensor.picture_shape) + rows * 4 * config.world.dim
         return config.scenario_count * each
 
     def plan(self) -> list[Shard]:
@@ -62,7 +65,7 @@ class PathRecipe:
             ScenarioError: narrow passages are asked for, and the robot's grid is too coarse for them.
         """
         if self.config.narrow_count:
-            require_resolution(self.config.robot_value())
+            require_resolution(self.config.world.body)
         total, size = self.config.scenario_count, self.config.shard_size
         return [Shard(first, min(size, total - first), extra=False) for first in range(0, total, size)]
 
@@ -81,12 +84,11 @@ class PathRecipe:
         paths = np.concatenate([part["paths"] for part in parts])
         return write_dataset(
             folder,
-            robot=self.config.robot_value(),
-            camera=Camera(),
+            world=self.config.world,
             images=np.concatenate([part["images"] for part in parts]),
             free=[free for part in parts for free in part["free"]],
             paths=[(scenario, path) for scenario, of_one in enumerate(paths) for path in of_one],
-            discs=np.concatenate([part["discs"] for part in parts]),
+            scenes={"discs": np.concatenate([part["discs"] for part in parts])},
             generator=self.config.model_dump(mode="json"),
         )
 
@@ -96,7 +98,7 @@ def _scenario_with_paths(config: PathDatasetConfig, index: int) -> dict[str, NDA
     rng = scenario_rng(Split(config.split), config.seed, index)
     narrow = index < config.narrow_count
     for _ in range(MAX_DRAWS):
-        scenario = random_scenario(rng, config.robot_value())
+        scenario = random_scenario(rng, config.world.body)
         proposals = scenario.robot.space.sample_uniform(rng, _PROPOSALS)
         free = proposals[CollisionChecker(scenario).valid_batch(proposals)]
         if len(free) < max(2, config.free_per_scenario):

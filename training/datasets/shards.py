@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cspace.errors import DatasetError, StorageError
-from cspace.worlds.planar.collision import CollisionChecker
-from cspace.worlds.planar.render import render
-from cspace.worlds.planar.scene import Scenario, Split, random_scenario, scenario_rng
+from cspace.splits import Split, scenario_rng
+from cspace.workshop import Checker
+from cspace.worlds import workshop_of
 from training.datasets.config import DatasetConfig
 
 # Pictures alone come from the same split under indices that no scenario with configurations has.
@@ -52,33 +52,35 @@ def plan_shards(config: DatasetConfig) -> list[Shard]:
 
 def make_shard(config: DatasetConfig, shard: Shard) -> dict[str, NDArray[Any]]:
     """The arrays of one shard; the same whatever the shards' size and wherever it is computed."""
-    robot, split = config.robot_value(), Split(config.split)
+    workshop, split = workshop_of(config.world), Split(config.split)
     offset = EXTRA_FIRST_INDEX if shard.extra else 0
-    images, free, collision, discs = [], [], [], []
+    images, free, collision, geometry = [], [], [], []
     for index in range(shard.first, shard.first + shard.count):
         rng = scenario_rng(split, config.seed, offset + index)
-        scenario = random_scenario(rng, robot)
-        images.append(render(scenario))
+        scene = workshop.scene(rng)
+        images.append(workshop.render(scene))
         if shard.extra:
             continue
-        discs.append(scenario.disc_array)
-        free.append(draw_configurations(scenario, config.free_per_scenario, rng, free=True))
-        collision.append(draw_configurations(scenario, config.collision_per_scenario, rng, free=False))
+        geometry.append(workshop.arrays_of(scene))
+        checker = workshop.checker(scene)
+        free.append(draw_configurations(checker, config.free_per_scenario, rng, free=True))
+        collision.append(draw_configurations(checker, config.collision_per_scenario, rng, free=False))
     arrays = {"images": np.stack(images)}
     if not shard.extra:
-        arrays |= {"discs": np.stack(discs), "free": np.stack(free), "collision": np.stack(collision)}
+        arrays |= {name: np.stack([one[name] for one in geometry]) for name in config.world.scene_files}
+        arrays |= {"free": np.stack(free), "collision": np.stack(collision)}
     return arrays
 
 
 def draw_configurations(
-    scenario: Scenario, count: int, rng: np.random.Generator, *, free: bool
+    checker: Checker, count: int, rng: np.random.Generator, *, free: bool
 ) -> NDArray[np.float64]:
     """``count`` uniform configurations that are free (or in collision), (count, d) rad.
 
     Raises:
         DatasetError: hardly any configuration is.
     """
-    checker, space = CollisionChecker(scenario), scenario.robot.space
+    space = checker.space
     found: list[NDArray[np.float64]] = [np.empty((0, space.dim))]
     have = proposed = 0
     while have < count:

@@ -7,8 +7,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 from torch.optim.lr_scheduler import OneCycleLR
 
-from cspace.worlds.planar.arm import PlanarArm
-from cspace.worlds.planar.scene import Camera
+from cspace.world import World
 from training.config.clusters import ValidityConfig
 from training.models.lookups.lookups import ArmLookups
 from training.models.modules import TrialModule
@@ -21,9 +20,9 @@ class ValidityHead(nn.Module):
     Shapes: pictures (p, 3, P, P) in [-1, 1] and configurations (p, c, d) rad to logits (p, c).
     """
 
-    def __init__(self, config: ValidityConfig, robot: PlanarArm, camera: Camera) -> None:
+    def __init__(self, config: ValidityConfig, world: World) -> None:
         super().__init__()
-        self.lookups = ArmLookups(robot, camera, config.points_per_link, config.side_m)
+        self.lookups = ArmLookups(world, config.points_per_link, config.side_m)
         self.net = mlp(self.lookups.values, config.hidden, config.layers, 1)
 
     def forward(self, pictures: Tensor, configurations: Tensor) -> Tensor:
@@ -89,17 +88,14 @@ class ValidityModule(TrialModule):
     Args:
         config: sizes and budget.
         samples: pictures and configurations.
-        robot: whose kinematics the look-ups follow.
-        camera: the frame of the pictures.
+        world: robot and sensor.
         seed: of initialisation and of every draw.
     """
 
-    def __init__(
-        self, config: ValidityConfig, samples: OccupancySamples, robot: PlanarArm, camera: Camera, seed: int
-    ) -> None:
+    def __init__(self, config: ValidityConfig, samples: OccupancySamples, world: World, seed: int) -> None:
         super().__init__(seed)
         self.config, self.samples = config, samples
-        self.head = ValidityHead(config, robot, camera)
+        self.head = ValidityHead(config, world)
         optimiser = torch.optim.Adam(self.parameters(), lr=config.learning_rate)
         self.training_optimisers = [optimiser]
         self.training_schedules = [

@@ -23,12 +23,12 @@ def path_graph(
     if name == "density":
         sampler = DensitySampler(load_density(train, arrays, checkpoint), train.density, train.sweep)
         head = (source.folder / VALIDITY_FILE).read_bytes()
-        return density_graph(sampler.eval(), head, spec.robot.space, spec.latent_dim)
+        return density_graph(sampler.eval(), head, spec.world.space, spec.latent_dim)
     config = train.points_of(name)
     net = load_points(name, train, arrays, checkpoint)
-    lookups = make_lookups(config.lookups, spec.robot, spec.camera)
+    lookups = make_lookups(config.lookups, spec.world)
     points = PointSampler(net, lookups, place=config.place, sweep=train.sweep, jitter_rad=config.jitter_rad)
-    return point_graph(points.eval(), spec.latent_dim, spec.camera.pixels)
+    return point_graph(points.eval(), spec.latent_dim, spec.world.sensor.pixels)
 
 
 def trained_bundle(

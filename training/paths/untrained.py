@@ -31,7 +31,7 @@ def make_path_bundle(source: Bundle, folder: Path, settings: WaySettings | None 
     if not source.has_validity:
         raise BundleError("the bundle has no validity head", expected=VALIDITY_FILE, got=str(source.folder))
     head = (source.folder / VALIDITY_FILE).read_bytes()
-    graph = way_graph(head, source.spec.robot.space, source.spec.latent_dim, settings)
+    graph = way_graph(head, source.spec.world.space, source.spec.latent_dim, settings)
     origin = source.spec.provenance
     return write_path_bundle(
         folder, source, graph, origin.data_digest, origin.seeds, _recipe(source, settings)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from cspace.bundle import Bundle
 from cspace.errors import CspaceError
-from cspace.worlds.planar.scene import Split
+from cspace.splits import Split
 from services.evaluator.measures.samplers import BundleSampler
 from services.evaluator.measures.scenes import Stage, measure_reconstruction
 from services.registry.tracking.mlflow_tracking import MlflowTracking
@@ -71,7 +71,7 @@ def run_point(one: PointJob) -> PointResult:
 def quality(one: PointJob, run_id: str) -> dict[str, float]:
     """Precision, coverage and EDr of the bundle on validation scenarios, logged with its run."""
     bundle = Bundle.load(job_folder(one.environment, run_id) / "bundle")
-    stage = Stage(bundle.spec.robot, bundle.spec.camera, Split.VALIDATION, 0)
+    stage = Stage(bundle.spec.world, Split.VALIDATION, 0)
     found = measure_reconstruction(stage, BundleSampler(bundle), one.scenarios).sampler
     metrics = {name: getattr(found, name).estimate for name in ("precision", "coverage", "edr")}
     tracking, patience_s = MlflowTracking(one.environment.tracking_uri), one.environment.patience_s

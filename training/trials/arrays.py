@@ -6,8 +6,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from cspace.worlds.planar.arm import PlanarArm
-from cspace.worlds.planar.scene import Camera
+from cspace.world import World
 from training.models.cells import Base, CellBase, CellPoints
 from training.models.data import ScenarioSamples
 from training.models.lookups.lookups import Scenes
@@ -43,8 +42,7 @@ class TrainingArrays:
         labels: (M,) int64 cluster of each configuration.
         mu: (S, L) float32 latent means.
         sigma: (S, L) float32 latent standard deviations.
-        robot: the arm.
-        camera: the frame of the pictures.
+        world: robot and sensor.
         images: (S, P, P, 3) uint8; None without look-ups.
         cells: of the gate; None without one.
     """
@@ -54,8 +52,7 @@ class TrainingArrays:
     labels: NDArray[np.int64]
     mu: NDArray[np.float32]
     sigma: NDArray[np.float32]
-    robot: PlanarArm
-    camera: Camera
+    world: World
     images: NDArray[np.uint8] | None = None
     cells: GatedCells | None = None
 
@@ -76,7 +73,7 @@ class TrainingArrays:
 
     def scenes(self) -> Scenes | None:
         """The pictures for look-ups, copied; None without."""
-        return None if self.images is None else Scenes(self.robot, self.camera, torch.tensor(self.images))
+        return None if self.images is None else Scenes(self.world, torch.tensor(self.images))
 
     def base(self, cluster: int | None) -> Base | None:
         """What a generator starts from: the cells of one cluster, or of all; None for the whole torus."""

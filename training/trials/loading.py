@@ -63,16 +63,14 @@ def gated_sampler(
     clusters = torch.tensor(arrays.cells.clusters)
     parts = [torus_generator(generator) for generator in generators]
     experts = Experts(parts, clusters if len(parts) > 1 else torch.zeros_like(clusters))
-    return GatedSampler(
-        gate, arrays.cells.points, experts, make_lookups(lookups, arrays.robot, arrays.camera)
-    ).eval()
+    return GatedSampler(gate, arrays.cells.points, experts, make_lookups(lookups, arrays.world)).eval()
 
 
 def fresh_generator(config: GanConfig, arrays: TrainingArrays) -> TorusGenerator | MeansGenerator:
     """A generator of the shape that fits the data, not trained."""
-    lookups = make_lookups(config.generator_lookups, arrays.robot, arrays.camera)
+    lookups = make_lookups(config.generator_lookups, arrays.world)
     looked_up = 0 if lookups is None else lookups.values
-    return make_generator(config, arrays.robot.dim, arrays.mu.shape[1], arrays.scale, looked_up)
+    return make_generator(config, arrays.world.dim, arrays.mu.shape[1], arrays.scale, looked_up)
 
 
 def load_generator(
@@ -98,9 +96,9 @@ def torus_generator(generator: TorusGenerator | MeansGenerator) -> TorusGenerato
 
 def load_critic(config: GanConfig, arrays: TrainingArrays, checkpoint: Path) -> Critic:
     """The critic of a trial's checkpoint."""
-    lookups = make_lookups(config.critic_lookups, arrays.robot, arrays.camera)
+    lookups = make_lookups(config.critic_lookups, arrays.world)
     looked_up = 0 if lookups is None else lookups.values
-    dim, (scenarios, latent_dim) = arrays.robot.dim, arrays.mu.shape
+    dim, (scenarios, latent_dim) = arrays.world.dim, arrays.mu.shape
     with seeded_initialisation(0):
         critic = make_critic(config, dim, latent_dim, scenarios, arrays.scale, looked_up)
     critic.load_state_dict(load_weights(checkpoint, "critic"))

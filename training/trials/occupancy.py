@@ -7,8 +7,7 @@ import torch
 from numpy.typing import NDArray
 
 from cspace.dataset import Dataset
-from cspace.worlds.planar.arm import PlanarArm
-from cspace.worlds.planar.scene import Camera
+from cspace.world import World
 from training.models.validity import OccupancySamples
 
 
@@ -17,16 +16,14 @@ class OccupancyArrays:
     """Free and colliding configurations by scenario, with what the look-ups need to know.
 
     Args:
-        robot: the arm.
-        camera: the frame of the pictures.
+        world: robot and sensor.
         free: (M, d) float32 rad.
         free_offsets: (S + 1,) int64.
         collision: (N, d) float32 rad.
         collision_offsets: (S + 1,) int64.
     """
 
-    robot: PlanarArm
-    camera: Camera
+    world: World
     free: NDArray[np.float32]
     free_offsets: NDArray[np.int64]
     collision: NDArray[np.float32]
@@ -38,8 +35,7 @@ class OccupancyArrays:
         if dataset.collision is None or dataset.collision_offsets is None:
             return None
         found = cls(
-            dataset.robot,
-            dataset.camera,
+            dataset.world,
             np.asarray(dataset.free),
             np.asarray(dataset.free_offsets),
             np.asarray(dataset.collision),

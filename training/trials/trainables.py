@@ -41,7 +41,7 @@ def picture_trial(
     with seeded_initialisation(trial["seed"]):
         if occupancy is not None and trial["name"] == VALIDITY:
             samples = occupancy.samples(pictures)
-            module = ValidityModule(train.validity, samples, occupancy.robot, occupancy.camera, trial["seed"])
+            module = ValidityModule(train.validity, samples, occupancy.world, trial["seed"])
             steps = train.validity.steps
         else:
             module, steps = VaeModule(train.vae, pictures, trial["seed"]), train.vae.steps

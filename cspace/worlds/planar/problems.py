@@ -19,10 +19,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cspace.errors import ScenarioError
+from cspace.problem import Problem
+from cspace.splits import Split, scenario_rng
 from cspace.worlds.planar.arm import TWO_LINK, PlanarArm
 from cspace.worlds.planar.collision import CollisionChecker
 from cspace.worlds.planar.free_grid import FreeGrid, cells_per_joint
-from cspace.worlds.planar.scene import Scenario, Split, random_scenario, scenario_rng
+from cspace.worlds.planar.scene import Scenario, random_scenario
 
 NARROW_RAD = (0.03, 0.08)
 MAX_DRAWS = 5000
@@ -37,29 +39,6 @@ class Family(StrEnum):
     UNIFORM = "uniform"
     NARROW = "narrow"
     DISCONNECTED = "disconnected"
-
-
-@dataclass(frozen=True, eq=False)
-class Problem:
-    """A planning problem.
-
-    Args:
-        scenario: the arm among its discs.
-        start: (d,) rad.
-        goal: (d,) rad.
-        family: what it is like.
-        bottleneck_rad: largest clearance at which start and goal stay connected; 0 without a path.
-        seed: that it was drawn from.
-        rejected: draws before it that were not of the family.
-    """
-
-    scenario: Scenario
-    start: NDArray[np.float64]
-    goal: NDArray[np.float64]
-    family: Family
-    bottleneck_rad: float
-    seed: int
-    rejected: int
 
 
 def draw_problem(

@@ -1,36 +1,21 @@
-"""Scenarios: a robot among discs, seen by a camera, drawn from seeded families.
-
-The splits never share a stream of random numbers, whatever the seeds: a scenario of the test split can not
-appear in training.
-"""
+"""Scenarios: a robot among discs, seen by a camera."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from enum import StrEnum
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cspace.errors import ScenarioError
+from cspace.splits import Split, scenario_rng
 from cspace.worlds.planar.arm import TWO_LINK, PlanarArm
+from cspace.worlds.planar.camera import Camera
+from cspace.worlds.planar.world import PlanarWorld
 
 DISC_COUNT = 3
 DISC_RADIUS_M = 1.0
 DISC_RANGE_M = 4.0
 BASE_CLEARANCE_M = 1.3
-
-
-class Split(StrEnum):
-    """What a scenario may be used for."""
-
-    TRAIN = "train"
-    VALIDATION = "validation"
-    TEST = "test"
-    DEMO = "demo"
-
-
-_SPLIT_KEYS = {Split.TRAIN: 1, Split.VALIDATION: 2, Split.TEST: 3, Split.DEMO: 4}
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,44 +28,17 @@ class Disc:
 
 
 @dataclass(frozen=True, slots=True)
-class Camera:
-    """The part of the plane that the picture shows, y up, and its size in pixels (square)."""
-
-    x_min_m: float = -5.0
-    x_max_m: float = 5.0
-    y_min_m: float = -5.0
-    y_max_m: float = 5.0
-    pixels: int = 48
-
-    def to_dict(self) -> dict[str, Any]:
-        """Plain values for JSON."""
-        return {name: getattr(self, name) for name in ("x_min_m", "x_max_m", "y_min_m", "y_max_m", "pixels")}
-
-    @classmethod
-    def from_dict(cls, values: Mapping[str, Any]) -> "Camera":
-        """The inverse of :meth:`to_dict`.
-
-        Raises:
-            ScenarioError: a key is missing, unknown or of the wrong type.
-        """
-        try:
-            x_min_m, x_max_m, y_min_m, y_max_m = (
-                float(values[key]) for key in ("x_min_m", "x_max_m", "y_min_m", "y_max_m")
-            )
-            return cls(x_min_m, x_max_m, y_min_m, y_max_m, int(values["pixels"]))
-        except (KeyError, TypeError, ValueError) as error:
-            raise ScenarioError(
-                "the camera is unknown", expected="x and y ranges in m, pixels", got=repr(values)
-            ) from error
-
-
-@dataclass(frozen=True, slots=True)
 class Scenario:
     """A robot among discs, seen by a camera."""
 
     robot: PlanarArm
     discs: tuple[Disc, ...]
     camera: Camera = field(default_factory=Camera)
+
+    @property
+    def world(self) -> PlanarWorld:
+        """Arm and camera."""
+        return PlanarWorld(self.robot, self.camera)
 
     @property
     def disc_array(self) -> NDArray[np.float64]:
@@ -108,13 +66,6 @@ class Scenario:
             np.asarray(values["discs"], dtype=np.float64).reshape(-1, 3),
             Camera.from_dict(values["camera"]),
         )
-
-
-def scenario_rng(split: Split, seed: int, index: int) -> np.random.Generator:
-    """The random generator of one scenario; independent over splits, seeds and indices."""
-    return np.random.default_rng(
-        np.random.SeedSequence(entropy=seed, spawn_key=(_SPLIT_KEYS[Split(split)], index))
-    )
 
 
 def random_scenario(rng: np.random.Generator, robot: PlanarArm = TWO_LINK) -> Scenario:

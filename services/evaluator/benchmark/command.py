@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from cspace.errors import ConfigError
+from cspace.splits import Split
 from cspace.worlds.planar.problems import Family
-from cspace.worlds.planar.scene import Split
 from services.evaluator.benchmark.job import Request
 from services.evaluator.benchmark.runs.arms import (
     LEARNED_SHARES,

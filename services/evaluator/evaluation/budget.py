@@ -4,8 +4,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import StrEnum
 
+from cspace.splits import Split
 from cspace.worlds.planar.problems import Family
-from cspace.worlds.planar.scene import Split
 from services.evaluator.measures.topology.geometry_score import POINTS
 
 JUDGED = (Split.VALIDATION, Split.TEST)

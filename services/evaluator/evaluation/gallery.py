@@ -57,8 +57,7 @@ def gallery(
 
 
 def _picture(axes: Axes, scene: Scene, note: str) -> None:
-    camera = scene.stage.camera
-    axes.imshow(scene.image, extent=(camera.x_min_m, camera.x_max_m, camera.y_min_m, camera.y_max_m))
+    axes.imshow(scene.image, extent=scene.stage.world.sensor.extent_m)
     family = "" if scene.family is Family.UNIFORM else f"{scene.family.value} "
     name = f"{scene.stage.split}, {family}scenario {scene.index}"
     axes.set_title(f"{name}\n{note}" if note else name, fontsize=9)

@@ -73,7 +73,7 @@ def evaluate_version(
         # Training registers under its parent run, which the trials are shown under as well.
         with tracking.start(EXPERIMENT, RUN_NAME, parent_run_id=version.run_id, tags=tags) as run:
             spec = bundle.spec
-            setting = Setting(spec.robot, spec.camera, request.seed, request.budget, spec.kind == "path")
+            setting = Setting(spec.world, request.seed, request.budget, spec.kind == "path")
             progress(f"evaluating {version.name}/{version.number}, digest {bundle.digest[:12]}")
             evaluation = _measure(execute, setting, PackedBundle.pack(bundle), progress)
             verdict = decide(registry, version, evaluation)
@@ -121,7 +121,7 @@ def _load(registry: ModelRegistry, version: ModelVersion, folder: Path) -> Bundl
 
 
 def _measure(execute: Execute, setting: Setting, packed: PackedBundle, progress: Progress) -> Evaluation:
-    work = units(setting.budget, setting.robot.dim, paths=setting.paths)
+    work = units(setting.budget, setting.world.dim, paths=setting.paths)
     results: list[UnitResult] = []
     for result in execute(work, setting, packed):
         results.append(result)

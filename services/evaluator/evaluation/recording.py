@@ -7,9 +7,9 @@ from dataclasses import replace
 from pathlib import Path
 
 from cspace.errors import EvaluationError
-from cspace.worlds.planar.problems import Family, draw_problem
-from cspace.worlds.planar.render import render
-from cspace.worlds.planar.scene import Split
+from cspace.splits import Split
+from cspace.worlds import picture_of, workshop_of
+from cspace.worlds.planar.problems import Family
 from services.evaluator.evaluation.budget import SCENE_FAMILIES
 from services.evaluator.evaluation.gallery import gallery
 from services.evaluator.evaluation.gate import (
@@ -45,7 +45,7 @@ JOINTS = "joints"
 
 def decide(registry: ModelRegistry, version: ModelVersion, evaluation: Evaluation) -> Verdict:
     """The gate's verdict against all earlier champions of the model."""
-    joints = evaluation.setting.robot.dim
+    joints = evaluation.setting.world.dim
     earlier = [
         Champion(decision.version, decision.metrics)
         for decision in champions(registry, version.name)
@@ -70,7 +70,7 @@ def record(
     registry: ModelRegistry, version: ModelVersion, evaluation: Evaluation, verdict: Verdict
 ) -> Decision:
     """Append the decision to the version's log and move the alias if it is a promotion."""
-    metrics = {**_gated(evaluation), JOINTS: float(evaluation.setting.robot.dim)}
+    metrics = {**_gated(evaluation), JOINTS: float(evaluation.setting.world.dim)}
     now_ms = time.time_ns() // 1_000_000
     decision = Decision(
         version.name, version.number, verdict.promoted, verdict.reasons, metrics, verdict.against, now_ms
@@ -100,7 +100,7 @@ def log_evaluation(
         return _plans(run, evaluation, sampler, title)
     names = []
     for split, measured in ((Split.VALIDATION, evaluation.validation), (Split.TEST, evaluation.test)):
-        stage = Stage(setting.robot, setting.camera, split, setting.seed)
+        stage = Stage(setting.world, split, setting.seed)
         shown = exhibits(stage, measured.scenes)
         names.append(f"gallery-{split}")
         run.figure(gallery([*shown], sampler, title, [*shown.values()]), names[-1])
@@ -116,10 +116,9 @@ def _plans(run: RunLog, evaluation: Evaluation, sampler: PathSampler, title: str
     names, setting = [], evaluation.setting
     for summary in evaluation.test.planning:
         family = summary.family
-        drawn = draw_problem(family, Split.TEST, setting.seed, 0, setting.robot)
-        problem = replace(drawn, scenario=replace(drawn.scenario, camera=setting.camera))
+        problem = workshop_of(setting.world).problem(family, Split.TEST, setting.seed)
         seed = planner_seed(setting.seed, 0, 0)
-        image = render(problem.scenario)
+        image = picture_of(problem.scenario)
         samples = sampler.between(image, problem.start, problem.goal, LEARNED_SAMPLES, seed)
         plan = solve(problem, replace(PLANNER, seed=seed), samples, UNIFORM_SHARE, keep_tree=True)
         names.append(f"plan-{family.value}")

@@ -2,14 +2,15 @@
 
 import time
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from cspace.errors import EvaluationError
-from cspace.worlds.planar.arm import PlanarArm
-from cspace.worlds.planar.problems import Family, draw_problem
-from cspace.worlds.planar.scene import Camera, Split
+from cspace.splits import Split
+from cspace.world import World
+from cspace.worlds import workshop_of
+from cspace.worlds.planar.problems import Family
 from services.evaluator.evaluation.budget import FAMILIES, SCENE_FAMILIES, Budget, Kind, Unit
 from services.evaluator.measures.planning import PlanningTrial, plan_trial
 from services.evaluator.measures.planning_summary import FamilySummary, success_rate, summarise_family
@@ -44,8 +45,7 @@ Row = SceneQuality | SceneTopology | PlanningTrial
 class Setting:
     """What an evaluation is about: arm, camera, seed, how much, and whether of a path model."""
 
-    robot: PlanarArm
-    camera: Camera
+    world: World
     seed: int
     budget: Budget
     paths: bool = False
@@ -147,7 +147,7 @@ def _rows(results: Sequence[UnitResult], split: Split) -> list[Row]:
 
 
 def _stage(unit: Unit, setting: Setting) -> Stage:
-    return Stage(setting.robot, setting.camera, unit.split, setting.seed)
+    return Stage(setting.world, unit.split, setting.seed)
 
 
 def _scenes(unit: Unit, setting: Setting) -> list[Scene]:
@@ -172,8 +172,7 @@ def _planning_rows(unit: Unit, setting: Setting, sampler: AnySampler) -> list[Ro
         raise EvaluationError("a unit of planning names no family", got=str(unit))
     rows: list[Row] = []
     for index in range(unit.first, unit.first + unit.count):
-        drawn = draw_problem(unit.family, unit.split, setting.seed, index, setting.robot)
-        problem = replace(drawn, scenario=replace(drawn.scenario, camera=setting.camera))
+        problem = workshop_of(setting.world).problem(unit.family, unit.split, setting.seed, index)
         for repeat in range(setting.budget.planner_seeds):
             seed = planner_seed(setting.seed, index, repeat)
             rows.append(plan_trial(problem, index, seed, sampler, PLANNER))

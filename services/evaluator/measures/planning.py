@@ -12,8 +12,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from cspace.worlds.planar.problems import Family, Problem
-from cspace.worlds.planar.render import render
+from cspace.problem import Problem
+from cspace.worlds import picture_of
+from cspace.worlds.planar.problems import Family
 from services.evaluator.measures.samplers import AnySampler, PathSampler, Samples, ScoredSampler
 from services.planner.search.ompl_planner import PlannerSettings, PlanResult, Reason, solve
 from services.planner.search.path_check import judge_path
@@ -87,7 +88,7 @@ def plan_trial(
     """
     seeded = replace(settings, seed=seed)
     began = time.perf_counter()
-    image = render(problem.scenario)
+    image = picture_of(problem.scenario)
     samples = _samples(problem, image, seed, sampler)
     sampling_time_s = time.perf_counter() - began
     uniform, learned, *confident = (
@@ -95,7 +96,7 @@ def plan_trial(
         for drawn in (None, samples, *_confident(problem, image, seed, sampler))
     )
     only = confident[0] if confident else None
-    return PlanningTrial(problem.family, index, seed, uniform, learned, sampling_time_s, only)
+    return PlanningTrial(Family(problem.family), index, seed, uniform, learned, sampling_time_s, only)
 
 
 def _samples(

@@ -11,12 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cspace.errors import EvaluationError
+from cspace.problem import Problem
 from cspace.space import JointSpace, to_float32
-from cspace.worlds.planar.arm import PlanarArm
-from cspace.worlds.planar.collision import CollisionChecker
-from cspace.worlds.planar.problems import Family, Problem, draw_problem
-from cspace.worlds.planar.render import render
-from cspace.worlds.planar.scene import Camera, Scenario, Split, random_scenario, scenario_rng
+from cspace.splits import Split, scenario_rng
+from cspace.workshop import Checker
+from cspace.world import Scene as WorldScene
+from cspace.world import World
+from cspace.worlds import checker_of, picture_of, workshop_of
+from cspace.worlds.planar.problems import Family
 from services.evaluator.measures.occupancy import SceneOccupancy, scene_occupancy
 from services.evaluator.measures.reconstruction import (
     ReconstructionSummary,
@@ -41,8 +43,7 @@ FAMILY_STREAMS = {Family.NARROW: 60, Family.DISCONNECTED: 61}
 class Stage:
     """What all scenarios of an evaluation share: whose arm, which camera, which split, which seed."""
 
-    robot: PlanarArm
-    camera: Camera
+    world: World
     split: Split
     seed: int
 
@@ -68,31 +69,30 @@ class Scene:
         """Start and goal that make it a scenario of its family; None in the uniform one."""
         if self.family is Family.UNIFORM or self.drawn is not None:
             return self.drawn
-        return draw_problem(self.family, self.stage.split, self.stage.seed, self.index, self.stage.robot)
+        stage = self.stage
+        return workshop_of(stage.world).problem(self.family, stage.split, stage.seed, self.index)
 
     @cached_property
-    def scenario(self) -> Scenario:
+    def scenario(self) -> WorldScene:
         """The scenario, seen by the evaluation's camera."""
         if self.problem is None:
-            drawn = random_scenario(self._scenario_rng(), self.stage.robot)
-        else:
-            drawn = self.problem.scenario
-        return replace(drawn, camera=self.stage.camera)
+            return workshop_of(self.stage.world).scene(self._scenario_rng())
+        return self.problem.scenario
 
     @cached_property
     def image(self) -> NDArray[np.uint8]:
         """Its picture, (P, P, 3)."""
-        return render(self.scenario)
+        return picture_of(self.scenario)
 
     @cached_property
-    def checker(self) -> CollisionChecker:
+    def checker(self) -> Checker:
         """Its exact collision checks."""
-        return CollisionChecker(self.scenario)
+        return checker_of(self.scenario)
 
     @property
     def space(self) -> JointSpace:
         """The robot's joint space."""
-        return self.stage.robot.space
+        return self.stage.world.space
 
     def rng(self, stream: int) -> np.random.Generator:
         """One of the scenario's own streams; independent of the one that drew the discs."""

@@ -4,8 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cspace.worlds.planar.arm import TWO_LINK, PlanarArm
-from cspace.worlds.planar.scene import Camera, Split
+from cspace.splits import Split
+from cspace.world import World
+from cspace.worlds import default_world
 from services.evaluator.measures.reconstruction import ReconstructionSummary, summarise
 from services.evaluator.measures.samplers import HttpSampler
 from services.evaluator.measures.scenes import Scene, Stage, reconstruct
@@ -31,7 +32,7 @@ def served_quality(
     url: str,
     reference: str,
     *,
-    robot: PlanarArm = TWO_LINK,
+    world: World | None = None,
     scenarios: int = SCENARIOS,
     samples: int = SAMPLES,
 ) -> ServedQuality:
@@ -41,7 +42,7 @@ def served_quality(
         SamplerUnavailableError: the API does not answer.
         SamplerError: it refused a request.
     """
-    stage = Stage(robot, Camera(), Split.TEST, SEED)
+    stage = Stage(world or default_world(), Split.TEST, SEED)
     with SamplingClient(url) as client:
         sampler = HttpSampler(client, model=reference, min_confidence=0.0)
         rows = [reconstruct(Scene(stage, index), sampler, samples) for index in range(scenarios)]

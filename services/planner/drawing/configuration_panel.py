@@ -7,9 +7,9 @@ from matplotlib.collections import LineCollection
 from matplotlib.colors import LinearSegmentedColormap
 from numpy.typing import NDArray
 
+from cspace.problem import Problem
 from cspace.space import JointSpace
-from cspace.worlds.planar.collision import CollisionChecker
-from cspace.worlds.planar.problems import Problem
+from cspace.worlds import checker_of
 from services.planner.drawing import palette
 from services.planner.drawing.wrapping import wrapped_segments
 from services.planner.plan_result import PlanResult
@@ -37,7 +37,7 @@ def draw_configurations(
         samples: (n, d) learned samples in rad, or None.
         joints: which two make the plane.
     """
-    space, plane = problem.scenario.robot.space, list(joints)
+    space, plane = problem.space, list(joints)
     extent = [v for joint in joints for v in (space.lower[joint], space.upper[joint])]
     share = collision_share(problem, joints, CELLS if space.dim == 2 else CELLS_AVERAGED)
     axes.imshow(
@@ -67,8 +67,8 @@ def collision_share(problem: Problem, joints: tuple[int, int], cells: int) -> ND
     0 or 1 for a robot of two joints; for more, over one fixed set of draws of the joints that the plane does
     not show.
     """
-    space = problem.scenario.robot.space
-    checker = CollisionChecker(problem.scenario)
+    space = problem.space
+    checker = checker_of(problem.scenario)
     first, second = (
         np.linspace(space.lower[joint], space.upper[joint], 2 * cells + 1)[1::2] for joint in joints
     )

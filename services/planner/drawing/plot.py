@@ -11,7 +11,7 @@ from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
 from cspace.errors import ConfigError, StorageError
-from cspace.worlds.planar.problems import Problem
+from cspace.problem import Problem
 from services.planner.drawing import palette
 from services.planner.drawing.configuration_panel import draw_configurations
 from services.planner.drawing.workspace_panel import draw_workspace
@@ -47,7 +47,7 @@ def draw_plan(
         samples: (n, d) learned samples in rad, or None.
         title: over the panels; None for the outcome in words.
     """
-    dim = problem.scenario.robot.dim
+    dim = problem.space.dim
     planes = [(joint, joint + 1) for joint in range(min(dim - 1, 2))]
     with rc_context(_STYLE):
         figure = Figure(figsize=(4.9 * (1 + len(planes)), 5.6), dpi=130, layout="constrained")

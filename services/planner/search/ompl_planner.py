@@ -16,8 +16,9 @@ from numpy.typing import ArrayLike, NDArray
 from ompl import base as ob
 
 from cspace.errors import PlanningError
-from cspace.worlds.planar.collision import CollisionChecker
-from cspace.worlds.planar.problems import Problem
+from cspace.problem import Problem
+from cspace.workshop import Checker
+from cspace.worlds import checker_of
 from services.planner.plan_result import PlanResult, Reason, SearchTree
 from services.planner.search.cost_record import CostRecord
 from services.planner.search.ompl_search import OmplSearch, copy_tree, set_up
@@ -75,7 +76,7 @@ def solve(
         ConfigError: the uniform share is out of range.
     """
     check_uniform_share(uniform_share)
-    checker = CollisionChecker(problem.scenario)
+    checker = checker_of(problem.scenario)
     learned = _fitting(problem, settings, samples)
     for end, reason in ((problem.start, Reason.START_COLLIDES), (problem.goal, Reason.GOAL_COLLIDES)):
         if not checker.valid(end):
@@ -99,7 +100,7 @@ def _once(
     settings: PlannerSettings,
     learned: NDArray[np.float64] | None,
     uniform_share: float,
-    checker: CollisionChecker,
+    checker: Checker,
     keep_tree: bool,
 ) -> PlanResult:
     if settings.planner == SAMPLED_CONNECT:
@@ -113,7 +114,7 @@ def _once(
 def _fitting(
     problem: Problem, settings: PlannerSettings, samples: ArrayLike | None
 ) -> NDArray[np.float64] | None:
-    dim = problem.scenario.robot.dim
+    dim = problem.space.dim
     for name, end in (("start", problem.start), ("goal", problem.goal)):
         if np.shape(end) != (dim,) or not np.all(np.isfinite(end)):
             raise PlanningError(f"the {name} does not fit the robot", expected=f"{dim} angles", got=str(end))
@@ -138,9 +139,9 @@ def _draws(
     settings: PlannerSettings,
     learned: NDArray[np.float64] | None,
     uniform_share: float,
-    checker: CollisionChecker,
+    checker: Checker,
 ) -> StateDraws:
-    space = problem.scenario.robot.space
+    space = problem.space
     goal, goal_bias = space.wrap(problem.goal).tolist(), settings.goal_bias
     if settings.planner == PRM:
         # The goal is a milestone from the start, and uniform states come from here as well.
@@ -156,7 +157,7 @@ def _search(
     problem: Problem,
     settings: PlannerSettings,
     draws: StateDraws,
-    checker: CollisionChecker,
+    checker: Checker,
     keep_tree: bool,
 ) -> PlanResult:
     validator = Roadmap if keep_tree and settings.planner == BIT_STAR else EdgeValidator

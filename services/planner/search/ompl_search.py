@@ -9,8 +9,8 @@ from ompl import base as ob
 from ompl import geometric as og
 from ompl import util as ou
 
-from cspace.worlds.planar.collision import CollisionChecker
-from cspace.worlds.planar.problems import Problem
+from cspace.problem import Problem
+from cspace.workshop import Checker
 from services.planner.plan_result import SearchTree
 from services.planner.search.goal_region import DrawnGoal
 from services.planner.search.path_objective import make_objective
@@ -44,8 +44,8 @@ def set_up(
     problem: Problem,
     settings: PlannerSettings,
     draws: StateDraws,
-    checker: CollisionChecker,
-    make_validator: Callable[[Any, CollisionChecker, float], Edges],
+    checker: Checker,
+    make_validator: Callable[[Any, Checker, float], Edges],
 ) -> OmplSearch[Edges]:
     """Everything that a search needs, seeded.
 
@@ -59,7 +59,7 @@ def set_up(
     # OMPL calls a second seed in a process an error, yet takes it for all generators made from then on.
     ou.setLogLevel(ou.LOG_NONE)
     ou.RNG.setSeed(_ompl_seed(settings.seed))
-    space = problem.scenario.robot.space
+    space = problem.space
     access = StateAccess(space)
     information = ob.SpaceInformation(make_state_space(space))
     edges = make_validator(information, checker, settings.resolution_rad)

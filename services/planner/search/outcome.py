@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from cspace.worlds.planar.problems import Problem
+from cspace.problem import Problem
 from services.planner.plan_result import CostPoint, PlanResult, Reason, SearchTree
 from services.planner.search.path_check import judge_path, path_length_rad
 from services.planner.settings import PlannerSettings
@@ -44,7 +44,7 @@ def outcome(
         tree: the search tree, where it was asked for.
         costs: how the length fell.
     """
-    path = np.empty((0, problem.scenario.robot.dim))
+    path = np.empty((0, problem.space.dim))
     if found is not None:
         reason = judge_path(problem, found, settings.resolution_rad)
         path = found if reason is Reason.SOLVED else path

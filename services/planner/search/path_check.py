@@ -3,8 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from cspace.worlds.planar.collision import CollisionChecker
-from cspace.worlds.planar.problems import Problem
+from cspace.problem import Problem
+from cspace.worlds import checker_of
 from services.planner.plan_result import Reason
 
 GOAL_TOLERANCE_RAD = 1e-6
@@ -22,13 +22,13 @@ def judge_path(problem: Problem, path: NDArray[np.float64], resolution_rad: floa
     Returns:
         ``Reason.SOLVED``, or what is wrong.
     """
-    space = problem.scenario.robot.space
+    space = problem.space
     if len(path) < 2:
         return Reason.WRONG_ENDS
     ends = space.distance(path[[0, -1]], np.stack([problem.start, problem.goal]))
     if not np.all(ends <= GOAL_TOLERANCE_RAD):
         return Reason.WRONG_ENDS
-    checker = CollisionChecker(problem.scenario)
+    checker = checker_of(problem.scenario)
     free = checker.edge_batch(path[:-1], path[1:], resolution_rad / CHECK_FACTOR)
     return Reason.SOLVED if np.all(free) else Reason.REJECTED
 
@@ -38,4 +38,4 @@ def path_length_rad(problem: Problem, path: NDArray[np.float64]) -> float:
 
     OMPL's own length adds up the joints (L1) on a product of circles.
     """
-    return float(np.sum(problem.scenario.robot.space.distance(path[:-1], path[1:])))
+    return float(np.sum(problem.space.distance(path[:-1], path[1:])))

@@ -11,7 +11,7 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
 from cspace.space import JointSpace
-from cspace.worlds.planar.collision import CollisionChecker
+from cspace.workshop import Checker
 from services.planner.plan_result import SearchTree
 from services.planner.search.validity import EdgeValidator
 
@@ -25,7 +25,7 @@ class Roadmap(EdgeValidator):
         resolution_rad: largest distance between checked states in any joint.
     """
 
-    def __init__(self, information: Any, checker: CollisionChecker, resolution_rad: float) -> None:
+    def __init__(self, information: Any, checker: Checker, resolution_rad: float) -> None:
         super().__init__(information, checker, resolution_rad)
         # Milestones by the bits of their angles, as OMPL copies these; equal ones are one here.
         self._numbers: dict[bytes, int] = {}

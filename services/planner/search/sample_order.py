@@ -9,7 +9,7 @@ from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from cspace.space import JointSpace
-from cspace.worlds.planar.collision import CollisionChecker
+from cspace.workshop import Checker
 
 SWEEP = 24
 # Of a hop's length: many short hops cost less than one long one, so that chains stay within the cloud.
@@ -43,7 +43,7 @@ def order_along(
     return np.asarray(along[np.argsort(rank % sweeps, kind="stable")], dtype=np.intp)
 
 
-def colliding_last(samples: ArrayLike, checker: CollisionChecker) -> NDArray[np.intp]:
+def colliding_last(samples: ArrayLike, checker: Checker) -> NDArray[np.intp]:
     """The order of samples in which those that collide come after all others; else it stays as it is.
 
     Args:
@@ -53,7 +53,7 @@ def colliding_last(samples: ArrayLike, checker: CollisionChecker) -> NDArray[np.
     Returns:
         (n,) a permutation.
     """
-    rows = checker.scenario.robot.space.wrap(np.asarray(samples, dtype=np.float64))
+    rows = checker.space.wrap(np.asarray(samples, dtype=np.float64))
     return np.argsort(~checker.valid_batch(rows), kind="stable")
 
 

@@ -8,12 +8,11 @@ differ by chance alone.
 import time
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from cspace.problem import Problem
 from cspace.space import JointSpace
-from cspace.worlds.planar.collision import TWO_PI, CollisionChecker, arm_is_free, checked_edge
-from cspace.worlds.planar.problems import Problem
+from cspace.worlds import checker_of
 from services.planner.plan_result import PlanResult, Reason, SearchTree
 from services.planner.search.outcome import Counts, outcome
 from services.planner.search.sample_order import colliding_last
@@ -21,7 +20,6 @@ from services.planner.settings import PlannerSettings
 
 # Iterations between two looks at the clock.
 _BLOCK = 64
-_TRAPPED, _ADVANCED, _REACHED = 0, 1, 2
 
 
 class _Trees:
@@ -80,8 +78,7 @@ def connect(
         uniform_share: share of uniform samples while learned ones are left, 0 to 1.
         keep_tree: whether the result holds both trees.
     """
-    space = problem.scenario.robot.space
-    checker = CollisionChecker(problem.scenario)
+    space, checker = problem.space, checker_of(problem.scenario)
     began = time.perf_counter()
     looked_at = 0
     if samples is not None and settings.colliding_last:
@@ -90,10 +87,10 @@ def connect(
     states, learned = drawn_states(space, samples, uniform_share, settings)
     farthest = int(np.ceil(space.dim * np.pi / settings.range_rad)) + 2
     trees = _Trees(space.wrap(problem.start), space.wrap(problem.goal), _BLOCK * farthest)
-    fixed = (settings.range_rad, settings.resolution_rad, *checker.kernel_args)
+    fixed = (settings.range_rad, settings.resolution_rad)
     # A process's first call loads the compiled kernel, which is no part of a search.
     checks = np.array([0, looked_at], dtype=np.int64)
-    _advance(trees.nodes, trees.parents, trees.counts, checks, states[:0], 0, *fixed)
+    checker.grow_trees(trees.nodes, trees.parents, trees.counts, checks, states[:0], 0, *fixed)
     iterations, side, joint = 0, 0, (-1, -1)
     began, reason = time.perf_counter(), Reason.ITERATION_LIMIT
     while iterations < len(states) and joint[0] < 0:
@@ -102,8 +99,10 @@ def connect(
             break
         trees.make_room()
         block = states[iterations : iterations + _BLOCK]
-        done, side, *joint = _advance(trees.nodes, trees.parents, trees.counts, checks, block, side, *fixed)
-        iterations += done
+        done, side, first, second = checker.grow_trees(
+            trees.nodes, trees.parents, trees.counts, checks, block, side, *fixed
+        )
+        iterations, joint = iterations + done, (first, second)
     solve_time_s = time.perf_counter() - began + sorted_s
     learned_drawn = int(learned[:iterations].sum())
     counts = Counts(
@@ -134,81 +133,3 @@ def drawn_states(
     learned[np.flatnonzero(learned)[len(samples) :]] = False
     states[learned] = space.wrap(samples)[: int(learned.sum())]
     return states, learned
-
-
-@njit(cache=True, nogil=True)
-def _advance(  # type: ignore[no-untyped-def]
-    nodes, parents, counts, checks, states, side, reach, resolution,
-    links, half_width, discs, lower, upper, periodic,
-):  # fmt: skip
-    """Grow by a block of states: iterations, whose turn it is, the shared node or -1 twice.
-
-    ``checks`` counts on: edges, and states within them and alone.
-    """
-    for index in range(states.shape[0]):
-        other = 1 - side
-        status = _grow(
-            nodes, parents, counts, checks, side, states[index], reach, resolution,
-            links, half_width, discs, lower, upper, periodic,
-        )  # fmt: skip
-        if status != _TRAPPED:
-            target = nodes[side, counts[side] - 1].copy()
-            status = _ADVANCED
-            while status == _ADVANCED:
-                status = _grow(
-                    nodes, parents, counts, checks, other, target, reach, resolution,
-                    links, half_width, discs, lower, upper, periodic,
-                )  # fmt: skip
-            if status == _REACHED:
-                first, second = counts[0] - 1, counts[1] - 1
-                return index + 1, other, first, second
-        side = other
-    return states.shape[0], side, -1, -1
-
-
-@njit(cache=True, nogil=True)
-def _grow(  # type: ignore[no-untyped-def]
-    nodes, parents, counts, checks, side, target, reach, resolution,
-    links, half_width, discs, lower, upper, periodic,
-):  # fmt: skip
-    """One step of a tree towards a configuration: trapped, advanced or reached."""
-    dim = target.shape[0]
-    nearest, least = 0, np.inf
-    for node in range(counts[side]):
-        distance = 0.0
-        for joint in range(dim):
-            distance += abs(_gap(nodes[side, node, joint], target[joint], periodic[joint]))
-        if distance < least:
-            nearest, least = node, distance
-    share = min(1.0, reach / least) if least > 0.0 else 1.0
-    new = np.empty(dim)
-    for joint in range(dim):
-        begin = nodes[side, nearest, joint]
-        new[joint] = begin + share * _gap(begin, target[joint], periodic[joint])
-        if periodic[joint]:
-            new[joint] = (new[joint] + np.pi) % TWO_PI - np.pi
-    if share == 1.0:
-        new[:] = target
-    # The goal's tree looks at the new state before its edge, as OMPL's does.
-    if side == 1:
-        checks[1] += 1
-        if not arm_is_free(new, links, half_width, discs, lower, upper, periodic):
-            return _TRAPPED
-    free, states = checked_edge(
-        nodes[side, nearest], new, resolution, links, half_width, discs, lower, upper, periodic
-    )
-    checks[0] += 1
-    checks[1] += states
-    if not free:
-        return _TRAPPED
-    nodes[side, counts[side]] = new
-    parents[side, counts[side]] = nearest
-    counts[side] += 1
-    return _REACHED if share == 1.0 else _ADVANCED
-
-
-@njit(cache=True, nogil=True)
-def _gap(begin, end, wraps):  # type: ignore[no-untyped-def]
-    """The way from one angle to another, the shorter one on a circle."""
-    gap = end - begin
-    return (gap + np.pi) % TWO_PI - np.pi if wraps else gap

@@ -19,8 +19,8 @@ from typing import Any
 import numpy as np
 from ompl import base as ob
 
-from cspace.worlds.planar.collision import CollisionChecker
-from cspace.worlds.planar.problems import Problem
+from cspace.problem import Problem
+from cspace.workshop import Checker
 from services.planner.plan_result import PlanResult, Reason
 from services.planner.search.ompl_search import copy_tree, set_up
 from services.planner.search.outcome import Counts, outcome
@@ -77,7 +77,7 @@ def solve_by_roadmap(
     problem: Problem,
     settings: PlannerSettings,
     draws: StateDraws,
-    checker: CollisionChecker,
+    checker: Checker,
     *,
     keep_tree: bool = False,
 ) -> PlanResult:
@@ -90,7 +90,7 @@ def solve_by_roadmap(
         checker: of the scenario.
         keep_tree: whether the result holds the roadmap.
     """
-    space = problem.scenario.robot.space
+    space = problem.space
     run = set_up(problem, settings, draws, checker, Roadmap)
     roadmap, access, is_free = run.edges, run.access, run.states
     ends = [space.wrap(end).tolist() for end in (problem.start, problem.goal)]

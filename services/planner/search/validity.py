@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from ompl import base as ob
 
-from cspace.worlds.planar.collision import CollisionChecker, arm_is_free, checked_edge
+from cspace.workshop import Checker
 from services.planner.search.state_space import StateAccess
 
 
@@ -19,22 +19,20 @@ class EdgeValidator(ob.MotionValidator):  # type: ignore[misc]
         resolution_rad: largest distance between checked states in any joint.
     """
 
-    def __init__(self, information: Any, checker: CollisionChecker, resolution_rad: float) -> None:
+    def __init__(self, information: Any, checker: Checker, resolution_rad: float) -> None:
         super().__init__(information)
-        space = checker.scenario.robot.space
+        space = checker.space
         self.checks = self.states = 0
         self._access = StateAccess(space)
-        self._arguments = (resolution_rad, *checker.kernel_args)
         self._from, self._to = np.zeros(space.dim), np.zeros(space.dim)
-        # A process's first call loads the compiled kernel, which is no part of a search.
-        checked_edge(self._from, self._to, *self._arguments)
+        self._test = checker.edge_test(resolution_rad)
 
     def checkMotion(self, start: Any, end: Any) -> bool:  # noqa: N802 - OMPL's name
         """Whether the motion is free, both ends included."""
         self.checks += 1
         self._access.read(start, self._from)
         self._access.read(end, self._to)
-        free, states = checked_edge(self._from, self._to, *self._arguments)
+        free, states = self._test(self._from, self._to)
         self.states += states
         return bool(free)
 
@@ -46,29 +44,25 @@ class StateValidator:
         checker: of the scenario.
     """
 
-    def __init__(self, checker: CollisionChecker) -> None:
-        space = checker.scenario.robot.space
+    def __init__(self, checker: Checker) -> None:
         self.checks = 0
-        self._access = StateAccess(space)
-        self._arguments = checker.kernel_args
-        self._buffer = np.zeros(space.dim)
-        arm_is_free(self._buffer, *self._arguments)
+        self._access = StateAccess(checker.space)
+        self._buffer = np.zeros(checker.space.dim)
+        self._test = checker.state_test()
 
     def __call__(self, state: Any) -> bool:
         """Whether the state is free."""
         self.checks += 1
         self._access.read(state, self._buffer)
-        return bool(arm_is_free(self._buffer, *self._arguments))
+        return self._test(self._buffer)
 
 
-def free_test(checker: CollisionChecker) -> Callable[[Sequence[float]], bool]:
+def free_test(checker: Checker) -> Callable[[Sequence[float]], bool]:
     """A check of configurations of d values in rad, as plain numbers instead of OMPL's states."""
-    buffer, arguments = np.zeros(checker.scenario.robot.dim), checker.kernel_args
-    # A process's first call loads the compiled kernel, which is no part of a search.
-    arm_is_free(buffer, *arguments)
+    buffer, test = np.zeros(checker.space.dim), checker.state_test()
 
     def is_free(configuration: Sequence[float]) -> bool:
         buffer[:] = configuration
-        return bool(arm_is_free(buffer, *arguments))
+        return test(buffer)
 
     return is_free

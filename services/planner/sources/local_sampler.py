@@ -6,7 +6,6 @@ from pathlib import Path
 
 from cspace.bundle import Bundle
 from cspace.errors import BundleError, InputError, SamplerError, SamplerUnavailableError
-from cspace.worlds.planar.picture import decode_png
 from services.planner.sources.samples import MAX_SAMPLES, SampleBatch, SourceTiming, drawn_seed
 
 PRETRAINED = "pretrained"
@@ -60,7 +59,7 @@ class LocalSampler:
         seed = drawn_seed(seed)
         began = time.perf_counter()
         try:
-            image = decode_png(image_png, self._bundle.spec.pixels)
+            image = self._bundle.spec.world.sensor.decode(image_png)
             decoded = time.perf_counter()
             picture = self._bundle.prepare(image)
             encoded = time.perf_counter()

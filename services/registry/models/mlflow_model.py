@@ -11,7 +11,6 @@ import numpy as np
 from cspace.bundle import BundleSpec
 from cspace.bundle.files import SPEC_FILE, read_files
 from cspace.errors import BundleIntegrityError
-from cspace.worlds.planar.picture import encode_png
 
 # Where the bundle lies inside the saved model.
 BUNDLE_PATH = "artifacts/bundle"
@@ -71,7 +70,7 @@ def save_model(
 def _example(spec: BundleSpec) -> Any:
     import pandas as pd  # noqa: PLC0415 - as above
 
-    blank = encode_png(np.full((spec.pixels, spec.pixels, 3), 255, np.uint8))
+    blank = spec.world.sensor.encode(np.full(spec.world.sensor.picture_shape, 255, np.uint8))
     ends = {name: [[0.0] * spec.dim] for name in spec.endpoints}
     return pd.DataFrame({"image": [blank], **ends}), {"n": DEFAULT_COUNT, "seed": 0}
 

@@ -8,7 +8,8 @@ from cspace.dataset import open_dataset, write_dataset
 from cspace.dataset.manifest import MANIFEST_FILE, Manifest, file_digest
 from cspace.errors import DamagedFileError, DatasetError
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK, PlanarArm
-from cspace.worlds.planar.scene import Camera
+from cspace.worlds.planar.camera import Camera
+from cspace.worlds.planar.world import PlanarWorld
 from tests.dataset_content import CAMERA, SCENARIOS, content
 
 
@@ -23,7 +24,7 @@ def rewrite(folder: Path, **arrays):
 
 
 def rebuild(folder: Path, manifest: Manifest, files):
-    changed = Manifest(manifest.robot, manifest.camera, manifest.counts, manifest.generator, files)
+    changed = Manifest(manifest.world, manifest.counts, manifest.generator, files)
     (folder / MANIFEST_FILE).write_text(changed.to_json())
 
 
@@ -42,11 +43,11 @@ def test_what_was_written_is_read_back(tmp_path, robot):
     values = content(robot)
     write_dataset(tmp_path / "deep" / "data", **values)
     dataset = open_dataset(tmp_path / "deep" / "data")
-    assert (dataset.robot, dataset.camera, dataset.dim) == (robot, CAMERA, robot.dim)
+    assert (dataset.world, dataset.dim) == (PlanarWorld(robot, CAMERA), robot.dim)
     assert (dataset.scenario_count, dataset.generator_seed) == (SCENARIOS, 7)
     np.testing.assert_array_equal(dataset.images, values["images"])
     np.testing.assert_array_equal(dataset.extra_images, values["extra_images"])
-    np.testing.assert_array_equal(dataset.discs, values["discs"])
+    np.testing.assert_array_equal(dataset.arrays["discs"], values["scenes"]["discs"])
     for index in range(SCENARIOS):
         np.testing.assert_allclose(dataset.free_of(index), values["free"][index], atol=1e-6)
         np.testing.assert_allclose(dataset.collision_of(index), values["collision"][index], atol=1e-6)
@@ -57,9 +58,10 @@ def test_what_was_written_is_read_back(tmp_path, robot):
 
 
 def test_only_pictures_and_free_configurations_are_needed(tmp_path):
-    values = content(collision=None, paths=None, discs=None, extra_images=None, generator={})
+    values = content(collision=None, paths=None, scenes=None, extra_images=None, generator={})
     dataset = write_dataset(tmp_path / "data", **values)
-    assert (dataset.collision, dataset.collision_offsets, dataset.discs, dataset.extra_images) == (None,) * 4
+    assert (dataset.collision, dataset.collision_offsets, dataset.extra_images) == (None,) * 3
+    assert "discs" not in dataset.arrays
     assert dataset.generator_seed is None
     with pytest.raises(DatasetError, match="no configurations in collision"):
         dataset.collision_of(0)
@@ -138,7 +140,7 @@ def test_a_file_that_would_run_code_is_refused(folder):
 
 
 def test_a_changed_manifest_is_found(folder):
-    edit(folder, camera=Camera(pixels=17).to_dict())
+    edit(folder, world=PlanarWorld(TWO_LINK, Camera(pixels=17)).to_dict())
     with pytest.raises(DamagedFileError, match=r"manifest\.json is damaged"):
         open_dataset(folder)
 

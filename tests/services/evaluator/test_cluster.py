@@ -4,9 +4,11 @@ import pytest
 
 from cspace.bundle import Bundle
 from cspace.errors import EvaluationError
+from cspace.splits import Split
 from cspace.worlds.planar.arm import TWO_LINK
+from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.problems import Family
-from cspace.worlds.planar.scene import Camera, Split
+from cspace.worlds.planar.world import PlanarWorld
 from services.evaluator.evaluation.budget import QUICK, Kind, Unit
 from services.evaluator.evaluation.execution import run_here
 from services.evaluator.evaluation.job import run_on_ray
@@ -55,7 +57,7 @@ def numbers(results, setting):
 
 @pytest.mark.e2e
 def test_a_cluster_gives_the_same_numbers_as_this_process(cluster, packed):
-    setting = Setting(TWO_LINK, Camera(), 4, QUICK)
+    setting = Setting(PlanarWorld(TWO_LINK, Camera()), 4, QUICK)
     here = numbers(run_here(WORK, setting, packed), setting)
     there = numbers(run_on_ray(WORK, setting, packed), setting)
     assert there == here
@@ -66,4 +68,4 @@ def test_a_cluster_gives_the_same_numbers_as_this_process(cluster, packed):
 def test_an_error_of_a_unit_comes_back_as_itself(cluster, packed):
     nameless = Unit(Kind.PLANNING, Split.TEST, 0, 1)
     with pytest.raises(EvaluationError, match="names no family"):
-        list(run_on_ray([nameless], Setting(TWO_LINK, Camera(), 4, QUICK), packed))
+        list(run_on_ray([nameless], Setting(PlanarWorld(TWO_LINK, Camera()), 4, QUICK), packed))

@@ -8,9 +8,11 @@ import pytest
 
 from cspace.bundle import Bundle
 from cspace.errors import EvaluationError
+from cspace.splits import Split
 from cspace.worlds.planar.arm import TWO_LINK
+from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.problems import Family
-from cspace.worlds.planar.scene import Camera, Split
+from cspace.worlds.planar.world import PlanarWorld
 from inference_api.settings import PRETRAINED_FOLDER
 from services.evaluator.evaluation.budget import Budget, Kind, Unit, units
 from services.evaluator.evaluation.job import evaluate_version
@@ -97,7 +99,7 @@ def test_a_filter_is_asked_for_only_where_there_is_a_head(tmp_path):
 
 def test_path_models_have_planning_units_alone(made):
     assert {unit.kind for unit in units(FEW, paths=True)} == {Kind.PLANNING}
-    setting = Setting(TWO_LINK, Camera(), 0, FEW, paths=True)
+    setting = Setting(PlanarWorld(TWO_LINK, Camera()), 0, FEW, paths=True)
     with pytest.raises(EvaluationError, match="judged by planning"):
         run_unit(Unit(Kind.RECONSTRUCTION, Split.TEST, 0, 1), setting, PathBundleSampler(made))
     (row,) = run_unit(

@@ -3,8 +3,10 @@
 import numpy as np
 import pytest
 
+from cspace.splits import Split
 from cspace.worlds.planar.arm import TWO_LINK
-from cspace.worlds.planar.scene import Camera, Split
+from cspace.worlds.planar.camera import Camera
+from cspace.worlds.planar.world import PlanarWorld
 from services.evaluator.measures.scenes import Scene, Stage
 from services.evaluator.measures.topology.complement import POINTS_PER_CELL, sample_complement
 from services.evaluator.measures.topology.complement_score import complement_score, turned_living_times
@@ -32,7 +34,7 @@ def interval(values):
 @pytest.mark.slow
 @pytest.mark.timeout(600)
 def test_real_noisy_and_uniform_samples_have_gsc_intervals_apart():
-    scene = Scene(Stage(TWO_LINK, Camera(), Split.TRAIN, 0), 3)
+    scene = Scene(Stage(PlanarWorld(TWO_LINK, Camera()), Split.TRAIN, 0), 3)
     found = {"real": [], "noise": [], "uniform": []}
     for repeat in range(REPEATS):
         rng = np.random.default_rng([1, repeat])

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from cspace.splits import Split
 from cspace.worlds.planar.collision import CollisionChecker
 from cspace.worlds.planar.problems import Family, draw_problem
-from cspace.worlds.planar.scene import Split
 from services.planner.search.ompl_planner import PlannerSettings, solve
 from services.planner.search.sample_order import colliding_last
 from services.planner.settings import LEARNED_PLANNERS

@@ -8,9 +8,10 @@ import torch
 
 from cspace.bundle.novelty import novelty
 from cspace.dataset import open_dataset, write_dataset
+from cspace.splits import Split
 from cspace.worlds.planar.picture import to_network
 from cspace.worlds.planar.render import render, render_batch
-from cspace.worlds.planar.scene import Disc, Split, random_scenarios
+from cspace.worlds.planar.scene import Disc, random_scenarios
 from tests.dataset_content import content
 from training.clusters.novelty import KNOWN_PICTURES, known_pictures, known_quantiles, load_scores
 from training.config.clusters import VaeConfig
@@ -38,8 +39,8 @@ def test_generated_scenarios_are_held_against_validation_scenarios_of_the_same_c
     dataset = opened(tmp_path)
     images = known_pictures(dataset)
     assert images.shape == (KNOWN_PICTURES, 16, 16, 3)
-    (first,) = random_scenarios(Split.VALIDATION, 0, 1, dataset.robot)
-    np.testing.assert_array_equal(images[0], render(replace(first, camera=dataset.camera)))
+    (first,) = random_scenarios(Split.VALIDATION, 0, 1, dataset.world.body)
+    np.testing.assert_array_equal(images[0], render(replace(first, camera=dataset.world.sensor)))
 
 
 def test_data_of_ones_own_are_held_against_their_own_pictures(tmp_path):

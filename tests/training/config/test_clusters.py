@@ -73,7 +73,7 @@ def test_a_joint_encoder_refuses_what_it_can_not_be_with(overrides, says):
 def test_an_override_reaches_its_key_and_leaves_its_neighbours():
     config = load_config("quickstart", ["global.steps=7", "data.robot.link_lengths_m=[1, 1, 1]", "seed=3"])
     assert (config.global_.steps, config.seed) == (7, 3)
-    assert config.data.robot_value().dim == 3
+    assert config.data.world.body.dim == 3
     assert config.local.steps == load_config("quickstart").local.steps
 
 

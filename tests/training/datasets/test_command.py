@@ -26,8 +26,8 @@ THREE = ["--links", "1.6", "1.4", "1.0"]
 def test_own_data_of_three_links_are_imported_and_verified(own, tmp_path, capsys):
     assert main(["import", str(own), str(tmp_path / "data"), *THREE, "--limit", "2", "-1", "2"]) == 0
     dataset = open_dataset(tmp_path / "data")
-    assert dataset.robot.link_lengths_m == (1.6, 1.4, 1.0)
-    assert dataset.robot.joint_limits_rad == (None, (-1.0, 2.0), None)
+    assert dataset.world.body.link_lengths_m == (1.6, 1.4, 1.0)
+    assert dataset.world.body.joint_limits_rad == (None, (-1.0, 2.0), None)
     assert main(["verify", str(tmp_path / "data")]) == 0
     assert dataset.digest in capsys.readouterr().out
 

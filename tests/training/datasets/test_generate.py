@@ -44,7 +44,7 @@ def test_the_data_set_holds_what_the_configuration_asks_for(tmp_path, monkeypatc
     dataset = generate(SMALL, tmp_path / "data")
     assert dataset.images.shape == (5, 48, 48, 3)
     assert dataset.extra_images.shape == (4, 48, 48, 3)
-    assert dataset.discs.shape == (5, 3, 3)
+    assert dataset.arrays["discs"].shape == (5, 3, 3)
     assert [len(dataset.free_of(index)) for index in range(5)] == [20] * 5
     assert [len(dataset.collision_of(index)) for index in range(5)] == [10] * 5
     assert dataset.manifest.generator == SMALL.model_dump(mode="json")

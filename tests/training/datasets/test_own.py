@@ -4,9 +4,12 @@ from PIL import Image
 
 from cspace.dataset import open_dataset
 from cspace.errors import DatasetError, StorageError
+from cspace.splits import Split
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK
+from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.render import render
-from cspace.worlds.planar.scene import Camera, Split, random_scenarios
+from cspace.worlds.planar.scene import random_scenarios
+from cspace.worlds.planar.world import PlanarWorld
 from training.datasets.own import import_folder
 
 
@@ -27,7 +30,7 @@ def fill(folder, robot=TWO_LINK, *, collision=True, extra=True):
 
 
 def take(source, folder, robot=TWO_LINK, camera=None):
-    return import_folder(source, folder, robot=robot, camera=camera or Camera())
+    return import_folder(source, folder, world=PlanarWorld(robot, camera or Camera()))
 
 
 @pytest.mark.parametrize("robot", [TWO_LINK, THREE_LINK])
@@ -35,7 +38,7 @@ def test_own_pictures_become_a_data_set_in_the_order_of_their_names(tmp_path, ro
     angles = fill(tmp_path / "own", robot)
     take(tmp_path / "own", tmp_path / "data", robot)
     dataset = open_dataset(tmp_path / "data")
-    assert (dataset.robot, dataset.dim, dataset.scenario_count) == (robot, robot.dim, 3)
+    assert (dataset.world.body, dataset.dim, dataset.scenario_count) == (robot, robot.dim, 3)
     for index, name in enumerate("abc"):
         np.testing.assert_allclose(dataset.free_of(index), angles[name], atol=1e-6)
         picture = np.asarray(Image.open(tmp_path / "own" / f"{name}.png"))
@@ -57,7 +60,7 @@ def test_pictures_are_resized_to_the_cameras_pixels(tmp_path):
     fill(tmp_path / "own")
     camera = Camera(-4.0, 4.0, -4.0, 4.0, 24)
     dataset = take(tmp_path / "own", tmp_path / "data", camera=camera)
-    assert dataset.camera == camera
+    assert dataset.world.sensor == camera
     assert dataset.images.shape == (3, 24, 24, 3)
 
 

@@ -28,7 +28,7 @@ def dataset(tmp_path_factory):
 
 
 def scenario(dataset, index):
-    return Scenario(TWO_LINK, tuple(Disc(*map(float, row)) for row in dataset.discs[index]))
+    return Scenario(TWO_LINK, tuple(Disc(*map(float, row)) for row in dataset.arrays["discs"][index]))
 
 
 def paths_of(dataset, index):
@@ -125,7 +125,7 @@ def test_three_joints_have_paths_too():
     made = recipe.make(shard)
     assert made["paths"].shape == (2, 3, 33, 3)
     for discs, paths in zip(made["discs"], made["paths"], strict=True):
-        robot = THREE.robot_value()
+        robot = THREE.world.body
         checker = CollisionChecker(Scenario(robot, tuple(Disc(*map(float, row)) for row in discs)))
         assert checker.valid_batch(paths.reshape(-1, 3)).all()
 

@@ -2,10 +2,11 @@ import numpy as np
 import pytest
 
 from cspace.errors import DatasetError, StorageError
+from cspace.splits import Split
 from cspace.worlds.planar.arm import PlanarArm
 from cspace.worlds.planar.collision import CollisionChecker
 from cspace.worlds.planar.render import render
-from cspace.worlds.planar.scene import Scenario, Split, random_scenarios
+from cspace.worlds.planar.scene import Scenario, random_scenarios
 from training.datasets.config import DatasetConfig, RobotConfig
 from training.datasets.shards import (
     Shard,
@@ -45,7 +46,7 @@ def test_shards_cover_every_scenario_and_picture_once():
 
 @pytest.mark.parametrize("config", [SMALL, THREE, LIMITED], ids=["two", "three", "limited"])
 def test_configurations_are_what_they_are_said_to_be(config):
-    arrays, robot = joined(config), config.robot_value()
+    arrays, robot = joined(config), config.world.body
     assert arrays["free"].shape == (5, 40, robot.dim)
     assert arrays["collision"].shape == (5, 20, robot.dim)
     for index in range(5):

@@ -4,7 +4,8 @@ import numpy as np
 import torch
 
 from cspace.worlds.planar.arm import TWO_LINK
-from cspace.worlds.planar.scene import Camera
+from cspace.worlds.planar.camera import Camera
+from cspace.worlds.planar.world import PlanarWorld
 from training.models.paths.samples import PathSamples
 from training.trials.paths.arrays import PathArrays
 
@@ -28,7 +29,7 @@ def arrays(count: int = 40, scenarios: int = 4, cells: int | None = 16) -> PathA
     zeros = np.zeros((scenarios, LATENT), np.float32)
     maps = None if cells is None else np.full((scenarios, cells, cells), 255, np.uint8)
     ids = np.arange(count) % scenarios
-    return PathArrays(TWO_LINK, Camera(), straight_paths(count), ids, zeros, zeros, images, maps)
+    return PathArrays(PlanarWorld(TWO_LINK, Camera()), straight_paths(count), ids, zeros, zeros, images, maps)
 
 
 def samples(count: int = 40) -> PathSamples:

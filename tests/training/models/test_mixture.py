@@ -6,7 +6,8 @@ import pytest
 import torch
 
 from cspace.worlds.planar.arm import TWO_LINK
-from cspace.worlds.planar.scene import Camera
+from cspace.worlds.planar.camera import Camera
+from cspace.worlds.planar.world import PlanarWorld
 from tests.training.models.builders import TINY, ring_samples
 from training.config.clusters import GanConfig, GateConfig
 from training.models.cells import CellBase, CellPoints, UniformBase
@@ -82,7 +83,7 @@ def test_every_row_is_answered_by_the_generator_in_charge_of_its_cell():
 @pytest.mark.parametrize("lookups", [False, True])
 @pytest.mark.parametrize("count", [1, 33])
 def test_the_mixtures_graph_answers_as_the_network(count, lookups):
-    look = ArmLookups(TWO_LINK, Camera(), 3, 0.1) if lookups else None
+    look = ArmLookups(PlanarWorld(TWO_LINK, Camera()), 3, 0.1) if lookups else None
     with seeded_initialisation(1):
         gate = Gate(GateConfig(cells=3, hidden=8), 4)
     _, mixture = experts(looked_up=look.values if look else 0)
@@ -97,7 +98,7 @@ def test_the_mixtures_graph_answers_as_the_network(count, lookups):
 
 @pytest.mark.parametrize("count", [1, 33])
 def test_a_graph_with_lookups_answers_as_the_network(count):
-    look = ArmLookups(TWO_LINK, Camera(), 3, 0.0)
+    look = ArmLookups(PlanarWorld(TWO_LINK, Camera()), 3, 0.0)
     (generator, *_), _ = experts(looked_up=look.values)
     feeds = random_inputs(count, lookups=True)
     feeds = {name: feeds[name] for name in ("latent", "jitter", "noise", "image")}

@@ -6,8 +6,9 @@ import pytest
 import torch
 
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK
+from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.grid_search import ways_to
-from cspace.worlds.planar.scene import Camera
+from cspace.worlds.planar.world import PlanarWorld
 from tests.training.models.path_builders import LATENT, arrays
 from tests.training.paths.test_ways import walled_head
 from training.config.clusters import LookupConfig
@@ -134,7 +135,7 @@ def answer(model, fed, output="samples"):
 def test_a_graph_answers_as_the_network_does(name):
     module = make_path_module(name, SMALL, arrays(), 0).eval()
     config = getattr(SMALL, name)
-    lookups = make_lookups(config.lookups, TWO_LINK, Camera())
+    lookups = make_lookups(config.lookups, PlanarWorld(TWO_LINK, Camera()))
     graph = point_graph(PointSampler(module.net, lookups, place=config.place, sweep=4), LATENT, 48)
     assert graph.looks_at_picture == (name == "wgan_lookups")
     names = {item.name: item.shape[0] for item in graph.random_inputs}

@@ -4,10 +4,13 @@ import numpy as np
 import pytest
 import torch
 
+from cspace.splits import Split
 from cspace.worlds.planar.arm import TWO_LINK
+from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.collision import CollisionChecker
 from cspace.worlds.planar.render import render
-from cspace.worlds.planar.scene import Camera, Split, random_scenarios
+from cspace.worlds.planar.scene import random_scenarios
+from cspace.worlds.planar.world import PlanarWorld
 from training.config.clusters import ValidityConfig
 from training.models.checkpoint import seeded_initialisation
 from training.models.validity import OccupancySamples, ValidityModule
@@ -65,7 +68,7 @@ def test_scenarios_without_both_kinds_are_never_drawn(samples):
 
 def module(samples, config=TINY, seed=0):
     with seeded_initialisation(seed):
-        return ValidityModule(config, samples, TWO_LINK, Camera(), seed)
+        return ValidityModule(config, samples, PlanarWorld(TWO_LINK, Camera()), seed)
 
 
 def train(one, steps):

@@ -6,7 +6,8 @@ import torch
 
 from cspace.dataset import write_dataset
 from cspace.worlds.planar.arm import TWO_LINK
-from cspace.worlds.planar.scene import Camera
+from cspace.worlds.planar.camera import Camera
+from cspace.worlds.planar.world import PlanarWorld
 from training.trials.occupancy import OccupancyArrays
 
 FREE = [np.full((3, 2), 0.5, dtype=np.float32), np.full((2, 2), 1.0, dtype=np.float32)]
@@ -15,8 +16,7 @@ FREE = [np.full((3, 2), 0.5, dtype=np.float32), np.full((2, 2), 1.0, dtype=np.fl
 def dataset(folder, collision):
     return write_dataset(
         folder / "data",
-        robot=TWO_LINK,
-        camera=Camera(),
+        world=PlanarWorld(TWO_LINK, Camera()),
         images=np.stack([np.full((48, 48, 3), value, dtype=np.uint8) for value in (10, 20)]),
         free=FREE,
         generator={"by": "test"},

@@ -6,14 +6,16 @@ what a single latent for the whole picture cannot give: sharp answers near conta
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import cast
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
 from cspace.errors import ConfigError
+from cspace.world import World
 from cspace.worlds.planar.arm import PlanarArm
-from cspace.worlds.planar.scene import Camera
+from cspace.worlds.planar.camera import Camera
 from training.config.clusters import LookupConfig
 
 
@@ -21,8 +23,7 @@ class ArmLookups(nn.Module):
     """Reads pictures at points along the links of an arm and beside them.
 
     Args:
-        robot: links and their lengths.
-        camera: the part of the plane that the pictures show.
+        world: robot and sensor.
         points_per_link: along each link, from its first joint to its tip.
         side_m: distance of the two rows of points beside each link, m; with 0 there is the middle row alone.
 
@@ -32,8 +33,9 @@ class ArmLookups(nn.Module):
     levers: Tensor
     origin: Tensor
 
-    def __init__(self, robot: PlanarArm, camera: Camera, points_per_link: int, side_m: float) -> None:
+    def __init__(self, world: World, points_per_link: int, side_m: float) -> None:
         super().__init__()
+        robot, camera = cast("PlanarArm", world.body), cast("Camera", world.sensor)
         sides = [-side_m, 0.0, side_m] if side_m > 0.0 else [0.0]
         along, beside = _levers(robot, points_per_link, sides)
         self.points = along.shape[1]
@@ -146,21 +148,19 @@ class Scenes:
     """The pictures with what look-ups need to know of them.
 
     Args:
-        robot: the arm.
-        camera: the frame of the pictures.
+        world: robot and sensor.
         images: (S, P, P, 3) uint8.
     """
 
-    robot: PlanarArm
-    camera: Camera
+    world: World
     images: Tensor
 
 
-def make_lookups(config: LookupConfig, robot: PlanarArm, camera: Camera) -> ArmLookups | None:
+def make_lookups(config: LookupConfig, world: World) -> ArmLookups | None:
     """The look-ups that a configuration names; None for none."""
     if config.points_per_link == 0:
         return None
-    return ArmLookups(robot, camera, config.points_per_link, config.side_m)
+    return ArmLookups(world, config.points_per_link, config.side_m)
 
 
 def make_reader(config: LookupConfig, scenes: Scenes | None) -> PictureReader | None:
@@ -175,7 +175,7 @@ def make_reader(config: LookupConfig, scenes: Scenes | None) -> PictureReader | 
             expected="pictures, or points_per_link=0",
             got="no pictures",
         )
-    lookups = None if scenes is None else make_lookups(config, scenes.robot, scenes.camera)
+    lookups = None if scenes is None else make_lookups(config, scenes.world)
     return None if lookups is None or scenes is None else PictureReader(lookups, scenes.images)
 
 

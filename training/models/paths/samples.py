@@ -99,6 +99,6 @@ def equal_paths(dataset: Dataset, points: int) -> tuple[NDArray[np.float32], NDA
     owner = np.asarray(dataset.arrays["path_scenario"])
     if (sizes == points).all():
         return np.asarray(rows).reshape(-1, points, dataset.dim), owner
-    space = dataset.robot.space
+    space = dataset.world.space
     parts = [spread_points(np.asarray(rows[a:b], np.float64), points, space) for a, b in pairwise(offsets)]
     return np.stack(parts).astype(np.float32), owner

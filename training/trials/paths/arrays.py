@@ -10,9 +10,8 @@ from cspace.bundle import Bundle
 from cspace.dataset import Dataset
 from cspace.errors import ConfigError
 from cspace.space import JointSpace
-from cspace.worlds.planar.arm import PlanarArm
+from cspace.world import World
 from cspace.worlds.planar.grid_search import centres
-from cspace.worlds.planar.scene import Camera
 from training.datasets.progress import Progress
 from training.models.lookups.lookups import Scenes
 from training.models.paths.samples import PathSamples, equal_paths
@@ -24,8 +23,7 @@ class PathArrays:
     """Paths with what a bundle tells of their pictures.
 
     Args:
-        robot: the arm.
-        camera: the frame of the pictures.
+        world: robot and sensor.
         paths: (T, P, d) float32 rad, points at equal distances.
         ids: (T,) int64 scenario of each.
         mu: (S, L) float32.
@@ -37,8 +35,7 @@ class PathArrays:
             None likewise.
     """
 
-    robot: PlanarArm
-    camera: Camera
+    world: World
     paths: NDArray[np.float32]
     ids: NDArray[np.int64]
     mu: NDArray[np.float32]
@@ -53,7 +50,7 @@ class PathArrays:
 
     def scenes(self) -> Scenes:
         """The pictures for look-ups, copied."""
-        return Scenes(self.robot, self.camera, torch.tensor(self.images))
+        return Scenes(self.world, torch.tensor(self.images))
 
 
 def path_arrays(
@@ -74,11 +71,11 @@ def path_arrays(
         DatasetError: the data set holds no paths.
     """
     spec = bundle.spec
-    if (dataset.robot, dataset.camera) != (spec.robot, spec.camera):
+    if (dataset.world) != (spec.world):
         raise ConfigError(
             "the paths are of another robot or camera than the bundle",
-            expected=f"{spec.robot}, {spec.camera}",
-            got=f"{dataset.robot}, {dataset.camera}",
+            expected=str(spec.world),
+            got=str(dataset.world),
         )
     if cells is not None and (spec.dim != 2 or not bundle.has_validity):
         raise ConfigError(
@@ -89,7 +86,7 @@ def path_arrays(
         )
     paths, ids = equal_paths(dataset, points)
     images = np.asarray(dataset.images)
-    grid = None if cells is None else centres(spec.robot.space, (cells, cells)).astype(np.float32)
+    grid = None if cells is None else centres(spec.world.space, (cells, cells)).astype(np.float32)
     latents, maps = [], []
     with Progress("pictures", len(images), "picture") as progress:
         for image in images:
@@ -102,8 +99,8 @@ def path_arrays(
     shown = None if cells is None else np.stack(maps).reshape(-1, cells, cells)
     fields = None
     if shown is not None and penalty is not None:
-        fields = _fields(shown, paths, ids, spec.robot.space, penalty)
-    return PathArrays(dataset.robot, dataset.camera, paths, ids, mu, sigma, images, shown, fields)
+        fields = _fields(shown, paths, ids, spec.world.space, penalty)
+    return PathArrays(dataset.world, paths, ids, mu, sigma, images, shown, fields)
 
 
 def _fields(

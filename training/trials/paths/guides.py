@@ -40,7 +40,7 @@ class Guides:
     def critics(self) -> list[Critic]:
         """The critics, as they were trained."""
         spec = Bundle.load(self.bundle).spec
-        lookups = make_lookups(self.lookups, spec.robot, spec.camera)
+        lookups = make_lookups(self.lookups, spec.world)
         values = 0 if lookups is None else lookups.values
         scale = (torch.zeros(spec.dim), torch.ones(spec.dim))
         found = []

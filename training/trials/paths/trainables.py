@@ -74,7 +74,7 @@ def make_path_module(
             raise JobError("a density needs the maps of the validity head", expected="maps", got="none")
         fields = None if arrays.fields is None or not train.density.ways else torch.tensor(arrays.fields)
         return DensityModule(
-            train.density, samples, torch.tensor(arrays.maps), fields, arrays.robot.space, seed
+            train.density, samples, torch.tensor(arrays.maps), fields, arrays.world.space, seed
         )
     if name == "flow":
         return FlowModule(train.flow, samples, _scenes(train.flow, arrays), seed)
@@ -97,7 +97,7 @@ def make_path_module(
 def load_density(train: PathTrainConfig, arrays: PathArrays, checkpoint: Path) -> PathUNet:
     """The U-Net of a trial's checkpoint."""
     with seeded_initialisation(0):
-        grid = CellGrid(arrays.robot.space, train.density.cells)
+        grid = CellGrid(arrays.world.space, train.density.cells)
         net = PathUNet(grid, train.density.width, ways=train.density.ways)
     net.load_state_dict(load_weights(checkpoint, "net"))
     return net.eval()

@@ -8,9 +8,8 @@ import torch
 from numpy.typing import NDArray
 
 from cspace.space import to_float32
-from cspace.worlds.planar.arm import PlanarArm
-from cspace.worlds.planar.picture import to_network
-from cspace.worlds.planar.scene import Camera, Split
+from cspace.splits import Split
+from cspace.world import World
 from services.evaluator.measures.reconstruction import SampleQuality, sample_quality
 from services.evaluator.measures.scenes import Scene, Stage
 from training.models.mixture import GatedSampler, LookupSampler
@@ -38,9 +37,9 @@ class Validation:
     uniform_energy: float
 
     @classmethod
-    def draw(cls, encoder: Encoder, robot: PlanarArm, camera: Camera, scenarios: int) -> "Validation":
+    def draw(cls, encoder: Encoder, world: World, scenarios: int) -> "Validation":
         """The first scenarios of the validation split."""
-        stage = Stage(robot, camera, Split.VALIDATION, 0)
+        stage = Stage(world, Split.VALIDATION, 0)
         scenes = [Scene(stage, index) for index in range(scenarios)]
         held_out = [scene.free(SAMPLES, scene.rng(0)) for scene in scenes]
         stood = cls(encoder.eval(), scenes, held_out, 1.0)
@@ -66,7 +65,8 @@ class Validation:
         if sampler is None:
             return scene.space.sample_uniform(scene.rng(1), SAMPLES)
         rng = torch.Generator().manual_seed(scene.sampler_seed())
-        image, dim = torch.from_numpy(to_network(scene.image[None])), scene.space.dim
+        image = torch.from_numpy(scene.stage.world.sensor.to_network(scene.image[None]))
+        dim = scene.space.dim
         with torch.inference_mode():
             mu, log_variance = self.encoder(image)
             latent = mu + (log_variance / 2.0).exp() * torch.randn(SAMPLES, mu.shape[1], generator=rng)

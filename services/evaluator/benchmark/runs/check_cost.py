@@ -5,8 +5,9 @@ import time
 import numpy as np
 from numpy.typing import NDArray
 
-from cspace.worlds.planar.collision import CollisionChecker, checked_edge
-from cspace.worlds.planar.problems import Problem
+from cspace.problem import Problem
+from cspace.workshop import Checker
+from cspace.worlds import checker_of
 
 EDGES = 1000
 REPEATS = 5
@@ -24,12 +25,10 @@ def state_check_s(problem: Problem, range_rad: float, resolution_rad: float) -> 
         range_rad: longest edge, in OMPL's metric (the sum over the joints), rad.
         resolution_rad: largest distance between checked states in any joint, rad.
     """
-    checker = CollisionChecker(problem.scenario)
+    checker = checker_of(problem.scenario)
     starts, ends = _edges(problem, checker, range_rad)
-    looked = sum(
-        int(checked_edge(start, end, resolution_rad, *checker.kernel_args)[1])
-        for start, end in zip(starts, ends, strict=True)
-    )
+    edge_test = checker.edge_test(resolution_rad)
+    looked = sum(int(edge_test(start, end)[1]) for start, end in zip(starts, ends, strict=True))
     taken = []
     for _ in range(REPEATS):
         began = time.perf_counter()
@@ -39,9 +38,9 @@ def state_check_s(problem: Problem, range_rad: float, resolution_rad: float) -> 
 
 
 def _edges(
-    problem: Problem, checker: CollisionChecker, range_rad: float
+    problem: Problem, checker: Checker, range_rad: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    space, rng = problem.scenario.robot.space, np.random.default_rng(0)
+    space, rng = problem.space, np.random.default_rng(0)
     drawn = space.sample_uniform(rng, EDGES)
     starts = np.concatenate([np.stack([problem.start, problem.goal]), drawn[checker.valid_batch(drawn)]])
     starts = starts[rng.integers(0, len(starts), EDGES)]

@@ -8,8 +8,9 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from cspace.worlds.planar.problems import Family, Problem, draw_problem
-from cspace.worlds.planar.scene import Split
+from cspace.problem import Problem
+from cspace.splits import Split
+from cspace.worlds.planar.problems import Family, draw_problem
 from services.evaluator.benchmark.runs.arms import RANGE_RAD, Arm
 from services.evaluator.benchmark.runs.check_cost import state_check_s
 from services.evaluator.benchmark.runs.run import Run, finite
@@ -108,7 +109,7 @@ def measure(
 def drawn_samples(arm: Arm, batch: SampleBatch, problem: Problem) -> NDArray[np.float32]:
     """The samples (n, d) rad in the order in which a planner is to draw them."""
     if arm.ordered:
-        space = problem.scenario.robot.space
+        space = problem.space
         return batch.samples[order_along(batch.samples, problem.start, problem.goal, space)]
     one_kind = arm.in_order or len(arm.epsilon_sigma) == 1
     return batch.samples if one_kind else mixed(batch.samples, batch.seed)

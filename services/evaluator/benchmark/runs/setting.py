@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from enum import StrEnum
 from itertools import product
 
+from cspace.splits import Split
 from cspace.worlds.planar.problems import Family
-from cspace.worlds.planar.scene import Split
 from services.evaluator.benchmark.runs.arms import Arm
 from services.evaluator.evaluation.units import planner_seed
 from services.planner.settings import PlannerSettings

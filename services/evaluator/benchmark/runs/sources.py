@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from cspace.bundle import Bundle
 from cspace.errors import ConfigError, SamplerError, SamplerUnavailableError
-from cspace.worlds.planar.picture import encode_png
-from cspace.worlds.planar.problems import Family, Problem, draw_problem
-from cspace.worlds.planar.render import render
-from cspace.worlds.planar.scene import Split
+from cspace.problem import Problem
+from cspace.splits import Split
+from cspace.worlds import default_world, picture_file_of, workshop_of
+from cspace.worlds.planar.problems import Family
 from services.evaluator.benchmark.runs.fresh_png import fresh_png
 from services.evaluator.measures.samplers import PackedBundle
 from services.planner.sources.local_sampler import LocalSampler
@@ -114,7 +114,7 @@ def ask(source: SampleSource, spec: SourceSpec, problem: Problem, wanted: Ask) -
     """
     note = f"{wanted.seed} {wanted.samples} {wanted.epsilon_sigma} {wanted.min_confidence}"
     batch = source.sample(
-        fresh_png(encode_png(render(problem.scenario)), note),
+        fresh_png(picture_file_of(problem.scenario), note),
         wanted.samples,
         model=spec.model,
         seed=wanted.seed,
@@ -154,7 +154,7 @@ def parse_named(text: str) -> tuple[str, str]:
 def _first_answer(client: SamplingClient, model: str) -> tuple[bool, SampleBatch]:
     """Whether a model wants start and goal is told only by its answers."""
     problem = _example()
-    png = encode_png(render(problem.scenario))
+    png = picture_file_of(problem.scenario)
     ends = {"start": problem.start.tolist(), "goal": problem.goal.tolist()}
     try:
         return True, client.sample(png, 10, model=model, seed=1, min_confidence=0.0, **ends)
@@ -175,4 +175,4 @@ def _opened(spec: SourceSpec, stack: ExitStack) -> SampleSource:
 
 
 def _example() -> Problem:
-    return draw_problem(Family.UNIFORM, Split.DEMO, 0)
+    return workshop_of(default_world()).problem(Family.UNIFORM, Split.DEMO, 0)

@@ -8,8 +8,9 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from cspace.worlds.planar.problems import Family, Problem
-from cspace.worlds.planar.render import render
+from cspace.problem import Problem
+from cspace.worlds import picture_of
+from cspace.worlds.planar.problems import Family
 from services.evaluator.benchmark.runs.arms import DEFAULT_SHARE, Arm, Group
 from services.evaluator.benchmark.runs.measure import known_problem
 from services.evaluator.benchmark.runs.setting import Setting
@@ -108,9 +109,8 @@ def _outcome(result: PlanResult) -> str:
 
 
 def _draw_picture(axes: Any, problem: Problem) -> None:
-    camera = problem.scenario.camera
-    extent = (camera.x_min_m, camera.x_max_m, camera.y_min_m, camera.y_max_m)
-    axes.imshow(np.asarray(render(problem.scenario)), extent=extent)
+    extent = problem.scenario.world.sensor.extent_m
+    axes.imshow(np.asarray(picture_of(problem.scenario)), extent=extent)
     axes.set(xlabel="x (m)", ylabel="y (m)")
     axes.set_title("the picture that the sampler sees\n", fontsize=10)
 

@@ -5,6 +5,7 @@ from hypothesis import strategies as st
 
 from cspace.errors import ScenarioError
 from cspace.space import torus_distance
+from cspace.splits import Split
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK
 from cspace.worlds.planar.collision import CollisionChecker
 from cspace.worlds.planar.grid_paths import (
@@ -16,7 +17,7 @@ from cspace.worlds.planar.grid_paths import (
     spread_points,
 )
 from cspace.worlds.planar.problems import Family, draw_problem
-from cspace.worlds.planar.scene import Disc, Scenario, Split
+from cspace.worlds.planar.scene import Disc, Scenario
 
 SPACE = TWO_LINK.space
 

@@ -6,10 +6,11 @@ from scipy import ndimage
 
 from cspace.errors import ScenarioError
 from cspace.space import torus_distance
+from cspace.splits import Split
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK, PlanarArm
 from cspace.worlds.planar.collision import CollisionChecker
 from cspace.worlds.planar.problems import NARROW_RAD, Family, bottleneck_rad, connected, draw_problem
-from cspace.worlds.planar.scene import Disc, Scenario, Split
+from cspace.worlds.planar.scene import Disc, Scenario
 
 CELLS = 512
 STEP_RAD = 2 * np.pi / CELLS

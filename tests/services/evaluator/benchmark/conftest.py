@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from cspace.bundle import Bundle
-from cspace.worlds.planar.scene import Split
+from cspace.splits import Split
 from inference_api.settings import PRETRAINED_FOLDER
 from services.evaluator.benchmark.runs.run import Run
 from services.evaluator.benchmark.runs.setting import Protocol, Setting

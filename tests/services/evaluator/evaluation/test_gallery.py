@@ -3,16 +3,18 @@
 import numpy as np
 import pytest
 
+from cspace.splits import Split
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK
+from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.problems import Family
-from cspace.worlds.planar.scene import Camera, Split
+from cspace.worlds.planar.world import PlanarWorld
 from services.evaluator.evaluation.gallery import MISSED_COLOUR, SHOWN_SAMPLES, gallery
 from services.evaluator.evaluation.recording import exhibits
 from services.evaluator.measures.reconstruction import SampleQuality, SceneQuality
 from services.evaluator.measures.samplers import UniformSampler
 from services.evaluator.measures.scenes import Scene, Stage
 
-STAGE = Stage(TWO_LINK, Camera(), Split.TEST, 0)
+STAGE = Stage(PlanarWorld(TWO_LINK, Camera()), Split.TEST, 0)
 
 
 def measured(family, *precisions):
@@ -33,7 +35,7 @@ def marked(axes, colour):
 
 @pytest.mark.parametrize("robot", [TWO_LINK, THREE_LINK])
 def test_the_gallery_has_three_panels_a_scenario(robot, tmp_path):
-    stage = Stage(robot, Camera(), Split.TEST, 0)
+    stage = Stage(PlanarWorld(robot, Camera()), Split.TEST, 0)
     figure = gallery([Scene(stage, 0), Scene(stage, 1)], UniformSampler(robot.space), "two scenarios")
     figure.savefig(tmp_path / "gallery.png")
     assert len(figure.axes) == 6

@@ -7,9 +7,11 @@ import pytest
 
 from cspace.bundle import Bundle
 from cspace.errors import EvaluationError
+from cspace.splits import Split
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK
+from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.problems import Family
-from cspace.worlds.planar.scene import Camera, Split
+from cspace.worlds.planar.world import PlanarWorld
 from services.evaluator.evaluation.budget import QUICK, Budget, Kind, Unit, units
 from services.evaluator.evaluation.execution import run_here
 from services.evaluator.evaluation.metrics import flat_metrics
@@ -36,7 +38,7 @@ FAMILIES = ["narrow", "disconnected"]
 
 
 def setting(robot=TWO_LINK, budget=TINY):
-    return Setting(robot, Camera(), 3, budget)
+    return Setting(PlanarWorld(robot, Camera()), 3, budget)
 
 
 def timeless(evaluation):
@@ -117,7 +119,7 @@ def test_a_narrow_problem_is_planned_and_its_scenario_sampled(results):
         == (Kind.PLANNING, Family.NARROW, Split.VALIDATION)
     )
     assert [type(row).__name__ for row in unit.rows] == ["PlanningTrial", "SceneQuality", "PlanningTrial"]
-    stage = Stage(TWO_LINK, Camera(), Split.VALIDATION, 3)
+    stage = Stage(PlanarWorld(TWO_LINK, Camera()), Split.VALIDATION, 3)
     alone = reconstruct(Scene(stage, 0, Family.NARROW), UniformSampler(TWO_LINK.space), TINY.samples)
     assert unit.rows[1] == alone
 

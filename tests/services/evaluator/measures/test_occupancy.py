@@ -7,10 +7,12 @@ import pytest
 
 from cspace.bundle import Bundle, write_bundle
 from cspace.errors import EvaluationError
+from cspace.splits import Split
 from cspace.worlds.planar.arm import TWO_LINK
+from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.collision import CollisionChecker
 from cspace.worlds.planar.problems import Family
-from cspace.worlds.planar.scene import Camera, Split
+from cspace.worlds.planar.world import PlanarWorld
 from services.evaluator.evaluation.budget import JUDGED, Budget, Kind, Unit
 from services.evaluator.evaluation.metrics import flat_metrics
 from services.evaluator.evaluation.tables import occupancy_table
@@ -23,7 +25,7 @@ from services.evaluator.measures.scenes import Scene, Stage, reconstruct
 from tests.bundles import tiny_graphs, tiny_spec, write_tiny_bundle
 
 DISCONNECTED = Family.DISCONNECTED
-STAGE = Stage(TWO_LINK, Camera(), Split.VALIDATION, 5)
+STAGE = Stage(PlanarWorld(TWO_LINK, Camera()), Split.VALIDATION, 5)
 
 
 def certain(free, confidence=1.0):
@@ -142,7 +144,7 @@ def test_a_head_is_judged_by_family(tmp_path):
         Unit(Kind.RECONSTRUCTION, split, 0, 1, family) for split in JUDGED for family in (None, DISCONNECTED)
     ]
     budget = Budget(1, 50, 0, 0, 1, 0, 1, disconnected_scenarios=1)
-    setting = Setting(TWO_LINK, Camera(), 5, budget)
+    setting = Setting(PlanarWorld(TWO_LINK, Camera()), 5, budget)
     evaluation = assemble([run_unit(unit, setting, sampler) for unit in work], setting)
     (row,) = [row for row in evaluation.test.scenes if row.family is DISCONNECTED]
     metrics = flat_metrics(evaluation)

@@ -4,9 +4,12 @@ import numpy as np
 import pytest
 
 from cspace.errors import EvaluationError
+from cspace.splits import Split
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK
+from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.problems import Family, draw_problem
-from cspace.worlds.planar.scene import Camera, Disc, Scenario, Split, random_scenarios
+from cspace.worlds.planar.scene import Disc, Scenario, random_scenarios
+from cspace.worlds.planar.world import PlanarWorld
 from services.evaluator.measures.samplers import UniformSampler
 from services.evaluator.measures.scenes import (
     CONFIDENT_STREAM,
@@ -17,7 +20,7 @@ from services.evaluator.measures.scenes import (
     reconstruct,
 )
 
-STAGE = Stage(TWO_LINK, Camera(), Split.VALIDATION, 5)
+STAGE = Stage(PlanarWorld(TWO_LINK, Camera()), Split.VALIDATION, 5)
 
 
 def blocked(scene, discs):
@@ -33,7 +36,7 @@ def test_scenes_are_the_split_s_scenarios():
 @pytest.mark.parametrize("family", [Family.NARROW, Family.DISCONNECTED])
 def test_scenes_of_a_family_are_those_of_its_problems_seen_by_the_evaluation_s_camera(family):
     camera = Camera(pixels=32)
-    scene = Scene(replace(STAGE, camera=camera), 1, family)
+    scene = Scene(replace(STAGE, world=PlanarWorld(TWO_LINK, camera)), 1, family)
     expected = draw_problem(family, Split.VALIDATION, 5, 1)
     assert scene.scenario == replace(expected.scenario, camera=camera)
     assert np.array_equal(scene.problem.start, expected.start)
@@ -55,7 +58,7 @@ def test_the_quality_names_its_family():
 
 
 def test_the_picture_has_the_camera_s_size():
-    scene = Scene(Stage(TWO_LINK, Camera(pixels=32), Split.TEST, 0), 0)
+    scene = Scene(Stage(PlanarWorld(TWO_LINK, Camera(pixels=32)), Split.TEST, 0), 0)
     assert scene.image.shape == (32, 32, 3)
 
 
@@ -88,7 +91,7 @@ def test_a_scene_without_free_space_is_an_error():
 
 @pytest.mark.parametrize("robot", [TWO_LINK, THREE_LINK])
 def test_uniform_samples_score_as_uniform_and_real_ones_as_real(robot):
-    scene = Scene(Stage(robot, Camera(), Split.VALIDATION, 5), 0)
+    scene = Scene(Stage(PlanarWorld(robot, Camera()), Split.VALIDATION, 5), 0)
     quality = reconstruct(scene, UniformSampler(robot.space), samples=400)
     assert quality.real.precision == 1.0
     assert quality.sampler.precision == pytest.approx(quality.uniform.precision, abs=0.1)

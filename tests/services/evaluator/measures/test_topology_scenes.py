@@ -2,8 +2,10 @@ import numpy as np
 import pytest
 
 from cspace.errors import EvaluationError
+from cspace.splits import Split
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK
-from cspace.worlds.planar.scene import Camera, Split
+from cspace.worlds.planar.camera import Camera
+from cspace.worlds.planar.world import PlanarWorld
 from services.evaluator.measures.samplers import UniformSampler
 from services.evaluator.measures.scenes import Scene, Stage
 from services.evaluator.measures.topology_scenes import (
@@ -15,7 +17,7 @@ from services.evaluator.measures.topology_scenes import (
 
 
 def scene(robot=TWO_LINK):
-    return Scene(Stage(robot, Camera(), Split.TRAIN, 0), 3)
+    return Scene(Stage(PlanarWorld(robot, Camera()), Split.TRAIN, 0), 3)
 
 
 class TruthSampler:

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy.stats import mannwhitneyu
 
+from cspace.splits import Split
 from cspace.worlds.planar.arm import PlanarArm
 from cspace.worlds.planar.collision import CollisionChecker
 from cspace.worlds.planar.problems import Family, draw_problem
-from cspace.worlds.planar.scene import Split
 from services.planner.search.ompl_planner import PlannerSettings, Reason, solve
 from services.planner.search.sampled_connect import _BLOCK, _Trees, drawn_states
 from services.planner.settings import RRT_CONNECT, SAMPLED_CONNECT

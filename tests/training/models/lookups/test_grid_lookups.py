@@ -9,7 +9,8 @@ import pytest
 import torch
 
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK
-from cspace.worlds.planar.scene import Camera
+from cspace.worlds.planar.camera import Camera
+from cspace.worlds.planar.world import PlanarWorld
 from tests.training.paths.test_ways import walled_head
 from training.config.clusters import ValidityConfig
 from training.models.export import validity_graph
@@ -24,7 +25,9 @@ PIXELS = 48
 def head_of(robot, side_m=0.1) -> bytes:
     torch.manual_seed(0)  # noqa: TID251 - weights that are the same in every run
     config = ValidityConfig(hidden=12, layers=2, points_per_link=5, side_m=side_m)
-    return validity_graph(ValidityHead(config, robot, Camera(pixels=PIXELS)).eval(), PIXELS, robot.dim)
+    return validity_graph(
+        ValidityHead(config, PlanarWorld(robot, Camera(pixels=PIXELS))).eval(), PIXELS, robot.dim
+    )
 
 
 def grid_of(dim, cells):

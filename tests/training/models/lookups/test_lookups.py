@@ -5,7 +5,8 @@ import pytest
 import torch
 
 from cspace.worlds.planar.arm import TWO_LINK, PlanarArm
-from cspace.worlds.planar.scene import Camera
+from cspace.worlds.planar.camera import Camera
+from cspace.worlds.planar.world import PlanarWorld
 from training.models.lookups.lookups import ArmLookups, PictureReader
 
 THREE_LINK = PlanarArm((1.6, 1.4, 1.0), 0.1)
@@ -22,7 +23,7 @@ def positions(lookups, camera, configurations):
 @pytest.mark.parametrize("robot", [TWO_LINK, THREE_LINK], ids=["two links", "three links"])
 def test_the_middle_row_runs_along_each_link_from_joint_to_joint(robot):
     configurations = np.random.default_rng(0).uniform(-np.pi, np.pi, (5, robot.dim))
-    lookups = ArmLookups(robot, Camera(), points_per_link=4, side_m=0.1)
+    lookups = ArmLookups(PlanarWorld(robot, Camera()), points_per_link=4, side_m=0.1)
     found = positions(lookups, Camera(), torch.tensor(configurations, dtype=torch.float32))
     rows = found.view(5, robot.dim, 3, 4, 2).numpy()
     joints = robot.joint_positions_m(configurations)
@@ -31,7 +32,7 @@ def test_the_middle_row_runs_along_each_link_from_joint_to_joint(robot):
 
 
 def test_the_outer_rows_lie_beside_the_link_at_their_distance():
-    lookups = ArmLookups(TWO_LINK, Camera(), points_per_link=4, side_m=0.3)
+    lookups = ArmLookups(PlanarWorld(TWO_LINK, Camera()), points_per_link=4, side_m=0.3)
     rows = positions(lookups, Camera(), torch.tensor([[0.7, -1.9]])).view(2, 3, 4, 2)
     for link in rows:
         along = link[1, -1] - link[1, 0]
@@ -50,7 +51,7 @@ def test_a_picture_that_shows_coordinates_is_read_as_the_points_coordinates(came
     x = camera.x_min_m + centre * (camera.x_max_m - camera.x_min_m)
     y = camera.y_max_m - centre * (camera.y_max_m - camera.y_min_m)
     picture = torch.tensor(np.stack(np.meshgrid(x, y)), dtype=torch.float32)[None]
-    lookups = ArmLookups(PlanarArm((1.2, 1.0), 0.1), camera, points_per_link=5, side_m=0.1)
+    lookups = ArmLookups(PlanarWorld(PlanarArm((1.2, 1.0), 0.1), camera), points_per_link=5, side_m=0.1)
     configurations = torch.rand(1, 7, 2, generator=torch.Generator().manual_seed(0)) * 6.0 - 3.0
     read = lookups(picture, configurations).view(1, 7, lookups.points, 2)
     torch.testing.assert_close(read, positions(lookups, camera, configurations), atol=1e-4, rtol=0.0)
@@ -58,7 +59,10 @@ def test_a_picture_that_shows_coordinates_is_read_as_the_points_coordinates(came
 
 def test_one_picture_alone_is_read_as_among_others():
     rng = torch.Generator().manual_seed(1)
-    pictures, lookups = torch.rand(3, 3, 48, 48, generator=rng), ArmLookups(THREE_LINK, Camera(), 6, 0.2)
+    pictures, lookups = (
+        torch.rand(3, 3, 48, 48, generator=rng),
+        ArmLookups(PlanarWorld(THREE_LINK, Camera()), 6, 0.2),
+    )
     configurations = torch.rand(3, 50, 3, generator=rng) * 6.0 - 3.0
     together = lookups(pictures, configurations)
     for picture, rows, expected in zip(pictures, configurations, together, strict=True):
@@ -70,14 +74,18 @@ def test_beyond_the_frame_the_edge_is_read():
     picture = torch.zeros(1, 1, 48, 48)
     picture[..., -1] = 1.0
     camera = Camera(x_min_m=-1.0, x_max_m=1.0, y_min_m=-1.0, y_max_m=1.0)
-    read = ArmLookups(TWO_LINK, camera, points_per_link=2, side_m=0.0)(picture, torch.zeros(1, 1, 2))
+    read = ArmLookups(PlanarWorld(TWO_LINK, camera), points_per_link=2, side_m=0.0)(
+        picture, torch.zeros(1, 1, 2)
+    )
     # Both links point along x, from the base in the middle of the picture: at 0, 2, 2 and 4 m.
     assert read.view(2, 2).tolist() == [[0.0, 1.0], [1.0, 1.0]]
 
 
 def reader(points_per_link=4, side_m=0.1):
     images = torch.randint(256, (3, 48, 48, 3), dtype=torch.uint8, generator=torch.Generator().manual_seed(2))
-    return PictureReader(ArmLookups(THREE_LINK, Camera(), points_per_link, side_m), images), images
+    return PictureReader(
+        ArmLookups(PlanarWorld(THREE_LINK, Camera()), points_per_link, side_m), images
+    ), images
 
 
 def test_the_reader_sees_in_each_ones_picture_what_the_lookups_see():

@@ -7,7 +7,8 @@ import torch
 from cspace.dataset import write_dataset
 from cspace.errors import DatasetError
 from cspace.worlds.planar.arm import TWO_LINK
-from cspace.worlds.planar.scene import Camera
+from cspace.worlds.planar.camera import Camera
+from cspace.worlds.planar.world import PlanarWorld
 from tests.training.models.path_builders import POINTS, generator, samples
 from training.models.paths.condition import Condition, condition_size, on_torus, place_features, swept
 from training.models.paths.samples import equal_paths
@@ -34,8 +35,7 @@ def dataset_with(tmp_path, paths):
     free = [np.zeros((1, 2)), np.zeros((1, 2))]
     return write_dataset(
         tmp_path / "data",
-        robot=TWO_LINK,
-        camera=Camera(),
+        world=PlanarWorld(TWO_LINK, Camera()),
         images=images,
         free=free,
         paths=paths,

@@ -9,9 +9,9 @@ from PIL import Image
 
 from cspace.bundle import Bundle
 from cspace.errors import ConfigError, SamplerError
+from cspace.splits import Split
 from cspace.worlds.planar.picture import decode_png, encode_png
 from cspace.worlds.planar.problems import Family, draw_problem
-from cspace.worlds.planar.scene import Split
 from services.evaluator.benchmark.runs.arms import pick, table
 from services.evaluator.benchmark.runs.check_cost import state_check_s
 from services.evaluator.benchmark.runs.fresh_png import fresh_png

@@ -1,0 +1,37 @@
+"""Planning problems: start and goal in a scene."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cspace.space import JointSpace
+from cspace.world import Scene
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """A planning problem.
+
+    Args:
+        scenario: the robot among its obstacles.
+        start: (d,) rad.
+        goal: (d,) rad.
+        family: what it is like.
+        bottleneck_rad: largest clearance at which start and goal stay connected; 0 without a path.
+        seed: that it was drawn from.
+        rejected: draws before it that were not of the family.
+    """
+
+    scenario: Scene
+    start: NDArray[np.float64]
+    goal: NDArray[np.float64]
+    family: str
+    bottleneck_rad: float
+    seed: int
+    rejected: int
+
+    @property
+    def space(self) -> JointSpace:
+        """The robot's joint space."""
+        return self.scenario.world.space

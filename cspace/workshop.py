@@ -1,0 +1,127 @@
+"""What makes the scenes of a world, shows and checks them; the half with compiled kernels.
+
+A workshop is imported when it is first asked for (:func:`cspace.worlds.workshop_of`), and never by a server.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cspace.problem import Problem
+from cspace.space import JointSpace
+from cspace.splits import Split
+from cspace.world import Image, Scene, World
+
+StateTest = Callable[[NDArray[np.float64]], bool]
+EdgeTest = Callable[[NDArray[np.float64], NDArray[np.float64]], tuple[bool, int]]
+
+
+class Checker(Protocol):
+    """Collision checks of one scene. All ways are straight, and round the shorter side of a circle."""
+
+    @property
+    def space(self) -> JointSpace:
+        """The robot's joint space."""
+
+    def valid(self, configuration: ArrayLike) -> bool:
+        """Whether one configuration (d,) rad is free."""
+
+    def valid_batch(self, configurations: ArrayLike) -> NDArray[np.bool_]:
+        """Which of (N, d) rad are free, (N,)."""
+
+    def clearance(self, configurations: ArrayLike) -> NDArray[np.float64]:
+        """Distance to the obstacles for each of (N, d) rad, (N,) m; negative in collision."""
+
+    def edge_batch(self, starts: ArrayLike, ends: ArrayLike, resolution_rad: float) -> NDArray[np.bool_]:
+        """Which of the ways between (N, d) and (N, d) are free, both ends included, (N,)."""
+
+    def state_test(self) -> StateTest:
+        """For callbacks: whether a configuration (d,) float64 is free."""
+
+    def edge_test(self, resolution_rad: float) -> EdgeTest:
+        """For callbacks: whether a way is free, and how many states were looked at."""
+
+    def grow_trees(
+        self,
+        nodes: NDArray[np.float64],
+        parents: NDArray[np.int64],
+        counts: NDArray[np.int64],
+        checks: NDArray[np.int64],
+        states: NDArray[np.float64],
+        side: int,
+        range_rad: float,
+        resolution_rad: float,
+    ) -> tuple[int, int, int, int]:
+        """Grow RRT-Connect's trees by a block of states (n, d), compiled.
+
+        Args:
+            nodes: (2, m, d) rad, the start's tree and the goal's; grown in place, and so the rest.
+            parents: (2, m), -1 for the roots.
+            counts: (2,) nodes in use.
+            checks: (2,) counts on: edges, and states within them and alone.
+            states: drawn, in order.
+            side: whose turn it is.
+            range_rad: longest step, the sum over the joints.
+            resolution_rad: largest distance between checked states in any joint.
+
+        Returns:
+            Iterations done, whose turn it is, and the node that both trees share, -1 twice without one.
+        """
+
+
+@dataclass(frozen=True, slots=True)
+class Families:
+    """The families of planning problems that a world has.
+
+    Args:
+        names: all, the one that is like training first.
+        solvable: those whose problems have a solution.
+        default: the one that tells most.
+    """
+
+    names: tuple[str, ...]
+    solvable: tuple[str, ...]
+    default: str
+
+
+class Workshop(Protocol):
+    """Makes scenes of a world, shows and checks them."""
+
+    @property
+    def world(self) -> World:
+        """Whose."""
+
+    @property
+    def families(self) -> Families:
+        """Of its planning problems."""
+
+    def scene(self, rng: np.random.Generator) -> Scene:
+        """A scene of the kind that training sees."""
+
+    def scenes(self, split: Split, seed: int, count: int) -> Sequence[Scene]:
+        """The first ``count`` of a split under a seed; a longer list starts with the shorter one."""
+
+    def arrays_of(self, scene: Scene) -> dict[str, NDArray[Any]]:
+        """A scene's geometry as rows of a data set's arrays, by their names."""
+
+    def render(self, scene: Scene) -> Image:
+        """Its picture."""
+
+    def checker(self, scene: Scene) -> Checker:
+        """Its collision checks."""
+
+    def problem(self, family: str, split: Split, seed: int, index: int = 0) -> Problem:
+        """A planning problem.
+
+        Raises:
+            ScenarioError: there is no such family, or none of its problems was found.
+        """
+
+    def draw_scene(self, axes: Any, scene: Scene, colour: str) -> None:
+        """Obstacles and frame, on axes of matplotlib."""
+
+    def draw_robot(self, axes: Any, configuration: ArrayLike, colour: str, order: int) -> None:
+        """The robot at a configuration (d,) rad."""

@@ -1,0 +1,123 @@
+"""What a world is: a robot, how it is seen, and the scenes that it stands in.
+
+A :class:`World` is a value: it stands in ``bundle.json`` and in a data set's manifest, needs numpy alone,
+and is all that a server knows. What makes and checks scenes is a :class:`cspace.workshop.Workshop`. Kinds of
+worlds are registered in :mod:`cspace.worlds`.
+"""
+
+from collections.abc import Mapping
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cspace.space import JointSpace
+
+Image = NDArray[np.uint8]
+Arrays = Mapping[str, NDArray[Any]]
+
+
+class Sensor(Protocol):
+    """How a scene is seen: every rule about a picture's bytes and numbers."""
+
+    @property
+    def pixels(self) -> int:
+        """P, side of the pictures that models take."""
+
+    @property
+    def picture_shape(self) -> tuple[int, ...]:
+        """Shape of one decoded picture, uint8."""
+
+    @property
+    def convention(self) -> dict[str, Any]:
+        """What a bundle says of the pictures that its encoder takes."""
+
+    @property
+    def extent_m(self) -> tuple[float, float, float, float] | None:
+        """Left, right, bottom and top of the plane that a picture shows; None where it shows none."""
+
+    def decode(self, data: bytes) -> Image:
+        """An untrusted file as a picture.
+
+        Raises:
+            ImageError: it is none that is accepted.
+        """
+
+    def encode(self, image: Image) -> bytes:
+        """A picture as a file."""
+
+    def to_network(self, images: Image) -> NDArray[np.float32]:
+        """Pictures (..., H, W, C) as a network takes them, (..., C, H, W)."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values for JSON."""
+
+
+class Body(Protocol):
+    """The robot's geometry."""
+
+    @property
+    def dim(self) -> int:
+        """d, number of joints."""
+
+    @property
+    def space(self) -> JointSpace:
+        """Its joint space."""
+
+    def joint_positions_m(self, configurations: ArrayLike) -> NDArray[np.float64]:
+        """Forward kinematics: (N, d) rad to the joints' places, the base first, the tip last, m."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values for JSON."""
+
+
+class World(Protocol):
+    """A robot and how it is seen."""
+
+    def __hash__(self) -> int:
+        """Equal worlds are one."""
+
+    @property
+    def kind(self) -> str:
+        """Its name among the kinds."""
+
+    @property
+    def body(self) -> Body:
+        """The robot."""
+
+    @property
+    def sensor(self) -> Sensor:
+        """How scenes are seen."""
+
+    @property
+    def space(self) -> JointSpace:
+        """The robot's joint space."""
+
+    @property
+    def dim(self) -> int:
+        """d, number of joints."""
+
+    @property
+    def scene_files(self) -> tuple[str, ...]:
+        """Names of a data set's arrays that hold scenes, where their geometry is known."""
+
+    def check_scenes(self, arrays: Arrays, count: int) -> None:
+        """Check those of the arrays that hold scenes.
+
+        Raises:
+            DatasetError: they do not fit ``count`` scenarios.
+        """
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values for JSON, the kind among them."""
+
+
+class Scene(Protocol):
+    """A robot among obstacles, seen by a sensor."""
+
+    @property
+    def world(self) -> World:
+        """Robot and sensor."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values for JSON."""

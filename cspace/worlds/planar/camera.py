@@ -1,0 +1,71 @@
+"""The camera above the plane: what its pictures show, and how they are read and written."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cspace.errors import ScenarioError
+from cspace.worlds.planar.picture import decode_png, encode_png, to_network
+
+_SIDES = ("x_min_m", "x_max_m", "y_min_m", "y_max_m")
+
+
+@dataclass(frozen=True, slots=True)
+class Camera:
+    """The part of the plane that the picture shows, y up, and its size in pixels (square)."""
+
+    x_min_m: float = -5.0
+    x_max_m: float = 5.0
+    y_min_m: float = -5.0
+    y_max_m: float = 5.0
+    pixels: int = 48
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values for JSON."""
+        return {name: getattr(self, name) for name in (*_SIDES, "pixels")}
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> "Camera":
+        """The inverse of :meth:`to_dict`.
+
+        Raises:
+            ScenarioError: a key is missing, unknown or of the wrong type.
+        """
+        right = set(values) == {*_SIDES, "pixels"} and isinstance(values["pixels"], int)
+        numbers = all(isinstance(value, int | float) and value is not True for value in values.values())
+        if not (right and numbers):
+            raise ScenarioError(
+                "the camera is unknown", expected="x and y ranges in m, pixels", got=repr(values)[:200]
+            )
+        x_min_m, x_max_m, y_min_m, y_max_m = (float(values[key]) for key in _SIDES)
+        return cls(x_min_m, x_max_m, y_min_m, y_max_m, values["pixels"])
+
+    @property
+    def picture_shape(self) -> tuple[int, ...]:
+        """(P, P, 3): RGB."""
+        return (self.pixels, self.pixels, 3)
+
+    @property
+    def convention(self) -> dict[str, Any]:
+        """What a bundle says of its pictures."""
+        return {"pixels": self.pixels, "channels": "RGB", "range": [-1, 1]}
+
+    @property
+    def extent_m(self) -> tuple[float, float, float, float]:
+        """Left, right, bottom and top of the picture."""
+        return (self.x_min_m, self.x_max_m, self.y_min_m, self.y_max_m)
+
+    def decode(self, data: bytes) -> NDArray[np.uint8]:
+        """See :func:`cspace.worlds.planar.picture.decode_png`."""
+        return decode_png(data, self.pixels)
+
+    def encode(self, image: NDArray[np.uint8]) -> bytes:
+        """See :func:`cspace.worlds.planar.picture.encode_png`."""
+        return encode_png(image)
+
+    def to_network(self, images: NDArray[np.uint8]) -> NDArray[np.float32]:
+        """See :func:`cspace.worlds.planar.picture.to_network`."""
+        return to_network(images)

@@ -1,0 +1,87 @@
+"""The planar world's workshop: scenarios of discs, their pictures, checks and problems."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cspace.errors import ScenarioError
+from cspace.problem import Problem
+from cspace.splits import Split
+from cspace.workshop import Checker, Families
+from cspace.world import Image, Scene, World
+from cspace.worlds.planar.collision import CollisionChecker
+from cspace.worlds.planar.drawing import draw_arm, draw_discs
+from cspace.worlds.planar.problems import Family, draw_problem
+from cspace.worlds.planar.render import render
+from cspace.worlds.planar.scene import Scenario, random_scenario, random_scenarios
+from cspace.worlds.planar.world import PlanarWorld
+
+FAMILIES = Families(names=tuple(Family), solvable=(Family.UNIFORM, Family.NARROW), default=Family.NARROW)
+
+
+@dataclass(frozen=True, slots=True)
+class PlanarWorkshop:
+    """See :class:`cspace.workshop.Workshop`."""
+
+    world: PlanarWorld
+
+    @property
+    def families(self) -> Families:
+        """Uniform, narrow, disconnected."""
+        return FAMILIES
+
+    def scene(self, rng: np.random.Generator) -> Scenario:
+        """Three discs about the arm."""
+        return self._seen(random_scenario(rng, self.world.body))
+
+    def scenes(self, split: Split, seed: int, count: int) -> Sequence[Scenario]:
+        """See :func:`cspace.worlds.planar.scene.random_scenarios`."""
+        return [self._seen(one) for one in random_scenarios(split, seed, count, self.world.body)]
+
+    def arrays_of(self, scene: Scene) -> dict[str, NDArray[Any]]:
+        """(D, 3) discs: x, y, radius in m."""
+        return {"discs": _planar(scene).disc_array}
+
+    def render(self, scene: Scene) -> Image:
+        """See :func:`cspace.worlds.planar.render.render`."""
+        return render(_planar(scene))
+
+    def checker(self, scene: Scene) -> Checker:
+        """See :class:`cspace.worlds.planar.collision.CollisionChecker`."""
+        return CollisionChecker(_planar(scene))
+
+    def problem(self, family: str, split: Split, seed: int, index: int = 0) -> Problem:
+        """See :func:`cspace.worlds.planar.problems.draw_problem`."""
+        if family not in FAMILIES.names:
+            raise ScenarioError(
+                "there is no such family", expected=f"one of {', '.join(FAMILIES.names)}", got=repr(family)
+            )
+        found = draw_problem(Family(family), split, seed, index, self.world.body)
+        return replace(found, scenario=self._seen(_planar(found.scenario)))
+
+    def draw_scene(self, axes: Any, scene: Scene, colour: str) -> None:
+        """Discs in the camera's frame."""
+        draw_discs(axes, _planar(scene), colour)
+
+    def draw_robot(self, axes: Any, configuration: ArrayLike, colour: str, order: int) -> None:
+        """Links as capsules."""
+        draw_arm(axes, self.world.body, configuration, colour, order)
+
+    def _seen(self, scenario: Scenario) -> Scenario:
+        return replace(scenario, camera=self.world.sensor)
+
+
+def open_workshop(world: World) -> PlanarWorkshop:
+    """The workshop of a planar world."""
+    return PlanarWorkshop(cast("PlanarWorld", world))
+
+
+def _planar(scene: Scene) -> Scenario:
+    if not isinstance(scene, Scenario):
+        raise ScenarioError(
+            "the scene is of another world", expected="a planar one", got=type(scene).__name__
+        )
+    return scene

@@ -1,0 +1,82 @@
+"""The planar world as a value: an arm, and the camera above it."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from cspace.errors import DatasetError, ScenarioError
+from cspace.space import JointSpace
+from cspace.world import Arrays
+from cspace.worlds.planar.arm import TWO_LINK, PlanarArm
+from cspace.worlds.planar.camera import Camera
+
+KIND = "planar"
+
+
+@dataclass(frozen=True, slots=True)
+class PlanarWorld:
+    """See :class:`cspace.world.World`."""
+
+    body: PlanarArm = TWO_LINK
+    sensor: Camera = field(default_factory=Camera)
+
+    @property
+    def kind(self) -> str:
+        """``planar``."""
+        return KIND
+
+    @property
+    def space(self) -> JointSpace:
+        """The arm's joint space."""
+        return self.body.space
+
+    @property
+    def dim(self) -> int:
+        """Number of joints."""
+        return self.body.dim
+
+    @property
+    def scene_files(self) -> tuple[str, ...]:
+        """(S, D, 3) x, y, radius in m."""
+        return ("discs",)
+
+    def check_scenes(self, arrays: Arrays, count: int) -> None:
+        """See :meth:`cspace.world.World.check_scenes`."""
+        discs = arrays.get("discs")
+        if discs is None:
+            return
+        if discs.dtype != np.float64 or discs.ndim != 3 or (len(discs), discs.shape[2]) != (count, 3):
+            raise DatasetError(
+                "discs.npy does not fit",
+                expected=f"float64 of shape ({count}, any, 3)",
+                got=f"{discs.dtype} of shape {discs.shape}",
+            )
+        right = np.isfinite(discs).all(axis=-1) & (discs[..., 2] > 0.0)
+        if not right.all():
+            raise DatasetError(
+                "discs.npy holds values that are no discs",
+                expected="finite x, y and a radius above 0, m",
+                got=str(discs[~right][0]),
+            )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values for JSON."""
+        return {"kind": KIND, "robot": self.body.to_dict(), "camera": self.sensor.to_dict()}
+
+
+DEFAULT = PlanarWorld()
+
+
+def read(values: Mapping[str, Any]) -> PlanarWorld:
+    """The inverse of :meth:`PlanarWorld.to_dict`.
+
+    Raises:
+        ScenarioError: a key is missing, unknown or of the wrong type.
+    """
+    if set(values) != {"robot", "camera"} or not all(isinstance(part, Mapping) for part in values.values()):
+        raise ScenarioError(
+            "the world is incomplete", expected="robot and camera", got=str(dict(values))[:200]
+        )
+    return PlanarWorld(PlanarArm.from_dict(values["robot"]), Camera.from_dict(values["camera"]))
