@@ -16,7 +16,7 @@ FIRST = "planar"
 
 
 class _Reader(Protocol):
-    DEFAULT: World
+    EXAMPLES: Mapping[str, World]
 
     def read(self, values: Mapping[str, Any]) -> World: ...
 
@@ -40,10 +40,17 @@ def read_world(values: Mapping[str, Any]) -> World:
     return module.read({key: value for key, value in values.items() if key != "kind"})
 
 
+def examples() -> dict[str, World]:
+    """Worlds that commands can name, of every kind; the first one where none is named."""
+    found: dict[str, World] = {}
+    for kind in KINDS:
+        found |= cast("_Reader", import_module(f"{__name__}.{kind}.world")).EXAMPLES
+    return found
+
+
 def default_world() -> World:
-    """The world of examples and commands that name none."""
-    module = cast("_Reader", import_module(f"{__name__}.{FIRST}.world"))
-    return module.DEFAULT
+    """The first of the examples."""
+    return next(iter(examples().values()))
 
 
 @lru_cache(maxsize=16)

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 from cspace.errors import CspaceError
 from cspace.splits import Split
-from cspace.worlds.planar.problems import draw_problem
+from cspace.worlds import workshop_of
 from services.planner.command_line import Command, parse_command
 from services.planner.drawing.plot import draw_plan, save_figure
 from services.planner.planning import Comparison, compare_with_api
@@ -31,7 +31,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _compare(command: Command) -> Comparison:
-    problem = draw_problem(command.family, Split.DEMO, command.seed, command.index, command.robot)
+    workshop = workshop_of(command.world)
+    problem = workshop.problem(command.family, Split.DEMO, command.seed, command.index)
     with SamplingClient(command.url, command.timeout_s) as client:
         return compare_with_api(problem, client, command.settings, command.request, command.uniform_share)
 

@@ -5,15 +5,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK, PlanarArm
-from cspace.worlds.planar.problems import Family
+from cspace.world import World
+from cspace.worlds import examples, workshop_of
 from services.planner.drawing.plot import check_figure_path
 from services.planner.planning import DEFAULT_SAMPLES, PAPER_SCHEDULE, SampleRequest
 from services.planner.search.ompl_planner import DEFAULT_UNIFORM_SHARE
 from services.planner.settings import LEARNED_PLANNERS, RRT, PlannerSettings, check_uniform_share
 from services.planner.sources.sampling_client import DEFAULT_TIMEOUT_S
 
-ROBOTS = {"two-link": TWO_LINK, "three-link": THREE_LINK}
+WORLDS = examples()
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,7 +26,7 @@ class Command:
         family: of the problem.
         seed: of the problem.
         index: of the problem among those of its seed.
-        robot: the arm.
+        world: robot and sensor.
         settings: of the planner.
         request: to the sampling endpoint.
         uniform_share: of uniform samples among the learned ones.
@@ -36,10 +36,10 @@ class Command:
 
     url: str
     timeout_s: float
-    family: Family
+    family: str
     seed: int
     index: int
-    robot: PlanarArm
+    world: World
     settings: PlannerSettings
     request: SampleRequest
     uniform_share: float
@@ -76,10 +76,10 @@ def parse_command(arguments: Sequence[str] | None = None) -> Command:
     return Command(
         url=options.api,
         timeout_s=options.timeout,
-        family=Family(options.family),
+        family=options.family,
         seed=options.seed,
         index=options.index,
-        robot=ROBOTS[options.robot],
+        world=WORLDS[options.robot],
         settings=settings,
         request=request,
         uniform_share=options.uniform_share,
@@ -99,13 +99,12 @@ def make_parser() -> argparse.ArgumentParser:
         "An API that does not answer is reported, and the problem is solved with uniform samples.",
     )
     problem = parser.add_argument_group("problem")
-    problem.add_argument(
-        "--family", choices=[str(family) for family in Family], default="narrow", help="default %(default)s"
-    )
+    families = dict.fromkeys(name for world in WORLDS.values() for name in workshop_of(world).families.names)
+    problem.add_argument("--family", choices=list(families), default="narrow", help="default %(default)s")
     problem.add_argument("--seed", type=_count, default=0, help="of the problem; default %(default)s")
     problem.add_argument("--index", type=_count, default=0, help="of the problem among those of its seed")
     problem.add_argument(
-        "--robot", choices=sorted(ROBOTS), default="two-link", help="the arm; default %(default)s"
+        "--robot", choices=sorted(WORLDS), default=next(iter(WORLDS)), help="the arm; default %(default)s"
     )
     samples = parser.add_argument_group("samples")
     samples.add_argument("--api", metavar="URL", default="http://127.0.0.1:8000", help="default %(default)s")

@@ -98,8 +98,13 @@ CHANGES: list[dict[str, Any]] = [
 ]
 
 
-def test_the_schema_before_is_read_without_what_it_did_not_have() -> None:
+def test_the_schemas_before_are_read_without_what_they_did_not_have() -> None:
     values = tiny_spec().to_dict()
+    world = values.pop("world")
+    values |= {"schema_version": 2, "robot": world["robot"], "camera": world["camera"]}
+    assert BundleSpec.from_dict(values) == tiny_spec()
+    with pytest.raises(BundleIntegrityError):
+        BundleSpec.from_dict({**values, "world": world})
     del values["uniform_share"], values["novelty_quantiles"]
     assert BundleSpec.from_dict({**values, "schema_version": 1}) == tiny_spec()
     with pytest.raises(BundleIntegrityError):

@@ -162,14 +162,19 @@ def _sides(
     return grid.components(high)[cells], grid.components(low, diagonal=low == 0.0)[cells]
 
 
+def resolves_narrow(robot: PlanarArm) -> bool:
+    """Whether a robot's grid is as fine as narrow passages."""
+    return 2.0 * np.pi / cells_per_joint(robot.dim) <= NARROW_RAD[1]
+
+
 def require_resolution(robot: PlanarArm) -> None:
     """Refuse narrow passages of a robot whose grid is too coarse for them.
 
     Raises:
         ScenarioError: it is.
     """
-    cell_rad = 2.0 * np.pi / cells_per_joint(robot.dim)
-    if cell_rad > NARROW_RAD[1]:
+    if not resolves_narrow(robot):
+        cell_rad = 2.0 * np.pi / cells_per_joint(robot.dim)
         raise ScenarioError(
             f"narrow passages of {robot.dim} joints are finer than the grid",
             expected=f"cells below {NARROW_RAD[1]} rad",

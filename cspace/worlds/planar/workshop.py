@@ -14,12 +14,10 @@ from cspace.workshop import Checker, Families
 from cspace.world import Image, Scene, World
 from cspace.worlds.planar.collision import CollisionChecker
 from cspace.worlds.planar.drawing import draw_arm, draw_discs
-from cspace.worlds.planar.problems import Family, draw_problem
+from cspace.worlds.planar.problems import Family, draw_problem, resolves_narrow
 from cspace.worlds.planar.render import render
 from cspace.worlds.planar.scene import Scenario, random_scenario, random_scenarios
 from cspace.worlds.planar.world import PlanarWorld
-
-FAMILIES = Families(names=tuple(Family), solvable=(Family.UNIFORM, Family.NARROW), default=Family.NARROW)
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,8 +28,10 @@ class PlanarWorkshop:
 
     @property
     def families(self) -> Families:
-        """Uniform, narrow, disconnected."""
-        return FAMILIES
+        """Uniform and disconnected; narrow where the grid is as fine as its passages."""
+        narrow = (Family.NARROW,) if resolves_narrow(self.world.body) else ()
+        solvable = (Family.UNIFORM, *narrow)
+        return Families((*solvable, Family.DISCONNECTED), solvable, solvable[-1])
 
     def scene(self, rng: np.random.Generator) -> Scenario:
         """Three discs about the arm."""
@@ -55,9 +55,9 @@ class PlanarWorkshop:
 
     def problem(self, family: str, split: Split, seed: int, index: int = 0) -> Problem:
         """See :func:`cspace.worlds.planar.problems.draw_problem`."""
-        if family not in FAMILIES.names:
+        if family not in tuple(Family):
             raise ScenarioError(
-                "there is no such family", expected=f"one of {', '.join(FAMILIES.names)}", got=repr(family)
+                "there is no such family", expected=f"one of {', '.join(Family)}", got=repr(family)
             )
         found = draw_problem(Family(family), split, seed, index, self.world.body)
         return replace(found, scenario=self._seen(_planar(found.scenario)))

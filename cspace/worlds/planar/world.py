@@ -9,7 +9,7 @@ import numpy as np
 from cspace.errors import DatasetError, ScenarioError
 from cspace.space import JointSpace
 from cspace.world import Arrays
-from cspace.worlds.planar.arm import TWO_LINK, PlanarArm
+from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK, PlanarArm
 from cspace.worlds.planar.camera import Camera
 
 KIND = "planar"
@@ -66,7 +66,8 @@ class PlanarWorld:
         return {"kind": KIND, "robot": self.body.to_dict(), "camera": self.sensor.to_dict()}
 
 
-DEFAULT = PlanarWorld()
+# By the names of their robots, the first where none is named.
+EXAMPLES = {"two-link": PlanarWorld(TWO_LINK), "three-link": PlanarWorld(THREE_LINK)}
 
 
 def read(values: Mapping[str, Any]) -> PlanarWorld:

@@ -148,12 +148,17 @@ def test_a_changed_manifest_is_found(folder):
 @pytest.mark.parametrize(
     "change",
     [
-        {"schema_version": 2},
+        {"schema_version": 1},
+        {"schema_version": 3},
         {"schema_version": None},
         {"extra_key": 1},
         {"robot": None},
-        {"robot": {"link_lengths_m": [2.0]}},
-        {"camera": []},
+        {"world": None},
+        {"world": {}},
+        {"world": {"kind": "planar"}},
+        {"world": {"kind": "flat", "robot": {}, "camera": {}}},
+        {"world": {"kind": "planar", "robot": {"link_lengths_m": [2.0]}, "camera": CAMERA.to_dict()}},
+        {"world": {"kind": "planar", "robot": TWO_LINK.to_dict(), "camera": []}},
         {"files": 5},
         {"files": ["images.npy"]},
         {"files": {"images.npy": 5}},
@@ -254,7 +259,7 @@ def test_an_array_that_is_left_out_is_named(folder, name):
         ({"paths": [(3, np.zeros((2, 2)))]}, "path_scenario"),
         ({"images": np.zeros((3, 15, 15, 3), np.uint8)}, "images"),
         ({"extra_images": np.zeros((1, 16, 16), np.uint8)}, "extra_images"),
-        ({"discs": np.ones((4, 3, 3))}, "discs"),
+        ({"scenes": {"discs": np.ones((4, 3, 3))}}, "discs"),
     ],
 )
 def test_a_data_set_that_does_not_fit_is_not_written(tmp_path, change, words):
