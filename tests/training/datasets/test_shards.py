@@ -80,7 +80,7 @@ def test_extra_pictures_show_other_scenarios():
 def test_free_configurations_are_uniform_over_the_free_space():
     scenario = random_scenarios(Split.DEMO, 1, 1)[0]
     rng = np.random.default_rng(0)
-    drawn = draw_configurations(scenario, 20_000, rng, free=True)
+    drawn = draw_configurations(CollisionChecker(scenario), 20_000, rng, free=True)
     assert len(drawn) == 20_000
     uniform = scenario.robot.space.sample_uniform(rng, 60_000)
     uniform = uniform[CollisionChecker(scenario).valid_batch(uniform)]
@@ -93,7 +93,7 @@ def test_free_configurations_are_uniform_over_the_free_space():
 def test_a_robot_that_hardly_ever_collides_is_an_error():
     scenario = Scenario(PlanarArm((0.1, 0.1), 0.05), random_scenarios(Split.DEMO, 1, 1)[0].discs)
     with pytest.raises(DatasetError, match="hardly any configuration is in collision"):
-        draw_configurations(scenario, 5, np.random.default_rng(0), free=False)
+        draw_configurations(CollisionChecker(scenario), 5, np.random.default_rng(0), free=False)
 
 
 def test_a_shard_survives_its_file(tmp_path):
