@@ -8,6 +8,9 @@ from numpy.typing import NDArray
 from cspace.space import JointSpace
 from cspace.world import Scene
 
+UNIFORM = "uniform"
+"""The family that every world has: ends anywhere in a scene like those of training."""
+
 
 @dataclass(frozen=True, eq=False)
 class Problem:

@@ -77,14 +77,19 @@ class Families:
     """The families of planning problems that a world has.
 
     Args:
-        names: all, the one that is like training first.
+        names: all, that of training first.
         solvable: those whose problems have a solution.
-        default: the one that tells most.
+        telling: the one of them that tells samplers apart.
     """
 
     names: tuple[str, ...]
     solvable: tuple[str, ...]
-    default: str
+    telling: str
+
+    @property
+    def unsolvable(self) -> tuple[str, ...]:
+        """Those whose problems have none."""
+        return tuple(name for name in self.names if name not in self.solvable)
 
 
 class Workshop(Protocol):

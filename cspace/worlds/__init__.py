@@ -1,7 +1,9 @@
 """The kinds of worlds, one folder each, and the one door to them."""
 
+import json
 from collections.abc import Mapping
 from functools import lru_cache
+from hashlib import sha256
 from importlib import import_module
 from typing import Any, Protocol, cast
 
@@ -58,6 +60,12 @@ def workshop_of(world: World) -> Workshop:
     """The workshop of a world; its kernels are loaded at the first call."""
     module = cast("_Opener", import_module(f"{__name__}.{world.kind}.workshop"))
     return module.open_workshop(world)
+
+
+def robot_digest(world: World) -> str:
+    """SHA-256 of the kind of a world and its robot, however it is seen."""
+    told = {"kind": world.kind, "robot": world.body.to_dict()}
+    return sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()
 
 
 def checker_of(scene: Scene) -> Checker:

@@ -28,6 +28,7 @@ class Decision:
         metrics: the gated metrics, from the validation scenarios.
         against: the champion of that time, None when there was none.
         created_ms: milliseconds since 1970-01-01 UTC.
+        robot: digest of the robot that it was judged with; None in entries that are older than digests.
     """
 
     name: str
@@ -37,6 +38,7 @@ class Decision:
     metrics: Mapping[str, float]
     against: int | None
     created_ms: int
+    robot: str | None = None
 
     def to_json(self) -> str:
         """The form in which the log keeps it."""

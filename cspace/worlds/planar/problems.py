@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cspace.errors import ScenarioError
-from cspace.problem import Problem
+from cspace.problem import UNIFORM, Problem
 from cspace.splits import Split, scenario_rng
 from cspace.worlds.planar.arm import TWO_LINK, PlanarArm
 from cspace.worlds.planar.collision import CollisionChecker
@@ -36,7 +36,7 @@ _PROPOSALS = 1000
 class Family(StrEnum):
     """What a problem is like."""
 
-    UNIFORM = "uniform"
+    UNIFORM = UNIFORM
     NARROW = "narrow"
     DISCONNECTED = "disconnected"
 

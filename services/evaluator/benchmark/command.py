@@ -7,7 +7,7 @@ from pathlib import Path
 
 from cspace.errors import ConfigError
 from cspace.splits import Split
-from cspace.worlds.planar.problems import Family
+from cspace.worlds import examples, workshop_of
 from services.evaluator.benchmark.job import Request
 from services.evaluator.benchmark.runs.arms import (
     LEARNED_SHARES,
@@ -19,13 +19,14 @@ from services.evaluator.benchmark.runs.arms import (
     pick,
     table,
 )
-from services.evaluator.benchmark.runs.setting import FAMILIES, LIMITS, PROBLEMS, RUNS, Protocol, Setting
+from services.evaluator.benchmark.runs.setting import LIMITS, RUNS, Protocol, Setting, problems_of
 from services.evaluator.benchmark.runs.sources import SourceSpec, bundled, parse_named, served
 from services.evaluator.evaluation.request import MAX_SEED
 from services.planner.settings import PLANNERS
 from services.planner.sources.samples import MAX_SAMPLES
 
 GROUPS = (Group.UNIFORM, Group.LEARNED, Group.OPTIMISING)
+WORLDS = examples()
 SPLITS = (Split.VALIDATION, Split.TEST)
 
 
@@ -49,7 +50,13 @@ def parser() -> argparse.ArgumentParser:
         "--bundle", action="append", default=[], metavar="NAME=FOLDER", help="in the planner's process"
     )
     what = parser.add_argument_group("what is run")
-    what.add_argument("--family", type=Family, choices=list(Family), action="append", help="default: all")
+    what.add_argument(
+        "--robot", choices=list(WORLDS), default=next(iter(WORLDS)), help="default: %(default)s"
+    )
+    families = list(
+        dict.fromkeys(name for one in WORLDS.values() for name in workshop_of(one).families.names)
+    )
+    what.add_argument("--family", choices=families, action="append", help="default: all")
     what.add_argument("--split", type=Split, choices=SPLITS, default=Split.VALIDATION)
     what.add_argument(
         "--problems",
@@ -127,8 +134,16 @@ def make_request(options: argparse.Namespace) -> Request:
     """
     arms = chosen_arms(options)
     protocol: Protocol = options.protocol
-    families = dict.fromkeys(options.family or FAMILIES[protocol])
-    problems = {family: options.problems or PROBLEMS[protocol][family] for family in families}
+    setting = _setting(options)
+    counts_by_family = problems_of(protocol, setting.families)
+    wanted = dict.fromkeys(options.family or counts_by_family)
+    if not set(wanted) <= set(setting.families.names):
+        raise ConfigError(
+            f"the arm {options.robot} has no such family of problems",
+            expected=", ".join(setting.families.names),
+            got=", ".join(wanted),
+        )
+    problems = {family: options.problems or counts_by_family.get(family, 10) for family in wanted}
     repeats = RUNS[protocol] if options.runs is None else options.runs
     counts = {"problems": options.problems, "runs": repeats, "processes": options.processes}
     if options.pages < 0:
@@ -138,7 +153,7 @@ def make_request(options: argparse.Namespace) -> Request:
             raise ConfigError(f"there are too few {name}", expected="at least 1", got=str(count))
     used = {arm.sampler for arm in arms}
     specs = [spec for spec in _specs(options) if spec.name in used]
-    return Request(options.out, _setting(options), problems, repeats, arms, tuple(specs), options.pages)
+    return Request(options.out, setting, problems, repeats, arms, tuple(specs), options.pages)
 
 
 def _setting(options: argparse.Namespace) -> Setting:
@@ -161,6 +176,7 @@ def _setting(options: argparse.Namespace) -> Setting:
         int(limits["max_iterations"]),
         int(limits["optimising_iterations"]),
         float(limits["time_limit_s"]),
+        world=WORLDS[options.robot],
     )
 
 

@@ -4,7 +4,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from cspace.worlds.planar.problems import Family
 from services.evaluator.benchmark.runs.arms import Arm
 from services.evaluator.benchmark.runs.progress import Progress
 from services.evaluator.benchmark.runs.run import Run
@@ -36,7 +35,7 @@ class Request:
 
     out: Path
     setting: Setting
-    problems: Mapping[Family, int]
+    problems: Mapping[str, int]
     repeats: int
     arms: tuple[Arm, ...]
     specs: tuple[SourceSpec, ...]
@@ -44,10 +43,9 @@ class Request:
 
     def covers(self, run: Run) -> bool:
         """Whether a run is among those asked for; the folder may hold others of the same setting."""
-        counts = {family.value: count for family, count in self.problems.items()}
         return (
             run.arm in {arm.name for arm in self.arms}
-            and run.problem < counts.get(run.family, 0)
+            and run.problem < self.problems.get(run.family, 0)
             and run.run < self.repeats
         )
 
@@ -68,7 +66,9 @@ def run_benchmark(
         CspaceError: a run failed; those before it are kept.
     """
     store = RunStore.open(request.out, request.setting, request.arms, request.specs)
-    work = list(units(request.problems, request.repeats, request.arms, store.done()))
+    work = list(
+        units(request.problems, request.repeats, request.arms, store.done(), request.setting.families)
+    )
     show(f"{len(request.arms)} arms; {len(work)} runs of problems to do")
     with Progress("planning", len(work), show) as progress:
         for found in execute(work, request.setting, request.specs) if work else ():

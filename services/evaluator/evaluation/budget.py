@@ -5,14 +5,10 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from cspace.splits import Split
-from cspace.worlds.planar.problems import Family
+from cspace.workshop import Families
 from services.evaluator.measures.topology.geometry_score import POINTS
 
 JUDGED = (Split.VALIDATION, Split.TEST)
-FAMILIES = (Family.NARROW, Family.UNIFORM)
-# The families of problems are drawn on a grid over so many joints.
-PLANE = 2
-SCENE_FAMILIES = (Family.UNIFORM, Family.NARROW, Family.DISCONNECTED)
 
 
 class Kind(StrEnum):
@@ -35,9 +31,9 @@ class Budget:
         planner_seeds: runs per problem.
         topology_scenarios: of the test split, for GS and GS-C, which decide nothing.
         draws: of landmarks per cloud and turn.
-        narrow_scenarios: per split, for reconstruction; those of the first planning problems of the family,
-            as drawing one takes long, so no more than there are.
-        disconnected_scenarios: per split, for reconstruction.
+        narrow_scenarios: per split, for reconstruction; those of the first planning problems of the family
+            that tells most, as drawing one takes long, so no more than there are.
+        disconnected_scenarios: per split, for reconstruction, of each family without a solution.
         topology_samples: points per cloud for GS and GS-C.
     """
 
@@ -74,29 +70,34 @@ class Unit:
     split: Split
     first: int
     count: int
-    family: Family | None = None
+    family: str | None = None
 
 
-def units(budget: Budget, joints: int = 2, *, paths: bool = False) -> list[Unit]:
+def units(budget: Budget, families: Families, *, paths: bool = False) -> list[Unit]:
     """All units of an evaluation, the long ones first, so that workers end together.
 
-    The problem families are drawn on a grid over two joints; other arms have no planning units and are judged
-    on the uniform scenarios alone. Path models are judged by planning alone.
+    Path models are judged by planning alone.
     """
     problems = {Split.VALIDATION: budget.validation_problems, Split.TEST: budget.test_problems}
     work: list[Unit] = []
-    for family in FAMILIES if joints == PLANE else ():
+    for family in planned(families):
         for split in JUDGED:
             work += [Unit(Kind.PLANNING, split, *part, family) for part in _parts(problems[split], 5)]
     if paths:
         return work
-    for split in JUDGED if joints == PLANE else ():
-        parts = _parts(budget.disconnected_scenarios, 5)
-        work += [Unit(Kind.RECONSTRUCTION, split, *part, Family.DISCONNECTED) for part in parts]
+    for family in families.unsolvable:
+        for split in JUDGED:
+            parts = _parts(budget.disconnected_scenarios, 5)
+            work += [Unit(Kind.RECONSTRUCTION, split, *part, family) for part in parts]
     work += [Unit(Kind.TOPOLOGY, Split.TEST, *part) for part in _parts(budget.topology_scenarios, 1)]
     for split in JUDGED:
         work += [Unit(Kind.RECONSTRUCTION, split, *part) for part in _parts(budget.scenarios, 15)]
     return work
+
+
+def planned(families: Families) -> tuple[str, ...]:
+    """The families that a planner is asked to solve, the one that tells most first."""
+    return tuple(dict.fromkeys((families.telling, *families.solvable)))
 
 
 def _parts(count: int, size: int) -> Iterator[tuple[int, int]]:

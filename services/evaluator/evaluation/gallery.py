@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
-from cspace.worlds.planar.problems import Family
+from cspace.problem import UNIFORM
 from services.evaluator.measures.nearest import COVERAGE_RADIUS_RAD, covered
 from services.evaluator.measures.samplers import Sampler
 from services.evaluator.measures.scenes import Scene
@@ -58,7 +58,7 @@ def gallery(
 
 def _picture(axes: Axes, scene: Scene, note: str) -> None:
     axes.imshow(scene.image, extent=scene.stage.world.sensor.extent_m)
-    family = "" if scene.family is Family.UNIFORM else f"{scene.family.value} "
+    family = "" if scene.family == UNIFORM else f"{scene.family} "
     name = f"{scene.stage.split}, {family}scenario {scene.index}"
     axes.set_title(f"{name}\n{note}" if note else name, fontsize=9)
     axes.set_xlabel("x [m]")

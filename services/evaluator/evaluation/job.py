@@ -7,8 +7,9 @@ from pathlib import Path
 
 from cspace.bundle import Bundle
 from cspace.errors import ConfigError
+from cspace.worlds import workshop_of
 from services.evaluator.cluster import on_cluster, spread
-from services.evaluator.evaluation.budget import PLANE, Unit, units
+from services.evaluator.evaluation.budget import Unit, units
 from services.evaluator.evaluation.execution import Execute, run_here, run_packed
 from services.evaluator.evaluation.gate import Verdict
 from services.evaluator.evaluation.recording import decide, log_evaluation, record
@@ -62,7 +63,6 @@ def evaluate_version(
 
     Raises:
         ModelNotFoundError: there is no such version.
-        ConfigError: the version is a path model for another arm than one of two joints.
         BundleError: the version's bundle is damaged.
         CspaceError: measuring or recording failed.
     """
@@ -112,16 +112,11 @@ def _find(registry: ModelRegistry, model: ModelReference) -> ModelVersion:
 
 
 def _load(registry: ModelRegistry, version: ModelVersion, folder: Path) -> Bundle:
-    bundle = Bundle.load(registry.download(version, folder / "bundle"))
-    if bundle.spec.kind == "path" and bundle.spec.dim != PLANE:
-        raise ConfigError(
-            "path models are judged on problems of two joints", expected=str(PLANE), got=str(bundle.spec.dim)
-        )
-    return bundle
+    return Bundle.load(registry.download(version, folder / "bundle"))
 
 
 def _measure(execute: Execute, setting: Setting, packed: PackedBundle, progress: Progress) -> Evaluation:
-    work = units(setting.budget, setting.world.dim, paths=setting.paths)
+    work = units(setting.budget, workshop_of(setting.world).families, paths=setting.paths)
     results: list[UnitResult] = []
     for result in execute(work, setting, packed):
         results.append(result)

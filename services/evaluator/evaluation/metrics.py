@@ -26,11 +26,11 @@ def flat_metrics(evaluation: Evaluation) -> dict[str, float]:
 def _split_metrics(split: SplitResult, prefix: str) -> dict[str, float]:
     metrics = {} if split.reconstruction is None else _reconstruction_metrics(split.reconstruction, prefix)
     for name, summary in split.families.items():
-        metrics |= _reconstruction_metrics(summary, f"{prefix}{name.value}_")
+        metrics |= _reconstruction_metrics(summary, f"{prefix}{name}_")
     if split.planning_success is not None:
         metrics |= _interval_metrics(f"{prefix}planning_success", split.planning_success)
     for family in split.planning:
-        metrics |= _family_metrics(family, f"{prefix}{family.family.value}_")
+        metrics |= _family_metrics(family, f"{prefix}{family.family}_")
     return metrics
 
 

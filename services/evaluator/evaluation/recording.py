@@ -7,10 +7,10 @@ from dataclasses import replace
 from pathlib import Path
 
 from cspace.errors import EvaluationError
+from cspace.problem import UNIFORM
 from cspace.splits import Split
-from cspace.worlds import picture_of, workshop_of
-from cspace.worlds.planar.problems import Family
-from services.evaluator.evaluation.budget import SCENE_FAMILIES
+from cspace.world import World
+from cspace.worlds import picture_of, robot_digest, workshop_of
 from services.evaluator.evaluation.gallery import gallery
 from services.evaluator.evaluation.gate import (
     GATED,
@@ -39,17 +39,17 @@ from services.registry.tracking.port import RunLog
 # The first scenarios of the uniform family; with the least precise one of every family they make a gallery.
 GALLERY_SCENARIOS = 2
 REPORT_FOLDER = "report"
-# Only champions of arms with as many joints are compared.
+# What decisions told of their robot before they told its digest.
 JOINTS = "joints"
 
 
 def decide(registry: ModelRegistry, version: ModelVersion, evaluation: Evaluation) -> Verdict:
     """The gate's verdict against all earlier champions of the model."""
-    joints = evaluation.setting.world.dim
+    world = evaluation.setting.world
     earlier = [
         Champion(decision.version, decision.metrics)
         for decision in champions(registry, version.name)
-        if decision.version != version.number and decision.metrics.get(JOINTS) == joints
+        if decision.version != version.number and _is_of(decision, world)
     ]
     reconstruction = evaluation.validation.reconstruction
     if reconstruction is None:
@@ -57,13 +57,23 @@ def decide(registry: ModelRegistry, version: ModelVersion, evaluation: Evaluatio
     return judge(Candidate(reconstruction.precision_gain, _gated(evaluation)), earlier)
 
 
+def _is_of(decision: Decision, world: World) -> bool:
+    """Whether a decision was about the same robot; champions of others are not compared."""
+    if decision.robot is None:
+        return decision.metrics.get(JOINTS) == world.dim
+    return decision.robot == robot_digest(world)
+
+
 def _path_candidate(evaluation: Evaluation) -> PathCandidate:
     planning, trials = evaluation.validation.planning, evaluation.validation.trials
-    narrow = next((family for family in planning if family.family is Family.NARROW), None)
-    if narrow is None:
-        raise EvaluationError("path models are judged on narrow problems", expected="one or more", got="none")
+    telling = workshop_of(evaluation.setting.world).families.telling
+    found = next((family for family in planning if family.family == telling), None)
+    if found is None:
+        raise EvaluationError(
+            f"path models are judged on {telling} problems", expected="one or more", got="none"
+        )
     solved = sum(trial.uniform.success for trial in trials) / len(trials)
-    return PathCandidate(narrow.edge_checks_ratio, solved, _gated(evaluation))
+    return PathCandidate(found.edge_checks_ratio, solved, _gated(evaluation))
 
 
 def record(
@@ -73,7 +83,14 @@ def record(
     metrics = {**_gated(evaluation), JOINTS: float(evaluation.setting.world.dim)}
     now_ms = time.time_ns() // 1_000_000
     decision = Decision(
-        version.name, version.number, verdict.promoted, verdict.reasons, metrics, verdict.against, now_ms
+        version.name,
+        version.number,
+        verdict.promoted,
+        verdict.reasons,
+        metrics,
+        verdict.against,
+        now_ms,
+        robot_digest(evaluation.setting.world),
     )
     record_decision(registry, decision)
     return decision
@@ -121,18 +138,18 @@ def _plans(run: RunLog, evaluation: Evaluation, sampler: PathSampler, title: str
         image = picture_of(problem.scenario)
         samples = sampler.between(image, problem.start, problem.goal, LEARNED_SAMPLES, seed)
         plan = solve(problem, replace(PLANNER, seed=seed), samples, UNIFORM_SHARE, keep_tree=True)
-        names.append(f"plan-{family.value}")
-        run.figure(draw_plan(problem, plan, samples, f"{title}, {family.value}"), names[-1])
+        names.append(f"plan-{family}")
+        run.figure(draw_plan(problem, plan, samples, f"{title}, {family}"), names[-1])
     return tuple(names)
 
 
 def exhibits(stage: Stage, measured: Sequence[SceneQuality]) -> dict[Scene, str]:
     """The scenarios of a gallery with a note on each: some as they come, then the least precise by family."""
     shown: dict[Scene, str] = {}
-    for family in SCENE_FAMILIES:
-        mine = [row for row in measured if row.family is family]
+    for family in workshop_of(stage.world).families.names:
+        mine = [row for row in measured if row.family == family]
         worst = min(mine, key=lambda row: row.sampler.precision, default=None)
-        if family is Family.UNIFORM:
+        if family == UNIFORM:
             shown |= {Scene(stage, row.index): "" for row in mine[:GALLERY_SCENARIOS]}
         if worst is not None:
             shown[Scene(stage, worst.index, family)] = f"least precise of {len(mine)}"

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from cspace.worlds.planar.problems import Family
+from cspace.problem import UNIFORM
 from services.evaluator.evaluation.units import Evaluation, SplitResult
 from services.evaluator.measures.planning_summary import COSTS, ArmSummary, FamilySummary
 from services.evaluator.measures.reconstruction import ReconstructionSummary, SamplerSummary
@@ -54,11 +54,11 @@ def planning_table(families: Sequence[FamilySummary]) -> Table:
     for family in families:
         arms = {"uniform": family.uniform, "learned": family.learned, "confident": family.confident}
         present = {name: arm for name, arm in arms.items() if arm is not None}
-        rows += [[family.family.value, name, *_arm_cells(arm)] for name, arm in present.items()]
+        rows += [[family.family, name, *_arm_cells(arm)] for name, arm in present.items()]
         saved = (family.iterations_ratio, family.edge_checks_ratio, family.solve_time_ratio)
-        rows.append([family.family.value, "saved factor", "", *(f"{ratio:.2f}" for ratio in saved), ""])
+        rows.append([family.family, "saved factor", "", *(f"{ratio:.2f}" for ratio in saved), ""])
         if family.filter_ratio is not None:
-            rows.append([family.family.value, "filter factor", "", f"{family.filter_ratio:.2f}", "", "", ""])
+            rows.append([family.family, "filter factor", "", f"{family.filter_ratio:.2f}", "", "", ""])
     return rows
 
 
@@ -85,8 +85,8 @@ def aligned(table: Table) -> str:
 
 
 def _by_family(split: SplitResult) -> list[tuple[str, ReconstructionSummary]]:
-    others = [(family.value, summary) for family, summary in split.families.items()]
-    uniform = [] if split.reconstruction is None else [(Family.UNIFORM.value, split.reconstruction)]
+    others = [(family, summary) for family, summary in split.families.items()]
+    uniform = [] if split.reconstruction is None else [(UNIFORM, split.reconstruction)]
     return [*uniform, *others]
 
 

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from cspace.errors import EvaluationError
+from cspace.problem import UNIFORM
 from cspace.splits import Split
 from cspace.world import World
 from cspace.worlds import workshop_of
-from cspace.worlds.planar.problems import Family
-from services.evaluator.evaluation.budget import FAMILIES, SCENE_FAMILIES, Budget, Kind, Unit
+from services.evaluator.evaluation.budget import Budget, Kind, Unit, planned
 from services.evaluator.measures.planning import PlanningTrial, plan_trial
 from services.evaluator.measures.planning_summary import FamilySummary, success_rate, summarise_family
 from services.evaluator.measures.reconstruction import ReconstructionSummary, SceneQuality, summarise
@@ -73,7 +73,7 @@ class SplitResult:
     planning_success: Interval | None
     scenes: tuple[SceneQuality, ...]
     trials: tuple[PlanningTrial, ...]
-    families: Mapping[Family, ReconstructionSummary]
+    families: Mapping[str, ReconstructionSummary]
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,25 +116,26 @@ def assemble(results: Iterable[UnitResult], setting: Setting) -> Evaluation:
     shapes = [row for row in _rows(done, Split.TEST) if isinstance(row, SceneTopology)]
     return Evaluation(
         setting,
-        _split_result(_rows(done, Split.VALIDATION), rng, paths=setting.paths),
-        _split_result(_rows(done, Split.TEST), rng, paths=setting.paths),
+        _split_result(_rows(done, Split.VALIDATION), rng, setting),
+        _split_result(_rows(done, Split.TEST), rng, setting),
         summarise_topology(shapes, rng) if shapes else {},
         tuple(shapes),
         sum(result.seconds for result in done),
     )
 
 
-def _split_result(rows: Sequence[Row], rng: np.random.Generator, *, paths: bool) -> SplitResult:
+def _split_result(rows: Sequence[Row], rng: np.random.Generator, setting: Setting) -> SplitResult:
+    families = workshop_of(setting.world).families
     scenes = tuple(row for row in rows if isinstance(row, SceneQuality))
     trials = tuple(row for row in rows if isinstance(row, PlanningTrial))
     present = {trial.family for trial in trials}
-    by_family = {family: [scene for scene in scenes if scene.family is family] for family in SCENE_FAMILIES}
+    by_family = {family: [scene for scene in scenes if scene.family == family] for family in families.names}
     # Resampling of its own leaves the other intervals as they are in an evaluation without families.
     (apart,) = rng.spawn(1)
-    uniform = by_family.pop(Family.UNIFORM)
+    uniform = by_family.pop(UNIFORM)
     return SplitResult(
-        None if paths else summarise(uniform, rng),
-        tuple(summarise_family(family, trials, rng) for family in FAMILIES if family in present),
+        None if setting.paths else summarise(uniform, rng),
+        tuple(summarise_family(family, trials, rng) for family in planned(families) if family in present),
         success_rate(trials) if trials else None,
         scenes,
         trials,
@@ -151,7 +152,7 @@ def _stage(unit: Unit, setting: Setting) -> Stage:
 
 
 def _scenes(unit: Unit, setting: Setting) -> list[Scene]:
-    stage, family = _stage(unit, setting), unit.family or Family.UNIFORM
+    stage, family = _stage(unit, setting), unit.family or UNIFORM
     return [Scene(stage, index, family) for index in range(unit.first, unit.first + unit.count)]
 
 
@@ -171,12 +172,15 @@ def _planning_rows(unit: Unit, setting: Setting, sampler: AnySampler) -> list[Ro
     if unit.family is None:
         raise EvaluationError("a unit of planning names no family", got=str(unit))
     rows: list[Row] = []
+    workshop = workshop_of(setting.world)
     for index in range(unit.first, unit.first + unit.count):
-        problem = workshop_of(setting.world).problem(unit.family, unit.split, setting.seed, index)
+        problem = workshop.problem(unit.family, unit.split, setting.seed, index)
         for repeat in range(setting.budget.planner_seeds):
             seed = planner_seed(setting.seed, index, repeat)
             rows.append(plan_trial(problem, index, seed, sampler, PLANNER))
-        wanted = unit.family is Family.NARROW and index < setting.budget.narrow_scenarios
+        wanted = (
+            unit.family == workshop.families.telling != UNIFORM and index < setting.budget.narrow_scenarios
+        )
         if wanted and not isinstance(sampler, PathSampler):
             scene = Scene(_stage(unit, setting), index, unit.family, problem)
             rows.append(reconstruct(scene, sampler, setting.budget.samples))

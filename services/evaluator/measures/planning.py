@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from cspace.problem import Problem
 from cspace.worlds import picture_of
-from cspace.worlds.planar.problems import Family
 from services.evaluator.measures.samplers import AnySampler, PathSampler, Samples, ScoredSampler
 from services.planner.search.ompl_planner import PlannerSettings, PlanResult, Reason, solve
 from services.planner.search.path_check import judge_path
@@ -58,7 +57,7 @@ class PlanningTrial:
     where it lets too few pass.
     """
 
-    family: Family
+    family: str
     index: int
     seed: int
     uniform: RunOutcome
@@ -96,7 +95,7 @@ def plan_trial(
         for drawn in (None, samples, *_confident(problem, image, seed, sampler))
     )
     only = confident[0] if confident else None
-    return PlanningTrial(Family(problem.family), index, seed, uniform, learned, sampling_time_s, only)
+    return PlanningTrial(problem.family, index, seed, uniform, learned, sampling_time_s, only)
 
 
 def _samples(

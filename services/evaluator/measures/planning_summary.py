@@ -7,7 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cspace.errors import EvaluationError
-from cspace.worlds.planar.problems import Family
 from services.evaluator.measures.planning import PlanningTrial, RunOutcome
 from services.evaluator.statistics import (
     CensoredSummary,
@@ -49,7 +48,7 @@ class FamilySummary:
         filter_ratio: median iterations of learned over those of confident; below 1 the filter costs work.
     """
 
-    family: Family
+    family: str
     uniform: ArmSummary
     learned: ArmSummary
     iterations_ratio: Interval
@@ -61,9 +60,7 @@ class FamilySummary:
     filter_ratio: Interval | None = None
 
 
-def summarise_family(
-    family: Family, trials: Sequence[PlanningTrial], rng: np.random.Generator
-) -> FamilySummary:
+def summarise_family(family: str, trials: Sequence[PlanningTrial], rng: np.random.Generator) -> FamilySummary:
     """Summary of the trials of one family.
 
     Raises:

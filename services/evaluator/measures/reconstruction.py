@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from scipy.spatial.distance import cdist, pdist
 
 from cspace.errors import EvaluationError
+from cspace.problem import UNIFORM
 from cspace.space import JointSpace, embed
-from cspace.worlds.planar.problems import Family
 from services.evaluator.measures.nearest import Configurations, coverage, knn_precision_recall, require_group
 from services.evaluator.measures.occupancy import OccupancySummary, SceneOccupancy, summarise_occupancy
 from services.evaluator.statistics import (
@@ -62,7 +62,7 @@ class SceneQuality:
     real: SampleQuality
     confident: SampleQuality | None = None
     occupancy: SceneOccupancy | None = None
-    family: Family = Family.UNIFORM
+    family: str = UNIFORM
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,14 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cspace.errors import EvaluationError
-from cspace.problem import Problem
+from cspace.problem import UNIFORM, Problem
 from cspace.space import JointSpace, to_float32
 from cspace.splits import Split, scenario_rng
 from cspace.workshop import Checker
 from cspace.world import Scene as WorldScene
 from cspace.world import World
 from cspace.worlds import checker_of, picture_of, workshop_of
-from cspace.worlds.planar.problems import Family
 from services.evaluator.measures.occupancy import SceneOccupancy, scene_occupancy
 from services.evaluator.measures.reconstruction import (
     ReconstructionSummary,
@@ -35,8 +34,8 @@ PROPOSALS_PER_SAMPLE = 200
 OCCUPANCY_SAMPLES = 2000
 # The stream of the confident samples, apart from those of the other measurements.
 CONFIDENT_STREAM = 20
-# The children of a scenario's stream that families own, above all streams of the uniform one.
-FAMILY_STREAMS = {Family.NARROW: 60, Family.DISCONNECTED: 61}
+# The first child of a scenario's stream that a family owns, above all streams of the uniform one.
+FAMILY_STREAM = 59
 
 
 @dataclass(frozen=True)
@@ -61,13 +60,13 @@ class Scene:
 
     stage: Stage
     index: int
-    family: Family = Family.UNIFORM
+    family: str = UNIFORM
     drawn: Problem | None = None
 
     @cached_property
     def problem(self) -> Problem | None:
         """Start and goal that make it a scenario of its family; None in the uniform one."""
-        if self.family is Family.UNIFORM or self.drawn is not None:
+        if self.family == UNIFORM or self.drawn is not None:
             return self.drawn
         stage = self.stage
         return workshop_of(stage.world).problem(self.family, stage.split, stage.seed, self.index)
@@ -97,8 +96,9 @@ class Scene:
     def rng(self, stream: int) -> np.random.Generator:
         """One of the scenario's own streams; independent of the one that drew the discs."""
         root = self._scenario_rng()
-        if self.family is not Family.UNIFORM:
-            root = _child(root, FAMILY_STREAMS[self.family])
+        if self.family != UNIFORM:
+            names = workshop_of(self.stage.world).families.names
+            root = _child(root, FAMILY_STREAM + names.index(self.family))
         return _child(root, stream)
 
     def sampler_seed(self, stream: int = 0) -> int:

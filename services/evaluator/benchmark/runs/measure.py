@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from cspace.problem import Problem
 from cspace.splits import Split
-from cspace.worlds.planar.problems import Family, draw_problem
+from cspace.world import World
+from cspace.worlds import workshop_of
 from services.evaluator.benchmark.runs.arms import RANGE_RAD, Arm
 from services.evaluator.benchmark.runs.check_cost import state_check_s
 from services.evaluator.benchmark.runs.run import Run, finite
@@ -86,10 +87,10 @@ def measure(
     Raises:
         SamplerError: a sampler does not answer: a run without its samples would measure another arm.
     """
-    problem = known_problem(unit.family, setting.split, setting.seed, unit.index)
+    problem = known_problem(setting.world, unit.family, setting.split, setting.seed, unit.index)
     seed = planner_seed(setting.seed, unit.index, unit.run)
     batches = Batches(problem, seed, specs, sources)
-    check_s = _state_check_s(unit.family, setting.split, setting.seed, unit.index, setting.resolution_rad)
+    check_s = _state_check_s(problem, setting.resolution_rad)
     runs = []
     # In an order of their own in every unit: no arm is always the one that finds the caches warm.
     for position in np.random.default_rng([seed, 1]).permutation(len(unit.arms)):
@@ -116,14 +117,14 @@ def drawn_samples(arm: Arm, batch: SampleBatch, problem: Problem) -> NDArray[np.
 
 
 @lru_cache(maxsize=4)
-def known_problem(family: Family, split: Split, seed: int, index: int) -> Problem:
+def known_problem(world: World, family: str, split: Split, seed: int, index: int) -> Problem:
     """A problem, kept for the next run on it: a narrow one takes half a second to find."""
-    return draw_problem(family, split, seed, index)
+    return workshop_of(world).problem(family, split, seed, index)
 
 
 @lru_cache(maxsize=4)
-def _state_check_s(family: Family, split: Split, seed: int, index: int, resolution_rad: float) -> float:
-    return state_check_s(known_problem(family, split, seed, index), RANGE_RAD, resolution_rad)
+def _state_check_s(problem: Problem, resolution_rad: float) -> float:
+    return state_check_s(problem, RANGE_RAD, resolution_rad)
 
 
 def _record(
@@ -144,7 +145,7 @@ def _record(
     checked_s, timing, first = result.state_checks * check_s, _timing(batch), _first(result, solved)
     return Run(
         protocol=setting.protocol.value,
-        family=unit.family.value,
+        family=unit.family,
         problem=unit.index,
         run=unit.run,
         seed=settings.seed,

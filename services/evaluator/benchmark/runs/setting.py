@@ -1,12 +1,14 @@
 """Under which limits the benchmark's runs are made, and which runs there are."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 from itertools import product
 
 from cspace.splits import Split
-from cspace.worlds.planar.problems import Family
+from cspace.workshop import Families
+from cspace.world import World
+from cspace.worlds import default_world, workshop_of
 from services.evaluator.benchmark.runs.arms import Arm
 from services.evaluator.evaluation.units import planner_seed
 from services.planner.settings import PlannerSettings
@@ -36,6 +38,7 @@ class Setting:
         time_limit_s: wall time after which a search ends.
         goal_bias: of planners that have one.
         resolution_rad: largest distance between checked states of an edge in any joint, rad.
+        world: robot and sensor.
     """
 
     protocol: Protocol
@@ -46,6 +49,12 @@ class Setting:
     time_limit_s: float
     goal_bias: float = 0.05
     resolution_rad: float = 0.0314
+    world: World = field(default_factory=default_world)
+
+    @property
+    def families(self) -> Families:
+        """Of the world's problems."""
+        return workshop_of(self.world).families
 
     def planner(self, arm: Arm, index: int, run: int) -> PlannerSettings:
         """The settings of one run; the seed is the same for every arm."""
@@ -69,18 +78,20 @@ LIMITS: Mapping[Protocol, Mapping[str, float]] = {
     Protocol.FAMILIES: FAMILIES_LIMITS,
     Protocol.PAPER: PAPER_LIMITS,
 }
-# A problem without a path takes every arm to its limit, about a minute in all.
-PROBLEMS: Mapping[Protocol, Mapping[Family, int]] = {
-    Protocol.FAMILIES: {Family.NARROW: 300, Family.UNIFORM: 300, Family.DISCONNECTED: 30},
-    Protocol.PAPER: {Family.NARROW: 10, Family.UNIFORM: 10, Family.DISCONNECTED: 10},
-}
 RUNS = {Protocol.FAMILIES: 1, Protocol.PAPER: 100}
-FAMILIES: Mapping[Protocol, tuple[Family, ...]] = {
-    Protocol.FAMILIES: (Family.NARROW, Family.UNIFORM, Family.DISCONNECTED),
-    Protocol.PAPER: (Family.UNIFORM, Family.NARROW),
-}
 
 Key = tuple[str, int, int, str]
+
+
+def problems_of(protocol: Protocol, families: Families) -> dict[str, int]:
+    """How many problems of each family a protocol has, in the order in which they are run.
+
+    A problem without a path takes every arm to its limit, about a minute in all.
+    """
+    if protocol is Protocol.PAPER:
+        return dict.fromkeys(families.solvable, 10)
+    solvable = dict.fromkeys((families.telling, *families.solvable), 300)
+    return solvable | dict.fromkeys(families.unsolvable, 30)
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,26 +105,29 @@ class Unit:
         arms: that are still to be run.
     """
 
-    family: Family
+    family: str
     index: int
     run: int
     arms: tuple[Arm, ...]
 
 
-def units(problems: Mapping[Family, int], runs: int, arms: Sequence[Arm], done: set[Key]) -> Iterator[Unit]:
+def units(
+    problems: Mapping[str, int], runs: int, arms: Sequence[Arm], done: set[Key], families: Families
+) -> Iterator[Unit]:
     """What is still to be done, problem by problem.
 
-    Without a path there is none to shorten, so disconnected problems have no optimising arms.
+    Without a path there is none to shorten, so problems that have none have no optimising arms.
 
     Args:
         problems: how many of each family.
         runs: of each problem.
         arms: for each run.
         done: family, problem, run and arm of the runs that there are.
+        families: of the world.
     """
     for family, count in problems.items():
-        mine = [arm for arm in arms if arm.stop_at_first or family is not Family.DISCONNECTED]
+        mine = [arm for arm in arms if arm.stop_at_first or family in families.solvable]
         for index, run in product(range(count), range(runs)):
-            missing = tuple(arm for arm in mine if (family.value, index, run, arm.name) not in done)
+            missing = tuple(arm for arm in mine if (family, index, run, arm.name) not in done)
             if missing:
                 yield Unit(family, index, run, missing)

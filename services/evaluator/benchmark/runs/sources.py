@@ -11,10 +11,9 @@ from numpy.typing import NDArray
 
 from cspace.bundle import Bundle
 from cspace.errors import ConfigError, SamplerError, SamplerUnavailableError
-from cspace.problem import Problem
+from cspace.problem import UNIFORM, Problem
 from cspace.splits import Split
 from cspace.worlds import default_world, picture_file_of, workshop_of
-from cspace.worlds.planar.problems import Family
 from services.evaluator.benchmark.runs.fresh_png import fresh_png
 from services.evaluator.measures.samplers import PackedBundle
 from services.planner.sources.local_sampler import LocalSampler
@@ -175,4 +174,4 @@ def _opened(spec: SourceSpec, stack: ExitStack) -> SampleSource:
 
 
 def _example() -> Problem:
-    return workshop_of(default_world()).problem(Family.UNIFORM, Split.DEMO, 0)
+    return workshop_of(default_world()).problem(UNIFORM, Split.DEMO, 0)

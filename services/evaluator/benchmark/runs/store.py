@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from cspace.errors import ConfigError, EvaluationError, StorageError
+from cspace.worlds import default_world
 from services.evaluator.benchmark.runs.arms import Arm
 from services.evaluator.benchmark.runs.run import Run
 from services.evaluator.benchmark.runs.setting import Key, Setting
@@ -40,7 +41,9 @@ class RunStore:
         """
         told: dict[str, Any] = {
             "schema": SCHEMA,
-            "setting": asdict(setting),
+            # The world stands by itself, for folders that are older than worlds tell none.
+            "setting": {name: value for name, value in asdict(setting).items() if name != "world"},
+            "world": setting.world.to_dict(),
             "arms": {arm.name: asdict(arm) for arm in arms},
             "samplers": {spec.name: spec.described for spec in specs},
         }
@@ -103,7 +106,8 @@ class RunStore:
 
 
 def _merged(old: Mapping[str, Any], new: Mapping[str, Any]) -> dict[str, Any]:
-    for part in ("schema", "setting"):
+    old = {"world": default_world().to_dict(), **old}
+    for part in ("schema", "setting", "world"):
         if old.get(part) != new[part]:
             raise ConfigError(
                 f"the folder holds runs of another {part}",

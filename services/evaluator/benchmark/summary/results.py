@@ -5,7 +5,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cspace.worlds.planar.problems import Family
 from services.evaluator.benchmark.runs.arms import Arm
 from services.evaluator.benchmark.runs.run import Run
 from services.evaluator.benchmark.runs.setting import Setting
@@ -22,19 +21,16 @@ class FamilyResult:
     Args:
         family: which.
         runs: of all arms, paired.
+        solvable: whether its problems have a path.
         summaries: of the arms that end with their first solution.
         convergence: of the optimising arms; none where there is no path.
     """
 
-    family: Family
+    family: str
     runs: PairedRuns
+    solvable: bool
     summaries: tuple[ArmSummary, ...]
     convergence: tuple[Convergence, ...]
-
-    @property
-    def solvable(self) -> bool:
-        """Whether its problems have a path."""
-        return self.family is not Family.DISCONNECTED
 
 
 @dataclass(frozen=True)
@@ -49,26 +45,27 @@ class Results:
 
     setting: Setting
     arms: tuple[Arm, ...]
-    families: Mapping[Family, FamilyResult]
+    families: Mapping[str, FamilyResult]
 
     @classmethod
     def gather(
-        cls, runs: Sequence[Run], families: Sequence[Family], arms: Sequence[Arm], setting: Setting
+        cls, runs: Sequence[Run], families: Sequence[str], arms: Sequence[Arm], setting: Setting
     ) -> "Results":
         """Pair and summarise the runs.
 
         Raises:
             EvaluationError: a family has no problem that all of its arms have run.
         """
-        found: dict[Family, FamilyResult] = {}
+        found: dict[str, FamilyResult] = {}
         for family in families:
-            paired = PairedRuns(complete(run for run in runs if run.family == family.value))
+            paired = PairedRuns(complete(run for run in runs if run.family == family))
             # A generator a family: its intervals do not depend on which others there are.
-            rng = np.random.default_rng([setting.seed, list(Family).index(family)])
-            solvable = family is not Family.DISCONNECTED
+            rng = np.random.default_rng([setting.seed, setting.families.names.index(family)])
+            solvable = family in setting.families.solvable
             found[family] = FamilyResult(
                 family,
                 paired,
+                solvable,
                 tuple(summarise(paired, arms, rng)),
                 tuple(converge(paired, arms, rng)) if solvable else (),
             )

@@ -87,7 +87,7 @@ def box_figure(families: Sequence[FamilyResult], arms: Sequence[Arm]) -> Figure:
         for row, shown in zip(grid, BOX_AXES, strict=True):
             for axes, found in zip(row, families, strict=True):
                 _draw_boxes(axes, found.runs, arms, shown, everything=not found.solvable)
-                axes.set_title(found.family.value if found.solvable else f"{found.family} (until given up)")
+                axes.set_title(found.family if found.solvable else f"{found.family} (until given up)")
         figure.suptitle(
             "Boxes: quartiles and median; whiskers: 5 % and 95 %; at the right the share unsolved"
         )

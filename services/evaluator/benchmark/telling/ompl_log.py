@@ -103,7 +103,7 @@ def planner_name(arm: str) -> str:
 def _header(found: FamilyResult, results: Results, version: str) -> Iterator[str]:
     setting, runs = results.setting, [run for arm in found.runs.arms for run in found.runs.runs(arm)]
     yield f"{LIBRARY} version {version}"
-    yield f"Experiment {setting.protocol.value}_{setting.split.value}_{found.family.value}"
+    yield f"Experiment {setting.protocol.value}_{setting.split.value}_{found.family}"
     yield f"Running on {platform.node() or 'unknown'}"
     yield f"Starting at {datetime.now(UTC):%Y-%m-%d %H:%M:%S}"
     yield from ("<<<|", *_setup(results), "|>>>")

@@ -10,7 +10,6 @@ from matplotlib.lines import Line2D
 
 from cspace.problem import Problem
 from cspace.worlds import picture_of
-from cspace.worlds.planar.problems import Family
 from services.evaluator.benchmark.runs.arms import DEFAULT_SHARE, Arm, Group
 from services.evaluator.benchmark.runs.measure import known_problem
 from services.evaluator.benchmark.runs.setting import Setting
@@ -39,7 +38,7 @@ def page_arms(arms: Sequence[Arm]) -> list[Arm]:
 
 
 def pages(
-    problems: Mapping[Family, int], arms: Sequence[Arm], setting: Setting, specs: Sequence[SourceSpec]
+    problems: Mapping[str, int], arms: Sequence[Arm], setting: Setting, specs: Sequence[SourceSpec]
 ) -> Iterator[tuple[str, Figure]]:
     """The first problems of every family, each with its name.
 
@@ -56,7 +55,7 @@ def pages(
     with opened(specs) as sources:
         for family, count in problems.items():
             for index in range(count):
-                problem = known_problem(family, setting.split, setting.seed, index)
+                problem = known_problem(setting.world, family, setting.split, setting.seed, index)
                 wanted = Ask(planner_seed(setting.seed, index, 0), 0)
                 panels = []
                 for arm in shown:

@@ -126,9 +126,9 @@ def _about(results: Results, manifest: Mapping[str, Any]) -> str:
 
 def _family(found: FamilyResult, results: Results) -> list[str]:
     counts = f"{len(found.runs.problems)} problems, {len(found.runs.numbers)} runs each"
-    parts = [f"## {found.family.value}: {counts}"]
+    parts = [f"## {found.family}: {counts}"]
     for name, table, note in _tables(found, results):
-        parts += [f"### {name}, {found.family.value}", *([note] if note else []), markdown(table)]
+        parts += [f"### {name}, {found.family}", *([note] if note else []), markdown(table)]
     return parts
 
 

@@ -3,8 +3,10 @@ from dataclasses import replace
 
 import pytest
 
-from cspace.errors import ConfigError, EvaluationError, ModelNotFoundError
+from cspace.errors import EvaluationError, ModelNotFoundError
+from cspace.worlds import workshop_of
 from cspace.worlds.planar.arm import THREE_LINK
+from cspace.worlds.planar.world import PlanarWorld
 from services.evaluator import __main__ as command
 from services.evaluator.evaluation.budget import Budget, Kind, units
 from services.evaluator.evaluation.execution import run_here
@@ -15,6 +17,7 @@ from services.registry import ALIAS_CHALLENGER, ALIAS_CHAMPION, MODEL_NAME, deci
 from tests.bundles import write_tiny_bundle
 from tests.fakes.registry import FakeRegistry, FakeTracking
 
+PROBLEMS = workshop_of(PlanarWorld()).families
 TINY = Budget(
     scenarios=2,
     samples=150,
@@ -118,22 +121,22 @@ def test_an_unknown_version_is_an_error(tracking, registry):
         evaluate_version(request(f"{MODEL_NAME}/9"), tracking, registry)
 
 
-def test_a_path_model_of_three_joints_is_refused(tracking, registry, tmp_path):
+def test_a_path_model_is_not_judged_without_problems(tracking, registry, tmp_path):
     from cspace.bundle import Bundle
 
     bundle = Bundle.load(write_tiny_bundle(tmp_path / "path", THREE_LINK, kind="path"))
     run_id = tracking.start(MODEL_NAME, "cluster-train").run_id
     registry.register(MODEL_NAME, bundle.folder, run_id, bundle.digest, {})
-    with pytest.raises(ConfigError, match="two joints"):
+    with pytest.raises(EvaluationError, match="path models are judged on uniform problems"):
         evaluate_version(request(f"{MODEL_NAME}/2"), tracking, registry)
 
 
 def test_progress_tells_every_unit(tracking, registry):
     lines = []
     evaluate_version(request(), tracking, registry, progress=lines.append)
-    assert len(lines) == 1 + len(units(TINY))
+    assert len(lines) == 1 + len(units(TINY, PROBLEMS))
     assert f"{MODEL_NAME}/1" in lines[0]
-    assert lines[-1].lstrip().startswith(f"{len(units(TINY))}/{len(units(TINY))}")
+    assert lines[-1].lstrip().startswith(f"{len(units(TINY, PROBLEMS))}/{len(units(TINY, PROBLEMS))}")
 
 
 @pytest.mark.parametrize(
@@ -193,4 +196,4 @@ def test_help_names_the_exit_codes(capsys):
 
 
 def test_a_budget_without_problems_has_no_planning_units():
-    assert not [unit for unit in units(TINY) if unit.kind == Kind.PLANNING]
+    assert not [unit for unit in units(TINY, PROBLEMS) if unit.kind == Kind.PLANNING]

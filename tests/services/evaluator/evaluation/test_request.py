@@ -1,7 +1,9 @@
 import pytest
 
 from cspace.errors import ConfigError
-from services.evaluator.evaluation.budget import FULL, QUICK, Kind, units
+from cspace.worlds import workshop_of
+from cspace.worlds.planar.world import PlanarWorld
+from services.evaluator.evaluation.budget import FULL, QUICK, units
 from services.evaluator.evaluation.request import ModelReference, make_request
 
 
@@ -37,7 +39,7 @@ def test_values_out_of_range_are_errors(changes):
 
 
 def test_units_cover_every_scenario_and_problem_once():
-    work = units(QUICK)
+    work = units(QUICK, workshop_of(PlanarWorld()).families)
     seen = [
         (unit.kind, unit.split, unit.family, index)
         for unit in work
@@ -47,7 +49,3 @@ def test_units_cover_every_scenario_and_problem_once():
     problems = 2 * (QUICK.validation_problems + QUICK.test_problems)
     scenarios = 2 * (QUICK.scenarios + QUICK.disconnected_scenarios)
     assert len(seen) == scenarios + QUICK.topology_scenarios + problems
-
-
-def test_arms_of_three_joints_have_no_planning_units():
-    assert not [unit for unit in units(QUICK, joints=3) if unit.kind == Kind.PLANNING]

@@ -8,6 +8,7 @@ import pytest
 from cspace.bundle import Bundle
 from cspace.errors import EvaluationError
 from cspace.splits import Split
+from cspace.worlds import workshop_of
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK
 from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.problems import Family
@@ -35,6 +36,7 @@ TINY = Budget(
     topology_samples=200,
 )
 FAMILIES = ["narrow", "disconnected"]
+PROBLEMS, PROBLEMS_OF_THREE = (workshop_of(PlanarWorld(arm)).families for arm in (TWO_LINK, THREE_LINK))
 
 
 def setting(robot=TWO_LINK, budget=TINY):
@@ -49,7 +51,7 @@ def timeless(evaluation):
 
 @pytest.fixture(scope="module")
 def results():
-    return [run_unit(unit, setting(), UniformSampler(TWO_LINK.space)) for unit in units(TINY)]
+    return [run_unit(unit, setting(), UniformSampler(TWO_LINK.space)) for unit in units(TINY, PROBLEMS)]
 
 
 @pytest.fixture(scope="module")
@@ -84,10 +86,10 @@ def test_families_are_summarised_each_for_itself(evaluation):
         assert list(split.families) == FAMILIES
         assert [split.families[family].sampler.precision.count for family in FAMILIES] == [1, 2]
         assert split.reconstruction.sampler.precision.count == 4
-        (narrow,) = [row for row in split.scenes if row.family is Family.NARROW]
+        (narrow,) = [row for row in split.scenes if row.family == Family.NARROW]
         assert split.families[Family.NARROW].sampler.precision_minimum == narrow.sampler.precision
     metrics = flat_metrics(evaluation)
-    disconnected = [row for row in evaluation.test.scenes if row.family is Family.DISCONNECTED]
+    disconnected = [row for row in evaluation.test.scenes if row.family == Family.DISCONNECTED]
     assert metrics["test_disconnected_coverage"] == pytest.approx(
         np.mean([row.sampler.coverage for row in disconnected])
     )
@@ -124,8 +126,10 @@ def test_a_narrow_problem_is_planned_and_its_scenario_sampled(results):
     assert unit.rows[1] == alone
 
 
-def test_three_joints_have_no_units_of_a_family():
-    assert {unit.family for unit in units(QUICK, joints=3)} == {None}
+def test_three_joints_have_units_of_the_families_that_their_grid_can_tell():
+    work = units(QUICK, PROBLEMS_OF_THREE)
+    assert {unit.family for unit in work} == {None, "uniform", "disconnected"}
+    assert {unit.family for unit in work if unit.kind == Kind.PLANNING} == {"uniform"}
 
 
 def test_an_evaluation_without_scenarios_is_an_error(results):
@@ -192,16 +196,16 @@ def test_the_terminal_table_is_aligned(evaluation):
     ]
 
 
-def test_three_joints_are_evaluated_without_planning_and_with_both_scores():
-    budget = replace(TINY, scenarios=2)
+def test_three_joints_are_evaluated_with_planning_and_with_both_scores():
+    budget = replace(TINY, scenarios=2, disconnected_scenarios=0)
     sampler = UniformSampler(THREE_LINK.space)
-    work = units(budget, joints=3)
+    work = units(budget, PROBLEMS_OF_THREE)
     evaluation = assemble(
         [run_unit(unit, setting(THREE_LINK, budget), sampler) for unit in work], setting(THREE_LINK)
     )
-    assert evaluation.validation.planning_success is None
+    assert [summary.family for summary in evaluation.validation.planning] == ["uniform"]
     assert set(evaluation.topology) == {"gs", "gsc_boundary", "gsc_true"}
-    assert "planning_success" not in flat_metrics(evaluation)
+    assert "planning_success" in flat_metrics(evaluation)
 
 
 def test_a_packed_bundle_is_evaluated_in_this_process(tmp_path):

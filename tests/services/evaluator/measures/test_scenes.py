@@ -5,6 +5,7 @@ import pytest
 
 from cspace.errors import EvaluationError
 from cspace.splits import Split
+from cspace.worlds import workshop_of
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK
 from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.problems import Family, draw_problem
@@ -13,7 +14,7 @@ from cspace.worlds.planar.world import PlanarWorld
 from services.evaluator.measures.samplers import UniformSampler
 from services.evaluator.measures.scenes import (
     CONFIDENT_STREAM,
-    FAMILY_STREAMS,
+    FAMILY_STREAM,
     Scene,
     Stage,
     measure_reconstruction,
@@ -44,17 +45,17 @@ def test_scenes_of_a_family_are_those_of_its_problems_seen_by_the_evaluation_s_c
 
 
 def test_families_have_streams_of_their_own():
-    scenes = [Scene(STAGE, 1), *(Scene(STAGE, 1, family) for family in FAMILY_STREAMS)]
+    scenes = [Scene(STAGE, 1, family) for family in workshop_of(STAGE.world).families.names]
     numbers = {scene.rng(stream).random() for scene in scenes for stream in range(5)}
     assert len(numbers) == 15
-    assert min(FAMILY_STREAMS.values()) > 10 + CONFIDENT_STREAM
+    assert FAMILY_STREAM + 1 > 10 + CONFIDENT_STREAM
 
 
 def test_the_quality_names_its_family():
     drawn = draw_problem(Family.DISCONNECTED, Split.VALIDATION, 5, 2)
     quality = reconstruct(Scene(STAGE, 2, Family.DISCONNECTED, drawn), UniformSampler(TWO_LINK.space), 50)
     assert (quality.family, quality.index) == (Family.DISCONNECTED, 2)
-    assert reconstruct(Scene(STAGE, 2), UniformSampler(TWO_LINK.space), 50).family is Family.UNIFORM
+    assert reconstruct(Scene(STAGE, 2), UniformSampler(TWO_LINK.space), 50).family == Family.UNIFORM
 
 
 def test_the_picture_has_the_camera_s_size():

@@ -136,7 +136,7 @@ def test_another_model_than_the_one_that_was_named_is_an_error(setting, spec, so
 
 def test_perturbed_samples_are_mixed_unless_the_papers_order_is_wanted(setting, spec, sources):
     by_name = {arm.name: arm for arm in table(["way"])}
-    problem = known_problem(Family.UNIFORM, setting.split, 0, 0)
+    problem = known_problem(setting.world, Family.UNIFORM, setting.split, 0, 0)
     ends = {"start": problem.start.tolist(), "goal": problem.goal.tolist()}
     batch = sources["way"].sample(
         encode_png(picture(pixels=48)), 40, seed=3, epsilon_sigma=(0.0, 1.0), min_confidence=0.0, **ends
@@ -163,7 +163,7 @@ def test_checked_arms_take_all_that_others_take_and_count_what_they_check(settin
 
 def test_ordered_samples_are_the_same_ones_along_the_way(setting, spec, sources):
     by_name = {arm.name: arm for arm in table(["way"])}
-    problem = known_problem(Family.UNIFORM, setting.split, 0, 0)
+    problem = known_problem(setting.world, Family.UNIFORM, setting.split, 0, 0)
     ends = {"start": problem.start.tolist(), "goal": problem.goal.tolist()}
     batch = sources["way"].sample(encode_png(picture(pixels=48)), 40, seed=3, min_confidence=0.0, **ends)
     ordered = drawn_samples(by_name["RRT, way, 70 %, ordered"], batch, problem)
@@ -197,7 +197,7 @@ def test_a_fresh_png_is_another_file_of_the_same_picture(tmp_path):
 
 def test_a_look_at_a_state_takes_well_under_the_time_of_a_python_call(setting):
     # No bound on a machine's speed: less than a thousandth of a second, and more than nothing.
-    found = state_check_s(known_problem(Family.UNIFORM, setting.split, 0, 0), 1.0, 0.0314)
+    found = state_check_s(known_problem(setting.world, Family.UNIFORM, setting.split, 0, 0), 1.0, 0.0314)
     assert 0.0 < found < 1e-3
 
 

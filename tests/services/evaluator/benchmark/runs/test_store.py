@@ -4,7 +4,9 @@ import pandas as pd
 import pytest
 
 from cspace.errors import ConfigError, EvaluationError, StorageError
+from cspace.worlds import workshop_of
 from cspace.worlds.planar.problems import Family
+from cspace.worlds.planar.world import PlanarWorld
 from services.evaluator.benchmark.runs.arms import pick, table
 from services.evaluator.benchmark.runs.run import COLUMNS, DESCRIPTIONS, Run, finite
 from services.evaluator.benchmark.runs.setting import units
@@ -14,6 +16,9 @@ from services.evaluator.benchmark.telling.frame import write_parquet
 
 ARMS = pick(table(["way"]), ["RRT, way, 70 %"])
 WAY = SourceSpec("way", "a" * 64, with_ends=True, model="path-sampler/3", url="http://127.0.0.1:1")
+
+
+FAMILIES = workshop_of(PlanarWorld()).families
 
 
 def test_runs_come_back_as_they_were(tmp_path, setting, make_run):
@@ -35,7 +40,7 @@ def test_what_a_killed_process_left_of_a_line_is_dropped_and_done_again(tmp_path
     again = RunStore.open(tmp_path, setting, ARMS, [WAY])
     again.append([make_run(problem=2)])
     assert [run.problem for run in again.runs()] == [0, 2]
-    left = list(units({Family.NARROW: 3}, 1, ARMS[:1], again.done()))
+    left = list(units({Family.NARROW: 3}, 1, ARMS[:1], again.done(), FAMILIES))
     assert [unit.index for unit in left] == [1]
 
 
@@ -81,9 +86,9 @@ def test_only_problems_that_all_arms_of_a_family_have_run_are_compared(make_run)
 
 def test_problems_without_a_path_have_no_optimising_arms():
     arms = pick(table([]), ["optimising", "uniform"])
-    (unit,) = units({Family.DISCONNECTED: 1}, 1, arms, set())
+    (unit,) = units({Family.DISCONNECTED: 1}, 1, arms, set(), FAMILIES)
     assert all(arm.stop_at_first for arm in unit.arms)
-    (unit,) = units({Family.NARROW: 1}, 1, arms, set())
+    (unit,) = units({Family.NARROW: 1}, 1, arms, set(), FAMILIES)
     assert unit.arms == arms
 
 
