@@ -16,7 +16,17 @@ TWO, THREE, OTHER_TWO = PlanarWorld(), PlanarWorld(THREE_LINK), PlanarWorld(Plan
 
 
 def decision(version: int, robot: str | None, joints: float) -> Decision:
-    return Decision("model", version, True, (), {"joints": joints}, None, version, robot)
+    metrics = {"joints": joints}
+    return Decision(
+        "model",
+        version,
+        promoted=True,
+        reasons=(),
+        metrics=metrics,
+        against=None,
+        created_ms=version,
+        robot=robot,
+    )
 
 
 @pytest.mark.parametrize(
