@@ -1,12 +1,19 @@
-"""Untrusted PNG files chunk by chunk, before any decoder sees them (W3C PNG, third edition, section 5).
+"""Untrusted PNG files chunk by chunk, before any decoder sees them, and how such files are written.
+
+Source: W3C PNG, third edition, section 5.
 
 What a decoder gets is a file of the chunks that pixels are made of, each looked at and its sum checked: a
 header that comes twice, comments, profiles and metadata never reach it.
 """
 
+import io
 import struct
 import zlib
 from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
 
 from cspace.errors import ImageError
 
@@ -153,3 +160,10 @@ def _check_sum(chunk: memoryview) -> None:
     """A chunk from its kind to its sum."""
     if zlib.crc32(chunk[:-4]) != int.from_bytes(chunk[-4:], "big"):
         raise damaged(f"a chunk {bytes(chunk[:4])!r} with a wrong sum")
+
+
+def encode_png(image: NDArray[np.uint8]) -> bytes:
+    """An RGB picture (H, W, 3) uint8 as PNG bytes."""
+    buffer = io.BytesIO()
+    Image.fromarray(np.ascontiguousarray(image, dtype=np.uint8)).save(buffer, format="PNG")
+    return buffer.getvalue()

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 
 from cspace.bundle import Bundle, SampleSet
 from cspace.errors import CspaceError
+from cspace.png import encode_png
 from cspace.problem import Problem
 from cspace.splits import Split
 from cspace.worlds.planar.collision import CollisionChecker
-from cspace.worlds.planar.picture import encode_png
 from cspace.worlds.planar.problems import Family, draw_problem
 from cspace.worlds.planar.render import render
 from services.planner.drawing.configuration_panel import draw_configurations

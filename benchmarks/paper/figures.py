@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from cspace.errors import EvaluationError
 from services.evaluator.evaluation.gallery import COLLISION_COLOUR, FREE_COLOUR, SHOWN_SAMPLES, free_map
-from services.evaluator.measures.samplers import Sampler
+from services.evaluator.measures.samplers import unfiltered
 from services.evaluator.measures.scenes import Scene, Stage
 from services.evaluator.measures.topology_scenes import scene_topology
+from services.planner.sources.samples import SampleSource
 
 # Okabe and Ito's palette, told apart by the colour-blind, too.
 COLOURS = ("#d55e00", "#0072b2", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
@@ -47,7 +48,7 @@ def convergence(curves: Mapping[str, Measured], uniform: Mapping[str, float]) ->
     return figure
 
 
-def reconstruction(scenes: Sequence[Scene], samplers: Mapping[str, Sampler], draws: int) -> Figure:
+def reconstruction(scenes: Sequence[Scene], samplers: Mapping[str, SampleSource], draws: int) -> Figure:
     """One row a scenario: its picture, real samples, each sampler's with its collisions marked and its GS-C.
 
     Args:
@@ -63,9 +64,9 @@ def reconstruction(scenes: Sequence[Scene], samplers: Mapping[str, Sampler], dra
         _picture(row[0], scene)
         real, floor = scene.free(SHOWN_SAMPLES, scene.rng(7)), 0.0
         for axes, sampler in zip(row[2:], samplers.values(), strict=True):
-            drawn = sampler.sample(scene.image, SHOWN_SAMPLES, scene.sampler_seed())
+            drawn = unfiltered(sampler, scene.image, SHOWN_SAMPLES, scene.sampler_seed())
             score, floor = _complement_score(scene, sampler, draws)
-            _cloud(axes, scene, np.asarray(drawn, dtype=np.float64), score)
+            _cloud(axes, scene, drawn, score)
         _cloud(row[1], scene, real, floor)
         row[1].set_ylabel("theta2 [rad]")
     for axes, label in zip(panels[0], ("picture", "real samples", *samplers), strict=True):
@@ -87,7 +88,7 @@ def typical(stage: Stage, among: int = 21) -> Scene:
     return scenes[int(np.argsort(shares, kind="stable")[among // 2])]
 
 
-def _complement_score(scene: Scene, sampler: Sampler, draws: int) -> tuple[float, float]:
+def _complement_score(scene: Scene, sampler: SampleSource, draws: int) -> tuple[float, float]:
     """GS-C of the sampler, and of further real samples."""
     found = scene_topology(scene, sampler, draws).gsc_boundary
     if found is None:

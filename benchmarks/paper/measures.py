@@ -18,11 +18,11 @@ from cspace.dataset import Dataset, open_dataset
 from cspace.errors import EvaluationError
 from cspace.splits import Split
 from services.evaluator.evaluation.tables import Table
-from services.evaluator.measures.samplers import BundleSampler
 from services.evaluator.measures.scenes import Scene, Stage, measure_reconstruction, summary_rng
 from services.evaluator.measures.topology.geometry_score import POINTS
 from services.evaluator.measures.topology_scenes import scene_topology, summarise_topology
 from services.evaluator.statistics import Interval
+from services.planner.sources.local_sampler import BundleSampler
 from training.clusters.bundling import TrainedParts, make_bundle
 from training.config.clusters import TrainConfig
 from training.models.checkpoint import read_progress

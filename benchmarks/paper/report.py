@@ -23,8 +23,8 @@ from cspace.bundle import Bundle
 from cspace.errors import EvaluationError
 from cspace.splits import Split
 from services.evaluator.evaluation.tables import markdown
-from services.evaluator.measures.samplers import BundleSampler
 from services.evaluator.measures.scenes import Stage, measure_reconstruction
+from services.planner.sources.local_sampler import BundleSampler
 
 # Enough for a caption; the table's scores stand on several scenarios.
 CAPTION_DRAWS = 50

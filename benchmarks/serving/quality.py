@@ -8,32 +8,33 @@ seeds over HTTP are others than those of the bundle, but for the last row, which
 
 import argparse
 import sys
-from dataclasses import dataclass
 
 import numpy as np
 
 from benchmarks.serving.served import BUNDLE, machine, served
 from cspace.bundle import Bundle
+from cspace.query import SampleQuery
 from cspace.splits import Split
 from services.evaluator.evaluation.tables import markdown
 from services.evaluator.measures.reconstruction import SceneQuality, summarise
-from services.evaluator.measures.samplers import BundleSampler, HttpSampler, Image, Sampler, Samples
 from services.evaluator.measures.scenes import SAMPLES, Scene, Stage, reconstruct, summary_rng
 from services.evaluator.statistics import difference_interval
+from services.planner.sources.local_sampler import BundleSampler
+from services.planner.sources.samples import Picture, SampleBatch, SampleSource
 from services.planner.sources.sampling_client import SamplingClient
 
 
-@dataclass(frozen=True)
-class OtherSeeds:
-    """A sampler with seeds of its own."""
+class AsClientsAsk(SampleSource):
+    """A source that is asked for nothing but a count and a seed, so that a model's own threshold holds."""
 
-    sampler: Sampler
+    def __init__(self, source: SampleSource, later: int = 0) -> None:
+        self.source, self.later = source, later
 
-    def sample(self, image: Image, n: int, seed: int) -> Samples:
-        return self.sampler.sample(image, n, seed + 1)
+    def answer(self, picture: Picture, query: SampleQuery, model: str | None = None) -> SampleBatch:
+        return self.source.answer(picture, SampleQuery(query.n, query.seed + self.later), model)
 
 
-def measured(stage: Stage, sampler: Sampler, scenarios: int) -> list[SceneQuality]:
+def measured(stage: Stage, sampler: SampleSource, scenarios: int) -> list[SceneQuality]:
     return [reconstruct(Scene(stage, index), sampler) for index in range(scenarios)]
 
 
@@ -45,13 +46,12 @@ def main() -> int:
     options = parser.parse_args()
     bundle = Bundle.load(BUNDLE)
     stage = Stage(bundle.spec.world, Split.TEST, 0)
-    own = BundleSampler(bundle, min_confidence=bundle.spec.confidence_threshold or 0.0)
+    own = AsClientsAsk(BundleSampler(bundle))
     with served() as api, SamplingClient(f"http://127.0.0.1:{api.port}") as client:
-        over_http = HttpSampler(client, min_confidence=None)
         found = {
             "the bundle": measured(stage, own, options.scenarios),
-            "over HTTP": measured(stage, OtherSeeds(over_http), options.scenarios),
-            "over HTTP, same seeds": measured(stage, over_http, options.scenarios),
+            "over HTTP": measured(stage, AsClientsAsk(client, later=1), options.scenarios),
+            "over HTTP, same seeds": measured(stage, AsClientsAsk(client), options.scenarios),
         }
     table = [["samples", "precision", "coverage", "EDr", "precision minus the bundle's", "coverage minus it"]]
     base = found["the bundle"]

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from benchmarks.machine import machine
+from cspace.png import encode_png
 from cspace.splits import Split
-from cspace.worlds.planar.picture import encode_png
 from cspace.worlds.planar.render import render
 from cspace.worlds.planar.scene import random_scenarios
 

@@ -52,7 +52,7 @@ def watch_steps() -> None:
     for name in ("parse_fields", "validate_request"):
         spans.wrap(sampling, name, CHECKS)
     spans.wrap(pictures, "decode_png", DECODE)
-    for name in ("prepare", "sample"):
+    for name in ("prepare", "answer"):
         spans.wrap(Bundle, name, AROUND)
     for name in ("draw", "propose"):
         spans.wrap(loaded, name, RANDOM)

@@ -21,8 +21,8 @@ import numpy as np
 from cspace.bundle import Bundle
 from cspace.splits import Split
 from services.evaluator.evaluation.tables import markdown
-from services.evaluator.measures.samplers import BundleSampler
 from services.evaluator.measures.scenes import Stage, measure_reconstruction
+from services.planner.sources.local_sampler import BundleSampler
 
 ROOT = Path(__file__).resolve().parents[2]
 SCENARIOS = 40

@@ -3,10 +3,10 @@
 from cspace.bundle.golden import GoldenCase
 from cspace.bundle.loaded import Bundle
 from cspace.bundle.parts import Provenance, RandomInput
-from cspace.bundle.request import MAX_EPSILON, MAX_SEED
 from cspace.bundle.samples import Encoding, Picture, SampleSet
 from cspace.bundle.spec import SCHEMA_VERSION, BundleSpec
 from cspace.bundle.writer import write_bundle
+from cspace.query import MAX_EPSILON, MAX_SEED, SampleQuery
 
 __all__ = [
     "MAX_EPSILON",
@@ -19,6 +19,7 @@ __all__ = [
     "Picture",
     "Provenance",
     "RandomInput",
+    "SampleQuery",
     "SampleSet",
     "write_bundle",
 ]

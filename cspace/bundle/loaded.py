@@ -3,17 +3,17 @@
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Unpack
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from cspace.bundle.draws import Draws, draw, propose, shares
 from cspace.bundle.files import GOLDEN_FILE, SPEC_FILE, BundleFiles, read_files
 from cspace.bundle.golden import GoldenCase
 from cspace.bundle.keeping import gather
 from cspace.bundle.novelty import novelty
-from cspace.bundle.request import Request
+from cspace.bundle.request import fitted
 from cspace.bundle.running.chunks import CHUNK_ROWS, PATH_CHUNK_ROWS, Between, chunked
 from cspace.bundle.running.deadlines import RUN_LIMIT_S
 from cspace.bundle.running.graph_set import open_graphs
@@ -21,6 +21,7 @@ from cspace.bundle.running.graphs import Graph
 from cspace.bundle.samples import Encoding, Picture, SampleSet
 from cspace.bundle.spec import MAP, PICTURE, BundleSpec
 from cspace.errors import BundleError, BundleIntegrityError, InputError
+from cspace.query import QueryOptions, SampleQuery
 from cspace.space import to_float32
 
 # Samples about a path are close to contact where it matters, and a further turn costs a further search.
@@ -114,14 +115,28 @@ class Bundle:
         n: int,
         seed: int,
         *,
-        epsilon_sigma: Sequence[float] = (0.0,),
-        start: ArrayLike | None = None,
-        goal: ArrayLike | None = None,
-        min_confidence: float | None = None,
+        tell_confidence: bool = True,
+        between: Between | None = None,
+        **options: Unpack[QueryOptions],
+    ) -> SampleSet:
+        """:meth:`answer` to the query of these arguments, which :class:`cspace.query.SampleQuery` tells of.
+
+        Raises:
+            InputError: an argument is out of range or does not fit the model.
+            BundleError: a graph fails.
+        """
+        query = SampleQuery.checked(n, seed, **options)
+        return self.answer(image, query, tell_confidence=tell_confidence, between=between)
+
+    def answer(
+        self,
+        image: NDArray[np.uint8] | Picture,
+        query: SampleQuery,
+        *,
         tell_confidence: bool = True,
         between: Between | None = None,
     ) -> SampleSet:
-        """``n`` configurations for a picture; the same arguments give bit-equal samples on one machine.
+        """Configurations for a picture; the same query gives bit-equal samples on one machine.
 
         With a confidence to reach, more are drawn and scored until ``n`` reach it, or the budget of four
         times ``n`` is spent and the answer falls short.
@@ -131,25 +146,16 @@ class Bundle:
 
         Args:
             image: uint8 (P, P, 3), or one that :meth:`prepare` made.
-            n: how many, at least 1.
-            seed: unsigned 64 bit.
-            epsilon_sigma: the latent's standard deviation is raised by each value, 0 to 10; equal shares of
-                the samples in this order, the remainder to the first.
-            start: (d,) rad, for path models and only for them.
-            goal: as ``start``.
-            min_confidence: what the validity head has to score, 0 to 1; None for the bundle's own threshold
-                (0 for a bundle without), 0 for all samples as they come.
+            query: what is asked.
             tell_confidence: whether samples are scored that are not filtered; the samples are the same.
             between: called between the parts of a large request and between its turns, never for a small one;
                 may raise to stop it, which passes through.
 
         Raises:
-            InputError: an argument is out of range or does not fit the model.
+            InputError: the query does not fit the model.
             BundleError: a graph fails.
         """
-        request = Request.checked(
-            self.spec, n, seed, epsilon_sigma, start, goal, min_confidence, has_validity=self.has_validity
-        )
+        request = fitted(query, self.spec, has_validity=self.has_validity)
         began = time.perf_counter()
         picture = self._prepared(image)
         encoded = time.perf_counter()
@@ -169,8 +175,8 @@ class Bundle:
             samples = proposals.mixed_with(learned)
             return samples, self._score(self._head(), picture.pixels, samples, between)
 
-        wanted, acceptance = shares(request.count, len(request.epsilon_sigma)), 1.0
-        if request.min_confidence > 0.0:
+        wanted, acceptance = shares(request.n, len(request.epsilon_sigma)), 1.0
+        if request.min_confidence:
             # Of a free-space generator's samples nearly all pass, of uniform ones about every second.
             expected = 1.0 - self.spec.uniform_share / 2.0 if self.spec.kind != "path" else PATHS_PASS
             kept = gather(proposed, wanted, request.min_confidence, expected, between)
@@ -182,12 +188,10 @@ class Bundle:
         encode_ms, generate_ms = 1e3 * (encoded - began), 1e3 * (time.perf_counter() - encoded)
         if picture is image:
             encode_ms = 0.0
-        return SampleSet(
-            samples, confidence, request.count - len(samples), acceptance, encode_ms, generate_ms
-        )
+        return SampleSet(samples, confidence, request.n - len(samples), acceptance, encode_ms, generate_ms)
 
     def _generate(
-        self, draws: Draws, request: Request, picture: Picture, between: Between | None
+        self, draws: Draws, request: SampleQuery, picture: Picture, between: Between | None
     ) -> NDArray[np.float32]:
         spec = self.spec
         seen = {PICTURE: picture.pixels} if spec.looks_at_picture else {}
@@ -278,15 +282,12 @@ class Bundle:
         return self.spec.world.sensor.to_network(image[None])
 
     def _replay(self, case: GoldenCase) -> None:
-        arguments: dict[str, Any] = {
-            "epsilon_sigma": case.epsilon_sigma,
-            "start": case.start,
-            "goal": case.goal,
-            "min_confidence": 0.0,
-        }
         try:
             encoding = self.encode(case.image)
-            answer = self.sample(case.image, case.count, case.seed, **arguments)
+            query = SampleQuery.checked(
+                case.count, case.seed, case.epsilon_sigma, case.start, case.goal, min_confidence=0.0
+            )
+            answer = self.answer(case.image, query)
         except InputError as error:
             raise BundleIntegrityError("the golden case does not fit its bundle", got=str(error)) from error
         case.compare(encoding.mu, encoding.sigma, answer.samples, answer.confidence)

@@ -1,17 +1,17 @@
 """One request of the Open Inference Protocol from the bytes of its body to those of its answer."""
 
-import secrets
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from fastapi.responses import Response
 from numpy.typing import NDArray
 
-from cspace.bundle import MAX_SEED, Bundle, SampleSet
+from cspace.bundle import Bundle, SampleSet
 from cspace.errors import InputError
+from cspace.query import MAX_SAMPLES, MAX_SEED, SampleQuery
 from inference_api.models.pictures import PictureCache, Prepared
 from inference_api.models.references import PRETRAINED, ModelReference
 from inference_api.models.store import ModelStore, ServedModel
@@ -19,8 +19,8 @@ from inference_api.open_inference.tensor_request import flag, read_request, spli
 from inference_api.open_inference.tensor_schemas import InferenceRequest, RequestedOutput
 from inference_api.open_inference.tensors import JSON_LENGTH, Tensor, read_tensors, split_body, write_tensors
 from inference_api.pages.sampling import rows_of
-from inference_api.pages.schemas import MAX_SAMPLES, SampleRequest
-from inference_api.pages.validation import brief_members, validate_request
+from inference_api.pages.schemas import QueryFields
+from inference_api.pages.validation import brief_members, validate_fields
 from inference_api.telemetry.observer import Sampled
 from inference_api.turns.turns import Turn
 
@@ -28,7 +28,6 @@ IMAGE = "image"
 # Each is encoded, and has a seed.
 MAX_PICTURES = 256
 _BINARY = "binary_data"
-_OPTIONS = {"epsilon_sigma", "start", "goal", "min_confidence"}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,7 +67,7 @@ class InferenceQuestion:
         reference: the model that it names.
         request: the JSON object.
         tensors: its inputs by name.
-        wanted: what is asked for each picture.
+        query: what is asked for the first picture.
         binary: whether outputs come as bytes unless they are asked for otherwise.
         began: ``time.perf_counter()`` when the request was read, s.
     """
@@ -77,7 +76,7 @@ class InferenceQuestion:
     reference: ModelReference
     request: InferenceRequest
     tensors: Mapping[str, NDArray[Any]]
-    wanted: SampleRequest
+    query: SampleQuery
     binary: bool
     began: float
 
@@ -89,9 +88,9 @@ class InferenceQuestion:
             ClientDisconnect: the client has gone away.
         """
         images = _images(served.bundle, self.tensors)
-        drawn = draw(served.bundle, images, self.wanted, self.store.pictures, turn)
+        drawn = draw(served.bundle, images, self.query, self.store.pictures, turn)
         spent_s = time.perf_counter() - self.began
-        self.store.observer.sampled(sampled(served, drawn, self.wanted.n, spent_s))
+        self.store.observer.sampled(sampled(served, drawn, self.query.n, spent_s))
         arrays = output_arrays(drawn)
         asked = _asked(self.request.outputs, arrays, self.binary)
         outputs = [Tensor(name, arrays[name], as_bytes) for name, as_bytes in asked]
@@ -122,43 +121,41 @@ def read_inference(
     request = read_request(parts.head)
     tensors = read_tensors(request.inputs, parts.tail)
     binary, fields = split_parameters(request.parameters)
-    wanted = validate_request({**fields, IMAGE: b""})
-    return InferenceQuestion(store, reference, request, tensors, wanted, binary, began)
+    query = validate_fields(QueryFields, fields).query()
+    return InferenceQuestion(store, reference, request, tensors, query, binary, began)
 
 
 def draw(
-    bundle: Bundle, images: NDArray[np.uint8], request: SampleRequest, known: PictureCache, turn: Turn
+    bundle: Bundle, images: NDArray[np.uint8], query: SampleQuery, known: PictureCache, turn: Turn
 ) -> Drawn:
     """Samples for each picture as it would get them alone, with the seeds seed, seed + 1, ... modulo 2^64.
 
     Args:
         bundle: the model.
         images: uint8 (b, P, P, 3), b from 1 to :data:`MAX_PICTURES`.
-        request: what is asked for each; its picture is not looked at.
+        query: what is asked for the first, and but for the seed for all.
         known: pictures that are encoded already.
         turn: told the cost, and asked between pictures.
 
     Raises:
         InputError: these are more samples than one request may ask for, or a value does not fit the model.
     """
-    if request.n * len(images) > MAX_SAMPLES:
+    if query.n * len(images) > MAX_SAMPLES:
         raise InputError(
             "these are too many samples",
             expected=f"n times the number of pictures at most {MAX_SAMPLES}",
-            got=f"{request.n} times {len(images)}",
+            got=f"{query.n} times {len(images)}",
             remedy="ask for fewer at a time",
         )
-    turn.spend(rows_of(bundle.spec, request, len(images)))
-    first = secrets.randbits(64) if request.seed is None else request.seed
-    seeds = [(first + index) % (MAX_SEED + 1) for index in range(len(images))]
-    options = request.model_dump(include=_OPTIONS)
+    turn.spend(rows_of(bundle.spec, query, len(images)))
+    seeds = [(query.seed + index) % (MAX_SEED + 1) for index in range(len(images))]
     prepared: list[Prepared] = []
     found: list[SampleSet] = []
     for image, seed in zip(images, seeds, strict=True):
         if found:
             turn.between()
         prepared.append(known.of_pixels(bundle, image))
-        found.append(bundle.sample(prepared[-1].picture, request.n, seed, between=turn.between, **options))
+        found.append(bundle.answer(prepared[-1].picture, replace(query, seed=seed), between=turn.between))
     novelties = [one.picture.novelty for one in prepared if one.picture.novelty is not None]
     return Drawn(found, seeds, novelties, 1e-3 * sum(one.encode_ms for one in prepared))
 

@@ -1,7 +1,6 @@
 """One request from field values to the bytes of its answer; runs in a worker thread, off the event loop."""
 
 import io
-import secrets
 import time
 from dataclasses import dataclass
 from functools import lru_cache
@@ -11,17 +10,11 @@ from fastapi.responses import Response
 
 from cspace.bundle import BundleSpec, SampleSet
 from cspace.bundle.keeping import BUDGET, BUDGET_AT_LEAST
+from cspace.query import SampleQuery
 from inference_api.bodies.request_body import RawFields, parse_fields
 from inference_api.models.references import ModelReference
 from inference_api.models.store import ModelStore, ServedModel
-from inference_api.pages.schemas import (
-    JointSpaceInfo,
-    ModelInfo,
-    SampleAnswer,
-    SampleRequest,
-    ScenarioInfo,
-    TimingMs,
-)
+from inference_api.pages.schemas import JointSpaceInfo, ModelInfo, SampleAnswer, ScenarioInfo, TimingMs
 from inference_api.pages.validation import validate_request
 from inference_api.telemetry.observer import Sampled
 from inference_api.turns.turns import Turn
@@ -56,15 +49,17 @@ class SampleQuestion:
 
     Args:
         store: where pictures are known and observers told.
-        request: what is asked.
         reference: the model that it names.
+        image: the picture, a PNG file.
+        query: what is asked.
         npy: whether the client prefers the samples alone as ``.npy``.
         began: ``time.perf_counter()`` when the request came in, s.
     """
 
     store: ModelStore
-    request: SampleRequest
     reference: ModelReference
+    image: bytes
+    query: SampleQuery
     npy: bool
     began: float
 
@@ -75,9 +70,24 @@ class SampleQuestion:
             CspaceError: as the contract's table of errors.
             ClientDisconnect: the client has gone away.
         """
-        # A ``.npy`` holds samples alone: nobody would see the scores of those that are not filtered.
-        answer = sample(self.store, served, self.request, self.began, turn, tell_confidence=not self.npy)
+        answer = self._sample(served, turn)
+        self.store.observer.sampled(sampled(answer, self.query.n))
         return npy_response(answer) if self.npy else json_response(answer)
+
+    def _sample(self, served: ServedModel, turn: Turn) -> Answer:
+        turn.spend(rows_of(served.bundle.spec, self.query))
+        prepared = self.store.pictures.get(served.bundle, self.image)
+        # A ``.npy`` holds samples alone: nobody would see the scores of those that are not filtered.
+        found = served.bundle.answer(
+            prepared.picture, self.query, tell_confidence=not self.npy, between=turn.between
+        )
+        timing = TimingMs(
+            decode=prepared.decode_ms,
+            encode=prepared.encode_ms,
+            generate=found.generate_ms,
+            total=1e3 * (time.perf_counter() - self.began),
+        )
+        return Answer(served, found, prepared.picture.novelty, self.query.seed, timing)
 
 
 def read_question(store: ModelStore, fields: RawFields, *, npy: bool, began: float) -> SampleQuestion:
@@ -94,49 +104,15 @@ def read_question(store: ModelStore, fields: RawFields, *, npy: bool, began: flo
     """
     request = validate_request(parse_fields(fields))
     named = request.model if "model" in request.model_fields_set else store.model_name
-    return SampleQuestion(store, request, ModelReference.parse(named), npy, began)
+    reference = ModelReference.parse(named)
+    return SampleQuestion(store, reference, request.image, request.query(), npy, began)
 
 
-def rows_of(spec: BundleSpec, request: SampleRequest, pictures: int = 1) -> float:
+def rows_of(spec: BundleSpec, query: SampleQuery, pictures: int = 1) -> float:
     """What a request may cost at most, in samples that are drawn."""
-    threshold = spec.confidence_threshold if request.min_confidence is None else request.min_confidence
-    drawn = max(BUDGET * request.n, BUDGET_AT_LEAST) if threshold else request.n
+    threshold = spec.confidence_threshold if query.min_confidence is None else query.min_confidence
+    drawn = max(BUDGET * query.n, BUDGET_AT_LEAST) if threshold else query.n
     return float(pictures * drawn + (pictures - 1) * PICTURE_ROWS)
-
-
-def sample(
-    store: ModelStore,
-    served: ServedModel,
-    request: SampleRequest,
-    began: float,
-    turn: Turn,
-    *,
-    tell_confidence: bool = True,
-) -> Answer:
-    """Answer a valid request; as :meth:`cspace.bundle.Bundle.sample` has it, scored for who is told."""
-    turn.spend(rows_of(served.bundle.spec, request))
-    prepared = store.pictures.get(served.bundle, request.image)
-    seed = secrets.randbits(64) if request.seed is None else request.seed
-    found = served.bundle.sample(
-        prepared.picture,
-        request.n,
-        seed,
-        epsilon_sigma=request.epsilon_sigma,
-        start=request.start,
-        goal=request.goal,
-        min_confidence=request.min_confidence,
-        tell_confidence=tell_confidence,
-        between=turn.between,
-    )
-    timing = TimingMs(
-        decode=prepared.decode_ms,
-        encode=prepared.encode_ms,
-        generate=found.generate_ms,
-        total=1e3 * (time.perf_counter() - began),
-    )
-    answer = Answer(served, found, prepared.picture.novelty, seed, timing)
-    store.observer.sampled(sampled(answer, request.n))
-    return answer
 
 
 def json_response(answer: Answer) -> Response:

@@ -7,10 +7,9 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, WithJsonSchema
 
-from cspace.bundle import MAX_EPSILON, MAX_SEED
+from cspace.query import MAX_EPSILON, MAX_SAMPLES, MAX_SEED, SampleQuery, drawn_seed
 from inference_api.failures import FieldProblem
 
-MAX_SAMPLES = 20_000
 MAX_EPSILONS = 1000
 MAX_JOINTS = 64
 
@@ -72,21 +71,20 @@ _Angle = Annotated[float, Field(allow_inf_nan=False)]
 _Configuration = Annotated[list[_Angle], Field(max_length=MAX_JOINTS)]
 
 
-class SampleRequest(BaseModel):
-    """A request for samples; unknown fields are errors."""
+# In this order they are described, and those that are wrong are told.
+FIELDS = ("image", "n", "model", "seed", "epsilon_sigma", "start", "goal", "min_confidence")
+
+
+def _in_order(schema: dict[str, Any]) -> None:
+    schema["properties"] = {name: schema["properties"][name] for name in FIELDS}
+
+
+class QueryFields(BaseModel):
+    """What is asked for one picture, whatever names the picture and the model; unknown fields are errors."""
 
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
 
-    image: _Image = Field(
-        description="The scenario as a square PNG of 16 to 2048 pixels: RGB as it is, RGBA over white, grey "
-        "and palette as RGB; 16-bit and animated ones are refused. Resized by area averaging."
-    )
     n: int = Field(300, ge=1, le=MAX_SAMPLES, description="How many samples.")
-    model: str = Field(
-        "cspace-sampler",
-        max_length=300,
-        description="`name` (its champion), `name@alias`, `name/version`, or `pretrained` (shipped).",
-    )
     seed: _Seed = Field(
         None,
         description="Unsigned 64 bit as number or decimal string; drawn and returned when absent. "
@@ -105,6 +103,33 @@ class SampleRequest(BaseModel):
         None,
         description="What the model's validity head has to score; more are drawn for those that do not. "
         "Absent, the model's own threshold holds; 0 takes all; above 0 only for models that have a head.",
+    )
+
+    def query(self) -> SampleQuery:
+        """The fields, which are judged here, as the value that travels on; draws a seed that is absent."""
+        return SampleQuery(
+            self.n,
+            drawn_seed(self.seed),
+            tuple(self.epsilon_sigma),
+            None if self.start is None else tuple(self.start),
+            None if self.goal is None else tuple(self.goal),
+            self.min_confidence,
+        )
+
+
+class SampleRequest(QueryFields):
+    """A request for samples; unknown fields are errors."""
+
+    model_config = ConfigDict(json_schema_extra=_in_order)
+
+    image: _Image = Field(
+        description="The scenario as a square PNG of 16 to 2048 pixels: RGB as it is, RGBA over white, grey "
+        "and palette as RGB; 16-bit and animated ones are refused. Resized by area averaging."
+    )
+    model: str = Field(
+        "cspace-sampler",
+        max_length=300,
+        description="`name` (its champion), `name@alias`, `name/version`, or `pretrained` (shipped).",
     )
 
 

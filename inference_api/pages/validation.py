@@ -1,13 +1,17 @@
-"""Field values to a valid :class:`SampleRequest`, with messages in the contract's words."""
+"""Field values to a valid request, with messages in the contract's words."""
 
 from collections.abc import Mapping
 from itertools import islice
-from typing import Any
+from typing import Any, TypeVar
 
 from pydantic import ValidationError
+from pydantic_core import ErrorDetails
 
+from cspace.query import MAX_SAMPLES
 from inference_api.failures import FieldProblem, FieldsError
-from inference_api.pages.schemas import MAX_SAMPLES, SampleRequest
+from inference_api.pages.schemas import FIELDS, QueryFields, SampleRequest
+
+Fields = TypeVar("Fields", bound=QueryFields)
 
 MAX_REPORTED = 8
 _SHOWN_BITS = 128
@@ -25,18 +29,32 @@ EXPECTED = {
 
 
 def validate_request(values: Mapping[str, Any]) -> SampleRequest:
+    """Check the field values of a whole request.
+
+    Raises:
+        FieldsError: a field is unknown, missing or wrong.
+    """
+    return validate_fields(SampleRequest, values)
+
+
+def validate_fields(kind: type[Fields], values: Mapping[str, Any]) -> Fields:
     """Check field values.
 
     Raises:
         FieldsError: a field is unknown, missing or wrong.
     """
     try:
-        return SampleRequest.model_validate(values)
+        return kind.model_validate(values)
     except ValidationError as error:
-        found = error.errors(include_url=False, include_context=False)[:MAX_REPORTED]
+        found = sorted(error.errors(include_url=False, include_context=False), key=_place)[:MAX_REPORTED]
         raise FieldsError(
             [_field_problem(item["type"], item["loc"], item["input"]) for item in found]
         ) from error
+
+
+def _place(item: ErrorDetails) -> int:
+    field = item["loc"][0] if item["loc"] else ""
+    return FIELDS.index(field) if field in FIELDS else len(FIELDS)
 
 
 def _field_problem(kind: str, location: tuple[int | str, ...], value: object) -> FieldProblem:

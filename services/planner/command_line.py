@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from cspace.query import PLAIN, SampleQuery
 from cspace.world import World
 from cspace.worlds import examples, workshop_of
 from services.planner.drawing.plot import check_figure_path
@@ -51,7 +52,7 @@ def parse_command(arguments: Sequence[str] | None = None) -> Command:
     """The command of an argument list; leaves the process with 2 where argparse objects.
 
     Raises:
-        ConfigError: a value is out of its range.
+        InputError: a value is out of its range.
     """
     options = make_parser().parse_args(arguments)
     if options.plot is not None:
@@ -65,14 +66,10 @@ def parse_command(arguments: Sequence[str] | None = None) -> Command:
         seed=options.seed if options.planner_seed is None else options.planner_seed,
         colliding_last=options.colliding_last,
     )
-    request = SampleRequest(
-        n=options.n,
-        model=options.model,
-        epsilon_sigma=tuple(options.epsilon_sigma),
-        min_confidence=options.min_confidence,
-        with_ends=options.path_model,
-        ordered=options.ordered,
+    query = SampleQuery.checked(
+        options.n, settings.seed, options.epsilon_sigma, min_confidence=options.min_confidence
     )
+    request = SampleRequest(query, options.model, with_ends=options.path_model, ordered=options.ordered)
     return Command(
         url=options.api,
         timeout_s=options.timeout,
@@ -115,7 +112,7 @@ def make_parser() -> argparse.ArgumentParser:
         "--epsilon-sigma",
         type=float,
         nargs="+",
-        default=(),
+        default=PLAIN,
         metavar="E",
         help="raise the encoder's standard deviation by each, in equal shares and in this order: the epsilon "
         f"schedule of algorithm 3, for example {' '.join(f'{value:g}' for value in PAPER_SCHEDULE)}",

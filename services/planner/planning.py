@@ -1,10 +1,10 @@
 """A planner and a source of learned samples put together: one batch before the search, none during it."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from cspace.errors import SamplerError, SamplerUnavailableError
 from cspace.problem import Problem
+from cspace.query import SampleQuery
 from cspace.worlds import picture_file_of
 from services.planner.plan_result import PlanResult
 from services.planner.search.ompl_planner import DEFAULT_UNIFORM_SHARE, solve
@@ -21,24 +21,17 @@ ORDINARY = 0.95
 
 @dataclass(frozen=True, slots=True)
 class SampleRequest:
-    """What is asked of the sampling endpoint for one problem.
+    """What is asked of a source of samples for one problem, and how its answer is taken.
 
     Args:
-        n: how many samples.
-        model: ``name``, ``name@alias``, ``name/version`` or ``pretrained``; None for the endpoint's default.
-        seed: unsigned 64 bit; None for the planner's.
-        epsilon_sigma: what the encoder's standard deviation is raised by, in equal shares and in this order;
-            empty for the endpoint's default.
-        min_confidence: what the validity head has to score; None for the model's own threshold, 0 for all.
+        query: without start and goal, which are the problem's.
+        model: ``name``, ``name@alias``, ``name/version`` or ``pretrained``; None for the source's default.
         with_ends: whether start and goal are sent, as path models require and others refuse.
         ordered: whether the planner takes the samples along the way through them, from the start on.
     """
 
-    n: int = DEFAULT_SAMPLES
+    query: SampleQuery
     model: str | None = None
-    seed: int | None = None
-    epsilon_sigma: Sequence[float] = ()
-    min_confidence: float | None = None
     with_ends: bool = False
     ordered: bool = False
 
@@ -92,7 +85,7 @@ def plan_with_api(
         problem: start and goal in a scenario.
         source: of samples, usually a :class:`services.planner.sources.sampling_client.SamplingClient`.
         settings: of the planner.
-        request: what is asked of the source.
+        request: what is asked of the source; None for 300 samples with the planner's seed.
         uniform_share: of uniform samples mixed in, raised where the picture is like none the model knows.
         keep_tree: whether the result holds the search tree.
 
@@ -101,15 +94,16 @@ def plan_with_api(
             used.
         PlanningError: the planner takes no samples.
     """
+    request = request or SampleRequest(SampleQuery(DEFAULT_SAMPLES, settings.seed))
     batch, unavailable = None, None
     try:
-        batch = request_samples(problem, source, settings, request or SampleRequest())
+        batch = request_samples(problem, source, request)
     except SamplerUnavailableError as error:
         unavailable = str(error)
     samples = None
     if batch is not None:
         samples, uniform_share = batch.samples, raised_share(uniform_share, batch.novelty)
-        if request is not None and request.ordered:
+        if request.ordered:
             space = problem.space
             samples = samples[order_along(samples, problem.start, problem.goal, space)]
     result = solve(problem, settings, samples, uniform_share, keep_tree=keep_tree)
@@ -130,26 +124,15 @@ def raised_share(uniform_share: float, novelty: float | None) -> float:
     return uniform_share + (1.0 - uniform_share) * beyond
 
 
-def request_samples(
-    problem: Problem, source: SampleSource, settings: PlannerSettings, request: SampleRequest
-) -> SampleBatch:
+def request_samples(problem: Problem, source: SampleSource, request: SampleRequest) -> SampleBatch:
     """One batch for a problem's picture.
 
     Raises:
         SamplerUnavailableError: the source does not answer.
         SamplerError: it refused the request, or its samples are those of another robot.
     """
-    ends = (problem.start.tolist(), problem.goal.tolist()) if request.with_ends else (None, None)
-    batch = source.sample(
-        picture_file_of(problem.scenario),
-        request.n,
-        model=request.model,
-        seed=settings.seed if request.seed is None else request.seed,
-        epsilon_sigma=request.epsilon_sigma,
-        start=ends[0],
-        goal=ends[1],
-        min_confidence=request.min_confidence,
-    )
+    query = between_ends(request.query, problem) if request.with_ends else request.query
+    batch = source.answer(picture_file_of(problem.scenario), query, request.model)
     dim = problem.space.dim
     if len(batch.samples) and batch.samples.shape[1] != dim:
         raise SamplerError(
@@ -159,6 +142,11 @@ def request_samples(
             remedy="name a model of this robot",
         )
     return batch
+
+
+def between_ends(query: SampleQuery, problem: Problem) -> SampleQuery:
+    """The query with the start and the goal of a problem, as path models are asked."""
+    return replace(query, start=tuple(problem.start.tolist()), goal=tuple(problem.goal.tolist()))
 
 
 def compare_with_api(

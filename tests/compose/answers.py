@@ -5,9 +5,9 @@ from typing import Any
 
 import httpx
 
+from cspace.png import encode_png
 from cspace.splits import Split
 from cspace.worlds.planar.arm import TWO_LINK
-from cspace.worlds.planar.picture import encode_png
 from cspace.worlds.planar.render import render
 from cspace.worlds.planar.scene import random_scenarios
 from services.local.quickstart.serving import wait_served

@@ -14,7 +14,7 @@ import pytest
 from mlflow import MlflowClient
 
 from cspace.bundle import Bundle
-from cspace.worlds.planar.picture import encode_png
+from cspace.png import encode_png
 from services.registry.models.mlflow_registry import MlflowRegistry
 from services.registry.models.port import ModelVersion
 from services.registry.tracking.mlflow_tracking import MlflowTracking

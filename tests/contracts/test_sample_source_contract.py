@@ -1,4 +1,7 @@
-"""One contract for what gives a planner samples: the fake, the HTTP clients, a bundle, the real API (e2e)."""
+"""One contract for what gives planners and metrics samples: fake, HTTP clients, a bundle, the real API.
+
+The uniform baseline keeps the part of it that asks for no model and no picture. The real API is e2e.
+"""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -9,11 +12,14 @@ import pytest
 from anyio.from_thread import BlockingPortal, start_blocking_portal
 
 from cspace.errors import SamplerError, SamplerUnavailableError
-from cspace.worlds.planar.picture import encode_png
+from cspace.png import encode_png
+from cspace.query import SampleQuery
+from cspace.worlds.planar.arm import TWO_LINK
 from services.planner.sources.async_sampling_client import AsyncSamplingClient
 from services.planner.sources.local_sampler import LocalSampler
-from services.planner.sources.samples import SampleBatch, SampleSource
+from services.planner.sources.samples import Picture, PinnedSource, SampleBatch, SampleSource
 from services.planner.sources.sampling_client import SamplingClient
+from services.planner.sources.uniform_sampler import UniformSampler
 from tests.bundles import picture, write_tiny_bundle
 from tests.fakes.sample_server import sample_server
 from tests.fakes.sample_source import FakeSampleSource
@@ -26,19 +32,21 @@ KINDS = [
     "http",
     "async",
     "local",
+    "pinned",
     pytest.param("api", marks=E2E),
     pytest.param("async api", marks=E2E),
 ]
+BASELINE_TOO = pytest.mark.parametrize("source", [*KINDS, "uniform"], indirect=True)
 
 
-class Awaited:
+class Awaited(SampleSource):
     """The awaited client as a source like the others: every call waits in an event loop's thread."""
 
     def __init__(self, client: AsyncSamplingClient, portal: BlockingPortal) -> None:
         self._client, self._portal = client, portal
 
-    def sample(self, *arguments: object, **options: object) -> SampleBatch:
-        return self._portal.call(lambda: self._client.sample(*arguments, **options))
+    def answer(self, picture: Picture, query: SampleQuery, model: str | None = None) -> SampleBatch:
+        return self._portal.call(self._client.answer, picture, query, model)
 
 
 @contextmanager
@@ -75,6 +83,10 @@ def source(request: pytest.FixtureRequest, bundle: Path) -> Iterator[SampleSourc
         yield FakeSampleSource()
     elif request.param == "local":
         yield LocalSampler(bundle)
+    elif request.param == "pinned":
+        yield PinnedSource(LocalSampler(bundle), "pretrained/0")
+    elif request.param == "uniform":
+        yield UniformSampler(TWO_LINK.space)
     elif "api" in request.param:
         with connected(request.param, request.getfixturevalue("api_url")) as client:
             yield client
@@ -90,6 +102,8 @@ def empty_source(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Cal
         yield lambda: FakeSampleSource(ready=False)
     elif request.param == "local":
         yield lambda: LocalSampler(tmp_path / "nothing")
+    elif request.param == "pinned":
+        yield lambda: PinnedSource(FakeSampleSource(ready=False), "pretrained")
     elif "api" in request.param:
         nothing = {"CSPACE_PRETRAINED_MODEL": str(tmp_path / "nothing")}
         with api_server(tmp_path, nothing) as url, connected(request.param, url) as client:
@@ -100,6 +114,7 @@ def empty_source(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Cal
             yield lambda: client
 
 
+@BASELINE_TOO
 def test_a_batch_holds_as_many_wrapped_float32_angles_as_were_asked_for(source):
     batch = source.sample(PNG, 300, seed=3)
     assert batch.samples.shape == (300, 2)
@@ -117,15 +132,39 @@ def test_a_batch_names_its_model_and_the_seed_that_was_asked_for(source):
     assert batch.round_trip_s >= 0.0
 
 
+@BASELINE_TOO
 def test_the_same_seed_gives_the_same_samples_and_another_one_others(source):
     first, again, other = (source.sample(PNG, 20, seed=seed) for seed in (1, 1, 2))
     assert np.array_equal(first.samples, again.samples)
     assert not np.array_equal(first.samples, other.samples)
 
 
+@BASELINE_TOO
 def test_a_drawn_seed_repeats_its_batch(source):
     drawn = source.sample(PNG, 20)
     assert np.array_equal(source.sample(PNG, 20, seed=drawn.seed).samples, drawn.samples)
+
+
+@BASELINE_TOO
+def test_pixels_are_as_good_as_their_file_and_a_query_as_its_arguments(source):
+    asked = source.answer(picture(), SampleQuery(20, 3, (0.0, 0.5)))
+    assert np.array_equal(source.sample(PNG, 20, 3, epsilon_sigma=[0, 0.5]).samples, asked.samples)
+
+
+@BASELINE_TOO
+@pytest.mark.parametrize(
+    "wrong",
+    [{"n": 2.5}, {"seed": 2**64}, {"epsilon_sigma": ()}, {"min_confidence": 2.0}, {"start": "here"}],
+    ids=str,
+)
+def test_a_value_out_of_range_is_refused_by_name(source, wrong):
+    with pytest.raises(SamplerError, match=next(iter(wrong))):
+        source.sample(PNG, **{"n": 10, **wrong})
+
+
+@BASELINE_TOO
+def test_none_of_them_has_to_be_asked_with_start_and_goal(source):
+    assert not source.with_ends
 
 
 def test_the_shortfall_is_what_is_missing(source):

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from cspace.errors import ImageError
-from cspace.worlds.planar.picture import decode_png, encode_png
+from cspace.png import encode_png
+from cspace.worlds.planar.picture import decode_png
 from tests.cspace.png_files import (
     GREY,
     KINDS,
@@ -84,7 +85,8 @@ def test_large_pictures_are_what_they_were_to_the_byte(side: int) -> None:
 
 MEMORY = """
 import numpy as np
-from cspace.worlds.planar.picture import decode_png, encode_png
+from cspace.png import encode_png
+from cspace.worlds.planar.picture import decode_png
 from tests.cspace.png_files import RGBA, chunk, file, header, pixels
 
 def kib(key):

@@ -12,6 +12,7 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 import numpy as np
 
 from cspace.errors import SamplerError, SamplerUnavailableError
+from cspace.query import PLAIN, SampleQuery
 from services.planner.sources.samples import SampleBatch, SampleSource
 
 Answer = tuple[int, dict[str, str], bytes]
@@ -30,16 +31,15 @@ def read_form(content_type: str, body: bytes) -> dict[str, list[bytes]]:
 def ask(source: SampleSource, fields: dict[str, list[bytes]]) -> SampleBatch:
     """The fields of a form as a call of the source."""
     text = {name: values[0].decode() for name, values in fields.items() if name != "image"}
-    return source.sample(
-        fields["image"][0],
+    query = SampleQuery.checked(
         int(text["n"]),
-        model=text.get("model"),
-        seed=int(text["seed"]) if "seed" in text else None,
-        epsilon_sigma=[float(value) for value in fields.get("epsilon_sigma", [])],
-        start=json.loads(text["start"]) if "start" in text else None,
-        goal=json.loads(text["goal"]) if "goal" in text else None,
-        min_confidence=float(text["min_confidence"]) if "min_confidence" in text else None,
+        int(text["seed"]),
+        [float(value) for value in fields.get("epsilon_sigma", PLAIN)],
+        json.loads(text.get("start", "null")),
+        json.loads(text.get("goal", "null")),
+        float(text["min_confidence"]) if "min_confidence" in text else None,
     )
+    return source.answer(fields["image"][0], query, text.get("model"))
 
 
 def npy(samples: np.ndarray) -> bytes:

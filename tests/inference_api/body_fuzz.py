@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from cspace.worlds.planar.picture import encode_png
+from cspace.png import encode_png
 from tests.inference_api.png_fuzz import png
 
 # With 300 pictures behind it still less than a server takes.

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from cspace.bundle import write_bundle
-from cspace.worlds.planar.picture import encode_png
+from cspace.png import encode_png
 from inference_api.app import create_app
 from inference_api.guards.protection import Protection
 from inference_api.settings import ApiSettings

@@ -8,7 +8,7 @@ import httpx
 import numpy as np
 from numpy.typing import NDArray
 
-from cspace.worlds.planar.picture import encode_png
+from cspace.png import encode_png
 from tests.bundles import picture
 from tests.inference_api.client import ApiClient
 

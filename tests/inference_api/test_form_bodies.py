@@ -10,7 +10,7 @@ import httpx
 import pytest
 from fastapi import Request
 
-from cspace.worlds.planar.picture import encode_png
+from cspace.png import encode_png
 from inference_api.bodies.multipart_form import (
     MAX_FIELD_BYTES,
     MAX_FORM_FIELDS,

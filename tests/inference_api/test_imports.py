@@ -20,7 +20,7 @@ from inference_api.app import create_app
 from inference_api.settings import ApiSettings
 from tests.bundles import picture
 from tests.inference_api.client import running
-from cspace.worlds.planar.picture import encode_png
+from cspace.png import encode_png
 
 settings = ApiSettings(None, Path({cache!r}), pretrained_folder=Path({bundle!r}))
 with running(create_app(settings)) as api:

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from cspace.bundle import Bundle
-from cspace.worlds.planar.picture import decode_png, encode_png
+from cspace.png import encode_png
+from cspace.worlds.planar.picture import decode_png
 from inference_api.pages.sampling import prefers_npy
 from tests.bundles import picture
 from tests.inference_api.client import ApiClient

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import tritonclient.http as tritonclient
 
-from cspace.worlds.planar.picture import encode_png
+from cspace.png import encode_png
 from tests.bundles import picture
 from tests.inference_api.server import api_server
 

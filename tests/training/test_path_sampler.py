@@ -10,6 +10,7 @@ import pytest
 
 from cspace.bundle import Bundle
 from cspace.errors import BundleError, ConfigError, InputError
+from cspace.query import SampleQuery
 from cspace.splits import Split
 from cspace.worlds.planar.arm import THREE_LINK
 from cspace.worlds.planar.problems import Family, draw_problem
@@ -26,7 +27,6 @@ from training.path_sampler import main
 from training.paths.untrained import make_path_bundle
 
 START, GOAL = (0.5, 0.5), (-0.5, -1.0)
-PATHS = SampleRequest(with_ends=True, min_confidence=0.0)
 
 
 @pytest.fixture(scope="module")
@@ -59,8 +59,9 @@ def test_the_shipped_head_makes_a_sampler_that_a_planner_gains_by(tmp_path: Path
     for index in range(12):
         problem = draw_problem(Family.NARROW, Split.DEMO, 21, index)
         settings = PlannerSettings(seed=index + 1, max_iterations=20_000)
-        learned = plan_with_api(problem, sampler, settings, PATHS, 0.3)
-        uniform = plan_with_api(problem, sampler, settings, PATHS, 1.0)
+        paths = SampleRequest(SampleQuery(300, index + 1, min_confidence=0.0), with_ends=True)
+        learned = plan_with_api(problem, sampler, settings, paths, 0.3)
+        uniform = plan_with_api(problem, sampler, settings, paths, 1.0)
         assert learned.result.solved
         assert learned.result.learned_drawn > 0 == uniform.result.learned_drawn
         iterations["learned"].append(learned.result.iterations)
@@ -84,7 +85,7 @@ def test_a_registered_path_sampler_is_served_by_name(tmp_path: Path, alias: str,
             SamplingClient(address) as client,
         ):
             model = "path-sampler" if alias == "champion" else "path-sampler@challenger"
-            request = SampleRequest(model=model, with_ends=True, seed=3)
+            request = SampleRequest(SampleQuery(300, 3), model, with_ends=True)
             found = plan_with_api(problem, client, PlannerSettings(), request)
     assert found.batch is not None
     assert (found.batch.model_name, found.batch.model_version) == ("path-sampler", 1)

@@ -8,8 +8,8 @@ from cspace.bundle import Bundle
 from cspace.dataset import Dataset
 from cspace.splits import Split
 from services.evaluator.evaluation.gallery import gallery
-from services.evaluator.measures.samplers import BundleSampler
 from services.evaluator.measures.scenes import Scene, Stage
+from services.planner.sources.local_sampler import BundleSampler
 from services.registry.tracking.port import RunLog
 from training.config.clusters import TrainConfig
 from training.jobs.figures import distillation_curves, gate_curves, vae_curves, validity_curves, wgan_curves

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from cspace.bundle import Bundle
 from cspace.errors import CspaceError
 from cspace.splits import Split
-from services.evaluator.measures.samplers import BundleSampler
 from services.evaluator.measures.scenes import Stage, measure_reconstruction
+from services.planner.sources.local_sampler import BundleSampler
 from services.registry.tracking.mlflow_tracking import MlflowTracking
 from training.clusters.pipeline import train
 from training.config.clusters import TrainConfig

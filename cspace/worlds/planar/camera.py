@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cspace.errors import ScenarioError
-from cspace.worlds.planar.picture import decode_png, encode_png, to_network
+from cspace.png import encode_png
+from cspace.worlds.planar.picture import decode_png, to_network
 
 _SIDES = ("x_min_m", "x_max_m", "y_min_m", "y_max_m")
 
@@ -63,7 +64,7 @@ class Camera:
         return decode_png(data, self.pixels)
 
     def encode(self, image: NDArray[np.uint8]) -> bytes:
-        """See :func:`cspace.worlds.planar.picture.encode_png`."""
+        """See :func:`cspace.png.encode_png`."""
         return encode_png(image)
 
     def to_network(self, images: NDArray[np.uint8]) -> NDArray[np.float32]:

@@ -1,4 +1,4 @@
-"""Pictures at the edge: untrusted PNG bytes to RGB arrays, RGB arrays to PNG and to network input.
+"""Pictures at the edge: untrusted PNG bytes to RGB arrays, and these to network input.
 
 Drawing is in :mod:`cspace.worlds.planar.render`, which needs numba; this module does not, so that a server
 can do without.
@@ -20,13 +20,6 @@ MIN_SIDE = 16
 MAX_SIDE = 2048
 # Columns that are averaged at a time: a whole picture as floats would take 50 MB.
 _BAND = 128
-
-
-def encode_png(image: NDArray[np.uint8]) -> bytes:
-    """An RGB picture (H, W, 3) uint8 as PNG bytes."""
-    buffer = io.BytesIO()
-    Image.fromarray(np.ascontiguousarray(image, dtype=np.uint8)).save(buffer, format="PNG")
-    return buffer.getvalue()
 
 
 def decode_png(data: bytes, pixels: int = 48) -> NDArray[np.uint8]:

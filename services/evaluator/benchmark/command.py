@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from cspace.errors import ConfigError
+from cspace.query import MAX_SAMPLES
 from cspace.splits import Split
 from cspace.worlds import examples, workshop_of
 from services.evaluator.benchmark.job import Request
@@ -23,7 +24,6 @@ from services.evaluator.benchmark.runs.setting import LIMITS, RUNS, Protocol, Se
 from services.evaluator.benchmark.runs.sources import SourceSpec, bundled, parse_named, served
 from services.evaluator.evaluation.request import MAX_SEED
 from services.planner.settings import PLANNERS
-from services.planner.sources.samples import MAX_SAMPLES
 
 GROUPS = (Group.UNIFORM, Group.LEARNED, Group.OPTIMISING)
 WORLDS = examples()

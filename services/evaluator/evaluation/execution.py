@@ -5,7 +5,8 @@ from functools import lru_cache
 
 from services.evaluator.evaluation.budget import Unit
 from services.evaluator.evaluation.units import Setting, UnitResult, run_unit
-from services.evaluator.measures.samplers import AnySampler, PackedBundle, any_sampler
+from services.evaluator.measures.samplers import PackedBundle, bundle_sampler
+from services.planner.sources.samples import SampleSource
 
 Execute = Callable[[Sequence[Unit], Setting, PackedBundle], Iterator[UnitResult]]
 
@@ -22,5 +23,5 @@ def run_packed(unit: Unit, setting: Setting, packed: PackedBundle) -> UnitResult
 
 
 @lru_cache(maxsize=1)
-def _sampler(packed: PackedBundle) -> AnySampler:
-    return any_sampler(packed.load())
+def _sampler(packed: PackedBundle) -> SampleSource:
+    return bundle_sampler(packed.load())

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from cspace.problem import UNIFORM
 from services.evaluator.measures.nearest import COVERAGE_RADIUS_RAD, covered
-from services.evaluator.measures.samplers import Sampler
+from services.evaluator.measures.samplers import unfiltered
 from services.evaluator.measures.scenes import Scene
+from services.planner.sources.samples import SampleSource
 
 GRID = 160
 SHOWN_SAMPLES = 1000
@@ -27,7 +28,7 @@ POINTS = (
 
 
 def gallery(
-    scenes: Sequence[Scene], sampler: Sampler, title: str, notes: Sequence[str] | None = None
+    scenes: Sequence[Scene], sampler: SampleSource, title: str, notes: Sequence[str] | None = None
 ) -> Figure:
     """One row a scenario: the picture, the true free space, the samples with both kinds of mistakes marked.
 
@@ -95,8 +96,8 @@ def _passage(scene: Scene) -> str:
     return f"\nbottleneck {bottleneck_rad:.3f} rad" if bottleneck_rad > 0.0 else "\nno path"
 
 
-def _samples(axes: Axes, scene: Scene, sampler: Sampler) -> None:
-    drawn = np.asarray(sampler.sample(scene.image, SHOWN_SAMPLES, scene.sampler_seed()), dtype=np.float64)
+def _samples(axes: Axes, scene: Scene, sampler: SampleSource) -> None:
+    drawn = unfiltered(sampler, scene.image, SHOWN_SAMPLES, scene.sampler_seed())
     free = scene.checker.valid_batch(drawn)
     held_out = scene.free(SHOWN_SAMPLES, scene.rng(0))
     reached = covered(held_out, drawn, scene.space)

@@ -15,7 +15,7 @@ from services.evaluator.evaluation.gate import Verdict
 from services.evaluator.evaluation.recording import decide, log_evaluation, record
 from services.evaluator.evaluation.request import ModelReference, Request
 from services.evaluator.evaluation.units import Evaluation, Setting, UnitResult, assemble
-from services.evaluator.measures.samplers import PackedBundle, any_sampler
+from services.evaluator.measures.samplers import PackedBundle, bundle_sampler
 from services.registry.models.port import ModelRegistry, ModelVersion
 from services.registry.names import EXPERIMENT
 from services.registry.tracking.port import Tracking
@@ -78,7 +78,7 @@ def evaluate_version(
             evaluation = _measure(execute, setting, PackedBundle.pack(bundle), progress)
             verdict = decide(registry, version, evaluation)
             title = f"{version.name}/{version.number}"
-            figures = log_evaluation(run, evaluation, verdict, any_sampler(bundle), title)
+            figures = log_evaluation(run, evaluation, verdict, bundle_sampler(bundle), title)
         if request.promote:
             record(registry, version, evaluation, verdict)
     return Outcome(version, evaluation, verdict, request.promote, run.run_id, figures)

@@ -25,13 +25,13 @@ from services.evaluator.evaluation.gate import (
 from services.evaluator.evaluation.metrics import flat_metrics
 from services.evaluator.evaluation.report import to_json, to_markdown
 from services.evaluator.evaluation.units import PLANNER, Evaluation, planner_seed
-from services.evaluator.measures.planning import LEARNED_SAMPLES, UNIFORM_SHARE
+from services.evaluator.measures.planning import UNIFORM_SHARE, learned_samples
 from services.evaluator.measures.reconstruction import SceneQuality
 from services.evaluator.measures.reliability import reliability_diagram
-from services.evaluator.measures.samplers import AnySampler, PathSampler
 from services.evaluator.measures.scenes import Scene, Stage
 from services.planner.drawing.plot import draw_plan
 from services.planner.search.ompl_planner import solve
+from services.planner.sources.samples import SampleSource
 from services.registry.models.port import ModelRegistry, ModelVersion
 from services.registry.promotion import Decision, champions, record_decision
 from services.registry.tracking.port import RunLog
@@ -97,7 +97,7 @@ def record(
 
 
 def log_evaluation(
-    run: RunLog, evaluation: Evaluation, verdict: Verdict, sampler: AnySampler, title: str
+    run: RunLog, evaluation: Evaluation, verdict: Verdict, sampler: SampleSource, title: str
 ) -> tuple[str, ...]:
     """Metrics, settings, report and pictures into a run; returns the pictures' names."""
     setting = evaluation.setting
@@ -113,7 +113,7 @@ def log_evaluation(
             path.write_text(text, encoding="utf-8")
             run.artifact(path, REPORT_FOLDER)
         run.flush()
-    if isinstance(sampler, PathSampler):
+    if sampler.with_ends:
         return _plans(run, evaluation, sampler, title)
     names = []
     for split, measured in ((Split.VALIDATION, evaluation.validation), (Split.TEST, evaluation.test)):
@@ -128,7 +128,7 @@ def log_evaluation(
     return tuple(names)
 
 
-def _plans(run: RunLog, evaluation: Evaluation, sampler: PathSampler, title: str) -> tuple[str, ...]:
+def _plans(run: RunLog, evaluation: Evaluation, sampler: SampleSource, title: str) -> tuple[str, ...]:
     """The first test problem of each family, solved with the model's samples."""
     names, setting = [], evaluation.setting
     for summary in evaluation.test.planning:
@@ -136,7 +136,7 @@ def _plans(run: RunLog, evaluation: Evaluation, sampler: PathSampler, title: str
         problem = workshop_of(setting.world).problem(family, Split.TEST, setting.seed)
         seed = planner_seed(setting.seed, 0, 0)
         image = picture_of(problem.scenario)
-        samples = sampler.between(image, problem.start, problem.goal, LEARNED_SAMPLES, seed)
+        samples = learned_samples(problem, image, seed, sampler)
         plan = solve(problem, replace(PLANNER, seed=seed), samples, UNIFORM_SHARE, keep_tree=True)
         names.append(f"plan-{family}")
         run.figure(draw_plan(problem, plan, samples, f"{title}, {family}"), names[-1])

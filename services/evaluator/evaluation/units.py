@@ -15,7 +15,6 @@ from services.evaluator.evaluation.budget import Budget, Kind, Unit, planned
 from services.evaluator.measures.planning import PlanningTrial, plan_trial
 from services.evaluator.measures.planning_summary import FamilySummary, success_rate, summarise_family
 from services.evaluator.measures.reconstruction import ReconstructionSummary, SceneQuality, summarise
-from services.evaluator.measures.samplers import AnySampler, PathSampler, Sampler
 from services.evaluator.measures.scenes import Scene, Stage, reconstruct, summary_rng
 from services.evaluator.measures.topology_scenes import (
     SceneTopology,
@@ -25,6 +24,7 @@ from services.evaluator.measures.topology_scenes import (
 )
 from services.evaluator.statistics import Interval
 from services.planner.search.ompl_planner import PlannerSettings
+from services.planner.sources.samples import SampleSource
 
 # Fixed and named in every report: the range decides how strong the uniform baseline is, and a limit in
 # iterations makes a run independent of the machine's load, which the limit in time only guards.
@@ -88,7 +88,7 @@ class Evaluation:
     cpu_seconds: float
 
 
-def run_unit(unit: Unit, setting: Setting, sampler: AnySampler) -> UnitResult:
+def run_unit(unit: Unit, setting: Setting, sampler: SampleSource) -> UnitResult:
     """Measure one unit of work; its rows depend on nothing else.
 
     Raises:
@@ -97,7 +97,7 @@ def run_unit(unit: Unit, setting: Setting, sampler: AnySampler) -> UnitResult:
     began = time.perf_counter()
     if unit.kind is Kind.PLANNING:
         rows = _planning_rows(unit, setting, sampler)
-    elif isinstance(sampler, PathSampler):
+    elif sampler.with_ends:
         raise EvaluationError("path models are judged by planning alone", got=str(unit.kind))
     else:
         measure = _reconstruction_rows if unit.kind is Kind.RECONSTRUCTION else _topology_rows
@@ -156,11 +156,11 @@ def _scenes(unit: Unit, setting: Setting) -> list[Scene]:
     return [Scene(stage, index, family) for index in range(unit.first, unit.first + unit.count)]
 
 
-def _reconstruction_rows(unit: Unit, setting: Setting, sampler: Sampler) -> list[Row]:
+def _reconstruction_rows(unit: Unit, setting: Setting, sampler: SampleSource) -> list[Row]:
     return [reconstruct(scene, sampler, setting.budget.samples) for scene in _scenes(unit, setting)]
 
 
-def _topology_rows(unit: Unit, setting: Setting, sampler: Sampler) -> list[Row]:
+def _topology_rows(unit: Unit, setting: Setting, sampler: SampleSource) -> list[Row]:
     budget = setting.budget
     return [
         scene_topology(scene, sampler, budget.draws, budget.topology_samples)
@@ -168,7 +168,7 @@ def _topology_rows(unit: Unit, setting: Setting, sampler: Sampler) -> list[Row]:
     ]
 
 
-def _planning_rows(unit: Unit, setting: Setting, sampler: AnySampler) -> list[Row]:
+def _planning_rows(unit: Unit, setting: Setting, sampler: SampleSource) -> list[Row]:
     if unit.family is None:
         raise EvaluationError("a unit of planning names no family", got=str(unit))
     rows: list[Row] = []
@@ -181,7 +181,7 @@ def _planning_rows(unit: Unit, setting: Setting, sampler: AnySampler) -> list[Ro
         wanted = (
             unit.family == workshop.families.telling != UNIFORM and index < setting.budget.narrow_scenarios
         )
-        if wanted and not isinstance(sampler, PathSampler):
+        if wanted and not sampler.with_ends:
             scene = Scene(_stage(unit, setting), index, unit.family, problem)
             rows.append(reconstruct(scene, sampler, setting.budget.samples))
     return rows

@@ -13,15 +13,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cspace.problem import Problem
+from cspace.query import SampleQuery
 from cspace.worlds import picture_of
-from services.evaluator.measures.samplers import AnySampler, PathSampler, Samples, ScoredSampler
+from services.evaluator.measures.samplers import ScoredSampler
+from services.planner.planning import between_ends
 from services.planner.search.ompl_planner import PlannerSettings, PlanResult, Reason, solve
 from services.planner.search.path_check import judge_path
+from services.planner.sources.samples import SampleSource
 
 LEARNED_SAMPLES = 300
 UNIFORM_SHARE = 0.3
-# At which a path model's samples are filtered for comparison: even odds.
-PATH_CONFIDENCE = 0.5
 
 Solver = Callable[[Problem, PlannerSettings, NDArray[np.float32] | None, float], PlanResult]
 
@@ -70,7 +71,7 @@ def plan_trial(
     problem: Problem,
     index: int,
     seed: int,
-    sampler: AnySampler,
+    sampler: SampleSource,
     settings: PlannerSettings,
     solver: Solver = solve,
 ) -> PlanningTrial:
@@ -88,7 +89,7 @@ def plan_trial(
     seeded = replace(settings, seed=seed)
     began = time.perf_counter()
     image = picture_of(problem.scenario)
-    samples = _samples(problem, image, seed, sampler)
+    samples = learned_samples(problem, image, seed, sampler)
     sampling_time_s = time.perf_counter() - began
     uniform, learned, *confident = (
         _outcome(problem, solver(problem, seeded, drawn, UNIFORM_SHARE), settings.resolution_rad)
@@ -98,28 +99,33 @@ def plan_trial(
     return PlanningTrial(problem.family, index, seed, uniform, learned, sampling_time_s, only)
 
 
-def _samples(
+def learned_samples(
     problem: Problem,
     image: NDArray[np.uint8],
     seed: int,
-    sampler: AnySampler,
+    sampler: SampleSource,
     min_confidence: float = 0.0,
-) -> Samples:
-    if not isinstance(sampler, PathSampler):
-        return sampler.sample(image, LEARNED_SAMPLES, seed)
-    return sampler.between(image, problem.start, problem.goal, LEARNED_SAMPLES, seed, min_confidence)
+) -> NDArray[np.float32]:
+    """The samples (n, d) rad for a run on a problem, given its picture; n is less where too few pass.
+
+    Raises:
+        SamplerError: as the source has it.
+    """
+    query = SampleQuery(LEARNED_SAMPLES, seed, min_confidence=min_confidence)
+    return sampler.answer(image, between_ends(query, problem) if sampler.with_ends else query).samples
 
 
 def _confident(
-    problem: Problem, image: NDArray[np.uint8], seed: int, sampler: AnySampler
+    problem: Problem, image: NDArray[np.uint8], seed: int, sampler: SampleSource
 ) -> list[NDArray[np.float32]]:
-    """As many learned samples, of those that the validity head lets pass; nothing without it or them."""
-    if isinstance(sampler, PathSampler):
-        samples = _samples(problem, image, seed, sampler, PATH_CONFIDENCE)
-    elif isinstance(sampler, ScoredSampler):
-        samples = sampler.confident(image, LEARNED_SAMPLES, seed).samples
-    else:
+    """As many learned samples, of those that the validity head lets pass; nothing where it lets too few.
+
+    Of models without a head those for paths are run again, the others not.
+    """
+    least = sampler.threshold if isinstance(sampler, ScoredSampler) else 0.0
+    if not (isinstance(sampler, ScoredSampler) or sampler.with_ends):
         return []
+    samples = learned_samples(problem, image, seed, sampler, least)
     return [samples] if len(samples) == LEARNED_SAMPLES else []
 
 

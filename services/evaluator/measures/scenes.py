@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from cspace.errors import EvaluationError
 from cspace.problem import UNIFORM, Problem
+from cspace.query import SampleQuery
 from cspace.space import JointSpace, to_float32
 from cspace.splits import Split, scenario_rng
 from cspace.workshop import Checker
@@ -25,7 +26,8 @@ from services.evaluator.measures.reconstruction import (
     sample_quality,
     summarise,
 )
-from services.evaluator.measures.samplers import Sampler, ScoredSampler
+from services.evaluator.measures.samplers import ScoredSampler, unfiltered
+from services.planner.sources.samples import SampleSource
 
 SAMPLES = 1000
 # Rejection gives up here; the smallest free share that was ever drawn is 0.2.
@@ -139,7 +141,7 @@ def _child(rng: np.random.Generator, number: int) -> np.random.Generator:
     return rng.spawn(number + 1)[number]
 
 
-def reconstruct(scene: Scene, sampler: Sampler, samples: int = SAMPLES) -> SceneQuality:
+def reconstruct(scene: Scene, sampler: SampleSource, samples: int = SAMPLES) -> SceneQuality:
     """The sampler, uniform samples and further real samples against the same held-out free configurations.
 
     Raises:
@@ -147,7 +149,7 @@ def reconstruct(scene: Scene, sampler: Sampler, samples: int = SAMPLES) -> Scene
     """
     held_out = scene.free(samples, scene.rng(0))
     groups = (
-        np.asarray(sampler.sample(scene.image, samples, scene.sampler_seed()), dtype=np.float64),
+        unfiltered(sampler, scene.image, samples, scene.sampler_seed()),
         scene.space.sample_uniform(scene.rng(1), samples),
         scene.free(samples, scene.rng(2)),
     )
@@ -156,14 +158,17 @@ def reconstruct(scene: Scene, sampler: Sampler, samples: int = SAMPLES) -> Scene
     quality = SceneQuality(scene.index, drawn, uniform, real, family=scene.family)
     if not isinstance(sampler, ScoredSampler):
         return quality
-    confident = sampler.confident(scene.image, samples, scene.sampler_seed(CONFIDENT_STREAM))
+    query = SampleQuery(samples, scene.sampler_seed(CONFIDENT_STREAM), min_confidence=sampler.threshold)
+    confident = sampler.answer(scene.image, query)
     if len(confident.samples) == samples:
         found = sample_quality(confident.samples.astype(np.float64), held_out, scene.space, free)
         quality = replace(quality, confident=found)
     return replace(quality, occupancy=_occupancy(scene, sampler, confident.acceptance))
 
 
-def _occupancy(scene: Scene, sampler: ScoredSampler, acceptance: float) -> SceneOccupancy:
+def _occupancy(scene: Scene, sampler: ScoredSampler, acceptance: float | None) -> SceneOccupancy:
+    if acceptance is None:
+        raise EvaluationError("a head is judged by the share that it lets pass", got="an answer without it")
     tried = to_float32(scene.space.sample_uniform(scene.rng(3), OCCUPANCY_SAMPLES))
     return scene_occupancy(
         sampler.score(scene.image, tried),
@@ -174,7 +179,7 @@ def _occupancy(scene: Scene, sampler: ScoredSampler, acceptance: float) -> Scene
 
 
 def measure_reconstruction(
-    stage: Stage, sampler: Sampler, scenarios: int, samples: int = SAMPLES
+    stage: Stage, sampler: SampleSource, scenarios: int, samples: int = SAMPLES
 ) -> ReconstructionSummary:
     """Any sampler on the first scenarios of a split, with intervals; for one behind the inference API, too.
 

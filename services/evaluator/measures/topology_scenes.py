@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from services.evaluator.measures.samplers import Sampler
+from services.evaluator.measures.samplers import unfiltered
 from services.evaluator.measures.scenes import Scene
 from services.evaluator.measures.topology.complement import sample_complement
 from services.evaluator.measures.topology.complement_score import (
@@ -27,6 +27,7 @@ from services.evaluator.measures.topology.geometry_score import (
     mean_living_times,
 )
 from services.evaluator.statistics import Interval, mean_interval
+from services.planner.sources.samples import SampleSource
 
 Cloud = NDArray[np.float64]
 SCORES = ("gs", "gsc_boundary", "gsc_true")
@@ -70,7 +71,7 @@ class ScoreSummary:
 
 def scene_topology(
     scene: Scene,
-    sampler: Sampler,
+    sampler: SampleSource,
     draws: int,
     samples: int = POINTS,
     mapper: Mapper = map,
@@ -87,7 +88,7 @@ def scene_topology(
         repeat: another number draws other samples and landmarks, independent of all others'.
     """
     seed = int(_stream(scene, 11, repeat).integers(0, 2**63))
-    generated = np.asarray(sampler.sample(scene.image, samples, seed), dtype=np.float64)
+    generated = unfiltered(sampler, scene.image, samples, seed)
     real, again = (scene.free(samples, _stream(scene, stream, repeat)) for stream in (3, 4))
     clouds = (real, generated, again)
     rng = _stream(scene, 5, repeat)
@@ -99,7 +100,7 @@ def scene_topology(
 
 def repeated_topology(
     scene: Scene,
-    sampler: Sampler,
+    sampler: SampleSource,
     draws: int,
     repeats: int,
     samples: int = POINTS,

@@ -8,8 +8,8 @@ from cspace.splits import Split
 from cspace.world import World
 from cspace.worlds import default_world
 from services.evaluator.measures.reconstruction import ReconstructionSummary, summarise
-from services.evaluator.measures.samplers import HttpSampler
 from services.evaluator.measures.scenes import Scene, Stage, reconstruct
+from services.planner.sources.samples import PinnedSource
 from services.planner.sources.sampling_client import SamplingClient
 
 SCENARIOS = 100
@@ -44,6 +44,6 @@ def served_quality(
     """
     stage = Stage(world or default_world(), Split.TEST, SEED)
     with SamplingClient(url) as client:
-        sampler = HttpSampler(client, model=reference, min_confidence=0.0)
+        sampler = PinnedSource(client, reference)
         rows = [reconstruct(Scene(stage, index), sampler, samples) for index in range(scenarios)]
     return ServedQuality(reference, scenarios, samples, summarise(rows, np.random.default_rng(SEED)))

@@ -1,6 +1,5 @@
 """Which state a planner draws next: the goal, a learned sample, or a uniform one."""
 
-from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
@@ -8,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cspace.space import JointSpace
+from services.planner.search.sample_order import free_first
 
 _BLOCK = 256
 
@@ -59,8 +59,7 @@ class SampleMixture:
         uniform_share: share of uniform samples among the others while learned ones are left, 0 to 1.
         rng: the random generator.
         is_free: checks a configuration of d values in rad. Learned samples that it rejects are put off until
-            all others are drawn: they may still lead towards a passage, so none is dropped. Each is checked
-            as its turn comes. None checks nothing.
+            all others are drawn. None checks nothing.
     """
 
     def __init__(
@@ -76,9 +75,9 @@ class SampleMixture:
         self.goal_drawn = self.learned_drawn = self.uniform_drawn = self.state_checks = 0
         self._space, self._rng = space, rng
         self._goal, self._goal_bias = goal, goal_bias
-        self._is_free = is_free
-        self._samples: deque[list[float]] = deque(space.wrap(samples).tolist())
-        self._put_off: deque[list[float]] = deque()
+        wrapped: list[list[float]] = space.wrap(samples).tolist()
+        self._count = len(wrapped)
+        self._samples = iter(wrapped) if is_free is None else free_first(wrapped, self._counted(is_free))
         self._uniform_share = uniform_share
         # Drawn in blocks: one call of numpy for each state would cost more than checking its edge.
         self._choices: list[list[float]] = []
@@ -92,25 +91,21 @@ class SampleMixture:
         if for_goal < self._goal_bias:
             self.goal_drawn += 1
             return self._goal
-        if (self._samples or self._put_off) and for_uniform >= self._uniform_share:
+        if self.learned_drawn < self._count and for_uniform >= self._uniform_share:
             self.learned_drawn += 1
-            return self._draw_learned()
+            return next(self._samples)
         return self._draw_uniform()
 
     def goal_reached(self) -> None:
         """No goal is drawn from now on, as in OMPL's own RRT* with a single goal state."""
         self._goal_bias = 0.0
 
-    def _draw_learned(self) -> Sequence[float]:
-        while self._samples:
-            sample = self._samples.popleft()
-            if self._is_free is None:
-                return sample
+    def _counted(self, is_free: Callable[[Sequence[float]], bool]) -> Callable[[Sequence[float]], bool]:
+        def counted(sample: Sequence[float]) -> bool:
             self.state_checks += 1
-            if self._is_free(sample):
-                return sample
-            self._put_off.append(sample)
-        return self._put_off.popleft()
+            return is_free(sample)
+
+        return counted
 
     def _draw_uniform(self) -> Sequence[float]:
         if not self._uniform:

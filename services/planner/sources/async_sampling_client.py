@@ -2,25 +2,25 @@
 
 import random
 import time
-from collections.abc import Sequence
+from collections.abc import Coroutine
 from dataclasses import replace
-from functools import partial
 from types import TracebackType
-from typing import Self, cast
+from typing import Any, Self, cast
 
 import anyio
 import anyio.to_thread
 import httpx
 
 from cspace.errors import SamplerAnswerError, SamplerError, SamplerUnavailableError
+from cspace.query import SampleQuery
 from services.planner.sources.http_answer import Failure, IncomingAnswer, lost
 from services.planner.sources.http_exchange import LIMITS, Endpoint, Question
 from services.planner.sources.retries import RetryPolicy
-from services.planner.sources.samples import SampleBatch, SampleSource, drawn_seed
+from services.planner.sources.samples import Answering, Picture, SampleBatch, SampleSource
 from services.planner.sources.sampling_client import DEFAULT_POLICY, DEFAULT_TIMEOUT_S
 
 
-class AsyncSamplingClient:
+class AsyncSamplingClient(Answering[Coroutine[Any, Any, SampleBatch]]):
     """As :class:`services.planner.sources.sampling_client.SamplingClient`, awaited; tasks may share one.
 
     Args:
@@ -51,36 +51,22 @@ class AsyncSamplingClient:
         """Of the API, without a slash at its end."""
         return self._endpoint.url
 
-    async def sample(
-        self,
-        image_png: bytes,
-        n: int,
-        *,
-        model: str | None = None,
-        seed: int | None = None,
-        epsilon_sigma: Sequence[float] = (),
-        start: Sequence[float] | None = None,
-        goal: Sequence[float] | None = None,
-        min_confidence: float | None = None,
-    ) -> SampleBatch:
-        """See :meth:`services.planner.sources.sampling_client.SamplingClient.sample`.
+    async def answer(self, picture: Picture, query: SampleQuery, model: str | None = None) -> SampleBatch:
+        """See :meth:`services.planner.sources.sampling_client.SamplingClient.answer`.
 
         Raises:
             SamplerUnavailableError: as there.
             SamplerAnswerError: as there.
             SamplerError: as there.
         """
-        seed = drawn_seed(seed)
-        question = Question(image_png, n, model, seed, epsilon_sigma, start, goal, min_confidence)
         began = time.perf_counter()
         try:
-            return await self._ask(question, began)
+            return await self._ask(Question.of(picture, query, model), began)
         except SamplerUnavailableError as error:
             if self._fallback is None:
                 raise
-            work = partial(self._fallback.sample, image_png, n, **question.options)
             try:
-                batch = await anyio.to_thread.run_sync(work)
+                batch = await anyio.to_thread.run_sync(self._fallback.answer, picture, query, model)
             except SamplerError as refusal:
                 raise error from refusal
             return replace(batch, fallback=True, round_trip_s=time.perf_counter() - began)

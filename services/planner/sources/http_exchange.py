@@ -3,16 +3,17 @@
 import base64
 import json
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import httpx
 
 from cspace.errors import ConfigError
+from cspace.png import encode_png
+from cspace.query import MAX_SAMPLES, PLAIN, SampleQuery
 from services.planner.sources.npy_body import NPY
 from services.planner.sources.retries import RetryPolicy
-from services.planner.sources.samples import MAX_SAMPLES
+from services.planner.sources.samples import Picture
 
 # Shorter than what the server keeps an idle connection for, so that it is the client that closes it.
 LIMITS = httpx.Limits(max_connections=100, max_keepalive_connections=20, keepalive_expiry=45.0)
@@ -89,51 +90,39 @@ class Question:
 
     Args:
         image_png: the scenario's picture as a PNG file.
-        n: how many samples.
-        model: as :class:`services.planner.sources.samples.SampleSource` has it, and so the rest.
-        seed: drawn when it was not given.
+        query: what is asked.
+        model: as :class:`services.planner.sources.samples.SampleSource` has it.
     """
 
     image_png: bytes
-    n: int
+    query: SampleQuery
     model: str | None
-    seed: int
-    epsilon_sigma: Sequence[float]
-    start: Sequence[float] | None
-    goal: Sequence[float] | None
-    min_confidence: float | None
+
+    @classmethod
+    def of(cls, picture: Picture, query: SampleQuery, model: str | None) -> "Question":
+        """The question as it is sent, its picture as a file."""
+        return cls(picture if isinstance(picture, bytes) else encode_png(picture), query, model)
 
     @property
     def fields(self) -> dict[str, Any]:
-        """The form's fields; what was not given is left to the endpoint."""
-        fields: dict[str, Any] = {"n": str(self.n), "seed": str(self.seed)}
-        if self.min_confidence is not None:
-            fields["min_confidence"] = repr(float(self.min_confidence))
+        """The form's fields; what the endpoint takes for granted is left to it."""
+        query = self.query
+        fields: dict[str, Any] = {"n": str(query.n), "seed": str(query.seed)}
+        if query.min_confidence is not None:
+            fields["min_confidence"] = repr(query.min_confidence)
         if self.model is not None:
             fields["model"] = self.model
-        if len(self.epsilon_sigma):
-            fields["epsilon_sigma"] = [repr(float(value)) for value in self.epsilon_sigma]
-        for name, angles in (("start", self.start), ("goal", self.goal)):
+        if query.epsilon_sigma != PLAIN:
+            fields["epsilon_sigma"] = [repr(value) for value in query.epsilon_sigma]
+        for name, angles in (("start", query.start), ("goal", query.goal)):
             if angles is not None:
-                fields[name] = json.dumps([float(angle) for angle in angles])
+                fields[name] = json.dumps(angles)
         return fields
 
     @property
     def asked(self) -> int:
         """The samples that an answer may hold; a server refuses the rest."""
-        return min(max(self.n, 0), MAX_SAMPLES)
-
-    @property
-    def options(self) -> dict[str, Any]:
-        """The keyword arguments of :meth:`services.planner.sources.samples.SampleSource.sample`."""
-        return {
-            "model": self.model,
-            "seed": self.seed,
-            "epsilon_sigma": self.epsilon_sigma,
-            "start": self.start,
-            "goal": self.goal,
-            "min_confidence": self.min_confidence,
-        }
+        return min(self.query.n, MAX_SAMPLES)
 
 
 def _headers(url: str, key: str | None) -> dict[str, str]:

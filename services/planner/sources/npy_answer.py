@@ -42,12 +42,12 @@ def read_head(headers: Mapping[str, str], question: Question) -> AnswerHead:
     media_type = headers.get("content-type", "").partition(";")[0].strip().lower()
     if media_type != NPY:
         raise unusable("has another media type", NPY, repr(media_type))
-    seed = _count(headers, "x-seed", 20)
-    if seed != question.seed:
-        raise unusable("is for another seed", str(question.seed), str(seed))
+    query, seed = question.query, _count(headers, "x-seed", 20)
+    if seed != query.seed:
+        raise unusable("is for another seed", str(query.seed), str(seed))
     shortfall = _count(headers, "x-shortfall", 9)
-    if shortfall > question.n:
-        raise unusable("lacks more samples than were asked for", f"at most {question.n}", str(shortfall))
+    if shortfall > query.n:
+        raise unusable("lacks more samples than were asked for", f"at most {query.n}", str(shortfall))
     name, version = _text(headers, "x-model-name"), _count(headers, "x-model-version", 9)
     if not _answers(question.model, name, version):
         raise unusable("comes from another model", str(question.model), f"{name}/{version}")

@@ -1,15 +1,18 @@
 """A batch of learned samples, and the port to whatever gives one for a picture."""
 
-import secrets
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, TypeVar, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
 
-MAX_SAMPLES = 20_000
-"""Of one request."""
+from cspace.errors import InputError, SamplerError
+from cspace.query import QueryOptions, SampleQuery, drawn_seed
+
+Picture = bytes | NDArray[np.uint8]
+"""A scenario's picture: a PNG file, or uint8 (P, P, 3)."""
+
+Answer_co = TypeVar("Answer_co", covariant=True)
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,6 +47,7 @@ class SampleBatch:
         novelty: how unlike the model's training scenarios the picture is, 0 to 1; None where it is not told.
         fallback: whether another source answered because the server stayed away.
         timing: where the source's own time went; None where it is not told.
+        acceptance: share of what was drawn that reached the confidence asked for; None where it is not told.
     """
 
     samples: NDArray[np.float32]
@@ -56,36 +60,19 @@ class SampleBatch:
     fallback: bool = False
     novelty: float | None = None
     timing: SourceTiming | None = None
+    acceptance: float | None = None
 
 
-class SampleSource(Protocol):
-    """Draws configurations for a picture."""
+class Answering(Protocol[Answer_co]):
+    """Whatever is asked for samples; what it answers is a batch, or one to be awaited."""
 
-    def sample(
-        self,
-        image_png: bytes,
-        n: int,
-        *,
-        model: str | None = None,
-        seed: int | None = None,
-        epsilon_sigma: Sequence[float] = (),
-        start: Sequence[float] | None = None,
-        goal: Sequence[float] | None = None,
-        min_confidence: float | None = None,
-    ) -> SampleBatch:
-        """One batch of at most ``n`` samples.
+    def answer(self, picture: Picture, query: SampleQuery, model: str | None = None) -> Answer_co:
+        """One batch of at most ``query.n`` samples.
 
         Args:
-            image_png: the scenario's picture as a PNG file.
-            n: how many, 1 to ``MAX_SAMPLES``.
+            picture: of the scenario.
+            query: what is asked; its ``n`` is at most ``MAX_SAMPLES``.
             model: ``name``, ``name@alias``, ``name/version`` or ``pretrained``; None for the default.
-            seed: unsigned 64 bit; None for one that the source draws.
-            epsilon_sigma: what the encoder's standard deviation is raised by, in equal shares; empty for the
-                default.
-            start: d angles in rad, for path models only.
-            goal: likewise.
-            min_confidence: what the model's validity head has to score; None for the model's own threshold,
-                0 for the samples as they come.
 
         Raises:
             SamplerUnavailableError: the source does not answer or has no model ready.
@@ -94,7 +81,50 @@ class SampleSource(Protocol):
         """
         ...
 
+    def sample(
+        self,
+        picture: Picture,
+        n: int,
+        seed: int | None = None,
+        *,
+        model: str | None = None,
+        **options: Unpack[QueryOptions],
+    ) -> Answer_co:
+        """:meth:`answer` to the query of these arguments, which :class:`cspace.query.SampleQuery` tells of.
 
-def drawn_seed(seed: int | None) -> int:
-    """The seed, or one that is drawn here, so that a request that is sent again is the same request."""
-    return secrets.randbits(64) if seed is None else seed
+        Without a seed one is drawn here.
+
+        Raises:
+            SamplerUnavailableError: as :meth:`answer` has it.
+            SamplerError: likewise, or a value is out of its range.
+        """
+        try:
+            query = SampleQuery.checked(n, drawn_seed(seed), **options)
+        except InputError as error:
+            raise SamplerError(error.what, expected=error.expected, got=error.got) from error
+        return self.answer(picture, query, model)
+
+
+class SampleSource(Answering[SampleBatch], Protocol):
+    """Draws configurations for a picture."""
+
+    @property
+    def with_ends(self) -> bool:
+        """Whether it has to be asked with start and goal; False as well where only an answer tells."""
+        return False
+
+
+class PinnedSource(SampleSource):
+    """A source of which one model is asked.
+
+    Args:
+        source: that answers.
+        model: the one that it is asked for.
+    """
+
+    def __init__(self, source: SampleSource, model: str) -> None:
+        self._source, self._model = source, model
+
+    def answer(self, picture: Picture, query: SampleQuery, model: str | None = None) -> SampleBatch:
+        """See :class:`SampleSource`; another model can be named all the same."""
+        return self._source.answer(picture, query, model or self._model)

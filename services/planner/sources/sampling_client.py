@@ -2,7 +2,6 @@
 
 import random
 import time
-from collections.abc import Sequence
 from dataclasses import replace
 from types import TracebackType
 from typing import Self, cast
@@ -10,11 +9,12 @@ from typing import Self, cast
 import httpx
 
 from cspace.errors import SamplerAnswerError, SamplerError, SamplerUnavailableError
+from cspace.query import SampleQuery
 from services.planner.sources.deadline_transport import DeadlineTransport, deadline
 from services.planner.sources.http_answer import Failure, IncomingAnswer, lost
 from services.planner.sources.http_exchange import LIMITS, Endpoint, Question
 from services.planner.sources.retries import RetryPolicy
-from services.planner.sources.samples import SampleBatch, SampleSource, drawn_seed
+from services.planner.sources.samples import Picture, SampleBatch, SampleSource
 
 __all__ = ["RetryPolicy", "SampleBatch", "SamplingClient"]
 
@@ -22,7 +22,7 @@ DEFAULT_TIMEOUT_S = 10.0
 DEFAULT_POLICY = RetryPolicy()
 
 
-class SamplingClient:
+class SamplingClient(SampleSource):
     """Asks an inference API for samples over one kept connection. Use as a context manager, or close it.
 
     A request costs about 1 ms beside the server's work; never send one from a planner's callback, which would
@@ -65,18 +65,7 @@ class SamplingClient:
         """Of the API, without a slash at its end."""
         return self._endpoint.url
 
-    def sample(
-        self,
-        image_png: bytes,
-        n: int,
-        *,
-        model: str | None = None,
-        seed: int | None = None,
-        epsilon_sigma: Sequence[float] = (),
-        start: Sequence[float] | None = None,
-        goal: Sequence[float] | None = None,
-        min_confidence: float | None = None,
-    ) -> SampleBatch:
+    def answer(self, picture: Picture, query: SampleQuery, model: str | None = None) -> SampleBatch:
         """See :class:`services.planner.sources.samples.SampleSource`.
 
         Raises:
@@ -85,16 +74,14 @@ class SamplingClient:
             SamplerAnswerError: likewise, for an answer that can not be used.
             SamplerError: the request was refused (4xx).
         """
-        seed = drawn_seed(seed)
-        question = Question(image_png, n, model, seed, epsilon_sigma, start, goal, min_confidence)
         began = time.perf_counter()
         try:
-            return self._ask(question, began)
+            return self._ask(Question.of(picture, query, model), began)
         except SamplerUnavailableError as error:
             if self._fallback is None:
                 raise
             try:
-                batch = self._fallback.sample(image_png, n, **question.options)
+                batch = self._fallback.answer(picture, query, model)
             except SamplerError as refusal:
                 raise error from refusal
             return replace(batch, fallback=True, round_trip_s=time.perf_counter() - began)

@@ -4,7 +4,7 @@ import pytest
 
 from cspace.bundle import Bundle
 from cspace.errors import InputError
-from cspace.worlds.planar.picture import encode_png
+from cspace.png import encode_png
 from inference_api.models.pictures import PictureCache
 from tests.bundles import picture
 

@@ -241,7 +241,7 @@ def test_what_the_server_did_not_foresee_is_500_in_the_protocol_s_words(
     def fail(*_: object, **__: object) -> None:
         raise RuntimeError("a secret")
 
-    monkeypatch.setattr(Bundle, "sample", fail)
+    monkeypatch.setattr(Bundle, "answer", fail)
     answer = infer(own_api, "cspace-sampler", **binary_request(IMAGES[:1]))
     assert_error(answer, 500)
     assert "secret" not in answer.text

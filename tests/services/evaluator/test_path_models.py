@@ -12,14 +12,18 @@ from cspace.splits import Split
 from cspace.worlds import workshop_of
 from cspace.worlds.planar.arm import TWO_LINK
 from cspace.worlds.planar.camera import Camera
-from cspace.worlds.planar.problems import Family
+from cspace.worlds.planar.problems import Family, draw_problem
 from cspace.worlds.planar.world import PlanarWorld
 from inference_api.settings import PRETRAINED_FOLDER
 from services.evaluator.evaluation.budget import Budget, Kind, Unit, units
 from services.evaluator.evaluation.job import evaluate_version
 from services.evaluator.evaluation.request import make_request
-from services.evaluator.evaluation.units import Setting, run_unit
-from services.evaluator.measures.samplers import PathBundleSampler, PathSampler, UniformSampler, any_sampler
+from services.evaluator.evaluation.units import PLANNER, Setting, run_unit
+from services.evaluator.measures.planning import LEARNED_SAMPLES, learned_samples, plan_trial
+from services.evaluator.measures.samplers import bundle_sampler
+from services.planner.search.ompl_planner import solve
+from services.planner.sources.local_sampler import BundleSampler
+from services.planner.sources.uniform_sampler import UniformSampler
 from services.registry import decisions
 from tests.bundles import picture, write_tiny_bundle
 from tests.fakes.registry import FakeRegistry, FakeTracking
@@ -82,20 +86,29 @@ def test_a_path_model_that_knows_nothing_is_refused(tmp_path):
 
 
 def test_start_and_goal_reach_the_model(made):
-    sampler = any_sampler(made)
-    assert isinstance(sampler, PathSampler)
-    assert not isinstance(UniformSampler(TWO_LINK.space), PathSampler)
-    image, start, goal = picture(0), np.array([0.5, 1.0]), np.array([-2.0, 0.0])
-    there, back = sampler.between(image, start, goal, 50, 3), sampler.between(image, goal, start, 50, 3)
-    expected = made.sample(image, 50, 3, start=start, goal=goal).samples
+    sampler = bundle_sampler(made)
+    assert sampler.with_ends
+    assert not UniformSampler(TWO_LINK.space).with_ends
+    image, problem = picture(0), draw_problem(Family.UNIFORM, Split.DEMO, 0)
+    turned = replace(problem, start=problem.goal, goal=problem.start)
+    there, back = (learned_samples(one, image, 3, sampler) for one in (problem, turned))
+    ends = {"start": problem.start, "goal": problem.goal}
+    expected = made.sample(image, LEARNED_SAMPLES, 3, min_confidence=0.0, **ends).samples
     assert np.array_equal(there, expected)
     assert not np.array_equal(there, back)
 
 
 def test_a_filter_is_asked_for_only_where_there_is_a_head(tmp_path):
-    plain = PathBundleSampler(Bundle.load(write_tiny_bundle(tmp_path / "plain", kind="path")))
-    ends = np.zeros(2), np.ones(2)
-    assert len(plain.between(picture(0), *ends, 20, 1, min_confidence=0.9)) == 20
+    drawn = []
+
+    def solver(problem, settings, samples, uniform_share):
+        drawn.append(samples)
+        return solve(problem, settings, samples, uniform_share)
+
+    plain = bundle_sampler(Bundle.load(write_tiny_bundle(tmp_path / "plain", kind="path")))
+    plan_trial(draw_problem(Family.UNIFORM, Split.DEMO, 0), 0, 1, plain, PLANNER, solver)
+    _, learned, confident = drawn
+    assert np.array_equal(learned, confident)
 
 
 def test_path_models_have_planning_units_alone(made):
@@ -104,8 +117,6 @@ def test_path_models_have_planning_units_alone(made):
     }
     setting = Setting(PlanarWorld(TWO_LINK, Camera()), 0, FEW, paths=True)
     with pytest.raises(EvaluationError, match="judged by planning"):
-        run_unit(Unit(Kind.RECONSTRUCTION, Split.TEST, 0, 1), setting, PathBundleSampler(made))
-    (row,) = run_unit(
-        Unit(Kind.PLANNING, Split.TEST, 0, 1, Family.NARROW), setting, PathBundleSampler(made)
-    ).rows
+        run_unit(Unit(Kind.RECONSTRUCTION, Split.TEST, 0, 1), setting, BundleSampler(made))
+    (row,) = run_unit(Unit(Kind.PLANNING, Split.TEST, 0, 1, Family.NARROW), setting, BundleSampler(made)).rows
     assert row.learned.learned_drawn > 0

@@ -11,7 +11,7 @@ import pytest
 from anyio.from_thread import start_blocking_portal
 
 from cspace.errors import ConfigError, SamplerError, SamplerUnavailableError
-from cspace.worlds.planar.picture import encode_png
+from cspace.png import encode_png
 from services.planner.sources import async_sampling_client, sampling_client
 from services.planner.sources.async_sampling_client import AsyncSamplingClient
 from services.planner.sources.local_sampler import LocalSampler
@@ -188,8 +188,8 @@ def test_the_fallback_answers_with_the_same_seed_while_the_server_is_away(ask: A
     batch = ask(*(httpx.Response(503) for _ in range(3)), fallback=source)
     assert (batch.fallback, batch.digest, len(batch.samples)) == (True, DIGEST, 2)
     sent = read_form(ask.requests[0].headers["content-type"], ask.requests[0].content)
-    assert str(source.requests[0]["seed"]).encode() == sent["seed"][0]
-    assert source.requests[0]["image_png"] == PNG
+    assert str(source.requests[0].query.seed).encode() == sent["seed"][0]
+    assert source.requests[0].image_png == PNG
 
 
 def test_the_fallback_is_not_asked_when_the_server_refuses_or_answers(ask: Asked) -> None:

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from cspace.errors import SamplerError
+from cspace.query import SampleQuery
 from cspace.worlds.planar.picture import decode_png
 from cspace.worlds.planar.render import render
 from services.planner.planning import SampleRequest, compare_with_api, plan_with_api, raised_share
@@ -16,12 +17,12 @@ SETTINGS = PlannerSettings(seed=3)
 
 def test_the_source_is_asked_once_for_the_picture_of_the_scenario(blocked):
     source = FakeSampleSource()
-    plan = plan_with_api(blocked, source, SETTINGS, SampleRequest(n=40))
+    plan = plan_with_api(blocked, source, SETTINGS, SampleRequest(SampleQuery(40, SETTINGS.seed)))
     assert plan.result.solved
     assert len(source.requests) == 1
     request = source.requests[0]
-    assert np.array_equal(decode_png(request["image_png"]), render(blocked.scenario))
-    assert (request["n"], request["seed"], request["start"]) == (40, 3, None)
+    assert np.array_equal(decode_png(request.image_png), render(blocked.scenario))
+    assert (request.query.n, request.query.seed, request.query.start) == (40, 3, None)
     assert plan.batch is not None
     assert plan.unavailable is None
 
@@ -29,7 +30,9 @@ def test_the_source_is_asked_once_for_the_picture_of_the_scenario(blocked):
 def test_the_planner_draws_the_samples_of_the_source(make_problem):
     corner = FakeSampleSource(lambda rng, n: rng.uniform(0.0, 0.4, (n, 2)))
     settings = PlannerSettings(goal_bias=0.0, max_iterations=60)
-    plan = plan_with_api(make_problem(), corner, settings, SampleRequest(n=60), 0.0, keep_tree=True)
+    plan = plan_with_api(
+        make_problem(), corner, settings, SampleRequest(SampleQuery(60, 1)), 0.0, keep_tree=True
+    )
     assert plan.result.learned_drawn == 60
     assert plan.result.tree is not None
     assert plan.result.tree.vertices.min() >= 0.0
@@ -49,7 +52,7 @@ def test_a_dead_server_leaves_the_uniform_result_and_its_reason(blocked):
 
 def test_a_refused_request_is_not_hidden_by_uniform_samples(blocked):
     with pytest.raises(SamplerError, match="No such model"):
-        plan_with_api(blocked, FakeSampleSource(), SETTINGS, SampleRequest(model="nobody/1"))
+        plan_with_api(blocked, FakeSampleSource(), SETTINGS, SampleRequest(SampleQuery(300, 3), "nobody/1"))
 
 
 def test_samples_of_another_robot_are_refused_by_name(blocked):
@@ -68,8 +71,8 @@ def test_the_uniform_share_rises_with_the_pictures_novelty(novelty, expected):
 
 def test_a_picture_like_no_other_is_planned_with_uniform_samples_alone(blocked):
     class Alarmed(FakeSampleSource):
-        def sample(self, *arguments, **options):
-            return replace(super().sample(*arguments, **options), novelty=1.0)
+        def answer(self, *arguments):
+            return replace(super().answer(*arguments), novelty=1.0)
 
     alarmed = plan_with_api(blocked, Alarmed(), SETTINGS)
     assert alarmed.uniform_share == 1.0
@@ -81,7 +84,7 @@ def test_a_picture_like_no_other_is_planned_with_uniform_samples_alone(blocked):
 
 def test_a_batch_from_which_all_was_dropped_is_planned_uniformly(blocked):
     source = FakeSampleSource(lambda rng, n: rng.uniform(-1, 1, (n, 2)))
-    request = SampleRequest(n=3, seed=0, min_confidence=1.0)
+    request = SampleRequest(SampleQuery(3, 0, min_confidence=1.0))
     plan = plan_with_api(blocked, source, SETTINGS, request)
     assert plan.batch is not None
     assert plan.batch.shortfall == 3
@@ -91,9 +94,9 @@ def test_a_batch_from_which_all_was_dropped_is_planned_uniformly(blocked):
 def test_the_ends_are_sent_where_a_path_model_needs_them(blocked):
     source = FakeSampleSource()
     with pytest.raises(SamplerError):
-        plan_with_api(blocked, source, SETTINGS, SampleRequest(with_ends=True))
-    assert source.requests[0]["start"] == blocked.start.tolist()
-    assert source.requests[0]["goal"] == blocked.goal.tolist()
+        plan_with_api(blocked, source, SETTINGS, SampleRequest(SampleQuery(300, 3), with_ends=True))
+    assert source.requests[0].query.start == tuple(blocked.start.tolist())
+    assert source.requests[0].query.goal == tuple(blocked.goal.tolist())
 
 
 def test_a_comparison_holds_both_kinds_of_samples_and_rrtconnect_under_one_seed(blocked):

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from cspace.bundle import Bundle
+from cspace.query import SampleQuery
 from cspace.worlds.planar.render import render
 from inference_api.app import create_app
 from inference_api.settings import ApiSettings
@@ -55,7 +56,7 @@ def one_value(path_bundle, problem, epsilon):
 
 
 def test_the_union_comes_through_the_api_in_equal_shares_and_in_its_order(handler, path_bundle, blocked):
-    request = SampleRequest(n=N, seed=3, epsilon_sigma=PAPER_SCHEDULE, with_ends=True)
+    request = SampleRequest(SampleQuery(N, 3, PAPER_SCHEDULE), with_ends=True)
     settings = PlannerSettings(goal_bias=0.0, range_rad=100.0, max_iterations=N)
     with client_of(handler) as client:
         plan = plan_with_api(blocked, client, settings, request, 0.0, keep_tree=True)
@@ -77,9 +78,9 @@ def test_the_command_sends_schedule_and_ends_to_a_path_model(path_bundle, capsys
     asked = []
 
     class Noted(LocalSampler):
-        def sample(self, image_png, n, **options):
-            asked.append(options)
-            return super().sample(image_png, n, **options)
+        def answer(self, picture, query, model=None):
+            asked.append(query)
+            return super().answer(picture, query, model)
 
     arguments = ["--family", "uniform", "--seed", "7", "--n", str(N), "--path-model", "--json"]
     schedule = [str(value) for value in PAPER_SCHEDULE]
@@ -87,6 +88,6 @@ def test_the_command_sends_schedule_and_ends_to_a_path_model(path_bundle, capsys
         command.main(["--api", server.url, *arguments, "--epsilon-sigma", *schedule])
     outcome = json.loads(capsys.readouterr().out)
     assert outcome["samples"]["count"] == N
-    assert tuple(asked[0]["epsilon_sigma"]) == PAPER_SCHEDULE
-    assert asked[0]["start"] == outcome["problem"]["start"]
-    assert asked[0]["goal"] == outcome["problem"]["goal"]
+    assert asked[0].epsilon_sigma == PAPER_SCHEDULE
+    assert list(asked[0].start) == outcome["problem"]["start"]
+    assert list(asked[0].goal) == outcome["problem"]["goal"]

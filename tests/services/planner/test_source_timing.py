@@ -2,7 +2,7 @@
 
 import pytest
 
-from cspace.worlds.planar.picture import encode_png
+from cspace.png import encode_png
 from services.planner.sources.local_sampler import LocalSampler
 from services.planner.sources.npy_answer import read_timing
 from services.planner.sources.samples import SourceTiming

@@ -12,7 +12,7 @@ import pytest
 from mlflow import MlflowClient
 
 from cspace.bundle import Bundle
-from cspace.worlds.planar.picture import encode_png
+from cspace.png import encode_png
 from inference_api.app import create_app
 from inference_api.settings import ApiSettings
 from services.registry.models.mlflow_registry import MlflowRegistry

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 
 from cspace.errors import ConfigError
+from cspace.query import SampleQuery
 from services.planner.planning import PAPER_SCHEDULE
 from services.planner.settings import (
     BIT_STAR,
@@ -86,6 +87,10 @@ class Arm:
     colliding_last: bool = False
     range_rad: float = RANGE_RAD
     stop_at_first: bool = True
+
+    def query(self, seed: int) -> SampleQuery:
+        """What is asked of the learned sampler for the run of a seed, start and goal apart."""
+        return SampleQuery(self.samples, seed, self.epsilon_sigma, min_confidence=self.min_confidence)
 
 
 @dataclass(frozen=True, slots=True)

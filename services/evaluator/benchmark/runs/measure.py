@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cspace.problem import Problem
+from cspace.query import SampleQuery
 from cspace.splits import Split
 from cspace.world import World
 from cspace.worlds import workshop_of
@@ -16,7 +17,7 @@ from services.evaluator.benchmark.runs.arms import RANGE_RAD, Arm
 from services.evaluator.benchmark.runs.check_cost import state_check_s
 from services.evaluator.benchmark.runs.run import Run, finite
 from services.evaluator.benchmark.runs.setting import Setting, Unit
-from services.evaluator.benchmark.runs.sources import Ask, SourceSpec, ask, mixed
+from services.evaluator.benchmark.runs.sources import SourceSpec, ask, mixed
 from services.evaluator.evaluation.units import planner_seed
 from services.planner.plan_result import Reason
 from services.planner.search.ompl_planner import PlanResult, solve
@@ -55,7 +56,7 @@ class Batches:
     ) -> None:
         self._problem, self._seed = problem, seed
         self._specs, self._sources = specs, sources
-        self._known: dict[tuple[str, Ask], SampleBatch] = {}
+        self._known: dict[tuple[str, SampleQuery], SampleBatch] = {}
 
     def of(self, arm: Arm) -> SampleBatch | None:
         """The batch of an arm, None for uniform samples.
@@ -65,11 +66,11 @@ class Batches:
         """
         if arm.sampler is None:
             return None
-        wanted = Ask(self._seed, arm.samples, arm.epsilon_sigma, arm.min_confidence)
-        key = (arm.sampler, wanted)
+        query = arm.query(self._seed)
+        key = (arm.sampler, query)
         if key not in self._known:
             source, spec = self._sources[arm.sampler], self._specs[arm.sampler]
-            self._known[key] = ask(source, spec, self._problem, wanted)
+            self._known[key] = ask(source, spec, self._problem, query)
         return self._known[key]
 
 

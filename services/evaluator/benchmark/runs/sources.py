@@ -12,10 +12,12 @@ from numpy.typing import NDArray
 from cspace.bundle import Bundle
 from cspace.errors import ConfigError, SamplerError, SamplerUnavailableError
 from cspace.problem import UNIFORM, Problem
+from cspace.query import SampleQuery
 from cspace.splits import Split
 from cspace.worlds import default_world, picture_file_of, workshop_of
 from services.evaluator.benchmark.runs.fresh_png import fresh_png
 from services.evaluator.measures.samplers import PackedBundle
+from services.planner.planning import between_ends
 from services.planner.sources.local_sampler import LocalSampler
 from services.planner.sources.samples import SampleBatch, SampleSource
 from services.planner.sources.sampling_client import SamplingClient
@@ -46,23 +48,6 @@ class SourceSpec:
         """For manifest and report."""
         over = "HTTP" if self.url is not None else "none: a bundle in the planner's process"
         return {"model": self.model, "digest": self.digest, "with_ends": self.with_ends, "transport": over}
-
-
-@dataclass(frozen=True, slots=True)
-class Ask:
-    """What is asked of a source for one run.
-
-    Args:
-        seed: of the run.
-        samples: how many.
-        epsilon_sigma: as the arm has it.
-        min_confidence: likewise.
-    """
-
-    seed: int
-    samples: int
-    epsilon_sigma: tuple[float, ...] = (0.0,)
-    min_confidence: float = 0.0
 
 
 def served(name: str, model: str, url: str) -> SourceSpec:
@@ -100,28 +85,20 @@ def opened(specs: Sequence[SourceSpec]) -> Iterator[Mapping[str, SampleSource]]:
         found: dict[str, SampleSource] = {}
         for spec in specs:
             found[spec.name] = _opened(spec, stack)
-            ask(found[spec.name], spec, _example(), Ask(1, 10))
+            ask(found[spec.name], spec, _example(), SampleQuery(10, 1, min_confidence=0.0))
         yield found
 
 
-def ask(source: SampleSource, spec: SourceSpec, problem: Problem, wanted: Ask) -> SampleBatch:
+def ask(source: SampleSource, spec: SourceSpec, problem: Problem, query: SampleQuery) -> SampleBatch:
     """One batch for a problem's picture, as for a picture that was never sent before.
 
     Raises:
         SamplerUnavailableError: the source does not answer.
         SamplerError: it refused, or another model answered than the one that is measured.
     """
-    note = f"{wanted.seed} {wanted.samples} {wanted.epsilon_sigma} {wanted.min_confidence}"
-    batch = source.sample(
-        fresh_png(picture_file_of(problem.scenario), note),
-        wanted.samples,
-        model=spec.model,
-        seed=wanted.seed,
-        epsilon_sigma=wanted.epsilon_sigma,
-        start=problem.start.tolist() if spec.with_ends else None,
-        goal=problem.goal.tolist() if spec.with_ends else None,
-        min_confidence=wanted.min_confidence,
-    )
+    note = f"{query.seed} {query.n} {query.epsilon_sigma} {query.min_confidence}"
+    png = fresh_png(picture_file_of(problem.scenario), note)
+    batch = source.answer(png, between_ends(query, problem) if spec.with_ends else query, spec.model)
     if batch.digest != spec.digest:
         raise SamplerError(
             f"another model answers for {spec.name}", expected=spec.digest[:12], got=batch.digest[:12]
@@ -152,15 +129,14 @@ def parse_named(text: str) -> tuple[str, str]:
 
 def _first_answer(client: SamplingClient, model: str) -> tuple[bool, SampleBatch]:
     """Whether a model wants start and goal is told only by its answers."""
-    problem = _example()
+    problem, query = _example(), SampleQuery(10, 1, min_confidence=0.0)
     png = picture_file_of(problem.scenario)
-    ends = {"start": problem.start.tolist(), "goal": problem.goal.tolist()}
     try:
-        return True, client.sample(png, 10, model=model, seed=1, min_confidence=0.0, **ends)
+        return True, client.answer(png, between_ends(query, problem), model)
     except SamplerUnavailableError:
         raise
     except SamplerError:
-        return False, client.sample(png, 10, model=model, seed=1, min_confidence=0.0)
+        return False, client.answer(png, query, model)
 
 
 def _opened(spec: SourceSpec, stack: ExitStack) -> SampleSource:

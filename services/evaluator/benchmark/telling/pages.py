@@ -13,7 +13,7 @@ from cspace.worlds import picture_of
 from services.evaluator.benchmark.runs.arms import DEFAULT_SHARE, Arm, Group
 from services.evaluator.benchmark.runs.measure import known_problem
 from services.evaluator.benchmark.runs.setting import Setting
-from services.evaluator.benchmark.runs.sources import Ask, SourceSpec, ask, opened
+from services.evaluator.benchmark.runs.sources import SourceSpec, ask, opened
 from services.evaluator.evaluation.units import planner_seed
 from services.planner.drawing import palette
 from services.planner.drawing.configuration_panel import draw_configurations
@@ -56,13 +56,12 @@ def pages(
         for family, count in problems.items():
             for index in range(count):
                 problem = known_problem(setting.world, family, setting.split, setting.seed, index)
-                wanted = Ask(planner_seed(setting.seed, index, 0), 0)
+                seed = planner_seed(setting.seed, index, 0)
                 panels = []
                 for arm in shown:
                     batch = None
                     if arm.sampler is not None:
-                        asked = Ask(wanted.seed, arm.samples, arm.epsilon_sigma, arm.min_confidence)
-                        batch = ask(sources[arm.sampler], by_name[arm.sampler], problem, asked)
+                        batch = ask(sources[arm.sampler], by_name[arm.sampler], problem, arm.query(seed))
                     panels.append((arm, _solved(problem, arm, setting, index, batch), batch))
                 yield f"page-{family}-{index:02d}", page(problem, panels, f"{family}, problem {index}")
 

@@ -11,8 +11,8 @@ from cspace.worlds.planar.world import PlanarWorld
 from services.evaluator.evaluation.gallery import MISSED_COLOUR, SHOWN_SAMPLES, gallery
 from services.evaluator.evaluation.recording import exhibits
 from services.evaluator.measures.reconstruction import SampleQuality, SceneQuality
-from services.evaluator.measures.samplers import UniformSampler
 from services.evaluator.measures.scenes import Scene, Stage
+from services.planner.sources.uniform_sampler import UniformSampler
 
 STAGE = Stage(PlanarWorld(TWO_LINK, Camera()), Split.TEST, 0)
 

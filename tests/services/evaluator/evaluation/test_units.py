@@ -19,8 +19,9 @@ from services.evaluator.evaluation.metrics import flat_metrics
 from services.evaluator.evaluation.report import terminal_table, to_json, to_markdown
 from services.evaluator.evaluation.units import Setting, assemble, planner_seed, run_unit
 from services.evaluator.measures.planning import PlanningTrial
-from services.evaluator.measures.samplers import PackedBundle, UniformSampler
+from services.evaluator.measures.samplers import PackedBundle
 from services.evaluator.measures.scenes import Scene, Stage, reconstruct
+from services.planner.sources.uniform_sampler import UniformSampler
 from tests.bundles import write_tiny_bundle
 
 TINY = Budget(

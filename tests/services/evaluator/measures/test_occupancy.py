@@ -20,8 +20,10 @@ from services.evaluator.evaluation.units import Setting, assemble, run_unit
 from services.evaluator.measures.occupancy import scene_occupancy, summarise_occupancy
 from services.evaluator.measures.reconstruction import summarise
 from services.evaluator.measures.reliability import reliability_diagram
-from services.evaluator.measures.samplers import BundleSampler, Confident, ScoredBundleSampler, bundle_sampler
+from services.evaluator.measures.samplers import ScoredBundleSampler, bundle_sampler
 from services.evaluator.measures.scenes import Scene, Stage, reconstruct
+from services.planner.sources.local_sampler import BundleSampler
+from services.planner.sources.uniform_sampler import UniformSampler
 from tests.bundles import tiny_graphs, tiny_spec, write_tiny_bundle
 
 DISCONNECTED = Family.DISCONNECTED
@@ -64,24 +66,25 @@ def test_no_scenarios_are_an_error():
         summarise_occupancy([], np.random.default_rng(0))
 
 
-class Oracle:
+class Oracle(UniformSampler):
     """Uniform samples, scored by the exact checker of the one scene that it knows."""
 
     threshold = 0.5
 
     def __init__(self, scene):
+        super().__init__(TWO_LINK.space)
         self.checker = CollisionChecker(scene.scenario)
-
-    def sample(self, image, n, seed):
-        return np.random.default_rng(seed).uniform(-np.pi, np.pi, (n, 2)).astype(np.float32)
 
     def score(self, image, configurations):
         return self.checker.valid_batch(configurations).astype(np.float32)
 
-    def confident(self, image, n, seed):
-        drawn = self.sample(image, 4 * n, seed)
-        good = self.score(image, drawn) >= self.threshold
-        return Confident(drawn[good][:n], float(good.mean()))
+    def answer(self, picture, query, model=None):
+        if not query.min_confidence:
+            return super().answer(picture, query)
+        batch = super().answer(picture, dataclasses.replace(query, n=4 * query.n))
+        good = self.score(picture, batch.samples) >= query.min_confidence
+        samples = batch.samples[good][: query.n]
+        return dataclasses.replace(batch, samples=samples, acceptance=float(good.mean()))
 
 
 def test_confident_samples_are_as_many_and_all_pass():
@@ -128,11 +131,11 @@ def test_a_bundle_with_head_and_threshold_is_judged_with_them(tmp_path):
 
 def test_confident_samples_of_a_bundle_are_those_whose_score_reaches_its_threshold(tmp_path):
     scene = Scene(STAGE, 0)
-    drawn = bundle_sampler(scored_bundle(tmp_path / "low", 0.0)).sample(scene.image, 200, 5)
+    drawn = bundle_sampler(scored_bundle(tmp_path / "low", 0.0)).sample(scene.image, 200, 5).samples
     sampler = bundle_sampler(scored_bundle(tmp_path / "bundle", 0.5))
     scores = sampler.score(scene.image, drawn)
     threshold = float(np.median(scores))
-    found = dataclasses.replace(sampler, threshold=threshold).confident(scene.image, 200, 5)
+    found = sampler.sample(scene.image, 200, 5, min_confidence=threshold)
     assert len(found.samples) == 200
     assert (sampler.score(scene.image, found.samples) >= np.float32(threshold)).all()
     assert found.acceptance == pytest.approx(0.5, abs=0.1)

@@ -11,8 +11,8 @@ from cspace.worlds.planar.scene import Disc, Scenario
 from services.evaluator.evaluation.tables import planning_table
 from services.evaluator.measures.planning import PlanningTrial, RunOutcome, plan_trial
 from services.evaluator.measures.planning_summary import success_rate, summarise_family
-from services.evaluator.measures.samplers import Confident, UniformSampler
 from services.planner.search.ompl_planner import PlannerSettings, PlanResult
+from services.planner.sources.uniform_sampler import UniformSampler
 
 # One disc on the y axis: turning the first joint through a quarter circle collides, through the others it
 # does not.
@@ -169,10 +169,12 @@ class Scored(UniformSampler):
     def score(self, image, configurations):
         return (configurations[:, 0] < 0.0).astype(np.float32)
 
-    def confident(self, image, n, seed):
-        drawn = self.sample(image, 4 * n, seed)
-        good = self.score(image, drawn) >= self.threshold
-        return Confident(drawn[good][:n], float(good.mean()))
+    def answer(self, picture, query, model=None):
+        if not query.min_confidence:
+            return super().answer(picture, query)
+        batch = super().answer(picture, replace(query, n=4 * query.n))
+        good = self.score(picture, batch.samples) >= query.min_confidence
+        return replace(batch, samples=batch.samples[good][: query.n])
 
 
 def test_a_validity_head_adds_a_run_with_as_many_samples_that_pass_it():

@@ -11,7 +11,6 @@ from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.problems import Family, draw_problem
 from cspace.worlds.planar.scene import Disc, Scenario, random_scenarios
 from cspace.worlds.planar.world import PlanarWorld
-from services.evaluator.measures.samplers import UniformSampler
 from services.evaluator.measures.scenes import (
     CONFIDENT_STREAM,
     FAMILY_STREAM,
@@ -20,6 +19,7 @@ from services.evaluator.measures.scenes import (
     measure_reconstruction,
     reconstruct,
 )
+from services.planner.sources.uniform_sampler import UniformSampler
 
 STAGE = Stage(PlanarWorld(TWO_LINK, Camera()), Split.VALIDATION, 5)
 

@@ -6,7 +6,6 @@ from cspace.splits import Split
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK
 from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.world import PlanarWorld
-from services.evaluator.measures.samplers import UniformSampler
 from services.evaluator.measures.scenes import Scene, Stage
 from services.evaluator.measures.topology_scenes import (
     SCORES,
@@ -14,6 +13,7 @@ from services.evaluator.measures.topology_scenes import (
     scene_topology,
     summarise_topology,
 )
+from services.planner.sources.uniform_sampler import UniformSampler
 
 
 def scene(robot=TWO_LINK):

@@ -9,15 +9,17 @@ from PIL import Image
 
 from cspace.bundle import Bundle
 from cspace.errors import ConfigError, SamplerError
+from cspace.png import encode_png
+from cspace.query import SampleQuery
 from cspace.splits import Split
-from cspace.worlds.planar.picture import decode_png, encode_png
+from cspace.worlds.planar.picture import decode_png
 from cspace.worlds.planar.problems import Family, draw_problem
 from services.evaluator.benchmark.runs.arms import pick, table
 from services.evaluator.benchmark.runs.check_cost import state_check_s
 from services.evaluator.benchmark.runs.fresh_png import fresh_png
 from services.evaluator.benchmark.runs.measure import drawn_samples, known_problem, measure
 from services.evaluator.benchmark.runs.setting import Unit
-from services.evaluator.benchmark.runs.sources import Ask, ask, bundled, mixed, opened, parse_named
+from services.evaluator.benchmark.runs.sources import ask, bundled, mixed, opened, parse_named
 from services.planner.plan_result import Reason
 from services.planner.search.sample_order import order_along
 from tests.bundles import picture, write_tiny_bundle
@@ -43,7 +45,7 @@ def test_a_bundle_that_is_open_leaves_no_files_that_an_ended_worker_could_not_ta
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     with opened([spec]) as found:
         assert not list(tmp_path.iterdir())
-        batch = ask(found["way"], spec, draw_problem(Family.NARROW, Split.DEMO, 1), Ask(3, 20))
+        batch = ask(found["way"], spec, draw_problem(Family.NARROW, Split.DEMO, 1), SampleQuery(20, 3))
     assert batch.samples.shape == (20, 2)
 
 
@@ -53,9 +55,9 @@ class Counting:
     def __init__(self, source):
         self.source, self.asked = source, Counter()
 
-    def sample(self, image_png, n, **options):
-        self.asked[n, options["epsilon_sigma"], options["min_confidence"]] += 1
-        return self.source.sample(image_png, n, **options)
+    def answer(self, picture, query, model=None):
+        self.asked[query.n, query.epsilon_sigma, query.min_confidence] += 1
+        return self.source.answer(picture, query, model)
 
 
 def run(arms, family, setting, spec, sources, index=0):

@@ -1,0 +1,120 @@
+"""What is asked of a sampler for one picture: one value, from a client's call to the bundle that answers it.
+
+It is judged in itself where it enters, by :meth:`SampleQuery.checked` or by a parser that knows the same
+ranges, and against its bundle by :func:`cspace.bundle.request.fitted`; nobody between them looks again. NumPy
+alone is imported here, for clients that have no runtime for graphs.
+"""
+
+import math
+import secrets
+from collections.abc import Sequence
+from dataclasses import dataclass
+from numbers import Integral, Real
+from typing import TypedDict
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from cspace.errors import InputError
+
+MAX_SEED = 2**64 - 1
+MAX_EPSILON = 10.0
+MAX_SAMPLES = 20_000
+"""Of one request to a server, or to what stands in for one."""
+
+PLAIN = (0.0,)
+"""The schedule that leaves the encoder's standard deviation as it is."""
+
+
+class QueryOptions(TypedDict, total=False):
+    """What a call that asks for samples may leave out, as :meth:`SampleQuery.checked` takes it."""
+
+    epsilon_sigma: Sequence[float]
+    start: ArrayLike | None
+    goal: ArrayLike | None
+    min_confidence: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class SampleQuery:
+    """A request for samples that is valid in itself; equal ones with equal pictures have equal answers.
+
+    Args:
+        n: how many, at least 1.
+        seed: unsigned 64 bit.
+        epsilon_sigma: the latent's standard deviation is raised by each value, 0 to 10; equal shares of the
+            samples in this order, the remainder to the first.
+        start: (d,) rad, for path models and only for them.
+        goal: as ``start``.
+        min_confidence: what the validity head has to score, 0 to 1; None for the bundle's own threshold
+            (0 for a bundle without), 0 for all samples as they come.
+    """
+
+    n: int
+    seed: int
+    epsilon_sigma: tuple[float, ...] = PLAIN
+    start: tuple[float, ...] | None = None
+    goal: tuple[float, ...] | None = None
+    min_confidence: float | None = None
+
+    @classmethod
+    def checked(
+        cls,
+        n: int,
+        seed: int,
+        epsilon_sigma: Sequence[float] = PLAIN,
+        start: ArrayLike | None = None,
+        goal: ArrayLike | None = None,
+        min_confidence: float | None = None,
+    ) -> "SampleQuery":
+        """The query of values that nobody has judged yet.
+
+        Raises:
+            InputError: one is of another type or out of its range.
+        """
+        _whole("n", n, 1, None)
+        _whole("seed", seed, 0, MAX_SEED)
+        values = tuple(epsilon_sigma)
+        if not values:
+            raise InputError("epsilon_sigma is empty", expected="one value or more", got="none")
+        for value in values:
+            _within("epsilon_sigma", value, MAX_EPSILON)
+        if min_confidence is not None:
+            _within("min_confidence", min_confidence, 1.0)
+            min_confidence = float(min_confidence)
+        ends = _configuration("start", start), _configuration("goal", goal)
+        return cls(int(n), int(seed), tuple(float(value) for value in values), *ends, min_confidence)
+
+
+def drawn_seed(seed: int | None = None) -> int:
+    """The seed, or one that is drawn here, so that a request that is sent again is the same request."""
+    return secrets.randbits(64) if seed is None else seed
+
+
+def _configuration(name: str, value: ArrayLike | None) -> tuple[float, ...] | None:
+    if value is None:
+        return None
+    try:
+        angles = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        angles = np.array(math.nan)
+    if angles.ndim != 1 or not np.all(np.isfinite(angles)):
+        raise InputError(
+            f"{name} is no configuration", expected="an array of finite angles in rad", got=str(value)[:200]
+        )
+    return tuple(angles.tolist())
+
+
+def _whole(name: str, value: object, low: int, high: int | None) -> None:
+    fits = isinstance(value, Integral) and not isinstance(value, bool)
+    if not fits or value < low or (high is not None and value > high):  # type: ignore[operator]
+        expected = f"a whole number, at least {low}" + ("" if high is None else f" and at most {high}")
+        raise InputError(f"{name} is out of range", expected=expected, got=repr(value)[:200])
+
+
+def _within(name: str, value: object, high: float) -> None:
+    fits = isinstance(value, Real) and not isinstance(value, bool | np.bool_)
+    if not fits or not math.isfinite(value) or not 0.0 <= value <= high:  # type: ignore[arg-type, operator]
+        raise InputError(
+            f"{name} is out of range", expected=f"a finite number from 0 to {high:g}", got=repr(value)[:200]
+        )

@@ -1,0 +1,25 @@
+"""Uniform configurations as a source of samples: the baseline that looks at no picture."""
+
+import numpy as np
+
+from cspace.query import SampleQuery
+from cspace.space import JointSpace, to_float32
+from services.planner.sources.samples import Picture, SampleBatch, SampleSource
+
+UNIFORM = "uniform"
+
+
+class UniformSampler(SampleSource):
+    """Draws from the whole joint space.
+
+    Args:
+        space: the joint space.
+    """
+
+    def __init__(self, space: JointSpace) -> None:
+        self._space = space
+
+    def answer(self, picture: Picture, query: SampleQuery, model: str | None = None) -> SampleBatch:  # noqa: ARG002 - the port's arguments
+        """``query.n`` uniform configurations; picture and model change nothing."""
+        samples = to_float32(self._space.sample_uniform(np.random.default_rng(query.seed), query.n))
+        return SampleBatch(samples, UNIFORM, 0, "", query.seed, shortfall=0, round_trip_s=0.0)
