@@ -71,12 +71,21 @@ _Angle = Annotated[float, Field(allow_inf_nan=False)]
 _Configuration = Annotated[list[_Angle], Field(max_length=MAX_JOINTS)]
 
 
-# In this order they are described, and those that are wrong are told.
-FIELDS = ("image", "n", "model", "seed", "epsilon_sigma", "start", "goal", "min_confidence")
+# In this order fields are described, and those that are wrong are told.
+EXPECTED = {
+    "image": "a PNG: a file in a form, base64 text in JSON",
+    "n": f"a whole number from 1 to {MAX_SAMPLES}",
+    "model": "name, name@alias, name/version or pretrained",
+    "seed": "an unsigned 64-bit whole number, or its decimal digits as text",
+    "epsilon_sigma": "one or more finite numbers from 0 to 10",
+    "start": "an array of finite angles in rad",
+    "goal": "an array of finite angles in rad",
+    "min_confidence": "a finite number from 0 to 1",
+}
 
 
 def _in_order(schema: dict[str, Any]) -> None:
-    schema["properties"] = {name: schema["properties"][name] for name in FIELDS}
+    schema["properties"] = {name: schema["properties"][name] for name in EXPECTED}
 
 
 class QueryFields(BaseModel):

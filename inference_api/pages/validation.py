@@ -7,25 +7,14 @@ from typing import Any, TypeVar
 from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
-from cspace.query import MAX_SAMPLES
 from inference_api.failures import FieldProblem, FieldsError
-from inference_api.pages.schemas import FIELDS, QueryFields, SampleRequest
+from inference_api.pages.schemas import EXPECTED, QueryFields, SampleRequest
 
 Fields = TypeVar("Fields", bound=QueryFields)
 
 MAX_REPORTED = 8
 _SHOWN_BITS = 128
-
-EXPECTED = {
-    "image": "a PNG: a file in a form, base64 text in JSON",
-    "n": f"a whole number from 1 to {MAX_SAMPLES}",
-    "model": "name, name@alias, name/version or pretrained",
-    "seed": "an unsigned 64-bit whole number, or its decimal digits as text",
-    "epsilon_sigma": "one or more finite numbers from 0 to 10",
-    "start": "an array of finite angles in rad",
-    "goal": "an array of finite angles in rad",
-    "min_confidence": "a finite number from 0 to 1",
-}
+_PLACES: dict[int | str, int] = {name: place for place, name in enumerate(EXPECTED)}
 
 
 def validate_request(values: Mapping[str, Any]) -> SampleRequest:
@@ -53,8 +42,7 @@ def validate_fields(kind: type[Fields], values: Mapping[str, Any]) -> Fields:
 
 
 def _place(item: ErrorDetails) -> int:
-    field = item["loc"][0] if item["loc"] else ""
-    return FIELDS.index(field) if field in FIELDS else len(FIELDS)
+    return _PLACES.get(item["loc"][0] if item["loc"] else "", len(_PLACES))
 
 
 def _field_problem(kind: str, location: tuple[int | str, ...], value: object) -> FieldProblem:

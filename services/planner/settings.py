@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass
 
 from cspace.errors import ConfigError
+from cspace.query import MAX_SEED
 
 RRT = "RRT"
 RRT_STAR = "RRTstar"
@@ -17,8 +18,6 @@ LEARNED_PLANNERS = (RRT, RRT_STAR, SAMPLED_CONNECT, PRM)
 """Planners that can draw learned samples; the others draw uniform ones only."""
 OPTIMISING_PLANNERS = (RRT_STAR, INFORMED_RRT_STAR, BIT_STAR)
 """Planners that shorten their path while they are allowed to."""
-
-MAX_SEED = 2**64 - 1
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,6 +1,6 @@
-"""One contract for what gives planners and metrics samples: fake, HTTP clients, a bundle, the real API.
+"""One contract for what gives planners and metrics samples: fake, HTTP clients, bundle, the real API (e2e).
 
-The uniform baseline keeps the part of it that asks for no model and no picture. The real API is e2e.
+The uniform baseline keeps the part of it that asks for no model and no picture.
 """
 
 from collections.abc import Callable, Iterator
@@ -12,9 +12,9 @@ import pytest
 from anyio.from_thread import BlockingPortal, start_blocking_portal
 
 from cspace.errors import SamplerError, SamplerUnavailableError
-from cspace.png import encode_png
 from cspace.query import SampleQuery
 from cspace.worlds.planar.arm import TWO_LINK
+from cspace.worlds.planar.picture import encode_png
 from services.planner.sources.async_sampling_client import AsyncSamplingClient
 from services.planner.sources.local_sampler import LocalSampler
 from services.planner.sources.samples import Picture, PinnedSource, SampleBatch, SampleSource

@@ -13,6 +13,7 @@ from services.evaluator.evaluation.recording import exhibits
 from services.evaluator.measures.reconstruction import SampleQuality, SceneQuality
 from services.evaluator.measures.scenes import Scene, Stage
 from services.planner.sources.uniform_sampler import UniformSampler
+from tests.fakes.sample_source import FakeSampleSource
 
 STAGE = Stage(PlanarWorld(TWO_LINK, Camera()), Split.TEST, 0)
 
@@ -45,12 +46,8 @@ def test_the_gallery_has_three_panels_a_scenario(robot, tmp_path):
 
 def test_free_configurations_that_no_sample_is_near_are_marked():
     scene = Scene(STAGE, 0)
-
-    class Collapsed:
-        def sample(self, image, n, seed):
-            return np.tile(scene.free(1, scene.rng(0)), (n, 1)).astype(np.float32)
-
-    panel = gallery([scene], Collapsed(), "collapsed").axes[2]
+    collapsed = FakeSampleSource(lambda rng, n: np.tile(scene.free(1, scene.rng(0)), (n, 1)))
+    panel = gallery([scene], collapsed, "collapsed").axes[2]
     assert "100.0% free" in panel.get_title()
     assert 0.95 * SHOWN_SAMPLES < marked(panel, MISSED_COLOUR) < SHOWN_SAMPLES
 

@@ -20,6 +20,7 @@ from services.evaluator.measures.scenes import (
     reconstruct,
 )
 from services.planner.sources.uniform_sampler import UniformSampler
+from tests.fakes.sample_source import FakeSampleSource
 
 STAGE = Stage(PlanarWorld(TWO_LINK, Camera()), Split.VALIDATION, 5)
 
@@ -101,12 +102,8 @@ def test_uniform_samples_score_as_uniform_and_real_ones_as_real(robot):
 
 def test_a_sampler_that_repeats_one_free_configuration_is_precise_and_covers_nothing():
     scene = Scene(STAGE, 0)
-
-    class Collapsed:
-        def sample(self, image, n, seed):
-            return np.tile(scene.free(1, scene.rng(0)), (n, 1)).astype(np.float32)
-
-    quality = reconstruct(scene, Collapsed(), samples=400)
+    collapsed = FakeSampleSource(lambda rng, n: np.tile(scene.free(1, scene.rng(0)), (n, 1)))
+    quality = reconstruct(scene, collapsed, samples=400)
     assert quality.sampler.precision == 1.0
     assert quality.sampler.coverage < 0.05
     assert (quality.sampler.knn_precision, quality.sampler.knn_recall) == (1.0, 0.0)

@@ -1,4 +1,3 @@
-import numpy as np
 import pytest
 
 from cspace.errors import EvaluationError
@@ -14,20 +13,16 @@ from services.evaluator.measures.topology_scenes import (
     summarise_topology,
 )
 from services.planner.sources.uniform_sampler import UniformSampler
+from tests.fakes.sample_source import FakeSampleSource
 
 
 def scene(robot=TWO_LINK):
     return Scene(Stage(PlanarWorld(robot, Camera()), Split.TRAIN, 0), 3)
 
 
-class TruthSampler:
+def truth(of):
     """Further real samples, as a perfect generator would give them."""
-
-    def __init__(self, of):
-        self.scene = of
-
-    def sample(self, image, count, seed):
-        return self.scene.free(count, np.random.default_rng(seed))
+    return FakeSampleSource(lambda rng, count: of.free(count, rng))
 
 
 def test_repeats_are_independent_of_each_other_and_of_their_number():
@@ -63,6 +58,6 @@ def test_no_scenarios_are_an_error(rng):
 def test_uniform_samples_are_above_the_floor_and_real_samples_at_it(robot):
     of = scene(robot)
     uniform = repeated_topology(of, UniformSampler(robot.space), draws=20, repeats=8, samples=1000)
-    truth = repeated_topology(of, TruthSampler(of), draws=20, repeats=8, samples=1000)
+    real = repeated_topology(of, truth(of), draws=20, repeats=8, samples=1000)
     assert uniform["gsc_boundary"].score.low > uniform["gsc_boundary"].floor.high
-    assert truth["gsc_boundary"].score.low < truth["gsc_boundary"].floor.high
+    assert real["gsc_boundary"].score.low < real["gsc_boundary"].floor.high
