@@ -191,7 +191,7 @@ def test_a_failure_that_nobody_foresaw_is_500_without_its_inner_words(
         raise ZeroDivisionError("a secret")
 
     with monkeypatch.context() as patch:
-        patch.setattr(Bundle, "sample", fail)
+        patch.setattr(Bundle, "answer", fail)
         answer = api.post("/sample", files={"image": PNG})
     assert_problem(answer, 500, "internal-error")
     assert "secret" not in answer.text

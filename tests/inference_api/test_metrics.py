@@ -86,7 +86,7 @@ def test_failures_are_counted_by_problem_type(start_api: StartApi, monkeypatch: 
     api.post("/sample", content=bytes(9 * 2**20), headers={"content-type": "application/json"})
     api.get("/sample")
     with monkeypatch.context() as patch:
-        patch.setattr(Bundle, "sample", fail)
+        patch.setattr(Bundle, "answer", fail)
         assert api.post("/sample", files={"image": PNG}).status_code == 500
     api.get("/models")
     found = scrape(api)

@@ -90,7 +90,7 @@ def test_lines_from_within_a_request_carry_its_id_and_a_failure_its_trace(
         raise ZeroDivisionError("inner words")
 
     with monkeypatch.context() as patch:
-        patch.setattr(Bundle, "sample", fail)
+        patch.setattr(Bundle, "answer", fail)
         answer = api.post("/sample", files={"image": PNG}, headers={"x-request-id": "fails"})
     assert (answer.status_code, answer.headers["x-request-id"]) == (500, "fails")
     assert answer.headers["x-content-type-options"] == "nosniff"
@@ -117,7 +117,7 @@ def test_a_failure_below_v2_is_told_in_the_protocol_s_form_and_logged_alike(
 
     request = {"inputs": [json_input(picture()[None])]}
     with monkeypatch.context() as patch:
-        patch.setattr(Bundle, "sample", fail)
+        patch.setattr(Bundle, "answer", fail)
         headers = {"x-request-id": "fails"}
         answer = api.post("/v2/models/cspace-sampler/infer", json=request, headers=headers)
     assert (answer.status_code, set(answer.json())) == (500, {"error"})
