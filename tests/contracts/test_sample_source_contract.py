@@ -12,9 +12,9 @@ import pytest
 from anyio.from_thread import BlockingPortal, start_blocking_portal
 
 from cspace.errors import SamplerError, SamplerUnavailableError
+from cspace.png import encode_png
 from cspace.query import SampleQuery
 from cspace.worlds.planar.arm import TWO_LINK
-from cspace.worlds.planar.picture import encode_png
 from services.planner.sources.async_sampling_client import AsyncSamplingClient
 from services.planner.sources.local_sampler import LocalSampler
 from services.planner.sources.samples import Picture, PinnedSource, SampleBatch, SampleSource
