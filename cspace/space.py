@@ -1,8 +1,10 @@
-"""Geometry of the joint space: wrapping, torus distance, the (cos, sin) embedding, standardisation.
+"""Geometry of the joint space: circles and limited joints, wrapping, distances, embedding, standardisation.
 
-Angles are in rad; arrays hold configurations in their last axis, one entry per joint.
+Angles are in rad; arrays hold configurations in their last axis, one entry per joint. The plain functions are
+those of the torus; :class:`JointSpace` alone knows which joint is a circle and which has limits.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,9 +14,14 @@ from numpy.typing import ArrayLike, NDArray
 from cspace.errors import ScenarioError
 
 Floats = NDArray[np.floating[Any]]
+_TURN = 2.0 * np.pi
+# A value that lies this little beyond a limit is there by rounding, and stays at that limit.
+_ROUNDED_RAD = 1e-4
 
 # float32(pi) lies above pi; this is the largest float32 below it, so that [-pi, pi) survives the cast.
 FLOAT32_PI_BELOW = np.nextafter(np.float32(np.pi), np.float32(0.0))
+# Of a joint, either way: further out single precision could not tell neighbouring configurations apart.
+MAX_LIMIT_RAD = 1000.0
 
 
 def wrap(angles: ArrayLike) -> NDArray[np.float64]:
@@ -78,10 +85,67 @@ class JointSpace:
         """``count`` uniform configurations, (count, d) rad."""
         return rng.uniform(self.lower, self.upper, size=(count, self.dim))
 
+    @property
+    def is_torus(self) -> bool:
+        """Whether all joints are circles."""
+        return all(self.periodic)
+
+    @property
+    def volume(self) -> float:
+        """Product of the joints' ranges, rad to the power of d."""
+        limited = [
+            high - low
+            for low, high, wraps in zip(self.lower, self.upper, self.periodic, strict=True)
+            if not wraps
+        ]
+        return float(_TURN ** (self.dim - len(limited)) * np.prod(limited))
+
     def wrap(self, configurations: ArrayLike) -> NDArray[np.float64]:
         """Periodic joints wrapped, the others as they are; (..., d) rad."""
         configurations = np.asarray(configurations, dtype=np.float64)
         return np.where(self.periodic, wrap(configurations), configurations)
+
+    def bound(self, configurations: ArrayLike) -> NDArray[np.float64]:
+        """Periodic joints wrapped, the others brought within their limits; (..., d) rad.
+
+        A limited joint that is outside comes in by whole turns, to the same pose, where that is possible,
+        else to the limit that is nearer round the circle.
+        """
+        wrapped = wrap(configurations)
+        if self.is_torus:
+            return wrapped
+        values, low, high = (
+            np.asarray(part, np.float64) for part in (configurations, self.lower, self.upper)
+        )
+        beyond = np.maximum(low - values, values - high)
+        first, last = low + np.mod(values - low, _TURN), high - np.mod(high - values, _TURN)
+        turned = np.where(values < low, first, last)
+        nearer = np.where(first - high <= low + _TURN - first, high, low)
+        moved = np.where(first <= high, turned, nearer)
+        inside = np.clip(np.where(beyond <= _ROUNDED_RAD, values, moved), low, high)
+        return np.where(self.periodic, wrapped, inside)
+
+    def to_float32(self, configurations: ArrayLike) -> NDArray[np.float32]:
+        """As :meth:`bound` in float32 that still lies inside as real numbers (clipped after the cast)."""
+        if self.is_torus:
+            return to_float32(configurations)
+        low, high = (
+            np.where(self.periodic, side, _towards(ends, towards))
+            for side, ends, towards in (
+                (-FLOAT32_PI_BELOW, self.lower, self.upper),
+                (FLOAT32_PI_BELOW, self.upper, self.lower),
+            )
+        )
+        return np.clip(self.bound(configurations).astype(np.float32), low, high)
+
+    def embed(self, configurations: ArrayLike) -> NDArray[np.float64]:
+        """(..., d) to cosines of all circles, then their sines, then the other joints as they are in rad.
+
+        Near any configuration distances are those of the joint space.
+        """
+        configurations = np.asarray(configurations, dtype=np.float64)
+        circles = np.asarray(self.periodic)
+        return np.concatenate([embed(configurations[..., circles]), configurations[..., ~circles]], axis=-1)
 
     def difference(self, start: ArrayLike, end: ArrayLike) -> NDArray[np.float64]:
         """The straight way from ``start`` to ``end``, round the shorter side of each circle; (..., d) rad."""
@@ -97,6 +161,40 @@ class JointSpace:
         configurations = np.asarray(configurations, dtype=np.float64)
         inside = (configurations >= self.lower) & (configurations <= self.upper)
         return np.asarray(np.all(inside | np.asarray(self.periodic), axis=-1))
+
+    def holds(self, configurations: Floats) -> NDArray[np.bool_]:
+        """Which values of (..., d) lie in their joint's range, circles in [-pi, pi).
+
+        Limits are compared in the precision of the values, for they may have been rounded to it.
+        """
+        low, high = (np.asarray(ends, dtype=configurations.dtype) for ends in (self.lower, self.upper))
+        limited = (configurations >= low) & (configurations <= high)
+        exact = configurations.astype(np.float64)
+        return np.where(self.periodic, (exact >= -np.pi) & (exact < np.pi), limited)
+
+    def to_dict(self) -> dict[str, Any]:
+        """The joint space as bundles and answers write it.
+
+        ``torus`` where all joints are circles, ``box`` where none is, else ``mixed``; the latter two with the
+        ends of every joint's range.
+        """
+        kind = "torus" if self.is_torus else "mixed" if any(self.periodic) else "box"
+        said: dict[str, Any] = {"kind": kind, "dim": self.dim, "unit": "rad"}
+        if not self.is_torus:
+            said |= {name: list(getattr(self, name)) for name in ("lower", "upper", "periodic")}
+        return said
+
+
+def circles(dim: int) -> JointSpace:
+    """The torus: ``dim`` joints without limits."""
+    return JointSpace((-np.pi,) * dim, (np.pi,) * dim, (True,) * dim)
+
+
+def _towards(ends: Sequence[float], inside: Sequence[float]) -> NDArray[np.float32]:
+    """The float32 nearest to each end that is not beyond it as a real number."""
+    cast, goal = np.asarray(ends, dtype=np.float32), np.asarray(inside, dtype=np.float32)
+    beyond = np.subtract(cast, ends, dtype=np.float64) * np.subtract(inside, ends) < 0.0
+    return np.where(beyond, np.nextafter(cast, goal), cast)
 
 
 @dataclass(frozen=True, slots=True)

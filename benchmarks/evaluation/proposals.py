@@ -14,7 +14,6 @@ import numpy as np
 
 from benchmarks.machine import machine
 from cspace.bundle import Bundle
-from cspace.space import to_float32
 from cspace.splits import Split
 from services.evaluator.evaluation.tables import markdown
 from services.evaluator.measures.reconstruction import sample_quality
@@ -31,7 +30,7 @@ def kept(bundle: Bundle, scene: Scene, share: float) -> tuple[np.ndarray, float]
     rng = scene.rng(70)
     image = bundle.prepare(scene.image)
     learned = bundle.sample(image, DRAWN, scene.sampler_seed(), min_confidence=0.0).samples
-    uniform = to_float32(scene.space.sample_uniform(rng, DRAWN))
+    uniform = scene.space.to_float32(scene.space.sample_uniform(rng, DRAWN))
     drawn = np.where(rng.random((DRAWN, 1)) < share, uniform, learned)
     passed = bundle.score(image, drawn) >= np.float32(bundle.spec.confidence_threshold)
     return drawn[passed][:SAMPLES].astype(np.float64), float(passed.mean())

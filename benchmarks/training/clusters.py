@@ -21,7 +21,6 @@ import torch
 from safetensors.torch import load_file, save_file
 
 from benchmarks.training.clusters_report import write_report
-from cspace.worlds.planar.world import PlanarWorld
 from training.clusters.clustering import cluster, group, points_in_cells
 from training.config.clusters import TrainConfig, load_config
 from training.datasets.generate import generate
@@ -114,8 +113,7 @@ def prepare(joints: int, out: Path) -> tuple[TrainingArrays, Encoder, torch.Tens
     ids = np.repeat(np.arange(dataset.scenario_count), np.diff(dataset.free_offsets))
     empty = np.zeros((0, config.vae.latent_dim), dtype=np.float32)
     labels = np.zeros(len(free), dtype=np.int64)
-    camera, images = dataset.world.sensor, np.array(images)
-    arrays = TrainingArrays(free, ids, labels, empty, empty, dataset.world.body, camera, images)
+    arrays = TrainingArrays(free, ids, labels, empty, empty, dataset.world, np.array(images))
     return arrays, module.encoder, pictures
 
 
@@ -125,8 +123,7 @@ class Trainer:
     def __init__(self, joints: int, out: Path) -> None:
         self.arrays, encoder, self.pictures = prepare(joints, out)
         self.encode_with(encoder)
-        robot, camera = self.arrays.robot, self.arrays.camera
-        self.validation = Validation.draw(self.encoder, PlanarWorld(robot, camera), SCENARIOS)
+        self.validation = Validation.draw(self.encoder, self.arrays.world, SCENARIOS)
 
     def encode_with(self, encoder: Encoder) -> None:
         self.encoder = encoder.eval()

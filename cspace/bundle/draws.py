@@ -24,7 +24,6 @@ from numpy.typing import NDArray
 
 from cspace.bundle.parts import RandomInput
 from cspace.bundle.spec import BundleSpec
-from cspace.space import to_float32
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,8 +78,8 @@ def propose(spec: BundleSpec, counts: Sequence[int], seed: int, turn: int) -> Pr
         nothing = np.empty((0, spec.dim), dtype=np.float32)
         return Proposals(list(counts), np.zeros(total, dtype=np.bool_), nothing)
     rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=(turn, 1))))
-    uniform = rng.random(total) < spec.uniform_share
-    angles = to_float32(rng.uniform(-np.pi, np.pi, (int(uniform.sum()), spec.dim)))
+    uniform, space = rng.random(total) < spec.uniform_share, spec.world.space
+    angles = space.to_float32(space.sample_uniform(rng, int(uniform.sum())))
     by_value = np.split(uniform, np.cumsum(counts)[:-1])
     return Proposals([len(part) - int(part.sum()) for part in by_value], uniform, angles)
 

@@ -18,11 +18,10 @@ from cspace.bundle.running.chunks import CHUNK_ROWS, PATH_CHUNK_ROWS, Between, c
 from cspace.bundle.running.deadlines import RUN_LIMIT_S
 from cspace.bundle.running.graph_set import open_graphs
 from cspace.bundle.running.graphs import Graph
-from cspace.bundle.samples import Encoding, Picture, SampleSet
+from cspace.bundle.samples import Encoding, Picture, SampleSet, require_inside
 from cspace.bundle.spec import MAP, PICTURE, BundleSpec
 from cspace.errors import BundleError, BundleIntegrityError, InputError
 from cspace.query import QueryOptions, SampleQuery
-from cspace.space import to_float32
 
 # Samples about a path are close to contact where it matters, and a further turn costs a further search.
 PATHS_PASS = 0.75
@@ -163,7 +162,7 @@ class Bundle:
         def drawn(counts: Sequence[int], turn: int) -> NDArray[np.float32]:
             mu, sigma = picture.encoding.mu, picture.encoding.sigma
             draws = draw(self.spec, mu, sigma, counts, request.seed, request.epsilon_sigma, turn)
-            return to_float32(self._generate(draws, request, picture, between))
+            return self.spec.world.space.to_float32(self._generate(draws, request, picture, between))
 
         def scored(counts: Sequence[int], turn: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
             samples = drawn(counts, turn)
@@ -188,6 +187,7 @@ class Bundle:
         encode_ms, generate_ms = 1e3 * (encoded - began), 1e3 * (time.perf_counter() - encoded)
         if picture is image:
             encode_ms = 0.0
+        require_inside(samples, self.spec.world.space)
         return SampleSet(samples, confidence, request.n - len(samples), acceptance, encode_ms, generate_ms)
 
     def _generate(
@@ -287,7 +287,9 @@ class Bundle:
             query = SampleQuery.checked(
                 case.count, case.seed, case.epsilon_sigma, case.start, case.goal, min_confidence=0.0
             )
-            answer = self.answer(case.image, query)
+            answer = None if case.is_beyond(self.spec.world.space) else self.answer(case.image, query)
         except InputError as error:
             raise BundleIntegrityError("the golden case does not fit its bundle", got=str(error)) from error
-        case.compare(encoding.mu, encoding.sigma, answer.samples, answer.confidence)
+        case.compare_encoding(encoding.mu, encoding.sigma)
+        if answer is not None:
+            case.compare(answer.samples, answer.confidence, self.spec.world.space)

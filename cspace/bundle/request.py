@@ -1,5 +1,6 @@
 """Whether a query fits the bundle that is to answer it."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -7,7 +8,6 @@ import numpy as np
 from cspace.bundle.spec import BundleSpec
 from cspace.errors import InputError
 from cspace.query import SampleQuery
-from cspace.space import to_float32
 
 
 def fitted(query: SampleQuery, spec: BundleSpec, *, has_validity: bool) -> SampleQuery:
@@ -58,4 +58,17 @@ def _endpoint(spec: BundleSpec, name: str, angles: tuple[float, ...] | None) -> 
             expected=f"{spec.dim} finite angles in rad",
             got=str(list(angles))[:200],
         )
-    return tuple(to_float32(np.array(angles)).tolist())
+    space, configuration = spec.world.space, np.array(angles)
+    if not space.contains(configuration):
+        raise InputError(
+            f"{name} lies outside the limits of the robot's joints",
+            expected=f"each joint from {_listed(space.lower)} to {_listed(space.upper)} rad"
+            + (", circles at any turn" if any(space.periodic) else ""),
+            got=_listed(angles),
+            remedy="send the joints as they stand, not wrapped",
+        )
+    return tuple(space.to_float32(configuration).tolist())
+
+
+def _listed(values: Sequence[float]) -> str:
+    return f"({', '.join(f'{value:.6g}' for value in values)})"

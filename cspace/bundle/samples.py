@@ -5,6 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from cspace.errors import BundleError
+from cspace.space import JointSpace
+
 
 @dataclass(frozen=True, slots=True)
 class Encoding:
@@ -43,7 +46,7 @@ class SampleSet:
     """Configurations for one picture.
 
     Args:
-        samples: float32 (n', d) rad, in [-pi, pi) as real numbers.
+        samples: float32 (n', d) rad, circles in [-pi, pi), others within their limits, as real numbers.
         confidence: float32 (n',), None without a validity head.
         shortfall: how many of those asked for are missing, n - n'.
         acceptance: share of what was drawn that reached the confidence asked for; 1 where none was.
@@ -57,3 +60,17 @@ class SampleSet:
     acceptance: float
     encode_ms: float
     generate_ms: float
+
+
+def require_inside(samples: NDArray[np.float32], space: JointSpace) -> None:
+    """Raise where a configuration (n, d) is outside the joint space, which no sampler's may be.
+
+    Raises:
+        BundleError: one is.
+    """
+    if not space.is_torus and not np.all(space.contains(samples)):
+        raise BundleError(
+            "a sample lies outside the limits of the robot's joints",
+            expected=f"joints from {space.lower} to {space.upper} rad",
+            got=str(samples[~space.contains(samples)][0].tolist()),
+        )

@@ -86,7 +86,7 @@ def _graph_files(graphs: Mapping[str, bytes]) -> dict[str, bytes]:
 def _compute_golden(folder: Path, contents: Mapping[str, bytes]) -> GoldenCase:
     bundle = Bundle(folder, BundleFiles(contents, digest=""))
     image = scene(bundle.spec.pixels)
-    start, goal = endpoints(bundle.spec.endpoints, bundle.spec.dim)
+    start, goal = endpoints(bundle.spec.endpoints, bundle.spec.world.space)
     encoding = bundle.encode(image)
     answer = bundle.sample(
         image,

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cspace.errors import DatasetError
+from cspace.space import JointSpace, circles
 from cspace.world import World
 
 _BLOCK = 1_000_000
@@ -39,11 +40,11 @@ def check_arrays(
     if "extra_images" in arrays:
         _must("extra_images.npy", arrays["extra_images"], np.uint8, (None, *picture))
     world.check_scenes(arrays, scenarios)
-    _must_own("free", arrays, world.dim, scenarios)
+    _must_own("free", arrays, world.space, scenarios)
     if "collision" in arrays or "collision_offsets" in arrays:
-        _must_own("collision", arrays, world.dim, scenarios)
+        _must_own("collision", arrays, world.space, scenarios)
     if {"paths", "path_offsets", "path_scenario"} & set(arrays):
-        _must_hold_paths(arrays, world.dim, scenarios)
+        _must_hold_paths(arrays, world.space, scenarios)
 
 
 def _must(file: str, array: NDArray[Any], dtype: type, shape: tuple[int | None, ...]) -> None:
@@ -59,19 +60,19 @@ def _must(file: str, array: NDArray[Any], dtype: type, shape: tuple[int | None, 
         )
 
 
-def _must_own(name: str, arrays: Mapping[str, NDArray[Any]], dim: int, scenarios: int) -> None:
+def _must_own(name: str, arrays: Mapping[str, NDArray[Any]], space: JointSpace, scenarios: int) -> None:
     if name not in arrays or f"{name}_offsets" not in arrays:
         raise DatasetError(f"{name}.npy and {name}_offsets.npy belong together", got="only one of them")
-    _must_be_angles(f"{name}.npy", arrays[name], dim)
+    _must_be_angles(f"{name}.npy", arrays[name], space)
     _must_be_offsets(f"{name}_offsets.npy", arrays[f"{name}_offsets"], scenarios, len(arrays[name]))
 
 
-def _must_hold_paths(arrays: Mapping[str, NDArray[Any]], dim: int, scenarios: int) -> None:
+def _must_hold_paths(arrays: Mapping[str, NDArray[Any]], space: JointSpace, scenarios: int) -> None:
     if not {"paths", "path_offsets", "path_scenario"} <= set(arrays):
         raise DatasetError(
             "paths.npy, path_offsets.npy and path_scenario.npy belong together", got="some of them"
         )
-    _must_be_angles("paths.npy", arrays["paths"], dim)
+    _must_be_angles("paths.npy", arrays["paths"], space)
     owner = arrays["path_scenario"]
     _must("path_scenario.npy", owner, np.int64, (None,))
     _must_be_offsets("path_offsets.npy", arrays["path_offsets"], len(owner), len(arrays["paths"]))
@@ -83,17 +84,20 @@ def _must_hold_paths(arrays: Mapping[str, NDArray[Any]], dim: int, scenarios: in
         )
 
 
-def _must_be_angles(file: str, array: NDArray[Any], dim: int) -> None:
-    _must(file, array, np.float32, (None, dim))
+def _must_be_angles(file: str, array: NDArray[Any], space: JointSpace) -> None:
+    _must(file, array, np.float32, (None, space.dim))
     for start in range(0, len(array), _BLOCK):
-        block = array[start : start + _BLOCK].astype(np.float64)
-        inside = (block >= -np.pi) & (block < np.pi)
+        block = array[start : start + _BLOCK]
+        inside = space.holds(block)
+        if not inside.all():
+            # Data sets of before limits were kept hold wrapped angles outside of them.
+            inside |= circles(space.dim).holds(block)
         if not inside.all():
             raise DatasetError(
                 f"{file} holds values that are no angles",
-                expected="finite rad in [-pi, pi)",
+                expected="finite rad, in [-pi, pi) or within the joint's limits",
                 got=str(block[~inside][0]),
-                remedy="wrap them with cspace.space.to_float32",
+                remedy="bring them there with JointSpace.to_float32 of cspace.space",
             )
 
 

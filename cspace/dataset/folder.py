@@ -23,13 +23,15 @@ from numpy.typing import NDArray
 from cspace.dataset.checks import check_arrays
 from cspace.dataset.manifest import MANIFEST_FILE, Manifest, file_digest
 from cspace.errors import DamagedFileError, DatasetError, StorageError
-from cspace.space import to_float32
+from cspace.space import JointSpace
 from cspace.world import World
 
 REQUIRED = ("images", "free", "free_offsets")
 OPTIONAL = ("collision", "collision_offsets", "paths", "path_offsets", "path_scenario", "extra_images")
 # Room that stays free on the disk after a data set has been written.
 RESERVE_BYTES = 256 * 2**20
+# What single precision and the limits may move a configuration by.
+_STORED_RAD = 1e-4
 
 Arrays = Mapping[str, NDArray[Any]]
 
@@ -174,11 +176,11 @@ def write_dataset(
         DatasetError: the arrays do not fit each other or the robot.
         StorageError: the folder exists, the disk is too full, or it cannot be written.
     """
-    arrays: dict[str, NDArray[Any]] = {"images": images, **_rows("free", free, world.dim)}
+    arrays: dict[str, NDArray[Any]] = {"images": images, **_rows("free", free, world.space)}
     if collision is not None:
-        arrays |= _rows("collision", collision, world.dim)
+        arrays |= _rows("collision", collision, world.space)
     if paths is not None:
-        waypoints = _rows("paths", [path for _, path in paths], world.dim)
+        waypoints = _rows("paths", [path for _, path in paths], world.space)
         arrays |= {"paths": waypoints["paths"], "path_offsets": waypoints["paths_offsets"]}
         arrays["path_scenario"] = np.array([scenario for scenario, _ in paths], dtype=np.int64)
     arrays |= {name: np.asarray(array, dtype=np.float64) for name, array in (scenes or {}).items()}
@@ -227,9 +229,9 @@ def _write(folder: Path, arrays: Arrays, manifest: Manifest) -> None:
         ) from error
 
 
-def _rows(name: str, parts: Sequence[NDArray[Any]], dim: int) -> dict[str, NDArray[Any]]:
+def _rows(name: str, parts: Sequence[NDArray[Any]], space: JointSpace) -> dict[str, NDArray[Any]]:
     """Parts of different length as one array and its offsets."""
-    arrays = [np.asarray(part) for part in parts]
+    arrays, dim = [np.asarray(part) for part in parts], space.dim
     wrong = [array.shape for array in arrays if array.ndim != 2 or array.shape[1] != dim]
     if wrong:
         raise DatasetError(f"{name} does not fit the robot", expected=f"arrays (n, {dim})", got=str(wrong[0]))
@@ -239,7 +241,14 @@ def _rows(name: str, parts: Sequence[NDArray[Any]], dim: int) -> dict[str, NDArr
         raise DatasetError(
             f"{name} holds values that are not finite", expected="angles in rad", got="nan or inf"
         )
-    return {name: to_float32(joined), f"{name}_offsets": offsets}
+    stored = space.to_float32(joined)
+    if np.any(np.abs(space.difference(stored, joined)) > _STORED_RAD):
+        raise DatasetError(
+            f"{name} holds configurations outside the robot's limits",
+            expected=f"joints from {space.lower} to {space.upper} rad",
+            got=str(joined[~space.contains(joined)][0].tolist()),
+        )
+    return {name: stored, f"{name}_offsets": offsets}
 
 
 def _load(path: Path) -> NDArray[Any]:

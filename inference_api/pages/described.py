@@ -62,6 +62,7 @@ _HEADERS = {
     "X-Seed": "The seed that was used, in decimal.",
     "X-Shortfall": "n minus what was returned.",
     "X-Acceptance": "Share of what was drawn that reached the confidence asked for.",
+    "X-Joint-Space": "`joint_space` of the JSON answer, as JSON.",
     "X-Novelty": "How unlike the training scenarios the picture is, 0 to 1, where the model tells.",
     "Server-Timing": "decode, encode, generate and total, in ms.",
 }

@@ -1,6 +1,7 @@
 """One request from field values to the bytes of its answer; runs in a worker thread, off the event loop."""
 
 import io
+import json
 import time
 from dataclasses import dataclass
 from functools import lru_cache
@@ -14,7 +15,13 @@ from cspace.query import SampleQuery
 from inference_api.bodies.request_body import RawFields, parse_fields
 from inference_api.models.references import ModelReference
 from inference_api.models.store import ModelStore, ServedModel
-from inference_api.pages.schemas import JointSpaceInfo, ModelInfo, SampleAnswer, ScenarioInfo, TimingMs
+from inference_api.pages.schemas import (
+    ModelInfo,
+    SampleAnswer,
+    ScenarioInfo,
+    TimingMs,
+    joint_space_info,
+)
 from inference_api.pages.validation import validate_request
 from inference_api.telemetry.observer import Sampled
 from inference_api.turns.turns import Turn
@@ -125,7 +132,7 @@ def json_response(answer: Answer) -> Response:
         shortfall=found.shortfall,
         acceptance=found.acceptance,
         scenario=ScenarioInfo(novelty=answer.novelty),
-        joint_space=JointSpaceInfo(**spec.joint_space),
+        joint_space=joint_space_info(spec.joint_space),
         model=model_info(answer.served),
         seed=str(answer.seed),
         timing_ms=answer.timing,
@@ -145,6 +152,7 @@ def npy_response(answer: Answer) -> Response:
         "X-Seed": str(answer.seed),
         "X-Shortfall": str(answer.found.shortfall),
         "X-Acceptance": f"{answer.found.acceptance:.6g}",
+        "X-Joint-Space": json.dumps(served.bundle.spec.joint_space, separators=(",", ":")),
         "Server-Timing": timing,
     }
     if answer.novelty is not None:

@@ -3,6 +3,7 @@
 import base64
 import binascii
 import re
+from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, WithJsonSchema
@@ -105,7 +106,9 @@ class QueryFields(BaseModel):
         "in this order, the remainder to the first.",
     )
     start: _Configuration | None = Field(
-        None, description="Configuration in rad, wrapped; for path models and only for them."
+        None,
+        description="Configuration in rad, for path models and only for them: circles are wrapped, other "
+        "joints have to lie within their limits.",
     )
     goal: _Configuration | None = Field(None, description="As `start`.")
     min_confidence: _Confidence = Field(
@@ -143,11 +146,30 @@ class SampleRequest(QueryFields):
 
 
 class JointSpaceInfo(BaseModel):
-    """The space that the samples live in."""
+    """The space that the samples live in: all joints are circles."""
 
     kind: Literal["torus"]
     dim: int
     unit: Literal["rad"]
+
+
+class LimitedJointSpaceInfo(BaseModel):
+    """The same where joints have limits: all of them in a box, some in a mixed space."""
+
+    kind: Literal["box", "mixed"]
+    dim: int
+    unit: Literal["rad"]
+    lower: list[float] = Field(description="Lower end of each joint's range; -pi of a circle.")
+    upper: list[float] = Field(description="Upper end of each joint's range; pi of a circle.")
+    periodic: list[bool] = Field(description="Whether each joint is a circle.")
+
+
+AnyJointSpace = Annotated[JointSpaceInfo | LimitedJointSpaceInfo, Field(discriminator="kind")]
+
+
+def joint_space_info(space: Mapping[str, Any]) -> JointSpaceInfo | LimitedJointSpaceInfo:
+    """A bundle's joint space as answers tell it."""
+    return JointSpaceInfo(**space) if space["kind"] == "torus" else LimitedJointSpaceInfo(**space)
 
 
 class ScenarioInfo(BaseModel):
@@ -182,12 +204,14 @@ class TimingMs(BaseModel):
 class SampleAnswer(BaseModel):
     """Samples for one picture."""
 
-    samples: list[list[float]] = Field(description="Configurations in rad, each angle in [-pi, pi).")
+    samples: list[list[float]] = Field(
+        description="Configurations in rad, circles in [-pi, pi), other joints within their limits."
+    )
     confidence: list[float] | None = Field(description="The validity head's score of each sample.")
     shortfall: int = Field(description="n minus what was returned.")
     acceptance: float = Field(description="Share of what was drawn that reached the confidence asked for.")
     scenario: ScenarioInfo
-    joint_space: JointSpaceInfo
+    joint_space: AnyJointSpace
     model: ModelInfo
     seed: str = Field(description="The seed that was used, in decimal.", pattern="^[0-9]{1,20}$")
     timing_ms: TimingMs

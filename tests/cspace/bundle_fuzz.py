@@ -200,7 +200,7 @@ def try_one(seed: int, original: Path) -> str:
 
 def _use(bundle: Bundle) -> None:
     """One request, of whatever the description has become."""
-    start, goal = endpoints(bundle.spec.endpoints, bundle.spec.dim)
+    start, goal = endpoints(bundle.spec.endpoints, bundle.spec.world.space)
     bundle.sample(scene(bundle.spec.pixels), 3, 0, start=start, goal=goal, min_confidence=0.0)
 
 

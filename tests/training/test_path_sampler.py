@@ -12,7 +12,7 @@ from cspace.bundle import Bundle
 from cspace.errors import BundleError, ConfigError, InputError
 from cspace.query import SampleQuery
 from cspace.splits import Split
-from cspace.worlds.planar.arm import THREE_LINK
+from cspace.worlds.planar.arm import THREE_LINK, JointLimits, PlanarArm
 from cspace.worlds.planar.problems import Family, draw_problem
 from inference_api.settings import PRETRAINED_FOLDER
 from services.planner.planning import SampleRequest, plan_with_api
@@ -50,6 +50,21 @@ def test_a_path_bundle_keeps_what_it_sees_with_and_tells_where_it_comes_from(
     assert np.array_equal(one.samples, again.samples)
     with pytest.raises(InputError):
         made.sample(image, 40, 7)
+
+
+@pytest.mark.parametrize("limits", [((-3.1, 3.1), None), ((-2.9, 4.0), (-1.0, 1.0)), ((-7.0, 7.0), None)])
+def test_ways_of_a_limited_arm_end_at_its_limits_and_do_not_go_round(
+    tmp_path: Path, limits: JointLimits
+) -> None:
+    robot = PlanarArm(joint_limits_rad=limits)
+    source = write_tiny_bundle(tmp_path / "limited", robot, validity=True)
+    made = make_path_bundle(Bundle.load(source), tmp_path / "paths")
+    low, high = limits[0]
+    start, goal = (low + 0.02, 0.0), (high - 0.02, 0.0)
+    samples = made.sample(picture(1), 2000, 7, start=start, goal=goal).samples
+    assert robot.space.holds(samples).all()
+    found, _ = np.histogram(samples[:, 0], bins=12, range=(low, high))
+    assert found.min() > 0
 
 
 def test_the_shipped_head_makes_a_sampler_that_a_planner_gains_by(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""k-means over the configuration space, on the (cos, sin) embedding so that clusters respect the circle."""
+"""k-means over the configuration space, on its embedding so that clusters respect circles and limits."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -9,7 +9,7 @@ from sklearn.cluster import KMeans
 from sklearn.metrics import pairwise_distances_argmin
 
 from cspace.errors import ConfigError
-from cspace.space import embed
+from cspace.space import JointSpace, circles
 from training.models.cells import CellPoints
 
 _BLOCK = 100_000
@@ -22,17 +22,19 @@ class Clustering:
     """A partition of the configuration space.
 
     Args:
-        centres: (k, 2 d) in the embedding.
+        centres: (k, e) in the embedding.
         labels: (M,) cluster of each configuration.
+        space: the joint space.
     """
 
     centres: NDArray[np.float64]
     labels: NDArray[np.int64]
+    space: JointSpace
 
     def label(self, configurations: NDArray[np.floating[Any]]) -> NDArray[np.int64]:
         """The cluster of each of (n, d) configurations: the one with the nearest centre."""
         blocks = [
-            pairwise_distances_argmin(embed(configurations[start : start + _BLOCK]), self.centres)
+            pairwise_distances_argmin(self.space.embed(configurations[start : start + _BLOCK]), self.centres)
             for start in range(0, len(configurations), _BLOCK)
         ]
         return np.concatenate(blocks).astype(np.int64)
@@ -43,7 +45,13 @@ class Clustering:
         return tuple(int(n) for n in np.bincount(self.labels, minlength=len(self.centres)))
 
 
-def cluster(configurations: NDArray[np.float32], count: int, fit_samples: int, seed: int) -> Clustering:
+def cluster(
+    configurations: NDArray[np.float32],
+    count: int,
+    fit_samples: int,
+    seed: int,
+    space: JointSpace | None = None,
+) -> Clustering:
     """Partition (M, d) configurations into ``count`` clusters.
 
     Args:
@@ -51,6 +59,7 @@ def cluster(configurations: NDArray[np.float32], count: int, fit_samples: int, s
         count: k.
         fit_samples: rows that the centres are fitted on; all rows are labelled.
         seed: of the rows and of k-means.
+        space: the joint space; None for circles alone.
 
     Raises:
         ConfigError: fewer configurations than clusters.
@@ -63,14 +72,15 @@ def cluster(configurations: NDArray[np.float32], count: int, fit_samples: int, s
             got=str(total),
             remedy="lower clusters.count or raise data.free_per_scenario",
         )
-    rng = np.random.default_rng(seed)
+    rng, space = np.random.default_rng(seed), space or circles(configurations.shape[1])
     rows = rng.choice(total, size=min(total, fit_samples), replace=False)
-    model = KMeans(count, n_init=4, random_state=seed).fit(embed(configurations[rows]))
+    model = KMeans(count, n_init=4, random_state=seed).fit(space.embed(configurations[rows]))
     labels = [
-        model.predict(embed(configurations[start : start + _BLOCK])) for start in range(0, total, _BLOCK)
+        model.predict(space.embed(configurations[start : start + _BLOCK]))
+        for start in range(0, total, _BLOCK)
     ]
     return Clustering(
-        np.asarray(model.cluster_centers_, dtype=np.float64), np.concatenate(labels).astype(np.int64)
+        np.asarray(model.cluster_centers_, dtype=np.float64), np.concatenate(labels).astype(np.int64), space
     )
 
 
@@ -89,7 +99,7 @@ def group(cells: Clustering, count: int, seed: int) -> NDArray[np.int64]:
 
 
 def points_in_cells(cells: Clustering, points: int, seed: int) -> CellPoints:
-    """Configurations spread evenly over the torus, ``points`` in each cell.
+    """Configurations spread evenly over the joint space, ``points`` in each cell.
 
     Args:
         cells: a partition into k cells.
@@ -100,8 +110,8 @@ def points_in_cells(cells: Clustering, points: int, seed: int) -> CellPoints:
         ConfigError: a cell holds none of the draws.
     """
     rng = np.random.default_rng(seed)
-    count, dim = len(cells.centres), cells.centres.shape[1] // 2
-    draws = rng.uniform(-np.pi, np.pi, (_DRAWS_PER_POINT * points * count, dim))
+    count, space = len(cells.centres), cells.space
+    draws = space.sample_uniform(rng, _DRAWS_PER_POINT * points * count)
     labels = cells.label(draws)
     found = [draws[labels == cell] for cell in range(count)]
     if min(map(len, found)) == 0:
@@ -111,7 +121,7 @@ def points_in_cells(cells: Clustering, points: int, seed: int) -> CellPoints:
             got=f"one without any of {len(draws)} draws",
             remedy="lower gate.cells",
         )
-    volumes = np.array([len(cell) for cell in found]) / len(draws) * (2.0 * np.pi) ** dim
+    volumes = np.array([len(cell) for cell in found]) / len(draws) * space.volume
     kept = [cell[np.arange(points) % len(cell)] for cell in found]
-    spacing = (volumes / points) ** (1.0 / dim)
+    spacing = (volumes / points) ** (1.0 / space.dim)
     return CellPoints(np.stack(kept).astype(np.float32), spacing.astype(np.float32))

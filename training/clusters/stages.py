@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from cspace.dataset import Dataset, open_dataset
 from cspace.errors import ConfigError
+from cspace.space import JointSpace
 from training.clusters.clustering import cluster, group, points_in_cells
 from training.config.clusters import TrainConfig
 from training.datasets.generate import generate
@@ -90,7 +91,7 @@ def encode_and_cluster(job: Job[TrainConfig], dataset: Dataset, vae: TrialOutcom
         )
     free = np.asarray(dataset.free)
     ids = np.repeat(np.arange(dataset.scenario_count), np.diff(dataset.free_offsets))
-    labels, cells = _partition(config, free)
+    labels, cells = _partition(config, free, dataset.world.space)
     sizes = np.bincount(labels, minlength=config.clusters.count)
     _LOG.info("clusters: sizes %s", ", ".join(map(str, sizes)))
     looked_up = any(
@@ -110,12 +111,14 @@ def encode_and_cluster(job: Job[TrainConfig], dataset: Dataset, vae: TrialOutcom
     )
 
 
-def _partition(config: TrainConfig, free: NDArray[np.float32]) -> tuple[NDArray[np.int64], GatedCells | None]:
+def _partition(
+    config: TrainConfig, free: NDArray[np.float32], space: JointSpace
+) -> tuple[NDArray[np.int64], GatedCells | None]:
     """The cluster of each configuration; with a gate, clusters are groups of its cells."""
     count, rows, seed = config.clusters.count, config.clusters.fit_samples, config.seed
     if config.gate.cells == 0:
-        return cluster(free, count, rows, seed).labels, None
-    cells = cluster(free, config.gate.cells, rows, seed)
+        return cluster(free, count, rows, seed, space).labels, None
+    cells = cluster(free, config.gate.cells, rows, seed, space)
     clusters = group(cells, count, seed)
     points = points_in_cells(cells, config.gate.points, seed)
     return clusters[cells.labels], GatedCells(points, cells.labels, clusters)

@@ -7,7 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cspace.bundle import Bundle
-from cspace.space import to_float32
 from cspace.splits import Split
 from cspace.world import World
 from services.evaluator.measures.scenes import Scene, Stage
@@ -109,7 +108,7 @@ def validation_scores(
     for scene in (Scene(stage, index) for index in range(scenarios)):
         picture = bundle.prepare(scene.image)
         drawn = bundle.sample(picture, samples, scene.sampler_seed(STREAM), min_confidence=0.0).samples
-        anywhere = to_float32(scene.space.sample_uniform(scene.rng(STREAM), samples))
+        anywhere = scene.space.to_float32(scene.space.sample_uniform(scene.rng(STREAM), samples))
         for group, rows in ((learned, drawn), (uniform, anywhere)):
             group.append(Scored(bundle.score(picture, rows), scene.checker.valid_batch(rows)))
     return learned, uniform

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from cspace.dataset import Dataset, require_room, write_dataset
 from cspace.errors import DatasetError, ImageError
+from cspace.space import JointSpace
 from cspace.world import World
 
 EXTRA_FOLDER = "extra"
@@ -72,9 +73,9 @@ def import_folder(source: Path, folder: Path, *, world: World) -> Dataset:
 
 
 def _read(picture: Path, world: World) -> OwnScenario:
-    free = _configurations(picture.with_suffix(".npy"), world.dim)
+    free = _configurations(picture.with_suffix(".npy"), world.space)
     path = picture.with_suffix(COLLISION_ENDING)
-    collision = _configurations(path, world.dim) if path.exists() else np.empty((0, world.dim))
+    collision = _configurations(path, world.space) if path.exists() else np.empty((0, world.dim))
     return OwnScenario(_picture(picture, world), free, collision)
 
 
@@ -91,7 +92,8 @@ def _picture(path: Path, world: World) -> NDArray[np.uint8]:
         ) from error
 
 
-def _configurations(path: Path, dim: int) -> NDArray[np.float64]:
+def _configurations(path: Path, space: JointSpace) -> NDArray[np.float64]:
+    dim = space.dim
     try:
         array: NDArray[Any] = np.load(path, allow_pickle=False)
     except FileNotFoundError as error:
@@ -111,6 +113,14 @@ def _configurations(path: Path, dim: int) -> NDArray[np.float64]:
     angles = array.astype(np.float64)
     if not np.isfinite(angles).all():
         raise DatasetError(f"{path} holds values that are not finite", expected="angles in rad")
+    outside = ~space.contains(angles)
+    if outside.any():
+        raise DatasetError(
+            f"{path} holds configurations outside the robot's limits",
+            expected=f"joints from {space.lower} to {space.upper} rad",
+            got=f"{outside.sum()}, the first {angles[outside][0].tolist()}",
+            remedy="leave them out, or correct the limits",
+        )
     return angles
 
 

@@ -8,6 +8,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from cspace.space import JointSpace
+from training.models.space.joints import Joints
+
 
 @dataclass(frozen=True, slots=True)
 class CellPoints:
@@ -31,15 +34,21 @@ class Base(nn.Module, ABC):
 
 
 class UniformBase(Base):
-    """The whole torus, evenly."""
+    """The whole joint space, evenly.
 
-    def __init__(self, dim: int) -> None:
+    Args:
+        dim: number of joints.
+        space: the joint space; None for circles alone.
+    """
+
+    def __init__(self, dim: int, space: JointSpace | None = None) -> None:
         super().__init__()
-        self.dim = dim
+        self.dim, self.joints = dim, Joints.of(space, dim)
 
     def draw(self, ids: Tensor, rng: torch.Generator) -> Tensor:
         """See :class:`Base`; the scenarios do not matter."""
-        return (2.0 * torch.rand(len(ids), self.dim, generator=rng, device=ids.device) - 1.0) * torch.pi
+        shares = torch.rand(len(ids), self.dim, generator=rng, device=ids.device)
+        return self.joints.from_torus((2.0 * shares - 1.0) * torch.pi)
 
 
 class CellBase(Base):
@@ -48,14 +57,16 @@ class CellBase(Base):
     Args:
         cells: k cells with their points.
         probabilities: (S, k) float32, not negative; a row need not sum to one.
+        space: the joint space; None for circles alone.
     """
 
     points: Tensor
     spacing: Tensor
     probabilities: Tensor
 
-    def __init__(self, cells: CellPoints, probabilities: Tensor) -> None:
+    def __init__(self, cells: CellPoints, probabilities: Tensor, space: JointSpace | None = None) -> None:
         super().__init__()
+        self.joints = Joints.of(space, cells.points.shape[2])
         self.register_buffer("points", torch.tensor(cells.points), persistent=False)
         self.register_buffer("spacing", torch.tensor(cells.spacing_rad), persistent=False)
         self.register_buffer("probabilities", probabilities, persistent=False)
@@ -70,4 +81,4 @@ class CellBase(Base):
         cell = torch.multinomial(self.probabilities[ids], 1, generator=rng).squeeze(1)
         place = torch.randint(self.points.shape[1], (count,), generator=rng, device=device)
         jitter = torch.rand(count, self.points.shape[2], generator=rng, device=device) - 0.5
-        return cell, self.points[cell, place] + self.spacing[cell].unsqueeze(1) * jitter
+        return cell, self.joints.fold(self.points[cell, place] + self.spacing[cell].unsqueeze(1) * jitter)

@@ -53,7 +53,7 @@ class DistillationModule(TrialModule):
         self.samples = self.samples.to(self.device)
 
     def training_step(self, step: int, batch_index: int) -> None:
-        """One step of 1 - cos of the difference, summed over the joints."""
+        """One step of how far the answers are apart, summed over the joints."""
         del step, batch_index
         mu, size = self.samples.mu, self.config.batch_size
         ids = torch.randint(len(mu), (size,), generator=self.rng, device=self.device)
@@ -63,7 +63,7 @@ class DistillationModule(TrialModule):
         with torch.no_grad():
             wanted = self.teacher(latent, base, noise, _seen(self.teacher_reader, ids, base), cell)
         answer = self.generator(latent, base, noise, _seen(self.reader, ids, base)).squeeze(1)
-        loss = (1.0 - torch.cos(answer - wanted)).sum(dim=1).mean()
+        loss = self.generator.joints.apart(answer, wanted).sum(dim=1).mean()
         (optimiser,) = self.training_optimisers
         optimiser.zero_grad()
         loss.backward()  # type: ignore[no-untyped-call]

@@ -13,6 +13,7 @@ from torch import Tensor, nn
 from training.models.mixture import GatedSampler, LookupSampler
 from training.models.networks import Encoder, MeansGenerator, TorusGenerator
 from training.models.novelty import NoveltyScores
+from training.models.space.joints import Joints
 from training.models.validity import ValidityHead
 
 OPSET = 18
@@ -78,18 +79,39 @@ def validity_graph(head: ValidityHead, pixels: int, dim: int) -> bytes:
     return exported(_ValidityGraph(head), inputs, ["image", "configurations"], ["confidence"], ({}, rows))
 
 
+class _FromTorus(nn.Module):
+    """A sampler whose base is uniform on the torus and is brought within the limits first."""
+
+    def __init__(self, sampler: nn.Module, joints: Joints) -> None:
+        super().__init__()
+        self.sampler, self.joints = sampler, joints
+
+    def forward(self, latent: Tensor, base: Tensor, noise: Tensor, image: Tensor | None = None) -> Tensor:
+        seen = () if image is None else (image,)
+        samples: Tensor = self.sampler(latent, self.joints.from_torus(base), noise, *seen)
+        return samples
+
+
+def _from_torus(sampler: nn.Module, joints: Joints) -> nn.Module:
+    return sampler if joints.is_torus else _FromTorus(sampler, joints)
+
+
 def generator_graph(
     generator: TorusGenerator | MeansGenerator, dim: int, latent_dim: int, noise_dim: int
 ) -> bytes:
-    """ONNX bytes: ``latent`` (m, L) and its random inputs to ``samples`` (m, K, d) rad."""
+    """ONNX bytes: ``latent`` (m, L) and its random inputs to ``samples`` (m, K, d) rad.
+
+    ``base`` is uniform on the torus whatever the limits are.
+    """
     latent = torch.zeros(2, latent_dim)
+    sampler: nn.Module = generator
     if isinstance(generator, MeansGenerator):
         inputs: tuple[Tensor, ...] = (latent, torch.zeros(2, generator.means, dim))
         names = ["latent", "noise"]
     else:
         inputs = (latent, torch.zeros(2, dim), torch.zeros(2, noise_dim))
-        names = ["latent", "base", "noise"]
-    return exported(generator, inputs, names, ["samples"], batched("latents", len(inputs)))
+        names, sampler = ["latent", "base", "noise"], _from_torus(generator, generator.joints)
+    return exported(sampler, inputs, names, ["samples"], batched("latents", len(inputs)))
 
 
 def mixture_graph(sampler: GatedSampler, latent_dim: int, noise_dim: int, pixels: int) -> bytes:
@@ -107,7 +129,8 @@ def mixture_graph(sampler: GatedSampler, latent_dim: int, noise_dim: int, pixels
 def lookup_graph(sampler: LookupSampler, dim: int, latent_dim: int, noise_dim: int, pixels: int) -> bytes:
     """ONNX bytes: ``latent`` (m, L), ``base``, ``noise``, ``image`` (1, 3, P, P) to ``samples`` (m, 1, d)."""
     inputs = tuple(torch.zeros(2, size) for size in (latent_dim, dim, noise_dim))
-    return _with_picture(sampler, inputs, ["latent", "base", "noise"], pixels)
+    whole = _from_torus(sampler, sampler.generator.joints)
+    return _with_picture(whole, inputs, ["latent", "base", "noise"], pixels)
 
 
 def _with_picture(

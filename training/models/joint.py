@@ -5,6 +5,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
+from cspace.space import JointSpace
 from training.config.clusters import GlobalConfig, VaeConfig
 from training.models import losses
 from training.models.data import Batch, ScenarioSamples
@@ -26,6 +27,7 @@ class JointModule(WganGpModule):
         images: (S, 3, P, P) uint8, one a scenario.
         scale: mean and standard deviation of all configurations, each (d,) rad.
         seed: of every draw.
+        space: the joint space; None for circles alone.
     """
 
     images: Tensor
@@ -38,8 +40,9 @@ class JointModule(WganGpModule):
         images: Tensor,
         scale: tuple[Tensor, Tensor],
         seed: int,
+        space: JointSpace | None = None,
     ) -> None:
-        super().__init__(config, samples, scale, seed)
+        super().__init__(config, samples, scale, seed, space=space)
         self.vae, self.reconstruction_weight = vae, config.reconstruction_weight
         self.register_buffer("images", images, persistent=False)
         self.encoder = Encoder(images.shape[-1], vae.latent_dim, vae.width, vae.patches)

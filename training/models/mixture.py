@@ -9,7 +9,7 @@ from torch.nn import functional
 from training.models.cells import CellPoints
 from training.models.gate import Gate
 from training.models.lookups.lookups import ArmLookups
-from training.models.networks import TorusGenerator
+from training.models.networks import TorusGenerator, generator_inputs
 
 
 class Experts(nn.Module):
@@ -26,7 +26,7 @@ class Experts(nn.Module):
 
     def __init__(self, generators: Sequence[TorusGenerator], clusters: Tensor) -> None:
         super().__init__()
-        self.noise_dim = generators[0].noise_dim
+        self.noise_dim, self.joints = generators[0].noise_dim, generators[0].joints
         self.register_buffer("clusters", clusters)
         linear = [
             [layer for layer in generator.residual if isinstance(layer, nn.Linear)]
@@ -46,15 +46,15 @@ class Experts(nn.Module):
         """One configuration for each latent, by the generator in charge of its cell."""
         # All generators answer for every row, in one product a layer: on a processor that is faster than to
         # gather each row's own weights.
-        values = TorusGenerator.inputs(latent, base, noise, seen).unsqueeze(0)
+        values = generator_inputs(self.joints, latent, base, noise, seen).unsqueeze(0)
         for level, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
             values = torch.matmul(values, weight) + bias
             if level + 1 < len(self.weights):
                 values = functional.leaky_relu(values, 0.2)
         if len(values) == 1:
-            return base + values[0]
+            return self.joints.fold(base + values[0])
         chosen = self.clusters[cell].view(1, -1, 1).expand(1, -1, base.shape[1])
-        return base + values.gather(0, chosen)[0]
+        return self.joints.fold(base + values.gather(0, chosen)[0])
 
 
 class GatedSampler(nn.Module):
@@ -96,7 +96,7 @@ class GatedSampler(nn.Module):
         chosen = (reached <= cell).sum(dim=1).clamp(max=count - 1)
         row = (place.squeeze(1) * size).long().clamp(max=size - 1)
         base = self.points.view(count * size, dim)[chosen * size + row]
-        base = base + self.spacing[chosen].unsqueeze(1) * jitter
+        base = self.experts.joints.fold(base + self.spacing[chosen].unsqueeze(1) * jitter)
         seen = look(self.lookups, image, base)
         samples: Tensor = self.experts(latent, base, noise, seen, chosen)
         return samples.unsqueeze(1)

@@ -6,12 +6,14 @@ from torch import Tensor, nn
 from torch.optim import Optimizer
 from torch.optim.lr_scheduler import LambdaLR, OneCycleLR
 
+from cspace.space import JointSpace
 from training.config.clusters import GanConfig, VaeConfig
 from training.models import losses
 from training.models.cells import Base, UniformBase
 from training.models.data import Batch, ScenarioSamples
 from training.models.lookups.lookups import Scenes, make_reader, values_read
 from training.models.networks import Critic, Decoder, Encoder, MeansGenerator, TorusGenerator
+from training.models.space.joints import Joints
 
 Metrics = dict[str, float]
 
@@ -108,6 +110,7 @@ class WganGpModule(TrialModule):
         local_weight: weight of their mean in the generator's loss.
         base: what the torus generator starts from; the whole torus when None.
         scenes: the pictures, for look-ups; None without.
+        space: the joint space; None for circles alone.
     """
 
     def __init__(
@@ -120,16 +123,20 @@ class WganGpModule(TrialModule):
         local_weight: float = 0.0,
         base: Base | None = None,
         scenes: Scenes | None = None,
+        space: JointSpace | None = None,
     ) -> None:
         super().__init__(seed)
         self.config, self.samples, self.local_weight = config, samples, local_weight
         dim, latent_dim = samples.configurations.shape[1], samples.mu.shape[1]
-        self.base = UniformBase(dim) if base is None else base
+        self.joints = Joints.of(space, dim)
+        self.base = UniformBase(dim, space) if base is None else base
         self.generator_reader = make_reader(config.generator_lookups, scenes)
         self.critic_reader = make_reader(config.critic_lookups, scenes)
-        self.generator = make_generator(config, dim, latent_dim, scale, values_read(self.generator_reader))
+        self.generator = make_generator(
+            config, dim, latent_dim, scale, values_read(self.generator_reader), space
+        )
         self.critic = make_critic(
-            config, dim, latent_dim, len(samples.mu), scale, values_read(self.critic_reader)
+            config, dim, latent_dim, len(samples.mu), scale, values_read(self.critic_reader), space
         )
         self.local_critics = nn.ModuleList(local_critics or []).requires_grad_(requires_grad=False)
         self.set_optimisers(list(self.generator.parameters()))
@@ -217,7 +224,7 @@ class WganGpModule(TrialModule):
         one = fake[:, int(torch.randint(fake.shape[1], (1,), generator=self.rng, device=self.device))]
         share = self.uniform(len(real), 1)
         if self.config.critic_features == "torus":
-            return losses.wrapped_interpolation(real, one, share)
+            return self.joints.between(one, real, share)
         return losses.straight_interpolation(real, one, share)
 
     def _rate(self, step: int) -> float:
@@ -226,14 +233,19 @@ class WganGpModule(TrialModule):
 
 
 def make_generator(
-    config: GanConfig, dim: int, latent_dim: int, scale: tuple[Tensor, Tensor], looked_up: int = 0
+    config: GanConfig,
+    dim: int,
+    latent_dim: int,
+    scale: tuple[Tensor, Tensor],
+    looked_up: int = 0,
+    space: JointSpace | None = None,
 ) -> TorusGenerator | MeansGenerator:
     """The generator that a configuration names; ``looked_up`` is what its look-ups read of a picture."""
     if config.generator == "means":
         return MeansGenerator(
-            dim, latent_dim, config.hidden, config.layers, config.means, config.sigma, scale
+            dim, latent_dim, config.hidden, config.layers, config.means, config.sigma, scale, space
         )
-    return TorusGenerator(dim, latent_dim, config.hidden, config.layers, config.noise_dim, looked_up)
+    return TorusGenerator(dim, latent_dim, config.hidden, config.layers, config.noise_dim, looked_up, space)
 
 
 def make_critic(
@@ -243,6 +255,7 @@ def make_critic(
     scenarios: int,
     scale: tuple[Tensor, Tensor],
     looked_up: int = 0,
+    space: JointSpace | None = None,
 ) -> Critic:
     """The critic that a configuration names; ``scenarios`` is the number of ids for its projection."""
     return Critic(
@@ -254,4 +267,5 @@ def make_critic(
         features=config.critic_features,
         scale=scale,
         looked_up=looked_up,
+        space=space,
     )

@@ -1,11 +1,12 @@
 """The networks: encoder and decoder of the pictures, generators, critics. Pure torch modules."""
 
-from itertools import combinations, pairwise
+from itertools import pairwise
 
 import torch
 from torch import Tensor, nn
 
-HARMONICS = 3
+from cspace.space import JointSpace
+from training.models.space.joints import Joints
 
 
 def mlp(inputs: int, hidden: int, layers: int, outputs: int) -> nn.Sequential:
@@ -95,22 +96,31 @@ class Decoder(nn.Module):
 
 
 class TorusGenerator(nn.Module):
-    """theta = u + MLP(latent, harmonics of u, noise): a residual on a uniform draw u from the torus.
+    """theta = u + MLP(latent, harmonics of u, noise): a residual on a uniform draw u from the joint space.
 
     The last layer starts near zero, so training starts from the uniform sampler. The noise is explicit; an
     encoder whose sigma has become small would otherwise leave one sample a picture.
 
-    With look-ups it also gets what the picture shows where the arm would be at the base.
+    With look-ups it also gets what the picture shows where the arm would be at the base. ``space`` is the
+    joint space, None for circles alone; beyond limits theta is folded back.
 
     Shapes: latent (m, L), base (m, d) rad, noise (m, k), seen (m, looked_up) to (m, 1, d) rad.
     """
 
     def __init__(
-        self, dim: int, latent_dim: int, hidden: int, layers: int, noise_dim: int, looked_up: int = 0
+        self,
+        dim: int,
+        latent_dim: int,
+        hidden: int,
+        layers: int,
+        noise_dim: int,
+        looked_up: int = 0,
+        space: JointSpace | None = None,
     ) -> None:
         super().__init__()
-        self.looked_up, self.noise_dim = looked_up, noise_dim
-        self.residual = mlp(latent_dim + 2 * HARMONICS * dim + noise_dim + looked_up, hidden, layers, dim)
+        self.looked_up, self.noise_dim, self.joints = looked_up, noise_dim, Joints.of(space, dim)
+        inputs = latent_dim + self.joints.features_size + noise_dim + looked_up
+        self.residual = mlp(inputs, hidden, layers, dim)
         last = self.residual[-1]
         assert isinstance(last, nn.Linear)  # noqa: S101 - for the type checker
         nn.init.normal_(last.weight, std=1e-2)
@@ -118,13 +128,15 @@ class TorusGenerator(nn.Module):
 
     def forward(self, latent: Tensor, base: Tensor, noise: Tensor, seen: Tensor | None = None) -> Tensor:
         """One configuration for each latent."""
-        step: Tensor = self.residual(self.inputs(latent, base, noise, seen))
-        return (base + step).unsqueeze(1)
+        step: Tensor = self.residual(generator_inputs(self.joints, latent, base, noise, seen))
+        return self.joints.fold(base + step).unsqueeze(1)
 
-    @staticmethod
-    def inputs(latent: Tensor, base: Tensor, noise: Tensor, seen: Tensor | None) -> Tensor:
-        """What the perceptron gets, side by side."""
-        return torch.cat([latent, harmonics(base), noise, *([] if seen is None else [seen])], dim=1)
+
+def generator_inputs(
+    joints: Joints, latent: Tensor, base: Tensor, noise: Tensor, seen: Tensor | None
+) -> Tensor:
+    """What the perceptron of a torus generator gets, side by side."""
+    return torch.cat([latent, joints.features(base), noise, *([] if seen is None else [seen])], dim=1)
 
 
 class MeansGenerator(nn.Module):
@@ -145,8 +157,10 @@ class MeansGenerator(nn.Module):
         means: int,
         sigma: float,
         scale: tuple[Tensor, Tensor],
+        space: JointSpace | None = None,
     ) -> None:
         super().__init__()
+        self.joints = Joints.of(space, dim)
         self.means, self.dim, self.sigma = means, dim, sigma
         self.net = mlp(latent_dim, hidden, layers, means * dim)
         self.register_buffer("mean_rad", scale[0])
@@ -155,28 +169,7 @@ class MeansGenerator(nn.Module):
     def forward(self, latent: Tensor, noise: Tensor) -> Tensor:
         """K configurations for each latent."""
         standardised = self.net(latent).view(-1, self.means, self.dim) + self.sigma * noise
-        restored: Tensor = standardised * self.std_rad + self.mean_rad
-        return restored
-
-
-def harmonics(angles: Tensor) -> Tensor:
-    """Cos and sin of k theta for k up to 3: (..., d) to (..., 6 d)."""
-    multiples = torch.cat([angles * k for k in range(1, HARMONICS + 1)], dim=-1)
-    return torch.cat([torch.cos(multiples), torch.sin(multiples)], dim=-1)
-
-
-def torus_features(angles: Tensor) -> Tensor:
-    """Harmonics of every joint, and of the sum and difference of every pair.
-
-    Shapes: (..., d) to (..., 6 d + 2 d (d - 1)).
-    """
-    pairs = list(combinations(range(angles.shape[-1]), 2))
-    if not pairs:
-        return harmonics(angles)
-    first = torch.stack([angles[..., i] for i, _ in pairs], dim=-1)
-    second = torch.stack([angles[..., j] for _, j in pairs], dim=-1)
-    mixed = torch.cat([first + second, first - second], dim=-1)
-    return torch.cat([harmonics(angles), torch.cos(mixed), torch.sin(mixed)], dim=-1)
+        return self.joints.fold(standardised * self.std_rad + self.mean_rad)
 
 
 class Critic(nn.Module):
@@ -184,7 +177,7 @@ class Critic(nn.Module):
 
     ``scenarios`` is the number of ids for the projection (Miyato and Koyama 2018), or None for the
     latent; ``features`` is "torus" or "standardised"; ``looked_up`` is the number of values that the picture
-    shows where the arm would be, 0 without look-ups.
+    shows where the arm would be, 0 without look-ups; ``space`` is the joint space, None for circles alone.
 
     Shapes: configurations (b, d) rad, condition (b, L) float or (b,) ids, seen (b, looked_up) to (b,).
     """
@@ -203,11 +196,12 @@ class Critic(nn.Module):
         features: str,
         scale: tuple[Tensor, Tensor],
         looked_up: int = 0,
+        space: JointSpace | None = None,
     ) -> None:
         super().__init__()
-        self.looked_up = looked_up
+        self.looked_up, self.joints = looked_up, Joints.of(space, dim)
         self.torus = features == "torus"
-        inputs = looked_up + (2 * HARMONICS * dim + 2 * dim * (dim - 1) if self.torus else dim)
+        inputs = looked_up + (self.joints.pair_features_size if self.torus else dim)
         self.ids = None if scenarios is None else nn.Embedding(scenarios, hidden)
         condition = 0 if self.ids is not None else latent_dim
         self.body = nn.Sequential(mlp(inputs + condition, hidden, layers - 1, hidden), nn.LeakyReLU(0.2))
@@ -217,7 +211,8 @@ class Critic(nn.Module):
 
     def forward(self, configurations: Tensor, condition: Tensor, seen: Tensor | None = None) -> Tensor:
         """The critic's value of each configuration under its condition."""
-        x = torus_features(configurations) if self.torus else (configurations - self.mean_rad) / self.std_rad
+        plain = (configurations - self.mean_rad) / self.std_rad
+        x = self.joints.pair_features(configurations) if self.torus else plain
         if seen is not None:
             x = torch.cat([x, seen], dim=1)
         if self.ids is None:

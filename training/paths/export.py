@@ -55,7 +55,9 @@ class PointSampler(nn.Module):
         points: Tensor = self.net(
             Condition(latent, start, goal, places), noise, lambda at: look(self.lookups, image, at)
         )
-        return (points if jitter is None else points + self.jitter_rad * jitter).unsqueeze(1)
+        if jitter is not None:
+            points = self.net.joints.fold(points + self.jitter_rad * jitter)
+        return points.unsqueeze(1)
 
 
 def point_graph(sampler: PointSampler, latent_dim: int, pixels: int) -> PathGraph:

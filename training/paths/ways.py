@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import onnx
 from numpy.typing import NDArray
-from onnx import inliner
+from onnx import helper, inliner, numpy_helper
 
 from cspace.bundle import RandomInput
 from cspace.errors import ConfigError
@@ -95,6 +95,7 @@ def way_graph(
     source = way_samples.to_model_proto()  # type: ignore[no-untyped-call]
     ways = fixed(inliner.inline_local_functions(source), constants)
     named(ways, "confidence", MAP)
+    _keep_within(ways, space)
     (samples,) = ways.graph.output
     ways.graph.output.remove(samples)
     ways.graph.output.append(shaped("samples", "latents", 1, PLANE))
@@ -102,6 +103,21 @@ def way_graph(
     onnx.checker.check_model(ways)
     random = (RandomInput("place", "uniform", (1,), 0.0, 1.0), RandomInput("jitter", "normal", (PLANE,)))
     return PathGraph(ways.SerializeToString(), random, map=map_graph(validity, constants["grid"]))
+
+
+def _keep_within(ways: onnx.ModelProto, space: JointSpace) -> None:
+    """Let the samples of limited joints end at their limits; the tube round a way along one does not."""
+    if space.is_torus:
+        return
+    named(ways, "samples", "unlimited")
+    low, high = (
+        np.where(space.periodic, side * np.inf, ends) for side, ends in ((-1, space.lower), (1, space.upper))
+    )
+    for name, ends in (("lowest", low), ("highest", high)):
+        ways.graph.initializer.append(numpy_helper.from_array(ends.astype(np.float32), name))
+    ways.graph.node.append(helper.make_node("Max", ["unlimited", "lowest"], ["above"]))
+    ways.graph.node.append(helper.make_node("Min", ["above", "highest"], ["samples"]))
+    ways.graph.output[0].name = "samples"
 
 
 def _constants(space: JointSpace, settings: WaySettings) -> dict[str, NDArray[Any]]:

@@ -76,13 +76,13 @@ class TrainingArrays:
         return None if self.images is None else Scenes(self.world, torch.tensor(self.images))
 
     def base(self, cluster: int | None) -> Base | None:
-        """What a generator starts from: the cells of one cluster, or of all; None for the whole torus."""
+        """What a generator starts from: the cells of one cluster, or of all; None for the whole space."""
         cells = self.cells
         if cells is None or cells.probabilities is None:
             return None
         inside = cells.clusters >= 0 if cluster is None else cells.clusters == cluster
         weights = (cells.probabilities + _LEAST_PROBABILITY) * inside
-        return CellBase(cells.points, torch.tensor(weights.astype(np.float32)))
+        return CellBase(cells.points, torch.tensor(weights.astype(np.float32)), self.world.space)
 
     def shares(self) -> torch.Tensor:
         """Share of every scenario's configurations in each cell, (S, k) float32.

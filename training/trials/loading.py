@@ -44,6 +44,7 @@ def make_wgan(
             weight,
             base=arrays.base(cluster),
             scenes=arrays.scenes(),
+            space=arrays.world.space,
         )
 
 
@@ -70,7 +71,8 @@ def fresh_generator(config: GanConfig, arrays: TrainingArrays) -> TorusGenerator
     """A generator of the shape that fits the data, not trained."""
     lookups = make_lookups(config.generator_lookups, arrays.world)
     looked_up = 0 if lookups is None else lookups.values
-    return make_generator(config, arrays.world.dim, arrays.mu.shape[1], arrays.scale, looked_up)
+    world, latent_dim = arrays.world, arrays.mu.shape[1]
+    return make_generator(config, world.dim, latent_dim, arrays.scale, looked_up, world.space)
 
 
 def load_generator(
@@ -100,7 +102,7 @@ def load_critic(config: GanConfig, arrays: TrainingArrays, checkpoint: Path) -> 
     looked_up = 0 if lookups is None else lookups.values
     dim, (scenarios, latent_dim) = arrays.world.dim, arrays.mu.shape
     with seeded_initialisation(0):
-        critic = make_critic(config, dim, latent_dim, scenarios, arrays.scale, looked_up)
+        critic = make_critic(config, dim, latent_dim, scenarios, arrays.scale, looked_up, arrays.world.space)
     critic.load_state_dict(load_weights(checkpoint, "critic"))
     return critic
 

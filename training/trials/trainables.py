@@ -130,6 +130,7 @@ def joint_trial(
             _channels_first(images),
             arrays.scale,
             trial["seed"],
+            arrays.world.space,
         )
     fit_tracked(trial, module, train.global_.steps, train.resources, tracking_uri)
 

@@ -8,9 +8,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cspace.errors import ScenarioError
-from cspace.space import JointSpace
+from cspace.space import MAX_LIMIT_RAD, JointSpace
 
 JointLimits = tuple[tuple[float, float] | None, ...]
+# Of limits, for single precision to tell the angles between them apart.
+MIN_RANGE_RAD = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,7 +24,7 @@ class PlanarArm:
     Args:
         link_lengths_m: length of each link.
         half_width_m: radius of the capsules round the links.
-        joint_limits_rad: None when all joints are circles; else per joint None or (low, high) in [-pi, pi].
+        joint_limits_rad: None when all joints are circles; else per joint None or (low, high), at any turn.
 
     Raises:
         ScenarioError: lengths, width or limits cannot be.
@@ -46,11 +48,11 @@ class PlanarArm:
         limits = self.joint_limits_rad
         if limits is None:
             return
-        bad = [lim for lim in limits if lim is not None and not -np.pi <= lim[0] < lim[1] <= np.pi]
-        if len(limits) != self.dim or bad:
+        if len(limits) != self.dim or not all(lim is None or _is_range(*lim) for lim in limits):
             raise ScenarioError(
                 "the joint limits do not fit",
-                expected=f"{self.dim} entries, each None or low < high within [-pi, pi]",
+                expected=f"{self.dim} entries, each None or low < high by {MIN_RANGE_RAD} rad or more, "
+                f"within {MAX_LIMIT_RAD:.0f} rad",
                 got=str(limits),
             )
 
@@ -120,6 +122,10 @@ class PlanarArm:
             raise ScenarioError(
                 "the robot is incomplete", expected=f"keys {sorted(known)}", got=repr(error)
             ) from error
+
+
+def _is_range(low: float, high: float) -> bool:
+    return -MAX_LIMIT_RAD <= low < high <= MAX_LIMIT_RAD and high - low >= MIN_RANGE_RAD
 
 
 TWO_LINK = PlanarArm()

@@ -164,7 +164,12 @@ def _sides(
 
 def resolves_narrow(robot: PlanarArm) -> bool:
     """Whether a robot's grid is as fine as narrow passages."""
-    return 2.0 * np.pi / cells_per_joint(robot.dim) <= NARROW_RAD[1]
+    return _cell_rad(robot) <= NARROW_RAD[1]
+
+
+def _cell_rad(robot: PlanarArm) -> float:
+    widest_rad = float(np.max(np.subtract(robot.space.upper, robot.space.lower)))
+    return widest_rad / cells_per_joint(robot.dim)
 
 
 def require_resolution(robot: PlanarArm) -> None:
@@ -174,11 +179,10 @@ def require_resolution(robot: PlanarArm) -> None:
         ScenarioError: it is.
     """
     if not resolves_narrow(robot):
-        cell_rad = 2.0 * np.pi / cells_per_joint(robot.dim)
         raise ScenarioError(
             f"narrow passages of {robot.dim} joints are finer than the grid",
             expected=f"cells below {NARROW_RAD[1]} rad",
-            got=f"{cell_rad:.3f} rad",
+            got=f"{_cell_rad(robot):.3f} rad",
             remedy="another family, or a robot of two joints",
         )
 

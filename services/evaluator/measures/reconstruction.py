@@ -14,7 +14,7 @@ from scipy.spatial.distance import cdist, pdist
 
 from cspace.errors import EvaluationError
 from cspace.problem import UNIFORM
-from cspace.space import JointSpace, embed
+from cspace.space import JointSpace, circles
 from services.evaluator.measures.nearest import Configurations, coverage, knn_precision_recall, require_group
 from services.evaluator.measures.occupancy import OccupancySummary, SceneOccupancy, summarise_occupancy
 from services.evaluator.statistics import (
@@ -94,8 +94,10 @@ class ReconstructionSummary:
     occupancy: OccupancySummary | None = None
 
 
-def energy_distance(first: Configurations, second: Configurations) -> float:
-    """2 E|X - Y| - E|X - X'| - E|Y - Y'| on the (cos, sin) embedding of (N, d) and (M, d).
+def energy_distance(first: Configurations, second: Configurations, space: JointSpace | None = None) -> float:
+    """2 E|X - Y| - E|X - X'| - E|Y - Y'| on the space's embedding of (N, d) and (M, d).
+
+    Without a space all joints are circles.
 
     Unbiased: no point is paired with itself, so that equal distributions average zero and single values may
     lie slightly below. No root is taken (Szekely and Rizzo 2013).
@@ -104,7 +106,8 @@ def energy_distance(first: Configurations, second: Configurations) -> float:
         EvaluationError: fewer than two configurations in one of the two.
     """
     require_group(first, second, at_least=2)
-    x, y = embed(first), embed(second)
+    space = space or circles(first.shape[1])
+    x, y = space.embed(first), space.embed(second)
     return float(2.0 * cdist(x, y).mean() - pdist(x).mean() - pdist(y).mean())
 
 
@@ -132,7 +135,7 @@ def sample_quality(
     return SampleQuality(
         float(np.mean(free(samples))),
         coverage(held_out, samples, space),
-        energy_distance(samples, held_out),
+        energy_distance(samples, held_out, space),
         knn.precision,
         knn.recall,
     )

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from cspace.errors import EvaluationError
 from cspace.problem import UNIFORM, Problem
 from cspace.query import SampleQuery
-from cspace.space import JointSpace, to_float32
+from cspace.space import JointSpace
 from cspace.splits import Split, scenario_rng
 from cspace.workshop import Checker
 from cspace.world import Scene as WorldScene
@@ -169,7 +169,7 @@ def reconstruct(scene: Scene, sampler: SampleSource, samples: int = SAMPLES) -> 
 def _occupancy(scene: Scene, sampler: ScoredSampler, acceptance: float | None) -> SceneOccupancy:
     if acceptance is None:
         raise EvaluationError("a head is judged by the share that it lets pass", got="an answer without it")
-    tried = to_float32(scene.space.sample_uniform(scene.rng(3), OCCUPANCY_SAMPLES))
+    tried = scene.space.to_float32(scene.space.sample_uniform(scene.rng(3), OCCUPANCY_SAMPLES))
     return scene_occupancy(
         sampler.score(scene.image, tried),
         scene.checker.valid_batch(tried),

@@ -85,7 +85,8 @@ def connect(
         samples, looked_at = samples[colliding_last(samples, checker)], len(samples)
     sorted_s = time.perf_counter() - began
     states, learned = drawn_states(space, samples, uniform_share, settings)
-    farthest = int(np.ceil(space.dim * np.pi / settings.range_rad)) + 2
+    ranges = np.where(space.periodic, np.pi, np.subtract(space.upper, space.lower))
+    farthest = int(np.ceil(ranges.sum() / settings.range_rad)) + 2
     trees = _Trees(space.wrap(problem.start), space.wrap(problem.goal), _BLOCK * farthest)
     fixed = (settings.range_rad, settings.resolution_rad)
     # A process's first call loads the compiled kernel, which is no part of a search.

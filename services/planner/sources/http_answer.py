@@ -101,7 +101,7 @@ class IncomingAnswer:
         if head is None:
             return _failure(self._answer, body)
         return SampleBatch(
-            samples=read_samples(body, self._question.query.n - head.shortfall),
+            samples=read_samples(body, self._question.query.n - head.shortfall, head.space),
             model_name=head.model_name,
             model_version=head.model_version,
             digest=head.digest,

@@ -4,10 +4,14 @@ import math
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import astuple, dataclass
+from typing import Any
 
+from cspace.bundle.strict_json import parse_json
+from cspace.errors import BundleIntegrityError
+from cspace.space import MAX_LIMIT_RAD, JointSpace, circles
 from services.planner.sources.answer_errors import unusable
 from services.planner.sources.http_exchange import Question
-from services.planner.sources.npy_body import NPY
+from services.planner.sources.npy_body import MAX_JOINTS, NPY
 from services.planner.sources.samples import SourceTiming
 
 _PRETRAINED = "pretrained"
@@ -27,6 +31,7 @@ class AnswerHead:
     shortfall: int
     novelty: float | None
     timing: SourceTiming | None
+    space: JointSpace | None = None
 
 
 def read_head(headers: Mapping[str, str], question: Question) -> AnswerHead:
@@ -59,7 +64,34 @@ def read_head(headers: Mapping[str, str], question: Question) -> AnswerHead:
         shortfall=shortfall,
         novelty=_share(headers, "x-novelty") if "x-novelty" in headers else None,
         timing=read_timing(headers.get("server-timing", "")),
+        space=read_space(headers["x-joint-space"]) if "x-joint-space" in headers else None,
     )
+
+
+def read_space(header: str) -> JointSpace:
+    """The joint space that an answer says its samples are of.
+
+    Raises:
+        SamplerAnswerError: it says none.
+    """
+    try:
+        said = parse_json(header.encode())
+        space = _space_of(said) if isinstance(said, dict) else None
+    except (BundleIntegrityError, LookupError, TypeError, ValueError):
+        space = None
+    if space is None or space.to_dict() != said:
+        raise unusable("has a wrong header x-joint-space", "the joint space as JSON", repr(header[:80]))
+    return space
+
+
+def _space_of(said: dict[str, Any]) -> JointSpace | None:
+    if said["kind"] == "torus":
+        return circles(said["dim"]) if said["dim"] in range(1, MAX_JOINTS + 1) else None
+    lower, upper = (tuple(map(float, said[name])) for name in ("lower", "upper"))
+    joints = list(zip(lower, upper, map(bool, said["periodic"]), strict=True))
+    fits = all(-MAX_LIMIT_RAD <= low < high <= MAX_LIMIT_RAD for low, high, _ in joints)
+    fits = fits and len(joints) <= MAX_JOINTS
+    return JointSpace(lower, upper, tuple(wraps for _, _, wraps in joints)) if fits else None
 
 
 def read_timing(header: str) -> SourceTiming | None:

@@ -9,6 +9,7 @@ import re
 import numpy as np
 from numpy.typing import NDArray
 
+from cspace.space import JointSpace, circles
 from services.planner.sources.answer_errors import unusable
 
 NPY = "application/x-npy"
@@ -31,15 +32,17 @@ def max_body_bytes(n: int) -> int:
     return MAX_HEAD_BYTES + 4 * MAX_JOINTS * n
 
 
-def read_samples(body: bytes, n: int) -> NDArray[np.float32]:
+def read_samples(body: bytes, n: int, space: JointSpace | None = None) -> NDArray[np.float32]:
     """The samples of a ``.npy`` file, (n, d) float32 rad.
 
     Args:
         body: the file, whole.
         n: how many there have to be.
+        space: whose configurations they are; None for circles alone.
 
     Raises:
-        SamplerAnswerError: it is no such file, or holds other numbers than wrapped angles.
+        SamplerAnswerError: it is no such file, or holds other numbers than wrapped angles and values within
+            limits.
     """
     head = _HEAD.match(body, 0, MAX_HEAD_BYTES)
     if head is None or int.from_bytes(head["length"], "little") != head.end() - 10:
@@ -52,11 +55,15 @@ def read_samples(body: bytes, n: int) -> NDArray[np.float32]:
     if not 1 <= joints <= MAX_JOINTS or 4 * rows * joints != size:
         expected = f"{n} samples of 1 to {MAX_JOINTS} joints, float32"
         raise unusable("holds another array", expected, f"({rows}, {joints}) in {size} bytes")
+    if space is not None and space.dim != joints:
+        raise unusable("is for another joint space", f"{space.dim} joints", str(joints))
     samples = np.frombuffer(body, dtype="<f4", offset=head.end()).reshape(rows, joints)
     # As real numbers: float32(pi) lies above pi. A signalling NaN would warn, or raise where warnings do.
     with np.errstate(invalid="ignore"):
-        angles = samples.astype(np.float64)
-        wrong = int(np.sum(~((angles >= -np.pi) & (angles < np.pi))))
+        wrong = int(np.sum(~(space or circles(joints)).holds(samples)))
+    if wrong and space is not None:
+        ends = f"from {space.lower} to {space.upper}"
+        raise unusable("holds values outside the joints' limits", ends[:200], f"{wrong} others")
     if wrong:
         raise unusable("holds values that are no wrapped angles", "[-pi, pi)", f"{wrong} others")
     return samples.astype(np.float32, copy=False)

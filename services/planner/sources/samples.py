@@ -37,7 +37,7 @@ class SampleBatch:
     """Learned samples for one picture, with the model they come from.
 
     Args:
-        samples: (n, d) float32 rad, each in [-pi, pi).
+        samples: (n, d) float32 rad, circles in [-pi, pi), other joints within the limits that are told.
         model_name: of the model that answered; ``pretrained`` for the one that ships with the server.
         model_version: its number in the registry.
         digest: of its bundle.

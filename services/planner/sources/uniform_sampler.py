@@ -3,7 +3,7 @@
 import numpy as np
 
 from cspace.query import SampleQuery
-from cspace.space import JointSpace, to_float32
+from cspace.space import JointSpace
 from services.planner.sources.samples import Picture, SampleBatch, SampleSource
 
 UNIFORM = "uniform"
@@ -21,5 +21,6 @@ class UniformSampler(SampleSource):
 
     def answer(self, picture: Picture, query: SampleQuery, model: str | None = None) -> SampleBatch:  # noqa: ARG002 - the port's arguments
         """``query.n`` uniform configurations; picture and model change nothing."""
-        samples = to_float32(self._space.sample_uniform(np.random.default_rng(query.seed), query.n))
+        drawn = self._space.sample_uniform(np.random.default_rng(query.seed), query.n)
+        samples = self._space.to_float32(drawn)
         return SampleBatch(samples, UNIFORM, 0, "", query.seed, shortfall=0, round_trip_s=0.0)

@@ -1,4 +1,5 @@
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -71,6 +72,17 @@ def test_a_data_set_without_a_single_collision_can_be_opened(tmp_path):
     none = [np.empty((0, 2))] * SCENARIOS
     dataset = write_dataset(tmp_path / "data", **content(collision=none, paths=[]))
     assert open_dataset(dataset.folder).collision_of(1).shape == (0, 2)
+
+
+def test_configurations_outside_the_limits_are_refused(tmp_path):
+    robot = PlanarArm(joint_limits_rad=((-4.0, 3.2), None))
+    free = [np.array([[-3.9, 9.0], [3.2, 0.0]]), *[np.empty((0, 2))] * 2]
+    stored = write_dataset(tmp_path / "data", **content(robot, free=free)).free_of(0)
+    np.testing.assert_allclose(stored, [[-3.9, 9.0 - 2 * np.pi], [3.2, 0.0]], atol=1e-6)
+    free[0][1, 0] = 3.3
+    with pytest.raises(DatasetError, match="outside the robot's limits") as refused:
+        write_dataset(tmp_path / "other", **content(robot, free=free))
+    assert "3.3" in refused.value.got
 
 
 def test_angles_are_wrapped_into_single_precision(tmp_path):
@@ -266,3 +278,13 @@ def test_a_data_set_that_does_not_fit_is_not_written(tmp_path, change, words):
     with pytest.raises(DatasetError, match=words):
         write_dataset(tmp_path / "data", **content(**change))
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_data_set_of_before_limits_were_kept_is_read(tmp_path):
+    folder = write_dataset(tmp_path / "data", **content()).folder
+    limited = PlanarArm(joint_limits_rad=((-0.1, 0.1), (-4.0, 4.0)))
+    manifest = replace(Manifest.read(folder), world=PlanarWorld(limited, CAMERA))
+    rebuild(folder, manifest, manifest.files)
+    assert open_dataset(folder).world.body == limited
+    free = open_dataset(folder).arrays["free"]
+    assert (np.abs(free[:, 0]) > 0.1).any()

@@ -54,7 +54,7 @@ def test_data_of_another_robot_end_with_one(own, tmp_path, capsys):
         ["--limit", "0", "-1", "2"],
         ["--limit", "1.5", "-1", "2"],
         ["--limit", "1", "2", "1"],
-        ["--limit", "1", "-4", "1"],
+        ["--limit", "1", "-4000", "1"],
         ["--pixels", "0"],
         ["--view", "5", "-5", "-5", "5"],
     ],

@@ -5,7 +5,7 @@ from PIL import Image
 from cspace.dataset import open_dataset
 from cspace.errors import DatasetError, StorageError
 from cspace.splits import Split
-from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK
+from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK, PlanarArm
 from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.render import render
 from cspace.worlds.planar.scene import random_scenarios
@@ -138,3 +138,16 @@ def test_an_existing_data_set_is_not_overwritten(tmp_path):
     take(tmp_path / "own", tmp_path / "data")
     with pytest.raises(StorageError, match="exists"):
         take(tmp_path / "own", tmp_path / "data")
+
+
+def test_configurations_outside_the_limits_are_refused_and_not_wrapped(tmp_path):
+    fill(tmp_path / "own", collision=False)
+    robot = PlanarArm(joint_limits_rad=(None, (-4.0, 3.2)))
+    take(tmp_path / "own", tmp_path / "data", robot)
+    np.save(tmp_path / "own" / "a.npy", [[0.0, -3.9], [0.0, 3.3]])
+    with pytest.raises(DatasetError, match=r"a\.npy holds configurations outside") as refused:
+        take(tmp_path / "own", tmp_path / "other", robot)
+    assert "3.3" in refused.value.got
+    np.save(tmp_path / "own" / "a.npy", [[9.0, -3.9]])
+    kept = take(tmp_path / "own", tmp_path / "other", robot).free_of(0)
+    np.testing.assert_allclose(kept, [[9.0 - 2.0 * np.pi, -3.9]], rtol=1e-6)

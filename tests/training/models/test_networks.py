@@ -9,9 +9,8 @@ from training.models.networks import (
     Encoder,
     MeansGenerator,
     TorusGenerator,
-    harmonics,
-    torus_features,
 )
+from training.models.space.features import harmonics, torus_features
 
 SCALE = (torch.zeros(3), torch.ones(3))
 

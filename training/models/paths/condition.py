@@ -5,7 +5,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from training.models.networks import harmonics
+from training.models.space.features import HARMONICS, harmonics
+from training.models.space.joints import Joints
 
 PLACE_FEATURES = 9
 
@@ -26,15 +27,16 @@ class Condition:
     goal: Tensor
     place: Tensor | None
 
-    def features(self) -> Tensor:
-        """Side by side, (m, F)."""
-        parts = [self.latent, harmonics(self.start), harmonics(self.goal)]
+    def features(self, joints: Joints | None = None) -> Tensor:
+        """Side by side, (m, F); the joints are circles alone for None."""
+        seen = harmonics if joints is None else joints.features
+        parts = [self.latent, seen(self.start), seen(self.goal)]
         return torch.cat([*parts, *([] if self.place is None else [place_features(self.place)])], dim=1)
 
 
-def condition_size(latent_dim: int, dim: int, *, place: bool) -> int:
-    """F, of :meth:`Condition.features`."""
-    return latent_dim + 12 * dim + (PLACE_FEATURES if place else 0)
+def condition_size(latent_dim: int, dim: int, *, place: bool, limits: int = 0) -> int:
+    """F, of :meth:`Condition.features`, where so many of the joints have limits."""
+    return latent_dim + 4 * HARMONICS * dim + 2 * limits + (PLACE_FEATURES if place else 0)
 
 
 def place_features(place: Tensor) -> Tensor:
@@ -52,9 +54,3 @@ def swept(place: Tensor, sweep: int) -> Tensor:
     row = torch.arange(place.shape[0], device=place.device)
     count = torch.clamp(row.max() + 1, max=sweep)
     return ((row % count).unsqueeze(1).to(place.dtype) + place) / count
-
-
-def on_torus(embedded: Tensor) -> Tensor:
-    """Angles of an embedding: (m, 2 d) cosines, then sines, of any length above 0, to (m, d) rad."""
-    cosines, sines = embedded.chunk(2, dim=-1)
-    return torch.atan2(sines, cosines)

@@ -163,4 +163,4 @@ class DensitySampler(nn.Module):
         # No farther than the cell's own border: an offset is told from inside.
         offset = found.offset[0][chosen].clamp(-0.5, 0.5)
         samples: Tensor = grid.centres[chosen] + offset * grid.size + self.jitter_rad * jitter
-        return samples.unsqueeze(1)
+        return grid.joints.fold(samples).unsqueeze(1)

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 import torch
 from torch import Tensor
 
+from cspace.space import JointSpace
 from training.config.paths import DistillationConfig, FlowConfig
 from training.models.lookups.lookups import Scenes
 from training.models.paths.modules import PointModule, descend, make_flow, one_cycle
@@ -28,6 +29,7 @@ class FlowDistillationModule(PointModule):
         scenes: their pictures; None where nothing is looked up.
         weights: of the trained flow, which is the teacher; the student starts as a copy.
         seed: of every draw.
+        space: the joint space; None for circles alone.
     """
 
     def __init__(
@@ -38,13 +40,14 @@ class FlowDistillationModule(PointModule):
         scenes: Scenes | None,
         weights: Mapping[str, Tensor],
         seed: int,
+        space: JointSpace | None = None,
     ) -> None:
-        super().__init__(flow, samples, scenes, seed)
+        super().__init__(flow, samples, scenes, seed, space)
         self.config = config
-        self.teacher = make_flow(flow, self.dim, self.latent_dim, self.looked_up)
+        self.teacher = make_flow(flow, self.dim, self.latent_dim, self.looked_up, space)
         self.teacher.load_state_dict(weights)
         self.teacher.requires_grad_(requires_grad=False)
-        self.net = make_flow(config.student_of(flow), self.dim, self.latent_dim, self.looked_up)
+        self.net = make_flow(config.student_of(flow), self.dim, self.latent_dim, self.looked_up, space)
         self.net.load_state_dict(weights)
         one_cycle(self, self.net.parameters(), config.learning_rate, config.steps)
 

@@ -6,6 +6,7 @@ import torch
 from torch import Tensor, nn
 from torch.optim.lr_scheduler import LambdaLR, OneCycleLR
 
+from cspace.space import JointSpace
 from training.config.paths import FlowConfig, PathGanConfig, PathVaeConfig, PointConfig
 from training.models import losses
 from training.models.lookups.lookups import PictureReader, Scenes, make_reader, values_read
@@ -22,6 +23,7 @@ from training.models.paths.points import (
     blind,
 )
 from training.models.paths.samples import PathBatch, PathSamples
+from training.models.space.joints import Joints
 
 
 class PointModule(TrialModule):
@@ -32,12 +34,21 @@ class PointModule(TrialModule):
         samples: the paths.
         scenes: their pictures; None where nothing is looked up.
         seed: of initialisation and of every draw.
+        space: the joint space; None for circles alone.
     """
 
-    def __init__(self, config: PointConfig, samples: PathSamples, scenes: Scenes | None, seed: int) -> None:
+    def __init__(
+        self,
+        config: PointConfig,
+        samples: PathSamples,
+        scenes: Scenes | None,
+        seed: int,
+        space: JointSpace | None = None,
+    ) -> None:
         super().__init__(seed)
-        self.samples, self.place = samples, config.place
+        self.samples, self.place, self.space = samples, config.place, space
         self.dim, self.latent_dim = samples.paths.shape[2], samples.mu.shape[1]
+        self.joints = Joints.of(space, self.dim)
         self.reader: PictureReader | None = make_reader(config.lookups, scenes)
         self.looked_up = values_read(self.reader)
 
@@ -59,21 +70,28 @@ class PointModule(TrialModule):
 class FlowModule(PointModule):
     """Conditional flow matching along the shortest way round from a uniform draw to a path's point."""
 
-    def __init__(self, config: FlowConfig, samples: PathSamples, scenes: Scenes | None, seed: int) -> None:
-        super().__init__(config, samples, scenes, seed)
+    def __init__(
+        self,
+        config: FlowConfig,
+        samples: PathSamples,
+        scenes: Scenes | None,
+        seed: int,
+        space: JointSpace | None = None,
+    ) -> None:
+        super().__init__(config, samples, scenes, seed, space)
         self.config = config
-        self.net = make_flow(config, self.dim, self.latent_dim, self.looked_up)
+        self.net = make_flow(config, self.dim, self.latent_dim, self.looked_up, space)
         one_cycle(self, self.parameters(), config.learning_rate, config.steps)
 
     def training_step(self, step: int, batch_index: int) -> None:
         """One step of the regression on velocities."""
         del step, batch_index
         batch = self.samples.draw(self.config.batch_size, self.rng)
-        base = (2.0 * self.uniform(*batch.points.shape) - 1.0) * torch.pi
+        base = self.joints.from_torus((2.0 * self.uniform(*batch.points.shape) - 1.0) * torch.pi)
         time = self.uniform(len(base), 1)
-        at = losses.wrapped_interpolation(batch.points, base, time)
-        way = torch.remainder(batch.points - base + torch.pi, 2.0 * torch.pi) - torch.pi
-        found = self.net.velocity(at, time, self.condition(batch).features(), self.look(batch)(at))
+        at, way = self.joints.between(base, batch.points, time), self.joints.way(base, batch.points)
+        features = self.condition(batch).features(self.joints)
+        found = self.net.velocity(at, time, features, self.look(batch)(at))
         loss = (found - way).square().sum(dim=1).mean()
         descend(self, loss)
         self.latest = {"flow_loss": loss.detach()}
@@ -82,12 +100,19 @@ class FlowModule(PointModule):
 class PathVaeModule(PointModule):
     """The conditional VAE over points of paths."""
 
-    def __init__(self, config: PathVaeConfig, samples: PathSamples, scenes: Scenes | None, seed: int) -> None:
-        super().__init__(config, samples, scenes, seed)
+    def __init__(
+        self,
+        config: PathVaeConfig,
+        samples: PathSamples,
+        scenes: Scenes | None,
+        seed: int,
+        space: JointSpace | None = None,
+    ) -> None:
+        super().__init__(config, samples, scenes, seed, space)
         self.config = config
         sizes = (self.dim, self.latent_dim, config.hidden, config.layers, config.code_dim)
-        self.net = PathDecoder(*sizes, 0, place=config.place)
-        self.recogniser = PathRecogniser(*sizes, place=config.place)
+        self.net = PathDecoder(*sizes, 0, place=config.place, space=space)
+        self.recogniser = PathRecogniser(*sizes, place=config.place, space=space)
         one_cycle(self, self.parameters(), config.learning_rate, config.steps)
 
     def training_step(self, step: int, batch_index: int) -> None:
@@ -97,7 +122,7 @@ class PathVaeModule(PointModule):
         condition = self.condition(batch)
         mean, log_variance = self.recogniser(condition, batch.points)
         code = mean + (log_variance / 2.0).exp() * self.normal(*mean.shape)
-        wanted = torch.cat([torch.cos(batch.points), torch.sin(batch.points)], dim=1)
+        wanted = self.joints.embed(batch.points)
         error = (self.net.embedded(condition, code) - wanted).square().sum(dim=1).mean()
         kl = losses.kl_divergence(mean, log_variance).mean()
         descend(self, error + self.config.kl_weight * kl)
@@ -114,6 +139,7 @@ class PathGanModule(PointModule):
         seed: of initialisation and of every draw.
         guides: frozen local critics of the configuration space, conditioned on the same latents.
         guide_reader: of their look-ups; None without.
+        space: the joint space; None for circles alone.
     """
 
     def __init__(
@@ -124,13 +150,14 @@ class PathGanModule(PointModule):
         seed: int,
         guides: list[Critic] | None = None,
         guide_reader: PictureReader | None = None,
+        space: JointSpace | None = None,
     ) -> None:
-        super().__init__(config, samples, scenes, seed)
+        super().__init__(config, samples, scenes, seed, space)
         self.config = config
         shape = (self.dim, self.latent_dim, config.hidden, config.layers)
-        self.net = make_path_generator(config, self.dim, self.latent_dim, self.looked_up)
+        self.net = make_path_generator(config, self.dim, self.latent_dim, self.looked_up, space)
         critic = (*shape[:2], config.critic_hidden, config.critic_layers, self.looked_up)
-        self.critic = PathCritic(*critic, place=config.place)
+        self.critic = PathCritic(*critic, place=config.place, space=space)
         self.guides = nn.ModuleList(guides or []).requires_grad_(requires_grad=False)
         self.guide_reader = guide_reader
         self.training_optimisers = [
@@ -166,7 +193,7 @@ class PathGanModule(PointModule):
         with torch.no_grad():
             fake = self._generate(batch, condition)
         # The critic sees the mean, not the draw that the generator got.
-        features = Condition(batch.mu, batch.start, batch.goal, condition.place).features()
+        features = Condition(batch.mu, batch.start, batch.goal, condition.place).features(self.joints)
 
         def value(points: Tensor) -> Tensor:
             values: Tensor = self.critic(points, features, look(points))
@@ -174,7 +201,7 @@ class PathGanModule(PointModule):
 
         wasserstein = losses.critic_loss(value(batch.points), value(fake))
         share = self.uniform(len(fake), 1)
-        between = losses.wrapped_interpolation(batch.points, fake, share)
+        between = self.joints.between(fake, batch.points, share)
         penalty = losses.gradient_penalty(value, between, one_sided=self.config.penalty == "one_sided")
         self.latest |= {"wasserstein_estimate": -wasserstein.detach(), "gradient_penalty": penalty.detach()}
         return wasserstein + self.config.penalty_weight * penalty
@@ -182,7 +209,7 @@ class PathGanModule(PointModule):
     def _generator_loss(self, batch: PathBatch) -> Tensor:
         condition = self.condition(batch)
         fake = self._generate(batch, condition)
-        features = Condition(batch.mu, batch.start, batch.goal, condition.place).features()
+        features = Condition(batch.mu, batch.start, batch.goal, condition.place).features(self.joints)
         values = self.critic(fake, features, self.look(batch)(fake))
         guided = []
         for guide in self.guides if self.config.guide_weight > 0.0 else []:
@@ -197,7 +224,9 @@ class PathGanModule(PointModule):
         return 1.0 if done <= 0.4 else 1.0 - 0.95 * (done - 0.4) / 0.6
 
 
-def make_flow(config: FlowConfig, dim: int, latent_dim: int, looked_up: int) -> PathFlow:
+def make_flow(
+    config: FlowConfig, dim: int, latent_dim: int, looked_up: int, space: JointSpace | None = None
+) -> PathFlow:
     """The flow that a configuration names."""
     return PathFlow(
         dim,
@@ -207,16 +236,24 @@ def make_flow(config: FlowConfig, dim: int, latent_dim: int, looked_up: int) -> 
         config.evaluations,
         looked_up,
         place=config.place,
+        space=space,
     )
 
 
 def make_path_generator(
-    config: PathGanConfig, dim: int, latent_dim: int, looked_up: int
+    config: PathGanConfig, dim: int, latent_dim: int, looked_up: int, space: JointSpace | None = None
 ) -> RefiningGenerator | PathDecoder:
     """The generator that a configuration names."""
     if config.refinements == 0:
         return PathDecoder(
-            dim, latent_dim, config.hidden, config.layers, config.noise_dim, looked_up, place=config.place
+            dim,
+            latent_dim,
+            config.hidden,
+            config.layers,
+            config.noise_dim,
+            looked_up,
+            place=config.place,
+            space=space,
         )
     return RefiningGenerator(
         dim,
@@ -227,6 +264,7 @@ def make_path_generator(
         config.refinements,
         looked_up,
         place=config.place,
+        space=space,
     )
 
 

@@ -7,6 +7,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from cspace.space import JointSpace
+from training.models.space.joints import Joints
 
 # One cell wide, so that start and goal are seen wherever in their cells they lie.
 MARK_CELLS = 1.0
@@ -16,7 +17,7 @@ DETOUR_RAD = (0.3, 1.5)
 
 
 class CellGrid(nn.Module):
-    """The cells of the torus.
+    """The cells of the joint space.
 
     Args:
         space: of two joints, both circles or with limits.
@@ -30,7 +31,7 @@ class CellGrid(nn.Module):
 
     def __init__(self, space: JointSpace, cells: int) -> None:
         super().__init__()
-        self.cells, self.periodic = cells, tuple(space.periodic)
+        self.cells, self.periodic, self.joints = cells, tuple(space.periodic), Joints(space)
         low, high = torch.tensor(space.lower), torch.tensor(space.upper)
         size = (high - low) / cells
         axes = [low[joint] + (torch.arange(cells) + 0.5) * size[joint] for joint in range(space.dim)]

@@ -46,7 +46,9 @@ class Guides:
         found = []
         for checkpoint in self.checkpoints:
             with seeded_initialisation(0):
-                critic = make_critic(self.train.local, spec.dim, spec.latent_dim, 0, scale, values)
+                critic = make_critic(
+                    self.train.local, spec.dim, spec.latent_dim, 0, scale, values, spec.world.space
+                )
             # The angles' mean and deviation are among the weights.
             critic.load_state_dict(load_weights(checkpoint, "critic"))
             found.append(critic)

@@ -68,30 +68,28 @@ def make_path_module(
         JobError: the arrays have no maps for a density, or there are no guides for a guided model, or no
             teacher for a distilled one.
     """
-    samples = arrays.samples()
+    samples, space = arrays.samples(), arrays.world.space
     if name == "density":
         if arrays.maps is None:
             raise JobError("a density needs the maps of the validity head", expected="maps", got="none")
         fields = None if arrays.fields is None or not train.density.ways else torch.tensor(arrays.fields)
-        return DensityModule(
-            train.density, samples, torch.tensor(arrays.maps), fields, arrays.world.space, seed
-        )
+        return DensityModule(train.density, samples, torch.tensor(arrays.maps), fields, space, seed)
     if name == "flow":
-        return FlowModule(train.flow, samples, _scenes(train.flow, arrays), seed)
+        return FlowModule(train.flow, samples, _scenes(train.flow, arrays), seed, space)
     if name == "flow_distilled":
         if teacher is None:
             raise JobError("a distilled flow needs a teacher", expected="the flow's checkpoint", got="none")
         weights, scenes = load_weights(teacher, "net"), _scenes(train.flow, arrays)
-        return FlowDistillationModule(train.flow_distilled, train.flow, samples, scenes, weights, seed)
+        return FlowDistillationModule(train.flow_distilled, train.flow, samples, scenes, weights, seed, space)
     if name == "cvae":
-        return PathVaeModule(train.cvae, samples, _scenes(train.cvae, arrays), seed)
+        return PathVaeModule(train.cvae, samples, _scenes(train.cvae, arrays), seed, space)
     config: PathGanConfig = getattr(train, name)
     if config.guide_weight == 0.0:
-        return PathGanModule(config, samples, _scenes(config, arrays), seed)
+        return PathGanModule(config, samples, _scenes(config, arrays), seed, space=space)
     if guides is None:
         raise JobError("a guided model needs local critics", expected="guides", got="none")
     reader = make_reader(guides.lookups, arrays.scenes())
-    return PathGanModule(config, samples, _scenes(config, arrays), seed, guides.critics(), reader)
+    return PathGanModule(config, samples, _scenes(config, arrays), seed, guides.critics(), reader, space)
 
 
 def load_density(train: PathTrainConfig, arrays: PathArrays, checkpoint: Path) -> PathUNet:
@@ -107,19 +105,19 @@ def load_points(
     name: PathModel, train: PathTrainConfig, arrays: PathArrays, checkpoint: Path
 ) -> PathFlow | PathDecoder | RefiningGenerator:
     """The flow, decoder or generator of a trial's checkpoint."""
-    dim, latent_dim = arrays.paths.shape[2], arrays.mu.shape[1]
+    dim, latent_dim, space = arrays.paths.shape[2], arrays.mu.shape[1], arrays.world.space
     config = train.points_of(name)
     reader = make_reader(config.lookups, _scenes(config, arrays))
     looked_up = 0 if reader is None else reader.lookups.values
     net: PathFlow | PathDecoder | RefiningGenerator
     with seeded_initialisation(0):
         if isinstance(config, FlowConfig):
-            net = make_flow(config, dim, latent_dim, looked_up)
+            net = make_flow(config, dim, latent_dim, looked_up, space)
         elif name == "cvae":
             sizes = (dim, latent_dim, train.cvae.hidden, train.cvae.layers, train.cvae.code_dim)
-            net = PathDecoder(*sizes, 0, place=train.cvae.place)
+            net = PathDecoder(*sizes, 0, place=train.cvae.place, space=space)
         else:
-            net = make_path_generator(getattr(train, name), dim, latent_dim, looked_up)
+            net = make_path_generator(getattr(train, name), dim, latent_dim, looked_up, space)
     net.load_state_dict(load_weights(checkpoint, "net"))
     return net.eval()
 

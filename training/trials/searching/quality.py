@@ -7,11 +7,11 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from cspace.space import to_float32
 from cspace.splits import Split
 from cspace.world import World
 from services.evaluator.measures.reconstruction import SampleQuality, sample_quality
 from services.evaluator.measures.scenes import Scene, Stage
+from training.models.cells import UniformBase
 from training.models.mixture import GatedSampler, LookupSampler
 from training.models.networks import Encoder, TorusGenerator
 
@@ -74,8 +74,8 @@ class Validation:
                 cell, place, jitter = (torch.rand(SAMPLES, size, generator=rng) for size in (1, 1, dim))
                 start = [cell, place, jitter - 0.5]
             else:
-                start = [(2.0 * torch.rand(SAMPLES, dim, generator=rng) - 1.0) * torch.pi]
+                start = [UniformBase(dim, scene.space).draw(torch.zeros(SAMPLES), rng)]
             noise = torch.randn(SAMPLES, sampler.noise_dim, generator=rng)
             seen = [image] if getattr(sampler, "lookups", None) is not None else []
             samples: torch.Tensor = sampler(latent, *start, noise, *seen)
-        return to_float32(samples.squeeze(1).numpy()).astype(np.float64)
+        return scene.space.to_float32(samples.squeeze(1).numpy()).astype(np.float64)

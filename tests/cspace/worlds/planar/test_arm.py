@@ -33,6 +33,12 @@ def test_joints_are_circles_unless_they_have_limits():
     assert (space.lower, space.upper) == ((-pi, -1.0), (pi, 2.0))
 
 
+@pytest.mark.parametrize("limits", [(-2.9, 4.0), (-4.0, 1.0), (-7.0, 7.0)])
+def test_limits_may_lie_beyond_half_a_turn(limits):
+    space = PlanarArm(joint_limits_rad=(limits, None)).space
+    assert (space.lower[0], space.upper[0], space.periodic) == (*limits, (False, True))
+
+
 @pytest.mark.parametrize("arm", [TWO_LINK, THREE_LINK, PlanarArm(joint_limits_rad=(None, (-1.0, 2.0)))])
 def test_a_robot_survives_json(arm):
     assert PlanarArm.from_dict(json.loads(json.dumps(arm.to_dict()))) == arm
@@ -49,7 +55,8 @@ def test_a_robot_survives_json(arm):
         {"half_width_m": nan},
         {"joint_limits_rad": (None,)},
         {"joint_limits_rad": (None, (1.0, 1.0))},
-        {"joint_limits_rad": (None, (-4.0, 1.0))},
+        {"joint_limits_rad": (None, (-4000.0, 1.0))},
+        {"joint_limits_rad": (None, (1.0, 1.0 + 1e-7))},
         {"joint_limits_rad": (None, (nan, 1.0))},
     ],
 )

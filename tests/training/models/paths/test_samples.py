@@ -10,8 +10,9 @@ from cspace.worlds.planar.arm import TWO_LINK
 from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.world import PlanarWorld
 from tests.training.models.path_builders import POINTS, generator, samples
-from training.models.paths.condition import Condition, condition_size, on_torus, place_features, swept
+from training.models.paths.condition import Condition, condition_size, place_features, swept
 from training.models.paths.samples import equal_paths
+from training.models.space.features import on_torus
 
 
 def test_a_point_lies_at_its_place_between_the_ends_that_come_with_it():

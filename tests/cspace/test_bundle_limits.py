@@ -1,0 +1,142 @@
+"""Bundles of limited joints: whatever their graphs give, every answer lies within the limits."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cspace.bundle import Bundle, BundleSpec, write_bundle
+from cspace.bundle.files import GOLDEN_FILE, SPEC_FILE, SUMS_FILE, sums_of
+from cspace.bundle.golden import GoldenCase
+from cspace.errors import BundleError, BundleIntegrityError, InputError
+from cspace.space import JointSpace, to_float32
+from cspace.worlds.planar.arm import PlanarArm
+from tests.bundles import picture, tiny_graphs, tiny_spec, write_tiny_bundle
+
+ARMS = {
+    "mixed": PlanarArm(joint_limits_rad=(None, (-1.0, 0.5))),
+    "box": PlanarArm(joint_limits_rad=((-2.9, 4.0), (0.1, 0.7))),
+    "wide": PlanarArm(joint_limits_rad=((-7.0, 7.0), (-9.0, -5.0))),
+}
+
+
+def inside(space: JointSpace, samples: np.ndarray) -> bool:
+    """As real numbers, circles in [-pi, pi)."""
+    exact = samples.astype(np.float64)
+    below = np.where(space.periodic, exact < space.upper, exact <= space.upper)
+    return bool(np.all((exact >= space.lower) & below))
+
+
+@pytest.fixture(params=list(ARMS))
+def robot(request: pytest.FixtureRequest) -> PlanarArm:
+    return ARMS[request.param]
+
+
+@pytest.mark.parametrize("least", [0.0, 0.1])
+def test_no_answer_holds_a_configuration_outside_the_limits(
+    tmp_path: Path, robot: PlanarArm, least: float
+) -> None:
+    spec = replace(tiny_spec(robot), uniform_share=0.4)
+    graphs = tiny_graphs(spec, validity=True, scale=3.0)
+    bundle = Bundle.load(write_bundle(tmp_path / "bundle", spec, graphs))
+    samples = bundle.sample(picture(), 4000, 1, min_confidence=least, epsilon_sigma=(0.0, 5.0)).samples
+    assert len(samples)
+    assert inside(robot.space, samples)
+
+
+def test_no_path_sample_lies_outside_the_limits(tmp_path: Path, robot: PlanarArm) -> None:
+    bundle = Bundle.load(write_tiny_bundle(tmp_path / "bundle", robot, kind="path", scale=5.0))
+    start, goal = robot.space.sample_uniform(np.random.default_rng(0), 2)
+    assert inside(robot.space, bundle.sample(picture(), 4000, 1, start=start, goal=goal).samples)
+
+
+def test_an_end_outside_the_limits_is_refused_with_limits_and_value(tmp_path: Path) -> None:
+    bundle = Bundle.load(write_tiny_bundle(tmp_path / "bundle", ARMS["mixed"], kind="path"))
+    with pytest.raises(InputError, match="start lies outside the limits") as refused:
+        bundle.sample(picture(), 5, 1, start=[0.0, 2.0 * np.pi], goal=[0.0, 0.0])
+    assert "0.5" in str(refused.value.expected)
+    assert "6.28319" in str(refused.value.got)
+    # Circles are wrapped as ever.
+    turned, plain = (
+        bundle.sample(picture(), 5, 1, start=[angle, 0.1], goal=[0.0, 0.0]).samples
+        for angle in (1.0 + 2.0 * np.pi, 1.0)
+    )
+    np.testing.assert_allclose(turned, plain, atol=1e-5)
+
+
+def test_a_start_at_a_limit_is_taken(tmp_path: Path) -> None:
+    robot = ARMS["box"]
+    bundle = Bundle.load(write_tiny_bundle(tmp_path / "bundle", robot, kind="path"))
+    assert bundle.sample(picture(), 5, 1, start=robot.space.lower, goal=robot.space.upper).shortfall == 0
+
+
+def test_the_description_tells_limits_and_is_read_again() -> None:
+    spec = tiny_spec(ARMS["mixed"])
+    told = json.loads(spec.to_json())["joint_space"]
+    assert told == {
+        "kind": "mixed", "dim": 2, "unit": "rad",
+        "lower": [-np.pi, -1.0], "upper": [np.pi, 0.5], "periodic": [True, False],
+    }  # fmt: skip
+    assert BundleSpec.from_json(spec.to_json()) == spec
+
+
+def test_a_joint_space_of_other_limits_than_the_robots_is_refused() -> None:
+    values = tiny_spec(ARMS["mixed"]).to_dict()
+    values["joint_space"]["upper"] = [np.pi, 0.6]
+    with pytest.raises(BundleIntegrityError, match="joint_space"):
+        BundleSpec.from_dict(values)
+
+
+def as_written_before(folder: Path, robot: PlanarArm, kind: str = "configuration") -> Path:
+    """A bundle of the release that took every arm for a torus, its golden case included."""
+    spec = tiny_spec(robot, kind=kind)
+    unlimited = Bundle.load(write_tiny_bundle(folder.with_name("plain"), kind=kind, validity=True))
+    write_bundle(folder, spec, tiny_graphs(spec, validity=True))
+    told = spec.to_dict() | {"joint_space": {"kind": "torus", "dim": spec.dim, "unit": "rad"}}
+    contents = {
+        path.relative_to(folder).as_posix(): path.read_bytes()
+        for path in folder.rglob("*")
+        if path.is_file() and path.name != SUMS_FILE
+    }
+    contents[SPEC_FILE] = json.dumps(told).encode()
+    contents[GOLDEN_FILE] = (unlimited.folder / GOLDEN_FILE).read_bytes()
+    for name, data in {**contents, SUMS_FILE: sums_of(contents)}.items():
+        (folder / name).write_bytes(data)
+    return folder
+
+
+@pytest.mark.parametrize("kind", ["configuration", "path"])
+@pytest.mark.parametrize("limits", [(-2.0, 2.5), (0.3, 0.8)])
+def test_a_bundle_that_calls_a_limited_arm_a_torus_is_read_and_bounded(
+    tmp_path: Path, kind: str, limits: tuple[float, float]
+) -> None:
+    robot = PlanarArm(joint_limits_rad=(None, limits))
+    folder = as_written_before(tmp_path / "old", robot, kind)
+    golden = GoldenCase.from_npz((folder / GOLDEN_FILE).read_bytes())
+    assert not inside(robot.space, golden.samples)
+    bundle = Bundle.load(folder)
+    middle = [0.0, sum(limits) / 2.0]
+    ends = {} if kind == "configuration" else {"start": middle, "goal": middle}
+    assert inside(robot.space, bundle.sample(picture(), 3000, 1, **ends).samples)
+
+
+def test_what_was_inside_before_is_bit_equal_now(tmp_path: Path) -> None:
+    robot = PlanarArm(joint_limits_rad=(None, (-2.0, 2.5)))
+    bundle = Bundle.load(as_written_before(tmp_path / "old", robot))
+    torus = Bundle.load(tmp_path / "plain").sample(picture(), 3000, 1).samples
+    samples = bundle.sample(picture(), 3000, 1).samples
+    kept = robot.space.contains(torus)
+    np.testing.assert_array_equal(samples[kept], torus[kept])
+    assert 0 < kept.sum() < len(kept)
+    np.testing.assert_array_equal(torus, to_float32(torus))
+
+
+def test_a_sampler_that_forgets_the_limits_is_an_error_not_an_answer(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bundle = Bundle.load(write_tiny_bundle(tmp_path / "bundle", ARMS["mixed"]))
+    monkeypatch.setattr(JointSpace, "to_float32", lambda _, values: to_float32(values))
+    with pytest.raises(BundleError, match="outside the limits"):
+        bundle.sample(picture(), 500, 1)

@@ -1,0 +1,122 @@
+"""Joint spaces of circles and limited joints, at any turn and of any range."""
+
+from math import pi
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from cspace.space import JointSpace, circles, difference, embed, to_float32, wrap
+
+TORUS = circles(2)
+MIXED = JointSpace((-pi, -1.0), (pi, 2.0), (True, False))
+rows = arrays(np.float64, (5, 2), elements=st.floats(-1e3, 1e3))
+
+
+@st.composite
+def spaces(draw):
+    ends, wraps = [], []
+    for _ in range(2):
+        wraps.append(draw(st.booleans()))
+        low = draw(st.floats(-20.0, 20.0))
+        ends.append((-pi, pi) if wraps[-1] else (low, low + draw(st.floats(1e-3, 20.0))))
+    return JointSpace(tuple(low for low, _ in ends), tuple(high for _, high in ends), tuple(wraps))
+
+
+def inside(space, configurations):
+    """Within every joint's range as real numbers, circles without their upper end."""
+    values = np.asarray(configurations, dtype=np.float64)
+    upper = np.where(space.periodic, values < space.upper, values <= space.upper)
+    return bool(np.all((values >= space.lower) & upper))
+
+
+@given(spaces(), rows)
+def test_what_is_bounded_lies_inside_and_stays_where_it_is_from_then_on(space, configurations):
+    bounded = space.bound(configurations)
+    assert inside(space, bounded)
+    np.testing.assert_array_equal(space.bound(bounded), bounded)
+
+
+@given(spaces(), st.integers(0, 2**32 - 1))
+def test_a_uniform_draw_lies_inside_and_is_not_moved(space, seed):
+    drawn = space.sample_uniform(np.random.default_rng(seed), 50)
+    assert inside(space, drawn)
+    np.testing.assert_allclose(space.bound(drawn), drawn, atol=1e-12)
+
+
+@given(spaces(), rows)
+def test_single_precision_lies_inside_as_real_numbers(space, configurations):
+    cast = space.to_float32(configurations)
+    assert cast.dtype == np.float32
+    assert inside(space, cast)
+    np.testing.assert_allclose(
+        space.difference(cast, space.bound(configurations)),
+        0.0,
+        atol=2e-6 * (1.0 + max(map(abs, space.upper))),
+    )
+
+
+@given(spaces(), rows)
+def test_a_limited_joint_keeps_its_pose_where_its_range_is_a_whole_turn(space, configurations):
+    bounded = space.bound(configurations)
+    whole = np.asarray(space.periodic) | (np.subtract(space.upper, space.lower) >= 2.0 * pi)
+    gone = difference(bounded, configurations)[:, whole]
+    near = np.abs(bounded - configurations)[:, whole] <= 1e-4
+    np.testing.assert_allclose(np.where(near, 0.0, gone), 0.0, atol=1e-9)
+
+
+@given(spaces(), rows, rows)
+def test_a_difference_leads_from_one_to_the_other_inside_the_limits(space, first, second):
+    start, end = space.bound(first), space.bound(second)
+    step = space.difference(start, end)
+    np.testing.assert_allclose(space.difference(space.wrap(start + step), end), 0.0, atol=1e-9)
+    assert np.all(np.abs(step) <= np.where(space.periodic, pi, np.subtract(space.upper, space.lower)) + 1e-9)
+    limited = ~np.asarray(space.periodic)
+    np.testing.assert_array_equal(step[:, limited], (end - start)[:, limited])
+    np.testing.assert_allclose(space.distance(start, end), space.distance(end, start), atol=1e-9)
+
+
+def test_what_is_outside_comes_in_by_whole_turns_or_to_the_nearer_limit():
+    assert MIXED.bound([4.0, 2.0 * pi + 1.5]) == pytest.approx([4.0 - 2.0 * pi, 1.5])
+    assert MIXED.bound([0.0, 2.5])[1] == 2.0
+    # Round the circle 5.0 is -1.28: the lower limit is nearer.
+    assert MIXED.bound([0.0, 5.0])[1] == -1.0
+    wide = JointSpace((-2.9,), (4.0,), (False,))
+    assert wide.bound([4.5]) == pytest.approx([4.5 - 2.0 * pi])
+    assert wide.bound([3.9])[0] == 3.9
+
+
+def test_what_is_outside_by_rounding_stays_at_its_limit():
+    whole = JointSpace((-pi,), (pi,), (False,))
+    assert whole.bound([pi + 1e-6])[0] == pi
+    assert whole.bound([-pi - 1e-6])[0] == -pi
+
+
+@given(rows)
+def test_on_the_torus_every_number_is_that_of_the_plain_functions(configurations):
+    np.testing.assert_array_equal(TORUS.bound(configurations), wrap(configurations))
+    np.testing.assert_array_equal(TORUS.to_float32(configurations), to_float32(configurations))
+    np.testing.assert_array_equal(TORUS.embed(configurations), embed(configurations))
+
+
+@pytest.mark.parametrize("dim", [1, 2, 3, 7])
+def test_uniform_draws_on_the_torus_are_those_of_one_range_for_all_joints(dim):
+    drawn = circles(dim).sample_uniform(np.random.default_rng(3), 100)
+    np.testing.assert_array_equal(drawn, np.random.default_rng(3).uniform(-np.pi, np.pi, (100, dim)))
+    assert circles(dim).volume == (2.0 * np.pi) ** dim
+
+
+def test_the_embedding_keeps_limited_joints_in_rad_behind_the_circles():
+    np.testing.assert_allclose(MIXED.embed([pi / 2.0, 1.5]), [0.0, 1.0, 1.5], atol=1e-15)
+    assert MIXED.volume == pytest.approx(6.0 * pi)
+
+
+def test_a_space_says_what_it_is():
+    assert TORUS.to_dict() == {"kind": "torus", "dim": 2, "unit": "rad"}
+    assert MIXED.to_dict() == {
+        "kind": "mixed", "dim": 2, "unit": "rad",
+        "lower": [-pi, -1.0], "upper": [pi, 2.0], "periodic": [True, False],
+    }  # fmt: skip
+    assert JointSpace((-4.0,), (1.0,), (False,)).to_dict()["kind"] == "box"

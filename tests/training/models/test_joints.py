@@ -1,0 +1,114 @@
+import numpy as np
+import pytest
+import torch
+
+from cspace.space import JointSpace, circles
+from training.models import losses
+from training.models.cells import CellBase, CellPoints, UniformBase
+from training.models.networks import MeansGenerator, TorusGenerator
+from training.models.space.features import harmonics, on_torus, torus_features
+from training.models.space.joints import Joints
+
+TORUS = Joints(circles(3))
+# A circle between two joints with limits, one of them beyond half a turn and one wider than a turn.
+SPACE = JointSpace((-2.9, -np.pi, -7.0), (4.0, np.pi, 1.0), (False, True, False))
+MIXED = Joints(SPACE)
+RNG = torch.Generator().manual_seed(0)
+
+
+def angles(count=500, scale=20.0):
+    return scale * (2.0 * torch.rand(count, 3, generator=RNG) - 1.0)
+
+
+def test_without_limits_every_number_is_that_of_the_torus():
+    first, second, share = angles(), angles(), torch.rand(500, 1, generator=RNG)
+    assert TORUS.from_torus(first) is first
+    assert TORUS.fold(first) is first
+    torch.testing.assert_close(TORUS.features(first), harmonics(first), rtol=0, atol=0)
+    torch.testing.assert_close(TORUS.pair_features(first), torus_features(first), rtol=0, atol=0)
+    way = torch.remainder(second - first + torch.pi, 2.0 * torch.pi) - torch.pi
+    torch.testing.assert_close(TORUS.way(first, second), way, rtol=0, atol=0)
+    between = losses.wrapped_interpolation(second, first, share)
+    torch.testing.assert_close(TORUS.between(first, second, share), between, rtol=0, atol=0)
+    apart = 1.0 - torch.cos(first - second)
+    torch.testing.assert_close(TORUS.apart(first, second), apart, rtol=0, atol=0)
+    embedded = torch.cat([torch.cos(first), torch.sin(first)], dim=1)
+    torch.testing.assert_close(TORUS.embed(first), embedded, rtol=0, atol=0)
+    torch.testing.assert_close(TORUS.unembed(embedded), on_torus(embedded), rtol=0, atol=0)
+
+
+def test_folding_keeps_what_is_inside_and_mirrors_the_rest_at_the_limits():
+    inside = torch.tensor(SPACE.sample_uniform(np.random.default_rng(0), 300), dtype=torch.float32)
+    torch.testing.assert_close(MIXED.fold(inside), inside, rtol=0, atol=2e-6)
+    outside = torch.tensor([[4.5, 9.0, 1.25], [-3.0, -9.0, -7.5], [4.0 + 6.9 + 0.1, 0.0, -7.0]])
+    folded = torch.tensor([[3.5, 9.0, 0.75], [-2.8, -9.0, -6.5], [-2.8, 0.0, -7.0]])
+    torch.testing.assert_close(MIXED.fold(outside), folded, rtol=0, atol=1e-5)
+    assert SPACE.holds(SPACE.to_float32(MIXED.fold(angles(5000)).numpy())).all()
+
+
+def test_what_is_folded_has_a_gradient_everywhere():
+    values = angles().requires_grad_()
+    MIXED.fold(values).sum().backward()
+    assert (values.grad.abs() == 1.0).all()
+
+
+def test_what_is_uniform_on_the_torus_becomes_uniform_within_the_limits():
+    drawn = UniformBase(3, SPACE).draw(torch.zeros(40_000, dtype=torch.int64), RNG)
+    low, high = drawn.min(dim=0).values.numpy(), drawn.max(dim=0).values.numpy()
+    np.testing.assert_allclose(low, SPACE.lower, atol=0.01)
+    np.testing.assert_allclose(high, SPACE.upper, atol=0.01)
+    np.testing.assert_allclose(drawn.std(dim=0), np.subtract(SPACE.upper, SPACE.lower) / 12**0.5, rtol=0.02)
+
+
+def test_ways_go_round_circles_alone():
+    start, end = torch.tensor([[-2.8, 3.0, -6.0]]), torch.tensor([[3.9, -3.0, 0.5]])
+    way = torch.tensor([[6.7, 2.0 * np.pi - 6.0, 6.5]])
+    torch.testing.assert_close(MIXED.way(start, end), way)
+    half = torch.tensor([[0.5]])
+    torch.testing.assert_close(MIXED.between(start, end, half), start + way / 2.0)
+    apart = torch.tensor([[6.7**2 / 2.0, 1.0 - np.cos(6.0), 6.5**2 / 2.0]], dtype=torch.float32)
+    torch.testing.assert_close(MIXED.apart(start, end), apart)
+
+
+def test_embedding_and_back_is_the_same_configuration():
+    inside = torch.tensor(SPACE.sample_uniform(np.random.default_rng(1), 300), dtype=torch.float32)
+    assert MIXED.embed(inside).shape == (300, MIXED.embedded_size)
+    torch.testing.assert_close(MIXED.unembed(MIXED.embed(inside)), inside, rtol=0, atol=1e-5)
+
+
+def test_features_tell_turns_of_a_limited_joint_apart_and_not_those_of_a_circle():
+    at = torch.tensor([[0.5, 0.5, -6.0]])
+    for joint, same in ((1, True), (2, False)):
+        turned = at.clone()
+        turned[0, joint] += 2.0 * torch.pi
+        assert torch.allclose(MIXED.features(at), MIXED.features(turned), atol=1e-5) == same
+    assert MIXED.features(at).shape == (1, MIXED.features_size)
+    assert MIXED.pair_features(at).shape == (1, MIXED.pair_features_size)
+
+
+def test_points_of_cells_that_are_spread_beyond_a_limit_are_folded_back():
+    points = CellPoints(np.array([[[3.99, 0.0, 0.99]]], dtype=np.float32), np.ones(1, dtype=np.float32))
+    _, drawn = CellBase(points, torch.ones(1, 1), SPACE).draw_in_cells(
+        torch.zeros(2000, dtype=torch.int64), RNG
+    )
+    assert SPACE.holds(SPACE.to_float32(drawn.numpy())).all()
+    assert (drawn[:, 0] <= 4.0).all()
+    assert (drawn[:, 2] <= 1.0).all()
+
+
+@pytest.mark.parametrize("means", [False, True])
+def test_no_generator_leaves_the_limits(means):
+    if means:
+        scale = (torch.zeros(3), torch.full((3,), 9.0))
+        samples = MeansGenerator(3, 4, 8, 2, 5, 1.0, scale, SPACE)(
+            torch.randn(200, 4), torch.randn(200, 5, 3)
+        )
+    else:
+        generator = TorusGenerator(3, 4, 8, 2, 2, space=SPACE)
+        torch.nn.init.normal_(generator.residual[-1].weight, std=20.0)
+        samples = generator(torch.randn(1000, 4), angles(1000, 3.0), torch.randn(1000, 2))
+    values = samples.detach().reshape(-1, 3).numpy()
+    limited = ~np.asarray(SPACE.periodic)
+    assert (values >= np.float32(SPACE.lower) - 1e-5)[:, limited].all()
+    assert (values <= np.float32(SPACE.upper) + 1e-5)[:, limited].all()
+    assert np.ptp(values[:, 0]) > 5.0

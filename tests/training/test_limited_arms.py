@@ -1,0 +1,114 @@
+"""Arms of limited joints from the data set to the answer: nothing that is served lies outside the limits."""
+
+import numpy as np
+import pytest
+
+from cspace.bundle import Bundle
+from cspace.dataset import open_dataset
+from cspace.png import encode_png
+from cspace.splits import Split
+from cspace.worlds.planar.arm import PlanarArm
+from cspace.worlds.planar.picture import decode_png
+from cspace.worlds.planar.render import render
+from cspace.worlds.planar.scene import random_scenarios
+from services.registry.models.mlflow_registry import MlflowRegistry
+from services.registry.names import MODEL_NAME, PATH_MODEL_NAME
+from tests.contracts.mlflow_server import mlflow_server
+from tests.training.clusters.test_pipeline import GATED, submit
+
+pytestmark = [pytest.mark.e2e, pytest.mark.slow, pytest.mark.timeout(600)]
+
+# A limited joint beside a circle, by one generator; two, one beyond half a turn, by a gated mixture.
+ARMS = {
+    "mixed": (PlanarArm(joint_limits_rad=(None, (-2.0, 2.5))), ()),
+    "box": (PlanarArm(joint_limits_rad=((-2.9, 4.0), (-1.5, 1.2))), ("clusters.form=mixture", *GATED)),
+}
+PATH_MODELS = {"mixed": ("flow", "flow_distilled", "wgan"), "box": ("density", "cvae", "wgan_lookups")}
+SAMPLES = 10_000
+
+
+@pytest.fixture(scope="module")
+def server(tmp_path_factory):
+    with mlflow_server(tmp_path_factory.mktemp("mlflow")) as uri:
+        yield uri
+
+
+@pytest.fixture(scope="module", params=list(ARMS))
+def trained(request, server, tmp_path_factory):
+    """The arm, its bundle, and the folder of its data sets."""
+    robot, settings = ARMS[request.param]
+    folder = tmp_path_factory.mktemp(request.param)
+    overrides = (limits_of(robot), "validity.uniform_share=0.4", "validity.threshold=0.05", *settings)
+    result = submit(server, folder, "--preset", "smoke", *chosen(overrides))
+    registry = MlflowRegistry(server)
+    bundle = registry.download(registry.version(MODEL_NAME, result["version"]), folder / "bundle")
+    return robot, Bundle.load(bundle), folder
+
+
+def limits_of(robot):
+    limits = ", ".join("null" if one is None else str(list(one)) for one in robot.joint_limits_rad)
+    return f"data.robot.joint_limits_rad=[{limits}]"
+
+
+def chosen(overrides):
+    return [part for override in overrides for part in ("--set", override)]
+
+
+def pictures(robot):
+    return [decode_png(encode_png(render(one)), 48) for one in random_scenarios(Split.DEMO, 0, 3, robot)]
+
+
+def outside(robot, samples):
+    """How many rows lie outside as real numbers, circles in [-pi, pi)."""
+    space, exact = robot.space, samples.astype(np.float64)
+    below = np.where(space.periodic, exact < space.upper, exact <= space.upper)
+    return int(np.sum(~np.all((exact >= space.lower) & below, axis=1)))
+
+
+def test_the_data_set_lies_within_the_limits_and_reaches_them(trained):
+    robot, _, folder = trained
+    (manifest,) = folder.glob("datasets/*/*.json")
+    dataset = open_dataset(manifest.parent)
+    free = np.asarray(dataset.arrays["free"])
+    assert dataset.world.body == robot
+    assert outside(robot, free) == 0
+    np.testing.assert_allclose(free.min(axis=0), robot.space.lower, atol=0.1)
+    np.testing.assert_allclose(free.max(axis=0), robot.space.upper, atol=0.1)
+
+
+@pytest.mark.parametrize("least", [0.0, None])
+def test_no_served_sample_lies_outside(trained, least):
+    robot, bundle, _ = trained
+    assert bundle.spec.joint_space == robot.space.to_dict()
+    assert bundle.spec.uniform_share == 0.4
+    for seed, image in enumerate(pictures(robot)):
+        found = bundle.sample(image, SAMPLES, seed, min_confidence=least, epsilon_sigma=(0.0, 1.0))
+        assert len(found.samples) > SAMPLES / 10
+        assert outside(robot, found.samples) == 0
+        assert np.ptp(found.samples, axis=0).min() > 1.0
+
+
+def test_a_generator_puts_no_lump_on_the_limits(trained):
+    robot, bundle, _ = trained
+    samples = bundle.sample(pictures(robot)[0], SAMPLES, 5, min_confidence=0.0).samples
+    at_limit = np.isin(samples, robot.space.to_float32([robot.space.lower, robot.space.upper]))
+    assert at_limit.mean() < 1e-3
+
+
+def test_no_path_sample_lies_outside(trained, server):
+    robot, bundle, folder = trained
+    models = PATH_MODELS[bundle.spec.joint_space["kind"]]
+    overrides = (
+        f"source={bundle.folder}", f"models=[{', '.join(models)}]", limits_of(robot),
+        "density.cells=16", "data.narrow_share=0",
+    )  # fmt: skip
+    result = submit(server, folder, "--preset", "smoke", *chosen(overrides), script="path_train.py")
+    assert set(result["versions"]) == {"ways", *models}
+    registry = MlflowRegistry(server)
+    start, goal = robot.space.lower, np.mean([robot.space.lower, robot.space.upper], axis=0)
+    for name, number in result["versions"].items():
+        version = registry.version(PATH_MODEL_NAME, number)
+        made = Bundle.load(registry.download(version, folder / name))
+        samples = made.sample(pictures(robot)[0], 2000, 1, start=start, goal=goal).samples
+        assert len(samples) == 2000
+        assert outside(robot, samples) == 0, name

@@ -1,0 +1,1 @@
+"""The joint space as networks have it."""
