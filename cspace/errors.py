@@ -21,8 +21,7 @@ CspaceError
 ├── EvaluationError                     an evaluation that cannot be computed
 ├── ServiceError                        processes of this machine
 │   ├── PortTakenError
-│   ├── ServiceStartError
-│   └── ServiceNotRunningError
+│   └── ServiceStartError
 └── JobError                            a Ray job failed or cannot go on
 """
 
@@ -150,10 +149,6 @@ class PortTakenError(ServiceError):
 
 class ServiceStartError(ServiceError):
     """A service did not come up."""
-
-
-class ServiceNotRunningError(ServiceError):
-    """A service that is needed is not running."""
 
 
 class JobError(CspaceError):

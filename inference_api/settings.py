@@ -10,8 +10,8 @@ from cspace.errors import ConfigError
 from inference_api.connections.limits import MIB, ConnectionLimits
 from inference_api.guards.names import host_names, origins, proxies
 from inference_api.guards.protection import Protection
-from inference_api.models.references import served_name
 from inference_api.telemetry.tracing import wants_traces
+from services.registry.references import PRETRAINED, is_model_name
 
 # The name is the metrics library's; `--workers` sets it.
 METRICS_FOLDER = "PROMETHEUS_MULTIPROC_DIR"
@@ -76,7 +76,7 @@ class ApiSettings:
         return cls(
             registry_uri=values.get("MLFLOW_TRACKING_URI") or None,
             cache_folder=Path(values.get("CSPACE_MODEL_CACHE") or cache),
-            model_name=served_name(values.get("CSPACE_MODEL_NAME") or DEFAULT_MODEL),
+            model_name=_served_name(values.get("CSPACE_MODEL_NAME") or DEFAULT_MODEL),
             poll_s=_number(values, "CSPACE_MODEL_POLL_S", 2.0, 0.01),
             pretrained_folder=Path(values.get("CSPACE_PRETRAINED_MODEL") or PRETRAINED_FOLDER),
             loaded_bundles=int(_number(values, "CSPACE_LOADED_MODELS", 4, 1)),
@@ -93,6 +93,17 @@ class ApiSettings:
             ),
             grace_s=int(_number(values, "CSPACE_API_GRACE_S", 10, 1)),
         )
+
+
+def _served_name(text: str) -> str:
+    if not is_model_name(text) or text == PRETRAINED:
+        raise ConfigError(
+            "the setting CSPACE_MODEL_NAME is wrong",
+            expected=f"1 to 100 letters, digits, '.', '_' and '-', first a letter or digit; not {PRETRAINED}",
+            got=repr(text)[:200],
+            remedy="name a registered model, or unset it",
+        )
+    return text
 
 
 def _protection(values: Mapping[str, str]) -> Protection:

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from cspace.errors import CspaceError, InputError
-from training.config.files import Section
 from training.jobs.environment import Environment, job_environment
+from training.section import Section
 
 # The exit code of a job that was asked to stop.
 STOPPED = 3

@@ -96,7 +96,7 @@ def register(bundle: Bundle, uri: str, alias: str) -> str:
             },
             alias=alias,
         )
-    return f"{version.name}/{version.number}"
+    return str(version)
 
 
 def _registry_uri() -> str:

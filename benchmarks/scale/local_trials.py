@@ -33,6 +33,7 @@ from training.datasets.generate import generate
 from training.trials.arrays import GatedCells, TrainingArrays
 from training.trials.launch import QUIET, run_trials
 from training.trials.loading import make_wgan
+from training.trials.request import TrialRequest
 from training.trials.trainables import local_trial
 
 EXPERIMENT = "benchmark-scale"
@@ -83,16 +84,16 @@ def orchestrated(config: TrainConfig, arrays: TrainingArrays, uri: str, out: Pat
     began = time.perf_counter()
     tracking = MlflowTracking(uri)
     entries = [
-        {
-            "name": f"local-{index}",
-            "run_id": tracking.start(EXPERIMENT, f"local-{index}").run_id,
-            "seed": config.seed + 1 + index,
-            "cluster": index,
-        }
+        TrialRequest(
+            out / "local" / f"local-{index}",
+            tracking.start(EXPERIMENT, f"local-{index}").run_id,
+            config.seed + 1 + index,
+            index,
+        )
         for index in range(trials)
     ]
     shared = {"train": config, "arrays": arrays, "tracking_uri": uri}
-    done = run_trials(local_trial, entries, shared, config.resources, out / "local")
+    done = run_trials(local_trial, entries, shared, config.resources)
     seconds = time.perf_counter() - began
     size = sum(path.stat().st_size for path in done[0].checkpoint.rglob("*") if path.is_file())
     return {"seconds": seconds, "checkpoint_bytes": size}

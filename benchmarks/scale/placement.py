@@ -28,6 +28,7 @@ from services.evaluator.evaluation.tables import markdown
 from training.config.clusters import ResourceConfig
 from training.trials.launch import run_trials
 from training.trials.outcomes import FINISHED
+from training.trials.request import TrialRequest
 
 # Enough to be stored, and little enough for the stores of many nodes in one memory.
 ARRAY_BYTES = 8 * 2**20
@@ -36,14 +37,14 @@ ARRAY_BYTES = 8 * 2**20
 def sleeper():
     """A trainable; made here so that workers get it by value."""
 
-    def sleep(config, array, reports, seconds, notes):
-        began, trial = time.time(), config["trial"]
+    def sleep(trial, array, reports, seconds, notes):
+        began = time.time()
         node = ray.get_runtime_context().get_node_id()
         for step in range(1, reports + 1):
             time.sleep(seconds / reports)
             if step == reports:
-                Path(notes, trial["name"]).write_text(f"{began} {time.time()} {node} {array.nbytes}")
-                Path(trial["places"]["folder"], f"step-{step:09d}").mkdir(parents=True)
+                Path(notes, trial.name).write_text(f"{began} {time.time()} {node} {array.nbytes}")
+                (trial.folder / f"step-{step:09d}").mkdir(parents=True)
             tune.report({"steps_per_s": 1.0, FINISHED: step == reports})
 
     return sleep
@@ -64,11 +65,11 @@ def measure(count: int, reports: int, seconds: float, out: Path) -> dict:
     with many_nodes(count):
         up_s = time.perf_counter() - began
         ray.put = counted
-        trials = [{"name": f"trial-{index}"} for index in range(count)]
+        trials = [TrialRequest(out / "job" / "sleep" / f"trial-{index}") for index in range(count)]
         array = np.zeros(ARRAY_BYTES, dtype=np.uint8)
         shared = {"array": array, "reports": reports, "seconds": seconds, "notes": str(out / "notes")}
         called, wall, cpu = time.time(), time.perf_counter(), time.process_time()
-        run_trials(sleeper(), trials, shared, ResourceConfig(), out / "job" / "sleep")
+        run_trials(sleeper(), trials, shared, ResourceConfig())
         wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
         memory = memory_bytes()
         ray.put = put

@@ -1,7 +1,5 @@
 """Writing a bundle: golden case, sums, and a folder that appears whole or not at all."""
 
-import shutil
-import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -21,6 +19,7 @@ from cspace.bundle.golden import GoldenCase, endpoints, scene
 from cspace.bundle.loaded import Bundle
 from cspace.bundle.spec import BundleSpec
 from cspace.errors import BundleIntegrityError, StorageError
+from cspace.files import replacing
 
 GOLDEN_SEED = 20_240_229
 # Odd, so that it is a multiple of no usual number of samples per latent.
@@ -62,14 +61,11 @@ def write_bundle(
         raise StorageError(
             "the bundle's folder exists", expected="a new folder", got=folder.name, remedy="choose another"
         )
-    try:
-        _write_beside_and_rename(folder, {**contents, SUMS_FILE: sums_of(contents)})
-    except OSError as error:
-        raise StorageError(
-            "the bundle cannot be written",
-            expected=f"room and rights where {folder.name} is to be",
-            got=error.strerror or type(error).__name__,
-        ) from error
+    with replacing(folder, "the bundle") as beside:
+        beside.mkdir(parents=True)
+        for name, data in {**contents, SUMS_FILE: sums_of(contents)}.items():
+            (beside / name).write_bytes(data)
+        Bundle.load(beside)
     return folder
 
 
@@ -109,16 +105,3 @@ def _compute_golden(folder: Path, contents: Mapping[str, bytes]) -> GoldenCase:
         goal=goal,
         confidence=answer.confidence,
     )
-
-
-def _write_beside_and_rename(folder: Path, contents: Mapping[str, bytes]) -> None:
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    beside = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
-    try:
-        for name, data in contents.items():
-            (beside / name).write_bytes(data)
-        Bundle.load(beside)
-        beside.chmod(0o755)
-        beside.rename(folder)
-    finally:
-        shutil.rmtree(beside, ignore_errors=True)

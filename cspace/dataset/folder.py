@@ -11,7 +11,6 @@
 """
 
 import shutil
-import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,6 +22,7 @@ from numpy.typing import NDArray
 from cspace.dataset.checks import check_arrays
 from cspace.dataset.manifest import MANIFEST_FILE, Manifest, file_digest
 from cspace.errors import DamagedFileError, DatasetError, StorageError
+from cspace.files import replacing
 from cspace.space import JointSpace
 from cspace.world import World
 
@@ -208,25 +208,14 @@ def _write(folder: Path, arrays: Arrays, manifest: Manifest) -> None:
     if folder.exists():
         raise StorageError("the data set's folder exists", expected="a new folder", got=str(folder))
     require_room(folder, sum(array.nbytes for array in arrays.values()))
-    try:
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        beside = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
-        try:
-            files = {}
-            for name, array in arrays.items():
-                np.save(beside / f"{name}.npy", array, allow_pickle=False)
-                files[f"{name}.npy"] = file_digest(beside / f"{name}.npy")
-            whole = Manifest(manifest.world, manifest.counts, manifest.generator, files)
-            (beside / MANIFEST_FILE).write_text(whole.to_json(), encoding="utf-8")
-            beside.chmod(0o755)
-            beside.rename(folder)
-        except BaseException:
-            shutil.rmtree(beside, ignore_errors=True)
-            raise
-    except OSError as error:
-        raise StorageError(
-            "the data set cannot be written", expected=f"room and rights at {folder}", got=str(error)
-        ) from error
+    with replacing(folder, f"the data set {folder}") as beside:
+        beside.mkdir(parents=True)
+        files = {}
+        for name, array in arrays.items():
+            np.save(beside / f"{name}.npy", array, allow_pickle=False)
+            files[f"{name}.npy"] = file_digest(beside / f"{name}.npy")
+        whole = Manifest(manifest.world, manifest.counts, manifest.generator, files)
+        (beside / MANIFEST_FILE).write_text(whole.to_json(), encoding="utf-8")
 
 
 def _rows(name: str, parts: Sequence[NDArray[Any]], space: JointSpace) -> dict[str, NDArray[Any]]:

@@ -129,7 +129,7 @@ class BundleCache:
             return self.start(version).result(wait_s)
         except TimeoutError:
             raise NotLoadedYetError(
-                f"{version.name}/{version.number} is still being fetched", remedy="ask again in some seconds"
+                f"{version} is still being fetched", remedy="ask again in some seconds"
             ) from None
 
     def is_loaded(self, version: ModelVersion) -> bool:

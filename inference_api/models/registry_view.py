@@ -14,8 +14,9 @@ from cspace.bundle import Bundle
 from cspace.errors import ModelNotFoundError, RegistryError, RegistryUnavailableError
 from inference_api.models.apart.remembered import Remembered
 from inference_api.models.bundle_cache import BundleCache
-from inference_api.models.references import CHAMPION, ModelReference
 from services.registry.models.port import ModelLookups, ModelVersion
+from services.registry.names import ALIAS_CHAMPION
+from services.registry.references import ModelReference
 
 _Answer = TypeVar("_Answer")
 _LOG = logging.getLogger(__name__)
@@ -73,7 +74,7 @@ class RegistryView:
             RegistryError: the registry does not answer.
         """
         try:
-            return self._ask(lambda: self._find(ModelReference(name, CHAMPION)))
+            return self._ask(lambda: self._find(ModelReference(name, ALIAS_CHAMPION)))
         except ModelNotFoundError:
             return None
 
@@ -177,10 +178,7 @@ class RegistryView:
         return found
 
     def _find(self, reference: ModelReference) -> ModelVersion:
-        if reference.version is not None:
-            found = self._registry.version(reference.name, reference.version)
-        else:
-            found = self._registry.by_alias(reference.name, reference.alias or CHAMPION)
+        found = reference.look_up(self._registry)
         # Its name becomes a folder's, and it is what the answer to a request says.
         if found.name != reference.name or reference.version not in (None, found.number):
             raise _another(reference)

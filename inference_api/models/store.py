@@ -23,11 +23,12 @@ from inference_api.failures import ModelNotReadyError
 from inference_api.models.apart.processes.child import Child
 from inference_api.models.bundle_cache import BundleCache, NotLoadedYetError
 from inference_api.models.pictures import PictureCache
-from inference_api.models.references import CHAMPION, PRETRAINED, ModelReference
 from inference_api.models.registry_view import LOAD_WAIT_S, RegistryView
 from inference_api.models.succession import Fetch, Succession, refusal_of
 from inference_api.telemetry.observer import Nobody, Observer
 from services.registry.models.port import ModelLookups, ModelVersion
+from services.registry.names import ALIAS_CHAMPION
+from services.registry.references import PRETRAINED, ModelReference
 from services.registry.scrubbing import anonymous
 
 _LOG = logging.getLogger(__name__)
@@ -184,7 +185,7 @@ class ModelStore:
         if reference == ModelReference(self.model_name):
             return self.default or self._shipped_or_raise()
         champion = self._champion
-        if champion is not None and reference == ModelReference(self.model_name, CHAMPION):
+        if champion is not None and reference == ModelReference(self.model_name, ALIAS_CHAMPION):
             return champion
         if self._view is None:
             raise _unknown(reference)
@@ -248,7 +249,7 @@ class ModelStore:
         )
 
     def _succeeded(self, version: ModelVersion, bundle: Bundle) -> None:
-        self._champion = _served(bundle, version, CHAMPION)
+        self._champion = _served(bundle, version, ALIAS_CHAMPION)
         self.observer.reloaded()
         _LOG.info("in service: %s/%d", version.name, version.number)
         self._remember(version)
@@ -274,13 +275,11 @@ def _served(bundle: Bundle, version: ModelVersion, alias: str | None) -> ServedM
 
 
 def _alias(reference: ModelReference) -> str | None:
-    return CHAMPION if reference.is_bare else reference.alias
+    return ALIAS_CHAMPION if reference.is_bare else reference.alias
 
 
 def _not_sound(version: ModelVersion, error: BundleError) -> ModelNotReadyError:
-    return ModelNotReadyError(
-        f"{version.name}/{version.number} is refused", expected="a sound bundle", got=anonymous(str(error))
-    )
+    return ModelNotReadyError(f"{version} is refused", expected="a sound bundle", got=anonymous(str(error)))
 
 
 def _unknown(reference: ModelReference) -> ModelNotFoundError:

@@ -1,11 +1,11 @@
 """What the registry said about a version as JSON: from the children, and beside its bundle in the cache."""
 
 import json
-import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from cspace.files import write_json
 from services.registry.models.port import ModelVersion
 
 # More than any description has; what is longer is somebody else's file.
@@ -55,13 +55,7 @@ def write_version(path: Path, version: ModelVersion) -> None:
     Raises:
         OSError: the file cannot be written.
     """
-    # Processes that share a cache write the same file at the same time.
-    beside = path.with_name(f".write-{path.name}-{os.getpid()}")
-    try:
-        beside.write_text(json.dumps(to_values(version)))
-        beside.replace(path)
-    finally:
-        beside.unlink(missing_ok=True)
+    write_json(path, to_values(version))
 
 
 def read_version(path: Path) -> ModelVersion | None:

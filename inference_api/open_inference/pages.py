@@ -10,7 +10,6 @@ from fastapi import APIRouter, FastAPI, Request
 from fastapi.responses import Response
 
 from inference_api.guards.rate import client_of
-from inference_api.models.references import PRETRAINED, ModelReference
 from inference_api.models.store import PRETRAINED_VERSION, ModelStore, ServedModel
 from inference_api.open_inference.protocol_errors import PREFIX, ProtocolErrors
 from inference_api.open_inference.tensor_sampling import IMAGE, read_inference, reference_of
@@ -29,6 +28,7 @@ from inference_api.pages.dependencies import Room, Store, Turn, room_of, store_o
 from inference_api.pages.exchange import respond
 from inference_api.pages.health import default_model
 from inference_api.problems import UNSUPPORTED_MEDIA_TYPE, RequestError
+from services.registry.references import PRETRAINED, ModelReference
 
 MEDIA_TYPES = ("application/json", "application/octet-stream")
 PLATFORM = "onnx_onnxv1"

@@ -13,7 +13,6 @@ from cspace.bundle import Bundle, SampleSet
 from cspace.errors import InputError
 from cspace.query import MAX_SAMPLES, MAX_SEED, SampleQuery
 from inference_api.models.pictures import PictureCache, Prepared
-from inference_api.models.references import PRETRAINED, ModelReference
 from inference_api.models.store import ModelStore, ServedModel
 from inference_api.open_inference.tensor_request import flag, read_request, split_parameters
 from inference_api.open_inference.tensor_schemas import InferenceRequest, RequestedOutput
@@ -23,6 +22,7 @@ from inference_api.pages.schemas import QueryFields
 from inference_api.pages.validation import brief_members, validate_fields
 from inference_api.telemetry.observer import Sampled
 from inference_api.turns.turns import Turn
+from services.registry.references import PRETRAINED, ModelReference
 
 IMAGE = "image"
 # Each is encoded, and has a seed.

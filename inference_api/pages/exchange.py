@@ -14,10 +14,10 @@ from fastapi.responses import Response
 
 from inference_api.connections.departure import DEPARTURE
 from inference_api.guards.rate import client_of
-from inference_api.models.references import ModelReference
 from inference_api.models.store import ModelStore, ServedModel
 from inference_api.turns.turns import Turn, Turns
 from inference_api.turns.waiting_room import WaitingRoom
+from services.registry.references import ModelReference
 
 
 class Question(Protocol):

@@ -1,9 +1,9 @@
 """Whether samples can be asked for."""
 
 from inference_api.failures import ModelNotReadyError
-from inference_api.models.references import ModelReference
 from inference_api.models.store import ModelStore, ServedModel
 from inference_api.turns.turns import STUCK_S, Turns
+from services.registry.references import ModelReference
 
 
 def default_model(store: ModelStore, turns: Turns) -> ServedModel:

@@ -11,7 +11,6 @@ from fastapi.routing import APIRoute
 
 from inference_api.bodies.request_body import read_fields
 from inference_api.guards.rate import client_of
-from inference_api.models.references import PRETRAINED
 from inference_api.models.store import PRETRAINED_VERSION, ModelStore
 from inference_api.pages.dependencies import Room, Store, Turn, room_of, store_of, turns_of
 from inference_api.pages.described import GUARD_PROBLEMS, problem_responses, sample_extra, sample_responses
@@ -21,6 +20,7 @@ from inference_api.pages.sampling import model_info, prefers_npy, read_question
 from inference_api.pages.schemas import ListedModel, Live, ModelList, Ready
 from inference_api.problems import NO_MODEL, UNAUTHORIZED
 from inference_api.telemetry.metrics import CONTENT_TYPE, Metrics
+from services.registry.references import PRETRAINED
 
 router = APIRouter()
 

@@ -13,7 +13,6 @@ from cspace.bundle import BundleSpec, SampleSet
 from cspace.bundle.keeping import BUDGET, BUDGET_AT_LEAST
 from cspace.query import SampleQuery
 from inference_api.bodies.request_body import RawFields, parse_fields
-from inference_api.models.references import ModelReference
 from inference_api.models.store import ModelStore, ServedModel
 from inference_api.pages.schemas import (
     ModelInfo,
@@ -25,6 +24,7 @@ from inference_api.pages.schemas import (
 from inference_api.pages.validation import validate_request
 from inference_api.telemetry.observer import Sampled
 from inference_api.turns.turns import Turn
+from services.registry.references import ModelReference
 
 NPY = "application/x-npy"
 # What decoding and encoding a further picture costs, in samples that are drawn.

@@ -5,7 +5,7 @@ import os
 import sys
 from collections.abc import Sequence
 
-from cspace.errors import ConfigError, CspaceError, PortTakenError, ServiceNotRunningError
+from cspace.errors import ConfigError, CspaceError, PortTakenError
 from services.local.commands import COMMANDS
 from services.local.environment import without_proxy
 from services.local.settings import Settings
@@ -34,9 +34,7 @@ def exit_code(error: CspaceError) -> int:
     """The documented exit code of an error."""
     if isinstance(error, ConfigError):
         return 2
-    if isinstance(error, PortTakenError):
-        return 3
-    return 4 if isinstance(error, ServiceNotRunningError) else 1
+    return 3 if isinstance(error, PortTakenError) else 1
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -49,6 +49,16 @@ def test_the_settings_of_the_edge_are_read() -> None:
     assert protection.trusted_proxies == ("10.0.0.0/8",)
 
 
+@pytest.mark.parametrize("name", ["../m", "m/1", "m@champion", ".m", "a" * 101, "pretrained", "m\n"])
+def test_a_default_that_no_request_could_name_is_a_wrong_setting(name: str) -> None:
+    with pytest.raises(ConfigError, match="CSPACE_MODEL_NAME"):
+        ApiSettings.from_environment({"CSPACE_MODEL_NAME": name})
+
+
+def test_a_default_that_requests_can_name_is_taken() -> None:
+    assert ApiSettings.from_environment({"CSPACE_MODEL_NAME": "a.b_c-d"}).model_name == "a.b_c-d"
+
+
 @pytest.mark.parametrize(
     ("name", "value"),
     [

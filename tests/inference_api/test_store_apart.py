@@ -13,10 +13,10 @@ from inference_api.failures import ModelNotReadyError
 from inference_api.models.apart.disk import DiskCache
 from inference_api.models.apart.loading import LoaderHere
 from inference_api.models.bundle_cache import RETRY_S, BundleCache
-from inference_api.models.references import ModelReference
 from inference_api.models.registry_view import REMEMBERED
 from inference_api.models.store import ModelStore
 from services.registry.models.port import ModelVersion
+from services.registry.references import ModelReference
 from tests.inference_api.clock import Clock
 from tests.inference_api.fake_registry import MODEL, CountingRegistry
 

@@ -1,17 +1,17 @@
 """From trained weights to a bundle."""
 
 import math
-import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from cspace.bundle import Bundle, BundleSpec, Provenance, RandomInput, write_bundle
 from cspace.dataset import Dataset
+from cspace.files import discard
 from cspace.space import Standardisation
 from training.clusters.novelty import known_quantiles, load_scores
 from training.clusters.threshold import choose_threshold, choose_uniform_share, validation_scores
-from training.config.clusters import GanConfig, TrainConfig, ValidityConfig
+from training.config.clusters import HeadConfig, TrainConfig
 from training.jobs.provenance import command_line, now, source_state
 from training.models.checkpoint import load_weights, seeded_initialisation
 from training.models.encode import load_encoder
@@ -25,6 +25,7 @@ from training.models.export import (
 )
 from training.models.lookups.lookups import make_lookups
 from training.models.mixture import LookupSampler
+from training.models.settings import GanConfig
 from training.models.validity import ValidityHead
 from training.trials.arrays import TrainingArrays
 from training.trials.loading import gated_sampler, load_gate, load_generator, torus_generator
@@ -53,8 +54,17 @@ class TrainedParts:
     arrays: TrainingArrays
 
 
-def make_bundle(folder: Path, config: TrainConfig, dataset: Dataset, parts: TrainedParts) -> Bundle:
+def make_bundle(
+    folder: Path, config: TrainConfig, dataset: Dataset, parts: TrainedParts, command: str | None = None
+) -> Bundle:
     """Export the networks, write the bundle, and load it again as any reader would.
+
+    Args:
+        folder: must not exist.
+        config: of the training.
+        dataset: that it was trained on.
+        parts: what the trials left.
+        command: that made it; None for that of this process.
 
     Raises:
         BundleError: the exported graphs do not make a bundle.
@@ -90,7 +100,7 @@ def make_bundle(folder: Path, config: TrainConfig, dataset: Dataset, parts: Trai
         uniform_share=(config.validity.uniform_share or 0.0) if has_head else 0.0,
         novelty_quantiles=known,
         standardisation=scale if gan.generator == "means" else None,
-        provenance=_provenance(config, dataset),
+        provenance=_provenance(config, dataset, command or command_line()),
     )
     if has_head and dataset.generator_seed is not None:
         spec = _with_choices(folder.with_name(folder.name + "-draft"), config.validity, spec, graphs)
@@ -98,7 +108,7 @@ def make_bundle(folder: Path, config: TrainConfig, dataset: Dataset, parts: Trai
 
 
 def _with_choices(
-    folder: Path, config: ValidityConfig, spec: BundleSpec, graphs: Mapping[str, bytes]
+    folder: Path, config: HeadConfig, spec: BundleSpec, graphs: Mapping[str, bytes]
 ) -> BundleSpec:
     """By the rules of ``threshold``, from a draft of the bundle that is deleted again."""
     threshold, share = config.threshold, config.uniform_share
@@ -108,7 +118,7 @@ def _with_choices(
         draft = Bundle.load(write_bundle(folder, spec, graphs))
         learned, uniform = validation_scores(draft, spec.world, THRESHOLD_SCENARIOS)
     finally:
-        shutil.rmtree(folder, ignore_errors=True)
+        discard(folder)
     precision, acceptance = config.target_precision, config.target_acceptance
     if threshold is None:
         threshold = choose_threshold(learned, precision)
@@ -152,7 +162,7 @@ def _sampler_graph(config: TrainConfig, parts: TrainedParts) -> bytes:
     return generator_graph(generators[0], arrays.world.dim, latent_dim, gan.noise_dim)
 
 
-def _provenance(config: TrainConfig, dataset: Dataset) -> Provenance:
+def _provenance(config: TrainConfig, dataset: Dataset, command: str) -> Provenance:
     source = source_state()
     return Provenance(
         git_commit=source.commit,
@@ -161,5 +171,5 @@ def _provenance(config: TrainConfig, dataset: Dataset) -> Provenance:
         seeds={"train": config.seed, "data": config.data.seed},
         config=config.to_dict(),
         created=now(),
-        command=command_line(),
+        command=command,
     )

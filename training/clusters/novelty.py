@@ -10,11 +10,11 @@ from cspace.bundle.novelty import quantiles_of
 from cspace.dataset import Dataset
 from cspace.splits import Split
 from cspace.worlds import workshop_of
-from training.config.clusters import VaeConfig
 from training.models.checkpoint import load_weights, seeded_initialisation
 from training.models.encode import load_encoder
 from training.models.networks import Decoder
 from training.models.novelty import NoveltyScores
+from training.models.settings import VaeConfig
 
 KNOWN_PICTURES = 400
 

@@ -1,7 +1,6 @@
 """The main job: data, VAE and validity head, clusters, gate, local trials, global trial, bundle, registry."""
 
 import logging
-import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -63,6 +62,7 @@ def train(
     *,
     parent_run_id: str | None = None,
     register: bool = True,
+    command: str | None = None,
 ) -> TrainResult:
     """Run the whole job, or go on with the one that was submitted under this name before.
 
@@ -72,6 +72,7 @@ def train(
         name: of the job; None always starts a new one.
         parent_run_id: of the sweep whose point the job is; None for a job of its own.
         register: whether the bundle becomes a version; it stays in the job's folder in any case.
+        command: that the bundle says it comes from; None for that of this process.
 
     Raises:
         CspaceError: bad data, a failed trial, a registry that does not answer, or a name that belongs to a
@@ -80,7 +81,8 @@ def train(
     """
     connect()
     tags = job_tags(config.preset, config.seed, "training/cluster_train.py")
-    return _run(Job.start(config, environment, tags, name=name, parent_run_id=parent_run_id), register)
+    job = Job.start(config, environment, tags, name=name, parent_run_id=parent_run_id)
+    return _run(job, register, command)
 
 
 def resume(run_id: str, environment: Environment) -> TrainResult:
@@ -97,7 +99,7 @@ def resume(run_id: str, environment: Environment) -> TrainResult:
     return _run(Job.resume(run_id, environment, TrainConfig), register=True)
 
 
-def _run(job: Job[TrainConfig], register: bool) -> TrainResult:
+def _run(job: Job[TrainConfig], register: bool, command: str | None = None) -> TrainResult:
     with job.running() as run:
         dataset = prepare_data(job.config, job.environment.data_folder)
         log_start(run, job.config, dataset)
@@ -111,8 +113,7 @@ def _run(job: Job[TrainConfig], register: bool) -> TrainResult:
         parts = TrainedParts(encoder, generators, _checkpoint(gate), _checkpoint(head), arrays)
         bundle = kept_bundle(job.folder / "bundle")
         if bundle is None:
-            shutil.rmtree(job.folder / "bundle", ignore_errors=True)
-            bundle = make_bundle(job.folder / "bundle", job.config, dataset, parts)
+            bundle = make_bundle(job.folder / "bundle", job.config, dataset, parts, command)
         outcomes = [outcome for outcome in (vae, head, gate, *local, *final) if outcome is not None]
         figures = log_result(run, bundle, dataset, outcomes)
         version = _register(job, dataset, bundle) if register else None

@@ -23,6 +23,7 @@ from training.trials.launch import run_trials
 from training.trials.loading import load_gate
 from training.trials.occupancy import OccupancyArrays
 from training.trials.outcomes import TrialOutcome
+from training.trials.request import TrialRequest
 from training.trials.trainables import (
     DISTILLED,
     GATE,
@@ -65,14 +66,14 @@ def train_on_pictures(
     if not names:
         return None, None
     _LOG.info("%s: %d pictures", " and ".join(names), len(images))
-    trials = [{"name": name, "run_id": job.child(name), "seed": config.seed} for name in names]
+    trials = [TrialRequest.of(job, "pictures", name) for name in names]
     shared = {
         "train": config,
         "images": images,
         "occupancy": occupancy,
         "tracking_uri": job.environment.tracking_uri,
     }
-    done = run_trials(picture_trial, trials, shared, config.resources, job.folder / "pictures")
+    done = run_trials(picture_trial, trials, shared, config.resources)
     outcomes = {outcome.name: outcome for outcome in done}
     return outcomes.get(VAE), outcomes.get(VALIDITY)
 
@@ -128,26 +129,17 @@ def train_gate(job: Job[TrainConfig], arrays: TrainingArrays) -> tuple[TrainingA
     """Stage 5, where there are cells: the gate, and what it says of every scenario."""
     if arrays.cells is None:
         return arrays, None
-    trial = {"name": GATE, "run_id": job.child(GATE), "seed": job.config.seed}
-    gate = run_trials(gate_trial, [trial], _shared(job, arrays), job.config.resources, job.folder / GATE)[0]
+    trial = TrialRequest.of(job, GATE, GATE)
+    gate = run_trials(gate_trial, [trial], _shared(job, arrays), job.config.resources)[0]
     probabilities = gate_probabilities(load_gate(job.config, gate.checkpoint), arrays.mu)
     return replace(arrays, cells=replace(arrays.cells, probabilities=probabilities)), gate
 
 
 def train_local(job: Job[TrainConfig], arrays: TrainingArrays) -> list[TrialOutcome]:
     """Stage 6: one WGAN-GP a cluster, in parallel."""
-    trials = [
-        {
-            "name": f"local-{index}",
-            "run_id": job.child(f"local-{index}"),
-            "seed": job.config.seed + 1 + index,
-            "cluster": index,
-        }
-        for index in range(job.config.local_trials)
-    ]
-    if not trials:
-        return []
-    return run_trials(local_trial, trials, _shared(job, arrays), job.config.resources, job.folder / "local")
+    count = job.config.local_trials
+    trials = [TrialRequest.of(job, "local", f"local-{index}", index) for index in range(count)]
+    return run_trials(local_trial, trials, _shared(job, arrays), job.config.resources)
 
 
 def train_global(
@@ -163,12 +155,12 @@ def train_global(
         return []
     trainable: Callable[..., None]
     name, trainable = (DISTILLED, distillation_trial) if form == "distilled" else (GLOBAL, global_trial)
-    trial = {"name": name, "run_id": job.child(name), "seed": job.config.seed}
+    trial = TrialRequest.of(job, name, name)
     if job.config.joint:
         trainable, shared["images"] = joint_trial, np.asarray(dataset.images)
     else:
         shared["local_checkpoints"] = [str(outcome.checkpoint) for outcome in local]
-    return run_trials(trainable, [trial], shared, job.config.resources, job.folder / name)
+    return run_trials(trainable, [trial], shared, job.config.resources)
 
 
 def encoder_checkpoint(job: Job[TrainConfig], vae: TrialOutcome | None) -> Path:

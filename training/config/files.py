@@ -1,24 +1,14 @@
-"""Presets and overrides as plain values, and their validation; what every job's configuration shares."""
+"""Presets and overrides as plain values, and their validation."""
 
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
 import yaml
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import ValidationError
 
 from cspace.errors import ConfigError
-
-
-class Section(BaseModel):
-    """A frozen part of a configuration that refuses unknown keys."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", populate_by_name=True)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Plain values for JSON, with the keys that ``--set`` takes."""
-        return self.model_dump(mode="json", by_alias=True)
-
+from training.section import Section
 
 Whole = TypeVar("Whole", bound=Section)
 

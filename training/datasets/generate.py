@@ -13,10 +13,10 @@ from ray.exceptions import RayError, RayTaskError
 
 from cspace.dataset import Dataset, open_dataset, require_room
 from cspace.errors import CspaceError, DatasetError, JobError, StorageError
+from services.progress import Progress
 from training.datasets.config import DatasetConfig, PathDatasetConfig
 from training.datasets.configurations import ConfigurationRecipe
 from training.datasets.paths import PathRecipe
-from training.datasets.progress import Progress
 from training.datasets.recipe import Recipe
 from training.datasets.shards import Shard, load_shard, save_shard
 
@@ -55,7 +55,7 @@ def generate(config: Generated, folder: Path) -> Dataset:
             "the data folder cannot be written", expected=str(partial), got=str(error)
         ) from error
     missing = [shard for shard in recipe.plan() if load_shard(partial, shard) is None]
-    with Progress("data", len(missing)) as progress:
+    with Progress("data", len(missing), _LOG.info, "shard") as progress:
         for _ in run_tasks(config, missing, partial):
             progress.advance()
     dataset = recipe.write(folder, lambda shard: _must_load(partial, shard))

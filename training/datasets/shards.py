@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cspace.errors import DatasetError, StorageError
+from cspace.errors import DatasetError
+from cspace.files import replacing
 from cspace.splits import Split, scenario_rng
 from cspace.workshop import Checker
 from cspace.worlds import workshop_of
@@ -106,15 +107,8 @@ def save_shard(folder: Path, shard: Shard, arrays: dict[str, NDArray[Any]]) -> P
         StorageError: the folder cannot be written.
     """
     path = folder / shard.file_name
-    beside = path.with_suffix(".tmp")
-    try:
-        with beside.open("wb") as handle:
-            np.savez(handle, **arrays)  # type: ignore[arg-type]
-        beside.rename(path)
-    except OSError as error:
-        raise StorageError(
-            f"{path} cannot be written", expected="room and rights in the data folder", got=str(error)
-        ) from error
+    with replacing(path, str(path)) as beside, beside.open("wb") as handle:
+        np.savez(handle, **arrays)  # type: ignore[arg-type]
     return path
 
 

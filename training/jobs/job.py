@@ -4,25 +4,25 @@ import fcntl
 import json
 import logging
 import re
-import shutil
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import Generic, TypeVar
 
 from pydantic import ValidationError
 
 from cspace.bundle import Bundle
 from cspace.dataset import require_room
 from cspace.errors import BundleError, ConfigError, JobError, StorageError
+from cspace.files import HALF_SUFFIX, discard, write_json
 from services.registry.names import EXPERIMENT
 from services.registry.tracking.mlflow_tracking import MlflowTracking
 from services.registry.tracking.parameters import flatten
 from services.registry.tracking.port import RunLog, Tracking
-from training.config.files import Section
 from training.jobs.environment import Environment
 from training.jobs.patience import PatientRun, patiently
+from training.section import Section
 
 RECORD = "job.json"
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,62}")
@@ -99,9 +99,10 @@ class Job(Generic[Config]):
         folder = job_folder(environment, run.run_id)
         if not (folder / RECORD).exists():
             folder.mkdir(parents=True, exist_ok=True)
-            _write(folder / RECORD, {"config": config.to_dict(), "children": {}, "name": name})
+            record = {"config": config.to_dict(), "children": {}, "name": name}
+            write_json(folder / RECORD, record, indent=2)
         if name is not None:
-            _write(_pointer(environment, name), {"run_id": run.run_id})
+            write_json(_pointer(environment, name), {"run_id": run.run_id})
         return cls.resume(run.run_id, environment, type(config)).same(config)
 
     @classmethod
@@ -179,7 +180,7 @@ class Job(Generic[Config]):
             )
             self.children[name] = run.run_id
             record = {"config": self.config.to_dict(), "children": self.children, "name": self.name}
-            _write(self.folder / RECORD, record)
+            write_json(self.folder / RECORD, record, indent=2)
         return self.children[name]
 
     def deliver(self) -> None:
@@ -192,11 +193,8 @@ class Job(Generic[Config]):
 
     def _tidy(self) -> None:
         """Delete what processes that were killed had begun to write, and the request to stop."""
-        for half in (*self.folder.rglob("*.tmp"), *self.folder.glob(".*"), self.folder / "stop"):
-            if half.is_dir():
-                shutil.rmtree(half, ignore_errors=True)
-            else:
-                half.unlink(missing_ok=True)
+        for half in (*self.folder.rglob(f"*{HALF_SUFFIX}"), *self.folder.glob(".*"), self.folder / "stop"):
+            discard(half)
 
     def same(self, config: Config) -> "Job[Config]":
         """This job, if it has these settings.
@@ -230,10 +228,11 @@ def run_of(environment: Environment, name: str) -> str | None:
 
 
 def kept_bundle(folder: Path) -> Bundle | None:
-    """The bundle that an earlier attempt has left, whole; None otherwise."""
+    """The bundle that an earlier attempt has left, whole; None otherwise, and then nothing lies there."""
     try:
         return Bundle.load(folder) if folder.is_dir() else None
     except BundleError:
+        discard(folder)
         return None
 
 
@@ -260,9 +259,3 @@ def prepare(environment: Environment) -> None:
 
 def _pointer(environment: Environment, name: str) -> Path:
     return environment.data_folder / "jobs" / "names" / f"{name}.json"
-
-
-def _write(path: Path, record: Mapping[str, Any]) -> None:
-    beside = path.with_name(f"{path.name}.tmp")
-    beside.write_text(json.dumps(record, indent=2), encoding="utf-8")
-    beside.replace(path)

@@ -2,7 +2,6 @@
 
 import contextlib
 import json
-import shutil
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +11,7 @@ import torch
 from safetensors.torch import load_file, save_file
 from torch import Tensor
 
+from cspace.files import discard, replacing
 from training.models.modules import TrialModule
 
 WEIGHTS, TRAINING, STATE = "weights.safetensors", "training.safetensors", "state.json"
@@ -42,10 +42,6 @@ def seeded_initialisation(seed: int) -> Iterator[None]:
 
 def save_checkpoint(folder: Path, module: TrialModule, progress: Progress) -> Path:
     """Weights, optimisers, schedules, the generator's state and the progress, as one folder."""
-    beside = folder.with_name(folder.name + ".tmp")
-    shutil.rmtree(beside, ignore_errors=True)
-    beside.mkdir(parents=True)
-    save_file(_contiguous(module.state_dict()), beside / WEIGHTS)
     tensors = {"rng": module.rng.get_state()}
     groups: list[Any] = []
     for index, optimiser in enumerate(module.training_optimisers):
@@ -53,7 +49,6 @@ def save_checkpoint(folder: Path, module: TrialModule, progress: Progress) -> Pa
         groups.append(state["param_groups"])
         for parameter, values in state["state"].items():
             tensors |= {f"{index}.{parameter}.{name}": value for name, value in values.items()}
-    save_file(_contiguous(tensors), beside / TRAINING)
     schedules = [_plain(schedule.state_dict()) for schedule in module.training_schedules]
     content = {
         "step": progress.step,
@@ -62,9 +57,12 @@ def save_checkpoint(folder: Path, module: TrialModule, progress: Progress) -> Pa
         "groups": groups,
         "schedules": schedules,
     }
-    (beside / STATE).write_text(json.dumps(content), encoding="utf-8")
-    shutil.rmtree(folder, ignore_errors=True)
-    beside.replace(folder)
+    with replacing(folder) as beside:
+        beside.mkdir(parents=True)
+        save_file(_contiguous(module.state_dict()), beside / WEIGHTS)
+        save_file(_contiguous(tensors), beside / TRAINING)
+        (beside / STATE).write_text(json.dumps(content), encoding="utf-8")
+        discard(folder)
     return folder
 
 

@@ -4,13 +4,13 @@ import torch
 from torch import Tensor
 from torch.optim.lr_scheduler import LambdaLR
 
-from training.config.clusters import GanConfig
 from training.models.cells import CellBase
 from training.models.data import ScenarioSamples
 from training.models.lookups.lookups import PictureReader
 from training.models.mixture import Experts
 from training.models.modules import TrialModule
 from training.models.networks import TorusGenerator
+from training.models.settings import GanConfig
 
 
 class DistillationModule(TrialModule):

@@ -8,9 +8,9 @@ import torch
 from numpy.typing import NDArray
 
 from cspace.worlds.planar.picture import to_network
-from training.config.clusters import VaeConfig
 from training.models.checkpoint import load_weights, seeded_initialisation
 from training.models.networks import Encoder
+from training.models.settings import VaeConfig
 
 _BLOCK = 256
 

@@ -7,9 +7,9 @@ from torch import Tensor, nn
 from torch.nn import functional
 from torch.optim.lr_scheduler import OneCycleLR
 
-from training.config.clusters import GateConfig
 from training.models.modules import TrialModule
 from training.models.networks import mlp
+from training.models.settings import GateConfig
 
 
 class Gate(nn.Module):
@@ -18,9 +18,9 @@ class Gate(nn.Module):
     Shapes: latent (m, L) to logits (m, k).
     """
 
-    def __init__(self, config: GateConfig, latent_dim: int) -> None:
+    def __init__(self, latent_dim: int, hidden: int, layers: int, cells: int) -> None:
         super().__init__()
-        self.net = mlp(latent_dim, config.hidden, config.layers, config.cells)
+        self.net = mlp(latent_dim, hidden, layers, cells)
 
     def forward(self, latent: Tensor) -> Tensor:
         """The logits."""
@@ -48,7 +48,7 @@ class GateModule(TrialModule):
         self.config = config
         for name, value in (("mu", mu), ("sigma", sigma), ("shares", shares)):
             self.register_buffer(name, value, persistent=False)
-        self.gate = Gate(config, mu.shape[1])
+        self.gate = Gate(mu.shape[1], config.hidden, config.layers, config.cells)
         optimiser = torch.optim.Adam(self.parameters(), lr=config.learning_rate)
         self.training_optimisers = [optimiser]
         self.training_schedules = [

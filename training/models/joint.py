@@ -6,11 +6,11 @@ import torch
 from torch import Tensor
 
 from cspace.space import JointSpace
-from training.config.clusters import GlobalConfig, VaeConfig
 from training.models import losses
 from training.models.data import Batch, ScenarioSamples
 from training.models.modules import WganGpModule
 from training.models.networks import Decoder, Encoder
+from training.models.settings import GlobalConfig, VaeConfig
 
 
 class JointModule(WganGpModule):

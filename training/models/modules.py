@@ -7,12 +7,12 @@ from torch.optim import Optimizer
 from torch.optim.lr_scheduler import LambdaLR, OneCycleLR
 
 from cspace.space import JointSpace
-from training.config.clusters import GanConfig, VaeConfig
 from training.models import losses
 from training.models.cells import Base, UniformBase
 from training.models.data import Batch, ScenarioSamples
 from training.models.lookups.lookups import Scenes, make_reader, values_read
 from training.models.networks import Critic, Decoder, Encoder, MeansGenerator, TorusGenerator
+from training.models.settings import GanConfig, VaeConfig
 from training.models.space.joints import Joints
 
 Metrics = dict[str, float]

@@ -8,10 +8,10 @@ from torch.nn import functional
 from torch.optim.lr_scheduler import OneCycleLR
 
 from cspace.world import World
-from training.config.clusters import ValidityConfig
 from training.models.lookups.lookups import ArmLookups
 from training.models.modules import TrialModule
 from training.models.networks import mlp
+from training.models.settings import ValidityConfig
 
 
 class ValidityHead(nn.Module):

@@ -1,7 +1,6 @@
 """The job of path models: data, what a bundle sees of them, one trial a model, bundles, registry."""
 
 import logging
-import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -28,6 +27,7 @@ from training.trials.outcomes import TrialOutcome
 from training.trials.paths.arrays import PathArrays, path_arrays
 from training.trials.paths.guides import find_guides
 from training.trials.paths.trainables import path_trial
+from training.trials.request import TrialRequest
 
 _LOG = logging.getLogger("training")
 
@@ -134,9 +134,7 @@ def _data(config: PathTrainConfig, folder: Path) -> Dataset:
 def _train(job: Job[PathTrainConfig], source: Bundle, arrays: PathArrays) -> list[TrialOutcome]:
     config = job.config
     guides = None if config.guides is None else find_guides(config.guides, source.digest)
-    trials: list[dict[str, Any]] = [
-        {"name": name, "run_id": job.child(name), "seed": config.seed} for name in config.models
-    ]
+    trials = [TrialRequest.of(job, "models", name) for name in config.models]
     _LOG.info("path models: %s on %d paths", ", ".join(config.models), len(arrays.ids))
     shared: dict[str, Any] = {
         "train": config,
@@ -145,14 +143,14 @@ def _train(job: Job[PathTrainConfig], source: Bundle, arrays: PathArrays) -> lis
         "tracking_uri": job.environment.tracking_uri,
     }
 
-    def run(wanted: list[dict[str, Any]]) -> dict[str, TrialOutcome]:
-        outcomes = run_trials(path_trial, wanted, shared, config.resources, job.folder / "models")
+    def run(wanted: list[TrialRequest]) -> dict[str, TrialOutcome]:
+        outcomes = run_trials(path_trial, wanted, shared, config.resources)
         return {outcome.name: outcome for outcome in outcomes}
 
-    found = run([trial for trial in trials if trial["name"] != DISTILLED])
+    found = run([trial for trial in trials if trial.name != DISTILLED])
     if DISTILLED in config.models:
         shared["teacher"] = found[TEACHER].checkpoint
-        found |= run([trial for trial in trials if trial["name"] == DISTILLED])
+        found |= run([trial for trial in trials if trial.name == DISTILLED])
     return [found[name] for name in config.models]
 
 
@@ -172,7 +170,6 @@ def _bundles(
         folder = job.folder / "bundles" / name
         kept = kept_bundle(folder)
         if kept is None:
-            shutil.rmtree(folder, ignore_errors=True)
             metrics = {**outcome.metrics, "training_s": outcome.ended_s - outcome.started_s}
             kept = trained_bundle(
                 folder, name, job.config, arrays, source, dataset, outcome.checkpoint, metrics

@@ -3,8 +3,8 @@
 from pathlib import Path
 
 from cspace.bundle import Bundle
-from cspace.errors import ConfigError
-from services.registry.models.port import ModelRegistry, ModelVersion
+from services.registry.models.port import ModelRegistry
+from services.registry.references import ModelReference
 
 
 def source_bundle(source: str, registry: ModelRegistry, folder: Path) -> Bundle:
@@ -24,18 +24,7 @@ def source_bundle(source: str, registry: ModelRegistry, folder: Path) -> Bundle:
         return Bundle.load(Path(source))
     if folder.is_dir():
         return Bundle.load(folder)
-    return Bundle.load(registry.download(_version(source, registry), folder))
-
-
-def _version(source: str, registry: ModelRegistry) -> ModelVersion:
-    name, separator, alias = source.partition("@")
-    if separator and name and alias:
-        return registry.by_alias(name, alias)
-    name, separator, number = source.rpartition("/")
-    if separator and name and number.isdecimal():
-        return registry.version(name, int(number))
-    raise ConfigError(
-        "the source of the path models is unknown",
-        expected="a bundle's folder, name@alias or name/version",
-        got=repr(source),
+    reference = ModelReference.parse_version(
+        source, "the source of the path models is unknown", "a bundle's folder, name@alias or name/version"
     )
+    return Bundle.load(registry.download(reference.look_up(registry), folder))

@@ -2,7 +2,6 @@
 
 import logging
 import shlex
-import sys
 import time
 from dataclasses import dataclass
 
@@ -55,10 +54,15 @@ def run_point(one: PointJob) -> PointResult:
     began = time.monotonic()
     # What the bundle says of its origin: the command that would train this point alone.
     settings = [part for override in one.overrides for part in ("--set", shlex.quote(override))]
-    sys.argv = ["training/cluster_train.py", "--preset", one.config.preset, *settings]
+    command = " ".join(["python training/cluster_train.py --preset", one.config.preset, *settings])
     try:
         result = train(
-            one.config, one.environment, one.job, parent_run_id=one.parent_run_id, register=one.register
+            one.config,
+            one.environment,
+            one.job,
+            parent_run_id=one.parent_run_id,
+            register=one.register,
+            command=command,
         )
         metrics = quality(one, result.run_id)
     except CspaceError as error:

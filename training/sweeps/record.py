@@ -5,9 +5,10 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 from cspace.errors import ConfigError
+from cspace.files import write_json
 from training.sweeps.grid import Point
 
 PLAN, RESULTS = "sweep.json", "results"
@@ -85,7 +86,7 @@ class SweepRecord:
         folder = _folder(data_folder, name)
         (folder / RESULTS).mkdir(parents=True, exist_ok=True)
         plan = {"preset": preset, "overrides": list(overrides), "run_id": run_id}
-        _write(folder / PLAN, plan)
+        write_json(folder / PLAN, plan, indent=2)
         return cls(name, folder, run_id)
 
     def job_id(self, point: Point) -> str:
@@ -102,14 +103,8 @@ class SweepRecord:
     def keep(self, point: Point, result: PointResult) -> None:
         """Write down how a point ended."""
         content = {"settings": dict(point.settings), "result": asdict(result)}
-        _write(self.folder / RESULTS / f"{point.key}.json", content)
+        write_json(self.folder / RESULTS / f"{point.key}.json", content, indent=2)
 
 
 def _folder(data_folder: Path, name: str) -> Path:
     return data_folder / "sweeps" / name
-
-
-def _write(path: Path, content: Mapping[str, Any]) -> None:
-    beside = path.with_suffix(".tmp")
-    beside.write_text(json.dumps(content, indent=2), encoding="utf-8")
-    beside.replace(path)

@@ -22,8 +22,8 @@ from training.sweeps.progress import stage_of
 from training.sweeps.record import PointResult, SweepRecord
 from training.sweeps.tables import Standing, final_table, progress_lines
 from training.trials.launch import connect
-from training.trials.outcomes import stop_file
 from training.trials.points import Look, run_side_by_side
+from training.trials.request import stop_file
 
 _LOG = logging.getLogger("training")
 LOOK_EVERY_S = 10.0

@@ -6,13 +6,13 @@ worker, of the driver or of the whole cluster, finds the last of them without be
 
 import fcntl
 import re
-import shutil
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from cspace.errors import JobError
+from cspace.files import HALF_SUFFIX, discard
 from training.models.checkpoint import Progress, save_checkpoint
 from training.models.modules import TrialModule
 
@@ -74,8 +74,8 @@ class TrialFolder:
         """
         saved = save_checkpoint(self.folder / f"step-{progress.step:09d}", module, progress)
         for old in self.checkpoints()[: -self.keep]:
-            shutil.rmtree(old, ignore_errors=True)
+            discard(old)
         # What a process that was killed had not finished.
-        for half in self.folder.glob("step-*.tmp"):
-            shutil.rmtree(half, ignore_errors=True)
+        for half in self.folder.glob(f"*{HALF_SUFFIX}"):
+            discard(half)
         return saved

@@ -16,7 +16,8 @@ from ray.tune.experiment import Trial
 
 from cspace.errors import JobError
 from training.config.clusters import ResourceConfig
-from training.trials.outcomes import Outcomes, TrialOutcome, TrialPlaces, read_outcome, stop_file
+from training.trials.outcomes import Outcomes, TrialOutcome, read_outcome
+from training.trials.request import TrialRequest
 from training.trials.stopping import Stop, end_on_request
 
 _LOG = logging.getLogger("training")
@@ -44,22 +45,20 @@ def connect() -> None:
 
 def run_trials(
     trainable: Callable[..., None],
-    trials: Sequence[Mapping[str, Any]],
+    trials: Sequence[TrialRequest],
     shared: Mapping[str, Any],
     resources: ResourceConfig,
-    storage: Path,
 ) -> list[TrialOutcome]:
-    """Run one trial for each entry, as many at once as the cluster has room for.
+    """Run the trials of a stage, as many at once as the cluster has room for.
 
-    Where ``storage`` holds those of a job that was stopped, finished ones are not run again, and the others
+    Where their folders are those of a job that was stopped, finished ones are not run again, and the others
     go on from their checkpoints.
 
     Args:
-        trainable: a Tune function trainable; gets ``{"trial": entry}`` and ``shared`` by keyword.
-        trials: small plain values a trial, each with a ``name``; it gets its ``places`` beside them.
+        trainable: gets a trial and ``shared`` by keyword, in Tune's worker.
+        trials: of one stage.
         shared: arrays and settings, put into the object store once.
         resources: of each trial.
-        storage: the stage's folder, in the job's.
 
     Returns:
         Outcomes in the order of ``trials``.
@@ -68,33 +67,31 @@ def run_trials(
         JobError: a trial failed more often than it may.
         KeyboardInterrupt: the job was asked to stop; its trials have written their checkpoints.
     """
-    entries = [
-        {**trial, "places": TrialPlaces.within(storage, str(trial["name"])).entry()} for trial in trials
-    ]
-    left = [entry for entry in entries if _outcome(entry) is None]
-    if len(left) < len(entries):
-        _LOG.info("%s: %d of %d trials are finished", storage.name, len(entries) - len(left), len(entries))
+    left = [trial for trial in trials if read_outcome(trial) is None]
+    if len(left) < len(trials):
+        finished = len(trials) - len(left)
+        _LOG.info("%s: %d of %d trials are finished", trials[0].stage.name, finished, len(trials))
     if left:
-        _fit(trainable, left, shared, resources, storage)
-    outcomes = [_outcome(entry) for entry in entries]
+        _fit(trainable, left, shared, resources)
+    outcomes = [read_outcome(trial) for trial in trials]
     return [outcome for outcome in outcomes if outcome is not None]
 
 
 def _fit(
     trainable: Callable[..., None],
-    entries: Sequence[Mapping[str, Any]],
+    trials: Sequence[TrialRequest],
     shared: Mapping[str, Any],
     resources: ResourceConfig,
-    storage: Path,
 ) -> None:
+    storage, requests = trials[0].stage, {trial.name: trial for trial in trials}
     bound = tune.with_resources(
-        tune.with_parameters(trainable, **shared),
+        tune.with_parameters(_asked(trainable), requests=requests, **shared),
         resources.of_a_trial(),
     )
-    stop = Stop(stop_file(storage.parent))
+    stop = Stop(trials[0].stop)
     tuner = tune.Tuner(
         bound,
-        param_space={"trial": tune.grid_search(list(entries))},
+        param_space={"trial": tune.grid_search(list(requests))},
         tune_config=tune.TuneConfig(
             reuse_actors=True,
             trial_name_creator=_trial_name,
@@ -104,7 +101,7 @@ def _fit(
             name=_attempt(storage),
             storage_path=str(storage),
             failure_config=tune.FailureConfig(max_failures=resources.max_failures),
-            callbacks=[Outcomes(), stop],
+            callbacks=[Outcomes(storage), stop],
             verbose=0,
         ),
     )
@@ -113,13 +110,24 @@ def _fit(
     failed = [str(error) for error in grid.errors]
     if failed:
         raise JobError(
-            f"{len(failed)} of {len(entries)} trials failed",
+            f"{len(failed)} of {len(trials)} trials failed",
             expected=f"at most {resources.max_failures} faults each",
             got=failed[0].strip().splitlines()[-1],
             remedy=f"their logs are under {storage}; submitted again the job goes on from its checkpoints",
         )
-    if any(_outcome(entry) is None for entry in entries):
+    if any(read_outcome(trial) is None for trial in trials):
         raise KeyboardInterrupt
+
+
+def _asked(trainable: Callable[..., None]) -> Callable[..., None]:
+    """A Tune function: Tune keeps what it is configured with on disk, so it gets the trial's name alone."""
+
+    def run(config: Mapping[str, str], requests: Mapping[str, TrialRequest], **shared: Any) -> None:
+        trainable(requests[config["trial"]], **shared)
+
+    # Ray shows it in its logs.
+    run.__name__ = trainable.__name__
+    return run
 
 
 def _attempt(storage: Path) -> str:
@@ -128,8 +136,4 @@ def _attempt(storage: Path) -> str:
 
 
 def _trial_name(trial: Trial) -> str:
-    return str(trial.config["trial"]["name"])
-
-
-def _outcome(entry: Mapping[str, Any]) -> TrialOutcome | None:
-    return read_outcome(TrialPlaces.of(entry).folder, str(entry["name"]))
+    return str(trial.config["trial"])

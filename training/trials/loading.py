@@ -6,13 +6,14 @@ from pathlib import Path
 import torch
 
 from cspace.errors import JobError
-from training.config.clusters import GanConfig, LookupConfig, TrainConfig
+from training.config.clusters import TrainConfig
 from training.models.checkpoint import load_weights, seeded_initialisation
 from training.models.gate import Gate
 from training.models.lookups.lookups import make_lookups
 from training.models.mixture import Experts, GatedSampler
 from training.models.modules import WganGpModule, make_critic, make_generator
 from training.models.networks import Critic, MeansGenerator, TorusGenerator
+from training.models.settings import GanConfig, LookupConfig
 from training.trials.arrays import TrainingArrays
 
 
@@ -110,6 +111,6 @@ def load_critic(config: GanConfig, arrays: TrainingArrays, checkpoint: Path) -> 
 def load_gate(config: TrainConfig, checkpoint: Path) -> Gate:
     """The gate of a trial's checkpoint."""
     with seeded_initialisation(0):
-        gate = Gate(config.gate, config.vae.latent_dim)
+        gate = Gate(config.vae.latent_dim, config.gate.hidden, config.gate.layers, config.gate.cells)
     gate.load_state_dict(load_weights(checkpoint, "gate"))
     return gate

@@ -1,16 +1,17 @@
 """What trials leave in their job's folder: checkpoints, the record of a finished one, unsent metrics."""
 
 import json
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from ray import tune
 from ray.tune.experiment import Trial
 
+from cspace.files import write_json
 from training.models.modules import Metrics
 from training.trials.checkpoints import TrialFolder
+from training.trials.request import TrialRequest
 
 # In a trial's reports: whether they are of its last step.
 FINISHED = "finished"
@@ -60,59 +61,25 @@ class TrialOutcome:
     ended_s: float
 
 
-@dataclass(frozen=True, slots=True)
-class TrialPlaces:
-    """Where a trial works, on storage that all nodes share.
-
-    Args:
-        folder: of its checkpoints and its record.
-        spool: of metrics that could not be sent, for all trials of the job.
-        stop: a file that is there while the job is being stopped.
-    """
-
-    folder: Path
-    spool: Path
-    stop: Path
-
-    @classmethod
-    def of(cls, trial: Mapping[str, Any]) -> "TrialPlaces":
-        """Those of a trial's entry, which travels as plain values."""
-        return cls(**{name: Path(path) for name, path in trial["places"].items()})
-
-    @classmethod
-    def within(cls, storage: Path, name: str) -> "TrialPlaces":
-        """Those of a trial whose stage has its storage in the job's folder."""
-        return cls(storage / name, spool_folder(storage.parent), stop_file(storage.parent))
-
-    def entry(self) -> dict[str, str]:
-        """As plain values."""
-        return {name: str(path) for name, path in asdict(self).items()}
-
-
-def spool_folder(job: Path) -> Path:
-    """Where a job's folder keeps metrics that could not be sent."""
-    return job / "spool"
-
-
-def stop_file(job: Path) -> Path:
-    """The file by which a job's trials are told to end."""
-    return job / "stop"
-
-
-def read_outcome(folder: Path, name: str) -> TrialOutcome | None:
+def read_outcome(trial: TrialRequest) -> TrialOutcome | None:
     """The outcome of a trial that finished in an earlier attempt; None while it has not."""
-    checkpoint = TrialFolder(folder).latest()
+    checkpoint = TrialFolder(trial.folder).latest()
     try:
-        record = json.loads((folder / RECORD).read_text(encoding="utf-8"))
+        record = json.loads((trial.folder / RECORD).read_text(encoding="utf-8"))
     except FileNotFoundError:
         return None
-    return None if checkpoint is None else TrialOutcome(name, checkpoint, **record)
+    return None if checkpoint is None else TrialOutcome(trial.name, checkpoint, **record)
 
 
 class Outcomes(tune.Callback):
-    """Writes the record of every trial in the moment in which it finishes."""
+    """Writes the record of every trial in the moment in which it finishes.
 
-    def __init__(self) -> None:
+    Args:
+        stage: the folder of the trials.
+    """
+
+    def __init__(self, stage: Path) -> None:
+        self._stage = stage
         self._started_s: dict[str, float] = {}
 
     def on_trial_result(
@@ -120,7 +87,7 @@ class Outcomes(tune.Callback):
     ) -> None:
         """Remember when it began; a finished one is recorded here, before anything else can happen."""
         del iteration, trials, info
-        name = str(trial.config["trial"]["name"])
+        name = str(trial.config["trial"])
         started_s = self._started_s.setdefault(name, result["timestamp"] - result["time_total_s"])
         if not result.get(FINISHED):
             return
@@ -129,7 +96,4 @@ class Outcomes(tune.Callback):
             "started_s": float(started_s),
             "ended_s": float(result["timestamp"]),
         }
-        folder = TrialPlaces.of(trial.config["trial"]).folder
-        beside = folder / f"{RECORD}.tmp"
-        beside.write_text(json.dumps(record), encoding="utf-8")
-        beside.replace(folder / RECORD)
+        write_json(self._stage / name / RECORD, record)

@@ -3,8 +3,6 @@
 import contextlib
 import logging
 import os
-from collections.abc import Mapping
-from typing import Any
 
 import torch
 from ray import tune
@@ -15,11 +13,12 @@ from training.config.clusters import ResourceConfig
 from training.models.modules import Metrics, TrialModule
 from training.trials.checkpoints import TrialFolder
 from training.trials.fit import Rhythm, TrialStopped, fit
-from training.trials.outcomes import FINISHED, TrialPlaces
+from training.trials.outcomes import FINISHED
+from training.trials.request import TrialRequest
 
 
 def fit_tracked(
-    trial: Mapping[str, Any], module: TrialModule, steps: int, resources: ResourceConfig, tracking_uri: str
+    trial: TrialRequest, module: TrialModule, steps: int, resources: ResourceConfig, tracking_uri: str
 ) -> None:
     """Train a trial's module, from its last checkpoint on where it has one.
 
@@ -27,7 +26,7 @@ def fit_tracked(
     it early, with a checkpoint.
 
     Args:
-        trial: its ``name``, ``run_id`` and ``places``, see :class:`training.trials.outcomes.TrialPlaces`.
+        trial: which.
         module: to be trained.
         steps: in all.
         resources: how often it logs and checkpoints.
@@ -41,12 +40,11 @@ def fit_tracked(
         logging.getLogger(library).setLevel(logging.ERROR)
     # What can not be sent is kept, so there is nothing to be patient for.
     lower_patience(os.environ)
-    places = TrialPlaces.of(trial)
     rhythm = Rhythm(resources.log_every_steps, resources.checkpoint_every_steps)
-    folder = TrialFolder(places.folder, resources.checkpoints_kept)
+    folder = TrialFolder(trial.folder, resources.checkpoints_kept)
     with contextlib.suppress(TrialStopped), folder.alone():
-        run = MlflowTracking(tracking_uri, spool_folder=places.spool).resume(trial["run_id"])
-        fit(trial["name"], module, steps, rhythm, run, folder, _report, places.stop.exists)
+        run = MlflowTracking(tracking_uri, spool_folder=trial.spool).resume(trial.run_id)
+        fit(trial.name, module, steps, rhythm, run, folder, _report, trial.stop.exists)
 
 
 def _report(metrics: Metrics, *, finished: bool) -> None:

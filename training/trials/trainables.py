@@ -1,8 +1,6 @@
 """The functions that Tune runs: make the module, hand it to :func:`fit`, report to Tune."""
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -22,83 +20,75 @@ from training.models.validity import ValidityModule
 from training.trials.arrays import TrainingArrays
 from training.trials.loading import fresh_generator, load_critic, load_generator, make_wgan, torus_generator
 from training.trials.occupancy import OccupancyArrays
+from training.trials.request import TrialRequest
 from training.trials.tracked import fit_tracked
 
 VAE, VALIDITY, GATE, GLOBAL, DISTILLED = "vae", "validity", "gate", "global", "distilled"
 
 
 def picture_trial(
-    config: Mapping[str, Any],
+    trial: TrialRequest,
     train: TrainConfig,
     images: NDArray[np.uint8],
     occupancy: OccupancyArrays | None,
     tracking_uri: str,
 ) -> None:
     """Train what learns from (N, P, P, 3) pictures and needs no latents: the VAE, or the validity head."""
-    trial = config["trial"]
     pictures = _channels_first(images)
     module: TrialModule
-    with seeded_initialisation(trial["seed"]):
-        if occupancy is not None and trial["name"] == VALIDITY:
+    with seeded_initialisation(trial.seed):
+        if occupancy is not None and trial.name == VALIDITY:
             samples = occupancy.samples(pictures)
-            module = ValidityModule(train.validity, samples, occupancy.world, trial["seed"])
+            module = ValidityModule(train.validity, samples, occupancy.world, trial.seed)
             steps = train.validity.steps
         else:
-            module, steps = VaeModule(train.vae, pictures, trial["seed"]), train.vae.steps
+            module, steps = VaeModule(train.vae, pictures, trial.seed), train.vae.steps
     fit_tracked(trial, module, steps, train.resources, tracking_uri)
 
 
-def gate_trial(
-    config: Mapping[str, Any], train: TrainConfig, arrays: TrainingArrays, tracking_uri: str
-) -> None:
+def gate_trial(trial: TrialRequest, train: TrainConfig, arrays: TrainingArrays, tracking_uri: str) -> None:
     """Train the gate on the cells' shares of every scenario's free configurations."""
-    trial = config["trial"]
     mu, sigma = torch.tensor(arrays.mu), torch.tensor(arrays.sigma)
-    with seeded_initialisation(trial["seed"]):
-        module = GateModule(train.gate, mu, sigma, arrays.shares(), trial["seed"])
+    with seeded_initialisation(trial.seed):
+        module = GateModule(train.gate, mu, sigma, arrays.shares(), trial.seed)
     fit_tracked(trial, module, train.gate.steps, train.resources, tracking_uri)
 
 
-def local_trial(
-    config: Mapping[str, Any], train: TrainConfig, arrays: TrainingArrays, tracking_uri: str
-) -> None:
+def local_trial(trial: TrialRequest, train: TrainConfig, arrays: TrainingArrays, tracking_uri: str) -> None:
     """Train one cluster's WGAN-GP (Algorithm 1)."""
-    trial = config["trial"]
-    module = make_wgan(train.local, arrays, trial["cluster"], trial["seed"])
+    module = make_wgan(train.local, arrays, trial.cluster, trial.seed)
     fit_tracked(trial, module, train.local.steps, train.resources, tracking_uri)
 
 
 def global_trial(
-    config: Mapping[str, Any],
+    trial: TrialRequest,
     train: TrainConfig,
     arrays: TrainingArrays,
     local_checkpoints: list[str],
     tracking_uri: str,
 ) -> None:
     """Train the global WGAN-GP on all data, guided by the frozen local critics (eq. multiDirector)."""
-    trial = config["trial"]
     critics = [load_critic(train.local, arrays, Path(folder)) for folder in local_checkpoints]
     weight = train.global_.local_critic_weight
-    module = make_wgan(train.global_, arrays, None, trial["seed"], critics, weight)
+    module = make_wgan(train.global_, arrays, None, trial.seed, critics, weight)
     fit_tracked(trial, module, train.global_.steps, train.resources, tracking_uri)
 
 
 def distillation_trial(
-    config: Mapping[str, Any],
+    trial: TrialRequest,
     train: TrainConfig,
     arrays: TrainingArrays,
     local_checkpoints: list[str],
     tracking_uri: str,
 ) -> None:
     """Train one generator to answer as the local ones do, each in its own cells."""
-    trial = config["trial"]
     cells, base = arrays.cells, arrays.base(None)
     if cells is None or not isinstance(base, CellBase):
         raise JobError("a mixture to distil needs a gate", expected="gate.cells above 0", got="none")
     teachers = [
         torus_generator(load_generator(train.local, arrays, Path(folder))) for folder in local_checkpoints
     ]
-    with seeded_initialisation(trial["seed"]):
+    with seeded_initialisation(trial.seed):
         student = torus_generator(fresh_generator(train.global_, arrays))
         module = DistillationModule(
             train.global_,
@@ -108,28 +98,27 @@ def distillation_trial(
             student,
             make_reader(train.global_.generator_lookups, arrays.scenes()),
             base,
-            trial["seed"],
+            trial.seed,
         )
     fit_tracked(trial, module, train.global_.steps, train.resources, tracking_uri)
 
 
 def joint_trial(
-    config: Mapping[str, Any],
+    trial: TrialRequest,
     train: TrainConfig,
     arrays: TrainingArrays,
     images: NDArray[np.uint8],
     tracking_uri: str,
 ) -> None:
     """Train one WGAN-GP on all data together with the encoder of (S, P, P, 3) pictures."""
-    trial = config["trial"]
-    with seeded_initialisation(trial["seed"]):
+    with seeded_initialisation(trial.seed):
         module = JointModule(
             train.global_,
             train.vae,
             arrays.samples(None),
             _channels_first(images),
             arrays.scale,
-            trial["seed"],
+            trial.seed,
             arrays.world.space,
         )
     fit_tracked(trial, module, train.global_.steps, train.resources, tracking_uri)

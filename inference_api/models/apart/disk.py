@@ -14,15 +14,16 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from cspace.errors import BundleIntegrityError, StorageError
+from cspace.files import HALF_PREFIX
 from inference_api.models.apart.locking import locked
-from inference_api.models.references import is_model_name
 from inference_api.models.version_files import read_version, write_version
 from services.registry.models.port import ModelVersion
+from services.registry.references import is_model_name
 
 _BUNDLE = "bundle"
 _VERSION = "version.json"
 _CHAMPION = "champion.json"
-_TEMPORARY, _WRITTEN = ".download-", ".write-"
+_TEMPORARY = ".download-"
 _DIGEST = re.compile(r"[0-9a-f]{64}")
 # Written in no time; one that is older is of a process that died.
 _WRITTEN_S = 600.0
@@ -147,7 +148,7 @@ class DiskCache:
         _check_name(version.name)
         if _DIGEST.fullmatch(version.digest) is None:
             raise BundleIntegrityError(
-                f"{version.name}/{version.number} was registered without a digest",
+                f"{version} was registered without a digest",
                 expected="64 hexadecimal digits",
                 got=repr(version.digest)[:100],
                 remedy="register the bundle again",
@@ -167,7 +168,7 @@ def _clear_left_overs(folder: Path) -> None:
     """Of processes that died: by whoever holds the lock, so nobody works in a temporary folder."""
     for path in folder.glob(f"{_TEMPORARY}*"):
         shutil.rmtree(path, ignore_errors=True)
-    for path in folder.glob(f"{_WRITTEN}*"):
+    for path in folder.glob(f"{HALF_PREFIX}*"):
         with suppress(OSError):
             if time.time() - path.stat().st_mtime > _WRITTEN_S:
                 path.unlink()

@@ -74,7 +74,7 @@ class LoaderApart:
             self._child.call("download", {"version": to_values(version)}, self._download_s)
         except ChildError as error:
             raise RegistryUnavailableError(
-                f"{version.name}/{version.number} cannot be downloaded",
+                f"{version} cannot be downloaded",
                 expected=f"a whole bundle within {self._download_s:g} s",
                 got=str(error),
                 remedy="ask again when the registry is well",
@@ -85,7 +85,7 @@ class LoaderApart:
         try:
             self._child.call("verify", {"version": to_values(version)}, self._verify_s)
         except ChildError as error:
-            label = f"{version.name}/{version.number}"
+            label = str(version)
             if not error.at_work:
                 raise NotVerifiedError(
                     f"{label} cannot be verified", got=str(error), remedy="ask again in some seconds"
@@ -118,7 +118,7 @@ def check_digest(digest: str, version: ModelVersion) -> None:
     """
     if version.digest != digest:
         raise BundleIntegrityError(
-            f"the bundle of {version.name}/{version.number} is not the one that was registered",
+            f"the bundle of {version} is not the one that was registered",
             expected=f"digest {version.digest}",
             got=digest,
         )

@@ -49,7 +49,7 @@ class NoLoader:
 
     def download(self, version: ModelVersion) -> None:
         """There is nowhere to download from."""
-        raise RegistryUnavailableError(f"there is no registry that has {version.name}/{version.number}")
+        raise RegistryUnavailableError(f"there is no registry that has {version}")
 
     def verify(self, version: ModelVersion) -> None:
         """As :meth:`download`."""

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from services.evaluator.benchmark.runs.arms import Arm
-from services.evaluator.benchmark.runs.progress import Progress
 from services.evaluator.benchmark.runs.run import Run
 from services.evaluator.benchmark.runs.setting import Setting, units
 from services.evaluator.benchmark.runs.sources import SourceSpec
@@ -14,6 +13,7 @@ from services.evaluator.benchmark.runs.store import RunStore
 from services.evaluator.benchmark.summary.results import Results
 from services.evaluator.benchmark.telling.files import log_run, write_files
 from services.evaluator.benchmark.telling.pages import pages
+from services.progress import Progress
 from services.registry.tracking.port import Tracking
 
 Show = Callable[[str], None]

@@ -6,14 +6,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from cspace.bundle import Bundle
-from cspace.errors import ConfigError
 from cspace.worlds import workshop_of
 from services.evaluator.cluster import on_cluster, spread
 from services.evaluator.evaluation.budget import Unit, units
 from services.evaluator.evaluation.execution import Execute, run_here, run_packed
 from services.evaluator.evaluation.gate import Verdict
 from services.evaluator.evaluation.recording import decide, log_evaluation, record
-from services.evaluator.evaluation.request import ModelReference, Request
+from services.evaluator.evaluation.request import Request
 from services.evaluator.evaluation.units import Evaluation, Setting, UnitResult, assemble
 from services.evaluator.measures.samplers import PackedBundle, bundle_sampler
 from services.registry.models.port import ModelRegistry, ModelVersion
@@ -66,7 +65,7 @@ def evaluate_version(
         BundleError: the version's bundle is damaged.
         CspaceError: measuring or recording failed.
     """
-    version = _find(registry, request.model)
+    version = request.model.look_up(registry)
     tags = {"model_version": str(version.number), "model_digest": version.digest}
     with tempfile.TemporaryDirectory(prefix="cspace-evaluation-") as folder:
         bundle = _load(registry, version, Path(folder))
@@ -74,10 +73,10 @@ def evaluate_version(
         with tracking.start(EXPERIMENT, RUN_NAME, parent_run_id=version.run_id, tags=tags) as run:
             spec = bundle.spec
             setting = Setting(spec.world, request.seed, request.budget, spec.kind == "path")
-            progress(f"evaluating {version.name}/{version.number}, digest {bundle.digest[:12]}")
+            progress(f"evaluating {version}, digest {bundle.digest[:12]}")
             evaluation = _measure(execute, setting, PackedBundle.pack(bundle), progress)
             verdict = decide(registry, version, evaluation)
-            title = f"{version.name}/{version.number}"
+            title = str(version)
             figures = log_evaluation(run, evaluation, verdict, bundle_sampler(bundle), title)
         if request.promote:
             record(registry, version, evaluation, verdict)
@@ -101,14 +100,6 @@ def executor(environment: Mapping[str, str]) -> Execute:
 
 def _run(unit: Unit, shared: tuple[Setting, PackedBundle]) -> UnitResult:
     return run_packed(unit, *shared)
-
-
-def _find(registry: ModelRegistry, model: ModelReference) -> ModelVersion:
-    if model.alias is not None:
-        return registry.by_alias(model.name, model.alias)
-    if model.number is None:
-        raise ConfigError("the model reference names no version", got=str(model))
-    return registry.version(model.name, model.number)
 
 
 def _load(registry: ModelRegistry, version: ModelVersion, folder: Path) -> Bundle:

@@ -1,40 +1,12 @@
 """What an evaluation is asked for: which version, how much, and whether it may promote."""
 
-import re
 from dataclasses import dataclass, replace
 
 from cspace.errors import ConfigError
 from services.evaluator.evaluation.budget import BUDGETS, Budget
+from services.registry.references import ModelReference
 
 MAX_SEED = 2**63 - 1
-_REFERENCE = re.compile(r"(?P<name>[A-Za-z0-9_.-]+)(?:@(?P<alias>[A-Za-z0-9_.-]+)|/(?P<number>[1-9][0-9]*))")
-
-
-@dataclass(frozen=True, slots=True)
-class ModelReference:
-    """A version of a registered model, by alias or by number."""
-
-    name: str
-    alias: str | None = None
-    number: int | None = None
-
-    @classmethod
-    def parse(cls, text: str) -> "ModelReference":
-        """``name@alias`` or ``name/version``.
-
-        Raises:
-            ConfigError: the text is neither.
-        """
-        found = _REFERENCE.fullmatch(text)
-        if found is None:
-            raise ConfigError(
-                "the model reference is unknown", expected="name@alias or name/version", got=repr(text)
-            )
-        number = found["number"]
-        return cls(found["name"], found["alias"], None if number is None else int(number))
-
-    def __str__(self) -> str:
-        return f"{self.name}@{self.alias}" if self.alias is not None else f"{self.name}/{self.number}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,4 +50,6 @@ def make_request(
     chosen = BUDGETS[budget]
     if scenarios is not None:
         chosen = replace(chosen, scenarios=scenarios)
-    return Request(ModelReference.parse(model), chosen, seed, promote)
+    return Request(
+        ModelReference.parse_version(model, "the model reference is unknown"), chosen, seed, promote
+    )

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from cspace.errors import ServiceStartError
+from cspace.files import replacing
 
 
 def token_headers(environment: Mapping[str, str] = os.environ) -> dict[str, str]:
@@ -51,10 +52,9 @@ def ensure_token(environment: Mapping[str, str] = os.environ) -> None:
         )
     try:
         path.parent.mkdir(mode=0o700, exist_ok=True)
-        beside = path.with_name(f"{path.name}.{os.getpid()}.tmp")
-        beside.touch(mode=0o600)
-        beside.write_text(secrets.token_hex(32), encoding="utf-8")
-        beside.replace(path)
+        with replacing(path) as beside:
+            beside.touch(mode=0o600)
+            beside.write_text(secrets.token_hex(32), encoding="utf-8")
     except OSError as error:
         raise ServiceStartError(f"Ray's token {path} cannot be made", got=str(error)) from error
 

@@ -1,11 +1,11 @@
 """Records of started processes: one JSON file a service, written beside and renamed."""
 
 import json
-import os
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from cspace.errors import ServiceError
+from cspace.files import write_json
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,10 +51,7 @@ class Record:
 
 def write_record(folder: Path, record: Record) -> None:
     """Keep a record; a reader sees the old one or the new one."""
-    target = _path(folder, record.service)
-    beside = target.with_suffix(f".{os.getpid()}.tmp")
-    beside.write_text(json.dumps(asdict(record), indent=1), encoding="utf-8")
-    beside.replace(target)
+    write_json(_path(folder, record.service), asdict(record), indent=1)
 
 
 def read_record(folder: Path, service: str) -> Record | None:

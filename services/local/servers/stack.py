@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from cspace.errors import ServiceError, ServiceNotRunningError, ServiceStartError
+from cspace.errors import ServiceError, ServiceStartError
 from services.local.servers.api_server import api_server
 from services.local.servers.health import wait_ready
 from services.local.servers.lock import exclusive
@@ -95,13 +95,6 @@ def require_down(settings: Settings, wanted: Sequence[Service]) -> None:
     alive = [record.service for record in records if record and (is_alive(record) or family(record))]
     if alive:
         raise ServiceError("services still run", got=", ".join(alive), remedy="`make down` first")
-
-
-def require_up(settings: Settings, wanted: Sequence[Service]) -> None:
-    """Raise ServiceNotRunningError unless all services run and answer."""
-    missing = [one.title for one in status(settings, wanted) if not one.healthy]
-    if missing:
-        raise ServiceNotRunningError("services do not run", got=", ".join(missing), remedy="`make up` first")
 
 
 def _status(service: Service, record: Record | None) -> ServiceStatus:

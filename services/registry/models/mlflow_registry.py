@@ -109,7 +109,7 @@ class MlflowRegistry:
         if folder.exists():
             raise StorageError("the download's folder exists", expected="a new folder", got=str(folder))
         self._ready()
-        label = f"{version.name}/{version.number}"
+        label = str(version)
         with mapped(f"looking up {label}", lookup=True):
             source = self._client.get_model_version_download_uri(version.name, str(version.number))
         with mapped(f"downloading {label}"):

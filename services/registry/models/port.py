@@ -28,6 +28,9 @@ class ModelVersion:
     tags: Mapping[str, str]
     created_ms: int
 
+    def __str__(self) -> str:
+        return f"{self.name}/{self.number}"
+
 
 class ModelLookups(Protocol):
     """What serving asks a registry; with the errors of :class:`ModelRegistry`."""

@@ -8,8 +8,8 @@ from cspace.errors import ModelNotFoundError
 from inference_api.models.apart.disk import DiskCache
 from inference_api.models.apart.loading import LoaderHere
 from inference_api.models.bundle_cache import BundleCache
-from inference_api.models.references import ModelReference
 from inference_api.models.registry_view import IN_USE_S, RegistryView
+from services.registry.references import ModelReference
 from tests.inference_api.clock import Clock
 from tests.inference_api.fake_registry import MODEL, CountingRegistry
 

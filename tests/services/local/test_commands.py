@@ -9,7 +9,6 @@ from cspace.errors import (
     JobError,
     PortTakenError,
     ServiceError,
-    ServiceNotRunningError,
     ServiceStartError,
 )
 from services.local.__main__ import exit_code, main
@@ -39,7 +38,6 @@ def own_settings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         (ServiceStartError("x"), 1),
         (ConfigError("x"), 2),
         (PortTakenError("x"), 3),
-        (ServiceNotRunningError("x"), 4),
     ],
 )
 def test_every_error_has_its_documented_exit_code(error: CspaceError, code: int) -> None:

@@ -14,10 +14,10 @@ from cspace.worlds.planar.render import render, render_batch
 from cspace.worlds.planar.scene import Disc, random_scenarios
 from tests.dataset_content import content
 from training.clusters.novelty import KNOWN_PICTURES, known_pictures, known_quantiles, load_scores
-from training.config.clusters import VaeConfig
 from training.models.checkpoint import Progress, save_checkpoint, seeded_initialisation
 from training.models.encode import load_encoder
 from training.models.modules import VaeModule
+from training.models.settings import VaeConfig
 
 CONFIG = VaeConfig(latent_dim=16, width=8, steps=1)
 

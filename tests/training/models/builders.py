@@ -2,11 +2,11 @@
 
 import torch
 
-from training.config.clusters import GanConfig, GlobalConfig, VaeConfig
 from training.models.checkpoint import seeded_initialisation
 from training.models.data import ScenarioSamples
 from training.models.joint import JointModule
 from training.models.modules import WganGpModule
+from training.models.settings import GanConfig, GlobalConfig, VaeConfig
 
 TINY = {
     "hidden": 16,

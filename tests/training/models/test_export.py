@@ -8,10 +8,10 @@ import torch
 from cspace.worlds.planar.arm import TWO_LINK
 from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.world import PlanarWorld
-from training.config.clusters import ValidityConfig
 from training.models.export import encoder_graph, generator_graph, novelty_graph, validity_graph
 from training.models.networks import Decoder, Encoder, MeansGenerator, TorusGenerator
 from training.models.novelty import NoveltyScores
+from training.models.settings import ValidityConfig
 from training.models.validity import ValidityHead
 
 

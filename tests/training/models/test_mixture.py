@@ -9,7 +9,6 @@ from cspace.worlds.planar.arm import TWO_LINK
 from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.world import PlanarWorld
 from tests.training.models.builders import TINY, ring_samples
-from training.config.clusters import GanConfig, GateConfig
 from training.models.cells import CellBase, CellPoints, UniformBase
 from training.models.checkpoint import seeded_initialisation
 from training.models.distillation import DistillationModule
@@ -18,6 +17,7 @@ from training.models.gate import Gate, GateModule, gate_probabilities
 from training.models.lookups.lookups import ArmLookups
 from training.models.mixture import Experts, GatedSampler, LookupSampler
 from training.models.networks import TorusGenerator
+from training.models.settings import GanConfig, GateConfig
 
 CELLS = CellPoints(
     np.array(
@@ -85,7 +85,7 @@ def test_every_row_is_answered_by_the_generator_in_charge_of_its_cell():
 def test_the_mixtures_graph_answers_as_the_network(count, lookups):
     look = ArmLookups(PlanarWorld(TWO_LINK, Camera()), 3, 0.1) if lookups else None
     with seeded_initialisation(1):
-        gate = Gate(GateConfig(cells=3, hidden=8), 4)
+        gate = Gate(4, 8, 2, 3)
     _, mixture = experts(looked_up=look.values if look else 0)
     sampler = GatedSampler(gate, CELLS, mixture, look)
     feeds = random_inputs(count, lookups)
@@ -114,7 +114,7 @@ def test_a_graph_with_lookups_answers_as_the_network(count):
 
 def test_the_gate_draws_cells_as_often_as_it_says():
     with seeded_initialisation(1):
-        gate = Gate(GateConfig(cells=3, hidden=8), 4)
+        gate = Gate(4, 8, 2, 3)
     sampler = GatedSampler(gate, CELLS, experts(1)[1], None)
     for weight in sampler.experts.weights:
         torch.nn.init.zeros_(weight)

@@ -3,9 +3,9 @@ import torch
 from pydantic import ValidationError
 
 from tests.training.models.builders import ring_samples, tiny_module
-from training.config.clusters import GanConfig, VaeConfig
 from training.models.checkpoint import seeded_initialisation
 from training.models.modules import VaeModule
+from training.models.settings import GanConfig, VaeConfig
 
 
 def run(module, steps):

@@ -11,14 +11,15 @@ from cspace.worlds.planar.grid_search import ways_to
 from cspace.worlds.planar.world import PlanarWorld
 from tests.training.models.path_builders import LATENT, arrays
 from tests.training.paths.test_ways import walled_head
-from training.config.clusters import LookupConfig
-from training.config.paths import DensityConfig, FlowConfig, PathGanConfig, PathTrainConfig, PathVaeConfig
+from training.config.paths import PathTrainConfig
 from training.models.lookups.lookups import make_lookups
 from training.models.paths.condition import Condition, swept
 from training.models.paths.density import DensitySampler
 from training.models.paths.modules import PathGanModule
 from training.models.paths.points import PathFlow, RefiningGenerator, blind
+from training.models.paths.settings import DensityConfig, FlowConfig, PathGanConfig, PathVaeConfig
 from training.models.paths.unet import CellGrid, PathUNet
+from training.models.settings import LookupConfig
 from training.models.ways.fields import WayFields, backwards, fields_to_store, stored_fields, way_maps_graph
 from training.paths.export import PointSampler, density_graph, point_graph
 from training.trials.paths.trainables import make_path_module

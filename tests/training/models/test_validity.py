@@ -11,8 +11,8 @@ from cspace.worlds.planar.collision import CollisionChecker
 from cspace.worlds.planar.render import render
 from cspace.worlds.planar.scene import random_scenarios
 from cspace.worlds.planar.world import PlanarWorld
-from training.config.clusters import ValidityConfig
 from training.models.checkpoint import seeded_initialisation
+from training.models.settings import ValidityConfig
 from training.models.validity import OccupancySamples, ValidityModule
 
 TINY = ValidityConfig(hidden=32, pictures_per_step=8, configurations_per_picture=16, steps=60)

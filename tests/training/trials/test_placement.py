@@ -10,6 +10,7 @@ from tests.training.trials.ray_nodes import ray_nodes
 from training.config.clusters import ResourceConfig
 from training.trials.launch import run_trials
 from training.trials.outcomes import FINISHED
+from training.trials.request import TrialRequest
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 
@@ -21,7 +22,7 @@ ROWS = 1_000_000
 def looker():
     """A trainable that learns nothing: it writes down where it is, when, and how it got the array."""
 
-    def look(config, array, notes):
+    def look(trial, array, notes):
         import ray
         from ray import tune
 
@@ -35,9 +36,8 @@ def looker():
             str(int(array.sum())),
             *(str(number) for number in ray.get_gpu_ids()),
         ]
-        trial = config["trial"]
-        Path(notes, trial["name"]).write_text("\n".join([f"{began} {time.time()}", *note]))
-        Path(trial["places"]["folder"], "step-000000001").mkdir(parents=True)
+        Path(notes, trial.name).write_text("\n".join([f"{began} {time.time()}", *note]))
+        (trial.folder / "step-000000001").mkdir(parents=True)
         tune.report({"steps_per_s": 1.0, FINISHED: True})
 
     return look
@@ -47,10 +47,10 @@ def run(tmp_path, resources, trials=TRIALS, array=None):
     """The notes of the trials, by name: their times, and the rest."""
     notes = tmp_path / "notes"
     notes.mkdir()
-    entries = [{"name": f"trial-{index}"} for index in range(trials)]
+    requests = [TrialRequest(tmp_path / "job" / "stage" / f"trial-{index}") for index in range(trials)]
     shared = {"array": np.ones(1) if array is None else array, "notes": str(notes)}
-    done = run_trials(looker(), entries, shared, resources, tmp_path / "job" / "stage")
-    assert [outcome.name for outcome in done] == [entry["name"] for entry in entries]
+    done = run_trials(looker(), requests, shared, resources)
+    assert [outcome.name for outcome in done] == [request.name for request in requests]
     lines = {path.name: path.read_text().splitlines() for path in sorted(notes.iterdir())}
     return {name: (tuple(map(float, times.split())), *rest) for name, (times, *rest) in lines.items()}
 

@@ -16,7 +16,7 @@ from cspace.errors import ConfigError
 from cspace.world import World
 from cspace.worlds.planar.arm import PlanarArm
 from cspace.worlds.planar.camera import Camera
-from training.config.clusters import LookupConfig
+from training.models.settings import LookupConfig
 
 
 class ArmLookups(nn.Module):

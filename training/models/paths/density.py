@@ -11,10 +11,10 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from cspace.space import JointSpace
-from training.config.paths import DensityConfig
 from training.models.modules import TrialModule
 from training.models.paths.condition import swept
 from training.models.paths.samples import PathSamples
+from training.models.paths.settings import DensityConfig
 from training.models.paths.unet import CellGrid, PathUNet
 from training.models.ways.fields import backwards, stored_fields
 

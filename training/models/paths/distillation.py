@@ -6,10 +6,10 @@ import torch
 from torch import Tensor
 
 from cspace.space import JointSpace
-from training.config.paths import DistillationConfig, FlowConfig
 from training.models.lookups.lookups import Scenes
 from training.models.paths.modules import PointModule, descend, make_flow, one_cycle
 from training.models.paths.samples import PathSamples
+from training.models.paths.settings import DistillationConfig, FlowConfig
 
 # Where the loss turns from squares to distances, rad. Distances let the student take a side where the flow
 # parts; squares would send it between both.

@@ -7,7 +7,6 @@ from torch import Tensor, nn
 from torch.optim.lr_scheduler import LambdaLR, OneCycleLR
 
 from cspace.space import JointSpace
-from training.config.paths import FlowConfig, PathGanConfig, PathVaeConfig, PointConfig
 from training.models import losses
 from training.models.lookups.lookups import PictureReader, Scenes, make_reader, values_read
 from training.models.modules import TrialModule
@@ -23,6 +22,7 @@ from training.models.paths.points import (
     blind,
 )
 from training.models.paths.samples import PathBatch, PathSamples
+from training.models.paths.settings import FlowConfig, PathGanConfig, PathVaeConfig, PointConfig
 from training.models.space.joints import Joints
 
 

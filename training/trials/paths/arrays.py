@@ -1,5 +1,6 @@
 """What the path trials read, from the data set and a bundle to the trials by way of the object store."""
 
+import logging
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,10 +13,12 @@ from cspace.errors import ConfigError
 from cspace.space import JointSpace
 from cspace.world import World
 from cspace.worlds.planar.grid_search import centres
-from training.datasets.progress import Progress
+from services.progress import Progress
 from training.models.lookups.lookups import Scenes
 from training.models.paths.samples import PathSamples, equal_paths
 from training.models.ways.fields import WayFields, fields_to_store
+
+_LOG = logging.getLogger("training")
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,7 +91,7 @@ def path_arrays(
     images = np.asarray(dataset.images)
     grid = None if cells is None else centres(spec.world.space, (cells, cells)).astype(np.float32)
     latents, maps = [], []
-    with Progress("pictures", len(images), "picture") as progress:
+    with Progress("pictures", len(images), _LOG.info, "picture") as progress:
         for image in images:
             picture = bundle.prepare(image)
             latents.append(picture.encoding)
@@ -112,7 +115,7 @@ def _fields(
 ) -> NDArray[np.uint8]:
     ways = WayFields(space, maps.shape[1], penalty)
     found = np.empty((len(ids), 2, *maps.shape[1:]), dtype=np.uint8)
-    with Progress("ways", len(ids), "path") as progress:
+    with Progress("ways", len(ids), _LOG.info, "path") as progress:
         for index, (path, owner) in enumerate(zip(paths, ids, strict=True)):
             found[index] = fields_to_store(ways.of(maps[owner] / 255.0, path[0], path[-1]))
             progress.advance()

@@ -8,11 +8,12 @@ import torch
 
 from cspace.bundle import Bundle
 from cspace.errors import ConfigError
-from training.config.clusters import LookupConfig, TrainConfig
+from training.config.clusters import TrainConfig
 from training.models.checkpoint import load_weights, seeded_initialisation
 from training.models.lookups.lookups import make_lookups
 from training.models.modules import make_critic
 from training.models.networks import Critic
+from training.models.settings import LookupConfig
 from training.trials.checkpoints import TrialFolder
 
 JOB_RECORD = "job.json"

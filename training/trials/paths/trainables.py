@@ -1,13 +1,13 @@
 """The trials of path models: one function that Tune runs, and how a trained network is read back."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import torch
 
 from cspace.errors import JobError
-from training.config.paths import FlowConfig, PathGanConfig, PathModel, PathTrainConfig, PointConfig
+from training.config.paths import PathModel, PathTrainConfig
 from training.models.checkpoint import load_weights, seeded_initialisation
 from training.models.lookups.lookups import make_reader
 from training.models.modules import TrialModule
@@ -21,16 +21,18 @@ from training.models.paths.modules import (
     make_path_generator,
 )
 from training.models.paths.points import PathDecoder, PathFlow, RefiningGenerator
+from training.models.paths.settings import FlowConfig, PathGanConfig, PointConfig
 from training.models.paths.unet import CellGrid, PathUNet
 from training.trials.paths.arrays import PathArrays
 from training.trials.paths.guides import Guides
+from training.trials.request import TrialRequest
 from training.trials.tracked import fit_tracked
 
 Maker = Callable[[PathTrainConfig, PathArrays, int, Guides | None], TrialModule]
 
 
 def path_trial(
-    config: Mapping[str, Any],
+    trial: TrialRequest,
     train: PathTrainConfig,
     arrays: PathArrays,
     guides: Guides | None,
@@ -38,10 +40,9 @@ def path_trial(
     teacher: Path | None = None,
 ) -> None:
     """Train the path model that the trial is named after."""
-    trial = config["trial"]
-    name: PathModel = trial["name"]
-    with seeded_initialisation(trial["seed"]):
-        module = make_path_module(name, train, arrays, trial["seed"], guides, teacher)
+    name = cast("PathModel", trial.name)
+    with seeded_initialisation(trial.seed):
+        module = make_path_module(name, train, arrays, trial.seed, guides, teacher)
     steps = getattr(train, name).steps
     fit_tracked(trial, module, steps, train.resources, tracking_uri)
 

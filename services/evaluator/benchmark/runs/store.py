@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from cspace.errors import ConfigError, EvaluationError, StorageError
+from cspace.files import write_json
 from cspace.worlds import default_world
 from services.evaluator.benchmark.runs.arms import Arm
 from services.evaluator.benchmark.runs.run import Run
@@ -55,7 +56,7 @@ class RunStore:
             merged = _merged(json.loads(path.read_text("utf-8")), told) if path.is_file() else told
             # What times depend on, once for every command that ran here.
             merged["sessions"] = [*merged.get("sessions", []), _session()]
-            path.write_text(json.dumps(merged, indent=1) + "\n", "utf-8")
+            write_json(path, merged, indent=1)
             store = cls(folder)
             store._mend()
         except OSError as error:

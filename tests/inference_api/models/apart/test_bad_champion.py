@@ -14,10 +14,10 @@ from cspace.bundle.files import read_files
 from inference_api.models.apart.disk import DiskCache
 from inference_api.models.apart.parts import Limits, parts_apart
 from inference_api.models.bundle_cache import BundleCache
-from inference_api.models.references import ModelReference
 from inference_api.models.store import ModelStore
 from inference_api.telemetry.observer import Nobody, Refusal
 from services.registry.models.port import ModelVersion
+from services.registry.references import ModelReference
 from tests.inference_api.bad_bundles import write_hungry_bundle, write_looping_bundle
 
 VERIFY_S = 2.0

@@ -16,9 +16,9 @@ from inference_api.models.apart.disk import DiskCache
 from inference_api.models.apart.parts import Limits, Parts, parts_apart
 from inference_api.models.apart.processes.child import ChildLimits
 from inference_api.models.bundle_cache import BundleCache
-from inference_api.models.references import ModelReference
 from inference_api.models.store import ModelStore
 from services.registry.models.port import ModelVersion
+from services.registry.references import ModelReference
 from tests.inference_api.trickling import Kind, trickling
 from tests.services.registry.strange_server import strange_server
 

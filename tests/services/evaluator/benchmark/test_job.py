@@ -13,7 +13,6 @@ from services.evaluator import __main__ as evaluator
 from services.evaluator.benchmark import __main__ as command
 from services.evaluator.benchmark.job import Request, run_benchmark
 from services.evaluator.benchmark.runs.arms import pick, table
-from services.evaluator.benchmark.runs.progress import Progress
 from services.evaluator.benchmark.runs.sources import bundled
 from services.evaluator.benchmark.runs.spread import processes, run_here
 from services.evaluator.benchmark.runs.store import RUNS
@@ -237,11 +236,3 @@ def test_a_process_that_dies_is_told_with_its_remedy(setting, monkeypatch):
     monkeypatch.setattr(spread, "ProcessPoolExecutor", Dying)
     with pytest.raises(JobError, match="goes on from the runs that it has"):
         list(processes(1)([None], setting, []))
-
-
-def test_progress_is_told_in_lines_where_there_is_no_terminal():
-    lines = []
-    with Progress("planning", 2, lines.append) as progress:
-        progress.advance()
-        progress.advance()
-    assert lines[-1].startswith("planning: 2/2, 0 s left")

@@ -4,25 +4,13 @@ from cspace.errors import ConfigError
 from cspace.worlds import workshop_of
 from cspace.worlds.planar.world import PlanarWorld
 from services.evaluator.evaluation.budget import FULL, QUICK, units
-from services.evaluator.evaluation.request import ModelReference, make_request
-
-
-@pytest.mark.parametrize(
-    ("text", "expected"),
-    [
-        ("cspace-sampler@challenger", ModelReference("cspace-sampler", "challenger")),
-        ("cspace-sampler/12", ModelReference("cspace-sampler", number=12)),
-    ],
-)
-def test_references_are_read_and_written(text, expected):
-    assert ModelReference.parse(text) == expected
-    assert str(expected) == text
+from services.evaluator.evaluation.request import make_request
 
 
 @pytest.mark.parametrize("text", ["", "cspace-sampler", "a/0", "a/x", "a@", "@b", "a@b/1", "../a/1", "a/1\n"])
 def test_other_references_are_errors(text):
     with pytest.raises(ConfigError, match="name@alias or name/version"):
-        ModelReference.parse(text)
+        make_request(text)
 
 
 def test_the_quick_budget_is_the_default_and_its_scenarios_can_be_set():

@@ -10,13 +10,13 @@ from pathlib import Path
 import psutil
 import pytest
 
-from cspace.errors import PortTakenError, ServiceError, ServiceNotRunningError, ServiceStartError
+from cspace.errors import PortTakenError, ServiceError, ServiceStartError
 from services.local.servers.health import answers
 from services.local.servers.lock import exclusive
 from services.local.servers.ports import free_ports
 from services.local.servers.records import read_record
 from services.local.servers.service import Service
-from services.local.servers.stack import down, require_down, require_up, status, up
+from services.local.servers.stack import down, require_down, status, up
 from services.local.settings import Settings
 
 SERVER = """
@@ -153,16 +153,6 @@ def test_state_is_not_dropped_under_running_services(settings: Settings, make_se
     up(settings, [service], ignore)
     with pytest.raises(ServiceError, match="make down"):
         require_down(settings, [service])
-
-
-def test_a_service_that_is_needed_but_does_not_run_is_named(
-    settings: Settings, make_service: MakeService
-) -> None:
-    running, absent = make_service("one"), make_service("two")
-    up(settings, [running], ignore)
-    require_up(settings, [running])
-    with pytest.raises(ServiceNotRunningError, match="Two"):
-        require_up(settings, [running, absent])
 
 
 def test_a_service_that_runs_but_does_not_answer_is_not_healthy(

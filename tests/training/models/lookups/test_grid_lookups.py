@@ -12,11 +12,11 @@ from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK
 from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.world import PlanarWorld
 from tests.training.paths.test_ways import walled_head
-from training.config.clusters import ValidityConfig
 from training.models.export import validity_graph
 from training.models.lookups import head_map
 from training.models.lookups.grid_lookups import fast_map
 from training.models.lookups.head_map import map_graph
+from training.models.settings import ValidityConfig
 from training.models.validity import ValidityHead
 
 PIXELS = 48

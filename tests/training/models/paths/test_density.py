@@ -6,9 +6,9 @@ import torch
 
 from cspace.worlds.planar.arm import TWO_LINK, PlanarArm
 from tests.training.models.path_builders import arrays, generator
-from training.config.paths import DensityConfig
 from training.models.checkpoint import seeded_initialisation
 from training.models.paths.density import DensityModule, DensitySampler, path_targets
+from training.models.paths.settings import DensityConfig
 from training.models.paths.unet import CellGrid, CellMaps, PathUNet, WrappedConv
 
 CELLS = 16

@@ -7,10 +7,11 @@ import torch
 from cspace.errors import ConfigError, JobError
 from tests.training.models.path_builders import LATENT, arrays
 from tests.training.models.test_path_models import SMALL, answer, feeds, trained
-from training.config.paths import DistillationConfig, load_path_config
+from training.config.paths import load_path_config
 from training.models.checkpoint import Progress, save_checkpoint
 from training.models.paths.condition import Condition
 from training.models.paths.points import blind
+from training.models.paths.settings import DistillationConfig
 from training.paths.export import PointSampler, point_graph
 from training.trials.paths.trainables import load_points, make_path_module
 

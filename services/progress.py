@@ -8,7 +8,7 @@ from typing import Self
 
 from tqdm import tqdm
 
-LINE_EVERY_S = 10.0
+LINE_EVERY_S = 5.0
 
 
 class Progress:
@@ -18,12 +18,13 @@ class Progress:
         what: is being done.
         total: pieces in all.
         show: takes the lines where there is no terminal.
+        unit: what a piece is.
     """
 
-    def __init__(self, what: str, total: int, show: Callable[[str], None]) -> None:
+    def __init__(self, what: str, total: int, show: Callable[[str], None], unit: str = "run") -> None:
         self._what, self._total, self._done, self._show = what, total, 0, show
         self._began = self._told = time.monotonic()
-        self._bar = tqdm(total=total, desc=what, unit="run") if sys.stderr.isatty() else None
+        self._bar = tqdm(total=total, desc=what, unit=unit) if sys.stderr.isatty() else None
 
     def advance(self) -> None:
         """One more piece is done."""

@@ -1,11 +1,12 @@
-"""Names of models as requests write them: ``name``, ``name@alias``, ``name/version``, ``pretrained``."""
+"""Names of models as users write them: ``name``, ``name@alias``, ``name/version``, ``pretrained``."""
 
 import re
 from dataclasses import dataclass
 
 from cspace.errors import ConfigError, InputError
+from services.registry.models.port import ModelLookups, ModelVersion
+from services.registry.names import ALIAS_CHAMPION
 
-CHAMPION = "champion"
 PRETRAINED = "pretrained"
 
 # Names become folders of the cache: no separators, no leading dot.
@@ -20,22 +21,6 @@ _PATTERN = re.compile(
 def is_model_name(text: str) -> bool:
     """Whether a text can be a model's name, and so a folder's of the cache."""
     return re.fullmatch(_NAME, text, re.ASCII) is not None
-
-
-def served_name(text: str) -> str:
-    """The name of the model whose champion is the default, as ``CSPACE_MODEL_NAME`` sets it.
-
-    Raises:
-        ConfigError: no request could name it.
-    """
-    if not is_model_name(text) or text == PRETRAINED:
-        raise ConfigError(
-            "the setting CSPACE_MODEL_NAME is wrong",
-            expected=f"1 to 100 letters, digits, '.', '_' and '-', first a letter or digit; not {PRETRAINED}",
-            got=repr(text)[:200],
-            remedy="name a registered model, or unset it",
-        )
-    return text
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,15 +44,52 @@ class ModelReference:
         Raises:
             InputError: it follows none of the forms.
         """
-        match = _PATTERN.fullmatch(text)
-        if match is None:
+        found = cls._read(text)
+        if found is None:
             raise InputError(
                 "model is not a reference",
                 expected="name, name@alias, name/version or pretrained",
                 got=repr(text)[:200],
             )
+        return found
+
+    @classmethod
+    def parse_version(
+        cls, text: str, what: str, expected: str = "name@alias or name/version"
+    ) -> "ModelReference":
+        """Read a reference that names an alias or a version.
+
+        Args:
+            text: to read.
+            what: is wrong where it does not, for the message.
+            expected: likewise.
+
+        Raises:
+            ConfigError: it does not.
+        """
+        found = cls._read(text)
+        if found is None or found.is_bare:
+            raise ConfigError(what, expected=expected, got=repr(text))
+        return found
+
+    @classmethod
+    def _read(cls, text: str) -> "ModelReference | None":
+        match = _PATTERN.fullmatch(text)
+        if match is None:
+            return None
         version = match["version"]
         return cls(match["name"], match["alias"], None if version is None else int(version))
+
+    def look_up(self, registry: ModelLookups) -> ModelVersion:
+        """The version that is meant.
+
+        Raises:
+            ModelNotFoundError: there is none.
+            RegistryError: the registry does not answer.
+        """
+        if self.version is not None:
+            return registry.version(self.name, self.version)
+        return registry.by_alias(self.name, self.alias or ALIAS_CHAMPION)
 
     @property
     def is_bare(self) -> bool:

@@ -1,0 +1,69 @@
+"""What is written is there whole or not at all."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from cspace.errors import StorageError
+from cspace.files import HALF_PREFIX, HALF_SUFFIX, discard, replacing, write_json
+
+
+def test_a_file_takes_the_place_of_the_one_that_was_there(tmp_path: Path) -> None:
+    target = tmp_path / "record.json"
+    for number in (1, 2):
+        write_json(target, {"number": number})
+        assert json.loads(target.read_text()) == {"number": number}
+    assert list(tmp_path.iterdir()) == [target]
+
+
+def test_until_the_end_readers_see_what_was_there(tmp_path: Path) -> None:
+    target = tmp_path / "record.json"
+    target.write_text("old")
+    with replacing(target) as beside:
+        beside.write_text("new")
+        assert target.read_text() == "old"
+        assert (beside.parent, beside.name.startswith(HALF_PREFIX)) == (tmp_path, True)
+        assert beside.name.endswith(HALF_SUFFIX)
+    assert target.read_text() == "new"
+
+
+def interrupted(target: Path, error: BaseException, folder: bool) -> None:
+    with replacing(target) as beside:
+        if folder:
+            beside.mkdir()
+        (beside / "half" if folder else beside).write_text("ha")
+        raise error
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt(), ValueError("no"), OSError(28, "No space left")])
+@pytest.mark.parametrize("folder", [True, False])
+def test_what_is_interrupted_leaves_nothing(tmp_path: Path, error: BaseException, folder: bool) -> None:
+    with pytest.raises(type(error)):
+        interrupted(tmp_path / "new", error, folder)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_that_holds_something_is_not_replaced(tmp_path: Path) -> None:
+    (tmp_path / "thesis").mkdir()
+    (tmp_path / "thesis" / "text").write_text("years of work")
+    told = pytest.raises(StorageError, match="the thesis cannot be written")
+    with told, replacing(tmp_path / "thesis", "the thesis") as beside:
+        beside.mkdir()
+    assert (tmp_path / "thesis" / "text").read_text() == "years of work"
+    assert [path.name for path in tmp_path.iterdir()] == ["thesis"]
+
+
+def test_what_cannot_be_written_is_told_in_the_systems_words_without_a_path(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(StorageError) as caught, replacing(tmp_path / "file" / "new", "the bundle") as beside:
+        beside.mkdir(parents=True)
+    assert caught.value.what == "the bundle cannot be written"
+    assert str(tmp_path) not in str(caught.value)
+
+
+def test_what_is_not_there_can_be_discarded(tmp_path: Path) -> None:
+    discard(tmp_path / "nothing")
+    (tmp_path / "folder" / "inner").mkdir(parents=True)
+    discard(tmp_path / "folder")
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,55 @@
+"""What a trial is asked for, and where it works."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from training.jobs.job import Job
+
+
+@dataclass(frozen=True, slots=True)
+class TrialRequest:
+    """A trial; it travels to its worker through the object store.
+
+    Args:
+        folder: of its checkpoints and its record, ``<job>/<stage>/<name>`` on storage that all nodes share.
+        run_id: of its tracking run.
+        seed: of initialisation and of every draw.
+        cluster: whose configurations it learns; None for all.
+    """
+
+    folder: Path
+    run_id: str = ""
+    seed: int = 0
+    cluster: int | None = None
+
+    @classmethod
+    def of(cls, job: Job[Any], stage: str, name: str, cluster: int | None = None) -> "TrialRequest":
+        """A trial of a job, with the run that it has there; clusters have seeds of their own."""
+        seed = job.config.seed + (0 if cluster is None else 1 + cluster)
+        return cls(job.folder / stage / name, job.child(name), seed, cluster)
+
+    @property
+    def name(self) -> str:
+        """The trial's name in its stage."""
+        return self.folder.name
+
+    @property
+    def stage(self) -> Path:
+        """The folder of the stage's trials."""
+        return self.folder.parent
+
+    @property
+    def spool(self) -> Path:
+        """Where metrics wait that could not be sent, for all trials of the job."""
+        return self.stage.parent / "spool"
+
+    @property
+    def stop(self) -> Path:
+        """A file that is there while the job is being stopped."""
+        return stop_file(self.stage.parent)
+
+
+def stop_file(job: Path) -> Path:
+    """The file by which a job's trials are told to end."""
+    return job / "stop"
