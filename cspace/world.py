@@ -6,6 +6,7 @@ worlds are registered in :mod:`cspace.worlds`.
 """
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
@@ -71,6 +72,19 @@ class Body(Protocol):
         """Plain values for JSON."""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Levers:
+    """Where pictures are read: (cos, sin) of the links' directions times ``levers``, plus ``origin``.
+
+    Args:
+        levers: (2 d, 2 K) float32.
+        origin: (2 K,) float32, shares of the picture's width, then of its height.
+    """
+
+    levers: NDArray[np.float32]
+    origin: NDArray[np.float32]
+
+
 class World(Protocol):
     """A robot and how it is seen."""
 
@@ -100,6 +114,14 @@ class World(Protocol):
     @property
     def scene_files(self) -> tuple[str, ...]:
         """Names of a data set's arrays that hold scenes, where their geometry is known."""
+
+    def levers(self, points_per_link: int, side_m: float) -> Levers:
+        """Where K points of the robot lie in its pictures.
+
+        Args:
+            points_per_link: along each link, from its first joint to its tip.
+            side_m: distance of the two rows of points beside each link, m; with 0 the middle row is alone.
+        """
 
     def check_scenes(self, arrays: Arrays, count: int) -> None:
         """Check those of the arrays that hold scenes.

@@ -87,9 +87,9 @@ def encode_and_cluster(job: Job[TrainConfig], dataset: Dataset, vae: TrialOutcom
     if config.joint:
         latents = Latents.none(len(images), config.vae.latent_dim)
     else:
-        latents = encode(
-            load_encoder(config.vae, dataset.world.sensor.pixels, encoder_checkpoint(job, vae)), images
-        )
+        sensor = dataset.world.sensor
+        encoder = load_encoder(config.vae, sensor.pixels, encoder_checkpoint(job, vae))
+        latents = encode(encoder, sensor, images)
     free = np.asarray(dataset.free)
     ids = np.repeat(np.arange(dataset.scenario_count), np.diff(dataset.free_offsets))
     labels, cells = _partition(config, free, dataset.world.space)

@@ -17,11 +17,12 @@ from numpy.typing import NDArray
 
 from cspace.dataset import Dataset, write_dataset
 from cspace.errors import DatasetError
+from cspace.path_points import spread_points
 from cspace.problem import Problem
 from cspace.splits import Split, scenario_rng
 from cspace.worlds.planar.collision import CollisionChecker
 from cspace.worlds.planar.free_grid import FreeGrid, cells_per_joint
-from cspace.worlds.planar.grid_paths import PATH_CELLS, PathFinder, spread_points
+from cspace.worlds.planar.grid_paths import PATH_CELLS, PathFinder
 from cspace.worlds.planar.problems import Family, narrow_pairs, require_resolution
 from cspace.worlds.planar.render import render
 from cspace.worlds.planar.scene import Scenario, random_scenario

@@ -7,7 +7,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from cspace.worlds.planar.picture import to_network
+from cspace.world import Sensor
 from training.models.checkpoint import load_weights, seeded_initialisation
 from training.models.networks import Encoder
 from training.models.settings import VaeConfig
@@ -38,12 +38,12 @@ def load_encoder(config: VaeConfig, pixels: int, checkpoint: Path) -> Encoder:
     return encoder
 
 
-def encode(encoder: Encoder, images: NDArray[np.uint8]) -> Latents:
-    """Latents of (S, P, P, 3) pictures."""
+def encode(encoder: Encoder, sensor: Sensor, images: NDArray[np.uint8]) -> Latents:
+    """Latents of (S, ...) pictures of a sensor."""
     means, deviations = [], []
     with torch.inference_mode():
         for start in range(0, len(images), _BLOCK):
-            mu, log_variance = encoder(torch.from_numpy(to_network(images[start : start + _BLOCK])))
+            mu, log_variance = encoder(torch.from_numpy(sensor.to_network(images[start : start + _BLOCK])))
             means.append(mu.numpy())
             deviations.append((log_variance / 2.0).exp().numpy())
     return Latents(np.concatenate(means), np.concatenate(deviations))

@@ -7,8 +7,8 @@ from onnx import compose
 from torch import Tensor, nn
 
 from cspace.bundle import RandomInput
+from cspace.grid_search import centres
 from cspace.space import JointSpace
-from cspace.worlds.planar.grid_search import centres
 from training.models.export import batched, exported
 from training.models.lookups.head_map import MAP, map_graph, named, shaped
 from training.models.lookups.lookups import ArmLookups

@@ -8,9 +8,10 @@ import numpy as np
 
 from cspace.errors import DatasetError, ScenarioError
 from cspace.space import JointSpace
-from cspace.world import Arrays
+from cspace.world import Arrays, Levers
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK, PlanarArm
 from cspace.worlds.planar.camera import Camera
+from cspace.worlds.planar.lookups import levers
 
 KIND = "planar"
 
@@ -41,6 +42,10 @@ class PlanarWorld:
     def scene_files(self) -> tuple[str, ...]:
         """(S, D, 3) x, y, radius in m."""
         return ("discs",)
+
+    def levers(self, points_per_link: int, side_m: float) -> Levers:
+        """See :func:`cspace.worlds.planar.lookups.levers`."""
+        return levers(self.body, self.sensor, points_per_link, side_m)
 
     def check_scenes(self, arrays: Arrays, count: int) -> None:
         """See :meth:`cspace.world.World.check_scenes`."""

@@ -7,9 +7,9 @@ import pytest
 from onnx import TensorProto, helper, numpy_helper
 
 from cspace.errors import ConfigError
+from cspace.grid_search import centres, spacing, ways_to
 from cspace.space import difference
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK, PlanarArm
-from cspace.worlds.planar.grid_search import centres, spacing, ways_to
 from training.paths.ways import WaySettings, way_graph
 from training.paths.writing import PathGraph
 

@@ -4,9 +4,7 @@ Forward kinematics and the camera's frame are known, obstacles are not. Reading 
 what a single latent for the whole picture cannot give: sharp answers near contact.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import cast
 
 import torch
 from torch import Tensor, nn
@@ -14,8 +12,6 @@ from torch.nn import functional
 
 from cspace.errors import ConfigError
 from cspace.world import World
-from cspace.worlds.planar.arm import PlanarArm
-from cspace.worlds.planar.camera import Camera
 from training.models.settings import LookupConfig
 
 
@@ -35,19 +31,11 @@ class ArmLookups(nn.Module):
 
     def __init__(self, world: World, points_per_link: int, side_m: float) -> None:
         super().__init__()
-        robot, camera = cast("PlanarArm", world.body), cast("Camera", world.sensor)
-        sides = [-side_m, 0.0, side_m] if side_m > 0.0 else [0.0]
-        along, beside = _levers(robot, points_per_link, sides)
-        self.points = along.shape[1]
+        found = world.levers(points_per_link, side_m)
+        self.points = len(found.origin) // 2
         self.values = 3 * self.points
-        width, height = camera.x_max_m - camera.x_min_m, camera.y_max_m - camera.y_min_m
-        across = torch.cat([along, -beside]) / width
-        # Row 0 of a picture is its top.
-        down = -torch.cat([beside, along]) / height
-        left, top = -camera.x_min_m / width, camera.y_max_m / height
-        origin = torch.cat([torch.full((self.points,), left), torch.full((self.points,), top)])
-        self.register_buffer("levers", torch.cat([across, down], dim=1), persistent=False)
-        self.register_buffer("origin", origin, persistent=False)
+        self.register_buffer("levers", torch.from_numpy(found.levers), persistent=False)
+        self.register_buffer("origin", torch.from_numpy(found.origin), persistent=False)
 
     def forward(self, pictures: Tensor, configurations: Tensor) -> Tensor:
         """Bilinear values of the pictures at each configuration's points; beyond the frame, the edge's."""
@@ -93,19 +81,6 @@ class ArmLookups(nn.Module):
         directions = torch.cat([torch.cos(angles), torch.sin(angles)], dim=-1)
         shares: Tensor = directions @ self.levers + self.origin
         return shares
-
-
-def _levers(robot: PlanarArm, points_per_link: int, sides: Sequence[float]) -> tuple[Tensor, Tensor]:
-    """What each link adds to each point along its own direction and across it, both (d, points) m."""
-    lengths = torch.tensor(robot.link_lengths_m)
-    links = len(lengths)
-    along = torch.zeros(links, links, len(sides), points_per_link)
-    beside = torch.zeros_like(along)
-    for link in range(links):
-        along[:link, link] = lengths[:link].view(-1, 1, 1)
-        along[link, link] = lengths[link] * torch.linspace(0.0, 1.0, points_per_link)
-        beside[link, link] = torch.tensor(sides).unsqueeze(1)
-    return along.flatten(1), beside.flatten(1)
 
 
 class PictureReader(nn.Module):

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from cspace.dataset import Dataset
 from cspace.errors import DatasetError
-from cspace.worlds.planar.grid_paths import spread_points
+from cspace.path_points import spread_points
 
 MIN_POINTS = 2
 

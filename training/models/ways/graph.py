@@ -8,8 +8,8 @@ import onnx
 from numpy.typing import NDArray
 from onnx import numpy_helper
 
+from cspace.grid_search import centres, spacing
 from cspace.space import JointSpace
-from cspace.worlds.planar.grid_search import centres, spacing
 from training.models.ways.steps import FAR
 
 

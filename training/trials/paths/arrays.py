@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from cspace.bundle import Bundle
 from cspace.dataset import Dataset
 from cspace.errors import ConfigError
+from cspace.grid_search import centres
 from cspace.space import JointSpace
 from cspace.world import World
-from cspace.worlds.planar.grid_search import centres
 from services.progress import Progress
 from training.models.lookups.lookups import Scenes
 from training.models.paths.samples import PathSamples, equal_paths

@@ -4,18 +4,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cspace.errors import ScenarioError
+from cspace.path_points import points_along, spread_points
 from cspace.space import torus_distance
 from cspace.splits import Split
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK
 from cspace.worlds.planar.collision import CollisionChecker
-from cspace.worlds.planar.grid_paths import (
-    RESOLUTION_RAD,
-    PathFinder,
-    clearance_weights,
-    points_along,
-    shortcut,
-    spread_points,
-)
+from cspace.worlds.planar.grid_paths import RESOLUTION_RAD, PathFinder, clearance_weights, shortcut
 from cspace.worlds.planar.problems import Family, draw_problem
 from cspace.worlds.planar.scene import Disc, Scenario
 

@@ -8,9 +8,9 @@ from hypothesis.extra.numpy import arrays
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
+from cspace.grid_search import cell_of, centres, spacing, ways_to
 from cspace.space import JointSpace
 from cspace.worlds.planar.arm import TWO_LINK
-from cspace.worlds.planar.grid_search import cell_of, centres, spacing, ways_to
 
 SPACE = TWO_LINK.space
 LIMITED = JointSpace((-1.0, -np.pi), (2.0, np.pi), (False, True))
