@@ -120,7 +120,9 @@ def _header(found: FamilyResult, results: Results, version: str) -> Iterator[str
 
 def _setup(results: Results) -> Iterator[str]:
     setting = results.setting
-    yield "Planar arm of two joints, torus; one run for each problem and arm, with paired seeds."
+    space = setting.world.space
+    joints = f"{setting.world.kind} world, {space.dim} joints, {space.to_dict()['kind']}"
+    yield f"{joints}; one run for each problem and arm, with paired seeds."
     yield f"Resolution {setting.resolution_rad} rad a joint, goal bias {setting.goal_bias}."
     yield f"At most {setting.max_iterations} iterations, {setting.optimising_iterations} of optimising arms."
 
