@@ -115,7 +115,7 @@ for mark in MLFLOW_WARNINGS:
 
 def test_the_command_may_be_given_again_and_names_no_machine(source: Path, tmp_path: Path) -> None:
     command = [sys.executable, "-m", "training.path_sampler", str(source), "paths"]
-    root = Path(__file__).parents[3]
+    root = Path(__file__).parents[2]
     environment = os.environ | {"PYTHONPATH": str(root)}
     digests = set()
     for _ in range(2):
