@@ -61,7 +61,7 @@ def test_a_trained_vae_finds_strange_pictures_strange(tmp_path):
     config = VaeConfig(steps=150)
     seen = random_scenarios(Split.TRAIN, 0, 1000)
     folder = checkpoint(tmp_path, config, render_batch(seen))
-    dataset = opened(tmp_path, camera=seen[0].camera, images=render_batch(seen[:3]), extra_images=None)
+    dataset = opened(tmp_path, world=seen[0].world, images=render_batch(seen[:3]), extra_images=None)
     scores, encoder = load_scores(config, 48, folder), load_encoder(config, 48, folder)
     quantiles = known_quantiles(config, folder, scores, dataset)
 
