@@ -70,6 +70,7 @@ CHANGES: list[dict[str, Any]] = [
     {"joint_space": {"kind": "torus", "dim": 5, "unit": "rad"}},
     {"joint_space": {"kind": "torus", "dim": 3, "unit": "deg"}},
     {"world": WORLD | {"camera": {"x_min_m": -5}}},
+    {"world": WORLD | {"camera": WORLD["camera"] | {"x_min_m": False}}},
     {"world": WORLD | {"camera": {"x_min_m": -5, "x_max_m": 5, "y_min_m": -5, "y_max_m": "5", "pixels": 32}}},
     {"world": WORLD | {"camera": {"x_min_m": -5, "x_max_m": 5, "y_min_m": -5, "y_max_m": 5, "pixels": 0}}},
     {"image": {"pixels": 32, "channels": "BGR", "range": [-1, 1]}},

@@ -30,8 +30,7 @@ def store(tmp_path: Path, registry: CountingRegistry, bundles: dict[str, Path], 
 def make_store(
     folder: Path, registry: CountingRegistry, bundles: dict[str, Path], clock: Clock
 ) -> ModelStore:
-    disk = DiskCache(folder / "cache")
-    loader = LoaderHere(disk, registry)
+    loader = LoaderHere(disk := DiskCache(folder / "cache"), registry)
     cache = BundleCache(disk, loader, loader, 2, clock)
     store = ModelStore(registry, cache, bundles["shipped"], "cspace-sampler", 2.0, clock)
     store.load_shipped()

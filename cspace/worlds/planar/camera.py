@@ -36,7 +36,9 @@ class Camera:
             ScenarioError: a key is missing, unknown or of the wrong type.
         """
         right = set(values) == {*_SIDES, "pixels"} and isinstance(values["pixels"], int)
-        numbers = all(isinstance(value, int | float) and value is not True for value in values.values())
+        numbers = all(
+            isinstance(value, int | float) and not isinstance(value, bool) for value in values.values()
+        )
         if not (right and numbers):
             raise ScenarioError(
                 "the camera is unknown", expected="x and y ranges in m, pixels", got=repr(values)[:200]
