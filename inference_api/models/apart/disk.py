@@ -5,6 +5,7 @@ part of the name because a registry that was set up anew counts its versions fro
 model's folder holds its lock; who reads does not, and takes a version that vanishes as one that is not there.
 """
 
+import os
 import re
 import shutil
 import tempfile
@@ -89,8 +90,10 @@ class DiskCache:
 
     def touch(self, version: ModelVersion) -> None:
         """Note that a version was used; a cache that is read only keeps the old time."""
+        # Not by the file system's own clock, whose ticks are as long as several uses.
+        now_ns = time.time_ns()
         with suppress(OSError):
-            (self._place(version) / _VERSION).touch()
+            os.utime(self._place(version) / _VERSION, ns=(now_ns, now_ns))
 
     def stored(self, name: str) -> list[ModelVersion]:
         """Versions of a model that are on disk, oldest first."""
