@@ -16,7 +16,7 @@ from services.registry.names import MODEL_NAME
 from tests.chaos.checks import left_behind
 from tests.chaos.system import System
 
-pytestmark = [pytest.mark.e2e, pytest.mark.timeout(600)]
+pytestmark = [pytest.mark.e2e, pytest.mark.slow, pytest.mark.timeout(600)]
 
 STATE = Path(__file__).parent / "earlier" / "schema_2.tar.xz"
 DATA = ("scenario_count=12", "extra_image_count=4", "free_per_scenario=32", "collision_per_scenario=8")
