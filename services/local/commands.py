@@ -9,8 +9,8 @@ from cspace.errors import ConfigError
 from services.local.environment import shell_lines
 from services.local.servers.stack import down, require_down, services, status, up
 from services.local.settings import Settings
-from services.local.state import drop_state, size_bytes, size_text
-from services.local.texts import addresses, shell_help, status_table
+from services.local.state import drop_state, size_text, state_parts
+from services.local.texts import addresses, aligned, shell_help, status_table
 
 NOT_RUNNING = 4
 
@@ -54,15 +54,21 @@ def _env(settings: Settings, _: argparse.Namespace) -> int:
 
 def _clean_state(settings: Settings, options: argparse.Namespace) -> int:
     require_down(settings, services(settings))
-    size = size_text(size_bytes(settings.home))
     if not settings.home.is_dir():
         _say(f"there is no {settings.home}")
         return 0
-    if not options.yes and not _confirmed(f"delete {settings.home} ({size}) with all runs, models and data?"):
-        _say("nothing was deleted")
-        return 1
+    parts = state_parts(settings)
+    rows = [(str(part), size_text(size)) for part, size in parts.items()]
+    if not options.yes:
+        _say(aligned(rows))
+        if not _confirmed("delete all of this: runs, models and data?"):
+            _say("nothing was deleted")
+            return 1
     drop_state(settings)
-    _say(f"deleted {settings.home} ({size})")
+    _say(f"deleted {settings.home} ({size_text(sum(parts.values()))})")
+    if settings.home.is_dir():
+        left = ", ".join(sorted(path.name for path in settings.home.iterdir()))
+        _say(f"left what is not this project's: {left}")
     return 0
 
 

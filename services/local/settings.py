@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from cspace.errors import ConfigError
+from services.local.marker import claim
 
 HOST = "127.0.0.1"
 API_PORT = "CSPACE_API_PORT"
@@ -96,10 +97,10 @@ class Settings:
         """Make the state folder, for this user alone, with its parts.
 
         Raises:
-            ConfigError: it cannot be made.
+            ConfigError: it cannot be made, or is somebody else's.
         """
         try:
-            self.home.mkdir(mode=0o700, parents=True, exist_ok=True)
+            claim(self.home, FOLDERS)
             for name in FOLDERS:
                 (self.home / name).mkdir(exist_ok=True)
         except OSError as error:

@@ -4,6 +4,7 @@ import shutil
 from pathlib import Path
 
 from cspace.errors import StorageError
+from services.local.marker import MARKER, owned
 from services.local.servers.ray_head import temp_folder
 from services.local.settings import FOLDERS, Settings
 
@@ -29,17 +30,29 @@ def size_text(count: int) -> str:
     return f"{size:.1f} GB"
 
 
+def state_parts(settings: Settings) -> dict[Path, int]:
+    """What :func:`drop_state` would delete, with its size in bytes.
+
+    Raises:
+        ConfigError: the state folder is not this project's.
+    """
+    parts = [settings.home / name for name in owned(settings.home, FOLDERS)]
+    return {part: size_bytes(part) for part in [*parts, temp_folder(settings)] if part.is_dir()}
+
+
 def drop_state(settings: Settings) -> None:
     """Delete the parts of the state folder, and the folder itself if nothing else lies in it.
 
     Raises:
+        ConfigError: it is not this project's.
         StorageError: something cannot be deleted.
     """
-    parts = [settings.home / name for name in FOLDERS]
+    parts = state_parts(settings)
     try:
-        for part in [*parts, temp_folder(settings)]:
-            if part.is_dir():
-                shutil.rmtree(part)
+        for part in parts:
+            shutil.rmtree(part)
+        # Last, so that what was interrupted can be repeated.
+        (settings.home / MARKER).unlink(missing_ok=True)
         if settings.home.is_dir() and not any(settings.home.iterdir()):
             settings.home.rmdir()
     except OSError as error:

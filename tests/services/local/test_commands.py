@@ -14,6 +14,7 @@ from cspace.errors import (
 from services.local.__main__ import exit_code, main
 from services.local.commands import COMMANDS
 from services.local.servers.ports import free_ports
+from services.local.settings import Settings
 
 
 @pytest.fixture(autouse=True)
@@ -102,7 +103,7 @@ def test_env_prints_exports_alone(capsys: pytest.CaptureFixture[str]) -> None:
 def test_clean_state_asks_somebody_or_wants_yes(
     own_settings: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    (own_settings / "data").mkdir(parents=True)
+    Settings.from_environment().make_folders()
     assert main(["clean-state"]) == 2
     assert own_settings.exists()
     assert "--yes" in capsys.readouterr().err
@@ -114,7 +115,7 @@ def test_clean_state_asks_somebody_or_wants_yes(
 def test_clean_state_does_what_the_answer_says(
     own_settings: Path, monkeypatch: pytest.MonkeyPatch, answer: str, code: int, kept: bool
 ) -> None:
-    (own_settings / "data").mkdir(parents=True)
+    Settings.from_environment().make_folders()
     monkeypatch.setattr("sys.stdin.isatty", lambda: True)
     monkeypatch.setattr("builtins.input", lambda question: answer)
     assert main(["clean-state"]) == code
@@ -124,3 +125,29 @@ def test_clean_state_does_what_the_answer_says(
 def test_clean_state_without_state_says_so(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["clean-state"]) == 0
     assert "there is no" in capsys.readouterr().out
+
+
+def test_clean_state_shows_what_goes_and_how_big_it_is(
+    own_settings: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    Settings.from_environment().make_folders()
+    (own_settings / "data" / "large.npy").write_bytes(bytes(12_000_000))
+    monkeypatch.setattr("sys.stdin.isatty", lambda: True)
+    monkeypatch.setattr("builtins.input", lambda question: "n")
+    assert main(["clean-state"]) == 1
+    shown = capsys.readouterr().out
+    assert f"{own_settings / 'data'}" in shown
+    assert "12 MB" in shown
+
+
+def test_a_folder_of_the_users_is_neither_used_nor_cleaned(
+    own_settings: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    thesis = own_settings / "data" / "thesis.tex"
+    thesis.parent.mkdir(parents=True)
+    thesis.write_text("years of work")
+    for command in (["up"], ["clean-state", "--yes"]):
+        assert main(command) == 2
+        assert "is not a state folder of this project" in capsys.readouterr().err
+    assert [path.name for path in own_settings.iterdir()] == ["data"]
+    assert thesis.read_text() == "years of work"

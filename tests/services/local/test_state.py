@@ -2,7 +2,8 @@ from pathlib import Path
 
 import pytest
 
-from cspace.errors import StorageError
+from cspace.errors import ConfigError, StorageError
+from services.local.marker import MARKER
 from services.local.settings import Settings
 from services.local.state import drop_state, size_bytes, size_text
 
@@ -45,3 +46,37 @@ def test_state_that_cannot_be_deleted_is_a_storage_error(
     monkeypatch.setattr("services.local.state.shutil.rmtree", refuse)
     with pytest.raises(StorageError):
         drop_state(settings)
+
+
+def test_only_what_the_mark_lists_is_deleted(settings: Settings) -> None:
+    (settings.home / MARKER).write_text('{"parts": ["mlflow", "thesis", "../elsewhere"]}')
+    (settings.home / "thesis").mkdir()
+    (settings.home.parent / "elsewhere").mkdir()
+    drop_state(settings)
+    assert not (settings.home / "mlflow").exists()
+    assert {"data", "thesis"} <= {path.name for path in settings.home.iterdir()}
+    assert (settings.home.parent / "elsewhere").is_dir()
+
+
+def test_a_folder_that_an_earlier_release_made_is_taken_over_if_nothing_else_lies_there(
+    settings: Settings,
+) -> None:
+    (settings.home / MARKER).unlink()
+    (settings.home / "mlflow" / "mlflow.db").touch()
+    settings.make_folders()
+    assert (settings.home / MARKER).is_file()
+    (settings.home / MARKER).unlink()
+    (settings.home / "thesis").mkdir()
+    with pytest.raises(ConfigError, match="not a state folder"):
+        settings.make_folders()
+    with pytest.raises(ConfigError, match="not a state folder"):
+        drop_state(settings)
+    assert (settings.home / "data").is_dir()
+
+
+@pytest.mark.parametrize("text", ["", "[]", "{}", '{"parts": 3}'])
+def test_a_damaged_mark_allows_nothing(settings: Settings, text: str) -> None:
+    (settings.home / MARKER).write_text(text)
+    with pytest.raises(ConfigError, match=MARKER):
+        drop_state(settings)
+    assert (settings.home / "data").is_dir()
