@@ -75,6 +75,26 @@ def test_another_run_or_another_bundle_is_the_next_version(
     assert [version.aliases for version in listed] == [(ALIAS_CHALLENGER,), (), ()]
 
 
+def test_a_deleted_version_is_gone_and_its_number_is_not_given_again(
+    backend: Backend, first: ModelVersion, bundle: Bundle, other: Bundle
+) -> None:
+    registry, name = backend.registry, first.name
+    second = registry.register(name, other.folder, first.run_id, other.digest, {})
+    registry.delete(name, second.number)
+    assert registry.versions(name) == (registry.version(name, 1),)
+    for call in (registry.version, registry.delete):
+        with pytest.raises(ModelNotFoundError):
+            call(name, second.number)
+    run_id = backend.tracking.start("contract", "global").run_id
+    assert registry.register(name, bundle.folder, run_id, bundle.digest, {}).number == 3
+
+
+def test_all_models_are_listed_by_name(registry: ModelRegistry, first: ModelVersion) -> None:
+    names = registry.names()
+    assert first.name in names
+    assert list(names) == sorted(names)
+
+
 def test_an_alias_moves_from_one_version_to_another(
     registry: ModelRegistry, first: ModelVersion, other: Bundle
 ) -> None:

@@ -134,7 +134,7 @@ class FakeRegistry:
         self.away = False
         self._folder = folder
         self._runs = runs
-        self._versions: dict[str, list[ModelVersion]] = {}
+        self._versions: dict[str, list[ModelVersion | None]] = {}
         self._aliases: dict[tuple[str, str], int] = {}
 
     def register(
@@ -154,7 +154,7 @@ class FakeRegistry:
         if self._runs is not None and run_id not in self._runs:
             raise RegistryError(f"there is no run {run_id}")
         known = self._versions.setdefault(name, [])
-        same = [one for one in known if (one.run_id, one.digest) == (run_id, digest)]
+        same = [one for one in known if one and (one.run_id, one.digest) == (run_id, digest)]
         if same:
             number = same[0].number
         else:
@@ -169,13 +169,13 @@ class FakeRegistry:
 
     def version(self, name: str, number: int) -> ModelVersion:
         self._check_there()
-        known = self._versions.get(name, [])
-        if not 1 <= number <= len(known):
+        known = dict(enumerate(self._versions.get(name, []), 1)).get(number)
+        if known is None:
             raise ModelNotFoundError(f"there is no {name}/{number}")
         aliases = sorted(
             alias for (owner, alias), at in self._aliases.items() if (owner, at) == (name, number)
         )
-        return replace(known[number - 1], aliases=tuple(aliases))
+        return replace(known, aliases=tuple(aliases))
 
     def by_alias(self, name: str, alias: str) -> ModelVersion:
         self._check_there()
@@ -185,8 +185,18 @@ class FakeRegistry:
 
     def versions(self, name: str) -> tuple[ModelVersion, ...]:
         self._check_there()
-        count = len(self._versions.get(name, []))
-        return tuple(self.version(name, number) for number in range(count, 0, -1))
+        there = [one.number for one in self._versions.get(name, []) if one]
+        return tuple(self.version(name, number) for number in reversed(there))
+
+    def names(self) -> tuple[str, ...]:
+        self._check_there()
+        return tuple(sorted(self._versions))
+
+    def delete(self, name: str, number: int) -> None:
+        version = self.version(name, number)
+        self._versions[name][number - 1] = None
+        self._aliases = {key: at for key, at in self._aliases.items() if (key[0], at) != (name, number)}
+        shutil.rmtree(self._place(name, version.number))
 
     def set_alias(self, name: str, alias: str, number: int) -> None:
         self.version(name, number)

@@ -91,6 +91,24 @@ class MlflowRegistry:
         complete = [replace(one, aliases=aliases.get(one.number, ())) for one in found]
         return tuple(sorted(complete, key=lambda one: one.number, reverse=True))
 
+    def names(self) -> tuple[str, ...]:
+        """The registered models; see :meth:`services.registry.models.port.ModelRegistry.names`."""
+        self._ready()
+        found: list[str] = []
+        token: str | None = ""
+        with mapped("listing the models"):
+            while token is not None:
+                page = self._client.search_registered_models(max_results=_PAGE, page_token=token or None)
+                found += [model.name for model in page]
+                token = page.token or None
+        return tuple(sorted(found))
+
+    def delete(self, name: str, number: int) -> None:
+        """Delete a version; see :meth:`services.registry.models.port.ModelRegistry.delete`."""
+        self._ready()
+        with mapped(f"deleting {name}/{number}", lookup=True):
+            self._client.delete_model_version(name, str(number))
+
     def set_alias(self, name: str, alias: str, number: int) -> None:
         """Point an alias to a version; see :meth:`services.registry.models.port.ModelRegistry.set_alias`."""
         self._ready()

@@ -92,6 +92,18 @@ class ModelRegistry(ModelLookups, Protocol):
         """
         ...
 
+    def names(self) -> tuple[str, ...]:
+        """The registered models, in alphabetical order."""
+        ...
+
+    def delete(self, name: str, number: int) -> None:
+        """Delete a version for good; its number is not given again.
+
+        Raises:
+            ModelNotFoundError: there is no such version.
+        """
+        ...
+
     def set_alias(self, name: str, alias: str, number: int) -> None:
         """Point an alias to a version, away from whichever had it.
 

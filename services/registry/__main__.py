@@ -1,0 +1,153 @@
+"""Registered models: ``python -m services.registry models list|show|promote|rollback|delete|export|import``.
+
+Exit codes: 0 done; 1 the registry or a bundle failed; 2 the request was wrong.
+"""
+
+import argparse
+import os
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+from cspace.errors import ConfigError, CspaceError, InputError, ModelNotFoundError
+from services.registry import life_cycle
+from services.registry.models.mlflow_registry import MlflowRegistry
+from services.registry.models.port import ModelRegistry, ModelVersion
+from services.registry.names import ALIAS_CHAMPION
+from services.registry.promotion import PREFIX, Decision, decisions_of
+from services.registry.references import ModelReference
+from services.registry.tracking.mlflow_tracking import MlflowTracking
+
+_Run = Callable[[ModelRegistry, argparse.Namespace], None]
+
+
+def main(arguments: Sequence[str] | None = None, environment: Mapping[str, str] = os.environ) -> int:
+    """Parse, do it, print; returns the exit code."""
+    options = _parser().parse_args(arguments)
+    try:
+        options.uri = environment.get("MLFLOW_TRACKING_URI", "")
+        if not options.uri:
+            raise ConfigError(
+                "MLFLOW_TRACKING_URI is not set",
+                expected="the tracking server's address",
+                remedy='`eval "$(make -s env)"` sets it',
+            )
+        options.run(MlflowRegistry(options.uri), options)
+    except (InputError, ModelNotFoundError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    except CspaceError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="python -m services.registry",
+        description="Registered models. MLFLOW_TRACKING_URI is the tracking server's address.",
+        epilog="Exit codes: 0 done, 1 the registry or a bundle failed, 2 the request was wrong.",
+    )
+    models = parser.add_subparsers(required=True, metavar="models").add_parser("models", help="versions")
+    commands = models.add_subparsers(required=True, metavar="COMMAND")
+
+    def add(name: str, run: _Run, words: str, target: str = "version") -> argparse.ArgumentParser:
+        command = commands.add_parser(name, help=words, description=words)
+        command.set_defaults(run=run)
+        if target == "version":
+            command.add_argument("version", help="name, name@alias or name/version")
+        return command
+
+    add("list", _list, "the models, or the versions of one", "").add_argument("name", nargs="?", default="")
+    add("show", _show, "a version with its tags and the decisions about it")
+    for one in (
+        add("promote", _promote, "make a version the champion, whatever the gate says"),
+        add("rollback", _roll_back, "make the champion before the present one champion again", ""),
+    ):
+        one.add_argument("--reason", required=True, help="kept with the decision")
+    commands.choices["rollback"].add_argument("name", help="of the model")
+    add("delete", _delete, "delete a version that no alias names").add_argument(
+        "--yes", action="store_true", help="do not ask"
+    )
+    add("export", _export, "write a version's bundle and record").add_argument("folder", type=Path)
+    imported = add("import", _import, "register an exported folder or a bundle as the challenger", "")
+    imported.add_argument("folder", type=Path)
+    imported.add_argument("name", help="of the model, which is created when it is new")
+    return parser
+
+
+def _list(registry: ModelRegistry, options: argparse.Namespace) -> None:
+    if not options.name:
+        for name in registry.names():
+            newest = registry.versions(name)
+            champion = next((one.number for one in newest if ALIAS_CHAMPION in one.aliases), "-")
+            print(f"{name:<40} {len(newest):>4} versions, champion {champion}")
+        return
+    for version in registry.versions(options.name):
+        judged = decisions_of(version)
+        figures = (
+            ", ".join(f"{key} {value:.3f}" for key, value in judged[-1].metrics.items()) if judged else ""
+        )
+        print(f"{version!s:<30} {_when(version.created_ms)}  {', '.join(version.aliases):<22} {figures}")
+
+
+def _show(registry: ModelRegistry, options: argparse.Namespace) -> None:
+    version = _version(registry, options)
+    print(f"{version}  {', '.join(version.aliases)}")
+    print(f"  made      {_when(version.created_ms)} by run {version.run_id}")
+    for key, value in sorted(version.tags.items()):
+        if not key.startswith(PREFIX):
+            print(f"  {key:<9} {value}")
+    for decision in decisions_of(version):
+        print(f"  {_when(decision.created_ms)}  {'promoted' if decision.promoted else 'not promoted'}")
+        for reason in decision.reasons:
+            print(f"    - {reason}")
+
+
+def _promote(registry: ModelRegistry, options: argparse.Namespace) -> None:
+    _tell(life_cycle.promote(registry, _version(registry, options), options.reason))
+
+
+def _roll_back(registry: ModelRegistry, options: argparse.Namespace) -> None:
+    _tell(life_cycle.roll_back(registry, options.name, options.reason))
+
+
+def _delete(registry: ModelRegistry, options: argparse.Namespace) -> None:
+    version = _version(registry, options)
+    if not options.yes:
+        if not sys.stdin.isatty():
+            raise ConfigError("there is nobody to ask", expected="a terminal", remedy="confirm with --yes")
+        if input(f"delete {version} for good? [y/N] ").strip().lower() not in {"y", "yes"}:
+            print("nothing was deleted")
+            return
+    life_cycle.delete(registry, version)
+    print(f"deleted {version}")
+
+
+def _export(registry: ModelRegistry, options: argparse.Namespace) -> None:
+    version = _version(registry, options)
+    print(f"{version} is in {life_cycle.export_version(registry, version, options.folder)}")
+
+
+def _import(registry: ModelRegistry, options: argparse.Namespace) -> None:
+    tracking = MlflowTracking(options.uri)
+    version = life_cycle.import_version(registry, tracking, options.folder, options.name)
+    print(f"{version} is the challenger; evaluate it: python -m services.evaluator --model {version}")
+
+
+def _version(registry: ModelRegistry, options: argparse.Namespace) -> ModelVersion:
+    return ModelReference.parse(options.version).look_up(registry)
+
+
+def _tell(decision: Decision) -> None:
+    before = "" if decision.against is None else f", version {decision.against} before"
+    print(f"champion of {decision.name} is version {decision.version}{before}")
+
+
+def _when(moment_ms: int) -> str:
+    return time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(moment_ms / 1000))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

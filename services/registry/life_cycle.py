@@ -1,0 +1,150 @@
+"""What people do with registered versions by hand: promote, roll back, delete, export, import.
+
+Every move of the champion is a decision in its version's log (:mod:`services.registry.promotion`), as the
+evaluator's are, with the words ``by hand`` among its reasons.
+"""
+
+import json
+import tempfile
+import time
+from collections.abc import Mapping
+from pathlib import Path
+
+from cspace.bundle import Bundle
+from cspace.errors import ConfigError, ModelNotFoundError
+from cspace.files import replacing, write_json
+from cspace.worlds import robot_digest
+from services.registry.models.port import ModelRegistry, ModelVersion
+from services.registry.names import ALIAS_CHALLENGER, ALIAS_CHAMPION, EXPERIMENT, TAG_DIGEST
+from services.registry.promotion import Decision, champions, decisions_of, record_decision
+from services.registry.tracking.port import Tracking
+
+BUNDLE_FOLDER, RECORD = "bundle", "version.json"
+BY_HAND, STEP_BACK = "by hand", "rolled back from"
+ROLLED_BACK = f"{BY_HAND}: {STEP_BACK}"
+
+
+def promote(registry: ModelRegistry, version: ModelVersion, reason: str) -> Decision:
+    """Make a version the champion, whatever the gate thinks of it; its bundle is read and replayed first.
+
+    Args:
+        registry: holds it.
+        version: which.
+        reason: is kept with the decision.
+
+    Raises:
+        BundleError: its bundle is damaged or answers otherwise here.
+        RegistryError: the registry refuses.
+    """
+    with tempfile.TemporaryDirectory(prefix="cspace-promote-") as folder:
+        bundle = Bundle.load(registry.download(version, Path(folder) / BUNDLE_FOLDER))
+    judged = decisions_of(version)
+    decision = Decision(
+        version.name,
+        version.number,
+        promoted=True,
+        reasons=(f"{BY_HAND}: {reason}",),
+        metrics=judged[-1].metrics if judged else {},
+        against=_champion(registry, version.name),
+        created_ms=time.time_ns() // 1_000_000,
+        robot=robot_digest(bundle.spec.world),
+    )
+    record_decision(registry, decision)
+    return decision
+
+
+def roll_back(registry: ModelRegistry, name: str, reason: str) -> Decision:
+    """Make the version champion that was it before the present one.
+
+    Raises:
+        ModelNotFoundError: there is no champion, or there was none before it that still exists.
+    """
+    present = registry.by_alias(name, ALIAS_CHAMPION).number
+    there = {version.number: version for version in registry.versions(name)}
+    row: list[int] = []
+    for decision in champions(registry, name):
+        # A step back takes off the row what it left behind.
+        if decision.reasons[0].startswith(ROLLED_BACK) and decision.version in row:
+            del row[len(row) - row[::-1].index(decision.version) :]
+        else:
+            row.append(decision.version)
+    earlier = [number for number in row if number != present and number in there]
+    if not earlier:
+        raise ModelNotFoundError(
+            f"{name} cannot be rolled back",
+            expected="a champion before the present one",
+            got=f"version {present} alone",
+            remedy="promote another version, or delete this one and the shipped model answers",
+        )
+    return promote(registry, there[earlier[-1]], f"{STEP_BACK} {present}: {reason}")
+
+
+def delete(registry: ModelRegistry, version: ModelVersion) -> None:
+    """Delete a version that no alias names.
+
+    Raises:
+        ConfigError: an alias names it.
+        ModelNotFoundError: there is no such version.
+    """
+    if version.aliases:
+        raise ConfigError(
+            f"{version} is in use",
+            expected="a version without aliases",
+            got=", ".join(version.aliases),
+            remedy=f"promote another version, or roll back; then delete {version}",
+        )
+    registry.delete(version.name, version.number)
+
+
+def export_version(registry: ModelRegistry, version: ModelVersion, folder: Path) -> Path:
+    """Write a version's bundle, tags and decisions into a new folder, whole or not at all.
+
+    Raises:
+        ConfigError: the folder exists.
+        StorageError: it cannot be written.
+    """
+    if folder.exists():
+        raise ConfigError("the export's folder exists", expected="a new folder", got=str(folder))
+    with replacing(folder, "the export") as beside:
+        beside.mkdir(parents=True)
+        registry.download(version, beside / BUNDLE_FOLDER)
+        record = {key: value for key, value in vars(version).items() if key != "aliases"}
+        write_json(beside / RECORD, {**record, "tags": dict(version.tags)}, indent=2)
+    return folder
+
+
+def import_version(registry: ModelRegistry, tracking: Tracking, folder: Path, name: str) -> ModelVersion:
+    """Register what :func:`export_version` wrote, or a bundle alone, as the challenger; once, if repeated.
+
+    Raises:
+        BundleError: the bundle is damaged or answers otherwise here.
+        ConfigError: the folder holds neither.
+    """
+    bundle = Bundle.load(folder / BUNDLE_FOLDER if (folder / BUNDLE_FOLDER).is_dir() else folder)
+    tags = _tags(folder / RECORD)
+    key = f"import/{name}/{bundle.digest}"
+    with tracking.start(EXPERIMENT, f"import {bundle.digest[:8]}", tags={"imported": "true"}, key=key) as run:
+        return registry.register(name, bundle.folder, run.run_id, bundle.digest, tags, alias=ALIAS_CHALLENGER)
+
+
+def _tags(record: Path) -> Mapping[str, str]:
+    """Of the exported version, the decisions about it elsewhere left out: they compare with others."""
+    if not record.exists():
+        return {}
+    try:
+        values = json.loads(record.read_text(encoding="utf-8"))
+        tags = {str(key): str(value) for key, value in values["tags"].items()}
+    except (ValueError, LookupError, TypeError, AttributeError) as error:
+        raise ConfigError(
+            f"{record} is not readable", expected="what `export` wrote", got=type(error).__name__
+        ) from error
+    return {
+        key: value for key, value in tags.items() if not key.startswith("decision.") and key != TAG_DIGEST
+    }
+
+
+def _champion(registry: ModelRegistry, name: str) -> int | None:
+    try:
+        return registry.by_alias(name, ALIAS_CHAMPION).number
+    except ModelNotFoundError:
+        return None

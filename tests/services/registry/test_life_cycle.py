@@ -1,0 +1,127 @@
+"""What people do with versions by hand, on the registry in memory, and the command itself without a server."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from cspace.bundle import Bundle
+from cspace.errors import BundleError, ConfigError, ModelNotFoundError
+from services.registry.__main__ import main
+from services.registry.life_cycle import delete, export_version, import_version, promote, roll_back
+from services.registry.models.port import ModelVersion
+from services.registry.names import ALIAS_CHALLENGER, ALIAS_CHAMPION
+from services.registry.promotion import decisions, decisions_of
+from tests.bundles import write_tiny_bundle
+from tests.fakes.registry import FakeRegistry, FakeTracking
+
+NAME = "cspace-sampler"
+
+
+@pytest.fixture
+def registry(tmp_path: Path) -> FakeRegistry:
+    """Three versions of one model."""
+    registry = FakeRegistry(tmp_path / "registry")
+    for number in (1, 2, 3):
+        bundle = Bundle.load(write_tiny_bundle(tmp_path / f"bundle-{number}", scale=number / 4))
+        registry.register(NAME, bundle.folder, str(number), bundle.digest, {"preset": f"p{number}"})
+    return registry
+
+
+def champion(registry: FakeRegistry) -> int:
+    return registry.by_alias(NAME, ALIAS_CHAMPION).number
+
+
+def version(registry: FakeRegistry, number: int) -> ModelVersion:
+    return registry.version(NAME, number)
+
+
+def test_a_promotion_by_hand_is_a_decision_with_its_reason(registry: FakeRegistry) -> None:
+    promote(registry, version(registry, 2), "the demo is today")
+    assert champion(registry) == 2
+    (decision,) = decisions_of(version(registry, 2))
+    assert (decision.promoted, decision.reasons) == (True, ("by hand: the demo is today",))
+    assert decision.robot is not None
+
+
+def test_a_damaged_version_is_not_promoted(registry: FakeRegistry, tmp_path: Path) -> None:
+    (tmp_path / "registry" / NAME / "2" / "generator.onnx").write_bytes(b"damaged")
+    with pytest.raises(BundleError):
+        promote(registry, version(registry, 2), "in a hurry")
+    assert decisions(registry, NAME) == ()
+
+
+def test_rolling_back_walks_down_the_row_of_champions(registry: FakeRegistry) -> None:
+    for number in (1, 2, 3):
+        promote(registry, version(registry, number), "better")
+    assert roll_back(registry, NAME, "worse in the field").version == 2
+    assert champion(registry) == 2
+    assert roll_back(registry, NAME, "that one as well").version == 1
+    with pytest.raises(ModelNotFoundError, match="rolled back"):
+        roll_back(registry, NAME, "and again")
+    assert champion(registry) == 1
+
+
+def test_a_version_that_was_promoted_again_leads_back_to_what_it_replaced(registry: FakeRegistry) -> None:
+    for number in (1, 2, 1):
+        promote(registry, version(registry, number), "better")
+    assert roll_back(registry, NAME, "worse").version == 2
+
+
+def test_a_deleted_champion_is_skipped_on_the_way_back(registry: FakeRegistry) -> None:
+    for number in (1, 2, 3):
+        promote(registry, version(registry, number), "better")
+    delete(registry, version(registry, 2))
+    assert roll_back(registry, NAME, "worse").version == 1
+
+
+def test_what_an_alias_names_is_not_deleted(registry: FakeRegistry) -> None:
+    registry.set_alias(NAME, ALIAS_CHALLENGER, 3)
+    with pytest.raises(ConfigError, match="in use"):
+        delete(registry, version(registry, 3))
+    assert version(registry, 3)
+
+
+def test_an_exported_version_is_imported_once_and_answers_the_same(
+    registry: FakeRegistry, tmp_path: Path
+) -> None:
+    promote(registry, version(registry, 2), "better")
+    folder = export_version(registry, version(registry, 2), tmp_path / "out")
+    elsewhere, tracking = FakeRegistry(tmp_path / "elsewhere"), FakeTracking()
+    for _ in range(2):
+        came = import_version(elsewhere, tracking, folder, "mine")
+    assert elsewhere.versions("mine") == (came,)
+    assert (came.digest, came.aliases) == (version(registry, 2).digest, (ALIAS_CHALLENGER,))
+    assert came.tags["preset"] == "p2"
+    assert decisions_of(came) == ()
+    with pytest.raises(ConfigError, match="exists"):
+        export_version(registry, version(registry, 2), folder)
+
+
+def test_a_bundle_alone_is_imported_and_a_foreign_record_refused(tmp_path: Path) -> None:
+    bundle = write_tiny_bundle(tmp_path / "bundle")
+    registry, tracking = FakeRegistry(tmp_path / "registry"), FakeTracking()
+    assert import_version(registry, tracking, bundle, "mine").number == 1
+    folder = tmp_path / "exported"
+    folder.mkdir()
+    bundle.rename(folder / "bundle")
+    (folder / "version.json").write_text(json.dumps({"tags": ["a"]}))
+    with pytest.raises(ConfigError, match=r"version\.json"):
+        import_version(registry, tracking, folder, "mine")
+
+
+@pytest.mark.parametrize("arguments", [[], ["models"], ["models", "promote", "a/1"], ["models", "fly"]])
+def test_wrong_usage_ends_with_2(arguments: list[str]) -> None:
+    with pytest.raises(SystemExit) as raised:
+        main(arguments, {"MLFLOW_TRACKING_URI": "http://127.0.0.1:1"})
+    assert raised.value.code == 2
+
+
+@pytest.mark.parametrize(
+    ("environment", "code"), [({}, 2), ({"MLFLOW_TRACKING_URI": "http://127.0.0.1:1"}, 1)]
+)
+def test_no_server_is_told_by_the_exit_code(
+    environment: dict[str, str], code: int, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["models", "list"], environment) == code
+    assert "error: " in capsys.readouterr().err
