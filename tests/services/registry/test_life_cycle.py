@@ -1,4 +1,4 @@
-"""What people do with versions by hand, on the registry in memory, and the command itself without a server."""
+"""What people do with versions by hand, on the registry in memory, and the command where no server is."""
 
 import json
 from pathlib import Path

@@ -1,0 +1,47 @@
+"""The commands on a real server, as a user types them."""
+
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.bundles import write_tiny_bundle
+from tests.contracts.mlflow_server import mlflow_server
+
+pytestmark = [pytest.mark.e2e, pytest.mark.slow]
+
+NAME = "bench-arm"
+
+
+@pytest.fixture(scope="module")
+def uri(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    with mlflow_server(tmp_path_factory.mktemp("mlflow")) as uri:
+        yield uri
+
+
+def models(uri: str, *arguments: str, code: int = 0) -> str:
+    command = [sys.executable, "-m", "services.registry", "models", *arguments]
+    environment = os.environ | {"MLFLOW_TRACKING_URI": uri}
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == code, done.stdout + done.stderr
+    return done.stdout + done.stderr
+
+
+def test_a_model_lives_through_all_commands(uri: str, tmp_path: Path) -> None:
+    for number in (1, 2):
+        bundle = write_tiny_bundle(tmp_path / f"bundle-{number}", scale=number / 4)
+        assert f"{NAME}/{number} is the challenger" in models(uri, "import", str(bundle), NAME)
+        models(uri, "promote", f"{NAME}/{number}", "--reason", f"reason {number}")
+    assert f"{NAME}" in models(uri, "list")
+    assert "version 1, version 2 before" in models(uri, "rollback", NAME, "--reason", "worse in the field")
+    shown = models(uri, "show", NAME)
+    assert f"{NAME}/1  champion" in shown
+    assert "by hand: rolled back from 2: worse in the field" in shown
+    assert "is in use" in models(uri, "delete", f"{NAME}/1", "--yes", code=2)
+    models(uri, "export", f"{NAME}/1", str(tmp_path / "out"))
+    assert "elsewhere/1 is" in models(uri, "import", str(tmp_path / "out"), "elsewhere")
+    models(uri, "promote", f"{NAME}@challenger", "--reason", "mended")
+    assert "there is none" in models(uri, "rollback", "elsewhere", "--reason", "none", code=2)
