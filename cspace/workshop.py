@@ -17,6 +17,8 @@ from cspace.world import Image, Scene, World
 
 StateTest = Callable[[NDArray[np.float64]], bool]
 EdgeTest = Callable[[NDArray[np.float64], NDArray[np.float64]], tuple[bool, int]]
+# A free path (k, d) rad between two free configurations (d,) rad, or None where none is found.
+PathSearch = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64] | None]
 
 
 class Checker(Protocol):
@@ -117,6 +119,19 @@ class Workshop(Protocol):
 
     def checker(self, scene: Scene) -> Checker:
         """Its collision checks."""
+
+    def require(self, family: str) -> None:
+        """Refuse a family that the robot has no problems of.
+
+        Raises:
+            ScenarioError: there is no such family, or its problems cannot be told here.
+        """
+
+    def narrow_pairs(self, scene: Scene, configurations: NDArray[np.float64]) -> NDArray[np.int64]:
+        """Pairs of free configurations (n, d) rad that a narrow passage joins and nothing wider, (k, 2)."""
+
+    def path_search(self, scene: Scene) -> PathSearch:
+        """Near-optimal paths of a scene that is known in full."""
 
     def problem(self, family: str, split: Split, seed: int, index: int = 0) -> Problem:
         """A planning problem.

@@ -5,7 +5,7 @@ import pytest
 
 from cspace.errors import ScenarioError
 from cspace.splits import Split, scenario_rng
-from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK
+from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK, PlanarArm
 from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.collision import CollisionChecker
 from cspace.worlds.planar.scene import Disc, Scenario, random_scenarios
@@ -79,7 +79,9 @@ def test_scenarios_of_another_robot_have_the_same_discs():
 
 def test_a_scenario_survives_json():
     scenario = Scenario(THREE_LINK, (Disc(1.5, 2.5, 0.5), Disc(-2.0, 0.0)), Camera(-4, 4, -4, 4, 64))
-    assert Scenario.from_dict(json.loads(json.dumps(scenario.to_dict()))) == scenario
+    told = json.loads(json.dumps(scenario.to_dict()))
+    robot, camera = PlanarArm.from_dict(told["robot"]), Camera.from_dict(told["camera"])
+    assert Scenario.from_array(robot, told["discs"], camera) == scenario
 
 
 def test_a_scenario_without_discs_has_an_empty_array():
