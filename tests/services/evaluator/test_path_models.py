@@ -23,10 +23,10 @@ from services.evaluator.measures.planning import LEARNED_SAMPLES, learned_sample
 from services.evaluator.measures.samplers import bundle_sampler
 from services.planner.search.ompl_planner import solve
 from services.planner.sources.local_sampler import BundleSampler
-from services.planner.sources.uniform_sampler import UniformSampler
-from services.registry import decisions
+from services.registry.promotion import decisions
 from tests.bundles import picture, write_tiny_bundle
 from tests.fakes.registry import FakeRegistry, FakeTracking
+from tests.fakes.uniform_sampler import UniformSampler
 from training.paths.untrained import make_path_bundle
 
 MODEL = "path-sampler"

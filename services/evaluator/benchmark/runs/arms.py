@@ -179,7 +179,7 @@ def _uniform_arms() -> Iterator[Arm]:
 def _learned_arms(sampler: str, taken: Taken) -> Iterator[Arm]:
     for planner in LEARNED_PLANNERS:
         for share in taken.shares:
-            yield _with(sampler, planner, Group.LEARNED, share, _percent(share), samples=taken.samples)
+            yield _with(sampler, planner, Group.LEARNED, share, _percent(share), taken.samples)
 
 
 def _filtered_arms(sampler: str, taken: Taken) -> Iterator[Arm]:
@@ -187,7 +187,8 @@ def _filtered_arms(sampler: str, taken: Taken) -> Iterator[Arm]:
     least = taken.min_confidence
     for share in taken.shares if least > 0.0 else ():
         name = f"{_percent(share)}, filtered"
-        yield _with(sampler, RRT, Group.FILTERED, share, name, samples=taken.samples, min_confidence=least)
+        arm = _with(sampler, RRT, Group.FILTERED, share, name, taken.samples)
+        yield replace(arm, min_confidence=least)
 
 
 def _ordered_arms(sampler: str, taken: Taken) -> Iterator[Arm]:
@@ -195,7 +196,7 @@ def _ordered_arms(sampler: str, taken: Taken) -> Iterator[Arm]:
     for planner in (RRT, SAMPLED_CONNECT):
         for share in taken.shares:
             name = f"{_percent(share)}, ordered"
-            arm = _with(sampler, planner, Group.ORDERED, share, name, samples=taken.samples)
+            arm = _with(sampler, planner, Group.ORDERED, share, name, taken.samples)
             yield replace(arm, min_confidence=taken.min_confidence, ordered=True)
 
 
@@ -204,7 +205,7 @@ def _checked_arms(sampler: str, taken: Taken) -> Iterator[Arm]:
     for planner in (RRT, SAMPLED_CONNECT):
         for share in taken.shares:
             name = f"{_percent(share)}, colliding last"
-            arm = _with(sampler, planner, Group.CHECKED, share, name, samples=taken.samples)
+            arm = _with(sampler, planner, Group.CHECKED, share, name, taken.samples)
             yield replace(arm, colliding_last=True)
             name = f"{_label(planner)}, {sampler}, {_percent(share)}, ordered, colliding last"
             yield replace(arm, name=name, ordered=True, colliding_last=True)
@@ -212,14 +213,13 @@ def _checked_arms(sampler: str, taken: Taken) -> Iterator[Arm]:
 
 def _schedule_arms(sampler: str, samples: int) -> Iterator[Arm]:
     """Perturbed samples, mixed and in the paper's order, against uniform ones beside as many unperturbed."""
-    perturbed = _with(
-        sampler, RRT, Group.SCHEDULE, 1.0, "schedule", samples=samples, epsilon_sigma=PAPER_SCHEDULE
-    )
+    perturbed = _with(sampler, RRT, Group.SCHEDULE, 1.0, "schedule", samples)
+    perturbed = replace(perturbed, epsilon_sigma=PAPER_SCHEDULE)
     yield perturbed
     yield replace(perturbed, name=f"{perturbed.name} in order", in_order=True)
     least = 1.0 / len(PAPER_SCHEDULE)
     few = round(samples * least)
-    yield _with(sampler, RRT, Group.SCHEDULE, least, f"{_percent(least)}, {few} samples", samples=few)
+    yield _with(sampler, RRT, Group.SCHEDULE, least, f"{_percent(least)}, {few} samples", few)
 
 
 def _optimising_arms(sampler: str | None, taken: Taken) -> Iterator[Arm]:
@@ -231,40 +231,16 @@ def _optimising_arms(sampler: str | None, taken: Taken) -> Iterator[Arm]:
         return
     for share in taken.shares:
         name = f"{_percent(share)}, optimising"
-        yield _with(
-            sampler, RRT_STAR, Group.OPTIMISING, share, name,
-            samples=taken.samples, base=base, stop_at_first=False,
-        )  # fmt: skip
+        arm = _with(sampler, RRT_STAR, Group.OPTIMISING, share, name, taken.samples)
+        yield replace(arm, base=base, stop_at_first=False)
 
 
 def _count_arms(sampler: str) -> Iterator[Arm]:
     for count in SAMPLE_COUNTS:
         name = f"{_percent(DEFAULT_SHARE)}, {count} samples"
-        yield _with(sampler, RRT, Group.COUNTS, DEFAULT_SHARE, name, samples=count)
+        yield _with(sampler, RRT, Group.COUNTS, DEFAULT_SHARE, name, count)
 
 
-def _with(
-    sampler: str,
-    planner: str,
-    group: Group,
-    share: float,
-    name: str,
-    *,
-    samples: int,
-    base: str | None = None,
-    epsilon_sigma: tuple[float, ...] = (0.0,),
-    min_confidence: float = 0.0,
-    stop_at_first: bool = True,
-) -> Arm:
-    return Arm(
-        f"{_label(planner)}, {sampler}, {name}",
-        group,
-        planner,
-        base or _uniform(planner),
-        sampler,
-        share,
-        samples,
-        epsilon_sigma,
-        min_confidence=min_confidence,
-        stop_at_first=stop_at_first,
-    )
+def _with(sampler: str, planner: str, group: Group, share: float, name: str, samples: int) -> Arm:
+    whole_name = f"{_label(planner)}, {sampler}, {name}"
+    return Arm(whole_name, group, planner, _uniform(planner), sampler, share, samples)

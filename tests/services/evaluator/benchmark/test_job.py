@@ -14,9 +14,10 @@ from services.evaluator.benchmark import __main__ as command
 from services.evaluator.benchmark.job import Request, run_benchmark
 from services.evaluator.benchmark.runs.arms import pick, table
 from services.evaluator.benchmark.runs.sources import bundled
-from services.evaluator.benchmark.runs.spread import processes, run_here
+from services.evaluator.benchmark.runs.spread import processes
 from services.evaluator.benchmark.runs.store import RUNS
 from services.evaluator.benchmark.telling.report import terminal_tables
+from tests.fakes.benchmark import run_here
 from tests.fakes.registry import FakeTracking
 
 ARMS = ("RRT, way, 70 %", "own RRT-Connect, way, 70 %", "RRT*, way, 70 %, optimising")

@@ -13,8 +13,8 @@ from services.evaluator.benchmark.runs.arms import pick, table
 from services.evaluator.benchmark.runs.cluster import executor, run_on_ray
 from services.evaluator.benchmark.runs.setting import Unit
 from services.evaluator.benchmark.runs.sources import bundled, served
-from services.evaluator.benchmark.runs.spread import run_here
 from tests.bundles import write_tiny_bundle
+from tests.fakes.benchmark import run_here
 from tests.inference_api.server import api_server
 
 ROOT = Path(__file__).resolve().parents[4]

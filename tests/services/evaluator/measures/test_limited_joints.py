@@ -11,7 +11,7 @@ from services.evaluator.measures.nearest import coverage
 from services.evaluator.measures.reconstruction import energy_distance
 from services.evaluator.measures.scenes import Scene, Stage, reconstruct
 from services.evaluator.measures.topology.complement import occupancy, sample_complement
-from services.planner.sources.uniform_sampler import UniformSampler
+from tests.fakes.uniform_sampler import UniformSampler
 
 SEAM = JointSpace((-3.1, -np.pi), (3.1, np.pi), (False, True))
 WIDE = PlanarArm(joint_limits_rad=((-7.0, 7.0), (-4.0, 1.0)))

@@ -23,8 +23,8 @@ from services.evaluator.measures.reliability import reliability_diagram
 from services.evaluator.measures.samplers import ScoredBundleSampler, bundle_sampler
 from services.evaluator.measures.scenes import Scene, Stage, reconstruct
 from services.planner.sources.local_sampler import BundleSampler
-from services.planner.sources.uniform_sampler import UniformSampler
 from tests.bundles import tiny_graphs, tiny_spec, write_tiny_bundle
+from tests.fakes.uniform_sampler import UniformSampler
 
 DISCONNECTED = Family.DISCONNECTED
 STAGE = Stage(PlanarWorld(TWO_LINK, Camera()), Split.VALIDATION, 5)

@@ -1,4 +1,4 @@
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import pandas as pd
 import pytest
@@ -8,7 +8,7 @@ from cspace.worlds import workshop_of
 from cspace.worlds.planar.problems import Family
 from cspace.worlds.planar.world import PlanarWorld
 from services.evaluator.benchmark.runs.arms import pick, table
-from services.evaluator.benchmark.runs.run import COLUMNS, DESCRIPTIONS, Run, finite
+from services.evaluator.benchmark.runs.run import DESCRIPTIONS, Run, finite
 from services.evaluator.benchmark.runs.setting import units
 from services.evaluator.benchmark.runs.sources import SourceSpec
 from services.evaluator.benchmark.runs.store import RUNS, RunStore, complete
@@ -96,7 +96,7 @@ def test_pandas_reads_the_table_and_its_columns_are_described(tmp_path, make_run
     runs = [make_run(cost_s=(0.1, 0.2)), make_run(arm="b", sampler="way", solved=False)]
     write_parquet(runs, tmp_path / "runs.parquet")
     found = pd.read_parquet(tmp_path / "runs.parquet")
-    assert list(found.columns) == list(COLUMNS) == list(DESCRIPTIONS)
+    assert list(found.columns) == [field.name for field in fields(Run)] == list(DESCRIPTIONS)
     assert found["iterations"].tolist() == [100, 100]
     assert found["solved"].tolist() == [True, False]
     assert found["length_rad"].isna().tolist() == [False, True]
