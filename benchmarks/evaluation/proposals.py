@@ -16,7 +16,6 @@ from benchmarks.machine import machine
 from cspace.bundle import Bundle
 from cspace.splits import Split
 from services.evaluator.evaluation.tables import markdown
-from services.evaluator.measures.reconstruction import sample_quality
 from services.evaluator.measures.scenes import SAMPLES, Scene, Stage
 from services.evaluator.statistics import mean_interval, ratio_of_sums_interval
 
@@ -48,14 +47,14 @@ def main() -> int:
     scenes = [Scene(stage, index) for index in range(options.scenarios)]
     real = [scene.free(SAMPLES, scene.rng(0)) for scene in scenes]
     base = [
-        sample_quality(scene.space.sample_uniform(scene.rng(1), SAMPLES), held_out, scene.space, free(scene))
+        scene.quality(scene.space.sample_uniform(scene.rng(1), SAMPLES), held_out)
         for scene, held_out in zip(scenes, real, strict=True)
     ]
     table = [["uniform share", "precision", "coverage", "EDr", "accepted"]]
     for share in SHARES:
         drawn = [kept(bundle, scene, share) for scene in scenes]
         rows = [
-            sample_quality(samples, held_out, scene.space, free(scene))
+            scene.quality(samples, held_out)
             for (samples, _), scene, held_out in zip(drawn, scenes, real, strict=True)
         ]
         rng = np.random.default_rng(0)
@@ -67,11 +66,6 @@ def main() -> int:
         table.append([f"{share:g}", *(f"{value:.3f}" for value in found), f"{accepted:.3f}"])
     print(f"{machine()}\n\n{markdown(table)}")
     return 0
-
-
-def free(scene: Scene):
-    """The exact checker of a scene."""
-    return scene.checker.valid_batch
 
 
 if __name__ == "__main__":

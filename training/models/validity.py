@@ -83,7 +83,7 @@ class ValidityModule(TrialModule):
     """Trains the head by cross entropy on free and colliding configurations.
 
     Their numbers are in proportion to the free share of the joint space, for else the confidences would be
-    true to another world: drawn in equal numbers, a 0.5 would mean 0.69.
+    true to another world: drawn in equal numbers, a 0.5 would mean that share.
 
     Args:
         config: sizes and budget.

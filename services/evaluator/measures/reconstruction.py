@@ -34,7 +34,7 @@ class SampleQuality:
 
     Args:
         precision: collision-free share of its samples.
-        coverage: share of held-out free configurations with a sample within 0.2 rad.
+        coverage: share of held-out free configurations with a sample within the radius of coverage.
         energy: energy distance to the held-out configurations.
         knn_precision: share of its samples in the k-NN manifold of the held-out configurations.
         knn_recall: share of the held-out configurations in the k-NN manifold of its samples.
@@ -116,6 +116,7 @@ def sample_quality(
     held_out: Configurations,
     space: JointSpace,
     free: Callable[[Configurations], NDArray[np.bool_]],
+    radius_rad: float,
 ) -> SampleQuality:
     """All metrics of (N, d) samples against (M, d) held-out free configurations.
 
@@ -124,6 +125,7 @@ def sample_quality(
         held_out: free configurations that nobody was trained on.
         space: the joint space.
         free: exact collision check, (N, d) to (N,).
+        radius_rad: of coverage.
 
     Raises:
         EvaluationError: a group with fewer members than k-NN needs, or samples that are not finite.
@@ -134,7 +136,7 @@ def sample_quality(
     knn = knn_precision_recall(held_out, samples, space)
     return SampleQuality(
         float(np.mean(free(samples))),
-        coverage(held_out, samples, space),
+        coverage(held_out, samples, space, radius_rad),
         energy_distance(samples, held_out, space),
         knn.precision,
         knn.recall,

@@ -59,7 +59,7 @@ def test_graphs_name_no_folder_of_the_machine_that_exported_them():
 
 @pytest.mark.parametrize("count", [1, 33])
 def test_the_validity_heads_graph_answers_as_the_network(count):
-    head = ValidityHead(ValidityConfig(hidden=8), PlanarWorld(TWO_LINK, Camera()))
+    head = ValidityHead(ValidityConfig(free_share=0.69, hidden=8), PlanarWorld(TWO_LINK, Camera()))
     image, configurations = torch.rand(1, 3, 48, 48) * 2.0 - 1.0, torch.rand(count, 2) * 6.0 - 3.0
     with torch.no_grad():
         expected = torch.sigmoid(head(image, configurations.unsqueeze(0))).squeeze(0)

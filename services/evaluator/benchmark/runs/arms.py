@@ -20,9 +20,8 @@ from services.planner.settings import (
     SAMPLED_CONNECT,
 )
 
-RANGE_RAD = 1.0
-# The ranges at which uniform RRT is measured as well, so that its own best one is known.
-OTHER_RANGES_RAD = (0.5, 2.0)
+# Of the world's range, at which uniform RRT is measured as well, so that its own best one is known.
+OTHER_RANGES = (0.5, 2.0)
 LEARNED_SHARES = (0.7, 1.0)
 DEFAULT_SHARE = 0.7
 SAMPLES = 300
@@ -69,7 +68,7 @@ class Arm:
         ordered: whether the planner takes the samples along the way through them, from the start on.
         min_confidence: what the sampler's validity head has to score; 0 for the samples as they come.
         colliding_last: whether the planner takes samples that collide after all others.
-        range_rad: of the planner, in OMPL's metric.
+        range_rad: of the planner, in OMPL's metric; one rad until :func:`table` knows the world's.
         stop_at_first: whether the search ends with its first solution.
     """
 
@@ -85,7 +84,7 @@ class Arm:
     ordered: bool = False
     min_confidence: float = 0.0
     colliding_last: bool = False
-    range_rad: float = RANGE_RAD
+    range_rad: float = 1.0
     stop_at_first: bool = True
 
     def query(self, seed: int) -> SampleQuery:
@@ -111,20 +110,21 @@ class Taken:
 _AS_USUAL = Taken()
 
 
-def table(samplers: Sequence[str], taken: Taken = _AS_USUAL) -> tuple[Arm, ...]:
+def table(samplers: Sequence[str], range_rad: float, taken: Taken = _AS_USUAL) -> tuple[Arm, ...]:
     """All arms that there are.
 
     Args:
         samplers: names of the learned samplers.
+        range_rad: that planners have in this world.
         taken: how the arms take their samples.
     """
-    arms = [*_uniform_arms(), *_optimising_arms(None, taken)]
+    arms = [*_uniform_arms(range_rad), *_optimising_arms(None, taken)]
     for sampler in samplers:
         arms += [*_learned_arms(sampler, taken), *_filtered_arms(sampler, taken)]
         arms += [*_ordered_arms(sampler, taken), *_checked_arms(sampler, taken)]
         arms += [*_schedule_arms(sampler, taken.samples)]
         arms += [*_optimising_arms(sampler, taken), *_count_arms(sampler)]
-    return tuple(arms)
+    return tuple(replace(arm, range_rad=range_rad * arm.range_rad) for arm in arms)
 
 
 def pick(arms: Sequence[Arm], wanted: Sequence[str], planners: Sequence[str] = ()) -> tuple[Arm, ...]:
@@ -168,12 +168,12 @@ def _percent(share: float) -> str:
     return f"{100.0 * share:g} %"
 
 
-def _uniform_arms() -> Iterator[Arm]:
+def _uniform_arms(range_rad: float) -> Iterator[Arm]:
     for planner in _UNIFORM:
         yield Arm(_uniform(planner), Group.UNIFORM, planner, _uniform(planner))
-    for range_rad in OTHER_RANGES_RAD:
-        name = f"{_uniform(RRT)}, range {range_rad:g}"
-        yield Arm(name, Group.UNIFORM, RRT, _uniform(RRT), range_rad=range_rad)
+    for factor in OTHER_RANGES:
+        name = f"{_uniform(RRT)}, range {factor * range_rad:g}"
+        yield Arm(name, Group.UNIFORM, RRT, _uniform(RRT), range_rad=factor)
 
 
 def _learned_arms(sampler: str, taken: Taken) -> Iterator[Arm]:

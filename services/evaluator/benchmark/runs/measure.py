@@ -13,7 +13,7 @@ from cspace.query import SampleQuery
 from cspace.splits import Split
 from cspace.world import World
 from cspace.worlds import workshop_of
-from services.evaluator.benchmark.runs.arms import RANGE_RAD, Arm
+from services.evaluator.benchmark.runs.arms import Arm
 from services.evaluator.benchmark.runs.check_cost import state_check_s
 from services.evaluator.benchmark.runs.run import Run, finite
 from services.evaluator.benchmark.runs.setting import Setting, Unit
@@ -49,7 +49,8 @@ def measure(
     def asked(sampler: str, query: SampleQuery) -> SampleBatch:
         return ask(sources[sampler], specs[sampler], problem, query)
 
-    check_s = _state_check_s(problem, setting.resolution_rad)
+    range_rad = workshop_of(setting.world).measures.range_rad
+    check_s = _state_check_s(problem, range_rad, setting.resolution_rad)
     runs = []
     # In an order of their own in every unit: no arm is always the one that finds the caches warm.
     for position in np.random.default_rng([seed, 1]).permutation(len(unit.arms)):
@@ -81,9 +82,7 @@ def known_problem(world: World, family: str, split: Split, seed: int, index: int
     return workshop_of(world).problem(family, split, seed, index)
 
 
-@lru_cache(maxsize=4)
-def _state_check_s(problem: Problem, resolution_rad: float) -> float:
-    return state_check_s(problem, RANGE_RAD, resolution_rad)
+_state_check_s = lru_cache(maxsize=4)(state_check_s)
 
 
 def _record(

@@ -36,8 +36,8 @@ class Setting:
         max_iterations: states drawn after which a search ends without a path.
         optimising_iterations: the same for a search that goes on after its first solution.
         time_limit_s: wall time after which a search ends.
-        goal_bias: of planners that have one.
         resolution_rad: largest distance between checked states of an edge in any joint, rad.
+        goal_bias: of planners that have one.
         world: robot and sensor.
     """
 
@@ -47,8 +47,8 @@ class Setting:
     max_iterations: int
     optimising_iterations: int
     time_limit_s: float
+    resolution_rad: float
     goal_bias: float = 0.05
-    resolution_rad: float = 0.0314
     world: World = field(default_factory=default_world)
 
     @property

@@ -36,7 +36,7 @@ def silent(line: str) -> None:
 @pytest.fixture(scope="module")
 def make_request(path_folder):
     def make(out, setting, *names, **changes) -> Request:
-        arms = pick(table(["way"]), names or ARMS)
+        arms = pick(table(["way"], 1.0), names or ARMS)
         short = replace(setting, max_iterations=500, optimising_iterations=200)
         specs = (bundled("way", path_folder),)
         return replace(Request(out, short, PROBLEMS, 1, arms, specs, pages=1), **changes)

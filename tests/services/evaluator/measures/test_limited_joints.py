@@ -23,8 +23,8 @@ def at(first, count=50):
 
 def test_the_two_ends_of_a_limited_joint_are_apart():
     low, high = at(-3.05), at(3.05)
-    assert coverage(low, high, SEAM) == 0.0
-    assert coverage(low, high, circles(2)) == 1.0
+    assert coverage(low, high, SEAM, 0.2) == 0.0
+    assert coverage(low, high, circles(2), 0.2) == 1.0
     assert energy_distance(low, high, circles(2)) < 0.4
     assert energy_distance(low, high, SEAM) > 10.0
 

@@ -45,7 +45,7 @@ def test_two_points_on_opposite_sides_of_a_circle():
 
 def test_precision_is_the_free_share(rng):
     samples = np.array([[0.0, 0.0], [1.0, 0.0], [2.0, 0.0], [-1.0, 0.0]] * 2)
-    measured = sample_quality(samples, TORUS.sample_uniform(rng, 10), TORUS, lambda q: q[:, 0] >= 0)
+    measured = sample_quality(samples, TORUS.sample_uniform(rng, 10), TORUS, lambda q: q[:, 0] >= 0, 0.2)
     assert measured.precision == 0.75
 
 
@@ -53,7 +53,7 @@ def test_samples_have_the_share_of_each_other_s_manifold(rng):
     # Samples of one half of the torus: all look real, and half of the real ones are out of their reach.
     held_out, samples = TORUS.sample_uniform(rng, 1000), TORUS.sample_uniform(rng, 1000)
     samples[:, 0] = np.abs(samples[:, 0])
-    measured = sample_quality(samples, held_out, TORUS, lambda q: q[:, 0] >= 0)
+    measured = sample_quality(samples, held_out, TORUS, lambda q: q[:, 0] >= 0, 0.2)
     assert measured.knn_precision > 0.98
     assert measured.knn_recall == pytest.approx(0.55, abs=0.05)
 
@@ -61,7 +61,7 @@ def test_samples_have_the_share_of_each_other_s_manifold(rng):
 @pytest.mark.parametrize("samples", [np.empty((0, 2)), np.zeros(3), np.array([[np.nan, 0.0], [0.0, 0.0]])])
 def test_no_samples_and_samples_that_are_not_finite_are_errors(rng, samples):
     with pytest.raises(EvaluationError):
-        sample_quality(samples, TORUS.sample_uniform(rng, 10), TORUS, lambda q: q[:, 0] >= 0)
+        sample_quality(samples, TORUS.sample_uniform(rng, 10), TORUS, lambda q: q[:, 0] >= 0, 0.2)
 
 
 def test_edr_sums_over_scenarios_before_it_divides(rng):

@@ -24,7 +24,7 @@ PIXELS = 48
 
 def head_of(robot, side_m=0.1) -> bytes:
     torch.manual_seed(0)  # noqa: TID251 - weights that are the same in every run
-    config = ValidityConfig(hidden=12, layers=2, points_per_link=5, side_m=side_m)
+    config = ValidityConfig(free_share=0.69, hidden=12, layers=2, points_per_link=5, side_m=side_m)
     return validity_graph(
         ValidityHead(config, PlanarWorld(robot, Camera(pixels=PIXELS))).eval(), PIXELS, robot.dim
     )

@@ -14,7 +14,7 @@ from services.evaluator.benchmark.runs.sources import SourceSpec
 from services.evaluator.benchmark.runs.store import RUNS, RunStore, complete
 from services.evaluator.benchmark.telling.frame import write_parquet
 
-ARMS = pick(table(["way"]), ["RRT, way, 70 %"])
+ARMS = pick(table(["way"], 1.0), ["RRT, way, 70 %"])
 WAY = SourceSpec("way", "a" * 64, with_ends=True, model="path-sampler/3", url="http://127.0.0.1:1")
 
 
@@ -58,7 +58,7 @@ def test_runs_of_another_setting_arm_or_model_are_refused(tmp_path, setting):
 
 def test_further_arms_and_samplers_may_join(tmp_path, setting):
     RunStore.open(tmp_path, setting, ARMS, [WAY])
-    more = pick(table(["flow"]), ["RRT, flow, 70 %"])
+    more = pick(table(["flow"], 1.0), ["RRT, flow, 70 %"])
     store = RunStore.open(tmp_path, setting, more, [replace(WAY, name="flow", digest="c" * 64)])
     assert set(store.manifest()["arms"]) == {"RRT, uniform", "RRT, way, 70 %", "RRT, flow, 70 %"}
     assert set(store.manifest()["samplers"]) == {"way", "flow"}
@@ -85,7 +85,7 @@ def test_only_problems_that_all_arms_of_a_family_have_run_are_compared(make_run)
 
 
 def test_problems_without_a_path_have_no_optimising_arms():
-    arms = pick(table([]), ["optimising", "uniform"])
+    arms = pick(table([], 1.0), ["optimising", "uniform"])
     (unit,) = units({Family.DISCONNECTED: 1}, 1, arms, set(), FAMILIES)
     assert all(arm.stop_at_first for arm in unit.arms)
     (unit,) = units({Family.NARROW: 1}, 1, arms, set(), FAMILIES)
