@@ -10,6 +10,7 @@ from importlib import import_module
 from typing import Any, cast
 
 from cspace.errors import ScenarioError
+from cspace.strict_json import read_mapping
 from cspace.workshop import Checker, Workshop
 from cspace.world import Body, Image, Scene, World
 
@@ -21,19 +22,19 @@ KINDS = ("planar",)
 FIRST = "planar"
 
 
-def read_world(values: Mapping[str, Any]) -> World:
+def read_world(values: object) -> World:
     """The inverse of :meth:`cspace.world.World.to_dict`.
 
     Raises:
         ScenarioError: the kind is unknown, or a value does not fit it.
     """
-    kind = values.get("kind", FIRST)
+    members = read_mapping(values, "the world", ScenarioError)
+    kind = members.pop("kind", FIRST)
     if kind not in KINDS:
         raise ScenarioError(
             "the world is unknown", expected=f"one of {', '.join(KINDS)}", got=repr(kind)[:200]
         )
-    rest = {key: value for key, value in values.items() if key != "kind"}
-    return cast("World", _part(kind, "world").read(rest))
+    return cast("World", _part(kind, "world").read(members))
 
 
 def examples() -> dict[str, World]:
