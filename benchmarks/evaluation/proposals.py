@@ -6,12 +6,12 @@ A share of what the head is shown is uniform. What it lets pass at the bundle's 
 are 1000, on validation scenarios; a share of 1 is the head alone.
 """
 
-import argparse
 import sys
 from pathlib import Path
 
 import numpy as np
 
+from benchmarks.command import arguments
 from benchmarks.machine import machine
 from cspace.bundle import Bundle
 from cspace.splits import Split
@@ -36,9 +36,7 @@ def kept(bundle: Bundle, scene: Scene, share: float) -> tuple[np.ndarray, float]
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = arguments(__doc__)
     parser.add_argument("--bundle", type=Path, required=True)
     parser.add_argument("--scenarios", type=int, default=60)
     options = parser.parse_args()

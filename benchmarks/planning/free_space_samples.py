@@ -6,12 +6,13 @@ Uniform samples, a bundle's samples, and those of them that pass its head solve 
 with the same seeds. One process; about a second a narrow problem, most of it spent on finding the problem.
 """
 
-import argparse
 import sys
 from pathlib import Path
 
 import numpy as np
 
+from benchmarks.command import arguments
+from benchmarks.machine import ROOT
 from cspace.bundle import Bundle
 from cspace.splits import Split
 from cspace.worlds.planar.problems import Family, draw_problem
@@ -21,14 +22,11 @@ from services.evaluator.measures.planning import plan_trial
 from services.evaluator.measures.planning_summary import summarise_family
 from services.evaluator.measures.samplers import bundle_sampler
 
-ROOT = Path(__file__).parents[2]
 SEED = 0
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = arguments(__doc__)
     parser.add_argument("--bundle", type=Path, default=ROOT / "inference_api" / "pretrained")
     parser.add_argument("--family", type=Family, choices=list(Family), default=Family.NARROW)
     parser.add_argument("--problems", type=int, default=300)

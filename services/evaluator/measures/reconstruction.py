@@ -14,7 +14,7 @@ from scipy.spatial.distance import cdist, pdist
 
 from cspace.errors import EvaluationError
 from cspace.problem import UNIFORM
-from cspace.space import JointSpace, circles
+from cspace.space import JointSpace
 from services.evaluator.measures.nearest import Configurations, coverage, knn_precision_recall, require_group
 from services.evaluator.measures.occupancy import OccupancySummary, SceneOccupancy, summarise_occupancy
 from services.evaluator.statistics import (
@@ -94,10 +94,8 @@ class ReconstructionSummary:
     occupancy: OccupancySummary | None = None
 
 
-def energy_distance(first: Configurations, second: Configurations, space: JointSpace | None = None) -> float:
+def energy_distance(first: Configurations, second: Configurations, space: JointSpace) -> float:
     """2 E|X - Y| - E|X - X'| - E|Y - Y'| on the space's embedding of (N, d) and (M, d).
-
-    Without a space all joints are circles.
 
     Unbiased: no point is paired with itself, so that equal distributions average zero and single values may
     lie slightly below. No root is taken (Szekely and Rizzo 2013).
@@ -106,7 +104,6 @@ def energy_distance(first: Configurations, second: Configurations, space: JointS
         EvaluationError: fewer than two configurations in one of the two.
     """
     require_group(first, second, at_least=2)
-    space = space or circles(first.shape[1])
     x, y = space.embed(first), space.embed(second)
     return float(2.0 * cdist(x, y).mean() - pdist(x).mean() - pdist(y).mean())
 

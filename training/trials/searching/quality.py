@@ -74,7 +74,7 @@ class Validation:
                 cell, place, jitter = (torch.rand(SAMPLES, size, generator=rng) for size in (1, 1, dim))
                 start = [cell, place, jitter - 0.5]
             else:
-                start = [UniformBase(dim, scene.space).draw(torch.zeros(SAMPLES), rng)]
+                start = [UniformBase(scene.space).draw(torch.zeros(SAMPLES), rng)]
             noise = torch.randn(SAMPLES, sampler.noise_dim, generator=rng)
             seen = [image] if getattr(sampler, "lookups", None) is not None else []
             samples: torch.Tensor = sampler(latent, *start, noise, *seen)
