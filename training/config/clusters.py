@@ -98,10 +98,11 @@ class TrainConfig(Section):
     @classmethod
     def _free_share_of_the_world(cls, head: Any, before: ValidationInfo) -> Any:
         """The world's own where none is given."""
-        known = {"data", "data_folder"} <= before.data.keys()
-        if not known or not isinstance(head, dict) or "free_share" in head:
+        if not isinstance(head, dict) or "free_share" in head:
             return head
-        world = _world(before.data["data"], before.data["data_folder"])
+        # Data that did not fit are told on their own.
+        known = {"data", "data_folder"} <= before.data.keys()
+        world = _world(before.data["data"], before.data["data_folder"]) if known else default_world()
         return {**head, "free_share": workshop_of(world).measures.free_share}
 
     @model_validator(mode="after")

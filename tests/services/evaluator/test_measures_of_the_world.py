@@ -16,7 +16,7 @@ from services.evaluator.evaluation.metrics import flat_metrics
 from services.evaluator.evaluation.report import to_json, to_markdown
 from services.evaluator.evaluation.units import Setting, assemble, run_unit
 from services.evaluator.measures.scenes import Scene, Stage
-from services.planner.sources.uniform_sampler import UniformSampler
+from tests.fakes.uniform_sampler import UniformSampler
 
 PLANAR = workshop_of(PlanarWorld()).measures
 OTHER = replace(PLANAR, coverage_radius_rad=0.7, near_contact_m=0.3, range_rad=0.4, resolution_rad=0.02)
