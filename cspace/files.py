@@ -1,14 +1,16 @@
-"""Files and folders that appear whole or not at all: written beside their place, then renamed."""
+"""Files and folders that appear whole or not at all, written beside their place, then renamed; lock files."""
 
+import fcntl
 import json
 import secrets
 import shutil
+import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from cspace.errors import StorageError
+from cspace.errors import CspaceError, StorageError
 
 # How the names of half-written things begin and end, for those who clear up after killed processes.
 HALF_PREFIX, HALF_SUFFIX = ".write-", ".tmp"
@@ -50,6 +52,35 @@ def write_json(path: Path, values: Mapping[str, Any], indent: int | None = None)
     """
     with replacing(path) as beside:
         beside.write_text(json.dumps(values, indent=indent), encoding="utf-8")
+
+
+@contextmanager
+def holding(path: Path, busy: CspaceError, wait_s: float = 0.0, look_every_s: float = 0.2) -> Iterator[None]:
+    """Hold a lock file, which is made when it is not there and stays; threads exclude each other, too.
+
+    The system frees it when the process ends, however it ends.
+
+    Args:
+        path: of the file; its folder must be there.
+        busy: raised where somebody else holds it for longer.
+        wait_s: for whoever holds it.
+        look_every_s: between two looks.
+
+    Raises:
+        CspaceError: ``busy``.
+        OSError: the file cannot be opened.
+    """
+    until_s = time.monotonic() + wait_s
+    with path.open("a", encoding="utf-8") as handle:
+        while True:
+            try:
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                break
+            except BlockingIOError:
+                if time.monotonic() >= until_s:
+                    raise busy from None
+                time.sleep(look_every_s)
+        yield
 
 
 def discard(path: Path) -> None:

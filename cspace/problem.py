@@ -10,6 +10,8 @@ from cspace.world import Scene
 
 UNIFORM = "uniform"
 """The family that every world has: ends anywhere in a scene like those of training."""
+NARROW = "narrow"
+"""The family whose ends a narrow passage joins and nothing wider; not every robot has it."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,7 +3,7 @@
 A workshop is imported when it is first asked for (:func:`cspace.worlds.workshop_of`), and never by a server.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -17,6 +17,8 @@ from cspace.world import Image, Scene, World
 
 StateTest = Callable[[NDArray[np.float64]], bool]
 EdgeTest = Callable[[NDArray[np.float64], NDArray[np.float64]], tuple[bool, int]]
+# A free path (k, d) rad between two free configurations (d,) rad, or None where none is found.
+PathSearch = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64] | None]
 
 
 class Checker(Protocol):
@@ -80,16 +82,45 @@ class Families:
         names: all, that of training first.
         solvable: those whose problems have a solution.
         telling: the one of them that tells samplers apart.
+        note: for readers, what scenes have that are not of the uniform family.
     """
 
     names: tuple[str, ...]
     solvable: tuple[str, ...]
     telling: str
+    note: str
 
     @property
     def unsolvable(self) -> tuple[str, ...]:
         """Those whose problems have none."""
         return tuple(name for name in self.names if name not in self.solvable)
+
+
+@dataclass(frozen=True, slots=True)
+class Measures:
+    """Numbers that fit one world: how samples and plans are measured there, and what its training assumes.
+
+    Args:
+        coverage_radius_rad: how near a sample has to be to a free configuration that counts as covered.
+        near_contact_m: clearance, on either side, up to which a configuration is near contact.
+        range_rad: longest step of a planner's tree, the sum over the joints; it decides how strong the
+            uniform baseline is.
+        resolution_rad: largest distance between checked states in any joint.
+        coverage_floor: below which no sampler of configurations is promoted.
+        margins: the metrics by which its versions are compared, and how much worse than the best champion
+            one may be.
+        path_margins: the same for path models.
+        free_share: of the joint space, on average over scenes of training.
+    """
+
+    coverage_radius_rad: float
+    near_contact_m: float
+    range_rad: float
+    resolution_rad: float
+    coverage_floor: float
+    margins: Mapping[str, float]
+    path_margins: Mapping[str, float]
+    free_share: float
 
 
 class Workshop(Protocol):
@@ -102,6 +133,10 @@ class Workshop(Protocol):
     @property
     def families(self) -> Families:
         """Of its planning problems."""
+
+    @property
+    def measures(self) -> Measures:
+        """What fits it."""
 
     def scene(self, rng: np.random.Generator) -> Scene:
         """A scene of the kind that training sees."""
@@ -117,6 +152,19 @@ class Workshop(Protocol):
 
     def checker(self, scene: Scene) -> Checker:
         """Its collision checks."""
+
+    def require(self, family: str) -> None:
+        """Refuse a family that the robot has no problems of.
+
+        Raises:
+            ScenarioError: there is no such family, or its problems cannot be told here.
+        """
+
+    def narrow_pairs(self, scene: Scene, configurations: NDArray[np.float64]) -> NDArray[np.int64]:
+        """Pairs of free configurations (n, d) rad that a narrow passage joins and nothing wider, (k, 2)."""
+
+    def path_search(self, scene: Scene) -> PathSearch:
+        """Near-optimal paths of a scene that is known in full."""
 
     def problem(self, family: str, split: Split, seed: int, index: int = 0) -> Problem:
         """A planning problem.

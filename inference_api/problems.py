@@ -12,13 +12,7 @@ from fastapi.responses import Response
 from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect
 
-from cspace.errors import (
-    CspaceError,
-    ImageError,
-    InputError,
-    ModelNotFoundError,
-    RegistryError,
-)
+from cspace.errors import CspaceError, ImageError, InputError, ModelNotFoundError, RegistryError
 from inference_api.failures import FieldsError, ModelNotReadyError
 from inference_api.record import note_reason
 
@@ -72,31 +66,7 @@ SHUTTING_DOWN = ProblemType("shutting-down", 503, "The server is shutting down")
 NO_MODEL = ProblemType("no-model", 503, "No model is ready")
 REGISTRY_UNAVAILABLE = ProblemType("registry-unavailable", 503, "The model registry does not answer")
 
-PROBLEMS = (
-    MALFORMED_REQUEST,
-    MALFORMED_BODY,
-    UNAUTHORIZED,
-    FOREIGN_ORIGIN,
-    UNKNOWN_MODEL,
-    NOT_FOUND,
-    METHOD_NOT_ALLOWED,
-    REQUEST_TIMEOUT,
-    HEADERS_TIMEOUT,
-    BODY_TOO_LARGE,
-    URI_TOO_LONG,
-    UNSUPPORTED_MEDIA_TYPE,
-    UNKNOWN_HOST,
-    INVALID_IMAGE,
-    INVALID_VALUE,
-    TOO_MANY_REQUESTS,
-    HEADERS_TOO_LARGE,
-    CLIENT_GONE,
-    INTERNAL_ERROR,
-    OVERLOADED,
-    SHUTTING_DOWN,
-    NO_MODEL,
-    REGISTRY_UNAVAILABLE,
-)
+PROBLEMS = tuple(value for value in list(globals().values()) if isinstance(value, ProblemType))
 # All that a client is told of failures that are not about its request.
 _ABOUT_THE_SERVER = {
     INTERNAL_ERROR: "the server failed; its log says how",

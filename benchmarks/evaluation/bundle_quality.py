@@ -5,8 +5,6 @@
 The test split is for reporting: decide on validation (``--split validation``), then look at test once.
 """
 
-import argparse
-import statistics
 import sys
 import time
 from concurrent.futures import ProcessPoolExecutor
@@ -14,6 +12,8 @@ from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
 
+from benchmarks.command import arguments
+from benchmarks.lines import spread
 from benchmarks.machine import machine
 from cspace.bundle import Bundle
 from cspace.splits import Split
@@ -32,9 +32,7 @@ def measure(folder: Path, split: Split, seed: int, indices: range) -> list[Scene
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = arguments(__doc__)
     parser.add_argument("bundle", type=Path)
     parser.add_argument("--scenarios", type=int, default=200)
     parser.add_argument("--split", choices=["validation", "test"], default="test")
@@ -57,16 +55,10 @@ def main() -> int:
     print(f"{machine()}\n\n{markdown(rows)}")
     head = found.occupancy
     if head is not None:
-        table = [
-            ["accuracy", "within 0.1 m of contact", "calibration error", "accepted"],
-            [
-                f"{head.accuracy:.4f}",
-                f"{head.near_accuracy:.3f}",
-                f"{head.calibration_error:.4f}",
-                f"{head.acceptance:.3f}",
-            ],
-        ]
-        print(f"\n{markdown(table)}")
+        names = ["accuracy", "within 0.1 m of contact", "calibration error", "accepted"]
+        cells = [f"{head.accuracy:.4f}", f"{head.near_accuracy:.3f}"]
+        cells += [f"{head.calibration_error:.4f}", f"{head.acceptance:.3f}"]
+        print(f"\n{markdown([names, cells])}")
     print(f"\n{_times(options.bundle)}")
     return 0
 
@@ -82,10 +74,7 @@ def _times(folder: Path) -> str:
             began = time.perf_counter()
             bundle.sample(image, count, seed)
             taken.append(1e3 * (time.perf_counter() - began))
-        kept = sorted(taken[5:])
-        told.append(
-            f"{count} samples: median {statistics.median(kept):.1f} ms, {kept[0]:.1f} to {kept[-1]:.1f}"
-        )
+        told.append(f"{count} samples, ms: {spread(taken[5:])}")
     return "; ".join(told)
 
 

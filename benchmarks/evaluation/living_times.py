@@ -8,7 +8,6 @@ this one process, then the product alone is timed on ever more processes, which 
 before; all must give the same numbers. The profile tells where the time of a single draw goes.
 """
 
-import argparse
 import statistics
 import sys
 import time
@@ -18,6 +17,8 @@ import gudhi
 import numpy as np
 from scipy.spatial.distance import cdist
 
+from benchmarks.command import arguments
+from benchmarks.lines import spread
 from benchmarks.machine import machine
 from services.evaluator.measures.topology.geometry_score import (
     I_MAX,
@@ -56,12 +57,6 @@ def timed(function, *arguments, **options):
     return result, time.perf_counter() - began
 
 
-def spread(values, unit: str, scale: float = 1.0) -> str:
-    low, high = min(values) * scale, max(values) * scale
-    median = statistics.median(values) * scale
-    return f"median {median:.2f} {unit} (min {low:.2f}, max {high:.2f}, n {len(values)})"
-
-
 def compare(points, gamma: float, draws: int) -> None:
     rng = np.random.default_rng(SEED)
     picks = [rng.choice(len(points), LANDMARKS, replace=False) for _ in range(draws + 1)]
@@ -76,8 +71,8 @@ def compare(points, gamma: float, draws: int) -> None:
                 times.append(seconds)
         largest = max(largest, float(np.abs(results[0] - results[1]).max()))
     ratio = statistics.median(theirs / own for theirs, own in zip(peer_s, ours_s, strict=True))
-    print(f"one draw, peer:    {spread(peer_s, 'ms', 1e3)}")
-    print(f"one draw, product: {spread(ours_s, 'ms', 1e3)}")
+    print(f"one draw, peer:    {spread((1e3 * one for one in peer_s), 2)} ms")
+    print(f"one draw, product: {spread((1e3 * one for one in ours_s), 2)} ms")
     print(f"peer over product: median {ratio:.0f}; largest difference in a living time {largest:.1e}")
 
 
@@ -111,16 +106,14 @@ def whole(points, draws: int, repeats: int, processes: int):
         times = [timed(once, draws) for _ in range(repeats)]
     seconds = [second for _, second in times]
     print(
-        f"{draws} draws, processes {processes}: {spread(seconds, 's')}; warm after {start_s:.2f} s",
+        f"{draws} draws, processes {processes}: {spread(seconds, 2)} s; warm after {start_s:.2f} s",
         flush=True,
     )
     return [result for result, _ in times]
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = arguments(__doc__)
     parser.add_argument("--points", type=int, default=5000)
     parser.add_argument("--draws", type=int, default=1000)
     parser.add_argument("--repeats", type=int, default=5)

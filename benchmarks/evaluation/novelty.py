@@ -8,7 +8,6 @@ true of the scenario, whatever the picture shows: those of the generator alone, 
 serves.
 """
 
-import argparse
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -18,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageFilter
 
+from benchmarks.command import arguments
 from benchmarks.machine import machine
 from cspace.bundle import Bundle
 from cspace.splits import Split, scenario_rng
@@ -125,9 +125,7 @@ def row_of(bundle: Bundle, kind: Kind, scenarios: int) -> list[str]:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = arguments(__doc__)
     parser.add_argument("bundle", type=Path)
     parser.add_argument("--scenarios", type=int, default=100)
     options = parser.parse_args()

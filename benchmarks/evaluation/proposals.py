@@ -6,17 +6,16 @@ A share of what the head is shown is uniform. What it lets pass at the bundle's 
 are 1000, on validation scenarios; a share of 1 is the head alone.
 """
 
-import argparse
 import sys
 from pathlib import Path
 
 import numpy as np
 
+from benchmarks.command import arguments
 from benchmarks.machine import machine
 from cspace.bundle import Bundle
 from cspace.splits import Split
 from services.evaluator.evaluation.tables import markdown
-from services.evaluator.measures.reconstruction import sample_quality
 from services.evaluator.measures.scenes import SAMPLES, Scene, Stage
 from services.evaluator.statistics import mean_interval, ratio_of_sums_interval
 
@@ -37,9 +36,7 @@ def kept(bundle: Bundle, scene: Scene, share: float) -> tuple[np.ndarray, float]
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = arguments(__doc__)
     parser.add_argument("--bundle", type=Path, required=True)
     parser.add_argument("--scenarios", type=int, default=60)
     options = parser.parse_args()
@@ -48,14 +45,14 @@ def main() -> int:
     scenes = [Scene(stage, index) for index in range(options.scenarios)]
     real = [scene.free(SAMPLES, scene.rng(0)) for scene in scenes]
     base = [
-        sample_quality(scene.space.sample_uniform(scene.rng(1), SAMPLES), held_out, scene.space, free(scene))
+        scene.quality(scene.space.sample_uniform(scene.rng(1), SAMPLES), held_out)
         for scene, held_out in zip(scenes, real, strict=True)
     ]
     table = [["uniform share", "precision", "coverage", "EDr", "accepted"]]
     for share in SHARES:
         drawn = [kept(bundle, scene, share) for scene in scenes]
         rows = [
-            sample_quality(samples, held_out, scene.space, free(scene))
+            scene.quality(samples, held_out)
             for (samples, _), scene, held_out in zip(drawn, scenes, real, strict=True)
         ]
         rng = np.random.default_rng(0)
@@ -67,11 +64,6 @@ def main() -> int:
         table.append([f"{share:g}", *(f"{value:.3f}" for value in found), f"{accepted:.3f}"])
     print(f"{machine()}\n\n{markdown(table)}")
     return 0
-
-
-def free(scene: Scene):
-    """The exact checker of a scene."""
-    return scene.checker.valid_batch
 
 
 if __name__ == "__main__":

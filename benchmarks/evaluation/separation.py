@@ -18,7 +18,6 @@ Intervals are 95 % by bootstrap over repeats. A range is from the smallest to th
 one evaluation may see. Writes the rows as JSON and tables as Markdown; separation_figure.py draws them.
 """
 
-import argparse
 import itertools
 import json
 import sys
@@ -28,6 +27,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.command import arguments
 from benchmarks.machine import machine
 from cspace.splits import Split
 from cspace.worlds.planar.arm import TWO_LINK
@@ -35,6 +35,7 @@ from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.collision import CollisionChecker
 from cspace.worlds.planar.scene import Disc, Scenario
 from cspace.worlds.planar.world import PlanarWorld
+from services.evaluator.evaluation.tables import markdown
 from services.evaluator.measures.scenes import Scene, Stage
 from services.evaluator.measures.topology.complement import POINTS_PER_CELL, sample_complement
 from services.evaluator.measures.topology.complement_score import (
@@ -178,15 +179,15 @@ def summary(rows: list[dict]) -> list[dict]:
     ]
 
 
-def markdown(summaries: list[dict]) -> str:
-    lines = ["| case | pair | score | x 1e4, 95 % interval | range | repeats |", "|---|---|---|---|---|---|"]
+def table(summaries: list[dict]) -> str:
+    rows = [["case", "pair", "score", "x 1e4, 95 % interval", "range", "repeats"]]
     for one in sorted(summaries, key=lambda one: (one["case"], one["score"])):
         value, low, high, least, most = (
             f"{one[key] * 1e4:.3g}" for key in ("estimate", "low", "high", "smallest", "largest")
         )
-        cells = (one["case"], one["pair"], one["score"], f"{value} [{low}, {high}]", f"{least} to {most}")
-        lines.append("| " + " | ".join(cells) + f" | {one['count']} |")
-    return "\n".join(lines) + "\n"
+        cells = [one["case"], one["pair"], one["score"], f"{value} [{low}, {high}]", f"{least} to {most}"]
+        rows.append([*cells, str(one["count"])])
+    return markdown(rows) + "\n"
 
 
 def write(out: Path, setting: dict, rows: list[dict]) -> None:
@@ -194,13 +195,11 @@ def write(out: Path, setting: dict, rows: list[dict]) -> None:
     content = {"machine": machine(), "setting": setting, "summary": summaries, "rows": rows}
     out.mkdir(parents=True, exist_ok=True)
     (out / "separation.json").write_text(json.dumps(content, indent=1))
-    (out / "separation.md").write_text(markdown(summaries))
+    (out / "separation.md").write_text(table(summaries))
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = arguments(__doc__)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--samples", type=int, default=POINTS)
     parser.add_argument("--draws", type=int, default=100)

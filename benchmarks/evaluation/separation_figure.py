@@ -4,13 +4,14 @@ python -m benchmarks.evaluation.separation_figure separation.json docs/images/gs
 python -m benchmarks.evaluation.separation_figure doors.json docs/images/gsc_doors.png --doors
 """
 
-import argparse
 import json
 import sys
 from pathlib import Path
 
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter
+
+from benchmarks.command import arguments
 
 INK, MUTED = "#222222", "#6f6f6f"
 FLOOR, CHANGED, FARTHER, CONTROL = "#8f9aa6", "#e08b3e", "#b8402a", "#4f7cac"
@@ -131,9 +132,7 @@ def width_of(case: str) -> float:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = arguments(__doc__)
     parser.add_argument("measured", type=Path)
     parser.add_argument("image", type=Path)
     parser.add_argument("--doors", action="store_true", help="the cases of the door, by its width")

@@ -14,13 +14,13 @@ from typing import Any
 import ray
 import torch
 
+from benchmarks.machine import ROOT
 from benchmarks.paper.columns import BASE, Column, Scale
 from cspace.errors import JobError
 from training.config.clusters import TrainConfig
 from training.models.checkpoint import read_progress
 from training.trials.launch import QUIET
 
-ROOT = Path(__file__).resolve().parents[2]
 JOB = ROOT / "training" / "cluster_train.py"
 LOOK_EVERY_S = 5.0
 SHOW_EVERY_S = 30.0

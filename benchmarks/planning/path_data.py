@@ -7,13 +7,13 @@ known path is the shortest of these and of BIT* after ``--seconds``. Lengths are
 at ten times the planner's resolution. Times are of one path with nothing prepared, the grid's tree included.
 """
 
-import argparse
 import sys
 import time
 from dataclasses import replace
 
 import numpy as np
 
+from benchmarks.command import arguments
 from cspace.problem import Problem
 from cspace.splits import Split
 from cspace.worlds.planar.grid_paths import PathFinder
@@ -59,22 +59,13 @@ def table(rows: list[tuple[dict[str, float], dict[str, float]]]) -> list[list[st
             solved[:, None], lambda part: np.asarray(np.median(part[..., 0], axis=-1)), rng
         )
         took = 1e3 * np.median([times[name] for _, times in rows])
-        lines.append(
-            [
-                name,
-                f"{len(solved)} of {len(rows)}",
-                f"{median:.3f}",
-                f"{np.quantile(solved, 0.9):.3f}",
-                f"{took:.0f}",
-            ]
-        )
+        cells = [f"{median:.3f}", f"{np.quantile(solved, 0.9):.3f}", f"{took:.0f}"]
+        lines.append([name, f"{len(solved)} of {len(rows)}", *cells])
     return lines
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = arguments(__doc__)
     parser.add_argument("--problems", type=int, default=40, help="validation problems of each family")
     parser.add_argument("--seconds", type=float, default=10.0, help="of the long searches")
     options = parser.parse_args()

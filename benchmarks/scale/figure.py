@@ -3,7 +3,6 @@
 python -m benchmarks.scale.figure --growth build/growth --placement build/placement --out build/scaling.png
 """
 
-import argparse
 import statistics
 import sys
 from pathlib import Path
@@ -11,7 +10,8 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 from matplotlib.axes import Axes
 
-from benchmarks.scale.lines import read
+from benchmarks.command import arguments
+from benchmarks.lines import read
 
 STAGES = {"data_s": "data", "cluster_s": "clustering", "trials_s": "local trials"}
 TITLES = {"scenarios": "scenarios", "samples": "samples a scenario", "clusters": "clusters (trials)"}
@@ -53,9 +53,7 @@ def draw(axes: Axes, values: list[int], found: list[list[float]], label: str) ->
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = arguments(__doc__)
     parser.add_argument("--growth", type=Path, required=True)
     parser.add_argument("--placement", type=Path, required=True)
     parser.add_argument("--out", type=Path, required=True)

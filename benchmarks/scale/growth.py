@@ -13,11 +13,13 @@ the job's own code. Networks and batches are the preset's. Results are kept line
 import shutil
 import sys
 import time
+from functools import partial
 from pathlib import Path
 
 import ray
 
-from benchmarks.scale.lines import append, arguments, read, spread
+from benchmarks.command import tracked_arguments
+from benchmarks.lines import measured, read, spread
 from benchmarks.scale.local_trials import make_arrays, orchestrated, slots
 from services.evaluator.evaluation.tables import markdown
 from training.config.clusters import TrainConfig, load_config
@@ -86,7 +88,7 @@ def report(rows: list[dict]) -> str:
 
 
 def main() -> int:
-    parser = arguments(__doc__)
+    parser = tracked_arguments(__doc__)
     parser.add_argument("--preset", default="reference")
     parser.add_argument("--scenarios", type=int, default=2000)
     parser.add_argument("--samples", type=int, default=250)
@@ -101,12 +103,8 @@ def main() -> int:
         for scenarios, samples, clusters in points(options.scenarios, options.samples, options.clusters):
             row = {"scenarios": scenarios, "samples": samples, "clusters": clusters, "repeat": repeat}
             row |= {"preset": options.preset, "steps": options.steps}
-            if any(row.items() <= one.items() for one in read(results)):
-                continue
             config = configuration(options.preset, scenarios, samples, clusters, options.steps)
-            row |= measure(config, options.tracking_uri, out / "work")
-            append(results, row)
-            print(row, flush=True)
+            measured(results, row, partial(measure, config, options.tracking_uri, out / "work"))
     print(report(read(results)))
     return 0
 

@@ -17,27 +17,30 @@ import os
 import shutil
 import sys
 import time
+from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 import ray
 import torch
 
-from benchmarks.scale.lines import append, arguments, read, spread
+from benchmarks.command import tracked_arguments
+from benchmarks.lines import measured, read, spread
+from benchmarks.machine import ROOT
 from cspace.dataset import Dataset
 from services.evaluator.evaluation.tables import markdown
 from services.registry.tracking.mlflow_tracking import MlflowTracking
-from training.clusters.clustering import cluster, group, points_in_cells
+from training.clusters.stages import partition
 from training.config.clusters import TrainConfig, load_config
 from training.datasets.generate import generate
-from training.trials.arrays import GatedCells, TrainingArrays
+from training.trials.arrays import TrainingArrays
 from training.trials.launch import QUIET, run_trials
 from training.trials.loading import make_wgan
 from training.trials.request import TrialRequest
 from training.trials.trainables import local_trial
 
 EXPERIMENT = "benchmark-scale"
-ROOT = Path(__file__).resolve().parents[2]
 ARMS = ("plain", "together", "apart", "alone")
 
 
@@ -62,20 +65,11 @@ def make_arrays(config: TrainConfig, dataset: Dataset) -> TrainingArrays:
     rng = np.random.default_rng(0)
     free, images = np.array(dataset.free), np.array(dataset.images)
     ids = np.repeat(np.arange(dataset.scenario_count), np.diff(dataset.free_offsets))
-    cells = cluster(free, config.gate.cells, config.clusters.fit_samples, config.seed)
-    clusters = group(cells, config.clusters.count, config.seed)
+    labels, cells = partition(config, free, dataset.world.space)
     shape = (dataset.scenario_count, config.vae.latent_dim)
     mu, sigma = rng.normal(size=shape).astype(np.float32), np.full(shape, 0.25, dtype=np.float32)
-    counts = np.zeros((dataset.scenario_count, config.gate.cells), dtype=np.float32)
-    np.add.at(counts, (ids, cells.labels), 1.0)
-    gated = GatedCells(
-        points_in_cells(cells, config.gate.points, config.seed),
-        cells.labels,
-        clusters,
-        counts / counts.sum(axis=1, keepdims=True),
-    )
-    labels = clusters[cells.labels]
-    return TrainingArrays(free, ids, labels, mu, sigma, dataset.world, images, gated)
+    arrays = TrainingArrays(free, ids, labels, mu, sigma, dataset.world, images, cells)
+    return replace(arrays, cells=replace(cells, probabilities=arrays.shares().numpy()))
 
 
 def orchestrated(config: TrainConfig, arrays: TrainingArrays, uri: str, out: Path, trials: int) -> dict:
@@ -141,31 +135,22 @@ def run(arm: str, config: TrainConfig, arrays: TrainingArrays, uri: str, out: Pa
 
 def report(rows: list[dict]) -> str:
     """Seconds of each arm, then ratios within repeats."""
-    table = [
-        [
-            "preset",
-            "steps a trial",
-            "repeats",
-            *ARMS,
-            "together / apart",
-            "together / plain",
-            "alone / together",
-        ]
-    ]
+    ratios = [("together", "apart"), ("together", "plain"), ("alone", "together")]
+    table = [["preset", "steps a trial", "repeats", *ARMS, *(" / ".join(pair) for pair in ratios)]]
     for preset, steps in sorted({(row["preset"], row["steps"]) for row in rows}):
         mine = [row for row in rows if (row["preset"], row["steps"]) == (preset, steps)]
         by_arm = {arm: {row["repeat"]: row["seconds"] for row in mine if row["arm"] == arm} for arm in ARMS}
         cells = [spread(found.values()) if found else "-" for found in by_arm.values()]
-        for over, under in (("together", "apart"), ("together", "plain"), ("alone", "together")):
+        for over, under in ratios:
             both = by_arm[over].keys() & by_arm[under].keys()
-            ratios = [by_arm[over][repeat] / by_arm[under][repeat] for repeat in both]
-            cells.append(spread(ratios, 3) if ratios else "-")
+            found = [by_arm[over][repeat] / by_arm[under][repeat] for repeat in both]
+            cells.append(spread(found, 3) if found else "-")
         table.append([preset, str(steps), str(max(map(len, by_arm.values()))), *cells])
     return markdown(table)
 
 
 def main() -> int:
-    parser = arguments(__doc__)
+    parser = tracked_arguments(__doc__)
     parser.add_argument("--preset", default="reference")
     parser.add_argument("--steps", type=int, help="of each trial; the preset's own where none are given")
     parser.add_argument("--repeats", type=int, default=3)
@@ -175,19 +160,18 @@ def main() -> int:
     sets = [] if options.steps is None else [f"local.steps={options.steps}"]
     config = load_config(options.preset, sets)
     results = out / "results.jsonl"
-    arrays = None
+
+    @cache
+    def arrays() -> TrainingArrays:
+        slots(2)
+        return make_arrays(config, generate(config.data, out / "data" / config.data.folder_name))
+
     for repeat in range(options.repeats):
         turn = repeat % len(options.arms)
         for arm in (*options.arms[turn:], *options.arms[:turn]):
             row = {"preset": options.preset, "steps": config.local.steps, "arm": arm, "repeat": repeat}
-            if any(row.items() <= one.items() for one in read(results)):
-                continue
-            if arrays is None:
-                slots(2)
-                arrays = make_arrays(config, generate(config.data, out / "data" / config.data.folder_name))
-            row |= run(arm, config, arrays, options.tracking_uri, out / "trials")
-            append(results, row)
-            print(row, flush=True)
+            asked = (options.tracking_uri, out / "trials")
+            measured(results, row, lambda arm=arm, asked=asked: run(arm, config, arrays(), *asked))
     print(report(read(results)))
     return 0
 

@@ -3,7 +3,6 @@
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 
 import psutil
 import ray
@@ -11,9 +10,9 @@ from ray._common import utils as common
 from ray._private import services, utils
 from ray.cluster_utils import Cluster
 
+from benchmarks.machine import ROOT
 from training.trials.launch import QUIET
 
-ROOT = Path(__file__).resolve().parents[2]
 LOOPBACK = "127.0.0.1"
 STORE_BYTES = 80 * 2**20
 

@@ -8,7 +8,6 @@ real cluster of that size; what carries over is the driver's own processor time 
 and how often the arrays are stored. Sizes for which memory does not suffice are left out, and said so.
 """
 
-import argparse
 import os
 import shutil
 import sys
@@ -22,7 +21,8 @@ import ray
 from ray import tune
 from ray.experimental import get_object_locations
 
-from benchmarks.scale.lines import append, read, spread
+from benchmarks.command import arguments
+from benchmarks.lines import append, read, spread
 from benchmarks.scale.nodes import free_bytes, many_nodes, memory_bytes
 from services.evaluator.evaluation.tables import markdown
 from training.config.clusters import ResourceConfig
@@ -92,17 +92,8 @@ def measure(count: int, reports: int, seconds: float, out: Path) -> dict:
 
 
 def report(rows: list[dict]) -> str:
-    head = [
-        "nodes",
-        "repeats",
-        "nodes used",
-        "arrays stored",
-        "copies",
-        "first start, s",
-        "last start, s",
-        "wall, s",
-    ]
-    table = [[*head, "driver's CPU, s", "memory, GiB"]]
+    head = ["nodes", "repeats", "nodes used", "arrays stored", "copies", "first start, s", "last start, s"]
+    table = [[*head, "wall, s", "driver's CPU, s", "memory, GiB"]]
     for count in sorted({row["nodes"] for row in rows}):
         mine = [row for row in rows if row["nodes"] == count]
         whole = [
@@ -125,9 +116,7 @@ def line(rows: list[dict]) -> str:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = arguments(__doc__)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--nodes", type=int, nargs="+", default=[1, 4, 16, 32])
     parser.add_argument("--reports", type=int, nargs="+", default=[4, 40], help="of each trial")

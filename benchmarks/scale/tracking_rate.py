@@ -12,8 +12,10 @@ import multiprocessing
 import statistics
 import sys
 import time
+from functools import partial
 
-from benchmarks.scale.lines import append, arguments, read, spread
+from benchmarks.command import tracked_arguments
+from benchmarks.lines import measured, read, spread
 from services.evaluator.evaluation.tables import markdown
 from services.registry.tracking.mlflow_tracking import MlflowTracking
 
@@ -68,7 +70,7 @@ def report(rows: list[dict]) -> str:
 
 
 def main() -> int:
-    parser = arguments(__doc__)
+    parser = tracked_arguments(__doc__)
     parser.add_argument("--clients", type=int, nargs="+", default=[1, 2, 4, 8])
     parser.add_argument("--metrics", type=int, default=25, help="points of a call")
     parser.add_argument("--seconds", type=float, default=8.0)
@@ -78,11 +80,8 @@ def main() -> int:
     for repeat in range(options.repeats):
         for clients in options.clients:
             row = {"clients": clients, "repeat": repeat, "metrics": options.metrics}
-            if any(row.items() <= one.items() for one in read(results)):
-                continue
-            row |= measure(options.tracking_uri, clients, options.metrics, options.seconds)
-            append(results, row)
-            print(row, flush=True)
+            asked = (options.tracking_uri, clients, options.metrics, options.seconds)
+            measured(results, row, partial(measure, *asked))
     print(report(read(results)))
     return 0
 

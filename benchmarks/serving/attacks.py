@@ -8,7 +8,6 @@ two quiet stretches of the same length, whose 99th percentiles are the usual one
 server's with its children's, highest during the attack less what it was before.
 """
 
-import argparse
 import http.client
 import multiprocessing
 import os
@@ -20,7 +19,9 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.serving.served import ROOT, Asker, Served, machine, new_pictures, served
+from benchmarks.command import arguments
+from benchmarks.machine import ROOT, machine
+from benchmarks.serving.served import Asker, Served, new_pictures, served
 from services.evaluator.evaluation.tables import markdown
 from tests.inference_api.attacks import ATTACKS
 
@@ -117,9 +118,7 @@ def p99(took: list[float]) -> float:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = arguments(__doc__)
     parser.add_argument("--seconds", type=float, default=10.0, help="of a stretch (default: %(default)s)")
     parser.add_argument(
         "--only", action="append", choices=(CONTROL, *ATTACKS), help="these attacks; all when absent"

@@ -7,7 +7,6 @@ the other, the first of the two changing. Throughput: eight clients without a pa
 seconds that change as well. Ratios are of the other checkout's, request by request and stretch by stretch.
 """
 
-import argparse
 import asyncio
 import os
 import sys
@@ -17,8 +16,10 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.command import arguments
+from benchmarks.machine import ROOT, machine
 from benchmarks.serving.load import Client, capacity
-from benchmarks.serving.served import CLIENT_CORE, ROOT, Asker, machine, new_pictures, served
+from benchmarks.serving.served import CLIENT_CORE, Asker, new_pictures, served
 from services.evaluator.evaluation.tables import markdown
 
 SAMPLES, WARM_UP, STRETCH_S, AT_ONCE = 300, 30, 2.0, 8
@@ -65,9 +66,7 @@ def row(name: str, unit: str, before: list[float], now: list[float]) -> list[str
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = arguments(__doc__)
     parser.add_argument("--before", type=Path, required=True, help="the other checkout")
     parser.add_argument("--requests", type=int, default=500, help="of each kind (default: %(default)s)")
     parser.add_argument("--stretches", type=int, default=15, help="of throughput (default: %(default)s)")

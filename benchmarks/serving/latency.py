@@ -18,7 +18,9 @@ from collections.abc import Callable
 import numpy as np
 import onnxruntime
 
-from benchmarks.serving.served import BUNDLE, CLIENT_CORE, SERVER_CORE, Asker, machine, new_pictures, served
+from benchmarks.command import arguments
+from benchmarks.machine import machine
+from benchmarks.serving.served import BUNDLE, CLIENT_CORE, SERVER_CORE, Asker, new_pictures, served
 from cspace.bundle import Bundle
 from cspace.bundle.draws import draw, propose
 from cspace.bundle.keeping import EXTRA
@@ -84,9 +86,7 @@ def bare(pngs: list[bytes], samples: int) -> float:
 
 def turns_parser(description: str) -> argparse.ArgumentParser:
     """Options of a benchmark whose rows take turns."""
-    parser = argparse.ArgumentParser(
-        description=description, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = arguments(description)
     parser.add_argument("--requests", type=int, default=200, help="a turn")
     parser.add_argument("--repeats", type=int, default=5, help="turns")
     parser.add_argument("--samples", type=int, default=300)

@@ -7,7 +7,6 @@ time counts from when they were due. The server has one core, the client the oth
 sent before.
 """
 
-import argparse
 import asyncio
 import collections
 import os
@@ -17,7 +16,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from benchmarks.serving.served import CLIENT_CORE, Served, form, machine, new_pictures, served
+from benchmarks.command import arguments
+from benchmarks.machine import machine
+from benchmarks.serving.served import CLIENT_CORE, Served, form, new_pictures, served
 from services.evaluator.evaluation.tables import markdown
 
 SAMPLES = 300
@@ -139,9 +140,7 @@ async def measure(api: Served, seconds: float) -> list[list[str]]:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = arguments(__doc__)
     parser.add_argument("--seconds", type=float, default=60.0)
     options = parser.parse_args()
     os.sched_setaffinity(0, {CLIENT_CORE % os.cpu_count()})

@@ -8,7 +8,6 @@ filtered at the bundle's threshold, from so many connections without a pause. ML
 own form of JSON and gives samples that are not filtered, which costs it less.
 """
 
-import argparse
 import asyncio
 import base64
 import json
@@ -27,7 +26,10 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.serving.served import BUNDLE, CLIENT_CORE, ROOT, SERVER_CORE, machine, new_pictures
+from benchmarks.command import arguments
+from benchmarks.lines import spread
+from benchmarks.machine import ROOT, machine
+from benchmarks.serving.served import BUNDLE, CLIENT_CORE, SERVER_CORE, new_pictures
 from cspace.bundle import Bundle
 from services.evaluator.evaluation.tables import markdown
 from services.registry.models.mlflow_model import save_model
@@ -203,9 +205,7 @@ def saved_model(folder: Path) -> Path:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = arguments(__doc__)
     parser.add_argument("--environments", type=Path, required=True)
     parser.add_argument("--seconds", type=float, default=15.0)
     parser.add_argument("--repeats", type=int, default=3)
@@ -231,17 +231,9 @@ def main() -> int:
         middle, tail = (
             statistics.median(1e3 * np.quantile(taken, q) for taken, _ in turns) for q in (0.5, 0.99)
         )
-        rate = f"{statistics.median(rates):.0f} ({min(rates):.0f} to {max(rates):.0f})"
-        table.append(
-            [
-                name,
-                str(clients),
-                rate,
-                f"{middle:.1f}",
-                f"{tail:.1f}",
-                str(sum(failed for _, failed in turns)),
-            ]
-        )
+        failed = sum(failed for _, failed in turns)
+        cells = [spread(rates, 0), f"{middle:.1f}", f"{tail:.1f}", str(failed)]
+        table.append([name, str(clients), *cells])
     print(f"{machine()}\n\n{markdown(table)}")
     return 0
 

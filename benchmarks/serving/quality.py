@@ -6,12 +6,13 @@ Nothing but ``n`` and a seed is asked for, so the model's own threshold holds. O
 seeds over HTTP are others than those of the bundle, but for the last row, which has the same.
 """
 
-import argparse
 import sys
 
 import numpy as np
 
-from benchmarks.serving.served import BUNDLE, machine, served
+from benchmarks.command import arguments
+from benchmarks.machine import machine
+from benchmarks.serving.served import BUNDLE, served
 from cspace.bundle import Bundle
 from cspace.query import SampleQuery
 from cspace.splits import Split
@@ -39,9 +40,7 @@ def measured(stage: Stage, sampler: SampleSource, scenarios: int) -> list[SceneQ
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = arguments(__doc__)
     parser.add_argument("--scenarios", type=int, default=100)
     options = parser.parse_args()
     bundle = Bundle.load(BUNDLE)

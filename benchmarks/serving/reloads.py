@@ -6,7 +6,6 @@ A real MLflow store, the real server with its poll, two clients without a pause.
 failures, versions seen, and the slope of resident memory over reloads with its 95 % interval.
 """
 
-import argparse
 import os
 import sys
 import tempfile
@@ -18,7 +17,9 @@ from pathlib import Path
 import numpy as np
 from scipy import stats
 
-from benchmarks.serving.served import BUNDLE, Asker, machine, new_pictures, served
+from benchmarks.command import arguments
+from benchmarks.machine import machine
+from benchmarks.serving.served import BUNDLE, Asker, new_pictures, served
 from cspace.bundle import Bundle, Provenance, write_bundle
 from services.registry.models.mlflow_registry import MlflowRegistry
 from services.registry.names import ALIAS_CHAMPION, EXPERIMENT, MODEL_NAME
@@ -74,9 +75,7 @@ class Load:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = arguments(__doc__)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--reloads", type=int, default=250)
     parser.add_argument("--clients", type=int, default=2)

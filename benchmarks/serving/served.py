@@ -9,26 +9,12 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from benchmarks.machine import machine
+from benchmarks.machine import ROOT
 from cspace.png import encode_png
 from cspace.splits import Split
 from cspace.worlds.planar.render import render
 from cspace.worlds.planar.scene import random_scenarios
 
-__all__ = [
-    "BUNDLE",
-    "CLIENT_CORE",
-    "ROOT",
-    "SERVER_CORE",
-    "Asker",
-    "Served",
-    "form",
-    "machine",
-    "new_pictures",
-    "served",
-]
-
-ROOT = Path(__file__).resolve().parents[2]
 BUNDLE = ROOT / "inference_api" / "pretrained"
 SERVER_CORE, CLIENT_CORE = 0, 1
 

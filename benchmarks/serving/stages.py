@@ -18,8 +18,10 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 
+from benchmarks.lines import spread
+from benchmarks.machine import machine
 from benchmarks.serving.latency import WARM_UP, bare, turns_parser
-from benchmarks.serving.served import CLIENT_CORE, SERVER_CORE, Asker, machine, new_pictures, served
+from benchmarks.serving.served import CLIENT_CORE, SERVER_CORE, Asker, new_pictures, served
 from benchmarks.serving.timed_server import SESSIONS
 from benchmarks.serving.timed_server import STEPS as SERVER_STEPS
 from services.evaluator.evaluation.tables import markdown
@@ -45,7 +47,7 @@ def main() -> int:
         alone.append(bare(fresh, options.samples))
         for name, pngs in ((NEW, fresh), (KNOWN, fresh[:1] * each)):
             turns[name].append(one_turn(pngs, options.samples))
-    print(f"{machine()}\n\nbare sessions: {spread(alone)} ms\n\n{table(turns)}")
+    print(f"{machine()}\n\nbare sessions: {spread(alone, 2)} ms\n\n{table(turns)}")
     options.out.parent.mkdir(parents=True, exist_ok=True)
     draw(turns, statistics.median(alone), options.out)
     return 0
@@ -86,16 +88,13 @@ def middle_half(requests: list[Turn]) -> Turn:
 def table(turns: Mapping[str, list[Turn]]) -> str:
     """Every step, then what the steps come to, as Markdown."""
     rows = [["step", *(f"{name}, ms" for name in turns)]]
-    rows += [[step, *(spread([turn[step] for turn in found]) for found in turns.values())] for step in STEPS]
+    rows += [
+        [step, *(spread((turn[step] for turn in found), 2) for found in turns.values())] for step in STEPS
+    ]
     for name, steps in (("all sessions", list(SESSIONS.values())), ("the whole request", STEPS)):
         sums = ([sum(turn[step] for step in steps) for turn in found] for found in turns.values())
-        rows.append([name, *map(spread, sums)])
+        rows.append([name, *(spread(values, 2) for values in sums)])
     return markdown(rows)
-
-
-def spread(values: list[float]) -> str:
-    """Median of the turns and their range."""
-    return f"{statistics.median(values):.2f} ({min(values):.2f} to {max(values):.2f})"
 
 
 def draw(turns: Mapping[str, list[Turn]], alone: float, path: Path) -> None:

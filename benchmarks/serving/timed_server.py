@@ -5,7 +5,6 @@
 Writes one JSON object a request of ``POST /sample``, step to seconds, when it ends.
 """
 
-import argparse
 import atexit
 import json
 import sys
@@ -14,6 +13,7 @@ from pathlib import Path
 from onnxruntime import InferenceSession
 
 import inference_api.__main__ as command
+from benchmarks.command import arguments
 from benchmarks.serving import spans
 from cspace.bundle import Bundle, loaded
 from cspace.bundle.running import graphs
@@ -104,9 +104,7 @@ def watch_requests(records: list[dict[str, float]]) -> None:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = arguments(__doc__)
     parser.add_argument("records", type=Path, help="file to write; what follows is the API's")
     options, others = parser.parse_known_args()
     records: list[dict[str, float]] = []

@@ -8,8 +8,6 @@ scenarios, and spend the same generator steps of the same batch on networks of t
 stages. Results are kept line by line, so that a run that was stopped goes on where it was.
 """
 
-import argparse
-import json
 import multiprocessing
 import sys
 import time
@@ -20,6 +18,8 @@ import numpy as np
 import torch
 from safetensors.torch import load_file, save_file
 
+from benchmarks.command import arguments
+from benchmarks.lines import append, read
 from benchmarks.training.clusters_report import write_report
 from training.clusters.clustering import cluster, group, points_in_cells
 from training.config.clusters import TrainConfig, load_config
@@ -127,7 +127,7 @@ class Trainer:
 
     def encode_with(self, encoder: Encoder) -> None:
         self.encoder = encoder.eval()
-        latents = encode(self.encoder, self.arrays.images)
+        latents = encode(self.encoder, self.arrays.world.sensor, self.arrays.images)
         self.arrays = replace(self.arrays, mu=latents.mu, sigma=latents.sigma)
 
     def run(self, task: Task) -> dict[str, object]:
@@ -160,7 +160,7 @@ class Trainer:
         arm, arrays = task.arm, self.arrays
         if arm.cells == 0:
             return arrays, None
-        cells = cluster(arrays.configurations, arm.cells, 50_000, task.seed)
+        cells = cluster(arrays.configurations, arm.cells, 50_000, task.seed, arrays.world.space)
         clusters = group(cells, max(1, arm.networks), task.seed)
         gated = GatedCells(points_in_cells(cells, config.gate.points, task.seed), cells.labels, clusters)
         arrays = replace(arrays, labels=clusters[cells.labels], cells=gated)
@@ -176,7 +176,7 @@ class Trainer:
         gan, seed = task.config().local, task.seed
         if task.arm.form == "single":
             return trained_wgan(gan.model_copy(update={"steps": task.steps}), arrays, None, seed).generator
-        labels = cluster(arrays.configurations, 2, 50_000, seed).labels
+        labels = cluster(arrays.configurations, 2, 50_000, seed, arrays.world.space).labels
         split, quarter = replace(arrays, labels=labels), gan.model_copy(update={"steps": task.steps // 4})
         critics = [trained_wgan(quarter, split, index, seed + 1 + index).critic for index in (0, 1)]
         half = gan.model_copy(update={"steps": task.steps // 2})
@@ -237,9 +237,7 @@ def tasks(steps: int, seeds: int, joints: list[int]) -> list[Task]:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = arguments(__doc__)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--steps", type=int, default=640, help="generator steps of an arm in all")
     parser.add_argument("--seeds", type=int, default=5)
@@ -249,30 +247,24 @@ def main() -> int:
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
     results = options.out / "results.jsonl"
-    done = [json.loads(line) for line in results.read_text().splitlines()] if results.exists() else []
-    known = {row["key"] for row in done}
+    known = {row["key"] for row in read(results)}
     if not options.table:
         torch.set_num_threads(1)
         for joints in options.joints:
             if f"uniform|{joints}" not in known:
                 found = {"key": f"uniform|{joints}", "rows": Trainer(joints, options.out).measure(None)}
-                _append(results, found)
+                append(results, found)
         left = [t for t in tasks(options.steps, options.seeds, options.joints) if t.key not in known]
         began = time.monotonic()
         with multiprocessing.get_context("spawn").Pool(options.workers) as pool:
             jobs = ((task, options.out) for task in left)
             for count, found in enumerate(pool.imap_unordered(_work, jobs), start=1):
-                _append(results, found)
+                append(results, found)
                 rest = (time.monotonic() - began) / count * (len(left) - count)
                 quality = np.mean(np.array(found["rows"]), axis=0).round(3)
                 print(f"{count}/{len(left)} {found['key']} {quality}, {rest:.0f} s left", flush=True)
     write_report(options.out)
     return 0
-
-
-def _append(path: Path, row: dict[str, object]) -> None:
-    with path.open("a", encoding="utf-8") as file:
-        file.write(json.dumps(row) + "\n")
 
 
 if __name__ == "__main__":

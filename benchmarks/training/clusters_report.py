@@ -1,12 +1,12 @@
 """Table and figure of the comparison of clusters, from its results."""
 
-import json
 from pathlib import Path
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from benchmarks.lines import read
 from services.evaluator.evaluation.tables import markdown
 from services.evaluator.statistics import (
     Interval,
@@ -16,9 +16,9 @@ from services.evaluator.statistics import (
 )
 
 
-def read(out: Path):
+def grouped(out: Path):
     """Results by (joints, arm, look-ups): array (seeds, scenarios, 3), and uniform's by joints."""
-    rows = [json.loads(line) for line in (out / "results.jsonl").read_text().splitlines()]
+    rows = read(out / "results.jsonl")
     uniform = {
         int(r["key"].split("|")[1]): np.array(r["rows"]) for r in rows if r["key"].startswith("uniform")
     }
@@ -57,7 +57,7 @@ def gained(values: np.ndarray, single: np.ndarray) -> Interval:
 
 def write_report(out: Path) -> None:
     """``table.md`` and ``clusters.png`` in the folder of the results."""
-    groups, uniform, seconds = read(out)
+    groups, uniform, seconds = grouped(out)
     names = ["joints", "form", "look-ups", "seeds", "precision", "over single", "coverage", "EDr", "seed sd"]
     rows = [[*names, "s on one core"]]
     order = list(dict.fromkeys(arm for _, arm, _ in groups))

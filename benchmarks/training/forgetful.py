@@ -15,3 +15,7 @@ class ForgetfulRun:
 
     def __exit__(self, kind, error, trace):
         pass
+
+
+def report_nothing(metrics, *, finished):
+    del metrics, finished

@@ -8,9 +8,7 @@ steps a second of the local WGAN-GP in our loop and in a plain Lightning loop of
 fetches shuffled batches from a data loader.
 """
 
-import argparse
 import json
-import statistics
 import sys
 import tempfile
 import time
@@ -22,15 +20,16 @@ import lightning
 import torch
 from torch.utils.data import DataLoader, TensorDataset
 
+from benchmarks.command import arguments
+from benchmarks.lines import spread
 from benchmarks.training.clusters import Trainer
-from benchmarks.training.forgetful import ForgetfulRun
-from training.clusters.clustering import cluster, group, points_in_cells
+from benchmarks.training.forgetful import ForgetfulRun, report_nothing
+from training.clusters.stages import partition
 from training.config.clusters import load_config
 from training.models.checkpoint import seeded_initialisation
 from training.models.data import Batch, ScenarioSamples
 from training.models.gate import GateModule, gate_probabilities
 from training.models.modules import VaeModule, WganGpModule
-from training.trials.arrays import GatedCells
 from training.trials.checkpoints import TrialFolder
 from training.trials.fit import Rhythm, fit
 from training.trials.loading import gated_sampler, make_wgan
@@ -68,10 +67,8 @@ def time_to_quality(trainer: Trainer, seed: int) -> dict[str, object]:
     trainer.encode_with(vae.encoder.cpu())
     arrays, validation = trainer.arrays, replace(trainer.validation, encoder=trainer.encoder)
     with clocks["cells and gate"]:
-        cells = cluster(arrays.configurations, config.gate.cells, config.clusters.fit_samples, seed)
-        clusters = group(cells, config.clusters.count, seed)
-        gated = GatedCells(points_in_cells(cells, config.gate.points, seed), cells.labels, clusters)
-        arrays = replace(arrays, labels=clusters[cells.labels], cells=gated)
+        labels, gated = partition(config, arrays.configurations, arrays.world.space)
+        arrays = replace(arrays, labels=labels, cells=gated)
         with seeded_initialisation(seed):
             gate = GateModule(
                 config.gate, torch.tensor(arrays.mu), torch.tensor(arrays.sigma), arrays.shares(), seed
@@ -154,18 +151,12 @@ def steps_per_second(trainer: Trainer, plain: bool, steps: int) -> float:
     else:
         with tempfile.TemporaryDirectory() as folder:
             kept = TrialFolder(Path(folder))
-            fit("local-0", module, steps, Rhythm(20, 10**9), ForgetfulRun(), kept, _report_nothing)
+            fit("local-0", module, steps, Rhythm(20, 10**9), ForgetfulRun(), kept, report_nothing)
     return steps / (time.perf_counter() - began)
 
 
-def _report_nothing(metrics, *, finished):
-    del metrics, finished
-
-
 def main() -> int:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = arguments(__doc__)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--steps", type=int, default=40, help="of each timed loop")
@@ -179,14 +170,11 @@ def main() -> int:
             rates[name].append(steps_per_second(trainer, name == "plain", options.steps))
     ratios = [a / b for a, b in zip(rates["ours"], rates["plain"], strict=True)]
     for name, values in (*rates.items(), ("ours over plain", ratios)):
-        print(f"{name}: median {statistics.median(values):.2f}, {min(values):.2f} to {max(values):.2f}")
+        print(f"{name}: {spread(values, 2)}")
     reached = [time_to_quality(trainer, seed) for seed in range(options.repeats)]
     (options.out / "time.json").write_text(json.dumps({"rates": rates, "reached": reached}, indent=2))
     seconds = [float(row["seconds"]) for row in reached]
-    print(
-        f"time to quality: median {statistics.median(seconds):.0f} s,"
-        f" {min(seconds):.0f} to {max(seconds):.0f}"
-    )
+    print(f"time to quality, s: {spread(seconds, 0)}")
     return 0
 
 

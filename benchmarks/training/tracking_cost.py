@@ -8,7 +8,6 @@ on the server, in an order that alternates. The cost is the ratio of a pair's wa
 median over pairs is what counts.
 """
 
-import argparse
 import statistics
 import sys
 import tempfile
@@ -18,7 +17,9 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from benchmarks.training.forgetful import ForgetfulRun
+from benchmarks.command import arguments
+from benchmarks.training.forgetful import ForgetfulRun, report_nothing
+from cspace.space import circles
 from services.registry.tracking.mlflow_tracking import MlflowTracking
 from training.config.clusters import load_config
 from training.models.checkpoint import seeded_initialisation
@@ -41,25 +42,19 @@ def module(steps: int) -> WganGpModule:
         torch.full((scenarios, 64), 0.25),
     )
     with seeded_initialisation(0):
-        return WganGpModule(config, samples, (torch.zeros(2), torch.ones(2)), 0)
-
-
-def _report_nothing(metrics, *, finished):
-    del metrics, finished
+        return WganGpModule(config, samples, (torch.zeros(2), torch.ones(2)), 0, circles(2))
 
 
 def timed(steps: int, rhythm: Rhythm, run) -> float:
     trained = module(steps)
     began = time.perf_counter()
     with tempfile.TemporaryDirectory() as folder:
-        fit("global", trained, steps, rhythm, run, TrialFolder(Path(folder)), _report_nothing)
+        fit("global", trained, steps, rhythm, run, TrialFolder(Path(folder)), report_nothing)
     return time.perf_counter() - began
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = arguments(__doc__)
     parser.add_argument("--tracking-uri", required=True)
     parser.add_argument("--steps", type=int, default=200)
     parser.add_argument("--pairs", type=int, default=7)

@@ -7,10 +7,8 @@ A job's time is that from the start of its first to the end of its last trial af
 measured on validation scenarios. Jobs that are done are not trained again.
 """
 
-import argparse
 import json
 import os
-import statistics
 import subprocess
 import sys
 from dataclasses import dataclass
@@ -18,13 +16,15 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.command import arguments
+from benchmarks.lines import spread
+from benchmarks.machine import ROOT
 from cspace.bundle import Bundle
 from cspace.splits import Split
 from services.evaluator.evaluation.tables import markdown
 from services.evaluator.measures.scenes import Stage, measure_reconstruction
 from services.planner.sources.local_sampler import BundleSampler
 
-ROOT = Path(__file__).resolve().parents[2]
 SCENARIOS = 40
 
 
@@ -72,13 +72,7 @@ def run(out: Path, name: str, settings: tuple[str, ...]) -> dict[str, object]:
             "OMP_NUM_THREADS": "1",
             "PYTHONPATH": str(ROOT),
         }
-        command = [
-            sys.executable,
-            str(ROOT / "training" / "cluster_train.py"),
-            "--preset",
-            "quickstart",
-            *sets,
-        ]
+        command = [sys.executable, "-m", "training.cluster_train", "--preset", "quickstart", *sets]
         done = subprocess.run(command, cwd=out, env=environment, capture_output=True, text=True, check=False)
         lines = [line for line in done.stdout.splitlines() if line.startswith("RESULT ")]
         if done.returncode or not lines:
@@ -98,9 +92,7 @@ def judge(out: Path, result: dict[str, object]) -> list[float]:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = arguments(__doc__)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--steps", type=int, default=400, help="a budget of 1, in generator steps")
@@ -119,7 +111,7 @@ def main() -> int:
     table = [["job", "budget", "wall time, s", "precision", "coverage", "EDr"]]
     for arm in arms(options.steps):
         columns = list(zip(*rows[arm.name], strict=True))
-        cells = [f"{statistics.median(columns[0]):.0f} ({min(columns[0]):.0f} to {max(columns[0]):.0f})"]
+        cells = [spread(columns[0], 0)]
         cells += [f"{np.mean(values):.3f} ± {np.std(values):.3f}" for values in columns[1:]]
         table.append([arm.name, f"{arm.budget:g}", *cells])
     print(markdown(table))

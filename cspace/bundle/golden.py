@@ -2,19 +2,18 @@
 
 import io
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cspace.bundle.npz import read_arrays
-from cspace.errors import BundleIntegrityError, GoldenMismatchError
+from cspace.errors import BundleIntegrityError, GoldenMismatchError, InputError
+from cspace.query import SampleQuery
 from cspace.space import JointSpace
 
 TOLERANCE = 1e-4
-_REQUEST = ("image", "count", "seed", "epsilon_sigma", "start", "goal")
-_ANSWERS = ("mu", "sigma", "samples", "confidence")
 _FLOATS = ("<f4", "<f8")
 # Name to its types and number of axes.
 _ARRAYS = {
@@ -40,32 +39,24 @@ class GoldenCase:
 
     Args:
         image: uint8 (P, P, 3).
-        count: samples asked for.
-        seed: unsigned 64 bit.
-        epsilon_sigma: the schedule.
+        query: what is asked, without a confidence to reach.
         mu: float32 (L,).
         sigma: float32 (L,).
-        samples: float32 (count, d) rad.
-        start: (d,) rad, path models only.
-        goal: (d,) rad, path models only.
-        confidence: float32 (count,), models with a validity head only.
+        samples: float32 (n, d) rad.
+        confidence: float32 (n,), models with a validity head only.
     """
 
     image: NDArray[np.uint8]
-    count: int
-    seed: int
-    epsilon_sigma: tuple[float, ...]
+    query: SampleQuery
     mu: NDArray[np.float32]
     sigma: NDArray[np.float32]
     samples: NDArray[np.float32]
-    start: tuple[float, ...] | None = None
-    goal: tuple[float, ...] | None = None
     confidence: NDArray[np.float32] | None = None
 
     def to_npz(self) -> bytes:
         """``golden.npz``."""
-        values: dict[str, Any] = {name: getattr(self, name) for name in (*_REQUEST, *_ANSWERS)}
-        values["seed"] = np.uint64(self.seed)
+        asked = asdict(self.query) | {"count": self.query.n, "seed": np.uint64(self.query.seed)}
+        values = {name: asked[name] if name in asked else getattr(self, name) for name in _ARRAYS}
         buffer = io.BytesIO()
         np.savez_compressed(buffer, **{name: value for name, value in values.items() if value is not None})
         return buffer.getvalue()
@@ -88,25 +79,20 @@ class GoldenCase:
                 got=f"{count} samples of {len(epsilons)}, without {missing}",
                 remedy="export the bundle again",
             )
-        return cls(
-            values["image"],
-            count,
-            int(values["seed"]),
-            tuple(epsilons.tolist()),
-            values["mu"],
-            values["sigma"],
-            values["samples"],
-            tuple(values["start"].tolist()) if "start" in values else None,
-            tuple(values["goal"].tolist()) if "goal" in values else None,
-            values.get("confidence"),
-        )
+        # What is no field of the case is one of its query.
+        asked = {
+            name: values.pop(name).tolist() for name in set(values) - {item.name for item in fields(cls)}
+        }
+        try:
+            query = SampleQuery.checked(asked.pop("count"), **asked, min_confidence=0.0)
+        except InputError as error:
+            raise BundleIntegrityError("golden.npz is not a golden case", got=str(error)) from error
+        return cls(query=query, **values)
 
     def is_beyond(self, space: JointSpace) -> bool:
         """Whether it asks between ends that lie outside the limits, as those of older releases may."""
-        ends = [np.array(end) for end in (self.start, self.goal) if end is not None]
-        return any(
-            end.shape == (space.dim,) and np.isfinite(end).all() and not space.contains(end) for end in ends
-        )
+        ends = (self.query.start, self.query.goal)
+        return any(end is not None and len(end) == space.dim and not space.contains(end) for end in ends)
 
     def compare_encoding(self, mu: NDArray[np.float32], sigma: NDArray[np.float32]) -> None:
         """Hold a latent against the expected one.

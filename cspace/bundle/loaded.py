@@ -284,10 +284,7 @@ class Bundle:
     def _replay(self, case: GoldenCase) -> None:
         try:
             encoding = self.encode(case.image)
-            query = SampleQuery.checked(
-                case.count, case.seed, case.epsilon_sigma, case.start, case.goal, min_confidence=0.0
-            )
-            answer = None if case.is_beyond(self.spec.world.space) else self.answer(case.image, query)
+            answer = None if case.is_beyond(self.spec.world.space) else self.answer(case.image, case.query)
         except InputError as error:
             raise BundleIntegrityError("the golden case does not fit its bundle", got=str(error)) from error
         case.compare_encoding(encoding.mu, encoding.sigma)

@@ -2,10 +2,9 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from typing import Any
 
-from cspace.bundle.strict_json import StrictObject
 from cspace.errors import BundleIntegrityError
 
 DISTRIBUTIONS = ("uniform", "normal")
@@ -52,28 +51,6 @@ class RandomInput:
                 got=repr(self)[:200],
             )
 
-    def to_dict(self) -> dict[str, Any]:
-        """Plain values for JSON."""
-        return {
-            "name": self.name,
-            "distribution": self.distribution,
-            "shape": list(self.shape),
-            "low": self.low,
-            "high": self.high,
-        }
-
-    @classmethod
-    def from_dict(cls, values: object) -> "RandomInput":
-        """The inverse of :meth:`to_dict`."""
-        entry = StrictObject("random_inputs", values, {item.name for item in fields(cls)})
-        return cls(
-            entry.text("name"),
-            entry.text("distribution"),
-            tuple(entry.integers("shape")),
-            entry.number_or_none("low"),
-            entry.number_or_none("high"),
-        )
-
 
 @dataclass(frozen=True, slots=True)
 class Provenance:
@@ -98,25 +75,6 @@ class Provenance:
     metrics: Mapping[str, Any] = field(default_factory=dict)
     created: str | None = None
     command: str | None = None
-
-    def to_dict(self) -> dict[str, Any]:
-        """Plain values for JSON."""
-        return {item.name: getattr(self, item.name) for item in fields(self)}
-
-    @classmethod
-    def from_dict(cls, values: object) -> "Provenance":
-        """The inverse of :meth:`to_dict`."""
-        entry = StrictObject("provenance", values, {item.name for item in fields(cls)})
-        return cls(
-            entry.text_or_none("git_commit"),
-            entry.truth_or_none("git_dirty"),
-            entry.text_or_none("data_digest"),
-            entry.mapping("seeds"),
-            entry.mapping("config"),
-            entry.mapping("metrics"),
-            entry.text_or_none("created"),
-            entry.text_or_none("command"),
-        )
 
 
 def one_of(what: str, value: str, allowed: tuple[str, ...]) -> None:

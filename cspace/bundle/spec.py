@@ -3,15 +3,16 @@
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass, field, fields
+from typing import Annotated, Any
 
 import numpy as np
 
+from cspace.bundle.files import LIMITS_BYTES, SPEC_FILE
 from cspace.bundle.parts import Provenance, RandomInput, one_of
-from cspace.bundle.strict_json import StrictObject, parse_json
 from cspace.errors import BundleIntegrityError, ScenarioError
 from cspace.space import Standardisation, circles
+from cspace.strict_json import json_text, parse_json, read_members, read_object, written
 from cspace.world import World
 from cspace.worlds import read_world
 
@@ -28,6 +29,7 @@ MIN_PIXELS, MAX_PIXELS = 16, 2048
 MAX_PER_LATENT = 4096
 MAX_LATENT, MAX_JOINTS, MAX_RANDOM_INPUTS = 1024, 64, 16
 MAX_QUANTILES, MAX_SCORES = 1001, 16
+MAX_BYTES, MAX_DEPTH = LIMITS_BYTES[SPEC_FILE], 32
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +57,7 @@ class BundleSpec:
         BundleIntegrityError: a value cannot be.
     """
 
-    world: World
+    world: Annotated[World, read_world]
     latent_dim: int
     kind: str = "configuration"
     model_kind: str = "generator"
@@ -126,23 +128,16 @@ class BundleSpec:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for JSON, every field of the schema."""
-        scale, quantiles = self.standardisation, self.novelty_quantiles
+        told = {name: value for name, value in written(self).items() if name not in _LOOKS}
+        return told | {"schema_version": SCHEMA_VERSION} | self.derived
+
+    @property
+    def derived(self) -> dict[str, Any]:
+        """What ``bundle.json`` tells beside the fields, for it follows from them."""
         return {
-            "schema_version": SCHEMA_VERSION,
-            "kind": self.kind,
-            "world": self.world.to_dict(),
             "joint_space": self.joint_space,
             "image": self.world.sensor.convention,
-            "latent_dim": self.latent_dim,
-            "model_kind": self.model_kind,
-            "samples_per_latent": self.samples_per_latent,
-            "random_inputs": [item.to_dict() for item in self.random_inputs],
-            "standardisation": None if scale is None else {"mean": list(scale.mean), "std": list(scale.std)},
             "conditions": list(self.conditions),
-            "confidence_threshold": self.confidence_threshold,
-            "uniform_share": self.uniform_share,
-            "novelty_quantiles": None if quantiles is None else [list(row) for row in quantiles],
-            "provenance": self.provenance.to_dict(),
         }
 
     def to_json(self) -> bytes:
@@ -151,16 +146,8 @@ class BundleSpec:
         Raises:
             BundleIntegrityError: the provenance holds something that JSON does not.
         """
-        try:
-            text = json.dumps(self.to_dict(), indent=2, sort_keys=True, allow_nan=False)
-        except (TypeError, ValueError, RecursionError) as error:
-            raise BundleIntegrityError(
-                "the bundle's description is not plain JSON",
-                expected="finite numbers, texts, lists and mappings",
-                got=str(error)[:200],
-                remedy="convert arrays, paths and NaN before they enter the provenance",
-            ) from error
-        return text.encode() + b"\n"
+        what = "the bundle's description"
+        return json_text(self.to_dict(), what, "provenance", BundleIntegrityError).encode()
 
     @classmethod
     def from_dict(cls, values: object) -> "BundleSpec":
@@ -169,37 +156,25 @@ class BundleSpec:
         Raises:
             BundleIntegrityError: the schema version is another, or a key or value does not fit.
         """
-        version = _version(values)
-        absent = {"uniform_share", "novelty_quantiles"} if version in _WITHOUT_SHARE else set()
-        older = version in _WITHOUT_WORLD
-        entry = StrictObject("bundle.json", values, (_FIRST_KEYS if older else _KEYS) - absent)
-        scale = entry.get("standardisation")
+        members = _members(values)
+        derived = {name: members.pop(name) for name in _DERIVED}
+        for name, condition in _LOOKS.items():
+            members[name] = isinstance(derived["conditions"], list) and condition in derived["conditions"]
         try:
-            spec = cls(
-                world=_world(entry, ("robot", "camera") if older else ()),
-                latent_dim=entry.integer("latent_dim"),
-                kind=entry.text("kind"),
-                model_kind=entry.text("model_kind"),
-                looks_at_picture=PICTURE in entry.items("conditions"),
-                looks_at_map=MAP in entry.items("conditions"),
-                samples_per_latent=entry.integer("samples_per_latent"),
-                random_inputs=tuple(RandomInput.from_dict(item) for item in entry.items("random_inputs")),
-                standardisation=None if scale is None else _standardisation(scale),
-                confidence_threshold=entry.number_or_none("confidence_threshold"),
-                uniform_share=0.0 if absent else entry.number("uniform_share"),
-                novelty_quantiles=None if absent else _quantiles(entry.get("novelty_quantiles")),
-                provenance=Provenance.from_dict(entry.get("provenance")),
-            )
-        except (ScenarioError, ValueError, TypeError, AttributeError) as error:
-            # Those that are none of the project's are of a robot whose numbers are no numbers.
-            expected = error.expected if isinstance(error, ScenarioError) else "numbers where numbers belong"
+            spec = read_object(cls, members, SPEC_FILE, BundleIntegrityError)
+        except ScenarioError as error:
             raise BundleIntegrityError(
-                "the bundle's description does not fit", expected=expected, got=str(error)[:200]
+                "the bundle's description does not fit", expected=error.expected, got=str(error)[:200]
             ) from error
         # Written before limits were told of; the robot has them.
-        torus = entry.get("joint_space") == circles(spec.dim).to_dict()
-        for name in ("image", "conditions", *(() if torus else ("joint_space",))):
-            entry.must_be(name, spec.to_dict()[name])
+        torus = derived["joint_space"] == circles(spec.dim).to_dict()
+        told = spec.derived | ({"joint_space": derived["joint_space"]} if torus else {})
+        for name, value in derived.items():
+            if value != told[name]:
+                expected = json.dumps(told[name])
+                raise BundleIntegrityError(
+                    f"{SPEC_FILE}: {name} does not fit", expected=expected, got=repr(value)[:200]
+                )
         return spec
 
     @classmethod
@@ -209,15 +184,36 @@ class BundleSpec:
         Raises:
             BundleIntegrityError: not strict JSON, or not this schema.
         """
-        return cls.from_dict(parse_json(data))
+        try:
+            values = _parsed(data)
+        except ValueError as error:
+            raise BundleIntegrityError(
+                "the bundle's description is not JSON",
+                expected=f"UTF-8 JSON of at most {MAX_BYTES} bytes, {MAX_DEPTH} deep, with finite numbers of "
+                "64 bits and unique keys",
+                got=str(error)[:200],
+            ) from error
+        return cls.from_dict(values)
 
 
-_KEYS = {
-    "schema_version", "kind", "world", "joint_space", "image", "latent_dim", "model_kind",
-    "samples_per_latent", "random_inputs", "standardisation", "conditions", "confidence_threshold",
-    "uniform_share", "novelty_quantiles", "provenance",
-}  # fmt: skip
-_FIRST_KEYS = _KEYS - {"world"} | {"robot", "camera"}
+# What follows from the other members.
+_DERIVED = ("joint_space", "image", "conditions")
+_LOOKS = {"looks_at_picture": PICTURE, "looks_at_map": MAP}
+_KEYS = {item.name for item in fields(BundleSpec)} - set(_LOOKS) | {"schema_version", *_DERIVED}
+
+
+def _members(values: object) -> dict[str, Any]:
+    """The members of a description of any schema as this one has them, without their version."""
+    version, keys, absent = _version(values), _KEYS, dict[str, Any]()
+    if version in _WITHOUT_WORLD:
+        keys = keys - {"world"} | {"robot", "camera"}
+    if version in _WITHOUT_SHARE:
+        absent = {"uniform_share": 0.0, "novelty_quantiles": None}
+    members = read_members(values, keys - set(absent), SPEC_FILE, BundleIntegrityError) | absent
+    del members["schema_version"]
+    if version in _WITHOUT_WORLD:
+        members["world"] = {name: members.pop(name) for name in ("robot", "camera")}
+    return members
 
 
 def _version(values: object) -> int:
@@ -246,18 +242,22 @@ def _rise(quantiles: tuple[tuple[float, ...], ...] | None) -> bool:
     return bool(rows) and all(rising)
 
 
-def _quantiles(values: object) -> tuple[tuple[float, ...], ...] | None:
-    if values is None:
-        return None
-    rows = values if isinstance(values, list) else [None]
-    numbers = [StrictObject("novelty_quantiles", {"row": row}, {"row"}).numbers("row") for row in rows]
-    return tuple(tuple(row) for row in numbers)
-
-
-def _world(entry: StrictObject, parts: tuple[str, ...]) -> World:
-    return read_world({name: entry.mapping(name) for name in parts} if parts else entry.mapping("world"))
-
-
-def _standardisation(values: object) -> Standardisation:
-    entry = StrictObject("standardisation", values, {"mean", "std"})
-    return Standardisation(tuple(entry.numbers("mean")), tuple(entry.numbers("std")))
+def _parsed(data: bytes) -> object:
+    """Bounded size and nesting, so that nothing later recurses too deep; texts that can be written again."""
+    if len(data) > MAX_BYTES:
+        raise ValueError(f"{len(data)} bytes")
+    values = parse_json(data)
+    layer = [values]
+    for _ in range(MAX_DEPTH + 1):
+        if not layer:
+            return values
+        below: list[object] = []
+        for value in layer:
+            if isinstance(value, dict):
+                below += [*value, *value.values()]
+            elif isinstance(value, list):
+                below += value
+            elif isinstance(value, str):
+                value.encode()
+        layer = below
+    raise ValueError(f"nested more than {MAX_DEPTH} deep")

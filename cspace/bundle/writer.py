@@ -20,6 +20,7 @@ from cspace.bundle.loaded import Bundle
 from cspace.bundle.spec import BundleSpec
 from cspace.errors import BundleIntegrityError, StorageError
 from cspace.files import replacing
+from cspace.query import SampleQuery
 
 GOLDEN_SEED = 20_240_229
 # Odd, so that it is a multiple of no usual number of samples per latent.
@@ -83,25 +84,6 @@ def _compute_golden(folder: Path, contents: Mapping[str, bytes]) -> GoldenCase:
     bundle = Bundle(folder, BundleFiles(contents, digest=""))
     image = scene(bundle.spec.pixels)
     start, goal = endpoints(bundle.spec.endpoints, bundle.spec.world.space)
-    encoding = bundle.encode(image)
-    answer = bundle.sample(
-        image,
-        GOLDEN_COUNT,
-        GOLDEN_SEED,
-        epsilon_sigma=GOLDEN_EPSILON,
-        start=start,
-        goal=goal,
-        min_confidence=0.0,
-    )
-    return GoldenCase(
-        image=image,
-        count=GOLDEN_COUNT,
-        seed=GOLDEN_SEED,
-        epsilon_sigma=GOLDEN_EPSILON,
-        mu=encoding.mu,
-        sigma=encoding.sigma,
-        samples=answer.samples,
-        start=start,
-        goal=goal,
-        confidence=answer.confidence,
-    )
+    query = SampleQuery(GOLDEN_COUNT, GOLDEN_SEED, GOLDEN_EPSILON, start, goal, min_confidence=0.0)
+    encoding, answer = bundle.encode(image), bundle.answer(image, query)
+    return GoldenCase(image, query, encoding.mu, encoding.sigma, answer.samples, answer.confidence)

@@ -5,9 +5,10 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 from cspace.errors import DamagedFileError, DatasetError, ScenarioError
+from cspace.strict_json import json_text, parse_json, read_mapping, read_members, read_object, written
 from cspace.world import World
 from cspace.worlds import FIRST, read_world
 
@@ -17,7 +18,6 @@ _FIRST = 1
 MANIFEST_FILE = "manifest.json"
 _KEYS = {"schema_version", "world", "counts", "generator", "files", "digest"}
 _FIRST_KEYS = _KEYS - {"world"} | {"robot", "camera"}
-_OBJECTS = ("counts", "generator", "files")
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,7 +31,7 @@ class Manifest:
         files: SHA-256 of each file by its name.
     """
 
-    world: World
+    world: Annotated[World, read_world]
     counts: Mapping[str, int]
     generator: Mapping[str, Any]
     files: Mapping[str, str]
@@ -43,16 +43,13 @@ class Manifest:
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
     def to_json(self) -> str:
-        """The text of ``manifest.json``."""
-        content = {
-            "schema_version": SCHEMA_VERSION,
-            "world": self.world.to_dict(),
-            "counts": dict(self.counts),
-            "generator": dict(self.generator),
-            "files": dict(self.files),
-            "digest": self.digest,
-        }
-        return json.dumps(content, indent=2, sort_keys=True) + "\n"
+        """The text of ``manifest.json``.
+
+        Raises:
+            DatasetError: the generator holds something that JSON does not.
+        """
+        content = written(self) | {"schema_version": SCHEMA_VERSION, "digest": self.digest}
+        return json_text(content, MANIFEST_FILE, "generator", DatasetError)
 
     @classmethod
     def read(cls, folder: Path) -> "Manifest":
@@ -63,16 +60,16 @@ class Manifest:
             DamagedFileError: its digest is not that of its content.
         """
         path = folder / MANIFEST_FILE
-        values = _read_object(path)
+        members = _read_members(path)
+        digest = members.pop("digest")
         try:
-            world = read_world(values["world"])
+            manifest = read_object(cls, members, str(path), DatasetError)
         except ScenarioError as error:
             raise DatasetError(
                 f"{path}: {error.what}", expected=error.expected, got=error.got, remedy=error.remedy
             ) from error
-        manifest = cls(world, values["counts"], values["generator"], values["files"])
-        if manifest.digest != values["digest"]:
-            raise DamagedFileError(f"{path} is damaged", expected=values["digest"], got=manifest.digest)
+        if manifest.digest != digest:
+            raise DamagedFileError(f"{path} is damaged", expected=str(digest)[:200], got=manifest.digest)
         return manifest
 
     def _world(self) -> dict[str, Any]:
@@ -81,10 +78,10 @@ class Manifest:
         return {key: value for key, value in told.items() if key != "kind"} if told["kind"] == FIRST else told
 
 
-def _read_object(path: Path) -> dict[str, Any]:
-    """The manifest's JSON with its keys and the kinds of its values checked."""
+def _read_members(path: Path) -> dict[str, Any]:
+    """The members of the manifest's JSON as this schema has them, without their version."""
     try:
-        values = json.loads(path.read_text(encoding="utf-8"))
+        values = parse_json(path.read_bytes(), whole=int)
     except OSError as error:
         raise DatasetError(
             "the folder is no data set",
@@ -92,25 +89,20 @@ def _read_object(path: Path) -> dict[str, Any]:
             got=str(error),
             remedy="see docs/data.md for the format, python -m training.datasets import for own data",
         ) from error
-    except (ValueError, RecursionError) as error:
-        raise DatasetError(f"{path} is not JSON", expected="a manifest", got=str(error)) from error
-    if isinstance(values, dict) and values.get("schema_version") == _FIRST and set(values) == _FIRST_KEYS:
-        world = {"robot": values.pop("robot"), "camera": values.pop("camera")}
-        values |= {"schema_version": SCHEMA_VERSION, "world": world}
-    if not isinstance(values, dict) or set(values) != _KEYS or values["schema_version"] != SCHEMA_VERSION:
+    except ValueError as error:
+        raise DatasetError(f"{path} is not JSON", expected="a manifest", got=str(error)[:200]) from error
+    version = read_mapping(values, str(path), DatasetError).get("schema_version")
+    if version not in (_FIRST, SCHEMA_VERSION):
         raise DatasetError(
-            f"{path} is not a manifest of schema {SCHEMA_VERSION}",
-            expected=f"the keys {', '.join(sorted(_KEYS))}",
-            got=", ".join(sorted(values)) if isinstance(values, dict) else type(values).__name__,
+            f"{path} is of another schema",
+            expected=f"schema_version {_FIRST} or {SCHEMA_VERSION}",
+            got=repr(version)[:200],
         )
-    wrong = [key for key in ("world", *_OBJECTS) if not isinstance(values[key], dict)]
-    if wrong or not all(isinstance(digest, str) for digest in values["files"].values()):
-        raise DatasetError(
-            f"{path} is not a manifest of schema {SCHEMA_VERSION}",
-            expected=f"objects as world, {', '.join(_OBJECTS)}, digests as files",
-            got=f"something else as {', '.join(wrong) or 'a digest'}",
-        )
-    return values
+    members = read_members(values, _FIRST_KEYS if version == _FIRST else _KEYS, str(path), DatasetError)
+    if version == _FIRST:
+        members["world"] = {name: members.pop(name) for name in ("robot", "camera")}
+    del members["schema_version"]
+    return members
 
 
 def file_digest(path: Path) -> str:

@@ -1,52 +1,46 @@
 """The kinds of worlds, one folder each, and the one door to them."""
 
 import json
-from collections.abc import Mapping
+from argparse import ArgumentParser, Namespace
+from dataclasses import replace
 from functools import lru_cache
 from hashlib import sha256
 from importlib import import_module
-from typing import Any, Protocol, cast
+from typing import Any, cast
 
 from cspace.errors import ScenarioError
+from cspace.strict_json import read_mapping
 from cspace.workshop import Checker, Workshop
-from cspace.world import Image, Scene, World
+from cspace.world import Body, Image, Scene, World
 
-# Each folder has ``world`` (numpy alone) with ``read``, and ``workshop`` with ``open_workshop``.
+# Each folder has ``world`` (numpy alone) with ``read`` and ``EXAMPLES`` (worlds by name); ``options`` with
+# ``add_options`` and ``described``, which gives None where none of its options was used and the kind is not
+# the first; ``workshop`` with ``open_workshop``.
 KINDS = ("planar",)
 # What files are of that do not name their kind: older than kinds are.
 FIRST = "planar"
 
 
-class _Reader(Protocol):
-    EXAMPLES: Mapping[str, World]
-
-    def read(self, values: Mapping[str, Any]) -> World: ...
-
-
-class _Opener(Protocol):
-    def open_workshop(self, world: World) -> Workshop: ...
-
-
-def read_world(values: Mapping[str, Any]) -> World:
+def read_world(values: object) -> World:
     """The inverse of :meth:`cspace.world.World.to_dict`.
 
     Raises:
         ScenarioError: the kind is unknown, or a value does not fit it.
     """
-    kind = values.get("kind", FIRST)
+    members = read_mapping(values, "the world", ScenarioError)
+    kind = members.pop("kind", FIRST)
     if kind not in KINDS:
         raise ScenarioError(
             "the world is unknown", expected=f"one of {', '.join(KINDS)}", got=repr(kind)[:200]
         )
-    module = cast("_Reader", import_module(f"{__name__}.{kind}.world"))
-    return module.read({key: value for key, value in values.items() if key != "kind"})
+    return cast("World", _part(kind, "world").read(members))
 
 
 def examples() -> dict[str, World]:
     """Worlds that commands can name, of every kind; the first one where none is named."""
     found: dict[str, World] = {}
     for kind in KINDS:
-        found |= cast("_Reader", import_module(f"{__name__}.{kind}.world")).EXAMPLES
+        found |= _part(kind, "world").EXAMPLES
     return found
 
 
@@ -55,11 +49,38 @@ def default_world() -> World:
     return next(iter(examples().values()))
 
 
+def robot_types() -> tuple[type[Body], ...]:
+    """Of all kinds; each is a dataclass, and its fields are what a configuration says of a robot."""
+    return tuple(dict.fromkeys(type(world.body) for world in examples().values()))
+
+
+def usual_world(robot: Body) -> World:
+    """A robot that is seen as the first example of its type is."""
+    example: Any = next(world for world in examples().values() if type(world.body) is type(robot))
+    return cast("World", replace(example, body=robot))
+
+
+def add_world_options(parser: ArgumentParser, *, sensor: bool) -> None:
+    """Add the options by which a command line describes a robot and, where asked for, how it is seen."""
+    for kind in KINDS:
+        _part(kind, "options").add_options(parser, sensor=sensor)
+
+
+def described_world(options: Namespace) -> World:
+    """The world that parsed options describe: of the last kind whose options are given, else of the first.
+
+    Raises:
+        ConfigError: an option does not fit.
+        ScenarioError: the world cannot be.
+    """
+    worlds = (_part(kind, "options").described(options) for kind in reversed(KINDS))
+    return cast("World", next(world for world in worlds if world is not None))
+
+
 @lru_cache(maxsize=16)
 def workshop_of(world: World) -> Workshop:
     """The workshop of a world; its kernels are loaded at the first call."""
-    module = cast("_Opener", import_module(f"{__name__}.{world.kind}.workshop"))
-    return module.open_workshop(world)
+    return cast("Workshop", _part(world.kind, "workshop").open_workshop(world))
 
 
 def robot_digest(world: World) -> str:
@@ -81,3 +102,7 @@ def picture_of(scene: Scene) -> Image:
 def picture_file_of(scene: Scene) -> bytes:
     """The same as a file."""
     return scene.world.sensor.encode(picture_of(scene))
+
+
+def _part(kind: str, name: str) -> Any:
+    return import_module(f"{__name__}.{kind}.{name}")

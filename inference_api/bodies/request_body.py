@@ -2,14 +2,15 @@
 
 import re
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, get_type_hints
 
 from fastapi import Request
 from python_multipart.multipart import parse_options_header
 
 from cspace.errors import InputError
+from cspace.query import SampleQuery
+from inference_api.bodies.bounded_json import load_json, parse_json
 from inference_api.bodies.multipart_form import Part, is_boundary, read_parts
-from inference_api.bodies.strict_json import load_json, parse_json
 from inference_api.problems import MALFORMED_BODY, UNSUPPORTED_MEDIA_TYPE, RequestError
 
 MAX_CONTENT_TYPE = 500
@@ -18,10 +19,10 @@ _MAX_NUMBER = 400
 
 _WHOLE = re.compile(r"[+-]?[0-9]{1,40}", re.ASCII)
 _NUMBER = re.compile(r"[+-]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][+-]?[0-9]{1,4})?", re.ASCII)
-_WHOLE_FIELDS = ("n", "seed")
-_NUMBER_FIELDS = ("min_confidence",)
-_ARRAY_FIELDS = ("start", "goal")
-KNOWN_FIELDS = ("image", "model", "epsilon_sigma", *_WHOLE_FIELDS, *_NUMBER_FIELDS, *_ARRAY_FIELDS)
+# A form writes them by their types: numbers, one field for each value of a schedule, configurations as JSON.
+_TYPES = get_type_hints(SampleQuery)
+_SCHEDULE, _CONFIGURATION = tuple[float, ...], tuple[float, ...] | None
+KNOWN_FIELDS = ("image", "model", *_TYPES)
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +88,7 @@ def _values(parts: list[Part]) -> dict[str, Any]:
                 expected="image as a file, every other field as text",
                 got="a file" if isinstance(value, bytes) else "text",
             )
-        if name == "epsilon_sigma":
+        if _TYPES.get(name) == _SCHEDULE:
             values.setdefault(name, []).append(_convert(name, value))
         elif name in values:
             raise InputError(f"{name[:100]} is repeated", expected="one value", got="several")
@@ -99,12 +100,11 @@ def _values(parts: list[Part]) -> dict[str, Any]:
 def _convert(name: str, value: bytes | str) -> object:
     if isinstance(value, bytes):
         return value
-    text = value.strip()
-    if name in _WHOLE_FIELDS and _WHOLE.fullmatch(text):
+    text, kind = value.strip(), _TYPES.get(name)
+    if kind is int and _WHOLE.fullmatch(text):
         return int(text)
-    numeric = name in (*_NUMBER_FIELDS, "epsilon_sigma") and len(text) <= _MAX_NUMBER
-    if numeric and _NUMBER.fullmatch(text):
+    if kind in (float | None, _SCHEDULE) and len(text) <= _MAX_NUMBER and _NUMBER.fullmatch(text):
         return float(text)
-    if name in _ARRAY_FIELDS:
+    if kind == _CONFIGURATION:
         return load_json(name, text.encode("utf-8"))
     return value

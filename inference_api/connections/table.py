@@ -2,9 +2,12 @@
 
 import asyncio
 from collections import defaultdict
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 from inference_api.connections.limits import ConnectionLimits
+
+if TYPE_CHECKING:
+    from prometheus_client import Gauge
 
 SWEEP_S = 0.25
 
@@ -29,25 +32,15 @@ class Connection(Protocol):
         """Close it, whatever is unsent."""
 
 
-class Gauge(Protocol):
-    """Tells how many there are."""
-
-    def inc(self) -> None:
-        """One more."""
-
-    def dec(self) -> None:
-        """One fewer."""
-
-
 class ConnectionTable:
     """The connections of one process; used by its event loop alone.
 
     Args:
         limits: of connections.
-        gauge: of open ones; None for no telling.
+        gauge: of open ones.
     """
 
-    def __init__(self, limits: ConnectionLimits, gauge: Gauge | None = None) -> None:
+    def __init__(self, limits: ConnectionLimits, gauge: "Gauge") -> None:
         self._limits = limits
         self._gauge = gauge
         self._open: dict[str, set[Connection]] = defaultdict(set)
@@ -61,8 +54,7 @@ class ConnectionTable:
         """Take a new one in; where that is one too many, cut another, or this one where all others work."""
         self._open[connection.address].add(connection)
         self._count += 1
-        if self._gauge is not None:
-            self._gauge.inc()
+        self._gauge.inc()
         if self._count > self._limits.connections:
             self._dispensable(connection).cut()
         if self._sweep is None:
@@ -77,8 +69,7 @@ class ConnectionTable:
         if not of_address:
             del self._open[connection.address]
         self._count -= 1
-        if self._gauge is not None:
-            self._gauge.dec()
+        self._gauge.dec()
 
     def _dispensable(self, new: Connection) -> Connection:
         """The one that has waited longest, of the address that has most: none shuts others out."""

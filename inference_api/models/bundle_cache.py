@@ -11,7 +11,6 @@ from collections import OrderedDict
 from collections.abc import Callable
 from concurrent.futures import Future
 from functools import partial
-from pathlib import Path
 from threading import Lock
 
 from cspace.bundle import Bundle
@@ -111,7 +110,10 @@ class BundleCache:
             is_near = True
         lane, load = (self._near_lane, self._load_near) if is_near else (self._far_lane, self._load_far)
         if not lane.put(partial(self._settle, version, future, load), first=first):
-            self._finish(key, future, None, _too_many())
+            too_many = NotLoadedYetError(
+                "too many models are being fetched", remedy="ask again in some seconds"
+            )
+            self._finish(key, future, None, too_many)
         return future
 
     def get(self, version: ModelVersion, wait_s: float) -> Bundle:
@@ -207,16 +209,12 @@ class BundleCache:
     def _open(self, version: ModelVersion, loader: BundleLoader) -> Bundle:
         if self._verified.get(version.digest) is None:
             loader.verify(version)
-        bundle = open_verified(self.disk.bundle(version))
+        # Its golden case was replayed elsewhere.
+        bundle = Bundle.load(self.disk.bundle(version), replay=False)
         check_digest(bundle.digest, version)
         self._verified.put(version.digest, version.name, math.inf)
         self.disk.touch(version)
         return bundle
-
-
-def open_verified(folder: Path) -> Bundle:
-    """A bundle whose golden case was replayed elsewhere."""
-    return Bundle.load(folder, replay=False)
 
 
 def key_of(version: ModelVersion) -> Key:
@@ -231,7 +229,3 @@ def _done(bundle: Bundle | None, error: CspaceError | None) -> Future[Bundle]:
     else:
         future.set_exception(error)
     return future
-
-
-def _too_many() -> NotLoadedYetError:
-    return NotLoadedYetError("too many models are being fetched", remedy="ask again in some seconds")

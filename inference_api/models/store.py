@@ -13,19 +13,14 @@ from pathlib import Path
 from typing import Literal
 
 from cspace.bundle import Bundle
-from cspace.errors import (
-    BundleError,
-    ModelNotFoundError,
-    RegistryError,
-    StorageError,
-)
+from cspace.errors import BundleError, ModelNotFoundError, RegistryError, StorageError
 from inference_api.failures import ModelNotReadyError
 from inference_api.models.apart.processes.child import Child
 from inference_api.models.bundle_cache import BundleCache, NotLoadedYetError
 from inference_api.models.pictures import PictureCache
 from inference_api.models.registry_view import LOAD_WAIT_S, RegistryView
 from inference_api.models.succession import Fetch, Succession, refusal_of
-from inference_api.telemetry.observer import Nobody, Observer
+from inference_api.telemetry.observer import Observer
 from services.registry.models.port import ModelLookups, ModelVersion
 from services.registry.names import ALIAS_CHAMPION
 from services.registry.references import PRETRAINED, ModelReference
@@ -83,14 +78,15 @@ class ModelStore:
         wait_s: float = LOAD_WAIT_S,
         children: Sequence[Child] = (),
     ) -> None:
-        self.observer: Observer = Nobody()
+        self.observer = Observer()
         self.pictures = PictureCache(0) if pictures is None else pictures
         self.model_name = model_name
         self._cache = cache
         self._view = None if registry is None else RegistryView(registry, cache, lookup_s, clock)
         self._pretrained_folder = pretrained_folder
         self._champion: ServedModel | None = None
-        self._shipped: ServedModel | None = None
+        # None until it is loaded, and without a usable one.
+        self.shipped: ServedModel | None = None
         self._succession = Succession(cache, self._succeeded, self._failed, clock)
         self._wait_s, self._children = wait_s, tuple(children)
 
@@ -107,15 +103,10 @@ class ModelStore:
         return self._succession.state
 
     @property
-    def shipped(self) -> ServedModel | None:
-        """The shipped model, None without a usable one."""
-        return self._shipped
-
-    @property
     def default(self) -> ServedModel | None:
         """The model that answers requests that name none, None without one."""
-        if self._champion is None and self._shipped is not None:
-            return replace(self._shipped, fallback=True)
+        if self._champion is None and self.shipped is not None:
+            return replace(self.shipped, fallback=True)
         return self._champion
 
     def load_shipped(self) -> None:
@@ -125,7 +116,7 @@ class ModelStore:
         except BundleError as error:
             _LOG.warning("the shipped model is not usable: %s", error)
         else:
-            self._shipped = ServedModel(bundle, PRETRAINED, PRETRAINED_VERSION)
+            self.shipped = ServedModel(bundle, PRETRAINED, PRETRAINED_VERSION)
 
     def start(self) -> None:
         """Start the children that are needed at once, without waiting for them."""
@@ -220,7 +211,9 @@ class ModelStore:
         except NotLoadedYetError as error:
             raise ModelNotReadyError(error.what, remedy=error.remedy) from None
         except BundleError as error:
-            raise _not_sound(version, error) from error
+            raise ModelNotReadyError(
+                f"{version} is refused", expected="a sound bundle", got=anonymous(str(error))
+            ) from error
         return _served(bundle, version, _alias(reference))
 
     def versions(self) -> Sequence[ModelVersion]:
@@ -232,14 +225,14 @@ class ModelStore:
         return self._is_champion(version) or self._cache.is_loaded(version)
 
     def _shipped_or_raise(self) -> ServedModel:
-        if self._shipped is None:
+        if self.shipped is None:
             raise ModelNotReadyError(
                 "no model is ready",
                 expected=f"a champion of {self.model_name}, or a shipped model",
                 got=f"none (registry: {self.registry_state})",
                 remedy="train and promote a model, or ask again when the registry is back",
             )
-        return self._shipped
+        return self.shipped
 
     def _is_champion(self, version: ModelVersion) -> bool:
         current = self._champion
@@ -252,7 +245,10 @@ class ModelStore:
         self._champion = _served(bundle, version, ALIAS_CHAMPION)
         self.observer.reloaded()
         _LOG.info("in service: %s/%d", version.name, version.number)
-        self._remember(version)
+        try:
+            self._cache.disk.remember_champion(version)
+        except StorageError as error:
+            _LOG.warning("the champion will not be remembered over a restart: %s", error)
 
     def _failed(self, version: ModelVersion, error: BaseException) -> None:
         self.observer.refused(refusal_of(error))
@@ -263,12 +259,6 @@ class ModelStore:
             anonymous(str(error)),
         )
 
-    def _remember(self, version: ModelVersion) -> None:
-        try:
-            self._cache.disk.remember_champion(version)
-        except StorageError as error:
-            _LOG.warning("the champion will not be remembered over a restart: %s", error)
-
 
 def _served(bundle: Bundle, version: ModelVersion, alias: str | None) -> ServedModel:
     return ServedModel(bundle, version.name, version.number, alias, version.run_id or None)
@@ -276,10 +266,6 @@ def _served(bundle: Bundle, version: ModelVersion, alias: str | None) -> ServedM
 
 def _alias(reference: ModelReference) -> str | None:
     return ALIAS_CHAMPION if reference.is_bare else reference.alias
-
-
-def _not_sound(version: ModelVersion, error: BundleError) -> ModelNotReadyError:
-    return ModelNotReadyError(f"{version} is refused", expected="a sound bundle", got=anonymous(str(error)))
 
 
 def _unknown(reference: ModelReference) -> ModelNotFoundError:

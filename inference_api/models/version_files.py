@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Mapping
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -11,20 +12,12 @@ from services.registry.models.port import ModelVersion
 # More than any description has; what is longer is somebody else's file.
 MAX_BYTES = 2**20
 MAX_TEXT = 20_000
-_FIELDS = {"name", "number", "run_id", "digest", "aliases", "tags", "created_ms"}
+_FIELDS = {field.name for field in fields(ModelVersion)}
 
 
 def to_values(version: ModelVersion) -> dict[str, Any]:
     """A version as JSON has it."""
-    return {
-        "name": version.name,
-        "number": version.number,
-        "run_id": version.run_id,
-        "digest": version.digest,
-        "aliases": list(version.aliases),
-        "tags": dict(version.tags),
-        "created_ms": version.created_ms,
-    }
+    return {**vars(version), "aliases": list(version.aliases), "tags": dict(version.tags)}
 
 
 def from_values(values: object) -> ModelVersion:

@@ -6,7 +6,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from cspace.errors import InputError
-from inference_api.bodies.strict_json import MAX_TENSOR_MARKS, load_json, parse_json
+from inference_api.bodies.bounded_json import MAX_TENSOR_MARKS, load_json, parse_json
 from inference_api.open_inference.tensor_schemas import InferenceRequest, Parameter
 from inference_api.pages.validation import brief
 

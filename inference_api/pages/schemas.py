@@ -4,11 +4,12 @@ import base64
 import binascii
 import re
 from collections.abc import Mapping
+from dataclasses import fields
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, WithJsonSchema
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, Strict, WithJsonSchema
 
-from cspace.query import MAX_EPSILON, MAX_SAMPLES, MAX_SEED, SampleQuery, drawn_seed
+from cspace.query import MAX_EPSILON, MAX_SAMPLES, MAX_SEED, PLAIN, SampleQuery, drawn_seed
 from inference_api.failures import FieldProblem
 
 MAX_EPSILONS = 1000
@@ -56,7 +57,7 @@ _Seed = Annotated[
 _Epsilon = Annotated[float, Field(ge=0.0, le=MAX_EPSILON, allow_inf_nan=False)]
 _EpsilonSchema = {"type": "number", "minimum": 0, "maximum": MAX_EPSILON}
 _Schedule = Annotated[
-    Annotated[list[_Epsilon], Field(min_length=1, max_length=MAX_EPSILONS)],
+    Annotated[tuple[_Epsilon, ...], Field(min_length=1, max_length=MAX_EPSILONS), Strict(strict=False)],
     BeforeValidator(_as_list),
     WithJsonSchema(
         {
@@ -69,7 +70,7 @@ _Schedule = Annotated[
 ]
 _Confidence = Annotated[float, Field(ge=0.0, le=1.0, allow_inf_nan=False)] | None
 _Angle = Annotated[float, Field(allow_inf_nan=False)]
-_Configuration = Annotated[list[_Angle], Field(max_length=MAX_JOINTS)]
+_Configuration = Annotated[tuple[_Angle, ...], Field(max_length=MAX_JOINTS), Strict(strict=False)]
 
 
 # In this order fields are described, and those that are wrong are told.
@@ -101,7 +102,7 @@ class QueryFields(BaseModel):
         "The samples for a smaller n are not promised to be a prefix.",
     )
     epsilon_sigma: _Schedule = Field(
-        [0.0],
+        PLAIN,
         description="The encoder's standard deviation is raised by each value; equal shares of the samples "
         "in this order, the remainder to the first.",
     )
@@ -119,14 +120,8 @@ class QueryFields(BaseModel):
 
     def query(self) -> SampleQuery:
         """The fields, which are judged here, as the value that travels on; draws a seed that is absent."""
-        return SampleQuery(
-            self.n,
-            drawn_seed(self.seed),
-            tuple(self.epsilon_sigma),
-            None if self.start is None else tuple(self.start),
-            None if self.goal is None else tuple(self.goal),
-            self.min_confidence,
-        )
+        asked = {item.name: getattr(self, item.name) for item in fields(SampleQuery)}
+        return SampleQuery(**asked | {"seed": drawn_seed(self.seed)})
 
 
 class SampleRequest(QueryFields):

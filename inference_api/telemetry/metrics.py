@@ -5,6 +5,7 @@ that the server itself chooses, one model.
 """
 
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Protocol
 
@@ -16,7 +17,7 @@ from prometheus_client.registry import Collector
 
 from inference_api.problems import PROBLEMS
 from inference_api.record import RequestRecord, current
-from inference_api.telemetry.observer import REFUSALS, Refusal, Sampled
+from inference_api.telemetry.observer import REFUSALS, Observer, Refusal, Sampled
 
 CONTENT_TYPE = "text/plain; version=0.0.4; charset=utf-8"
 STAGES = ("decode", "encode", "generate", "total")
@@ -36,8 +37,8 @@ class ModelInService(Protocol):
     fallback: bool
 
 
-class Metrics:
-    """Counts and times what one app does; an :class:`~inference_api.telemetry.observer.Observer`.
+class Metrics(Observer):
+    """Counts and times what one app does.
 
     Args:
         model: describes the model that answers by default, None without one; asked at each scrape.
@@ -48,58 +49,35 @@ class Metrics:
     def __init__(self, model: Callable[[], ModelInService | None], shared: Path | None = None) -> None:
         self._shared, self._model = shared, _ModelCollector(model)
         self._registry = registry = CollectorRegistry()
-        self._requests = Counter(
-            "cspace_requests",
-            "Requests answered, by template of the route.",
-            ("route", "method", "status"),
-            registry=registry,
+        counter, histogram = partial(Counter, registry=registry), partial(Histogram, registry=registry)
+        gauge = partial(Gauge, registry=registry, multiprocess_mode="livesum")
+        self._requests = counter(
+            "cspace_requests", "Requests answered, by template of the route.", ("route", "method", "status")
         )
-        self._failures = Counter(
-            "cspace_failures", "Answers that were problems, by problem type.", ("reason",), registry=registry
+        self._failures = counter(
+            "cspace_failures", "Answers that were problems, by problem type.", ("reason",)
         )
-        self.in_flight = Gauge(
-            "cspace_requests_in_flight",
-            "Requests being answered.",
-            registry=registry,
-            multiprocess_mode="livesum",
-        )
-        self.waiting = Gauge(
-            "cspace_requests_waiting",
-            "Requests that wait for their turn to be computed.",
-            registry=registry,
-            multiprocess_mode="livesum",
-        )
-        self.connections = Gauge(
-            "cspace_connections",
-            "Connections that are open.",
-            registry=registry,
-            multiprocess_mode="livesum",
-        )
-        stages = Histogram(
+        self.in_flight = gauge("cspace_requests_in_flight", "Requests being answered.")
+        self.waiting = gauge("cspace_requests_waiting", "Requests that wait for their turn to be computed.")
+        self.connections = gauge("cspace_connections", "Connections that are open.")
+        stages = histogram(
             "cspace_stage_seconds",
             "Time in each stage of an answer with samples.",
             ("stage",),
             buckets=STAGE_BUCKETS_S,
-            registry=registry,
         )
-        self._acceptance = Histogram(
+        self._acceptance = histogram(
             "cspace_acceptance_ratio",
             "Share of what was drawn that reached the confidence asked for, by answer.",
             buckets=ACCEPTANCE_BUCKETS,
-            registry=registry,
         )
-        self._requested = Counter("cspace_samples_requested", "Samples asked for.", registry=registry)
-        self._returned = Counter("cspace_samples_returned", "Samples returned.", registry=registry)
-        self._fallbacks = Counter(
-            "cspace_fallback_answers",
-            "Answers of the shipped model in a champion's stead.",
-            registry=registry,
+        self._requested = counter("cspace_samples_requested", "Samples asked for.")
+        self._returned = counter("cspace_samples_returned", "Samples returned.")
+        self._fallbacks = counter(
+            "cspace_fallback_answers", "Answers of the shipped model in a champion's stead."
         )
-        self._reloads = Counter(
-            "cspace_model_reloads",
-            "Champions put into service, or refused.",
-            ("outcome", "reason"),
-            registry=registry,
+        self._reloads = counter(
+            "cspace_model_reloads", "Champions put into service, or refused.", ("outcome", "reason")
         )
         # Else a rate over the first event of a kind would see no rise.
         for problem in PROBLEMS:

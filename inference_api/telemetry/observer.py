@@ -1,7 +1,7 @@
 """What the sampler and the store of models tell whoever watches them."""
 
 from dataclasses import dataclass
-from typing import Literal, Protocol, get_args
+from typing import Literal, get_args
 
 # Why a champion is not put into service: its bundle is damaged or not the registered one, its golden case
 # gives other answers here, the registry is away, or the cache cannot be written.
@@ -32,8 +32,8 @@ class Sampled:
     stages_s: dict[str, float]
 
 
-class Observer(Protocol):
-    """Watches; must be safe to call from several threads."""
+class Observer:
+    """Watches, and does nothing; what is called must be safe to call from several threads."""
 
     def sampled(self, answer: Sampled) -> None:
         """A request for samples was answered."""
@@ -43,16 +43,3 @@ class Observer(Protocol):
 
     def refused(self, reason: Refusal) -> None:
         """A champion was not put into service; the one before it stays."""
-
-
-class Nobody:
-    """An observer that does not look."""
-
-    def sampled(self, answer: Sampled) -> None:
-        """Nothing."""
-
-    def reloaded(self) -> None:
-        """Nothing."""
-
-    def refused(self, reason: Refusal) -> None:
-        """Nothing."""

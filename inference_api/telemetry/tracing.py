@@ -68,7 +68,7 @@ def add_tracing(app: FastAPI, provider: "TracerProvider") -> None:
     )
 
 
-class TracedObserver:
+class TracedObserver(Observer):
     """Writes what is learnt of a request into its span, and passes it on.
 
     Args:

@@ -44,12 +44,14 @@ class Turn:
     def __init__(self, turns: "Turns", client: str, watch: Watch | None) -> None:
         self.client = client
         self.is_long = False
+        # Nobody wants the result any more.
+        self.is_abandoned = False
         # When the present stint began.
         self.since_s = 0.0
         self.called: asyncio.Future[bool] | None = None
         self._turns, self._watch = turns, watch
         self._loop = asyncio.get_running_loop()
-        self._began, self._ended, self._abandoned = False, False, False
+        self._began, self._ended = False, False
         self._lock, self._resumed = Lock(), Event()
         self._unwatch: Callable[[], None] | None = None
 
@@ -92,7 +94,7 @@ class Turn:
         finally:
             with self._lock:
                 self._ended = True
-            if self._abandoned:
+            if self.is_abandoned:
                 # A loop that has been closed has no turns to give.
                 with suppress(RuntimeError):
                     self._loop.call_soon_threadsafe(self._turns.leave, self)
@@ -107,15 +109,10 @@ class Turn:
         if self._watch is not None and self._unwatch is None and not self._ended:
             self._unwatch = self._watch(self._leave)
 
-    @property
-    def is_abandoned(self) -> bool:
-        """Whether nobody wants the result any more."""
-        return self._abandoned
-
     def abandon(self) -> bool:
         """Nobody wants the result any more; on the event loop. Whether no thread is at it (any more)."""
         with self._lock:
-            self._abandoned = True
+            self.is_abandoned = True
             at_it = self._began and not self._ended
         self._resumed.set()
         return not at_it
@@ -140,7 +137,7 @@ class Turn:
         self._stop_if_abandoned()
 
     def _stop_if_abandoned(self) -> None:
-        if self._abandoned:
+        if self.is_abandoned:
             raise ClientDisconnect
 
 

@@ -1,8 +1,10 @@
-"""Units of work spread over a Ray cluster; Ray is used here alone in the evaluator."""
+"""Ray: how a process joins it, and units of work spread over its cluster."""
 
 import logging
+import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import TypeVar
+from contextlib import suppress
+from typing import Any, TypeVar
 
 import ray
 from ray.exceptions import RayError, RayTaskError
@@ -18,7 +20,11 @@ IN_FLIGHT = 256
 
 
 def spread(
-    run: Callable[[Unit, Shared], Result], work: Sequence[Unit], shared: Shared, what: str
+    run: Callable[[Unit, Shared], Result],
+    work: Sequence[Unit],
+    shared: Shared,
+    what: str,
+    remedy: str | None = None,
 ) -> Iterator[Result]:
     """Results as they come from the cluster that RAY_ADDRESS names; a lost worker's unit is run again.
 
@@ -27,14 +33,15 @@ def spread(
         work: the units.
         shared: put into the object store once; a node fetches it once.
         what: the whole is, for messages: "evaluation".
+        remedy: where a unit failed for good.
 
     Raises:
         JobError: the cluster does not answer, or a unit failed for good.
         CspaceError: what the unit itself raised.
     """
+    waiting: list[ray.ObjectRef[Any]] = []
     try:
-        if not ray.is_initialized():
-            ray.init(log_to_driver=False, logging_level=logging.WARNING, include_dashboard=False)
+        join(log_to_driver=False)
         task = ray.remote(num_cpus=1, max_retries=2)(run)
         stored = ray.put(shared)
         waiting = [task.remote(unit, stored) for unit in work[:IN_FLIGHT]]
@@ -46,12 +53,30 @@ def spread(
     except RayTaskError as error:
         if isinstance(error.cause, CspaceError):
             raise error.cause from error
-        raise JobError(f"a unit of the {what} failed", got=str(error.cause)) from error
+        raise JobError(f"a unit of the {what} failed", got=str(error.cause), remedy=remedy) from error
     except (RayError, ConnectionError) as error:
-        raise JobError(f"the cluster lost the {what}", got=str(error)) from error
+        raise JobError(f"the cluster lost the {what}", got=str(error), remedy=remedy) from error
+    finally:
+        with suppress(RayError, ConnectionError):
+            for reference in waiting:
+                ray.cancel(reference)
+
+
+def join(**settings: Any) -> None:
+    """Join the cluster that RAY_ADDRESS names or that runs here; where its form is http, start a local one.
+
+    Args:
+        settings: of ``ray.init``.
+    """
+    if not ray.is_initialized():
+        address = "local" if _takes_jobs_only(os.environ) else None
+        ray.init(address, logging_level=logging.WARNING, include_dashboard=False, **settings)
 
 
 def on_cluster(environment: Mapping[str, str]) -> bool:
     """Whether RAY_ADDRESS names a cluster that work can be spread over; its http form only takes jobs."""
-    address = environment.get("RAY_ADDRESS", "")
-    return bool(address) and not address.startswith("http")
+    return bool(environment.get("RAY_ADDRESS")) and not _takes_jobs_only(environment)
+
+
+def _takes_jobs_only(environment: Mapping[str, str]) -> bool:
+    return environment.get("RAY_ADDRESS", "").startswith("http")

@@ -4,7 +4,7 @@ An empty group is an error and never a zero. Resampling draws from the generator
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -38,13 +38,7 @@ class Interval:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for JSON."""
-        return {
-            "estimate": self.estimate,
-            "low": self.low,
-            "high": self.high,
-            "count": self.count,
-            "confidence": self.confidence,
-        }
+        return asdict(self)
 
 
 def bootstrap_interval(
@@ -93,22 +87,22 @@ def ratio_of_sums_interval(
     numerator: ArrayLike, denominator: ArrayLike, rng: np.random.Generator
 ) -> Interval:
     """Sum of (n,) over the sum of its pairs (n,); the pairs are resampled together."""
-
-    def ratio(rows: Floats) -> Floats:
-        sums = rows.sum(axis=-2)
-        return np.asarray(sums[..., 0] / sums[..., 1])
-
-    return bootstrap_interval(_pairs(numerator, denominator), ratio, rng)
+    return _ratio_interval(lambda rows: rows.sum(axis=-2), numerator, denominator, rng)
 
 
 def ratio_of_medians_interval(
     numerator: ArrayLike, denominator: ArrayLike, rng: np.random.Generator
 ) -> Interval:
     """Median of (n,) positive values over the median of its pairs (n,); the pairs are resampled together."""
+    return _ratio_interval(lambda rows: np.median(rows, axis=-2), numerator, denominator, rng)
 
+
+def _ratio_interval(
+    of: Statistic, numerator: ArrayLike, denominator: ArrayLike, rng: np.random.Generator
+) -> Interval:
     def ratio(rows: Floats) -> Floats:
-        medians = np.median(rows, axis=-2)
-        return np.asarray(medians[..., 0] / medians[..., 1])
+        both = of(rows)
+        return np.asarray(both[..., 0] / both[..., 1])
 
     return bootstrap_interval(_pairs(numerator, denominator), ratio, rng)
 

@@ -58,16 +58,10 @@ class PlannerSettings:
             )
         for name in ("range_rad", "resolution_rad", "time_limit_s"):
             value = getattr(self, name)
-            if not 0.0 < value < math.inf:
-                raise ConfigError(f"{name} is out of range", expected="above 0 and finite", got=repr(value))
-        if not 0.0 <= self.goal_bias <= 1.0:
-            raise ConfigError("goal_bias is out of range", expected="0 to 1", got=repr(self.goal_bias))
-        if self.max_iterations < 1:
-            raise ConfigError(
-                "max_iterations is out of range", expected="at least 1", got=repr(self.max_iterations)
-            )
-        if not 0 <= self.seed <= MAX_SEED:
-            raise ConfigError("seed is out of range", expected="unsigned 64 bit", got=repr(self.seed))
+            _require(0.0 < value < math.inf, name, "above 0 and finite", value)
+        _require(0.0 <= self.goal_bias <= 1.0, "goal_bias", "0 to 1", self.goal_bias)
+        _require(self.max_iterations >= 1, "max_iterations", "at least 1", self.max_iterations)
+        _require(0 <= self.seed <= MAX_SEED, "seed", "unsigned 64 bit", self.seed)
 
 
 def check_uniform_share(share: float) -> None:
@@ -76,5 +70,9 @@ def check_uniform_share(share: float) -> None:
     Raises:
         ConfigError: it is not within 0 to 1.
     """
-    if not 0.0 <= share <= 1.0:
-        raise ConfigError("uniform_share is out of range", expected="0 to 1", got=repr(share))
+    _require(0.0 <= share <= 1.0, "uniform_share", "0 to 1", share)
+
+
+def _require(holds: bool, name: str, expected: str, got: float) -> None:
+    if not holds:
+        raise ConfigError(f"{name} is out of range", expected=expected, got=repr(got))

@@ -86,9 +86,8 @@ def _not_writable(action: str, got: str) -> StorageError:
 def _from_mlflow(action: str, error: MlflowException, lookup: bool) -> RegistryError | StorageError:
     # Transport errors come wrapped, as the cause or the context of an MlflowException of no special code.
     inner = error.__cause__ or error.__context__
-    if isinstance(inner, RequestException) and not isinstance(inner, HTTPError):
-        return unavailable(action, _words(error))
-    if error.error_code in _AWAY:
+    lost = isinstance(inner, RequestException) and not isinstance(inner, HTTPError)
+    if lost or error.error_code in _AWAY:
         return unavailable(action, _words(error))
     if lookup and error.error_code in _MISSING:
         return ModelNotFoundError(

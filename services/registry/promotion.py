@@ -7,6 +7,7 @@ nothing here writes a number twice.
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
+from operator import itemgetter
 
 from cspace.errors import RegistryError
 from services.registry.models.port import ModelRegistry, ModelVersion
@@ -93,8 +94,7 @@ def record_decision(registry: ModelRegistry, decision: Decision) -> None:
 
 def decisions_of(version: ModelVersion) -> tuple[Decision, ...]:
     """The log of one version, oldest first."""
-    keys = sorted((key for key in version.tags if _number(key) is not None), key=_order)
-    return tuple(Decision.from_json(version.tags[key]) for key in keys)
+    return tuple(Decision.from_json(text) for _, text in _entries(version))
 
 
 def decisions(registry: ModelRegistry, name: str) -> tuple[Decision, ...]:
@@ -112,14 +112,11 @@ def champions(registry: ModelRegistry, name: str) -> tuple[Decision, ...]:
 
 
 def _next_key(version: ModelVersion) -> str:
-    last = max((_order(key) for key in version.tags if _number(key) is not None), default=0)
+    last = max((number for number, _ in _entries(version)), default=0)
     return f"{PREFIX}{last + 1:04d}"
 
 
-def _order(key: str) -> int:
-    return _number(key) or 0
-
-
-def _number(key: str) -> int | None:
-    digits = key.removeprefix(PREFIX)
-    return int(digits) if key != digits and digits.isdecimal() else None
+def _entries(version: ModelVersion) -> list[tuple[int, str]]:
+    """The log's entries with their numbers, by these."""
+    named = ((key.removeprefix(PREFIX), text) for key, text in version.tags.items() if key.startswith(PREFIX))
+    return sorted(((int(number), text) for number, text in named if number.isdecimal()), key=itemgetter(0))

@@ -19,10 +19,10 @@ from services.planner.sources.async_sampling_client import AsyncSamplingClient
 from services.planner.sources.local_sampler import LocalSampler
 from services.planner.sources.samples import Picture, PinnedSource, SampleBatch, SampleSource
 from services.planner.sources.sampling_client import SamplingClient
-from services.planner.sources.uniform_sampler import UniformSampler
 from tests.bundles import picture, write_tiny_bundle
 from tests.fakes.sample_server import sample_server
 from tests.fakes.sample_source import FakeSampleSource
+from tests.fakes.uniform_sampler import UniformSampler
 from tests.inference_api.server import api_server
 
 PNG = encode_png(picture())

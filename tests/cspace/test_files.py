@@ -1,12 +1,15 @@
 """What is written is there whole or not at all."""
 
 import json
+import threading
+import time
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
 
-from cspace.errors import StorageError
-from cspace.files import HALF_PREFIX, HALF_SUFFIX, discard, replacing, write_json
+from cspace.errors import JobError, StorageError
+from cspace.files import HALF_PREFIX, HALF_SUFFIX, discard, holding, replacing, write_json
 
 
 def test_a_file_takes_the_place_of_the_one_that_was_there(tmp_path: Path) -> None:
@@ -67,3 +70,29 @@ def test_what_is_not_there_can_be_discarded(tmp_path: Path) -> None:
     (tmp_path / "folder" / "inner").mkdir(parents=True)
     discard(tmp_path / "folder")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_lock_file_is_held_by_one_at_a_time_and_given_back_after_an_error(tmp_path: Path) -> None:
+    path, busy = tmp_path / "lock", JobError("held")
+    with suppress(ZeroDivisionError), holding(path, busy):
+        with pytest.raises(JobError, match="held"), holding(path, busy):
+            pytest.fail("two hold it")
+        raise ZeroDivisionError
+    with holding(path, busy):
+        assert path.is_file()
+
+
+def test_whoever_waits_for_a_lock_gets_it_when_it_is_free(tmp_path: Path) -> None:
+    path, held = tmp_path / "lock", threading.Event()
+
+    def hold() -> None:
+        with holding(path, JobError("held")):
+            held.set()
+            time.sleep(0.2)
+
+    thread = threading.Thread(target=hold)
+    thread.start()
+    held.wait(60)
+    with holding(path, JobError("held"), wait_s=60.0, look_every_s=0.01):
+        pass
+    thread.join()

@@ -23,9 +23,7 @@ def test_an_older_bundle_answers_its_golden_request(folder: Path) -> None:
     bundle = Bundle.load(folder)
     case = GoldenCase.from_npz((folder / "golden.npz").read_bytes())
     assert bundle.spec.world == PlanarWorld(TWO_LINK)
-    found = bundle.sample(
-        case.image, case.count, case.seed, epsilon_sigma=case.epsilon_sigma, min_confidence=0.0
-    )
+    found = bundle.answer(case.image, case.query)
     np.testing.assert_allclose(found.samples, case.samples, atol=1e-4)
     assert found.confidence is not None
     assert case.confidence is not None

@@ -7,8 +7,8 @@ from contextlib import suppress
 import pytest
 
 from cspace.errors import CspaceError
+from inference_api.bodies.bounded_json import MAX_DIGITS, MAX_MARKS, MAX_TENSOR_MARKS, load_json
 from inference_api.bodies.request_body import RawFields, parse_fields
-from inference_api.bodies.strict_json import MAX_DIGITS, MAX_MARKS, MAX_TENSOR_MARKS, load_json
 from inference_api.guards.body_limit import MAX_BODY_BYTES
 from inference_api.open_inference.tensor_request import read_request
 from inference_api.open_inference.tensors import read_tensors

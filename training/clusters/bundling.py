@@ -13,7 +13,7 @@ from training.clusters.novelty import known_quantiles, load_scores
 from training.clusters.threshold import choose_threshold, choose_uniform_share, validation_scores
 from training.config.clusters import HeadConfig, TrainConfig
 from training.jobs.provenance import command_line, now, source_state
-from training.models.checkpoint import load_weights, seeded_initialisation
+from training.models.checkpoint import trained
 from training.models.encode import load_encoder
 from training.models.export import (
     encoder_graph,
@@ -26,7 +26,7 @@ from training.models.export import (
 from training.models.lookups.lookups import make_lookups
 from training.models.mixture import LookupSampler
 from training.models.settings import GanConfig
-from training.models.validity import ValidityHead
+from training.models.validity import make_head
 from training.trials.arrays import TrainingArrays
 from training.trials.loading import gated_sampler, load_gate, load_generator, torus_generator
 
@@ -71,23 +71,21 @@ def make_bundle(
         StorageError: the folder exists or cannot be written.
     """
     gan, latent_dim, dim = generator_config(config), config.vae.latent_dim, dataset.dim
-    encoder = load_encoder(config.vae, dataset.world.sensor.pixels, parts.encoder)
+    pixels, has_head = dataset.world.sensor.pixels, parts.validity is not None
+    encoder = load_encoder(config.vae, pixels, parts.encoder)
     graphs = {
-        "encoder": encoder_graph(encoder, dataset.world.sensor.pixels),
+        "encoder": encoder_graph(encoder, pixels),
         "generator": _sampler_graph(config, parts),
     }
     if parts.validity is not None:
-        with seeded_initialisation(0):
-            head = ValidityHead(config.validity, dataset.world)
-        head.load_state_dict(load_weights(parts.validity, "head"))
-        graphs["validity"] = validity_graph(head, dataset.world.sensor.pixels, dim)
+        head = trained(lambda: make_head(config.validity, dataset.world), parts.validity, "head")
+        graphs["validity"] = validity_graph(head, pixels, dim)
     known = None
     # The paper's joint baseline stays as the paper has it.
     if not config.joint:
-        scores = load_scores(config.vae, dataset.world.sensor.pixels, parts.encoder)
+        scores = load_scores(config.vae, pixels, parts.encoder)
         known = known_quantiles(config.vae, parts.encoder, scores, dataset)
-        graphs["novelty"] = novelty_graph(scores, dataset.world.sensor.pixels, latent_dim)
-    has_head = parts.validity is not None
+        graphs["novelty"] = novelty_graph(scores, pixels, latent_dim)
     scale = Standardisation(*(tuple(float(v) for v in part) for part in parts.arrays.scale))
     spec = BundleSpec(
         world=dataset.world,

@@ -9,7 +9,7 @@ from sklearn.cluster import KMeans
 from sklearn.metrics import pairwise_distances_argmin
 
 from cspace.errors import ConfigError
-from cspace.space import JointSpace, circles
+from cspace.space import JointSpace
 from training.models.cells import CellPoints
 
 _BLOCK = 100_000
@@ -50,7 +50,7 @@ def cluster(
     count: int,
     fit_samples: int,
     seed: int,
-    space: JointSpace | None = None,
+    space: JointSpace,
 ) -> Clustering:
     """Partition (M, d) configurations into ``count`` clusters.
 
@@ -59,7 +59,7 @@ def cluster(
         count: k.
         fit_samples: rows that the centres are fitted on; all rows are labelled.
         seed: of the rows and of k-means.
-        space: the joint space; None for circles alone.
+        space: the joint space.
 
     Raises:
         ConfigError: fewer configurations than clusters.
@@ -72,7 +72,7 @@ def cluster(
             got=str(total),
             remedy="lower clusters.count or raise data.free_per_scenario",
         )
-    rng, space = np.random.default_rng(seed), space or circles(configurations.shape[1])
+    rng = np.random.default_rng(seed)
     rows = rng.choice(total, size=min(total, fit_samples), replace=False)
     model = KMeans(count, n_init=4, random_state=seed).fit(space.embed(configurations[rows]))
     labels = [

@@ -10,7 +10,7 @@ from cspace.bundle.novelty import quantiles_of
 from cspace.dataset import Dataset
 from cspace.splits import Split
 from cspace.worlds import workshop_of
-from training.models.checkpoint import load_weights, seeded_initialisation
+from training.models.checkpoint import trained
 from training.models.encode import load_encoder
 from training.models.networks import Decoder
 from training.models.novelty import NoveltyScores
@@ -21,9 +21,7 @@ KNOWN_PICTURES = 400
 
 def load_scores(config: VaeConfig, pixels: int, checkpoint: Path) -> NoveltyScores:
     """The scores by the decoder of a VAE trial's checkpoint."""
-    with seeded_initialisation(0):
-        decoder = Decoder(pixels, config.latent_dim, config.width)
-    decoder.load_state_dict(load_weights(checkpoint, "decoder"))
+    decoder = trained(lambda: Decoder(pixels, config.latent_dim, config.width), checkpoint, "decoder")
     return NoveltyScores(decoder, pixels).eval()
 
 

@@ -12,7 +12,7 @@ from services.evaluator.measures.scenes import Scene, Stage
 from services.planner.sources.local_sampler import BundleSampler
 from services.registry.tracking.port import RunLog
 from training.config.clusters import TrainConfig
-from training.jobs.figures import distillation_curves, gate_curves, vae_curves, validity_curves, wgan_curves
+from training.jobs.figures import PANELS, own_curves, wgan_curves
 from training.models.checkpoint import read_progress
 from training.trials.outcomes import TrialOutcome
 
@@ -30,18 +30,9 @@ def log_result(
 ) -> tuple[str, ...]:
     """Curves of all trials, samples against truth for seen and unseen scenarios; returns their names."""
     histories = {outcome.name: read_progress(outcome.checkpoint).history for outcome in outcomes}
-    curves = {
-        name: draw(histories.pop(name))
-        for name, draw in (
-            ("vae", vae_curves),
-            ("validity", validity_curves),
-            ("gate", gate_curves),
-            ("distilled", distillation_curves),
-        )
-        if name in histories
-    }
+    own = {name: own_curves(name, histories.pop(name)) for name in PANELS if name in histories}
     figures = {
-        **{f"{name}-losses": figure for name, figure in curves.items()},
+        **{f"{name}-losses": figure for name, figure in own.items()},
         **({"wgan-losses": wgan_curves(histories)} if histories else {}),
         **_galleries(bundle, dataset),
     }

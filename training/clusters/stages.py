@@ -92,7 +92,7 @@ def encode_and_cluster(job: Job[TrainConfig], dataset: Dataset, vae: TrialOutcom
         latents = encode(encoder, sensor, images)
     free = np.asarray(dataset.free)
     ids = np.repeat(np.arange(dataset.scenario_count), np.diff(dataset.free_offsets))
-    labels, cells = _partition(config, free, dataset.world.space)
+    labels, cells = partition(config, free, dataset.world.space)
     sizes = np.bincount(labels, minlength=config.clusters.count)
     _LOG.info("clusters: sizes %s", ", ".join(map(str, sizes)))
     looked_up = any(
@@ -112,10 +112,10 @@ def encode_and_cluster(job: Job[TrainConfig], dataset: Dataset, vae: TrialOutcom
     )
 
 
-def _partition(
+def partition(
     config: TrainConfig, free: NDArray[np.float32], space: JointSpace
 ) -> tuple[NDArray[np.int64], GatedCells | None]:
-    """The cluster of each configuration; with a gate, clusters are groups of its cells."""
+    """The cluster of each of (M, d) configurations, (M,); with a gate, clusters are groups of its cells."""
     count, rows, seed = config.clusters.count, config.clusters.fit_samples, config.seed
     if config.gate.cells == 0:
         return cluster(free, count, rows, seed, space).labels, None

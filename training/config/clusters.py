@@ -5,10 +5,14 @@ Unknown keys are errors, values are validated once, and nothing changes afterwar
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, ValidationInfo, field_validator, model_validator
 
+from cspace.dataset.manifest import Manifest
+from cspace.errors import InputError
+from cspace.world import World
+from cspace.worlds import default_world, workshop_of
 from training.config.files import load_values, named_presets, validated
 from training.datasets.config import DatasetConfig
 from training.models.settings import GanConfig, GateConfig, GlobalConfig, VaeConfig, ValidityConfig
@@ -85,10 +89,21 @@ class TrainConfig(Section):
     vae: EncoderConfig = EncoderConfig()
     clusters: ClusterConfig = ClusterConfig()
     gate: GateConfig = GateConfig()
-    validity: HeadConfig = HeadConfig()
+    validity: HeadConfig = Field({}, validate_default=True)
     local: GanConfig = GanConfig(steps=400)
     global_: GlobalConfig = Field(GlobalConfig(), alias="global")
     resources: ResourceConfig = ResourceConfig()
+
+    @field_validator("validity", mode="before")
+    @classmethod
+    def _free_share_of_the_world(cls, head: Any, before: ValidationInfo) -> Any:
+        """The world's own where none is given."""
+        if not isinstance(head, dict) or "free_share" in head:
+            return head
+        # Data that did not fit are told on their own.
+        known = {"data", "data_folder"} <= before.data.keys()
+        world = _world(before.data["data"], before.data["data_folder"]) if known else default_world()
+        return {**head, "free_share": workshop_of(world).measures.free_share}
 
     @model_validator(mode="after")
     def _parts_fit(self) -> "TrainConfig":
@@ -140,6 +155,14 @@ def load_config(preset: str, overrides: Sequence[str] = ()) -> TrainConfig:
         ConfigError: an unknown preset or key, or a value of the wrong type or range.
     """
     return validated(TrainConfig, load_values(PRESET_FOLDER, preset, overrides), "cluster_train.py")
+
+
+def _world(data: DatasetConfig, folder: Path | None) -> World:
+    """That of the data; what does not fit there the job tells when it opens or makes them."""
+    try:
+        return data.world if folder is None else Manifest.read(folder).world
+    except InputError:
+        return default_world()
 
 
 def presets() -> list[str]:

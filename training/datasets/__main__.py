@@ -9,15 +9,13 @@ import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import get_args
 
 from pydantic import ValidationError
 
 from cspace.dataset import Dataset, open_dataset
 from cspace.errors import ConfigError, CspaceError, ScenarioError
-from cspace.splits import Split
-from cspace.worlds.planar.arm import JointLimits, PlanarArm
-from cspace.worlds.planar.camera import Camera
-from cspace.worlds.planar.world import PlanarWorld
+from cspace.worlds import add_world_options, described_world
 from training.datasets.config import DatasetConfig, PathDatasetConfig
 from training.datasets.own import import_folder
 
@@ -53,10 +51,18 @@ def parser() -> argparse.ArgumentParser:
         epilog="Exit codes: 0 done, 1 the data or the disk is bad, 2 the command is wrong.",
     )
     commands = result.add_subparsers(required=True, metavar="COMMAND")
-    _add_generate(
-        commands.add_parser("generate", help="random scenarios, by Ray tasks; goes on where it stopped")
+    _add_generated(
+        commands.add_parser("generate", help="random scenarios, by Ray tasks; goes on where it stopped"),
+        DatasetConfig,
+        *("split", "seed", "scenario_count", "free_per_scenario", "collision_per_scenario"),
+        *("extra_image_count", "shard_size"),
     )
-    _add_paths(commands.add_parser("paths", help="near-optimal paths between starts and goals, by Ray tasks"))
+    _add_generated(
+        commands.add_parser("paths", help="near-optimal paths between starts and goals, by Ray tasks"),
+        PathDatasetConfig,
+        *("split", "seed", "scenario_count", "pairs_per_scenario", "points_per_path", "free_per_scenario"),
+        *("shard_size", "narrow_share", "time_limit_s", "source"),
+    )
     _add_import(commands.add_parser("import", help="your own pictures (PNG) and configurations (.npy)"))
     verify = commands.add_parser("verify", help="check a folder's format and every file's digest")
     verify.add_argument("folder", type=Path)
@@ -64,42 +70,22 @@ def parser() -> argparse.ArgumentParser:
     return result
 
 
-def _add_generate(parser: argparse.ArgumentParser) -> None:
-    fields = DatasetConfig.model_fields
+def _add_generated(
+    parser: argparse.ArgumentParser, kind: type[DatasetConfig] | type[PathDatasetConfig], *names: str
+) -> None:
     parser.add_argument("folder", type=Path, help="where the data set goes")
-    parser.add_argument("--split", choices=[str(split) for split in Split], default=fields["split"].default)
-    for name in ("seed", "scenario_count", "free_per_scenario", "collision_per_scenario"):
-        parser.add_argument(f"--{name.replace('_', '-')}", type=int, default=fields[name].default)
-    parser.add_argument("--extra-image-count", type=int, default=fields["extra_image_count"].default)
-    parser.add_argument("--shard-size", type=int, default=fields["shard_size"].default)
-    _add_robot(parser)
-    parser.set_defaults(run=lambda options: _made(options, DatasetConfig))
-
-
-def _add_paths(parser: argparse.ArgumentParser) -> None:
-    fields = PathDatasetConfig.model_fields
-    parser.add_argument("folder", type=Path, help="where the data set goes")
-    parser.add_argument("--split", choices=[str(split) for split in Split], default=fields["split"].default)
-    kinds = {
-        int: (
-            "seed",
-            "scenario_count",
-            "pairs_per_scenario",
-            "points_per_path",
-            "free_per_scenario",
-            "shard_size",
-        ),
-        float: ("narrow_share", "time_limit_s"),
-    }
-    for kind, names in kinds.items():
-        for name in names:
-            described = fields[name].description
-            parser.add_argument(
-                f"--{name.replace('_', '-')}", type=kind, default=fields[name].default, help=described
-            )
-    parser.add_argument("--source", choices=("grid", "rrt_star"), default=fields["source"].default)
-    _add_robot(parser)
-    parser.set_defaults(run=lambda options: _made(options, PathDatasetConfig))
+    for name in names:
+        field = kind.model_fields[name]
+        choices = get_args(field.annotation)
+        parser.add_argument(
+            f"--{name.replace('_', '-')}",
+            type=type(field.default),
+            choices=choices or None,
+            default=field.default,
+            help=field.description,
+        )
+    add_world_options(parser, sensor=False)
+    parser.set_defaults(run=lambda options: _made(options, kind))
 
 
 def _add_import(parser: argparse.ArgumentParser) -> None:
@@ -107,56 +93,14 @@ def _add_import(parser: argparse.ArgumentParser) -> None:
         "source", type=Path, help="name.png, name.npy, optional name.collision.npy, extra/*.png"
     )
     parser.add_argument("folder", type=Path, help="where the data set goes")
-    parser.add_argument("--pixels", type=int, default=Camera().pixels, help="side of the data set's pictures")
-    parser.add_argument(
-        "--view",
-        type=float,
-        nargs=4,
-        metavar=("XMIN", "XMAX", "YMIN", "YMAX"),
-        default=(-5.0, 5.0, -5.0, 5.0),
-    )
-    _add_robot(parser)
+    add_world_options(parser, sensor=True)
     parser.set_defaults(run=_import)
 
 
-def _add_robot(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--links", type=float, nargs="+", metavar="M", default=[2.0, 2.0], help="link lengths, m"
-    )
-    parser.add_argument("--half-width", type=float, metavar="M", default=0.1, help="half the links' width, m")
-    parser.add_argument(
-        "--limit",
-        nargs=3,
-        action="append",
-        type=float,
-        metavar=("JOINT", "LOW", "HIGH"),
-        help="limits of one joint (1 is the first), rad; repeatable; other joints are circles",
-    )
-
-
-def _robot(options: argparse.Namespace) -> PlanarArm:
-    return PlanarArm(tuple(options.links), options.half_width, _limits(options.limit, len(options.links)))
-
-
-def _limits(entries: Sequence[tuple[float, float, float]] | None, dim: int) -> JointLimits | None:
-    if not entries:
-        return None
-    limits: list[tuple[float, float] | None] = [None] * dim
-    for joint, low, high in entries:
-        if joint not in range(1, dim + 1):
-            raise ConfigError(
-                "the joint limits do not fit", expected=f"joints 1 to {dim}", got=f"joint {joint:g}"
-            )
-        limits[int(joint) - 1] = (low, high)
-    return tuple(limits)
-
-
 def _made(options: argparse.Namespace, kind: type[DatasetConfig] | type[PathDatasetConfig]) -> Dataset:
-    robot = _robot(options)
     values = {name: getattr(options, name) for name in kind.model_fields if name != "robot"}
-    described = {key: value for key, value in robot.to_dict().items() if key != "kind"}
     try:
-        config = kind.model_validate({**values, "robot": described})
+        config = kind.model_validate({**values, "robot": described_world(options).body})
     except ValidationError as error:
         first = error.errors()[0]
         raise ConfigError(
@@ -166,25 +110,13 @@ def _made(options: argparse.Namespace, kind: type[DatasetConfig] | type[PathData
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     os.environ.setdefault("RAY_AUTH_MODE", "token")
     # Imported here so that import and verify do not wait for Ray.
-    import ray  # noqa: PLC0415
-
     from training.datasets.generate import generate  # noqa: PLC0415
 
-    if not ray.is_initialized():
-        ray.init(log_to_driver=False, logging_level=logging.WARNING, include_dashboard=False)
     return generate(config, options.folder.absolute())
 
 
 def _import(options: argparse.Namespace) -> Dataset:
-    x_min_m, x_max_m, y_min_m, y_max_m = options.view
-    if options.pixels < 1 or not (x_min_m < x_max_m and y_min_m < y_max_m):
-        raise ConfigError(
-            "the camera does not fit",
-            expected="--pixels above 0, --view with minimum below maximum",
-            got=f"{options.pixels} pixels, {options.view}",
-        )
-    camera = Camera(x_min_m, x_max_m, y_min_m, y_max_m, options.pixels)
-    return import_folder(options.source, options.folder, world=PlanarWorld(_robot(options), camera))
+    return import_folder(options.source, options.folder, world=described_world(options))
 
 
 if __name__ == "__main__":

@@ -2,22 +2,23 @@
 
 import hashlib
 import json
-from typing import Literal
+from functools import reduce
+from operator import or_
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler
+from pydantic_core import CoreSchema
 
-from cspace.worlds.planar.arm import PlanarArm
-from cspace.worlds.planar.world import PlanarWorld
+from cspace.world import Body, World
+from cspace.worlds import default_world, robot_types, usual_world
 
 
-class RobotConfig(BaseModel):
-    """A planar arm, as configuration."""
+class _OfAnyKind:
+    """A robot by the fields of its type."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    link_lengths_m: tuple[float, ...] = (2.0, 2.0)
-    half_width_m: float = 0.1
-    joint_limits_rad: tuple[tuple[float, float] | None, ...] | None = None
+    @staticmethod
+    def __get_pydantic_core_schema__(source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        return handler.generate_schema(reduce(or_, robot_types()))
 
 
 class GeneratedConfig(BaseModel):
@@ -25,16 +26,15 @@ class GeneratedConfig(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    robot: RobotConfig = RobotConfig()
+    robot: Annotated[Body, _OfAnyKind] = default_world().body
     split: Literal["train", "validation", "test", "demo"] = "train"
     seed: int = Field(0, ge=0)
     shard_size: int = Field(500, ge=1)
 
     @property
-    def world(self) -> PlanarWorld:
+    def world(self) -> World:
         """Robot and sensor as the value that the rest of the code takes."""
-        arm = self.robot
-        return PlanarWorld(PlanarArm(arm.link_lengths_m, arm.half_width_m, arm.joint_limits_rad))
+        return usual_world(self.robot)
 
     @property
     def key(self) -> str:
@@ -67,10 +67,8 @@ class PathDatasetConfig(GeneratedConfig):
     pairs_per_scenario: int = Field(8, ge=1)
     points_per_path: int = Field(64, ge=2)
     free_per_scenario: int = Field(50, ge=1)
-    source: Literal["grid", "rrt_star"] = Field(
-        "grid",
-        description="grid: exact and near-optimal; rrt_star: OMPL's, with a limit in time, as in the paper",
-    )
+    source: Literal["grid", "rrt_star"] = "grid"
+    """``grid``: the world's own, near-optimal; ``rrt_star``: OMPL's, with a limit in time, as the paper."""
     time_limit_s: float = Field(10.0, gt=0, description="of RRT* for each path")
     shard_size: int = Field(100, ge=1)
 

@@ -10,21 +10,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cspace.dataset import Dataset, write_dataset
+from cspace.errors import DatasetError
+from cspace.splits import Split, scenario_rng
+from cspace.workshop import Checker
+from cspace.world import Arrays
+from cspace.worlds import workshop_of
 from training.datasets.config import DatasetConfig
-from training.datasets.recipe import Arrays
-from training.datasets.shards import Shard, make_shard, plan_shards
+from training.datasets.shards import Shard
+
+# Pictures alone come from the same split under indices that no scenario with configurations has.
+EXTRA_FIRST_INDEX = 2**31
+# Rejection gives up on a scenario whose free (or colliding) share is smaller than one in this many.
+MAX_PROPOSALS_PER_SAMPLE = 1000
+_MIN_ROUND = 64
 
 
 @dataclass(frozen=True)
 class ConfigurationRecipe:
-    """See :class:`training.datasets.recipe.Recipe`."""
+    """How the shards of a configuration are made, anywhere, and put together."""
 
     config: DatasetConfig
-
-    @property
-    def key(self) -> str:
-        """Of the configuration."""
-        return self.config.key
 
     @property
     def finished_bytes(self) -> int:
@@ -36,11 +41,32 @@ class ConfigurationRecipe:
 
     def plan(self) -> list[Shard]:
         """Scenarios, then pictures alone."""
-        return plan_shards(self.config)
+        config, size = self.config, self.config.shard_size
+        return [
+            Shard(first, min(size, total - first), extra)
+            for extra, total in ((False, config.scenario_count), (True, config.extra_image_count))
+            for first in range(0, total, size)
+        ]
 
     def make(self, shard: Shard) -> dict[str, NDArray[Any]]:
-        """See :func:`training.datasets.shards.make_shard`."""
-        return make_shard(self.config, shard)
+        """The arrays of one shard; the same whatever the shards' size and wherever it is computed."""
+        config = self.config
+        workshop, split = workshop_of(config.world), Split(config.split)
+        offset = EXTRA_FIRST_INDEX if shard.extra else 0
+        rows = []
+        for index in range(shard.first, shard.first + shard.count):
+            rng = scenario_rng(split, config.seed, offset + index)
+            scene = workshop.scene(rng)
+            row: dict[str, NDArray[Any]] = {"images": workshop.render(scene)}
+            if not shard.extra:
+                checker = workshop.checker(scene)
+                row |= workshop.arrays_of(scene)
+                row["free"] = draw_configurations(checker, config.free_per_scenario, rng, free=True)
+                row["collision"] = draw_configurations(
+                    checker, config.collision_per_scenario, rng, free=False
+                )
+            rows.append(row)
+        return {name: np.stack([row[name] for row in rows]) for name in rows[0]}
 
     def write(self, folder: Path, load: Callable[[Shard], Arrays]) -> Dataset:
         """See :func:`cspace.dataset.write_dataset`."""
@@ -58,3 +84,30 @@ class ConfigurationRecipe:
             extra_images=np.concatenate([extra["images"] for extra in extras]) if extras else None,
             generator=self.config.model_dump(mode="json"),
         )
+
+
+def draw_configurations(
+    checker: Checker, count: int, rng: np.random.Generator, *, free: bool
+) -> NDArray[np.float64]:
+    """``count`` uniform configurations that are free (or in collision), (count, d) rad.
+
+    Raises:
+        DatasetError: hardly any configuration is.
+    """
+    space = checker.space
+    found: list[NDArray[np.float64]] = [np.empty((0, space.dim))]
+    have = proposed = 0
+    while have < count:
+        if proposed > MAX_PROPOSALS_PER_SAMPLE * count:
+            raise DatasetError(
+                f"hardly any configuration is {'free' if free else 'in collision'}",
+                expected=f"{count} among {proposed}",
+                got=str(have),
+                remedy="change the robot or ask for fewer",
+            )
+        proposals = space.sample_uniform(rng, max(_MIN_ROUND, 2 * (count - have)))
+        kept = proposals[checker.valid_batch(proposals) == free]
+        found.append(kept)
+        have += len(kept)
+        proposed += len(proposals)
+    return np.concatenate(found)[:count]

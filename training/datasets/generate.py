@@ -2,22 +2,20 @@
 
 import logging
 import shutil
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-import ray
 from numpy.typing import NDArray
 from pydantic import ValidationError
-from ray.exceptions import RayError, RayTaskError
 
 from cspace.dataset import Dataset, open_dataset, require_room
-from cspace.errors import CspaceError, DatasetError, JobError, StorageError
+from cspace.errors import DatasetError, StorageError
+from services.evaluator.cluster import spread
 from services.progress import Progress
 from training.datasets.config import DatasetConfig, PathDatasetConfig
 from training.datasets.configurations import ConfigurationRecipe
 from training.datasets.paths import PathRecipe
-from training.datasets.recipe import Recipe
 from training.datasets.shards import Shard, load_shard, save_shard
 
 _LOG = logging.getLogger("training")
@@ -25,7 +23,7 @@ _LOG = logging.getLogger("training")
 Generated = DatasetConfig | PathDatasetConfig
 
 
-def recipe_of(config: Generated) -> Recipe:
+def recipe_of(config: Generated) -> ConfigurationRecipe | PathRecipe:
     """How the data set of a configuration is made."""
     return PathRecipe(config) if isinstance(config, PathDatasetConfig) else ConfigurationRecipe(config)
 
@@ -47,7 +45,7 @@ def generate(config: Generated, folder: Path) -> Dataset:
     recipe = recipe_of(config)
     # Twice the finished size: the shards are there until the arrays are written.
     require_room(folder, 2 * recipe.finished_bytes)
-    partial = folder.with_name(f"{folder.name}.{recipe.key}.partial")
+    partial = folder.with_name(f"{folder.name}.{config.key}.partial")
     try:
         partial.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -80,28 +78,17 @@ def _reuse(config: Generated, folder: Path) -> Dataset:
     return dataset
 
 
-def run_tasks(config: Generated, shards: Iterable[Shard], partial: Path) -> Iterator[str]:
+def run_tasks(config: Generated, shards: Sequence[Shard], partial: Path) -> Iterator[str]:
     """Make shards in parallel on the cluster; yields each one's file as it is finished.
 
     Raises:
         CspaceError: what a task raised; JobError when its process died again and again.
     """
-    task = ray.remote(num_cpus=1, max_retries=2)(_task)
-    waiting = [task.remote(config, shard, str(partial)) for shard in shards]
-    try:
-        while waiting:
-            finished, waiting = ray.wait(waiting, num_returns=1)
-            yield from ray.get(finished)
-    except RayError as error:
-        if isinstance(error, RayTaskError) and isinstance(error.cause, CspaceError):
-            raise error.cause from error
-        raise JobError("a task of the data set failed", got=str(error), remedy="run it again") from error
-    finally:
-        for reference in waiting:
-            ray.cancel(reference)
+    return spread(_task, shards, (config, str(partial)), "generation of the data set", "run it again")
 
 
-def _task(config: Generated, shard: Shard, partial: str) -> str:
+def _task(shard: Shard, shared: tuple[Generated, str]) -> str:
+    config, partial = shared
     return str(save_shard(Path(partial), shard, recipe_of(config).make(shard)))
 
 

@@ -7,6 +7,13 @@ from matplotlib.figure import Figure
 
 History = Sequence[Mapping[str, float]]
 
+# Trials that have a picture of their own.
+PANELS = {
+    "vae": ("reconstruction_loss", "kl"),
+    "validity": ("validity_loss", "validity_accuracy"),
+    "gate": ("gate_divergence",),
+    "distilled": ("distillation_loss",),
+}
 _WGAN_PANELS = ("wasserstein_estimate", "gradient_penalty", "generator_loss")
 _LOGARITHMIC = ("reconstruction_loss", "validity_loss", "gate_divergence", "distillation_loss")
 _LABELS = {
@@ -30,24 +37,9 @@ def wgan_curves(histories: Mapping[str, History]) -> Figure:
     return _curves(histories, _WGAN_PANELS, "generator step")
 
 
-def vae_curves(history: History) -> Figure:
-    """The VAE's losses over its steps."""
-    return _curves({"vae": history}, ("reconstruction_loss", "kl"), "step")
-
-
-def validity_curves(history: History) -> Figure:
-    """The validity head's loss and accuracy over its steps, on what it is trained on."""
-    return _curves({"validity": history}, ("validity_loss", "validity_accuracy"), "step")
-
-
-def gate_curves(history: History) -> Figure:
-    """The gate's divergence from the cells' true shares over its steps."""
-    return _curves({"gate": history}, ("gate_divergence",), "step")
-
-
-def distillation_curves(history: History) -> Figure:
-    """How far the distilled generator is from the mixture over its steps."""
-    return _curves({"distilled": history}, ("distillation_loss",), "step")
+def own_curves(trial: str, history: History) -> Figure:
+    """What a trial of ``PANELS`` minimises over its steps."""
+    return _curves({trial: history}, PANELS[trial], "step")
 
 
 def path_curves(histories: Mapping[str, History]) -> Figure:

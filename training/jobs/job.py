@@ -1,6 +1,5 @@
 """One training job: its configuration, its runs and its folder, so that a stopped one can go on."""
 
-import fcntl
 import json
 import logging
 import re
@@ -15,7 +14,7 @@ from pydantic import ValidationError
 from cspace.bundle import Bundle
 from cspace.dataset import require_room
 from cspace.errors import BundleError, ConfigError, JobError, StorageError
-from cspace.files import HALF_SUFFIX, discard, write_json
+from cspace.files import HALF_SUFFIX, discard, holding, write_json
 from services.registry.names import EXPERIMENT
 from services.registry.tracking.mlflow_tracking import MlflowTracking
 from services.registry.tracking.parameters import flatten
@@ -99,8 +98,7 @@ class Job(Generic[Config]):
         folder = job_folder(environment, run.run_id)
         if not (folder / RECORD).exists():
             folder.mkdir(parents=True, exist_ok=True)
-            record = {"config": config.to_dict(), "children": {}, "name": name}
-            write_json(folder / RECORD, record, indent=2)
+            _record(folder, config, {}, name)
         if name is not None:
             write_json(_pointer(environment, name), {"run_id": run.run_id})
         return cls.resume(run.run_id, environment, type(config)).same(config)
@@ -147,16 +145,12 @@ class Job(Generic[Config]):
             JobError: another process works on it.
             RegistryUnavailableError: the tracking server stayed away at the end.
         """
-        with (self.folder / "lock").open("a") as handle:
-            try:
-                # The system frees it when the process ends, however it ends.
-                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError as error:
-                raise JobError(
-                    "the job is running already",
-                    got=f"run {self.run.run_id}",
-                    remedy="wait for it, or stop it first",
-                ) from error
+        busy = JobError(
+            "the job is running already",
+            got=f"run {self.run.run_id}",
+            remedy="wait for it, or stop it first",
+        )
+        with holding(self.folder / "lock", busy):
             _LOG.info("run: %s", self.run.run_id)
             self._tidy()
             with self.run as run:
@@ -172,15 +166,11 @@ class Job(Generic[Config]):
             run = self.patiently(
                 f"starting the run of {name}",
                 lambda: self.tracking.start(
-                    EXPERIMENT,
-                    name,
-                    parent_run_id=self.run.run_id,
-                    key=f"{self.run.run_id}/{name}",
+                    EXPERIMENT, name, parent_run_id=self.run.run_id, key=f"{self.run.run_id}/{name}"
                 ),
             )
             self.children[name] = run.run_id
-            record = {"config": self.config.to_dict(), "children": self.children, "name": self.name}
-            write_json(self.folder / RECORD, record, indent=2)
+            _record(self.folder, self.config, self.children, self.name)
         return self.children[name]
 
     def deliver(self) -> None:
@@ -255,6 +245,11 @@ def prepare(environment: Environment) -> None:
             remedy="set CSPACE_DATA_DIR to another one",
         ) from error
     require_room(environment.data_folder, 0)
+
+
+def _record(folder: Path, config: Section, children: Mapping[str, str], name: str | None) -> None:
+    record = {"config": config.to_dict(), "children": dict(children), "name": name}
+    write_json(folder / RECORD, record, indent=2)
 
 
 def _pointer(environment: Environment, name: str) -> Path:

@@ -34,20 +34,15 @@ class Base(nn.Module, ABC):
 
 
 class UniformBase(Base):
-    """The whole joint space, evenly.
+    """The whole joint space, evenly."""
 
-    Args:
-        dim: number of joints.
-        space: the joint space; None for circles alone.
-    """
-
-    def __init__(self, dim: int, space: JointSpace | None = None) -> None:
+    def __init__(self, space: JointSpace) -> None:
         super().__init__()
-        self.dim, self.joints = dim, Joints.of(space, dim)
+        self.joints = Joints(space)
 
     def draw(self, ids: Tensor, rng: torch.Generator) -> Tensor:
         """See :class:`Base`; the scenarios do not matter."""
-        shares = torch.rand(len(ids), self.dim, generator=rng, device=ids.device)
+        shares = torch.rand(len(ids), self.joints.dim, generator=rng, device=ids.device)
         return self.joints.from_torus((2.0 * shares - 1.0) * torch.pi)
 
 
@@ -57,16 +52,16 @@ class CellBase(Base):
     Args:
         cells: k cells with their points.
         probabilities: (S, k) float32, not negative; a row need not sum to one.
-        space: the joint space; None for circles alone.
+        space: the joint space.
     """
 
     points: Tensor
     spacing: Tensor
     probabilities: Tensor
 
-    def __init__(self, cells: CellPoints, probabilities: Tensor, space: JointSpace | None = None) -> None:
+    def __init__(self, cells: CellPoints, probabilities: Tensor, space: JointSpace) -> None:
         super().__init__()
-        self.joints = Joints.of(space, cells.points.shape[2])
+        self.joints = Joints(space)
         self.register_buffer("points", torch.tensor(cells.points), persistent=False)
         self.register_buffer("spacing", torch.tensor(cells.spacing_rad), persistent=False)
         self.register_buffer("probabilities", probabilities, persistent=False)

@@ -2,17 +2,19 @@
 
 import contextlib
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import torch
 from safetensors.torch import load_file, save_file
-from torch import Tensor
+from torch import Tensor, nn
 
 from cspace.files import discard, replacing
 from training.models.modules import TrialModule
+
+Network = TypeVar("Network", bound=nn.Module)
 
 WEIGHTS, TRAINING, STATE = "weights.safetensors", "training.safetensors", "state.json"
 
@@ -91,6 +93,14 @@ def load_weights(folder: Path, prefix: str) -> dict[str, Tensor]:
     weights = load_file(folder / WEIGHTS)
     start = prefix + "."
     return {name.removeprefix(start): value for name, value in weights.items() if name.startswith(start)}
+
+
+def trained(make: Callable[[], Network], folder: Path, part: str) -> Network:
+    """A network with the weights of one part of a checkpoint's module, ready to be asked."""
+    with seeded_initialisation(0):
+        network = make()
+    network.load_state_dict(load_weights(folder, part))
+    return network.eval()
 
 
 def _contiguous(tensors: dict[str, Tensor]) -> dict[str, Tensor]:

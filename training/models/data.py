@@ -1,11 +1,21 @@
 """Batches: scenarios with their latents, configurations drawn from them, and pictures."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import Self
 
 import torch
 from torch import Tensor
 from torch.utils.data import IterableDataset
+
+
+@dataclass(frozen=True, slots=True)
+class Held:
+    """Training data in memory: tensors that a model draws its batches from, on its own device."""
+
+    def to(self, device: torch.device) -> Self:
+        """The same on another device."""
+        return type(self)(*(getattr(self, field.name).to(device) for field in fields(self)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,8 +36,8 @@ class Batch:
 
 
 @dataclass(frozen=True, slots=True)
-class ScenarioSamples:
-    """Configurations of one cluster (or of all) with the latents of their scenarios, held in memory.
+class ScenarioSamples(Held):
+    """Configurations of one cluster (or of all) with the latents of their scenarios.
 
     Args:
         configurations: (M, d) float32 rad.
@@ -40,10 +50,6 @@ class ScenarioSamples:
     ids: Tensor
     mu: Tensor
     sigma: Tensor
-
-    def to(self, device: torch.device) -> "ScenarioSamples":
-        """The same on another device."""
-        return ScenarioSamples(*(getattr(self, name).to(device) for name in self.__slots__))
 
     def draw(self, size: int, rng: torch.Generator) -> Batch:
         """A batch with replacement."""

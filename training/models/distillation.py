@@ -1,12 +1,11 @@
 """Distillation: one generator learns to answer as a mixture does, so that serving costs one."""
 
 import torch
-from torch import Tensor
 from torch.optim.lr_scheduler import LambdaLR
 
 from training.models.cells import CellBase
 from training.models.data import ScenarioSamples
-from training.models.lookups.lookups import PictureReader
+from training.models.lookups.lookups import PictureReader, read
 from training.models.mixture import Experts
 from training.models.modules import TrialModule
 from training.models.networks import TorusGenerator
@@ -26,6 +25,8 @@ class DistillationModule(TrialModule):
         base: the cells, drawn as the gate says.
         seed: of every draw.
     """
+
+    samples: ScenarioSamples
 
     def __init__(
         self,
@@ -48,10 +49,6 @@ class DistillationModule(TrialModule):
             LambdaLR(optimiser, lambda step: 1.0 - 0.95 * min(1.0, step / config.steps))
         ]
 
-    def on_fit_start(self) -> None:
-        """Keep the data where the model is."""
-        self.samples = self.samples.to(self.device)
-
     def training_step(self, step: int, batch_index: int) -> None:
         """One step of how far the answers are apart, summed over the joints."""
         del step, batch_index
@@ -61,16 +58,8 @@ class DistillationModule(TrialModule):
         cell, base = self.base.draw_in_cells(ids, self.rng)
         noise = self.normal(size, self.config.noise_dim)
         with torch.no_grad():
-            wanted = self.teacher(latent, base, noise, _seen(self.teacher_reader, ids, base), cell)
-        answer = self.generator(latent, base, noise, _seen(self.reader, ids, base)).squeeze(1)
+            wanted = self.teacher(latent, base, noise, read(self.teacher_reader, ids, base), cell)
+        answer = self.generator(latent, base, noise, read(self.reader, ids, base)).squeeze(1)
         loss = self.generator.joints.apart(answer, wanted).sum(dim=1).mean()
-        (optimiser,) = self.training_optimisers
-        optimiser.zero_grad()
-        loss.backward()  # type: ignore[no-untyped-call]
-        optimiser.step()
-        self.training_schedules[0].step()
+        self.descend(loss)
         self.latest = {"distillation_loss": loss.detach()}
-
-
-def _seen(reader: PictureReader | None, ids: Tensor, base: Tensor) -> Tensor | None:
-    return None if reader is None else reader(ids, base)

@@ -8,7 +8,7 @@ import torch
 from numpy.typing import NDArray
 
 from cspace.world import Sensor
-from training.models.checkpoint import load_weights, seeded_initialisation
+from training.models.checkpoint import trained
 from training.models.networks import Encoder
 from training.models.settings import VaeConfig
 
@@ -31,11 +31,9 @@ class Latents:
 
 def load_encoder(config: VaeConfig, pixels: int, checkpoint: Path) -> Encoder:
     """The encoder of a VAE trial's checkpoint, ready to be asked."""
-    with seeded_initialisation(0):
-        encoder = Encoder(pixels, config.latent_dim, config.width, config.patches)
-    encoder.load_state_dict(load_weights(checkpoint, "encoder"))
-    encoder.eval()
-    return encoder
+    return trained(
+        lambda: Encoder(pixels, config.latent_dim, config.width, config.patches), checkpoint, "encoder"
+    )
 
 
 def encode(encoder: Encoder, sensor: Sensor, images: NDArray[np.uint8]) -> Latents:

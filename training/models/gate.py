@@ -5,7 +5,6 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional
-from torch.optim.lr_scheduler import OneCycleLR
 
 from training.models.modules import TrialModule
 from training.models.networks import mlp
@@ -49,11 +48,7 @@ class GateModule(TrialModule):
         for name, value in (("mu", mu), ("sigma", sigma), ("shares", shares)):
             self.register_buffer(name, value, persistent=False)
         self.gate = Gate(mu.shape[1], config.hidden, config.layers, config.cells)
-        optimiser = torch.optim.Adam(self.parameters(), lr=config.learning_rate)
-        self.training_optimisers = [optimiser]
-        self.training_schedules = [
-            OneCycleLR(optimiser, config.learning_rate, total_steps=config.steps + 1, pct_start=0.1)
-        ]
+        self.one_cycle(self.parameters(), config.learning_rate, config.steps)
 
     def training_step(self, step: int, batch_index: int) -> None:
         """One step of the cross entropy."""
@@ -62,11 +57,7 @@ class GateModule(TrialModule):
         mu, shares = self.mu[rows], self.shares[rows]
         log_gate = functional.log_softmax(self.gate(mu + self.sigma[rows] * self.normal(*mu.shape)), dim=1)
         loss = -(shares * log_gate).sum(dim=1).mean()
-        (optimiser,) = self.training_optimisers
-        optimiser.zero_grad()
-        loss.backward()  # type: ignore[no-untyped-call]
-        optimiser.step()
-        self.training_schedules[0].step()
+        self.descend(loss)
         entropy = -torch.xlogy(shares, shares).sum(dim=1).mean()
         self.latest = {"gate_loss": loss.detach(), "gate_divergence": loss.detach() - entropy}
 

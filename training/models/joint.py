@@ -27,7 +27,7 @@ class JointModule(WganGpModule):
         images: (S, 3, P, P) uint8, one a scenario.
         scale: mean and standard deviation of all configurations, each (d,) rad.
         seed: of every draw.
-        space: the joint space; None for circles alone.
+        space: the joint space.
     """
 
     images: Tensor
@@ -40,16 +40,16 @@ class JointModule(WganGpModule):
         images: Tensor,
         scale: tuple[Tensor, Tensor],
         seed: int,
-        space: JointSpace | None = None,
+        space: JointSpace,
     ) -> None:
-        super().__init__(config, samples, scale, seed, space=space)
+        super().__init__(config, samples, scale, seed, space)
         self.vae, self.reconstruction_weight = vae, config.reconstruction_weight
         self.register_buffer("images", images, persistent=False)
         self.encoder = Encoder(images.shape[-1], vae.latent_dim, vae.width, vae.patches)
         self.decoder = Decoder(images.shape[-1], vae.latent_dim, vae.width)
-        self.set_optimisers(
-            [*self.generator.parameters(), *self.encoder.parameters(), *self.decoder.parameters()]
-        )
+        parts = (self.generator, self.encoder, self.decoder)
+        learning = [parameter for part in parts for parameter in part.parameters()]
+        self.set_optimisers(self.critic, learning, config.generator_learning_rate)
         self._latents = torch.empty(0), torch.empty(0)
 
     def training_step(self, step: int, batch_index: int) -> None:

@@ -1,5 +1,9 @@
 """The Lightning shells: what one training step does, and nothing of clusters, trackers or files."""
 
+from abc import ABC, abstractmethod
+from collections.abc import Iterable
+from typing import Any
+
 import lightning
 import torch
 from torch import Tensor, nn
@@ -9,9 +13,9 @@ from torch.optim.lr_scheduler import LambdaLR, OneCycleLR
 from cspace.space import JointSpace
 from training.models import losses
 from training.models.cells import Base, UniformBase
-from training.models.data import Batch, ScenarioSamples
-from training.models.lookups.lookups import Scenes, make_reader, values_read
-from training.models.networks import Critic, Decoder, Encoder, MeansGenerator, TorusGenerator
+from training.models.data import Batch, Held, ScenarioSamples
+from training.models.lookups.lookups import Scenes, make_reader, read, values_read
+from training.models.networks import Critic, Decoder, Encoder, MeansGenerator, Sizes, TorusGenerator
 from training.models.settings import GanConfig, VaeConfig
 from training.models.space.joints import Joints
 
@@ -19,7 +23,9 @@ Metrics = dict[str, float]
 
 
 class TrialModule(lightning.LightningModule):
-    """What the trials need of every model: a random stream of its own, optimisers, the last metrics."""
+    """What the trials need of every model: a random stream of its own, data, optimisers, the last metrics."""
+
+    samples: Held | None = None
 
     def __init__(self, seed: int) -> None:
         super().__init__()
@@ -37,6 +43,11 @@ class TrialModule(lightning.LightningModule):
             self._rng = torch.Generator(device=self.device).manual_seed(self.seed)
         return self._rng
 
+    def on_fit_start(self) -> None:
+        """Keep the data where the model is."""
+        if self.samples is not None:
+            self.samples = self.samples.to(self.device)
+
     def configure_optimizers(self) -> list[Optimizer]:
         """The optimisers made at construction, so that a checkpoint can fill them before training starts."""
         return self.training_optimisers
@@ -53,6 +64,26 @@ class TrialModule(lightning.LightningModule):
         """Uniform draws in [0, 1) from the module's own generator."""
         return torch.rand(*shape, generator=self.rng, device=self.device)
 
+    def one_cycle(self, parameters: Iterable[nn.Parameter], learning_rate: float, steps: int) -> None:
+        """Train by Adam with a learning rate that rises once and falls."""
+        optimiser = torch.optim.Adam(parameters, lr=learning_rate)
+        self.training_optimisers = [optimiser]
+        self.training_schedules = [OneCycleLR(optimiser, learning_rate, total_steps=steps + 1, pct_start=0.1)]
+
+    def descend(self, loss: Tensor, clip: float | None = None) -> None:
+        """One step of the only optimiser and its schedule, the gradient's norm clipped where asked."""
+        (optimiser,) = self.training_optimisers
+        _differentiate(loss, optimiser)
+        if clip is not None:
+            nn.utils.clip_grad_norm_(self.parameters(), clip)
+        optimiser.step()
+        self.training_schedules[0].step()
+
+
+def _differentiate(loss: Tensor, optimiser: Optimizer) -> None:
+    optimiser.zero_grad()
+    loss.backward()  # type: ignore[no-untyped-call]
+
 
 class VaeModule(TrialModule):
     """The variational auto-encoder over pictures (Kingma and Welling 2014; eq. kl, mended)."""
@@ -65,11 +96,7 @@ class VaeModule(TrialModule):
         self.register_buffer("images", images, persistent=False)
         self.encoder = Encoder(images.shape[-1], config.latent_dim, config.width, config.patches)
         self.decoder = Decoder(images.shape[-1], config.latent_dim, config.width)
-        optimiser = torch.optim.Adam(self.parameters(), lr=config.learning_rate)
-        self.training_optimisers = [optimiser]
-        self.training_schedules = [
-            OneCycleLR(optimiser, config.learning_rate, total_steps=config.steps + 1, pct_start=0.1)
-        ]
+        self.one_cycle(self.parameters(), config.learning_rate, config.steps)
 
     def training_step(self, step: int, batch_index: int) -> None:
         """One step of the evidence lower bound, its KL term warmed up and its gradient clipped."""
@@ -85,12 +112,7 @@ class VaeModule(TrialModule):
         kl = losses.kl_divergence(mu, log_variance).mean()
         warmup = min(1.0, (step + 1) / max(1.0, self.config.kl_warmup * self.config.steps))
         loss = reconstruction + self.config.kl_weight * warmup * kl
-        (optimiser,) = self.training_optimisers
-        optimiser.zero_grad()
-        loss.backward()  # type: ignore[no-untyped-call]
-        nn.utils.clip_grad_norm_(self.parameters(), self.config.gradient_clip)
-        optimiser.step()
-        self.training_schedules[0].step()
+        self.descend(loss, self.config.gradient_clip)
         self.latest = {
             "vae_loss": loss.detach(),
             "reconstruction_loss": reconstruction.detach(),
@@ -98,7 +120,56 @@ class VaeModule(TrialModule):
         }
 
 
-class WganGpModule(TrialModule):
+class AdversarialModule(TrialModule, ABC):
+    """A critic and a generator in turns (Algorithm 1), their rates falling towards the end.
+
+    The settings name ``steps``, ``batch_size``, ``critic_steps``, ``critic_learning_rate`` and ``betas``.
+    """
+
+    config: Any
+    samples: Any
+    decay_from = 0.4
+
+    @abstractmethod
+    def critic_step_loss(self, batch: Any) -> Tensor:
+        """What the critic minimises over a batch."""
+
+    @abstractmethod
+    def generator_step_loss(self, batch: Any) -> Tensor:
+        """What the generator minimises over a batch."""
+
+    def set_optimisers(
+        self, critic: nn.Module, generator_side: Iterable[nn.Parameter], learning_rate: float
+    ) -> None:
+        """One optimiser for the critic, one for the generator and what learns with it."""
+        config = self.config
+        self.training_optimisers = [
+            torch.optim.Adam(critic.parameters(), lr=config.critic_learning_rate, betas=config.betas),
+            torch.optim.Adam(generator_side, lr=learning_rate, betas=config.betas),
+        ]
+        self.training_schedules = [LambdaLR(one, self._rate) for one in self.training_optimisers]
+
+    def training_step(self, step: int, batch_index: int) -> None:
+        """n_critic steps of the critic, then one of the generator (Algorithm 1, lines 3 to 11)."""
+        del step, batch_index
+        critic, generator = self.training_optimisers
+        for _ in range(self.config.critic_steps):
+            _differentiate(self.critic_step_loss(self._batch()), critic)
+            critic.step()
+        _differentiate(self.generator_step_loss(self._batch()), generator)
+        generator.step()
+        for schedule in self.training_schedules:
+            schedule.step()
+
+    def _batch(self) -> Any:
+        return self.samples.draw(self.config.batch_size, self.rng)
+
+    def _rate(self, step: int) -> float:
+        done, start = step / self.config.steps, self.decay_from
+        return 1.0 if done <= start else 1.0 - 0.95 * (done - start) / (1.0 - start)
+
+
+class WganGpModule(AdversarialModule):
     """WGAN-GP over configurations (Algorithm 1), local or global.
 
     Args:
@@ -106,12 +177,15 @@ class WganGpModule(TrialModule):
         samples: the cluster's configurations, or all of them.
         scale: mean and standard deviation of all configurations, each (d,) rad.
         seed: of initialisation and of every draw.
+        space: the joint space.
         local_critics: frozen critics of the clusters; the global generator follows them too.
         local_weight: weight of their mean in the generator's loss.
-        base: what the torus generator starts from; the whole torus when None.
+        base: what the torus generator starts from; the whole joint space when None.
         scenes: the pictures, for look-ups; None without.
-        space: the joint space; None for circles alone.
     """
+
+    config: GanConfig
+    samples: ScenarioSamples
 
     def __init__(
         self,
@@ -119,56 +193,25 @@ class WganGpModule(TrialModule):
         samples: ScenarioSamples,
         scale: tuple[Tensor, Tensor],
         seed: int,
+        space: JointSpace,
         local_critics: list[Critic] | None = None,
         local_weight: float = 0.0,
         base: Base | None = None,
         scenes: Scenes | None = None,
-        space: JointSpace | None = None,
     ) -> None:
         super().__init__(seed)
         self.config, self.samples, self.local_weight = config, samples, local_weight
-        dim, latent_dim = samples.configurations.shape[1], samples.mu.shape[1]
-        self.joints = Joints.of(space, dim)
-        self.base = UniformBase(dim, space) if base is None else base
+        self.joints, self.decay_from = Joints(space), config.decay_from
+        self.base = UniformBase(space) if base is None else base
         self.generator_reader = make_reader(config.generator_lookups, scenes)
         self.critic_reader = make_reader(config.critic_lookups, scenes)
-        self.generator = make_generator(
-            config, dim, latent_dim, scale, values_read(self.generator_reader), space
-        )
-        self.critic = make_critic(
-            config, dim, latent_dim, len(samples.mu), scale, values_read(self.critic_reader), space
-        )
+        scenarios, latent_dim = samples.mu.shape
+        looked_up = values_read(self.generator_reader)
+        self.generator = make_generator(config, space, latent_dim, scale, looked_up)
+        looked_up = values_read(self.critic_reader)
+        self.critic = make_critic(config, space, latent_dim, scenarios, scale, looked_up)
         self.local_critics = nn.ModuleList(local_critics or []).requires_grad_(requires_grad=False)
-        self.set_optimisers(list(self.generator.parameters()))
-
-    def set_optimisers(self, generator_side: list[nn.Parameter]) -> None:
-        """One optimiser for the critic, one for the generator and what learns with it."""
-        config = self.config
-        self.training_optimisers = [
-            torch.optim.Adam(self.critic.parameters(), lr=config.critic_learning_rate, betas=config.betas),
-            torch.optim.Adam(generator_side, lr=config.generator_learning_rate, betas=config.betas),
-        ]
-        self.training_schedules = [LambdaLR(opt, self._rate) for opt in self.training_optimisers]
-
-    def on_fit_start(self) -> None:
-        """Keep the data where the model is."""
-        self.samples = self.samples.to(self.device)
-
-    def training_step(self, step: int, batch_index: int) -> None:
-        """n_critic steps of the critic, then one of the generator (Algorithm 1, lines 3 to 11)."""
-        del step, batch_index
-        critic_optimiser, generator_optimiser = self.training_optimisers
-        for _ in range(self.config.critic_steps):
-            loss = self.critic_step_loss(self.samples.draw(self.config.batch_size, self.rng))
-            critic_optimiser.zero_grad()
-            loss.backward()  # type: ignore[no-untyped-call]
-            critic_optimiser.step()
-        loss = self.generator_step_loss(self.samples.draw(self.config.batch_size, self.rng))
-        generator_optimiser.zero_grad()
-        loss.backward()  # type: ignore[no-untyped-call]
-        generator_optimiser.step()
-        for schedule in self.training_schedules:
-            schedule.step()
+        self.set_optimisers(self.critic, self.generator.parameters(), config.generator_learning_rate)
 
     def generate(self, batch: Batch) -> Tensor:
         """Configurations for the batch's scenarios, (b, K, d) rad."""
@@ -178,8 +221,7 @@ class WganGpModule(TrialModule):
             samples: Tensor = self.generator(latent, self.normal(size, self.config.means, dim))
         else:
             base = self.base.draw(batch.ids, self.rng)
-            reader = self.generator_reader
-            seen = None if reader is None else reader(batch.ids, base)
+            seen = read(self.generator_reader, batch.ids, base)
             samples = self.generator(latent, base, self.normal(size, self.config.noise_dim), seen)
         return samples
 
@@ -187,8 +229,8 @@ class WganGpModule(TrialModule):
         """Critic values (b, K) of configurations (b, K, d) under the batch's scenarios."""
         size, count, dim = configurations.shape
         condition = batch.mu if self.config.critic_condition == "latent" else batch.ids
-        rows, reader = configurations.reshape(-1, dim), self.critic_reader
-        seen = None if reader is None else reader(batch.ids.repeat_interleave(count), rows)
+        rows = configurations.reshape(-1, dim)
+        seen = read(self.critic_reader, batch.ids.repeat_interleave(count), rows)
         flat: Tensor = critic(rows, condition.repeat_interleave(count, dim=0), seen)
         return flat.view(size, count)
 
@@ -227,45 +269,29 @@ class WganGpModule(TrialModule):
             return self.joints.between(one, real, share)
         return losses.straight_interpolation(real, one, share)
 
-    def _rate(self, step: int) -> float:
-        done, start = step / self.config.steps, self.config.decay_from
-        return 1.0 if done <= start else 1.0 - 0.95 * (done - start) / (1.0 - start)
-
 
 def make_generator(
-    config: GanConfig,
-    dim: int,
-    latent_dim: int,
-    scale: tuple[Tensor, Tensor],
-    looked_up: int = 0,
-    space: JointSpace | None = None,
+    config: GanConfig, space: JointSpace, latent_dim: int, scale: tuple[Tensor, Tensor], looked_up: int
 ) -> TorusGenerator | MeansGenerator:
-    """The generator that a configuration names; ``looked_up`` is what its look-ups read of a picture."""
+    """The generator that settings name; ``looked_up`` is what its look-ups read of a picture."""
+    sizes = Sizes(space, latent_dim, config.hidden, config.layers, looked_up)
     if config.generator == "means":
-        return MeansGenerator(
-            dim, latent_dim, config.hidden, config.layers, config.means, config.sigma, scale, space
-        )
-    return TorusGenerator(dim, latent_dim, config.hidden, config.layers, config.noise_dim, looked_up, space)
+        return MeansGenerator(sizes, config.means, config.sigma, scale)
+    return TorusGenerator(sizes, config.noise_dim)
 
 
 def make_critic(
     config: GanConfig,
-    dim: int,
+    space: JointSpace,
     latent_dim: int,
     scenarios: int,
     scale: tuple[Tensor, Tensor],
-    looked_up: int = 0,
-    space: JointSpace | None = None,
+    looked_up: int,
 ) -> Critic:
-    """The critic that a configuration names; ``scenarios`` is the number of ids for its projection."""
+    """The critic that settings name; ``scenarios`` is the number of ids for its projection."""
     return Critic(
-        dim,
-        latent_dim,
-        config.critic_hidden,
-        config.critic_layers,
+        Sizes(space, latent_dim, config.critic_hidden, config.critic_layers, looked_up),
         scenarios=scenarios if config.critic_condition == "projection" else None,
         features=config.critic_features,
         scale=scale,
-        looked_up=looked_up,
-        space=space,
     )

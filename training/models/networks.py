@@ -1,5 +1,6 @@
 """The networks: encoder and decoder of the pictures, generators, critics. Pure torch modules."""
 
+from dataclasses import dataclass
 from itertools import pairwise
 
 import torch
@@ -16,6 +17,41 @@ def mlp(inputs: int, hidden: int, layers: int, outputs: int) -> nn.Sequential:
     for before, after in pairwise(sizes):
         blocks += [nn.Linear(before, after), nn.LeakyReLU(0.2)]
     return nn.Sequential(*blocks, nn.Linear(sizes[-1], outputs))
+
+
+@dataclass(frozen=True, slots=True)
+class Sizes:
+    """What generators and critics of one joint space have in common.
+
+    Args:
+        space: the joint space; no sample lies outside its limits.
+        latent_dim: L, of the picture's latent.
+        hidden: width of the perceptron.
+        layers: hidden ones.
+        looked_up: values that the picture shows where the arm would be; 0 without look-ups.
+    """
+
+    space: JointSpace
+    latent_dim: int
+    hidden: int
+    layers: int
+    looked_up: int = 0
+
+    def mlp(self, inputs: int, outputs: int) -> nn.Sequential:
+        """A perceptron of these sizes; what is looked up stands behind the other inputs."""
+        return mlp(inputs + self.looked_up, self.hidden, self.layers, outputs)
+
+
+def beside(parts: list[Tensor], seen: Tensor | None) -> Tensor:
+    """Inputs side by side, (m, ...), with what was looked up behind; None for nothing."""
+    return torch.cat(parts if seen is None else [*parts, seen], dim=1)
+
+
+def near_zero(last: nn.Module) -> None:
+    """Let a perceptron's last layer start near zero."""
+    assert isinstance(last, nn.Linear)  # noqa: S101 - for the type checker
+    nn.init.normal_(last.weight, std=1e-2)
+    nn.init.zeros_(last.bias)
 
 
 class Encoder(nn.Module):
@@ -101,30 +137,17 @@ class TorusGenerator(nn.Module):
     The last layer starts near zero, so training starts from the uniform sampler. The noise is explicit; an
     encoder whose sigma has become small would otherwise leave one sample a picture.
 
-    With look-ups it also gets what the picture shows where the arm would be at the base. ``space`` is the
-    joint space, None for circles alone; beyond limits theta is folded back.
+    With look-ups it also gets what the picture shows where the arm would be at the base. Beyond limits theta
+    is folded back.
 
     Shapes: latent (m, L), base (m, d) rad, noise (m, k), seen (m, looked_up) to (m, 1, d) rad.
     """
 
-    def __init__(
-        self,
-        dim: int,
-        latent_dim: int,
-        hidden: int,
-        layers: int,
-        noise_dim: int,
-        looked_up: int = 0,
-        space: JointSpace | None = None,
-    ) -> None:
+    def __init__(self, sizes: Sizes, noise_dim: int) -> None:
         super().__init__()
-        self.looked_up, self.noise_dim, self.joints = looked_up, noise_dim, Joints.of(space, dim)
-        inputs = latent_dim + self.joints.features_size + noise_dim + looked_up
-        self.residual = mlp(inputs, hidden, layers, dim)
-        last = self.residual[-1]
-        assert isinstance(last, nn.Linear)  # noqa: S101 - for the type checker
-        nn.init.normal_(last.weight, std=1e-2)
-        nn.init.zeros_(last.bias)
+        self.noise_dim, self.joints = noise_dim, Joints(sizes.space)
+        self.residual = sizes.mlp(sizes.latent_dim + self.joints.features_size + noise_dim, sizes.space.dim)
+        near_zero(self.residual[-1])
 
     def forward(self, latent: Tensor, base: Tensor, noise: Tensor, seen: Tensor | None = None) -> Tensor:
         """One configuration for each latent."""
@@ -136,7 +159,7 @@ def generator_inputs(
     joints: Joints, latent: Tensor, base: Tensor, noise: Tensor, seen: Tensor | None
 ) -> Tensor:
     """What the perceptron of a torus generator gets, side by side."""
-    return torch.cat([latent, joints.features(base), noise, *([] if seen is None else [seen])], dim=1)
+    return beside([latent, joints.features(base), noise], seen)
 
 
 class MeansGenerator(nn.Module):
@@ -148,27 +171,16 @@ class MeansGenerator(nn.Module):
     mean_rad: Tensor
     std_rad: Tensor
 
-    def __init__(
-        self,
-        dim: int,
-        latent_dim: int,
-        hidden: int,
-        layers: int,
-        means: int,
-        sigma: float,
-        scale: tuple[Tensor, Tensor],
-        space: JointSpace | None = None,
-    ) -> None:
+    def __init__(self, sizes: Sizes, means: int, sigma: float, scale: tuple[Tensor, Tensor]) -> None:
         super().__init__()
-        self.joints = Joints.of(space, dim)
-        self.means, self.dim, self.sigma = means, dim, sigma
-        self.net = mlp(latent_dim, hidden, layers, means * dim)
+        self.joints, self.means, self.sigma = Joints(sizes.space), means, sigma
+        self.net = sizes.mlp(sizes.latent_dim, means * sizes.space.dim)
         self.register_buffer("mean_rad", scale[0])
         self.register_buffer("std_rad", scale[1])
 
     def forward(self, latent: Tensor, noise: Tensor) -> Tensor:
         """K configurations for each latent."""
-        standardised = self.net(latent).view(-1, self.means, self.dim) + self.sigma * noise
+        standardised = self.net(latent).view(-1, self.means, self.joints.dim) + self.sigma * noise
         return self.joints.fold(standardised * self.std_rad + self.mean_rad)
 
 
@@ -176,8 +188,7 @@ class Critic(nn.Module):
     """f(theta | scenario), conditioned on the latent or by projection on an embedding of the scenario's id.
 
     ``scenarios`` is the number of ids for the projection (Miyato and Koyama 2018), or None for the
-    latent; ``features`` is "torus" or "standardised"; ``looked_up`` is the number of values that the picture
-    shows where the arm would be, 0 without look-ups; ``space`` is the joint space, None for circles alone.
+    latent; ``features`` is "torus" or "standardised".
 
     Shapes: configurations (b, d) rad, condition (b, L) float or (b,) ids, seen (b, looked_up) to (b,).
     """
@@ -187,24 +198,19 @@ class Critic(nn.Module):
 
     def __init__(
         self,
-        dim: int,
-        latent_dim: int,
-        hidden: int,
-        layers: int,
+        sizes: Sizes,
         *,
         scenarios: int | None,
         features: str,
         scale: tuple[Tensor, Tensor],
-        looked_up: int = 0,
-        space: JointSpace | None = None,
     ) -> None:
         super().__init__()
-        self.looked_up, self.joints = looked_up, Joints.of(space, dim)
-        self.torus = features == "torus"
-        inputs = looked_up + (self.joints.pair_features_size if self.torus else dim)
+        self.joints, self.torus, hidden = Joints(sizes.space), features == "torus", sizes.hidden
+        inputs = sizes.looked_up + (self.joints.pair_features_size if self.torus else sizes.space.dim)
         self.ids = None if scenarios is None else nn.Embedding(scenarios, hidden)
-        condition = 0 if self.ids is not None else latent_dim
-        self.body = nn.Sequential(mlp(inputs + condition, hidden, layers - 1, hidden), nn.LeakyReLU(0.2))
+        condition = 0 if self.ids is not None else sizes.latent_dim
+        body = mlp(inputs + condition, hidden, sizes.layers - 1, hidden)
+        self.body = nn.Sequential(body, nn.LeakyReLU(0.2))
         self.head = nn.Linear(hidden, 1)
         self.register_buffer("mean_rad", scale[0])
         self.register_buffer("std_rad", scale[1])
@@ -213,11 +219,7 @@ class Critic(nn.Module):
         """The critic's value of each configuration under its condition."""
         plain = (configurations - self.mean_rad) / self.std_rad
         x = self.joints.pair_features(configurations) if self.torus else plain
-        if seen is not None:
-            x = torch.cat([x, seen], dim=1)
-        if self.ids is None:
-            body = self.body(torch.cat([x, condition], dim=1))
-            return self.head(body).squeeze(-1)  # type: ignore[no-any-return]
-        body = self.body(x)
-        projection = (self.ids(condition) * body).sum(dim=-1)
-        return self.head(body).squeeze(-1) + projection  # type: ignore[no-any-return]
+        x = beside([x], seen)
+        body = self.body(x if self.ids is not None else torch.cat([x, condition], dim=1))
+        values: Tensor = self.head(body).squeeze(-1)
+        return values if self.ids is None else values + (self.ids(condition) * body).sum(dim=-1)

@@ -112,7 +112,7 @@ class ValidityConfig(Section):
     pictures_per_step: int = Field(32, ge=1)
     configurations_per_picture: int = Field(64, ge=2)
     free_share: float = Field(
-        0.69, gt=0, lt=1, description="of the joint space, on average: the prior that confidences are true to"
+        gt=0, lt=1, description="of the joint space, on average: the prior that confidences are true to"
     )
     points_per_link: int = Field(12, ge=2)
     side_m: float = Field(0.1, ge=0, description="distance of the look-ups beside each link")

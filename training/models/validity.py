@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
-from torch.optim.lr_scheduler import OneCycleLR
 
 from cspace.world import World
+from training.models.data import Held
 from training.models.lookups.lookups import ArmLookups
 from training.models.modules import TrialModule
 from training.models.networks import mlp
@@ -20,10 +20,9 @@ class ValidityHead(nn.Module):
     Shapes: pictures (p, 3, P, P) in [-1, 1] and configurations (p, c, d) rad to logits (p, c).
     """
 
-    def __init__(self, config: ValidityConfig, world: World) -> None:
+    def __init__(self, lookups: ArmLookups, hidden: int, layers: int) -> None:
         super().__init__()
-        self.lookups = ArmLookups(world, config.points_per_link, config.side_m)
-        self.net = mlp(self.lookups.values, config.hidden, config.layers, 1)
+        self.lookups, self.net = lookups, mlp(lookups.values, hidden, layers, 1)
 
     def forward(self, pictures: Tensor, configurations: Tensor) -> Tensor:
         """The logit of being free."""
@@ -31,9 +30,16 @@ class ValidityHead(nn.Module):
         return logits
 
 
+def make_head(config: ValidityConfig, world: World) -> ValidityHead:
+    """The head that settings name."""
+    return ValidityHead(
+        ArmLookups(world, config.points_per_link, config.side_m), config.hidden, config.layers
+    )
+
+
 @dataclass(frozen=True, slots=True)
-class OccupancySamples:
-    """Pictures with their free and colliding configurations, held in memory.
+class OccupancySamples(Held):
+    """Pictures with their free and colliding configurations.
 
     Args:
         images: (S, 3, P, P) uint8.
@@ -50,10 +56,6 @@ class OccupancySamples:
     collision: Tensor
     collision_offsets: Tensor
     scenarios: Tensor
-
-    def to(self, device: torch.device) -> "OccupancySamples":
-        """The same on another device."""
-        return OccupancySamples(*(getattr(self, name).to(device) for name in self.__slots__))
 
     def draw(
         self, pictures: int, free_count: int, collision_count: int, rng: torch.Generator
@@ -83,7 +85,7 @@ class ValidityModule(TrialModule):
     """Trains the head by cross entropy on free and colliding configurations.
 
     Their numbers are in proportion to the free share of the joint space, for else the confidences would be
-    true to another world: drawn in equal numbers, a 0.5 would mean 0.69.
+    true to another world: drawn in equal numbers, a 0.5 would mean that share.
 
     Args:
         config: sizes and budget.
@@ -92,19 +94,13 @@ class ValidityModule(TrialModule):
         seed: of initialisation and of every draw.
     """
 
+    samples: OccupancySamples
+
     def __init__(self, config: ValidityConfig, samples: OccupancySamples, world: World, seed: int) -> None:
         super().__init__(seed)
         self.config, self.samples = config, samples
-        self.head = ValidityHead(config, world)
-        optimiser = torch.optim.Adam(self.parameters(), lr=config.learning_rate)
-        self.training_optimisers = [optimiser]
-        self.training_schedules = [
-            OneCycleLR(optimiser, config.learning_rate, total_steps=config.steps + 1, pct_start=0.1)
-        ]
-
-    def on_fit_start(self) -> None:
-        """Keep the data where the model is."""
-        self.samples = self.samples.to(self.device)
+        self.head = make_head(config, world)
+        self.one_cycle(self.parameters(), config.learning_rate, config.steps)
 
     def training_step(self, step: int, batch_index: int) -> None:
         """One step of the cross entropy."""
@@ -116,10 +112,6 @@ class ValidityModule(TrialModule):
         )
         logits = self.head(pictures, configurations)
         loss = functional.binary_cross_entropy_with_logits(logits, labels)
-        (optimiser,) = self.training_optimisers
-        optimiser.zero_grad()
-        loss.backward()  # type: ignore[no-untyped-call]
-        optimiser.step()
-        self.training_schedules[0].step()
+        self.descend(loss)
         right = ((logits.detach() > 0.0) == (labels > 0.5)).float().mean()
         self.latest = {"validity_loss": loss.detach(), "validity_accuracy": right}

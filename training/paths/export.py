@@ -62,7 +62,7 @@ class PointSampler(nn.Module):
 
 def point_graph(sampler: PointSampler, latent_dim: int, pixels: int) -> PathGraph:
     """The graph of a flow, a decoder or a generator."""
-    net, dim = sampler.net, sampler.net.dim
+    net, dim = sampler.net, sampler.net.joints.dim
     rows = [torch.zeros(2, size) for size in (latent_dim, dim, dim, net.noise_dim)]
     names = ["latent", "start", "goal", "noise"]
     if isinstance(net, PathFlow):

@@ -4,20 +4,16 @@ They lie in the job's folder under the trial's name, so that whoever runs the tr
 worker, of the driver or of the whole cluster, finds the last of them without being told.
 """
 
-import fcntl
 import re
-import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
 from pathlib import Path
 
 from cspace.errors import JobError
-from cspace.files import HALF_SUFFIX, discard
+from cspace.files import HALF_SUFFIX, discard, holding
 from training.models.checkpoint import Progress, save_checkpoint
 from training.models.modules import TrialModule
 
 _STEP = re.compile(r"step-(\d{9})")
-LOOK_EVERY_S = 0.2
 
 
 class TrialFolder:
@@ -31,31 +27,19 @@ class TrialFolder:
     def __init__(self, folder: Path, keep: int = 1) -> None:
         self.folder, self.keep = folder, keep
 
-    @contextmanager
-    def alone(self, patience_s: float = 120.0) -> Iterator[None]:
+    def alone(self, patience_s: float = 120.0) -> AbstractContextManager[None]:
         """Hold the trial: a worker whose driver was killed may still train it for a moment.
 
         Raises:
             JobError: another process holds it, and goes on to.
         """
         self.folder.mkdir(parents=True, exist_ok=True)
-        until_s = time.monotonic() + patience_s
-        with (self.folder / "lock").open("a") as handle:
-            while True:
-                try:
-                    # The system frees it when the process ends, however it ends.
-                    fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                except BlockingIOError as error:
-                    if time.monotonic() >= until_s:
-                        raise JobError(
-                            f"the trial {self.folder.name} is run by another process",
-                            expected=f"its end within {patience_s:.0f} s",
-                            remedy="end that process",
-                        ) from error
-                    time.sleep(LOOK_EVERY_S)
-                else:
-                    break
-            yield
+        busy = JobError(
+            f"the trial {self.folder.name} is run by another process",
+            expected=f"its end within {patience_s:.0f} s",
+            remedy="end that process",
+        )
+        return holding(self.folder / "lock", busy, patience_s)
 
     def checkpoints(self) -> tuple[Path, ...]:
         """Those that are complete, oldest first."""

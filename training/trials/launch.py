@@ -10,11 +10,11 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import ray
 from ray import tune
 from ray.tune.experiment import Trial
 
 from cspace.errors import JobError
+from services.evaluator.cluster import join
 from training.config.clusters import ResourceConfig
 from training.trials.outcomes import Outcomes, TrialOutcome, read_outcome
 from training.trials.request import TrialRequest
@@ -38,8 +38,7 @@ def connect() -> None:
         os.environ.setdefault(name, value)
     for library in ("ray.tune", "ray.train", "mlflow"):
         logging.getLogger(library).setLevel(logging.ERROR)
-    if not ray.is_initialized():
-        ray.init(logging_level=logging.WARNING, include_dashboard=False, runtime_env={"env_vars": QUIET})
+    join(runtime_env={"env_vars": QUIET})
     end_on_request()
 
 

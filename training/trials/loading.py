@@ -7,9 +7,9 @@ import torch
 
 from cspace.errors import JobError
 from training.config.clusters import TrainConfig
-from training.models.checkpoint import load_weights, seeded_initialisation
+from training.models.checkpoint import seeded_initialisation, trained
 from training.models.gate import Gate
-from training.models.lookups.lookups import make_lookups
+from training.models.lookups.lookups import make_lookups, values_read
 from training.models.mixture import Experts, GatedSampler
 from training.models.modules import WganGpModule, make_critic, make_generator
 from training.models.networks import Critic, MeansGenerator, TorusGenerator
@@ -41,11 +41,11 @@ def make_wgan(
             arrays.samples(cluster),
             arrays.scale,
             seed,
+            arrays.world.space,
             critics,
             weight,
             base=arrays.base(cluster),
             scenes=arrays.scenes(),
-            space=arrays.world.space,
         )
 
 
@@ -70,20 +70,15 @@ def gated_sampler(
 
 def fresh_generator(config: GanConfig, arrays: TrainingArrays) -> TorusGenerator | MeansGenerator:
     """A generator of the shape that fits the data, not trained."""
-    lookups = make_lookups(config.generator_lookups, arrays.world)
-    looked_up = 0 if lookups is None else lookups.values
-    world, latent_dim = arrays.world, arrays.mu.shape[1]
-    return make_generator(config, world.dim, latent_dim, arrays.scale, looked_up, world.space)
+    looked_up = values_read(make_lookups(config.generator_lookups, arrays.world))
+    return make_generator(config, arrays.world.space, arrays.mu.shape[1], arrays.scale, looked_up)
 
 
 def load_generator(
     config: GanConfig, arrays: TrainingArrays, checkpoint: Path
 ) -> TorusGenerator | MeansGenerator:
     """The generator of a trial's checkpoint."""
-    with seeded_initialisation(0):
-        generator = fresh_generator(config, arrays)
-    generator.load_state_dict(load_weights(checkpoint, "generator"))
-    return generator
+    return trained(lambda: fresh_generator(config, arrays), checkpoint, "generator")
 
 
 def torus_generator(generator: TorusGenerator | MeansGenerator) -> TorusGenerator:
@@ -99,18 +94,16 @@ def torus_generator(generator: TorusGenerator | MeansGenerator) -> TorusGenerato
 
 def load_critic(config: GanConfig, arrays: TrainingArrays, checkpoint: Path) -> Critic:
     """The critic of a trial's checkpoint."""
-    lookups = make_lookups(config.critic_lookups, arrays.world)
-    looked_up = 0 if lookups is None else lookups.values
-    dim, (scenarios, latent_dim) = arrays.world.dim, arrays.mu.shape
-    with seeded_initialisation(0):
-        critic = make_critic(config, dim, latent_dim, scenarios, arrays.scale, looked_up, arrays.world.space)
-    critic.load_state_dict(load_weights(checkpoint, "critic"))
-    return critic
+    looked_up, space = values_read(make_lookups(config.critic_lookups, arrays.world)), arrays.world.space
+    scenarios, latent_dim = arrays.mu.shape
+    return trained(
+        lambda: make_critic(config, space, latent_dim, scenarios, arrays.scale, looked_up),
+        checkpoint,
+        "critic",
+    )
 
 
 def load_gate(config: TrainConfig, checkpoint: Path) -> Gate:
     """The gate of a trial's checkpoint."""
-    with seeded_initialisation(0):
-        gate = Gate(config.vae.latent_dim, config.gate.hidden, config.gate.layers, config.gate.cells)
-    gate.load_state_dict(load_weights(checkpoint, "gate"))
-    return gate
+    sizes = (config.vae.latent_dim, config.gate.hidden, config.gate.layers, config.gate.cells)
+    return trained(lambda: Gate(*sizes), checkpoint, "gate")

@@ -1,6 +1,5 @@
 """The robot: a planar arm of revolute joints whose links are capsules."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,7 +8,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from cspace.errors import ScenarioError
 from cspace.space import MAX_LIMIT_RAD, JointSpace
+from cspace.strict_json import read_mapping, read_object, written
 
+_KIND = "planar_arm"
 JointLimits = tuple[tuple[float, float] | None, ...]
 # Of limits, for single precision to tell the angles between them apart.
 MIN_RANGE_RAD = 1e-3
@@ -87,41 +88,19 @@ class PlanarArm:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for JSON."""
-        limits = self.joint_limits_rad
-        return {
-            "kind": "planar_arm",
-            "link_lengths_m": list(self.link_lengths_m),
-            "half_width_m": self.half_width_m,
-            "joint_limits_rad": None
-            if limits is None
-            else [None if lim is None else list(lim) for lim in limits],
-        }
+        return {"kind": _KIND, **written(self)}
 
     @classmethod
-    def from_dict(cls, values: Mapping[str, Any]) -> "PlanarArm":
-        """The inverse of :meth:`to_dict`.
+    def from_dict(cls, values: object) -> "PlanarArm":
+        """The inverse of :meth:`to_dict`; kind and limits may be missing.
 
         Raises:
-            ScenarioError: a key is missing, unknown or of the wrong type.
+            ScenarioError: another key is missing, one is unknown, or a value is of the wrong type.
         """
-        known = {"kind", "link_lengths_m", "half_width_m", "joint_limits_rad"}
-        if not set(values) <= known or values.get("kind", "planar_arm") != "planar_arm":
-            raise ScenarioError(
-                "the robot is unknown", expected=f"keys {sorted(known)}", got=str(dict(values))
-            )
-        try:
-            limits = values.get("joint_limits_rad")
-            return cls(
-                tuple(float(v) for v in values["link_lengths_m"]),
-                float(values["half_width_m"]),
-                None
-                if limits is None
-                else tuple(None if lim is None else (float(lim[0]), float(lim[1])) for lim in limits),
-            )
-        except (KeyError, TypeError, IndexError) as error:
-            raise ScenarioError(
-                "the robot is incomplete", expected=f"keys {sorted(known)}", got=repr(error)
-            ) from error
+        members = {"kind": _KIND, "joint_limits_rad": None} | read_mapping(values, "the robot", ScenarioError)
+        if (kind := members.pop("kind")) != _KIND:
+            raise ScenarioError("the robot is unknown", expected=_KIND, got=repr(kind)[:200])
+        return read_object(cls, members, "the robot", ScenarioError)
 
 
 def _is_range(low: float, high: float) -> bool:

@@ -1,17 +1,14 @@
 """The camera above the plane: what its pictures show, and how they are read and written."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cspace.errors import ScenarioError
 from cspace.png import encode_png
+from cspace.strict_json import written
 from cspace.worlds.planar.picture import decode_png, to_network
-
-_SIDES = ("x_min_m", "x_max_m", "y_min_m", "y_max_m")
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,25 +23,7 @@ class Camera:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for JSON."""
-        return {name: getattr(self, name) for name in (*_SIDES, "pixels")}
-
-    @classmethod
-    def from_dict(cls, values: Mapping[str, Any]) -> "Camera":
-        """The inverse of :meth:`to_dict`.
-
-        Raises:
-            ScenarioError: a key is missing, unknown or of the wrong type.
-        """
-        right = set(values) == {*_SIDES, "pixels"} and isinstance(values["pixels"], int)
-        numbers = all(
-            isinstance(value, int | float) and not isinstance(value, bool) for value in values.values()
-        )
-        if not (right and numbers):
-            raise ScenarioError(
-                "the camera is unknown", expected="x and y ranges in m, pixels", got=repr(values)[:200]
-            )
-        x_min_m, x_max_m, y_min_m, y_max_m = (float(values[key]) for key in _SIDES)
-        return cls(x_min_m, x_max_m, y_min_m, y_max_m, values["pixels"])
+        return written(self)
 
     @property
     def picture_shape(self) -> tuple[int, ...]:

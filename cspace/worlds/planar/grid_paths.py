@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cspace.errors import ScenarioError
 from cspace.grid_search import WayTree, ways_to
+from cspace.workshop import PathSearch
 from cspace.worlds.planar.collision import CollisionChecker
 from cspace.worlds.planar.free_grid import FreeGrid, cells_per_joint
 from cspace.worlds.planar.scene import Scenario
@@ -81,6 +82,12 @@ class PathFinder:
 
     def _edges_free(self, starts: NDArray[np.float64], ends: NDArray[np.float64]) -> NDArray[np.bool_]:
         return self._checker.edge_batch(starts, ends, self._resolution_rad)
+
+
+def path_search(scenario: Scenario) -> PathSearch:
+    """Paths between any free ends of a scenario, found on one grid."""
+    grid = FreeGrid(scenario, cells_per_joint(scenario.robot.dim, PATH_CELLS))
+    return lambda start, goal: PathFinder(scenario, goal, grid=grid).path_from(start)
 
 
 def shortcut(path: NDArray[np.float64], edges_free: EdgeCheck) -> NDArray[np.float64] | None:

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cspace.errors import ScenarioError
-from cspace.problem import UNIFORM, Problem
+from cspace.problem import NARROW, UNIFORM, Problem
 from cspace.splits import Split, scenario_rng
 from cspace.worlds.planar.arm import TWO_LINK, PlanarArm
 from cspace.worlds.planar.collision import CollisionChecker
@@ -37,7 +37,7 @@ class Family(StrEnum):
     """What a problem is like."""
 
     UNIFORM = UNIFORM
-    NARROW = "narrow"
+    NARROW = NARROW
     DISCONNECTED = "disconnected"
 
 

@@ -1,7 +1,5 @@
 """Drawing: scenario -> RGB picture, anti-aliased by exact supersampling where an outline passes."""
 
-from collections.abc import Sequence
-
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
@@ -85,8 +83,3 @@ def render(scenario: Scenario) -> NDArray[np.uint8]:
         scenario.disc_array,
     )
     return picture
-
-
-def render_batch(scenarios: Sequence[Scenario]) -> NDArray[np.uint8]:
-    """Pictures of several scenarios of one camera, (S, P, P, 3) uint8."""
-    return np.stack([render(scenario) for scenario in scenarios])

@@ -1,6 +1,5 @@
 """Scenarios: a robot among discs, seen by a camera."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -57,15 +56,6 @@ class Scenario:
             "discs": self.disc_array.tolist(),
             "camera": self.camera.to_dict(),
         }
-
-    @classmethod
-    def from_dict(cls, values: Mapping[str, Any]) -> "Scenario":
-        """The inverse of :meth:`to_dict`."""
-        return cls.from_array(
-            PlanarArm.from_dict(values["robot"]),
-            np.asarray(values["discs"], dtype=np.float64).reshape(-1, 3),
-            Camera.from_dict(values["camera"]),
-        )
 
 
 def random_scenario(rng: np.random.Generator, robot: PlanarArm = TWO_LINK) -> Scenario:

@@ -10,14 +10,26 @@ from numpy.typing import ArrayLike, NDArray
 from cspace.errors import ScenarioError
 from cspace.problem import Problem
 from cspace.splits import Split
-from cspace.workshop import Checker, Families
+from cspace.workshop import Checker, Families, Measures, PathSearch
 from cspace.world import Image, Scene, World
 from cspace.worlds.planar.collision import CollisionChecker
 from cspace.worlds.planar.drawing import draw_arm, draw_discs
-from cspace.worlds.planar.problems import Family, draw_problem, resolves_narrow
+from cspace.worlds.planar.grid_paths import path_search
+from cspace.worlds.planar.problems import (
+    Family,
+    draw_problem,
+    narrow_pairs,
+    require_resolution,
+    resolves_narrow,
+)
 from cspace.worlds.planar.render import render
 from cspace.worlds.planar.scene import Scenario, random_scenario, random_scenarios
 from cspace.worlds.planar.world import PlanarWorld
+
+_NOTE = (
+    "Those of the family narrow have a passage whose middle is 0.03 to 0.08 rad from collision, those of "
+    "disconnected a free space in parts."
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,7 +43,26 @@ class PlanarWorkshop:
         """Uniform and disconnected; narrow where the grid is as fine as its passages."""
         narrow = (Family.NARROW,) if resolves_narrow(self.world.body) else ()
         solvable = (Family.UNIFORM, *narrow)
-        return Families((*solvable, Family.DISCONNECTED), solvable, solvable[-1])
+        return Families((*solvable, Family.DISCONNECTED), solvable, solvable[-1], _NOTE)
+
+    @property
+    def measures(self) -> Measures:
+        """Measured with two links; others have the same.
+
+        A margin is about ten times the spread between training seeds for precision and coverage, twice for
+        EDr, and six of sixty problems for planning success; the factor by which checks are saved is known to
+        about a third.
+        """
+        return Measures(
+            coverage_radius_rad=0.2,
+            near_contact_m=0.1,
+            range_rad=1.0,
+            resolution_rad=0.0314,
+            coverage_floor=0.8,
+            margins={"precision": 0.02, "coverage": 0.03, "edr": 0.1, "planning_success": 0.1},
+            path_margins={"planning_success": 0.1, f"{self.families.telling}_edge_checks_ratio": 1.0},
+            free_share=0.69,
+        )
 
     def scene(self, rng: np.random.Generator) -> Scenario:
         """Three discs about the arm."""
@@ -53,12 +84,27 @@ class PlanarWorkshop:
         """See :class:`cspace.worlds.planar.collision.CollisionChecker`."""
         return CollisionChecker(_planar(scene))
 
-    def problem(self, family: str, split: Split, seed: int, index: int = 0) -> Problem:
-        """See :func:`cspace.worlds.planar.problems.draw_problem`."""
+    def require(self, family: str) -> None:
+        """Any of :class:`Family`; narrow where the grid is as fine as its passages."""
         if family not in tuple(Family):
             raise ScenarioError(
                 "there is no such family", expected=f"one of {', '.join(Family)}", got=repr(family)
             )
+        if family == Family.NARROW:
+            require_resolution(self.world.body)
+
+    def narrow_pairs(self, scene: Scene, configurations: NDArray[np.float64]) -> NDArray[np.int64]:
+        """See :func:`cspace.worlds.planar.problems.narrow_pairs`."""
+        found = narrow_pairs(_planar(scene), configurations)
+        return np.empty((0, 2), dtype=np.int64) if found is None else found[1]
+
+    def path_search(self, scene: Scene) -> PathSearch:
+        """See :mod:`cspace.worlds.planar.grid_paths`."""
+        return path_search(_planar(scene))
+
+    def problem(self, family: str, split: Split, seed: int, index: int = 0) -> Problem:
+        """See :func:`cspace.worlds.planar.problems.draw_problem`."""
+        self.require(family)
         found = draw_problem(Family(family), split, seed, index, self.world.body)
         return replace(found, scenario=self._seen(_planar(found.scenario)))
 

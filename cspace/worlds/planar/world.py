@@ -8,6 +8,7 @@ import numpy as np
 
 from cspace.errors import DatasetError, ScenarioError
 from cspace.space import JointSpace
+from cspace.strict_json import read_members, read_object
 from cspace.world import Arrays, Levers
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK, PlanarArm
 from cspace.worlds.planar.camera import Camera
@@ -81,8 +82,6 @@ def read(values: Mapping[str, Any]) -> PlanarWorld:
     Raises:
         ScenarioError: a key is missing, unknown or of the wrong type.
     """
-    if set(values) != {"robot", "camera"} or not all(isinstance(part, Mapping) for part in values.values()):
-        raise ScenarioError(
-            "the world is incomplete", expected="robot and camera", got=str(dict(values))[:200]
-        )
-    return PlanarWorld(PlanarArm.from_dict(values["robot"]), Camera.from_dict(values["camera"]))
+    parts = read_members(values, {"robot", "camera"}, "the world", ScenarioError)
+    camera = read_object(Camera, parts["camera"], "the camera", ScenarioError)
+    return PlanarWorld(PlanarArm.from_dict(parts["robot"]), camera)

@@ -15,8 +15,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from cspace.errors import BundleIntegrityError, StorageError
-from cspace.files import HALF_PREFIX
-from inference_api.models.apart.locking import locked
+from cspace.files import HALF_PREFIX, holding
 from inference_api.models.version_files import read_version, write_version
 from services.registry.models.port import ModelVersion
 from services.registry.references import is_model_name
@@ -128,7 +127,13 @@ class DiskCache:
         folder = self.folder / name
         try:
             folder.mkdir(parents=True, exist_ok=True)
-            with locked(self.folder / f".{name}.lock", self.lock_s):
+            busy = StorageError(
+                "the model cache is in use",
+                expected="one process at a time to change a model's versions",
+                got="another one that takes long",
+                remedy="ask again, or give each server a CSPACE_MODEL_CACHE of its own",
+            )
+            with holding(self.folder / f".{name}.lock", busy, self.lock_s, look_every_s=0.02):
                 _clear_left_overs(folder)
                 yield
         except OSError as error:

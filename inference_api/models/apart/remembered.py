@@ -37,10 +37,5 @@ class Remembered(Generic[_Key, _Value]):
             value, until_s = self._values.get(key, (None, 0.0))
             return value if self._clock() < until_s else None
 
-    def drop(self, key: _Key) -> None:
-        """Forget a value."""
-        with self._lock:
-            self._values.pop(key, None)
-
     def __len__(self) -> int:
         return len(self._values)

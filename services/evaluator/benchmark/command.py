@@ -121,7 +121,8 @@ def chosen_arms(options: argparse.Namespace) -> tuple[Arm, ...]:
     if not all(0.0 < share <= 1.0 for share in shares):
         raise ConfigError("a share is out of range", expected="above 0 to 1", got=str(options.shares))
     taken = Taken(options.min_confidence, options.samples, shares)
-    return pick(table(names, taken), options.arms, options.planners)
+    range_rad = workshop_of(WORLDS[options.robot]).measures.range_rad
+    return pick(table(names, range_rad, taken), options.arms, options.planners)
 
 
 def make_request(options: argparse.Namespace) -> Request:
@@ -169,6 +170,7 @@ def _setting(options: argparse.Namespace) -> Setting:
     for name, value in limits.items():
         if not value > 0:
             raise ConfigError(f"{name} is out of range", expected="above 0", got=str(value))
+    world = WORLDS[options.robot]
     return Setting(
         options.protocol,
         options.split,
@@ -176,7 +178,8 @@ def _setting(options: argparse.Namespace) -> Setting:
         int(limits["max_iterations"]),
         int(limits["optimising_iterations"]),
         float(limits["time_limit_s"]),
-        world=WORLDS[options.robot],
+        workshop_of(world).measures.resolution_rad,
+        world=world,
     )
 
 

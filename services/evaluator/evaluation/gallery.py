@@ -10,7 +10,7 @@ from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from cspace.problem import UNIFORM
-from services.evaluator.measures.nearest import COVERAGE_RADIUS_RAD, covered
+from services.evaluator.measures.nearest import covered
 from services.evaluator.measures.samplers import unfiltered
 from services.evaluator.measures.scenes import Scene
 from services.planner.sources.samples import SampleSource
@@ -22,7 +22,7 @@ END_COLOUR = "#2ca02c"
 POINTS = (
     ("sample", FREE_COLOUR, "o", 3),
     ("sample in collision", COLLISION_COLOUR, "o", 4),
-    (f"free, no sample within {COVERAGE_RADIUS_RAD} rad", MISSED_COLOUR, "s", 4),
+    ("free, no sample within {} rad", MISSED_COLOUR, "s", 4),
     ("start and goal of the family's problem", END_COLOUR, "X", 7),
 )
 
@@ -49,8 +49,9 @@ def gallery(
         _truth(row[1], scene)
         _samples(row[2], scene, sampler)
     figure.suptitle(title)
+    radius_rad = scenes[0].measures.coverage_radius_rad
     handles = [
-        Line2D([], [], color=colour, marker=marker, markersize=size, linestyle="none", label=label)
+        Line2D([], [], color=colour, marker=marker, markersize=size, ls="", label=label.format(radius_rad))
         for label, colour, marker, size in POINTS
     ]
     figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), fontsize=8, frameon=False)
@@ -100,7 +101,7 @@ def _samples(axes: Axes, scene: Scene, sampler: SampleSource) -> None:
     drawn = unfiltered(sampler, scene.image, SHOWN_SAMPLES, scene.sampler_seed())
     free = scene.checker.valid_batch(drawn)
     held_out = scene.free(SHOWN_SAMPLES, scene.rng(0))
-    reached = covered(held_out, drawn, scene.space)
+    reached = covered(held_out, drawn, scene.space, scene.measures.coverage_radius_rad)
     if scene.space.dim == 2:
         free_map(axes, scene)
         missed = held_out[~reached]

@@ -1,40 +1,20 @@
 """The gate: may a version become the champion?
 
 A version must beat uniform samples beyond the interval and cover the free space; a path model must save a
-planner edge checks in narrow passages beyond the interval, and solve no fewer problems. Once there has been a
-champion, it must also stay within a fixed margin of the best value that any champion has had, metric by
-metric, so that many small steps down can not add up.
+planner edge checks beyond the interval in the problems that tell most, and solve no fewer problems. Once
+there has been a champion, it must also stay within a fixed margin of the best value that any champion has
+had, metric by metric, so that many small steps down can not add up. Floor and margins are the world's.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from types import MappingProxyType
+from dataclasses import dataclass
 
+from cspace.workshop import Measures
 from services.evaluator.statistics import Interval
 
-PRECISION = "precision"
 COVERAGE = "coverage"
-EDR = "edr"
 PLANNING_SUCCESS = "planning_success"
-NARROW_CHECKS = "narrow_edge_checks_ratio"
-GATED = (PRECISION, COVERAGE, EDR, PLANNING_SUCCESS)
-GATED_PATHS = (PLANNING_SUCCESS, NARROW_CHECKS)
-SMALLER_IS_BETTER = frozenset({EDR})
-
-# About ten times the spread between training seeds for precision and coverage, twice for EDr; one margin of
-# planning success is six of sixty problems; the factor by which checks are saved is known to about a third.
-MARGINS: Mapping[str, float] = MappingProxyType(
-    {PRECISION: 0.02, COVERAGE: 0.03, EDR: 0.1, PLANNING_SUCCESS: 0.1, NARROW_CHECKS: 1.0}
-)
-COVERAGE_FLOOR = 0.8
-
-
-@dataclass(frozen=True)
-class Policy:
-    """The fixed numbers of the gate."""
-
-    coverage_floor: float = COVERAGE_FLOOR
-    margins: Mapping[str, float] = field(default_factory=lambda: MARGINS)
+SMALLER_IS_BETTER = frozenset({"edr"})
 
 
 @dataclass(frozen=True)
@@ -55,11 +35,13 @@ class PathCandidate:
     """What the gate looks at of a path model, from the validation problems only.
 
     Args:
-        checks_saved: median edge checks of uniform samples over those of the model's, in narrow problems.
+        telling: the family of problems that tells most.
+        checks_saved: median edge checks of uniform samples over those of the model's, in that family.
         uniform_success: share of all problems that uniform samples solve.
         metrics: the gated metrics by name.
     """
 
+    telling: str
     checks_saved: Interval
     uniform_success: float
     metrics: Mapping[str, float]
@@ -88,22 +70,22 @@ class _Finding:
     reason: str
 
 
-def judge(candidate: Candidate, champions: Sequence[Champion], policy: Policy | None = None) -> Verdict:
+def judge(candidate: Candidate, champions: Sequence[Champion], measures: Measures) -> Verdict:
     """Decide on a candidate.
 
     Args:
         candidate: the version under test.
         champions: all earlier champions, oldest first; empty for a first version.
-        policy: margins and floor.
+        measures: the world's margins and floor.
     """
-    policy = policy or Policy()
-    findings = [_beats_uniform(candidate.precision_gain), _covers(candidate, policy)]
-    return _verdict(findings, GATED, candidate.metrics, champions, policy)
+    findings = [
+        _beats_uniform(candidate.precision_gain),
+        _covers(candidate.metrics[COVERAGE], measures.coverage_floor),
+    ]
+    return _verdict(findings, measures.margins, candidate.metrics, champions)
 
 
-def judge_paths(
-    candidate: PathCandidate, champions: Sequence[Champion], policy: Policy | None = None
-) -> Verdict:
+def judge_paths(candidate: PathCandidate, champions: Sequence[Champion], measures: Measures) -> Verdict:
     """Decide on a path model; arguments as for :func:`judge`."""
     saved, ours = candidate.checks_saved, candidate.metrics[PLANNING_SUCCESS]
     words = "saves" if saved.low > 1.0 else "does not save"
@@ -111,25 +93,24 @@ def judge_paths(
     findings = [
         _Finding(
             saved.low > 1.0,
-            f"{words} edge checks in narrow problems beyond the interval: factor {saved:.2f} over "
-            f"{saved.count} problems",
+            f"{words} edge checks in {candidate.telling} problems beyond the interval: factor {saved:.2f} "
+            f"over {saved.count} problems",
         ),
         _Finding(
             ours >= candidate.uniform_success,
             f"solves {less} problems than uniform samples: {ours:.3f}, {candidate.uniform_success:.3f}",
         ),
     ]
-    return _verdict(findings, GATED_PATHS, candidate.metrics, champions, policy or Policy())
+    return _verdict(findings, measures.path_margins, candidate.metrics, champions)
 
 
 def _verdict(
     findings: list[_Finding],
-    gated: Sequence[str],
+    margins: Mapping[str, float],
     metrics: Mapping[str, float],
     champions: Sequence[Champion],
-    policy: Policy,
 ) -> Verdict:
-    compared = [_compare(name, metrics, champions, policy) for name in gated]
+    compared = [_compare(name, margin, metrics, champions) for name, margin in margins.items()]
     findings = [*findings, *(finding for finding in compared if finding is not None)]
     if not champions:
         findings.append(_Finding(held=True, reason="there is no earlier champion to compare with"))
@@ -145,15 +126,14 @@ def _beats_uniform(gain: Interval) -> _Finding:
     return _Finding(held, f"precision {words}: gain {gain:+.3f} over {gain.count} scenarios")
 
 
-def _covers(candidate: Candidate, policy: Policy) -> _Finding:
-    value = candidate.metrics[COVERAGE]
-    held = value >= policy.coverage_floor
+def _covers(value: float, floor: float) -> _Finding:
+    held = value >= floor
     sign = "at or above" if held else "below"
-    return _Finding(held, f"coverage {value:.3f} is {sign} the floor of {policy.coverage_floor:.3f}")
+    return _Finding(held, f"coverage {value:.3f} is {sign} the floor of {floor:.3f}")
 
 
 def _compare(
-    name: str, metrics: Mapping[str, float], champions: Sequence[Champion], policy: Policy
+    name: str, margin: float, metrics: Mapping[str, float], champions: Sequence[Champion]
 ) -> _Finding | None:
     """Against the best value of all champions; None where none has the metric."""
     having = [champion for champion in champions if name in champion.metrics]
@@ -161,7 +141,7 @@ def _compare(
         return None
     sign = -1.0 if name in SMALLER_IS_BETTER else 1.0
     best = max(having, key=lambda champion: sign * champion.metrics[name])
-    theirs, margin = best.metrics[name], policy.margins[name]
+    theirs = best.metrics[name]
     if name not in metrics:
         return _Finding(
             held=False, reason=f"{name} was not measured; version {best.version} has {theirs:.3f}"

@@ -13,8 +13,6 @@ from cspace.world import World
 from cspace.worlds import picture_of, robot_digest, workshop_of
 from services.evaluator.evaluation.gallery import gallery
 from services.evaluator.evaluation.gate import (
-    GATED,
-    GATED_PATHS,
     Candidate,
     Champion,
     PathCandidate,
@@ -24,7 +22,7 @@ from services.evaluator.evaluation.gate import (
 )
 from services.evaluator.evaluation.metrics import flat_metrics
 from services.evaluator.evaluation.report import to_json, to_markdown
-from services.evaluator.evaluation.units import PLANNER, Evaluation, planner_seed
+from services.evaluator.evaluation.units import Evaluation, planner_of, planner_seed
 from services.evaluator.measures.planning import UNIFORM_SHARE, learned_samples
 from services.evaluator.measures.reconstruction import SceneQuality
 from services.evaluator.measures.reliability import reliability_diagram
@@ -46,6 +44,7 @@ JOINTS = "joints"
 def decide(registry: ModelRegistry, version: ModelVersion, evaluation: Evaluation) -> Verdict:
     """The gate's verdict against all earlier champions of the model."""
     world = evaluation.setting.world
+    measures = workshop_of(world).measures
     earlier = [
         Champion(decision.version, decision.metrics)
         for decision in champions(registry, version.name)
@@ -53,8 +52,8 @@ def decide(registry: ModelRegistry, version: ModelVersion, evaluation: Evaluatio
     ]
     reconstruction = evaluation.validation.reconstruction
     if reconstruction is None:
-        return judge_paths(_path_candidate(evaluation), earlier)
-    return judge(Candidate(reconstruction.precision_gain, _gated(evaluation)), earlier)
+        return judge_paths(_path_candidate(evaluation), earlier, measures)
+    return judge(Candidate(reconstruction.precision_gain, _gated(evaluation)), earlier, measures)
 
 
 def _is_of(decision: Decision, world: World) -> bool:
@@ -73,7 +72,7 @@ def _path_candidate(evaluation: Evaluation) -> PathCandidate:
             f"path models are judged on {telling} problems", expected="one or more", got="none"
         )
     solved = sum(trial.uniform.success for trial in trials) / len(trials)
-    return PathCandidate(found.edge_checks_ratio, solved, _gated(evaluation))
+    return PathCandidate(telling, found.edge_checks_ratio, solved, _gated(evaluation))
 
 
 def record(
@@ -137,7 +136,9 @@ def _plans(run: RunLog, evaluation: Evaluation, sampler: SampleSource, title: st
         seed = planner_seed(setting.seed, 0, 0)
         image = picture_of(problem.scenario)
         samples = learned_samples(problem, image, seed, sampler)
-        plan = solve(problem, replace(PLANNER, seed=seed), samples, UNIFORM_SHARE, keep_tree=True)
+        plan = solve(
+            problem, replace(planner_of(setting.world), seed=seed), samples, UNIFORM_SHARE, keep_tree=True
+        )
         names.append(f"plan-{family}")
         run.figure(draw_plan(problem, plan, samples, f"{title}, {family}"), names[-1])
     return tuple(names)
@@ -157,6 +158,6 @@ def exhibits(stage: Stage, measured: Sequence[SceneQuality]) -> dict[Scene, str]
 
 
 def _gated(evaluation: Evaluation) -> dict[str, float]:
-    metrics = flat_metrics(evaluation)
-    names = GATED_PATHS if evaluation.validation.reconstruction is None else GATED
+    metrics, measures = flat_metrics(evaluation), workshop_of(evaluation.setting.world).measures
+    names = measures.path_margins if evaluation.validation.reconstruction is None else measures.margins
     return {name: metrics[name] for name in names if name in metrics}

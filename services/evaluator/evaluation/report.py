@@ -4,6 +4,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import asdict
 
+from cspace.worlds import workshop_of
 from services.evaluator.evaluation.tables import (
     aligned,
     markdown,
@@ -13,7 +14,7 @@ from services.evaluator.evaluation.tables import (
     scene_family_table,
     topology_table,
 )
-from services.evaluator.evaluation.units import PLANNER, Evaluation
+from services.evaluator.evaluation.units import Evaluation, planner_of
 from services.evaluator.measures.nearest import NEIGHBOURS
 
 RECONSTRUCTION_NOTE = (
@@ -22,13 +23,11 @@ RECONSTRUCTION_NOTE = (
     f"{NEIGHBOURS}; the row real is what two real samples of this size have of each other."
 )
 FAMILY_NOTE = (
-    "Only the uniform scenarios decide. Those of the family narrow have a passage whose middle is 0.03 to "
-    "0.08 rad from collision, those of disconnected a free space in parts. EDr is relative to uniform "
-    "samples on the same scenarios."
+    "Only the uniform scenarios decide. {} EDr is relative to uniform samples on the same scenarios."
 )
 PLANNING_NOTE = (
-    f"RRT, range {PLANNER.range_rad} rad, resolution {PLANNER.resolution_rad} rad a joint, at most "
-    f"{PLANNER.max_iterations} iterations. Medians, the 90th percentile in brackets; a run without success "
+    "RRT, range {0.range_rad} rad, resolution {0.resolution_rad} rad a joint, at most "
+    "{0.max_iterations} iterations. Medians, the 90th percentile in brackets; a run without success "
     "is censored and ranks last, and a value with > is a lower bound. The saved factor is uniform's median "
     "over learned's, the filter factor learned's over that of the samples that pass the validity head (below "
     "1 the filter costs work), paired; time is without drawing the samples."
@@ -47,12 +46,15 @@ TOPOLOGY_NOTE = (
 
 def to_json(evaluation: Evaluation) -> str:
     """Everything, down to the rows behind the summaries."""
-    return json.dumps(asdict(evaluation) | {"planner": asdict(PLANNER)}, indent=1)
+    return json.dumps(
+        asdict(evaluation) | {"planner": asdict(planner_of(evaluation.setting.world))}, indent=1
+    )
 
 
 def to_markdown(evaluation: Evaluation, title: str, reasons: Sequence[str]) -> str:
     """The report: decision, reconstruction, planning, topology."""
-    budget = evaluation.setting.budget
+    budget, world = evaluation.setting.budget, evaluation.setting.world
+    workshop = workshop_of(world)
     parts = [f"# {title}", "## Decision", "\n".join(f"- {reason}" for reason in reasons)]
     for name, split in (("validation", evaluation.validation), ("test", evaluation.test)):
         role = "decides" if name == "validation" else "reported only"
@@ -65,14 +67,18 @@ def to_markdown(evaluation: Evaluation, title: str, reasons: Sequence[str]) -> s
             ]
         if split.families:
             heading = f"## Reconstruction by family, {name} (reported only)"
-            parts += [heading, markdown(scene_family_table(split)), FAMILY_NOTE]
-        if occupancy_table(split):
-            parts += [f"## Validity head, {name}", markdown(occupancy_table(split)), OCCUPANCY_NOTE]
+            parts += [
+                heading,
+                markdown(scene_family_table(split)),
+                FAMILY_NOTE.format(workshop.families.note),
+            ]
+        if head := occupancy_table(split, workshop.measures.near_contact_m):
+            parts += [f"## Validity head, {name}", markdown(head), OCCUPANCY_NOTE]
         if split.planning:
             parts += [
                 f"## Planning, {name} ({role})",
                 markdown(planning_table(split.planning)),
-                PLANNING_NOTE,
+                PLANNING_NOTE.format(planner_of(world)),
             ]
     if evaluation.topology:
         parts += ["## Topology, test (reported only)", markdown(topology_table(evaluation)), TOPOLOGY_NOTE]
@@ -89,9 +95,10 @@ def to_markdown(evaluation: Evaluation, title: str, reasons: Sequence[str]) -> s
 def terminal_table(evaluation: Evaluation) -> str:
     """The deciding numbers as aligned text."""
     splits = (("validation", evaluation.validation), ("test", evaluation.test))
+    near_contact_m = workshop_of(evaluation.setting.world).measures.near_contact_m
     tables = [(name, reconstruction_table(split)) for name, split in splits]
     tables += [(f"by family, {name}", scene_family_table(split)) for name, split in splits]
-    tables += [(f"validity head, {name}", occupancy_table(split)) for name, split in splits]
+    tables += [(f"validity head, {name}", occupancy_table(split, near_contact_m)) for name, split in splits]
     if evaluation.validation.planning:
         tables.append(("planning, validation", planning_table(evaluation.validation.planning)))
     if evaluation.topology:

@@ -35,9 +35,10 @@ def scene_family_table(split: SplitResult) -> Table:
     return rows
 
 
-def occupancy_table(split: SplitResult) -> Table:
+def occupancy_table(split: SplitResult, near_contact_m: float) -> Table:
     """The validity head by family: how often right, how honest, what it lets pass; empty without one."""
-    rows = [["family", "accuracy", "within 0.1 m of contact", "calibration error", "accepted"]]
+    near_contact = f"within {near_contact_m} m of contact"
+    rows = [["family", "accuracy", near_contact, "calibration error", "accepted"]]
     for family, summary in _by_family(split):
         head = summary.occupancy
         if head is None:

@@ -26,18 +26,6 @@ from services.evaluator.statistics import Interval
 from services.planner.search.ompl_planner import PlannerSettings
 from services.planner.sources.samples import SampleSource
 
-# Fixed and named in every report: the range decides how strong the uniform baseline is, and a limit in
-# iterations makes a run independent of the machine's load, which the limit in time only guards.
-PLANNER = PlannerSettings(
-    planner="RRT",
-    range_rad=1.0,
-    resolution_rad=0.0314,
-    goal_bias=0.05,
-    time_limit_s=10.0,
-    max_iterations=1000,
-    seed=1,
-)
-
 Row = SceneQuality | SceneTopology | PlanningTrial
 
 
@@ -172,12 +160,12 @@ def _planning_rows(unit: Unit, setting: Setting, sampler: SampleSource) -> list[
     if unit.family is None:
         raise EvaluationError("a unit of planning names no family", got=str(unit))
     rows: list[Row] = []
-    workshop = workshop_of(setting.world)
+    workshop, planner = workshop_of(setting.world), planner_of(setting.world)
     for index in range(unit.first, unit.first + unit.count):
         problem = workshop.problem(unit.family, unit.split, setting.seed, index)
         for repeat in range(setting.budget.planner_seeds):
             seed = planner_seed(setting.seed, index, repeat)
-            rows.append(plan_trial(problem, index, seed, sampler, PLANNER))
+            rows.append(plan_trial(problem, index, seed, sampler, planner))
         wanted = (
             unit.family == workshop.families.telling != UNIFORM and index < setting.budget.narrow_scenarios
         )
@@ -185,6 +173,23 @@ def _planning_rows(unit: Unit, setting: Setting, sampler: SampleSource) -> list[
             scene = Scene(_stage(unit, setting), index, unit.family, problem)
             rows.append(reconstruct(scene, sampler, setting.budget.samples))
     return rows
+
+
+def planner_of(world: World) -> PlannerSettings:
+    """The planner of every evaluation in a world, named in the report.
+
+    A limit in iterations makes a run independent of the machine's load, which the limit in time only guards.
+    """
+    measures = workshop_of(world).measures
+    return PlannerSettings(
+        planner="RRT",
+        range_rad=measures.range_rad,
+        resolution_rad=measures.resolution_rad,
+        goal_bias=0.05,
+        time_limit_s=10.0,
+        max_iterations=1000,
+        seed=1,
+    )
 
 
 def planner_seed(seed: int, index: int, repeat: int) -> int:

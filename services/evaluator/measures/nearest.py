@@ -17,7 +17,6 @@ from cspace.space import JointSpace
 
 Configurations = NDArray[np.floating[Any]]
 
-COVERAGE_RADIUS_RAD = 0.2
 # A ball of 5 of 1000 uniform points on the torus of two joints has a radius of 0.25 rad, close to that of
 # coverage. The source takes 3 of 50000; with so few points 3 leave holes between real samples themselves.
 NEIGHBOURS = 5
@@ -37,10 +36,7 @@ class KnnQuality:
 
 
 def coverage(
-    held_out: Configurations,
-    samples: Configurations,
-    space: JointSpace,
-    radius_rad: float = COVERAGE_RADIUS_RAD,
+    held_out: Configurations, samples: Configurations, space: JointSpace, radius_rad: float
 ) -> float:
     """Share of (M, d) held-out configurations with one of (N, d) samples within a radius, round the circles.
 
@@ -51,10 +47,7 @@ def coverage(
 
 
 def covered(
-    held_out: Configurations,
-    samples: Configurations,
-    space: JointSpace,
-    radius_rad: float = COVERAGE_RADIUS_RAD,
+    held_out: Configurations, samples: Configurations, space: JointSpace, radius_rad: float
 ) -> NDArray[np.bool_]:
     """Which of (M, d) held-out configurations have one of (N, d) samples within a radius, (M,).
 

@@ -17,7 +17,6 @@ from services.evaluator.statistics import (
     ratio_of_sums_interval,
 )
 
-NEAR_CONTACT_M = 0.1
 BINS = 15
 # Of the table of bins, which is wide.
 RESAMPLES = 1000
@@ -29,7 +28,7 @@ class SceneOccupancy:
 
     Args:
         accuracy: share told rightly at a confidence of 0.5.
-        near_right: how many within 0.1 m of contact, on either side of it, were told rightly.
+        near_right: how many near contact, on either side of it, were told rightly.
         near: how many there were.
         counts: configurations in each of 15 equal bins of confidence.
         confidences: sum of the confidences in each.
@@ -52,7 +51,7 @@ class OccupancySummary:
 
     Args:
         accuracy: mean over scenarios.
-        near_accuracy: over all configurations within 0.1 m of contact; None when there were none.
+        near_accuracy: over all configurations near contact; None when there were none.
         calibration_error: expected calibration error (Naeini et al. 2015), 15 bins.
         acceptance: of the generator's samples.
         reliability: (mean confidence, free share, count) of every bin that holds something.
@@ -70,6 +69,7 @@ def scene_occupancy(
     free: NDArray[np.bool_],
     clearance_m: NDArray[np.floating],
     acceptance: float,
+    near_contact_m: float,
 ) -> SceneOccupancy:
     """Compare (N,) confidences with the truth.
 
@@ -78,9 +78,10 @@ def scene_occupancy(
         free: whether they are.
         clearance_m: signed distance to contact.
         acceptance: of the generator's samples.
+        near_contact_m: clearance up to which a configuration is near contact.
     """
     right = (confidence >= 0.5) == free
-    near = np.abs(clearance_m) < NEAR_CONTACT_M
+    near = np.abs(clearance_m) < near_contact_m
     bins = np.minimum((confidence * BINS).astype(np.int64), BINS - 1)
     return SceneOccupancy(
         accuracy=float(right.mean()),
@@ -99,7 +100,7 @@ def summarise_occupancy(rows: Sequence[SceneOccupancy], rng: np.random.Generator
     Raises:
         EvaluationError: no scenarios.
     """
-    # Scenarios whose discs are all out of reach have nothing near contact and say nothing about it.
+    # Scenarios whose obstacles are all out of reach have nothing near contact and say nothing about it.
     touched = [row for row in rows if row.near]
     table = np.array([[*row.counts, *row.confidences, *row.free] for row in rows], dtype=np.float64)
     return OccupancySummary(

@@ -14,7 +14,7 @@ from scipy.spatial.distance import cdist, pdist
 
 from cspace.errors import EvaluationError
 from cspace.problem import UNIFORM
-from cspace.space import JointSpace, circles
+from cspace.space import JointSpace
 from services.evaluator.measures.nearest import Configurations, coverage, knn_precision_recall, require_group
 from services.evaluator.measures.occupancy import OccupancySummary, SceneOccupancy, summarise_occupancy
 from services.evaluator.statistics import (
@@ -34,7 +34,7 @@ class SampleQuality:
 
     Args:
         precision: collision-free share of its samples.
-        coverage: share of held-out free configurations with a sample within 0.2 rad.
+        coverage: share of held-out free configurations with a sample within the radius of coverage.
         energy: energy distance to the held-out configurations.
         knn_precision: share of its samples in the k-NN manifold of the held-out configurations.
         knn_recall: share of the held-out configurations in the k-NN manifold of its samples.
@@ -94,10 +94,8 @@ class ReconstructionSummary:
     occupancy: OccupancySummary | None = None
 
 
-def energy_distance(first: Configurations, second: Configurations, space: JointSpace | None = None) -> float:
+def energy_distance(first: Configurations, second: Configurations, space: JointSpace) -> float:
     """2 E|X - Y| - E|X - X'| - E|Y - Y'| on the space's embedding of (N, d) and (M, d).
-
-    Without a space all joints are circles.
 
     Unbiased: no point is paired with itself, so that equal distributions average zero and single values may
     lie slightly below. No root is taken (Szekely and Rizzo 2013).
@@ -106,7 +104,6 @@ def energy_distance(first: Configurations, second: Configurations, space: JointS
         EvaluationError: fewer than two configurations in one of the two.
     """
     require_group(first, second, at_least=2)
-    space = space or circles(first.shape[1])
     x, y = space.embed(first), space.embed(second)
     return float(2.0 * cdist(x, y).mean() - pdist(x).mean() - pdist(y).mean())
 
@@ -116,6 +113,7 @@ def sample_quality(
     held_out: Configurations,
     space: JointSpace,
     free: Callable[[Configurations], NDArray[np.bool_]],
+    radius_rad: float,
 ) -> SampleQuality:
     """All metrics of (N, d) samples against (M, d) held-out free configurations.
 
@@ -124,6 +122,7 @@ def sample_quality(
         held_out: free configurations that nobody was trained on.
         space: the joint space.
         free: exact collision check, (N, d) to (N,).
+        radius_rad: of coverage.
 
     Raises:
         EvaluationError: a group with fewer members than k-NN needs, or samples that are not finite.
@@ -134,7 +133,7 @@ def sample_quality(
     knn = knn_precision_recall(held_out, samples, space)
     return SampleQuality(
         float(np.mean(free(samples))),
-        coverage(held_out, samples, space),
+        coverage(held_out, samples, space, radius_rad),
         energy_distance(samples, held_out, space),
         knn.precision,
         knn.recall,

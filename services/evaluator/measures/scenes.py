@@ -6,6 +6,7 @@ workers.
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,13 +16,14 @@ from cspace.problem import UNIFORM, Problem
 from cspace.query import SampleQuery
 from cspace.space import JointSpace
 from cspace.splits import Split, scenario_rng
-from cspace.workshop import Checker
+from cspace.workshop import Checker, Measures
 from cspace.world import Scene as WorldScene
 from cspace.world import World
 from cspace.worlds import checker_of, picture_of, workshop_of
 from services.evaluator.measures.occupancy import SceneOccupancy, scene_occupancy
 from services.evaluator.measures.reconstruction import (
     ReconstructionSummary,
+    SampleQuality,
     SceneQuality,
     sample_quality,
     summarise,
@@ -30,7 +32,7 @@ from services.evaluator.measures.samplers import ScoredSampler, unfiltered
 from services.planner.sources.samples import SampleSource
 
 SAMPLES = 1000
-# Rejection gives up here; the smallest free share that was ever drawn is 0.2.
+# Rejection gives up here; of planar scenarios the smallest free share that was ever drawn is 0.2.
 PROPOSALS_PER_SAMPLE = 200
 # Uniform configurations on which a validity head is judged.
 OCCUPANCY_SAMPLES = 2000
@@ -95,8 +97,22 @@ class Scene:
         """The robot's joint space."""
         return self.stage.world.space
 
+    @property
+    def measures(self) -> Measures:
+        """Numbers that fit the world."""
+        return workshop_of(self.stage.world).measures
+
+    def quality(self, samples: NDArray[np.floating[Any]], held_out: NDArray[np.float64]) -> SampleQuality:
+        """All metrics of (N, d) samples against (M, d) held-out free configurations.
+
+        Raises:
+            EvaluationError: as :func:`services.evaluator.measures.reconstruction.sample_quality`.
+        """
+        radius_rad = self.measures.coverage_radius_rad
+        return sample_quality(samples, held_out, self.space, self.checker.valid_batch, radius_rad)
+
     def rng(self, stream: int) -> np.random.Generator:
-        """One of the scenario's own streams; independent of the one that drew the discs."""
+        """One of the scenario's own streams; independent of the one that drew it."""
         root = self._scenario_rng()
         if self.family != UNIFORM:
             names = workshop_of(self.stage.world).families.names
@@ -121,7 +137,7 @@ class Scene:
         return found
 
     def collisions(self, count: int, rng: np.random.Generator) -> NDArray[np.float64]:
-        """At most ``count`` uniform configurations in collision; none where all discs are out of reach."""
+        """At most ``count`` uniform configurations in collision; none where nothing is in reach."""
         return self._draw(count, rng, free=False)
 
     def _draw(self, count: int, rng: np.random.Generator, *, free: bool) -> NDArray[np.float64]:
@@ -153,15 +169,14 @@ def reconstruct(scene: Scene, sampler: SampleSource, samples: int = SAMPLES) -> 
         scene.space.sample_uniform(scene.rng(1), samples),
         scene.free(samples, scene.rng(2)),
     )
-    free = scene.checker.valid_batch
-    drawn, uniform, real = (sample_quality(group, held_out, scene.space, free) for group in groups)
+    drawn, uniform, real = (scene.quality(group, held_out) for group in groups)
     quality = SceneQuality(scene.index, drawn, uniform, real, family=scene.family)
     if not isinstance(sampler, ScoredSampler):
         return quality
     query = SampleQuery(samples, scene.sampler_seed(CONFIDENT_STREAM), min_confidence=sampler.threshold)
     confident = sampler.answer(scene.image, query)
     if len(confident.samples) == samples:
-        found = sample_quality(confident.samples.astype(np.float64), held_out, scene.space, free)
+        found = scene.quality(confident.samples.astype(np.float64), held_out)
         quality = replace(quality, confident=found)
     return replace(quality, occupancy=_occupancy(scene, sampler, confident.acceptance))
 
@@ -175,6 +190,7 @@ def _occupancy(scene: Scene, sampler: ScoredSampler, acceptance: float | None) -
         scene.checker.valid_batch(tried),
         scene.checker.clearance(tried),
         acceptance,
+        scene.measures.near_contact_m,
     )
 
 

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from cspace.splits import Split
-from cspace.world import World
 from cspace.worlds import default_world
 from services.evaluator.measures.reconstruction import ReconstructionSummary, summarise
 from services.evaluator.measures.scenes import Scene, Stage, reconstruct
@@ -20,30 +19,21 @@ SEED = 1
 
 @dataclass(frozen=True, slots=True)
 class ServedQuality:
-    """The summary with how it was measured."""
+    """The summary over ``SCENARIOS`` scenarios of ``SAMPLES`` samples each."""
 
     reference: str
-    scenarios: int
-    samples: int
     summary: ReconstructionSummary
 
 
-def served_quality(
-    url: str,
-    reference: str,
-    *,
-    world: World | None = None,
-    scenarios: int = SCENARIOS,
-    samples: int = SAMPLES,
-) -> ServedQuality:
+def served_quality(url: str, reference: str) -> ServedQuality:
     """Ask for a version by ``name/version`` without its validity filter and judge what comes.
 
     Raises:
         SamplerUnavailableError: the API does not answer.
         SamplerError: it refused a request.
     """
-    stage = Stage(world or default_world(), Split.TEST, SEED)
+    stage = Stage(default_world(), Split.TEST, SEED)
     with SamplingClient(url) as client:
         sampler = PinnedSource(client, reference)
-        rows = [reconstruct(Scene(stage, index), sampler, samples) for index in range(scenarios)]
-    return ServedQuality(reference, scenarios, samples, summarise(rows, np.random.default_rng(SEED)))
+        rows = [reconstruct(Scene(stage, index), sampler, SAMPLES) for index in range(SCENARIOS)]
+    return ServedQuality(reference, summarise(rows, np.random.default_rng(SEED)))

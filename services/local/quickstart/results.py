@@ -1,7 +1,8 @@
 """What jobs say at the end of their log: ``RESULT`` and JSON on one line."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -61,8 +62,7 @@ def training_result(log: str) -> TrainingResult:
     Raises:
         JobError: there is none, or it lacks something.
     """
-    fields = _last_result(log)
-    try:
+    with _last_result(log) as fields:
         return TrainingResult(
             run_id=str(fields["run_id"]),
             model=str(fields["model"]),
@@ -70,8 +70,6 @@ def training_result(log: str) -> TrainingResult:
             digest=str(fields["digest"]),
             figures=tuple(map(str, fields.get("figures", ()))),
         )
-    except (KeyError, TypeError, ValueError) as error:
-        raise _unfit(fields, error) from error
 
 
 def evaluation_result(log: str) -> EvaluationResult:
@@ -80,8 +78,7 @@ def evaluation_result(log: str) -> EvaluationResult:
     Raises:
         JobError: there is none, or it lacks something.
     """
-    fields = _last_result(log)
-    try:
+    with _last_result(log) as fields:
         return EvaluationResult(
             run_id=str(fields["run_id"]),
             version=int(fields["version"]),
@@ -90,11 +87,11 @@ def evaluation_result(log: str) -> EvaluationResult:
             metrics={str(name): float(value) for name, value in fields["metrics"].items()},
             figures=tuple(map(str, fields.get("figures", ()))),
         )
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise _unfit(fields, error) from error
 
 
-def _last_result(log: str) -> dict[str, Any]:
+@contextmanager
+def _last_result(log: str) -> Iterator[dict[str, Any]]:
+    """The fields of the last result; what cannot be read of them in the block is a JobError."""
     lines = [line for line in log.splitlines() if line.startswith(PREFIX)]
     if not lines:
         raise JobError("the job left no result", expected=f"a last line `{PREFIX}{{...}}`")
@@ -104,8 +101,7 @@ def _last_result(log: str) -> dict[str, Any]:
         raise JobError("the job's result is not JSON", got=lines[-1][:200]) from error
     if not isinstance(fields, dict):
         raise JobError("the job's result is not an object", got=lines[-1][:200])
-    return fields
-
-
-def _unfit(fields: Mapping[str, Any], error: Exception) -> JobError:
-    return JobError("the job's result lacks something", got=f"{error!r} in {sorted(fields)}")
+    try:
+        yield fields
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise JobError("the job's result lacks something", got=f"{error!r} in {sorted(fields)}") from error

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from services.evaluator.measures.reconstruction import SamplerSummary
 from services.evaluator.statistics import Interval
-from services.local.quickstart.quality import ServedQuality
+from services.local.quickstart.quality import SAMPLES, SCENARIOS, ServedQuality
 from services.local.quickstart.results import EvaluationResult, TrainingResult
 from services.local.texts import aligned
 
@@ -31,7 +31,7 @@ def summary(
     drawn = "\n".join(f"  {path}" for path in pictures)
     return (
         f"{head}\nwhy\n{reasons}\n\n"
-        f"{quality.scenarios} unseen scenarios over HTTP, {quality.samples} samples each, "
+        f"{SCENARIOS} unseen scenarios over HTTP, {SAMPLES} samples each, "
         f"no validity filter; 95 % intervals over scenarios\n{quality_table(quality)}\n\npictures\n{drawn}"
     )
 

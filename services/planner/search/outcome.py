@@ -1,6 +1,6 @@
 """From a finished search to its result: the path judged, the counts kept."""
 
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,37 +54,24 @@ def outcome(
         solved=solved,
         path=path,
         length_rad=path_length_rad(problem, path) if solved else float("nan"),
-        iterations=counts.iterations,
-        edge_checks=counts.edge_checks,
-        solve_time_s=counts.solve_time_s,
-        learned_drawn=counts.learned_drawn,
-        uniform_drawn=counts.uniform_drawn,
         reason=reason,
         tree=tree,
-        state_checks=counts.state_checks,
         resolution_rad=settings.resolution_rad,
         costs=costs if solved else (),
+        **asdict(counts),
     )
 
 
 def after(first: PlanResult, second: PlanResult) -> PlanResult:
     """The second search's result, with what both of them took."""
     costs = tuple(
-        CostPoint(
-            point.iterations + first.iterations,
-            point.edge_checks + first.edge_checks,
-            point.time_s + first.solve_time_s,
-            point.length_rad,
+        replace(
+            point,
+            iterations=point.iterations + first.iterations,
+            edge_checks=point.edge_checks + first.edge_checks,
+            time_s=point.time_s + first.solve_time_s,
         )
         for point in second.costs
     )
-    return replace(
-        second,
-        iterations=first.iterations + second.iterations,
-        edge_checks=first.edge_checks + second.edge_checks,
-        state_checks=first.state_checks + second.state_checks,
-        solve_time_s=first.solve_time_s + second.solve_time_s,
-        learned_drawn=first.learned_drawn + second.learned_drawn,
-        uniform_drawn=first.uniform_drawn + second.uniform_drawn,
-        costs=costs,
-    )
+    counts = {one.name: getattr(first, one.name) + getattr(second, one.name) for one in fields(Counts)}
+    return replace(second, **counts, costs=costs)

@@ -1,10 +1,8 @@
 """The HTTP client of ``POST /sample`` for programs with an event loop, asyncio's or trio's."""
 
-import random
 import time
 from collections.abc import Coroutine
 from dataclasses import replace
-from types import TracebackType
 from typing import Any, Self, cast
 
 import anyio
@@ -14,42 +12,18 @@ import httpx
 from cspace.errors import SamplerAnswerError, SamplerError, SamplerUnavailableError
 from cspace.query import SampleQuery
 from services.planner.sources.http_answer import Failure, IncomingAnswer, lost
-from services.planner.sources.http_exchange import LIMITS, Endpoint, Question
-from services.planner.sources.retries import RetryPolicy
-from services.planner.sources.samples import Answering, Picture, SampleBatch, SampleSource
-from services.planner.sources.sampling_client import DEFAULT_POLICY, DEFAULT_TIMEOUT_S
+from services.planner.sources.http_client import HttpClient
+from services.planner.sources.http_exchange import LIMITS, Question
+from services.planner.sources.samples import Answering, Picture, SampleBatch
 
 
-class AsyncSamplingClient(Answering[Coroutine[Any, Any, SampleBatch]]):
+class AsyncSamplingClient(HttpClient[httpx.AsyncBaseTransport], Answering[Coroutine[Any, Any, SampleBatch]]):
     """As :class:`services.planner.sources.sampling_client.SamplingClient`, awaited; tasks may share one.
 
     Args:
         url: as there, and so the rest.
         fallback: answers in a thread while the API stays away.
     """
-
-    def __init__(
-        self,
-        url: str,
-        timeout_s: float = DEFAULT_TIMEOUT_S,
-        *,
-        connect_timeout_s: float | None = None,
-        policy: RetryPolicy = DEFAULT_POLICY,
-        api_key: str | None = None,
-        fallback: SampleSource | None = None,
-        transport: httpx.AsyncBaseTransport | None = None,
-    ) -> None:
-        self._endpoint = Endpoint(url, timeout_s, connect_timeout_s, policy, api_key)
-        self._fallback = fallback
-        self._closed = False
-        self._transport = (
-            httpx.AsyncHTTPTransport(trust_env=False, limits=LIMITS) if transport is None else transport
-        )
-
-    @property
-    def url(self) -> str:
-        """Of the API, without a slash at its end."""
-        return self._endpoint.url
 
     async def answer(self, picture: Picture, query: SampleQuery, model: str | None = None) -> SampleBatch:
         """See :meth:`services.planner.sources.sampling_client.SamplingClient.answer`.
@@ -79,13 +53,12 @@ class AsyncSamplingClient(Answering[Coroutine[Any, Any, SampleBatch]]):
     async def __aenter__(self) -> Self:
         return self
 
-    async def __aexit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    async def __aexit__(self, *_: object) -> None:
         await self.aclose()
+
+    @staticmethod
+    def _network() -> httpx.AsyncBaseTransport:
+        return httpx.AsyncHTTPTransport(trust_env=False, limits=LIMITS)
 
     async def _ask(self, question: Question, began: float) -> SampleBatch:
         if self._closed:
@@ -96,11 +69,7 @@ class AsyncSamplingClient(Answering[Coroutine[Any, Any, SampleBatch]]):
             if isinstance(found, SampleBatch):
                 return found
             tried += 1
-            spent_s, draw = time.perf_counter() - began, random.random()  # noqa: S311 - jitter is no secret
-            pause_s = self._endpoint.policy.pause_s(tried, spent_s, found.retry_after_s, draw)
-            if not found.again or pause_s is None:
-                raise found.error
-            await anyio.sleep(pause_s)
+            await anyio.sleep(self._pause_s(found, tried, began))
 
     async def _attempt(self, question: Question, began: float) -> SampleBatch | Failure:
         spent_s = time.perf_counter() - began

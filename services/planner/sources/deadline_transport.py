@@ -12,33 +12,12 @@ import time
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
-from typing import Any, cast
+from typing import Any
 
 import httpcore
 import httpx
 
 _UNTIL: ContextVar[float] = ContextVar("until", default=math.inf)
-
-_KINDS: dict[type[Exception], type[httpx.TransportError]] = {
-    getattr(httpcore, name): getattr(httpx, name)
-    for name in (
-        "TimeoutException",
-        "ConnectTimeout",
-        "ReadTimeout",
-        "WriteTimeout",
-        "PoolTimeout",
-        "NetworkError",
-        "ConnectError",
-        "ReadError",
-        "WriteError",
-        "ProxyError",
-        "UnsupportedProtocol",
-        "ProtocolError",
-        "LocalProtocolError",
-        "RemoteProtocolError",
-    )
-}
-_RAISED = tuple(_KINDS)
 
 
 @contextmanager
@@ -55,7 +34,7 @@ def deadline(until: float) -> Iterator[None]:
         _UNTIL.reset(token)
 
 
-class DeadlineTransport(httpx.BaseTransport):
+class DeadlineTransport(httpx.HTTPTransport):
     """As ``httpx.HTTPTransport`` without proxies and HTTP/2, within :func:`deadline`.
 
     Args:
@@ -63,56 +42,16 @@ class DeadlineTransport(httpx.BaseTransport):
     """
 
     def __init__(self, limits: httpx.Limits) -> None:
+        context = httpx.create_ssl_context(trust_env=False)
+        super().__init__(context, trust_env=False, limits=limits)
+        # httpx has no argument for what lies under its pool.
         self._pool = httpcore.ConnectionPool(
-            ssl_context=httpx.create_ssl_context(trust_env=False),
+            ssl_context=context,
             max_connections=limits.max_connections,
             max_keepalive_connections=limits.max_keepalive_connections,
             keepalive_expiry=limits.keepalive_expiry,
             network_backend=_Backend(),
         )
-
-    def handle_request(self, request: httpx.Request) -> httpx.Response:
-        """Send a request; the answer's body is left to be read.
-
-        Raises:
-            httpx.TransportError: it did not get through, or the deadline passed.
-        """
-        url = request.url
-        sent = httpcore.Request(
-            request.method,
-            httpcore.URL(scheme=url.raw_scheme, host=url.raw_host, port=url.port, target=url.raw_path),
-            headers=request.headers.raw,
-            content=cast("httpx.SyncByteStream", request.stream),
-            extensions=request.extensions,
-        )
-        try:
-            answer = self._pool.handle_request(sent)
-        except _RAISED as error:
-            raise _as_httpx(error) from error
-        return httpx.Response(
-            answer.status,
-            headers=answer.headers,
-            stream=_Body(answer),
-            extensions=cast("dict[str, Any]", answer.extensions),
-        )
-
-    def close(self) -> None:
-        """Close the connections."""
-        self._pool.close()
-
-
-class _Body(httpx.SyncByteStream):
-    def __init__(self, answer: httpcore.Response) -> None:
-        self._answer = answer
-
-    def __iter__(self) -> Iterator[bytes]:
-        try:
-            yield from self._answer.iter_stream()
-        except _RAISED as error:
-            raise _as_httpx(error) from error
-
-    def close(self) -> None:
-        self._answer.close()
 
 
 class _Backend(httpcore.NetworkBackend):
@@ -207,8 +146,3 @@ def _left_s(timeout: float | None) -> float | None:
     if left_s <= 0.0:
         raise TimeoutError("the deadline has passed")
     return left_s if timeout is None else min(timeout, left_s)
-
-
-def _as_httpx(error: Exception) -> httpx.TransportError:
-    kind = next(_KINDS[base] for base in type(error).__mro__ if base in _KINDS)
-    return kind(str(error))

@@ -42,10 +42,7 @@ class Endpoint:
     _headers: dict[str, str] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        limits = (
-            self.timeout_s,
-            self.timeout_s if self.connect_timeout_s is None else self.connect_timeout_s,
-        )
+        limits = (self.timeout_s, self.connect_s)
         if not all(0.0 < limit < math.inf for limit in limits):
             raise ConfigError(
                 "the client's time limit is out of range", expected="above 0", got=f"{limits[0]}, {limits[1]}"

@@ -6,9 +6,9 @@ from contextlib import suppress
 from dataclasses import astuple, dataclass
 from typing import Any
 
-from cspace.bundle.strict_json import parse_json
-from cspace.errors import BundleIntegrityError
+from cspace.errors import InputError
 from cspace.space import MAX_LIMIT_RAD, JointSpace, circles
+from cspace.strict_json import parse_json, read_mapping, read_object
 from services.planner.sources.answer_errors import unusable
 from services.planner.sources.http_exchange import Question
 from services.planner.sources.npy_body import MAX_JOINTS, NPY
@@ -75,9 +75,9 @@ def read_space(header: str) -> JointSpace:
         SamplerAnswerError: it says none.
     """
     try:
-        said = parse_json(header.encode())
-        space = _space_of(said) if isinstance(said, dict) else None
-    except (BundleIntegrityError, LookupError, TypeError, ValueError):
+        said = read_mapping(parse_json(header.encode()), "the joint space", InputError)
+        space = _space_of(said)
+    except ValueError:
         space = None
     if space is None or space.to_dict() != said:
         raise unusable("has a wrong header x-joint-space", "the joint space as JSON", repr(header[:80]))
@@ -85,13 +85,16 @@ def read_space(header: str) -> JointSpace:
 
 
 def _space_of(said: dict[str, Any]) -> JointSpace | None:
-    if said["kind"] == "torus":
-        return circles(said["dim"]) if said["dim"] in range(1, MAX_JOINTS + 1) else None
-    lower, upper = (tuple(map(float, said[name])) for name in ("lower", "upper"))
-    joints = list(zip(lower, upper, map(bool, said["periodic"]), strict=True))
+    dim = said.get("dim")
+    if not isinstance(dim, int) or not 1 <= dim <= MAX_JOINTS:
+        return None
+    if said.get("kind") == "torus":
+        return circles(dim)
+    limits = {name: value for name, value in said.items() if name not in ("kind", "dim", "unit")}
+    space = read_object(JointSpace, limits, "the joint space", InputError)
+    joints = zip(space.lower, space.upper, space.periodic, strict=True)
     fits = all(-MAX_LIMIT_RAD <= low < high <= MAX_LIMIT_RAD for low, high, _ in joints)
-    fits = fits and len(joints) <= MAX_JOINTS
-    return JointSpace(lower, upper, tuple(wraps for _, _, wraps in joints)) if fits else None
+    return space if fits else None
 
 
 def read_timing(header: str) -> SourceTiming | None:

@@ -1,9 +1,7 @@
 """The HTTP client of ``POST /sample``."""
 
-import random
 import time
 from dataclasses import replace
-from types import TracebackType
 from typing import Self, cast
 
 import httpx
@@ -12,17 +10,15 @@ from cspace.errors import SamplerAnswerError, SamplerError, SamplerUnavailableEr
 from cspace.query import SampleQuery
 from services.planner.sources.deadline_transport import DeadlineTransport, deadline
 from services.planner.sources.http_answer import Failure, IncomingAnswer, lost
-from services.planner.sources.http_exchange import LIMITS, Endpoint, Question
+from services.planner.sources.http_client import HttpClient
+from services.planner.sources.http_exchange import LIMITS, Question
 from services.planner.sources.retries import RetryPolicy
 from services.planner.sources.samples import Picture, SampleBatch, SampleSource
 
 __all__ = ["RetryPolicy", "SampleBatch", "SamplingClient"]
 
-DEFAULT_TIMEOUT_S = 10.0
-DEFAULT_POLICY = RetryPolicy()
 
-
-class SamplingClient(SampleSource):
+class SamplingClient(HttpClient[httpx.BaseTransport], SampleSource):
     """Asks an inference API for samples over one kept connection. Use as a context manager, or close it.
 
     A request costs about 1 ms beside the server's work; never send one from a planner's callback, which would
@@ -43,27 +39,6 @@ class SamplingClient(SampleSource):
     Raises:
         ConfigError: the address, a time limit or the key can not be.
     """
-
-    def __init__(
-        self,
-        url: str,
-        timeout_s: float = DEFAULT_TIMEOUT_S,
-        *,
-        connect_timeout_s: float | None = None,
-        policy: RetryPolicy = DEFAULT_POLICY,
-        api_key: str | None = None,
-        fallback: SampleSource | None = None,
-        transport: httpx.BaseTransport | None = None,
-    ) -> None:
-        self._endpoint = Endpoint(url, timeout_s, connect_timeout_s, policy, api_key)
-        self._fallback = fallback
-        self._closed = False
-        self._transport = DeadlineTransport(LIMITS) if transport is None else transport
-
-    @property
-    def url(self) -> str:
-        """Of the API, without a slash at its end."""
-        return self._endpoint.url
 
     def answer(self, picture: Picture, query: SampleQuery, model: str | None = None) -> SampleBatch:
         """See :class:`services.planner.sources.samples.SampleSource`.
@@ -94,13 +69,12 @@ class SamplingClient(SampleSource):
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
+
+    @staticmethod
+    def _network() -> httpx.BaseTransport:
+        return DeadlineTransport(LIMITS)
 
     def _ask(self, question: Question, began: float) -> SampleBatch:
         if self._closed:
@@ -111,11 +85,7 @@ class SamplingClient(SampleSource):
             if isinstance(found, SampleBatch):
                 return found
             tried += 1
-            spent_s, draw = time.perf_counter() - began, random.random()  # noqa: S311 - jitter is no secret
-            pause_s = self._endpoint.policy.pause_s(tried, spent_s, found.retry_after_s, draw)
-            if not found.again or pause_s is None:
-                raise found.error
-            time.sleep(pause_s)
+            time.sleep(self._pause_s(found, tried, began))
 
     def _attempt(self, question: Question, began: float) -> SampleBatch | Failure:
         request = self._endpoint.request(question, time.perf_counter() - began)

@@ -34,38 +34,41 @@ def points_of(metrics: Mapping[str, float], step: int) -> list[MetricPoint]:
     return [MetricPoint(name, float(value), step, now_ms) for name, value in metrics.items()]
 
 
+@dataclass(frozen=True, slots=True)
+class Patience:
+    """When points are sent.
+
+    Args:
+        size: number of points that are worth a call.
+        age_s: how long a point may wait for others. Looked at when the next one comes: there is no thread.
+        clock: seconds, monotonic.
+    """
+
+    size: int = 500
+    age_s: float = 5.0
+    clock: Callable[[], float] = time.monotonic
+
+
 class MetricBuffer:
     """Collects points and hands them on in batches.
 
     Args:
         write: sends a batch of at most 1000 points; when it raises, the points are kept.
-        size: number of points that are worth a call.
-        age_s: how long a point may wait. Looked at when the next one comes: there is no thread.
-        clock: seconds, monotonic.
+        patience: when it does.
     """
 
-    def __init__(
-        self,
-        write: Callable[[Sequence[MetricPoint]], None],
-        *,
-        size: int = 500,
-        age_s: float = 5.0,
-        clock: Callable[[], float] = time.monotonic,
-    ) -> None:
-        self._write = write
-        self._size = size
-        self._age_s = age_s
-        self._clock = clock
+    def __init__(self, write: Callable[[Sequence[MetricPoint]], None], patience: Patience) -> None:
+        self._write, self._patience = write, patience
         self._points: list[MetricPoint] = []
         self._since_s = 0.0
 
     def add(self, points: Sequence[MetricPoint]) -> None:
         """Take points, and send everything that waits when it is time."""
-        now = self._clock()
+        now = self._patience.clock()
         if not self._points:
             self._since_s = now
         self._points.extend(points)
-        if len(self._points) >= self._size or now - self._since_s >= self._age_s:
+        if len(self._points) >= self._patience.size or now - self._since_s >= self._patience.age_s:
             self.flush()
 
     def flush(self) -> None:

@@ -2,7 +2,7 @@
 
 import json
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,7 @@ from mlflow.entities import Dataset, DatasetInput, InputTag, Metric, Param, RunT
 
 from cspace.errors import RegistryError
 from services.registry.mlflow_errors import mapped
-from services.registry.tracking.metric_buffer import MAX_BATCH, MetricBuffer, MetricPoint, points_of
+from services.registry.tracking.metric_buffer import MAX_BATCH, MetricBuffer, MetricPoint, Patience, points_of
 from services.registry.tracking.parameters import flatten
 from services.registry.tracking.port import Picture, RunStatus
 from services.registry.tracking.run_block import RunBlock
@@ -31,9 +31,7 @@ class MlflowRun(RunBlock):
         run_id: of the run.
         held: metric to the last step that the run has already; earlier ones are dropped.
         from_step: metrics of earlier steps are dropped.
-        buffer_size: number of metrics that are worth a call.
-        buffer_age_s: how long a metric may wait.
-        clock: seconds, monotonic.
+        patience: when metrics are sent.
     """
 
     def __init__(
@@ -43,15 +41,11 @@ class MlflowRun(RunBlock):
         *,
         held: Mapping[str, int],
         from_step: int,
-        buffer_size: int,
-        buffer_age_s: float,
-        clock: Callable[[], float],
+        patience: Patience,
     ) -> None:
-        self._client = client
-        self._run_id = run_id
-        self._held = held
-        self._from_step = from_step
-        self._buffer = MetricBuffer(self._send, size=buffer_size, age_s=buffer_age_s, clock=clock)
+        self._client, self._run_id = client, run_id
+        self._held, self._from_step = held, from_step
+        self._buffer = MetricBuffer(self._send, patience)
 
     @property
     def run_id(self) -> str:

@@ -11,6 +11,7 @@ from mlflow.exceptions import MlflowException
 from cspace.errors import RegistryError
 from services.registry.mlflow_errors import mapped
 from services.registry.names import TAG_KEY
+from services.registry.tracking.metric_buffer import Patience
 from services.registry.tracking.mlflow_run import MlflowRun
 from services.registry.tracking.port import RunLog
 from services.registry.tracking.spool import Spool, spooled_runs
@@ -42,9 +43,7 @@ class MlflowTracking:
     ) -> None:
         with mapped("opening the tracking server"):
             self._client = MlflowClient(tracking_uri=uri, registry_uri=uri)
-        self._buffer_size = buffer_size
-        self._buffer_age_s = buffer_age_s
-        self._clock = clock
+        self._patience = Patience(buffer_size, buffer_age_s, clock)
         self._spool_folder = spool_folder
 
     def start(
@@ -98,9 +97,7 @@ class MlflowTracking:
             run_id,
             lambda: self._reopened(run_id, from_step),
             Spool(folder, run_id),
-            buffer_size=self._buffer_size,
-            buffer_age_s=self._buffer_age_s,
-            clock=self._clock,
+            self._patience,
         )
 
     def _reopened(self, run_id: str, from_step: int | None) -> MlflowRun:
@@ -112,15 +109,7 @@ class MlflowTracking:
         return self._log(run_id, held, from_step or 0)
 
     def _log(self, run_id: str, held: Mapping[str, int], from_step: int) -> MlflowRun:
-        return MlflowRun(
-            self._client,
-            run_id,
-            held=held,
-            from_step=from_step,
-            buffer_size=self._buffer_size,
-            buffer_age_s=self._buffer_age_s,
-            clock=self._clock,
-        )
+        return MlflowRun(self._client, run_id, held=held, from_step=from_step, patience=self._patience)
 
     def _last_steps(self, run_id: str, names: list[str]) -> dict[str, int]:
         return {

@@ -1,9 +1,9 @@
 """The port to experiment tracking: runs that hold parameters, metrics, pictures and the data that went in."""
 
 from collections.abc import Mapping
+from contextlib import AbstractContextManager
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Literal, Protocol, Self
+from typing import Any, Literal, Protocol
 
 RunStatus = Literal["FINISHED", "FAILED", "KILLED"]
 
@@ -16,7 +16,7 @@ class Picture(Protocol):
         ...
 
 
-class RunLog(Protocol):
+class RunLog(AbstractContextManager["RunLog", None], Protocol):
     """One run that is being written. Not for sharing between threads.
 
     As a context manager it finishes the run, FAILED when an exception ends the block (KILLED when the
@@ -75,15 +75,6 @@ class RunLog(Protocol):
     def finish(self, status: RunStatus = "FINISHED") -> None:
         """Send what waits and end the run."""
         ...
-
-    def __enter__(self) -> Self: ...
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None: ...
 
 
 class Tracking(Protocol):

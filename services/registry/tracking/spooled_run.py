@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from cspace.errors import RegistryUnavailableError
-from services.registry.tracking.metric_buffer import MetricBuffer, MetricPoint, points_of
+from services.registry.tracking.metric_buffer import MetricBuffer, MetricPoint, Patience, points_of
 from services.registry.tracking.mlflow_run import MlflowRun
 from services.registry.tracking.port import Picture, RunStatus
 from services.registry.tracking.run_block import RunBlock
@@ -30,25 +30,16 @@ class SpooledRun(RunBlock):
         run_id: of the run.
         reopen: asks the server for the run as it is, and goes on with it.
         spool: of the run.
-        buffer_size: number of metrics that are worth a call.
-        buffer_age_s: how long a metric may wait for others.
-        clock: seconds, monotonic.
+        patience: when metrics are sent; its clock tells as well when the server is tried again.
     """
 
     def __init__(
-        self,
-        run_id: str,
-        reopen: Callable[[], MlflowRun],
-        spool: Spool,
-        *,
-        buffer_size: int,
-        buffer_age_s: float,
-        clock: Callable[[], float],
+        self, run_id: str, reopen: Callable[[], MlflowRun], spool: Spool, patience: Patience
     ) -> None:
-        self._run_id, self._reopen, self._spool, self._clock = run_id, reopen, spool, clock
+        self._run_id, self._reopen, self._spool, self._clock = run_id, reopen, spool, patience.clock
         self._run: MlflowRun | None = None
         self._away_until_s = float("-inf")
-        self._buffer = MetricBuffer(self._send, size=buffer_size, age_s=buffer_age_s, clock=clock)
+        self._buffer = MetricBuffer(self._send, patience)
 
     @property
     def run_id(self) -> str:

@@ -191,6 +191,26 @@ def test_a_manifest_that_is_no_json_object_is_an_error(folder, text):
         open_dataset(folder)
 
 
+@pytest.mark.parametrize("member", ['"generator": {"a": 1, "a": 2}', '"generator": {"a": NaN}'])
+def test_a_manifest_that_is_no_strict_json_is_an_error(folder, member):
+    path = folder / MANIFEST_FILE
+    edit(folder, generator="here")
+    path.write_text(path.read_text().replace('"generator": "here"', member))
+    with pytest.raises(DatasetError, match=r"manifest.*not JSON"):
+        open_dataset(folder)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.float32(1.0), {1}])
+def test_a_data_set_whose_making_is_not_plain_json_is_refused_before_it_is_there(tmp_path, value):
+    with pytest.raises(DatasetError, match=r"convert .* generator"):
+        write_dataset(tmp_path / "data", **content(generator={"rate": value}))
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_seed_of_any_size_survives_the_manifest(tmp_path):
+    assert write_dataset(tmp_path / "data", **content(generator={"seed": 2**200})).generator_seed == 2**200
+
+
 def test_bytes_that_are_no_text_are_an_error(folder):
     (folder / MANIFEST_FILE).write_bytes(b"\xff\xfe\x00")
     with pytest.raises(DatasetError, match="manifest"):

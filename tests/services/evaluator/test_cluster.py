@@ -9,6 +9,7 @@ from cspace.worlds.planar.arm import TWO_LINK
 from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.problems import Family
 from cspace.worlds.planar.world import PlanarWorld
+from services.evaluator.cluster import join
 from services.evaluator.evaluation.budget import QUICK, Kind, Unit
 from services.evaluator.evaluation.execution import run_here
 from services.evaluator.evaluation.job import run_on_ray
@@ -53,6 +54,24 @@ def packed(tmp_path):
 def numbers(results, setting):
     metrics = flat_metrics(assemble(results, setting))
     return {name: value for name, value in metrics.items() if "time" not in name and "seconds" not in name}
+
+
+@pytest.mark.parametrize(
+    ("address", "asked_for"),
+    [(None, None), ("", None), ("auto", None), ("127.0.0.1:6379", None), ("http://127.0.0.1:8265", "local")],
+)
+def test_an_address_that_only_takes_jobs_is_not_joined(monkeypatch, address, asked_for):
+    import ray
+
+    joined = []
+    monkeypatch.setattr(ray, "is_initialized", lambda: bool(joined))
+    monkeypatch.setattr(ray, "init", lambda given, **settings: joined.append((given, settings["namespace"])))
+    monkeypatch.delenv("RAY_ADDRESS", raising=False)
+    if address is not None:
+        monkeypatch.setenv("RAY_ADDRESS", address)
+    join(namespace="test")
+    join(namespace="again")
+    assert joined == [(asked_for, "test")]
 
 
 @pytest.mark.e2e

@@ -18,15 +18,15 @@ from inference_api.settings import PRETRAINED_FOLDER
 from services.evaluator.evaluation.budget import Budget, Kind, Unit, units
 from services.evaluator.evaluation.job import evaluate_version
 from services.evaluator.evaluation.request import make_request
-from services.evaluator.evaluation.units import PLANNER, Setting, run_unit
+from services.evaluator.evaluation.units import Setting, planner_of, run_unit
 from services.evaluator.measures.planning import LEARNED_SAMPLES, learned_samples, plan_trial
 from services.evaluator.measures.samplers import bundle_sampler
 from services.planner.search.ompl_planner import solve
 from services.planner.sources.local_sampler import BundleSampler
-from services.planner.sources.uniform_sampler import UniformSampler
-from services.registry import decisions
+from services.registry.promotion import decisions
 from tests.bundles import picture, write_tiny_bundle
 from tests.fakes.registry import FakeRegistry, FakeTracking
+from tests.fakes.uniform_sampler import UniformSampler
 from training.paths.untrained import make_path_bundle
 
 MODEL = "path-sampler"
@@ -106,7 +106,8 @@ def test_a_filter_is_asked_for_only_where_there_is_a_head(tmp_path):
         return solve(problem, settings, samples, uniform_share)
 
     plain = bundle_sampler(Bundle.load(write_tiny_bundle(tmp_path / "plain", kind="path")))
-    plan_trial(draw_problem(Family.UNIFORM, Split.DEMO, 0), 0, 1, plain, PLANNER, solver)
+    problem, settings = draw_problem(Family.UNIFORM, Split.DEMO, 0), planner_of(PlanarWorld())
+    plan_trial(problem, 0, 1, plain, settings, solver)
     _, learned, confident = drawn
     assert np.array_equal(learned, confident)
 

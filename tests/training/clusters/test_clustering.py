@@ -2,7 +2,10 @@ import numpy as np
 import pytest
 
 from cspace.errors import ConfigError
+from cspace.space import circles
 from training.clusters.clustering import cluster
+
+SPACE = circles(2)
 
 
 def two_groups(count=300):
@@ -14,30 +17,28 @@ def two_groups(count=300):
 
 
 def test_a_group_across_the_seam_stays_one_cluster():
-    labels = cluster(two_groups(), 2, 100, seed=0).labels
+    labels = cluster(two_groups(), 2, 100, 0, SPACE).labels
     assert len(set(labels[:300])) == len(set(labels[300:])) == 1
     assert labels[0] != labels[-1]
 
 
 def test_every_configuration_is_labelled_once():
-    result = cluster(two_groups(), 3, 100, seed=0)
+    result = cluster(two_groups(), 3, 100, 0, SPACE)
     assert sum(result.sizes) == 600
     assert result.centres.shape == (3, 4)
 
 
 def test_the_same_seed_gives_the_same_clusters():
-    first, second = (cluster(two_groups(), 4, 200, seed=5) for _ in range(2))
+    first, second = (cluster(two_groups(), 4, 200, 5, SPACE) for _ in range(2))
     np.testing.assert_array_equal(first.labels, second.labels)
 
 
 def test_three_joints_need_no_other_code():
     rng = np.random.default_rng(0)
-    assert cluster(rng.uniform(-np.pi, np.pi, (200, 3)).astype(np.float32), 2, 200, seed=0).centres.shape == (
-        2,
-        6,
-    )
+    drawn = rng.uniform(-np.pi, np.pi, (200, 3)).astype(np.float32)
+    assert cluster(drawn, 2, 200, 0, circles(3)).centres.shape == (2, 6)
 
 
 def test_more_clusters_than_configurations_are_refused():
     with pytest.raises(ConfigError, match="at least 5"):
-        cluster(np.zeros((3, 2), dtype=np.float32), 5, 10, seed=0)
+        cluster(np.zeros((3, 2), dtype=np.float32), 5, 10, 0, SPACE)

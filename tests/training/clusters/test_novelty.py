@@ -10,7 +10,7 @@ from cspace.bundle.novelty import novelty
 from cspace.dataset import open_dataset, write_dataset
 from cspace.splits import Split
 from cspace.worlds.planar.picture import to_network
-from cspace.worlds.planar.render import render, render_batch
+from cspace.worlds.planar.render import render
 from cspace.worlds.planar.scene import Disc, random_scenarios
 from tests.dataset_content import content
 from training.clusters.novelty import KNOWN_PICTURES, known_pictures, known_quantiles, load_scores
@@ -28,6 +28,10 @@ def checkpoint(folder, config, pictures):
     for step in range(config.steps):
         module.training_step(step, step)
     return save_checkpoint(folder / "checkpoint", module, Progress(config.steps, "run"))
+
+
+def pictures_of(scenarios):
+    return np.stack([render(one) for one in scenarios])
 
 
 def opened(folder, **changes):
@@ -60,8 +64,8 @@ def test_both_scores_have_rising_quantiles(tmp_path):
 def test_a_trained_vae_finds_strange_pictures_strange(tmp_path):
     config = VaeConfig(steps=150)
     seen = random_scenarios(Split.TRAIN, 0, 1000)
-    folder = checkpoint(tmp_path, config, render_batch(seen))
-    dataset = opened(tmp_path, world=seen[0].world, images=render_batch(seen[:3]), extra_images=None)
+    folder = checkpoint(tmp_path, config, pictures_of(seen))
+    dataset = opened(tmp_path, world=seen[0].world, images=pictures_of(seen[:3]), extra_images=None)
     scores, encoder = load_scores(config, 48, folder), load_encoder(config, 48, folder)
     quantiles = known_quantiles(config, folder, scores, dataset)
 
@@ -75,7 +79,7 @@ def test_a_trained_vae_finds_strange_pictures_strange(tmp_path):
     crowd = [
         replace(one, discs=one.discs + tuple(Disc(x, -3.5, 0.8) for x in (-3.0, 0.0, 3.0))) for one in fresh
     ]
-    ordinary = found(render_batch(fresh))
+    ordinary = found(pictures_of(fresh))
     assert np.mean(ordinary > 0.95) < 0.2
-    for strange in (render_batch(crowd), 255 - render_batch(fresh)):
+    for strange in (pictures_of(crowd), 255 - pictures_of(fresh)):
         assert np.mean(found(strange) > 0.95) > 0.8

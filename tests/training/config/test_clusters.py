@@ -1,8 +1,15 @@
 import json
+from dataclasses import replace
 
+import numpy as np
 import pytest
 
+from cspace.dataset import write_dataset
 from cspace.errors import ConfigError
+from cspace.worlds import workshop_of
+from cspace.worlds.planar.arm import PlanarArm
+from cspace.worlds.planar.workshop import PlanarWorkshop
+from cspace.worlds.planar.world import PlanarWorld
 from training.cluster_train import COMMAND
 from training.config.clusters import TrainConfig, load_config, presets
 
@@ -103,6 +110,35 @@ def test_an_unknown_preset_is_an_error_that_lists_the_known_ones(preset):
 def test_a_configuration_survives_its_own_json():
     config = load_config("three_link")
     assert TrainConfig.model_validate(json.loads(json.dumps(config.to_dict()))) == config
+
+
+def test_the_free_share_is_the_worlds_unless_it_is_given(monkeypatch, tmp_path):
+    # As the jobs that are on disk have it: by it they are known again.
+    assert load_config("quickstart").to_dict()["validity"]["free_share"] == 0.69
+    assert TrainConfig() == TrainConfig(validity={})
+    other = replace(workshop_of(PlanarWorld()).measures, free_share=0.25)
+    monkeypatch.setattr(PlanarWorkshop, "measures", property(lambda _: other))
+    assert load_config("quickstart").validity.free_share == 0.25
+    given = load_config("quickstart", ["validity.free_share=0.5"])
+    assert given.validity.free_share == 0.5
+    assert TrainConfig.model_validate(given.to_dict()) == given
+    # What does not fit is told by its own name: a folder where it is used, a robot here.
+    assert load_config("smoke", [f"data_folder={tmp_path}"]).validity.free_share == 0.25
+    with pytest.raises(ConfigError, match=r"data\.robot") as told:
+        load_config("smoke", ["data.robot.link_lengths_m=[]"])
+    assert "free_share" not in str(told.value)
+
+
+def test_the_free_share_of_own_data_is_that_of_their_world(monkeypatch, tmp_path):
+    arm = PlanarWorld(PlanarArm((1.0, 1.0, 1.0)))
+    pictures, free = np.zeros((1, 48, 48, 3), np.uint8), [np.zeros((2, 3))]
+    folder = write_dataset(tmp_path / "own", world=arm, images=pictures, free=free, generator={}).folder
+    planar = workshop_of(arm).measures
+    shares = property(lambda one: replace(planar, free_share=0.1 * one.world.dim))
+    monkeypatch.setattr(PlanarWorkshop, "measures", shares)
+    assert load_config("smoke").validity.free_share == pytest.approx(0.2)
+    own = load_config("smoke", [f"data_folder={folder}"])
+    assert own.validity.free_share == pytest.approx(0.3)
 
 
 def test_the_data_folder_changes_with_the_data_and_not_with_the_shards():

@@ -86,11 +86,34 @@ def test_a_command_that_is_none_ends_with_two(arguments, capsys):
     assert "usage" in capsys.readouterr().err
 
 
+GENERATE = ("generate", "--scenario-count", "6", "--extra-image-count", "4", "--shard-size", "3")
+PATHS = (
+    "paths",
+    "--scenario-count",
+    "4",
+    "--pairs-per-scenario",
+    "1",
+    "--narrow-share",
+    "0",
+    "--shard-size",
+    "1",
+)
+
+
 @pytest.mark.slow
-def test_the_command_generates_with_a_ray_of_its_own(tmp_path):
-    command = [sys.executable, "-m", "training.datasets", "generate", str(tmp_path / "data")]
-    counts = ["--scenario-count", "6", "--extra-image-count", "4", "--shard-size", "3", "--seed", "9"]
-    environment = {key: value for key, value in os.environ.items() if key != "RAY_ADDRESS"}
+@pytest.mark.parametrize(
+    ("arguments", "address"),
+    [
+        (GENERATE, {}),
+        (GENERATE, {"RAY_ADDRESS": "http://127.0.0.1:8265"}),
+        (PATHS, {"RAY_ADDRESS": "http://127.0.0.1:8265"}),
+    ],
+    ids=["generate", "generate in a shell for jobs", "paths in a shell for jobs"],
+)
+def test_the_command_generates_with_a_ray_of_its_own(tmp_path, arguments, address):
+    command = [sys.executable, "-m", "training.datasets", arguments[0], str(tmp_path / "data")]
+    counts = [*arguments[1:], "--seed", "9"]
+    environment = {key: value for key, value in os.environ.items() if key != "RAY_ADDRESS"} | address
     done = subprocess.run(
         [*command, *counts], env=environment, capture_output=True, text=True, timeout=110, check=False
     )

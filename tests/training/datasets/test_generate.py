@@ -8,10 +8,12 @@ import ray
 
 from cspace.dataset import open_dataset
 from cspace.errors import DamagedFileError, DatasetError, StorageError
+from cspace.worlds.planar.arm import PlanarArm
 from training.datasets import generate as module
 from training.datasets.config import DatasetConfig
+from training.datasets.configurations import ConfigurationRecipe
 from training.datasets.generate import generate
-from training.datasets.shards import make_shard, plan_shards, save_shard
+from training.datasets.shards import save_shard
 
 SMALL = DatasetConfig(
     seed=3,
@@ -21,7 +23,7 @@ SMALL = DatasetConfig(
     extra_image_count=4,
     shard_size=2,
 )
-SHARDS = len(plan_shards(SMALL))
+SHARDS = ConfigurationRecipe(SMALL).plan()
 
 
 class HereInsteadOfRay:
@@ -36,7 +38,7 @@ class HereInsteadOfRay:
             if len(self.made) == self.fail_at:
                 raise self.failure
             self.made.append(shard)
-            yield str(save_shard(partial, shard, make_shard(config, shard)))
+            yield str(save_shard(partial, shard, ConfigurationRecipe(config).make(shard)))
 
 
 def test_the_data_set_holds_what_the_configuration_asks_for(tmp_path, monkeypatch):
@@ -68,7 +70,7 @@ def test_an_interrupted_generation_goes_on_where_it_stopped(tmp_path, monkeypatc
     assert not (tmp_path / "data").exists()
     second = HereInsteadOfRay(monkeypatch)
     resumed = generate(SMALL, tmp_path / "data")
-    assert first.made + second.made == plan_shards(SMALL)
+    assert first.made + second.made == SHARDS
     assert [path.name for path in tmp_path.iterdir()] == ["data"]
     whole = generate(SMALL, tmp_path / "other")
     assert resumed.digest == whole.digest
@@ -79,12 +81,12 @@ def test_a_shard_that_was_damaged_meanwhile_is_made_again(tmp_path, monkeypatch)
     with pytest.raises(RuntimeError):
         generate(SMALL, tmp_path / "data")
     (partial,) = tmp_path.iterdir()
-    shard = plan_shards(SMALL)[1]
+    shard = SHARDS[1]
     path = partial / shard.file_name
     path.write_bytes(path.read_bytes()[:-50])
     second = HereInsteadOfRay(monkeypatch)
     generate(SMALL, tmp_path / "data")
-    assert second.made == [shard, *plan_shards(SMALL)[3:]]
+    assert second.made == [shard, *SHARDS[3:]]
 
 
 def test_shards_of_another_configuration_are_not_taken(tmp_path, monkeypatch):
@@ -94,7 +96,7 @@ def test_shards_of_another_configuration_are_not_taken(tmp_path, monkeypatch):
     other = SMALL.model_copy(update={"seed": 4})
     second = HereInsteadOfRay(monkeypatch)
     dataset = generate(other, tmp_path / "data")
-    assert len(second.made) == SHARDS
+    assert len(second.made) == len(SHARDS)
     assert dataset.generator_seed == 4
 
 
@@ -149,7 +151,7 @@ def test_progress_is_told_in_lines_where_there_is_no_terminal(tmp_path, monkeypa
     HereInsteadOfRay(monkeypatch)
     with caplog.at_level(logging.INFO, logger="training"):
         generate(SMALL, tmp_path / "data")
-    assert f"data: {SHARDS}/{SHARDS}, 0 s left" in caplog.messages
+    assert f"data: {len(SHARDS)}/{len(SHARDS)}, 0 s left" in caplog.messages
 
 
 @pytest.fixture(scope="module")
@@ -177,7 +179,7 @@ def test_ray_tasks_make_the_same_data_set(tmp_path, monkeypatch):
 @pytest.mark.usefixtures("cluster")
 def test_an_error_in_a_ray_task_arrives_as_it_was_raised(tmp_path):
     # A robot so short that it never collides.
-    config = SMALL.model_copy(update={"robot": SMALL.robot.model_copy(update={"link_lengths_m": (0.1, 0.1)})})
+    config = SMALL.model_copy(update={"robot": PlanarArm((0.1, 0.1))})
     with pytest.raises(DatasetError, match="hardly any configuration") as caught:
         generate(config, tmp_path / "data")
     assert type(caught.value) is DatasetError
@@ -187,7 +189,7 @@ def test_an_error_in_a_ray_task_arrives_as_it_was_raised(tmp_path):
 @pytest.mark.slow
 @pytest.mark.usefixtures("cluster")
 def test_a_ray_task_that_cannot_write_is_a_storage_error(tmp_path):
-    tasks = module.run_tasks(SMALL, plan_shards(SMALL), Path(tmp_path / "missing"))
+    tasks = module.run_tasks(SMALL, SHARDS, Path(tmp_path / "missing"))
     with pytest.raises(StorageError, match="cannot be written"):
         list(tasks)
 

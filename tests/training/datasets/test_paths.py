@@ -5,13 +5,13 @@ import pytest
 
 from cspace.dataset import open_dataset
 from cspace.errors import DatasetError, ScenarioError
-from cspace.worlds.planar.arm import TWO_LINK
+from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK
 from cspace.worlds.planar.collision import CollisionChecker
 from cspace.worlds.planar.problems import NARROW_RAD, bottleneck_rad
 from cspace.worlds.planar.render import render
 from cspace.worlds.planar.scene import Disc, Scenario
 from training.datasets import generate as module
-from training.datasets.config import DatasetConfig, PathDatasetConfig, RobotConfig
+from training.datasets.config import DatasetConfig, PathDatasetConfig
 from training.datasets.generate import generate
 from training.datasets.paths import PathRecipe
 from training.datasets.shards import save_shard
@@ -110,13 +110,13 @@ def test_the_papers_source_gives_paths_that_are_about_as_short(tmp_path):
 
 def test_no_paths_at_all_are_an_error_that_says_so(monkeypatch):
     monkeypatch.setattr("training.datasets.paths.MAX_DRAWS", 1)
-    monkeypatch.setattr("training.datasets.paths.narrow_pairs", lambda *_: None)
+    monkeypatch.setattr("cspace.worlds.planar.workshop.narrow_pairs", lambda *_: None)
     recipe = PathRecipe(SMALL)
     with pytest.raises(DatasetError, match="enough paths"):
         recipe.make(recipe.plan()[0])
 
 
-THREE = SMALL.model_copy(update={"robot": RobotConfig(link_lengths_m=(1.6, 1.4, 1.0)), "scenario_count": 2})
+THREE = SMALL.model_copy(update={"robot": THREE_LINK, "scenario_count": 2})
 
 
 def test_three_joints_have_paths_too():

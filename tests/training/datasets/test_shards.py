@@ -3,19 +3,13 @@ import pytest
 
 from cspace.errors import DatasetError, StorageError
 from cspace.splits import Split
-from cspace.worlds.planar.arm import PlanarArm
+from cspace.worlds.planar.arm import THREE_LINK, PlanarArm
 from cspace.worlds.planar.collision import CollisionChecker
 from cspace.worlds.planar.render import render
 from cspace.worlds.planar.scene import Scenario, random_scenarios
-from training.datasets.config import DatasetConfig, RobotConfig
-from training.datasets.shards import (
-    Shard,
-    draw_configurations,
-    load_shard,
-    make_shard,
-    plan_shards,
-    save_shard,
-)
+from training.datasets.config import DatasetConfig, PathDatasetConfig
+from training.datasets.configurations import ConfigurationRecipe, draw_configurations
+from training.datasets.shards import Shard, load_shard, save_shard
 
 SMALL = DatasetConfig(
     seed=3,
@@ -25,17 +19,18 @@ SMALL = DatasetConfig(
     extra_image_count=3,
     shard_size=2,
 )
-THREE = SMALL.model_copy(update={"robot": RobotConfig(link_lengths_m=(1.6, 1.4, 1.0))})
-LIMITED = SMALL.model_copy(update={"robot": RobotConfig(joint_limits_rad=(None, (-1.0, 2.0)))})
+THREE = SMALL.model_copy(update={"robot": THREE_LINK})
+LIMITED = SMALL.model_copy(update={"robot": PlanarArm(joint_limits_rad=(None, (-1.0, 2.0)))})
 
 
 def joined(config, *, extra=False):
-    parts = [make_shard(config, shard) for shard in plan_shards(config) if shard.extra is extra]
+    recipe = ConfigurationRecipe(config)
+    parts = [recipe.make(shard) for shard in recipe.plan() if shard.extra is extra]
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
 
 def test_shards_cover_every_scenario_and_picture_once():
-    assert plan_shards(SMALL) == [
+    assert ConfigurationRecipe(SMALL).plan() == [
         Shard(0, 2, extra=False),
         Shard(2, 2, extra=False),
         Shard(4, 1, extra=False),
@@ -97,7 +92,8 @@ def test_a_robot_that_hardly_ever_collides_is_an_error():
 
 
 def test_a_shard_survives_its_file(tmp_path):
-    shard, arrays = Shard(4, 1, extra=False), make_shard(SMALL, Shard(4, 1, extra=False))
+    shard = Shard(4, 1, extra=False)
+    arrays = ConfigurationRecipe(SMALL).make(shard)
     save_shard(tmp_path, shard, arrays)
     loaded = load_shard(tmp_path, shard)
     assert loaded.keys() == arrays.keys()
@@ -108,7 +104,7 @@ def test_a_shard_survives_its_file(tmp_path):
 
 def test_a_shard_that_is_damaged_counts_as_missing(tmp_path):
     shard = Shard(0, 2, extra=True)
-    path = save_shard(tmp_path, shard, make_shard(SMALL, shard))
+    path = save_shard(tmp_path, shard, ConfigurationRecipe(SMALL).make(shard))
     whole = path.read_bytes()
     middle = len(whole) // 2
     for damaged in (
@@ -137,6 +133,26 @@ def test_the_key_follows_the_data_and_not_their_sharding():
     assert SMALL.folder_name == f"train-{SMALL.key}"
 
 
+ARM = {"link_lengths_m": [2.0, 2.0], "half_width_m": 0.1, "joint_limits_rad": None}
+
+
+@pytest.mark.parametrize(
+    ("config", "key", "robot"),
+    [
+        (DatasetConfig(), "7476c8678ee2", ARM),
+        (PathDatasetConfig(), "1f0125b182a8", ARM),
+        (SMALL, "bda106c2ecf2", ARM),
+        (THREE, "b1635dc6f04a", ARM | {"link_lengths_m": [1.6, 1.4, 1.0]}),
+        (LIMITED, "b4444c1d23fb", ARM | {"joint_limits_rad": [None, [-1.0, 2.0]]}),
+    ],
+)
+def test_data_that_were_made_before_are_found_again(config, key, robot):
+    told = config.model_dump(mode="json")
+    assert (config.key, told["robot"]) == (key, robot)
+    assert list(told)[:4] == ["robot", "split", "seed", "shard_size"]
+    assert type(config).model_validate(told) == config
+
+
 @pytest.mark.parametrize(
     "values",
     [
@@ -145,6 +161,8 @@ def test_the_key_follows_the_data_and_not_their_sharding():
         {"split": "holdout"},
         {"shards": 3},
         {"robot": {"links": [1.0]}},
+        {"robot": {"link_lengths_m": "many"}},
+        {"robot": {"link_lengths_m": [-1.0]}},
         {"free_per_scenario": "many"},
     ],
 )

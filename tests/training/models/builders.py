@@ -2,6 +2,7 @@
 
 import torch
 
+from cspace.space import circles
 from training.models.checkpoint import seeded_initialisation
 from training.models.data import ScenarioSamples
 from training.models.joint import JointModule
@@ -16,7 +17,7 @@ TINY = {
     "batch_size": 32,
     "critic_steps": 2,
 }
-SCALE = (torch.zeros(2), torch.ones(2))
+SCALE, SPACE = (torch.zeros(2), torch.ones(2)), circles(2)
 
 
 def ring_samples(scenarios: int = 2, latent_dim: int = 3) -> ScenarioSamples:
@@ -33,7 +34,7 @@ def tiny_module(seed: int = 0, **changes: object) -> WganGpModule:
     """A WGAN-GP that trains in milliseconds a step."""
     config = GanConfig.model_validate(TINY | {"steps": 20} | changes)
     with seeded_initialisation(seed):
-        return WganGpModule(config, ring_samples(), SCALE, seed)
+        return WganGpModule(config, ring_samples(), SCALE, seed, SPACE)
 
 
 def tiny_joint_module(seed: int = 0, **changes: object) -> JointModule:
@@ -44,4 +45,4 @@ def tiny_joint_module(seed: int = 0, **changes: object) -> JointModule:
     images = torch.zeros(2, 3, 48, 48, dtype=torch.uint8)
     images[1, :, 12:36] = 255
     with seeded_initialisation(seed):
-        return JointModule(config, vae, ring_samples(), images, SCALE, seed)
+        return JointModule(config, vae, ring_samples(), images, SCALE, seed, SPACE)

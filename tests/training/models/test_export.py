@@ -5,14 +5,15 @@ import onnxruntime
 import pytest
 import torch
 
+from cspace.space import circles
 from cspace.worlds.planar.arm import TWO_LINK
 from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.world import PlanarWorld
 from training.models.export import encoder_graph, generator_graph, novelty_graph, validity_graph
-from training.models.networks import Decoder, Encoder, MeansGenerator, TorusGenerator
+from training.models.networks import Decoder, Encoder, MeansGenerator, Sizes, TorusGenerator
 from training.models.novelty import NoveltyScores
 from training.models.settings import ValidityConfig
-from training.models.validity import ValidityHead
+from training.models.validity import make_head
 
 
 def answer(graph, feeds):
@@ -33,7 +34,7 @@ def test_the_encoders_graph_answers_as_the_network_for_any_number_of_pictures(co
 
 @pytest.mark.parametrize("count", [1, 33])
 def test_the_torus_generators_graph_answers_as_the_network(count):
-    generator = TorusGenerator(3, 6, 16, 2, 2)
+    generator = TorusGenerator(Sizes(circles(3), 6, 16, 2), 2)
     feeds = {"latent": torch.randn(count, 6), "base": torch.randn(count, 3), "noise": torch.randn(count, 2)}
     with torch.no_grad():
         expected = generator(*feeds.values())
@@ -42,7 +43,7 @@ def test_the_torus_generators_graph_answers_as_the_network(count):
 
 
 def test_the_means_generators_graph_answers_as_the_network():
-    generator = MeansGenerator(2, 6, 16, 2, 4, 0.1, (torch.zeros(2), torch.ones(2)))
+    generator = MeansGenerator(Sizes(circles(2), 6, 16, 2), 4, 0.1, (torch.zeros(2), torch.ones(2)))
     feeds = {"latent": torch.randn(9, 6), "noise": torch.randn(9, 4, 2)}
     with torch.no_grad():
         expected = generator(*feeds.values())
@@ -51,7 +52,7 @@ def test_the_means_generators_graph_answers_as_the_network():
 
 
 def test_graphs_name_no_folder_of_the_machine_that_exported_them():
-    encoder, generator = Encoder(48, 6, 4, 4), TorusGenerator(2, 6, 16, 2, 2)
+    encoder, generator = Encoder(48, 6, 4, 4), TorusGenerator(Sizes(circles(2), 6, 16, 2), 2)
     for graph in (encoder_graph(encoder, 48), generator_graph(generator, 2, 6, 2)):
         assert b".py" not in graph
         assert str(Path(torch.__file__).parent).encode() not in graph
@@ -59,7 +60,7 @@ def test_graphs_name_no_folder_of_the_machine_that_exported_them():
 
 @pytest.mark.parametrize("count", [1, 33])
 def test_the_validity_heads_graph_answers_as_the_network(count):
-    head = ValidityHead(ValidityConfig(hidden=8), PlanarWorld(TWO_LINK, Camera()))
+    head = make_head(ValidityConfig(free_share=0.69, hidden=8), PlanarWorld(TWO_LINK, Camera()))
     image, configurations = torch.rand(1, 3, 48, 48) * 2.0 - 1.0, torch.rand(count, 2) * 6.0 - 3.0
     with torch.no_grad():
         expected = torch.sigmoid(head(image, configurations.unsqueeze(0))).squeeze(0)

@@ -5,7 +5,7 @@ import torch
 from cspace.space import JointSpace, circles
 from training.models import losses
 from training.models.cells import CellBase, CellPoints, UniformBase
-from training.models.networks import MeansGenerator, TorusGenerator
+from training.models.networks import MeansGenerator, Sizes, TorusGenerator
 from training.models.space.features import harmonics, on_torus, torus_features
 from training.models.space.joints import Joints
 
@@ -53,7 +53,7 @@ def test_what_is_folded_has_a_gradient_everywhere():
 
 
 def test_what_is_uniform_on_the_torus_becomes_uniform_within_the_limits():
-    drawn = UniformBase(3, SPACE).draw(torch.zeros(40_000, dtype=torch.int64), RNG)
+    drawn = UniformBase(SPACE).draw(torch.zeros(40_000, dtype=torch.int64), RNG)
     low, high = drawn.min(dim=0).values.numpy(), drawn.max(dim=0).values.numpy()
     np.testing.assert_allclose(low, SPACE.lower, atol=0.01)
     np.testing.assert_allclose(high, SPACE.upper, atol=0.01)
@@ -100,11 +100,11 @@ def test_points_of_cells_that_are_spread_beyond_a_limit_are_folded_back():
 def test_no_generator_leaves_the_limits(means):
     if means:
         scale = (torch.zeros(3), torch.full((3,), 9.0))
-        samples = MeansGenerator(3, 4, 8, 2, 5, 1.0, scale, SPACE)(
+        samples = MeansGenerator(Sizes(SPACE, 4, 8, 2), 5, 1.0, scale)(
             torch.randn(200, 4), torch.randn(200, 5, 3)
         )
     else:
-        generator = TorusGenerator(3, 4, 8, 2, 2, space=SPACE)
+        generator = TorusGenerator(Sizes(SPACE, 4, 8, 2), 2)
         torch.nn.init.normal_(generator.residual[-1].weight, std=20.0)
         samples = generator(torch.randn(1000, 4), angles(1000, 3.0), torch.randn(1000, 2))
     values = samples.detach().reshape(-1, 3).numpy()

@@ -5,6 +5,7 @@ import onnxruntime
 import pytest
 import torch
 
+from cspace.space import circles
 from cspace.worlds.planar.arm import TWO_LINK
 from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.world import PlanarWorld
@@ -16,9 +17,10 @@ from training.models.export import lookup_graph, mixture_graph
 from training.models.gate import Gate, GateModule, gate_probabilities
 from training.models.lookups.lookups import ArmLookups
 from training.models.mixture import Experts, GatedSampler, LookupSampler
-from training.models.networks import TorusGenerator
+from training.models.networks import Sizes, TorusGenerator
 from training.models.settings import GanConfig, GateConfig
 
+SPACE = circles(2)
 CELLS = CellPoints(
     np.array(
         [[[-2.0, -2.0], [-2.0, -1.0]], [[1.0, 1.0], [1.0, 2.0]], [[2.5, -2.5], [2.5, -1.5]]], np.float32
@@ -29,7 +31,7 @@ CELLS = CellPoints(
 
 def experts(count=2, looked_up=0):
     with seeded_initialisation(5):
-        generators = [TorusGenerator(2, 4, 8, 2, 2, looked_up) for _ in range(count)]
+        generators = [TorusGenerator(Sizes(SPACE, 4, 8, 2, looked_up), 2) for _ in range(count)]
     for generator in generators:
         torch.nn.init.normal_(generator.residual[-1].weight, generator=torch.Generator().manual_seed(count))
     return generators, Experts(generators, torch.tensor([0, 1, 1][: len(CELLS.points)]) % count)
@@ -53,7 +55,7 @@ def answer(graph, feeds):
 
 
 def test_a_base_in_cells_lies_round_the_points_of_the_cells_that_may_be_drawn():
-    base = CellBase(CELLS, torch.tensor([[0.0, 1.0, 0.0], [0.5, 0.0, 0.5]]))
+    base = CellBase(CELLS, torch.tensor([[0.0, 1.0, 0.0], [0.5, 0.0, 0.5]]), SPACE)
     rng = torch.Generator().manual_seed(0)
     cell, drawn = base.draw_in_cells(torch.tensor([0] * 200 + [1] * 200), rng)
     assert set(cell[:200].tolist()) == {1}
@@ -63,7 +65,9 @@ def test_a_base_in_cells_lies_round_the_points_of_the_cells_that_may_be_drawn():
 
 
 def test_a_uniform_base_fills_the_torus():
-    drawn = UniformBase(3).draw(torch.zeros(4000, dtype=torch.int64), torch.Generator().manual_seed(0))
+    drawn = UniformBase(circles(3)).draw(
+        torch.zeros(4000, dtype=torch.int64), torch.Generator().manual_seed(0)
+    )
     assert drawn.shape == (4000, 3)
     assert float(drawn.abs().max()) <= np.pi
     assert torch.histc(drawn, 4).min() > 2700
@@ -140,9 +144,9 @@ def test_the_gate_learns_the_shares_of_the_cells():
 def test_a_distilled_generator_comes_to_answer_as_its_teachers():
     config = GanConfig.model_validate(TINY | {"steps": 300, "generator_learning_rate": 5e-3, "hidden": 32})
     samples = ring_samples(latent_dim=4)
-    base = CellBase(CELLS, torch.full((2, 3), 1 / 3))
+    base = CellBase(CELLS, torch.full((2, 3), 1 / 3), SPACE)
     with seeded_initialisation(0):
-        student = TorusGenerator(2, 4, 32, 2, 2)
+        student = TorusGenerator(Sizes(SPACE, 4, 32, 2), 2)
     module = DistillationModule(config, samples, experts()[1], None, student, None, base, 0)
     module.training_step(0, 0)
     before = module.metrics()["distillation_loss"]

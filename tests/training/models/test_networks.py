@@ -3,16 +3,19 @@ import math
 import pytest
 import torch
 
+from cspace.space import circles
 from training.models.networks import (
     Critic,
     Decoder,
     Encoder,
     MeansGenerator,
+    Sizes,
     TorusGenerator,
 )
 from training.models.space.features import harmonics, torus_features
 
 SCALE = (torch.zeros(3), torch.ones(3))
+SIZES = Sizes(circles(3), 5, 16, 2)
 
 
 @pytest.mark.parametrize("patches", [1, 4])
@@ -36,13 +39,13 @@ def test_a_decoder_that_has_become_white_everywhere_still_learns():
 
 def test_the_torus_generator_starts_near_the_uniform_sampler():
     base = torch.rand(64, 3) * 2.0 * torch.pi - torch.pi
-    samples = TorusGenerator(3, 5, 16, 2, 2)(torch.zeros(64, 5), base, torch.randn(64, 2))
+    samples = TorusGenerator(SIZES, 2)(torch.zeros(64, 5), base, torch.randn(64, 2))
     assert samples.shape == (64, 1, 3)
     assert (samples[:, 0] - base).abs().max() < 0.3
 
 
 def test_the_torus_generator_does_not_see_the_seam():
-    generator = TorusGenerator(2, 5, 16, 2, 2)
+    generator = TorusGenerator(Sizes(circles(2), 5, 16, 2), 2)
     latent, noise = torch.randn(4, 5), torch.randn(4, 2)
     near = torch.full((4, 2), math.pi)
     apart = generator(latent, near, noise) - generator(latent, -near, noise)
@@ -50,7 +53,7 @@ def test_the_torus_generator_does_not_see_the_seam():
 
 
 def test_the_means_generator_spreads_its_samples_by_sigma_round_each_mean():
-    generator = MeansGenerator(3, 5, 16, 2, 4, 0.5, (torch.zeros(3), torch.full((3,), 2.0)))
+    generator = MeansGenerator(SIZES, 4, 0.5, (torch.zeros(3), torch.full((3,), 2.0)))
     latent = torch.zeros(1, 5)
     quiet, loud = generator(latent, torch.zeros(1, 4, 3)), generator(latent, torch.ones(1, 4, 3))
     assert quiet.shape == (1, 4, 3)
@@ -69,7 +72,7 @@ def test_torus_features_hold_every_joint_and_every_pair(dim, width):
 
 @pytest.mark.parametrize("features", ["torus", "standardised"])
 def test_the_critic_by_projection_tells_scenarios_apart(features):
-    critic = Critic(3, 5, 16, 2, scenarios=2, features=features, scale=SCALE)
+    critic = Critic(SIZES, scenarios=2, features=features, scale=SCALE)
     same = torch.zeros(2, 3)
     values = critic(same, torch.tensor([0, 1]))
     assert values.shape == (2,)
@@ -77,6 +80,6 @@ def test_the_critic_by_projection_tells_scenarios_apart(features):
 
 
 def test_the_critic_by_latent_tells_latents_apart():
-    critic = Critic(3, 5, 16, 2, scenarios=None, features="torus", scale=SCALE)
+    critic = Critic(SIZES, scenarios=None, features="torus", scale=SCALE)
     values = critic(torch.zeros(2, 3), torch.stack([torch.zeros(5), torch.ones(5)]))
     assert values[0] != values[1]

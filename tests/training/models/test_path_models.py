@@ -13,6 +13,7 @@ from tests.training.models.path_builders import LATENT, arrays
 from tests.training.paths.test_ways import walled_head
 from training.config.paths import PathTrainConfig
 from training.models.lookups.lookups import make_lookups
+from training.models.networks import Sizes
 from training.models.paths.condition import Condition, swept
 from training.models.paths.density import DensitySampler
 from training.models.paths.modules import PathGanModule
@@ -93,7 +94,7 @@ def test_a_guide_pulls_the_generator_its_way():
     config = SMALL.wgan.model_copy(update={"guide_weight": 1.0, "steps": 60})
     for name, guides in (("alone", []), ("guided", [Guide()])):
         torch.manual_seed(0)  # noqa: TID251 - two modules that start alike
-        module = PathGanModule(config, given.samples(), None, 0, guides)
+        module = PathGanModule(config, given.samples(), None, 0, TWO_LINK.space, guides)
         for step in range(60):
             module.training_step(step, 0)
         batch = module.samples.draw(200, module.rng)
@@ -104,7 +105,7 @@ def test_a_guide_pulls_the_generator_its_way():
 
 
 def test_a_refining_generators_base_covers_the_torus():
-    net = RefiningGenerator(2, LATENT, 8, 1, 1, 0, 0, place=False)
+    net = RefiningGenerator(Sizes(TWO_LINK.space, LATENT, 8, 1), 1, 0, place=False)
     noise = torch.randn(4000, 3, generator=torch.Generator().manual_seed(0))
     ends = torch.zeros(4000, 2)
     points = net(Condition(torch.zeros(4000, LATENT), ends, ends, None), noise, blind)
@@ -207,7 +208,7 @@ def test_stored_fields_are_those_that_were_stored_either_way_round():
 
 
 def test_a_flow_takes_any_number_of_joints():
-    flow = PathFlow(3, LATENT, 16, 1, 2, 0, place=True)
+    flow = PathFlow(Sizes(THREE_LINK.space, LATENT, 16, 1), 2, place=True)
     graph = point_graph(PointSampler(flow.eval(), None, place=True, sweep=2), LATENT, 48)
     fed = feeds({"noise": 3} | dict.fromkeys(["latent", "start", "goal", "place"], 0), dim=THREE_LINK.dim)
     assert answer(graph.model, fed).shape == (5, 1, 3)

@@ -100,7 +100,7 @@ class PictureReader(nn.Module):
 
     def __init__(self, lookups: ArmLookups, images: Tensor) -> None:
         super().__init__()
-        self.lookups, self.side = lookups, images.shape[1]
+        self.lookups, self.side, self.values = lookups, images.shape[1], lookups.values
         self.register_buffer("pixels", images.reshape(-1, images.shape[3]), persistent=False)
 
     def forward(self, ids: Tensor, configurations: Tensor) -> Tensor:
@@ -144,16 +144,20 @@ def make_reader(config: LookupConfig, scenes: Scenes | None) -> PictureReader | 
     Raises:
         ConfigError: look-ups without pictures.
     """
-    if config.points_per_link and scenes is None:
+    if config.points_per_link == 0:
+        return None
+    if scenes is None:
         raise ConfigError(
-            "look-ups need the pictures",
-            expected="pictures, or points_per_link=0",
-            got="no pictures",
+            "look-ups need the pictures", expected="pictures, or points_per_link=0", got="no pictures"
         )
-    lookups = None if scenes is None else make_lookups(config, scenes.world)
-    return None if lookups is None or scenes is None else PictureReader(lookups, scenes.images)
+    return PictureReader(ArmLookups(scenes.world, config.points_per_link, config.side_m), scenes.images)
 
 
-def values_read(reader: PictureReader | None) -> int:
-    """How many values a reader gives for one configuration; 0 for none."""
-    return 0 if reader is None else reader.lookups.values
+def read(reader: PictureReader | None, ids: Tensor, configurations: Tensor) -> Tensor | None:
+    """What a reader finds at configurations (b, d) in the pictures of the ids (b,); None for no look-ups."""
+    return None if reader is None else reader(ids, configurations)
+
+
+def values_read(found: PictureReader | ArmLookups | None) -> int:
+    """How many values look-ups give for one configuration; 0 for none."""
+    return 0 if found is None else found.values

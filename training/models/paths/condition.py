@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from training.models.space.features import HARMONICS, harmonics
+from training.models.networks import beside
 from training.models.space.joints import Joints
 
 PLACE_FEATURES = 9
@@ -27,16 +27,15 @@ class Condition:
     goal: Tensor
     place: Tensor | None
 
-    def features(self, joints: Joints | None = None) -> Tensor:
-        """Side by side, (m, F); the joints are circles alone for None."""
-        seen = harmonics if joints is None else joints.features
-        parts = [self.latent, seen(self.start), seen(self.goal)]
-        return torch.cat([*parts, *([] if self.place is None else [place_features(self.place)])], dim=1)
+    def features(self, joints: Joints) -> Tensor:
+        """Side by side, (m, F)."""
+        parts = [self.latent, joints.features(self.start), joints.features(self.goal)]
+        return beside(parts, None if self.place is None else place_features(self.place))
 
 
-def condition_size(latent_dim: int, dim: int, *, place: bool, limits: int = 0) -> int:
-    """F, of :meth:`Condition.features`, where so many of the joints have limits."""
-    return latent_dim + 4 * HARMONICS * dim + 2 * limits + (PLACE_FEATURES if place else 0)
+def condition_size(latent_dim: int, joints: Joints, *, place: bool) -> int:
+    """F, of :meth:`Condition.features`."""
+    return latent_dim + 2 * joints.features_size + (PLACE_FEATURES if place else 0)
 
 
 def place_features(place: Tensor) -> Tensor:

@@ -57,6 +57,7 @@ class DensityModule(TrialModule):
     """
 
     maps: Tensor
+    samples: PathSamples
 
     def __init__(
         self,
@@ -72,16 +73,11 @@ class DensityModule(TrialModule):
         self.register_buffer("maps", maps, persistent=False)
         self.fields = fields
         self.net = PathUNet(CellGrid(space, config.cells), config.width, ways=config.ways)
-        optimiser = torch.optim.Adam(self.parameters(), lr=config.learning_rate)
-        self.training_optimisers = [optimiser]
-        rate = torch.optim.lr_scheduler.OneCycleLR
-        self.training_schedules = [
-            rate(optimiser, config.learning_rate, total_steps=config.steps + 1, pct_start=0.1)
-        ]
+        self.one_cycle(self.parameters(), config.learning_rate, config.steps)
 
     def on_fit_start(self) -> None:
         """Keep the data where the model is."""
-        self.samples = self.samples.to(self.device)
+        super().on_fit_start()
         self.fields = None if self.fields is None else self.fields.to(self.device)
 
     def training_step(self, step: int, batch_index: int) -> None:
@@ -99,13 +95,7 @@ class DensityModule(TrialModule):
         offset = (
             (targets.shares.unsqueeze(2) * (found.offset - targets.offsets).square()).sum(dim=(1, 2)).mean()
         )
-        loss = density + progress + offset
-        (optimiser,) = self.training_optimisers
-        optimiser.zero_grad()
-        loss.backward()
-        nn.utils.clip_grad_norm_(self.parameters(), 5.0)
-        optimiser.step()
-        self.training_schedules[0].step()
+        self.descend(density + progress + offset, clip=5.0)
         self.latest = {
             "density_loss": density.detach(),
             "progress_loss": progress.detach(),

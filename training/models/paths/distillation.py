@@ -7,7 +7,8 @@ from torch import Tensor
 
 from cspace.space import JointSpace
 from training.models.lookups.lookups import Scenes
-from training.models.paths.modules import PointModule, descend, make_flow, one_cycle
+from training.models.paths.modules import PointModule
+from training.models.paths.points import PathFlow
 from training.models.paths.samples import PathSamples
 from training.models.paths.settings import DistillationConfig, FlowConfig
 
@@ -29,7 +30,7 @@ class FlowDistillationModule(PointModule):
         scenes: their pictures; None where nothing is looked up.
         weights: of the trained flow, which is the teacher; the student starts as a copy.
         seed: of every draw.
-        space: the joint space; None for circles alone.
+        space: the joint space.
     """
 
     def __init__(
@@ -40,16 +41,16 @@ class FlowDistillationModule(PointModule):
         scenes: Scenes | None,
         weights: Mapping[str, Tensor],
         seed: int,
-        space: JointSpace | None = None,
+        space: JointSpace,
     ) -> None:
         super().__init__(flow, samples, scenes, seed, space)
         self.config = config
-        self.teacher = make_flow(flow, self.dim, self.latent_dim, self.looked_up, space)
+        self.teacher = PathFlow(self.sizes, flow.evaluations, place=flow.place)
         self.teacher.load_state_dict(weights)
         self.teacher.requires_grad_(requires_grad=False)
-        self.net = make_flow(config.student_of(flow), self.dim, self.latent_dim, self.looked_up, space)
+        self.net = PathFlow(self.sizes, config.evaluations, place=flow.place)
         self.net.load_state_dict(weights)
-        one_cycle(self, self.net.parameters(), config.learning_rate, config.steps)
+        self.one_cycle(self.net.parameters(), config.learning_rate, config.steps)
 
     def training_step(self, step: int, batch_index: int) -> None:
         """One step of the regression."""
@@ -61,5 +62,5 @@ class FlowDistillationModule(PointModule):
             wanted = self.teacher(condition, noise, look)
         squared = (self.net(condition, noise, look) - wanted).square().sum(dim=1)
         loss = ((squared + _ROUND_RAD**2).sqrt() - _ROUND_RAD).mean()
-        descend(self, loss)
+        self.descend(loss)
         self.latest = {"distillation_loss": loss.detach()}

@@ -1,8 +1,8 @@
 """Networks that give one point of a path for each row of random numbers: flow, VAE decoder, generator.
 
-All of them take a ``Condition``, and read the picture through a ``Look``:
-a function from configurations (m, d) to what the picture shows there, (m, values), or None without look-ups.
-``space`` is the joint space of each, None for circles alone; no point lies outside its limits.
+All of them take a ``Condition``, with a place along the path or without one, and read the picture through a
+``Look``: a function from configurations (m, d) to what the picture shows there, (m, values), or None without
+look-ups. No point lies outside the limits of the joint space.
 """
 
 from collections.abc import Callable
@@ -10,8 +10,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor, nn
 
-from cspace.space import JointSpace
-from training.models.networks import mlp
+from training.models.networks import Sizes, beside, mlp, near_zero
 from training.models.paths.condition import PLACE_FEATURES, Condition, condition_size, place_features
 from training.models.space.joints import Joints
 
@@ -32,28 +31,15 @@ class PathFlow(nn.Module):
     Shapes: at (m, d) rad, time (m, 1), features (m, F), seen (m, values) or None to (m, d) rad.
     """
 
-    def __init__(
-        self,
-        dim: int,
-        latent_dim: int,
-        hidden: int,
-        layers: int,
-        evaluations: int,
-        looked_up: int,
-        *,
-        place: bool,
-        space: JointSpace | None = None,
-    ) -> None:
+    def __init__(self, sizes: Sizes, evaluations: int, *, place: bool) -> None:
         super().__init__()
-        self.joints = Joints.of(space, dim)
-        inputs = _seen_size(self.joints, latent_dim, place=place) + PLACE_FEATURES + looked_up
-        self.dim, self.evaluations, self.noise_dim = dim, evaluations, dim
-        self.net = mlp(inputs, hidden, layers, dim)
+        self.joints, self.evaluations, self.noise_dim = Joints(sizes.space), evaluations, sizes.space.dim
+        inputs = condition_size(sizes.latent_dim, self.joints, place=place) + self.joints.features_size
+        self.net = sizes.mlp(inputs + PLACE_FEATURES, sizes.space.dim)
 
     def velocity(self, at: Tensor, time: Tensor, features: Tensor, seen: Tensor | None) -> Tensor:
         """Where a point moves, rad in a unit of time."""
-        parts = [features, self.joints.features(at), place_features(time), *([] if seen is None else [seen])]
-        moved: Tensor = self.net(torch.cat(parts, dim=1))
+        moved: Tensor = self.net(beside([features, self.joints.features(at), place_features(time)], seen))
         return moved
 
     def forward(self, condition: Condition, noise: Tensor, look: Look) -> Tensor:
@@ -73,24 +59,13 @@ class PathFlow(nn.Module):
 
 
 class PathDecoder(nn.Module):
-    """A code to a point, as an embedding: code (m, k), condition to (m, d) rad."""
+    """A code to a point, as an embedding: code (m, k), condition to (m, d) rad; it looks nothing up."""
 
-    def __init__(
-        self,
-        dim: int,
-        latent_dim: int,
-        hidden: int,
-        layers: int,
-        code_dim: int,
-        looked_up: int,
-        *,
-        place: bool,
-        space: JointSpace | None = None,
-    ) -> None:
+    def __init__(self, sizes: Sizes, code_dim: int, *, place: bool) -> None:
         super().__init__()
-        self.dim, self.noise_dim, self.joints = dim, code_dim, Joints.of(space, dim)
-        inputs = _condition_size(self.joints, latent_dim, place=place) + code_dim + looked_up
-        self.net = mlp(inputs, hidden, layers, self.joints.embedded_size)
+        self.noise_dim, self.joints = code_dim, Joints(sizes.space)
+        inputs = condition_size(sizes.latent_dim, self.joints, place=place) + code_dim
+        self.net = mlp(inputs, sizes.hidden, sizes.layers, self.joints.embedded_size)
 
     def embedded(self, condition: Condition, code: Tensor) -> Tensor:
         """Cosines, then sines, of any length, then places within limits; (m, e)."""
@@ -106,20 +81,11 @@ class PathDecoder(nn.Module):
 class PathRecogniser(nn.Module):
     """A point and its condition to mean and log variance of its code, (m, d) rad to (m, k) each."""
 
-    def __init__(
-        self,
-        dim: int,
-        latent_dim: int,
-        hidden: int,
-        layers: int,
-        code_dim: int,
-        *,
-        place: bool,
-        space: JointSpace | None = None,
-    ) -> None:
+    def __init__(self, sizes: Sizes, code_dim: int, *, place: bool) -> None:
         super().__init__()
-        self.joints = Joints.of(space, dim)
-        self.net = mlp(_seen_size(self.joints, latent_dim, place=place), hidden, layers, 2 * code_dim)
+        self.joints = Joints(sizes.space)
+        inputs = condition_size(sizes.latent_dim, self.joints, place=place) + self.joints.features_size
+        self.net = mlp(inputs, sizes.hidden, sizes.layers, 2 * code_dim)
 
     def forward(self, condition: Condition, points: Tensor) -> tuple[Tensor, Tensor]:
         """Mean and log variance."""
@@ -134,70 +100,37 @@ class RefiningGenerator(nn.Module):
     Shapes: noise (m, n), the first d of which place the base on the torus, to (m, d) rad.
     """
 
-    def __init__(
-        self,
-        dim: int,
-        latent_dim: int,
-        hidden: int,
-        layers: int,
-        noise_dim: int,
-        refinements: int,
-        looked_up: int,
-        *,
-        place: bool,
-        space: JointSpace | None = None,
-    ) -> None:
+    def __init__(self, sizes: Sizes, noise_dim: int, refinements: int, *, place: bool) -> None:
         super().__init__()
-        self.dim, self.noise_dim, self.joints = dim, dim + noise_dim, Joints.of(space, dim)
-        inputs = _seen_size(self.joints, latent_dim, place=place) + noise_dim + looked_up
-        self.moves = nn.ModuleList(mlp(inputs, hidden, layers, dim) for _ in range(refinements))
-        for move in self.moves:
-            last = move[-1]  # type: ignore[index]
-            nn.init.normal_(last.weight, std=1e-2)
-            nn.init.zeros_(last.bias)
+        self.joints, self.noise_dim = Joints(sizes.space), sizes.space.dim + noise_dim
+        inputs = condition_size(sizes.latent_dim, self.joints, place=place) + self.joints.features_size
+        moves = [sizes.mlp(inputs + noise_dim, sizes.space.dim) for _ in range(refinements)]
+        for move in moves:
+            near_zero(move[-1])
+        self.moves = nn.ModuleList(moves)
 
     def forward(self, condition: Condition, noise: Tensor, look: Look) -> Tensor:
         """Points (m, d) rad."""
         # Standard normal noise, so that all generators draw alike; erf spreads it evenly over the torus.
-        at = self.joints.from_torus(torch.pi * torch.erf(noise[:, : self.dim] / 2.0**0.5))
-        rest, features = noise[:, self.dim :], condition.features(self.joints)
+        dim = self.joints.dim
+        at = self.joints.from_torus(torch.pi * torch.erf(noise[:, :dim] / 2.0**0.5))
+        rest, features = noise[:, dim:], condition.features(self.joints)
         for move in self.moves:
             seen = look(at)
-            parts = [features, self.joints.features(at), rest, *([] if seen is None else [seen])]
-            at = self.joints.fold(at + move(torch.cat(parts, dim=1)))
+            at = self.joints.fold(at + move(beside([features, self.joints.features(at), rest], seen)))
         return at
 
 
 class PathCritic(nn.Module):
     """f(point | condition): points (m, d) rad, features (m, F), seen (m, values) or None to (m,)."""
 
-    def __init__(
-        self,
-        dim: int,
-        latent_dim: int,
-        hidden: int,
-        layers: int,
-        looked_up: int,
-        *,
-        place: bool,
-        space: JointSpace | None = None,
-    ) -> None:
+    def __init__(self, sizes: Sizes, *, place: bool) -> None:
         super().__init__()
-        self.joints = Joints.of(space, dim)
-        inputs = _condition_size(self.joints, latent_dim, place=place) + self.joints.pair_features_size
-        self.net = mlp(inputs + looked_up, hidden, layers, 1)
+        self.joints = Joints(sizes.space)
+        inputs = condition_size(sizes.latent_dim, self.joints, place=place) + self.joints.pair_features_size
+        self.net = sizes.mlp(inputs, 1)
 
     def forward(self, points: Tensor, features: Tensor, seen: Tensor | None) -> Tensor:
         """The critic's value."""
-        parts = [features, self.joints.pair_features(points), *([] if seen is None else [seen])]
-        values: Tensor = self.net(torch.cat(parts, dim=1)).squeeze(1)
+        values: Tensor = self.net(beside([features, self.joints.pair_features(points)], seen)).squeeze(1)
         return values
-
-
-def _condition_size(joints: Joints, latent_dim: int, *, place: bool) -> int:
-    return condition_size(latent_dim, joints.dim, place=place, limits=joints.limits)
-
-
-def _seen_size(joints: Joints, latent_dim: int, *, place: bool) -> int:
-    """Of a condition with a configuration beside it."""
-    return _condition_size(joints, latent_dim, place=place) + joints.features_size

@@ -11,6 +11,7 @@ from torch import Tensor
 from cspace.dataset import Dataset
 from cspace.errors import DatasetError
 from cspace.path_points import spread_points
+from training.models.data import Held
 
 MIN_POINTS = 2
 
@@ -39,8 +40,8 @@ class PathBatch:
 
 
 @dataclass(frozen=True, slots=True)
-class PathSamples:
-    """Paths of equally many points with the latents of their scenarios, held in memory.
+class PathSamples(Held):
+    """Paths of equally many points with the latents of their scenarios.
 
     Args:
         paths: (T, P, d) float32 rad, points at equal distances.
@@ -53,10 +54,6 @@ class PathSamples:
     ids: Tensor
     mu: Tensor
     sigma: Tensor
-
-    def to(self, device: torch.device) -> "PathSamples":
-        """The same on another device."""
-        return PathSamples(*(getattr(self, name).to(device) for name in self.__slots__))
 
     def draw_rows(self, size: int, rng: torch.Generator) -> tuple[Tensor, Tensor]:
         """Numbers of paths (b,), and which of them are walked from goal to start (b,): every other one."""

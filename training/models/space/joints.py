@@ -9,7 +9,7 @@ Without limits all of it is the torus, number for number.
 import torch
 from torch import Tensor, nn
 
-from cspace.space import JointSpace, circles
+from cspace.space import JointSpace
 from training.models import losses
 from training.models.space.features import HARMONICS, harmonics, on_torus, torus_features
 
@@ -44,11 +44,6 @@ class Joints(nn.Module):
         for name, value in values.items():
             self.register_buffer(name, value, persistent=False)
         self.limits = len(columns)
-
-    @classmethod
-    def of(cls, space: JointSpace | None, dim: int) -> "Joints":
-        """Those of a space; of ``dim`` circles for None."""
-        return cls(circles(dim) if space is None else space)
 
     @property
     def features_size(self) -> int:

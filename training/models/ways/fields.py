@@ -80,12 +80,10 @@ def way_maps_graph(space: JointSpace, cells: int, penalty: float) -> onnx.ModelP
 
     The maps are confidence, detour and progress, one after the other.
     """
-    wanted = {"grid_shape", "prices", "beyond_rows", "beyond_columns", "low", "size", "count", "strides"}
-    constants: dict[str, NDArray[Any]] = {
-        name: value for name, value in way_constants(space, cells).items() if name in wanted
+    constants = way_constants(space, cells) | {
+        "penalty": np.array(penalty, dtype=np.float32),
+        "sweeps": np.array(SWEEPS, dtype=np.int64),
+        "farthest": np.array(FARTHEST_RAD, dtype=np.float32),
     }
-    constants["penalty"] = np.array(penalty, dtype=np.float32)
-    constants["sweeps"] = np.array(SWEEPS, dtype=np.int64)
-    constants["farthest"] = np.array(FARTHEST_RAD, dtype=np.float32)
     graph = inliner.inline_local_functions(way_maps.to_model_proto())  # type: ignore[no-untyped-call]
     return fixed(graph, constants)

@@ -9,8 +9,8 @@ import torch
 from cspace.bundle import Bundle
 from cspace.errors import ConfigError
 from training.config.clusters import TrainConfig
-from training.models.checkpoint import load_weights, seeded_initialisation
-from training.models.lookups.lookups import make_lookups
+from training.models.checkpoint import trained
+from training.models.lookups.lookups import make_lookups, values_read
 from training.models.modules import make_critic
 from training.models.networks import Critic
 from training.models.settings import LookupConfig
@@ -41,19 +41,14 @@ class Guides:
     def critics(self) -> list[Critic]:
         """The critics, as they were trained."""
         spec = Bundle.load(self.bundle).spec
-        lookups = make_lookups(self.lookups, spec.world)
-        values = 0 if lookups is None else lookups.values
+        looked_up = values_read(make_lookups(self.lookups, spec.world))
+        # The angles' mean and deviation are among the weights.
         scale = (torch.zeros(spec.dim), torch.ones(spec.dim))
-        found = []
-        for checkpoint in self.checkpoints:
-            with seeded_initialisation(0):
-                critic = make_critic(
-                    self.train.local, spec.dim, spec.latent_dim, 0, scale, values, spec.world.space
-                )
-            # The angles' mean and deviation are among the weights.
-            critic.load_state_dict(load_weights(checkpoint, "critic"))
-            found.append(critic)
-        return found
+
+        def fresh() -> Critic:
+            return make_critic(self.train.local, spec.world.space, spec.latent_dim, 0, scale, looked_up)
+
+        return [trained(fresh, checkpoint, "critic") for checkpoint in self.checkpoints]
 
 
 def find_guides(folder: Path, digest: str) -> Guides:

@@ -1,15 +1,14 @@
 """The trials of path models: one function that Tune runs, and how a trained network is read back."""
 
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any, cast
+from typing import cast
 
 import torch
 
 from cspace.errors import JobError
 from training.config.paths import PathModel, PathTrainConfig
-from training.models.checkpoint import load_weights, seeded_initialisation
-from training.models.lookups.lookups import make_reader
+from training.models.checkpoint import load_weights, seeded_initialisation, trained
+from training.models.lookups.lookups import Scenes, make_lookups, make_reader, values_read
 from training.models.modules import TrialModule
 from training.models.paths.density import DensityModule
 from training.models.paths.distillation import FlowDistillationModule
@@ -17,18 +16,16 @@ from training.models.paths.modules import (
     FlowModule,
     PathGanModule,
     PathVaeModule,
-    make_flow,
     make_path_generator,
+    point_sizes,
 )
 from training.models.paths.points import PathDecoder, PathFlow, RefiningGenerator
-from training.models.paths.settings import FlowConfig, PathGanConfig, PointConfig
+from training.models.paths.settings import FlowConfig, PathGanConfig, PathVaeConfig, PointConfig
 from training.models.paths.unet import CellGrid, PathUNet
 from training.trials.paths.arrays import PathArrays
 from training.trials.paths.guides import Guides
 from training.trials.request import TrialRequest
 from training.trials.tracked import fit_tracked
-
-Maker = Callable[[PathTrainConfig, PathArrays, int, Guides | None], TrialModule]
 
 
 def path_trial(
@@ -86,42 +83,36 @@ def make_path_module(
         return PathVaeModule(train.cvae, samples, _scenes(train.cvae, arrays), seed, space)
     config: PathGanConfig = getattr(train, name)
     if config.guide_weight == 0.0:
-        return PathGanModule(config, samples, _scenes(config, arrays), seed, space=space)
+        return PathGanModule(config, samples, _scenes(config, arrays), seed, space)
     if guides is None:
         raise JobError("a guided model needs local critics", expected="guides", got="none")
     reader = make_reader(guides.lookups, arrays.scenes())
-    return PathGanModule(config, samples, _scenes(config, arrays), seed, guides.critics(), reader, space)
+    return PathGanModule(config, samples, _scenes(config, arrays), seed, space, guides.critics(), reader)
 
 
 def load_density(train: PathTrainConfig, arrays: PathArrays, checkpoint: Path) -> PathUNet:
     """The U-Net of a trial's checkpoint."""
-    with seeded_initialisation(0):
-        grid = CellGrid(arrays.world.space, train.density.cells)
-        net = PathUNet(grid, train.density.width, ways=train.density.ways)
-    net.load_state_dict(load_weights(checkpoint, "net"))
-    return net.eval()
+    grid, config = CellGrid(arrays.world.space, train.density.cells), train.density
+    return trained(lambda: PathUNet(grid, config.width, ways=config.ways), checkpoint, "net")
 
 
 def load_points(
     name: PathModel, train: PathTrainConfig, arrays: PathArrays, checkpoint: Path
 ) -> PathFlow | PathDecoder | RefiningGenerator:
     """The flow, decoder or generator of a trial's checkpoint."""
-    dim, latent_dim, space = arrays.paths.shape[2], arrays.mu.shape[1], arrays.world.space
     config = train.points_of(name)
-    reader = make_reader(config.lookups, _scenes(config, arrays))
-    looked_up = 0 if reader is None else reader.lookups.values
-    net: PathFlow | PathDecoder | RefiningGenerator
-    with seeded_initialisation(0):
+    looked_up = values_read(make_lookups(config.lookups, arrays.world))
+    sizes = point_sizes(config, arrays.world.space, arrays.mu.shape[1], looked_up)
+
+    def fresh() -> PathFlow | PathDecoder | RefiningGenerator:
         if isinstance(config, FlowConfig):
-            net = make_flow(config, dim, latent_dim, looked_up, space)
-        elif name == "cvae":
-            sizes = (dim, latent_dim, train.cvae.hidden, train.cvae.layers, train.cvae.code_dim)
-            net = PathDecoder(*sizes, 0, place=train.cvae.place, space=space)
-        else:
-            net = make_path_generator(getattr(train, name), dim, latent_dim, looked_up, space)
-    net.load_state_dict(load_weights(checkpoint, "net"))
-    return net.eval()
+            return PathFlow(sizes, config.evaluations, place=config.place)
+        if isinstance(config, PathVaeConfig):
+            return PathDecoder(sizes, config.code_dim, place=config.place)
+        return make_path_generator(getattr(train, name), sizes)
+
+    return trained(fresh, checkpoint, "net")
 
 
-def _scenes(config: PointConfig, arrays: PathArrays) -> Any:
+def _scenes(config: PointConfig, arrays: PathArrays) -> Scenes | None:
     return arrays.scenes() if config.lookups.points_per_link else None

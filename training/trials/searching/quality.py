@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from cspace.splits import Split
 from cspace.world import World
-from services.evaluator.measures.reconstruction import SampleQuality, sample_quality
+from services.evaluator.measures.reconstruction import SampleQuality
 from services.evaluator.measures.scenes import Scene, Stage
 from training.models.cells import UniformBase
 from training.models.mixture import GatedSampler, LookupSampler
@@ -48,7 +48,7 @@ class Validation:
     def rows(self, sampler: TorchSampler | None) -> list[SampleQuality]:
         """A sampler in every scenario; uniform samples for None."""
         return [
-            sample_quality(self._sample(sampler, scene), real, scene.space, scene.checker.valid_batch)
+            scene.quality(self._sample(sampler, scene), real)
             for scene, real in zip(self.scenes, self.held_out, strict=True)
         ]
 
@@ -74,7 +74,7 @@ class Validation:
                 cell, place, jitter = (torch.rand(SAMPLES, size, generator=rng) for size in (1, 1, dim))
                 start = [cell, place, jitter - 0.5]
             else:
-                start = [UniformBase(dim, scene.space).draw(torch.zeros(SAMPLES), rng)]
+                start = [UniformBase(scene.space).draw(torch.zeros(SAMPLES), rng)]
             noise = torch.randn(SAMPLES, sampler.noise_dim, generator=rng)
             seen = [image] if getattr(sampler, "lookups", None) is not None else []
             samples: torch.Tensor = sampler(latent, *start, noise, *seen)

@@ -20,9 +20,8 @@ from services.planner.settings import (
     SAMPLED_CONNECT,
 )
 
-RANGE_RAD = 1.0
-# The ranges at which uniform RRT is measured as well, so that its own best one is known.
-OTHER_RANGES_RAD = (0.5, 2.0)
+# Of the world's range, at which uniform RRT is measured as well, so that its own best one is known.
+OTHER_RANGES = (0.5, 2.0)
 LEARNED_SHARES = (0.7, 1.0)
 DEFAULT_SHARE = 0.7
 SAMPLES = 300
@@ -69,7 +68,7 @@ class Arm:
         ordered: whether the planner takes the samples along the way through them, from the start on.
         min_confidence: what the sampler's validity head has to score; 0 for the samples as they come.
         colliding_last: whether the planner takes samples that collide after all others.
-        range_rad: of the planner, in OMPL's metric.
+        range_rad: of the planner, in OMPL's metric; one rad until :func:`table` knows the world's.
         stop_at_first: whether the search ends with its first solution.
     """
 
@@ -85,7 +84,7 @@ class Arm:
     ordered: bool = False
     min_confidence: float = 0.0
     colliding_last: bool = False
-    range_rad: float = RANGE_RAD
+    range_rad: float = 1.0
     stop_at_first: bool = True
 
     def query(self, seed: int) -> SampleQuery:
@@ -111,20 +110,21 @@ class Taken:
 _AS_USUAL = Taken()
 
 
-def table(samplers: Sequence[str], taken: Taken = _AS_USUAL) -> tuple[Arm, ...]:
+def table(samplers: Sequence[str], range_rad: float, taken: Taken = _AS_USUAL) -> tuple[Arm, ...]:
     """All arms that there are.
 
     Args:
         samplers: names of the learned samplers.
+        range_rad: that planners have in this world.
         taken: how the arms take their samples.
     """
-    arms = [*_uniform_arms(), *_optimising_arms(None, taken)]
+    arms = [*_uniform_arms(range_rad), *_optimising_arms(None, taken)]
     for sampler in samplers:
         arms += [*_learned_arms(sampler, taken), *_filtered_arms(sampler, taken)]
         arms += [*_ordered_arms(sampler, taken), *_checked_arms(sampler, taken)]
         arms += [*_schedule_arms(sampler, taken.samples)]
         arms += [*_optimising_arms(sampler, taken), *_count_arms(sampler)]
-    return tuple(arms)
+    return tuple(replace(arm, range_rad=range_rad * arm.range_rad) for arm in arms)
 
 
 def pick(arms: Sequence[Arm], wanted: Sequence[str], planners: Sequence[str] = ()) -> tuple[Arm, ...]:
@@ -168,18 +168,18 @@ def _percent(share: float) -> str:
     return f"{100.0 * share:g} %"
 
 
-def _uniform_arms() -> Iterator[Arm]:
+def _uniform_arms(range_rad: float) -> Iterator[Arm]:
     for planner in _UNIFORM:
         yield Arm(_uniform(planner), Group.UNIFORM, planner, _uniform(planner))
-    for range_rad in OTHER_RANGES_RAD:
-        name = f"{_uniform(RRT)}, range {range_rad:g}"
-        yield Arm(name, Group.UNIFORM, RRT, _uniform(RRT), range_rad=range_rad)
+    for factor in OTHER_RANGES:
+        name = f"{_uniform(RRT)}, range {factor * range_rad:g}"
+        yield Arm(name, Group.UNIFORM, RRT, _uniform(RRT), range_rad=factor)
 
 
 def _learned_arms(sampler: str, taken: Taken) -> Iterator[Arm]:
     for planner in LEARNED_PLANNERS:
         for share in taken.shares:
-            yield _with(sampler, planner, Group.LEARNED, share, _percent(share), samples=taken.samples)
+            yield _with(sampler, planner, Group.LEARNED, share, _percent(share), taken.samples)
 
 
 def _filtered_arms(sampler: str, taken: Taken) -> Iterator[Arm]:
@@ -187,7 +187,8 @@ def _filtered_arms(sampler: str, taken: Taken) -> Iterator[Arm]:
     least = taken.min_confidence
     for share in taken.shares if least > 0.0 else ():
         name = f"{_percent(share)}, filtered"
-        yield _with(sampler, RRT, Group.FILTERED, share, name, samples=taken.samples, min_confidence=least)
+        arm = _with(sampler, RRT, Group.FILTERED, share, name, taken.samples)
+        yield replace(arm, min_confidence=least)
 
 
 def _ordered_arms(sampler: str, taken: Taken) -> Iterator[Arm]:
@@ -195,7 +196,7 @@ def _ordered_arms(sampler: str, taken: Taken) -> Iterator[Arm]:
     for planner in (RRT, SAMPLED_CONNECT):
         for share in taken.shares:
             name = f"{_percent(share)}, ordered"
-            arm = _with(sampler, planner, Group.ORDERED, share, name, samples=taken.samples)
+            arm = _with(sampler, planner, Group.ORDERED, share, name, taken.samples)
             yield replace(arm, min_confidence=taken.min_confidence, ordered=True)
 
 
@@ -204,7 +205,7 @@ def _checked_arms(sampler: str, taken: Taken) -> Iterator[Arm]:
     for planner in (RRT, SAMPLED_CONNECT):
         for share in taken.shares:
             name = f"{_percent(share)}, colliding last"
-            arm = _with(sampler, planner, Group.CHECKED, share, name, samples=taken.samples)
+            arm = _with(sampler, planner, Group.CHECKED, share, name, taken.samples)
             yield replace(arm, colliding_last=True)
             name = f"{_label(planner)}, {sampler}, {_percent(share)}, ordered, colliding last"
             yield replace(arm, name=name, ordered=True, colliding_last=True)
@@ -212,14 +213,13 @@ def _checked_arms(sampler: str, taken: Taken) -> Iterator[Arm]:
 
 def _schedule_arms(sampler: str, samples: int) -> Iterator[Arm]:
     """Perturbed samples, mixed and in the paper's order, against uniform ones beside as many unperturbed."""
-    perturbed = _with(
-        sampler, RRT, Group.SCHEDULE, 1.0, "schedule", samples=samples, epsilon_sigma=PAPER_SCHEDULE
-    )
+    perturbed = _with(sampler, RRT, Group.SCHEDULE, 1.0, "schedule", samples)
+    perturbed = replace(perturbed, epsilon_sigma=PAPER_SCHEDULE)
     yield perturbed
     yield replace(perturbed, name=f"{perturbed.name} in order", in_order=True)
     least = 1.0 / len(PAPER_SCHEDULE)
     few = round(samples * least)
-    yield _with(sampler, RRT, Group.SCHEDULE, least, f"{_percent(least)}, {few} samples", samples=few)
+    yield _with(sampler, RRT, Group.SCHEDULE, least, f"{_percent(least)}, {few} samples", few)
 
 
 def _optimising_arms(sampler: str | None, taken: Taken) -> Iterator[Arm]:
@@ -231,40 +231,16 @@ def _optimising_arms(sampler: str | None, taken: Taken) -> Iterator[Arm]:
         return
     for share in taken.shares:
         name = f"{_percent(share)}, optimising"
-        yield _with(
-            sampler, RRT_STAR, Group.OPTIMISING, share, name,
-            samples=taken.samples, base=base, stop_at_first=False,
-        )  # fmt: skip
+        arm = _with(sampler, RRT_STAR, Group.OPTIMISING, share, name, taken.samples)
+        yield replace(arm, base=base, stop_at_first=False)
 
 
 def _count_arms(sampler: str) -> Iterator[Arm]:
     for count in SAMPLE_COUNTS:
         name = f"{_percent(DEFAULT_SHARE)}, {count} samples"
-        yield _with(sampler, RRT, Group.COUNTS, DEFAULT_SHARE, name, samples=count)
+        yield _with(sampler, RRT, Group.COUNTS, DEFAULT_SHARE, name, count)
 
 
-def _with(
-    sampler: str,
-    planner: str,
-    group: Group,
-    share: float,
-    name: str,
-    *,
-    samples: int,
-    base: str | None = None,
-    epsilon_sigma: tuple[float, ...] = (0.0,),
-    min_confidence: float = 0.0,
-    stop_at_first: bool = True,
-) -> Arm:
-    return Arm(
-        f"{_label(planner)}, {sampler}, {name}",
-        group,
-        planner,
-        base or _uniform(planner),
-        sampler,
-        share,
-        samples,
-        epsilon_sigma,
-        min_confidence=min_confidence,
-        stop_at_first=stop_at_first,
-    )
+def _with(sampler: str, planner: str, group: Group, share: float, name: str, samples: int) -> Arm:
+    whole_name = f"{_label(planner)}, {sampler}, {name}"
+    return Arm(whole_name, group, planner, _uniform(planner), sampler, share, samples)

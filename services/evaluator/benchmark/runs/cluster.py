@@ -34,6 +34,4 @@ def _run(unit: Unit, shared: tuple[Setting, tuple[SourceSpec, ...]]) -> list[Run
     return _worker(*shared).run(unit)
 
 
-@lru_cache(maxsize=1)
-def _worker(setting: Setting, specs: tuple[SourceSpec, ...]) -> Worker:
-    return Worker.start(setting, specs)
+_worker = lru_cache(maxsize=1)(Worker)

@@ -2,8 +2,8 @@
 
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from functools import lru_cache
+from dataclasses import replace
+from functools import cache, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,65 +13,18 @@ from cspace.query import SampleQuery
 from cspace.splits import Split
 from cspace.world import World
 from cspace.worlds import workshop_of
-from services.evaluator.benchmark.runs.arms import RANGE_RAD, Arm
+from services.evaluator.benchmark.runs.arms import Arm
 from services.evaluator.benchmark.runs.check_cost import state_check_s
 from services.evaluator.benchmark.runs.run import Run, finite
 from services.evaluator.benchmark.runs.setting import Setting, Unit
 from services.evaluator.benchmark.runs.sources import SourceSpec, ask, mixed
 from services.evaluator.evaluation.units import planner_seed
-from services.planner.plan_result import Reason
+from services.planner.plan_result import CostPoint, Reason
 from services.planner.search.ompl_planner import PlanResult, solve
 from services.planner.search.path_check import judge_path
 from services.planner.search.sample_order import order_along
 from services.planner.settings import PlannerSettings
 from services.planner.sources.samples import SampleBatch, SampleSource, SourceTiming
-
-
-@dataclass(frozen=True, slots=True)
-class Milestone:
-    """When a search had its first solution; None where it had none."""
-
-    iterations: int | None = None
-    edge_checks: int | None = None
-    time_s: float | None = None
-    length_rad: float | None = None
-
-
-class Batches:
-    """The batches of one run; arms that ask for the same share one, and all of them count its time.
-
-    Args:
-        problem: whose picture is sent.
-        seed: of the samples.
-        specs: the samplers by name.
-        sources: those that are open, by name.
-    """
-
-    def __init__(
-        self,
-        problem: Problem,
-        seed: int,
-        specs: Mapping[str, SourceSpec],
-        sources: Mapping[str, SampleSource],
-    ) -> None:
-        self._problem, self._seed = problem, seed
-        self._specs, self._sources = specs, sources
-        self._known: dict[tuple[str, SampleQuery], SampleBatch] = {}
-
-    def of(self, arm: Arm) -> SampleBatch | None:
-        """The batch of an arm, None for uniform samples.
-
-        Raises:
-            SamplerError: as :func:`services.evaluator.benchmark.runs.sources.ask`.
-        """
-        if arm.sampler is None:
-            return None
-        query = arm.query(self._seed)
-        key = (arm.sampler, query)
-        if key not in self._known:
-            source, spec = self._sources[arm.sampler], self._specs[arm.sampler]
-            self._known[key] = ask(source, spec, self._problem, query)
-        return self._known[key]
 
 
 def measure(
@@ -90,13 +43,19 @@ def measure(
     """
     problem = known_problem(setting.world, unit.family, setting.split, setting.seed, unit.index)
     seed = planner_seed(setting.seed, unit.index, unit.run)
-    batches = Batches(problem, seed, specs, sources)
-    check_s = _state_check_s(problem, setting.resolution_rad)
+
+    # Arms that ask for the same share a batch, and all of them count its time.
+    @cache
+    def asked(sampler: str, query: SampleQuery) -> SampleBatch:
+        return ask(sources[sampler], specs[sampler], problem, query)
+
+    range_rad = workshop_of(setting.world).measures.range_rad
+    check_s = _state_check_s(problem, range_rad, setting.resolution_rad)
     runs = []
     # In an order of their own in every unit: no arm is always the one that finds the caches warm.
     for position in np.random.default_rng([seed, 1]).permutation(len(unit.arms)):
         arm = unit.arms[position]
-        batch = batches.of(arm)
+        batch = None if arm.sampler is None else asked(arm.sampler, arm.query(seed))
         settings = setting.planner(arm, unit.index, unit.run)
         began = time.perf_counter()
         samples = None if batch is None else drawn_samples(arm, batch, problem)
@@ -123,9 +82,7 @@ def known_problem(world: World, family: str, split: Split, seed: int, index: int
     return workshop_of(world).problem(family, split, seed, index)
 
 
-@lru_cache(maxsize=4)
-def _state_check_s(problem: Problem, resolution_rad: float) -> float:
-    return state_check_s(problem, RANGE_RAD, resolution_rad)
+_state_check_s = lru_cache(maxsize=4)(state_check_s)
 
 
 def _record(
@@ -143,7 +100,8 @@ def _record(
     solved = judged == Reason.SOLVED
     costs = result.costs if solved else ()
     request_s = 0.0 if batch is None else batch.round_trip_s
-    checked_s, timing, first = result.state_checks * check_s, _timing(batch), _first(result, solved)
+    checked_s, timing = result.state_checks * check_s, _timing(batch)
+    first = _first(result) if solved else None
     return Run(
         protocol=setting.protocol.value,
         family=unit.family,
@@ -182,10 +140,10 @@ def _record(
         transport_s=request_s - timing.total_s,
         total_s=request_s + result.solve_time_s,
         length_rad=float(result.length_rad) if solved else None,
-        first_iterations=first.iterations,
-        first_edge_checks=first.edge_checks,
-        first_s=first.time_s,
-        first_length_rad=first.length_rad,
+        first_iterations=None if first is None else first.iterations,
+        first_edge_checks=None if first is None else first.edge_checks,
+        first_s=None if first is None else first.time_s,
+        first_length_rad=None if first is None else first.length_rad,
         cost_iterations=tuple(point.iterations for point in costs),
         cost_edge_checks=tuple(point.edge_checks for point in costs),
         cost_s=tuple(point.time_s for point in costs),
@@ -200,10 +158,7 @@ def _timing(batch: SampleBatch | None) -> SourceTiming:
     return SourceTiming(0.0, 0.0, 0.0, 0.0) if batch is None or batch.timing is None else batch.timing
 
 
-def _first(result: PlanResult, solved: bool) -> Milestone:
+def _first(result: PlanResult) -> CostPoint:
     """The first solution: of an optimising search the first improvement, of any other the end."""
-    if not solved:
-        return Milestone()
-    for point in result.costs[:1]:
-        return Milestone(point.iterations, point.edge_checks, point.time_s, point.length_rad)
-    return Milestone(result.iterations, result.edge_checks, result.solve_time_s, float(result.length_rad))
+    end = CostPoint(result.iterations, result.edge_checks, result.solve_time_s, float(result.length_rad))
+    return result.costs[0] if result.costs else end

@@ -36,8 +36,8 @@ class Setting:
         max_iterations: states drawn after which a search ends without a path.
         optimising_iterations: the same for a search that goes on after its first solution.
         time_limit_s: wall time after which a search ends.
-        goal_bias: of planners that have one.
         resolution_rad: largest distance between checked states of an edge in any joint, rad.
+        goal_bias: of planners that have one.
         world: robot and sensor.
     """
 
@@ -47,8 +47,8 @@ class Setting:
     max_iterations: int
     optimising_iterations: int
     time_limit_s: float
+    resolution_rad: float
     goal_bias: float = 0.05
-    resolution_rad: float = 0.0314
     world: World = field(default_factory=default_world)
 
     @property
@@ -71,12 +71,10 @@ class Setting:
         )
 
 
-FAMILIES_LIMITS = {"max_iterations": 20_000, "optimising_iterations": 2000, "time_limit_s": 10.0}
-# The paper stops by the clock alone; so many iterations no planner here makes in a second.
-PAPER_LIMITS = {"max_iterations": 200_000, "optimising_iterations": 200_000, "time_limit_s": 1.0}
 LIMITS: Mapping[Protocol, Mapping[str, float]] = {
-    Protocol.FAMILIES: FAMILIES_LIMITS,
-    Protocol.PAPER: PAPER_LIMITS,
+    Protocol.FAMILIES: {"max_iterations": 20_000, "optimising_iterations": 2000, "time_limit_s": 10.0},
+    # The paper stops by the clock alone; so many iterations no planner here makes in a second.
+    Protocol.PAPER: {"max_iterations": 200_000, "optimising_iterations": 200_000, "time_limit_s": 1.0},
 }
 RUNS = {Protocol.FAMILIES: 1, Protocol.PAPER: 100}
 

@@ -2,55 +2,37 @@
 
 import multiprocessing
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import ExitStack
-from dataclasses import dataclass, field
 
 from cspace.errors import JobError
 from services.evaluator.benchmark.runs.measure import measure
 from services.evaluator.benchmark.runs.run import Run
 from services.evaluator.benchmark.runs.setting import Setting, Unit
 from services.evaluator.benchmark.runs.sources import SourceSpec, opened
-from services.planner.sources.samples import SampleSource
 
 Execute = Callable[[Sequence[Unit], Setting, Sequence[SourceSpec]], Iterator[list[Run]]]
 # Each process computes on one core; the pools of numeric libraries would fight over the others.
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
-@dataclass
 class Worker:
-    """What a process keeps between units: the setting, and the samplers that are open."""
+    """What a process keeps between units: the setting, and the samplers, which stay open as long as it does.
 
-    setting: Setting
-    specs: Mapping[str, SourceSpec]
-    sources: Mapping[str, SampleSource]
-    closing: ExitStack = field(default_factory=ExitStack)
+    Raises:
+        SamplerError: a sampler does not answer.
+    """
 
-    @classmethod
-    def start(cls, setting: Setting, specs: Sequence[SourceSpec]) -> "Worker":
-        """Open the samplers.
-
-        Raises:
-            SamplerError: one of them does not answer.
-        """
-        closing = ExitStack()
-        sources = closing.enter_context(opened(specs))
-        return cls(setting, {spec.name: spec for spec in specs}, sources, closing)
+    def __init__(self, setting: Setting, specs: Sequence[SourceSpec]) -> None:
+        self._setting, self._specs = setting, {spec.name: spec for spec in specs}
+        self._open = ExitStack()
+        self._sources = self._open.enter_context(opened(specs))
 
     def run(self, unit: Unit) -> list[Run]:
         """One unit."""
-        return measure(unit, self.setting, self.specs, self.sources)
-
-
-def run_here(work: Sequence[Unit], setting: Setting, specs: Sequence[SourceSpec]) -> Iterator[list[Run]]:
-    """Runs in the order of the work, in this process."""
-    worker = Worker.start(setting, specs)
-    with worker.closing:
-        for unit in work:
-            yield worker.run(unit)
+        return measure(unit, self._setting, self._specs, self._sources)
 
 
 def processes(count: int) -> Execute:
@@ -85,7 +67,7 @@ _here: list[Worker | Exception] = []
 def _begin(setting: Setting, specs: Sequence[SourceSpec]) -> None:
     # An error here would break the pool without its words; the first unit raises it instead.
     try:
-        _here[:] = [Worker.start(setting, specs)]
+        _here[:] = [Worker(setting, specs)]
     except Exception as error:  # noqa: BLE001 - whatever it is, it is raised again
         _here[:] = [error]
 

@@ -15,10 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cspace.errors import EvaluationError
-from services.evaluator.statistics import CONFIDENCE
+from services.evaluator.statistics import CONFIDENCE, RESAMPLES
 
 Floats = NDArray[np.float64]
-RESAMPLES = 4000
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from services.evaluator.benchmark.runs.arms import DEFAULT_SHARE, NAMES, RANGE_RAD, Arm
+from services.evaluator.benchmark.runs.arms import DEFAULT_SHARE, NAMES, Arm
 from services.evaluator.benchmark.summary.paired import Flags, Floats
 from services.planner.drawing import palette
 from services.planner.settings import (
@@ -48,8 +48,12 @@ def looks(arms: Sequence[Arm]) -> Mapping[str, Look]:
     """By name of the arm; uniform ones are grey."""
     samplers = list(dict.fromkeys(arm.sampler for arm in arms if arm.sampler is not None))
     colours = {name: _COLOURS[index % len(_COLOURS)] for index, name in enumerate(samplers)}
+    ranges_rad = {arm.name: arm.range_rad for arm in arms}
     return {
-        arm.name: Look(palette.INK if arm.sampler is None else colours[arm.sampler], _line(arm))
+        arm.name: Look(
+            palette.INK if arm.sampler is None else colours[arm.sampler],
+            _line(arm, ranges_rad.get(arm.base, arm.range_rad)),
+        )
         for arm in arms
     }
 
@@ -77,9 +81,9 @@ def share_until(values: Floats, solved: Flags) -> tuple[Floats, Floats]:
     return np.concatenate([first, taken]), shares
 
 
-def _line(arm: Arm) -> str:
+def _line(arm: Arm, usual_rad: float) -> str:
     if arm.sampler is not None:
         return "-" if arm.learned_share == DEFAULT_SHARE else "--"
-    if arm.range_rad != RANGE_RAD:
-        return ":" if arm.range_rad < RANGE_RAD else "-."
+    if arm.range_rad != usual_rad:
+        return ":" if arm.range_rad < usual_rad else "-."
     return _UNIFORM_LINES.get(arm.planner, "-")

@@ -6,8 +6,14 @@ import numpy as np
 
 from services.evaluator.benchmark.runs.arms import Arm, Group
 from services.evaluator.benchmark.summary.paired import PairedRuns
+from services.evaluator.benchmark.telling.rows import table_of
 from services.evaluator.evaluation.tables import Table
-from services.evaluator.statistics import bootstrap_interval, clopper_pearson, quantile_interval
+from services.evaluator.statistics import (
+    clopper_pearson,
+    mean_interval,
+    quantile_interval,
+    ratio_of_sums_interval,
+)
 
 WITHIN_COUNTS = (100, 300, 1000)
 
@@ -19,37 +25,30 @@ def paper_table(runs: PairedRuns, arms: Sequence[Arm], rng: np.random.Generator)
     request; its means are over all runs, one without a path counted up to its limit. Intervals are over
     scenarios, for success exact over runs.
     """
-    rows = [
-        [
-            "arm",
-            "path length mean, rad",
-            "running time mean, ms",
-            "with the request, ms",
-            "success",
-            "scenarios always solved",
-        ]
-    ]
+    rows = []
     for arm in arms:
         solved = runs.solved(arm.name)
-        lengths = np.where(solved, np.nan_to_num(runs.values(arm.name, "length_rad")), 0.0)
-        times = [1e3 * runs.values(arm.name, name).mean(axis=1) for name in ("solve_s", "total_s")]
+        lengths = np.where(solved, np.nan_to_num(runs.values(arm.name, "length_rad")), 0.0).sum(axis=1)
+        found = solved.sum(axis=1)
+        some = found > 0
         mean_length = "-"
-        if solved.any():
-            sums = np.stack([lengths.sum(axis=1), solved.sum(axis=1)], axis=1)
-            mean_length = f"{bootstrap_interval(sums[sums[:, 1] > 0], _mean, rng):.2f}"
-        rows.append(
-            [
-                arm.name,
-                mean_length,
-                *(
-                    f"{bootstrap_interval(time, lambda part: part[..., 0].mean(axis=-1), rng):.2f}"
-                    for time in times
-                ),
-                f"{clopper_pearson(int(solved.sum()), solved.size):.4f}",
-                f"{int(solved.all(axis=1).sum())} of {len(solved)}",
-            ]
+        if some.any():
+            mean_length = f"{ratio_of_sums_interval(lengths[some], found[some], rng):.2f}"
+        search_ms, whole_ms = (
+            mean_interval(1e3 * runs.values(arm.name, name).mean(axis=1), rng)
+            for name in ("solve_s", "total_s")
         )
-    return rows
+        rows.append(
+            {
+                "arm": arm.name,
+                "path length mean, rad": mean_length,
+                "running time mean, ms": f"{search_ms:.2f}",
+                "with the request, ms": f"{whole_ms:.2f}",
+                "success": f"{clopper_pearson(int(solved.sum()), solved.size):.4f}",
+                "scenarios always solved": f"{int(solved.all(axis=1).sum())} of {len(solved)}",
+            }
+        )
+    return table_of(rows)
 
 
 def counts_table(runs: PairedRuns, arms: Sequence[Arm], rng: np.random.Generator) -> Table:
@@ -61,36 +60,21 @@ def counts_table(runs: PairedRuns, arms: Sequence[Arm], rng: np.random.Generator
     swept = sorted(
         (arm for arm in arms if arm.group is Group.COUNTS), key=lambda arm: (arm.sampler, arm.samples)
     )
-    rows = [
-        [
-            "arm",
-            "samples",
-            *(f"within {count} iterations" for count in WITHIN_COUNTS),
-            "solved",
-            "iterations: a problem's mean",
-        ]
-    ]
+    rows = []
     for arm in swept:
         solved, iterations = runs.solved(arm.name), runs.values(arm.name, "iterations")
-        within = [
-            clopper_pearson(int((solved & (iterations <= count)).sum()), solved.size)
+        within = {
+            count: clopper_pearson(int((solved & (iterations <= count)).sum()), solved.size)
             for count in WITHIN_COUNTS
-        ]
+        }
         ranked = np.where(solved, iterations, iterations.max()).mean(axis=1)
         rows.append(
-            [
-                arm.name,
-                str(arm.samples),
-                *(f"{share:.3f}" for share in within),
-                f"{clopper_pearson(int(solved.sum()), solved.size):.4f}",
-                f"{quantile_interval(ranked, 0.5, rng):.0f}",
-            ]
+            {
+                "arm": arm.name,
+                "samples": str(arm.samples),
+                **{f"within {count} iterations": f"{share:.3f}" for count, share in within.items()},
+                "solved": f"{clopper_pearson(int(solved.sum()), solved.size):.4f}",
+                "iterations: a problem's mean": f"{quantile_interval(ranked, 0.5, rng):.0f}",
+            }
         )
-    return rows if swept else []
-
-
-def _mean(
-    rows: np.ndarray[tuple[int, ...], np.dtype[np.float64]],
-) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
-    sums = rows.sum(axis=-2)
-    return np.asarray(sums[..., 0] / sums[..., 1])
+    return table_of(rows)

@@ -1,6 +1,6 @@
 """Tables of the benchmark as rows of text, the header first."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -14,110 +14,87 @@ from services.evaluator.evaluation.tables import Table
 from services.evaluator.statistics import CensoredSummary, Interval
 
 
+def table_of(rows: Sequence[Mapping[str, str]]) -> Table:
+    """The table of rows whose cells are named by their headings, the same in each; empty without rows."""
+    return [list(rows[0]), *(list(row.values()) for row in rows)] if rows else []
+
+
 def arm_table(summaries: Sequence[ArmSummary]) -> Table:
     """Iterations, checks, success and length of every arm."""
-    rows = [
+    return table_of(
         [
-            "arm",
-            f"solved within {WITHIN}",
-            "paths rejected",
-            "iterations",
-            "of uniform's median",
-            "of its p90",
-            "of its best's median",
-            "of its best's p90",
-            "edge checks",
-            "checks of uniform's median",
-            "checks of its p90",
-            "length of uniform's",
+            {
+                "arm": one.arm.name,
+                f"solved within {WITHIN}": f"{one.within:.4f}",
+                "paths rejected": str(one.rejected),
+                "iterations": quantiles(one.iterations),
+                **_pair("of uniform's median", "of its p90", one.iteration_ratios),
+                **_pair("of its best's median", "of its best's p90", one.own_best_ratios),
+                "edge checks": quantiles(one.edge_checks),
+                **_pair("checks of uniform's median", "checks of its p90", one.check_ratios),
+                "length of uniform's": _interval(one.length_ratio),
+            }
+            for one in summaries
         ]
-    ]
-    return rows + [
-        [
-            one.arm.name,
-            f"{one.within:.4f}",
-            str(one.rejected),
-            quantiles(one.iterations),
-            *_pair(one.iteration_ratios),
-            *_pair(one.own_best_ratios),
-            quantiles(one.edge_checks),
-            *_pair(one.check_ratios),
-            _interval(one.length_ratio),
-        ]
-        for one in summaries
-    ]
+    )
 
 
 def time_table(summaries: Sequence[ArmSummary]) -> Table:
     """Request, solve and whole time of every arm; in brackets the 90th percentile."""
-    rows = [
-        ["arm", "request, ms", "of it server", "of it transport", "solve, ms", "of it checks", "whole, ms"]
-    ]
+    rows = []
     for one in summaries:
-        parts = one.parts_ms
-        request = [
-            f"{parts[name][0]:.2f} ({parts[name][1]:.2f})" for name in ("request", "server", "transport")
-        ]
+        parts = {name: f"{median:.2f} ({p90:.2f})" for name, (median, p90) in one.parts_ms.items()}
+        request = dict.fromkeys(parts, "-") if one.arm.sampler is None else parts
         rows.append(
-            [
-                one.arm.name,
-                *(["-"] * 3 if one.arm.sampler is None else request),
-                quantiles(one.solve_ms, ".2f"),
-                f"{parts['check'][0]:.2f} ({parts['check'][1]:.2f})",
-                quantiles(one.total_ms, ".2f"),
-            ]
+            {
+                "arm": one.arm.name,
+                "request, ms": request["request"],
+                "of it server": request["server"],
+                "of it transport": request["transport"],
+                "solve, ms": quantiles(one.solve_ms, ".2f"),
+                "of it checks": parts["check"],
+                "whole, ms": quantiles(one.total_ms, ".2f"),
+            }
         )
-    return rows
+    return table_of(rows)
 
 
 def worth_table(summaries: Sequence[ArmSummary]) -> Table:
     """From which cost of a check on learned samples save wall time."""
-    over = ("over uniform", "over the best uniform")
-    rows = [
+    return table_of(
         [
-            "arm",
-            *(f"{what}, {one}" for what in ("edge", "state") for one in over),
-            "medians: edge, over uniform",
+            {
+                "arm": one.arm.name,
+                "edge, over uniform": in_words(one.worth.edge_base),
+                "edge, over the best uniform": in_words(one.worth.edge_best),
+                "state, over uniform": in_words(one.worth.state_base),
+                "state, over the best uniform": in_words(one.worth.state_best),
+                "medians: edge, over uniform": costs_in_words(one.worth.edge_base.typical),
+            }
+            for one in summaries
+            if one.worth is not None
         ]
-    ]
-    for one in summaries:
-        if one.worth is not None:
-            worth = one.worth
-            found = (worth.edge_base, worth.edge_best, worth.state_base, worth.state_best)
-            rows.append([one.arm.name, *map(in_words, found), costs_in_words(worth.edge_base.typical)])
-    return rows
+    )
 
 
 def convergence_table(found: Sequence[Convergence]) -> Table:
     """How soon optimising planners come within 5 % of the best known length."""
-    rows = [
-        [
-            "arm",
-            "came within 5 %",
-            "iterations until then",
-            "of RRT*'s median",
-            "of its p90",
-            "edge checks",
-            "time, ms",
-            "first length of RRT*'s",
-            "last length of the best known",
-        ]
-    ]
+    rows = []
     for one in found:
         time_ms = replace(one.time_s, median=1e3 * one.time_s.median, p90=1e3 * one.time_s.p90)
         rows.append(
-            [
-                one.arm.name,
-                f"{one.close:.3f}",
-                quantiles(one.iterations),
-                *_pair(one.iteration_ratios),
-                quantiles(one.edge_checks),
-                quantiles(time_ms, ".1f"),
-                _interval(one.first_length),
-                f"{one.final_excess:.3f}",
-            ]
+            {
+                "arm": one.arm.name,
+                "came within 5 %": f"{one.close:.3f}",
+                "iterations until then": quantiles(one.iterations),
+                **_pair("of RRT*'s median", "of its p90", one.iteration_ratios),
+                "edge checks": quantiles(one.edge_checks),
+                "time, ms": quantiles(time_ms, ".1f"),
+                "first length of RRT*'s": _interval(one.first_length),
+                "last length of the best known": f"{one.final_excess:.3f}",
+            }
         )
-    return rows
+    return table_of(rows)
 
 
 def give_up_table(runs: PairedRuns, arms: Sequence[Arm]) -> Table:
@@ -144,8 +121,9 @@ def quantiles(summary: CensoredSummary, form: str = ".0f") -> str:
     return f"{median} ({p90})"
 
 
-def _pair(ratios: Ratios | None) -> tuple[str, str]:
-    return ("-", "-") if ratios is None else (_interval(ratios.median), _interval(ratios.p90))
+def _pair(of_median: str, of_p90: str, ratios: Ratios | None) -> dict[str, str]:
+    median, p90 = (None, None) if ratios is None else (ratios.median, ratios.p90)
+    return {of_median: _interval(median), of_p90: _interval(p90)}
 
 
 def _interval(interval: Interval | None) -> str:

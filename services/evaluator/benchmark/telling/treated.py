@@ -7,6 +7,7 @@ import numpy as np
 from services.evaluator.benchmark.runs.arms import Arm, Group
 from services.evaluator.benchmark.summary.paired import Flags, PairedRuns
 from services.evaluator.benchmark.summary.summaries import WITHIN
+from services.evaluator.benchmark.telling.rows import table_of
 from services.evaluator.evaluation.tables import Table
 from services.evaluator.statistics import difference_interval
 
@@ -21,7 +22,7 @@ def treated_table(runs: PairedRuns, arms: Sequence[Arm], rng: np.random.Generato
         arms: that were run.
         rng: source of the resampling.
     """
-    rows = [["arm", "beside", f"solved within {WITHIN}", "its runs lost", "won", "difference"]]
+    rows = []
     for arm in arms:
         plain = plain_arm(arm, arms)
         if plain is None:
@@ -29,16 +30,16 @@ def treated_table(runs: PairedRuns, arms: Sequence[Arm], rng: np.random.Generato
         mine, others = (_within(runs, one.name) for one in (arm, plain))
         difference = difference_interval(mine.mean(axis=1), others.mean(axis=1), rng)
         rows.append(
-            [
-                arm.name,
-                plain.name,
-                f"{mine.mean():.4f}, {others.mean():.4f}",
-                f"{int((others & ~mine).sum())} of {mine.size}",
-                str(int((mine & ~others).sum())),
-                f"{difference:.4f}",
-            ]
+            {
+                "arm": arm.name,
+                "beside": plain.name,
+                f"solved within {WITHIN}": f"{mine.mean():.4f}, {others.mean():.4f}",
+                "its runs lost": f"{int((others & ~mine).sum())} of {mine.size}",
+                "won": str(int((mine & ~others).sum())),
+                "difference": f"{difference:.4f}",
+            }
         )
-    return rows
+    return table_of(rows)
 
 
 def plain_arm(arm: Arm, arms: Sequence[Arm]) -> Arm | None:

@@ -5,7 +5,7 @@ from PIL import Image, ImageDraw
 from cspace.splits import Split
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK
 from cspace.worlds.planar.camera import Camera
-from cspace.worlds.planar.render import render, render_batch
+from cspace.worlds.planar.render import render
 from cspace.worlds.planar.scene import Disc, Scenario, random_scenarios
 
 WHITE, RED, BLUE = (255, 255, 255), (255, 0, 0), (0, 0, 255)
@@ -91,8 +91,3 @@ def test_area_is_kept_by_the_anti_aliasing():
     picture = render(Scenario(TWO_LINK, (Disc(-2.0, -2.5, 1.3),)))
     red_share = (255.0 - picture[..., 2]) / 255.0
     assert red_share.sum() * (10.0 / 48) ** 2 == pytest.approx(np.pi * 1.3**2, rel=5e-3)
-
-
-def test_a_batch_is_the_pictures_one_by_one():
-    scenarios = random_scenarios(Split.DEMO, 0, 3)
-    np.testing.assert_array_equal(render_batch(scenarios), np.stack([render(s) for s in scenarios]))

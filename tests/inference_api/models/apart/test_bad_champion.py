@@ -15,7 +15,7 @@ from inference_api.models.apart.disk import DiskCache
 from inference_api.models.apart.parts import Limits, parts_apart
 from inference_api.models.bundle_cache import BundleCache
 from inference_api.models.store import ModelStore
-from inference_api.telemetry.observer import Nobody, Refusal
+from inference_api.telemetry.observer import Observer, Refusal
 from services.registry.models.port import ModelVersion
 from services.registry.references import ModelReference
 from tests.inference_api.bad_bundles import write_hungry_bundle, write_looping_bundle
@@ -24,7 +24,7 @@ VERIFY_S = 2.0
 DEFAULT = ModelReference("m")
 
 
-class Refusals(Nobody):
+class Refusals(Observer):
     """Notes why champions did not come into service."""
 
     def __init__(self) -> None:

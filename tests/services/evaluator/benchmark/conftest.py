@@ -81,7 +81,7 @@ def make_run():
 
 @pytest.fixture
 def setting() -> Setting:
-    return Setting(Protocol.FAMILIES, Split.VALIDATION, 0, 2000, 300, 10.0)
+    return Setting(Protocol.FAMILIES, Split.VALIDATION, 0, 2000, 300, 10.0, 0.0314)
 
 
 @pytest.fixture(scope="session")

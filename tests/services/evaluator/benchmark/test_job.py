@@ -14,9 +14,10 @@ from services.evaluator.benchmark import __main__ as command
 from services.evaluator.benchmark.job import Request, run_benchmark
 from services.evaluator.benchmark.runs.arms import pick, table
 from services.evaluator.benchmark.runs.sources import bundled
-from services.evaluator.benchmark.runs.spread import processes, run_here
+from services.evaluator.benchmark.runs.spread import processes
 from services.evaluator.benchmark.runs.store import RUNS
 from services.evaluator.benchmark.telling.report import terminal_tables
+from tests.fakes.benchmark import run_here
 from tests.fakes.registry import FakeTracking
 
 ARMS = ("RRT, way, 70 %", "own RRT-Connect, way, 70 %", "RRT*, way, 70 %, optimising")
@@ -35,7 +36,7 @@ def silent(line: str) -> None:
 @pytest.fixture(scope="module")
 def make_request(path_folder):
     def make(out, setting, *names, **changes) -> Request:
-        arms = pick(table(["way"]), names or ARMS)
+        arms = pick(table(["way"], 1.0), names or ARMS)
         short = replace(setting, max_iterations=500, optimising_iterations=200)
         specs = (bundled("way", path_folder),)
         return replace(Request(out, short, PROBLEMS, 1, arms, specs, pages=1), **changes)

@@ -13,8 +13,8 @@ from services.evaluator.benchmark.runs.arms import pick, table
 from services.evaluator.benchmark.runs.cluster import executor, run_on_ray
 from services.evaluator.benchmark.runs.setting import Unit
 from services.evaluator.benchmark.runs.sources import bundled, served
-from services.evaluator.benchmark.runs.spread import run_here
 from tests.bundles import write_tiny_bundle
+from tests.fakes.benchmark import run_here
 from tests.inference_api.server import api_server
 
 ROOT = Path(__file__).resolve().parents[4]
@@ -82,7 +82,7 @@ def test_a_cluster_gives_the_same_runs_as_this_process(path_folder, setting, mon
         runtime_env={"env_vars": environment},
     )
     try:
-        arms = pick(table(["way"]), NAMES)
+        arms = pick(table(["way"], 1.0), NAMES)
         work = [Unit(Family.UNIFORM, index, 0, arms) for index in range(3)]
         specs = [bundled("way", path_folder)]
         there = [run for found in run_on_ray(work, setting, specs) for run in found]

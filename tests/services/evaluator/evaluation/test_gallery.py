@@ -12,8 +12,8 @@ from services.evaluator.evaluation.gallery import MISSED_COLOUR, SHOWN_SAMPLES, 
 from services.evaluator.evaluation.recording import exhibits
 from services.evaluator.measures.reconstruction import SampleQuality, SceneQuality
 from services.evaluator.measures.scenes import Scene, Stage
-from services.planner.sources.uniform_sampler import UniformSampler
 from tests.fakes.sample_source import FakeSampleSource
+from tests.fakes.uniform_sampler import UniformSampler
 
 STAGE = Stage(PlanarWorld(TWO_LINK, Camera()), Split.TEST, 0)
 

@@ -1,8 +1,13 @@
+from dataclasses import replace
+
 import pytest
 
-from services.evaluator.evaluation.gate import Candidate, Champion, PathCandidate, Policy, judge, judge_paths
+from cspace.worlds import workshop_of
+from cspace.worlds.planar.world import PlanarWorld
+from services.evaluator.evaluation.gate import Candidate, Champion, PathCandidate, judge, judge_paths
 from services.evaluator.statistics import Interval
 
+PLANAR = workshop_of(PlanarWorld()).measures
 GOOD = {"precision": 0.86, "coverage": 0.9, "edr": 0.2, "planning_success": 0.95}
 
 
@@ -15,7 +20,7 @@ def champion(version=3, **changes):
 
 
 def test_a_first_version_that_beats_uniform_and_covers_is_promoted():
-    verdict = judge(candidate(), [])
+    verdict = judge(candidate(), [], PLANAR)
     assert verdict.promoted
     assert verdict.against is None
     assert any("no earlier champion" in reason for reason in verdict.reasons)
@@ -23,23 +28,23 @@ def test_a_first_version_that_beats_uniform_and_covers_is_promoted():
 
 @pytest.mark.parametrize("low", [0.0, -0.01])
 def test_a_gain_whose_interval_touches_zero_is_not_enough(low):
-    verdict = judge(candidate(gain_low=low), [])
+    verdict = judge(candidate(gain_low=low), [], PLANAR)
     assert not verdict.promoted
     assert any("does not beat uniform beyond the interval" in reason for reason in verdict.reasons)
 
 
 def test_a_precise_sampler_that_has_collapsed_is_refused():
-    verdict = judge(candidate(precision=0.99, coverage=0.012), [])
+    verdict = judge(candidate(precision=0.99, coverage=0.012), [], PLANAR)
     assert not verdict.promoted
     assert "coverage 0.012 is below the floor of 0.800" in verdict.reasons
 
 
 def test_coverage_at_the_floor_holds():
-    assert judge(candidate(coverage=0.8), []).promoted
+    assert judge(candidate(coverage=0.8), [], PLANAR).promoted
 
 
 def test_a_version_within_the_margins_is_promoted():
-    verdict = judge(candidate(precision=0.845, edr=0.29), [champion()])
+    verdict = judge(candidate(precision=0.845, edr=0.29), [champion()], PLANAR)
     assert verdict.promoted
     assert verdict.against == 3
     assert "precision 0.845 is within the margin of 0.020 of version 3's 0.860" in verdict.reasons
@@ -50,7 +55,7 @@ def test_a_version_within_the_margins_is_promoted():
     [("precision", 0.83), ("coverage", 0.86), ("edr", 0.31), ("planning_success", 0.84)],
 )
 def test_a_version_worse_on_one_gated_metric_is_refused_with_the_numbers(metric, value):
-    verdict = judge(candidate(**{metric: value}), [champion()])
+    verdict = judge(candidate(**{metric: value}), [champion()], PLANAR)
     assert not verdict.promoted
     worse = [reason for reason in verdict.reasons if "is worse than" in reason]
     assert len(worse) == 1
@@ -58,43 +63,50 @@ def test_a_version_worse_on_one_gated_metric_is_refused_with_the_numbers(metric,
 
 
 def test_a_smaller_energy_distance_is_better():
-    assert judge(candidate(edr=0.01), [champion()]).promoted
+    assert judge(candidate(edr=0.01), [champion()], PLANAR).promoted
 
 
 def test_many_small_steps_down_do_not_add_up():
     # Each champion was within the margin of the one before; the candidate is so of the last, not of the best.
     champions = [champion(1, precision=0.90), champion(2, precision=0.885), champion(3, precision=0.881)]
-    verdict = judge(candidate(precision=0.87), champions)
+    verdict = judge(candidate(precision=0.87), champions, PLANAR)
     assert not verdict.promoted
     assert any("version 1's 0.900" in reason for reason in verdict.reasons)
 
 
 def test_a_gated_metric_that_was_not_measured_is_no_pass():
     metrics = {name: value for name, value in GOOD.items() if name != "planning_success"}
-    verdict = judge(Candidate(Interval(0.2, 0.1, 0.3, 60), metrics), [champion()])
+    verdict = judge(Candidate(Interval(0.2, 0.1, 0.3, 60), metrics), [champion()], PLANAR)
     assert not verdict.promoted
     assert any("planning_success was not measured" in reason for reason in verdict.reasons)
 
 
 def test_champions_without_a_metric_do_not_bind_it():
     old = Champion(1, {"precision": 0.86, "coverage": 0.9})
-    assert judge(candidate(), [old]).promoted
+    assert judge(candidate(), [old], PLANAR).promoted
 
 
-def test_the_policy_is_an_argument():
-    strict = Policy(coverage_floor=0.95)
+def test_floor_and_margins_are_the_worlds():
+    strict = replace(PLANAR, coverage_floor=0.95)
     assert not judge(candidate(), [], strict).promoted
+    narrow = replace(PLANAR, margins={"precision": 0.001})
+    verdict = judge(candidate(precision=0.858, edr=9.0), [champion()], narrow)
+    assert not verdict.promoted
+    assert [reason for reason in verdict.reasons if "margin" in reason] == [
+        "precision 0.858 is worse than the margin of 0.001 of version 3's 0.860"
+    ]
 
 
 PATHS = {"planning_success": 0.95, "narrow_edge_checks_ratio": 3.0}
 
 
 def path_candidate(low=1.5, uniform_success=0.9, **changes):
-    return PathCandidate(Interval(low + 1.0, low, low + 2.0, 30), uniform_success, PATHS | changes)
+    saved = Interval(low + 1.0, low, low + 2.0, 30)
+    return PathCandidate("narrow", saved, uniform_success, PATHS | changes)
 
 
 def test_a_path_model_that_saves_checks_and_solves_as_much_is_promoted():
-    verdict = judge_paths(path_candidate(), [])
+    verdict = judge_paths(path_candidate(), [], PLANAR)
     assert verdict.promoted
     assert any(reason.startswith("saves edge checks in narrow problems") for reason in verdict.reasons)
 
@@ -107,7 +119,7 @@ def test_a_path_model_that_saves_checks_and_solves_as_much_is_promoted():
     ],
 )
 def test_a_path_model_that_saves_nothing_or_solves_less_is_refused(candidate, words):
-    verdict = judge_paths(candidate, [])
+    verdict = judge_paths(candidate, [], PLANAR)
     assert not verdict.promoted
     assert any(reason.startswith(words) for reason in verdict.reasons)
 
@@ -122,5 +134,5 @@ def test_a_path_model_that_saves_nothing_or_solves_less_is_refused(candidate, wo
 )
 def test_a_path_model_stays_near_the_best_of_its_champions(changes, held):
     champions = [Champion(1, PATHS), Champion(2, PATHS | {"narrow_edge_checks_ratio": 2.0})]
-    verdict = judge_paths(path_candidate(uniform_success=0.5, **changes), champions)
+    verdict = judge_paths(path_candidate(uniform_success=0.5, **changes), champions, PLANAR)
     assert (verdict.promoted, verdict.against) == (held, 2)

@@ -49,7 +49,7 @@ def test_the_gate_sees_champions_of_the_robot_alone(monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(recording, "champions", lambda registry, name: entries)
     seen: list[int] = []
     monkeypatch.setattr(
-        recording, "judge", lambda candidate, earlier: seen.extend(c.version for c in earlier)
+        recording, "judge", lambda candidate, earlier, measures: seen.extend(c.version for c in earlier)
     )
     monkeypatch.setattr(recording, "_gated", lambda evaluation: {})
     evaluation: Any = SimpleNamespace(

@@ -21,8 +21,8 @@ from services.evaluator.evaluation.units import Setting, assemble, planner_seed,
 from services.evaluator.measures.planning import PlanningTrial
 from services.evaluator.measures.samplers import PackedBundle
 from services.evaluator.measures.scenes import Scene, Stage, reconstruct
-from services.planner.sources.uniform_sampler import UniformSampler
 from tests.bundles import write_tiny_bundle
+from tests.fakes.uniform_sampler import UniformSampler
 
 TINY = Budget(
     scenarios=4,

@@ -11,7 +11,7 @@ from services.evaluator.measures.nearest import coverage
 from services.evaluator.measures.reconstruction import energy_distance
 from services.evaluator.measures.scenes import Scene, Stage, reconstruct
 from services.evaluator.measures.topology.complement import occupancy, sample_complement
-from services.planner.sources.uniform_sampler import UniformSampler
+from tests.fakes.uniform_sampler import UniformSampler
 
 SEAM = JointSpace((-3.1, -np.pi), (3.1, np.pi), (False, True))
 WIDE = PlanarArm(joint_limits_rad=((-7.0, 7.0), (-4.0, 1.0)))
@@ -23,8 +23,8 @@ def at(first, count=50):
 
 def test_the_two_ends_of_a_limited_joint_are_apart():
     low, high = at(-3.05), at(3.05)
-    assert coverage(low, high, SEAM) == 0.0
-    assert coverage(low, high, circles(2)) == 1.0
+    assert coverage(low, high, SEAM, 0.2) == 0.0
+    assert coverage(low, high, circles(2), 0.2) == 1.0
     assert energy_distance(low, high, circles(2)) < 0.4
     assert energy_distance(low, high, SEAM) > 10.0
 

@@ -17,18 +17,16 @@ LINE = JointSpace((-6.0,), (6.0,), (False,))
 def test_coverage_by_hand():
     held_out = np.array([[0.0, 0.0], [1.0, 1.0], [2.0, 2.0], [-1.0, 0.0]])
     samples = np.array([[0.1, 0.1], [1.0, 1.19], [2.2, 2.2]])
-    assert coverage(held_out, samples, TORUS) == 0.5
-    assert covered(held_out, samples, TORUS).tolist() == [True, True, False, False]
+    assert coverage(held_out, samples, TORUS, 0.2) == 0.5
+    assert covered(held_out, samples, TORUS, 0.2).tolist() == [True, True, False, False]
 
 
 def test_coverage_goes_round_circles_and_not_round_limits():
     held_out, samples = np.array([[3.1, 2.95]]), np.array([[-3.1, 2.95]])
-    assert coverage(held_out, samples, MIXED) == 1.0
-    assert (
-        coverage(held_out[:, ::-1], samples[:, ::-1], JointSpace((-3.0, -np.pi), (3.0, np.pi), (False, True)))
-        == 1.0
-    )
-    assert coverage(np.array([[0.0, 2.95]]), np.array([[0.0, -2.95]]), MIXED) == 0.0
+    assert coverage(held_out, samples, MIXED, 0.2) == 1.0
+    turned = JointSpace((-3.0, -np.pi), (3.0, np.pi), (False, True))
+    assert coverage(held_out[:, ::-1], samples[:, ::-1], turned, 0.2) == 1.0
+    assert coverage(np.array([[0.0, 2.95]]), np.array([[0.0, -2.95]]), MIXED, 0.2) == 0.0
 
 
 @settings(max_examples=25, deadline=None)
@@ -37,7 +35,7 @@ def test_coverage_equals_the_distance_matrix(seed):
     rng = np.random.default_rng(seed)
     held_out, samples = TORUS.sample_uniform(rng, 60), TORUS.sample_uniform(rng, 80).astype(np.float32)
     matrix = TORUS.distance(held_out[:, None], samples[None].astype(np.float64))
-    assert coverage(held_out, samples, TORUS) == np.mean(matrix.min(axis=1) <= 0.2)
+    assert coverage(held_out, samples, TORUS, 0.2) == np.mean(matrix.min(axis=1) <= 0.2)
 
 
 def column(*values):

@@ -23,8 +23,8 @@ from services.evaluator.measures.reliability import reliability_diagram
 from services.evaluator.measures.samplers import ScoredBundleSampler, bundle_sampler
 from services.evaluator.measures.scenes import Scene, Stage, reconstruct
 from services.planner.sources.local_sampler import BundleSampler
-from services.planner.sources.uniform_sampler import UniformSampler
 from tests.bundles import tiny_graphs, tiny_spec, write_tiny_bundle
+from tests.fakes.uniform_sampler import UniformSampler
 
 DISCONNECTED = Family.DISCONNECTED
 STAGE = Stage(PlanarWorld(TWO_LINK, Camera()), Split.VALIDATION, 5)
@@ -36,7 +36,7 @@ def certain(free, confidence=1.0):
 
 def test_a_head_that_is_right_and_sure_has_no_error():
     free = np.array([True, False, True, False])
-    row = scene_occupancy(certain(free), free, np.array([0.05, -0.05, 1.0, -1.0]), 0.7)
+    row = scene_occupancy(certain(free), free, np.array([0.05, -0.05, 1.0, -1.0]), 0.7, 0.1)
     summary = summarise_occupancy([row, row], np.random.default_rng(0))
     assert summary.accuracy.estimate == 1.0
     assert summary.near_accuracy.estimate == 1.0
@@ -48,13 +48,13 @@ def test_a_head_that_is_right_and_sure_has_no_error():
 def test_only_configurations_near_contact_count_for_the_accuracy_there():
     free = np.array([True, True, False, False])
     confidence = np.array([0.9, 0.1, 0.9, 0.1])
-    row = scene_occupancy(confidence, free, np.array([0.5, 0.09, -0.09, -0.5]), 1.0)
+    row = scene_occupancy(confidence, free, np.array([0.5, 0.09, -0.09, -0.5]), 1.0, 0.1)
     assert (row.accuracy, row.near_right, row.near) == (0.5, 0, 2)
 
 
 def test_the_calibration_error_is_the_gap_between_confidence_and_share():
     free = np.arange(100) < 60
-    row = scene_occupancy(np.full(100, 0.8), free, np.ones(100), 1.0)
+    row = scene_occupancy(np.full(100, 0.8), free, np.ones(100), 1.0, 0.1)
     summary = summarise_occupancy([row], np.random.default_rng(0))
     assert summary.calibration_error.estimate == pytest.approx(0.2)
     assert summary.reliability == ((pytest.approx(0.8), pytest.approx(0.6), 100),)
@@ -154,7 +154,8 @@ def test_a_head_is_judged_by_family(tmp_path):
     assert metrics["test_disconnected_head_accuracy"] == row.occupancy.accuracy
     assert metrics["test_disconnected_head_near_accuracy"] == row.occupancy.near_right / row.occupancy.near
     assert metrics["test_disconnected_confident_precision"] == row.confident.precision
-    table = occupancy_table(evaluation.test)
+    table = occupancy_table(evaluation.test, 0.1)
+    assert table[0][2] == "within 0.1 m of contact"
     assert [cells[0] for cells in table] == ["family", "uniform", "disconnected"]
     assert table[2][1].startswith(f"{row.occupancy.accuracy:.4f}")
 

@@ -12,7 +12,7 @@ from services.evaluator.evaluation.tables import planning_table
 from services.evaluator.measures.planning import PlanningTrial, RunOutcome, plan_trial
 from services.evaluator.measures.planning_summary import success_rate, summarise_family
 from services.planner.search.ompl_planner import PlannerSettings, PlanResult
-from services.planner.sources.uniform_sampler import UniformSampler
+from tests.fakes.uniform_sampler import UniformSampler
 
 # One disc on the y axis: turning the first joint through a quarter circle collides, through the others it
 # does not.

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from cspace.errors import EvaluationError
-from cspace.space import JointSpace, embed
+from cspace.space import JointSpace, circles, embed
 from services.evaluator.measures.reconstruction import (
     SampleQuality,
     SceneQuality,
@@ -26,13 +26,14 @@ def test_energy_distance_equals_its_definition_without_self_pairs(rng):
         np.mean([np.linalg.norm(a - b) for i, a in enumerate(z) for j, b in enumerate(z) if i != j])
         for z in (x, y)
     ]
-    assert energy_distance(first, second) == pytest.approx(2 * cross - sum(within))
+    assert energy_distance(first, second, TORUS) == pytest.approx(2 * cross - sum(within))
 
 
 def test_energy_distance_of_equal_distributions_averages_zero():
     rng = np.random.default_rng(2)
     values = [
-        energy_distance(TORUS.sample_uniform(rng, 40), TORUS.sample_uniform(rng, 40)) for _ in range(200)
+        energy_distance(TORUS.sample_uniform(rng, 40), TORUS.sample_uniform(rng, 40), TORUS)
+        for _ in range(200)
     ]
     assert abs(np.mean(values)) < 3 * np.std(values) / np.sqrt(200)
     assert min(values) < 0 < max(values)
@@ -40,12 +41,12 @@ def test_energy_distance_of_equal_distributions_averages_zero():
 
 def test_two_points_on_opposite_sides_of_a_circle():
     first, second = np.zeros((2, 1)), np.full((2, 1), np.pi)
-    assert energy_distance(first, second) == pytest.approx(4.0)
+    assert energy_distance(first, second, circles(1)) == pytest.approx(4.0)
 
 
 def test_precision_is_the_free_share(rng):
     samples = np.array([[0.0, 0.0], [1.0, 0.0], [2.0, 0.0], [-1.0, 0.0]] * 2)
-    measured = sample_quality(samples, TORUS.sample_uniform(rng, 10), TORUS, lambda q: q[:, 0] >= 0)
+    measured = sample_quality(samples, TORUS.sample_uniform(rng, 10), TORUS, lambda q: q[:, 0] >= 0, 0.2)
     assert measured.precision == 0.75
 
 
@@ -53,7 +54,7 @@ def test_samples_have_the_share_of_each_other_s_manifold(rng):
     # Samples of one half of the torus: all look real, and half of the real ones are out of their reach.
     held_out, samples = TORUS.sample_uniform(rng, 1000), TORUS.sample_uniform(rng, 1000)
     samples[:, 0] = np.abs(samples[:, 0])
-    measured = sample_quality(samples, held_out, TORUS, lambda q: q[:, 0] >= 0)
+    measured = sample_quality(samples, held_out, TORUS, lambda q: q[:, 0] >= 0, 0.2)
     assert measured.knn_precision > 0.98
     assert measured.knn_recall == pytest.approx(0.55, abs=0.05)
 
@@ -61,7 +62,7 @@ def test_samples_have_the_share_of_each_other_s_manifold(rng):
 @pytest.mark.parametrize("samples", [np.empty((0, 2)), np.zeros(3), np.array([[np.nan, 0.0], [0.0, 0.0]])])
 def test_no_samples_and_samples_that_are_not_finite_are_errors(rng, samples):
     with pytest.raises(EvaluationError):
-        sample_quality(samples, TORUS.sample_uniform(rng, 10), TORUS, lambda q: q[:, 0] >= 0)
+        sample_quality(samples, TORUS.sample_uniform(rng, 10), TORUS, lambda q: q[:, 0] >= 0, 0.2)
 
 
 def test_edr_sums_over_scenarios_before_it_divides(rng):

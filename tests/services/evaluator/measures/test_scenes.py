@@ -19,8 +19,8 @@ from services.evaluator.measures.scenes import (
     measure_reconstruction,
     reconstruct,
 )
-from services.planner.sources.uniform_sampler import UniformSampler
 from tests.fakes.sample_source import FakeSampleSource
+from tests.fakes.uniform_sampler import UniformSampler
 
 STAGE = Stage(PlanarWorld(TWO_LINK, Camera()), Split.VALIDATION, 5)
 

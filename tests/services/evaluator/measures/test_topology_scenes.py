@@ -12,8 +12,8 @@ from services.evaluator.measures.topology_scenes import (
     scene_topology,
     summarise_topology,
 )
-from services.planner.sources.uniform_sampler import UniformSampler
 from tests.fakes.sample_source import FakeSampleSource
+from tests.fakes.uniform_sampler import UniformSampler
 
 
 def scene(robot=TWO_LINK):

@@ -2,7 +2,7 @@ from collections.abc import Sequence
 
 import pytest
 
-from services.registry.tracking.metric_buffer import MAX_BATCH, MetricBuffer, MetricPoint
+from services.registry.tracking.metric_buffer import MAX_BATCH, MetricBuffer, MetricPoint, Patience
 
 
 class Clock:
@@ -40,7 +40,7 @@ def clock() -> Clock:
 
 @pytest.fixture
 def buffer(sink: Sink, clock: Clock) -> MetricBuffer:
-    return MetricBuffer(sink, size=3, age_s=10.0, clock=clock)
+    return MetricBuffer(sink, Patience(3, 10.0, clock))
 
 
 def test_points_wait_until_there_are_enough(buffer: MetricBuffer, sink: Sink) -> None:
@@ -76,7 +76,7 @@ def test_nothing_is_sent_when_nothing_waits(buffer: MetricBuffer, sink: Sink) ->
 
 
 def test_no_batch_is_larger_than_the_server_takes(sink: Sink) -> None:
-    buffer = MetricBuffer(sink, size=10_000)
+    buffer = MetricBuffer(sink, Patience(10_000))
     buffer.add(points(*range(2 * MAX_BATCH + 5)))
     buffer.flush()
     assert [len(batch) for batch in sink.batches] == [MAX_BATCH, MAX_BATCH, 5]

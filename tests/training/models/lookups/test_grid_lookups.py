@@ -17,16 +17,16 @@ from training.models.lookups import head_map
 from training.models.lookups.grid_lookups import fast_map
 from training.models.lookups.head_map import map_graph
 from training.models.settings import ValidityConfig
-from training.models.validity import ValidityHead
+from training.models.validity import make_head
 
 PIXELS = 48
 
 
 def head_of(robot, side_m=0.1) -> bytes:
     torch.manual_seed(0)  # noqa: TID251 - weights that are the same in every run
-    config = ValidityConfig(hidden=12, layers=2, points_per_link=5, side_m=side_m)
+    config = ValidityConfig(free_share=0.69, hidden=12, layers=2, points_per_link=5, side_m=side_m)
     return validity_graph(
-        ValidityHead(config, PlanarWorld(robot, Camera(pixels=PIXELS))).eval(), PIXELS, robot.dim
+        make_head(config, PlanarWorld(robot, Camera(pixels=PIXELS))).eval(), PIXELS, robot.dim
     )
 
 

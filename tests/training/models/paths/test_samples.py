@@ -6,6 +6,7 @@ import torch
 
 from cspace.dataset import write_dataset
 from cspace.errors import DatasetError
+from cspace.space import circles
 from cspace.worlds.planar.arm import TWO_LINK
 from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.world import PlanarWorld
@@ -13,6 +14,7 @@ from tests.training.models.path_builders import POINTS, generator, samples
 from training.models.paths.condition import Condition, condition_size, place_features, swept
 from training.models.paths.samples import equal_paths
 from training.models.space.features import on_torus
+from training.models.space.joints import Joints
 
 
 def test_a_point_lies_at_its_place_between_the_ends_that_come_with_it():
@@ -70,8 +72,10 @@ def test_fewer_rows_than_a_sweep_cover_the_whole_way():
 
 def test_a_conditions_features_are_as_many_as_its_size_tells():
     ends, latent, place = torch.zeros(5, 2), torch.zeros(5, 7), torch.rand(5, 1)
-    assert Condition(latent, ends, ends, None).features().shape == (5, condition_size(7, 2, place=False))
-    assert Condition(latent, ends, ends, place).features().shape == (5, condition_size(7, 2, place=True))
+    joints = Joints(circles(2))
+    bare, placed = (Condition(latent, ends, ends, at).features(joints) for at in (None, place))
+    assert bare.shape == (5, condition_size(7, joints, place=False))
+    assert placed.shape == (5, condition_size(7, joints, place=True))
     assert place_features(torch.tensor([[1.0]]))[0, :2].tolist() == [1.0, -1.0]
 
 

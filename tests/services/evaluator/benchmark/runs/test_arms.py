@@ -5,7 +5,7 @@ from services.evaluator.benchmark.runs.arms import MIN_CONFIDENCE, SAMPLES, Grou
 from services.planner.planning import PAPER_SCHEDULE
 from services.planner.settings import LEARNED_PLANNERS, PLANNERS, RRT
 
-ARMS = table(["flow", "way"])
+ARMS = table(["flow", "way"], 1.0)
 
 
 def names(*wanted, planners=()):
@@ -44,8 +44,8 @@ def test_the_schedule_has_as_many_unperturbed_samples_as_the_mixture_it_is_compa
 
 
 def test_arms_ask_for_as_many_samples_as_they_are_told_and_keep_a_number_that_is_in_their_name():
-    told = {arm.name: arm for arm in table(["way"], Taken(samples=700))}
-    plain = {arm.name: arm.samples for arm in table(["way"]) if arm.group is not Group.SCHEDULE}
+    told = {arm.name: arm for arm in table(["way"], 1.0, Taken(samples=700))}
+    plain = {arm.name: arm.samples for arm in table(["way"], 1.0) if arm.group is not Group.SCHEDULE}
     changed = {name for name, samples in plain.items() if told[name].samples != samples}
     assert changed == {
         name for name, samples in plain.items() if samples == SAMPLES and "samples" not in name
@@ -56,7 +56,7 @@ def test_arms_ask_for_as_many_samples_as_they_are_told_and_keep_a_number_that_is
 
 
 def test_there_is_an_arm_for_every_share_that_is_told():
-    plain, told = table(["way"]), table(["way"], Taken(shares=(0.85, 0.55)))
+    plain, told = table(["way"], 1.0), table(["way"], 1.0, Taken(shares=(0.85, 0.55)))
     assert len(told) == len(plain)
     shared = (Group.LEARNED, Group.FILTERED, Group.ORDERED, Group.CHECKED)
     assert {arm.learned_share for arm in told if arm.group in shared} == {0.85, 0.55}
@@ -67,21 +67,21 @@ def test_there_is_an_arm_for_every_share_that_is_told():
 
 
 def test_the_filter_of_ordered_arms_is_that_of_the_filtered_ones():
-    arms = table(["way"], Taken(0.25))
+    arms = table(["way"], 1.0, Taken(0.25))
     assert {arm.min_confidence for arm in pick(arms, ["filtered", "ordered"]) if arm.sampler} == {0.25}
 
 
 def test_checked_arms_take_the_samples_as_they_come_but_for_those_that_collide():
-    checked = [arm for arm in table(["way"]) if arm.group is Group.CHECKED]
+    checked = [arm for arm in table(["way"], 1.0) if arm.group is Group.CHECKED]
     assert len(checked) == 8
     for arm in checked:
         assert (arm.colliding_last, arm.min_confidence, arm.epsilon_sigma) == (True, 0.0, (0.0,))
         assert arm.ordered is ("ordered" in arm.name)
-    assert not any(arm.colliding_last for arm in table(["way"]) if arm.group is not Group.CHECKED)
+    assert not any(arm.colliding_last for arm in table(["way"], 1.0) if arm.group is not Group.CHECKED)
 
 
 def test_a_confidence_that_drops_nothing_leaves_no_arm_that_calls_itself_filtered():
-    arms = table(["way"], Taken(0.0))
+    arms = table(["way"], 1.0, Taken(0.0))
     with pytest.raises(ConfigError, match="no arm is left"):
         pick(arms, ["filtered"])
     assert {arm.min_confidence for arm in pick(arms, ["ordered"])} == {0.0}

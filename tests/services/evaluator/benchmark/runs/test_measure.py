@@ -25,7 +25,7 @@ from services.planner.search.sample_order import order_along
 from tests.bundles import picture, write_tiny_bundle
 
 NAMES = ("RRT, way, 70 %", "RRT, way, 100 %", "PRM, way, 100 %", "RRT*, way, 70 %, optimising")
-ARMS = pick(table(["way"]), NAMES)
+ARMS = pick(table(["way"], 1.0), NAMES)
 
 
 @pytest.fixture(scope="module")
@@ -91,7 +91,7 @@ def test_a_request_is_split_and_one_in_this_process_has_no_transport(setting, sp
 def test_arms_that_ask_for_the_same_share_a_request(setting, spec, sources):
     counting = Counting(sources["way"])
     wanted = (*NAMES, "RRT, way, schedule", "RRT, way, schedule in order", "RRT, way, 70 %, filtered")
-    found = run(pick(table(["way"]), wanted), Family.UNIFORM, setting, spec, {"way": counting})
+    found = run(pick(table(["way"], 1.0), wanted), Family.UNIFORM, setting, spec, {"way": counting})
     assert sorted(counting.asked.values()) == [1, 1, 1]
     plain = [found[name] for name in NAMES]
     assert len({one.request_s for one in plain}) == 1
@@ -137,7 +137,7 @@ def test_another_model_than_the_one_that_was_named_is_an_error(setting, spec, so
 
 
 def test_perturbed_samples_are_mixed_unless_the_papers_order_is_wanted(setting, spec, sources):
-    by_name = {arm.name: arm for arm in table(["way"])}
+    by_name = {arm.name: arm for arm in table(["way"], 1.0)}
     problem = known_problem(setting.world, Family.UNIFORM, setting.split, 0, 0)
     ends = {"start": problem.start.tolist(), "goal": problem.goal.tolist()}
     batch = sources["way"].sample(
@@ -154,7 +154,7 @@ def test_perturbed_samples_are_mixed_unless_the_papers_order_is_wanted(setting, 
 def test_checked_arms_take_all_that_others_take_and_count_what_they_check(setting, spec, sources):
     wanted = [f"RRT, way, 100 %{rest}" for rest in ("", ", colliding last")]
     short = replace(setting, max_iterations=400)
-    found = run(pick(table(["way"]), wanted), Family.DISCONNECTED, short, spec, sources)
+    found = run(pick(table(["way"], 1.0), wanted), Family.DISCONNECTED, short, spec, sources)
     plain, checked = (found[name] for name in wanted)
     assert plain.learned_drawn == checked.learned_drawn == 300
     assert plain.samples_got == checked.samples_got == 300
@@ -164,7 +164,7 @@ def test_checked_arms_take_all_that_others_take_and_count_what_they_check(settin
 
 
 def test_ordered_samples_are_the_same_ones_along_the_way(setting, spec, sources):
-    by_name = {arm.name: arm for arm in table(["way"])}
+    by_name = {arm.name: arm for arm in table(["way"], 1.0)}
     problem = known_problem(setting.world, Family.UNIFORM, setting.split, 0, 0)
     ends = {"start": problem.start.tolist(), "goal": problem.goal.tolist()}
     batch = sources["way"].sample(encode_png(picture(pixels=48)), 40, seed=3, min_confidence=0.0, **ends)

@@ -1,4 +1,4 @@
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import pandas as pd
 import pytest
@@ -8,13 +8,13 @@ from cspace.worlds import workshop_of
 from cspace.worlds.planar.problems import Family
 from cspace.worlds.planar.world import PlanarWorld
 from services.evaluator.benchmark.runs.arms import pick, table
-from services.evaluator.benchmark.runs.run import COLUMNS, DESCRIPTIONS, Run, finite
+from services.evaluator.benchmark.runs.run import DESCRIPTIONS, Run, finite
 from services.evaluator.benchmark.runs.setting import units
 from services.evaluator.benchmark.runs.sources import SourceSpec
 from services.evaluator.benchmark.runs.store import RUNS, RunStore, complete
 from services.evaluator.benchmark.telling.frame import write_parquet
 
-ARMS = pick(table(["way"]), ["RRT, way, 70 %"])
+ARMS = pick(table(["way"], 1.0), ["RRT, way, 70 %"])
 WAY = SourceSpec("way", "a" * 64, with_ends=True, model="path-sampler/3", url="http://127.0.0.1:1")
 
 
@@ -58,7 +58,7 @@ def test_runs_of_another_setting_arm_or_model_are_refused(tmp_path, setting):
 
 def test_further_arms_and_samplers_may_join(tmp_path, setting):
     RunStore.open(tmp_path, setting, ARMS, [WAY])
-    more = pick(table(["flow"]), ["RRT, flow, 70 %"])
+    more = pick(table(["flow"], 1.0), ["RRT, flow, 70 %"])
     store = RunStore.open(tmp_path, setting, more, [replace(WAY, name="flow", digest="c" * 64)])
     assert set(store.manifest()["arms"]) == {"RRT, uniform", "RRT, way, 70 %", "RRT, flow, 70 %"}
     assert set(store.manifest()["samplers"]) == {"way", "flow"}
@@ -85,7 +85,7 @@ def test_only_problems_that_all_arms_of_a_family_have_run_are_compared(make_run)
 
 
 def test_problems_without_a_path_have_no_optimising_arms():
-    arms = pick(table([]), ["optimising", "uniform"])
+    arms = pick(table([], 1.0), ["optimising", "uniform"])
     (unit,) = units({Family.DISCONNECTED: 1}, 1, arms, set(), FAMILIES)
     assert all(arm.stop_at_first for arm in unit.arms)
     (unit,) = units({Family.NARROW: 1}, 1, arms, set(), FAMILIES)
@@ -96,7 +96,7 @@ def test_pandas_reads_the_table_and_its_columns_are_described(tmp_path, make_run
     runs = [make_run(cost_s=(0.1, 0.2)), make_run(arm="b", sampler="way", solved=False)]
     write_parquet(runs, tmp_path / "runs.parquet")
     found = pd.read_parquet(tmp_path / "runs.parquet")
-    assert list(found.columns) == list(COLUMNS) == list(DESCRIPTIONS)
+    assert list(found.columns) == [field.name for field in fields(Run)] == list(DESCRIPTIONS)
     assert found["iterations"].tolist() == [100, 100]
     assert found["solved"].tolist() == [True, False]
     assert found["length_rad"].isna().tolist() == [False, True]

@@ -47,7 +47,7 @@ def test_close_is_within_five_per_cent_and_may_never_come(paired):
 
 
 def test_ratios_are_to_plain_rrt_star_with_what_never_came_last(paired, rng):
-    arms = pick(table(["way"]), [UNIFORM, LEARNED])
+    arms = pick(table(["way"], 1.0), [UNIFORM, LEARNED])
     uniform, learned = converge(paired, arms, rng)
     assert (uniform.close.estimate, learned.close.estimate) == (0.5, 1.0)
     assert uniform.iteration_ratios is None

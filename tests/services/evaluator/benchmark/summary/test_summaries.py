@@ -75,7 +75,7 @@ def paired(make_run):
 
 @pytest.fixture
 def arms() -> tuple[Arm, ...]:
-    return pick(table(["way"]), [LEARNED, UNIFORM, SHORT])
+    return pick(table(["way"], 1.0), [LEARNED, UNIFORM, SHORT])
 
 
 def test_what_is_left_without_the_checks_is_request_and_planner(paired):

@@ -11,7 +11,7 @@ from services.evaluator.benchmark.telling.pages import page_arms
 from services.evaluator.benchmark.telling.report import report
 
 ARMS = pick(
-    table(["way", "flow"]), ["RRT, way, 70 %", "RRT, way, 70 %, 10 samples", "RRT*, uniform, optimising"]
+    table(["way", "flow"], 1.0), ["RRT, way, 70 %", "RRT, way, 70 %, 10 samples", "RRT*, uniform, optimising"]
 )
 MANIFEST = {
     "samplers": {
@@ -38,7 +38,7 @@ def results(make_run, setting):
                     stop_at_first=arm.stop_at_first, problem=problem, solved=problem < 2, **cost,
                 )
             )  # fmt: skip
-    paper = Setting(Protocol.PAPER, setting.split, 0, 1000, 1000, 1.0)
+    paper = Setting(Protocol.PAPER, setting.split, 0, 1000, 1000, 1.0, 0.0314)
     return Results.gather(runs, [Family.NARROW], ARMS, paper)
 
 
@@ -76,7 +76,7 @@ def test_success_against_the_samples_asked_for_has_its_limits(results):
 
 
 def test_samplers_have_colours_of_their_own_and_planners_panels():
-    arms = {arm.name: arm for arm in table(["way", "flow"])}
+    arms = {arm.name: arm for arm in table(["way", "flow"], 1.0)}
     shown = looks(list(arms.values()))
     way, flow, uniform = (shown[f"RRT, {name}"] for name in ("way, 70 %", "flow, 70 %", "uniform"))
     assert len({way.colour, flow.colour, uniform.colour}) == 3
@@ -89,7 +89,7 @@ def test_samplers_have_colours_of_their_own_and_planners_panels():
 
 
 def test_a_page_shows_uniform_rrt_beside_each_sampler():
-    names = [arm.name for arm in page_arms(table(["a", "b", "c", "d"]))]
+    names = [arm.name for arm in page_arms(table(["a", "b", "c", "d"], 1.0))]
     assert names == ["RRT, uniform", "RRT, a, 70 %", "RRT, b, 70 %", "RRT, c, 70 %"]
 
 

@@ -13,7 +13,7 @@ from services.evaluator.benchmark.summary.results import Results
 from services.evaluator.benchmark.telling.ompl_log import PROGRESS, PROPERTIES, STATUS, ompl_log, planner_name
 
 STAR, PLAIN = "RRT*, uniform, optimising", "RRT, uniform"
-ARMS = pick(table([]), [PLAIN, STAR])
+ARMS = pick(table([], 1.0), [PLAIN, STAR])
 
 
 @pytest.fixture
@@ -134,7 +134,7 @@ def test_ompls_own_reader_makes_the_database_of_planner_arena(log, tmp_path, cap
 
 
 def test_names_of_planners_have_no_blanks_and_stay_apart():
-    arms = table(["way", "flow"])
+    arms = table(["way", "flow"], 1.0)
     found = {planner_name(arm.name) for arm in arms}
     assert len(found) == len(arms)
     assert all(re.fullmatch(r"geometric_[A-Za-z0-9._-]+", name) for name in found)

@@ -6,7 +6,7 @@ from services.evaluator.benchmark.runs.arms import Group, table
 from services.evaluator.benchmark.summary.paired import PairedRuns
 from services.evaluator.benchmark.telling.treated import plain_arm, treated_table
 
-ARMS = table(["way", "other"])
+ARMS = table(["way", "other"], 1.0)
 BY_NAME = {arm.name: arm for arm in ARMS}
 PLAIN, CHECKED = "RRT, way, 70 %", "RRT, way, 70 %, colliding last"
 

@@ -19,7 +19,7 @@ class UniformSampler(SampleSource):
     def __init__(self, space: JointSpace) -> None:
         self._space = space
 
-    def answer(self, picture: Picture, query: SampleQuery, model: str | None = None) -> SampleBatch:  # noqa: ARG002 - the port's arguments
+    def answer(self, picture: Picture, query: SampleQuery, model: str | None = None) -> SampleBatch:
         """``query.n`` uniform configurations; picture and model change nothing."""
         drawn = self._space.sample_uniform(np.random.default_rng(query.seed), query.n)
         samples = self._space.to_float32(drawn)

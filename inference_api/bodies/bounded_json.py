@@ -1,10 +1,10 @@
 """Strict JSON from clients, its work bounded before it is parsed: the parser lets no other thread run."""
 
-import json
 from typing import Any
 
 import numpy as np
 
+from cspace import strict_json
 from inference_api.problems import MALFORMED_BODY, RequestError
 
 # Commas, colons and opening brackets. The largest request for samples has about 1200: two configurations and
@@ -68,10 +68,9 @@ def load_json(what: str, data: bytes, most: int = MAX_MARKS) -> object:
             remedy="write texts in UTF-8",
         )
     try:
-        return json.loads(
-            data.decode("utf-8"), parse_constant=_refuse, parse_int=_whole, object_pairs_hook=_unique
-        )
-    except (ValueError, RecursionError) as error:
+        # What is infinite is refused where fields are judged, with the field's name.
+        return strict_json.parse_json(data, whole=_whole, number=float)
+    except ValueError as error:
         raise RequestError(
             MALFORMED_BODY,
             f"{what} is not JSON",
@@ -80,18 +79,7 @@ def load_json(what: str, data: bytes, most: int = MAX_MARKS) -> object:
         ) from error
 
 
-def _refuse(name: str) -> float:
-    raise ValueError(f"{name} is not JSON")
-
-
 def _whole(digits: str) -> int:
     if len(digits) > MAX_DIGITS:
         raise ValueError(f"a whole number has more than {MAX_DIGITS} digits")
     return int(digits)
-
-
-def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    values = dict(pairs)
-    if len(values) != len(pairs):
-        raise ValueError("a key stands twice in one object")
-    return values

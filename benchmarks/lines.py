@@ -1,20 +1,9 @@
 """Results of a benchmark, a JSON object a line, so that one that was stopped goes on where it was."""
 
-import argparse
 import json
 import statistics
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
-
-
-def arguments(description: str | None) -> argparse.ArgumentParser:
-    """What all benchmarks with a tracking server take."""
-    parser = argparse.ArgumentParser(
-        description=description, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--tracking-uri", required=True)
-    return parser
 
 
 def read(path: Path) -> list[dict]:
@@ -25,6 +14,15 @@ def append(path: Path, row: dict) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     with path.open("a", encoding="utf-8") as file:
         file.write(json.dumps(row) + "\n")
+
+
+def measured(path: Path, row: dict, measure: Callable[[], dict]) -> None:
+    """Measure what a row describes and add it to the results, unless it stands there already."""
+    if any(row.items() <= one.items() for one in read(path)):
+        return
+    found = row | measure()
+    append(path, found)
+    print(found, flush=True)
 
 
 def spread(values: Iterable[float], digits: int = 1) -> str:

@@ -1,0 +1,14 @@
+"""A benchmark's units in the order of the work, in this process."""
+
+from collections.abc import Iterator, Sequence
+
+from services.evaluator.benchmark.runs.measure import measure
+from services.evaluator.benchmark.runs.run import Run
+from services.evaluator.benchmark.runs.setting import Setting, Unit
+from services.evaluator.benchmark.runs.sources import SourceSpec, opened
+
+
+def run_here(work: Sequence[Unit], setting: Setting, specs: Sequence[SourceSpec]) -> Iterator[list[Run]]:
+    with opened(specs) as sources:
+        for unit in work:
+            yield measure(unit, setting, {spec.name: spec for spec in specs}, sources)

@@ -1,0 +1,65 @@
+"""What is measured by, and what is told of it, are the world's numbers and not the evaluator's."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cspace.splits import Split
+from cspace.worlds import workshop_of
+from cspace.worlds.planar.workshop import PlanarWorkshop
+from cspace.worlds.planar.world import PlanarWorld
+from services.evaluator.benchmark.command import make_request, parser
+from services.evaluator.evaluation.budget import Budget, Kind, Unit
+from services.evaluator.evaluation.gallery import gallery
+from services.evaluator.evaluation.metrics import flat_metrics
+from services.evaluator.evaluation.report import to_json, to_markdown
+from services.evaluator.evaluation.units import Setting, assemble, run_unit
+from services.evaluator.measures.scenes import Scene, Stage
+from tests.fakes.uniform_sampler import UniformSampler
+
+PLANAR = workshop_of(PlanarWorld()).measures
+OTHER = replace(PLANAR, coverage_radius_rad=0.7, near_contact_m=0.3, range_rad=0.4, resolution_rad=0.02)
+SCENE = Scene(Stage(PlanarWorld(), Split.VALIDATION, 5), 0)
+UNIFORM = UniformSampler(PlanarWorld().space)
+
+
+@pytest.fixture
+def other(monkeypatch):
+    monkeypatch.setattr(PlanarWorkshop, "measures", property(lambda _: OTHER))
+
+
+def evaluation():
+    setting = Setting(PlanarWorld(), 5, Budget(1, 30, 1, 1, 1, 0, 1))
+    splits = (Split.VALIDATION, Split.TEST)
+    work = [Unit(Kind.RECONSTRUCTION, split, 0, 1) for split in splits]
+    work += [Unit(Kind.PLANNING, split, 0, 1, family) for split in splits for family in ("uniform", "narrow")]
+    return assemble([run_unit(unit, setting, UNIFORM) for unit in work], setting)
+
+
+def test_every_gated_metric_of_the_planar_world_is_one_that_is_measured():
+    assert {*PLANAR.margins, *PLANAR.path_margins} <= flat_metrics(evaluation()).keys()
+
+
+def test_the_radius_of_coverage_is_the_worlds(other):
+    held_out = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 2.0]] * 4)
+    assert SCENE.quality(np.array([[0.5, 0.0]] * 6), held_out).coverage == pytest.approx(2 / 3)
+    (legend,) = gallery([SCENE], UNIFORM, "uniform").legends
+    assert "free, no sample within 0.7 rad" in [text.get_text() for text in legend.get_texts()]
+
+
+def test_the_planner_of_an_evaluation_is_the_worlds(other):
+    done = evaluation()
+    assert "RRT, range 0.4 rad, resolution 0.02 rad a joint" in to_markdown(done, "model", ())
+    assert '"range_rad": 0.4' in to_json(done)
+
+
+def test_the_planners_of_the_benchmark_are_the_worlds(other, tmp_path):
+    request = make_request(parser().parse_args(["--out", str(tmp_path), "--arms", "uniform"]))
+    ranges = {arm.name: arm.range_rad for arm in request.arms if arm.name.startswith("RRT, uniform")}
+    assert ranges == {
+        "RRT, uniform": 0.4,
+        "RRT, uniform, range 0.2": 0.2,
+        "RRT, uniform, range 0.8": 0.8,
+    }
+    assert request.setting.planner(request.arms[0], 0, 0).resolution_rad == 0.02
