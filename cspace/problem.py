@@ -1,5 +1,6 @@
 """Planning problems: start and goal in a scene."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +15,10 @@ NARROW = "narrow"
 """The family whose ends a narrow passage joins and nothing wider; not every robot has it."""
 
 
+OWN = "own"
+"""What a problem is called that somebody made by hand."""
+
+
 @dataclass(frozen=True, eq=False)
 class Problem:
     """A planning problem.
@@ -23,7 +28,8 @@ class Problem:
         start: (d,) rad.
         goal: (d,) rad.
         family: what it is like.
-        bottleneck_rad: largest clearance at which start and goal stay connected; 0 without a path.
+        bottleneck_rad: largest clearance at which start and goal stay connected; 0 without a path, NaN where
+            nobody looked.
         seed: that it was drawn from.
         rejected: draws before it that were not of the family.
     """
@@ -31,10 +37,10 @@ class Problem:
     scenario: Scene
     start: NDArray[np.float64]
     goal: NDArray[np.float64]
-    family: str
-    bottleneck_rad: float
-    seed: int
-    rejected: int
+    family: str = OWN
+    bottleneck_rad: float = math.nan
+    seed: int = 0
+    rejected: int = 0
 
     @property
     def space(self) -> JointSpace:

@@ -138,8 +138,8 @@ class Workshop(Protocol):
     def measures(self) -> Measures:
         """What fits it."""
 
-    def scene(self, rng: np.random.Generator) -> Scene:
-        """A scene of the kind that training sees."""
+    def scene(self, rng: np.random.Generator, split: Split, index: int) -> Scene:
+        """A scene of a split; where scenes are given, the index-th of them."""
 
     def scenes(self, split: Split, seed: int, count: int) -> Sequence[Scene]:
         """The first ``count`` of a split under a seed; a longer list starts with the shorter one."""
@@ -172,6 +172,12 @@ class Workshop(Protocol):
         Raises:
             ScenarioError: there is no such family, or none of its problems was found.
         """
+
+    def obstruction(self, problem: Problem) -> str | None:
+        """Why a problem has no solution, in words; None where that is not known."""
+
+    def count(self, split: Split) -> int | None:
+        """How many scenes a split has; None where they are drawn without end."""
 
     def draw_scene(self, axes: Any, scene: Scene, colour: str) -> None:
         """Obstacles and frame, on axes of matplotlib."""

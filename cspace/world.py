@@ -104,6 +104,10 @@ class World(Protocol):
         """How scenes are seen."""
 
     @property
+    def scenes(self) -> Any:
+        """Where its scenes come from: a family, or given ones; None where nobody knows."""
+
+    @property
     def space(self) -> JointSpace:
         """The robot's joint space."""
 
@@ -128,6 +132,17 @@ class World(Protocol):
 
         Raises:
             DatasetError: they do not fit ``count`` scenarios.
+        """
+
+    def among(self, data: "World", arrays: Arrays) -> "World":
+        """The same robot and sensor in the scenes of a data set.
+
+        Args:
+            data: the data set's world.
+            arrays: of the data set; all scenes in them count as held out where ``data`` knows none.
+
+        Raises:
+            ScenarioError: the data set holds no scenes, or its robot is another.
         """
 
     def to_dict(self) -> dict[str, Any]:

@@ -49,15 +49,25 @@ def default_world() -> World:
     return next(iter(examples().values()))
 
 
-def robot_types() -> tuple[type[Body], ...]:
-    """Of all kinds; each is a dataclass, and its fields are what a configuration says of a robot."""
-    return tuple(dict.fromkeys(type(world.body) for world in examples().values()))
+def part_types(part: str) -> tuple[type[Any], ...]:
+    """The types of a part of worlds, ``body``, ``sensor`` or ``scenes``, of all kinds.
+
+    Each is a dataclass, and its fields are what a configuration says of the part.
+    """
+    found = (one for kind in KINDS for one in _part(kind, "world").PARTS[part])
+    return tuple(dict.fromkeys(found))
 
 
-def usual_world(robot: Body) -> World:
-    """A robot that is seen as the first example of its type is."""
+def usual_world(robot: Body, **parts: Any) -> World:
+    """A robot that is seen as the first example of its type is, and stands in such scenes.
+
+    Args:
+        robot: of any kind.
+        parts: ``sensor`` and ``scenes`` instead of the example's, where they are not None.
+    """
     example: Any = next(world for world in examples().values() if type(world.body) is type(robot))
-    return cast("World", replace(example, body=robot))
+    own = {name: part for name, part in parts.items() if part is not None}
+    return cast("World", replace(example, body=robot, **own))
 
 
 def add_world_options(parser: ArgumentParser, *, sensor: bool) -> None:

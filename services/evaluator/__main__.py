@@ -10,6 +10,7 @@ import json
 import os
 import sys
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 
 from cspace.errors import ConfigError, CspaceError, ModelNotFoundError
 from services.evaluator.benchmark.__main__ import main as planning_benchmark
@@ -37,6 +38,7 @@ def main(arguments: Sequence[str] | None = None, environment: Mapping[str, str] 
             scenarios=options.scenarios,
             seed=options.seed,
             promote=not options.no_promote,
+            data=options.data,
         )
         uri = _tracking_uri(environment)
         tracking, registry = MlflowTracking(uri), MlflowRegistry(uri)
@@ -85,6 +87,12 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--budget", choices=sorted(BUDGETS), default="quick", help="how much is evaluated")
     parser.add_argument("--scenarios", type=int, help="per split, instead of the budget's")
     parser.add_argument("--seed", type=int, default=0, help="of scenarios, samples and problems")
+    parser.add_argument(
+        "--data",
+        type=Path,
+        metavar="FOLDER",
+        help="a data set: judge on its scenes, not on the version's own",
+    )
     parser.add_argument("--no-promote", action="store_true", help="record no decision, move no alias")
     return parser
 

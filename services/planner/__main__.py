@@ -1,4 +1,6 @@
-"""Solve one problem with an API's samples: ``python -m services.planner --api URL --family narrow --seed 7``.
+"""Solve one problem with an API's samples.
+
+``python -m services.planner plan scene.yaml``, or a problem of a family: ``--family narrow --seed 7``.
 
 Exit codes: 0 solved, 1 not solved, 2 wrong usage or input, or the API refused the request.
 """
@@ -8,6 +10,7 @@ import sys
 from collections.abc import Sequence
 
 from cspace.errors import CspaceError
+from cspace.problem import Problem
 from cspace.splits import Split
 from cspace.worlds import workshop_of
 from services.planner.command_line import Command, parse_command
@@ -21,7 +24,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Parse, draw the problem, ask, solve, print; returns the exit code."""
     try:
         command = parse_command(arguments)
-        comparison = _compare(command)
+        problem = _problem(command)
+        obstruction = workshop_of(command.world).obstruction(problem) if command.scene else None
+        if obstruction is not None:
+            print(f"there is no path: {obstruction}", file=sys.stderr)
+            return 1
+        comparison = _compare(command, problem)
         _print(command, comparison)
         _draw(command, comparison)
     except CspaceError as error:
@@ -30,9 +38,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0 if comparison.learned.result.solved else 1
 
 
-def _compare(command: Command) -> Comparison:
+def _problem(command: Command) -> Problem:
+    if command.scene is not None:
+        return command.scene.problem()
     workshop = workshop_of(command.world)
-    problem = workshop.problem(command.family, Split.DEMO, command.seed, command.index)
+    return workshop.problem(command.family, Split.DEMO, command.seed, command.index)
+
+
+def _compare(command: Command, problem: Problem) -> Comparison:
     with SamplingClient(command.url, command.timeout_s) as client:
         return compare_with_api(problem, client, command.settings, command.request, command.uniform_share)
 

@@ -1,6 +1,7 @@
 """The command's arguments, and the values that are made of them."""
 
 import argparse
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +14,7 @@ from services.planner.planning import DEFAULT_SAMPLES, PAPER_SCHEDULE, SampleReq
 from services.planner.search.ompl_planner import DEFAULT_UNIFORM_SHARE
 from services.planner.settings import LEARNED_PLANNERS, RRT, PlannerSettings, check_uniform_share
 from services.planner.sources.http_client import DEFAULT_TIMEOUT_S
+from services.scene_files import SceneFile, read_scene_file
 
 WORLDS = examples()
 
@@ -31,6 +33,7 @@ class Command:
         settings: of the planner.
         request: to the sampling endpoint.
         uniform_share: of uniform samples among the learned ones.
+        scene: a file that holds the problem; None for one of a family.
         plot: the figure's file, or None.
         json: whether the outcome is printed as JSON.
     """
@@ -44,6 +47,7 @@ class Command:
     settings: PlannerSettings
     request: SampleRequest
     uniform_share: float
+    scene: SceneFile | None
     plot: Path | None
     json: bool
 
@@ -52,9 +56,12 @@ def parse_command(arguments: Sequence[str] | None = None) -> Command:
     """The command of an argument list; leaves the process with 2 where argparse objects.
 
     Raises:
-        InputError: a value is out of its range.
+        InputError: a value is out of its range, or a scene file does not fit.
     """
-    options = make_parser().parse_args(arguments)
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    # `plan FILE` is how people say it.
+    options = make_parser().parse_args(["--scene", *given[1:]] if given[:1] == ["plan"] else given)
+    scene = None if options.scene is None else read_scene_file(options.scene)
     if options.plot is not None:
         check_figure_path(options.plot)
     check_uniform_share(options.uniform_share)
@@ -76,10 +83,11 @@ def parse_command(arguments: Sequence[str] | None = None) -> Command:
         family=options.family,
         seed=options.seed,
         index=options.index,
-        world=WORLDS[options.robot],
+        world=WORLDS[options.robot] if scene is None else scene.world,
         settings=settings,
         request=request,
         uniform_share=options.uniform_share,
+        scene=scene,
         plot=options.plot,
         json=options.json,
     )
@@ -90,13 +98,15 @@ def make_parser() -> argparse.ArgumentParser:
     defaults = PlannerSettings()
     parser = argparse.ArgumentParser(
         prog="python -m services.planner",
-        description="Draw a planning problem, ask an inference API for samples of its picture, and solve it "
-        "with them and with uniform samples.",
+        usage="%(prog)s [plan FILE] [options]",
+        description="Draw a planning problem, or read one from a scene file, ask an inference API for "
+        "samples of its picture, and solve it with them and with uniform samples.",
         epilog="Exit codes: 0 solved, 1 not solved, 2 wrong usage or input, or the API refused the request. "
         "An API that does not answer is reported, and the problem is solved with uniform samples.",
     )
     problem = parser.add_argument_group("problem")
     families = dict.fromkeys(name for world in WORLDS.values() for name in workshop_of(world).families.names)
+    problem.add_argument("--scene", type=Path, metavar="FILE", help="of your own, instead of a family's")
     problem.add_argument("--family", choices=list(families), default="narrow", help="default %(default)s")
     problem.add_argument("--seed", type=_count, default=0, help="of the problem; default %(default)s")
     problem.add_argument("--index", type=_count, default=0, help="of the problem among those of its seed")

@@ -1,6 +1,7 @@
 """A planner and a source of learned samples put together: one batch before the search, none during it."""
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 from cspace.errors import SamplerError, SamplerUnavailableError
 from cspace.problem import Problem
@@ -11,6 +12,8 @@ from services.planner.search.ompl_planner import DEFAULT_UNIFORM_SHARE, solve
 from services.planner.search.sample_order import order_along
 from services.planner.settings import RRT_CONNECT, PlannerSettings
 from services.planner.sources.samples import SampleBatch, SampleSource
+from services.planner.sources.sampling_client import SamplingClient
+from services.scene_files import read_scene_file
 
 DEFAULT_SAMPLES = 300
 PAPER_SCHEDULE = (0.0, 0.25, 0.5, 1.0)
@@ -108,6 +111,25 @@ def plan_with_api(
             samples = samples[order_along(samples, problem.start, problem.goal, space)]
     result = solve(problem, settings, samples, uniform_share, keep_tree=keep_tree)
     return ApiPlan(result, batch, unavailable, uniform_share)
+
+
+def plan_scene(
+    path: str | Path, api: str = "http://127.0.0.1:8000", settings: PlannerSettings | None = None
+) -> ApiPlan:
+    """Solve the problem of a scene file with samples from an API.
+
+    Args:
+        path: of the scene file; see :mod:`services.scene_files`.
+        api: address of the inference API; uniform samples where it does not answer.
+        settings: of the planner.
+
+    Raises:
+        ScenarioError: the file does not fit, or holds no problem.
+        SamplerError: the API refused the request.
+    """
+    problem = read_scene_file(Path(path)).problem()
+    with SamplingClient(api) as client:
+        return plan_with_api(problem, client, settings or PlannerSettings())
 
 
 def raised_share(uniform_share: float, novelty: float | None) -> float:

@@ -4,6 +4,7 @@ import math
 from dataclasses import asdict
 from typing import Any
 
+from cspace.problem import OWN
 from services.planner.plan_result import PlanResult
 from services.planner.planning import Comparison
 
@@ -73,6 +74,8 @@ def named_results(comparison: Comparison, planner: str) -> list[tuple[str, PlanR
 
 def _problem_line(comparison: Comparison) -> str:
     problem = comparison.problem
+    if problem.family == OWN:
+        return f"your own, {problem.space.dim} joints"
     passage = (
         f"bottleneck {problem.bottleneck_rad:.3f} rad"
         if 0.0 < problem.bottleneck_rad < math.inf

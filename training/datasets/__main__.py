@@ -9,13 +9,14 @@ import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import get_args
+from typing import Any, get_args
 
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 
 from cspace.dataset import Dataset, open_dataset
 from cspace.errors import ConfigError, CspaceError, ScenarioError
 from cspace.worlds import add_world_options, described_world
+from services.scene_files import given_scenes, read_scene_file
 from training.datasets.config import DatasetConfig, PathDatasetConfig
 from training.datasets.own import import_folder
 
@@ -85,6 +86,16 @@ def _add_generated(
             help=field.description,
         )
     add_world_options(parser, sensor=False)
+    parser.add_argument(
+        "--robot", type=Path, metavar="FILE", help="a scene file: its robot, camera and family of scenes"
+    )
+    parser.add_argument(
+        "--scenes",
+        type=Path,
+        nargs="+",
+        metavar="FILE",
+        help="scene files or folders of them: obstacles of your own; every fifth is held out for evaluation",
+    )
     parser.set_defaults(run=lambda options: _made(options, kind))
 
 
@@ -98,9 +109,10 @@ def _add_import(parser: argparse.ArgumentParser) -> None:
 
 
 def _made(options: argparse.Namespace, kind: type[DatasetConfig] | type[PathDatasetConfig]) -> Dataset:
-    values = {name: getattr(options, name) for name in kind.model_fields if name != "robot"}
+    named = kind.model_fields.keys() - {"robot", "camera", "scenes"}
+    values = {name: getattr(options, name) for name in named} | _world_parts(options, kind)
     try:
-        config = kind.model_validate({**values, "robot": described_world(options).body})
+        config = kind.model_validate(values)
     except ValidationError as error:
         first = error.errors()[0]
         raise ConfigError(
@@ -113,6 +125,32 @@ def _made(options: argparse.Namespace, kind: type[DatasetConfig] | type[PathData
     from training.datasets.generate import generate  # noqa: PLC0415
 
     return generate(config, options.folder.absolute())
+
+
+def _world_parts(options: argparse.Namespace, kind: type[BaseModel]) -> dict[str, Any]:
+    """Robot, camera and scenes of options; each given scene is taken once, where no number is asked for."""
+    if not (options.robot or options.scenes):
+        return {"robot": described_world(options).body}
+    files = [read_scene_file(path) for path in _files(options.scenes or ())]
+    world = read_scene_file(options.robot).world if options.robot else files[0].world
+    parts: dict[str, Any] = {"robot": world.body, "camera": world.sensor, "scenes": world.scenes}
+    if files:
+        parts["scenes"] = given_scenes(world, files)
+        for name, count in (("scenario_count", len(parts["scenes"].train)), ("extra_image_count", 0)):
+            field = kind.model_fields.get(name)
+            if field is not None and getattr(options, name) == field.default:
+                parts[name] = count
+    return parts
+
+
+def _files(paths: Sequence[Path]) -> list[Path]:
+    found: list[Path] = []
+    for path in paths:
+        inside = [one for one in sorted(path.glob("*")) if one.suffix in (".yaml", ".yml", ".json")]
+        if path.is_dir() and not inside:
+            raise ConfigError(f"{path} holds no scene files", expected=".yaml, .yml or .json")
+        found += inside if path.is_dir() else [path]
+    return found
 
 
 def _import(options: argparse.Namespace) -> Dataset:

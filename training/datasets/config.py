@@ -2,23 +2,33 @@
 
 import hashlib
 import json
+from dataclasses import dataclass
 from functools import reduce
 from operator import or_
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    GetCoreSchemaHandler,
+    SerializerFunctionWrapHandler,
+    model_serializer,
+)
 from pydantic_core import CoreSchema
 
 from cspace.world import Body, World
-from cspace.worlds import default_world, robot_types, usual_world
+from cspace.worlds import default_world, part_types, usual_world
 
 
+@dataclass(frozen=True, slots=True)
 class _OfAnyKind:
-    """A robot by the fields of its type."""
+    """A part of a world by the fields of its type."""
 
-    @staticmethod
-    def __get_pydantic_core_schema__(source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        return handler.generate_schema(reduce(or_, robot_types()))
+    part: str
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        return handler.generate_schema(reduce(or_, part_types(self.part)))
 
 
 class GeneratedConfig(BaseModel):
@@ -26,7 +36,11 @@ class GeneratedConfig(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    robot: Annotated[Body, _OfAnyKind] = default_world().body
+    robot: Annotated[Body, _OfAnyKind("body")] = default_world().body
+    camera: Annotated[Any, _OfAnyKind("sensor")] | None = Field(None, description="None: the usual one")
+    scenes: Annotated[Any, _OfAnyKind("scenes")] | None = Field(
+        None, description="a family, or given ones; None: the usual family"
+    )
     split: Literal["train", "validation", "test", "demo"] = "train"
     seed: int = Field(0, ge=0)
     shard_size: int = Field(500, ge=1)
@@ -34,7 +48,14 @@ class GeneratedConfig(BaseModel):
     @property
     def world(self) -> World:
         """Robot and sensor as the value that the rest of the code takes."""
-        return usual_world(self.robot)
+        return usual_world(self.robot, sensor=self.camera, scenes=self.scenes)
+
+    @model_serializer(mode="wrap")
+    def _told(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Without the parts of the world that are the usual ones: older configurations have no such keys."""
+        told: dict[str, Any] = handler(self)
+        usual = [name for name in ("camera", "scenes") if told.get(name) is None]
+        return {name: value for name, value in told.items() if name not in usual}
 
     @property
     def key(self) -> str:

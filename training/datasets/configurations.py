@@ -56,7 +56,7 @@ class ConfigurationRecipe:
         rows = []
         for index in range(shard.first, shard.first + shard.count):
             rng = scenario_rng(split, config.seed, offset + index)
-            scene = workshop.scene(rng)
+            scene = workshop.scene(rng, split, offset + index)
             row: dict[str, NDArray[Any]] = {"images": workshop.render(scene)}
             if not shard.extra:
                 checker = workshop.checker(scene)

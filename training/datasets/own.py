@@ -7,9 +7,9 @@ pictures/
   extra/*.png             pictures without configurations; optional
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,7 +63,8 @@ def import_folder(source: Path, folder: Path, *, world: World) -> Dataset:
     has_collision = any(len(scenario.collision) for scenario in scenarios)
     return write_dataset(
         folder,
-        world=world,
+        # Where the pictures come from, nobody says.
+        world=replace(cast("Any", world), scenes=None),
         images=np.stack([scenario.image for scenario in scenarios]),
         free=[scenario.free for scenario in scenarios],
         collision=[scenario.collision for scenario in scenarios] if has_collision else None,

@@ -88,7 +88,7 @@ def _scenario_with_paths(config: PathDatasetConfig, index: int) -> dict[str, NDA
     rng = scenario_rng(Split(config.split), config.seed, index)
     workshop = workshop_of(config.world)
     for _ in range(MAX_DRAWS):
-        scene = workshop.scene(rng)
+        scene = workshop.scene(rng, Split(config.split), index)
         proposals = config.world.space.sample_uniform(rng, _PROPOSALS)
         free = proposals[workshop.checker(scene).valid_batch(proposals)]
         if len(free) < max(2, config.free_per_scenario):

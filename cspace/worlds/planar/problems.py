@@ -25,9 +25,10 @@ from cspace.worlds.planar.arm import TWO_LINK, PlanarArm
 from cspace.worlds.planar.collision import CollisionChecker
 from cspace.worlds.planar.free_grid import FreeGrid, cells_per_joint
 from cspace.worlds.planar.scene import Scenario, random_scenario
+from cspace.worlds.planar.scenes import DiscScenes, Scenes
 
 NARROW_RAD = (0.03, 0.08)
-MAX_DRAWS = 5000
+MAX_DRAWS, MAX_OWN_DRAWS = 5000, 200
 # Coarse grids tell most scenarios from the narrow family for a tenth of the cost.
 _SCREEN_CELLS = (128, 256)
 _PROPOSALS = 1000
@@ -42,7 +43,12 @@ class Family(StrEnum):
 
 
 def draw_problem(
-    family: Family, split: Split, seed: int, index: int = 0, robot: PlanarArm = TWO_LINK
+    family: Family,
+    split: Split,
+    seed: int,
+    index: int = 0,
+    robot: PlanarArm = TWO_LINK,
+    scenes: Scenes = DiscScenes(),  # noqa: B008 - a frozen value
 ) -> Problem:
     """Draw scenarios with start and goal until one belongs to the family.
 
@@ -52,15 +58,17 @@ def draw_problem(
         seed: of the problem set.
         index: of the problem within it.
         robot: the arm.
+        scenes: where its obstacles come from.
 
     Raises:
-        ScenarioError: none was found in 5000 draws.
+        ScenarioError: none was found in 5000 draws, or in 200 of scenes of one's own.
     """
     family, rng = Family(family), scenario_rng(split, seed, index)
     if family is Family.NARROW:
         require_resolution(robot)
-    for rejected in range(MAX_DRAWS):
-        scenario = random_scenario(rng, robot)
+    draws = MAX_DRAWS if scenes == DiscScenes() else MAX_OWN_DRAWS
+    for rejected in range(draws):
+        scenario = random_scenario(rng, robot, scenes, split)
         proposals = robot.space.sample_uniform(rng, _PROPOSALS)
         free = proposals[CollisionChecker(scenario).valid_batch(proposals)]
         found = _search(family, scenario, free, rng)
@@ -70,7 +78,7 @@ def draw_problem(
             return Problem(scenario, found.start, found.goal, family, found.bottleneck_rad, seed, rejected)
     raise ScenarioError(
         f"no {family} problem was found",
-        expected=f"one in {MAX_DRAWS} draws",
+        expected=f"one in {draws} draws",
         got="none",
         remedy="another family, or another robot",
     )
@@ -84,6 +92,24 @@ def connected(scenario: Scenario, start: ArrayLike, goal: ArrayLike) -> bool:
 def bottleneck_rad(scenario: Scenario, start: ArrayLike, goal: ArrayLike) -> float:
     """Largest clearance, in rad on the torus, at which start and goal stay connected; 0 without a path."""
     return _fine(scenario).bottleneck_rad(start, goal)
+
+
+def obstruction(scenario: Scenario, start: ArrayLike, goal: ArrayLike) -> str | None:
+    """Why there is no path, in words; None where there may be one.
+
+    Start or goal collides, or they lie in different parts of the free space, as in the family
+    ``disconnected``: cells that touch in a corner count as joined, so that no path hides between two cells.
+    """
+    checker, ends = CollisionChecker(scenario), np.array([start, goal], dtype=np.float64)
+    for name, clearance_m in zip(("start", "goal"), checker.clearance(ends), strict=True):
+        if clearance_m <= 0.0:
+            return f"the {name} is {-clearance_m:.3f} m deep in collision"
+    grid = _fine(scenario)
+    first, second = grid.components(diagonal=True)[grid.cells_of(ends)]
+    if 0 not in (first, second) and first != second:
+        cell_rad = float(grid.spacing_rad.max())
+        return f"start and goal lie in parts of the free space that are apart (cells of {cell_rad:.3f} rad)"
+    return None
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,12 +9,10 @@ from numpy.typing import NDArray
 from cspace.splits import Split, scenario_rng
 from cspace.worlds.planar.arm import TWO_LINK, PlanarArm
 from cspace.worlds.planar.camera import Camera
+from cspace.worlds.planar.scenes import DiscScenes, Scenes
 from cspace.worlds.planar.world import PlanarWorld
 
-DISC_COUNT = 3
 DISC_RADIUS_M = 1.0
-DISC_RANGE_M = 4.0
-BASE_CLEARANCE_M = 1.3
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,16 +56,26 @@ class Scenario:
         }
 
 
-def random_scenario(rng: np.random.Generator, robot: PlanarArm = TWO_LINK) -> Scenario:
-    """Three discs of radius 1 m, centres uniform in [-4, 4]^2 m and at least 1.3 m from the base."""
-    discs: list[Disc] = []
-    while len(discs) < DISC_COUNT:
-        x_m, y_m = rng.uniform(-DISC_RANGE_M, DISC_RANGE_M, size=2)
-        if np.hypot(x_m, y_m) >= BASE_CLEARANCE_M:
-            discs.append(Disc(float(x_m), float(y_m)))
-    return Scenario(robot, tuple(discs))
+def random_scenario(
+    rng: np.random.Generator,
+    robot: PlanarArm = TWO_LINK,
+    scenes: Scenes = DiscScenes(),  # noqa: B008 - a frozen value
+    split: Split = Split.TRAIN,
+    index: int | None = None,
+) -> Scenario:
+    """A scenario of a family, or a given one; see :mod:`cspace.worlds.planar.scenes`."""
+    return Scenario.from_array(robot, scenes.draw(rng, split, index))
 
 
-def random_scenarios(split: Split, seed: int, count: int, robot: PlanarArm = TWO_LINK) -> list[Scenario]:
+def random_scenarios(
+    split: Split,
+    seed: int,
+    count: int,
+    robot: PlanarArm = TWO_LINK,
+    scenes: Scenes = DiscScenes(),  # noqa: B008 - a frozen value
+) -> list[Scenario]:
     """The first ``count`` scenarios of a split under a seed; a longer list starts with the shorter one."""
-    return [random_scenario(scenario_rng(split, seed, index), robot) for index in range(count)]
+    return [
+        random_scenario(scenario_rng(split, seed, index), robot, scenes, split, index)
+        for index in range(count)
+    ]

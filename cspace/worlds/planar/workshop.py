@@ -19,11 +19,13 @@ from cspace.worlds.planar.problems import (
     Family,
     draw_problem,
     narrow_pairs,
+    obstruction,
     require_resolution,
     resolves_narrow,
 )
 from cspace.worlds.planar.render import render
 from cspace.worlds.planar.scene import Scenario, random_scenario, random_scenarios
+from cspace.worlds.planar.scenes import GivenScenes, Scenes
 from cspace.worlds.planar.world import PlanarWorld
 
 _NOTE = (
@@ -64,17 +66,20 @@ class PlanarWorkshop:
             free_share=0.69,
         )
 
-    def scene(self, rng: np.random.Generator) -> Scenario:
-        """Three discs about the arm."""
-        return self._seen(random_scenario(rng, self.world.body))
+    def scene(self, rng: np.random.Generator, split: Split, index: int) -> Scenario:
+        """Discs about the arm."""
+        return self._seen(random_scenario(rng, self.world.body, self._scenes, split, index))
 
     def scenes(self, split: Split, seed: int, count: int) -> Sequence[Scenario]:
-        """See :func:`cspace.worlds.planar.scene.random_scenarios`."""
-        return [self._seen(one) for one in random_scenarios(split, seed, count, self.world.body)]
+        """See :func:`cspace.worlds.planar.scene.random_scenarios`; no given one twice."""
+        scenes, body, there = self._scenes, self.world.body, self.count(split)
+        count = count if there is None else min(count, there)
+        return [self._seen(one) for one in random_scenarios(split, seed, count, body, scenes)]
 
     def arrays_of(self, scene: Scene) -> dict[str, NDArray[Any]]:
-        """(D, 3) discs: x, y, radius in m."""
-        return {"discs": _planar(scene).disc_array}
+        """(D, 3) discs: x, y, radius in m; the last one again until they are as many as the world's most."""
+        discs = _planar(scene).disc_array
+        return {"discs": np.pad(discs, ((0, max(0, self._most - len(discs))), (0, 0)), mode="edge")}
 
     def render(self, scene: Scene) -> Image:
         """See :func:`cspace.worlds.planar.render.render`."""
@@ -105,8 +110,16 @@ class PlanarWorkshop:
     def problem(self, family: str, split: Split, seed: int, index: int = 0) -> Problem:
         """See :func:`cspace.worlds.planar.problems.draw_problem`."""
         self.require(family)
-        found = draw_problem(Family(family), split, seed, index, self.world.body)
+        found = draw_problem(Family(family), split, seed, index, self.world.body, self._scenes)
         return replace(found, scenario=self._seen(_planar(found.scenario)))
+
+    def obstruction(self, problem: Problem) -> str | None:
+        """See :func:`cspace.worlds.planar.problems.obstruction`."""
+        return obstruction(_planar(problem.scenario), problem.start, problem.goal)
+
+    def count(self, split: Split) -> int | None:
+        """How many were given; a family has no end."""
+        return len(self._scenes.part(split)) if isinstance(self._scenes, GivenScenes) else None
 
     def draw_scene(self, axes: Any, scene: Scene, colour: str) -> None:
         """Discs in the camera's frame."""
@@ -115,6 +128,24 @@ class PlanarWorkshop:
     def draw_robot(self, axes: Any, configuration: ArrayLike, colour: str, order: int) -> None:
         """Links as capsules."""
         draw_arm(axes, self.world.body, configuration, colour, order)
+
+    @property
+    def _scenes(self) -> Scenes:
+        if self.world.scenes is None:
+            raise ScenarioError(
+                "nobody knows where this world's scenes come from",
+                expected="a family of scenes, or given ones",
+                got="data of one's own, whose obstacles are not known",
+                remedy="name a data set that holds scenes",
+            )
+        return self.world.scenes
+
+    @property
+    def _most(self) -> int:
+        scenes = self._scenes
+        if isinstance(scenes, GivenScenes):
+            return max(map(len, (*scenes.train, *scenes.held_out)))
+        return scenes.count[1]
 
     def _seen(self, scenario: Scenario) -> Scenario:
         return replace(scenario, camera=self.world.sensor)

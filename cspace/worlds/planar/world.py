@@ -1,28 +1,30 @@
 """The planar world as a value: an arm, and the camera above it."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from cspace.errors import DatasetError, ScenarioError
 from cspace.space import JointSpace
-from cspace.strict_json import read_members, read_object
-from cspace.world import Arrays, Levers
+from cspace.strict_json import read_mapping, read_members, read_object
+from cspace.world import Arrays, Levers, World
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK, PlanarArm
 from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.lookups import levers
+from cspace.worlds.planar.scenes import MAX_GIVEN, DiscScenes, GivenScenes, Scenes, read_scenes
 
 KIND = "planar"
 
 
 @dataclass(frozen=True, slots=True)
 class PlanarWorld:
-    """See :class:`cspace.world.World`."""
+    """See :class:`cspace.world.World`; ``scenes`` is None where nobody knows where they come from."""
 
     body: PlanarArm = TWO_LINK
     sensor: Camera = field(default_factory=Camera)
+    scenes: Scenes | None = field(default_factory=DiscScenes)
 
     @property
     def kind(self) -> str:
@@ -67,11 +69,34 @@ class PlanarWorld:
                 got=str(discs[~right][0]),
             )
 
+    def among(self, data: World, arrays: Arrays) -> "PlanarWorld":
+        """See :meth:`cspace.world.World.among`."""
+        if not isinstance(data, PlanarWorld) or data.body != self.body:
+            raise ScenarioError(
+                "the data set is another robot's", expected=str(self.body), got=str(data.body)[:200]
+            )
+        scenes = data.scenes
+        if scenes is None and "discs" in arrays:
+            rows = tuple(tuple(tuple(disc) for disc in scene) for scene in arrays["discs"].tolist())
+            scenes = GivenScenes((), rows[:MAX_GIVEN])
+        if scenes is None:
+            raise ScenarioError(
+                "the data set holds no scenes",
+                expected="obstacles, by which samples can be judged",
+                got="pictures and configurations alone",
+            )
+        return replace(self, scenes=scenes)
+
     def to_dict(self) -> dict[str, Any]:
         """Plain values for JSON."""
-        return {"kind": KIND, "robot": self.body.to_dict(), "camera": self.sensor.to_dict()}
+        told: dict[str, Any] = {"kind": KIND, "robot": self.body.to_dict(), "camera": self.sensor.to_dict()}
+        if self.scenes != DiscScenes():
+            told["scenes"] = None if self.scenes is None else self.scenes.to_dict()
+        return told
 
 
+# The types of its parts.
+PARTS = {"body": (PlanarArm,), "sensor": (Camera,), "scenes": (DiscScenes, GivenScenes)}
 # By the names of their robots, the first where none is named.
 EXAMPLES = {"two-link": PlanarWorld(TWO_LINK), "three-link": PlanarWorld(THREE_LINK)}
 
@@ -82,6 +107,8 @@ def read(values: Mapping[str, Any]) -> PlanarWorld:
     Raises:
         ScenarioError: a key is missing, unknown or of the wrong type.
     """
-    parts = read_members(values, {"robot", "camera"}, "the world", ScenarioError)
+    members = read_mapping(values, "the world", ScenarioError)
+    scenes = read_scenes(members.pop("scenes")) if "scenes" in members else DiscScenes()
+    parts = read_members(members, {"robot", "camera"}, "the world", ScenarioError)
     camera = read_object(Camera, parts["camera"], "the camera", ScenarioError)
-    return PlanarWorld(PlanarArm.from_dict(parts["robot"]), camera)
+    return PlanarWorld(PlanarArm.from_dict(parts["robot"]), camera, scenes)

@@ -1,6 +1,6 @@
 """How much is evaluated, cut into units of work that can run anywhere in any order with the same numbers."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -73,11 +73,22 @@ class Unit:
     family: str | None = None
 
 
-def units(budget: Budget, families: Families, *, paths: bool = False) -> list[Unit]:
+def units(
+    budget: Budget,
+    families: Families,
+    *,
+    paths: bool = False,
+    there: Callable[[Split], int | None] = lambda split: None,  # noqa: ARG005
+) -> list[Unit]:
     """All units of an evaluation, the long ones first, so that workers end together.
 
-    Path models are judged by planning alone.
+    Path models are judged by planning alone. Of scenes that were given, no more are taken than ``there`` are.
     """
+
+    def at_most(count: int, split: Split) -> int:
+        known = there(split)
+        return count if known is None else min(count, known)
+
     problems = {Split.VALIDATION: budget.validation_problems, Split.TEST: budget.test_problems}
     work: list[Unit] = []
     for family in planned(families):
@@ -89,9 +100,14 @@ def units(budget: Budget, families: Families, *, paths: bool = False) -> list[Un
         for split in JUDGED:
             parts = _parts(budget.disconnected_scenarios, 5)
             work += [Unit(Kind.RECONSTRUCTION, split, *part, family) for part in parts]
-    work += [Unit(Kind.TOPOLOGY, Split.TEST, *part) for part in _parts(budget.topology_scenarios, 1)]
+    work += [
+        Unit(Kind.TOPOLOGY, Split.TEST, *part)
+        for part in _parts(at_most(budget.topology_scenarios, Split.TEST), 1)
+    ]
     for split in JUDGED:
-        work += [Unit(Kind.RECONSTRUCTION, split, *part) for part in _parts(budget.scenarios, 15)]
+        work += [
+            Unit(Kind.RECONSTRUCTION, split, *part) for part in _parts(at_most(budget.scenarios, split), 15)
+        ]
     return work
 
 

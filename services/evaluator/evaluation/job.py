@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from cspace.bundle import Bundle
+from cspace.dataset import open_dataset
+from cspace.world import World
 from cspace.worlds import workshop_of
 from services.evaluator.cluster import on_cluster, spread
 from services.evaluator.evaluation.budget import Unit, units
@@ -72,7 +74,8 @@ def evaluate_version(
         # Training registers under its parent run, which the trials are shown under as well.
         with tracking.start(EXPERIMENT, RUN_NAME, parent_run_id=version.run_id, tags=tags) as run:
             spec = bundle.spec
-            setting = Setting(spec.world, request.seed, request.budget, spec.kind == "path")
+            world = spec.world if request.data is None else _among(spec.world, request.data)
+            setting = Setting(world, request.seed, request.budget, spec.kind == "path")
             progress(f"evaluating {version}, digest {bundle.digest[:12]}")
             evaluation = _measure(execute, setting, PackedBundle.pack(bundle), progress)
             verdict = decide(registry, version, evaluation)
@@ -102,12 +105,18 @@ def _run(unit: Unit, shared: tuple[Setting, PackedBundle]) -> UnitResult:
     return run_packed(unit, *shared)
 
 
+def _among(world: World, folder: Path) -> World:
+    data = open_dataset(folder, verify=False)
+    return world.among(data.world, data.arrays)
+
+
 def _load(registry: ModelRegistry, version: ModelVersion, folder: Path) -> Bundle:
     return Bundle.load(registry.download(version, folder / "bundle"))
 
 
 def _measure(execute: Execute, setting: Setting, packed: PackedBundle, progress: Progress) -> Evaluation:
-    work = units(setting.budget, workshop_of(setting.world).families, paths=setting.paths)
+    workshop = workshop_of(setting.world)
+    work = units(setting.budget, workshop.families, paths=setting.paths, there=workshop.count)
     results: list[UnitResult] = []
     for result in execute(work, setting, packed):
         results.append(result)

@@ -1,6 +1,7 @@
 """What an evaluation is asked for: which version, how much, and whether it may promote."""
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 from cspace.errors import ConfigError
 from services.evaluator.evaluation.budget import BUDGETS, Budget
@@ -18,16 +19,24 @@ class Request:
         budget: how much is evaluated.
         seed: of scenarios, samples and problems.
         promote: whether the decision is recorded and the alias moved.
+        data: a data set whose held-out scenes it is judged on; None for those of the version's own data.
     """
 
     model: ModelReference
     budget: Budget
     seed: int = 0
     promote: bool = True
+    data: Path | None = None
 
 
 def make_request(
-    model: str, *, budget: str = "quick", scenarios: int | None = None, seed: int = 0, promote: bool = True
+    model: str,
+    *,
+    budget: str = "quick",
+    scenarios: int | None = None,
+    seed: int = 0,
+    promote: bool = True,
+    data: Path | None = None,
 ) -> Request:
     """A request from texts and numbers of the command line.
 
@@ -37,6 +46,7 @@ def make_request(
         scenarios: per split, instead of the budget's.
         seed: 0 to 2^63 - 1.
         promote: see :class:`Request`.
+        data: likewise.
 
     Raises:
         ConfigError: a value is out of range.
@@ -51,5 +61,5 @@ def make_request(
     if scenarios is not None:
         chosen = replace(chosen, scenarios=scenarios)
     return Request(
-        ModelReference.parse_version(model, "the model reference is unknown"), chosen, seed, promote
+        ModelReference.parse_version(model, "the model reference is unknown"), chosen, seed, promote, data
     )

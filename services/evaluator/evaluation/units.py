@@ -2,11 +2,12 @@
 
 import time
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
 
-from cspace.errors import EvaluationError
+from cspace.errors import EvaluationError, ScenarioError
 from cspace.problem import UNIFORM
 from cspace.splits import Split
 from cspace.world import World
@@ -145,7 +146,13 @@ def _scenes(unit: Unit, setting: Setting) -> list[Scene]:
 
 
 def _reconstruction_rows(unit: Unit, setting: Setting, sampler: SampleSource) -> list[Row]:
-    return [reconstruct(scene, sampler, setting.budget.samples) for scene in _scenes(unit, setting)]
+    rows: list[Row] = []
+    # Not all scenes have problems of every family.
+    missing = () if unit.family in (None, UNIFORM) else (ScenarioError,)
+    for scene in _scenes(unit, setting):
+        with suppress(*missing):
+            rows.append(reconstruct(scene, sampler, setting.budget.samples))
+    return rows
 
 
 def _topology_rows(unit: Unit, setting: Setting, sampler: SampleSource) -> list[Row]:
@@ -162,7 +169,12 @@ def _planning_rows(unit: Unit, setting: Setting, sampler: SampleSource) -> list[
     rows: list[Row] = []
     workshop, planner = workshop_of(setting.world), planner_of(setting.world)
     for index in range(unit.first, unit.first + unit.count):
-        problem = workshop.problem(unit.family, unit.split, setting.seed, index)
+        try:
+            problem = workshop.problem(unit.family, unit.split, setting.seed, index)
+        except ScenarioError:
+            if unit.family == UNIFORM:
+                raise
+            continue
         for repeat in range(setting.budget.planner_seeds):
             seed = planner_seed(setting.seed, index, repeat)
             rows.append(plan_trial(problem, index, seed, sampler, planner))

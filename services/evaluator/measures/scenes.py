@@ -79,7 +79,7 @@ class Scene:
     def scenario(self) -> WorldScene:
         """The scenario, seen by the evaluation's camera."""
         if self.problem is None:
-            return workshop_of(self.stage.world).scene(self._scenario_rng())
+            return workshop_of(self.stage.world).scene(self._scenario_rng(), self.stage.split, self.index)
         return self.problem.scenario
 
     @cached_property

@@ -11,7 +11,7 @@ from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
 from cspace.errors import ConfigError, StorageError
-from cspace.problem import Problem
+from cspace.problem import OWN, Problem
 from services.planner.drawing import palette
 from services.planner.drawing.configuration_panel import draw_configurations
 from services.planner.drawing.workspace_panel import draw_workspace
@@ -63,7 +63,7 @@ def draw_plan(
 
 def outcome_title(problem: Problem, result: PlanResult) -> str:
     """A problem and its outcome in one line."""
-    name = f"{problem.family} problem, seed {problem.seed}"
+    name = "own problem" if problem.family == OWN else f"{problem.family} problem, seed {problem.seed}"
     if not result.solved:
         return f"{name}: not solved, {result.reason} ({result.iterations} iterations)"
     return f"{name}: solved in {result.iterations} iterations, path of {result.length_rad:.2f} rad"

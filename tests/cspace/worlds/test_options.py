@@ -76,6 +76,7 @@ class Yard:
 @pytest.fixture
 def two_kinds(monkeypatch):
     world, options = ModuleType("cspace.worlds.yard.world"), ModuleType("cspace.worlds.yard.options")
+    world.PARTS = {"body": (Crane,), "sensor": (), "scenes": ()}
     world.EXAMPLES = {"crane": Yard(Crane(9.0), "from the side")}
     options.add_options = lambda parser, sensor: parser.add_argument("--crane", type=float)
     options.described = lambda given: None if given.crane is None else Yard(Crane(given.crane))

@@ -1,0 +1,146 @@
+"""Where the discs of a scene come from: a family that is drawn, or scenes that somebody gave."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cspace.errors import ScenarioError
+from cspace.splits import Split
+from cspace.strict_json import read_object, written
+
+MAX_DISCS, MAX_GIVEN = 64, 1000
+_MAX_DRAWS = 10_000
+
+Rows = tuple[tuple[float, float, float], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class DiscScenes:
+    """A family of scenes: so many discs, uniform in radius and place.
+
+    Args:
+        count: fewest and most discs, 1 to 64.
+        radius_m: smallest and largest radius.
+        range_m: centres lie within plus and minus this of the base, in x and in y.
+        base_clearance_m: of every disc to the base.
+
+    Raises:
+        ScenarioError: a value cannot be, or the discs have no room.
+    """
+
+    count: tuple[int, int] = (3, 3)
+    radius_m: tuple[float, float] = (1.0, 1.0)
+    range_m: float = 4.0
+    base_clearance_m: float = 0.3
+
+    def __post_init__(self) -> None:
+        fits = (
+            1 <= self.count[0] <= self.count[1] <= MAX_DISCS
+            and 0.0 < self.radius_m[0] <= self.radius_m[1] < np.inf
+            and 0.0 < self.range_m < np.inf
+            and 0.0 <= self.base_clearance_m < 1.4 * self.range_m - self.radius_m[1]
+        )
+        if not fits:
+            raise ScenarioError(
+                "the family of scenes does not fit",
+                expected=f"1 to {MAX_DISCS} discs, radii and a range above 0, and room for the largest disc "
+                "off the base",
+                got=str(self),
+            )
+
+    def draw(self, rng: np.random.Generator, split: Split, index: int | None) -> NDArray[np.float64]:
+        """(D, 3): x, y, radius in m; the split and the index are the generator's."""
+        del split, index
+        (fewest, most), (smallest, largest) = self.count, self.radius_m
+        count = fewest if fewest == most else int(rng.integers(fewest, most, endpoint=True))
+        discs: list[tuple[float, float, float]] = []
+        for _ in range(_MAX_DRAWS):
+            x_m, y_m = rng.uniform(-self.range_m, self.range_m, size=2)
+            radius_m = smallest if smallest == largest else rng.uniform(smallest, largest)
+            if np.hypot(x_m, y_m) >= radius_m + self.base_clearance_m:
+                discs.append((x_m, y_m, radius_m))
+            if len(discs) == count:
+                return np.array(discs)
+        raise ScenarioError("the family of scenes has no room for its discs", got=str(self))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values for JSON."""
+        return written(self)
+
+
+@dataclass(frozen=True, slots=True)
+class GivenScenes:
+    """Scenes that somebody gave: some to train with, others to judge by.
+
+    Args:
+        train: for each scene its discs: x, y, radius in m.
+        held_out: likewise; those at even places are for validation, the others for test.
+
+    Raises:
+        ScenarioError: there are none or too many, or a disc cannot be.
+    """
+
+    train: tuple[Rows, ...]
+    held_out: tuple[Rows, ...]
+
+    def __post_init__(self) -> None:
+        scenes = (*self.train, *self.held_out)
+        sound = all(np.isfinite(disc).all() and disc[2] > 0.0 for scene in scenes for disc in scene)
+        sound = sound and all(1 <= len(scene) <= MAX_DISCS for scene in scenes)
+        if not 1 <= len(scenes) <= MAX_GIVEN or not sound:
+            raise ScenarioError(
+                "the given scenes do not fit",
+                expected=f"1 to {MAX_GIVEN} scenes of 1 to {MAX_DISCS} discs with a radius above 0",
+                got=f"{len(scenes)} scenes",
+            )
+
+    @classmethod
+    def of(cls, scenes: tuple[Rows, ...]) -> "GivenScenes":
+        """Every fifth scene is held out, and always the last one where there are fewer."""
+        held_out = tuple(
+            scene for place, scene in enumerate(scenes) if place % 5 == 4 or place + 1 == len(scenes) < 5
+        )
+        return cls(tuple(scene for scene in scenes if scene not in held_out), held_out)
+
+    def part(self, split: Split) -> tuple[Rows, ...]:
+        """The scenes of a split; both halves are all that is held out where that is one scene.
+
+        Raises:
+            ScenarioError: there are none.
+        """
+        if split in (Split.VALIDATION, Split.TEST):
+            found = self.held_out[split is Split.TEST :: 2] or self.held_out
+        else:
+            found = self.train
+        if not found:
+            raise ScenarioError(f"no scene was given for the split {split}", expected="one or more")
+        return found
+
+    def draw(self, rng: np.random.Generator, split: Split, index: int | None) -> NDArray[np.float64]:
+        """(D, 3): the index-th of the split, from the first again behind the last; any of it without one."""
+        scenes = self.part(split)
+        place = int(rng.integers(len(scenes))) if index is None else index % len(scenes)
+        return np.array(scenes[place], dtype=np.float64).reshape(-1, 3)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values for JSON."""
+        return written(self)
+
+
+Scenes = DiscScenes | GivenScenes
+
+
+def read_scenes(values: object) -> Scenes | None:
+    """The inverse of ``to_dict``; None is None.
+
+    Raises:
+        ScenarioError: a key or a value does not fit.
+    """
+    if values is None:
+        return None
+    if isinstance(values, Mapping) and "train" in values:
+        return read_object(GivenScenes, values, "the scenes", ScenarioError)
+    return read_object(DiscScenes, values, "the scenes", ScenarioError)

@@ -1,0 +1,204 @@
+"""Scene files: a robot, how it is seen, its obstacles, start and goal, as YAML or JSON.
+
+Errors name the file's line. :func:`schema` is a JSON Schema, for editors and for other programs.
+"""
+
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import yaml
+from jsonschema import Draft202012Validator
+from jsonschema.exceptions import ValidationError, best_match
+from numpy.typing import NDArray
+
+from cspace.errors import InputError, ScenarioError
+from cspace.problem import Problem
+from cspace.world import Scene, World
+from cspace.worlds import FIRST, KINDS
+
+MAX_BYTES, MAX_DEPTH = 2**20, 16
+_NAME = {"type": "string", "pattern": "^[a-z0-9]([a-z0-9-]{0,38}[a-z0-9])?$"}
+_WORDS = {"exclusiveMinimum": "above", "minimum": "at least", "maximum": "at most", "required": "the keys"}
+_Lines = dict[tuple[Hashable, ...], int]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SceneFile:
+    """What a scene file says.
+
+    Args:
+        path: where it lies.
+        name: of the robot, for the names of its models; None where it has none.
+        world: robot and camera, and the family that scenes are drawn from.
+        scene: the robot among the file's obstacles; None where it lists none.
+        start: (d,) rad.
+        goal: (d,) rad.
+    """
+
+    path: Path
+    name: str | None
+    world: World
+    scene: Scene | None
+    start: NDArray[np.float64] | None
+    goal: NDArray[np.float64] | None
+
+    def problem(self) -> Problem:
+        """Start and goal in the scene.
+
+        Raises:
+            ScenarioError: the file lacks obstacles, start or goal.
+        """
+        if self.scene is None or self.start is None or self.goal is None:
+            parts = {"obstacles": self.scene, "start": self.start, "goal": self.goal}
+            raise ScenarioError(
+                f"{self.path} holds no problem",
+                expected="obstacles (an empty list for none), start and goal",
+                got="no " + ", no ".join(name for name, part in parts.items() if part is None),
+            )
+        return Problem(self.scene, self.start, self.goal)
+
+
+def schema(kind: str = FIRST) -> dict[str, Any]:
+    """The JSON Schema of the scene files of a kind of world."""
+    part = _part(kind)
+    return {
+        "$schema": Draft202012Validator.META_SCHEMA["$id"],
+        "title": f"A scene file of the {kind} world",
+        "type": "object",
+        "properties": {"world": {"enum": [kind]}, "name": _NAME, **part.PROPERTIES},
+        "required": list(part.REQUIRED),
+        "additionalProperties": False,
+    }
+
+
+def read_scene_file(path: Path) -> SceneFile:
+    """Read a scene file.
+
+    Raises:
+        ScenarioError: it cannot be read, is no YAML, or a value does not fit; the line is named.
+    """
+    values, lines = _parse(path)
+    kind = values.get("world", FIRST) if isinstance(values, Mapping) else FIRST
+    if kind not in KINDS:
+        raise _at(path, lines, ("world",), "the world is unknown", " or ".join(KINDS), repr(kind))
+    errors = list(Draft202012Validator(schema(kind)).iter_errors(values))
+    if errors:
+        raise _unfit(path, lines, next(filter(_unknown, errors), None) or best_match(errors))
+    world = _told(path, lines, "robot", lambda: cast("World", _part(kind).read_world(values)))
+    scene = _part(kind).read_scene(world, values["obstacles"]) if "obstacles" in values else None
+    ends = [_end(path, lines, world, values, name) for name in ("start", "goal")]
+    return SceneFile(path, values.get("name"), world, scene, *ends)
+
+
+def given_scenes(world: World, files: Sequence[SceneFile]) -> Any:
+    """The obstacles of files as the scenes of a world, some of them held out.
+
+    Raises:
+        ScenarioError: a file has another robot or camera, or no obstacles.
+    """
+    for one in files:
+        if one.scene is None:
+            raise ScenarioError(f"{one.path} holds no scene", expected="obstacles")
+        if (one.world.body, one.world.sensor) != (world.body, world.sensor):
+            raise ScenarioError(f"{one.path} has another robot or camera", expected=str(world.to_dict()))
+    return _part(world.kind).given([one.scene for one in files])
+
+
+def _end(
+    path: Path, lines: _Lines, world: World, values: Mapping[str, Any], name: str
+) -> NDArray[np.float64] | None:
+    if name not in values:
+        return None
+    angles, space = np.array(values[name], dtype=np.float64), world.space
+    if angles.shape != (world.dim,):
+        raise _at(path, lines, (name,), f"{name} does not fit", f"{world.dim} angles", f"{angles.size}")
+    if not space.contains(angles):
+        limits = f"joints from {space.lower} to {space.upper} rad"
+        raise _at(path, lines, (name,), f"{name} lies outside the robot's limits", limits, str(values[name]))
+    return angles
+
+
+def _parse(path: Path) -> tuple[Any, _Lines]:
+    try:
+        data = path.read_bytes()
+        if len(data) > MAX_BYTES:
+            raise ScenarioError(f"{path} is too large", expected=f"{MAX_BYTES} bytes", got=str(len(data)))
+        loader = yaml.SafeLoader(data.decode("utf-8"))
+        node = loader.get_single_node()
+        lines = {} if node is None else dict(_lines(node, ()))
+        return (None if node is None else loader.construct_document(node)), lines
+    except (OSError, ValueError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise ScenarioError(f"{path} cannot be read", got=str(error)) from error
+    except yaml.YAMLError as error:
+        mark = getattr(error, "problem_mark", None)
+        line = "" if mark is None else f":{mark.line + 1}"
+        got = getattr(error, "problem", None) or str(error)
+        raise ScenarioError(f"{path}{line} is no YAML", expected="YAML or JSON", got=got) from error
+
+
+def _lines(node: yaml.Node, place: tuple[Hashable, ...]) -> Iterator[tuple[tuple[Hashable, ...], int]]:
+    """The line of every part of a document, from 1; a key's own where there is one."""
+    yield place, node.start_mark.line + 1
+    if len(place) > MAX_DEPTH:
+        raise yaml.constructor.ConstructorError(None, None, "it is nested too deep", node.start_mark)
+    if isinstance(node, yaml.MappingNode):
+        seen = set()
+        for key, value in node.value:
+            if key.value in seen:
+                raise yaml.constructor.ConstructorError(
+                    None, None, f"the key {key.value} stands twice", key.start_mark
+                )
+            seen.add(key.value)
+            yield from _lines(value, (*place, key.value))
+            yield (*place, key.value), key.start_mark.line + 1
+    elif isinstance(node, yaml.SequenceNode):
+        for index, value in enumerate(node.value):
+            yield from _lines(value, (*place, index))
+
+
+def _unknown(error: ValidationError) -> list[str]:
+    """Keys that the schema does not have."""
+    if error.validator != "additionalProperties":
+        return []
+    instance = cast("Mapping[str, Any]", error.instance)
+    return [key for key in instance if key not in _schema(error)["properties"]]
+
+
+def _schema(error: ValidationError) -> dict[str, Any]:
+    return cast("dict[str, Any]", error.schema)
+
+
+def _unfit(path: Path, lines: _Lines, error: ValidationError) -> ScenarioError:
+    place, unknown = tuple(error.absolute_path), _unknown(error)
+    name = ": ".join(map(str, place)) or "the file"
+    if unknown:
+        known = f"one of {', '.join(sorted(_schema(error)['properties']))}"
+        return _at(path, lines, (*place, unknown[0]), f"{name} has an unknown key", known, unknown[0])
+    words = _WORDS.get(str(error.validator), str(error.validator))
+    expected = _schema(error).get("description") or f"{words} {error.validator_value}"
+    return _at(path, lines, place, f"{name} does not fit", expected, error.message)
+
+
+def _told(path: Path, lines: _Lines, part: str, read: Callable[[], World]) -> World:
+    try:
+        return read()
+    except ScenarioError as error:
+        raise _at(path, lines, (part,), error.what, error.expected, error.got) from error
+
+
+def _at(
+    path: Path, lines: _Lines, place: tuple[Hashable, ...], what: str, expected: str | None, got: str | None
+) -> ScenarioError:
+    while place not in lines and place:
+        place = place[:-1]
+    return ScenarioError(f"{path}:{lines.get(place, 1)}: {what}", expected=expected, got=got)
+
+
+def _part(kind: str) -> Any:
+    return import_module(f"cspace.worlds.{kind}.scene_file")

@@ -1,0 +1,123 @@
+"""Families of scenes and given ones."""
+
+import json
+
+import numpy as np
+import pytest
+
+from cspace.errors import ScenarioError
+from cspace.splits import Split, scenario_rng
+from cspace.worlds import read_world, workshop_of
+from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK
+from cspace.worlds.planar.scenes import DiscScenes, GivenScenes, read_scenes
+from cspace.worlds.planar.world import PlanarWorld
+
+SCENES = tuple(((float(number), 2.0, 0.4), (-2.0, 2.0, 0.4)) for number in range(1, 12))
+
+
+def drawn(scenes: DiscScenes, index: int) -> np.ndarray:
+    return scenes.draw(scenario_rng(Split.TRAIN, 1, index), Split.TRAIN, None)
+
+
+def test_the_family_of_training_is_what_it_was():
+    # As drawn before there were families.
+    discs = drawn(DiscScenes(), 0)
+    rng, expected = scenario_rng(Split.TRAIN, 1, 0), []
+    while len(expected) < 3:
+        x_m, y_m = rng.uniform(-4.0, 4.0, size=2)
+        if np.hypot(x_m, y_m) >= 1.3:
+            expected.append((x_m, y_m, 1.0))
+    np.testing.assert_array_equal(discs, expected)
+
+
+def test_a_family_keeps_to_its_settings():
+    family = DiscScenes((2, 5), (0.2, 0.6), 3.0, 0.5)
+    scenes = [drawn(family, index) for index in range(200)]
+    assert {len(scene) for scene in scenes} == {2, 3, 4, 5}
+    discs = np.concatenate(scenes)
+    assert discs[:, 2].min() < 0.25
+    assert discs[:, 2].max() > 0.55
+    assert (np.abs(discs[:, :2]) <= 3.0).all()
+    assert (np.hypot(discs[:, 0], discs[:, 1]) >= discs[:, 2] + 0.5).all()
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        {"count": (0, 3)},
+        {"count": (3, 2)},
+        {"count": (1, 65)},
+        {"radius_m": (0.0, 1.0)},
+        {"radius_m": (2.0, 1.0)},
+        {"radius_m": (6.0, 6.0)},
+        {"range_m": 0.0},
+        {"base_clearance_m": -1.0},
+        {"range_m": float("nan")},
+    ],
+)
+def test_a_family_that_cannot_be_is_refused(values):
+    with pytest.raises(ScenarioError):
+        DiscScenes(**values)
+
+
+def test_every_fifth_given_scene_is_held_out_and_no_other_split_has_it():
+    given = GivenScenes.of(SCENES)
+    assert given.held_out == (SCENES[4], SCENES[9])
+    assert (given.part(Split.VALIDATION), given.part(Split.TEST)) == ((SCENES[4],), (SCENES[9],))
+    assert not set(given.part(Split.TRAIN)) & set(given.held_out)
+    few = GivenScenes.of(SCENES[:2])
+    assert (few.train, few.held_out) == (SCENES[:1], SCENES[1:2])
+
+
+@pytest.mark.parametrize("scenes", [(), (((0.0, 0.0, -1.0),),), ((),), (((0.0, float("nan"), 1.0),),)])
+def test_given_scenes_that_cannot_be_are_refused(scenes):
+    with pytest.raises(ScenarioError):
+        GivenScenes.of(scenes)
+
+
+def test_a_world_tells_its_scenes_and_is_read_again():
+    for scenes in (DiscScenes((5, 5), (0.4, 0.4)), GivenScenes.of(SCENES), None):
+        world = PlanarWorld(THREE_LINK, scenes=scenes)
+        assert read_world(json.loads(json.dumps(world.to_dict()))) == world
+    assert "scenes" not in PlanarWorld().to_dict()
+    assert read_scenes(None) is None
+    with pytest.raises(ScenarioError):
+        read_scenes({"count": [3, 3]})
+
+
+def test_a_workshop_makes_given_scenes_one_by_one():
+    workshop = workshop_of(PlanarWorld(TWO_LINK, scenes=GivenScenes.of(SCENES)))
+    made = [workshop.scene(np.random.default_rng(0), Split.TRAIN, index) for index in range(9)]
+    assert len({scene.discs for scene in made}) == 9
+    assert workshop.count(Split.TEST) == 1
+    assert len(workshop.scenes(Split.TEST, 0, 50)) == 1
+    problem = workshop.problem("uniform", Split.TEST, 0)
+    assert problem.scenario.disc_array.tolist() == [list(disc) for disc in SCENES[9]]
+
+
+def test_scenes_of_different_length_fill_one_array():
+    workshop = workshop_of(PlanarWorld(TWO_LINK, scenes=DiscScenes((1, 4), (0.4, 0.4))))
+    scenes = workshop.scenes(Split.TRAIN, 0, 20)
+    rows = [workshop.arrays_of(scene)["discs"] for scene in scenes]
+    assert {len(scene.discs) for scene in scenes} == {1, 2, 3, 4}
+    assert {row.shape for row in rows} == {(4, 3)}
+    for scene, row in zip(scenes, rows, strict=True):
+        assert {tuple(disc) for disc in row} == {tuple(disc) for disc in scene.disc_array}
+
+
+def test_scenes_that_nobody_knows_are_not_made_up():
+    workshop = workshop_of(PlanarWorld(TWO_LINK, scenes=None))
+    with pytest.raises(ScenarioError, match="nobody knows"):
+        workshop.scenes(Split.TEST, 0, 1)
+
+
+def test_a_world_among_the_scenes_of_data():
+    world, held_out = PlanarWorld(TWO_LINK), np.array([SCENES[0], SCENES[1]])
+    family = PlanarWorld(TWO_LINK, scenes=DiscScenes((5, 5)))
+    assert world.among(family, {}).scenes == family.scenes
+    own = world.among(PlanarWorld(TWO_LINK, scenes=None), {"discs": held_out})
+    assert own.scenes == GivenScenes((), SCENES[:2])
+    with pytest.raises(ScenarioError, match="holds no scenes"):
+        world.among(PlanarWorld(TWO_LINK, scenes=None), {})
+    with pytest.raises(ScenarioError, match="another robot"):
+        world.among(PlanarWorld(THREE_LINK), {})

@@ -1,0 +1,153 @@
+"""Scene files: what they say, and the line that is wrong."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from jsonschema import Draft202012Validator
+
+from cspace.errors import ScenarioError
+from cspace.problem import OWN
+from cspace.worlds.planar.arm import PlanarArm
+from cspace.worlds.planar.camera import Camera
+from cspace.worlds.planar.scene import Disc, Scenario
+from cspace.worlds.planar.scenes import DiscScenes, GivenScenes
+from cspace.worlds.planar.world import PlanarWorld
+from services.planner.__main__ import main
+from services.planner.planning import plan_scene
+from services.scene_files import given_scenes, read_scene_file, schema
+
+WHOLE = """\
+name: bench-arm
+robot:
+  link_lengths_m: [1.6, 1.4]
+  half_width_m: 0.05
+  joint_limits_rad: [null, [-2.5, 2.5]]
+camera: {x_min_m: -4, x_max_m: 4, y_min_m: -4, y_max_m: 4, pixels: 32}
+scenes: {count: [5, 5], radius_m: [0.4, 0.4]}
+obstacles:
+  - {shape: disc, x_m: 1.5, y_m: 2, radius_m: 0.4}
+  - {x_m: -1.5, y_m: 2}
+start: [0, 0.4]
+goal: [-1.8, -0.5]
+"""
+ARM = PlanarArm((1.6, 1.4), 0.05, (None, (-2.5, 2.5)))
+CAMERA = Camera(-4.0, 4.0, -4.0, 4.0, 32)
+
+
+@pytest.fixture
+def write(tmp_path: Path):
+    def write(text: str, name: str = "scene.yaml") -> Path:
+        path = tmp_path / name
+        path.write_text(text)
+        return path
+
+    return write
+
+
+def test_a_file_holds_robot_camera_family_obstacles_and_ends(write):
+    found = read_scene_file(write(WHOLE))
+    assert found.name == "bench-arm"
+    assert found.world == PlanarWorld(ARM, CAMERA, DiscScenes((5, 5), (0.4, 0.4)))
+    assert found.scene == Scenario(ARM, (Disc(1.5, 2.0, 0.4), Disc(-1.5, 2.0, 1.0)), CAMERA)
+    problem = found.problem()
+    assert (problem.family, problem.start.tolist(), problem.goal.tolist()) == (OWN, [0.0, 0.4], [-1.8, -0.5])
+
+
+def test_json_says_the_same_as_yaml(write):
+    values = {"robot": {"link_lengths_m": [2, 2]}, "obstacles": [{"x_m": 1, "y_m": 1}]}
+    found = read_scene_file(write(json.dumps(values), "scene.json"))
+    assert found.world == PlanarWorld()
+    assert found.scene == Scenario(PlanarArm(), (Disc(1.0, 1.0),))
+    assert (found.start, found.goal) == (None, None)
+
+
+def test_the_schema_is_one_and_takes_what_is_read():
+    Draft202012Validator.check_schema(schema())
+    assert Draft202012Validator(schema()).is_valid({"robot": {"link_lengths_m": [1.0]}})
+    assert not Draft202012Validator(schema()).is_valid({"robot": {"link_lengths_m": []}})
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line", "words"),
+    [
+        ("robot:", "robt:", 2, "unknown key.*robt"),
+        ("y_m: 2, radius_m: 0.4}", "y_m: 2, radius_m: -1}", 9, "obstacles: 0: radius_m.*above 0"),
+        ("[1.6, 1.4]", "[1.6, long]", 3, "link_lengths_m: 1"),
+        ("[-2.5, 2.5]]", "[2.5, -2.5]]", 2, "joint limits"),
+        ("pixels: 32", "pixels: 3", 6, "pixels.*at least 16"),
+        ("radius_m: [0.4, 0.4]", "radius_m: [9, 9]", 2, "family of scenes"),
+        ("goal: [-1.8, -0.5]", "goal: [-1.8, -2.6]", 12, "goal lies outside"),
+        ("goal: [-1.8, -0.5]", "goal: [-1.8]", 12, "2 angles"),
+        ("goal: [-1.8, -0.5]", "goal: [-1.8, -0.5", 13, "no YAML"),
+        ("goal: [-1.8, -0.5]", "goal: [-1.8, .nan]", 12, "goal"),
+        ("name: bench-arm", "name: Bench Arm", 1, "name"),
+        ("name: bench-arm", "world: hyperbolic", 1, "the world is unknown"),
+        ("name: bench-arm", "start: [1, 1]", 11, "start stands twice"),
+    ],
+)
+def test_what_does_not_fit_is_told_with_its_line(write, old, new, line, words):
+    assert old in WHOLE
+    path = write(WHOLE.replace(old, new))
+    with pytest.raises(ScenarioError, match=rf"(?s){path}:{line}\b.*{words}"):
+        read_scene_file(path)
+
+
+@pytest.mark.parametrize("text", ["", "[]", "robot", "a: &a [*a]", "{" * 200, "\x00"])
+def test_what_is_no_scene_file_is_refused(write, text):
+    with pytest.raises(ScenarioError):
+        read_scene_file(write(text))
+
+
+def test_a_missing_file_is_named(tmp_path):
+    with pytest.raises(ScenarioError, match="absent"):
+        read_scene_file(tmp_path / "absent.yaml")
+
+
+def test_a_file_without_ends_holds_no_problem(write):
+    found = read_scene_file(write(WHOLE[: WHOLE.index("goal")]))
+    with pytest.raises(ScenarioError, match="no goal"):
+        found.problem()
+
+
+def test_scenes_of_files_are_those_of_a_world_and_some_are_held_out(write):
+    files = [
+        read_scene_file(write(WHOLE.replace("x_m: 1.5", f"x_m: {number}"), f"{number}.yaml"))
+        for number in range(1, 8)
+    ]
+    given = given_scenes(files[0].world, files)
+    assert (len(given.train), len(given.held_out)) == (6, 1)
+    assert given.held_out[0][0] == (5.0, 2.0, 0.4)
+    assert isinstance(given, GivenScenes)
+    other = read_scene_file(write(WHOLE.replace("1.6", "1.7"), "other.yaml"))
+    with pytest.raises(ScenarioError, match=r"other\.yaml has another robot"):
+        given_scenes(files[0].world, [*files, other])
+
+
+def test_the_command_plans_in_a_file(write, tmp_path, capsys):
+    figure = tmp_path / "plan.png"
+    away = ("--api", "http://127.0.0.1:1", "--plot", str(figure))
+    assert main(["plan", str(write(WHOLE)), *away]) == 0
+    shown = capsys.readouterr().out
+    assert "your own, 2 joints" in shown
+    assert figure.stat().st_size > 10_000
+
+
+def test_a_problem_without_a_solution_is_told_at_once(write, capsys):
+    blocked = WHOLE.replace("goal: [-1.8, -0.5]", "goal: [0.93, 0]")
+    assert main(["plan", str(write(blocked))]) == 1
+    assert "the goal is" in capsys.readouterr().err
+    ring = "".join(
+        f"  - {{x_m: {3 * np.cos(a):.3f}, y_m: {3 * np.sin(a):.3f}, radius_m: 0.5}}\n" for a in (1, -1)
+    )
+    apart = WHOLE[: WHOLE.index("  - {shape")] + ring + "start: [0, 0]\ngoal: [3.1, 0]\n"
+    limits = apart.replace("[null, [-2.5, 2.5]]", "[[-3.14, 3.14], [-0.1, 0.1]]")
+    assert main(["plan", str(write(limits))]) == 1
+    assert "apart" in capsys.readouterr().err
+
+
+def test_three_lines_of_python_plan_in_a_file(write):
+    plan = plan_scene(write(WHOLE), "http://127.0.0.1:1")
+    assert plan.result.solved
+    assert plan.unavailable is not None
