@@ -5,6 +5,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import fields, is_dataclass
 from functools import cache
+from numbers import Real
 from types import NoneType, UnionType
 from typing import Annotated, Any, TypeVar, Union, get_args, get_origin, get_type_hints
 
@@ -127,6 +128,28 @@ def read_object(kind: type[Kind], values: object, where: str, error: type[Cspace
 def written(value: object) -> dict[str, Any]:
     """A dataclass as plain values for JSON; what has a ``to_dict`` in its fields tells itself by that."""
     return {item.name: _plain(getattr(value, item.name)) for item in fields(value)}  # type: ignore[arg-type]
+
+
+def settle(value: object) -> None:
+    """Within ``__post_init__`` of a frozen dataclass: whole numbers where finite ones belong become these.
+
+    Lists become tuples. So a value is equal to what is read of the JSON that it writes.
+    """
+    for name, kind in _types(type(value)).items():  # type: ignore[arg-type] # every class is hashable
+        object.__setattr__(value, name, _settled(kind, getattr(value, name)))
+
+
+def _settled(kind: Any, value: Any) -> Any:
+    parts = tuple(part for part in get_args(kind) if part is not NoneType)
+    if kind is float and isinstance(value, Real) and type(value) is not bool:
+        return float(value)
+    if get_origin(kind) in (Union, UnionType) and len(parts) == 1:
+        return _settled(parts[0], value)
+    if get_origin(kind) is tuple and isinstance(value, tuple | list):
+        kinds = parts[:1] * len(value) if parts[-1] is Ellipsis else parts
+        if len(kinds) == len(value):
+            return tuple(_settled(one, item) for one, item in zip(kinds, value, strict=True))
+    return value
 
 
 def _plain(value: Any) -> Any:

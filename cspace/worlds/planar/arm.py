@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cspace.errors import ScenarioError
 from cspace.space import MAX_LIMIT_RAD, JointSpace
-from cspace.strict_json import read_mapping, read_object, written
+from cspace.strict_json import read_mapping, read_object, settle, written
 
 _KIND = "planar_arm"
 JointLimits = tuple[tuple[float, float] | None, ...]
@@ -36,6 +36,7 @@ class PlanarArm:
     joint_limits_rad: JointLimits | None = None
 
     def __post_init__(self) -> None:
+        settle(self)
         if not self.link_lengths_m or any(not 0.0 < length < np.inf for length in self.link_lengths_m):
             raise ScenarioError(
                 "the arm's links do not fit",

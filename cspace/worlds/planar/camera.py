@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cspace.png import encode_png
-from cspace.strict_json import written
+from cspace.strict_json import settle, written
 from cspace.worlds.planar.picture import decode_png, to_network
 
 
@@ -20,6 +20,9 @@ class Camera:
     y_min_m: float = -5.0
     y_max_m: float = 5.0
     pixels: int = 48
+
+    def __post_init__(self) -> None:
+        settle(self)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for JSON."""

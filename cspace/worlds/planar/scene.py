@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cspace.splits import Split, scenario_rng
+from cspace.strict_json import settle
 from cspace.worlds.planar.arm import TWO_LINK, PlanarArm
 from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.scenes import DiscScenes, Scenes
@@ -22,6 +23,9 @@ class Disc:
     x_m: float
     y_m: float
     radius_m: float = DISC_RADIUS_M
+
+    def __post_init__(self) -> None:
+        settle(self)
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from cspace.errors import ScenarioError
 from cspace.splits import Split
-from cspace.strict_json import read_object, written
+from cspace.strict_json import read_object, settle, written
 
 MAX_DISCS, MAX_GIVEN = 64, 1000
 _MAX_DRAWS = 10_000
@@ -37,6 +37,7 @@ class DiscScenes:
     base_clearance_m: float = 0.3
 
     def __post_init__(self) -> None:
+        settle(self)
         fits = (
             1 <= self.count[0] <= self.count[1] <= MAX_DISCS
             and 0.0 < self.radius_m[0] <= self.radius_m[1] < np.inf
@@ -87,6 +88,7 @@ class GivenScenes:
     held_out: tuple[Rows, ...]
 
     def __post_init__(self) -> None:
+        settle(self)
         scenes = (*self.train, *self.held_out)
         sound = all(np.isfinite(disc).all() and disc[2] > 0.0 for scene in scenes for disc in scene)
         sound = sound and all(1 <= len(scene) <= MAX_DISCS for scene in scenes)
