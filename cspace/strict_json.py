@@ -15,7 +15,6 @@ Kind = TypeVar("Kind")
 # As seeds are unsigned.
 _LARGEST = 2**64 - 1
 _SHOWN = 200
-_TRUTHS = (bool,)
 _NAMES = {str: "a text", bool: "true or false", int: "a whole number", float: "a finite number"}
 
 
@@ -142,9 +141,11 @@ def settle(value: object) -> None:
 
 def _settled(kind: Any, value: Any) -> Any:
     parts = tuple(part for part in get_args(kind) if part is not NoneType)
-    # A truth is a whole number to Python, and to nobody else.
+    if isinstance(value, bool):
+        # A whole number to Python, and to nobody else.
+        return value
     if kind is float and isinstance(value, Real):
-        return value if type(value) in _TRUTHS else float(value)
+        return float(value)
     if get_origin(kind) in (Union, UnionType) and len(parts) == 1:
         return _settled(parts[0], value)
     if get_origin(kind) is tuple and isinstance(value, tuple | list):
