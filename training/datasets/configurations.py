@@ -22,6 +22,8 @@ from training.datasets.shards import Shard
 EXTRA_FIRST_INDEX = 2**31
 # Rejection gives up on a scenario whose free (or colliding) share is smaller than one in this many.
 MAX_PROPOSALS_PER_SAMPLE = 1000
+# Scenes of a family that are tried for one scenario.
+MAX_DRAWS = 100
 _MIN_ROUND = 64
 
 
@@ -50,23 +52,32 @@ class ConfigurationRecipe:
 
     def make(self, shard: Shard) -> dict[str, NDArray[Any]]:
         """The arrays of one shard; the same whatever the shards' size and wherever it is computed."""
-        config = self.config
-        workshop, split = workshop_of(config.world), Split(config.split)
         offset = EXTRA_FIRST_INDEX if shard.extra else 0
-        rows = []
-        for index in range(shard.first, shard.first + shard.count):
-            rng = scenario_rng(split, config.seed, offset + index)
-            scene = workshop.scene(rng, split, offset + index)
-            row: dict[str, NDArray[Any]] = {"images": workshop.render(scene)}
-            if not shard.extra:
-                checker = workshop.checker(scene)
-                row |= workshop.arrays_of(scene)
-                row["free"] = draw_configurations(checker, config.free_per_scenario, rng, free=True)
-                row["collision"] = draw_configurations(
-                    checker, config.collision_per_scenario, rng, free=False
-                )
-            rows.append(row)
+        rows = [self._row(offset + shard.first + place, shard.extra) for place in range(shard.count)]
         return {name: np.stack([row[name] for row in rows]) for name in rows[0]}
+
+    def _row(self, index: int, extra: bool) -> dict[str, NDArray[Any]]:
+        """One scenario; of a family another one is drawn where hardly anything collides, or all of it."""
+        config, split = self.config, Split(self.config.split)
+        workshop, rng = workshop_of(config.world), scenario_rng(split, config.seed, index)
+        for _ in range(1 if workshop.count(split) else MAX_DRAWS):
+            scene = workshop.scene(rng, split, index)
+            if extra:
+                return {"images": workshop.render(scene)}
+            checker = workshop.checker(scene)
+            try:
+                free = draw_configurations(checker, config.free_per_scenario, rng, free=True)
+                collision = draw_configurations(checker, config.collision_per_scenario, rng, free=False)
+            except DatasetError as error:
+                problem = error
+                continue
+            return {
+                "images": workshop.render(scene),
+                **workshop.arrays_of(scene),
+                "free": free,
+                "collision": collision,
+            }
+        raise problem
 
     def write(self, folder: Path, load: Callable[[Shard], Arrays]) -> Dataset:
         """See :func:`cspace.dataset.write_dataset`."""
