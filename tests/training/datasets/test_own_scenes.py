@@ -1,5 +1,8 @@
 """Data of a robot's own file and of scenes of one's own, by the command."""
 
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +14,6 @@ from cspace.worlds import workshop_of
 from cspace.worlds.planar.collision import CollisionChecker
 from cspace.worlds.planar.scene import Scenario
 from cspace.worlds.planar.scenes import DiscScenes, GivenScenes
-from training.datasets.__main__ import main
 
 pytestmark = [pytest.mark.e2e, pytest.mark.slow]
 
@@ -29,14 +31,19 @@ def robot(tmp_path: Path) -> Path:
     return path
 
 
-def generate(folder: Path, *options: str) -> int:
-    return main(["generate", str(folder), *FEW, *options])
+def generate(folder: Path, *options: str, code: int = 0) -> str:
+    """Run the command as a user does; returns what it said."""
+    command = [sys.executable, "-m", "training.datasets", "generate", str(folder), *FEW, *options]
+    environment = os.environ | {"RAY_ADDRESS": "local", "OMP_NUM_THREADS": "1"}
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False, timeout=110)
+    assert done.returncode == code, done.stdout + done.stderr
+    return done.stderr
 
 
 def test_data_of_a_family_hold_its_scenes(robot: Path, tmp_path: Path) -> None:
     folder = tmp_path / "family"
     counts = ("--scenario-count", "8", "--extra-image-count", "3")
-    assert generate(folder, "--robot", str(robot), *counts) == 0
+    generate(folder, "--robot", str(robot), *counts)
     data = open_dataset(folder)
     assert data.world.scenes == DiscScenes((1, 5), (0.3, 0.4))
     assert data.arrays["discs"].shape == (8, 5, 3)
@@ -44,7 +51,7 @@ def test_data_of_a_family_hold_its_scenes(robot: Path, tmp_path: Path) -> None:
         scene = Scenario.from_array(data.world.body, data.arrays["discs"][index])
         assert CollisionChecker(scene).valid_batch(data.free_of(index)).all()
         assert not CollisionChecker(scene).valid_batch(data.collision_of(index)).any()
-    assert generate(folder, "--robot", str(robot), *counts) == 0
+    generate(folder, "--robot", str(robot), *counts)
 
 
 def test_given_scenes_are_taken_once_each_and_some_are_held_out(robot: Path, tmp_path: Path) -> None:
@@ -54,7 +61,7 @@ def test_given_scenes_are_taken_once_each_and_some_are_held_out(robot: Path, tmp
         discs = f"obstacles: [{{x_m: {1 + number / 4}, y_m: 1.5, radius_m: 0.3}}]\n"
         (scenes / f"{number}.yaml").write_text(ROBOT + discs)
     folder = tmp_path / "given"
-    assert generate(folder, "--robot", str(robot), "--scenes", str(scenes)) == 0
+    generate(folder, "--robot", str(robot), "--scenes", str(scenes))
     data = open_dataset(folder)
     given = data.world.scenes
     assert isinstance(given, GivenScenes)
@@ -71,10 +78,10 @@ def test_given_scenes_are_taken_once_each_and_some_are_held_out(robot: Path, tmp
     ("text", "words"),
     [("robot: {}", "link_lengths_m"), (ROBOT, "holds no scene"), (None, "holds no scene files")],
 )
-def test_scenes_that_are_none_end_with_two(text, words, robot, tmp_path, capsys):
+def test_scenes_that_are_none_end_with_two(text, words, robot, tmp_path):
     scenes = tmp_path / "scenes"
     scenes.mkdir()
     if text is not None:
         (scenes / "one.yaml").write_text(text)
-    assert generate(tmp_path / "data", "--robot", str(robot), "--scenes", str(scenes)) == 2
-    assert words in capsys.readouterr().err
+    options = ("--robot", str(robot), "--scenes", str(scenes))
+    assert words in generate(tmp_path / "data", *options, code=2)
