@@ -83,12 +83,14 @@ class Families:
         solvable: those whose problems have a solution.
         telling: the one of them that tells samplers apart.
         note: for readers, what scenes have that are not of the uniform family.
+        drawn: for readers, what stands in scenes of the uniform family.
     """
 
     names: tuple[str, ...]
     solvable: tuple[str, ...]
     telling: str
     note: str
+    drawn: str
 
     @property
     def unsolvable(self) -> tuple[str, ...]:
@@ -106,9 +108,10 @@ class Measures:
         range_rad: longest step of a planner's tree, the sum over the joints; it decides how strong the
             uniform baseline is.
         resolution_rad: largest distance between checked states in any joint.
-        coverage_floor: below which no sampler of configurations is promoted.
-        margins: the metrics by which its versions are compared, and how much worse than the best champion
-            one may be.
+        coverage_share: of what as many real samples cover; a sampler of configurations that covers less is
+            not promoted.
+        margins: the metrics by which a version is compared with champions that were not measured beside it,
+            and how much worse than the best of them it may be.
         path_margins: the same for path models.
         free_share: of the joint space, on average over scenes of training.
     """
@@ -117,7 +120,7 @@ class Measures:
     near_contact_m: float
     range_rad: float
     resolution_rad: float
-    coverage_floor: float
+    coverage_share: float
     margins: Mapping[str, float]
     path_margins: Mapping[str, float]
     free_share: float

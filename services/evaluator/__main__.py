@@ -17,12 +17,13 @@ from services.evaluator.benchmark.__main__ import main as planning_benchmark
 from services.evaluator.evaluation.budget import BUDGETS
 from services.evaluator.evaluation.job import Outcome, evaluate_version, executor
 from services.evaluator.evaluation.metrics import flat_metrics
-from services.evaluator.evaluation.report import terminal_table
+from services.evaluator.evaluation.report import judged_on, terminal_table
 from services.evaluator.evaluation.request import make_request
 from services.registry.models.mlflow_registry import MlflowRegistry
 from services.registry.tracking.mlflow_tracking import MlflowTracking
 
 BENCHMARK = "planning"
+SHIPPED_FOLDER = Path(__file__).parents[2] / "inference_api" / "pretrained"
 
 
 def main(arguments: Sequence[str] | None = None, environment: Mapping[str, str] = os.environ) -> int:
@@ -39,6 +40,7 @@ def main(arguments: Sequence[str] | None = None, environment: Mapping[str, str] 
             seed=options.seed,
             promote=not options.no_promote,
             data=options.data,
+            shipped=None if options.without_shipped else _shipped(environment),
         )
         uri = _tracking_uri(environment)
         tracking, registry = MlflowTracking(uri), MlflowRegistry(uri)
@@ -63,10 +65,15 @@ def result(outcome: Outcome) -> dict[str, object]:
         "digest": version.digest,
         "promoted": verdict.promoted and outcome.recorded,
         "recorded": outcome.recorded,
+        "judged_on": judged_on(outcome.evaluation.setting),
         "reasons": list(verdict.reasons),
         "metrics": flat_metrics(outcome.evaluation),
         "figures": list(outcome.figures),
     }
+
+
+def _shipped(environment: Mapping[str, str]) -> Path:
+    return Path(environment.get("CSPACE_PRETRAINED_MODEL") or SHIPPED_FOLDER)
 
 
 def _tracking_uri(environment: Mapping[str, str]) -> str:
@@ -94,6 +101,11 @@ def _parser() -> argparse.ArgumentParser:
         help="a data set: judge on its scenes, not on the version's own",
     )
     parser.add_argument("--no-promote", action="store_true", help="record no decision, move no alias")
+    parser.add_argument(
+        "--without-shipped",
+        action="store_true",
+        help="let a version become the champion that may be worse than the shipped model",
+    )
     return parser
 
 
@@ -102,7 +114,8 @@ def _progress(line: str) -> None:
 
 
 def _print(outcome: Outcome) -> None:
-    print(f"\n{terminal_table(outcome.evaluation)}\n")
+    print(f"\n{judged_on(outcome.evaluation.setting)}")
+    print(f"\n{terminal_table(outcome.evaluation, outcome.verdict.bar.comparisons)}\n")
     moved = "promoted" if outcome.verdict.promoted else "not promoted"
     print(f"{moved}{'' if outcome.recorded else ' (only judged, nothing recorded)'}:")
     for reason in outcome.verdict.reasons:

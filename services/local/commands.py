@@ -95,7 +95,7 @@ def _quickstart_options(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--evaluate",
-        default="python -m services.evaluator --model {model}",
+        default="python -m services.evaluator --model {model} --without-shipped",
         metavar="COMMAND",
         help="entry point of the evaluation job; {model} is the new version (default: %(default)s)",
     )

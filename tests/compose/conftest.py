@@ -99,7 +99,8 @@ def trained(stack: Stack, untrained: httpx.Response) -> Mapping[str, Any]:
 def decided(stack: Stack, trained: Mapping[str, Any]) -> Mapping[str, Any]:
     """What the evaluation job says of that version, which the API serves from then on, without a restart."""
     started = stack.started_at("inference-api")
-    decision = stack.result("evaluate", "--model", f"{trained['model']}/{trained['version']}")
+    reference = f"{trained['model']}/{trained['version']}"
+    decision = stack.result("evaluate", "--model", reference, "--without-shipped")
     assert decision["promoted"] is True, decision["reasons"]
     serves_champion(stack, decision)
     assert stack.started_at("inference-api") == started

@@ -52,6 +52,14 @@ class DiscScenes:
                 got=str(self),
             )
 
+    @property
+    def words(self) -> str:
+        """For readers."""
+        counts, radii = (
+            f"{low}" if low == high else f"{low} to {high}" for low, high in (self.count, self.radius_m)
+        )
+        return f"{counts} discs of radius {radii} m"
+
     def draw(self, rng: np.random.Generator, split: Split, index: int | None) -> NDArray[np.float64]:
         """(D, 3): x, y, radius in m; the split and the index are the generator's."""
         del split, index
@@ -106,6 +114,11 @@ class GivenScenes:
             scene for place, scene in enumerate(scenes) if place % 5 == 4 or place + 1 == len(scenes) < 5
         )
         return cls(tuple(scene for scene in scenes if scene not in held_out), held_out)
+
+    @property
+    def words(self) -> str:
+        """For readers."""
+        return f"{len(self.held_out)} held-out scenes that were given"
 
     def part(self, split: Split) -> tuple[Rows, ...]:
         """The scenes of a split; both halves are all that is held out where that is one scene.

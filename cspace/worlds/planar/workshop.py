@@ -45,7 +45,8 @@ class PlanarWorkshop:
         """Uniform and disconnected; narrow where the grid is as fine as its passages."""
         narrow = (Family.NARROW,) if resolves_narrow(self.world.body) else ()
         solvable = (Family.UNIFORM, *narrow)
-        return Families((*solvable, Family.DISCONNECTED), solvable, solvable[-1], _NOTE)
+        told = "unknown discs" if self.world.scenes is None else self.world.scenes.words
+        return Families((*solvable, Family.DISCONNECTED), solvable, solvable[-1], _NOTE, told)
 
     @property
     def measures(self) -> Measures:
@@ -60,7 +61,7 @@ class PlanarWorkshop:
             near_contact_m=0.1,
             range_rad=1.0,
             resolution_rad=0.0314,
-            coverage_floor=0.8,
+            coverage_share=0.8,
             margins={"precision": 0.02, "coverage": 0.03, "edr": 0.1, "planning_success": 0.1},
             path_margins={"planning_success": 0.1, f"{self.families.telling}_edge_checks_ratio": 1.0},
             free_share=0.69,

@@ -1,6 +1,6 @@
 """How much is evaluated, cut into units of work that can run anywhere in any order with the same numbers."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -109,6 +109,15 @@ def units(
             Unit(Kind.RECONSTRUCTION, split, *part) for part in _parts(at_most(budget.scenarios, split), 15)
         ]
     return work
+
+
+def deciding(work: Iterable[Unit]) -> list[Unit]:
+    """The units that decide: those that a rival is measured by as well."""
+    return [
+        unit
+        for unit in work
+        if unit.split is Split.VALIDATION and (unit.kind is Kind.PLANNING or unit.family is None)
+    ]
 
 
 def planned(families: Families) -> tuple[str, ...]:

@@ -1,15 +1,17 @@
 """The gate: may a version become the champion?
 
-A version must beat uniform samples beyond the interval and cover the free space; a path model must save a
-planner edge checks beyond the interval in the problems that tell most, and solve no fewer problems. Once
-there has been a champion, it must also stay within a fixed margin of the best value that any champion has
-had, metric by metric, so that many small steps down can not add up. Floor and margins are the world's.
+A version must beat uniform samples beyond the interval and cover most of what real samples cover; a path
+model must save a planner edge checks beyond the interval in the problems that tell most, and solve no fewer
+problems. Beside every rival, measured on the same scenes, it must be worse in no gated measure beyond the
+interval, and better in one. A champion that was not measured again is compared by its recorded metrics, each
+with a fixed margin; as the best of them counts, many small steps down can not add up.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from cspace.workshop import Measures
+from services.evaluator.evaluation.comparison import Comparison
 from services.evaluator.statistics import Interval
 
 COVERAGE = "coverage"
@@ -23,10 +25,12 @@ class Candidate:
 
     Args:
         precision_gain: paired difference in precision to uniform samples.
+        real_coverage: what as many real samples cover of the same scenes.
         metrics: the gated metrics by name; planning success may be missing.
     """
 
     precision_gain: Interval
+    real_coverage: float
     metrics: Mapping[str, float]
 
 
@@ -55,13 +59,30 @@ class Champion:
     metrics: Mapping[str, float]
 
 
+@dataclass(frozen=True)
+class Bar:
+    """Whom a candidate is compared with.
+
+    Args:
+        comparisons: with rivals that were measured beside it.
+        recorded: earlier champions that were not.
+        notes: who is left out, and why.
+        against: the number of the present champion, None without one.
+    """
+
+    comparisons: tuple[Comparison, ...] = ()
+    recorded: tuple[Champion, ...] = ()
+    notes: tuple[str, ...] = ()
+    against: int | None = None
+
+
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """The gate's decision, its reasons in words, and the version of the latest champion if there was one."""
+    """The gate's decision, its reasons in words, and what it compared with."""
 
     promoted: bool
     reasons: tuple[str, ...]
-    against: int | None
+    bar: Bar
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,22 +91,22 @@ class _Finding:
     reason: str
 
 
-def judge(candidate: Candidate, champions: Sequence[Champion], measures: Measures) -> Verdict:
+def judge(candidate: Candidate, bar: Bar, measures: Measures) -> Verdict:
     """Decide on a candidate.
 
     Args:
         candidate: the version under test.
-        champions: all earlier champions, oldest first; empty for a first version.
-        measures: the world's margins and floor.
+        bar: whom it is compared with.
+        measures: the world's share of coverage and margins.
     """
     findings = [
         _beats_uniform(candidate.precision_gain),
-        _covers(candidate.metrics[COVERAGE], measures.coverage_floor),
+        _covers(candidate.metrics[COVERAGE], candidate.real_coverage, measures.coverage_share),
     ]
-    return _verdict(findings, measures.margins, candidate.metrics, champions)
+    return _verdict(findings, measures.margins, candidate.metrics, bar)
 
 
-def judge_paths(candidate: PathCandidate, champions: Sequence[Champion], measures: Measures) -> Verdict:
+def judge_paths(candidate: PathCandidate, bar: Bar, measures: Measures) -> Verdict:
     """Decide on a path model; arguments as for :func:`judge`."""
     saved, ours = candidate.checks_saved, candidate.metrics[PLANNING_SUCCESS]
     words = "saves" if saved.low > 1.0 else "does not save"
@@ -101,22 +122,32 @@ def judge_paths(candidate: PathCandidate, champions: Sequence[Champion], measure
             f"solves {less} problems than uniform samples: {ours:.3f}, {candidate.uniform_success:.3f}",
         ),
     ]
-    return _verdict(findings, measures.path_margins, candidate.metrics, champions)
+    return _verdict(findings, measures.path_margins, candidate.metrics, bar)
 
 
 def _verdict(
-    findings: list[_Finding],
-    margins: Mapping[str, float],
-    metrics: Mapping[str, float],
-    champions: Sequence[Champion],
+    findings: list[_Finding], margins: Mapping[str, float], metrics: Mapping[str, float], bar: Bar
 ) -> Verdict:
-    compared = [_compare(name, margin, metrics, champions) for name, margin in margins.items()]
-    findings = [*findings, *(finding for finding in compared if finding is not None)]
-    if not champions:
+    for comparison in bar.comparisons:
+        findings += _beside(comparison)
+    recorded = [_compare(name, margin, metrics, bar.recorded) for name, margin in margins.items()]
+    findings += [finding for finding in recorded if finding is not None]
+    findings += [_Finding(held=True, reason=note) for note in bar.notes]
+    if not bar.comparisons and not bar.recorded:
         findings.append(_Finding(held=True, reason="there is no earlier champion to compare with"))
     held = all(finding.held for finding in findings)
-    return Verdict(
-        held, tuple(finding.reason for finding in findings), champions[-1].version if champions else None
+    return Verdict(held, tuple(finding.reason for finding in findings), bar)
+
+
+def _beside(comparison: Comparison) -> tuple[_Finding, _Finding]:
+    rival, gains = comparison.rival, comparison.gains
+    worse = [str(gain) for gain in gains if gain.worse]
+    better = [str(gain) for gain in gains if gain.better]
+    return (
+        _Finding(not worse, f"worse than {rival} beyond the interval: {'; '.join(worse) or 'in nothing'}"),
+        _Finding(
+            bool(better), f"better than {rival} beyond the interval: {'; '.join(better) or 'in nothing'}"
+        ),
     )
 
 
@@ -126,16 +157,16 @@ def _beats_uniform(gain: Interval) -> _Finding:
     return _Finding(held, f"precision {words}: gain {gain:+.3f} over {gain.count} scenarios")
 
 
-def _covers(value: float, floor: float) -> _Finding:
-    held = value >= floor
-    sign = "at or above" if held else "below"
-    return _Finding(held, f"coverage {value:.3f} is {sign} the floor of {floor:.3f}")
+def _covers(value: float, real: float, share: float) -> _Finding:
+    held = value >= share * real
+    sign = "at least" if held else "less than"
+    return _Finding(held, f"coverage {value:.3f} is {sign} {share:.2f} of the {real:.3f} of real samples")
 
 
 def _compare(
     name: str, margin: float, metrics: Mapping[str, float], champions: Sequence[Champion]
 ) -> _Finding | None:
-    """Against the best value of all champions; None where none has the metric."""
+    """Against the best recorded value; None where no champion has the metric."""
     having = [champion for champion in champions if name in champion.metrics]
     if not having:
         return None
@@ -150,5 +181,7 @@ def _compare(
     held = sign * (ours - theirs) >= -margin
     words = "is within" if held else "is worse than"
     return _Finding(
-        held, f"{name} {ours:.3f} {words} the margin of {margin:.3f} of version {best.version}'s {theirs:.3f}"
+        held,
+        f"{name} {ours:.3f} {words} the margin of {margin:.3f} of the {theirs:.3f} recorded of version "
+        f"{best.version}",
     )

@@ -2,21 +2,26 @@
 
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any, cast
 
 from cspace.bundle import Bundle
 from cspace.dataset import open_dataset
 from cspace.world import World
 from cspace.worlds import workshop_of
 from services.evaluator.cluster import on_cluster, spread
-from services.evaluator.evaluation.budget import Unit, units
+from services.evaluator.evaluation.budget import Unit, deciding, units
+from services.evaluator.evaluation.comparison import Comparison, compare_paths, compare_samplers
 from services.evaluator.evaluation.execution import Execute, run_here, run_packed
-from services.evaluator.evaluation.gate import Verdict
+from services.evaluator.evaluation.gate import Bar, Verdict
 from services.evaluator.evaluation.recording import decide, log_evaluation, record
+from services.evaluator.evaluation.report import judged_on
 from services.evaluator.evaluation.request import Request
-from services.evaluator.evaluation.units import Evaluation, Setting, UnitResult, assemble
+from services.evaluator.evaluation.rivals import Rival, find_rivals
+from services.evaluator.evaluation.units import Evaluation, Row, Setting, UnitResult, assemble
 from services.evaluator.measures.samplers import PackedBundle, bundle_sampler
+from services.evaluator.measures.scenes import summary_rng
 from services.registry.models.port import ModelRegistry, ModelVersion
 from services.registry.names import EXPERIMENT
 from services.registry.tracking.port import Tracking
@@ -77,8 +82,14 @@ def evaluate_version(
             world = spec.world if request.data is None else _among(spec.world, request.data)
             setting = Setting(world, request.seed, request.budget, spec.kind == "path")
             progress(f"evaluating {version}, digest {bundle.digest[:12]}")
-            evaluation = _measure(execute, setting, PackedBundle.pack(bundle), progress)
-            verdict = decide(registry, version, evaluation)
+            progress(judged_on(setting))
+            field = find_rivals(registry, version, bundle, request.shipped, Path(folder) / "rivals")
+            shop = workshop_of(world)
+            work = units(request.budget, shop.families, paths=setting.paths, there=shop.count)
+            results = _measure(execute, work, setting, PackedBundle.pack(bundle), progress)
+            evaluation = assemble(results, setting)
+            compared = tuple(_beside(rival, evaluation, execute, work, progress) for rival in field.rivals)
+            verdict = decide(evaluation, Bar(compared, field.recorded, field.notes, field.against))
             title = str(version)
             figures = log_evaluation(run, evaluation, verdict, bundle_sampler(bundle), title)
         if request.promote:
@@ -114,13 +125,30 @@ def _load(registry: ModelRegistry, version: ModelVersion, folder: Path) -> Bundl
     return Bundle.load(registry.download(version, folder / "bundle"))
 
 
-def _measure(execute: Execute, setting: Setting, packed: PackedBundle, progress: Progress) -> Evaluation:
-    workshop = workshop_of(setting.world)
-    work = units(setting.budget, workshop.families, paths=setting.paths, there=workshop.count)
+def _measure(
+    execute: Execute, work: Sequence[Unit], setting: Setting, packed: PackedBundle, progress: Progress
+) -> list[UnitResult]:
     results: list[UnitResult] = []
     for result in execute(work, setting, packed):
         results.append(result)
         unit = result.unit
         what = f"{unit.kind}{f' {unit.family}' if unit.family else ''}, {unit.split}"
         progress(f"{len(results):3d}/{len(work)}  {what}, {unit.count} in {result.seconds:.1f} s")
-    return assemble(results, setting)
+    return results
+
+
+def _beside(
+    rival: Rival, evaluation: Evaluation, execute: Execute, work: Sequence[Unit], progress: Progress
+) -> Comparison:
+    """Measure a rival by the units that decide, in the candidate's scenes seen by the rival's camera."""
+    progress(f"measuring {rival.name}, on the same scenes")
+    setting, validation = evaluation.setting, evaluation.validation
+    world = replace(cast("Any", setting.world), sensor=rival.world.sensor)
+    seen = replace(setting, world=world, budget=replace(setting.budget, narrow_scenarios=0))
+    results = _measure(execute, deciding(work), seen, rival.packed, progress)
+    ours: list[Row] = [*validation.scenes, *validation.trials]
+    theirs = [row for one in results for row in one.rows]
+    rng = summary_rng(setting.seed)
+    if setting.paths:
+        return compare_paths(rival.name, ours, theirs, workshop_of(world).families.telling, rng)
+    return compare_samplers(rival.name, ours, theirs, rng)

@@ -9,19 +9,12 @@ from pathlib import Path
 from cspace.errors import EvaluationError
 from cspace.problem import UNIFORM
 from cspace.splits import Split
-from cspace.world import World
 from cspace.worlds import picture_of, robot_digest, workshop_of
 from services.evaluator.evaluation.gallery import gallery
-from services.evaluator.evaluation.gate import (
-    Candidate,
-    Champion,
-    PathCandidate,
-    Verdict,
-    judge,
-    judge_paths,
-)
+from services.evaluator.evaluation.gate import Bar, Candidate, PathCandidate, Verdict, judge, judge_paths
 from services.evaluator.evaluation.metrics import flat_metrics
 from services.evaluator.evaluation.report import to_json, to_markdown
+from services.evaluator.evaluation.rivals import JOINTS
 from services.evaluator.evaluation.units import Evaluation, planner_of, planner_seed
 from services.evaluator.measures.planning import UNIFORM_SHARE, learned_samples
 from services.evaluator.measures.reconstruction import SceneQuality
@@ -31,36 +24,22 @@ from services.planner.drawing.plot import draw_plan
 from services.planner.search.ompl_planner import solve
 from services.planner.sources.samples import SampleSource
 from services.registry.models.port import ModelRegistry, ModelVersion
-from services.registry.promotion import Decision, champions, record_decision
+from services.registry.promotion import Decision, record_decision
 from services.registry.tracking.port import RunLog
 
 # The first scenarios of the uniform family; with the least precise one of every family they make a gallery.
 GALLERY_SCENARIOS = 2
 REPORT_FOLDER = "report"
-# What decisions told of their robot before they told its digest.
-JOINTS = "joints"
 
 
-def decide(registry: ModelRegistry, version: ModelVersion, evaluation: Evaluation) -> Verdict:
-    """The gate's verdict against all earlier champions of the model."""
-    world = evaluation.setting.world
-    measures = workshop_of(world).measures
-    earlier = [
-        Champion(decision.version, decision.metrics)
-        for decision in champions(registry, version.name)
-        if decision.version != version.number and _is_of(decision, world)
-    ]
-    reconstruction = evaluation.validation.reconstruction
-    if reconstruction is None:
-        return judge_paths(_path_candidate(evaluation), earlier, measures)
-    return judge(Candidate(reconstruction.precision_gain, _gated(evaluation)), earlier, measures)
-
-
-def _is_of(decision: Decision, world: World) -> bool:
-    """Whether a decision was about the same robot; champions of others are not compared."""
-    if decision.robot is None:
-        return decision.metrics.get(JOINTS) == world.dim
-    return decision.robot == robot_digest(world)
+def decide(evaluation: Evaluation, bar: Bar) -> Verdict:
+    """The gate's verdict."""
+    measures = workshop_of(evaluation.setting.world).measures
+    found = evaluation.validation.reconstruction
+    if found is None:
+        return judge_paths(_path_candidate(evaluation), bar, measures)
+    candidate = Candidate(found.precision_gain, found.real.coverage.estimate, _gated(evaluation))
+    return judge(candidate, bar, measures)
 
 
 def _path_candidate(evaluation: Evaluation) -> PathCandidate:
@@ -87,7 +66,7 @@ def record(
         verdict.promoted,
         verdict.reasons,
         metrics,
-        verdict.against,
+        verdict.bar.against,
         now_ms,
         robot_digest(evaluation.setting.world),
     )
@@ -105,7 +84,7 @@ def log_evaluation(
     run.tags({"promoted": str(verdict.promoted).lower()})
     with tempfile.TemporaryDirectory(prefix="cspace-report-") as folder:
         for name, text in (
-            ("evaluation.md", to_markdown(evaluation, title, verdict.reasons)),
+            ("evaluation.md", to_markdown(evaluation, title, verdict.reasons, verdict.bar.comparisons)),
             ("evaluation.json", to_json(evaluation)),
         ):
             path = Path(folder) / name

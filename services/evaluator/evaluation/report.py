@@ -4,9 +4,12 @@ import json
 from collections.abc import Sequence
 from dataclasses import asdict
 
-from cspace.worlds import workshop_of
+from cspace.worlds import robot_digest, workshop_of
+from services.evaluator.evaluation.budget import JUDGED, planned
+from services.evaluator.evaluation.comparison import Comparison
 from services.evaluator.evaluation.tables import (
     aligned,
+    comparison_table,
     markdown,
     occupancy_table,
     planning_table,
@@ -14,7 +17,7 @@ from services.evaluator.evaluation.tables import (
     scene_family_table,
     topology_table,
 )
-from services.evaluator.evaluation.units import Evaluation, planner_of
+from services.evaluator.evaluation.units import Evaluation, Setting, planner_of
 from services.evaluator.measures.nearest import NEIGHBOURS
 
 RECONSTRUCTION_NOTE = (
@@ -24,6 +27,11 @@ RECONSTRUCTION_NOTE = (
 )
 FAMILY_NOTE = (
     "Only the uniform scenarios decide. {} EDr is relative to uniform samples on the same scenarios."
+)
+COMPARISON_NOTE = (
+    "Both on the same scenes and problems with the same seeds. The gain is above 0 where the version is "
+    "better, with the limits of the paired difference by bootstrap; of edge checks it is the share saved. As "
+    "served: filtered at the model's own threshold."
 )
 PLANNING_NOTE = (
     "RRT, range {0.range_rad} rad, resolution {0.resolution_rad} rad a joint, at most "
@@ -51,11 +59,33 @@ def to_json(evaluation: Evaluation) -> str:
     )
 
 
-def to_markdown(evaluation: Evaluation, title: str, reasons: Sequence[str]) -> str:
-    """The report: decision, reconstruction, planning, topology."""
+def judged_on(setting: Setting) -> str:
+    """In one line the scenes by which a version is judged: world, families, how many, seed."""
+    world, budget = setting.world, setting.budget
+    there = [workshop_of(world).count(split) or budget.scenarios for split in JUDGED]
+    validation, test = (min(budget.scenarios, count) for count in there)
+    uniform = f"{validation} validation and {test} test scenes of the family uniform, "
+    problems = f"{budget.validation_problems} validation and {budget.test_problems} test problems"
+    known = workshop_of(world).families
+    return (
+        f"judged on scenes of the {world.kind} world with {known.drawn} (robot {robot_digest(world)[:12]}, "
+        f"{world.dim} joints): {'' if setting.paths else uniform}{problems} of each family "
+        f"({', '.join(planned(known))}), seed {setting.seed}"
+    )
+
+
+def to_markdown(
+    evaluation: Evaluation, title: str, reasons: Sequence[str], comparisons: Sequence[Comparison] = ()
+) -> str:
+    """The report: scenes, decision, comparisons, reconstruction, planning, topology."""
     budget, world = evaluation.setting.budget, evaluation.setting.world
     workshop = workshop_of(world)
-    parts = [f"# {title}", "## Decision", "\n".join(f"- {reason}" for reason in reasons)]
+    scenes = judged_on(evaluation.setting)
+    parts = [f"# {title}", f"{scenes[0].upper()}{scenes[1:]}.", "## Decision"]
+    parts.append("\n".join(f"- {reason}" for reason in reasons))
+    for one in comparisons:
+        heading = f"## Beside {one.rival}, validation (decides)"
+        parts += [heading, markdown(comparison_table(one)), COMPARISON_NOTE]
     for name, split in (("validation", evaluation.validation), ("test", evaluation.test)):
         role = "decides" if name == "validation" else "reported only"
         if split.reconstruction is not None:
@@ -92,7 +122,7 @@ def to_markdown(evaluation: Evaluation, title: str, reasons: Sequence[str]) -> s
     return "\n\n".join(parts) + "\n"
 
 
-def terminal_table(evaluation: Evaluation) -> str:
+def terminal_table(evaluation: Evaluation, comparisons: Sequence[Comparison] = ()) -> str:
     """The deciding numbers as aligned text."""
     splits = (("validation", evaluation.validation), ("test", evaluation.test))
     near_contact_m = workshop_of(evaluation.setting.world).measures.near_contact_m
@@ -103,4 +133,5 @@ def terminal_table(evaluation: Evaluation) -> str:
         tables.append(("planning, validation", planning_table(evaluation.validation.planning)))
     if evaluation.topology:
         tables.append(("topology, test", topology_table(evaluation)))
+    tables += [(f"beside {one.rival}, validation", comparison_table(one)) for one in comparisons]
     return "\n\n".join(f"{name}\n{aligned(table)}" for name, table in tables if table)

@@ -20,6 +20,7 @@ class Request:
         seed: of scenarios, samples and problems.
         promote: whether the decision is recorded and the alias moved.
         data: a data set whose held-out scenes it is judged on; None for those of the version's own data.
+        shipped: folder of the shipped model, which the version is compared with; None leaves that out.
     """
 
     model: ModelReference
@@ -27,6 +28,7 @@ class Request:
     seed: int = 0
     promote: bool = True
     data: Path | None = None
+    shipped: Path | None = None
 
 
 def make_request(
@@ -37,6 +39,7 @@ def make_request(
     seed: int = 0,
     promote: bool = True,
     data: Path | None = None,
+    shipped: Path | None = None,
 ) -> Request:
     """A request from texts and numbers of the command line.
 
@@ -47,6 +50,7 @@ def make_request(
         seed: 0 to 2^63 - 1.
         promote: see :class:`Request`.
         data: likewise.
+        shipped: likewise.
 
     Raises:
         ConfigError: a value is out of range.
@@ -60,6 +64,5 @@ def make_request(
     chosen = BUDGETS[budget]
     if scenarios is not None:
         chosen = replace(chosen, scenarios=scenarios)
-    return Request(
-        ModelReference.parse_version(model, "the model reference is unknown"), chosen, seed, promote, data
-    )
+    reference = ModelReference.parse_version(model, "the model reference is unknown")
+    return Request(reference, chosen, seed, promote, data, shipped)

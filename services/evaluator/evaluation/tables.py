@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 from cspace.problem import UNIFORM
+from services.evaluator.evaluation.comparison import Comparison
 from services.evaluator.evaluation.units import Evaluation, SplitResult
 from services.evaluator.measures.planning_summary import COSTS, ArmSummary, FamilySummary
 from services.evaluator.measures.reconstruction import ReconstructionSummary, SamplerSummary
@@ -60,6 +61,16 @@ def planning_table(families: Sequence[FamilySummary]) -> Table:
         rows.append([family.family, "saved factor", "", *(f"{ratio:.2f}" for ratio in saved), ""])
         if family.filter_ratio is not None:
             rows.append([family.family, "filter factor", "", f"{family.filter_ratio:.2f}", "", "", ""])
+    return rows
+
+
+def comparison_table(comparison: Comparison) -> Table:
+    """Every gated measure of the version beside a rival's, and what is gained."""
+    words = {(True, False): "better", (False, True): "worse", (False, False): "within the interval"}
+    rows = [["measure", "version", "rival", "gain", ""]]
+    for one in comparison.gains:
+        cells = (f"{one.ours:.4f}", f"{one.theirs:.4f}", f"{one.gain:+.4f}", words[one.better, one.worse])
+        rows.append([one.name, *cells])
     return rows
 
 

@@ -1,14 +1,15 @@
-"""Precision and coverage of a version as a client sees it: over HTTP, on scenarios never trained on."""
+"""Quality of versions as a client sees it: over HTTP, on scenarios never trained on."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from cspace.query import SampleQuery
 from cspace.splits import Split
 from cspace.worlds import default_world
-from services.evaluator.measures.reconstruction import ReconstructionSummary, summarise
-from services.evaluator.measures.scenes import Scene, Stage, reconstruct
-from services.planner.sources.samples import PinnedSource
+from services.evaluator.measures.reconstruction import ReconstructionSummary, SceneQuality, summarise
+from services.evaluator.measures.scenes import Scene, Stage
+from services.planner.sources.samples import SampleSource
 from services.planner.sources.sampling_client import SamplingClient
 
 SCENARIOS = 100
@@ -17,16 +18,16 @@ SAMPLES = 1000
 SEED = 1
 
 
-@dataclass(frozen=True, slots=True)
-class ServedQuality:
-    """The summary over ``SCENARIOS`` scenarios of ``SAMPLES`` samples each."""
+def served_quality(url: str, references: Sequence[str]) -> Mapping[str, ReconstructionSummary]:
+    """Ask for versions, without their validity filter and with it, and judge all on the same scenarios.
 
-    reference: str
-    summary: ReconstructionSummary
+    Args:
+        url: of the inference API.
+        references: the versions, as the API takes them.
 
-
-def served_quality(url: str, reference: str) -> ServedQuality:
-    """Ask for a version by ``name/version`` without its validity filter and judge what comes.
+    Returns:
+        By reference the summary over ``SCENARIOS`` scenarios of ``SAMPLES`` samples each; ``confident`` is as
+        served, and None where too few samples came in some scenario.
 
     Raises:
         SamplerUnavailableError: the API does not answer.
@@ -34,6 +35,21 @@ def served_quality(url: str, reference: str) -> ServedQuality:
     """
     stage = Stage(default_world(), Split.TEST, SEED)
     with SamplingClient(url) as client:
-        sampler = PinnedSource(client, reference)
-        rows = [reconstruct(Scene(stage, index), sampler, SAMPLES) for index in range(SCENARIOS)]
-    return ServedQuality(reference, summarise(rows, np.random.default_rng(SEED)))
+        rows = [_rows(Scene(stage, index), client, references) for index in range(SCENARIOS)]
+    return {one: summarise([row[one] for row in rows], np.random.default_rng(SEED)) for one in references}
+
+
+def _rows(scene: Scene, client: SampleSource, references: Sequence[str]) -> dict[str, SceneQuality]:
+    held_out = scene.free(SAMPLES, scene.rng(0))
+    uniform = scene.quality(scene.space.sample_uniform(scene.rng(1), SAMPLES), held_out)
+    real = scene.quality(scene.free(SAMPLES, scene.rng(2)), held_out)
+
+    def judged(reference: str) -> SceneQuality:
+        queries = (SampleQuery(SAMPLES, scene.sampler_seed(), min_confidence=least) for least in (0.0, None))
+        drawn, served = (client.answer(scene.image, query, reference).samples for query in queries)
+        as_served = scene.quality(served.astype(np.float64), held_out) if len(served) == SAMPLES else None
+        return SceneQuality(
+            scene.index, scene.quality(drawn.astype(np.float64), held_out), uniform, real, as_served
+        )
+
+    return {reference: judged(reference) for reference in references}

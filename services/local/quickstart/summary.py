@@ -1,19 +1,20 @@
 """The table at the end of the main job."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from services.evaluator.measures.reconstruction import SamplerSummary
+from services.evaluator.measures.reconstruction import ReconstructionSummary, SamplerSummary
 from services.evaluator.statistics import Interval
-from services.local.quickstart.quality import SAMPLES, SCENARIOS, ServedQuality
+from services.local.quickstart.quality import SAMPLES, SCENARIOS
 from services.local.quickstart.results import EvaluationResult, TrainingResult
 from services.local.texts import aligned
+from services.registry.references import PRETRAINED
 
 
 def summary(
     training: TrainingResult,
     evaluation: EvaluationResult,
-    quality: ServedQuality,
+    quality: Mapping[str, ReconstructionSummary],
     pictures: Sequence[Path],
     elapsed_s: float,
 ) -> str:
@@ -32,19 +33,21 @@ def summary(
     return (
         f"{head}\nwhy\n{reasons}\n\n"
         f"{SCENARIOS} unseen scenarios over HTTP, {SAMPLES} samples each, "
-        f"no validity filter; 95 % intervals over scenarios\n{quality_table(quality)}\n\npictures\n{drawn}"
+        f"drawn without the validity filter and as served; 95 % intervals over scenarios\n"
+        f"{quality_table(quality)}\n\npictures\n{drawn}"
     )
 
 
-def quality_table(quality: ServedQuality) -> str:
-    """Precision, coverage and energy ratio of the version beside uniform and real samples."""
+def quality_table(quality: Mapping[str, ReconstructionSummary]) -> str:
+    """Precision, coverage and energy ratio of models by reference, beside uniform and real samples."""
     rows: list[tuple[str, ...]] = [("sampler", "precision", "coverage", "EDr")]
-    named = {
-        quality.reference: quality.summary.sampler,
-        "uniform": quality.summary.uniform,
-        "real samples": quality.summary.real,
-    }
-    rows += [(name, *_cells(one)) for name, one in named.items()]
+    for reference, summary in quality.items():
+        name = f"{reference} (shipped)" if reference == PRETRAINED else reference
+        rows.append((name, *_cells(summary.sampler)))
+        if summary.confident is not None:
+            rows.append((f"{name}, as served", *_cells(summary.confident)))
+    any_of_them = next(iter(quality.values()))
+    rows += [("uniform", *_cells(any_of_them.uniform)), ("real samples", *_cells(any_of_them.real))]
     return aligned(rows)
 
 

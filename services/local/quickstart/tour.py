@@ -22,6 +22,7 @@ from services.local.quickstart.summary import summary
 from services.local.servers.stack import services, up
 from services.local.settings import Settings
 from services.local.texts import addresses, shell_help
+from services.registry.references import PRETRAINED
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,8 +72,9 @@ def quickstart(settings: Settings, train: str, evaluate: str, say: Callable[[str
     evaluation = evaluation_result(_run(jobs, evaluate.replace("{model}", training.reference), progress))
     progress.stage(f"waiting until the inference API serves {training.reference}")
     wait_served(settings.api_url, training.reference, default=evaluation.promoted)
-    progress.stage(f"quality of {training.reference} over HTTP, on scenarios that nobody was trained on")
-    quality = served_quality(settings.api_url, training.reference)
+    both = (training.reference, PRETRAINED)
+    progress.stage(f"quality of {' and '.join(both)} over HTTP, on scenarios that nobody was trained on")
+    quality = served_quality(settings.api_url, both)
     progress.stage("planning with samples from POST /sample")
     pictures = _pictures(settings, training, evaluation, progress)
     progress.stage("done")

@@ -68,6 +68,7 @@ def test_an_evaluation_is_a_child_of_the_training_with_metrics_report_and_pictur
     assert run.history["precision"][0][1] == flat_metrics(outcome.evaluation)["precision"]
     assert {"test_coverage", "edr", "test_gs_floor", "precision_gain_low"} <= set(run.history)
     assert run.tags["model_version"] == "1"
+    assert b"\n\nJudged on scenes of the planar world with 3 discs" in run.artifacts["report/evaluation.md"]
     assert b"## Decision" in run.artifacts["report/evaluation.md"]
     assert json.loads(run.artifacts["report/evaluation.json"])["setting"]["seed"] == 0
     assert {f"figures/{name}.png" for name in outcome.figures} <= set(run.artifacts)
@@ -95,7 +96,7 @@ def test_a_version_is_not_compared_with_its_own_earlier_promotion(tracking, regi
     passing(monkeypatch)
     for _ in range(2):
         outcome = evaluate_version(request(), tracking, registry, progress=lambda line: None)
-    assert outcome.verdict.against is None
+    assert outcome.verdict.bar.against is None
 
 
 def test_without_promotion_nothing_is_recorded(tracking, registry, monkeypatch):
@@ -135,8 +136,11 @@ def test_a_path_model_is_not_judged_without_problems(tracking, registry, tmp_pat
 def test_progress_tells_every_unit(tracking, registry):
     lines = []
     evaluate_version(request(), tracking, registry, progress=lines.append)
-    assert len(lines) == 1 + len(units(TINY, PROBLEMS))
+    assert len(lines) == 2 + len(units(TINY, PROBLEMS))
     assert f"{MODEL_NAME}/1" in lines[0]
+    assert lines[1].startswith("judged on scenes of the planar world with 3 discs of radius 1.0 m (robot ")
+    assert "2 validation and 2 test scenes of the family uniform" in lines[1]
+    assert lines[1].endswith("seed 0")
     assert lines[-1].lstrip().startswith(f"{len(units(TINY, PROBLEMS))}/{len(units(TINY, PROBLEMS))}")
 
 
@@ -164,6 +168,7 @@ def test_the_command_prints_the_tables_and_a_result_line(tracking, registry, mon
     assert (told["model"], told["version"], told["promoted"]) == (MODEL_NAME, 1, False)
     assert told["metrics"]["real_precision"] == 1.0
     assert any(line.startswith("not promoted") for line in lines)
+    assert told["judged_on"] in lines
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,169 @@
+"""Whom a candidate is measured beside: the present champion, the best one before it, and the shipped model.
+
+They are three at the most, whatever the number of champions. The others, and those whose bundles can not be
+fetched any more, are compared by the metrics that they were promoted with.
+"""
+
+from collections.abc import Iterable
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+from cspace.bundle import Bundle
+from cspace.errors import (
+    BundleError,
+    ConfigError,
+    ModelNotFoundError,
+    RegistryError,
+    RegistryUnavailableError,
+)
+from cspace.world import World
+from cspace.worlds import robot_digest, workshop_of
+from services.evaluator.evaluation.gate import SMALLER_IS_BETTER, Champion
+from services.evaluator.measures.samplers import PackedBundle
+from services.registry.models.port import ModelRegistry, ModelVersion
+from services.registry.names import ALIAS_CHAMPION
+from services.registry.promotion import Decision, champions
+
+# What decisions told of their robot before they told its digest.
+JOINTS = "joints"
+
+
+@dataclass(frozen=True)
+class Rival:
+    """Somebody to be measured beside.
+
+    Args:
+        name: in words.
+        world: of its bundle: the candidate's robot, perhaps seen by another camera.
+        packed: the bundle.
+    """
+
+    name: str
+    world: World
+    packed: PackedBundle
+
+
+@dataclass(frozen=True)
+class Field:
+    """Everybody that a candidate is compared with.
+
+    Args:
+        rivals: to be measured.
+        recorded: earlier champions that are not, with their metrics.
+        notes: for readers, who is not compared, or not by measuring, and why.
+        against: the number of the present champion, None without one.
+    """
+
+    rivals: tuple[Rival, ...]
+    recorded: tuple[Champion, ...]
+    notes: tuple[str, ...]
+    against: int | None
+
+
+def find_rivals(
+    registry: ModelRegistry, version: ModelVersion, bundle: Bundle, shipped: Path | None, folder: Path
+) -> Field:
+    """Everybody of the candidate's robot and kind that it has to be held against.
+
+    Args:
+        registry: holds the champions.
+        version: the candidate.
+        bundle: its bundle.
+        shipped: folder of the shipped model; None leaves it out.
+        folder: for downloads; whoever calls deletes it.
+
+    Raises:
+        ConfigError: there is no bundle in the shipped model's folder.
+        RegistryUnavailableError: the registry does not answer.
+        StorageError: a download cannot be written.
+    """
+    found, name = _Found(bundle, registry, folder), version.name
+    earlier = {
+        decision.version: Champion(decision.version, decision.metrics)
+        for decision in champions(registry, name)
+        if decision.version != version.number and is_of(decision, bundle.spec.world)
+    }
+    against = None
+    with suppress(ModelNotFoundError):
+        present = registry.by_alias(name, ALIAS_CHAMPION)
+        if present.number != version.number:
+            measured = found.fetch(name, present.number, "the present champion")
+            against = present.number if measured or present.number in earlier else None
+            if measured:
+                earlier.pop(present.number, None)
+    for champion in _best_first(earlier.values(), bundle):
+        if champion.version != against and found.fetch(name, champion.version, "the best before it"):
+            del earlier[champion.version]
+            break
+    found.add_shipped(shipped)
+    return Field(tuple(found.rivals), tuple(earlier.values()), tuple(found.notes), against)
+
+
+def is_of(decision: Decision, world: World) -> bool:
+    """Whether a decision was about the same robot; champions of others are not compared."""
+    if decision.robot is None:
+        return decision.metrics.get(JOINTS) == world.dim
+    return decision.robot == robot_digest(world)
+
+
+def _best_first(champions: Iterable[Champion], bundle: Bundle) -> list[Champion]:
+    """By their recorded metrics, each counted in the world's margins; those that lack some come last."""
+    measures = workshop_of(bundle.spec.world).measures
+    margins = measures.path_margins if bundle.spec.endpoints else measures.margins
+
+    def rank(champion: Champion) -> tuple[int, float]:
+        there = {name: value for name, value in champion.metrics.items() if name in margins}
+        signs = {name: -1.0 if name in SMALLER_IS_BETTER else 1.0 for name in there}
+        return len(there), sum(signs[name] * value / margins[name] for name, value in there.items())
+
+    return sorted(champions, key=rank, reverse=True)
+
+
+class _Found:
+    """Rivals of a candidate, no bundle twice."""
+
+    def __init__(self, candidate: Bundle, registry: ModelRegistry, folder: Path) -> None:
+        self.rivals: list[Rival] = []
+        self.notes: list[str] = []
+        self._candidate, self._registry, self._folder = candidate, registry, folder
+        self._seen = {candidate.digest}
+
+    def fetch(self, name: str, number: int, words: str) -> bool:
+        """Whether a version is a rival now, or has the candidate's or another rival's very bundle."""
+        told = f"version {number}, {words},"
+        try:
+            version = self._registry.version(name, number)
+            bundle = Bundle.load(self._registry.download(version, self._folder / str(number)))
+        except RegistryUnavailableError:
+            raise
+        except (RegistryError, BundleError) as error:
+            self.notes.append(f"{told} can not be measured again ({error.what}): recorded metrics count")
+            return False
+        return self._add(f"version {number}, {words}", bundle)
+
+    def add_shipped(self, folder: Path | None) -> None:
+        """The shipped model where it is of this robot and kind."""
+        if folder is None:
+            self.notes.append("not compared with the shipped model, as was asked for")
+            return
+        if not folder.is_dir():
+            raise ConfigError(
+                "the shipped model is not here",
+                expected="its bundle",
+                got=str(folder),
+                remedy="set CSPACE_PRETRAINED_MODEL, or do without the comparison: --without-shipped",
+            )
+        if not self._add("the shipped model", Bundle.load(folder)):
+            self.notes.append("no model of this robot and kind is shipped")
+
+    def _add(self, name: str, bundle: Bundle) -> bool:
+        spec, ours = bundle.spec, self._candidate.spec
+        if spec.kind != ours.kind or robot_digest(spec.world) != robot_digest(ours.world):
+            return False
+        if bundle.digest == self._candidate.digest:
+            self.notes.append(f"{name}, is this very bundle")
+        elif bundle.digest not in self._seen:
+            self._seen.add(bundle.digest)
+            self.rivals.append(Rival(name, spec.world, PackedBundle.pack(bundle)))
+        return True
