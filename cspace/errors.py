@@ -5,6 +5,7 @@ CspaceError
 │   ├── ConfigError                     a setting or a configuration key
 │   ├── ImageError                      bytes that are not an acceptable picture
 │   ├── ScenarioError                   a robot, scenario or problem that cannot be
+│   ├── OtherRobotError                 a model of another robot than the one that is planned for
 │   └── DatasetError                    a data-set folder
 │       └── DamagedFileError            a file whose digest is not the manifest's
 ├── BundleError                         a bundle that cannot be used
@@ -81,6 +82,10 @@ class ImageError(InputError):
 
 class ScenarioError(InputError):
     """A robot, a scenario or a planning problem that cannot be."""
+
+
+class OtherRobotError(InputError):
+    """A model is of another robot than the one that is planned for."""
 
 
 class DatasetError(InputError):

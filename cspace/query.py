@@ -6,6 +6,7 @@ alone is imported here, for clients that have no runtime for graphs.
 """
 
 import math
+import re
 import secrets
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -22,6 +23,9 @@ MAX_EPSILON = 10.0
 MAX_SAMPLES = 20_000
 """Of one request to a server, or to what stands in for one."""
 
+DIGEST_PATTERN = "[0-9a-f]{64}"
+"""Of a robot's name."""
+
 PLAIN = (0.0,)
 """The schedule that leaves the encoder's standard deviation as it is."""
 
@@ -33,6 +37,8 @@ class QueryOptions(TypedDict, total=False):
     start: ArrayLike | None
     goal: ArrayLike | None
     min_confidence: float | None
+    robot: str | None
+    require_confirmed: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,6 +54,9 @@ class SampleQuery:
         goal: as ``start``.
         min_confidence: what the validity head has to score, 0 to 1; None for the bundle's own threshold
             (0 for a bundle without), 0 for all samples as they come.
+        robot: whose configurations are wanted, as :func:`cspace.worlds.robot_digest` names it; a model of
+            another robot refuses. None takes those of any.
+        require_confirmed: whether a server refuses that cannot confirm what the model's alias stands for.
     """
 
     n: int
@@ -56,6 +65,8 @@ class SampleQuery:
     start: tuple[float, ...] | None = None
     goal: tuple[float, ...] | None = None
     min_confidence: float | None = None
+    robot: str | None = None
+    require_confirmed: bool = False
 
     @classmethod
     def checked(
@@ -66,6 +77,8 @@ class SampleQuery:
         start: ArrayLike | None = None,
         goal: ArrayLike | None = None,
         min_confidence: float | None = None,
+        robot: str | None = None,
+        require_confirmed: bool = False,
     ) -> "SampleQuery":
         """The query of values that nobody has judged yet.
 
@@ -82,8 +95,20 @@ class SampleQuery:
         if min_confidence is not None:
             _within("min_confidence", min_confidence, 1.0)
             min_confidence = float(min_confidence)
+        if robot is not None and not is_digest(robot):
+            raise InputError("robot is no digest", expected="64 hexadecimal digits", got=repr(robot)[:200])
+        if not isinstance(require_confirmed, bool):
+            raise InputError(
+                "require_confirmed is wrong", expected="true or false", got=repr(require_confirmed)[:200]
+            )
         ends = _configuration("start", start), _configuration("goal", goal)
-        return cls(int(n), int(seed), tuple(float(value) for value in values), *ends, min_confidence)
+        schedule = tuple(float(value) for value in values)
+        return cls(int(n), int(seed), schedule, *ends, min_confidence, robot, require_confirmed)
+
+
+def is_digest(value: object) -> bool:
+    """Whether a value is a SHA-256 in hexadecimal, in small letters."""
+    return isinstance(value, str) and re.fullmatch(DIGEST_PATTERN, value, re.ASCII) is not None
 
 
 def drawn_seed(seed: int | None = None) -> int:

@@ -21,9 +21,9 @@ from inference_api.models.store import ModelStore
 from inference_api.open_inference.pages import add_open_inference
 from inference_api.openapi import document
 from inference_api.pages.docs_page import add_docs_page
+from inference_api.pages.model_schemas import ModelInfo
 from inference_api.pages.sample import add_routes
 from inference_api.pages.sampling import model_info
-from inference_api.pages.schemas import ModelInfo
 from inference_api.problems import add_problem_handlers
 from inference_api.settings import ApiSettings
 from inference_api.telemetry.metrics import Metrics

@@ -26,5 +26,9 @@ class FieldsError(InputError):
         self.problems = problems
 
 
+class UnconfirmedAliasError(CspaceError):
+    """What an alias stands for is not known for certain, and the request asks for nothing less."""
+
+
 class ModelNotReadyError(CspaceError):
     """There is no model that could answer."""

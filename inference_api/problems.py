@@ -12,8 +12,15 @@ from fastapi.responses import Response
 from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect
 
-from cspace.errors import CspaceError, ImageError, InputError, ModelNotFoundError, RegistryError
-from inference_api.failures import FieldsError, ModelNotReadyError
+from cspace.errors import (
+    CspaceError,
+    ImageError,
+    InputError,
+    ModelNotFoundError,
+    OtherRobotError,
+    RegistryError,
+)
+from inference_api.failures import FieldsError, ModelNotReadyError, UnconfirmedAliasError
 from inference_api.record import note_reason
 
 _LOG = logging.getLogger(__name__)
@@ -50,6 +57,7 @@ NOT_FOUND = ProblemType("not-found", 404, "No such page")
 METHOD_NOT_ALLOWED = ProblemType("method-not-allowed", 405, "The page does not take this method")
 REQUEST_TIMEOUT = ProblemType("request-timeout", 408, "The body did not arrive in time")
 HEADERS_TIMEOUT = ProblemType("headers-timeout", 408, "The headers did not arrive in time")
+OTHER_ROBOT = ProblemType("other-robot", 409, "The model is of another robot")
 BODY_TOO_LARGE = ProblemType("body-too-large", 413, "The body is too large")
 URI_TOO_LONG = ProblemType("uri-too-long", 414, "The path is too long")
 UNSUPPORTED_MEDIA_TYPE = ProblemType("unsupported-media-type", 415, "The body's media type is not supported")
@@ -64,6 +72,7 @@ INTERNAL_ERROR = ProblemType("internal-error", 500, "The server failed")
 OVERLOADED = ProblemType("overloaded", 503, "The server answers too many requests already")
 SHUTTING_DOWN = ProblemType("shutting-down", 503, "The server is shutting down")
 NO_MODEL = ProblemType("no-model", 503, "No model is ready")
+UNCONFIRMED_ALIAS = ProblemType("unconfirmed-alias", 503, "The model registry does not confirm the alias")
 REGISTRY_UNAVAILABLE = ProblemType("registry-unavailable", 503, "The model registry does not answer")
 
 PROBLEMS = tuple(value for value in list(globals().values()) if isinstance(value, ProblemType))
@@ -77,10 +86,12 @@ _BY_STATUS = {404: NOT_FOUND, 405: METHOD_NOT_ALLOWED, 413: BODY_TOO_LARGE, 415:
 # In this order: the first that fits decides.
 _BY_ERROR: tuple[tuple[type[CspaceError], ProblemType], ...] = (
     (ImageError, INVALID_IMAGE),
+    (OtherRobotError, OTHER_ROBOT),
     (InputError, INVALID_VALUE),
     (ModelNotFoundError, UNKNOWN_MODEL),
     (RegistryError, REGISTRY_UNAVAILABLE),
     (ModelNotReadyError, NO_MODEL),
+    (UnconfirmedAliasError, UNCONFIRMED_ALIAS),
 )
 
 

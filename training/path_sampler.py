@@ -2,7 +2,8 @@
 
 Nothing is trained: the head's map of the joint space, the cheapest way through it and a tube round that make
 the samples (:mod:`training.paths.ways`). What it writes is a bundle of the kind ``path``, which the
-inference API serves as any other; with ``--register`` it becomes a version of ``path-sampler`` as well.
+inference API serves as any other; with ``--register`` it becomes a version of ``path-sampler``,
+or of ``<robot>-path-sampler`` for another robot than the default one, as well.
 
 A folder that holds this very path sampler already is taken as it is, so that the command may be given again.
 
@@ -18,7 +19,7 @@ from pathlib import Path
 
 from cspace.bundle import Bundle
 from cspace.errors import ConfigError, CspaceError, InputError
-from services.registry.names import ALIAS_CHALLENGER, ALIAS_CHAMPION, EXPERIMENT, PATH_MODEL_NAME
+from services.registry.names import ALIAS_CHALLENGER, ALIAS_CHAMPION, EXPERIMENT, model_name, recorded_name
 from training.paths.untrained import made_or_found
 from training.paths.ways import WaySettings
 
@@ -29,10 +30,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         settings = WaySettings(**{item.name: getattr(options, item.name) for item in fields(WaySettings)})
         uri = None if options.register is None else _registry_uri()
-        bundle = made_or_found(Bundle.load(options.bundle), options.folder, settings)
+        source = Bundle.load(options.bundle)
+        named = options.robot_name or recorded_name(source.spec.provenance.config)
+        model = model_name(source.spec.world, named, path=True)
+        bundle = made_or_found(source, options.folder, settings)
         print(f"{bundle.folder}\n  digest {bundle.digest}")
         if uri is not None:
-            print(f"  registered as {register(bundle, uri, options.register)}")
+            print(f"  registered as {register(bundle, uri, model, options.register)}")
     except (ConfigError, InputError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
@@ -67,13 +71,14 @@ def parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--register",
         choices=(ALIAS_CHALLENGER, ALIAS_CHAMPION),
-        help=f"make it a version of {PATH_MODEL_NAME} with this alias",
+        help="make it a version of the robot's model of paths with this alias",
     )
+    parser.add_argument("--robot-name", help="as of training jobs (default: the one that the bundle tells)")
     return parser
 
 
-def register(bundle: Bundle, uri: str, alias: str) -> str:
-    """Make a bundle the next version of the path model, by a run that holds its settings; ``name/version``.
+def register(bundle: Bundle, uri: str, model: str, alias: str) -> str:
+    """Make a bundle the next version of a path model, by a run that holds its settings; ``name/version``.
 
     Raises:
         RegistryError: the registry at ``uri`` does not answer.
@@ -83,10 +88,10 @@ def register(bundle: Bundle, uri: str, alias: str) -> str:
     from services.registry.tracking.mlflow_tracking import MlflowTracking  # noqa: PLC0415
 
     provenance = bundle.spec.provenance
-    with MlflowTracking(uri).start(EXPERIMENT, PATH_MODEL_NAME) as run:
+    with MlflowTracking(uri).start(EXPERIMENT, model) as run:
         run.params(dict(provenance.config))
         version = MlflowRegistry(uri).register(
-            PATH_MODEL_NAME,
+            model,
             bundle.folder,
             run.run_id,
             bundle.digest,

@@ -1,8 +1,18 @@
 """What every part of a configuration is."""
 
-from typing import Any
+from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, Field
+
+# Absent from what is recorded where it is not given.
+RobotName = Annotated[
+    str | None,
+    Field(
+        exclude_if=lambda name: name is None,
+        description="letters, digits and -: models of a robot that is no example are named after it; none to "
+        "derive a name from the robot's digest",
+    ),
+]
 
 
 class Section(BaseModel):

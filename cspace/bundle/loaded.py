@@ -22,6 +22,7 @@ from cspace.bundle.samples import Encoding, Picture, SampleSet, require_inside
 from cspace.bundle.spec import MAP, PICTURE, BundleSpec
 from cspace.errors import BundleError, BundleIntegrityError, InputError
 from cspace.query import QueryOptions, SampleQuery
+from cspace.worlds import robot_digest
 
 # Samples about a path are close to contact where it matters, and a further turn costs a further search.
 PATHS_PASS = 0.75
@@ -34,6 +35,7 @@ class Bundle:
         self.folder = folder
         self.digest = files.digest
         self.spec = BundleSpec.from_json(files.contents[SPEC_FILE])
+        self.robot = robot_digest(self.spec.world)
         graphs = open_graphs(self.spec, files, run_limit_s)
         self._encoder, self._generator = graphs.encoder, graphs.generator
         self._validity, self._novelty, self._map = graphs.validity, graphs.novelty, graphs.map

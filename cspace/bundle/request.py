@@ -1,13 +1,15 @@
 """Whether a query fits the bundle that is to answer it."""
 
+import json
 from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from cspace.bundle.spec import BundleSpec
-from cspace.errors import InputError
+from cspace.errors import InputError, OtherRobotError
 from cspace.query import SampleQuery
+from cspace.worlds import robot_digest
 
 
 def fitted(query: SampleQuery, spec: BundleSpec, *, has_validity: bool) -> SampleQuery:
@@ -19,8 +21,9 @@ def fitted(query: SampleQuery, spec: BundleSpec, *, has_validity: bool) -> Sampl
         has_validity: whether the bundle scores its samples.
 
     Raises:
-        InputError: the query does not fit.
+        InputError: the query does not fit; of this kind, OtherRobotError: it is for another robot.
     """
+    require_robot(query, spec)
     least = query.min_confidence
     if least is None:
         least = (spec.confidence_threshold or 0.0) if has_validity else 0.0
@@ -33,6 +36,21 @@ def fitted(query: SampleQuery, spec: BundleSpec, *, has_validity: bool) -> Sampl
         )
     start, goal = _endpoint(spec, "start", query.start), _endpoint(spec, "goal", query.goal)
     return replace(query, start=start, goal=goal, min_confidence=least)
+
+
+def require_robot(query: SampleQuery, spec: BundleSpec) -> None:
+    """Raise where a query names another robot than the bundle's.
+
+    Raises:
+        OtherRobotError: it does.
+    """
+    if query.robot is not None and query.robot != (found := robot_digest(spec.world)):
+        raise OtherRobotError(
+            "the model is of another robot",
+            expected=f"robot {query.robot}",
+            got=f"{found}, {json.dumps(spec.world.body.to_dict())}"[:400],
+            remedy="name a model of this robot; GET /models tells each model's",
+        )
 
 
 def _endpoint(spec: BundleSpec, name: str, angles: tuple[float, ...] | None) -> tuple[float, ...] | None:

@@ -93,6 +93,7 @@ def workshop_of(world: World) -> Workshop:
     return cast("Workshop", _part(world.kind, "workshop").open_workshop(world))
 
 
+@lru_cache(maxsize=256)
 def robot_digest(world: World) -> str:
     """SHA-256 of the kind of a world and its robot, however it is seen."""
     told = {"kind": world.kind, "robot": world.body.to_dict()}

@@ -22,6 +22,7 @@ _NUMBER = re.compile(r"[+-]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][+-]?[0-9]{1,4})?",
 # A form writes them by their types: numbers, one field for each value of a schedule, configurations as JSON.
 _TYPES = get_type_hints(SampleQuery)
 _SCHEDULE, _CONFIGURATION = tuple[float, ...], tuple[float, ...] | None
+_FLAGS = {"true": True, "false": False}
 KNOWN_FIELDS = ("image", "model", *_TYPES)
 
 
@@ -105,6 +106,8 @@ def _convert(name: str, value: bytes | str) -> object:
         return int(text)
     if kind in (float | None, _SCHEDULE) and len(text) <= _MAX_NUMBER and _NUMBER.fullmatch(text):
         return float(text)
+    if kind is bool and text in _FLAGS:
+        return _FLAGS[text]
     if kind == _CONFIGURATION:
         return load_json(name, text.encode("utf-8"))
     return value

@@ -75,11 +75,11 @@ class BundleCache:
         self._lock = Lock()
         self._near_lane, self._far_lane = Lane("near"), Lane("far")
 
-    def peek(self, version: ModelVersion) -> Bundle | None:
-        """The version's bundle if it is in memory."""
+    def peek(self, version: ModelVersion, *, use: bool = True) -> Bundle | None:
+        """The version's bundle if it is in memory, and whether this is a use of it."""
         key = key_of(version)
         with self._lock:
-            if key in self._loaded:
+            if use and key in self._loaded:
                 self._loaded.move_to_end(key)
             return self._loaded.get(key)
 
@@ -133,11 +133,6 @@ class BundleCache:
             raise NotLoadedYetError(
                 f"{version} is still being fetched", remedy="ask again in some seconds"
             ) from None
-
-    def is_loaded(self, version: ModelVersion) -> bool:
-        """Whether the version is in memory."""
-        with self._lock:
-            return key_of(version) in self._loaded
 
     def _settle(
         self,

@@ -13,7 +13,7 @@ from typing import TypeVar
 from cspace.bundle import Bundle
 from cspace.errors import ModelNotFoundError, RegistryError, RegistryUnavailableError
 from inference_api.models.apart.remembered import Remembered
-from inference_api.models.bundle_cache import BundleCache
+from inference_api.models.bundle_cache import BundleCache, key_of
 from services.registry.models.port import ModelLookups, ModelVersion
 from services.registry.names import ALIAS_CHAMPION
 from services.registry.references import ModelReference
@@ -29,11 +29,15 @@ LOAD_WAIT_S = 30.0
 
 @dataclass(slots=True)
 class _Known:
-    """What a reference stood for, until when that is trusted, and when a request named it last; seconds."""
+    """What a reference stood for, until when that is trusted, and when a request named it last; seconds.
+
+    It is overtaken while the version that took its place is being loaded.
+    """
 
     version: ModelVersion
     until_s: float
     used_s: float
+    overtaken: bool = False
 
 
 class RegistryView:
@@ -91,6 +95,13 @@ class RegistryView:
         if missing is not None:
             raise ModelNotFoundError(missing.what, expected=missing.expected, got=missing.got)
         return None
+
+    def confirms(self, reference: ModelReference, version: ModelVersion) -> bool:
+        """Whether a version is what the registry, asked last, said of its reference; a number never moves."""
+        with self._lock:
+            known = self._known.get(reference)
+        told = known is not None and not known.overtaken and key_of(known.version) == key_of(version)
+        return reference.version is not None or (told and not self.is_away)
 
     def look_up(self, reference: ModelReference) -> ModelVersion:
         """The version that a reference names; the last known one while the registry is away.
@@ -150,7 +161,7 @@ class RegistryView:
             if (found.number, found.digest) == (known.version.number, known.version.digest):
                 self._trust(known, found)
                 continue
-            self._trust(known, known.version)
+            self._trust(known, known.version, overtaken=True)
             future = self._cache.start(found)
             future.add_done_callback(partial(self._follow, known, found))
             successors.append((known, found, future))
@@ -192,9 +203,10 @@ class RegistryView:
                 self._known.move_to_end(reference)
             return known
 
-    def _trust(self, known: _Known, version: ModelVersion) -> None:
+    def _trust(self, known: _Known, version: ModelVersion, *, overtaken: bool = False) -> None:
         with self._lock:
             known.version, known.until_s = version, self._clock() + 2.0 * self._lookup_s
+            known.overtaken = overtaken
 
     def _follow(self, known: _Known, version: ModelVersion, _: Future[Bundle]) -> None:
         self._trust(known, version)

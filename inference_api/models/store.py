@@ -2,13 +2,14 @@
 
 The champion is looked up in the background (:meth:`ModelStore.refresh`), so that a promotion is served
 without a restart and no request waits for the registry. A champion that is refused, or a registry that is
-away, leaves the one in service. With no champion at all the shipped bundle answers, and the answer says so.
+away, leaves the one in service. With no champion at all the shipped bundle answers if it is of the same
+robot, and the answer says so.
 """
 
 import logging
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
@@ -19,36 +20,15 @@ from inference_api.models.apart.processes.child import Child
 from inference_api.models.bundle_cache import BundleCache, NotLoadedYetError
 from inference_api.models.pictures import PictureCache
 from inference_api.models.registry_view import LOAD_WAIT_S, RegistryView
+from inference_api.models.served import PRETRAINED_VERSION, ServedModel
 from inference_api.models.succession import Fetch, Succession, refusal_of
 from inference_api.telemetry.observer import Observer
 from services.registry.models.port import ModelLookups, ModelVersion
-from services.registry.names import ALIAS_CHAMPION
+from services.registry.names import ALIAS_CHAMPION, TAG_ROBOT, may_name, recorded_name
 from services.registry.references import PRETRAINED, ModelReference
 from services.registry.scrubbing import anonymous
 
 _LOG = logging.getLogger(__name__)
-PRETRAINED_VERSION = 0
-
-
-@dataclass(frozen=True, slots=True)
-class ServedModel:
-    """A loaded bundle with the name under which it answers.
-
-    Args:
-        bundle: the bundle.
-        name: of the registered model, or ``pretrained``.
-        version: its number in the registry, 0 for the shipped model.
-        alias: by which it was found, None when it was not.
-        run_id: the training run, None for the shipped model.
-        fallback: whether the shipped model stands in for a champion.
-    """
-
-    bundle: Bundle
-    name: str
-    version: int
-    alias: str | None = None
-    run_id: str | None = None
-    fallback: bool = False
 
 
 class ModelStore:
@@ -87,6 +67,10 @@ class ModelStore:
         self._champion: ServedModel | None = None
         # None until it is loaded, and without a usable one.
         self.shipped: ServedModel | None = None
+        # Of the last champion; None where it is not known.
+        last = cache.disk.last_champion(model_name)
+        self._robot = None if last is None else last.tags.get(TAG_ROBOT)
+        self._stand_in: ServedModel | None = None
         self._succession = Succession(cache, self._succeeded, self._failed, clock)
         self._wait_s, self._children = wait_s, tuple(children)
 
@@ -105,9 +89,8 @@ class ModelStore:
     @property
     def default(self) -> ServedModel | None:
         """The model that answers requests that name none, None without one."""
-        if self._champion is None and self.shipped is not None:
-            return replace(self.shipped, fallback=True)
-        return self._champion
+        found = self._champion or self._stand_in
+        return found if found is None else self._as_confirmed(found)
 
     def load_shipped(self) -> None:
         """Load the shipped bundle; without a usable one the reason is logged and the store goes on."""
@@ -117,6 +100,7 @@ class ModelStore:
             _LOG.warning("the shipped model is not usable: %s", error)
         else:
             self.shipped = ServedModel(bundle, PRETRAINED, PRETRAINED_VERSION)
+            self._choose_stand_in()
 
     def start(self) -> None:
         """Start the children that are needed at once, without waiting for them."""
@@ -172,12 +156,12 @@ class ModelStore:
         if reference.name == PRETRAINED:
             if not reference.is_bare:
                 raise _unknown(reference)
-            return self._shipped_or_raise()
+            return self._or_raise(self.shipped)
         if reference == ModelReference(self.model_name):
-            return self.default or self._shipped_or_raise()
+            return self._or_raise(self.default)
         champion = self._champion
         if champion is not None and reference == ModelReference(self.model_name, ALIAS_CHAMPION):
-            return champion
+            return self._as_confirmed(champion)
         if self._view is None:
             raise _unknown(reference)
         try:
@@ -185,7 +169,7 @@ class ModelStore:
         except ModelNotFoundError as error:
             raise _unknown(reference) from error
         bundle = None if version is None else self._cache.peek(version)
-        return None if version is None or bundle is None else _served(bundle, version, _alias(reference))
+        return None if version is None or bundle is None else self._found(bundle, version, reference)
 
     def resolve(self, reference: ModelReference) -> ServedModel:
         """The model that a reference names; may ask the registry and wait for a bundle.
@@ -214,25 +198,47 @@ class ModelStore:
             raise ModelNotReadyError(
                 f"{version} is refused", expected="a sound bundle", got=anonymous(str(error))
             ) from error
-        return _served(bundle, version, _alias(reference))
+        return self._found(bundle, version, reference)
 
-    def versions(self) -> Sequence[ModelVersion]:
-        """Versions of the default model, newest first; those of the cache while the registry is away."""
-        return [] if self._view is None else self._view.versions(self.model_name)
+    def versions(self, name: str) -> Sequence[ModelVersion]:
+        """Versions of a model, newest first; those of the cache while the registry is away."""
+        return [] if self._view is None else self._view.versions(name)
 
-    def is_loaded(self, version: ModelVersion) -> bool:
-        """Whether a version is in memory."""
-        return self._is_champion(version) or self._cache.is_loaded(version)
+    def loaded(self, version: ModelVersion) -> Bundle | None:
+        """A version's bundle if it is in memory; looking at it is no use of it."""
+        champion = self._champion
+        is_champion = champion is not None and self._is_champion(version)
+        return champion.bundle if champion and is_champion else self._cache.peek(version, use=False)
 
-    def _shipped_or_raise(self) -> ServedModel:
-        if self.shipped is None:
-            raise ModelNotReadyError(
-                "no model is ready",
-                expected=f"a champion of {self.model_name}, or a shipped model",
-                got=f"none (registry: {self.registry_state})",
-                remedy="train and promote a model, or ask again when the registry is back",
-            )
-        return self.shipped
+    def _found(self, bundle: Bundle, version: ModelVersion, reference: ModelReference) -> ServedModel:
+        confirmed = self._view is None or self._view.confirms(reference, version)
+        return ServedModel.of(bundle, version, _alias(reference), confirmed=confirmed)
+
+    def _as_confirmed(self, served: ServedModel) -> ServedModel:
+        """The champion or what stands in for it, and whether the registry says that it is that."""
+        is_away = self._view is not None and self._view.is_away
+        return replace(served, confirmed=False) if is_away or self.successor != "none" else served
+
+    def _choose_stand_in(self) -> None:
+        """The shipped model stands in for champions of its own robot."""
+        shipped = self.shipped
+        if shipped is None:
+            return
+        spec = shipped.bundle.spec
+        by_name = may_name(self.model_name, spec.world, recorded_name(spec.provenance.config))
+        fits = by_name if self._robot is None else self._robot == shipped.bundle.robot
+        self._stand_in = replace(shipped, fallback=True) if fits else None
+
+    def _or_raise(self, served: ServedModel | None) -> ServedModel:
+        if served is not None:
+            return served
+        other = "" if self.shipped is None else "; the shipped model is of another robot"
+        raise ModelNotReadyError(
+            "no model is ready",
+            expected=f"a champion of {self.model_name}, or a shipped model",
+            got=f"none (registry: {self.registry_state}){other}",
+            remedy="train and promote a model, or ask again when the registry is back",
+        )
 
     def _is_champion(self, version: ModelVersion) -> bool:
         current = self._champion
@@ -242,7 +248,8 @@ class ModelStore:
         )
 
     def _succeeded(self, version: ModelVersion, bundle: Bundle) -> None:
-        self._champion = _served(bundle, version, ALIAS_CHAMPION)
+        self._champion, self._robot = ServedModel.of(bundle, version, ALIAS_CHAMPION), bundle.robot
+        self._choose_stand_in()
         self.observer.reloaded()
         _LOG.info("in service: %s/%d", version.name, version.number)
         try:
@@ -258,10 +265,6 @@ class ModelStore:
             version.number,
             anonymous(str(error)),
         )
-
-
-def _served(bundle: Bundle, version: ModelVersion, alias: str | None) -> ServedModel:
-    return ServedModel(bundle, version.name, version.number, alias, version.run_id or None)
 
 
 def _alias(reference: ModelReference) -> str | None:

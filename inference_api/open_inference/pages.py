@@ -10,7 +10,8 @@ from fastapi import APIRouter, FastAPI, Request
 from fastapi.responses import Response
 
 from inference_api.guards.rate import client_of
-from inference_api.models.store import PRETRAINED_VERSION, ModelStore, ServedModel
+from inference_api.models.served import PRETRAINED_VERSION, ServedModel
+from inference_api.models.store import ModelStore
 from inference_api.open_inference.protocol_errors import PREFIX, ProtocolErrors
 from inference_api.open_inference.tensor_sampling import IMAGE, read_inference, reference_of
 from inference_api.open_inference.tensor_schemas import (
@@ -71,7 +72,7 @@ _ANSWERS: dict[int | str, dict[str, Any]] = {
             }
         },
     },
-    **_errors(400, 401, 403, 404, 408, 413, 415, 421, 429, 500, 503),
+    **_errors(400, 401, 403, 404, 408, 409, 413, 415, 421, 429, 500, 503),
 }
 
 router = APIRouter(prefix=PREFIX, tags=["Open Inference Protocol"])
@@ -201,7 +202,7 @@ def _versions(store: ModelStore, served: ServedModel) -> list[str]:
         return [str(PRETRAINED_VERSION)]
     if served.name != store.model_name:
         return [str(served.version)]
-    listed = {version.number for version in store.versions()} | {served.version}
+    listed = {version.number for version in store.versions(served.name)} | {served.version}
     return [str(number) for number in sorted(listed)]
 
 

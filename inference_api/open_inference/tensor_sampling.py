@@ -13,7 +13,8 @@ from cspace.bundle import Bundle, SampleSet
 from cspace.errors import InputError
 from cspace.query import MAX_SAMPLES, MAX_SEED, SampleQuery
 from inference_api.models.pictures import PictureCache, Prepared
-from inference_api.models.store import ModelStore, ServedModel
+from inference_api.models.served import ServedModel
+from inference_api.models.store import ModelStore
 from inference_api.open_inference.tensor_request import flag, read_request, split_parameters
 from inference_api.open_inference.tensor_schemas import InferenceRequest, RequestedOutput
 from inference_api.open_inference.tensors import JSON_LENGTH, Tensor, read_tensors, split_body, write_tensors
@@ -239,5 +240,10 @@ def _head(served: ServedModel) -> dict[str, Any]:
     return {
         "model_name": served.name,
         "model_version": str(served.version),
-        "parameters": {"digest": served.bundle.digest, "fallback": served.fallback},
+        "parameters": {
+            "digest": served.bundle.digest,
+            "fallback": served.fallback,
+            "robot": served.bundle.robot,
+            "alias_confirmed": served.confirmed,
+        },
     }

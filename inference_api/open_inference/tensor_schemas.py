@@ -42,9 +42,9 @@ class InferenceRequest(BaseModel):
     model_version: str | None = Field(None, description="Not looked at, as `model_name`.")
     parameters: Parameters = Field(
         {},
-        description="`n`, `seed`, `min_confidence` and `epsilon_sigma` as in `POST /sample`; `start`, `goal` "
-        "and several `epsilon_sigma` as a JSON array in a string; `binary_data_output`: whether outputs come "
-        "as bytes.",
+        description="`n`, `seed`, `min_confidence`, `robot`, `require_confirmed` and `epsilon_sigma` as in "
+        "`POST /sample`; `start`, `goal` and several `epsilon_sigma` as a JSON array in a string; "
+        "`binary_data_output`: whether outputs come as bytes.",
     )
     inputs: list[InputTensor] = Field(min_length=1, max_length=16)
     outputs: list[RequestedOutput] | None = Field(None, max_length=16, description="All when absent.")
@@ -68,7 +68,9 @@ class InferenceAnswer(BaseModel):
     model_name: str
     model_version: str
     id: str | None = None
-    parameters: Parameters = Field(description="`digest` and `fallback` of the model, as in `POST /sample`.")
+    parameters: Parameters = Field(
+        description="`digest`, `fallback`, `robot` and `alias_confirmed` as in `POST /sample`."
+    )
     outputs: list[OutputTensor]
 
 

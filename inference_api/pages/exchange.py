@@ -12,9 +12,13 @@ from typing import Protocol
 from fastapi import Request
 from fastapi.responses import Response
 
+from cspace.bundle.request import require_robot
+from cspace.query import SampleQuery
 from inference_api.connections.departure import DEPARTURE
+from inference_api.failures import UnconfirmedAliasError
 from inference_api.guards.rate import client_of
-from inference_api.models.store import ModelStore, ServedModel
+from inference_api.models.served import ServedModel
+from inference_api.models.store import ModelStore
 from inference_api.turns.turns import Turn, Turns
 from inference_api.turns.waiting_room import WaitingRoom
 from services.registry.references import ModelReference
@@ -26,6 +30,10 @@ class Question(Protocol):
     @property
     def reference(self) -> ModelReference:
         """The model that it names."""
+
+    @property
+    def query(self) -> SampleQuery:
+        """What is asked of it."""
 
     def answer(self, served: ServedModel, turn: Turn) -> Response:
         """The answer of a model.
@@ -58,13 +66,26 @@ async def respond(
     def first(turn: Turn) -> Response | Question:
         question = ask()
         served = store.resolve_now(question.reference)
-        return question if served is None else question.answer(served, turn)
+        return question if served is None else _answer(question, served, turn)
 
     found = await turns.run(first, client, watch)
     if isinstance(found, Response):
         return found
     served = await room.run(partial(store.resolve, found.reference), client)
-    return await turns.run(partial(found.answer, served), client, watch)
+    return await turns.run(partial(_answer, found, served), client, watch)
+
+
+def _answer(question: Question, served: ServedModel, turn: Turn) -> Response:
+    """Nothing is computed by a model that is not the one that was asked for."""
+    if question.query.require_confirmed and not served.confirmed:
+        raise UnconfirmedAliasError(
+            f"the model registry does not confirm {question.reference}",
+            expected="an alias that the registry told of lately",
+            got=f"{served.name}/{served.version}, the last that is known",
+            remedy="ask again in some seconds, name the version, or leave require_confirmed out",
+        )
+    require_robot(question.query, served.bundle.spec)
+    return question.answer(served, turn)
 
 
 def _watch(request: Request, leave: Callable[[], None]) -> Callable[[], None]:

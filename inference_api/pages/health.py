@@ -1,7 +1,8 @@
 """Whether samples can be asked for."""
 
 from inference_api.failures import ModelNotReadyError
-from inference_api.models.store import ModelStore, ServedModel
+from inference_api.models.served import ServedModel
+from inference_api.models.store import ModelStore
 from inference_api.turns.turns import STUCK_S, Turns
 from services.registry.references import ModelReference
 

@@ -11,16 +11,16 @@ from fastapi.routing import APIRoute
 
 from inference_api.bodies.request_body import read_fields
 from inference_api.guards.rate import client_of
-from inference_api.models.store import PRETRAINED_VERSION, ModelStore
 from inference_api.pages.dependencies import Room, Store, Turn, room_of, store_of, turns_of
 from inference_api.pages.described import GUARD_PROBLEMS, problem_responses, sample_extra, sample_responses
 from inference_api.pages.exchange import respond
 from inference_api.pages.health import default_model
+from inference_api.pages.listing import listed
+from inference_api.pages.model_schemas import ModelList
 from inference_api.pages.sampling import model_info, prefers_npy, read_question
-from inference_api.pages.schemas import ListedModel, Live, ModelList, Ready
-from inference_api.problems import NO_MODEL, UNAUTHORIZED
+from inference_api.pages.schemas import Live, Ready
+from inference_api.problems import INVALID_VALUE, NO_MODEL, UNAUTHORIZED
 from inference_api.telemetry.metrics import CONTENT_TYPE, Metrics
-from services.registry.references import PRETRAINED
 
 router = APIRouter()
 
@@ -64,43 +64,14 @@ async def sample(request: Request) -> Response:
     return await respond(request, store, turns_of(request), room_of(request), ask)
 
 
-@router.get("/models", summary="Models that requests can name", responses=problem_responses(*GUARD_PROBLEMS))
-async def models(request: Request, store: Store, room: Room) -> ModelList:
-    """Versions of the default model, newest first, and the shipped model."""
-    return await room.run(partial(_listed, store), client_of(request.scope))
-
-
-def _listed(store: ModelStore) -> ModelList:
-    served = store.default
-    default = None if served is None else (served.name, served.version)
-    listed = [
-        ListedModel(
-            reference=f"{version.name}/{version.number}",
-            name=version.name,
-            version=version.number,
-            aliases=list(version.aliases),
-            run_id=version.run_id or None,
-            digest=version.digest,
-            loaded=store.is_loaded(version),
-            default=(version.name, version.number) == default,
-        )
-        for version in store.versions()
-    ]
-    shipped = store.shipped
-    if shipped is not None:
-        listed.append(
-            ListedModel(
-                reference=PRETRAINED,
-                name=PRETRAINED,
-                version=PRETRAINED_VERSION,
-                aliases=[],
-                run_id=None,
-                digest=shipped.bundle.digest,
-                loaded=True,
-                default=default == (PRETRAINED, PRETRAINED_VERSION),
-            )
-        )
-    return ModelList(default=store.model_name, registry=store.registry_state, models=listed)
+@router.get(
+    "/models",
+    summary="Models that requests can name",
+    responses=problem_responses(*GUARD_PROBLEMS, INVALID_VALUE),
+)
+async def models(request: Request, store: Store, room: Room, name: str | None = None) -> ModelList:
+    """Versions of the model of this name, absent of the default one, newest first, and the shipped model."""
+    return await room.run(partial(listed, store, name), client_of(request.scope))
 
 
 @router.get(

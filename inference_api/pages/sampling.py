@@ -13,14 +13,10 @@ from cspace.bundle import BundleSpec, SampleSet
 from cspace.bundle.keeping import BUDGET, BUDGET_AT_LEAST
 from cspace.query import SampleQuery
 from inference_api.bodies.request_body import RawFields, parse_fields
-from inference_api.models.store import ModelStore, ServedModel
-from inference_api.pages.schemas import (
-    ModelInfo,
-    SampleAnswer,
-    ScenarioInfo,
-    TimingMs,
-    joint_space_info,
-)
+from inference_api.models.served import ServedModel
+from inference_api.models.store import ModelStore
+from inference_api.pages.model_schemas import ModelInfo, joint_space_info
+from inference_api.pages.schemas import SampleAnswer, ScenarioInfo, TimingMs
 from inference_api.pages.validation import validate_request
 from inference_api.telemetry.observer import Sampled
 from inference_api.turns.turns import Turn
@@ -149,6 +145,8 @@ def npy_response(answer: Answer) -> Response:
         "X-Model-Name": served.name,
         "X-Model-Version": str(served.version),
         "X-Model-Digest": served.bundle.digest,
+        "X-Robot": served.bundle.robot,
+        "X-Alias-Confirmed": "true" if served.confirmed else "false",
         "X-Seed": str(answer.seed),
         "X-Shortfall": str(answer.found.shortfall),
         "X-Acceptance": f"{answer.found.acceptance:.6g}",
@@ -192,6 +190,8 @@ def model_info(served: ServedModel) -> ModelInfo:
         run_id=served.run_id,
         digest=served.bundle.digest,
         fallback=served.fallback,
+        robot=served.bundle.robot,
+        alias_confirmed=served.confirmed,
     )
 
 

@@ -3,14 +3,14 @@
 import base64
 import binascii
 import re
-from collections.abc import Mapping
 from dataclasses import fields
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, Strict, WithJsonSchema
 
-from cspace.query import MAX_EPSILON, MAX_SAMPLES, MAX_SEED, PLAIN, SampleQuery, drawn_seed
+from cspace.query import DIGEST_PATTERN, MAX_EPSILON, MAX_SAMPLES, MAX_SEED, PLAIN, SampleQuery, drawn_seed
 from inference_api.failures import FieldProblem
+from inference_api.pages.model_schemas import AnyJointSpace, ModelInfo
 
 MAX_EPSILONS = 1000
 MAX_JOINTS = 64
@@ -83,6 +83,8 @@ EXPECTED = {
     "start": "an array of finite angles in rad",
     "goal": "an array of finite angles in rad",
     "min_confidence": "a finite number from 0 to 1",
+    "robot": "64 hexadecimal digits, small letters",
+    "require_confirmed": "true or false",
 }
 
 
@@ -118,6 +120,16 @@ class QueryFields(BaseModel):
         "Absent, the model's own threshold holds; 0 takes all; above 0 only for models that have a head.",
     )
 
+    robot: Annotated[str, Field(pattern=f"^{DIGEST_PATTERN}$")] | None = Field(
+        None,
+        description="The robot that is planned for, as `model.robot` of an answer has it: a model of another "
+        "one refuses with 409. Absent, whichever robot the model is of.",
+    )
+    require_confirmed: bool = Field(
+        default=False,
+        description="Whether 503 is wanted instead of samples where the registry does not confirm the alias.",
+    )
+
     def query(self) -> SampleQuery:
         """The fields, which are judged here, as the value that travels on; draws a seed that is absent."""
         asked = {item.name: getattr(self, item.name) for item in fields(SampleQuery)}
@@ -140,33 +152,6 @@ class SampleRequest(QueryFields):
     )
 
 
-class JointSpaceInfo(BaseModel):
-    """The space that the samples live in: all joints are circles."""
-
-    kind: Literal["torus"]
-    dim: int
-    unit: Literal["rad"]
-
-
-class LimitedJointSpaceInfo(BaseModel):
-    """The same where joints have limits: all of them in a box, some in a mixed space."""
-
-    kind: Literal["box", "mixed"]
-    dim: int
-    unit: Literal["rad"]
-    lower: list[float] = Field(description="Lower end of each joint's range; -pi of a circle.")
-    upper: list[float] = Field(description="Upper end of each joint's range; pi of a circle.")
-    periodic: list[bool] = Field(description="Whether each joint is a circle.")
-
-
-AnyJointSpace = Annotated[JointSpaceInfo | LimitedJointSpaceInfo, Field(discriminator="kind")]
-
-
-def joint_space_info(space: Mapping[str, Any]) -> JointSpaceInfo | LimitedJointSpaceInfo:
-    """A bundle's joint space as answers tell it."""
-    return JointSpaceInfo(**space) if space["kind"] == "torus" else LimitedJointSpaceInfo(**space)
-
-
 class ScenarioInfo(BaseModel):
     """What the model makes of the picture."""
 
@@ -174,17 +159,6 @@ class ScenarioInfo(BaseModel):
         description="How unlike the training scenarios it is: the share of known pictures that are less "
         "unusual, 0 to 1; null for a model that does not tell."
     )
-
-
-class ModelInfo(BaseModel):
-    """The model that answered."""
-
-    name: str
-    version: int = Field(description="Number in the registry; 0 for the shipped model.")
-    alias: str | None = Field(description="By which it was found.")
-    run_id: str | None
-    digest: str = Field(description="SHA-256 of the bundle's sums.")
-    fallback: bool = Field(description="Whether the shipped model stands in for a champion.")
 
 
 class TimingMs(BaseModel):
@@ -210,27 +184,6 @@ class SampleAnswer(BaseModel):
     model: ModelInfo
     seed: str = Field(description="The seed that was used, in decimal.", pattern="^[0-9]{1,20}$")
     timing_ms: TimingMs
-
-
-class ListedModel(BaseModel):
-    """A model that a request can name."""
-
-    reference: str = Field(description="What to write into `model`.")
-    name: str
-    version: int
-    aliases: list[str]
-    run_id: str | None
-    digest: str
-    loaded: bool = Field(description="Whether it is in memory.")
-    default: bool = Field(description="Whether it answers requests that name no model.")
-
-
-class ModelList(BaseModel):
-    """The models that requests can name."""
-
-    default: str
-    registry: Literal["none", "reachable", "unreachable"]
-    models: list[ListedModel]
 
 
 class Live(BaseModel):

@@ -6,7 +6,7 @@ from pathlib import Path
 from cspace.errors import SamplerError, SamplerUnavailableError
 from cspace.problem import Problem
 from cspace.query import SampleQuery
-from cspace.worlds import picture_file_of
+from cspace.worlds import picture_file_of, robot_digest
 from services.planner.plan_result import PlanResult
 from services.planner.search.ompl_planner import DEFAULT_UNIFORM_SHARE, solve
 from services.planner.search.sample_order import order_along
@@ -153,7 +153,8 @@ def request_samples(problem: Problem, source: SampleSource, request: SampleReque
         SamplerUnavailableError: the source does not answer.
         SamplerError: it refused the request, or its samples are those of another robot.
     """
-    query = between_ends(request.query, problem) if request.with_ends else request.query
+    query = replace(request.query, robot=robot_digest(problem.scenario.world))
+    query = between_ends(query, problem) if request.with_ends else query
     batch = source.answer(picture_file_of(problem.scenario), query, request.model)
     dim = problem.space.dim
     if len(batch.samples) and batch.samples.shape[1] != dim:

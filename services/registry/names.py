@@ -1,4 +1,13 @@
-"""The names under which runs and models are found."""
+"""The names under which runs and models are found; models have those of their robots."""
+
+import json
+import re
+from collections.abc import Mapping
+from typing import Any
+
+from cspace.errors import ConfigError
+from cspace.world import World
+from cspace.worlds import KINDS, default_world, examples, robot_digest
 
 MODEL_NAME = "cspace-sampler"
 PATH_MODEL_NAME = "path-sampler"
@@ -9,3 +18,79 @@ ALIAS_CHAMPION = "champion"
 TAG_DIGEST = "digest"
 # On a run: what :meth:`services.registry.tracking.port.Tracking.start` finds it by.
 TAG_KEY = "cspace.key"
+# On a version: SHA-256 of its robot, and its world as JSON where that is no longer than this.
+TAG_ROBOT, TAG_WORLD = "robot", "world"
+MAX_WORLD = 4000
+
+_SUFFIX, _PATH_SUFFIX = "-sampler", "-path-sampler"
+_ROBOT_NAME = r"[A-Za-z0-9][A-Za-z0-9-]{0,62}"
+_DERIVED = rf"({'|'.join(KINDS)})-[0-9a-f]{{8}}"
+
+
+def robot_name(world: World, given: str | None = None) -> str:
+    """A robot's name: the example's, else the given one, else one that is derived from its digest.
+
+    Raises:
+        ConfigError: the given name is none, or another robot's.
+    """
+    digest = robot_digest(world)
+    example = next((name for name, one in examples().items() if robot_digest(one) == digest), None)
+    derived = f"{world.kind}-{digest[:8]}"
+    own = example or derived
+    if given is None or given == own:
+        return own
+    if re.fullmatch(_ROBOT_NAME, given, re.ASCII) is None:
+        raise ConfigError(
+            "robot_name does not fit", expected="1 to 63 letters, digits and -, no - first", got=repr(given)
+        )
+    # Some would make a name of a model that is another robot's.
+    taken = given in examples() or f"{given}{_SUFFIX}" in (MODEL_NAME, PATH_MODEL_NAME)
+    if example or taken or given.endswith("-path") or re.fullmatch(_DERIVED, given, re.ASCII):
+        raise ConfigError(
+            "robot_name is another robot's",
+            expected=own if example else f"{own}, or a name that no other robot has",
+            got=repr(given),
+            remedy="leave robot_name out, or set it to another name",
+        )
+    return given
+
+
+def model_name(world: World, given: str | None = None, *, path: bool = False) -> str:
+    """The registered model of a robot; :data:`MODEL_NAME` and :data:`PATH_MODEL_NAME` are the default one's.
+
+    Args:
+        world: its robot.
+        given: the robot's name, as :func:`robot_name` takes it.
+        path: whether the model is one of paths.
+
+    Raises:
+        ConfigError: as :func:`robot_name`.
+    """
+    name = robot_name(world, given)
+    if robot_digest(world) == robot_digest(default_world()):
+        return PATH_MODEL_NAME if path else MODEL_NAME
+    return f"{name}{_PATH_SUFFIX if path else _SUFFIX}"
+
+
+def world_tags(world: World) -> dict[str, str]:
+    """What a version's tags tell of its world: the robot's digest, and all of it where it is short."""
+    told = json.dumps(world.to_dict(), sort_keys=True)
+    return {TAG_ROBOT: robot_digest(world), **({TAG_WORLD: told} if len(told) <= MAX_WORLD else {})}
+
+
+def recorded_name(config: Mapping[str, Any]) -> str | None:
+    """What the configuration in a bundle's provenance calls the robot; None where it has no name for it."""
+    name = config.get("robot_name")
+    return name if isinstance(name, str) and re.fullmatch(_ROBOT_NAME, name, re.ASCII) else None
+
+
+def may_name(model: str, world: World, given: str | None) -> bool:
+    """Whether a model's name is one of this robot's or of none in particular.
+
+    Earlier releases gave the default robot's names to all.
+    """
+    try:
+        own = {model_name(world, given, path=path) for path in (False, True)}
+    except ConfigError:
+        own = set()
+    return model in {MODEL_NAME, PATH_MODEL_NAME, *own} or not model.endswith(_SUFFIX)

@@ -1,3 +1,4 @@
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -5,6 +6,7 @@ import pytest
 
 from cspace.bundle import Bundle
 from cspace.errors import BundleIntegrityError, ModelNotFoundError, RegistryError, StorageError
+from cspace.worlds import robot_digest
 from inference_api.models.apart.disk import DiskCache
 from inference_api.models.apart.loading import BundleLoader, LoaderHere
 from inference_api.models.apart.parts import Limits, parts_apart
@@ -46,7 +48,12 @@ def test_a_registered_bundle_is_version_one_with_its_lineage(
 ) -> None:
     assert (first.name, first.number, first.run_id) == (model_name, 1, run_id)
     assert first.digest == bundle.digest
-    assert first.tags == {"data_digest": "d1", "digest": bundle.digest}
+    assert first.tags == {
+        "data_digest": "d1",
+        "digest": bundle.digest,
+        "robot": robot_digest(bundle.spec.world),
+        "world": json.dumps(bundle.spec.world.to_dict(), sort_keys=True),
+    }
     assert first.aliases == (ALIAS_CHALLENGER,)
     assert first.created_ms > 1_600_000_000_000
     assert registry.version(model_name, 1) == first

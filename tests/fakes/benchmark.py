@@ -9,6 +9,6 @@ from services.evaluator.benchmark.runs.sources import SourceSpec, opened
 
 
 def run_here(work: Sequence[Unit], setting: Setting, specs: Sequence[SourceSpec]) -> Iterator[list[Run]]:
-    with opened(specs) as sources:
+    with opened(specs, setting.world) as sources:
         for unit in work:
             yield measure(unit, setting, {spec.name: spec for spec in specs}, sources)

@@ -7,7 +7,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from cspace.bundle.files import read_files
+from cspace.bundle import BundleSpec
+from cspace.bundle.files import SPEC_FILE, read_files
 from cspace.errors import (
     BundleIntegrityError,
     ModelNotFoundError,
@@ -16,7 +17,7 @@ from cspace.errors import (
     StorageError,
 )
 from services.registry.models.port import ModelVersion
-from services.registry.names import TAG_KEY
+from services.registry.names import TAG_KEY, world_tags
 from services.registry.tracking.parameters import flatten
 from services.registry.tracking.port import Picture, RunLog, RunStatus
 from services.registry.tracking.run_block import RunBlock
@@ -147,7 +148,8 @@ class FakeRegistry:
         *,
         alias: str | None = None,
     ) -> ModelVersion:
-        got = read_files(bundle_folder).digest
+        files = read_files(bundle_folder)
+        got = files.digest
         if got != digest:
             raise BundleIntegrityError("another bundle", expected=digest, got=got)
         self._check_there()
@@ -162,7 +164,8 @@ class FakeRegistry:
             now_ms = time.time_ns() // 1_000_000
             known.append(ModelVersion(name, number, run_id, digest, (), {}, now_ms))
             shutil.copytree(bundle_folder, self._place(name, number))
-        self.set_tags(name, number, {**tags, "digest": digest})
+        world = BundleSpec.from_json(files.contents[SPEC_FILE]).world
+        self.set_tags(name, number, {**tags, **world_tags(world), "digest": digest})
         if alias is not None:
             self.set_alias(name, alias, number)
         return self.version(name, number)

@@ -38,6 +38,7 @@ def ask(source: SampleSource, fields: dict[str, list[bytes]]) -> SampleBatch:
         json.loads(text.get("start", "null")),
         json.loads(text.get("goal", "null")),
         float(text["min_confidence"]) if "min_confidence" in text else None,
+        text.get("robot"),
     )
     return source.answer(fields["image"][0], query, text.get("model"))
 

@@ -15,7 +15,9 @@ from PIL import Image
 
 from cspace.bundle import Bundle
 from cspace.png import encode_png
+from cspace.worlds import robot_digest
 from cspace.worlds.planar.picture import decode_png
+from cspace.worlds.planar.world import PlanarWorld
 from inference_api.pages.sampling import prefers_npy
 from tests.bundles import picture
 from tests.inference_api.client import ApiClient
@@ -53,6 +55,8 @@ def test_the_answer_has_exactly_the_contracts_members(
         "run_id": "run-1",
         "digest": registry.by_alias("cspace-sampler", "champion").digest,
         "fallback": False,
+        "robot": robot_digest(PlanarWorld()),
+        "alias_confirmed": True,
     }
     assert set(body["timing_ms"]) == {"decode", "encode", "generate", "total"}
     parts = [body["timing_ms"][name] for name in ("decode", "encode", "generate")]

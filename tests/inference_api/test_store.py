@@ -108,7 +108,7 @@ def test_a_restart_while_the_registry_is_away_serves_the_last_champion(
     after.refresh()
     assert served(after) == ("cspace-sampler", 2)
     assert served(after, "cspace-sampler/1") == ("cspace-sampler", 1)
-    assert [version.number for version in after.versions()] == [2, 1]
+    assert [version.number for version in after.versions("cspace-sampler")] == [2, 1]
 
 
 def test_an_absent_registry_is_left_alone_for_a_while(
@@ -236,7 +236,7 @@ def test_the_least_recently_used_bundle_leaves_memory_first(
         registry.add(bundles[name])
     for text in ("cspace-sampler/1", "cspace-sampler/2", "cspace-sampler/1", "cspace-sampler/3"):
         served(store, text)
-    loaded = {version.number for version in store.versions() if store.is_loaded(version)}
+    loaded = {version.number for version in store.versions("cspace-sampler") if store.loaded(version)}
     assert loaded == {1, 3}
     assert served(store, "cspace-sampler/2") == ("cspace-sampler", 2)
 

@@ -166,7 +166,7 @@ def test_a_champion_that_is_no_more_when_it_arrives_is_not_served(
     registry.drop_alias("champion")
     store.refresh(wait_s=0.05)
     slow.free.set()
-    wait_until(lambda: store.is_loaded(registry.version(MODEL, 2)))
+    wait_until(lambda: store.loaded(registry.version(MODEL, 2)) is not None)
     assert store.resolve(reference(MODEL)).name == "pretrained"
 
 
@@ -209,7 +209,7 @@ def test_an_answer_about_another_model_is_refused_before_a_path_is_made(
     store.refresh()
     with pytest.raises(RegistryError):
         store.resolve(reference(f"{MODEL}/1"))
-    assert store.versions() == []
+    assert store.versions(MODEL) == []
     assert store.resolve(reference(MODEL)).name == "pretrained"
     assert sorted(tmp_path.rglob("*")) == before
 

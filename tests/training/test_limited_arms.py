@@ -12,7 +12,6 @@ from cspace.worlds.planar.picture import decode_png
 from cspace.worlds.planar.render import render
 from cspace.worlds.planar.scene import random_scenarios
 from services.registry.models.mlflow_registry import MlflowRegistry
-from services.registry.names import MODEL_NAME, PATH_MODEL_NAME
 from tests.contracts.mlflow_server import mlflow_server
 from tests.training.clusters.test_pipeline import GATED, submit
 
@@ -41,7 +40,7 @@ def trained(request, server, tmp_path_factory):
     overrides = (limits_of(robot), "validity.uniform_share=0.4", "validity.threshold=0.05", *settings)
     result = submit(server, folder, "--preset", "smoke", *chosen(overrides))
     registry = MlflowRegistry(server)
-    bundle = registry.download(registry.version(MODEL_NAME, result["version"]), folder / "bundle")
+    bundle = registry.download(registry.version(result["model"], result["version"]), folder / "bundle")
     return robot, Bundle.load(bundle), folder
 
 
@@ -107,7 +106,7 @@ def test_no_path_sample_lies_outside(trained, server):
     registry = MlflowRegistry(server)
     start, goal = robot.space.lower, np.mean([robot.space.lower, robot.space.upper], axis=0)
     for name, number in result["versions"].items():
-        version = registry.version(PATH_MODEL_NAME, number)
+        version = registry.version(result["model"], number)
         made = Bundle.load(registry.download(version, folder / name))
         samples = made.sample(pictures(robot)[0], 2000, 1, start=start, goal=goal).samples
         assert len(samples) == 2000

@@ -8,7 +8,7 @@ from pathlib import Path
 from cspace.bundle import Bundle
 from cspace.dataset import Dataset
 from services.registry.models.mlflow_registry import MlflowRegistry
-from services.registry.names import ALIAS_CHALLENGER, MODEL_NAME
+from services.registry.names import ALIAS_CHALLENGER, recorded_name
 from training.clusters.bundling import TrainedParts, make_bundle
 from training.clusters.reporting import log_result, log_start
 from training.clusters.stages import (
@@ -23,6 +23,7 @@ from training.clusters.stages import (
 from training.config.clusters import TrainConfig
 from training.jobs.environment import Environment
 from training.jobs.job import Job, kept_bundle
+from training.jobs.naming import registered_name
 from training.jobs.provenance import job_tags
 from training.trials.launch import connect
 from training.trials.outcomes import TrialOutcome
@@ -102,6 +103,11 @@ def resume(run_id: str, environment: Environment) -> TrainResult:
 def _run(job: Job[TrainConfig], register: bool, command: str | None = None) -> TrainResult:
     with job.running() as run:
         dataset = prepare_data(job.config, job.environment.data_folder)
+        # The configuration's name for the robot, else that of its data.
+        config = job.config
+        if config.robot_name is None:
+            config = config.model_copy(update={"robot_name": recorded_name(dataset.manifest.generator)})
+        model = registered_name(job, dataset.world, config.robot_name, path=False)
         log_start(run, job.config, dataset)
         vae, head = train_on_pictures(job, dataset)
         arrays, gate = train_gate(job, encode_and_cluster(job, dataset, vae))
@@ -113,13 +119,13 @@ def _run(job: Job[TrainConfig], register: bool, command: str | None = None) -> T
         parts = TrainedParts(encoder, generators, _checkpoint(gate), _checkpoint(head), arrays)
         bundle = kept_bundle(job.folder / "bundle")
         if bundle is None:
-            bundle = make_bundle(job.folder / "bundle", job.config, dataset, parts, command)
+            bundle = make_bundle(job.folder / "bundle", config, dataset, parts, command)
         outcomes = [outcome for outcome in (vae, head, gate, *local, *final) if outcome is not None]
         figures = log_result(run, bundle, dataset, outcomes)
-        version = _register(job, dataset, bundle) if register else None
+        version = _register(job, model, dataset, bundle) if register else None
     return TrainResult(
         run_id=job.run.run_id,
-        model=MODEL_NAME,
+        model=model,
         version=version,
         digest=bundle.digest,
         data_digest=dataset.digest,
@@ -133,14 +139,14 @@ def _checkpoint(outcome: TrialOutcome | None) -> Path | None:
     return None if outcome is None else outcome.checkpoint
 
 
-def _register(job: Job[TrainConfig], dataset: Dataset, bundle: Bundle) -> int:
+def _register(job: Job[TrainConfig], model: str, dataset: Dataset, bundle: Bundle) -> int:
     registry = MlflowRegistry(job.environment.tracking_uri)
     tags = {"data_digest": dataset.digest, "preset": job.config.preset, "seed": str(job.config.seed)}
     version = job.patiently(
         "registering the bundle",
         lambda: registry.register(
-            MODEL_NAME, bundle.folder, job.run.run_id, bundle.digest, tags, alias=ALIAS_CHALLENGER
+            model, bundle.folder, job.run.run_id, bundle.digest, tags, alias=ALIAS_CHALLENGER
         ),
     )
-    _LOG.info("registry: %s version %d, alias %s", MODEL_NAME, version.number, ALIAS_CHALLENGER)
+    _LOG.info("registry: %s version %d, alias %s", model, version.number, ALIAS_CHALLENGER)
     return version.number

@@ -13,10 +13,11 @@ from cspace.dataset.manifest import Manifest
 from cspace.errors import InputError
 from cspace.world import World
 from cspace.worlds import default_world, workshop_of
+from services.registry.names import model_name
 from training.config.files import load_values, named_presets, validated
 from training.datasets.config import DatasetConfig
 from training.models.settings import GanConfig, GateConfig, GlobalConfig, VaeConfig, ValidityConfig
-from training.section import Section
+from training.section import RobotName, Section
 
 PRESET_FOLDER = Path(__file__).parents[1] / "presets"
 
@@ -93,6 +94,7 @@ class TrainConfig(Section):
     local: GanConfig = GanConfig(steps=400)
     global_: GlobalConfig = Field(GlobalConfig(), alias="global")
     resources: ResourceConfig = ResourceConfig()
+    robot_name: RobotName = None
 
     @field_validator("validity", mode="before")
     @classmethod
@@ -117,6 +119,13 @@ class TrainConfig(Section):
             raise ValueError("local critics that guide look where the global one does: equal critic_lookups")
         if cells and "means" in (self.local.generator, self.global_.generator):
             raise ValueError("gate.cells belong to generator=torus: the means have no base to draw in a cell")
+        return self
+
+    @model_validator(mode="after")
+    def _name_is_the_robots(self) -> "TrainConfig":
+        # That of a data set's folder is looked at when it is opened.
+        if self.data_folder is None:
+            model_name(self.data.world, self.robot_name)
         return self
 
     @model_validator(mode="after")

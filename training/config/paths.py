@@ -18,7 +18,7 @@ from training.models.paths.settings import (
     PointConfig,
 )
 from training.models.settings import LookupConfig
-from training.section import Section
+from training.section import RobotName, Section
 
 PATH_PRESET_FOLDER = PRESET_FOLDER / "paths"
 
@@ -53,6 +53,7 @@ class PathTrainConfig(Section):
         place=True, refinements=3, steps=600, lookups=LookupConfig(points_per_link=8, side_m=0.1)
     )
     resources: ResourceConfig = ResourceConfig(log_every_steps=50, checkpoint_every_steps=500)
+    robot_name: RobotName = None
 
     @model_validator(mode="after")
     def _models_have_what_they_need(self) -> "PathTrainConfig":

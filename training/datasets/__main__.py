@@ -109,7 +109,7 @@ def _add_import(parser: argparse.ArgumentParser) -> None:
 
 
 def _made(options: argparse.Namespace, kind: type[DatasetConfig] | type[PathDatasetConfig]) -> Dataset:
-    named = kind.model_fields.keys() - {"robot", "camera", "scenes"}
+    named = kind.model_fields.keys() - {"robot", "robot_name", "camera", "scenes"}
     values = {name: getattr(options, name) for name in named} | _world_parts(options, kind)
     try:
         config = kind.model_validate(values)
@@ -132,8 +132,10 @@ def _world_parts(options: argparse.Namespace, kind: type[BaseModel]) -> dict[str
     if not (options.robot or options.scenes):
         return {"robot": described_world(options).body}
     files = [read_scene_file(path) for path in _files(options.scenes or ())]
-    world = read_scene_file(options.robot).world if options.robot else files[0].world
+    first = read_scene_file(options.robot) if options.robot else files[0]
+    world = first.world
     parts: dict[str, Any] = {"robot": world.body, "camera": world.sensor, "scenes": world.scenes}
+    parts["robot_name"] = first.name
     if files:
         parts["scenes"] = given_scenes(world, files)
         for name, count in (("scenario_count", len(parts["scenes"].train)), ("extra_image_count", 0)):

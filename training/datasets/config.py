@@ -12,13 +12,12 @@ from pydantic import (
     ConfigDict,
     Field,
     GetCoreSchemaHandler,
-    SerializerFunctionWrapHandler,
-    model_serializer,
 )
 from pydantic_core import CoreSchema
 
 from cspace.world import Body, World
 from cspace.worlds import default_world, part_types, usual_world
+from training.section import RobotName
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,10 +36,13 @@ class GeneratedConfig(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     robot: Annotated[Body, _OfAnyKind("body")] = default_world().body
-    camera: Annotated[Any, _OfAnyKind("sensor")] | None = Field(None, description="None: the usual one")
-    scenes: Annotated[Any, _OfAnyKind("scenes")] | None = Field(
-        None, description="a family, or given ones; None: the usual family"
+    camera: Annotated[Any, _OfAnyKind("sensor")] | None = Field(
+        None, exclude_if=lambda part: part is None, description="None: the usual one"
     )
+    scenes: Annotated[Any, _OfAnyKind("scenes")] | None = Field(
+        None, exclude_if=lambda part: part is None, description="a family, or given ones; None: the usual"
+    )
+    robot_name: RobotName = None
     split: Literal["train", "validation", "test", "demo"] = "train"
     seed: int = Field(0, ge=0)
     shard_size: int = Field(500, ge=1)
@@ -50,17 +52,12 @@ class GeneratedConfig(BaseModel):
         """Robot and sensor as the value that the rest of the code takes."""
         return usual_world(self.robot, sensor=self.camera, scenes=self.scenes)
 
-    @model_serializer(mode="wrap")
-    def _told(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Without the parts of the world that are the usual ones: older configurations have no such keys."""
-        told: dict[str, Any] = handler(self)
-        usual = [name for name in ("camera", "scenes") if told.get(name) is None]
-        return {name: value for name, value in told.items() if name not in usual}
-
     @property
     def key(self) -> str:
         """Twelve hex digits that change with every field that changes the data (not with their sharding)."""
-        content = json.dumps(self.model_dump(mode="json", exclude={"shard_size"}), sort_keys=True)
+        content = json.dumps(
+            self.model_dump(mode="json", exclude={"shard_size", "robot_name"}), sort_keys=True
+        )
         return hashlib.sha256(content.encode()).hexdigest()[:12]
 
     @property

@@ -10,12 +10,13 @@ from typing import Any
 from cspace.bundle import Bundle
 from cspace.dataset import Dataset, open_dataset
 from services.registry.models.mlflow_registry import MlflowRegistry
-from services.registry.names import ALIAS_CHALLENGER, PATH_MODEL_NAME
+from services.registry.names import ALIAS_CHALLENGER, recorded_name
 from training.config.paths import PathTrainConfig
 from training.datasets.generate import generate
 from training.jobs.environment import Environment
 from training.jobs.figures import path_curves
 from training.jobs.job import Job, kept_bundle
+from training.jobs.naming import registered_name
 from training.jobs.provenance import job_tags
 from training.models.checkpoint import read_progress
 from training.paths.bundling import trained_bundle
@@ -100,6 +101,8 @@ def _run(job: Job[PathTrainConfig]) -> PathTrainResult:
         source = job.patiently(
             "fetching the source", lambda: source_bundle(config.source, registry, job.folder / "source")
         )
+        named = config.robot_name or recorded_name(source.spec.provenance.config)
+        model = registered_name(job, source.spec.world, named, path=True)
         dataset = _data(config, job.environment.data_folder)
         run.params(config.to_dict())
         run.dataset(dataset.folder.name, dataset.digest, str(dataset.folder), "training")
@@ -112,12 +115,12 @@ def _run(job: Job[PathTrainConfig]) -> PathTrainResult:
         run.flush()
         bundles = _bundles(job, source, dataset, arrays, outcomes)
         versions = {
-            name: job.patiently(f"registering {name}", partial(_register, job, registry, name, bundle))
+            name: job.patiently(f"registering {name}", partial(_register, job, registry, model, name, bundle))
             for name, bundle in bundles.items()
         }
         return PathTrainResult(
             run_id=run.run_id,
-            model=PATH_MODEL_NAME,
+            model=model,
             versions=versions,
             digests={name: bundle.digest for name, bundle in bundles.items()},
             data_digest=dataset.digest,
@@ -178,7 +181,9 @@ def _bundles(
     return bundles
 
 
-def _register(job: Job[PathTrainConfig], registry: MlflowRegistry, name: str, bundle: Bundle) -> int:
+def _register(
+    job: Job[PathTrainConfig], registry: MlflowRegistry, model: str, name: str, bundle: Bundle
+) -> int:
     tags = {
         "path_model": name,
         "data_digest": bundle.spec.provenance.data_digest or "",
@@ -186,13 +191,13 @@ def _register(job: Job[PathTrainConfig], registry: MlflowRegistry, name: str, bu
         "seed": str(job.config.seed),
     }
     version = registry.register(
-        PATH_MODEL_NAME, bundle.folder, job.child(name), bundle.digest, tags, alias=name.replace("_", "-")
+        model, bundle.folder, job.child(name), bundle.digest, tags, alias=name.replace("_", "-")
     )
     if name == job.config.models[0]:
-        registry.set_alias(PATH_MODEL_NAME, ALIAS_CHALLENGER, version.number)
+        registry.set_alias(model, ALIAS_CHALLENGER, version.number)
     if name == UNTRAINED:
         # A run without a trial that would end it.
         with job.tracking.resume(job.child(name)) as run:
             run.params(dict(bundle.spec.provenance.config))
-    _LOG.info("registry: %s version %d, %s", PATH_MODEL_NAME, version.number, name)
+    _LOG.info("registry: %s version %d, %s", model, version.number, name)
     return version.number

@@ -186,5 +186,6 @@ def _setting(options: argparse.Namespace) -> Setting:
 def _specs(options: argparse.Namespace) -> Sequence[SourceSpec]:
     if options.model and not options.api:
         raise ConfigError("models are behind an API", remedy="name it with --api")
-    models = [served(*parse_named(text), options.api) for text in options.model]
+    world = WORLDS[options.robot]
+    models = [served(*parse_named(text), options.api, world) for text in options.model]
     return [*models, *(bundled(name, Path(at)) for name, at in map(parse_named, options.bundle))]

@@ -6,7 +6,7 @@ import numpy as np
 
 from cspace.query import SampleQuery
 from cspace.splits import Split
-from cspace.worlds import default_world
+from cspace.worlds import default_world, robot_digest
 from services.evaluator.measures.reconstruction import ReconstructionSummary, SceneQuality, summarise
 from services.evaluator.measures.scenes import Scene, Stage
 from services.planner.sources.samples import SampleSource
@@ -34,7 +34,7 @@ def served_quality(url: str, references: Sequence[str]) -> Mapping[str, Reconstr
         SamplerError: it refused a request.
     """
     stage = Stage(default_world(), Split.TEST, SEED)
-    with SamplingClient(url) as client:
+    with SamplingClient(url, robot=robot_digest(stage.world)) as client:
         rows = [_rows(Scene(stage, index), client, references) for index in range(SCENARIOS)]
     return {one: summarise([row[one] for row in rows], np.random.default_rng(SEED)) for one in references}
 

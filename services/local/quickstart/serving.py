@@ -37,7 +37,7 @@ def wait_served(
     until = time.monotonic() + limit_s
     with httpx.Client(base_url=url, timeout=5.0, trust_env=False, transport=transport) as client:
         while True:
-            seen = _models(client)
+            seen = _models(client, reference.partition("/")[0])
             if any(ref == reference and (chosen or not default) for ref, chosen in seen.items()):
                 return
             if time.monotonic() > until:
@@ -50,10 +50,10 @@ def wait_served(
     )
 
 
-def _models(client: httpx.Client) -> dict[str, bool]:
-    """References with whether each is the default; empty while the API does not answer."""
+def _models(client: httpx.Client, name: str) -> dict[str, bool]:
+    """References of a model with whether each is the default; empty while the API does not answer."""
     try:
-        listed = client.get("/models").raise_for_status().json()["models"]
+        listed = client.get("/models", params={"name": name}).raise_for_status().json()["models"]
         return {str(one["reference"]): one["default"] is True for one in listed}
     except (httpx.HTTPError, json.JSONDecodeError, KeyError, TypeError):
         return {}

@@ -34,13 +34,14 @@ class AsyncSamplingClient(HttpClient[httpx.AsyncBaseTransport], Answering[Corout
             SamplerError: as there.
         """
         began = time.perf_counter()
+        question = self._question(picture, query, model)
         try:
-            return await self._ask(Question.of(picture, query, model), began)
+            return await self._ask(question, began)
         except SamplerUnavailableError as error:
             if self._fallback is None:
                 raise
             try:
-                batch = await anyio.to_thread.run_sync(self._fallback.answer, picture, query, model)
+                batch = await anyio.to_thread.run_sync(self._fallback.answer, picture, question.query, model)
             except SamplerError as refusal:
                 raise error from refusal
             return replace(batch, fallback=True, round_trip_s=time.perf_counter() - began)
@@ -68,6 +69,9 @@ class AsyncSamplingClient(HttpClient[httpx.AsyncBaseTransport], Answering[Corout
             found = await self._attempt(question, began)
             if isinstance(found, SampleBatch):
                 return found
+            if (untold := self._untold(question, found)) is not None:
+                question = untold
+                continue
             tried += 1
             await anyio.sleep(self._pause_s(found, tried, began))
 

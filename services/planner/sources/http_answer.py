@@ -31,6 +31,7 @@ _AGAIN = (
     httpx.codes.BAD_GATEWAY,
     httpx.codes.SERVICE_UNAVAILABLE,
 )
+_UNKNOWN_FIELD = httpx.codes.UNPROCESSABLE_ENTITY, "an unknown field"
 _LOST = (httpx.NetworkError, httpx.ConnectTimeout, httpx.RemoteProtocolError)
 
 
@@ -42,11 +43,13 @@ class Failure:
         error: what it stands for.
         again: whether the same request may find an answer later.
         retry_after_s: what the server asks to wait at least, None when it does not.
+        knows_no_robot: whether the field ``robot`` alone was too much for the server.
     """
 
     error: SamplerError
     again: bool = False
     retry_after_s: float | None = None
+    knows_no_robot: bool = False
 
 
 class IncomingAnswer:
@@ -110,6 +113,8 @@ class IncomingAnswer:
             round_trip_s=round_trip_s,
             novelty=head.novelty,
             timing=head.timing,
+            robot=head.robot,
+            alias_confirmed=head.alias_confirmed,
         )
 
     def _check_framing(self, headers: Mapping[str, str]) -> None:
@@ -167,7 +172,14 @@ def _failure(answer: httpx.Response, body: bytes) -> Failure:
         f"the sampling endpoint {'failed' if failed else 'refused the request'}: {title}{named}",
         got=printable(problem.get("detail") or f"status {status}"),
     )
-    return Failure(error, again, parse_retry_after(answer.headers.get("retry-after")))
+    retry_after_s = parse_retry_after(answer.headers.get("retry-after"))
+    return Failure(error, again, retry_after_s, status == _UNKNOWN_FIELD[0] and _names_robot(problem))
+
+
+def _names_robot(problem: Mapping[str, str]) -> bool:
+    """Whether the first field that a server objects to is ``robot``, for it knows of none."""
+    told = problem.get("detail", "").startswith("robot ")
+    return told and problem.get("got") == _UNKNOWN_FIELD[1]
 
 
 def _problem(media_type: str, body: bytes) -> Mapping[str, str]:

@@ -3,14 +3,17 @@
 import random
 import time
 from abc import ABC, abstractmethod
+from dataclasses import replace
 from typing import Generic, TypeVar
 
 import httpx
 
+from cspace.errors import ConfigError
+from cspace.query import SampleQuery, is_digest
 from services.planner.sources.http_answer import Failure
-from services.planner.sources.http_exchange import Endpoint
+from services.planner.sources.http_exchange import Endpoint, Question
 from services.planner.sources.retries import RetryPolicy
-from services.planner.sources.samples import SampleSource
+from services.planner.sources.samples import Picture, SampleSource, for_robot
 
 DEFAULT_TIMEOUT_S = 10.0
 DEFAULT_POLICY = RetryPolicy()
@@ -31,10 +34,14 @@ class HttpClient(ABC, Generic[Transport]):
         api_key: str | None = None,
         fallback: SampleSource | None = None,
         transport: Transport | None = None,
+        robot: str | None = None,
     ) -> None:
+        if robot is not None and not is_digest(robot):
+            raise ConfigError("robot is no digest", expected="64 hexadecimal digits", got=repr(robot)[:200])
         self._endpoint = Endpoint(url, timeout_s, connect_timeout_s, policy, api_key)
         self._fallback = fallback
         self._closed = False
+        self._robot, self._tells_robot = robot, True
         self._transport: Transport = self._network() if transport is None else transport
 
     @property
@@ -45,6 +52,19 @@ class HttpClient(ABC, Generic[Transport]):
     @staticmethod
     @abstractmethod
     def _network() -> Transport: ...
+
+    def _question(self, picture: Picture, query: SampleQuery, model: str | None) -> Question:
+        return Question.of(picture, for_robot(query, self._robot), model, tells_robot=self._tells_robot)
+
+    def _untold(self, question: Question, found: Failure) -> Question | None:
+        """The question without its robot, where it failed for an older server knows no such field; else None.
+
+        From then on it is not sent; the robot of an answer is looked at all the same.
+        """
+        if not (found.knows_no_robot and question.tells_robot):
+            return None
+        self._tells_robot = False
+        return replace(question, tells_robot=False)
 
     def _pause_s(self, failure: Failure, tried: int, began: float) -> float:
         """How long to wait before another attempt; raises the failure's error where there is none."""

@@ -89,16 +89,21 @@ class Question:
         image_png: the scenario's picture as a PNG file.
         query: what is asked.
         model: as :class:`services.planner.sources.samples.SampleSource` has it.
+        tells_robot: whether the query's robot is sent, which older servers refuse.
     """
 
     image_png: bytes
     query: SampleQuery
     model: str | None
+    tells_robot: bool = True
 
     @classmethod
-    def of(cls, picture: Picture, query: SampleQuery, model: str | None) -> "Question":
+    def of(
+        cls, picture: Picture, query: SampleQuery, model: str | None, *, tells_robot: bool = True
+    ) -> "Question":
         """The question as it is sent, its picture as a file."""
-        return cls(picture if isinstance(picture, bytes) else encode_png(picture), query, model)
+        png = picture if isinstance(picture, bytes) else encode_png(picture)
+        return cls(png, query, model, tells_robot)
 
     @property
     def fields(self) -> dict[str, Any]:
@@ -107,6 +112,10 @@ class Question:
         fields: dict[str, Any] = {"n": str(query.n), "seed": str(query.seed)}
         if query.min_confidence is not None:
             fields["min_confidence"] = repr(query.min_confidence)
+        if query.robot is not None and self.tells_robot:
+            fields["robot"] = query.robot
+        if query.require_confirmed:
+            fields["require_confirmed"] = "true"
         if self.model is not None:
             fields["model"] = self.model
         if query.epsilon_sigma != PLAIN:

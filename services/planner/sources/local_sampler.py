@@ -4,9 +4,10 @@ import time
 from pathlib import Path
 
 from cspace.bundle import Bundle
+from cspace.bundle.request import require_robot
 from cspace.errors import BundleError, InputError, SamplerError, SamplerUnavailableError
 from cspace.query import MAX_SAMPLES, SampleQuery
-from services.planner.sources.samples import Picture, SampleBatch, SampleSource, SourceTiming
+from services.planner.sources.samples import Picture, SampleBatch, SampleSource, SourceTiming, for_robot
 
 PRETRAINED = "pretrained"
 
@@ -18,11 +19,14 @@ class BundleSampler(SampleSource):
         bundle: that answers.
         name: under which it answers, and the one ``model`` beside None that it accepts.
         version: its number in the registry.
+        robot: that is planned for, where a query names none, as the clients have it.
     """
 
-    def __init__(self, bundle: Bundle, *, name: str = PRETRAINED, version: int = 0) -> None:
+    def __init__(
+        self, bundle: Bundle, *, name: str = PRETRAINED, version: int = 0, robot: str | None = None
+    ) -> None:
         self.bundle = bundle
-        self._name, self._version = name, version
+        self._name, self._version, self._robot = name, version, robot
 
     @property
     def with_ends(self) -> bool:
@@ -35,6 +39,7 @@ class BundleSampler(SampleSource):
         Raises:
             SamplerError: the request does not fit the bundle.
         """
+        query = for_robot(query, self._robot)
         known = (None, self._name, f"{self._name}/{self._version}")
         if model not in known or query.n > MAX_SAMPLES:
             raise SamplerError(
@@ -44,6 +49,7 @@ class BundleSampler(SampleSource):
             )
         began = time.perf_counter()
         try:
+            require_robot(query, self.bundle.spec)
             sensor = self.bundle.spec.world.sensor
             image = sensor.decode(picture) if isinstance(picture, bytes) else picture
             decoded = time.perf_counter()
@@ -64,6 +70,7 @@ class BundleSampler(SampleSource):
             novelty=prepared.novelty,
             timing=SourceTiming(decoded - began, encoded - decoded, 1e-3 * found.generate_ms, total_s),
             acceptance=found.acceptance,
+            robot=self.bundle.robot,
         )
 
 
@@ -74,16 +81,19 @@ class LocalSampler(BundleSampler):
         bundle_folder: a bundle.
         name: as :class:`BundleSampler` has it.
         version: likewise.
+        robot: likewise.
 
     Raises:
         SamplerUnavailableError: the bundle can not be used.
     """
 
-    def __init__(self, bundle_folder: Path, *, name: str = PRETRAINED, version: int = 0) -> None:
+    def __init__(
+        self, bundle_folder: Path, *, name: str = PRETRAINED, version: int = 0, robot: str | None = None
+    ) -> None:
         try:
             bundle = Bundle.load(Path(bundle_folder))
         except BundleError as error:
             raise SamplerUnavailableError(
                 f"the bundle {bundle_folder} can not be used", got=str(error)
             ) from error
-        super().__init__(bundle, name=name, version=version)
+        super().__init__(bundle, name=name, version=version, robot=robot)

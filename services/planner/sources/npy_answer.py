@@ -7,6 +7,7 @@ from dataclasses import astuple, dataclass
 from typing import Any
 
 from cspace.errors import InputError
+from cspace.query import is_digest
 from cspace.space import MAX_LIMIT_RAD, JointSpace, circles
 from cspace.strict_json import parse_json, read_mapping, read_object
 from services.planner.sources.answer_errors import unusable
@@ -17,7 +18,6 @@ from services.planner.sources.samples import SourceTiming
 _PRETRAINED = "pretrained"
 _MAX_TEXT = 256
 _MAX_TIMING = 1024
-_DIGEST_CHARACTERS = frozenset("0123456789abcdef")
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,6 +32,8 @@ class AnswerHead:
     novelty: float | None
     timing: SourceTiming | None
     space: JointSpace | None = None
+    robot: str | None = None
+    alias_confirmed: bool | None = None
 
 
 def read_head(headers: Mapping[str, str], question: Question) -> AnswerHead:
@@ -56,15 +58,20 @@ def read_head(headers: Mapping[str, str], question: Question) -> AnswerHead:
     name, version = _text(headers, "x-model-name"), _count(headers, "x-model-version", 9)
     if not _answers(question.model, name, version):
         raise unusable("comes from another model", str(question.model), f"{name}/{version}")
+    robot = _digest(headers, "x-robot") if "x-robot" in headers else None
+    if robot is not None and query.robot not in (None, robot):
+        raise unusable("is of another robot", str(query.robot), robot)
     return AnswerHead(
         model_name=name,
         model_version=version,
-        digest=_digest(headers),
+        digest=_digest(headers, "x-model-digest"),
         seed=seed,
         shortfall=shortfall,
         novelty=_share(headers, "x-novelty") if "x-novelty" in headers else None,
         timing=read_timing(headers.get("server-timing", "")),
         space=read_space(headers["x-joint-space"]) if "x-joint-space" in headers else None,
+        robot=robot,
+        alias_confirmed=_flag(headers, "x-alias-confirmed") if "x-alias-confirmed" in headers else None,
     )
 
 
@@ -148,11 +155,18 @@ def _count(headers: Mapping[str, str], name: str, digits: int) -> int:
     return int(value)
 
 
-def _digest(headers: Mapping[str, str]) -> str:
-    value = _text(headers, "x-model-digest")
-    if len(value) != 64 or not _DIGEST_CHARACTERS.issuperset(value):
-        raise unusable("has a wrong header x-model-digest", "a SHA-256 in hexadecimal", repr(value[:80]))
+def _digest(headers: Mapping[str, str], name: str) -> str:
+    value = _text(headers, name)
+    if not is_digest(value):
+        raise unusable(f"has a wrong header {name}", "a SHA-256 in hexadecimal", repr(value[:80]))
     return value
+
+
+def _flag(headers: Mapping[str, str], name: str) -> bool:
+    value = _text(headers, name)
+    if value not in ("true", "false"):
+        raise unusable(f"has a wrong header {name}", "true or false", repr(value[:40]))
+    return value == "true"
 
 
 def _share(headers: Mapping[str, str], name: str) -> float:

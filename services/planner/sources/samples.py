@@ -1,6 +1,6 @@
 """A batch of learned samples, and the port to whatever gives one for a picture."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol, TypeVar, Unpack
 
 import numpy as np
@@ -48,6 +48,10 @@ class SampleBatch:
         fallback: whether another source answered because the server stayed away.
         timing: where the source's own time went; None where it is not told.
         acceptance: share of what was drawn that reached the confidence asked for; None where it is not told.
+        robot: whose configurations they are, as :func:`cspace.worlds.robot_digest` names it; None where it is
+            not told.
+        alias_confirmed: whether the server is sure of what the model's alias stands for; None where it is not
+            told.
     """
 
     samples: NDArray[np.float32]
@@ -61,6 +65,8 @@ class SampleBatch:
     novelty: float | None = None
     timing: SourceTiming | None = None
     acceptance: float | None = None
+    robot: str | None = None
+    alias_confirmed: bool | None = None
 
 
 class Answering(Protocol[Answer_co]):
@@ -112,6 +118,11 @@ class SampleSource(Answering[SampleBatch], Protocol):
     def with_ends(self) -> bool:
         """Whether it has to be asked with start and goal; False as well where only an answer tells."""
         return False
+
+
+def for_robot(query: SampleQuery, robot: str | None) -> SampleQuery:
+    """A query for the robot that it names, else for this one."""
+    return query if robot is None or query.robot is not None else replace(query, robot=robot)
 
 
 class PinnedSource(SampleSource):

@@ -35,9 +35,11 @@ class SamplingClient(HttpClient[httpx.BaseTransport], SampleSource):
         fallback: answers while the API stays away or its answers can not be used, with the same seed; the
             batch says so. The deadline does not hold for it.
         transport: of httpx; None for the network, where alone the deadline holds for every byte.
+        robot: that is planned for, as :func:`cspace.worlds.robot_digest` names it, where a query names none:
+            samples of another one are refused. None takes those of any.
 
     Raises:
-        ConfigError: the address, a time limit or the key can not be.
+        ConfigError: the address, a time limit, the key or the robot can not be.
     """
 
     def answer(self, picture: Picture, query: SampleQuery, model: str | None = None) -> SampleBatch:
@@ -50,13 +52,14 @@ class SamplingClient(HttpClient[httpx.BaseTransport], SampleSource):
             SamplerError: the request was refused (4xx).
         """
         began = time.perf_counter()
+        question = self._question(picture, query, model)
         try:
-            return self._ask(Question.of(picture, query, model), began)
+            return self._ask(question, began)
         except SamplerUnavailableError as error:
             if self._fallback is None:
                 raise
             try:
-                batch = self._fallback.answer(picture, query, model)
+                batch = self._fallback.answer(picture, question.query, model)
             except SamplerError as refusal:
                 raise error from refusal
             return replace(batch, fallback=True, round_trip_s=time.perf_counter() - began)
@@ -84,6 +87,9 @@ class SamplingClient(HttpClient[httpx.BaseTransport], SampleSource):
             found = self._attempt(question, began)
             if isinstance(found, SampleBatch):
                 return found
+            if (untold := self._untold(question, found)) is not None:
+                question = untold
+                continue
             tried += 1
             time.sleep(self._pause_s(found, tried, began))
 

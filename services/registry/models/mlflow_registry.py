@@ -19,7 +19,7 @@ from services.registry.mlflow_health import check_reachable
 from services.registry.models.mlflow_model import BUNDLE_PATH, read_spec
 from services.registry.models.mlflow_registering import create_version
 from services.registry.models.port import ModelVersion
-from services.registry.names import TAG_DIGEST
+from services.registry.names import TAG_DIGEST, world_tags
 
 _PAGE = 100
 
@@ -49,8 +49,8 @@ class MlflowRegistry:
         alias: str | None = None,
     ) -> ModelVersion:
         """Make a bundle a version; see :meth:`services.registry.models.port.ModelRegistry.register`."""
-        all_tags = {**tags, TAG_DIGEST: digest}
         spec = read_spec(bundle_folder, digest)
+        all_tags = {**tags, **world_tags(spec.world), TAG_DIGEST: digest}
         self._ready()
         found = [one for one in self.versions(name) if (one.run_id, one.digest) == (run_id, digest)]
         if found:

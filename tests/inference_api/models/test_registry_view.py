@@ -72,7 +72,7 @@ def test_a_successor_is_loaded_before_a_request_names_it(
     clock.a_poll_later()
     view.keep_up()
     assert asked_for(registry, view, CHALLENGER) == (2, False)
-    assert cache.is_loaded(view.look_up(CHALLENGER))
+    assert cache.peek(view.look_up(CHALLENGER)) is not None
 
 
 def test_what_did_not_change_is_not_loaded_again_after_it_left_memory(

@@ -93,7 +93,9 @@ def test_samples_are_those_of_the_other_page_bit_for_bit(api: ApiClient, model: 
         expected["model"]["name"],
         str(expected["model"]["version"]),
     )
-    assert head["parameters"] == {"digest": expected["model"]["digest"], "fallback": False}
+    assert head["parameters"] == {
+        name: expected["model"][name] for name in ("digest", "fallback", "robot", "alias_confirmed")
+    }
 
 
 def test_versions_are_named_in_the_address(api: ApiClient) -> None:

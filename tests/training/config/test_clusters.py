@@ -178,3 +178,22 @@ def test_a_trial_claims_what_the_configuration_says_and_no_memory_unless_it_does
     ]
     claimed = load_config("smoke", half).resources.of_a_trial()
     assert claimed == {"cpu": 2.0, "gpu": 0.5, "memory": 1500 * 1024 * 1024}
+
+
+OWN_ROBOT = "data.robot.link_lengths_m=[1.0, 1.0]"
+
+
+def test_a_robots_name_is_recorded_where_it_is_given_and_changes_no_data_set():
+    plain, named = load_config("smoke", [OWN_ROBOT]), load_config("smoke", [OWN_ROBOT, "robot_name=arm-7"])
+    assert "robot_name" not in plain.to_dict()
+    assert named.to_dict() == {**plain.to_dict(), "robot_name": "arm-7"}
+    assert named.data.key == plain.data.key
+    assert TrainConfig.model_validate(plain.to_dict()) == plain
+
+
+@pytest.mark.parametrize(
+    "overrides", [["robot_name=arm-7"], ["robot_name=three-link"], [OWN_ROBOT, "robot_name=two-link"]]
+)
+def test_a_name_of_another_robot_is_refused(overrides):
+    with pytest.raises(ConfigError, match="another robot"):
+        load_config("smoke", overrides)

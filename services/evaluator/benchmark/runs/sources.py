@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -14,7 +14,8 @@ from cspace.errors import ConfigError, SamplerError, SamplerUnavailableError
 from cspace.problem import UNIFORM, Problem
 from cspace.query import SampleQuery
 from cspace.splits import Split
-from cspace.worlds import default_world, picture_file_of, workshop_of
+from cspace.world import World
+from cspace.worlds import picture_file_of, robot_digest, workshop_of
 from services.evaluator.benchmark.runs.fresh_png import fresh_png
 from services.evaluator.measures.samplers import PackedBundle
 from services.planner.planning import between_ends
@@ -50,14 +51,20 @@ class SourceSpec:
         return {"model": self.model, "digest": self.digest, "with_ends": self.with_ends, "transport": over}
 
 
-def served(name: str, model: str, url: str) -> SourceSpec:
+def served(name: str, model: str, url: str, world: World) -> SourceSpec:
     """A model behind an API, pinned to the version that answers now.
+
+    Args:
+        name: in the names of arms.
+        model: a reference.
+        url: of the API.
+        world: whose robot is planned for.
 
     Raises:
         SamplerError: the API refuses, or does not answer.
     """
     with SamplingClient(url) as client:
-        with_ends, batch = _first_answer(client, model)
+        with_ends, batch = _first_answer(client, model, world)
     # The shipped model has no number in a registry.
     pinned = f"{batch.model_name}/{batch.model_version}" if batch.model_version else batch.model_name
     return SourceSpec(name, batch.digest, with_ends, pinned, url)
@@ -74,8 +81,12 @@ def bundled(name: str, folder: Path) -> SourceSpec:
 
 
 @contextmanager
-def opened(specs: Sequence[SourceSpec]) -> Iterator[Mapping[str, SampleSource]]:
+def opened(specs: Sequence[SourceSpec], world: World) -> Iterator[Mapping[str, SampleSource]]:
     """The sources by name, each of them asked once, so that no first run pays for what only a first one has.
+
+    Args:
+        specs: the samplers.
+        world: whose robot is planned for.
 
     Raises:
         SamplerError: one of them does not answer.
@@ -85,7 +96,7 @@ def opened(specs: Sequence[SourceSpec]) -> Iterator[Mapping[str, SampleSource]]:
         found: dict[str, SampleSource] = {}
         for spec in specs:
             found[spec.name] = _opened(spec, stack)
-            ask(found[spec.name], spec, _example(), SampleQuery(10, 1, min_confidence=0.0))
+            ask(found[spec.name], spec, _example(world), SampleQuery(10, 1, min_confidence=0.0))
         yield found
 
 
@@ -94,8 +105,10 @@ def ask(source: SampleSource, spec: SourceSpec, problem: Problem, query: SampleQ
 
     Raises:
         SamplerUnavailableError: the source does not answer.
-        SamplerError: it refused, or another model answered than the one that is measured.
+        SamplerError: it refused, for it is of another robot or for another reason, or another model answered
+            than the one that is measured.
     """
+    query = replace(query, robot=robot_digest(problem.scenario.world))
     note = f"{query.seed} {query.n} {query.epsilon_sigma} {query.min_confidence}"
     png = fresh_png(picture_file_of(problem.scenario), note)
     batch = source.answer(png, between_ends(query, problem) if spec.with_ends else query, spec.model)
@@ -127,9 +140,9 @@ def parse_named(text: str) -> tuple[str, str]:
     return name, value
 
 
-def _first_answer(client: SamplingClient, model: str) -> tuple[bool, SampleBatch]:
+def _first_answer(client: SamplingClient, model: str, world: World) -> tuple[bool, SampleBatch]:
     """Whether a model wants start and goal is told only by its answers."""
-    problem, query = _example(), SampleQuery(10, 1, min_confidence=0.0)
+    problem, query = _example(world), SampleQuery(10, 1, min_confidence=0.0, robot=robot_digest(world))
     png = picture_file_of(problem.scenario)
     try:
         return True, client.answer(png, between_ends(query, problem), model)
@@ -149,5 +162,5 @@ def _opened(spec: SourceSpec, stack: ExitStack) -> SampleSource:
     return stack.enter_context(SamplingClient(spec.url))
 
 
-def _example() -> Problem:
-    return workshop_of(default_world()).problem(UNIFORM, Split.DEMO, 0)
+def _example(world: World) -> Problem:
+    return workshop_of(world).problem(UNIFORM, Split.DEMO, 0)

@@ -28,7 +28,7 @@ class Worker:
     def __init__(self, setting: Setting, specs: Sequence[SourceSpec]) -> None:
         self._setting, self._specs = setting, {spec.name: spec for spec in specs}
         self._open = ExitStack()
-        self._sources = self._open.enter_context(opened(specs))
+        self._sources = self._open.enter_context(opened(specs, setting.world))
 
     def run(self, unit: Unit) -> list[Run]:
         """One unit."""

@@ -52,7 +52,7 @@ def pages(
         SamplerError: a sampler does not answer.
     """
     shown, by_name = page_arms(arms), {spec.name: spec for spec in specs}
-    with opened(specs) as sources:
+    with opened(specs, setting.world) as sources:
         for family, count in problems.items():
             for index in range(count):
                 problem = known_problem(setting.world, family, setting.split, setting.seed, index)

@@ -7,6 +7,7 @@ import pandas as pd
 import pytest
 
 from cspace.errors import SamplerError, SamplerUnavailableError
+from cspace.worlds import default_world
 from cspace.worlds.planar.problems import Family
 from services.evaluator.benchmark import __main__ as command
 from services.evaluator.benchmark.runs.arms import pick, table
@@ -49,12 +50,12 @@ def test_a_model_behind_the_api_is_measured_with_what_its_server_tells(tmp_path,
 def test_a_model_of_configurations_is_found_out_by_its_answers(tmp_path):
     bundle = write_tiny_bundle(tmp_path / "bundle")
     with api_server(tmp_path, {"CSPACE_PRETRAINED_MODEL": str(bundle)}) as url:
-        spec = served("tiny", "pretrained", url)
-        assert (spec.with_ends, spec.model, spec.url) == (False, "pretrained", url)
+        spec = served("tiny", "pretrained", url, default_world())
+        assert (spec.with_ends, spec.model, spec.url) == (False, "pretrained", url, default_world())
         with pytest.raises(SamplerError):
-            served("tiny", "no-such-model@champion", url)
+            served("tiny", "no-such-model@champion", url, default_world())
     with pytest.raises(SamplerUnavailableError):
-        served("tiny", "pretrained", url)
+        served("tiny", "pretrained", url, default_world())
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from cspace.worlds import default_world
+from cspace.worlds import default_world, robot_digest
 from services.local.commands import COMMANDS
 from services.local.quickstart import quality
 from services.local.quickstart.results import EvaluationResult, TrainingResult
@@ -37,7 +37,8 @@ def api(monkeypatch):
     fake = Api()
 
     @contextmanager
-    def client(url):
+    def client(url, robot):
+        assert robot == robot_digest(default_world())
         yield fake
 
     monkeypatch.setattr(quality, "SamplingClient", client)

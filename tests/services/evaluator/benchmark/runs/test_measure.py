@@ -12,6 +12,7 @@ from cspace.errors import ConfigError, SamplerError
 from cspace.png import encode_png
 from cspace.query import SampleQuery
 from cspace.splits import Split
+from cspace.worlds import default_world
 from cspace.worlds.planar.picture import decode_png
 from cspace.worlds.planar.problems import Family, draw_problem
 from services.evaluator.benchmark.runs.arms import pick, table
@@ -35,7 +36,7 @@ def spec(path_folder):
 
 @pytest.fixture(scope="module")
 def sources(spec):
-    with opened([spec]) as found:
+    with opened([spec], default_world()) as found:
         yield found
 
 
@@ -43,7 +44,7 @@ def test_a_bundle_that_is_open_leaves_no_files_that_an_ended_worker_could_not_ta
     spec, tmp_path, monkeypatch
 ):
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
-    with opened([spec]) as found:
+    with opened([spec], default_world()) as found:
         assert not list(tmp_path.iterdir())
         batch = ask(found["way"], spec, draw_problem(Family.NARROW, Split.DEMO, 1), SampleQuery(20, 3))
     assert batch.samples.shape == (20, 2)
@@ -177,7 +178,7 @@ def test_ordered_samples_are_the_same_ones_along_the_way(setting, spec, sources)
 def test_a_model_of_configurations_is_asked_without_start_and_goal(setting, tmp_path):
     plain = bundled("way", write_tiny_bundle(tmp_path / "bundle"))
     assert not plain.with_ends
-    with opened([plain]) as found:
+    with opened([plain], default_world()) as found:
         one = run(ARMS, Family.UNIFORM, setting, plain, found)["RRT, way, 70 %"]
     assert one.samples_got == 300
 

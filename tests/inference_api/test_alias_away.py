@@ -1,0 +1,112 @@
+"""An alias whose registry is away: the answer tells so, and a request can insist."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import httpx
+import pytest
+
+from inference_api.app import create_app
+from inference_api.settings import ApiSettings
+from services.registry.names import MODEL_NAME
+from tests.inference_api.answers import IMAGE, PNG, assert_problem
+from tests.inference_api.client import ApiClient, running
+from tests.inference_api.conftest import stock
+from tests.inference_api.fake_registry import CountingRegistry
+from tests.inference_api.tensor_client import IMAGES, json_input
+
+CHALLENGER = f"{MODEL_NAME}@challenger"
+NPY = {"accept": "application/x-npy"}
+
+
+@pytest.fixture
+def api(tmp_path: Path, registry: CountingRegistry, bundles: dict[str, Path]) -> Iterator[ApiClient]:
+    # Nothing is trusted for longer than a question takes.
+    settings = ApiSettings(None, tmp_path / "cache", poll_s=1e-6, pretrained_folder=bundles["shipped"])
+    with running(create_app(settings, stock(registry, bundles))) as client:
+        yield client
+
+
+def ask(api: ApiClient, model: str, headers: dict[str, str] | None = None, **fields: str) -> httpx.Response:
+    return api.post(
+        "/sample", files={"image": PNG}, data={"n": "3", "model": model, **fields}, headers=headers
+    )
+
+
+def test_an_answer_by_an_alias_that_has_moved_while_the_registry_is_away_says_that_it_may_have(
+    api: ApiClient, registry: CountingRegistry
+) -> None:
+    before = ask(api, CHALLENGER).json()["model"]
+    assert (before["version"], before["alias_confirmed"]) == (2, True)
+    registry.set_alias(MODEL_NAME, "challenger", 1)
+    registry.away = True
+    found = ask(api, CHALLENGER)
+    assert found.status_code == 200
+    assert (found.json()["model"]["version"], found.json()["model"]["alias_confirmed"]) == (2, False)
+    headers = ask(api, CHALLENGER, NPY).headers
+    assert (headers["x-model-version"], headers["x-alias-confirmed"]) == ("2", "false")
+
+
+@pytest.mark.parametrize("insists", ["form", "json"])
+def test_a_request_that_insists_is_refused_until_the_registry_is_back(
+    api: ApiClient, registry: CountingRegistry, insists: str
+) -> None:
+    def insist() -> httpx.Response:
+        if insists == "form":
+            return ask(api, CHALLENGER, require_confirmed="true")
+        return api.post("/sample", json={"image": IMAGE, "model": CHALLENGER, "require_confirmed": True})
+
+    assert insist().json()["model"]["alias_confirmed"] is True
+    registry.set_alias(MODEL_NAME, "challenger", 1)
+    registry.away = True
+    problem = assert_problem(insist(), 503, "unconfirmed-alias")
+    assert f"{MODEL_NAME}/2" in problem["got"]
+    registry.away = False
+    again = insist().json()["model"]
+    assert (again["version"], again["alias_confirmed"]) == (1, True)
+
+
+@pytest.mark.parametrize("model", [MODEL_NAME, f"{MODEL_NAME}@champion", None])
+def test_the_champion_is_unconfirmed_while_the_registry_is_away(
+    api: ApiClient, registry: CountingRegistry, model: str | None
+) -> None:
+    fields = {} if model is None else {"model": model}
+
+    def asked(**more: str) -> httpx.Response:
+        return api.post("/sample", files={"image": PNG}, data={"n": "3", **fields, **more})
+
+    assert asked().json()["model"]["alias_confirmed"] is True
+    registry.away = True
+    api.refresh()
+    assert asked().json()["model"]["alias_confirmed"] is False
+    assert api.get("/health/ready").json()["model"]["alias_confirmed"] is False
+    assert_problem(asked(require_confirmed="true"), 503, "unconfirmed-alias")
+
+
+@pytest.mark.parametrize("model", [f"{MODEL_NAME}/2", "pretrained"])
+def test_a_version_is_what_it_is_wherever_the_registry_is(
+    api: ApiClient, registry: CountingRegistry, model: str
+) -> None:
+    ask(api, model)
+    registry.away = True
+    api.refresh()
+    assert ask(api, model, require_confirmed="true").json()["model"]["alias_confirmed"] is True
+
+
+def test_a_champion_that_could_not_follow_is_unconfirmed(
+    api: ApiClient, registry: CountingRegistry, bundles: dict[str, Path]
+) -> None:
+    registry.add(bundles["plain"], "champion", digest="1" * 64)
+    api.refresh()
+    assert ask(api, MODEL_NAME).json()["model"]["alias_confirmed"] is False
+
+
+def test_the_protocols_parameters_insist_as_well(api: ApiClient, registry: CountingRegistry) -> None:
+    def infer() -> httpx.Response:
+        body = {"inputs": [json_input(IMAGES[:1])], "parameters": {"n": 3, "require_confirmed": True}}
+        return api.post(f"/v2/models/{CHALLENGER}/infer", json=body)
+
+    assert infer().json()["parameters"]["alias_confirmed"] is True
+    registry.away = True
+    refused = infer()
+    assert (refused.status_code, "does not confirm" in refused.json()["error"]) == (503, True)
