@@ -20,7 +20,8 @@ help: ## print this
 	@echo "make TARGET, with"
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  %-12s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 	@echo "Settings (environment): CSPACE_HOME, CSPACE_API_PORT, CSPACE_RAY_PORT, CSPACE_MLFLOW_PORT, PYTHON, and"
-	@echo "PYTEST_ADDOPTS for the tests. \`$(LOCAL) --help\` tells the exit codes."
+	@echo "PYTEST_ADDOPTS for the tests. make ends with 2 whatever failed and prints the command's own code as"
+	@echo "\`Error N\`; \`$(LOCAL) --help\` tells what the codes mean."
 
 venv: $(INSTALLED) ## make .venv with the pinned packages (2-5 minutes the first time)
 

@@ -11,6 +11,8 @@ from typing import Any
 
 from cspace.errors import CspaceError, InputError
 from training.jobs.environment import Environment, job_environment
+from training.jobs.folders import job_folder
+from training.jobs.results import tell_result
 from training.section import Section
 
 # The exit code of a job that was asked to stop.
@@ -55,7 +57,8 @@ class JobCommand:
         try:
             config = self.load(options.preset, options.overrides)
             if options.print_config:
-                print(json.dumps(config.to_dict(), indent=2))
+                # With the keys that are told only where they are set.
+                print(json.dumps(config.model_dump(mode="json", by_alias=True), indent=2))
                 return 0
             environment = job_environment()
             train, resume = self.job()
@@ -70,7 +73,8 @@ class JobCommand:
             again = "submit it again" if options.job else "go on with --resume and the run's id"
             print(f"{self.program}: stopped; nothing is lost: {again}", file=sys.stderr)
             return STOPPED
-        print("RESULT " + json.dumps(dataclasses.asdict(result)), flush=True)
+        folder = job_folder(environment, result.run_id)
+        tell_result(dataclasses.asdict(result), result.rows(folder), folder)
         return 0
 
     def _parser(self) -> argparse.ArgumentParser:

@@ -14,12 +14,15 @@ import logging
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from cspace.errors import ConfigError, CspaceError, InputError
 from training.config.clusters import TrainConfig, load_config, presets
 from training.jobs.environment import Environment, job_environment
+from training.jobs.folders import job_folder
+from training.jobs.results import tell_result
 
 _LOG = logging.getLogger("training")
 LOOKS = 9
@@ -53,15 +56,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 expected="a preset with gate.cells above 0, one trial and one scenario or more",
                 got=f"gate.cells {config.gate.cells}, {options.trials} trials, {options.scenarios} scenarios",
             )
-        found = run(config, job_environment(), options.trials, options.scenarios)
+        environment = job_environment()
+        found = run(config, environment, options.trials, options.scenarios)
     except CspaceError as error:
         print(f"search: {error}", file=sys.stderr)
         return 2 if isinstance(error, InputError) else 1
-    print("RESULT " + json.dumps(found), flush=True)
+    best = found["tried"][0]
+    rows = {"run": found["run_id"], "best settings": json.dumps(best["settings"])}
+    tell_result(found, rows, job_folder(environment, found["run_id"]))
     return 0
 
 
-def run(config: TrainConfig, environment: Environment, trials: int, scenarios: int) -> dict[str, object]:
+def run(config: TrainConfig, environment: Environment, trials: int, scenarios: int) -> dict[str, Any]:
     """Search, and return the run's id with what was tried, best first.
 
     Raises:

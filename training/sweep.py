@@ -10,7 +10,6 @@ the grid may have grown. Nothing is registered unless --register asks for it.
 """
 
 import argparse
-import json
 import logging
 import sys
 from collections.abc import Sequence
@@ -19,9 +18,10 @@ from cspace.errors import CspaceError, InputError
 from training.command import STOPPED
 from training.config.clusters import load_config, presets
 from training.jobs.environment import job_environment
+from training.jobs.results import tell_result
 from training.sweeps.grid import EXAMPLE, axis, points
 from training.sweeps.plan import Plan
-from training.sweeps.record import MEASURES
+from training.sweeps.record import MEASURES, sweep_folder
 
 
 def parser() -> argparse.ArgumentParser:
@@ -78,7 +78,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("sweep: stopped; nothing is lost: submit it again", file=sys.stderr)
         return STOPPED
-    print("RESULT " + json.dumps(found), flush=True)
+    rows = {"run": found["run_id"], "points": f"{len(found['points'])}, {found['failed']} failed"}
+    tell_result(found, rows, sweep_folder(environment.data_folder, options.job))
     return 0 if found["failed"] == 0 else 1
 
 

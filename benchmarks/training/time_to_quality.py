@@ -67,7 +67,8 @@ def time_to_quality(trainer: Trainer, seed: int) -> dict[str, object]:
     trainer.encode_with(vae.encoder.cpu())
     arrays, validation = trainer.arrays, replace(trainer.validation, encoder=trainer.encoder)
     with clocks["cells and gate"]:
-        labels, gated = partition(config, arrays.configurations, arrays.world.space)
+        parted = partition(config, arrays.configurations, arrays.world.space)
+        labels, gated = parted.labels, parted.gated(config.gate, config.seed)
         arrays = replace(arrays, labels=labels, cells=gated)
         with seeded_initialisation(seed):
             gate = GateModule(

@@ -61,6 +61,8 @@ def shell_lines(settings: Settings) -> list[str]:
         "RAY_ADDRESS": settings.ray_url,
         "MLFLOW_TRACKING_URI": settings.mlflow_url,
         "MLFLOW_DISABLE_TELEMETRY": "true",
+        "MLFLOW_ENABLE_ARTIFACTS_PROGRESS_BAR": "false",
+        "MLFLOW_SUPPRESS_PRINTING_URL_TO_STDOUT": "true",
     }
     lines = [f"export {name}={shlex.quote(value)}" for name, value in values.items()]
     return [*lines, f'export PATH={shlex.quote(str(binaries()))}:"$PATH"']

@@ -15,7 +15,8 @@ import pytest
 from services.local.quickstart.jobs import RayJobs, follow
 from services.local.quickstart.results import training_result
 from services.local.servers.health import answers
-from services.local.servers.ray_token import read_token
+from services.local.servers.ray_jobs import jobs_under_way
+from services.local.servers.ray_token import read_token, token_headers
 from tests.e2e.local_stack import NAMES, LocalStack
 
 pytestmark = [pytest.mark.e2e, pytest.mark.timeout(900)]
@@ -89,6 +90,26 @@ def test_a_job_is_followed_to_its_result(stack: LocalStack, monkeypatch: pytest.
     log = follow(jobs, jobs.submit(STUB), lines.append)
     assert training_result(log).reference == "stub/1"
     assert lines.index("step 1 of 2") < lines.index("step 2 of 2")
+
+
+@pytest.mark.slow
+def test_a_job_knows_rays_id_of_it_and_is_told_while_it_runs(
+    stack: LocalStack, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    token = read_token(stack.environment)
+    assert token is not None
+    monkeypatch.setenv("RAY_AUTH_TOKEN", token)
+    jobs = RayJobs(stack.settings)
+    says = "from training.jobs.submission import submission_id; print(submission_id(), flush=True)"
+    job = jobs.submit(f"{sys.executable} -c '{says}; import time; time.sleep(300)'")
+    until = time.monotonic() + 120
+    while job not in jobs.log(job).split():
+        assert time.monotonic() < until, jobs.log(job)
+        time.sleep(1)
+    told = jobs_under_way(stack.settings.ray_url, token_headers())
+    assert [line.startswith(f"  {job}, since 20") for line in told] == [False, True]
+    assert stack.shell(f"ray job stop {job}").returncode == 0
+    assert jobs_under_way(stack.settings.ray_url, token_headers()) == ()
 
 
 def test_a_failing_job_ends_quickstart_with_1_and_the_end_of_its_log(stack: LocalStack) -> None:

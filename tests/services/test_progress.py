@@ -1,6 +1,17 @@
 """How far long work is."""
 
-from services.progress import Progress
+import pytest
+
+from services.progress import Estimate, Progress, time_left
+
+
+class Clock:
+    """Stands still until it is moved."""
+
+    now = 100.0
+
+    def __call__(self) -> float:
+        return self.now
 
 
 def test_progress_is_told_in_lines_where_there_is_no_terminal():
@@ -8,4 +19,44 @@ def test_progress_is_told_in_lines_where_there_is_no_terminal():
     with Progress("planning", 2, lines.append) as progress:
         progress.advance()
         progress.advance()
-    assert lines[-1].startswith("planning: 2/2, 0 s left")
+    assert lines == ["planning: 2/2"]
+
+
+def test_nobody_knows_the_time_before_something_is_done_and_some_time_has_passed():
+    clock = Clock()
+    estimate = Estimate(10, clock=clock)
+    clock.now += 1.0
+    assert estimate.left(1) == ""
+    clock.now += 100.0
+    assert estimate.left(0) == ""
+
+
+def test_the_estimate_goes_by_the_pace_of_what_this_attempt_has_done():
+    clock = Clock()
+    estimate = Estimate(100, done=50, clock=clock)
+    clock.now += 10.0
+    assert estimate.left(60) == ", about 40 s left"
+
+
+def test_the_last_steps_are_neither_zero_nor_negative():
+    clock = Clock()
+    estimate = Estimate(100, clock=clock)
+    clock.now += 100.0
+    assert estimate.left(99) == ", almost done"
+    assert estimate.left(100) == ""
+    assert estimate.left(101) == ""
+
+
+@pytest.mark.parametrize(
+    ("seconds", "words"),
+    [
+        (None, ""),
+        (0.0, ", almost done"),
+        (5.1, ", about 10 s left"),
+        (60.0, ", about 60 s left"),
+        (61.0, ", about 2 min left"),
+        (7200.0, ", about 2.0 h left"),
+    ],
+)
+def test_times_are_told_in_round_words(seconds, words):
+    assert time_left(seconds) == words

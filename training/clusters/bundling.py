@@ -12,6 +12,7 @@ from cspace.space import Standardisation
 from training.clusters.novelty import known_quantiles, load_scores
 from training.clusters.threshold import choose_threshold, choose_uniform_share, validation_scores
 from training.config.clusters import HeadConfig, TrainConfig
+from training.jobs.job import TAG_START
 from training.jobs.provenance import command_line, now, source_state
 from training.models.checkpoint import trained
 from training.models.encode import load_encoder
@@ -45,6 +46,7 @@ class TrainedParts:
         gate: None without one.
         validity: None without a validity head.
         arrays: the data.
+        start_run_id: of the job whose weights the trials started from; None where they started from nothing.
     """
 
     encoder: Path
@@ -52,6 +54,7 @@ class TrainedParts:
     gate: Path | None
     validity: Path | None
     arrays: TrainingArrays
+    start_run_id: str | None = None
 
 
 def make_bundle(
@@ -98,7 +101,7 @@ def make_bundle(
         uniform_share=(config.validity.uniform_share or 0.0) if has_head else 0.0,
         novelty_quantiles=known,
         standardisation=scale if gan.generator == "means" else None,
-        provenance=_provenance(config, dataset, command or command_line()),
+        provenance=_provenance(config, dataset, command or command_line(), parts.start_run_id),
     )
     if has_head and dataset.generator_seed is not None:
         spec = _with_choices(folder.with_name(folder.name + "-draft"), config.validity, spec, graphs)
@@ -160,14 +163,15 @@ def _sampler_graph(config: TrainConfig, parts: TrainedParts) -> bytes:
     return generator_graph(generators[0], arrays.world.dim, latent_dim, gan.noise_dim)
 
 
-def _provenance(config: TrainConfig, dataset: Dataset, command: str) -> Provenance:
+def _provenance(config: TrainConfig, dataset: Dataset, command: str, start_run_id: str | None) -> Provenance:
     source = source_state()
+    started = {} if start_run_id is None else {TAG_START: start_run_id}
     return Provenance(
         git_commit=source.commit,
         git_dirty=source.dirty,
         data_digest=dataset.digest,
         seeds={"train": config.seed, "data": config.data.seed},
-        config=config.to_dict(),
+        config=config.to_dict() | started,
         created=now(),
         command=command,
     )

@@ -1,6 +1,7 @@
 """k-means over the configuration space, on its embedding so that clusters respect circles and limits."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -9,8 +10,11 @@ from sklearn.cluster import KMeans
 from sklearn.metrics import pairwise_distances_argmin
 
 from cspace.errors import ConfigError
+from cspace.files import replacing
 from cspace.space import JointSpace
 from training.models.cells import CellPoints
+from training.models.settings import GateConfig
+from training.trials.arrays import GatedCells
 
 _BLOCK = 100_000
 # Cells differ in size; one that is too small for this many draws repeats the points that it has.
@@ -43,6 +47,54 @@ class Clustering:
     def sizes(self) -> tuple[int, ...]:
         """Configurations in each cluster."""
         return tuple(int(n) for n in np.bincount(self.labels, minlength=len(self.centres)))
+
+
+@dataclass(frozen=True, slots=True)
+class Partition:
+    """Cells of the configuration space and what they are grouped into, one cluster a local trial.
+
+    Args:
+        cells: without a gate, as many as there are clusters.
+        clusters: (k,) cluster of each cell.
+    """
+
+    cells: Clustering
+    clusters: NDArray[np.int64]
+
+    @property
+    def labels(self) -> NDArray[np.int64]:
+        """(M,) cluster of each configuration."""
+        return self.clusters[self.cells.labels]
+
+    def gated(self, config: GateConfig, seed: int) -> GatedCells | None:
+        """The cells with the points that a gate draws from; None where the configuration has no gate."""
+        if config.cells == 0:
+            return None
+        points = points_in_cells(self.cells, config.points, seed)
+        return GatedCells(points, self.cells.labels, self.clusters)
+
+    def save(self, path: Path) -> None:
+        """Keep what another job needs for a partition into the same cells."""
+        with replacing(path, str(path)) as beside, beside.open("wb") as handle:
+            np.savez(handle, centres=self.cells.centres, clusters=self.clusters)
+
+    @classmethod
+    def load(cls, path: Path, configurations: NDArray[np.float32], space: JointSpace) -> "Partition":
+        """Other (M, d) configurations in the cells of an earlier partition.
+
+        Raises:
+            ConfigError: a cluster holds none of them.
+        """
+        with np.load(path, allow_pickle=False) as kept:
+            cells = Clustering(kept["centres"], np.empty(0, dtype=np.int64), space)
+            found = cls(replace(cells, labels=cells.label(configurations)), kept["clusters"])
+        if len(np.unique(found.labels)) < len(np.unique(found.clusters)):
+            raise ConfigError(
+                "the data leave a cluster of start_from without configurations",
+                expected=f"some in each of {len(np.unique(found.clusters))} clusters",
+                remedy="merge them with the data of the earlier job, or train without start_from",
+            )
+        return found
 
 
 def cluster(

@@ -22,13 +22,15 @@ from training.clusters.stages import (
 )
 from training.config.clusters import TrainConfig
 from training.jobs.environment import Environment
-from training.jobs.job import Job, kept_bundle
+from training.jobs.job import TAG_START, Job, kept_bundle
 from training.jobs.naming import registered_name
 from training.jobs.provenance import job_tags
+from training.jobs.results import numbers
 from training.trials.launch import connect
 from training.trials.outcomes import TrialOutcome
 
 _LOG = logging.getLogger("training")
+BUNDLE_FOLDER = "bundle"
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +56,17 @@ class TrainResult:
     metrics: Mapping[str, float]
     trials: Mapping[str, tuple[float, float]]
     figures: tuple[str, ...]
+
+    def rows(self, folder: Path) -> dict[str, str]:
+        """The lines of a block for people; the job lies in ``folder``."""
+        return {
+            "model": "none was registered" if self.version is None else f"{self.model}/{self.version}",
+            "run": self.run_id,
+            "trials": numbers({name: end - start for name, (start, end) in self.trials.items()}, " s"),
+            "last metrics": numbers(self.metrics),
+            "data": self.data_digest,
+            "bundle": str(folder / BUNDLE_FOLDER),
+        }
 
 
 def train(
@@ -116,10 +129,11 @@ def _run(job: Job[TrainConfig], register: bool, command: str | None = None) -> T
         _LOG.info("bundle: exporting")
         generators = tuple(outcome.checkpoint for outcome in final or local)
         encoder = generators[0] if job.config.joint else encoder_checkpoint(job, vae)
-        parts = TrainedParts(encoder, generators, _checkpoint(gate), _checkpoint(head), arrays)
-        bundle = kept_bundle(job.folder / "bundle")
+        gate_at, head_at = _checkpoint(gate), _checkpoint(head)
+        parts = TrainedParts(encoder, generators, gate_at, head_at, arrays, job.start_run_id)
+        bundle = kept_bundle(job.folder / BUNDLE_FOLDER)
         if bundle is None:
-            bundle = make_bundle(job.folder / "bundle", config, dataset, parts, command)
+            bundle = make_bundle(job.folder / BUNDLE_FOLDER, config, dataset, parts, command)
         outcomes = [outcome for outcome in (vae, head, gate, *local, *final) if outcome is not None]
         figures = log_result(run, bundle, dataset, outcomes)
         version = _register(job, model, dataset, bundle) if register else None
@@ -142,6 +156,7 @@ def _checkpoint(outcome: TrialOutcome | None) -> Path | None:
 def _register(job: Job[TrainConfig], model: str, dataset: Dataset, bundle: Bundle) -> int:
     registry = MlflowRegistry(job.environment.tracking_uri)
     tags = {"data_digest": dataset.digest, "preset": job.config.preset, "seed": str(job.config.seed)}
+    tags |= {} if job.start_run_id is None else {TAG_START: job.start_run_id}
     version = job.patiently(
         "registering the bundle",
         lambda: registry.register(

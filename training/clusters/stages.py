@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 from cspace.dataset import Dataset, open_dataset
 from cspace.errors import ConfigError
 from cspace.space import JointSpace
-from training.clusters.clustering import cluster, group, points_in_cells
-from training.config.clusters import TrainConfig
+from training.clusters.clustering import Partition, cluster, group
+from training.config.clusters import CLUSTERS_FILE, TrainConfig
 from training.datasets.generate import generate
 from training.jobs.job import Job
 from training.models.encode import Latents, encode, load_encoder
 from training.models.gate import gate_probabilities
-from training.trials.arrays import GatedCells, TrainingArrays
+from training.trials.arrays import TrainingArrays
 from training.trials.launch import run_trials
 from training.trials.loading import load_gate
 from training.trials.occupancy import OccupancyArrays
@@ -92,7 +92,9 @@ def encode_and_cluster(job: Job[TrainConfig], dataset: Dataset, vae: TrialOutcom
         latents = encode(encoder, sensor, images)
     free = np.asarray(dataset.free)
     ids = np.repeat(np.arange(dataset.scenario_count), np.diff(dataset.free_offsets))
-    labels, cells = partition(config, free, dataset.world.space)
+    parted = partition(config, free, dataset.world.space, job.start_folder)
+    parted.save(job.folder / CLUSTERS_FILE)
+    labels, cells = parted.labels, parted.gated(config.gate, config.seed)
     sizes = np.bincount(labels, minlength=config.clusters.count)
     _LOG.info("clusters: sizes %s", ", ".join(map(str, sizes)))
     looked_up = any(
@@ -113,16 +115,14 @@ def encode_and_cluster(job: Job[TrainConfig], dataset: Dataset, vae: TrialOutcom
 
 
 def partition(
-    config: TrainConfig, free: NDArray[np.float32], space: JointSpace
-) -> tuple[NDArray[np.int64], GatedCells | None]:
-    """The cluster of each of (M, d) configurations, (M,); with a gate, clusters are groups of its cells."""
-    count, rows, seed = config.clusters.count, config.clusters.fit_samples, config.seed
-    if config.gate.cells == 0:
-        return cluster(free, count, rows, seed, space).labels, None
-    cells = cluster(free, config.gate.cells, rows, seed, space)
-    clusters = group(cells, count, seed)
-    points = points_in_cells(cells, config.gate.points, seed)
-    return clusters[cells.labels], GatedCells(points, cells.labels, clusters)
+    config: TrainConfig, free: NDArray[np.float32], space: JointSpace, start: Path | None = None
+) -> Partition:
+    """Cells and clusters of (M, d) configurations: new ones, or those of the job in the folder ``start``."""
+    count, seed = config.clusters.count, config.seed
+    if start is not None:
+        return Partition.load(start / CLUSTERS_FILE, free, space)
+    cells = cluster(free, config.gate.cells or count, config.clusters.fit_samples, seed, space)
+    return Partition(cells, group(cells, count, seed))
 
 
 def train_gate(job: Job[TrainConfig], arrays: TrainingArrays) -> tuple[TrainingArrays, TrialOutcome | None]:

@@ -15,10 +15,13 @@ from cspace.world import World
 from cspace.worlds import default_world, workshop_of
 from services.registry.names import model_name
 from training.config.files import load_values, named_presets, validated
+from training.config.job import JobConfig
 from training.datasets.config import DatasetConfig
 from training.models.settings import GanConfig, GateConfig, GlobalConfig, VaeConfig, ValidityConfig
-from training.section import RobotName, Section
+from training.section import Section
 
+# In a job's folder: centres of its cells, and the cluster of each.
+CLUSTERS_FILE = "clusters.npz"
 PRESET_FOLDER = Path(__file__).parents[1] / "presets"
 
 
@@ -80,13 +83,13 @@ class ResourceConfig(Section):
         return claimed | ({"memory": self.memory_mb_per_trial * 2**20} if self.memory_mb_per_trial else {})
 
 
-class TrainConfig(Section):
+class TrainConfig(JobConfig):
     """Everything that fixes a training job."""
 
+    KEPT = (CLUSTERS_FILE,)
+
     preset: str = "quickstart"
-    seed: int = Field(0, ge=0)
     data: DatasetConfig = DatasetConfig()
-    data_folder: Path | None = Field(None, description="an existing data set in the documented format")
     vae: EncoderConfig = EncoderConfig()
     clusters: ClusterConfig = ClusterConfig()
     gate: GateConfig = GateConfig()
@@ -94,7 +97,6 @@ class TrainConfig(Section):
     local: GanConfig = GanConfig(steps=400)
     global_: GlobalConfig = Field(GlobalConfig(), alias="global")
     resources: ResourceConfig = ResourceConfig()
-    robot_name: RobotName = None
 
     @field_validator("validity", mode="before")
     @classmethod
@@ -139,6 +141,14 @@ class TrainConfig(Section):
             )
         if self.vae.checkpoint is not None:
             raise ValueError("global.encoder=joint trains its own encoder; leave vae.checkpoint out")
+        return self
+
+    @model_validator(mode="after")
+    def _starts_without_ids(self) -> "TrainConfig":
+        if self.start_from and "projection" in (self.local.critic_condition, self.global_.critic_condition):
+            raise ValueError(
+                "start_from takes critic_condition=latent: projection knows scenarios by their place in data"
+            )
         return self
 
     @property

@@ -8,6 +8,7 @@ from pydantic import Field, model_validator
 
 from training.config.clusters import PRESET_FOLDER, ResourceConfig
 from training.config.files import load_values, named_presets, validated
+from training.config.job import JobConfig
 from training.datasets.config import PathDatasetConfig
 from training.models.paths.settings import (
     DensityConfig,
@@ -18,7 +19,6 @@ from training.models.paths.settings import (
     PointConfig,
 )
 from training.models.settings import LookupConfig
-from training.section import RobotName, Section
 
 PATH_PRESET_FOLDER = PRESET_FOLDER / "paths"
 
@@ -26,17 +26,15 @@ PathModel = Literal["density", "flow", "flow_distilled", "cvae", "wgan", "wgan_g
 ALL_MODELS: tuple[PathModel, ...] = ("density", "flow", "flow_distilled", "cvae", "wgan", "wgan_lookups")
 
 
-class PathTrainConfig(Section):
+class PathTrainConfig(JobConfig):
     """Everything that fixes a job that trains path models."""
 
     preset: str = "paths"
-    seed: int = Field(0, ge=0)
     source: str = Field(
         "cspace-sampler@champion",
         description="whose encoder and head they see with: a bundle's folder or a registered version",
     )
     data: PathDatasetConfig = PathDatasetConfig()
-    data_folder: Path | None = Field(None, description="an existing data set with paths")
     points: int = Field(64, ge=2, description="of each path")
     models: tuple[PathModel, ...] = ALL_MODELS
     guides: Path | None = Field(None, description="folder of a cluster-train job whose local critics guide")
@@ -53,7 +51,6 @@ class PathTrainConfig(Section):
         place=True, refinements=3, steps=600, lookups=LookupConfig(points_per_link=8, side_m=0.1)
     )
     resources: ResourceConfig = ResourceConfig(log_every_steps=50, checkpoint_every_steps=500)
-    robot_name: RobotName = None
 
     @model_validator(mode="after")
     def _models_have_what_they_need(self) -> "PathTrainConfig":

@@ -1,4 +1,4 @@
-"""Data sets: ``python -m training.datasets generate|paths|import|verify``.
+"""Data sets: ``python -m training.datasets generate|paths|import|merge|verify``.
 
 Exit codes: 0 done; 1 the data or the disk is bad; 2 the command is wrong.
 """
@@ -14,10 +14,11 @@ from typing import Any, get_args
 from pydantic import BaseModel, ValidationError
 
 from cspace.dataset import Dataset, open_dataset
-from cspace.errors import ConfigError, CspaceError, ScenarioError
+from cspace.errors import ConfigError, CspaceError, ScenarioError, StorageError
 from cspace.worlds import add_world_options, described_world
 from services.scene_files import given_scenes, read_scene_file
 from training.datasets.config import DatasetConfig, PathDatasetConfig
+from training.datasets.merge import merge
 from training.datasets.own import import_folder
 
 
@@ -48,7 +49,7 @@ def parser() -> argparse.ArgumentParser:
     """The command line."""
     result = argparse.ArgumentParser(
         prog="python -m training.datasets",
-        description="Make, import and verify data-set folders.",
+        description="Make, import, merge and verify data-set folders.",
         epilog="Exit codes: 0 done, 1 the data or the disk is bad, 2 the command is wrong.",
     )
     commands = result.add_subparsers(required=True, metavar="COMMAND")
@@ -65,6 +66,10 @@ def parser() -> argparse.ArgumentParser:
         *("shard_size", "narrow_share", "time_limit_s", "source"),
     )
     _add_import(commands.add_parser("import", help="your own pictures (PNG) and configurations (.npy)"))
+    merged = commands.add_parser("merge", help="several data sets of one world as one, each scenario once")
+    merged.add_argument("parts", type=Path, nargs="+", metavar="part", help="data sets, the first one first")
+    merged.add_argument("folder", type=Path, help="where the merged data set goes")
+    merged.set_defaults(run=_merge)
     verify = commands.add_parser("verify", help="check a folder's format and every file's digest")
     verify.add_argument("folder", type=Path)
     verify.set_defaults(run=lambda options: open_dataset(options.folder, verify=True))
@@ -106,6 +111,15 @@ def _add_import(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("folder", type=Path, help="where the data set goes")
     add_world_options(parser, sensor=True)
     parser.set_defaults(run=_import)
+
+
+def _merge(options: argparse.Namespace) -> Dataset:
+    if options.folder.exists():
+        raise StorageError("the data set's folder exists", expected="a new folder", got=str(options.folder))
+    merged = merge([open_dataset(part) for part in options.parts], options.folder)
+    left_out = sum(part["left_out"] for part in merged.manifest.generator["merged"])
+    print(f"left out as there already: {left_out} scenarios")
+    return merged
 
 
 def _made(options: argparse.Namespace, kind: type[DatasetConfig] | type[PathDatasetConfig]) -> Dataset:

@@ -4,7 +4,7 @@ import json
 import logging
 import re
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Generic, TypeVar
@@ -19,15 +19,22 @@ from services.registry.names import EXPERIMENT
 from services.registry.tracking.mlflow_tracking import MlflowTracking
 from services.registry.tracking.parameters import flatten
 from services.registry.tracking.port import RunLog, Tracking
+from training.config.job import JobConfig
 from training.jobs.environment import Environment
+from training.jobs.folders import RECORD, job_folder, pointer, run_of
 from training.jobs.patience import PatientRun, patiently
+from training.jobs.starting import earlier_job, require_folder
+from training.jobs.submission import explanation, submission_id
 from training.section import Section
 
-RECORD = "job.json"
+# On a run and a version: the run of the job whose weights it started from.
+TAG_START = "start_from.run_id"
+# Under which of Ray's ids the job runs; there while it does.
+_RUNNING = "running.json"
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,62}")
 _LOG = logging.getLogger("training")
 
-Config = TypeVar("Config", bound=Section)
+Config = TypeVar("Config", bound=JobConfig)
 Answer = TypeVar("Answer")
 
 
@@ -43,6 +50,7 @@ class Job(Generic[Config]):
         folder: of its trials, named after the run; ``job.json`` there holds configuration and child runs.
         children: child run by trial.
         name: under which it can be submitted again; None for a job that only its run names.
+        start_run_id: of the job whose weights its trials start from; None where they start from nothing.
     """
 
     config: Config
@@ -52,6 +60,7 @@ class Job(Generic[Config]):
     folder: Path
     children: dict[str, str]
     name: str | None = None
+    start_run_id: str | None = None
 
     @classmethod
     def start(
@@ -74,7 +83,8 @@ class Job(Generic[Config]):
             parent_run_id: the run under which a new one is shown.
 
         Raises:
-            ConfigError: the name is none, or belongs to a job of another configuration.
+            ConfigError: the name is none, or belongs to a job of another configuration; ``start_from`` is
+                none, or of another robot or other sizes.
             StorageError: the data folder is full or cannot be written.
             RegistryUnavailableError: the tracking server stayed away.
         """
@@ -88,6 +98,8 @@ class Job(Generic[Config]):
         known = None if name is None else run_of(environment, name)
         if known is not None:
             return cls.resume(known, environment, type(config)).same(config)
+        start = config.start_from and earlier_job(config, config.start_from, environment)
+        tags = {**tags, "start_from": config.start_from or "", TAG_START: start} if start else tags
         tracking = MlflowTracking(environment.tracking_uri)
         key = None if name is None else f"job/{name}"
         run = patiently(
@@ -98,9 +110,9 @@ class Job(Generic[Config]):
         folder = job_folder(environment, run.run_id)
         if not (folder / RECORD).exists():
             folder.mkdir(parents=True, exist_ok=True)
-            _record(folder, config, {}, name)
+            _record(folder, config, {}, name, start)
         if name is not None:
-            write_json(_pointer(environment, name), {"run_id": run.run_id})
+            write_json(pointer(environment, name), {"run_id": run.run_id})
         return cls.resume(run.run_id, environment, type(config)).same(config)
 
     @classmethod
@@ -135,7 +147,8 @@ class Job(Generic[Config]):
         tracking = MlflowTracking(environment.tracking_uri, spool_folder=folder / "spool")
         run = patiently("opening the job's run", lambda: tracking.resume(run_id), environment.patience_s)
         children, patient = dict(record["children"]), PatientRun(run, environment.patience_s)
-        return cls(config, environment, tracking, patient, folder, children, record.get("name"))
+        named, start = record.get("name"), record.get("start")
+        return cls(config, environment, tracking, patient, folder, children, named, start)
 
     @contextmanager
     def running(self) -> Iterator[RunLog]:
@@ -145,14 +158,14 @@ class Job(Generic[Config]):
             JobError: another process works on it.
             RegistryUnavailableError: the tracking server stayed away at the end.
         """
-        busy = JobError(
-            "the job is running already",
-            got=f"run {self.run.run_id}",
-            remedy="wait for it, or stop it first",
-        )
-        with holding(self.folder / "lock", busy):
+        with holding(self.folder / "lock", self._busy()):
             _LOG.info("run: %s", self.run.run_id)
             self._tidy()
+            submission = submission_id()
+            for line in explanation(submission):
+                _LOG.info("%s", line)
+            if submission is not None:
+                write_json(self.folder / _RUNNING, {"submission_id": submission})
             with self.run as run:
                 yield run
                 self.deliver()
@@ -170,8 +183,18 @@ class Job(Generic[Config]):
                 ),
             )
             self.children[name] = run.run_id
-            _record(self.folder, self.config, self.children, self.name)
+            _record(self.folder, self.config, self.children, self.name, self.start_run_id)
         return self.children[name]
+
+    @property
+    def start_folder(self) -> Path | None:
+        """The folder of the job whose weights its trials start from; None where they start from nothing.
+
+        Raises:
+            ConfigError: it is gone.
+        """
+        start = self.start_run_id
+        return None if start is None else require_folder(job_folder(self.environment, start))
 
     def deliver(self) -> None:
         """Send what trials could not send while the tracking server was away."""
@@ -181,9 +204,18 @@ class Job(Generic[Config]):
         """The answer of ``call``, asked again while the tracking server is away."""
         return patiently(action, call, self.environment.patience_s)
 
+    def _busy(self) -> JobError:
+        """That another process works on the job, with Ray's id of it where it has one."""
+        got, remedy = f"run {self.run.run_id}", "wait for it, or stop it first"
+        with suppress(OSError, ValueError, LookupError):
+            running = json.loads((self.folder / _RUNNING).read_text(encoding="utf-8"))["submission_id"]
+            got, remedy = f"{got}, submitted as {running}", f"{remedy}: ray job stop {running}"
+        return JobError("the job is running already", got=got, remedy=remedy)
+
     def _tidy(self) -> None:
-        """Delete what processes that were killed had begun to write, and the request to stop."""
-        for half in (*self.folder.rglob(f"*{HALF_SUFFIX}"), *self.folder.glob(".*"), self.folder / "stop"):
+        """Delete what processes that were killed had begun to write, and what tells of one under way."""
+        done = (self.folder / name for name in ("stop", _RUNNING))
+        for half in (*self.folder.rglob(f"*{HALF_SUFFIX}"), *self.folder.glob(".*"), *done):
             discard(half)
 
     def same(self, config: Config) -> "Job[Config]":
@@ -202,19 +234,6 @@ class Job(Generic[Config]):
                 remedy=f"take another name, or go on as it began by --resume {self.run.run_id}",
             )
         return self
-
-
-def job_folder(environment: Environment, run_id: str) -> Path:
-    """Where the job of a run keeps its trials."""
-    return environment.data_folder / "jobs" / Path(run_id).name
-
-
-def run_of(environment: Environment, name: str) -> str | None:
-    """The run of the job of this name; None where none was submitted under it."""
-    try:
-        return str(json.loads(_pointer(environment, name).read_text(encoding="utf-8"))["run_id"])
-    except FileNotFoundError:
-        return None
 
 
 def kept_bundle(folder: Path) -> Bundle | None:
@@ -247,10 +266,8 @@ def prepare(environment: Environment) -> None:
     require_room(environment.data_folder, 0)
 
 
-def _record(folder: Path, config: Section, children: Mapping[str, str], name: str | None) -> None:
+def _record(
+    folder: Path, config: Section, children: Mapping[str, str], name: str | None, start: str | None
+) -> None:
     record = {"config": config.to_dict(), "children": dict(children), "name": name}
-    write_json(folder / RECORD, record, indent=2)
-
-
-def _pointer(environment: Environment, name: str) -> Path:
-    return environment.data_folder / "jobs" / "names" / f"{name}.json"
+    write_json(folder / RECORD, record | ({"start": start} if start else {}), indent=2)

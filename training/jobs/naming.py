@@ -8,10 +8,10 @@ from cspace.world import World
 from cspace.worlds import robot_digest
 from services.registry.models.mlflow_registry import MlflowRegistry
 from services.registry.names import TAG_ROBOT, model_name
+from training.config.job import JobConfig
 from training.jobs.job import Job
-from training.section import Section
 
-Config = TypeVar("Config", bound=Section)
+Config = TypeVar("Config", bound=JobConfig)
 
 
 def registered_name(job: Job[Config], world: World, given: str | None, *, path: bool) -> str:

@@ -88,6 +88,16 @@ def load_checkpoint(folder: Path, module: TrialModule) -> None:
         schedule.load_state_dict(state)
 
 
+def start_from(folder: Path, module: TrialModule) -> None:
+    """Give a new module the parameters that an earlier one has learned, and nothing else of its training.
+
+    What follows from the data, and parameters that are not learned, stay as they are.
+    """
+    learned = load_file(folder / WEIGHTS)
+    trained = [name for name, parameter in module.named_parameters() if parameter.requires_grad]
+    module.load_state_dict({name: learned[name] for name in trained if name in learned}, strict=False)
+
+
 def load_weights(folder: Path, prefix: str) -> dict[str, Tensor]:
     """The weights of one part of a checkpoint's module, such as ``generator``, without their prefix."""
     weights = load_file(folder / WEIGHTS)

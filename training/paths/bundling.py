@@ -7,6 +7,7 @@ from cspace.bundle import Bundle
 from cspace.bundle.files import VALIDITY_FILE
 from cspace.dataset import Dataset
 from training.config.paths import PathModel, PathTrainConfig
+from training.jobs.job import TAG_START
 from training.models.lookups.lookups import make_lookups
 from training.models.paths.density import DensitySampler
 from training.paths.export import PointSampler, density_graph, point_graph
@@ -40,9 +41,11 @@ def trained_bundle(
     dataset: Dataset,
     checkpoint: Path,
     metrics: Mapping[str, float],
+    start_run_id: str | None = None,
 ) -> Bundle:
-    """The bundle of one trial."""
+    """The bundle of one trial, which started from the weights of the job of ``start_run_id``, if any."""
     graph = path_graph(name, train, arrays, source, checkpoint)
     seeds = {"training": train.seed, "data": dataset.generator_seed}
     recipe = {"path_model": name, "source_digest": source.digest, **train.to_dict()}
+    recipe |= {} if start_run_id is None else {TAG_START: start_run_id}
     return write_path_bundle(folder, source, graph, dataset.digest, seeds, recipe, metrics)

@@ -15,12 +15,13 @@ from training.config.paths import PathTrainConfig
 from training.datasets.generate import generate
 from training.jobs.environment import Environment
 from training.jobs.figures import path_curves
-from training.jobs.job import Job, kept_bundle
+from training.jobs.job import TAG_START, Job, kept_bundle
 from training.jobs.naming import registered_name
 from training.jobs.provenance import job_tags
+from training.jobs.results import numbers
 from training.models.checkpoint import read_progress
 from training.paths.bundling import trained_bundle
-from training.paths.source import source_bundle
+from training.paths.source import require_source, source_bundle
 from training.paths.untrained import made_or_found
 from training.paths.ways import WaySettings
 from training.trials.launch import connect, run_trials
@@ -58,6 +59,16 @@ class PathTrainResult:
     digests: Mapping[str, str]
     data_digest: str
     seconds: Mapping[str, float]
+
+    def rows(self, folder: Path) -> dict[str, str]:
+        """The lines of a block for people; the job lies in ``folder``."""
+        return {
+            "models": ", ".join(f"{self.model}/{number} {name}" for name, number in self.versions.items()),
+            "run": self.run_id,
+            "trials": numbers(self.seconds, " s"),
+            "data": self.data_digest,
+            "bundles": str(folder / "bundles"),
+        }
 
 
 def train_paths(
@@ -103,6 +114,7 @@ def _run(job: Job[PathTrainConfig]) -> PathTrainResult:
         )
         named = config.robot_name or recorded_name(source.spec.provenance.config)
         model = registered_name(job, source.spec.world, named, path=True)
+        require_source(job.start_folder, source)
         dataset = _data(config, job.environment.data_folder)
         run.params(config.to_dict())
         run.dataset(dataset.folder.name, dataset.digest, str(dataset.folder), "training")
@@ -175,7 +187,15 @@ def _bundles(
         if kept is None:
             metrics = {**outcome.metrics, "training_s": outcome.ended_s - outcome.started_s}
             kept = trained_bundle(
-                folder, name, job.config, arrays, source, dataset, outcome.checkpoint, metrics
+                folder,
+                name,
+                job.config,
+                arrays,
+                source,
+                dataset,
+                outcome.checkpoint,
+                metrics,
+                job.start_run_id,
             )
         bundles[name] = kept
     return bundles
@@ -190,6 +210,7 @@ def _register(
         "preset": job.config.preset,
         "seed": str(job.config.seed),
     }
+    tags |= {} if job.start_run_id is None else {TAG_START: job.start_run_id}
     version = registry.register(
         model, bundle.folder, job.child(name), bundle.digest, tags, alias=name.replace("_", "-")
     )

@@ -2,7 +2,8 @@
 
 from pathlib import Path
 
-from cspace.bundle import Bundle
+from cspace.bundle import Bundle, BundleSpec
+from cspace.errors import ConfigError
 from services.registry.models.port import ModelRegistry
 from services.registry.references import ModelReference
 
@@ -28,3 +29,20 @@ def source_bundle(source: str, registry: ModelRegistry, folder: Path) -> Bundle:
         source, "the source of the path models is unknown", "a bundle's folder, name@alias or name/version"
     )
     return Bundle.load(registry.download(reference.look_up(registry), folder))
+
+
+def require_source(start: Path | None, source: Bundle) -> None:
+    """See that the job whose weights path models start from saw with the same encoder and head.
+
+    Raises:
+        ConfigError: it saw with others.
+    """
+    for made in () if start is None else start.glob("bundles/*/bundle.json"):
+        seen_with = BundleSpec.from_json(made.read_bytes()).provenance.config.get("source_digest")
+        if seen_with != source.digest:
+            raise ConfigError(
+                "source is not that of start_from",
+                expected=f"the bundle {seen_with}",
+                got=source.digest,
+                remedy="set source to the version that those path models see with",
+            )

@@ -14,7 +14,7 @@ from services.registry.tracking.mlflow_tracking import MlflowTracking
 from training.clusters.pipeline import train
 from training.config.clusters import TrainConfig
 from training.jobs.environment import Environment
-from training.jobs.job import job_folder
+from training.jobs.folders import job_folder
 from training.jobs.patience import patiently
 from training.sweeps.grid import Point
 from training.sweeps.record import PointResult

@@ -64,7 +64,7 @@ class SweepRecord:
             raise ConfigError(
                 "the sweep's name does not fit", expected="a-z, 0-9 and -, 48 at most", got=repr(name)
             )
-        path = _folder(data_folder, name) / PLAN
+        path = sweep_folder(data_folder, name) / PLAN
         if not path.is_file():
             return None
         plan = json.loads(path.read_text(encoding="utf-8"))
@@ -83,7 +83,7 @@ class SweepRecord:
         cls, data_folder: Path, name: str, preset: str, overrides: Sequence[str], run_id: str
     ) -> "SweepRecord":
         """A sweep that begins."""
-        folder = _folder(data_folder, name)
+        folder = sweep_folder(data_folder, name)
         (folder / RESULTS).mkdir(parents=True, exist_ok=True)
         plan = {"preset": preset, "overrides": list(overrides), "run_id": run_id}
         write_json(folder / PLAN, plan, indent=2)
@@ -106,5 +106,6 @@ class SweepRecord:
         write_json(self.folder / RESULTS / f"{point.key}.json", content, indent=2)
 
 
-def _folder(data_folder: Path, name: str) -> Path:
+def sweep_folder(data_folder: Path, name: str) -> Path:
+    """Where a sweep keeps its plan and its results."""
     return data_folder / "sweeps" / name

@@ -12,9 +12,10 @@ from services.registry.tracking.mlflow_tracking import MlflowTracking
 from services.registry.tracking.port import RunLog
 from training.clusters.stages import prepare_data
 from training.jobs.environment import Environment
-from training.jobs.job import job_folder, run_of
+from training.jobs.folders import job_folder, run_of
 from training.jobs.patience import PatientRun, patiently
 from training.jobs.provenance import job_tags
+from training.jobs.submission import explanation, submission_id
 from training.sweeps.grid import Point
 from training.sweeps.plan import Plan
 from training.sweeps.point_job import PointJob, run_point
@@ -42,6 +43,8 @@ def run_sweep(plan: Plan, environment: Environment) -> dict[str, Any]:
     record, run = _open(record, plan, environment)
     with run:
         _LOG.info("run: %s", run.run_id)
+        for line in explanation(submission_id()):
+            _LOG.info("%s", line)
         run.params({"preset": plan.preset, "set": list(plan.overrides)})
         results = {point: found for point in plan.configs if (found := record.result(point)) is not None}
         kept = {point: found for point, found in results.items() if found.state == "finished"}

@@ -5,6 +5,7 @@ import statistics
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from services.progress import time_left
 from training.sweeps.grid import Point
 from training.sweeps.record import MEASURES, PointResult
 
@@ -51,13 +52,13 @@ def progress_lines(
     counts = {state: sum(one.state == state for one in standings) for state in _STATES}
     counted = ", ".join(f"{count} {state}" for state, count in counts.items() if count)
     left = seconds_left(standings, took, at_once)
-    lines = [f"sweep: {counted} of {len(standings)}, {_duration(left)} left"]
+    lines = [f"sweep: {counted} of {len(standings)}{time_left(left)}"]
     whole = statistics.median(took) if took else math.nan
     for one in standings:
         if one.state == "running":
             rest = None if math.isnan(whole) else max(0.0, whole - one.elapsed_s)
             doing = one.doing or "starting"
-            lines.append(f"  {one.point.title} | running | {doing} | {_duration(rest)} left")
+            lines.append(f"  {one.point.title} | running | {doing}{time_left(rest or None)}")
         elif one.state in ("failed", "stopped"):
             lines.append(f"  {one.point.title} | {one.state} | {results[one.point].error}")
     return lines
@@ -96,9 +97,3 @@ def measured(result: PointResult) -> dict[str, float]:
 
 
 _STATES = ("finished", "running", "waiting", "failed", "stopped")
-
-
-def _duration(seconds: float | None) -> str:
-    if seconds is None:
-        return "unknown time"
-    return f"{seconds:.0f} s" if seconds < 120 else f"{seconds / 60:.0f} min"

@@ -10,6 +10,7 @@ from typing import Any, Protocol
 import lightning
 from torch.utils.data import DataLoader
 
+from services.progress import Estimate
 from services.registry.tracking.port import RunLog
 from training.models.checkpoint import Progress, load_checkpoint, read_progress
 from training.models.data import StepCounter
@@ -49,7 +50,7 @@ class TrialCallback(lightning.Callback):
     """Reports a trial's metrics and keeps its checkpoints.
 
     Args:
-        name: the trial's name in progress lines.
+        name: of the trial in progress lines, with its job's.
         progress: where it starts.
         steps: where it ends.
         rhythm: how often it reports.
@@ -75,7 +76,7 @@ class TrialCallback(lightning.Callback):
         self.stopping, self.stopped, self.looked_s = stopping, False, time.monotonic()
         self.history = [dict(row) for row in progress.history]
         self.first, self.started = progress.step, time.monotonic()
-        self.shown_s = -LINE_EVERY_S
+        self.shown_s, self.estimate = -LINE_EVERY_S, Estimate(steps, progress.step)
 
     def on_fit_start(self, trainer: lightning.Trainer, pl_module: lightning.LightningModule) -> None:
         """Fill the module from the checkpoint; its tensors are where they stay by now."""
@@ -83,7 +84,7 @@ class TrialCallback(lightning.Callback):
         checkpoint = self.folder.latest()
         if checkpoint is not None and isinstance(pl_module, TrialModule):
             load_checkpoint(checkpoint, pl_module)
-        self.started = time.monotonic()
+        self.started, self.estimate = time.monotonic(), Estimate(self.steps, self.first)
 
     def on_train_batch_end(
         self,
@@ -117,9 +118,9 @@ class TrialCallback(lightning.Callback):
         if elapsed - self.shown_s < LINE_EVERY_S and self.step < self.steps:
             return
         self.shown_s = elapsed
-        left = (self.steps - self.step) / max(rate, 1e-9)
         shown = ", ".join(f"{key} {value:.4g}" for key, value in metrics.items() if key != "steps_per_s")
-        _LOG.info("%s: step %d/%d, %s, %.0f s left", self.name, self.step, self.steps, shown, left)
+        left = self.estimate.left(self.step)
+        _LOG.info("%s: step %d/%d, %s%s", self.name, self.step, self.steps, shown, left)
 
     def row(self) -> Metrics:
         """The last metrics, with their step."""
@@ -152,7 +153,7 @@ def fit(
     """Train ``module`` up to ``steps``, from the last checkpoint when there is one.
 
     Args:
-        name: the trial's name.
+        name: of the trial in progress lines.
         module: what is trained; its batches are its own.
         steps: generator steps in all.
         rhythm: how often it reports.

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from training.jobs.job import Job
+from training.trials.checkpoints import TrialFolder
 
 
 @dataclass(frozen=True, slots=True)
@@ -16,18 +17,29 @@ class TrialRequest:
         run_id: of its tracking run.
         seed: of initialisation and of every draw.
         cluster: whose configurations it learns; None for all.
+        start: checkpoint of an earlier job's trial whose weights it starts from; None to start from nothing.
+        job: whose it is, for the lines of its log.
     """
 
     folder: Path
     run_id: str = ""
     seed: int = 0
     cluster: int | None = None
+    start: Path | None = None
+    job: str = ""
 
     @classmethod
     def of(cls, job: Job[Any], stage: str, name: str, cluster: int | None = None) -> "TrialRequest":
-        """A trial of a job, with the run that it has there; clusters have seeds of their own."""
+        """A trial of a job, with the run that it has there; clusters have seeds of their own.
+
+        Raises:
+            ConfigError: the folder of the job that it is to start from is gone.
+        """
         seed = job.config.seed + (0 if cluster is None else 1 + cluster)
-        return cls(job.folder / stage / name, job.child(name), seed, cluster)
+        earlier = job.start_folder
+        start = None if earlier is None else TrialFolder(earlier / stage / name).latest()
+        label = f"{job.name or job.run.run_id[:8]}, seed {job.config.seed}"
+        return cls(job.folder / stage / name, job.child(name), seed, cluster, start, label)
 
     @property
     def name(self) -> str:

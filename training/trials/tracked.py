@@ -10,11 +10,14 @@ from ray import tune
 from services.registry.mlflow_health import lower_patience
 from services.registry.tracking.mlflow_tracking import MlflowTracking
 from training.config.clusters import ResourceConfig
+from training.models.checkpoint import start_from
 from training.models.modules import Metrics, TrialModule
 from training.trials.checkpoints import TrialFolder
 from training.trials.fit import Rhythm, TrialStopped, fit
 from training.trials.outcomes import FINISHED
 from training.trials.request import TrialRequest
+
+_LOG = logging.getLogger("training")
 
 
 def fit_tracked(
@@ -41,10 +44,14 @@ def fit_tracked(
     # What can not be sent is kept, so there is nothing to be patient for.
     lower_patience(os.environ)
     rhythm = Rhythm(resources.log_every_steps, resources.checkpoint_every_steps)
+    label = f"{trial.name} ({trial.job})"
     folder = TrialFolder(trial.folder, resources.checkpoints_kept)
     with contextlib.suppress(TrialStopped), folder.alone():
+        if trial.start is not None:
+            start_from(trial.start, module)
+            _LOG.info("%s: starts from the weights of %s", label, trial.start)
         run = MlflowTracking(tracking_uri, spool_folder=trial.spool).resume(trial.run_id)
-        fit(trial.name, module, steps, rhythm, run, folder, _report, trial.stop.exists)
+        fit(label, module, steps, rhythm, run, folder, _report, trial.stop.exists)
 
 
 def _report(metrics: Metrics, *, finished: bool) -> None:

@@ -18,12 +18,17 @@ _OPENER = urllib.request.build_opener(urllib.request.ProxyHandler({}))
 
 def answers(url: str, headers: Mapping[str, str] | None = None) -> bool:
     """Whether an address answers with a status of 200."""
+    return answer_of(url, headers) is not None
+
+
+def answer_of(url: str, headers: Mapping[str, str] | None = None) -> bytes | None:
+    """What an address answers with a status of 200; None where it does not."""
     request = urllib.request.Request(url, headers=dict(headers or {}))  # noqa: S310 - loopback, from settings
     try:
         with _OPENER.open(request, timeout=PROBE_TIMEOUT_S) as response:
-            return bool(response.status == http.client.OK)
+            return bytes(response.read()) if response.status == http.client.OK else None
     except (OSError, http.client.HTTPException):
-        return False
+        return None
 
 
 def wait_ready(

@@ -10,6 +10,7 @@ from cspace.errors import ServiceStartError
 from services.local.environment import binaries, service_environment
 from services.local.servers.health import answers
 from services.local.servers.ports import free_ports
+from services.local.servers.ray_jobs import jobs_under_way
 from services.local.servers.ray_token import ensure_token, token_headers
 from services.local.servers.service import Service
 from services.local.settings import HOST, RAY_PORT, Settings
@@ -35,6 +36,7 @@ def ray_head(settings: Settings) -> Service:
         start_limit_s=180.0,
         stop_grace_s=20.0,
         prepare=lambda: _prepare(settings, environment),
+        interrupts=lambda: jobs_under_way(settings.ray_url, token_headers(environment)),
     )
 
 

@@ -1,6 +1,6 @@
 """What a service is: how it is started, when it is ready, how it is ended."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,6 +22,7 @@ class Service:
         start_limit_s: how long it may take until it is ready.
         stop_grace_s: how long it may take to end by itself.
         prepare: run before each start.
+        interrupts: tells in lines which work its end would interrupt.
     """
 
     name: str
@@ -36,3 +37,4 @@ class Service:
     start_limit_s: float
     stop_grace_s: float
     prepare: Callable[[], None] = lambda: None
+    interrupts: Callable[[], Sequence[str]] = lambda: ()

@@ -68,15 +68,25 @@ def up(settings: Settings, wanted: Sequence[Service], report: Report) -> None:
 
 
 def down(settings: Settings, wanted: Sequence[Service], report: Report) -> int:
-    """End what was started, by process id; how many services ran."""
+    """End what was started here, by process id; how many services ran. What that interrupts is told first.
+
+    Raises:
+        ServiceError: a service belongs to another checkout; nothing was ended.
+    """
     if not settings.run_folder.is_dir():
         return 0
     ended = 0
     with exclusive(settings.run_folder):
-        for service in reversed(wanted):
-            record = read_record(settings.run_folder, service.name)
-            if record is None:
-                continue
+        found = [(service, read_record(settings.run_folder, service.name)) for service in reversed(wanted)]
+        records = [(service, record) for service, record in found if record is not None]
+        for service, record in records:
+            if Path(record.root).is_dir() and (is_alive(record) or family(record)):
+                _require_own(settings, service, record)
+        for service, record in records:
+            if is_alive(record) and record.address == service.address:
+                for line in service.interrupts():
+                    report(line)
+        for service, record in records:
             ended += is_alive(record)
             count = stop(record, service.stop_grace_s)
             drop_record(settings.run_folder, service.name)
@@ -109,13 +119,7 @@ def _runs(settings: Settings, service: Service) -> bool:
     record = read_record(settings.run_folder, service.name)
     if record is None or not is_alive(record):
         return False
-    if Path(record.root) != settings.root:
-        raise ServiceError(
-            f"{service.title} runs from another checkout",
-            expected=str(settings.root),
-            got=record.root,
-            remedy=f"`make down` ends it, or set {HOME} and the ports to others for this checkout",
-        )
+    _require_own(settings, service, record)
     if record.address != service.address:
         raise ServiceError(
             f"{service.title} runs at another address",
@@ -124,6 +128,16 @@ def _runs(settings: Settings, service: Service) -> bool:
             remedy=f"`make down` first, or set {service.setting} to the port that is in use",
         )
     return True
+
+
+def _require_own(settings: Settings, service: Service, record: Record) -> None:
+    if Path(record.root) != settings.root:
+        raise ServiceError(
+            f"{service.title} runs from another checkout",
+            expected=str(settings.root),
+            got=record.root,
+            remedy=f"`make down` there, or set {HOME} and the ports to others for this checkout",
+        )
 
 
 def _end_leftovers(settings: Settings, service: Service) -> None:

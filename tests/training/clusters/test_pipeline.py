@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from mlflow import MlflowClient
+from safetensors.torch import load_file
 
 from cspace.bundle import Bundle
 from cspace.png import encode_png
@@ -19,6 +20,11 @@ from services.registry.models.mlflow_registry import MlflowRegistry
 from services.registry.names import ALIAS_CHALLENGER, EXPERIMENT, MODEL_NAME
 from tests.contracts.mlflow_server import mlflow_server
 from tests.inference_api.client import running
+from training.config.clusters import CLUSTERS_FILE
+from training.datasets.config import DatasetConfig
+from training.datasets.configurations import ConfigurationRecipe
+from training.datasets.merge import merge
+from training.jobs.job import TAG_START
 
 pytestmark = [pytest.mark.e2e, pytest.mark.slow, pytest.mark.timeout(400)]
 
@@ -34,6 +40,12 @@ def run_job(uri, data_folder, *overrides):
 
 
 def submit(uri, data_folder, *arguments, script="cluster_train.py"):
+    done = run_script(uri, data_folder, *arguments, script=script)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return json.loads(done.stdout.rpartition("RESULT ")[2].splitlines()[0])
+
+
+def run_script(uri, data_folder, *arguments, script="cluster_train.py"):
     environment = os.environ | {
         "MLFLOW_TRACKING_URI": uri,
         "CSPACE_DATA_DIR": str(data_folder),
@@ -46,9 +58,7 @@ def submit(uri, data_folder, *arguments, script="cluster_train.py"):
         "OMP_NUM_THREADS": "1",
     }
     command = [sys.executable, str(ROOT / "training" / script), *arguments]
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False, timeout=300)
-    assert done.returncode == 0, done.stdout + done.stderr
-    return json.loads(done.stdout.rpartition("RESULT ")[2].splitlines()[0])
+    return subprocess.run(command, env=environment, capture_output=True, text=True, check=False, timeout=300)
 
 
 @pytest.fixture(scope="module")
@@ -206,6 +216,62 @@ def test_the_same_seed_trains_the_same_sampler(result, server, data_folder, tmp_
     picture = np.full((48, 48, 3), 255, dtype=np.uint8)
     first, second = (bundle.sample(picture, 50, 3, min_confidence=0.0).samples for bundle in bundles)
     np.testing.assert_array_equal(first, second)
+
+
+def weights(data_folder, run_id, trial):
+    (folder,) = (data_folder / "jobs" / run_id).glob(f"*/{trial}/step-*")
+    return load_file(folder / "weights.safetensors")
+
+
+def test_a_grown_data_set_is_trained_on_from_the_weights_of_a_version(server, data_folder, tmp_path, client):
+    gated = ("clusters.form=mixture", *GATED, f"local.critic_lookups={LOOKUPS}")
+    first = run_job(server, data_folder, *gated)
+    parts = []
+    for seed in (0, 1):
+        config = DatasetConfig(
+            seed=seed, scenario_count=24, free_per_scenario=64, collision_per_scenario=16, extra_image_count=4
+        )
+        recipe = ConfigurationRecipe(config)
+        parts.append(recipe.write(tmp_path / str(seed), recipe.make))
+    grown = merge(parts, tmp_path / "grown")
+    reference = f"{MODEL_NAME}/{first['version']}"
+    # So small a step that what was learned is still to be seen in what comes of it.
+    gentle = ("generator_learning_rate=1e-7", "critic_learning_rate=1e-7")
+    tuned = run_job(server, data_folder, *gated, f"data_folder={grown.folder}", f"start_from={reference}",
+                    *(f"local.{rate}" for rate in gentle), "gate.learning_rate=1e-7",
+                    "vae.learning_rate=1e-7", "validity.learning_rate=1e-7")  # fmt: skip
+    assert tuned["data_digest"] == grown.digest
+    for trial in ("vae", "validity", "gate", "local-0", "local-1"):
+        before, after = (weights(data_folder, job["run_id"], trial) for job in (first, tuned))
+        learned = [name for name in before if before[name].is_floating_point() and "_rad" not in name]
+        assert all((before[name] - after[name]).abs().max() < 1e-3 for name in learned), trial
+    cells = [np.load(data_folder / "jobs" / job["run_id"] / CLUSTERS_FILE) for job in (first, tuned)]
+    np.testing.assert_array_equal(cells[0]["centres"], cells[1]["centres"])
+    registry = MlflowRegistry(server)
+    version = registry.version(MODEL_NAME, tuned["version"])
+    bundle = Bundle.load(registry.download(version, tmp_path / "bundle"))
+    told = bundle.spec.provenance.config
+    assert (told["start_from"], told[TAG_START]) == (reference, first["run_id"])
+    assert version.tags[TAG_START] == first["run_id"]
+    run = client.get_run(tuned["run_id"])
+    assert run.data.params["start_from"] == reference
+    assert run.data.tags[TAG_START] == first["run_id"]
+
+
+def test_sizes_that_do_not_fit_are_refused_before_a_run_is_made(result, server, data_folder, client):
+    experiment = client.get_experiment_by_name(EXPERIMENT).experiment_id
+    before = len(client.search_runs([experiment]))
+    settings = ("--set", f"start_from={result['run_id']}", "--set", "local.hidden=24")
+    done = run_script(server, data_folder, "--preset", "smoke", *settings)
+    assert done.returncode == 2, done.stdout + done.stderr
+    assert "local.hidden" in done.stderr
+    assert len(client.search_runs([experiment])) == before
+
+
+def test_the_log_ends_with_a_block_that_tells_where_bundle_and_json_lie(result, data_folder):
+    folder = data_folder / "jobs" / result["run_id"]
+    assert json.loads((folder / "result.json").read_text()) == result
+    assert Bundle.load(folder / "bundle").digest == result["digest"]
 
 
 def test_a_search_tries_settings_and_ends_weak_trials_early(server, data_folder, client):

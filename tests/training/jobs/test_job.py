@@ -8,7 +8,9 @@ from services.registry.names import TAG_KEY
 from tests.fakes.registry import FakeTracking
 from training.config.clusters import TrainConfig, load_config
 from training.jobs.environment import Environment, job_environment
-from training.jobs.job import RECORD, Job, job_folder, kept_bundle, run_of
+from training.jobs.folders import RECORD, job_folder, run_of
+from training.jobs.job import Job, kept_bundle
+from training.jobs.submission import submission_id
 
 SMOKE = load_config("smoke", ["seed=4"])
 
@@ -101,13 +103,46 @@ def test_a_job_that_runs_is_not_run_twice(environment, tracking):
     other = context.Process(target=hold, args=(job.folder, held, done))
     other.start()
     assert held.wait(60)
-    with pytest.raises(JobError, match="running already"), job.running():
+    with pytest.raises(JobError, match=r"running already; got run [0-9a-f]+; wait"), job.running():
+        pass
+    (job.folder / "running.json").write_text('{"submission_id": "raysubmit_1"}')
+    with (
+        pytest.raises(JobError, match=r"submitted as raysubmit_1; .*ray job stop raysubmit_1"),
+        job.running(),
+    ):
         pass
     done.set()
     other.join()
     with job.running() as run:
         assert run.run_id == job.run.run_id
     assert tracking.runs[job.run.run_id].status == "FINISHED"
+
+
+def submitted(monkeypatch, submission="raysubmit_1"):
+    told = {"runtime_env": {}, "metadata": {"job_submission_id": submission}}
+    monkeypatch.setenv("RAY_JOB_CONFIG_JSON_ENV_VAR", json.dumps(told))
+
+
+def test_a_submitted_job_says_first_how_to_stop_it_and_keeps_rays_id_while_it_runs(
+    environment, tracking, monkeypatch, caplog
+):
+    submitted(monkeypatch)
+    job = Job.start(SMOKE, environment, {}, name="arm-1")
+    with caplog.at_level("INFO", logger="training"), job.running():
+        assert json.loads((job.folder / "running.json").read_text()) == {"submission_id": "raysubmit_1"}
+    first, explained, stop, follow = caplog.messages[:4]
+    assert first == f"run: {job.run.run_id}"
+    assert "ends this log and not the job" in explained
+    assert stop.endswith("ray job stop raysubmit_1")
+    assert follow.endswith("ray job logs --follow raysubmit_1")
+    assert not (job.folder / "running.json").exists()
+
+
+def test_a_job_that_nobody_submitted_says_nothing_of_it(environment, tracking, monkeypatch, caplog):
+    monkeypatch.delenv("RAY_JOB_CONFIG_JSON_ENV_VAR", raising=False)
+    with caplog.at_level("INFO", logger="training"), Job.start(SMOKE, environment, {}).running() as run:
+        assert caplog.messages == [f"run: {run.run_id}"]
+    assert submission_id({"RAY_JOB_CONFIG_JSON_ENV_VAR": '{"metadata": null}'}) is None
 
 
 def test_what_an_attempt_left_half_and_the_request_to_stop_it_are_gone_in_the_next(environment, tracking):

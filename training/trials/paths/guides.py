@@ -9,14 +9,13 @@ import torch
 from cspace.bundle import Bundle
 from cspace.errors import ConfigError
 from training.config.clusters import TrainConfig
+from training.jobs.folders import RECORD as JOB_RECORD
 from training.models.checkpoint import trained
 from training.models.lookups.lookups import make_lookups, values_read
 from training.models.modules import make_critic
 from training.models.networks import Critic
 from training.models.settings import LookupConfig
 from training.trials.checkpoints import TrialFolder
-
-JOB_RECORD = "job.json"
 
 
 @dataclass(frozen=True, slots=True)

@@ -136,6 +136,52 @@ def test_services_of_another_checkout_are_left_alone(settings: Settings, make_se
     assert status(settings, [service])[0].healthy
 
 
+def test_down_leaves_the_services_of_another_checkout_alone_and_says_whose_they_are(
+    settings: Settings, make_service: MakeService, tmp_path: Path
+) -> None:
+    service = make_service()
+    up(settings, [service], ignore)
+    other = tmp_path / "another"
+    other.mkdir()
+    with pytest.raises(ServiceError, match="another checkout") as raised:
+        down(replace(settings, root=other), [service], ignore)
+    assert "`make down` there" in str(raised.value)
+    assert status(settings, [service])[0].healthy
+
+
+def test_down_leaves_another_state_folder_alone(
+    settings: Settings, make_service: MakeService, tmp_path: Path
+) -> None:
+    service, own = make_service(), replace(settings, home=tmp_path / "own")
+    up(settings, [service], ignore)
+    own.make_folders()
+    assert down(own, [service], ignore) == 0
+    assert status(settings, [service])[0].healthy
+
+
+def test_what_a_deleted_checkout_left_running_can_be_ended(
+    settings: Settings, make_service: MakeService, tmp_path: Path
+) -> None:
+    service, gone = make_service(), replace(settings, root=tmp_path / "gone")
+    gone.root.mkdir()
+    up(gone, [service], ignore)
+    gone.root.rmdir()
+    assert down(settings, [service], ignore) == 1
+
+
+def test_what_the_end_interrupts_is_told_before_anything_ends(
+    settings: Settings, make_service: MakeService
+) -> None:
+    one, two = make_service("one"), make_service("two")
+    busy = replace(one, interrupts=lambda: ("a job runs",))
+    up(settings, [busy, two], ignore)
+    lines: list[str] = []
+    assert down(settings, [busy, two], lines.append) == 2
+    assert lines == ["a job runs", "Two: ended", "One: ended"]
+    assert down(settings, [busy, two], lines.append) == 0
+    assert len(lines) == 3
+
+
 def test_a_changed_port_setting_is_told_instead_of_starting_a_second_service(
     settings: Settings, make_service: MakeService
 ) -> None:

@@ -1,0 +1,48 @@
+"""What a job says at its end."""
+
+import json
+import sys
+
+from services.local.quickstart.results import training_result
+from training.clusters.pipeline import TrainResult
+from training.jobs.results import RESULT_FILE, tell_result
+
+RESULT = TrainResult("r1", "arm", 3, "d1", "d2", {"loss": 0.12345678}, {"vae": (10.0, 14.5)}, ("vae-losses",))
+
+
+def told(folder):
+    folder.mkdir(exist_ok=True)
+    content = {"run_id": "r1", "model": "arm", "version": 3, "digest": "d1", "figures": []}
+    tell_result(content, RESULT.rows(folder), folder)
+    return content
+
+
+def test_the_block_tells_version_and_where_bundle_and_json_lie(tmp_path, capsys):
+    content = told(tmp_path)
+    printed = capsys.readouterr().out
+    assert "arm/3" in printed
+    assert "vae 4.5 s" in printed
+    assert "loss 0.1235" in printed
+    assert str(tmp_path / "bundle") in printed
+    assert str(tmp_path / RESULT_FILE) in printed
+    assert json.loads((tmp_path / RESULT_FILE).read_text()) == content
+
+
+def test_the_last_line_of_a_log_is_the_result_for_programs(tmp_path, capsys):
+    told(tmp_path)
+    log = capsys.readouterr().out
+    assert log.splitlines()[-1].startswith("RESULT {")
+    assert training_result(log).reference == "arm/3"
+
+
+def test_a_terminal_is_spared_the_line(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
+    told(tmp_path)
+    assert "RESULT" not in capsys.readouterr().out
+
+
+def test_a_full_disk_costs_the_file_and_not_the_result(tmp_path, capsys):
+    tell_result({"run_id": "r1"}, {"run": "r1"}, tmp_path / "gone")
+    printed = capsys.readouterr().out
+    assert "not kept" in printed
+    assert printed.splitlines()[-1] == 'RESULT {"run_id": "r1"}'

@@ -1,0 +1,170 @@
+"""Fine-tuning: which job a new one starts from, and what does not fit, told before anything starts."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+
+from cspace.errors import ConfigError, ModelNotFoundError
+from inference_api.settings import PRETRAINED_FOLDER
+from services.registry.models.port import ModelVersion
+from tests.fakes.registry import FakeTracking
+from tests.training.models.builders import tiny_module
+from training.config.clusters import CLUSTERS_FILE, TrainConfig, load_config
+from training.config.paths import load_path_config
+from training.jobs.environment import Environment
+from training.jobs.folders import RECORD, job_folder
+from training.jobs.job import TAG_START, Job
+from training.models.checkpoint import Progress, save_checkpoint, start_from
+from training.trials.request import TrialRequest
+
+EARLIER, CHILD = "a" * 32, "c" * 32
+SMOKE = load_config("smoke")
+
+
+class Registry:
+    """One version, made by the earlier job, or by one of its trials."""
+
+    run_id = EARLIER
+
+    def by_alias(self, name, alias):
+        if (name, alias) != ("cspace-sampler", "champion"):
+            raise ModelNotFoundError("there is no such alias")
+        return ModelVersion(name, 3, self.run_id, "", (alias,), {}, 0)
+
+    def version(self, name, number):
+        return self.by_alias(name, "champion" if number == 3 else "none")
+
+
+@pytest.fixture
+def tracking(monkeypatch):
+    tracking = FakeTracking()
+    monkeypatch.setattr("training.jobs.job.MlflowTracking", lambda uri, **spool: tracking)
+    monkeypatch.setattr("training.jobs.starting.MlflowRegistry", lambda uri: Registry())
+    return tracking
+
+
+@pytest.fixture
+def environment(tmp_path):
+    """A data folder with the earlier job, finished."""
+    environment = Environment("unused", tmp_path, patience_s=0.0)
+    folder = job_folder(environment, EARLIER)
+    (folder / "bundle").mkdir(parents=True)
+    shutil.copy(PRETRAINED_FOLDER / "bundle.json", folder / "bundle")
+    record = {"config": SMOKE.to_dict(), "children": {"vae": CHILD}, "name": None}
+    (folder / RECORD).write_text(json.dumps(record))
+    np.savez(folder / CLUSTERS_FILE, centres=np.zeros((2, 4)), clusters=np.arange(2))
+    (folder / "local" / "local-0" / "step-000000006").mkdir(parents=True)
+    return environment
+
+
+def start(environment, text, *overrides, name=None):
+    config = load_config("smoke", [f"start_from={text}", *overrides])
+    return Job.start(config, environment, {"preset": "smoke"}, name=name)
+
+
+@pytest.mark.parametrize("text", ["cspace-sampler@champion", "cspace-sampler/3", EARLIER, CHILD])
+def test_a_version_and_a_run_mean_the_job_that_made_them(text, environment, tracking):
+    job = start(environment, text)
+    assert job.start_folder == job_folder(environment, EARLIER)
+    tags = tracking.runs[job.run.run_id].tags
+    assert (tags["start_from"], tags[TAG_START]) == (text, EARLIER)
+
+
+def test_a_trial_starts_from_the_last_checkpoint_of_its_namesake(environment, tracking):
+    job = start(environment, EARLIER)
+    known = job.start_folder / "local" / "local-0" / "step-000000006"
+    assert TrialRequest.of(job, "local", "local-0", 0).start == known
+    assert TrialRequest.of(job, "pictures", "vae").start is None
+
+
+def test_a_job_goes_on_from_what_it_began_with_wherever_the_alias_points_by_now(
+    environment, tracking, monkeypatch
+):
+    first = start(environment, "cspace-sampler@champion", name="night")
+    monkeypatch.setattr(Registry, "run_id", first.run.run_id)
+    again = start(environment, "cspace-sampler@champion", name="night")
+    assert (again.run.run_id, again.start_run_id) == (first.run.run_id, EARLIER)
+    assert Job.resume(first.run.run_id, environment, TrainConfig).start_run_id == EARLIER
+
+
+def test_weights_that_are_gone_are_told_as_that(environment, tracking):
+    shutil.rmtree(job_folder(environment, EARLIER))
+    with pytest.raises(ConfigError, match="weights that start_from means are gone"):
+        start(environment, "cspace-sampler@champion")
+    assert tracking.runs == {}
+
+
+def test_weights_that_go_while_a_job_is_stopped_are_told_before_a_trial_starts(environment, tracking):
+    job = start(environment, EARLIER, name="night")
+    shutil.rmtree(job_folder(environment, EARLIER))
+    again = start(environment, EARLIER, name="night")
+    assert again.run.run_id == job.run.run_id
+    with pytest.raises(ConfigError, match="weights that start_from means are gone"):
+        TrialRequest.of(again, "local", "local-0", 0)
+
+
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [
+        (["local.hidden=24"], r"local\.hidden differ .*expected local\.hidden=16; got local\.hidden=24"),
+        (["clusters.count=3", "vae.width=8"], r"clusters\.count, vae\.width differ"),
+        (["data.robot.link_lengths_m=[1.6, 1.4, 1.0]"], r"data\.robot is not of the robot"),
+        (["data.robot.joint_limits_rad=[[-1, 1], null]"], r"data\.robot is not of the robot"),
+    ],
+)
+def test_other_sizes_and_other_robots_are_refused_by_their_setting(overrides, message, environment, tracking):
+    with pytest.raises(ConfigError, match=message):
+        start(environment, EARLIER, *overrides)
+    assert tracking.runs == {}
+
+
+def test_budgets_and_data_may_differ(environment, tracking):
+    start(environment, EARLIER, "local.steps=9", "seed=5", "data.seed=7", "data.scenario_count=30")
+
+
+def test_scenarios_by_their_ids_cannot_be_gone_on_with():
+    with pytest.raises(ConfigError, match="critic_condition=latent"):
+        load_config("smoke", [f"start_from={EARLIER}", "global.critic_condition=projection"])
+
+
+@pytest.mark.parametrize("text", ["cspace-sampler", "no such thing", "../..", "A" * 32])
+def test_what_is_no_reference_is_refused(text, environment, tracking):
+    with pytest.raises(ConfigError, match="start_from does not fit"):
+        start(environment, text)
+
+
+def test_what_an_unfinished_or_earlier_job_did_not_leave_is_named(environment, tracking):
+    folder = job_folder(environment, EARLIER)
+    (folder / "bundle" / "bundle.json").unlink()
+    with pytest.raises(ConfigError, match="has not finished"):
+        start(environment, EARLIER)
+    (folder / CLUSTERS_FILE).unlink()
+    with pytest.raises(ConfigError, match=CLUSTERS_FILE):
+        start(environment, EARLIER)
+
+
+def test_a_job_of_another_kind_is_refused(environment, tracking):
+    with pytest.raises(ConfigError, match="another kind"):
+        Job.start(load_path_config("paths", [f"start_from={EARLIER}"]), environment, {})
+
+
+def test_a_job_that_starts_from_nothing_is_recorded_as_before(environment, tracking):
+    assert "start_from" not in SMOKE.to_dict()
+    job = Job.start(SMOKE, environment, {}, name="arm-1")
+    assert set(json.loads((job.folder / RECORD).read_text())) == {"config", "children", "name"}
+    assert not {"start_from", TAG_START} & set(tracking.runs[job.run.run_id].tags)
+    assert Job.start(SMOKE, environment, {}, name="arm-1").start_folder is None
+    with pytest.raises(ConfigError, match="start_from=None"):
+        start(environment, EARLIER, name="arm-1")
+
+
+def test_a_module_takes_what_was_learned_and_keeps_what_follows_from_its_own_data(tmp_path):
+    earlier, fresh = tiny_module(), tiny_module(seed=1)
+    kept = {name: value.clone() for name, value in fresh.named_buffers()}
+    start_from(save_checkpoint(tmp_path / "step", earlier, Progress(9, "r")), fresh)
+    for (name, one), other in zip(earlier.named_parameters(), fresh.parameters(), strict=True):
+        assert np.array_equal(one.detach(), other.detach()), name
+    assert all(np.array_equal(value, kept[name]) for name, value in fresh.named_buffers())
+    assert all(not optimiser.state for optimiser in fresh.training_optimisers)
