@@ -151,7 +151,7 @@ def test_no_error_and_no_line_of_the_log_tells_the_registrys_address_or_password
         with pytest.raises(CspaceError) as caught:
             store.resolve(NAMED)
         clean(caught.value)
-        assert store.versions() == []
+        assert store.versions(NAMED.name) == []
     assert "the registry does not answer" in caplog.text
     assert not [secret for secret in SECRETS if secret in caplog.text]
 
