@@ -51,7 +51,7 @@ def test_a_model_of_configurations_is_found_out_by_its_answers(tmp_path):
     bundle = write_tiny_bundle(tmp_path / "bundle")
     with api_server(tmp_path, {"CSPACE_PRETRAINED_MODEL": str(bundle)}) as url:
         spec = served("tiny", "pretrained", url, default_world())
-        assert (spec.with_ends, spec.model, spec.url) == (False, "pretrained", url, default_world())
+        assert (spec.with_ends, spec.model, spec.url) == (False, "pretrained", url)
         with pytest.raises(SamplerError):
             served("tiny", "no-such-model@champion", url, default_world())
     with pytest.raises(SamplerUnavailableError):
