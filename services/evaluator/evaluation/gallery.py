@@ -1,6 +1,7 @@
 """Pictures for people: what the sampler was shown, what is true, what it answered and where it erred."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -73,13 +74,12 @@ def _truth(axes: Axes, scene: Scene) -> None:
         axes.set_title(f"truth: grey is in collision{_passage(scene)}", fontsize=9)
     else:
         real = scene.free(SHOWN_SAMPLES, scene.rng(7))
-        axes.scatter(real[:, 0], real[:, 1], s=2, color=FREE_COLOUR, linewidths=0)
+        axes.scatter(*_plane(real), s=2, color=FREE_COLOUR, linewidths=0)
         axes.set_title("free configurations, joints 1 and 2", fontsize=9)
     if scene.problem is not None:
         ends = np.stack([scene.problem.start, scene.problem.goal])
         axes.scatter(
-            ends[:, 0],
-            ends[:, 1],
+            *_plane(ends),
             s=50,
             marker="X",
             color=END_COLOUR,
@@ -107,10 +107,16 @@ def _samples(axes: Axes, scene: Scene, sampler: SampleSource) -> None:
         missed = held_out[~reached]
         axes.scatter(missed[:, 0], missed[:, 1], s=9, marker="s", color=MISSED_COLOUR, linewidths=0)
     for mask, colour, size in ((free, FREE_COLOUR, 2), (~free, COLLISION_COLOUR, 5)):
-        axes.scatter(drawn[mask, 0], drawn[mask, 1], s=size, color=colour, linewidths=0)
+        axes.scatter(*_plane(drawn[mask]), s=size, color=colour, linewidths=0)
     shares = f"{free.mean():.1%} free, {reached.mean():.1%} covered"
     axes.set_title(f"{len(drawn)} samples\n{shares}", fontsize=9)
     _joint_axes(axes, scene)
+
+
+def _plane(configurations: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
+    """The first two joints of (n, d), (n,) each; a single one lies on a line."""
+    first = configurations[:, 0]
+    return first, configurations[:, 1] if configurations.shape[1] > 1 else np.zeros_like(first)
 
 
 def free_map(axes: Axes, scene: Scene) -> None:
@@ -125,10 +131,12 @@ def free_map(axes: Axes, scene: Scene) -> None:
 
 
 def _joint_axes(axes: Axes, scene: Scene) -> None:
-    for joint, axis in enumerate((axes.xaxis, axes.yaxis)):
-        if scene.space.periodic[joint]:
+    space = scene.space
+    for joint, axis in enumerate((axes.xaxis, axes.yaxis)[: space.dim]):
+        if space.periodic[joint]:
             axis.set_ticks([-np.pi, 0.0, np.pi], labels=["-\u03c0", "0", "\u03c0"])
         axis.set_label_text(f"theta{joint + 1} [rad]")
     axes.set_box_aspect(1.0)
-    axes.set_xlim(scene.space.lower[0], scene.space.upper[0])
-    axes.set_ylim(scene.space.lower[1], scene.space.upper[1])
+    axes.set_xlim(space.lower[0], space.upper[0])
+    if space.dim > 1:
+        axes.set_ylim(space.lower[1], space.upper[1])

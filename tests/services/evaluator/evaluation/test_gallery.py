@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cspace.splits import Split
-from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK
+from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK, PlanarArm
 from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.problems import Family
 from cspace.worlds.planar.world import PlanarWorld
@@ -34,7 +34,7 @@ def marked(axes, colour):
     )
 
 
-@pytest.mark.parametrize("robot", [TWO_LINK, THREE_LINK])
+@pytest.mark.parametrize("robot", [PlanarArm((2.5,)), TWO_LINK, THREE_LINK])
 def test_the_gallery_has_three_panels_a_scenario(robot, tmp_path):
     stage = Stage(PlanarWorld(robot, Camera()), Split.TEST, 0)
     figure = gallery([Scene(stage, 0), Scene(stage, 1)], UniformSampler(robot.space), "two scenarios")
