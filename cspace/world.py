@@ -57,6 +57,9 @@ class Sensor(Protocol):
 class Body(Protocol):
     """The robot's geometry."""
 
+    def __hash__(self) -> int:
+        """Equal robots are one."""
+
     @property
     def dim(self) -> int:
         """d, number of joints."""

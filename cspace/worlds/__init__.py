@@ -95,8 +95,13 @@ def workshop_of(world: World) -> Workshop:
 
 @lru_cache(maxsize=256)
 def robot_digest(world: World) -> str:
-    """SHA-256 of the kind of a world and its robot, however it is seen."""
-    told = {"kind": world.kind, "robot": world.body.to_dict()}
+    """SHA-256 of the kind of a world and its robot, however it is seen and wherever it stands."""
+    return _digest(world.kind, world.body)
+
+
+@lru_cache(maxsize=64)
+def _digest(kind: str, body: Body) -> str:
+    told = {"kind": kind, "robot": body.to_dict()}
     return sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()
 
 

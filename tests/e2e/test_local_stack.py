@@ -102,10 +102,7 @@ def test_a_job_knows_rays_id_of_it_and_is_told_while_it_runs(
     jobs = RayJobs(stack.settings)
     says = "from training.jobs.submission import submission_id; print(submission_id(), flush=True)"
     job = jobs.submit(f"{sys.executable} -c '{says}; import time; time.sleep(300)'")
-    until = time.monotonic() + 120
-    while job not in jobs.log(job).split():
-        assert time.monotonic() < until, jobs.log(job)
-        time.sleep(1)
+    wait_for(lambda: job in jobs.log(job).split())
     told = jobs_under_way(stack.settings.ray_url, token_headers())
     assert [line.startswith(f"  {job}, since 20") for line in told] == [False, True]
     assert stack.shell(f"ray job stop {job}").returncode == 0

@@ -75,7 +75,8 @@ def _truth(axes: Axes, scene: Scene) -> None:
     else:
         real = scene.free(SHOWN_SAMPLES, scene.rng(7))
         axes.scatter(*_plane(real), s=2, color=FREE_COLOUR, linewidths=0)
-        axes.set_title("free configurations, joints 1 and 2", fontsize=9)
+        shown = ", joints 1 and 2" if scene.space.dim > 1 else ""
+        axes.set_title(f"free configurations{shown}", fontsize=9)
     if scene.problem is not None:
         ends = np.stack([scene.problem.start, scene.problem.goal])
         axes.scatter(
@@ -140,3 +141,5 @@ def _joint_axes(axes: Axes, scene: Scene) -> None:
     axes.set_xlim(space.lower[0], space.upper[0])
     if space.dim > 1:
         axes.set_ylim(space.lower[1], space.upper[1])
+    else:
+        axes.yaxis.set_ticks([])
