@@ -16,6 +16,7 @@ CspaceError
 │   ├── RegistryUnavailableError        it does not answer
 │   └── ModelNotFoundError              no such model, version or alias
 ├── SamplerError                        the sampling endpoint refused a request
+│   ├── SamplerModelError               it has no such model
 │   └── SamplerUnavailableError         it does not answer
 │       └── SamplerAnswerError          its answer cannot be used
 ├── PlanningError                       a planner was asked for something impossible
@@ -126,6 +127,10 @@ class ModelNotFoundError(RegistryError):
 
 class SamplerError(CspaceError):
     """The sampling endpoint refused a request."""
+
+
+class SamplerModelError(SamplerError):
+    """The sampling endpoint has no such model."""
 
 
 class SamplerUnavailableError(SamplerError):

@@ -19,7 +19,7 @@ from pathlib import Path
 
 from cspace.bundle import Bundle
 from cspace.errors import ConfigError, CspaceError, InputError
-from services.registry.names import ALIAS_CHALLENGER, ALIAS_CHAMPION, EXPERIMENT, model_name, recorded_name
+from services.names import ALIAS_CHALLENGER, ALIAS_CHAMPION, EXPERIMENT, model_name, recorded_name
 from training.paths.untrained import made_or_found
 from training.paths.ways import WaySettings
 

@@ -21,8 +21,8 @@ from benchmarks.command import arguments
 from benchmarks.machine import machine
 from benchmarks.serving.served import BUNDLE, Asker, new_pictures, served
 from cspace.bundle import Bundle, Provenance, write_bundle
+from services.names import ALIAS_CHAMPION, EXPERIMENT, MODEL_NAME
 from services.registry.models.mlflow_registry import MlflowRegistry
-from services.registry.names import ALIAS_CHAMPION, EXPERIMENT, MODEL_NAME
 from services.registry.tracking.mlflow_tracking import MlflowTracking
 
 GRAPHS = ("encoder", "generator", "validity", "novelty")

@@ -14,8 +14,8 @@ from cspace.bundle import Bundle
 from cspace.errors import ModelNotFoundError, RegistryError, RegistryUnavailableError
 from inference_api.models.apart.remembered import Remembered
 from inference_api.models.bundle_cache import BundleCache, key_of
+from services.names import ALIAS_CHAMPION
 from services.registry.models.port import ModelLookups, ModelVersion
-from services.registry.names import ALIAS_CHAMPION
 from services.registry.references import ModelReference
 
 _Answer = TypeVar("_Answer")

@@ -23,8 +23,8 @@ from inference_api.models.registry_view import LOAD_WAIT_S, RegistryView
 from inference_api.models.served import PRETRAINED_VERSION, ServedModel
 from inference_api.models.succession import Fetch, Succession, refusal_of
 from inference_api.telemetry.observer import Observer
+from services.names import ALIAS_CHAMPION, TAG_ROBOT, may_name, recorded_name
 from services.registry.models.port import ModelLookups, ModelVersion
-from services.registry.names import ALIAS_CHAMPION, TAG_ROBOT, may_name, recorded_name
 from services.registry.references import PRETRAINED, ModelReference
 from services.registry.scrubbing import anonymous
 

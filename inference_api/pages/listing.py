@@ -11,8 +11,8 @@ from cspace.worlds import read_world, robot_digest
 from inference_api.models.served import PRETRAINED_VERSION
 from inference_api.models.store import ModelStore
 from inference_api.pages.model_schemas import ListedModel, ModelList, joint_space_info
+from services.names import MAX_WORLD, TAG_ROBOT, TAG_WORLD
 from services.registry.models.port import ModelVersion
-from services.registry.names import MAX_WORLD, TAG_ROBOT, TAG_WORLD
 from services.registry.references import PRETRAINED, is_model_name
 
 

@@ -77,6 +77,7 @@ def parse_command(arguments: Sequence[str] | None = None) -> Command:
         options.n, settings.seed, options.epsilon_sigma, min_confidence=options.min_confidence
     )
     request = SampleRequest(query, options.model, with_ends=options.path_model, ordered=options.ordered)
+    request = request if scene is None else request.for_scene(scene)
     return Command(
         url=options.api,
         timeout_s=options.timeout,
@@ -116,7 +117,10 @@ def make_parser() -> argparse.ArgumentParser:
     samples = parser.add_argument_group("samples")
     samples.add_argument("--api", metavar="URL", default="http://127.0.0.1:8000", help="default %(default)s")
     samples.add_argument("--timeout", type=float, default=DEFAULT_TIMEOUT_S, help="s; default %(default)s")
-    samples.add_argument("--model", help="name, name@alias, name/version or pretrained")
+    samples.add_argument(
+        "--model",
+        help="name, name@alias, name/version or pretrained; default the API's, with a scene file its robot's",
+    )
     samples.add_argument("--n", type=_count, default=DEFAULT_SAMPLES, help="default %(default)s")
     samples.add_argument(
         "--epsilon-sigma",

@@ -3,17 +3,18 @@
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from cspace.errors import SamplerError, SamplerUnavailableError
+from cspace.errors import SamplerError, SamplerModelError, SamplerUnavailableError
 from cspace.problem import Problem
 from cspace.query import SampleQuery
-from cspace.worlds import picture_file_of, robot_digest
+from cspace.worlds import default_world, picture_file_of, robot_digest
+from services.names import model_name
 from services.planner.plan_result import PlanResult
 from services.planner.search.ompl_planner import DEFAULT_UNIFORM_SHARE, solve
 from services.planner.search.sample_order import order_along
 from services.planner.settings import RRT_CONNECT, PlannerSettings
 from services.planner.sources.samples import SampleBatch, SampleSource
 from services.planner.sources.sampling_client import SamplingClient
-from services.scene_files import read_scene_file
+from services.scene_files import SceneFile, read_scene_file
 
 DEFAULT_SAMPLES = 300
 PAPER_SCHEDULE = (0.0, 0.25, 0.5, 1.0)
@@ -31,12 +32,25 @@ class SampleRequest:
         model: ``name``, ``name@alias``, ``name/version`` or ``pretrained``; None for the source's default.
         with_ends: whether start and goal are sent, as path models require and others refuse.
         ordered: whether the planner takes the samples along the way through them, from the start on.
+        or_uniform: whether uniform samples do where there is no such model.
     """
 
     query: SampleQuery
     model: str | None = None
     with_ends: bool = False
     ordered: bool = False
+    or_uniform: bool = False
+
+    def for_scene(self, scene: SceneFile) -> "SampleRequest":
+        """The request with the model of a scene file's robot where it names none.
+
+        Raises:
+            ConfigError: the file gives the robot a name that is another's.
+        """
+        if self.model is not None or robot_digest(scene.world) == robot_digest(default_world()):
+            return self
+        own = model_name(scene.world, scene.name, path=self.with_ends)
+        return replace(self, model=own, or_uniform=True)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -103,6 +117,10 @@ def plan_with_api(
         batch = request_samples(problem, source, request)
     except SamplerUnavailableError as error:
         unavailable = str(error)
+    except SamplerModelError:
+        if not request.or_uniform:
+            raise
+        unavailable = f"there is no {request.model} yet"
     samples = None
     if batch is not None:
         samples, uniform_share = batch.samples, raised_share(uniform_share, batch.novelty)
@@ -116,20 +134,21 @@ def plan_with_api(
 def plan_scene(
     path: str | Path, api: str = "http://127.0.0.1:8000", settings: PlannerSettings | None = None
 ) -> ApiPlan:
-    """Solve the problem of a scene file with samples from an API.
+    """Solve the problem of a scene file with samples from an API, of the robot's own model.
 
     Args:
         path: of the scene file; see :mod:`services.scene_files`.
-        api: address of the inference API; uniform samples where it does not answer.
+        api: address of the inference API; uniform samples where it does not answer or has no such model.
         settings: of the planner.
 
     Raises:
         ScenarioError: the file does not fit, or holds no problem.
         SamplerError: the API refused the request.
     """
-    problem = read_scene_file(Path(path)).problem()
+    scene, settings = read_scene_file(Path(path)), settings or PlannerSettings()
+    request = SampleRequest(SampleQuery(DEFAULT_SAMPLES, settings.seed)).for_scene(scene)
     with SamplingClient(api) as client:
-        return plan_with_api(problem, client, settings or PlannerSettings())
+        return plan_with_api(scene.problem(), client, settings, request)
 
 
 def raised_share(uniform_share: float, novelty: float | None) -> float:

@@ -11,10 +11,10 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from cspace.errors import ConfigError, CspaceError, InputError, ModelNotFoundError
+from services.names import ALIAS_CHAMPION
 from services.registry import life_cycle
 from services.registry.models.mlflow_registry import MlflowRegistry
 from services.registry.models.port import ModelRegistry, ModelVersion
-from services.registry.names import ALIAS_CHAMPION
 from services.registry.promotion import PREFIX, Decision, decisions_of
 from services.registry.references import ModelReference
 from services.registry.tracking.mlflow_tracking import MlflowTracking

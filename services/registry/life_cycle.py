@@ -14,8 +14,8 @@ from cspace.bundle import Bundle
 from cspace.errors import ConfigError, ModelNotFoundError
 from cspace.files import replacing, write_json
 from cspace.worlds import robot_digest
+from services.names import ALIAS_CHALLENGER, ALIAS_CHAMPION, EXPERIMENT, TAG_DIGEST
 from services.registry.models.port import ModelRegistry, ModelVersion
-from services.registry.names import ALIAS_CHALLENGER, ALIAS_CHAMPION, EXPERIMENT, TAG_DIGEST
 from services.registry.promotion import Decision, champions, decisions_of, record_decision
 from services.registry.tracking.port import Tracking
 

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from operator import itemgetter
 
 from cspace.errors import RegistryError
+from services.names import ALIAS_CHAMPION
 from services.registry.models.port import ModelRegistry, ModelVersion
-from services.registry.names import ALIAS_CHAMPION
 
 PREFIX = "decision."
 ATTEMPTS = 5

@@ -4,8 +4,8 @@ import re
 from dataclasses import dataclass
 
 from cspace.errors import ConfigError, InputError
+from services.names import ALIAS_CHAMPION
 from services.registry.models.port import ModelLookups, ModelVersion
-from services.registry.names import ALIAS_CHAMPION
 
 PRETRAINED = "pretrained"
 

@@ -12,7 +12,7 @@ from mlflow import MlflowClient
 from mlflow.entities import Run
 from playwright.sync_api import Page
 
-from services.registry.names import EXPERIMENT, MODEL_NAME
+from services.names import EXPERIMENT, MODEL_NAME
 from tests.browser import mlflow_pages
 from tests.browser.chromium import browser_page
 

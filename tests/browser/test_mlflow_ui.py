@@ -7,7 +7,7 @@ import pytest
 from playwright.sync_api import Page
 from playwright.sync_api import expect as expect_that
 
-from services.registry.names import MODEL_NAME
+from services.names import MODEL_NAME
 from tests.browser import mlflow_pages
 from tests.browser.small_job import CHILDREN, DATA_DIGEST, SmallJob
 from tests.contracts.mlflow_warnings import MLFLOW_WARNINGS

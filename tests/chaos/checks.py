@@ -9,8 +9,8 @@ from mlflow import MlflowClient
 from mlflow.entities import LoggedModelStatus
 
 from cspace.bundle import Bundle
+from services.names import EXPERIMENT, MODEL_NAME
 from services.registry.models.mlflow_registry import MlflowRegistry
-from services.registry.names import EXPERIMENT, MODEL_NAME
 from training.models.checkpoint import WEIGHTS
 from training.trials.checkpoints import TrialFolder
 

@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from cspace.bundle import Bundle
+from services.names import MODEL_NAME
 from services.registry.models.mlflow_registry import MlflowRegistry
-from services.registry.names import MODEL_NAME
 from tests.chaos.checks import left_behind
 from tests.chaos.system import System
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from services.registry.names import ALIAS_CHAMPION
+from services.names import ALIAS_CHAMPION
 from tests.compose.answers import ask_for_samples, serves_champion
 from tests.compose.documented import run_documented
 from tests.compose.kept import Kept, downloaded_digest

@@ -10,8 +10,8 @@ from cspace.worlds import robot_digest
 from inference_api.models.apart.disk import DiskCache
 from inference_api.models.apart.loading import BundleLoader, LoaderHere
 from inference_api.models.apart.parts import Limits, parts_apart
+from services.names import ALIAS_CHALLENGER, ALIAS_CHAMPION
 from services.registry.models.port import ModelRegistry, ModelVersion
-from services.registry.names import ALIAS_CHALLENGER, ALIAS_CHAMPION
 from services.registry.promotion import Decision, champions, decisions, record_decision
 from services.registry.tracking.port import Tracking
 from tests.bundles import write_tiny_bundle

@@ -16,8 +16,8 @@ from cspace.errors import (
     RegistryUnavailableError,
     StorageError,
 )
+from services.names import TAG_KEY, world_tags
 from services.registry.models.port import ModelVersion
-from services.registry.names import TAG_KEY, world_tags
 from services.registry.tracking.parameters import flatten
 from services.registry.tracking.port import Picture, RunLog, RunStatus
 from services.registry.tracking.run_block import RunBlock

@@ -8,7 +8,7 @@ import pytest
 
 from inference_api.app import create_app
 from inference_api.settings import ApiSettings
-from services.registry.names import MODEL_NAME
+from services.names import MODEL_NAME
 from tests.inference_api.answers import IMAGE, PNG, assert_problem
 from tests.inference_api.client import ApiClient, running
 from tests.inference_api.conftest import stock

@@ -13,7 +13,7 @@ from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK, PlanarArm
 from cspace.worlds.planar.world import PlanarWorld
 from inference_api.app import create_app
 from inference_api.settings import ApiSettings
-from services.registry.names import MODEL_NAME
+from services.names import MODEL_NAME
 from tests.bundles import write_tiny_bundle
 from tests.inference_api.answers import IMAGE, PNG, assert_problem
 from tests.inference_api.client import ApiClient, running

@@ -7,15 +7,18 @@ import numpy as np
 import pytest
 from jsonschema import Draft202012Validator
 
-from cspace.errors import ScenarioError
+from cspace.errors import SamplerModelError, ScenarioError
 from cspace.problem import OWN
+from cspace.query import SampleQuery
 from cspace.worlds.planar.arm import PlanarArm
 from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.scene import Disc, Scenario
 from cspace.worlds.planar.scenes import DiscScenes, GivenScenes
 from cspace.worlds.planar.world import PlanarWorld
 from services.planner.__main__ import main
-from services.planner.planning import plan_scene
+from services.planner.planning import SampleRequest, plan_scene, plan_with_api
+from services.planner.settings import PlannerSettings
+from services.planner.sources.samples import SampleBatch
 from services.scene_files import given_scenes, read_scene_file, schema
 
 WHOLE = """\
@@ -145,6 +148,44 @@ def test_a_problem_without_a_solution_is_told_at_once(write, capsys):
     limits = apart.replace("[null, [-2.5, 2.5]]", "[[-3.14, 3.14], [-0.1, 0.1]]")
     assert main(["plan", str(write(limits))]) == 1
     assert "apart" in capsys.readouterr().err
+
+
+class _Source:
+    """Has one model."""
+
+    def __init__(self, model: str) -> None:
+        self.model, self.asked = model, []
+
+    def answer(self, picture, query, model=None):
+        self.asked.append(model)
+        if model != self.model:
+            raise SamplerModelError("the sampling endpoint refused the request: No such model")
+        samples = np.tile(np.array([[-1.0, 0.5]], dtype=np.float32), (query.n, 1))
+        return SampleBatch(samples, model, 1, "0" * 64, query.seed, 0, 0.0)
+
+
+def test_a_scene_file_s_robot_has_its_own_model_and_goes_without_where_there_is_none(write):
+    scene = read_scene_file(write(WHOLE))
+    request = SampleRequest(SampleQuery(3, 0)).for_scene(scene)
+    assert (request.model, request.or_uniform) == ("bench-arm-sampler", True)
+    there, away = _Source("bench-arm-sampler"), _Source("cspace-sampler")
+    assert plan_with_api(scene.problem(), there, PlannerSettings(), request).batch is not None
+    plan = plan_with_api(scene.problem(), away, PlannerSettings(), request)
+    assert plan.unavailable == "there is no bench-arm-sampler yet"
+    assert plan.result.solved
+
+
+def test_a_model_that_the_user_names_has_to_be_there(write):
+    scene = read_scene_file(write(WHOLE))
+    request = SampleRequest(SampleQuery(3, 0), "bench-sampler").for_scene(scene)
+    with pytest.raises(SamplerModelError):
+        plan_with_api(scene.problem(), _Source("bench-arm-sampler"), PlannerSettings(), request)
+
+
+def test_the_default_robot_s_model_is_left_to_the_api(write):
+    values = {"robot": {"link_lengths_m": [2, 2]}, "obstacles": [], "start": [0, 0], "goal": [1, 1]}
+    scene = read_scene_file(write(json.dumps(values), "scene.json"))
+    assert SampleRequest(SampleQuery(3, 0)).for_scene(scene).model is None
 
 
 def test_three_lines_of_python_plan_in_a_file(write):

@@ -7,7 +7,7 @@ import pytest
 from mlflow import MlflowClient
 
 from cspace.bundle import Bundle
-from services.registry.names import EXPERIMENT
+from services.names import EXPERIMENT
 from tests.contracts.mlflow_server import mlflow_server
 from tests.training.clusters.test_pipeline import submit
 from training.sweep import main

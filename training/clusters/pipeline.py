@@ -7,8 +7,8 @@ from pathlib import Path
 
 from cspace.bundle import Bundle
 from cspace.dataset import Dataset
+from services.names import ALIAS_CHALLENGER, recorded_name
 from services.registry.models.mlflow_registry import MlflowRegistry
-from services.registry.names import ALIAS_CHALLENGER, recorded_name
 from training.clusters.bundling import TrainedParts, make_bundle
 from training.clusters.reporting import log_result, log_start
 from training.clusters.stages import (

@@ -13,7 +13,7 @@ from cspace.dataset.manifest import Manifest
 from cspace.errors import InputError
 from cspace.world import World
 from cspace.worlds import default_world, workshop_of
-from services.registry.names import model_name
+from services.names import model_name
 from training.config.files import load_values, named_presets, validated
 from training.config.job import JobConfig
 from training.datasets.config import DatasetConfig

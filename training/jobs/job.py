@@ -15,7 +15,7 @@ from cspace.bundle import Bundle
 from cspace.dataset import require_room
 from cspace.errors import BundleError, ConfigError, JobError, StorageError
 from cspace.files import HALF_SUFFIX, discard, holding, write_json
-from services.registry.names import EXPERIMENT
+from services.names import EXPERIMENT
 from services.registry.tracking.mlflow_tracking import MlflowTracking
 from services.registry.tracking.parameters import flatten
 from services.registry.tracking.port import RunLog, Tracking

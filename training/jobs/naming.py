@@ -6,8 +6,8 @@ from typing import TypeVar
 from cspace.errors import ConfigError
 from cspace.world import World
 from cspace.worlds import robot_digest
+from services.names import TAG_ROBOT, model_name
 from services.registry.models.mlflow_registry import MlflowRegistry
-from services.registry.names import TAG_ROBOT, model_name
 from training.config.job import JobConfig
 from training.jobs.job import Job
 

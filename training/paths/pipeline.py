@@ -9,8 +9,8 @@ from typing import Any
 
 from cspace.bundle import Bundle
 from cspace.dataset import Dataset, open_dataset
+from services.names import ALIAS_CHALLENGER, recorded_name
 from services.registry.models.mlflow_registry import MlflowRegistry
-from services.registry.names import ALIAS_CHALLENGER, recorded_name
 from training.config.paths import PathTrainConfig
 from training.datasets.generate import generate
 from training.jobs.environment import Environment

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from services.evaluator.evaluation.tables import aligned, markdown
-from services.registry.names import EXPERIMENT
+from services.names import EXPERIMENT
 from services.registry.tracking.mlflow_tracking import MlflowTracking
 from services.registry.tracking.port import RunLog
 from training.clusters.stages import prepare_data

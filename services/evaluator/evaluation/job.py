@@ -22,8 +22,8 @@ from services.evaluator.evaluation.rivals import Rival, find_rivals
 from services.evaluator.evaluation.units import Evaluation, Row, Setting, UnitResult, assemble
 from services.evaluator.measures.samplers import PackedBundle, bundle_sampler
 from services.evaluator.measures.scenes import summary_rng
+from services.names import EXPERIMENT
 from services.registry.models.port import ModelRegistry, ModelVersion
-from services.registry.names import EXPERIMENT
 from services.registry.tracking.port import Tracking
 
 RUN_NAME = "evaluation"

@@ -21,8 +21,8 @@ from cspace.world import World
 from cspace.worlds import robot_digest, workshop_of
 from services.evaluator.evaluation.gate import SMALLER_IS_BETTER, Champion
 from services.evaluator.measures.samplers import PackedBundle
+from services.names import ALIAS_CHAMPION
 from services.registry.models.port import ModelRegistry, ModelVersion
-from services.registry.names import ALIAS_CHAMPION
 from services.registry.promotion import Decision, champions
 
 # What decisions told of their robot before they told its digest.

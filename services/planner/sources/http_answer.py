@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import httpx
 
-from cspace.errors import SamplerAnswerError, SamplerError, SamplerUnavailableError
+from cspace.errors import SamplerAnswerError, SamplerError, SamplerModelError, SamplerUnavailableError
 from services.planner.sources.answer_errors import printable, unusable
 from services.planner.sources.http_exchange import Endpoint, Question
 from services.planner.sources.npy_answer import AnswerHead, read_head
@@ -31,6 +31,7 @@ _AGAIN = (
     httpx.codes.BAD_GATEWAY,
     httpx.codes.SERVICE_UNAVAILABLE,
 )
+_UNKNOWN_MODEL = ":unknown-model"
 _UNKNOWN_FIELD = httpx.codes.UNPROCESSABLE_ENTITY, "an unknown field"
 _LOST = (httpx.NetworkError, httpx.ConnectTimeout, httpx.RemoteProtocolError)
 
@@ -167,7 +168,9 @@ def _failure(answer: httpx.Response, body: bytes) -> Failure:
     title = printable(problem.get("title") or f"{status} {answer.reason_phrase}".strip())
     named = f" ({printable(problem['type'])})" if problem.get("type") else ""
     # A request that is wrong is the caller's affair; a server that fails is as good as none.
-    kind = SamplerUnavailableError if again or failed else SamplerError
+    unknown = problem.get("type", "").endswith(_UNKNOWN_MODEL)
+    refused = SamplerModelError if unknown else SamplerError
+    kind = SamplerUnavailableError if again or failed else refused
     error = kind(
         f"the sampling endpoint {'failed' if failed else 'refused the request'}: {title}{named}",
         got=printable(problem.get("detail") or f"status {status}"),

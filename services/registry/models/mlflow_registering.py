@@ -14,9 +14,9 @@ from mlflow.entities import LoggedModel, LoggedModelOutput, LoggedModelStatus, M
 from mlflow.exceptions import MlflowException
 
 from cspace.bundle import BundleSpec
+from services.names import TAG_DIGEST
 from services.registry.mlflow_errors import mapped
 from services.registry.models.mlflow_model import save_model
-from services.registry.names import TAG_DIGEST
 from services.registry.tracking.metric_buffer import MAX_BATCH
 
 MODEL_TYPE = "sampler"

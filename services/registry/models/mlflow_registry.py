@@ -14,12 +14,12 @@ from mlflow.artifacts import download_artifacts
 from mlflow.entities.model_registry import ModelVersion as MlflowVersion
 
 from cspace.errors import ModelNotFoundError, StorageError
+from services.names import TAG_DIGEST, world_tags
 from services.registry.mlflow_errors import mapped
 from services.registry.mlflow_health import check_reachable
 from services.registry.models.mlflow_model import BUNDLE_PATH, read_spec
 from services.registry.models.mlflow_registering import create_version
 from services.registry.models.port import ModelVersion
-from services.registry.names import TAG_DIGEST, world_tags
 
 _PAGE = 100
 

@@ -76,7 +76,7 @@ class ModelRegistry(ModelLookups, Protocol):
         """Make a bundle the next version of a model, which is created when it is new.
 
         The same digest from the same run is registered once: a second call returns the first version, with
-        the tags and the alias set again. What :func:`services.registry.names.world_tags` tells of the
+        the tags and the alias set again. What :func:`services.names.world_tags` tells of the
         bundle's world is among the tags.
 
         Args:

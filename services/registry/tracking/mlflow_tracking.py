@@ -9,8 +9,8 @@ from mlflow.entities import Experiment
 from mlflow.exceptions import MlflowException
 
 from cspace.errors import RegistryError
+from services.names import TAG_KEY
 from services.registry.mlflow_errors import mapped
-from services.registry.names import TAG_KEY
 from services.registry.tracking.metric_buffer import Patience
 from services.registry.tracking.mlflow_run import MlflowRun
 from services.registry.tracking.port import RunLog

@@ -8,9 +8,9 @@ from inference_api.settings import PRETRAINED_FOLDER
 from services.evaluator import __main__ as evaluator
 from services.evaluator.evaluation import request
 from services.evaluator.evaluation.budget import Budget
+from services.names import ALIAS_CHAMPION, MODEL_NAME
 from services.registry import __main__ as models
 from services.registry.models.mlflow_registry import MlflowRegistry
-from services.registry.names import ALIAS_CHAMPION, MODEL_NAME
 from services.registry.promotion import decisions
 from tests.contracts.mlflow_server import mlflow_server
 from tests.contracts.mlflow_warnings import MLFLOW_WARNINGS

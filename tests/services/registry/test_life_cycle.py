@@ -7,10 +7,10 @@ import pytest
 
 from cspace.bundle import Bundle
 from cspace.errors import BundleError, ConfigError, ModelNotFoundError
+from services.names import ALIAS_CHALLENGER, ALIAS_CHAMPION
 from services.registry.__main__ import main
 from services.registry.life_cycle import delete, export_version, import_version, promote, roll_back
 from services.registry.models.port import ModelVersion
-from services.registry.names import ALIAS_CHALLENGER, ALIAS_CHAMPION
 from services.registry.promotion import decisions, decisions_of
 from tests.bundles import write_tiny_bundle
 from tests.fakes.registry import FakeRegistry, FakeTracking

@@ -16,8 +16,8 @@ from cspace.bundle import Bundle
 from cspace.png import encode_png
 from inference_api.app import create_app
 from inference_api.settings import ApiSettings
+from services.names import ALIAS_CHALLENGER, EXPERIMENT, MODEL_NAME
 from services.registry.models.mlflow_registry import MlflowRegistry
-from services.registry.names import ALIAS_CHALLENGER, EXPERIMENT, MODEL_NAME
 from tests.contracts.mlflow_server import mlflow_server
 from tests.inference_api.client import running
 from training.config.clusters import CLUSTERS_FILE

@@ -4,7 +4,7 @@ import multiprocessing
 import pytest
 
 from cspace.errors import ConfigError, JobError, RegistryUnavailableError, StorageError
-from services.registry.names import TAG_KEY
+from services.names import TAG_KEY
 from tests.fakes.registry import FakeTracking
 from training.config.clusters import TrainConfig, load_config
 from training.jobs.environment import Environment, job_environment

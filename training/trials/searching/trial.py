@@ -8,7 +8,7 @@ from typing import Any
 import torch
 from ray import tune
 
-from services.registry.names import EXPERIMENT
+from services.names import EXPERIMENT
 from services.registry.tracking.mlflow_tracking import MlflowTracking
 from training.config.clusters import TrainConfig
 from training.models.encode import load_encoder

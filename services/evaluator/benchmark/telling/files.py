@@ -15,7 +15,7 @@ from services.evaluator.benchmark.telling.frame import write_parquet
 from services.evaluator.benchmark.telling.metrics import flat_metrics
 from services.evaluator.benchmark.telling.ompl_log import ompl_log
 from services.evaluator.benchmark.telling.report import report
-from services.registry.names import EXPERIMENT
+from services.names import EXPERIMENT
 from services.registry.tracking.port import Tracking
 
 PARQUET, REPORT, FIGURES, PAGES = "runs.parquet", "report.md", "figures", "pages"

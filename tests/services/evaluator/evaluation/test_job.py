@@ -13,7 +13,7 @@ from services.evaluator.evaluation.execution import run_here
 from services.evaluator.evaluation.job import evaluate_version, executor, run_on_ray
 from services.evaluator.evaluation.metrics import flat_metrics
 from services.evaluator.evaluation.request import make_request
-from services.registry.names import ALIAS_CHALLENGER, ALIAS_CHAMPION, MODEL_NAME
+from services.names import ALIAS_CHALLENGER, ALIAS_CHAMPION, MODEL_NAME
 from services.registry.promotion import decisions
 from tests.bundles import write_tiny_bundle
 from tests.fakes.registry import FakeRegistry, FakeTracking

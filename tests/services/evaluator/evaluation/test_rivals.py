@@ -10,7 +10,7 @@ from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.world import PlanarWorld
 from inference_api.settings import PRETRAINED_FOLDER
 from services.evaluator.evaluation.rivals import find_rivals, is_of
-from services.registry.names import MODEL_NAME
+from services.names import MODEL_NAME
 from services.registry.promotion import Decision, record_decision
 from tests.bundles import write_tiny_bundle
 from tests.fakes.registry import FakeRegistry

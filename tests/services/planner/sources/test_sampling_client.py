@@ -5,7 +5,7 @@ import httpx
 import numpy as np
 import pytest
 
-from cspace.errors import ConfigError, CspaceError, SamplerError, SamplerUnavailableError
+from cspace.errors import ConfigError, CspaceError, SamplerError, SamplerModelError, SamplerUnavailableError
 from services.planner.sources.sampling_client import SamplingClient
 from tests.fakes.sample_server import npy, read_form, sample_server
 from tests.fakes.sample_source import FakeSampleSource
@@ -103,7 +103,7 @@ def test_fields_are_sent_as_the_contract_has_them():
 def test_a_problem_s_own_words_reach_the_message():
     problem = {"type": "urn:x:unknown-model", "title": "No such model", "detail": "got nobody/1; see /models"}
     refused = httpx.Response(404, json=problem, headers={"Content-Type": "application/problem+json"})
-    with pytest.raises(SamplerError) as caught:
+    with pytest.raises(SamplerModelError) as caught:
         client_of(refused).sample(PNG, 2, seed=SEED)
     assert not isinstance(caught.value, SamplerUnavailableError)
     assert all(value in str(caught.value) for value in problem.values())

@@ -5,7 +5,7 @@ from cspace.worlds import examples, robot_digest
 from cspace.worlds.planar.arm import PlanarArm
 from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.world import PlanarWorld
-from services.registry.names import (
+from services.names import (
     MAX_WORLD,
     MODEL_NAME,
     PATH_MODEL_NAME,
