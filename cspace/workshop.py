@@ -35,7 +35,7 @@ class Checker(Protocol):
         """Which of (N, d) rad are free, (N,)."""
 
     def clearance(self, configurations: ArrayLike) -> NDArray[np.float64]:
-        """Distance to the obstacles for each of (N, d) rad, (N,) m; negative in collision."""
+        """Distance to what the robot collides with for each of (N, d) rad, (N,) m; negative in collision."""
 
     def edge_batch(self, starts: ArrayLike, ends: ArrayLike, resolution_rad: float) -> NDArray[np.bool_]:
         """Which of the ways between (N, d) and (N, d) are free, both ends included, (N,)."""

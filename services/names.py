@@ -44,8 +44,7 @@ def robot_name(world: World, given: str | None = None) -> str:
             "robot_name does not fit", expected="1 to 63 letters, digits and -, no - first", got=repr(given)
         )
     # Some would make a name of a model that is another robot's.
-    taken = given in examples() or f"{given}{_SUFFIX}" in (MODEL_NAME, PATH_MODEL_NAME)
-    if example or taken or given.endswith("-path") or re.fullmatch(_DERIVED, given, re.ASCII):
+    if example or given.endswith("-path") or is_kept(f"{given}{_SUFFIX}"):
         raise ConfigError(
             "robot_name is another robot's",
             expected=own if example else f"{own}, or a name that no other robot has",
@@ -72,6 +71,24 @@ def model_name(world: World, given: str | None = None, *, path: bool = False) ->
     return f"{name}{_PATH_SUFFIX if path else _SUFFIX}"
 
 
+def names_beside(model: str) -> tuple[str, ...]:
+    """The models of the robot that a model is named after, of configurations and of paths; else itself."""
+    robot = _robot_of(model)
+    return (model,) if robot is None else (f"{robot}{_SUFFIX}", f"{robot}{_PATH_SUFFIX}")
+
+
+def is_own(model: str, world: World) -> bool:
+    """Whether a model's name is one that its robot has without being given it."""
+    return model in {model_name(world), model_name(world, path=True)} or _robot_of(model) == robot_name(world)
+
+
+def is_kept(model: str) -> bool:
+    """Whether a model's name is an example's, or one that is derived from a robot's digest."""
+    robot = _robot_of(model) or ""
+    derived = re.fullmatch(_DERIVED, robot, re.ASCII) is not None
+    return derived or robot in examples() or model in (MODEL_NAME, PATH_MODEL_NAME)
+
+
 def world_tags(world: World) -> dict[str, str]:
     """What a version's tags tell of its world: the robot's digest, and all of it where it is short."""
     told = json.dumps(world.to_dict(), sort_keys=True)
@@ -94,3 +111,9 @@ def may_name(model: str, world: World, given: str | None) -> bool:
     except ConfigError:
         own = set()
     return model in {MODEL_NAME, PATH_MODEL_NAME, *own} or not model.endswith(_SUFFIX)
+
+
+def _robot_of(model: str) -> str | None:
+    """The robot's name in that of a model; None where it has none."""
+    suffix = next((one for one in (_PATH_SUFFIX, _SUFFIX) if model.endswith(one)), None)
+    return None if suffix is None else model.removesuffix(suffix)

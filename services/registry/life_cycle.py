@@ -10,11 +10,21 @@ import time
 from collections.abc import Mapping
 from pathlib import Path
 
-from cspace.bundle import Bundle
+from cspace.bundle import Bundle, BundleSpec
 from cspace.errors import ConfigError, ModelNotFoundError
 from cspace.files import replacing, write_json
 from cspace.worlds import robot_digest
-from services.names import ALIAS_CHALLENGER, ALIAS_CHAMPION, EXPERIMENT, TAG_DIGEST
+from services.names import (
+    ALIAS_CHALLENGER,
+    ALIAS_CHAMPION,
+    EXPERIMENT,
+    TAG_DIGEST,
+    TAG_ROBOT,
+    is_kept,
+    is_own,
+    model_name,
+    names_beside,
+)
 from services.registry.models.port import ModelRegistry, ModelVersion
 from services.registry.promotion import Decision, champions, decisions_of, record_decision
 from services.registry.tracking.port import Tracking
@@ -118,13 +128,32 @@ def import_version(registry: ModelRegistry, tracking: Tracking, folder: Path, na
 
     Raises:
         BundleError: the bundle is damaged or answers otherwise here.
-        ConfigError: the folder holds neither.
+        ConfigError: the folder holds neither, or the name is another robot's.
     """
     bundle = Bundle.load(folder / BUNDLE_FOLDER if (folder / BUNDLE_FOLDER).is_dir() else folder)
+    _require_name(registry, name, bundle.spec)
     tags = _tags(folder / RECORD)
     key = f"import/{name}/{bundle.digest}"
     with tracking.start(EXPERIMENT, f"import {bundle.digest[:8]}", tags={"imported": "true"}, key=key) as run:
         return registry.register(name, bundle.folder, run.run_id, bundle.digest, tags, alias=ALIAS_CHALLENGER)
+
+
+def _require_name(registry: ModelRegistry, name: str, spec: BundleSpec) -> None:
+    """Refuse a name that is kept for another robot, or under which the registry has another's versions."""
+    if is_own(name, spec.world):
+        return
+    digest = robot_digest(spec.world)
+    held = (version for model in names_beside(name) for version in registry.versions(model))
+    other = next((one for one in held if one.tags.get(TAG_ROBOT, digest) != digest), None)
+    if other is None and not is_kept(name):
+        return
+    told = "" if other is None else f", and {other} is of robot {other.tags[TAG_ROBOT][:8]}"
+    raise ConfigError(
+        "the model's name is another robot's",
+        expected=f"a name whose models are of robot {digest[:8]}",
+        got=f"{name}{told}",
+        remedy=f"import it as {model_name(spec.world, path=spec.kind == 'path')}, or under another name",
+    )
 
 
 def _tags(record: Path) -> Mapping[str, str]:

@@ -67,6 +67,20 @@ def test_a_robot_that_is_no_digest_is_a_wrong_value(api: ApiClient, robot: str) 
     assert assert_problem(answer, 422, "invalid-value")["errors"][0]["field"] == "robot"
 
 
+def test_an_arm_that_collides_with_itself_is_another_robot(
+    start_api: StartApi, registry: CountingRegistry, tmp_path: Path
+) -> None:
+    folding = replace(THREE_LINK, self_collision=True)
+    digest = robot_digest(PlanarWorld(folding))
+    registry.add(write_tiny_bundle(tmp_path / "folding", folding), "champion")
+    api = start_api(registry)
+    assert listed(api)[f"{MODEL_NAME}/1"]["world"]["robot"]["self_collision"] is True
+    assert ask(api, NPY).headers["x-robot"] == digest != THREE
+    assert ask(api, robot=digest).status_code == 200
+    problem = assert_problem(ask(api, robot=THREE), 409, "other-robot")
+    assert '"self_collision": true' in problem["got"]
+
+
 def listed(api: ApiClient) -> dict[str, dict[str, object]]:
     return {item["reference"]: item for item in api.get("/models").json()["models"]}
 
@@ -82,6 +96,7 @@ def test_the_list_tells_robot_limits_and_camera_of_what_is_loaded_and_of_what_is
     assert told["robot"] == robot_digest(world)
     assert told["world"] == json.loads(json.dumps(world.to_dict()))
     assert told["joint_space"] == world.space.to_dict()
+    assert "self_collision" not in told["world"]["robot"]
     for reference in (f"{MODEL_NAME}/1", "pretrained"):
         assert models[reference]["robot"] == TWO
         assert models[reference]["world"] == json.loads(json.dumps(PlanarWorld().to_dict()))

@@ -1,5 +1,6 @@
 """Scene files: what they say, and the line that is wrong."""
 
+import itertools
 import json
 from pathlib import Path
 
@@ -20,6 +21,7 @@ from services.planner.planning import SampleRequest, plan_scene, plan_with_api
 from services.planner.settings import PlannerSettings
 from services.planner.sources.samples import SampleBatch
 from services.scene_files import given_scenes, read_scene_file, schema
+from tests.capsules import self_clearance_by_hand
 
 WHOLE = """\
 name: bench-arm
@@ -85,6 +87,13 @@ def test_the_schema_is_one_and_takes_what_is_read():
         ("goal: [-1.8, -0.5]", "goal: [-1.8]", 12, "2 angles"),
         ("goal: [-1.8, -0.5]", "goal: [-1.8, -0.5", 13, "no YAML"),
         ("goal: [-1.8, -0.5]", "goal: [-1.8, .nan]", 12, "goal"),
+        ("robot:\n", "robot:\n  self_collision: 1\n", 3, "self_collision.*true or false"),
+        (
+            WHOLE[WHOLE.index("  link") : WHOLE.index("camera")],
+            "  link_lengths_m: [1, 0.1, 1]\n  self_collision: true\n",
+            2,
+            "always collides with itself",
+        ),
         ("name: bench-arm", "name: Bench Arm", 1, "name"),
         ("name: bench-arm", "world: hyperbolic", 1, "the world is unknown"),
         ("name: bench-arm", "start: [1, 1]", 11, "start stands twice"),
@@ -135,6 +144,24 @@ def test_the_command_plans_in_a_file(write, tmp_path, capsys):
     shown = capsys.readouterr().out
     assert "your own, 2 joints" in shown
     assert figure.stat().st_size > 10_000
+
+
+def test_a_plan_of_an_arm_that_collides_with_itself_never_crosses_it(write):
+    robot = "robot: {{link_lengths_m: [2, 1, 2], half_width_m: 0.1{}}}\n"
+    ends = "obstacles: []\nstart: [0, 1.2, 2.0]\ngoal: [0, 1.2, -2.0]\n"
+    away = "http://127.0.0.1:1"
+    plain = plan_scene(write(robot.format("") + ends, "plain.yaml"), api=away).result
+    assert plain.solved
+    path = write(robot.format(", self_collision: true") + ends)
+    arm, result = read_scene_file(path).world.body, plan_scene(path, api=away).result
+    assert arm == PlanarArm((2.0, 1.0, 2.0), 0.1, self_collision=True)
+    assert result.solved
+    assert result.length_rad > plain.length_rad
+    for first, second in itertools.pairwise(result.path):
+        for share in np.linspace(0.0, 1.0, 50):
+            q = first + share * arm.space.difference(first, second)
+            # Links that cross are 0.2 m deep; between the states that a check looks at they move by less.
+            assert self_clearance_by_hand(arm, q) > -0.05
 
 
 def test_a_problem_without_a_solution_is_told_at_once(write, capsys):

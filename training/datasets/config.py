@@ -12,6 +12,8 @@ from pydantic import (
     ConfigDict,
     Field,
     GetCoreSchemaHandler,
+    SerializerFunctionWrapHandler,
+    WrapSerializer,
 )
 from pydantic_core import CoreSchema
 
@@ -30,12 +32,18 @@ class _OfAnyKind:
         return handler.generate_schema(reduce(or_, part_types(self.part)))
 
 
+def _as_told(body: Body, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+    """A robot by its fields, but those that its own files leave out: keys of data made before stay theirs."""
+    told = body.to_dict()
+    return {name: value for name, value in handler(body).items() if name in told}
+
+
 class GeneratedConfig(BaseModel):
     """What fixes any generated data set."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    robot: Annotated[Body, _OfAnyKind("body")] = default_world().body
+    robot: Annotated[Body, _OfAnyKind("body"), WrapSerializer(_as_told)] = default_world().body
     camera: Annotated[Any, _OfAnyKind("sensor")] | None = Field(
         None, exclude_if=lambda part: part is None, description="None: the usual one"
     )

@@ -26,14 +26,16 @@ class PlanarArm:
         link_lengths_m: length of each link.
         half_width_m: radius of the capsules round the links.
         joint_limits_rad: None when all joints are circles; else per joint None or (low, high), at any turn.
+        self_collision: whether capsules of links that are not neighbours collide with each other.
 
     Raises:
-        ScenarioError: lengths, width or limits cannot be.
+        ScenarioError: lengths, width or limits cannot be, or no configuration is clear of itself.
     """
 
     link_lengths_m: tuple[float, ...] = (2.0, 2.0)
     half_width_m: float = 0.1
     joint_limits_rad: JointLimits | None = None
+    self_collision: bool = False
 
     def __post_init__(self) -> None:
         settle(self)
@@ -47,6 +49,10 @@ class PlanarArm:
             raise ScenarioError(
                 "the arm's half width does not fit", expected="above 0", got=str(self.half_width_m)
             )
+        self._check_limits()
+        self._check_self_collision()
+
+    def _check_limits(self) -> None:
         limits = self.joint_limits_rad
         if limits is None:
             return
@@ -56,6 +62,19 @@ class PlanarArm:
                 expected=f"{self.dim} entries, each None or low < high by {MIN_RANGE_RAD} rad or more, "
                 f"within {MAX_LIMIT_RAD:.0f} rad",
                 got=str(limits),
+            )
+
+    def _check_self_collision(self) -> None:
+        if type(self.self_collision) is not bool:
+            raise ScenarioError(
+                "self_collision does not fit", expected="true or false", got=repr(self.self_collision)
+            )
+        width_m = 2.0 * self.half_width_m
+        if self.self_collision and min(self.link_lengths_m[1:-1], default=np.inf) <= width_m:
+            raise ScenarioError(
+                "the arm always collides with itself",
+                expected=f"links between two others longer than the links' width of {width_m} m",
+                got=str(self.link_lengths_m),
             )
 
     @property
@@ -88,17 +107,21 @@ class PlanarArm:
         return np.concatenate([base, np.cumsum(steps, axis=1)], axis=1)
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values for JSON."""
-        return {"kind": _KIND, **written(self)}
+        """Plain values for JSON; ``self_collision`` where it is true, as files before it have none."""
+        told = {"kind": _KIND, **written(self)}
+        if not self.self_collision:
+            del told["self_collision"]
+        return told
 
     @classmethod
     def from_dict(cls, values: object) -> "PlanarArm":
-        """The inverse of :meth:`to_dict`; kind and limits may be missing.
+        """The inverse of :meth:`to_dict`; kind, limits and ``self_collision`` may be missing.
 
         Raises:
             ScenarioError: another key is missing, one is unknown, or a value is of the wrong type.
         """
-        members = {"kind": _KIND, "joint_limits_rad": None} | read_mapping(values, "the robot", ScenarioError)
+        usual = {"kind": _KIND, "joint_limits_rad": None, "self_collision": False}
+        members = usual | read_mapping(values, "the robot", ScenarioError)
         if (kind := members.pop("kind")) != _KIND:
             raise ScenarioError("the robot is unknown", expected=_KIND, got=repr(kind)[:200])
         return read_object(cls, members, "the robot", ScenarioError)

@@ -1,7 +1,8 @@
 """Collision checks of one scenario.
 
 A configuration is free when the clearance between every link's capsule and every disc is above zero and every
-limited joint is within its limits.
+limited joint is within its limits. Where the arm collides with itself, the clearance between the capsules of
+any two links that are not neighbours is above zero as well.
 """
 
 from typing import Any
@@ -12,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from cspace.errors import ScenarioError
 from cspace.space import JointSpace
 from cspace.workshop import EdgeTest, StateTest
+from cspace.worlds.planar.arm import PlanarArm
 from cspace.worlds.planar.kernels import arm_is_free, checked_edge, clearance_batch, edge_batch, free_batch
 from cspace.worlds.planar.scene import Scenario
 from cspace.worlds.planar.tree_growth import advance
@@ -31,6 +33,7 @@ class CollisionChecker:
             np.asarray(scenario.robot.link_lengths_m, dtype=np.float64),
             float(scenario.robot.half_width_m),
             scenario.disc_array,
+            _pairs(scenario.robot),
             np.asarray(space.lower, dtype=np.float64),
             np.asarray(space.upper, dtype=np.float64),
             np.asarray(space.periodic, dtype=np.bool_),
@@ -51,8 +54,8 @@ class CollisionChecker:
         return result
 
     def clearance(self, configurations: ArrayLike) -> NDArray[np.float64]:
-        """Distance from arm to discs for each of (N, d) rad, (N,) m; negative in collision."""
-        result: NDArray[np.float64] = clearance_batch(self._rows(configurations), *self.kernel_args[:3])
+        """Distance from arm to discs, or to itself, for each of (N, d) rad, (N,) m; negative in collision."""
+        result: NDArray[np.float64] = clearance_batch(self._rows(configurations), *self.kernel_args[:4])
         return result
 
     def edge(self, start: ArrayLike, end: ArrayLike, resolution_rad: float) -> bool:
@@ -124,3 +127,10 @@ class CollisionChecker:
                 got=str(rows.shape),
             )
         return rows
+
+
+def _pairs(robot: PlanarArm) -> NDArray[np.int64] | None:
+    """The links that collide with each other, (K, 2); None where none do."""
+    if not robot.self_collision or robot.dim < 3:
+        return None
+    return np.argwhere(np.triu(np.ones((robot.dim, robot.dim)), 2)).astype(np.int64)

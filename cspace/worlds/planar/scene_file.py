@@ -33,6 +33,7 @@ _ROBOT = _object(
     link_lengths_m={"type": "array", "items": _LENGTH, "minItems": 1, "maxItems": 64},
     half_width_m=_LENGTH,
     joint_limits_rad={"anyOf": [{"type": "null"}, {"type": "array", "items": _LIMIT}]},
+    self_collision={"type": "boolean", "description": "true or false"},
 )
 _CAMERA = _object(
     [],

@@ -15,7 +15,7 @@ _TRAPPED, _ADVANCED, _REACHED = 0, 1, 2
 @njit(cache=True, nogil=True)
 def advance(  # type: ignore[no-untyped-def]
     nodes, parents, counts, checks, states, side, reach, resolution,
-    links, half_width, discs, lower, upper, periodic,
+    links, half_width, discs, pairs, lower, upper, periodic,
 ):  # fmt: skip
     """Grow by a block of states: iterations, whose turn it is, the shared node or -1 twice.
 
@@ -25,7 +25,7 @@ def advance(  # type: ignore[no-untyped-def]
         other = 1 - side
         status = _grow(
             nodes, parents, counts, checks, side, states[index], reach, resolution,
-            links, half_width, discs, lower, upper, periodic,
+            links, half_width, discs, pairs, lower, upper, periodic,
         )  # fmt: skip
         if status != _TRAPPED:
             target = nodes[side, counts[side] - 1].copy()
@@ -33,7 +33,7 @@ def advance(  # type: ignore[no-untyped-def]
             while status == _ADVANCED:
                 status = _grow(
                     nodes, parents, counts, checks, other, target, reach, resolution,
-                    links, half_width, discs, lower, upper, periodic,
+                    links, half_width, discs, pairs, lower, upper, periodic,
                 )  # fmt: skip
             if status == _REACHED:
                 first, second = counts[0] - 1, counts[1] - 1
@@ -45,7 +45,7 @@ def advance(  # type: ignore[no-untyped-def]
 @njit(cache=True, nogil=True)
 def _grow(  # type: ignore[no-untyped-def]
     nodes, parents, counts, checks, side, target, reach, resolution,
-    links, half_width, discs, lower, upper, periodic,
+    links, half_width, discs, pairs, lower, upper, periodic,
 ):  # fmt: skip
     """One step of a tree towards a configuration: trapped, advanced or reached."""
     dim = target.shape[0]
@@ -68,11 +68,12 @@ def _grow(  # type: ignore[no-untyped-def]
     # The goal's tree looks at the new state before its edge, as OMPL's does.
     if side == 1:
         checks[1] += 1
-        if not arm_is_free(new, links, half_width, discs, lower, upper, periodic):
+        if not arm_is_free(new, links, half_width, discs, pairs, lower, upper, periodic):
             return _TRAPPED
     free, states = checked_edge(
-        nodes[side, nearest], new, resolution, links, half_width, discs, lower, upper, periodic
-    )
+        nodes[side, nearest], new, resolution,
+        links, half_width, discs, pairs, lower, upper, periodic,
+    )  # fmt: skip
     checks[0] += 1
     checks[1] += states
     if not free:

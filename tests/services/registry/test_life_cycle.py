@@ -7,6 +7,9 @@ import pytest
 
 from cspace.bundle import Bundle
 from cspace.errors import BundleError, ConfigError, ModelNotFoundError
+from cspace.worlds import robot_digest
+from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK, PlanarArm
+from cspace.worlds.planar.world import PlanarWorld
 from services.names import ALIAS_CHALLENGER, ALIAS_CHAMPION
 from services.registry.__main__ import main
 from services.registry.life_cycle import delete, export_version, import_version, promote, roll_back
@@ -108,6 +111,68 @@ def test_a_bundle_alone_is_imported_and_a_foreign_record_refused(tmp_path: Path)
     (folder / "version.json").write_text(json.dumps({"tags": ["a"]}))
     with pytest.raises(ConfigError, match=r"version\.json"):
         import_version(registry, tracking, folder, "mine")
+
+
+OWN, OTHER = PlanarArm((1.0, 1.0)), PlanarArm((1.0, 1.1))
+OWN_NAME = f"planar-{robot_digest(PlanarWorld(OWN))[:8]}"
+
+
+@pytest.mark.parametrize(
+    ("robot", "name", "advice"),
+    [
+        (THREE_LINK, "cspace-sampler", "three-link-sampler"),
+        (THREE_LINK, "path-sampler", "three-link-sampler"),
+        (THREE_LINK, "two-link-sampler", "three-link-sampler"),
+        (TWO_LINK, "three-link-path-sampler", "cspace-sampler"),
+        (OWN, "three-link-sampler", f"{OWN_NAME}-sampler"),
+        (OTHER, f"{OWN_NAME}-sampler", "planar-"),
+        (TWO_LINK, f"{OWN_NAME}-path-sampler", "cspace-sampler"),
+    ],
+)
+def test_a_version_is_not_imported_under_a_name_of_another_robot(robot, name, advice, tmp_path) -> None:
+    registry, tracking = FakeRegistry(tmp_path / "registry"), FakeTracking()
+    bundle = write_tiny_bundle(tmp_path / "bundle", robot)
+    with pytest.raises(ConfigError, match=f"another robot's.*{advice}"):
+        import_version(registry, tracking, bundle, name)
+    assert (registry.names(), tracking.runs) == ((), {})
+
+
+@pytest.mark.parametrize("held", ["arm-7-sampler", "arm-7-path-sampler"])
+def test_a_version_is_not_imported_where_the_registry_has_those_of_another_robot(held, tmp_path) -> None:
+    registry, tracking = FakeRegistry(tmp_path / "registry"), FakeTracking()
+    import_version(registry, tracking, write_tiny_bundle(tmp_path / "own", OWN), held)
+    bundle = write_tiny_bundle(tmp_path / "other", OTHER)
+    with pytest.raises(ConfigError, match=f"{held}/1 is of robot.*planar-"):
+        import_version(registry, tracking, bundle, "arm-7-sampler")
+    assert [len(registry.versions(name)) for name in registry.names()] == [1]
+    assert import_version(registry, tracking, bundle, "arm-8-sampler").number == 1
+
+
+@pytest.mark.parametrize(
+    ("robot", "kind", "name"),
+    [
+        (TWO_LINK, "configuration", "cspace-sampler"),
+        (TWO_LINK, "path", "path-sampler"),
+        (TWO_LINK, "configuration", "mine"),
+        (TWO_LINK, "configuration", "two-link-sampler"),
+        (TWO_LINK, "path", "cspace-path-sampler"),
+        (THREE_LINK, "path", "three-link-path-sampler"),
+        (OWN, "configuration", f"{OWN_NAME}-sampler"),
+        (OWN, "configuration", "arm-7-sampler"),
+    ],
+)
+def test_a_version_is_imported_under_its_robots_names_and_those_of_none(robot, kind, name, tmp_path) -> None:
+    registry, tracking = FakeRegistry(tmp_path / "registry"), FakeTracking()
+    for number, scale in enumerate((1.0, 0.5), start=1):
+        bundle = write_tiny_bundle(tmp_path / str(number), robot, kind=kind, scale=scale)
+        assert import_version(registry, tracking, bundle, name).number == number
+
+
+def test_a_robot_keeps_its_own_name_where_earlier_releases_gave_it_to_others(tmp_path) -> None:
+    registry, tracking = FakeRegistry(tmp_path / "registry"), FakeTracking()
+    earlier = write_tiny_bundle(tmp_path / "earlier", THREE_LINK)
+    registry.register(NAME, earlier, "1", Bundle.load(earlier).digest, {})
+    assert import_version(registry, tracking, write_tiny_bundle(tmp_path / "own"), NAME).number == 2
 
 
 @pytest.mark.parametrize("arguments", [[], ["models"], ["models", "promote", "a/1"], ["models", "fly"]])

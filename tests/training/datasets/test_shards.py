@@ -7,6 +7,7 @@ from cspace.worlds.planar.arm import THREE_LINK, PlanarArm
 from cspace.worlds.planar.collision import CollisionChecker
 from cspace.worlds.planar.render import render
 from cspace.worlds.planar.scene import Scenario, random_scenarios
+from tests.capsules import self_clearance_by_hand
 from training.datasets.config import DatasetConfig, PathDatasetConfig
 from training.datasets.configurations import ConfigurationRecipe, draw_configurations
 from training.datasets.shards import Shard, load_shard, save_shard
@@ -51,6 +52,20 @@ def test_configurations_are_what_they_are_said_to_be(config):
         assert not checker.valid_batch(arrays["collision"][index]).any()
         assert robot.space.contains(arrays["collision"][index]).all()
         np.testing.assert_array_equal(arrays["images"][index], render(scenario))
+
+
+def test_no_free_sample_of_an_arm_that_collides_with_itself_does_so():
+    arm = PlanarArm((2.0, 1.0, 2.0), 0.1, self_collision=True)
+    arrays = joined(SMALL.model_copy(update={"robot": arm}))
+    free = arrays["free"].reshape(-1, 3)
+    assert min(self_clearance_by_hand(arm, q) for q in free) > 0.0
+    collision = arrays["collision"].reshape(-1, 3)
+    discs = np.repeat(arrays["discs"], 20, axis=0)
+    plain = PlanarArm(arm.link_lengths_m, arm.half_width_m)
+    for q, among in zip(collision, discs, strict=True):
+        if CollisionChecker(Scenario.from_array(plain, among)).valid(q):
+            assert self_clearance_by_hand(arm, q) <= 0.0
+    assert min(self_clearance_by_hand(arm, q) for q in collision) < 0.0
 
 
 def test_scenarios_are_the_first_ones_of_their_split():
@@ -151,6 +166,14 @@ def test_data_that_were_made_before_are_found_again(config, key, robot):
     assert (config.key, told["robot"]) == (key, robot)
     assert list(told)[:4] == ["robot", "split", "seed", "shard_size"]
     assert type(config).model_validate(told) == config
+
+
+def test_data_of_an_arm_that_collides_with_itself_have_another_key():
+    folding = THREE.model_copy(update={"robot": PlanarArm((1.6, 1.4, 1.0), self_collision=True)})
+    told = folding.model_dump(mode="json")
+    assert told["robot"] == ARM | {"link_lengths_m": [1.6, 1.4, 1.0], "self_collision": True}
+    assert folding.key != THREE.key
+    assert DatasetConfig.model_validate(told) == folding
 
 
 @pytest.mark.parametrize(
