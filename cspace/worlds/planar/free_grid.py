@@ -49,6 +49,11 @@ class FreeGrid:
         return np.reshape(CollisionChecker(self.scenario).valid_batch(points), self._shape)
 
     @cached_property
+    def touching(self) -> NDArray[np.int64]:
+        """Component of each free cell, those that touch in a corner connected; 0 for the others."""
+        return self.components(diagonal=True)
+
+    @cached_property
     def clearance_rad(self) -> NDArray[np.float64]:
         """Torus distance from each cell to the nearest colliding one; inf where nothing collides."""
         return distance_to_false(self.free, self.spacing_rad, self.scenario.robot.space.periodic)

@@ -14,6 +14,7 @@ a pair.
 
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -105,7 +106,7 @@ def obstruction(scenario: Scenario, start: ArrayLike, goal: ArrayLike) -> str | 
         if clearance_m <= 0.0:
             return f"the {name} is {-clearance_m:.3f} m deep in collision"
     grid = _fine(scenario)
-    first, second = grid.components(diagonal=True)[grid.cells_of(ends)]
+    first, second = grid.touching[grid.cells_of(ends)]
     if 0 not in (first, second) and first != second:
         cell_rad = float(grid.spacing_rad.max())
         return f"start and goal lie in parts of the free space that are apart (cells of {cell_rad:.3f} rad)"
@@ -130,7 +131,7 @@ def _search(
     grid, (start, goal) = _fine(scenario), free[:2].copy()
     if family is Family.DISCONNECTED:
         # Cells that touch in a corner count as connected here: no path may hide between two cells.
-        first, second = grid.components(diagonal=True)[grid.cells_of(free[:2])]
+        first, second = grid.touching[grid.cells_of(free[:2])]
         return _Ends(start, goal, 0.0) if first > 0 and second > 0 and first != second else None
     bottleneck = grid.bottleneck_rad(start, goal)
     return _Ends(start, goal, bottleneck) if bottleneck > 0.0 else None
@@ -213,5 +214,7 @@ def require_resolution(robot: PlanarArm) -> None:
         )
 
 
+# Given scenes are drawn from again and again.
+@lru_cache(maxsize=1)
 def _fine(scenario: Scenario) -> FreeGrid:
     return FreeGrid(scenario, cells_per_joint(scenario.robot.dim))

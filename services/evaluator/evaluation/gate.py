@@ -1,9 +1,9 @@
 """The gate: may a version become the champion?
 
-A version must beat uniform samples beyond the interval and cover most of what real samples cover; a path
-model must save a planner edge checks beyond the interval in the problems that tell most, and solve no fewer
-problems. Beside every rival, measured on the same scenes, it must be worse in no gated measure beyond the
-interval, and better in one. A champion that was not measured again is compared by its recorded metrics, each
+A version must beat uniform samples beyond the interval, on five scenes or more, and cover most of what real
+samples cover; a path model must save a planner edge checks beyond the interval in the problems that tell
+most, and solve no fewer problems. Beside every rival, measured on the same scenes, it must be worse in no
+gated measure beyond the interval, and better in one. A champion that was not measured again is compared by its recorded metrics, each
 with a fixed margin; as the best of them counts, many small steps down can not add up.
 """
 
@@ -14,6 +14,8 @@ from cspace.workshop import Measures
 from services.evaluator.evaluation.comparison import Comparison
 from services.evaluator.statistics import Interval
 
+# What an interval over fewer says of scenes that nobody has seen is nothing.
+FEWEST_SCENES = 5
 COVERAGE = "coverage"
 PLANNING_SUCCESS = "planning_success"
 SMALLER_IS_BETTER = frozenset({"edr"})
@@ -152,6 +154,9 @@ def _beside(comparison: Comparison) -> tuple[_Finding, _Finding]:
 
 
 def _beats_uniform(gain: Interval) -> _Finding:
+    if gain.count < FEWEST_SCENES:
+        told = f"judged on {gain.count} scenes; fewer than {FEWEST_SCENES} tell nothing of others"
+        return _Finding(held=False, reason=told)
     held = gain.low > 0.0
     words = "beats uniform beyond the interval" if held else "does not beat uniform beyond the interval"
     return _Finding(held, f"precision {words}: gain {gain:+.3f} over {gain.count} scenarios")

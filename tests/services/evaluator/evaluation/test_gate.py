@@ -33,6 +33,14 @@ def beside(*gains, rival="the shipped model"):
 SAME, BETTER, WORSE = ("coverage", -0.01, 0.01), ("precision", 0.001, 0.02), ("EDr", -0.05, -0.001)
 
 
+def test_too_few_scenes_promote_nobody():
+    few = Candidate(Interval(0.3, 0.3, 0.3, 4), 0.98, GOOD)
+    verdict = judge(few, Bar(), PLANAR)
+    assert not verdict.promoted
+    assert "judged on 4 scenes; fewer than 5 tell nothing of others" in verdict.reasons
+    assert judge(replace(few, precision_gain=Interval(0.3, 0.3, 0.3, 5)), Bar(), PLANAR).promoted
+
+
 def test_a_first_version_that_beats_uniform_and_covers_is_promoted():
     verdict = judge(candidate(), Bar(), PLANAR)
     assert verdict.promoted
