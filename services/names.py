@@ -18,6 +18,8 @@ ALIAS_CHAMPION = "champion"
 TAG_DIGEST = "digest"
 # On a run: what :meth:`services.registry.tracking.port.Tracking.start` finds it by.
 TAG_KEY = "cspace.key"
+# On a version: when it was the champion and was rolled back from, ISO 8601 in UTC.
+TAG_ROLLED_BACK = "rolled_back"
 # On a version: SHA-256 of its robot, and its world as JSON where that is no longer than this.
 TAG_ROBOT, TAG_WORLD = "robot", "world"
 MAX_WORLD = 4000

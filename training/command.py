@@ -10,9 +10,10 @@ from dataclasses import dataclass
 from typing import Any
 
 from cspace.errors import CspaceError, InputError
+from services.command_errors import tell_error
+from services.results import tell_result
 from training.jobs.environment import Environment, job_environment
 from training.jobs.folders import job_folder
-from training.jobs.results import tell_result
 from training.section import Section
 
 # The exit code of a job that was asked to stop.
@@ -67,8 +68,7 @@ class JobCommand:
             else:
                 result = train(config, environment, options.job)
         except CspaceError as error:
-            print(f"{self.program}: {error}", file=sys.stderr)
-            return 2 if isinstance(error, InputError) else 1
+            return tell_error(error, InputError, program=self.program)
         except KeyboardInterrupt:
             again = "submit it again" if options.job else "go on with --resume and the run's id"
             print(f"{self.program}: stopped; nothing is lost: {again}", file=sys.stderr)

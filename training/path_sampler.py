@@ -19,6 +19,7 @@ from pathlib import Path
 
 from cspace.bundle import Bundle
 from cspace.errors import ConfigError, CspaceError, InputError
+from services.command_errors import tell_error
 from services.names import ALIAS_CHALLENGER, ALIAS_CHAMPION, EXPERIMENT, model_name, recorded_name
 from training.paths.untrained import made_or_found
 from training.paths.ways import WaySettings
@@ -37,12 +38,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"{bundle.folder}\n  digest {bundle.digest}")
         if uri is not None:
             print(f"  registered as {register(bundle, uri, model, options.register)}")
-    except (ConfigError, InputError) as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
     except CspaceError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 1
+        return tell_error(error, InputError)
     return 0
 
 

@@ -19,10 +19,11 @@ from typing import Any
 import numpy as np
 
 from cspace.errors import ConfigError, CspaceError, InputError
+from services.command_errors import tell_error
+from services.results import tell_result
 from training.config.clusters import TrainConfig, load_config, presets
 from training.jobs.environment import Environment, job_environment
 from training.jobs.folders import job_folder
-from training.jobs.results import tell_result
 
 _LOG = logging.getLogger("training")
 LOOKS = 9
@@ -59,8 +60,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         environment = job_environment()
         found = run(config, environment, options.trials, options.scenarios)
     except CspaceError as error:
-        print(f"search: {error}", file=sys.stderr)
-        return 2 if isinstance(error, InputError) else 1
+        return tell_error(error, InputError, program="search")
     best = found["tried"][0]
     rows = {"run": found["run_id"], "best settings": json.dumps(best["settings"])}
     tell_result(found, rows, job_folder(environment, found["run_id"]))

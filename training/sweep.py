@@ -15,10 +15,11 @@ import sys
 from collections.abc import Sequence
 
 from cspace.errors import CspaceError, InputError
+from services.command_errors import tell_error
+from services.results import tell_result
 from training.command import STOPPED
 from training.config.clusters import load_config, presets
 from training.jobs.environment import job_environment
-from training.jobs.results import tell_result
 from training.sweeps.grid import EXAMPLE, axis, points
 from training.sweeps.plan import Plan
 from training.sweeps.record import MEASURES, sweep_folder
@@ -73,8 +74,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
         found = run_sweep(plan, environment)
     except CspaceError as error:
-        print(f"sweep: {error}", file=sys.stderr)
-        return 2 if isinstance(error, InputError) else 1
+        return tell_error(error, InputError, program="sweep")
     except KeyboardInterrupt:
         print("sweep: stopped; nothing is lost: submit it again", file=sys.stderr)
         return STOPPED

@@ -21,6 +21,7 @@ from benchmarks.paper.jobs import Study, train_columns
 from benchmarks.paper.measures import Effort
 from benchmarks.paper.report import judge_columns
 from cspace.errors import CspaceError, InputError
+from services.command_errors import tell_error
 
 
 def parser() -> argparse.ArgumentParser:
@@ -57,8 +58,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if options.only != "train":
             judge_columns(study, columns, Effort(scenarios=options.scenarios), say=_say)
     except CspaceError as error:
-        print(f"paper: {error}", file=sys.stderr)
-        return 2 if isinstance(error, InputError) else 1
+        return tell_error(error, InputError, program="paper")
     return 0
 
 

@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import fields
 
 import numpy as np
 
@@ -12,18 +12,28 @@ from cspace.query import SampleQuery
 from cspace.worlds import robot_digest
 
 
-def fitted(query: SampleQuery, spec: BundleSpec, *, has_validity: bool) -> SampleQuery:
+class FittedQuery(SampleQuery):
+    """A query that :func:`fitted` has judged; the bundle that it fits takes it as it is."""
+
+    __slots__ = ()
+
+
+def fitted(query: SampleQuery, spec: BundleSpec, *, has_validity: bool) -> FittedQuery:
     """The query as its bundle takes it: start and goal wrapped, the confidence that holds.
 
+    Whoever prepares a picture for it fits it before that, so that nothing is computed for one that does not.
+
     Args:
-        query: valid in itself.
+        query: valid in itself; one that was fitted to this bundle is not judged again.
         spec: of the bundle.
         has_validity: whether the bundle scores its samples.
 
     Raises:
         InputError: the query does not fit; of this kind, OtherRobotError: it is for another robot.
     """
-    require_robot(query, spec)
+    if isinstance(query, FittedQuery):
+        return query
+    _require_robot(query, spec)
     least = query.min_confidence
     if least is None:
         least = (spec.confidence_threshold or 0.0) if has_validity else 0.0
@@ -35,15 +45,11 @@ def fitted(query: SampleQuery, spec: BundleSpec, *, has_validity: bool) -> Sampl
             remedy="leave min_confidence out, or choose a model with a validity head",
         )
     start, goal = _endpoint(spec, "start", query.start), _endpoint(spec, "goal", query.goal)
-    return replace(query, start=start, goal=goal, min_confidence=least)
+    values = {item.name: getattr(query, item.name) for item in fields(query)}
+    return FittedQuery(**(values | {"start": start, "goal": goal, "min_confidence": least}))
 
 
-def require_robot(query: SampleQuery, spec: BundleSpec) -> None:
-    """Raise where a query names another robot than the bundle's.
-
-    Raises:
-        OtherRobotError: it does.
-    """
+def _require_robot(query: SampleQuery, spec: BundleSpec) -> None:
     if query.robot is not None and query.robot != (found := robot_digest(spec.world)):
         raise OtherRobotError(
             "the model is of another robot",

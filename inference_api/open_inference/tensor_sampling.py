@@ -10,6 +10,7 @@ from fastapi.responses import Response
 from numpy.typing import NDArray
 
 from cspace.bundle import Bundle, SampleSet
+from cspace.bundle.request import fitted
 from cspace.errors import InputError
 from cspace.query import MAX_SAMPLES, MAX_SEED, SampleQuery
 from inference_api.models.pictures import PictureCache, Prepared
@@ -88,8 +89,9 @@ class InferenceQuestion:
             CspaceError: as the contract's table of errors.
             ClientDisconnect: the client has gone away.
         """
-        images = _images(served.bundle, self.tensors)
-        drawn = draw(served.bundle, images, self.query, self.store.pictures, turn)
+        bundle = served.bundle
+        query = fitted(self.query, bundle.spec, has_validity=bundle.has_validity)
+        drawn = draw(bundle, _images(bundle, self.tensors), query, self.store.pictures, turn)
         spent_s = time.perf_counter() - self.began
         self.store.observer.sampled(sampled(served, drawn, self.query.n, spent_s))
         arrays = output_arrays(drawn)

@@ -12,7 +12,6 @@ from typing import Protocol
 from fastapi import Request
 from fastapi.responses import Response
 
-from cspace.bundle.request import require_robot
 from cspace.query import SampleQuery
 from inference_api.connections.departure import DEPARTURE
 from inference_api.failures import UnconfirmedAliasError
@@ -76,7 +75,7 @@ async def respond(
 
 
 def _answer(question: Question, served: ServedModel, turn: Turn) -> Response:
-    """Nothing is computed by a model that is not the one that was asked for."""
+    """Nothing is computed by a model that is not sure to be the one that was asked for."""
     if question.query.require_confirmed and not served.confirmed:
         raise UnconfirmedAliasError(
             f"the model registry does not confirm {question.reference}",
@@ -84,7 +83,6 @@ def _answer(question: Question, served: ServedModel, turn: Turn) -> Response:
             got=f"{served.name}/{served.version}, the last that is known",
             remedy="ask again in some seconds, name the version, or leave require_confirmed out",
         )
-    require_robot(question.query, served.bundle.spec)
     return question.answer(served, turn)
 
 

@@ -11,6 +11,7 @@ from fastapi.responses import Response
 
 from cspace.bundle import BundleSpec, SampleSet
 from cspace.bundle.keeping import BUDGET, BUDGET_AT_LEAST
+from cspace.bundle.request import fitted
 from cspace.query import SampleQuery
 from inference_api.bodies.request_body import RawFields, parse_fields
 from inference_api.models.served import ServedModel
@@ -78,12 +79,12 @@ class SampleQuestion:
         return npy_response(answer) if self.npy else json_response(answer)
 
     def _sample(self, served: ServedModel, turn: Turn) -> Answer:
-        turn.spend(rows_of(served.bundle.spec, self.query))
-        prepared = self.store.pictures.get(served.bundle, self.image)
+        bundle = served.bundle
+        query = fitted(self.query, bundle.spec, has_validity=bundle.has_validity)
+        turn.spend(rows_of(bundle.spec, query))
+        prepared = self.store.pictures.get(bundle, self.image)
         # A ``.npy`` holds samples alone: nobody would see the scores of those that are not filtered.
-        found = served.bundle.answer(
-            prepared.picture, self.query, tell_confidence=not self.npy, between=turn.between
-        )
+        found = bundle.answer(prepared.picture, query, tell_confidence=not self.npy, between=turn.between)
         timing = TimingMs(
             decode=prepared.decode_ms,
             encode=prepared.encode_ms,

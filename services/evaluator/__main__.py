@@ -6,21 +6,23 @@ Exit codes: 0 evaluated, whether promoted or not; 1 the evaluation failed; 2 the
 """
 
 import argparse
-import json
 import os
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from cspace.errors import ConfigError, CspaceError, ModelNotFoundError
+from services.command_errors import tell_error
 from services.evaluator.benchmark.__main__ import main as planning_benchmark
 from services.evaluator.evaluation.budget import BUDGETS
 from services.evaluator.evaluation.job import Outcome, evaluate_version, executor
 from services.evaluator.evaluation.metrics import flat_metrics
+from services.evaluator.evaluation.recording import REPORT_FOLDER
 from services.evaluator.evaluation.report import judged_on, terminal_table
 from services.evaluator.evaluation.request import make_request
 from services.registry.models.mlflow_registry import MlflowRegistry
 from services.registry.tracking.mlflow_tracking import MlflowTracking
+from services.results import tell_result
 
 BENCHMARK = "planning"
 SHIPPED_FOLDER = Path(__file__).parents[2] / "inference_api" / "pretrained"
@@ -45,18 +47,15 @@ def main(arguments: Sequence[str] | None = None, environment: Mapping[str, str] 
         uri = _tracking_uri(environment)
         tracking, registry = MlflowTracking(uri), MlflowRegistry(uri)
         outcome = evaluate_version(request, tracking, registry, executor(environment), _progress)
-    except (ConfigError, ModelNotFoundError) as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
     except CspaceError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 1
+        return tell_error(error, ConfigError, ModelNotFoundError)
     _print(outcome)
+    tell_result(result(outcome), _rows(outcome), _folder(environment, outcome.run_id))
     return 0
 
 
 def result(outcome: Outcome) -> dict[str, object]:
-    """What the last line says, for programs."""
+    """What the file and the last line say, for programs."""
     version, verdict = outcome.version, outcome.verdict
     return {
         "run_id": outcome.run_id,
@@ -120,7 +119,22 @@ def _print(outcome: Outcome) -> None:
     print(f"{moved}{'' if outcome.recorded else ' (only judged, nothing recorded)'}:")
     for reason in outcome.verdict.reasons:
         print(f"  {reason}")
-    print(f"RESULT {json.dumps(result(outcome))}", flush=True)
+
+
+def _rows(outcome: Outcome) -> dict[str, str]:
+    version, promoted = outcome.version, outcome.verdict.promoted and outcome.recorded
+    return {
+        "model": f"{version}, digest {version.digest[:12]}",
+        "promoted": "yes, it is the champion" if promoted else "no",
+        "run": outcome.run_id,
+        "report": f"{REPORT_FOLDER}/evaluation.md among the run's artifacts",
+    }
+
+
+def _folder(environment: Mapping[str, str], run_id: str) -> Path | None:
+    """Of the evaluation among the jobs; None where no data folder is named."""
+    data = Path(environment.get("CSPACE_DATA_DIR", ""))
+    return data / "jobs" / run_id if data.is_absolute() else None
 
 
 if __name__ == "__main__":

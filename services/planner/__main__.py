@@ -13,6 +13,7 @@ from cspace.errors import CspaceError
 from cspace.problem import Problem
 from cspace.splits import Split
 from cspace.worlds import workshop_of
+from services.command_errors import tell_error
 from services.planner.command_line import Command, parse_command
 from services.planner.drawing.plot import draw_plan, save_figure
 from services.planner.planning import Comparison, compare_with_api
@@ -33,8 +34,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _print(command, comparison)
         _draw(command, comparison)
     except CspaceError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
+        return tell_error(error, CspaceError)
     return 0 if comparison.learned.result.solved else 1
 
 

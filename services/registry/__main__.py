@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from cspace.errors import ConfigError, CspaceError, InputError, ModelNotFoundError
+from services.command_errors import tell_error
 from services.names import ALIAS_CHAMPION
 from services.registry import life_cycle
 from services.registry.models.mlflow_registry import MlflowRegistry
@@ -34,12 +35,8 @@ def main(arguments: Sequence[str] | None = None, environment: Mapping[str, str] 
                 remedy='`eval "$(make -s env)"` sets it',
             )
         options.run(MlflowRegistry(options.uri), options)
-    except (InputError, ModelNotFoundError) as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
     except CspaceError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 1
+        return tell_error(error, InputError, ModelNotFoundError)
     return 0
 
 

@@ -8,6 +8,7 @@ import json
 import tempfile
 import time
 from collections.abc import Mapping
+from datetime import UTC, datetime
 from pathlib import Path
 
 from cspace.bundle import Bundle, BundleSpec
@@ -20,6 +21,7 @@ from services.names import (
     EXPERIMENT,
     TAG_DIGEST,
     TAG_ROBOT,
+    TAG_ROLLED_BACK,
     is_kept,
     is_own,
     model_name,
@@ -46,25 +48,16 @@ def promote(registry: ModelRegistry, version: ModelVersion, reason: str) -> Deci
         BundleError: its bundle is damaged or answers otherwise here.
         RegistryError: the registry refuses.
     """
-    with tempfile.TemporaryDirectory(prefix="cspace-promote-") as folder:
-        bundle = Bundle.load(registry.download(version, Path(folder) / BUNDLE_FOLDER))
-    judged = decisions_of(version)
-    decision = Decision(
-        version.name,
-        version.number,
-        promoted=True,
-        reasons=(f"{BY_HAND}: {reason}",),
-        metrics=judged[-1].metrics if judged else {},
-        against=_champion(registry, version.name),
-        created_ms=time.time_ns() // 1_000_000,
-        robot=robot_digest(bundle.spec.world),
-    )
+    decision = _by_hand(registry, version, reason)
     record_decision(registry, decision)
     return decision
 
 
 def roll_back(registry: ModelRegistry, name: str, reason: str) -> Decision:
     """Make the version champion that was it before the present one.
+
+    The one that is left bears the date in its tag ``rolled_back`` until it is promoted again: no candidate
+    is held against it.
 
     Raises:
         ModelNotFoundError: there is no champion, or there was none before it that still exists.
@@ -86,7 +79,12 @@ def roll_back(registry: ModelRegistry, name: str, reason: str) -> Decision:
             got=f"version {present} alone",
             remedy="promote another version, or delete this one and the shipped model answers",
         )
-    return promote(registry, there[earlier[-1]], f"{STEP_BACK} {present}: {reason}")
+    decision = _by_hand(registry, there[earlier[-1]], f"{STEP_BACK} {present}: {reason}")
+    # Before the alias moves: whoever repeats a command that was cut short must not step back twice.
+    now = datetime.now(UTC).isoformat(timespec="seconds")
+    registry.set_tags(name, present, {TAG_ROLLED_BACK: now})
+    record_decision(registry, decision)
+    return decision
 
 
 def delete(registry: ModelRegistry, version: ModelVersion) -> None:
@@ -167,9 +165,27 @@ def _tags(record: Path) -> Mapping[str, str]:
         raise ConfigError(
             f"{record} is not readable", expected="what `export` wrote", got=type(error).__name__
         ) from error
+    left_out = (TAG_DIGEST, TAG_ROLLED_BACK)
     return {
-        key: value for key, value in tags.items() if not key.startswith("decision.") and key != TAG_DIGEST
+        key: value for key, value in tags.items() if not key.startswith("decision.") and key not in left_out
     }
+
+
+def _by_hand(registry: ModelRegistry, version: ModelVersion, reason: str) -> Decision:
+    """The decision that makes a version the champion, after its bundle was read and replayed."""
+    with tempfile.TemporaryDirectory(prefix="cspace-promote-") as folder:
+        bundle = Bundle.load(registry.download(version, Path(folder) / BUNDLE_FOLDER))
+    judged = decisions_of(version)
+    return Decision(
+        version.name,
+        version.number,
+        promoted=True,
+        reasons=(f"{BY_HAND}: {reason}",),
+        metrics=judged[-1].metrics if judged else {},
+        against=_champion(registry, version.name),
+        created_ms=time.time_ns() // 1_000_000,
+        robot=robot_digest(bundle.spec.world),
+    )
 
 
 def _champion(registry: ModelRegistry, name: str) -> int | None:

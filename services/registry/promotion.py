@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from operator import itemgetter
 
 from cspace.errors import RegistryError
-from services.names import ALIAS_CHAMPION
+from services.names import ALIAS_CHAMPION, TAG_ROLLED_BACK
 from services.registry.models.port import ModelRegistry, ModelVersion
 
 PREFIX = "decision."
@@ -67,6 +67,8 @@ class Decision:
 def record_decision(registry: ModelRegistry, decision: Decision) -> None:
     """Append a decision to its version's log and, when it promotes, point ``champion`` to the version.
 
+    A version that is promoted again counts as rolled back no longer.
+
     The log comes first: a champion without a reason must not be, a reason whose alias was not moved is
     recorded again by a second run of the evaluation.
 
@@ -89,6 +91,8 @@ def record_decision(registry: ModelRegistry, decision: Decision) -> None:
             remedy="evaluate the version again when the other evaluation is done",
         )
     if decision.promoted:
+        if TAG_ROLLED_BACK in version.tags:
+            registry.remove_tag(decision.name, decision.version, TAG_ROLLED_BACK)
         registry.set_alias(decision.name, ALIAS_CHAMPION, decision.version)
 
 

@@ -119,6 +119,15 @@ def test_tags_are_added_to_those_that_are_there(registry: ModelRegistry, first: 
     assert tags == {**first.tags, "note": 'it\'s 5 % "better" → yes', "data_digest": "d2"}
 
 
+def test_a_tag_is_taken_off_and_one_that_is_not_there_is_no_error(
+    registry: ModelRegistry, first: ModelVersion
+) -> None:
+    registry.set_tags(first.name, 1, {"note": "here", "other": "stays"})
+    for _ in range(2):
+        registry.remove_tag(first.name, 1, "note")
+    assert registry.version(first.name, 1).tags == {**first.tags, "other": "stays"}
+
+
 def test_a_downloaded_bundle_is_the_registered_one(
     registry: ModelRegistry, first: ModelVersion, bundle: Bundle, tmp_path: Path
 ) -> None:
@@ -152,6 +161,8 @@ def test_what_is_not_there_is_not_found(registry: ModelRegistry, first: ModelVer
         registry.set_alias(name, ALIAS_CHAMPION, 7)
     with pytest.raises(ModelNotFoundError):
         registry.set_tags(name, 7, {"a": "b"})
+    with pytest.raises(ModelNotFoundError):
+        registry.remove_tag(name, 7, "a")
     with pytest.raises(ModelNotFoundError):
         registry.download(gone, tmp_path / "bundle")
     assert registry.versions("nobody") == ()

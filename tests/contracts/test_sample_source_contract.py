@@ -173,6 +173,22 @@ def test_the_shortfall_is_what_is_missing(source):
     assert len(batch.samples) == 200 - batch.shortfall
 
 
+def test_the_confidence_of_each_sample_is_told_by_all_but_the_form_that_has_no_room_for_it(source):
+    batch = source.sample(PNG, 200, seed=1, min_confidence=0.7)
+    if isinstance(source, SamplingClient | Awaited):
+        assert batch.confidence is None
+    else:
+        assert batch.confidence.shape == (len(batch.samples),)
+        assert batch.confidence.dtype == np.float32
+        assert np.all((batch.confidence >= np.float32(0.7)) & (batch.confidence <= 1.0))
+        assert len(np.unique(batch.confidence)) > 1
+
+
+@BASELINE_TOO
+def test_samples_that_nobody_scored_have_no_confidence(source):
+    assert source.sample(PNG, 20, seed=1, min_confidence=0.0).confidence is None
+
+
 def test_a_schedule_and_a_named_model_are_accepted(source):
     assert len(source.sample(PNG, 10, model="pretrained", seed=1, epsilon_sigma=(0.0, 0.5)).samples) == 10
 

@@ -209,6 +209,11 @@ class FakeRegistry:
         version = self.version(name, number)
         self._versions[name][number - 1] = replace(version, aliases=(), tags={**version.tags, **tags})
 
+    def remove_tag(self, name: str, number: int, tag: str) -> None:
+        version = self.version(name, number)
+        kept = {key: value for key, value in version.tags.items() if key != tag}
+        self._versions[name][number - 1] = replace(version, aliases=(), tags=kept)
+
     def download(self, version: ModelVersion, folder: Path) -> Path:
         if folder.exists():
             raise StorageError("the download's folder exists", got=str(folder))

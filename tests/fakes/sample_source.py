@@ -54,5 +54,8 @@ class FakeSampleSource(SampleSource):
             raise SamplerError("A field is wrong", expected="no start and goal for a model of configurations")
         rng = np.random.default_rng(query.seed)
         samples = to_float32(self.draw(rng, query.n))
-        kept = samples[rng.random(query.n) >= (query.min_confidence or 0.0)]
-        return SampleBatch(kept, MODEL, 0, DIGEST, query.seed, query.n - len(kept), 0.0)
+        confidence = rng.random(query.n, dtype=np.float32)
+        passed = confidence >= (query.min_confidence or 0.0)
+        kept = samples[passed]
+        told = confidence[passed] if query.min_confidence else None
+        return SampleBatch(kept, MODEL, 0, DIGEST, query.seed, query.n - len(kept), 0.0, confidence=told)

@@ -9,6 +9,7 @@ from cspace.bundle import Bundle
 from cspace.dataset import Dataset
 from services.names import ALIAS_CHALLENGER, recorded_name
 from services.registry.models.mlflow_registry import MlflowRegistry
+from services.results import numbers
 from training.clusters.bundling import TrainedParts, make_bundle
 from training.clusters.reporting import log_result, log_start
 from training.clusters.stages import (
@@ -25,7 +26,6 @@ from training.jobs.environment import Environment
 from training.jobs.job import TAG_START, Job, kept_bundle
 from training.jobs.naming import registered_name
 from training.jobs.provenance import job_tags
-from training.jobs.results import numbers
 from training.trials.launch import connect
 from training.trials.outcomes import TrialOutcome
 

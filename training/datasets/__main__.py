@@ -16,6 +16,7 @@ from pydantic import BaseModel, ValidationError
 from cspace.dataset import Dataset, open_dataset
 from cspace.errors import ConfigError, CspaceError, ScenarioError, StorageError
 from cspace.worlds import add_world_options, described_world
+from services.command_errors import tell_error
 from services.scene_files import given_scenes, read_scene_file
 from training.datasets.config import DatasetConfig, PathDatasetConfig
 from training.datasets.merge import merge
@@ -29,12 +30,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     logging.getLogger("training").setLevel(logging.INFO)
     try:
         dataset = options.run(options)
-    except (ConfigError, ScenarioError) as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
     except CspaceError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 1
+        return tell_error(error, ConfigError, ScenarioError)
     print(describe(dataset))
     return 0
 

@@ -11,6 +11,7 @@ from cspace.bundle import Bundle
 from cspace.dataset import Dataset, open_dataset
 from services.names import ALIAS_CHALLENGER, recorded_name
 from services.registry.models.mlflow_registry import MlflowRegistry
+from services.results import numbers
 from training.config.paths import PathTrainConfig
 from training.datasets.generate import generate
 from training.jobs.environment import Environment
@@ -18,7 +19,6 @@ from training.jobs.figures import path_curves
 from training.jobs.job import TAG_START, Job, kept_bundle
 from training.jobs.naming import registered_name
 from training.jobs.provenance import job_tags
-from training.jobs.results import numbers
 from training.models.checkpoint import read_progress
 from training.paths.bundling import trained_bundle
 from training.paths.source import require_source, source_bundle

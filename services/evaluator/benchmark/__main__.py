@@ -5,6 +5,7 @@ import sys
 from collections.abc import Mapping, Sequence
 
 from cspace.errors import ConfigError, CspaceError
+from services.command_errors import tell_error
 from services.evaluator.benchmark.command import chosen_arms, make_request, parser
 from services.evaluator.benchmark.job import run_benchmark
 from services.evaluator.benchmark.runs.cluster import executor
@@ -23,12 +24,8 @@ def main(arguments: Sequence[str] | None = None, environment: Mapping[str, str] 
         tracking = None if options.no_mlflow else _tracking(environment)
         request = make_request(options)
         results = run_benchmark(request, executor(environment, options.processes), _show, tracking)
-    except ConfigError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
     except CspaceError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 1
+        return tell_error(error, ConfigError)
     print(terminal_tables(results))
     print(f"{request.out / REPORT}", flush=True)
     return 0

@@ -3,8 +3,9 @@
 A version must beat uniform samples beyond the interval, on five scenes or more, and cover most of what real
 samples cover; a path model must save a planner edge checks beyond the interval in the problems that tell
 most, and solve no fewer problems. Beside every rival, measured on the same scenes, it must be worse in no
-gated measure beyond the interval, and better in one. A champion that was not measured again is compared by its recorded metrics, each
-with a fixed margin; as the best of them counts, many small steps down can not add up.
+gated measure beyond the interval, and better in one. A champion that was not measured again is compared by
+its recorded metrics, each with a fixed margin; as the best of them counts, many small steps down can not add
+up.
 """
 
 from collections.abc import Mapping, Sequence
@@ -141,10 +142,14 @@ def _verdict(
     return Verdict(held, tuple(finding.reason for finding in findings), bar)
 
 
-def _beside(comparison: Comparison) -> tuple[_Finding, _Finding]:
+def _beside(comparison: Comparison) -> tuple[_Finding, ...]:
     rival, gains = comparison.rival, comparison.gains
     worse = [str(gain) for gain in gains if gain.worse]
     better = [str(gain) for gain in gains if gain.better]
+    if not worse and not better:
+        words = "worse in nothing, better in nothing beyond the interval"
+        need = "a version has to be better in one measure"
+        return (_Finding(held=False, reason=f"only as good as {rival}: {words}; {need}"),)
     return (
         _Finding(not worse, f"worse than {rival} beyond the interval: {'; '.join(worse) or 'in nothing'}"),
         _Finding(

@@ -1,7 +1,8 @@
 """Whom a candidate is measured beside: the present champion, the best one before it, and the shipped model.
 
 They are three at the most, whatever the number of champions. The others, and those whose bundles can not be
-fetched any more, are compared by the metrics that they were promoted with.
+fetched any more, are compared by the metrics that they were promoted with. A champion that was rolled back is
+not compared at all, unless it is the present one again.
 """
 
 from collections.abc import Iterable
@@ -21,7 +22,7 @@ from cspace.world import World
 from cspace.worlds import robot_digest, workshop_of
 from services.evaluator.evaluation.gate import SMALLER_IS_BETTER, Champion
 from services.evaluator.measures.samplers import PackedBundle
-from services.names import ALIAS_CHAMPION
+from services.names import ALIAS_CHAMPION, TAG_ROLLED_BACK
 from services.registry.models.port import ModelRegistry, ModelVersion
 from services.registry.promotion import Decision, champions
 
@@ -84,6 +85,9 @@ def find_rivals(
         for decision in champions(registry, name)
         if decision.version != version.number and is_of(decision, bundle.spec.world)
     }
+    for number, day in _rolled_back(registry, name):
+        if earlier.pop(number, None) is not None:
+            found.notes.append(f"not compared with version {number}, which was rolled back on {day}")
     against = None
     with suppress(ModelNotFoundError):
         present = registry.by_alias(name, ALIAS_CHAMPION)
@@ -105,6 +109,15 @@ def is_of(decision: Decision, world: World) -> bool:
     if decision.robot is None:
         return decision.metrics.get(JOINTS) == world.dim
     return decision.robot == robot_digest(world)
+
+
+def _rolled_back(registry: ModelRegistry, name: str) -> list[tuple[int, str]]:
+    """The versions that were left by a roll back, with the day, oldest first; never the present champion."""
+    return [
+        (one.number, one.tags[TAG_ROLLED_BACK][:10])
+        for one in reversed(registry.versions(name))
+        if TAG_ROLLED_BACK in one.tags and ALIAS_CHAMPION not in one.aliases
+    ]
 
 
 def _best_first(champions: Iterable[Champion], bundle: Bundle) -> list[Champion]:

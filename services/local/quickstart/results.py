@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from cspace.errors import JobError
-
-PREFIX = "RESULT "
+from services.results import PREFIX
 
 
 @dataclass(frozen=True, slots=True)

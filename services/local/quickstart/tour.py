@@ -11,7 +11,6 @@ from services.local.quickstart.pictures import fetch_pictures
 from services.local.quickstart.planning import plan_and_draw
 from services.local.quickstart.quality import served_quality
 from services.local.quickstart.results import (
-    PREFIX,
     EvaluationResult,
     TrainingResult,
     evaluation_result,
@@ -23,6 +22,7 @@ from services.local.servers.stack import services, up
 from services.local.settings import Settings
 from services.local.texts import addresses, shell_help
 from services.registry.references import PRETRAINED
+from services.results import PREFIX
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,7 +4,7 @@ import time
 from pathlib import Path
 
 from cspace.bundle import Bundle
-from cspace.bundle.request import require_robot
+from cspace.bundle.request import fitted
 from cspace.errors import BundleError, InputError, SamplerError, SamplerUnavailableError
 from cspace.query import MAX_SAMPLES, SampleQuery
 from services.planner.sources.samples import Picture, SampleBatch, SampleSource, SourceTiming, for_robot
@@ -49,7 +49,7 @@ class BundleSampler(SampleSource):
             )
         began = time.perf_counter()
         try:
-            require_robot(query, self.bundle.spec)
+            query = fitted(query, self.bundle.spec, has_validity=self.bundle.has_validity)
             sensor = self.bundle.spec.world.sensor
             image = sensor.decode(picture) if isinstance(picture, bytes) else picture
             decoded = time.perf_counter()
@@ -71,6 +71,7 @@ class BundleSampler(SampleSource):
             timing=SourceTiming(decoded - began, encoded - decoded, 1e-3 * found.generate_ms, total_s),
             acceptance=found.acceptance,
             robot=self.bundle.robot,
+            confidence=found.confidence,
         )
 
 

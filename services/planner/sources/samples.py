@@ -52,6 +52,9 @@ class SampleBatch:
             not told.
         alias_confirmed: whether the server is sure of what the model's alias stands for; None where it is not
             told.
+        confidence: (n,) float32, what the model's validity head scores each sample, 0 to 1; None for a model
+            without one, for samples that were not filtered by it, and over HTTP, whose ``.npy`` has no room
+            for it.
     """
 
     samples: NDArray[np.float32]
@@ -67,6 +70,7 @@ class SampleBatch:
     acceptance: float | None = None
     robot: str | None = None
     alias_confirmed: bool | None = None
+    confidence: NDArray[np.float32] | None = None
 
 
 class Answering(Protocol[Answer_co]):

@@ -122,6 +122,12 @@ class MlflowRegistry:
             for key, value in tags.items():
                 self._client.set_model_version_tag(name, str(number), key, value)
 
+    def remove_tag(self, name: str, number: int, tag: str) -> None:
+        """Take a tag off; see :meth:`services.registry.models.port.ModelRegistry.remove_tag`."""
+        self._ready()
+        with mapped(f"taking a tag off {name}/{number}", lookup=True):
+            self._client.delete_model_version_tag(name, str(number), tag)
+
     def download(self, version: ModelVersion, folder: Path) -> Path:
         """Fetch a version's bundle; see :meth:`services.registry.models.port.ModelRegistry.download`."""
         if folder.exists():

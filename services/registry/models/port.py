@@ -121,6 +121,14 @@ class ModelRegistry(ModelLookups, Protocol):
         """
         ...
 
+    def remove_tag(self, name: str, number: int, tag: str) -> None:
+        """Take a tag off a version; nothing happens where it has none of this name.
+
+        Raises:
+            ModelNotFoundError: there is no such version.
+        """
+        ...
+
     def download(self, version: ModelVersion, folder: Path) -> Path:
         """Fetch a version's bundle, beside its place and renamed, so that it appears whole or not at all.
 

@@ -1,6 +1,8 @@
 """What people do with versions by hand, on the registry in memory, and the command where no server is."""
 
 import json
+from dataclasses import replace
+from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
@@ -10,11 +12,11 @@ from cspace.errors import BundleError, ConfigError, ModelNotFoundError
 from cspace.worlds import robot_digest
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK, PlanarArm
 from cspace.worlds.planar.world import PlanarWorld
-from services.names import ALIAS_CHALLENGER, ALIAS_CHAMPION
+from services.names import ALIAS_CHALLENGER, ALIAS_CHAMPION, TAG_ROLLED_BACK
 from services.registry.__main__ import main
 from services.registry.life_cycle import delete, export_version, import_version, promote, roll_back
 from services.registry.models.port import ModelVersion
-from services.registry.promotion import decisions, decisions_of
+from services.registry.promotion import decisions, decisions_of, record_decision
 from tests.bundles import write_tiny_bundle
 from tests.fakes.registry import FakeRegistry, FakeTracking
 
@@ -63,6 +65,57 @@ def test_rolling_back_walks_down_the_row_of_champions(registry: FakeRegistry) ->
     with pytest.raises(ModelNotFoundError, match="rolled back"):
         roll_back(registry, NAME, "and again")
     assert champion(registry) == 1
+
+
+def tagged(registry: FakeRegistry) -> list[int]:
+    """The versions that were rolled back from."""
+    return [one.number for one in registry.versions(NAME) if TAG_ROLLED_BACK in one.tags]
+
+
+def test_the_version_that_was_left_bears_the_date_until_it_is_promoted_again(registry: FakeRegistry) -> None:
+    for number in (1, 2, 3):
+        promote(registry, version(registry, number), "better")
+    assert tagged(registry) == []
+    roll_back(registry, NAME, "worse in the field")
+    today = datetime.now(UTC)
+    told = datetime.fromisoformat(version(registry, 3).tags[TAG_ROLLED_BACK])
+    assert abs((today - told).total_seconds()) < 3600
+    roll_back(registry, NAME, "that one as well")
+    assert tagged(registry) == [3, 2]
+    promote(registry, version(registry, 3), "it was the camera")
+    assert tagged(registry) == [2]
+    assert roll_back(registry, NAME, "it was not").version == 1
+
+
+def test_whatever_makes_a_version_champion_takes_the_date_off(registry: FakeRegistry) -> None:
+    for number in (1, 2):
+        promote(registry, version(registry, number), "better")
+    roll_back(registry, NAME, "worse")
+    again = decisions_of(version(registry, 2))[-1]
+    record_decision(registry, replace(again, promoted=False))
+    assert tagged(registry) == [2]
+    record_decision(registry, again)
+    assert tagged(registry) == []
+
+
+def test_a_roll_back_that_can_not_be_leaves_no_date(registry: FakeRegistry, tmp_path: Path) -> None:
+    promote(registry, version(registry, 1), "first")
+    with pytest.raises(ModelNotFoundError):
+        roll_back(registry, NAME, "worse")
+    promote(registry, version(registry, 2), "better")
+    (tmp_path / "registry" / NAME / "1" / "generator.onnx").write_bytes(b"damaged")
+    with pytest.raises(BundleError):
+        roll_back(registry, NAME, "worse")
+    assert (champion(registry), tagged(registry)) == (2, [])
+
+
+def test_an_exported_version_is_not_rolled_back_elsewhere(registry: FakeRegistry, tmp_path: Path) -> None:
+    for number in (1, 2):
+        promote(registry, version(registry, number), "better")
+    roll_back(registry, NAME, "worse")
+    folder = export_version(registry, version(registry, 2), tmp_path / "out")
+    came = import_version(FakeRegistry(tmp_path / "elsewhere"), FakeTracking(), folder, "mine")
+    assert TAG_ROLLED_BACK not in came.tags
 
 
 def test_a_version_that_was_promoted_again_leads_back_to_what_it_replaced(registry: FakeRegistry) -> None:

@@ -4,8 +4,8 @@ import json
 import sys
 
 from services.local.quickstart.results import training_result
+from services.results import RESULT_FILE, tell_result
 from training.clusters.pipeline import TrainResult
-from training.jobs.results import RESULT_FILE, tell_result
 
 RESULT = TrainResult("r1", "arm", 3, "d1", "d2", {"loss": 0.12345678}, {"vae": (10.0, 14.5)}, ("vae-losses",))
 
@@ -41,8 +41,24 @@ def test_a_terminal_is_spared_the_line(tmp_path, capsys, monkeypatch):
     assert "RESULT" not in capsys.readouterr().out
 
 
+def test_a_job_without_a_folder_keeps_no_file_and_says_no_place(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    tell_result({"run_id": "r1"}, {"run": "r1"}, None)
+    *block, last = capsys.readouterr().out.splitlines()
+    assert block == ["", "result", "  run  r1"]
+    assert last == 'RESULT {"run_id": "r1"}'
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_folder_is_made_where_it_is_not_there(tmp_path, capsys):
+    tell_result({"run_id": "r1"}, {"run": "r1"}, tmp_path / "jobs" / "r1")
+    assert json.loads((tmp_path / "jobs" / "r1" / RESULT_FILE).read_text()) == {"run_id": "r1"}
+    assert str(tmp_path / "jobs" / "r1" / RESULT_FILE) in capsys.readouterr().out
+
+
 def test_a_full_disk_costs_the_file_and_not_the_result(tmp_path, capsys):
-    tell_result({"run_id": "r1"}, {"run": "r1"}, tmp_path / "gone")
+    (tmp_path / "full").write_text("no folder can be made here")
+    tell_result({"run_id": "r1"}, {"run": "r1"}, tmp_path / "full")
     printed = capsys.readouterr().out
     assert "not kept" in printed
     assert printed.splitlines()[-1] == 'RESULT {"run_id": "r1"}'

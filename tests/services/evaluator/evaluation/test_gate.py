@@ -95,7 +95,22 @@ def test_every_rival_has_to_be_passed():
     rivals = (beside(BETTER), beside(SAME, rival="version 3, the present champion"))
     verdict = judge(candidate(), Bar(rivals, against=3), PLANAR)
     assert not verdict.promoted
-    assert "better than version 3, the present champion beyond the interval: in nothing" in verdict.reasons
+    assert verdict.reasons[-1] == (
+        "only as good as version 3, the present champion: worse in nothing, better in nothing beyond the "
+        "interval; a version has to be better in one measure"
+    )
+
+
+def test_a_version_that_is_only_as_good_is_told_so_and_one_that_is_worse_alone_is_not():
+    verdict = judge(candidate(), Bar((beside(SAME),)), PLANAR)
+    (reason,) = (reason for reason in verdict.reasons if "the shipped model" in reason)
+    assert reason == (
+        "only as good as the shipped model: worse in nothing, better in nothing beyond the interval; "
+        "a version has to be better in one measure"
+    )
+    refused = judge(candidate(), Bar((beside(SAME, WORSE),)), PLANAR)
+    assert not any("as good as" in reason for reason in refused.reasons)
+    assert "better than the shipped model beyond the interval: in nothing" in refused.reasons
 
 
 def test_the_notes_are_among_the_reasons_and_decide_nothing():

@@ -158,17 +158,43 @@ def test_the_cluster_is_used_where_a_driver_can_reach_one(environment, expected)
     assert executor(environment) is expected
 
 
-def test_the_command_prints_the_tables_and_a_result_line(tracking, registry, monkeypatch, capsys):
+def test_the_command_prints_the_tables_a_block_and_a_result_line(
+    tracking, registry, monkeypatch, capsys, tmp_path
+):
     monkeypatch.setattr(command, "MlflowTracking", lambda uri: tracking)
     monkeypatch.setattr(command, "MlflowRegistry", lambda uri: registry)
     monkeypatch.setattr(command, "make_request", lambda *given, **options: request(promote=False))
-    assert command.main([], {"MLFLOW_TRACKING_URI": "http://127.0.0.1:1"}) == 0
+    data = tmp_path / "data"
+    environment = {"MLFLOW_TRACKING_URI": "http://127.0.0.1:1", "CSPACE_DATA_DIR": str(data)}
+    assert command.main([], environment) == 0
     *lines, last = capsys.readouterr().out.splitlines()
     told = json.loads(last.removeprefix("RESULT "))
     assert (told["model"], told["version"], told["promoted"]) == (MODEL_NAME, 1, False)
     assert told["metrics"]["real_precision"] == 1.0
     assert any(line.startswith("not promoted") for line in lines)
     assert told["judged_on"] in lines
+    kept = data / "jobs" / told["run_id"] / "result.json"
+    assert json.loads(kept.read_text()) == told
+    block = lines[lines.index("result") :]
+    assert block[1] == f"  model     {MODEL_NAME}/1, digest {told['digest'][:12]}"
+    assert block[2:4] == ["  promoted  no", f"  run       {told['run_id']}"]
+    assert block[-1] == f"  as JSON   {kept}"
+
+
+@pytest.mark.parametrize("environment", [{}, {"CSPACE_DATA_DIR": ""}, {"CSPACE_DATA_DIR": "here"}])
+def test_without_a_data_folder_the_result_is_the_line_alone(
+    environment, tracking, registry, monkeypatch, capsys, tmp_path
+):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(command, "MlflowTracking", lambda uri: tracking)
+    monkeypatch.setattr(command, "MlflowRegistry", lambda uri: registry)
+    monkeypatch.setattr(command, "make_request", lambda *given, **options: request(promote=False))
+    assert command.main([], {"MLFLOW_TRACKING_URI": "http://127.0.0.1:1", **environment}) == 0
+    printed = capsys.readouterr().out
+    assert printed.splitlines()[-1].startswith("RESULT {")
+    assert "as JSON" not in printed
+    assert not (tmp_path / "here").exists()
+    assert not (tmp_path / "jobs").exists()
 
 
 @pytest.mark.parametrize(

@@ -11,6 +11,7 @@ from cspace.worlds.planar.world import PlanarWorld
 from inference_api.settings import PRETRAINED_FOLDER
 from services.evaluator.evaluation.rivals import find_rivals, is_of
 from services.names import MODEL_NAME
+from services.registry.life_cycle import promote, roll_back
 from services.registry.promotion import Decision, record_decision
 from tests.bundles import write_tiny_bundle
 from tests.fakes.registry import FakeRegistry
@@ -141,6 +142,31 @@ def test_a_champion_that_was_deleted_is_no_rival(registry, register, tmp_path):
     registry.delete(MODEL_NAME, 1)
     field = find_rivals(registry, *candidate(registry, register, 3), None, tmp_path / "rivals")
     assert (names(field), field.recorded) == (["version 2, the present champion"], ())
+
+
+def test_a_version_that_was_rolled_back_is_no_bar_any_more(registry, register, tmp_path):
+    for number, precision in ((1, 0.7), (2, 0.8), (3, 0.99)):
+        register(number, precision)
+    roll_back(registry, MODEL_NAME, "worse in the field")
+    version, bundle = candidate(registry, register, 4)
+    field = find_rivals(registry, version, bundle, None, tmp_path / "rivals")
+    assert names(field) == ["version 2, the present champion", "version 1, the best before it"]
+    assert field.recorded == ()
+    (note,) = (note for note in field.notes if "version 3" in note)
+    assert note.startswith("not compared with version 3, which was rolled back on 20")
+    promote(registry, registry.version(MODEL_NAME, 3), "it was the camera")
+    again = find_rivals(registry, version, bundle, None, tmp_path / "again")
+    assert names(again) == ["version 3, the present champion", "version 2, the best before it"]
+
+
+def test_the_present_champion_is_a_rival_whatever_was_said_of_it(registry, register, tmp_path):
+    for number in (1, 2):
+        register(number, 0.8)
+    roll_back(registry, MODEL_NAME, "worse in the field")
+    registry.set_alias(MODEL_NAME, "champion", 2)
+    field = find_rivals(registry, *candidate(registry, register, 3), None, tmp_path / "rivals")
+    assert names(field) == ["version 2, the present champion", "version 1, the best before it"]
+    assert not any("rolled back" in note for note in field.notes)
 
 
 def test_an_alias_that_somebody_moved_makes_a_champion_as_well(registry, register, tmp_path):

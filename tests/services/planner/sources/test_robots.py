@@ -4,6 +4,7 @@ import httpx
 import numpy as np
 import pytest
 
+from cspace.bundle import request as judging
 from cspace.errors import ConfigError, SamplerAnswerError, SamplerError, SamplerUnavailableError
 from cspace.query import SampleQuery
 from cspace.splits import Split
@@ -130,6 +131,13 @@ def test_a_bundle_of_another_robot_does_not_answer(tmp_path):
     ):
         with pytest.raises(SamplerError, match="another robot"):
             source.answer(b"not even a picture", query)
+
+
+def test_a_bundle_looks_at_a_requests_robot_once(tmp_path, monkeypatch):
+    local, looked = LocalSampler(write_tiny_bundle(tmp_path / "bundle"), robot=TWO), []
+    monkeypatch.setattr(judging, "robot_digest", lambda world: looked.append(world) or robot_digest(world))
+    local.sample(picture(), 3)
+    assert len(looked) == 1
 
 
 def test_a_fallback_of_another_robot_does_not_stand_in(tmp_path):

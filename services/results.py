@@ -10,32 +10,39 @@ from cspace.errors import StorageError
 from cspace.files import replacing
 
 RESULT_FILE = "result.json"
+PREFIX = "RESULT "
+"""Of the line for programs."""
 
 
-def tell_result(result: Mapping[str, Any], rows: Mapping[str, str], folder: Path) -> None:
-    """Keep the result in the job's folder and print it.
+def tell_result(result: Mapping[str, Any], rows: Mapping[str, str], folder: Path | None) -> None:
+    """Keep the result in the job's folder, which is made if it has to be, and print it.
 
     Programs read the file, or the line ``RESULT`` with the same JSON, the last of a log; a terminal has none.
 
     Args:
         result: plain values.
         rows: of the block, by what they tell.
-        folder: of the job.
+        folder: of the job; None where it has none, then there is no file.
     """
-    path, text = folder / RESULT_FILE, json.dumps(result)
-    try:
-        with replacing(path, str(path)) as beside:
-            beside.write_text(text + "\n", encoding="utf-8")
-        told = {**rows, "as JSON": str(path)}
-    except StorageError as error:
-        # The work is done and registered; a full disk takes the file alone.
-        told = {**rows, "as JSON": f"not kept: {error}"}
+    text = json.dumps(result)
+    told = dict(rows) if folder is None else {**rows, "as JSON": _kept(text, folder / RESULT_FILE)}
     width = max(map(len, told))
     lines = ["", "result", *(f"  {name.ljust(width)}  {row}" for name, row in told.items() if row)]
     if not sys.stdout.isatty():
-        lines.append(f"RESULT {text}")
+        lines.append(f"{PREFIX}{text}")
     sys.stdout.write("\n".join(lines) + "\n")
     sys.stdout.flush()
+
+
+def _kept(text: str, path: Path) -> str:
+    """Where the file lies, in words; the work is done, and a full disk takes the file alone."""
+    try:
+        with replacing(path, str(path)) as beside:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            beside.write_text(text + "\n", encoding="utf-8")
+    except StorageError as error:
+        return f"not kept: {error}"
+    return str(path)
 
 
 def numbers(values: Mapping[str, float], unit: str = "") -> str:

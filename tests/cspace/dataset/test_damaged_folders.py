@@ -1,0 +1,182 @@
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cspace.dataset import open_dataset, write_dataset
+from cspace.dataset.manifest import MANIFEST_FILE, Manifest, file_digest
+from cspace.errors import DamagedFileError, DatasetError
+from cspace.worlds.planar.arm import TWO_LINK
+from cspace.worlds.planar.camera import Camera
+from cspace.worlds.planar.world import PlanarWorld
+from tests.dataset_content import CAMERA, content
+
+
+def rewrite(folder: Path, **arrays):
+    """Arrays changed by hand, with a manifest that fits them: only the format can be wrong."""
+    manifest = Manifest.read(folder)
+    files = dict(manifest.files)
+    for name, array in arrays.items():
+        np.save(folder / f"{name}.npy", array)
+        files[f"{name}.npy"] = file_digest(folder / f"{name}.npy")
+    rebuild(folder, manifest, files)
+
+
+def rebuild(folder: Path, manifest: Manifest, files):
+    changed = Manifest(manifest.world, manifest.counts, manifest.generator, files)
+    (folder / MANIFEST_FILE).write_text(changed.to_json())
+
+
+def edit(folder: Path, **values):
+    path = folder / MANIFEST_FILE
+    path.write_text(json.dumps(json.loads(path.read_text()) | values))
+
+
+@pytest.fixture
+def folder(tmp_path):
+    return write_dataset(tmp_path / "data", **content()).folder
+
+
+@pytest.mark.parametrize("name", ["images.npy", "free.npy", "free_offsets.npy", "extra_images.npy"])
+def test_a_changed_byte_is_found_and_its_file_named(folder, name):
+    data = bytearray((folder / name).read_bytes())
+    data[-1] ^= 1
+    (folder / name).write_bytes(data)
+    with pytest.raises(DamagedFileError, match=f"{name} is damaged.*SHA-256"):
+        open_dataset(folder)
+
+
+def test_a_missing_file_is_named(folder):
+    (folder / "collision.npy").unlink()
+    with pytest.raises(DamagedFileError, match=r"collision\.npy is missing"):
+        open_dataset(folder)
+
+
+def test_a_truncated_file_is_found_without_its_digest(folder):
+    (folder / "free.npy").write_bytes((folder / "free.npy").read_bytes()[:-8])
+    with pytest.raises(DamagedFileError, match=r"free\.npy is no array"):
+        open_dataset(folder, verify=False)
+
+
+def test_a_file_that_would_run_code_is_refused(folder):
+    rewrite_pickled = np.array([{"a": 1}], dtype=object)
+    np.save(folder / "free.npy", rewrite_pickled, allow_pickle=True)
+    with pytest.raises(DamagedFileError, match=r"free\.npy is no array"):
+        open_dataset(folder, verify=False)
+
+
+def test_a_changed_manifest_is_found(folder):
+    edit(folder, world=PlanarWorld(TWO_LINK, Camera(pixels=17)).to_dict())
+    with pytest.raises(DamagedFileError, match=r"manifest\.json is damaged"):
+        open_dataset(folder)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"schema_version": 1},
+        {"schema_version": 3},
+        {"schema_version": None},
+        {"extra_key": 1},
+        {"robot": None},
+        {"world": None},
+        {"world": {}},
+        {"world": {"kind": "planar"}},
+        {"world": {"kind": "flat", "robot": {}, "camera": {}}},
+        {"world": {"kind": "planar", "robot": {"link_lengths_m": [2.0]}, "camera": CAMERA.to_dict()}},
+        {"world": {"kind": "planar", "robot": TWO_LINK.to_dict(), "camera": []}},
+        {"files": 5},
+        {"files": ["images.npy"]},
+        {"files": {"images.npy": 5}},
+        {"counts": None},
+        {"generator": "me"},
+    ],
+)
+def test_a_manifest_that_does_not_follow_the_schema_is_an_error(folder, change):
+    edit(folder, **change)
+    with pytest.raises(DatasetError, match="manifest"):
+        open_dataset(folder)
+
+
+@pytest.mark.parametrize("text", ["", "[]", "null", "{", "[" * 100_000, "\x00"])
+def test_a_manifest_that_is_no_json_object_is_an_error(folder, text):
+    (folder / MANIFEST_FILE).write_text(text)
+    with pytest.raises(DatasetError, match="manifest"):
+        open_dataset(folder)
+
+
+@pytest.mark.parametrize("member", ['"generator": {"a": 1, "a": 2}', '"generator": {"a": NaN}'])
+def test_a_manifest_that_is_no_strict_json_is_an_error(folder, member):
+    path = folder / MANIFEST_FILE
+    edit(folder, generator="here")
+    path.write_text(path.read_text().replace('"generator": "here"', member))
+    with pytest.raises(DatasetError, match=r"manifest.*not JSON"):
+        open_dataset(folder)
+
+
+def test_bytes_that_are_no_text_are_an_error(folder):
+    (folder / MANIFEST_FILE).write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(DatasetError, match="manifest"):
+        open_dataset(folder)
+
+
+def test_a_folder_without_a_manifest_is_no_data_set(tmp_path):
+    with pytest.raises(DatasetError, match=r"manifest\.json.*training.datasets import"):
+        open_dataset(tmp_path)
+
+
+def test_a_manifest_cannot_name_files_elsewhere(folder):
+    outside = folder.parent / "outside.npy"
+    np.save(outside, np.zeros(3))
+    manifest = Manifest.read(folder)
+    rebuild(folder, manifest, dict(manifest.files) | {"../outside.npy": file_digest(outside)})
+    with pytest.raises(DatasetError, match="outside"):
+        open_dataset(folder)
+
+
+@pytest.mark.parametrize(
+    ("arrays", "words"),
+    [
+        (
+            {"images": np.zeros((3, 16, 16, 4), np.uint8)},
+            r"images\.npy.*\(any, 16, 16, 3\).*\(3, 16, 16, 4\)",
+        ),
+        ({"images": np.zeros((3, 16, 16, 3), np.float32)}, r"images\.npy.*uint8.*float32"),
+        ({"images": np.zeros((0, 16, 16, 3), np.uint8)}, r"images\.npy is empty"),
+        ({"images": np.zeros((3, 20, 20, 3), np.uint8)}, r"images\.npy"),
+        ({"extra_images": np.zeros((2, 16, 15, 3), np.uint8)}, r"extra_images\.npy"),
+        ({"free": np.zeros((10, 3), np.float32)}, r"free\.npy.*\(any, 2\).*\(10, 3\)"),
+        ({"free": np.zeros((10, 2), np.float64)}, r"free\.npy.*float32.*float64"),
+        ({"free": np.full((10, 2), np.nan, np.float32)}, r"free\.npy.*finite.*nan"),
+        ({"free": np.full((10, 2), np.inf, np.float32)}, r"free\.npy.*inf"),
+        ({"free": np.full((10, 2), 3.2, np.float32)}, r"free\.npy.*\[-pi, pi\).*3\.2"),
+        ({"free": np.full((10, 2), np.pi, np.float32)}, r"free\.npy"),
+        ({"collision": np.full((3, 2), -3.2, np.float32)}, r"collision\.npy"),
+        ({"free_offsets": np.array([0, 4, 4, 9])}, r"free_offsets\.npy.*0 to 10.*0 to 9"),
+        ({"free_offsets": np.array([1, 4, 4, 10])}, r"free_offsets\.npy"),
+        ({"free_offsets": np.array([0, 6, 4, 10])}, r"free_offsets\.npy"),
+        ({"free_offsets": np.array([0, 4, 10])}, r"free_offsets\.npy.*\(4\).*\(3,\)"),
+        ({"free_offsets": np.array([0.0, 4.0, 4.0, 10.0])}, r"free_offsets\.npy.*int64"),
+        ({"collision_offsets": np.array([0, 1, 3, 4])}, r"collision_offsets\.npy"),
+        ({"path_offsets": np.array([0, 5, 8])}, r"path_offsets\.npy"),
+        ({"path_scenario": np.array([0, 3])}, r"path_scenario\.npy.*0 to 2.*3"),
+        ({"path_scenario": np.array([-1, 2])}, r"path_scenario\.npy.*0 to 2.*-1"),
+        ({"discs": np.ones((2, 3, 3))}, r"discs\.npy"),
+        ({"discs": np.full((3, 3, 3), np.nan)}, r"discs\.npy.*nan"),
+        ({"discs": np.full((3, 3, 3), -1.0)}, r"discs\.npy.*radius|discs\.npy.*radii"),
+        ({"notes": np.zeros(3)}, r"notes"),
+    ],
+)
+def test_an_array_that_does_not_fit_is_named_with_what_was_expected(folder, arrays, words):
+    rewrite(folder, **arrays)
+    with pytest.raises(DatasetError, match=words):
+        open_dataset(folder)
+
+
+@pytest.mark.parametrize("name", ["images", "free", "free_offsets", "collision_offsets", "path_scenario"])
+def test_an_array_that_is_left_out_is_named(folder, name):
+    manifest = Manifest.read(folder)
+    rebuild(folder, manifest, {file: sha for file, sha in manifest.files.items() if file != f"{name}.npy"})
+    with pytest.raises(DatasetError, match=name):
+        open_dataset(folder)
