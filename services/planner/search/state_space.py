@@ -4,6 +4,7 @@ Every joint is a subspace of its own: SO(2) for a circle, a real interval for a 
 is the sum over the joints.
 """
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -11,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from ompl import base as ob
 
+from cspace.errors import PlanningError
 from cspace.space import JointSpace
 
 
@@ -59,3 +61,42 @@ class StateAccess:
         for row, state in zip(out, states, strict=True):
             self.read(state, row)
         return out
+
+
+def read_joint_space(states: Any) -> JointSpace:
+    """The joint space that an OMPL state space is: circles (SO2), real vector spaces, or a product of these.
+
+    Raises:
+        PlanningError: it holds another kind of space.
+    """
+    sides: list[tuple[float, float, bool]] = []
+    for part in _parts(states):
+        if isinstance(part, ob.SO2StateSpace):
+            sides.append((-math.pi, math.pi, True))
+        elif isinstance(part, ob.RealVectorStateSpace):
+            bounds = part.getBounds()
+            sides += [(low, high, False) for low, high in zip(bounds.low, bounds.high, strict=True)]
+        else:
+            raise PlanningError(
+                "the state space is of another kind",
+                expected="SO2, real vector spaces, or a product of these",
+                got=type(part).__name__,
+            )
+    lower, upper, periodic = zip(*sides, strict=True)
+    return JointSpace(lower, upper, periodic)
+
+
+def read_configuration(states: Any, state: Any) -> list[float]:
+    """A state of such a space as values in the order of its joints."""
+    # The binding's copyToReals fills a copy of the list that it is given.
+    compound = isinstance(states, ob.CompoundStateSpace)
+    values: list[float] = []
+    for index, part in enumerate(_parts(states)):
+        piece = state[index] if compound else state
+        circle = isinstance(part, ob.SO2StateSpace)
+        values += [piece.value] if circle else [piece[axis] for axis in range(part.getDimension())]
+    return values
+
+
+def _parts(states: Any) -> list[Any]:
+    return list(states.getSubspaces()) if isinstance(states, ob.CompoundStateSpace) else [states]

@@ -6,8 +6,11 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from cspace.bundle import Bundle
+from services.planner.sources.local_sampler import LocalSampler
 from tests.bundles import write_tiny_bundle
 from tests.contracts.mlflow_server import mlflow_server
 
@@ -42,6 +45,9 @@ def test_a_model_lives_through_all_commands(uri: str, tmp_path: Path) -> None:
     assert "by hand: rolled back from 2: worse in the field" in shown
     assert "is in use" in models(uri, "delete", f"{NAME}/1", "--yes", code=2)
     models(uri, "export", f"{NAME}/1", str(tmp_path / "out"))
+    picture = np.full((48, 48, 3), 255, dtype=np.uint8)
+    exported = LocalSampler(tmp_path / "out" / "bundle").sample(picture, 30, seed=7)
+    assert (exported.digest, exported.samples.shape) == (Bundle.load(tmp_path / "bundle-1").digest, (30, 2))
     assert "elsewhere/1 is" in models(uri, "import", str(tmp_path / "out"), "elsewhere")
     models(uri, "promote", f"{NAME}@challenger", "--reason", "mended")
     assert "there is none" in models(uri, "rollback", "elsewhere", "--reason", "none", code=2)

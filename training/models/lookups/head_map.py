@@ -4,10 +4,10 @@ from typing import Any
 
 import numpy as np
 import onnx
-import onnxruntime
 from numpy.typing import NDArray
 from onnx import helper, numpy_helper
 
+from cspace.bundle.running.runtime import onnx_runtime
 from training.models.lookups.grid_lookups import fast_map
 
 MAP = "map"
@@ -46,12 +46,13 @@ def map_graph(validity: bytes, grid: NDArray[Any]) -> bytes:
 
 def _agree(one: onnx.ModelProto, other: onnx.ModelProto) -> bool:
     """Whether two graphs say the same of a picture."""
-    options = onnxruntime.SessionOptions()
+    runtime = onnx_runtime()
+    options = runtime.SessionOptions()
     options.intra_op_num_threads, options.log_severity_level = 1, 4
     found = []
     for model in (one, other):
         graph = model.SerializeToString()
-        session = onnxruntime.InferenceSession(graph, options, providers=["CPUExecutionProvider"])
+        session = runtime.InferenceSession(graph, options, providers=["CPUExecutionProvider"])
         (image,) = session.get_inputs()
         size = (1, *image.shape[1:])
         picture = np.random.default_rng(0).uniform(-1.0, 1.0, size).astype(np.float32)

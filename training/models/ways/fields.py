@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 import onnx
-import onnxruntime
 from numpy.typing import ArrayLike, NDArray
 from onnx import inliner
 from torch import Tensor
 
+from cspace.bundle.running.runtime import onnx_runtime
 from cspace.space import JointSpace
 from training.models.ways.graph import fixed, way_constants
 from training.models.ways.steps import way_maps
@@ -35,12 +35,13 @@ class WayFields:
     """
 
     def __init__(self, space: JointSpace, cells: int, penalty: float) -> None:
-        options = onnxruntime.SessionOptions()
+        runtime = onnx_runtime()
+        options = runtime.SessionOptions()
         options.intra_op_num_threads = 1
         # The library warns of constants that it leaves as they are.
         options.log_severity_level = 4
         graph = way_maps_graph(space, cells, penalty).SerializeToString()
-        self._session = onnxruntime.InferenceSession(graph, options, providers=["CPUExecutionProvider"])
+        self._session = runtime.InferenceSession(graph, options, providers=["CPUExecutionProvider"])
         self._shape = (3, cells, cells)
 
     def of(self, confidence: NDArray[Any], start: ArrayLike, goal: ArrayLike) -> NDArray[np.float32]:
