@@ -122,7 +122,7 @@ def test_ray_job_stop_writes_a_checkpoint_first_and_the_job_goes_on(stack: Local
     job = f"python training/cluster_train.py --preset smoke --job stopped --set validity.steps=0 {steps}"
     outcome = stack.shell(f"ray job submit --no-wait --submission-id first -- {job}")
     assert outcome.returncode == 0, outcome.stdout
-    wait_for(lambda: "vae: step" in stack.shell("ray job logs first").stdout)
+    wait_for(lambda: "vae (stopped, seed 0): step" in stack.shell("ray job logs first").stdout)
     outcome = stack.shell("timeout 60 ray job stop first")
     assert "was stopped" in outcome.stdout, outcome.stdout
     log = stack.shell("ray job logs first").stdout
@@ -132,7 +132,7 @@ def test_ray_job_stop_writes_a_checkpoint_first_and_the_job_goes_on(stack: Local
     assert 0 < step < 1_000_000
     # It goes on behind that checkpoint, and is stopped once more.
     stack.shell(f"ray job submit --no-wait --submission-id second -- {job}")
-    wait_for(lambda: f"vae: step {step + 1}/" in stack.shell("ray job logs second").stdout)
+    wait_for(lambda: f"vae (stopped, seed 0): step {step + 1}/" in stack.shell("ray job logs second").stdout)
     stack.shell("timeout 60 ray job stop second")
 
 
