@@ -165,9 +165,10 @@ def test_a_three_link_arm_runs_through_the_same_job(server, data_folder, tmp_pat
     links = "data.robot.link_lengths_m=[1.6, 1.4, 1.0]"
     result = run_job(server, data_folder, links, "clusters.count=3", "global.local_critic_weight=0")
     assert set(result["trials"]) == {"vae", "validity", "local-0", "local-1", "local-2", "global"}
+    assert result["model"] == "three-link-sampler"
     registry = MlflowRegistry(server)
     bundle = Bundle.load(
-        registry.download(registry.version(MODEL_NAME, result["version"]), tmp_path / "bundle")
+        registry.download(registry.version(result["model"], result["version"]), tmp_path / "bundle")
     )
     settings = ApiSettings(
         registry_uri=None, cache_folder=tmp_path / "cache", pretrained_folder=bundle.folder
