@@ -21,6 +21,9 @@ from cspace.bundle import Bundle
 from cspace.errors import ConfigError, CspaceError, InputError
 from services.command_errors import tell_error
 from services.names import ALIAS_CHALLENGER, ALIAS_CHAMPION, EXPERIMENT, model_name, recorded_name
+from services.registry.tracking.experiment import TAG_STAGE
+from services.registry.tracking.port import ID
+from training.jobs.labels import world_tag
 from training.paths.untrained import made_or_found
 from training.paths.ways import WaySettings
 
@@ -85,7 +88,8 @@ def register(bundle: Bundle, uri: str, model: str, alias: str) -> str:
     from services.registry.tracking.mlflow_tracking import MlflowTracking  # noqa: PLC0415
 
     provenance = bundle.spec.provenance
-    with MlflowTracking(uri).start(EXPERIMENT, model) as run:
+    tags = {TAG_STAGE: "path-sampler", **world_tag(bundle.spec.world, recorded_name(provenance.config))}
+    with MlflowTracking(uri).start(EXPERIMENT, f"{model}, untrained, {ID}", tags=tags) as run:
         run.params(dict(provenance.config))
         version = MlflowRegistry(uri).register(
             model,

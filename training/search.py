@@ -82,14 +82,15 @@ def run(config: TrainConfig, environment: Environment, trials: int, scenarios: i
         train_on_pictures,
     )
     from training.jobs.job import Job  # noqa: PLC0415
+    from training.jobs.labels import log_configuration  # noqa: PLC0415
     from training.trials.launch import connect  # noqa: PLC0415
     from training.trials.searching.search import search  # noqa: PLC0415
 
     connect()
-    job = Job.start(config, environment, {"preset": config.preset, "search": "asha"}, title="search")
+    job = Job.start(config, environment, {"preset": config.preset, "search": "asha"}, stage="search")
     with job.running() as parent:
         dataset = prepare_data(config, environment.data_folder)
-        parent.params(config.to_dict())
+        log_configuration(parent, config)
         vae, _ = train_on_pictures(job, dataset)
         arrays, gate = train_gate(job, encode_and_cluster(job, dataset, vae))
         if gate is None:

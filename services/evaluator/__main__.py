@@ -1,6 +1,7 @@
 """Evaluate a registered version: ``python -m services.evaluator --model cspace-sampler@challenger``.
 
-``python -m services.evaluator planning`` is the planning benchmark (:mod:`services.evaluator.benchmark`).
+``python -m services.evaluator planning`` is the planning benchmark (:mod:`services.evaluator.benchmark`),
+``python -m services.evaluator compare A B`` sets versions side by side (:mod:`services.evaluator.compare`).
 
 Exit codes: 0 evaluated, whether promoted or not; 1 the evaluation failed; 2 the request was wrong.
 """
@@ -11,8 +12,9 @@ import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from cspace.errors import ConfigError, CspaceError, ModelNotFoundError
+from cspace.errors import ConfigError, CspaceError, InputError, ModelNotFoundError
 from services.command_errors import tell_error
+from services.evaluator import compare
 from services.evaluator.benchmark.__main__ import main as planning_benchmark
 from services.evaluator.evaluation.budget import BUDGETS
 from services.evaluator.evaluation.job import Outcome, evaluate_version, executor
@@ -20,11 +22,13 @@ from services.evaluator.evaluation.metrics import flat_metrics
 from services.evaluator.evaluation.recording import REPORT_FOLDER
 from services.evaluator.evaluation.report import judged_on, terminal_table
 from services.evaluator.evaluation.request import make_request
+from services.evaluator.evaluation.tables import aligned
 from services.registry.models.mlflow_registry import MlflowRegistry
 from services.registry.tracking.mlflow_tracking import MlflowTracking
+from services.registry.tracking.reading import MlflowRuns
 from services.results import tell_result
 
-BENCHMARK = "planning"
+BENCHMARK, COMPARE = "planning", "compare"
 SHIPPED_FOLDER = Path(__file__).parents[2] / "inference_api" / "pretrained"
 
 
@@ -33,6 +37,8 @@ def main(arguments: Sequence[str] | None = None, environment: Mapping[str, str] 
     given = list(sys.argv[1:] if arguments is None else arguments)
     if given[:1] == [BENCHMARK]:
         return planning_benchmark(given[1:], environment)
+    if given[:1] == [COMPARE]:
+        return _compare(given[1:], environment)
     options = _parser().parse_args(given)
     try:
         request = make_request(
@@ -51,6 +57,20 @@ def main(arguments: Sequence[str] | None = None, environment: Mapping[str, str] 
         return tell_error(error, ConfigError, ModelNotFoundError)
     _print(outcome)
     tell_result(result(outcome), _rows(outcome), _folder(environment, outcome.run_id))
+    return 0
+
+
+def _compare(arguments: Sequence[str], environment: Mapping[str, str]) -> int:
+    options = compare.make_parser().parse_args(arguments)
+    try:
+        uri = _tracking_uri(environment)
+        runs, registry = MlflowRuns(uri), MlflowRegistry(uri)
+        found = [compare.find(text, runs, registry) for text in options.what]
+        print(aligned(compare.compare_table(found, everything=options.all)))
+        if options.out is not None:
+            compare.write_comparison(found, options.out, everything=options.all)
+    except CspaceError as error:
+        return tell_error(error, InputError, ModelNotFoundError)
     return 0
 
 
@@ -86,7 +106,8 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="python -m services.evaluator",
         description="Judge a version on scenarios it was never trained on; promote it if the gate holds.",
-        epilog=f"`python -m services.evaluator {BENCHMARK} --help` tells of the planning benchmark. "
+        epilog=f"`python -m services.evaluator {BENCHMARK} --help` tells of the planning benchmark, "
+        f"`{COMPARE} --help` of evaluated versions side by side. "
         "Exit codes: 0 evaluated (promoted or not), 1 evaluation failed, 2 wrong request.",
     )
     parser.add_argument("--model", default="cspace-sampler@challenger", help="name@alias or name/version")

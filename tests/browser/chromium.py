@@ -23,9 +23,8 @@ OPTIONS = (
     "--no-proxy-server",
 )
 
-# MLflow's UI: the pages for training instead of those for language models, and no assistant over the content.
+# MLflow's UI: no assistant over the content.
 REMEMBERED = """
-localStorage.setItem("mlflow.workflowType_v1", '"machine_learning"');
 localStorage.setItem("mlflow.assistant.panelOpen_v1", "false");
 localStorage.setItem("mlflow.assistant.fab.autoOpenedOnFirstLoad_v1", "true");
 """

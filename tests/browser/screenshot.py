@@ -13,10 +13,11 @@ from mlflow.entities import Run
 from playwright.sync_api import Page
 
 from services.names import EXPERIMENT, MODEL_NAME
+from services.registry.tracking.experiment import TAG_STAGE
 from tests.browser import mlflow_pages
 from tests.browser.chromium import browser_page
 
-PARENT = "cluster-train"
+STAGE = "cluster-train"
 # Plots animate; the UI has no sign of the end that could be waited for.
 SETTLE_MS = 2500
 
@@ -45,16 +46,16 @@ def _latest_job(url: str) -> Run:
     experiment = client.get_experiment_by_name(EXPERIMENT)
     found = client.search_runs(
         [experiment.experiment_id],
-        f"attributes.run_name = '{PARENT}' and attributes.status = 'FINISHED'",
+        f"tags.{TAG_STAGE} = '{STAGE}' and attributes.status = 'FINISHED'",
         max_results=1,
     )
     if not found:
-        raise SystemExit(f"there is no finished {PARENT} run at {url}: train first")
+        raise SystemExit(f"there is no finished {STAGE} run at {url}: train first")
     return found[0]
 
 
 def _runs(page: Page, url: str, job: Run) -> None:
-    mlflow_pages.open_runs(page, url, job.info.experiment_id, PARENT)
+    mlflow_pages.open_runs(page, url, job.info.experiment_id, str(job.info.run_name))
 
 
 def _run(page: Page, url: str, job: Run) -> None:
@@ -82,12 +83,22 @@ def _version(page: Page, url: str, job: Run) -> None:
     mlflow_pages.open_version(page, url, MODEL_NAME, number)
 
 
+def _jobs(page: Page, url: str, job: Run) -> None:
+    mlflow_pages.open_view(page, url, job.info.experiment_id, "jobs")
+
+
+def _versions(page: Page, url: str, job: Run) -> None:
+    mlflow_pages.open_versions(page, url, MODEL_NAME)
+
+
 PAGES: dict[str, Callable[[Page, str, Run], None]] = {
     "runs": _runs,
     "run": _run,
     "picture": _picture,
     "compare": _compare,
     "version": _version,
+    "jobs": _jobs,
+    "versions": _versions,
 }
 
 

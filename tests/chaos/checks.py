@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from mlflow import MlflowClient
-from mlflow.entities import LoggedModelStatus
+from mlflow.entities import LoggedModelStatus, Run
 
 from cspace.bundle import Bundle
 from services.names import EXPERIMENT, MODEL_NAME
@@ -77,16 +77,22 @@ def check_runs(client: MlflowClient, run_id: str, steps: dict[str, int], every: 
     """Whether each trial of a job has one finished run, whose curves have no gap and no step twice."""
     assert client.get_run(run_id).info.status == "FINISHED"
     children = client.search_runs([_experiment(client)], f"tags.mlflow.parentRunId = '{run_id}'")
-    names = [run.info.run_name for run in children]
+    names = [_trial(run) for run in children]
     assert sorted(names) == sorted(steps), "every trial has one run"
     assert {run.info.status for run in children} == {"FINISHED"}
     for run in children:
-        wanted = set(range(every, steps[run.info.run_name] + 1, every)) | {1, steps[run.info.run_name]}
+        name = _trial(run)
+        wanted = set(range(every, steps[name] + 1, every)) | {1, steps[name]}
         for metric in run.data.metrics:
             points = client.get_metric_history(run.info.run_id, metric)
             counted = Counter(point.step for point in points)
-            assert max(counted.values()) == 1, f"{run.info.run_name}: {metric} has a step twice"
-            assert wanted <= set(counted), f"{run.info.run_name}: {metric} lacks {wanted - set(counted)}"
+            assert max(counted.values()) == 1, f"{name}: {metric} has a step twice"
+            assert wanted <= set(counted), f"{name}: {metric} lacks {wanted - set(counted)}"
+
+
+def _trial(run: Run) -> str:
+    """Of earlier releases, whose runs have no such tag, the name is the trial's."""
+    return str(run.data.tags.get("trial", run.info.run_name))
 
 
 def _check_files(folder: Path, trials: set[str]) -> None:

@@ -79,11 +79,11 @@ def assert_every_trial_is_whole(stack: Stack, parent: str) -> None:
     client = mlflow.MlflowClient(stack.url("MLFLOW"))
     experiment = client.get_run(parent).info.experiment_id
     runs = client.search_runs([experiment], f"tags.`mlflow.parentRunId` = '{parent}'")
-    names = Counter(run.info.run_name for run in runs)
+    names = Counter(run.data.tags["trial"] for run in runs)
     assert names == Counter(["vae", "validity", "local-0", "local-1", "global"])
     assert {run.info.status for run in runs} == {"FINISHED"}
     for run in runs:
-        if run.info.run_name not in {"local-0", "local-1"}:
+        if run.data.tags["trial"] not in {"local-0", "local-1"}:
             continue
         history = client.get_metric_history(run.info.run_id, "critic_loss")
         steps = Counter(point.step for point in history)

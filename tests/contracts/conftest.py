@@ -9,9 +9,10 @@ import pytest
 
 from services.registry.models.port import ModelRegistry
 from services.registry.tracking.port import Tracking
+from services.registry.tracking.reading import Runs
 from tests.contracts.mlflow_server import mlflow_server
 from tests.contracts.run_records import RunRecord, read_fake, read_mlflow
-from tests.fakes.registry import FakeRegistry, FakeTracking
+from tests.fakes.registry import FakeRegistry, FakeRuns, FakeTracking
 
 BACKENDS = ["fake", "database", "spooled", pytest.param("server", marks=pytest.mark.e2e)]
 _numbers = itertools.count(1)
@@ -24,6 +25,7 @@ class Backend:
     tracking: Tracking
     registry: ModelRegistry
     read: Callable[[str], RunRecord]
+    runs: Runs
 
 
 @pytest.fixture(scope="session")
@@ -46,7 +48,7 @@ def backend(request: pytest.FixtureRequest, tmp_path: Path) -> Backend:
     if request.param == "fake":
         tracking = FakeTracking()
         registry = FakeRegistry(tmp_path / "fake-registry", tracking.runs)
-        return Backend(tracking, registry, lambda run_id: read_fake(tracking, run_id))
+        return Backend(tracking, registry, lambda run_id: read_fake(tracking, run_id), FakeRuns(tracking))
     if request.param == "spooled":
         return mlflow_backend(request.getfixturevalue("database_uri"), tmp_path / "spool")[1]
     return mlflow_backend(request.getfixturevalue(f"{request.param}_uri"))[1]
@@ -74,8 +76,10 @@ def mlflow_backend(uri: str, spool_folder: Path | None = None) -> tuple[str, Bac
 
     from services.registry.models.mlflow_registry import MlflowRegistry
     from services.registry.tracking.mlflow_tracking import MlflowTracking
+    from services.registry.tracking.reading import MlflowRuns
 
     client = MlflowClient(tracking_uri=uri, registry_uri=uri)
     tracking = MlflowTracking(uri, spool_folder=spool_folder)
-    backend = Backend(tracking, MlflowRegistry(uri), lambda run_id: read_mlflow(client, run_id))
+    registry, runs = MlflowRegistry(uri), MlflowRuns(uri)
+    backend = Backend(tracking, registry, lambda run_id: read_mlflow(client, run_id), runs)
     return uri, backend

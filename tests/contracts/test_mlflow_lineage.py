@@ -16,7 +16,7 @@ from mlflow import MlflowClient
 from cspace.bundle import Bundle
 from cspace.png import encode_png
 from services.registry.models.mlflow_registry import MlflowRegistry
-from services.registry.models.port import ModelVersion
+from services.registry.models.port import ModelVersion, Shown
 from services.registry.tracking.mlflow_tracking import MlflowTracking
 from tests.bundles import picture, write_tiny_bundle
 from tests.contracts.mlflow_warnings import MLFLOW_WARNINGS
@@ -56,6 +56,22 @@ def test_a_version_leads_to_its_run_and_to_the_data(registered: Registered) -> N
     assert (metric.dataset_name, metric.dataset_digest) == ("own", DIGEST[:36])
     history = client.get_metric_history(found.run_id, "precision")
     assert [(point.step, point.value) for point in history] == [(0, 0.7), (1, 0.84)]
+
+
+def test_what_is_shown_stands_on_the_version_s_page_and_on_its_logged_model(
+    registered: Registered,
+) -> None:
+    client = MlflowClient(tracking_uri=registered.uri, registry_uri=registered.uri)
+    name, number = registered.version.name, str(registered.version.number)
+    shown = Shown({"validation/edr": 0.25}, "## promoted", "planar scenes, seed 0", DIGEST)
+    MlflowRegistry(registered.uri).show(registered.version, shown)
+    found = client.get_model_version(name, number)
+    assert found.description == "## promoted"
+    [output] = client.get_run(found.run_id).outputs.model_outputs
+    told = {metric.key: metric for metric in client.get_logged_model(output.model_id).metrics}
+    metric = told["validation/edr"]
+    assert (metric.value, metric.dataset_name) == (0.25, "planar scenes, seed 0")
+    assert metric.dataset_digest == DIGEST[:36]
 
 
 def test_a_model_loads_the_way_of_mlflow_and_gives_the_bundle_s_samples(

@@ -11,7 +11,7 @@ from inference_api.models.apart.disk import DiskCache
 from inference_api.models.apart.loading import BundleLoader, LoaderHere
 from inference_api.models.apart.parts import Limits, parts_apart
 from services.names import ALIAS_CHALLENGER, ALIAS_CHAMPION
-from services.registry.models.port import ModelRegistry, ModelVersion
+from services.registry.models.port import ModelRegistry, ModelVersion, Shown
 from services.registry.promotion import Decision, champions, decisions, record_decision
 from services.registry.tracking.port import Tracking
 from tests.bundles import write_tiny_bundle
@@ -126,6 +126,17 @@ def test_a_tag_is_taken_off_and_one_that_is_not_there_is_no_error(
     for _ in range(2):
         registry.remove_tag(first.name, 1, "note")
     assert registry.version(first.name, 1).tags == {**first.tags, "other": "stays"}
+
+
+def test_figures_of_a_version_are_shown_on_the_run_that_made_it_the_last_ones_hold(
+    backend: Backend, first: ModelVersion
+) -> None:
+    for value in (0.5, 0.75):
+        shown = Shown({"validation/precision": value}, "## not promoted", "planar scenes", "ab" * 32)
+        backend.registry.show(first, shown)
+    assert backend.runs.run(first.run_id).metrics["validation/precision"] == 0.75
+    with pytest.raises(ModelNotFoundError):
+        backend.registry.show(replace(first, number=99), shown)
 
 
 def test_a_downloaded_bundle_is_the_registered_one(

@@ -1,9 +1,13 @@
+import json
 import math
+import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from cspace.errors import RegistryError
+from cspace.png import encode_png
 from services.registry.tracking.port import RunLog, Tracking
 from tests.contracts.conftest import Backend
 from tests.contracts.mlflow_warnings import MLFLOW_WARNINGS
@@ -24,7 +28,7 @@ class Pen:
 
     def savefig(self, fname: Path, *, format: str) -> None:  # noqa: A002
         assert format == "png"
-        fname.write_bytes(b"\x89PNG")
+        fname.write_bytes(encode_png(np.zeros((4, 4, 3), np.uint8)))
 
 
 def test_a_new_run_has_its_name_its_tags_and_is_running(backend: Backend) -> None:
@@ -134,7 +138,22 @@ def test_an_artifact_that_is_not_there_is_refused(run: RunLog, tmp_path: Path) -
 def test_a_figure_becomes_a_png_among_the_figures(backend: Backend, run: RunLog) -> None:
     run.figure(Pen(), "loss")
     run.figure(Pen(), "seen.png")
-    assert backend.read(run.run_id).artifacts == {"figures/loss.png", "figures/seen.png"}
+    kept = backend.read(run.run_id).artifacts
+    assert {name for name in kept if name.startswith("figures/")} == {"figures/loss.png", "figures/seen.png"}
+
+
+def test_a_table_is_kept_once_for_people_and_for_programs(backend: Backend, run: RunLog) -> None:
+    for _ in range(2):
+        run.table({"measure": ["precision", "edr"], "value": [0.9, 0.1], "n": [60, None]}, "quality")
+    assert backend.read(run.run_id).artifacts == {"tables/quality.json", "tables/quality.parquet"}
+
+
+def test_a_run_s_name_tells_the_begin_of_its_id(backend: Backend) -> None:
+    run = backend.tracking.start("names", "quickstart, seed 0, {id}", key="job/names")
+    name = f"quickstart, seed 0, {run.run_id[:6]}"
+    assert backend.read(run.run_id).name == name
+    again = backend.tracking.start("names", "quickstart, seed 0, {id}", key="job/names")
+    assert (again.run_id, backend.read(again.run_id).name) == (run.run_id, name)
 
 
 def test_a_data_set_is_an_input_with_its_whole_digest(backend: Backend, run: RunLog) -> None:
@@ -200,3 +219,37 @@ def test_a_resumed_run_logs_from_the_step_that_it_is_told(backend: Backend, run:
 def test_an_unknown_run_can_not_be_resumed(tracking: Tracking) -> None:
     with pytest.raises(RegistryError):
         tracking.resume("f" * 32)
+
+
+def test_a_run_that_has_ended_is_written_onto_and_stays_ended(backend: Backend, run: RunLog) -> None:
+    run.finish()
+    backend.tracking.note(run.run_id, tags={"model_version": "m/1"}, metrics={"test/edr": 0.5})
+    backend.tracking.note(run.run_id, metrics={"test/edr": 0.25})
+    found = backend.runs.run(run.run_id)
+    assert (found.tags["model_version"], found.metrics["test/edr"]) == ("m/1", 0.25)
+    assert backend.read(run.run_id).status == "FINISHED"
+    with pytest.raises(RegistryError):
+        backend.tracking.note("0" * 32, tags={"a": "b"})
+
+
+def test_runs_under_another_are_found_newest_first_with_what_they_keep(
+    backend: Backend, tmp_path: Path
+) -> None:
+    parent = backend.tracking.start(EXPERIMENT, "cluster-train")
+    made = []
+    for name in ("first", "second"):
+        with backend.tracking.start(EXPERIMENT, name, parent_run_id=parent.run_id) as child:
+            child.table({"measure": ["edr"], "value": [1.0]}, "measures")
+            made.append(child.run_id)
+        # MLflow counts in milliseconds.
+        time.sleep(0.005)
+    found = backend.runs.children(parent.run_id)
+    assert [(one.run_id, one.parent_run_id) for one in found] == [
+        (run_id, parent.run_id) for run_id in reversed(made)
+    ]
+    kept = backend.runs.file(made[0], "tables/measures.json", tmp_path)
+    assert kept is not None
+    assert json.loads(kept.read_text()) == {"columns": ["measure", "value"], "data": [["edr", 1.0]]}
+    assert backend.runs.file(made[0], "tables/other.json", tmp_path) is None
+    with pytest.raises(RegistryError):
+        backend.runs.run("0" * 32)

@@ -17,7 +17,7 @@ SHORTER = {
     "-m services.evaluator": "-m services.evaluator --scenarios 2",
 }
 # Files that blocks write into the working folder, which must stay the project itself: Ray uploads it.
-WRITTEN = ("runs.csv", "plan.png", "build/path-sampler")
+WRITTEN = ("runs.csv", "plan.png", "build/path-sampler", "build/comparison")
 LIMIT_S = 600.0
 # README trains the version that it evaluates and samples, so its blocks come first.
 BLOCKS = sorted(all_blocks(Kind.STACK), key=lambda block: block.document != ROOT / "README.md")

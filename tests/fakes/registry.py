@@ -1,8 +1,9 @@
 """Tracking and registry in memory. They pass the same contract tests as MLflow's adapters."""
 
+import json
 import shutil
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -17,9 +18,10 @@ from cspace.errors import (
     StorageError,
 )
 from services.names import TAG_KEY, world_tags
-from services.registry.models.port import ModelVersion
+from services.registry.models.port import ModelVersion, Shown
 from services.registry.tracking.parameters import flatten
-from services.registry.tracking.port import Picture, RunLog, RunStatus
+from services.registry.tracking.port import ID, ID_LENGTH, NOTHING, Picture, RunLog, RunStatus
+from services.registry.tracking.reading import FoundRun
 from services.registry.tracking.run_block import RunBlock
 
 
@@ -76,6 +78,12 @@ class FakeRunLog(RunBlock):
         # The pixels are nobody's business in a unit test, and rendering is slow.
         self._run.artifacts[f"figures/{name.removesuffix('.png')}.png"] = b"\x89PNG"
 
+    def table(self, columns: Mapping[str, Sequence[Any]], name: str) -> None:
+        rows = [list(row) for row in zip(*columns.values(), strict=True)]
+        text = json.dumps({"columns": list(columns), "data": rows})
+        self._run.artifacts.setdefault(f"tables/{name}.json", text.encode())
+        self._run.artifacts.setdefault(f"tables/{name}.parquet", b"PAR1")
+
     def dataset(self, name: str, digest: str, source: str, context: str) -> None:
         self._run.inputs.append({"name": name, "digest": digest, "source": source, "context": context})
 
@@ -106,8 +114,18 @@ class FakeTracking:
                     return self.resume(run.run_id)
             tags = {**(tags or {}), TAG_KEY: key}
         run_id = f"{len(self.runs) + 1:032x}"
+        name = name.replace(ID, run_id[:ID_LENGTH])
         self.runs[run_id] = FakeRun(run_id, experiment, name, parent_run_id, tags=dict(tags or {}))
         return FakeRunLog(self.runs[run_id], {}, 0)
+
+    def note(
+        self, run_id: str, *, tags: Mapping[str, str] = NOTHING, metrics: Mapping[str, float] = NOTHING
+    ) -> None:
+        if run_id not in self.runs:
+            raise RegistryError(f"there is no run {run_id}")
+        self.runs[run_id].tags |= tags
+        for name, value in metrics.items():
+            self.runs[run_id].history.setdefault(name, []).append((0, float(value)))
 
     def deliver(self) -> None:
         pass
@@ -119,6 +137,34 @@ class FakeTracking:
         run.status = "RUNNING"
         held = {name: max(step for step, _ in points) for name, points in run.history.items()}
         return FakeRunLog(run, {} if from_step is not None else held, from_step or 0)
+
+
+class FakeRuns:
+    """The runs of a FakeTracking, found again."""
+
+    def __init__(self, tracking: FakeTracking) -> None:
+        self._tracking = tracking
+
+    def run(self, run_id: str) -> FoundRun:
+        runs = self._tracking.runs
+        if run_id not in runs:
+            raise RegistryError(f"there is no run {run_id}")
+        run = runs[run_id]
+        metrics = {name: points[-1][1] for name, points in run.history.items()}
+        return FoundRun(run_id, run.name, run.parent_run_id, run.tags, metrics, list(runs).index(run_id))
+
+    def children(self, run_id: str) -> tuple[FoundRun, ...]:
+        runs = self._tracking.runs.values()
+        return tuple(self.run(run.run_id) for run in reversed(runs) if run.parent_run_id == run_id)
+
+    def file(self, run_id: str, path: str, folder: Path) -> Path | None:
+        kept = self._tracking.runs[run_id].artifacts.get(path)
+        if kept is None:
+            return None
+        fetched = folder / path
+        fetched.parent.mkdir(parents=True, exist_ok=True)
+        fetched.write_bytes(kept)
+        return fetched
 
 
 class FakeRegistry:
@@ -137,6 +183,7 @@ class FakeRegistry:
         self._runs = runs
         self._versions: dict[str, list[ModelVersion | None]] = {}
         self._aliases: dict[tuple[str, str], int] = {}
+        self.shown: dict[tuple[str, int], Shown] = {}
 
     def register(
         self,
@@ -208,6 +255,13 @@ class FakeRegistry:
     def set_tags(self, name: str, number: int, tags: Mapping[str, str]) -> None:
         version = self.version(name, number)
         self._versions[name][number - 1] = replace(version, aliases=(), tags={**version.tags, **tags})
+
+    def show(self, version: ModelVersion, shown: Shown) -> None:
+        known = self.version(version.name, version.number)
+        self.shown[known.name, known.number] = shown
+        if self._runs is not None:
+            for name, value in shown.metrics.items():
+                self._runs[version.run_id].history.setdefault(name, []).append((0, value))
 
     def remove_tag(self, name: str, number: int, tag: str) -> None:
         version = self.version(name, number)

@@ -9,6 +9,7 @@ from cspace.bundle import Bundle
 from cspace.dataset import Dataset
 from services.names import ALIAS_CHALLENGER, recorded_name
 from services.registry.models.mlflow_registry import MlflowRegistry
+from services.registry.tracking.experiment import TAG_MODEL
 from services.results import numbers
 from training.clusters.bundling import TrainedParts, make_bundle
 from training.clusters.reporting import log_result, log_start
@@ -24,6 +25,7 @@ from training.clusters.stages import (
 from training.config.clusters import TrainConfig
 from training.jobs.environment import Environment
 from training.jobs.job import TAG_START, Job, kept_bundle
+from training.jobs.labels import world_tag
 from training.jobs.naming import registered_name
 from training.jobs.provenance import job_tags
 from training.trials.launch import connect
@@ -122,6 +124,7 @@ def _run(job: Job[TrainConfig], register: bool, command: str | None = None) -> T
             config = config.model_copy(update={"robot_name": recorded_name(dataset.manifest.generator)})
         model = registered_name(job, dataset.world, config.robot_name, path=False)
         log_start(run, job.config, dataset)
+        job.tell(world_tag(dataset.world, config.robot_name))
         vae, head = train_on_pictures(job, dataset)
         arrays, gate = train_gate(job, encode_and_cluster(job, dataset, vae))
         local = train_local(job, arrays)
@@ -163,5 +166,6 @@ def _register(job: Job[TrainConfig], model: str, dataset: Dataset, bundle: Bundl
             model, bundle.folder, job.run.run_id, bundle.digest, tags, alias=ALIAS_CHALLENGER
         ),
     )
+    job.tell({TAG_MODEL: str(version)})
     _LOG.info("registry: %s version %d, alias %s", model, version.number, ALIAS_CHALLENGER)
     return version.number

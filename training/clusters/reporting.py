@@ -13,6 +13,7 @@ from services.planner.sources.local_sampler import BundleSampler
 from services.registry.tracking.port import RunLog
 from training.config.clusters import TrainConfig
 from training.jobs.figures import PANELS, own_curves, wgan_curves
+from training.jobs.labels import log_configuration
 from training.models.checkpoint import read_progress
 from training.trials.outcomes import TrialOutcome
 
@@ -21,7 +22,7 @@ SHOWN_SCENARIOS = 3
 
 def log_start(run: RunLog, config: TrainConfig, dataset: Dataset) -> None:
     """The configuration as parameters and the data set as an input with its digest."""
-    run.params(config.to_dict())
+    log_configuration(run, config)
     run.dataset(dataset.folder.name, dataset.digest, str(dataset.folder), "training")
 
 
@@ -39,7 +40,7 @@ def log_result(
     for name, figure in figures.items():
         run.figure(figure, name)
     final = outcomes[-1].metrics
-    run.metrics({name: value for name, value in final.items() if name != "steps_per_s"}, 0)
+    run.metrics({f"last/{name}": value for name, value in final.items() if name != "steps_per_s"}, 0)
     # The registry copies what the server holds by the time of registration.
     run.flush()
     return tuple(figures)

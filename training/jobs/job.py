@@ -5,7 +5,8 @@ import logging
 import re
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Generic, TypeVar
 
@@ -18,10 +19,11 @@ from cspace.files import HALF_SUFFIX, discard, holding, write_json
 from services.names import EXPERIMENT
 from services.registry.tracking.mlflow_tracking import MlflowTracking
 from services.registry.tracking.parameters import flatten
-from services.registry.tracking.port import RunLog, Tracking
+from services.registry.tracking.port import ID, RunLog, Tracking
 from training.config.job import JobConfig
 from training.jobs.environment import Environment
 from training.jobs.folders import RECORD, job_folder, pointer, run_of
+from training.jobs.labels import job_label, shown_tags
 from training.jobs.patience import PatientRun, patiently
 from training.jobs.starting import earlier_job, require_folder
 from training.jobs.submission import explanation, submission_id
@@ -29,6 +31,8 @@ from training.section import Section
 
 # On a run and a version: the run of the job whose weights it started from.
 TAG_START = "start_from.run_id"
+# On a trial's run: its name in the job.
+TAG_TRIAL = "trial"
 # Under which of Ray's ids the job runs; there while it does.
 _RUNNING = "running.json"
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,62}")
@@ -51,6 +55,7 @@ class Job(Generic[Config]):
         children: child run by trial.
         name: under which it can be submitted again; None for a job that only its run names.
         start_run_id: of the job whose weights its trials start from; None where they start from nothing.
+        told: tags that all of its runs have.
     """
 
     config: Config
@@ -61,6 +66,7 @@ class Job(Generic[Config]):
     children: dict[str, str]
     name: str | None = None
     start_run_id: str | None = None
+    told: dict[str, str] = field(default_factory=dict)
 
     @classmethod
     def start(
@@ -68,7 +74,7 @@ class Job(Generic[Config]):
         config: Config,
         environment: Environment,
         tags: Mapping[str, str],
-        title: str = "cluster-train",
+        stage: str = "cluster-train",
         name: str | None = None,
         parent_run_id: str | None = None,
     ) -> "Job[Config]":
@@ -78,7 +84,7 @@ class Job(Generic[Config]):
             config: what it trains; under a name that is known, the same as before.
             environment: where it works.
             tags: of the run.
-            title: of the run.
+            stage: what its run is of.
             name: of the job: letters, digits, ``-`` and ``_``.
             parent_run_id: the run under which a new one is shown.
 
@@ -101,6 +107,7 @@ class Job(Generic[Config]):
         start = config.start_from and earlier_job(config, config.start_from, environment)
         tags = {**tags, "start_from": config.start_from or "", TAG_START: start} if start else tags
         tracking = MlflowTracking(environment.tracking_uri)
+        title, tags = f"{job_label(config, name)}, {ID}", {**tags, **shown_tags(config, name, stage)}
         key = None if name is None else f"job/{name}"
         run = patiently(
             "starting the job's run",
@@ -176,11 +183,11 @@ class Job(Generic[Config]):
     def child(self, name: str) -> str:
         """A trial's run, made here so that a retried trial and a resumed job continue it."""
         if name not in self.children:
+            title, parent = f"{name}, {job_label(self.config, self.name)}", self.run.run_id
+            tags = shown_tags(self.config, self.name, name.partition("-")[0]) | self.told | {TAG_TRIAL: name}
             run = self.patiently(
                 f"starting the run of {name}",
-                lambda: self.tracking.start(
-                    EXPERIMENT, name, parent_run_id=self.run.run_id, key=f"{self.run.run_id}/{name}"
-                ),
+                lambda: self.tracking.start(EXPERIMENT, title, parent, tags, key=f"{parent}/{name}"),
             )
             self.children[name] = run.run_id
             _record(self.folder, self.config, self.children, self.name, self.start_run_id)
@@ -195,6 +202,13 @@ class Job(Generic[Config]):
         """
         start = self.start_run_id
         return None if start is None else require_folder(job_folder(self.environment, start))
+
+    def tell(self, tags: Mapping[str, str]) -> None:
+        """Tags for the run and for its children, those that are there and those to come."""
+        self.told.update(tags)
+        self.run.tags(tags)
+        for name, run_id in self.children.items():
+            self.patiently(f"setting tags of {name}", partial(self.tracking.note, run_id, tags=tags))
 
     def deliver(self) -> None:
         """Send what trials could not send while the tracking server was away."""

@@ -2,7 +2,7 @@
 
 import logging
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self, TypeVar
@@ -93,6 +93,10 @@ class PatientRun:
     def figure(self, fig: Picture, name: str) -> None:
         """Render a figure and upload it."""
         self._wait(f"uploading {name}", lambda: self._run.figure(fig, name))
+
+    def table(self, columns: Mapping[str, Sequence[Any]], name: str) -> None:
+        """Upload a table."""
+        self._wait(f"uploading {name}", lambda: self._run.table(columns, name))
 
     def dataset(self, name: str, digest: str, source: str, context: str) -> None:
         """Log a data set as an input."""

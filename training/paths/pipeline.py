@@ -11,12 +11,14 @@ from cspace.bundle import Bundle
 from cspace.dataset import Dataset, open_dataset
 from services.names import ALIAS_CHALLENGER, recorded_name
 from services.registry.models.mlflow_registry import MlflowRegistry
+from services.registry.tracking.experiment import TAG_MODEL
 from services.results import numbers
 from training.config.paths import PathTrainConfig
 from training.datasets.generate import generate
 from training.jobs.environment import Environment
 from training.jobs.figures import path_curves
 from training.jobs.job import TAG_START, Job, kept_bundle
+from training.jobs.labels import log_configuration, world_tag
 from training.jobs.naming import registered_name
 from training.jobs.provenance import job_tags
 from training.models.checkpoint import read_progress
@@ -116,8 +118,9 @@ def _run(job: Job[PathTrainConfig]) -> PathTrainResult:
         model = registered_name(job, source.spec.world, named, path=True)
         require_source(job.start_folder, source)
         dataset = _data(config, job.environment.data_folder)
-        run.params(config.to_dict())
+        log_configuration(run, config)
         run.dataset(dataset.folder.name, dataset.digest, str(dataset.folder), "training")
+        job.tell(world_tag(source.spec.world, named))
         cells = config.density.cells if "density" in config.models else None
         penalty = config.density.penalty if config.density.ways else None
         arrays = path_arrays(source, dataset, config.points, cells, penalty)
@@ -220,5 +223,6 @@ def _register(
         # A run without a trial that would end it.
         with job.tracking.resume(job.child(name)) as run:
             run.params(dict(bundle.spec.provenance.config))
+    job.tracking.note(job.child(name), tags={TAG_MODEL: str(version)})
     _LOG.info("registry: %s version %d, %s", model, version.number, name)
     return version.number

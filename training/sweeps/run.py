@@ -8,8 +8,9 @@ from typing import Any
 
 from services.evaluator.evaluation.tables import aligned, markdown
 from services.names import EXPERIMENT
+from services.registry.tracking.experiment import TAG_STAGE
 from services.registry.tracking.mlflow_tracking import MlflowTracking
-from services.registry.tracking.port import RunLog
+from services.registry.tracking.port import ID, RunLog
 from training.clusters.stages import prepare_data
 from training.jobs.environment import Environment
 from training.jobs.folders import job_folder, run_of
@@ -57,8 +58,8 @@ def _open(record: SweepRecord | None, plan: Plan, environment: Environment) -> t
     tracking, patience_s = MlflowTracking(environment.tracking_uri), environment.patience_s
     if record is None:
         seed = next(iter(plan.configs.values())).seed
-        tags = job_tags(plan.preset, seed, "training/sweep.py") | {"sweep": plan.name}
-        title, key = f"sweep {plan.name}", f"sweep/{plan.name}"
+        tags = job_tags(plan.preset, seed, "training/sweep.py") | {"sweep": plan.name, TAG_STAGE: "sweep"}
+        title, key = f"sweep {plan.name}, {ID}", f"sweep/{plan.name}"
         started = patiently(
             "starting the sweep's run",
             lambda: tracking.start(EXPERIMENT, title, tags=tags, key=key),

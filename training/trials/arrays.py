@@ -71,6 +71,11 @@ class TrainingArrays:
             )
         )
 
+    def part(self, cluster: int | None) -> dict[str, float]:
+        """How much of the data a cluster has: ``configurations``, and their ``share_of_data``."""
+        count = len(self.labels) if cluster is None else int((self.labels == cluster).sum())
+        return {"configurations": count, "share_of_data": round(count / len(self.labels), 4)}
+
     def scenes(self) -> Scenes | None:
         """The pictures for look-ups, copied; None without."""
         return None if self.images is None else Scenes(self.world, torch.tensor(self.images))

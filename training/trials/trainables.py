@@ -21,7 +21,7 @@ from training.trials.arrays import TrainingArrays
 from training.trials.loading import fresh_generator, load_critic, load_generator, make_wgan, torus_generator
 from training.trials.occupancy import OccupancyArrays
 from training.trials.request import TrialRequest
-from training.trials.tracked import fit_tracked
+from training.trials.tracked import TrialSettings, fit_tracked
 
 VAE, VALIDITY, GATE, GLOBAL, DISTILLED = "vae", "validity", "gate", "global", "distilled"
 
@@ -36,14 +36,15 @@ def picture_trial(
     """Train what learns from (N, P, P, 3) pictures and needs no latents: the VAE, or the validity head."""
     pictures = _channels_first(images)
     module: TrialModule
+    settings: TrialSettings
     with seeded_initialisation(trial.seed):
         if occupancy is not None and trial.name == VALIDITY:
             samples = occupancy.samples(pictures)
             module = ValidityModule(train.validity, samples, occupancy.world, trial.seed)
-            steps = train.validity.steps
+            settings = train.validity
         else:
-            module, steps = VaeModule(train.vae, pictures, trial.seed), train.vae.steps
-    fit_tracked(trial, module, steps, train.resources, tracking_uri)
+            module, settings = VaeModule(train.vae, pictures, trial.seed), train.vae
+    fit_tracked(trial, module, settings, train.resources, tracking_uri, pictures=len(images))
 
 
 def gate_trial(trial: TrialRequest, train: TrainConfig, arrays: TrainingArrays, tracking_uri: str) -> None:
@@ -51,13 +52,14 @@ def gate_trial(trial: TrialRequest, train: TrainConfig, arrays: TrainingArrays, 
     mu, sigma = torch.tensor(arrays.mu), torch.tensor(arrays.sigma)
     with seeded_initialisation(trial.seed):
         module = GateModule(train.gate, mu, sigma, arrays.shares(), trial.seed)
-    fit_tracked(trial, module, train.gate.steps, train.resources, tracking_uri)
+    fit_tracked(trial, module, train.gate, train.resources, tracking_uri)
 
 
 def local_trial(trial: TrialRequest, train: TrainConfig, arrays: TrainingArrays, tracking_uri: str) -> None:
     """Train one cluster's WGAN-GP (Algorithm 1)."""
     module = make_wgan(train.local, arrays, trial.cluster, trial.seed)
-    fit_tracked(trial, module, train.local.steps, train.resources, tracking_uri)
+    part = arrays.part(trial.cluster)
+    fit_tracked(trial, module, train.local, train.resources, tracking_uri, **part)
 
 
 def global_trial(
@@ -71,7 +73,7 @@ def global_trial(
     critics = [load_critic(train.local, arrays, Path(folder)) for folder in local_checkpoints]
     weight = train.global_.local_critic_weight
     module = make_wgan(train.global_, arrays, None, trial.seed, critics, weight)
-    fit_tracked(trial, module, train.global_.steps, train.resources, tracking_uri)
+    fit_tracked(trial, module, train.global_, train.resources, tracking_uri)
 
 
 def distillation_trial(
@@ -100,7 +102,7 @@ def distillation_trial(
             base,
             trial.seed,
         )
-    fit_tracked(trial, module, train.global_.steps, train.resources, tracking_uri)
+    fit_tracked(trial, module, train.global_, train.resources, tracking_uri)
 
 
 def joint_trial(
@@ -121,7 +123,7 @@ def joint_trial(
             trial.seed,
             arrays.world.space,
         )
-    fit_tracked(trial, module, train.global_.steps, train.resources, tracking_uri)
+    fit_tracked(trial, module, train.global_, train.resources, tracking_uri)
 
 
 def _channels_first(images: NDArray[np.uint8]) -> torch.Tensor:

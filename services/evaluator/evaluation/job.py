@@ -8,6 +8,7 @@ from typing import Any, cast
 
 from cspace.bundle import Bundle
 from cspace.dataset import open_dataset
+from cspace.errors import RegistryError, RegistryUnavailableError
 from cspace.world import World
 from cspace.worlds import workshop_of
 from services.evaluator.cluster import on_cluster, spread
@@ -19,14 +20,16 @@ from services.evaluator.evaluation.recording import decide, log_evaluation, reco
 from services.evaluator.evaluation.report import judged_on
 from services.evaluator.evaluation.request import Request
 from services.evaluator.evaluation.rivals import Rival, find_rivals
+from services.evaluator.evaluation.shown import comparison_note, shown_of
 from services.evaluator.evaluation.units import Evaluation, Row, Setting, UnitResult, assemble
 from services.evaluator.measures.samplers import PackedBundle, bundle_sampler
 from services.evaluator.measures.scenes import summary_rng
-from services.names import EXPERIMENT
+from services.names import EXPERIMENT, recorded_name, robot_name
 from services.registry.models.port import ModelRegistry, ModelVersion
-from services.registry.tracking.port import Tracking
+from services.registry.tracking.experiment import TAG_MODEL, TAG_PRESET, TAG_STAGE, TAG_WORLD
+from services.registry.tracking.port import ID, Tracking
 
-RUN_NAME = "evaluation"
+STAGE = "evaluation"
 Progress = Callable[[str], None]
 
 
@@ -73,12 +76,16 @@ def evaluate_version(
         CspaceError: measuring or recording failed.
     """
     version = request.model.look_up(registry)
-    tags = {"model_version": str(version.number), "model_digest": version.digest}
+    name = f"{version} judged, seed {request.seed}, {ID}"
+    tags = {TAG_STAGE: STAGE, TAG_MODEL: str(version), "model_digest": version.digest}
+    tags |= {TAG_PRESET: version.tags.get(TAG_PRESET, "")}
     with tempfile.TemporaryDirectory(prefix="cspace-evaluation-") as folder:
         bundle = _load(registry, version, Path(folder))
         # Training registers under its parent run, which the trials are shown under as well.
-        with tracking.start(EXPERIMENT, RUN_NAME, parent_run_id=version.run_id, tags=tags) as run:
+        with tracking.start(EXPERIMENT, name, parent_run_id=version.run_id, tags=tags) as run:
             spec = bundle.spec
+            robot = robot_name(spec.world, recorded_name(spec.provenance.config))
+            run.tags({TAG_WORLD: f"{spec.world.kind}, {robot}"})
             world = spec.world if request.data is None else _among(spec.world, request.data)
             setting = Setting(world, request.seed, request.budget, spec.kind == "path")
             progress(f"evaluating {version}, digest {bundle.digest[:12]}")
@@ -94,6 +101,7 @@ def evaluate_version(
             figures = log_evaluation(run, evaluation, verdict, bundle_sampler(bundle), title)
         if request.promote:
             record(registry, version, evaluation, verdict)
+            _show(registry, version, evaluation, verdict, progress)
     return Outcome(version, evaluation, verdict, request.promote, run.run_id, figures)
 
 
@@ -114,6 +122,22 @@ def executor(environment: Mapping[str, str]) -> Execute:
 
 def _run(unit: Unit, shared: tuple[Setting, PackedBundle]) -> UnitResult:
     return run_packed(unit, *shared)
+
+
+def _show(
+    registry: ModelRegistry,
+    version: ModelVersion,
+    evaluation: Evaluation,
+    verdict: Verdict,
+    progress: Progress,
+) -> None:
+    """Figures and note on the version's page; the decision stands without them."""
+    try:
+        registry.show(version, shown_of(evaluation, comparison_note(evaluation, verdict, str(version))))
+    except RegistryUnavailableError:
+        raise
+    except RegistryError as error:
+        progress(f"the figures are not shown with {version}: {error.what}")
 
 
 def _among(world: World, folder: Path) -> World:

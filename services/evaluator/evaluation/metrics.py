@@ -1,78 +1,97 @@
-"""An evaluation as flat numbers by name, for the tracking server and the gate."""
+"""What of an evaluation is told as numbers by name: all of it for programs, a chosen few for people."""
 
-from services.evaluator.evaluation.units import Evaluation, SplitResult
-from services.evaluator.measures.planning_summary import COSTS, ArmSummary, FamilySummary
-from services.evaluator.measures.reconstruction import ReconstructionSummary, SamplerSummary
-from services.evaluator.statistics import Interval
+from collections.abc import Mapping, Sequence
 
-SAMPLERS = ("sampler", "confident", "uniform", "real")
-MEASURES = ("precision", "coverage", "edr", "precision_p10", "knn_precision", "knn_recall")
+from cspace.problem import UNIFORM
+from cspace.worlds import workshop_of
+from services.evaluator.evaluation.measured import (
+    HEAD,
+    PLANNING,
+    RECONSTRUCTION,
+    TOPOLOGY,
+    Measured,
+    measured,
+)
+from services.evaluator.evaluation.units import Evaluation
+
+MAX_HEADLINE, MAX_METRICS = 12, 60
+
+# What is told of uniform scenarios in a headline, and of every family of scenarios and problems in a run, by
+# task, whose it is, and measure.
+_HEADLINE = {
+    (RECONSTRUCTION, "sampler", "precision"): "precision",
+    (RECONSTRUCTION, "confident", "precision"): "served_precision",
+    (RECONSTRUCTION, "sampler", "coverage"): "coverage",
+    (RECONSTRUCTION, "confident", "coverage"): "served_coverage",
+    (RECONSTRUCTION, "sampler", "edr"): "edr",
+    (PLANNING, "", "planning_success"): "planning_success",
+}
+_OVERALL = _HEADLINE | {
+    (RECONSTRUCTION, "confident", "edr"): "served_edr",
+    (RECONSTRUCTION, "uniform", "precision"): "uniform_precision",
+    (HEAD, "", "accuracy"): "head_accuracy",
+}
+_BY_FAMILY = {
+    (RECONSTRUCTION, "sampler", "precision"): "precision",
+    (RECONSTRUCTION, "confident", "precision"): "served_precision",
+    (PLANNING, "learned", "success"): "success",
+    (PLANNING, "", "iterations_ratio"): "iterations_saved",
+    (PLANNING, "", "edge_checks_ratio"): "edge_checks_saved",
+}
 
 
 def flat_metrics(evaluation: Evaluation) -> dict[str, float]:
-    """All estimates with their limits by name; those of the test split start with ``test_``.
+    """All estimates with their limits by flat name, ``_low`` and ``_high`` behind it, for programs.
 
-    Then comes the family of the scenarios, unless it is the uniform one, as in ``test_narrow_precision``.
+    See :attr:`services.evaluator.evaluation.measured.Measured.flat_name`.
     """
-    metrics = _split_metrics(evaluation.validation, "") | _split_metrics(evaluation.test, "test_")
-    for name, summary in evaluation.topology.items():
-        metrics |= _interval_metrics(f"test_{name}", summary.score)
-        metrics |= _interval_metrics(f"test_{name}_floor", summary.floor)
-    if evaluation.topology_scenes:
-        metrics["test_gs_remainder"] = max(scene.remainder for scene in evaluation.topology_scenes)
+    metrics: dict[str, float] = {}
+    for row in measured(evaluation):
+        metrics[row.flat_name] = row.value
+        if row.low is not None and row.high is not None:
+            metrics |= {f"{row.flat_name}_low": row.low, f"{row.flat_name}_high": row.high}
     return metrics | {"evaluation_cpu_seconds": evaluation.cpu_seconds}
 
 
-def _split_metrics(split: SplitResult, prefix: str) -> dict[str, float]:
-    metrics = {} if split.reconstruction is None else _reconstruction_metrics(split.reconstruction, prefix)
-    for name, summary in split.families.items():
-        metrics |= _reconstruction_metrics(summary, f"{prefix}{name}_")
-    if split.planning_success is not None:
-        metrics |= _interval_metrics(f"{prefix}planning_success", split.planning_success)
-    for family in split.planning:
-        metrics |= _family_metrics(family, f"{prefix}{family.family}_")
-    return metrics
+def headline(evaluation: Evaluation) -> dict[str, float]:
+    """What versions are chosen by, at most :data:`MAX_HEADLINE`: ``validation/precision``, ``test/...``.
+
+    Of samplers the uniform scenarios and all problems; of path models, whose scenarios nobody measures, all
+    problems and the work that is saved in the family that tells most.
+    """
+    rows = measured(evaluation)
+    found = _named(rows, _HEADLINE)
+    if evaluation.validation.reconstruction is None:
+        telling = workshop_of(evaluation.setting.world).families.telling
+        found |= _named_by_family([row for row in rows if row.family == telling])
+    return found
 
 
-def _reconstruction_metrics(summary: ReconstructionSummary, prefix: str) -> dict[str, float]:
-    metrics: dict[str, float] = {}
-    for name in SAMPLERS:
-        one: SamplerSummary | None = getattr(summary, name)
-        if one is None:
-            continue
-        label = prefix if name == "sampler" else f"{prefix}{name}_"
-        for metric in MEASURES:
-            metrics |= _interval_metrics(label + metric, getattr(one, metric))
-        metrics[f"{label}precision_minimum"] = one.precision_minimum
-    metrics |= _interval_metrics(f"{prefix}precision_gain", summary.precision_gain)
-    head = summary.occupancy
-    for metric in () if head is None else ("accuracy", "near_accuracy", "calibration_error", "acceptance"):
-        value: Interval | None = getattr(head, metric)
-        metrics |= {} if value is None else _interval_metrics(f"{prefix}head_{metric}", value)
-    return metrics
+def run_metrics(evaluation: Evaluation) -> dict[str, float]:
+    """What an evaluation's page shows, at most :data:`MAX_METRICS`, grouped by what stands before ``/``."""
+    rows = measured(evaluation)
+    scores = {
+        f"{row.split}/topology/{row.measure}": row.value
+        for row in rows
+        if row.task == TOPOLOGY and row.low is not None and not row.measure.endswith("_floor")
+    }
+    found = _named(rows, _OVERALL) | _named_by_family(rows) | scores
+    return found | {"cost/cpu_s": evaluation.cpu_seconds}
 
 
-def _family_metrics(family: FamilySummary, prefix: str) -> dict[str, float]:
-    metrics = {f"{prefix}sampling_time_s": family.sampling_time_s}
-    for name in ("uniform", "learned", "confident"):
-        arm: ArmSummary | None = getattr(family, name)
-        if arm is None:
-            continue
-        metrics |= _interval_metrics(f"{prefix}{name}_success", arm.success)
-        metrics[f"{prefix}{name}_censored"] = float(arm.iterations.censored)
-        for cost in COSTS:
-            metrics[f"{prefix}{name}_{cost}_median"] = getattr(arm, cost).median
-    for ratio in (
-        "iterations_ratio",
-        "edge_checks_ratio",
-        "solve_time_ratio",
-        "length_ratio",
-        "filter_ratio",
-    ):
-        value = getattr(family, ratio)
-        metrics |= {} if value is None else _interval_metrics(f"{prefix}{ratio}", value)
-    return metrics
+def _named(rows: Sequence[Measured], names: Mapping[tuple[str, str, str], str]) -> dict[str, float]:
+    return {
+        f"{row.split}/{names[key]}": row.value
+        for row in rows
+        if (key := (row.task, row.sampler, row.measure)) in names
+        and row.family == ("" if row.task == PLANNING else UNIFORM)
+    }
 
 
-def _interval_metrics(name: str, interval: Interval) -> dict[str, float]:
-    return {name: interval.estimate, f"{name}_low": interval.low, f"{name}_high": interval.high}
+def _named_by_family(rows: Sequence[Measured]) -> dict[str, float]:
+    return {
+        f"{row.split}/{row.family}/{_BY_FAMILY[key]}": row.value
+        for row in rows
+        if (key := (row.task, row.sampler, row.measure)) in _BY_FAMILY
+        and row.family not in (("",) if row.task == PLANNING else ("", UNIFORM))
+    }

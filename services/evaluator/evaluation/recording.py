@@ -3,7 +3,7 @@
 import tempfile
 import time
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 from cspace.errors import EvaluationError
@@ -12,9 +12,17 @@ from cspace.splits import Split
 from cspace.worlds import picture_of, robot_digest, workshop_of
 from services.evaluator.evaluation.gallery import gallery
 from services.evaluator.evaluation.gate import Bar, Candidate, PathCandidate, Verdict, judge, judge_paths
-from services.evaluator.evaluation.metrics import flat_metrics
+from services.evaluator.evaluation.metrics import flat_metrics, run_metrics
 from services.evaluator.evaluation.report import to_json, to_markdown
 from services.evaluator.evaluation.rivals import JOINTS
+from services.evaluator.evaluation.shown import (
+    COMPARISONS,
+    MEASURES,
+    NOTE,
+    comparison_columns,
+    comparison_note,
+    measure_columns,
+)
 from services.evaluator.evaluation.units import Evaluation, planner_of, planner_seed
 from services.evaluator.measures.planning import UNIFORM_SHARE, learned_samples
 from services.evaluator.measures.reconstruction import SceneQuality
@@ -25,6 +33,7 @@ from services.planner.search.ompl_planner import solve
 from services.planner.sources.samples import SampleSource
 from services.registry.models.port import ModelRegistry, ModelVersion
 from services.registry.promotion import Decision, record_decision
+from services.registry.tracking.experiment import NOTE as DESCRIPTION
 from services.registry.tracking.port import RunLog
 
 # The first scenarios of the uniform family; with the least precise one of every family they make a gallery.
@@ -79,17 +88,22 @@ def log_evaluation(
 ) -> tuple[str, ...]:
     """Metrics, settings, report and pictures into a run; returns the pictures' names."""
     setting = evaluation.setting
-    run.params({"seed": setting.seed, "scenarios": setting.budget.scenarios, "budget": str(setting.budget)})
-    run.metrics(flat_metrics(evaluation), 0)
-    run.tags({"promoted": str(verdict.promoted).lower()})
+    run.params({"seed": setting.seed, **asdict(setting.budget)})
+    run.metrics(run_metrics(evaluation), 0)
+    note = comparison_note(evaluation, verdict, title)
+    run.tags({"promoted": str(verdict.promoted).lower(), DESCRIPTION: note})
+    run.table(measure_columns(evaluation), MEASURES)
+    if verdict.bar.comparisons:
+        run.table(comparison_columns(verdict.bar.comparisons), COMPARISONS)
     with tempfile.TemporaryDirectory(prefix="cspace-report-") as folder:
-        for name, text in (
-            ("evaluation.md", to_markdown(evaluation, title, verdict.reasons, verdict.bar.comparisons)),
-            ("evaluation.json", to_json(evaluation)),
-        ):
-            path = Path(folder) / name
-            path.write_text(text, encoding="utf-8")
-            run.artifact(path, REPORT_FOLDER)
+        texts = {
+            "evaluation.md": to_markdown(evaluation, title, verdict.reasons, verdict.bar.comparisons),
+            "evaluation.json": to_json(evaluation),
+            NOTE: note,
+        }
+        for name, text in texts.items():
+            (Path(folder) / name).write_text(text, encoding="utf-8")
+        run.artifact(Path(folder), REPORT_FOLDER)
         run.flush()
     if sampler.with_ends:
         return _plans(run, evaluation, sampler, title)

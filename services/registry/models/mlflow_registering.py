@@ -63,17 +63,25 @@ def create_version(
         return _only_version(client, name, run_id, tags[TAG_DIGEST])
 
 
+def logged_model(client: MlflowClient, name: str, run: Run, digest: str) -> LoggedModel | None:
+    """The whole model of a bundle that a run has logged; None without one."""
+    whole = [one for one in _logged(client, name, run, digest) if one.status == LoggedModelStatus.READY]
+    return whole[0] if whole else None
+
+
 def _finished_model(client: MlflowClient, name: str, run: Run, digest: str) -> LoggedModel | None:
     """The model that an interrupted attempt has uploaded whole; those that it has not are deleted."""
+    for model in _logged(client, name, run, digest):
+        if model.status != LoggedModelStatus.READY:
+            client.delete_logged_model(model.model_id)
+    return logged_model(client, name, run, digest)
+
+
+def _logged(client: MlflowClient, name: str, run: Run, digest: str) -> list[LoggedModel]:
     found = client.search_logged_models(
         [run.info.experiment_id], f"source_run_id = '{run.info.run_id}' AND name = '{name}'"
     )
-    same = [model for model in found if model.tags.get(TAG_DIGEST) == digest]
-    whole = [model for model in same if model.status == LoggedModelStatus.READY]
-    for model in same:
-        if model not in whole:
-            client.delete_logged_model(model.model_id)
-    return whole[0] if whole else None
+    return [model for model in found if model.tags.get(TAG_DIGEST) == digest]
 
 
 def _only_version(client: MlflowClient, name: str, run_id: str, digest: str) -> int:

@@ -5,12 +5,14 @@ belongs to one of MLflow's logged models, which ties it to its run and, through 
 """
 
 import tempfile
+import time
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
 from mlflow import MlflowClient
 from mlflow.artifacts import download_artifacts
+from mlflow.entities import Metric
 from mlflow.entities.model_registry import ModelVersion as MlflowVersion
 
 from cspace.errors import ModelNotFoundError, StorageError
@@ -18,10 +20,12 @@ from services.names import TAG_DIGEST, world_tags
 from services.registry.mlflow_errors import mapped
 from services.registry.mlflow_health import check_reachable
 from services.registry.models.mlflow_model import BUNDLE_PATH, read_spec
-from services.registry.models.mlflow_registering import create_version
-from services.registry.models.port import ModelVersion
+from services.registry.models.mlflow_registering import create_version, logged_model
+from services.registry.models.port import ModelVersion, Shown
 
 _PAGE = 100
+# Of a data set's digest, which MLflow keeps no more of.
+MAX_DIGEST = 36
 
 
 class MlflowRegistry:
@@ -121,6 +125,24 @@ class MlflowRegistry:
         with mapped(f"setting tags on {name}/{number}", lookup=True):
             for key, value in tags.items():
                 self._client.set_model_version_tag(name, str(number), key, value)
+
+    def show(self, version: ModelVersion, shown: Shown) -> None:
+        """Show figures and a note; see :meth:`services.registry.models.port.ModelRegistry.show`."""
+        self._ready()
+        name, number = version.name, str(version.number)
+        with mapped(f"showing figures of {version}", lookup=True):
+            self._client.update_model_version(name, number, shown.note)
+        with mapped(f"looking up the model of {version}"):
+            run = self._client.get_run(version.run_id)
+            model = logged_model(self._client, name, run, version.digest)
+        model_id = None if model is None else model.model_id
+        now_ms, digest = time.time_ns() // 1_000_000, shown.data_digest[:MAX_DIGEST]
+        points = [
+            Metric(key, value, now_ms, 0, model_id, shown.data, digest, version.run_id)
+            for key, value in shown.metrics.items()
+        ]
+        with mapped(f"showing figures of {version}"):
+            self._client.log_batch(version.run_id, points)
 
     def remove_tag(self, name: str, number: int, tag: str) -> None:
         """Take a tag off; see :meth:`services.registry.models.port.ModelRegistry.remove_tag`."""

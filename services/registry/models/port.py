@@ -56,6 +56,23 @@ class ModelLookups(Protocol):
         ...
 
 
+@dataclass(frozen=True, slots=True)
+class Shown:
+    """What people see of a version once it is judged.
+
+    Args:
+        metrics: a few, by name.
+        note: of its page, in Markdown.
+        data: what it was judged on, in words.
+        data_digest: of that, in hexadecimal.
+    """
+
+    metrics: Mapping[str, float]
+    note: str
+    data: str
+    data_digest: str
+
+
 class ModelRegistry(ModelLookups, Protocol):
     """Where bundles become versions.
 
@@ -118,6 +135,17 @@ class ModelRegistry(ModelLookups, Protocol):
 
         Raises:
             ModelNotFoundError: there is no such version.
+        """
+        ...
+
+    def show(self, version: ModelVersion, shown: Shown) -> None:
+        """Show figures and a note where people compare versions, in place of those shown before.
+
+        The figures are told of the run that made the version, and of its logged model.
+
+        Raises:
+            ModelNotFoundError: there is no such version.
+            RegistryError: its run was deleted.
         """
         ...
 

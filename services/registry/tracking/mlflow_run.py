@@ -2,11 +2,13 @@
 
 import json
 import tempfile
+import warnings
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
+import PIL.Image
 from mlflow import MlflowClient
 from mlflow.entities import Dataset, DatasetInput, InputTag, Metric, Param, RunTag
 
@@ -21,6 +23,7 @@ from services.registry.tracking.run_block import RunBlock
 _MAX_PARAMS = 100
 _MAX_DIGEST = 36
 _CONTEXT = "mlflow.data.context"
+_TABLES = "tables"
 
 
 class MlflowRun(RunBlock):
@@ -83,11 +86,32 @@ class MlflowRun(RunBlock):
             upload(self._run_id, str(path), folder or None)
 
     def figure(self, fig: Picture, name: str) -> None:
-        """Render a figure as PNG and upload it."""
+        """Render a figure as PNG and upload it, also as the UI's image grid takes it."""
+        key = name.removesuffix(".png")
         with tempfile.TemporaryDirectory(prefix="cspace-figure-") as folder:
-            path = Path(folder) / f"{name.removesuffix('.png')}.png"
+            path = Path(folder) / f"{key}.png"
             fig.savefig(path, format="png")
             self.artifact(path, "figures")
+            with PIL.Image.open(path) as image, self._mapped(f"uploading {key}"):
+                self._client.log_image(self._run_id, image, key=key, step=0)
+
+    def table(self, columns: Mapping[str, Sequence[Any]], name: str) -> None:
+        """Upload a table, once: MLflow would append to one that is there."""
+        import pyarrow as pa  # noqa: PLC0415 - with pandas, which comes with the whole of mlflow alone
+        from pyarrow import parquet  # noqa: PLC0415 - as above
+
+        path = f"{_TABLES}/{name}.json"
+        with self._mapped(f"uploading {path}"):
+            if any(found.path == path for found in self._client.list_artifacts(self._run_id, _TABLES)):
+                return
+        with tempfile.TemporaryDirectory(prefix="cspace-table-") as folder:
+            whole = Path(folder) / f"{name}.parquet"
+            parquet.write_table(pa.table(dict(columns)), whole)
+            self.artifact(whole, _TABLES)
+        with self._mapped(f"uploading {path}"), warnings.catch_warnings():
+            # MLflow's use of pandas is nothing that a reader of the log can change.
+            warnings.filterwarnings("ignore", "For backward compatibility, 'str' dtypes")
+            self._client.log_table(self._run_id, dict(columns), path)
 
     def dataset(self, name: str, digest: str, source: str, context: str) -> None:
         """Log a data set as an input.

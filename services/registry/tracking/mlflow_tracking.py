@@ -5,15 +5,16 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from mlflow import MlflowClient
-from mlflow.entities import Experiment
+from mlflow.entities import Experiment, Metric, Run, RunTag
 from mlflow.exceptions import MlflowException
 
 from cspace.errors import RegistryError
 from services.names import TAG_KEY
 from services.registry.mlflow_errors import mapped
-from services.registry.tracking.metric_buffer import Patience
+from services.registry.tracking.experiment import described
+from services.registry.tracking.metric_buffer import Patience, points_of
 from services.registry.tracking.mlflow_run import MlflowRun
-from services.registry.tracking.port import RunLog
+from services.registry.tracking.port import ID, ID_LENGTH, NOTHING, RunLog
 from services.registry.tracking.spool import Spool, spooled_runs
 from services.registry.tracking.spooled_run import SpooledRun
 
@@ -61,11 +62,11 @@ class MlflowTracking:
             experiment_id = self._experiment_id(experiment)
             found = None if key is None else self._keyed(experiment_id, key)
             if found is not None:
-                return self.resume(found)
+                return self.resume(self._named(found))
             run = self._client.create_run(
                 experiment_id, run_name=name, tags={**(tags or {}), **parent, **keyed}
             )
-        run_id = str(run.info.run_id)
+            run_id = self._named(run)
         if self._spool_folder is None:
             return self._log(run_id, {}, 0)
         return self._spooled(run_id, self._spool_folder)
@@ -76,6 +77,14 @@ class MlflowTracking:
         if folder is None:
             return self._reopened(run_id, from_step)
         return self._spooled(run_id, folder, from_step).open()
+
+    def note(
+        self, run_id: str, *, tags: Mapping[str, str] = NOTHING, metrics: Mapping[str, float] = NOTHING
+    ) -> None:
+        """Write onto a run; see :meth:`services.registry.tracking.port.Tracking.note`."""
+        points = [Metric(one.name, one.value, one.time_ms, one.step) for one in points_of(metrics, 0)]
+        with mapped(f"writing onto run {run_id}"):
+            self._client.log_batch(run_id, points, tags=[RunTag(*pair) for pair in tags.items()])
 
     def deliver(self) -> None:
         """Send what waits in the spool's folder, for every run.
@@ -88,9 +97,16 @@ class MlflowTracking:
             for run_id in spooled_runs(folder):
                 self._spooled(run_id, folder).deliver()
 
-    def _keyed(self, experiment_id: str, key: str) -> str | None:
+    def _keyed(self, experiment_id: str, key: str) -> Run | None:
         found = self._client.search_runs([experiment_id], f"tags.`{TAG_KEY}` = '{key}'", max_results=1)
-        return str(found[0].info.run_id) if found else None
+        return found[0] if found else None
+
+    def _named(self, run: Run) -> str:
+        """The run's id, once the begin of it stands in the run's name where that wants it."""
+        run_id, name = str(run.info.run_id), str(run.info.run_name)
+        if ID in name:
+            self._client.update_run(run_id, name=name.replace(ID, run_id[:ID_LENGTH]))
+        return run_id
 
     def _spooled(self, run_id: str, folder: Path, from_step: int | None = None) -> SpooledRun:
         return SpooledRun(
@@ -120,19 +136,27 @@ class MlflowTracking:
         found = self._client.get_experiment_by_name(name)
         if found is None:
             try:
-                return str(self._client.create_experiment(name))
+                self._client.create_experiment(name)
             except MlflowException as error:
                 # Another trial may have been quicker.
                 if error.error_code != "RESOURCE_ALREADY_EXISTS":
                     raise
-                found = self._client.get_experiment_by_name(name)
-        return _living(name, found)
+            found = self._client.get_experiment_by_name(name)
+        return self._described(_living(name, found))
+
+    def _described(self, experiment: Experiment) -> str:
+        """The experiment's id, once its page says what it is; what somebody else wrote there stays."""
+        experiment_id = str(experiment.experiment_id)
+        ours = {key: value for key, value in described(experiment_id).items() if key not in experiment.tags}
+        for key, value in ours.items():
+            self._client.set_experiment_tag(experiment_id, key, value)
+        return experiment_id
 
 
-def _living(name: str, experiment: Experiment | None) -> str:
+def _living(name: str, experiment: Experiment | None) -> Experiment:
     if experiment is None or experiment.lifecycle_stage != "active":
         raise RegistryError(
             f"the experiment {name} was deleted",
             remedy="restore it in the MLflow UI, or remove it for good with `mlflow gc`",
         )
-    return str(experiment.experiment_id)
+    return experiment

@@ -1,11 +1,15 @@
 """The port to experiment tracking: runs that hold parameters, metrics, pictures and the data that went in."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Literal, Protocol
 
 RunStatus = Literal["FINISHED", "FAILED", "KILLED"]
+NOTHING: Mapping[str, Any] = MappingProxyType({})
+ID, ID_LENGTH = "{id}", 6
+"""In a run's name, and how much of the run's id stands there instead."""
 
 
 class Picture(Protocol):
@@ -54,7 +58,19 @@ class RunLog(AbstractContextManager["RunLog", None], Protocol):
         ...
 
     def figure(self, fig: Picture, name: str) -> None:
-        """Keep a figure as ``figures/<name>.png``. The figure stays open."""
+        """Keep a figure as ``figures/<name>.png``, and where the UI sets runs' pictures beside each other.
+
+        The figure stays open.
+        """
+        ...
+
+    def table(self, columns: Mapping[str, Sequence[Any]], name: str) -> None:
+        """Keep a table as ``tables/<name>.json``, which the UI compares between runs, and as Parquet.
+
+        Args:
+            columns: by name, all of one length: numbers, texts or None.
+            name: of the table.
+        """
         ...
 
     def dataset(self, name: str, digest: str, source: str, context: str) -> None:
@@ -92,7 +108,7 @@ class Tracking(Protocol):
 
         Args:
             experiment: created when it is new.
-            name: of the run.
+            name: of the run; :data:`ID` in it becomes the first :data:`ID_LENGTH` characters of the run's id.
             parent_run_id: the run under which it is shown.
             tags: commit, seeds, preset.
             key: names the run within its experiment for whoever was interrupted before he could remember its
@@ -110,6 +126,21 @@ class Tracking(Protocol):
             run_id: from :attr:`RunLog.run_id`.
             from_step: metrics of earlier steps are dropped. None asks the run, metric by metric, for its
                 last step.
+
+        Raises:
+            RegistryError: there is no such run.
+        """
+        ...
+
+    def note(
+        self, run_id: str, *, tags: Mapping[str, str] = NOTHING, metrics: Mapping[str, float] = NOTHING
+    ) -> None:
+        """Write onto a run without going on with it, whether it has ended or not.
+
+        Args:
+            run_id: from :attr:`RunLog.run_id`.
+            tags: set.
+            metrics: logged at step 0; the last ones logged hold.
 
         Raises:
             RegistryError: there is no such run.

@@ -103,6 +103,10 @@ class SpooledRun(RunBlock):
         """Render a figure as PNG and upload it."""
         self._opened().figure(fig, name)
 
+    def table(self, columns: Mapping[str, Sequence[Any]], name: str) -> None:
+        """Upload a table."""
+        self._opened().table(columns, name)
+
     def dataset(self, name: str, digest: str, source: str, context: str) -> None:
         """Log a data set as an input."""
         self._opened().dataset(name, digest, source, context)

@@ -93,7 +93,7 @@ def test_every_trial_is_a_finished_child_of_the_jobs_run(result, client):
     experiment = client.get_experiment_by_name(EXPERIMENT).experiment_id
     query = f"tags.mlflow.parentRunId = '{result['run_id']}'"
     children = client.search_runs([experiment], query)
-    assert {child.info.run_name for child in children} == {
+    assert {child.data.tags["trial"] for child in children} == {
         "vae",
         "validity",
         "local-0",
@@ -106,7 +106,7 @@ def test_every_trial_is_a_finished_child_of_the_jobs_run(result, client):
 def test_the_wgan_trials_share_their_metric_names(result, client):
     experiment = client.get_experiment_by_name(EXPERIMENT).experiment_id
     runs = client.search_runs([experiment], f"tags.mlflow.parentRunId = '{result['run_id']}'")
-    names = {run.info.run_name: set(run.data.metrics) for run in runs}
+    names = {run.data.tags["trial"]: set(run.data.metrics) for run in runs}
     assert names["local-0"] == names["local-1"] == names["global"]
     assert {"critic_loss", "generator_loss", "wasserstein_estimate", "steps_per_s"} <= names["global"]
 

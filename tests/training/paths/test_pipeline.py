@@ -76,7 +76,7 @@ def test_the_models_can_be_compared_in_the_tracking_server(result, server):
     client = MlflowClient(server)
     experiment = client.get_experiment_by_name(EXPERIMENT).experiment_id
     runs = client.search_runs([experiment], f"tags.mlflow.parentRunId = '{result['run_id']}'")
-    names = {run.info.run_name: set(run.data.metrics) for run in runs}
+    names = {run.data.tags["trial"]: set(run.data.metrics) for run in runs}
     assert {run.info.status for run in runs} == {"FINISHED"}
     assert set(names) == {"ways", *ALL_MODELS}
     assert "density_loss" in names["density"]

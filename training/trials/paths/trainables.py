@@ -40,8 +40,7 @@ def path_trial(
     name = cast("PathModel", trial.name)
     with seeded_initialisation(trial.seed):
         module = make_path_module(name, train, arrays, trial.seed, guides, teacher)
-    steps = getattr(train, name).steps
-    fit_tracked(trial, module, steps, train.resources, tracking_uri)
+    fit_tracked(trial, module, getattr(train, name), train.resources, tracking_uri)
 
 
 def make_path_module(

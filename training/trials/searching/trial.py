@@ -9,6 +9,7 @@ import torch
 from ray import tune
 
 from services.names import EXPERIMENT
+from services.registry.tracking.experiment import TAG_STAGE
 from services.registry.tracking.mlflow_tracking import MlflowTracking
 from training.config.clusters import TrainConfig
 from training.models.encode import load_encoder
@@ -50,7 +51,9 @@ def search_trial(
     module = make_wgan(gan, arrays, None, train.seed)
     gate = load_gate(train, Path(checkpoints["gate"]))
     name = "search " + tune.get_context().get_trial_id()
-    run = MlflowTracking(tracking_uri).start(EXPERIMENT, name, parent_run_id=parent_run_id)
+    run = MlflowTracking(tracking_uri).start(
+        EXPERIMENT, name, parent_run_id=parent_run_id, tags={TAG_STAGE: "search-trial"}
+    )
     with run:
         run.params({key: str(value) for key, value in settings.items()})
         every = -(-gan.steps // looks)

@@ -1,7 +1,8 @@
 """What a benchmark leaves behind: table, logs, report, figures and pages in a folder, and all in a run."""
 
+import shutil
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from pathlib import Path
 
@@ -12,14 +13,16 @@ from services.evaluator.benchmark.runs.store import MANIFEST, RunStore
 from services.evaluator.benchmark.summary.results import Results
 from services.evaluator.benchmark.telling.figures import all_figures
 from services.evaluator.benchmark.telling.frame import write_parquet
-from services.evaluator.benchmark.telling.metrics import flat_metrics
+from services.evaluator.benchmark.telling.metrics import arm_columns, run_metrics
 from services.evaluator.benchmark.telling.ompl_log import ompl_log
-from services.evaluator.benchmark.telling.report import report
+from services.evaluator.benchmark.telling.report import comparison_note, report
 from services.names import EXPERIMENT
-from services.registry.tracking.port import Tracking
+from services.registry.tracking.experiment import NOTE, TAG_STAGE
+from services.registry.tracking.port import ID, Tracking
 
-PARQUET, REPORT, FIGURES, PAGES = "runs.parquet", "report.md", "figures", "pages"
-RUN_NAME = "planning-benchmark"
+PARQUET, REPORT, COMPARISON = "runs.parquet", "report.md", "comparison.md"
+FIGURES, PAGES = "figures", "pages"
+STAGE = "planning-benchmark"
 
 
 def write_files(results: Results, store: RunStore, pages: Iterable[tuple[str, Figure]]) -> None:
@@ -41,6 +44,7 @@ def write_files(results: Results, store: RunStore, pages: Iterable[tuple[str, Fi
         shown = [f"{FIGURES}/{name}" for name in _save_all(all_figures(results), out / FIGURES)]
         drawn = [f"{PAGES}/{name}" for name in _save_all(pages, out / PAGES)]
         (out / REPORT).write_text(report(results, store.manifest(), shown, drawn), "utf-8")
+        (out / COMPARISON).write_text(comparison_note(results), "utf-8")
     except OSError as error:
         raise StorageError(f"the folder {out} can not be written", got=str(error)) from error
 
@@ -56,18 +60,34 @@ def log_run(tracking: Tracking, results: Results, store: RunStore) -> str:
     Raises:
         RegistryError: the server refuses or does not answer.
     """
-    manifest = store.manifest()
-    with tracking.start(EXPERIMENT, RUN_NAME, tags={"protocol": results.setting.protocol.value}) as run:
+    manifest, setting = store.manifest(), results.setting
+    name = f"planning, {setting.protocol}, {', '.join(results.families)}, seed {setting.seed}, {ID}"
+    tags = {"protocol": setting.protocol.value, TAG_STAGE: STAGE}
+    with tracking.start(EXPERIMENT, name, tags=tags) as run:
         samplers = {name: one["digest"] for name, one in manifest["samplers"].items()}
         run.params({"setting": asdict(results.setting), "samplers": samplers})
-        run.metrics(flat_metrics(results), 0)
-        for name in (MANIFEST, PARQUET, REPORT, *map(log_name, results.families)):
-            run.artifact(store.folder / name)
-        for name in (FIGURES, PAGES):
-            if (store.folder / name).is_dir():
-                run.artifact(store.folder / name, name)
+        run.metrics(run_metrics(results), 0)
+        run.table(arm_columns(results), "arms")
+        run.tags({NOTE: comparison_note(results)})
+        for part in (MANIFEST, PARQUET, REPORT, COMPARISON, *map(log_name, results.families)):
+            run.artifact(store.folder / part)
+        for path in sorted((store.folder / FIGURES).glob("*.png")):
+            run.figure(_Saved(path), path.stem)
+        if (store.folder / PAGES).is_dir():
+            run.artifact(store.folder / PAGES, PAGES)
         run.flush()
         return run.run_id
+
+
+@dataclass(frozen=True, slots=True)
+class _Saved:
+    """A picture that was drawn before."""
+
+    path: Path
+
+    def savefig(self, fname: Path, *, format: str) -> None:  # noqa: A002, ARG002 - matplotlib's own names
+        """Copy it; it is a PNG file whatever is asked for."""
+        shutil.copyfile(self.path, fname)
 
 
 def log_name(family: str) -> str:

@@ -3,6 +3,7 @@
 import math
 import re
 from collections.abc import Iterator
+from typing import Any
 
 from services.evaluator.benchmark.summary.convergence import Convergence
 from services.evaluator.benchmark.summary.results import Results
@@ -22,6 +23,27 @@ def flat_metrics(results: Results) -> dict[str, float]:
         for way in result.convergence:
             found |= {f"{family}/{metric_name(way.arm.name)}/{name}": value for name, value in _way(way)}
     return {name: value for name, value in found.items() if math.isfinite(value)}
+
+
+def run_metrics(results: Results) -> dict[str, float]:
+    """Of every family and arm what is compared first; all the rest stands in the table of arms."""
+    names = ("solved", "iterations_median", "edge_checks_median", "iterations_ratio_median")
+    return {name: value for name, value in flat_metrics(results).items() if name.endswith(names)}
+
+
+def arm_columns(results: Results) -> dict[str, list[Any]]:
+    """Every number of :func:`flat_metrics`, one row each: family, arm, measure, value and limits."""
+    found = flat_metrics(results)
+    limits = ("_low", "_high")
+    told = {name: value for name, value in found.items() if not name.endswith(limits)}
+    places = [name.split("/") for name in told]
+    return {
+        "family": [place[0] for place in places],
+        "arm": [place[1] for place in places],
+        "measure": [place[2] for place in places],
+        "value": list(told.values()),
+        **{limit[1:]: [found.get(name + limit) for name in told] for limit in limits},
+    }
 
 
 def metric_name(arm: str) -> str:

@@ -64,6 +64,14 @@ PAPER = (
 )
 
 
+def comparison_note(results: Results) -> str:
+    """The short form: what a check must cost for samples to pay, and a table of the arms by family."""
+    parts = [break_even_line(results)]
+    for name, found in results.families.items():
+        parts += [f"### {name}", markdown(arm_table(found.summaries))]
+    return "\n\n".join(parts) + "\n"
+
+
 def report(
     results: Results, manifest: Mapping[str, Any], figures: Sequence[str] = (), pages: Sequence[str] = ()
 ) -> str:

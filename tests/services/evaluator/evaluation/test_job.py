@@ -3,7 +3,7 @@ from dataclasses import replace
 
 import pytest
 
-from cspace.errors import EvaluationError, ModelNotFoundError
+from cspace.errors import EvaluationError, ModelNotFoundError, RegistryError
 from cspace.worlds import workshop_of
 from cspace.worlds.planar.arm import THREE_LINK
 from cspace.worlds.planar.world import PlanarWorld
@@ -11,7 +11,7 @@ from services.evaluator import __main__ as command
 from services.evaluator.evaluation.budget import Budget, Kind, units
 from services.evaluator.evaluation.execution import run_here
 from services.evaluator.evaluation.job import evaluate_version, executor, run_on_ray
-from services.evaluator.evaluation.metrics import flat_metrics
+from services.evaluator.evaluation.metrics import MAX_HEADLINE, MAX_METRICS, flat_metrics
 from services.evaluator.evaluation.request import make_request
 from services.names import ALIAS_CHALLENGER, ALIAS_CHAMPION, MODEL_NAME
 from services.registry.promotion import decisions
@@ -63,15 +63,65 @@ def passing(monkeypatch):
 def test_an_evaluation_is_a_child_of_the_training_with_metrics_report_and_pictures(tracking, registry):
     outcome = evaluate_version(request(), tracking, registry, progress=lambda line: None)
     run = tracking.runs[outcome.run_id]
-    assert (run.name, run.status) == ("evaluation", "FINISHED")
+    assert (run.name, run.status) == (f"{MODEL_NAME}/1 judged, seed 0, {run.run_id[:6]}", "FINISHED")
     assert run.parent_run_id == registry.version(MODEL_NAME, 1).run_id
-    assert run.history["precision"][0][1] == flat_metrics(outcome.evaluation)["precision"]
-    assert {"test_coverage", "edr", "test_gs_floor", "precision_gain_low"} <= set(run.history)
-    assert run.tags["model_version"] == "1"
+    flat = flat_metrics(outcome.evaluation)
+    assert run.history["validation/precision"][0][1] == flat["precision"]
+    assert run.history["test/uniform_precision"][0][1] == flat["test_uniform_precision"]
+    assert len(run.history) <= MAX_METRICS
+    told = {"stage": "evaluation", "model_version": f"{MODEL_NAME}/1", "world": "planar, two-link"}
+    assert told.items() <= run.tags.items()
+    assert run.params["samples"] == str(outcome.evaluation.setting.budget.samples)
     assert b"\n\nJudged on scenes of the planar world with 3 discs" in run.artifacts["report/evaluation.md"]
     assert b"## Decision" in run.artifacts["report/evaluation.md"]
     assert json.loads(run.artifacts["report/evaluation.json"])["setting"]["seed"] == 0
     assert {f"figures/{name}.png" for name in outcome.figures} <= set(run.artifacts)
+
+
+def test_every_estimate_stands_in_a_table_with_its_limits(tracking, registry):
+    outcome = evaluate_version(request(), tracking, registry, progress=lambda line: None)
+    table = json.loads(tracking.runs[outcome.run_id].artifacts["tables/measures.json"])
+    rows = [dict(zip(table["columns"], row, strict=True)) for row in table["data"]]
+    of = ("task", "split", "family", "sampler", "measure")
+    found = {tuple(row[name] for name in of): row for row in rows}
+    one, flat = (
+        found["reconstruction", "test", "uniform", "uniform", "coverage"],
+        flat_metrics(outcome.evaluation),
+    )
+    assert [one[name] for name in ("value", "low", "high")] == [
+        flat[f"test_uniform_coverage{end}"] for end in ("", "_low", "_high")
+    ]
+    assert one["n"] == outcome.evaluation.setting.budget.scenarios
+    assert len(found) == len(rows) == len({row["estimate"] for row in rows})
+    assert one["shown"] == f"{one['value']:.4f} [{one['low']:.4f}, {one['high']:.4f}]"
+
+
+def test_the_headline_is_shown_on_the_version_and_on_the_run_that_made_it(tracking, registry):
+    outcome = evaluate_version(request(), tracking, registry, progress=lambda line: None)
+    shown, version = registry.shown[MODEL_NAME, 1], registry.version(MODEL_NAME, 1)
+    assert {"validation/precision", "test/coverage", "validation/edr"} <= set(shown.metrics)
+    assert len(shown.metrics) <= MAX_HEADLINE
+    made = tracking.runs[version.run_id].history
+    assert {name: points[-1][1] for name, points in made.items()} == shown.metrics
+    assert shown.note.startswith(f"## {MODEL_NAME}/1: not promoted")
+    assert all(f"- {reason}" in shown.note for reason in outcome.verdict.reasons)
+    assert tracking.runs[outcome.run_id].artifacts["report/comparison.md"].decode() == shown.note
+
+
+def test_what_is_only_judged_is_not_shown(tracking, registry):
+    evaluate_version(request(promote=False), tracking, registry, progress=lambda line: None)
+    assert registry.shown == {}
+
+
+def test_a_version_whose_training_was_deleted_is_judged_all_the_same(tracking, registry, monkeypatch):
+    def gone(version, shown):
+        raise RegistryError("there is no such run")
+
+    monkeypatch.setattr(registry, "show", gone)
+    lines = []
+    outcome = evaluate_version(request(), tracking, registry, progress=lines.append)
+    assert outcome.recorded
+    assert lines[-1] == f"the figures are not shown with {MODEL_NAME}/1: there is no such run"
 
 
 def test_a_refused_version_is_recorded_and_the_champion_stays(tracking, registry):

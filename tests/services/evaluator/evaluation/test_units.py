@@ -15,7 +15,13 @@ from cspace.worlds.planar.problems import Family
 from cspace.worlds.planar.world import PlanarWorld
 from services.evaluator.evaluation.budget import QUICK, Budget, Kind, Unit, units
 from services.evaluator.evaluation.execution import run_here
-from services.evaluator.evaluation.metrics import flat_metrics
+from services.evaluator.evaluation.metrics import (
+    MAX_HEADLINE,
+    MAX_METRICS,
+    flat_metrics,
+    headline,
+    run_metrics,
+)
 from services.evaluator.evaluation.report import terminal_table, to_json, to_markdown
 from services.evaluator.evaluation.units import Setting, assemble, planner_seed, run_unit
 from services.evaluator.measures.planning import PlanningTrial
@@ -137,6 +143,17 @@ def test_an_evaluation_without_scenarios_is_an_error(results):
     planning = [result for result in results if result.unit.kind == Kind.PLANNING]
     with pytest.raises(EvaluationError):
         assemble(planning, setting())
+
+
+def test_a_run_has_few_metrics_by_group_and_a_headline_fewer(evaluation):
+    told, first = run_metrics(evaluation), headline(evaluation)
+    assert first.items() <= told.items()
+    assert (len(first) <= MAX_HEADLINE, len(told) <= MAX_METRICS) == (True, True)
+    assert {name.partition("/")[0] for name in told} == {"validation", "test", "cost"}
+    flat = flat_metrics(evaluation)
+    assert told["validation/narrow/edge_checks_saved"] == flat["narrow_edge_checks_ratio"]
+    assert told["test/uniform_precision"] == flat["test_uniform_precision"]
+    assert told["test/topology/gs"] == flat["test_gs"]
 
 
 def test_metrics_are_finite_and_carry_their_limits(evaluation):

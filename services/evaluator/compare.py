@@ -1,0 +1,177 @@
+"""Versions or runs side by side: ``python -m services.evaluator compare cspace-sampler/1 cspace-sampler/2``.
+
+Each is told by its last evaluation, whose table of estimates is read. Evaluations of earlier releases had no
+table; of them the headline is read from the metrics.
+"""
+
+import argparse
+import csv
+import io
+import json
+import re
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+from cspace.errors import ConfigError, StorageError
+from cspace.files import replacing
+from services.evaluator.evaluation.measured import MEASURES as QUALITY
+from services.evaluator.evaluation.measured import RECONSTRUCTION, TEST, VALIDATION, Measured
+from services.evaluator.evaluation.shown import MEASURES
+from services.evaluator.evaluation.tables import Table, aligned, markdown
+from services.registry.models.port import ModelRegistry
+from services.registry.references import ModelReference
+from services.registry.tracking.reading import FoundRun, Runs
+
+_RUN_ID = re.compile(r"[0-9a-f]{32}")
+# As tags and names tell it of this release's evaluations and of earlier ones'.
+_DIGEST = "model_digest"
+_SHOWN = ("precision", "coverage", "edr", "knn_precision", "knn_recall")
+
+
+@dataclass(frozen=True, slots=True)
+class Compared:
+    """One of those that are compared.
+
+    Args:
+        title: the version, or the run.
+        run: the evaluation's.
+        rows: its estimates.
+    """
+
+    title: str
+    run: FoundRun
+    rows: tuple[Measured, ...]
+
+
+def find(text: str, runs: Runs, registry: ModelRegistry) -> Compared:
+    """The last evaluation of a version, or of a run.
+
+    Args:
+        text: ``name/version``, ``name@alias``, or the id of an evaluation's or a training's run.
+        runs: where evaluations are found.
+        registry: where versions are.
+
+    Raises:
+        ConfigError: it was never evaluated.
+        ModelNotFoundError: there is no such version.
+        RegistryError: there is no such run.
+    """
+    if _RUN_ID.fullmatch(text):
+        run = runs.run(text)
+        found = [run] if _DIGEST in run.tags else [one for one in runs.children(text) if _DIGEST in one.tags]
+        title = run.name
+    else:
+        version = ModelReference.parse(text).look_up(registry)
+        judged = runs.children(version.run_id)
+        found = [one for one in judged if one.tags.get(_DIGEST) == version.digest]
+        title = str(version)
+    for one in found:
+        rows = _rows(runs, one)
+        if rows:
+            return Compared(title, one, rows)
+    raise ConfigError(
+        f"{text} was not evaluated",
+        expected="a version with a finished evaluation, or the run of one",
+        got="none",
+        remedy=f"python -m services.evaluator --model {text}",
+    )
+
+
+def compare_table(compared: Sequence[Compared], *, everything: bool = False) -> Table:
+    """One row an estimate, one column each: value and limits.
+
+    Args:
+        compared: in the order of the columns.
+        everything: all estimates; else those of uniform scenes and of planning that versions are chosen by.
+    """
+    keys = dict.fromkeys(_key(row) for one in compared for row in one.rows if everything or _is_shown(row))
+    found = [{_key(row): row for row in one.rows} for one in compared]
+    return [
+        ["split", "task", "family", "samples", "measure", *(one.title for one in compared)],
+        *([*key, *(_cell(rows.get(key)) for rows in found)] for key in keys),
+    ]
+
+
+def compare_csv(compared: Sequence[Compared]) -> str:
+    """All estimates in long form: one line each of every one compared."""
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    names = ("split", "task", "family", "sampler", "measure", "value", "low", "high", "n")
+    writer.writerow(["compared", "run_id", *names])
+    for one in compared:
+        for row in one.rows:
+            writer.writerow([one.title, one.run.run_id, *(getattr(row, name) for name in names)])
+    return out.getvalue()
+
+
+def write_comparison(compared: Sequence[Compared], folder: Path, *, everything: bool = False) -> None:
+    """``comparison.txt``, ``.md`` and ``.csv`` in a folder.
+
+    Raises:
+        StorageError: it can not be written.
+    """
+    table = compare_table(compared, everything=everything)
+    texts = {"txt": aligned(table), "md": markdown(table), "csv": compare_csv(compared).rstrip("\n")}
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise StorageError(f"the folder {folder} can not be made", got=str(error)) from error
+    for ending, text in texts.items():
+        path = folder / f"comparison.{ending}"
+        with replacing(path, str(path)) as beside:
+            beside.write_text(f"{text}\n", encoding="utf-8")
+
+
+def make_parser() -> argparse.ArgumentParser:
+    """The parser of the command."""
+    parser = argparse.ArgumentParser(
+        prog="python -m services.evaluator compare",
+        description="The last evaluations of versions or runs side by side.",
+        epilog="Exit codes: 0 compared; 1 the registry failed; 2 one is not there or was not evaluated.",
+    )
+    parser.add_argument("what", nargs="+", help="name/version, name@alias, or a run's id")
+    parser.add_argument("--all", action="store_true", help="every estimate (default: the deciding ones)")
+    parser.add_argument("--out", type=Path, metavar="FOLDER", help="keep it as text, Markdown and CSV")
+    return parser
+
+
+def _rows(runs: Runs, run: FoundRun) -> tuple[Measured, ...]:
+    with tempfile.TemporaryDirectory(prefix="cspace-compare-") as folder:
+        path = runs.file(run.run_id, f"tables/{MEASURES}.json", Path(folder))
+        if path is None:
+            return tuple(_flat_rows(run.metrics))
+        table = json.loads(path.read_text(encoding="utf-8"))
+    known = {field.name for field in fields(Measured)}
+    told = [dict(zip(table["columns"], row, strict=True)) for row in table["data"]]
+    return tuple(Measured(**{name: row[name] for name in known}) for row in told)
+
+
+def _flat_rows(metrics: Mapping[str, float]) -> list[Measured]:
+    """Quality in uniform scenes from the flat metrics of earlier releases."""
+    rows = []
+    for split in (VALIDATION, TEST):
+        for sampler in ("sampler", "confident", "uniform", "real"):
+            for measure in QUALITY:
+                name = Measured(RECONSTRUCTION, split, "uniform", sampler, measure, 0.0).flat_name
+                if name in metrics:
+                    limits = (metrics.get(f"{name}_low"), metrics.get(f"{name}_high"))
+                    rows.append(
+                        Measured(RECONSTRUCTION, split, "uniform", sampler, measure, metrics[name], *limits)
+                    )
+    return rows
+
+
+def _key(row: Measured) -> tuple[str, str, str, str, str]:
+    return row.split, row.task, row.family, row.sampler, row.measure
+
+
+def _is_shown(row: Measured) -> bool:
+    if row.task == RECONSTRUCTION:
+        return row.family == "uniform" and row.sampler in ("sampler", "confident") and row.measure in _SHOWN
+    return row.measure in ("planning_success", "iterations_ratio", "edge_checks_ratio", "success")
+
+
+def _cell(row: Measured | None) -> str:
+    return "-" if row is None else str(row)

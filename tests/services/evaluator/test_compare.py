@@ -1,0 +1,123 @@
+"""Versions and runs side by side, by their evaluations."""
+
+import csv
+import io
+from dataclasses import asdict, fields
+
+import pytest
+
+from cspace.bundle import Bundle
+from cspace.errors import ConfigError, ModelNotFoundError, RegistryError
+from services.evaluator.compare import compare_csv, compare_table, find, make_parser, write_comparison
+from services.evaluator.evaluation.measured import Measured
+from tests.bundles import write_tiny_bundle
+from tests.fakes.registry import FakeRegistry, FakeRuns, FakeTracking
+
+ROWS = (
+    Measured("reconstruction", "validation", "uniform", "sampler", "precision", 0.9, 0.88, 0.92, 60),
+    Measured("reconstruction", "test", "narrow", "sampler", "precision", 0.8, 0.7, 0.9, 5),
+    Measured("planning", "validation", "", "", "planning_success", 1.0, 0.9, 1.0, 30),
+)
+
+
+@pytest.fixture
+def tracking():
+    return FakeTracking()
+
+
+@pytest.fixture
+def registry(tmp_path, tracking):
+    return FakeRegistry(tmp_path / "registry", tracking.runs)
+
+
+def registered(tracking, registry, folder, scale=1.0):
+    run = tracking.start("cspace-sampler", "quickstart, seed 0")
+    bundle = Bundle.load(write_tiny_bundle(folder, scale=scale))
+    return registry.register("m", bundle.folder, run.run_id, bundle.digest, {})
+
+
+def judged(tracking, version, rows=(), **metrics):
+    """An evaluation of a version: with a table, or with flat metrics as earlier releases had them."""
+    with tracking.start(
+        "cspace-sampler",
+        "evaluation",
+        parent_run_id=version.run_id,
+        tags={"model_version": "1", "model_digest": version.digest},
+    ) as run:
+        run.metrics(metrics, 0)
+        if rows:
+            columns = {one.name: [asdict(row)[one.name] for row in rows] for one in fields(Measured)}
+            run.table(columns, "measures")
+        return run.run_id
+
+
+def test_versions_stand_side_by_side_with_limits_and_gaps(tracking, registry, tmp_path):
+    first = registered(tracking, registry, tmp_path / "a")
+    second = registered(tracking, registry, tmp_path / "b", 0.5)
+    judged(tracking, first, ROWS)
+    judged(tracking, second, ROWS[:1])
+    found = [find(text, FakeRuns(tracking), registry) for text in ("m/1", "m/2")]
+    assert [one.title for one in found] == ["m/1", "m/2"]
+    header, *rows = compare_table(found)
+    assert header[-2:] == ["m/1", "m/2"]
+    assert rows == [
+        ["validation", "reconstruction", "uniform", "sampler", "precision"] + 2 * ["0.9000 [0.8800, 0.9200]"],
+        ["validation", "planning", "", "", "planning_success", "1.0000 [0.9000, 1.0000]", "-"],
+    ]
+    assert len(compare_table(found, everything=True)) == 4
+
+
+def test_the_last_evaluation_of_a_version_counts(tracking, registry, tmp_path):
+    version = registered(tracking, registry, tmp_path / "a")
+    judged(tracking, version, ROWS)
+    last = judged(tracking, version, ROWS[:1])
+    assert find("m/1", FakeRuns(tracking), registry).run.run_id == last
+
+
+def test_a_run_is_compared_by_its_own_evaluation_or_its_job_s(tracking, registry, tmp_path):
+    version = registered(tracking, registry, tmp_path / "a")
+    run_id = judged(tracking, version, ROWS)
+    runs = FakeRuns(tracking)
+    assert {find(one, runs, registry).run.run_id for one in (run_id, version.run_id)} == {run_id}
+
+
+def test_an_evaluation_of_an_earlier_release_is_read_by_its_flat_metrics(tracking, registry, tmp_path):
+    version = registered(tracking, registry, tmp_path / "a")
+    judged(tracking, version, precision=0.9, precision_low=0.8, precision_high=0.95, test_confident_edr=0.1)
+    rows = find("m/1", FakeRuns(tracking), registry).rows
+    assert [(row.split, row.sampler, row.measure, row.value, row.low, row.high) for row in rows] == [
+        ("validation", "sampler", "precision", 0.9, 0.8, 0.95),
+        ("test", "confident", "edr", 0.1, None, None),
+    ]
+
+
+def test_what_was_never_evaluated_is_told_with_what_to_do(tracking, registry, tmp_path):
+    registered(tracking, registry, tmp_path / "a")
+    with pytest.raises(ConfigError, match=r"m/1 was not evaluated.*services\.evaluator --model m/1"):
+        find("m/1", FakeRuns(tracking), registry)
+    with pytest.raises(ModelNotFoundError):
+        find("m/9", FakeRuns(tracking), registry)
+    with pytest.raises(RegistryError):
+        find("0" * 32, FakeRuns(tracking), registry)
+
+
+def test_it_is_kept_as_text_as_markdown_and_as_csv(tracking, registry, tmp_path):
+    version = registered(tracking, registry, tmp_path / "a")
+    run_id = judged(tracking, version, ROWS)
+    found = [find("m/1", FakeRuns(tracking), registry)]
+    write_comparison(found, tmp_path / "out")
+    text, table = ((tmp_path / "out" / f"comparison.{end}").read_text() for end in ("txt", "md"))
+    assert "0.9000 [0.8800, 0.9200]" in text
+    assert table.startswith("| split | task |")
+    assert (tmp_path / "out" / "comparison.csv").read_text() == compare_csv(found)
+    rows = list(csv.DictReader(io.StringIO(compare_csv(found))))
+    assert [(row["run_id"], row["family"], row["low"], row["n"]) for row in rows] == [
+        (run_id, "uniform", "0.88", "60"),
+        (run_id, "narrow", "0.7", "5"),
+        (run_id, "", "0.9", "30"),
+    ]
+
+
+def test_the_command_takes_any_number():
+    named = ["m/1", "m/2", "m@champion"]
+    assert make_parser().parse_args([*named, "--all"]).what == named
