@@ -193,7 +193,8 @@ def circles(dim: int) -> JointSpace:
 def _towards(ends: Sequence[float], inside: Sequence[float]) -> NDArray[np.float32]:
     """The float32 nearest to each end that is not beyond it as a real number."""
     cast, goal = np.asarray(ends, dtype=np.float32), np.asarray(inside, dtype=np.float32)
-    beyond = np.subtract(cast, ends, dtype=np.float64) * np.subtract(inside, ends) < 0.0
+    # By their signs: the product of two small numbers may be none.
+    beyond = np.sign(np.subtract(cast, ends, dtype=np.float64)) * np.sign(np.subtract(inside, ends)) < 0.0
     return np.where(beyond, np.nextafter(cast, goal), cast)
 
 

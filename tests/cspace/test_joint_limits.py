@@ -4,7 +4,7 @@ from math import pi
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
@@ -47,6 +47,7 @@ def test_a_uniform_draw_lies_inside_and_is_not_moved(space, seed):
 
 
 @given(spaces(), rows)
+@example(JointSpace((0.0, 5e-324), (1.0, 0.5), (False, False)), np.zeros((1, 2)))
 def test_single_precision_lies_inside_as_real_numbers(space, configurations):
     cast = space.to_float32(configurations)
     assert cast.dtype == np.float32
