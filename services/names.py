@@ -3,6 +3,7 @@
 import json
 import re
 from collections.abc import Mapping
+from contextlib import suppress
 from typing import Any
 
 from cspace.errors import ConfigError
@@ -54,6 +55,13 @@ def robot_name(world: World, given: str | None = None) -> str:
             remedy="leave robot_name out, or set it to another name",
         )
     return given
+
+
+def shown_name(world: World, given: str | None) -> str:
+    """A robot's name for people: the given one, or its own where the given one is another's by now."""
+    with suppress(ConfigError):
+        return robot_name(world, given)
+    return robot_name(world)
 
 
 def model_name(world: World, given: str | None = None, *, path: bool = False) -> str:

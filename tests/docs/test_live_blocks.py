@@ -14,7 +14,7 @@ pytestmark = [pytest.mark.e2e, pytest.mark.timeout(1200)]
 SHORTER = {
     "--preset quickstart": "--preset smoke",
     "submit training/cluster_train.py": "submit -- training/cluster_train.py --preset smoke",
-    "-m services.evaluator": "-m services.evaluator --scenarios 2",
+    "-m services.evaluator --model": "-m services.evaluator --scenarios 2 --model",
 }
 # Files that blocks write into the working folder, which must stay the project itself: Ray uploads it.
 WRITTEN = ("runs.csv", "plan.png", "build/path-sampler", "build/comparison")

@@ -13,6 +13,7 @@ from services.names import (
     model_name,
     recorded_name,
     robot_name,
+    shown_name,
     world_tags,
 )
 
@@ -88,3 +89,9 @@ def test_a_world_that_is_too_long_is_left_out_of_the_tags():
     assert world_tags(OWN)["robot"] == robot_digest(OWN)
     assert len(world_tags(OWN)["world"]) < MAX_WORLD
     assert set(world_tags(PlanarWorld(PlanarArm((1.0,) * 2000)))) == {"robot"}
+
+
+def test_a_name_that_is_another_s_by_now_is_not_shown():
+    other = PlanarWorld(PlanarArm((1.0, 1.0)))
+    assert shown_name(other, "bench") == "bench"
+    assert shown_name(other, "two-link") == shown_name(other, None) == robot_name(other)

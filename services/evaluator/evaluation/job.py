@@ -24,7 +24,7 @@ from services.evaluator.evaluation.shown import comparison_note, shown_of
 from services.evaluator.evaluation.units import Evaluation, Row, Setting, UnitResult, assemble
 from services.evaluator.measures.samplers import PackedBundle, bundle_sampler
 from services.evaluator.measures.scenes import summary_rng
-from services.names import EXPERIMENT, recorded_name, robot_name
+from services.names import EXPERIMENT, recorded_name, shown_name
 from services.registry.models.port import ModelRegistry, ModelVersion
 from services.registry.tracking.experiment import TAG_MODEL, TAG_PRESET, TAG_STAGE, TAG_WORLD
 from services.registry.tracking.port import ID, Tracking
@@ -84,7 +84,7 @@ def evaluate_version(
         # Training registers under its parent run, which the trials are shown under as well.
         with tracking.start(EXPERIMENT, name, parent_run_id=version.run_id, tags=tags) as run:
             spec = bundle.spec
-            robot = robot_name(spec.world, recorded_name(spec.provenance.config))
+            robot = shown_name(spec.world, recorded_name(spec.provenance.config))
             run.tags({TAG_WORLD: f"{spec.world.kind}, {robot}"})
             world = spec.world if request.data is None else _among(spec.world, request.data)
             setting = Setting(world, request.seed, request.budget, spec.kind == "path")

@@ -173,8 +173,9 @@ def test_three_joints_take_the_same_job_without_the_models_of_a_grid(server, dat
     )
     # No grid, no untrained sampler.
     assert set(made["versions"]) == {"flow", "flow_distilled", "cvae"}
+    assert made["model"] == "three-link-path-sampler"
     registry = MlflowRegistry(server)
     for name, number in made["versions"].items():
-        folder = registry.download(registry.version(PATH_MODEL_NAME, number), tmp_path / name)
+        folder = registry.download(registry.version(made["model"], number), tmp_path / name)
         ends = {"start": (0.5, 0.5, 0.1), "goal": (-0.5, -1.0, 0.3)}
         assert Bundle.load(folder).sample(WHITE, 20, 1, **ends).samples.shape == (20, 3)

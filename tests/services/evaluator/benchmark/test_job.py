@@ -66,7 +66,8 @@ def test_a_benchmark_leaves_table_logs_report_figures_pages_and_a_run(tmp_path, 
         f"figures/{name}-uniform.png" for name in ("success", "first-solution", "cost")
     }
     pages = {"pages/page-uniform-00.png", "pages/page-disconnected-00.png"}
-    told = {"manifest.json", "report.md", "runs.parquet", "uniform.log", "disconnected.log"} | figures | pages
+    texts = {"manifest.json", "report.md", "comparison.md", "runs.parquet", "uniform.log", "disconnected.log"}
+    told = texts | figures | pages
     assert files == told | {RUNS}
     assert "![boxes](figures/boxes.png)" in (tmp_path / "report.md").read_text()
     assert all((tmp_path / name).stat().st_size > 10_000 for name in figures | pages)
@@ -76,10 +77,15 @@ def test_a_benchmark_leaves_table_logs_report_figures_pages_and_a_run(tmp_path, 
     assert not frame.loc[frame["family"] == "disconnected", "solved"].any()
     (run,) = tracking.runs.values()
     assert run.status == "FINISHED"
-    assert set(run.artifacts) == told
+    assert set(run.artifacts) == told | {"tables/arms.json", "tables/arms.parquet"}
+    assert run.tags["mlflow.note.content"] == (tmp_path / "comparison.md").read_text()
     assert run.params["samplers.way"] == make_request(tmp_path, setting).specs[0].digest
     assert run.history["uniform/RRT_way_70/solved"][0][1] == 1.0
-    assert "uniform/RRTstar_way_70_optimising/close" in run.history
+    table = json.loads(run.artifacts["tables/arms.json"])
+    rows = [dict(zip(table["columns"], row, strict=True)) for row in table["data"]]
+    close = [row for row in rows if (row["arm"], row["measure"]) == ("RRTstar_way_70_optimising", "close")]
+    assert [row["family"] for row in close] == ["uniform"]
+    assert close[0]["low"] <= close[0]["value"] <= close[0]["high"]
     assert any(line.startswith("logged as run") for line in lines)
 
 
