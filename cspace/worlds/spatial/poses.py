@@ -1,0 +1,89 @@
+"""Poses in the base frame (x forward, z up, m): 4 x 4 homogeneous matrices as rows of numbers.
+
+Rows rather than quaternions, for so they stand in camera calibrations and in benchmark files, and there is no
+second order of numbers to mistake.
+"""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cspace.errors import CspaceError, ScenarioError
+
+Row = tuple[float, float, float, float]
+Pose = tuple[Row, Row, Row, Row]
+Vector = tuple[float, float, float]
+
+HERE: Pose = ((1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0), (0.0, 0.0, 0.0, 1.0))
+# A rotation that was written with four digits is one.
+_ROTATION_TOLERANCE = 1e-3
+# Farther away than that nothing is seen or touched.
+MAX_PLACE_M = 100.0
+
+
+def check_pose(pose: Pose, what: str, error: type[CspaceError] = ScenarioError) -> None:
+    """Refuse numbers that are no pose.
+
+    Args:
+        pose: rows of a 4 x 4 matrix.
+        what: whose, in messages.
+        error: the kind of error.
+
+    Raises:
+        error: they are not 4 x 4 finite numbers, the rotation is none or mirrors, the last row is not
+            0 0 0 1, or the place is farther than 100 m.
+    """
+    matrix = _matrix(pose)
+    if matrix is None:
+        raise error(f"{what} has no pose", expected="4 x 4 finite numbers", got=repr(pose)[:200])
+    turn, place = matrix[:3, :3], matrix[:3, 3]
+    # Before any product, which could overflow.
+    bounded = np.abs(turn).max() <= 1.0 + _ROTATION_TOLERANCE
+    if (
+        not bounded
+        or np.abs(turn @ turn.T - np.eye(3)).max() > _ROTATION_TOLERANCE
+        or np.linalg.det(turn) < 0
+    ):
+        raise error(
+            f"{what} has a pose that is no rotation",
+            expected="orthonormal rows and columns without a reflection",
+            got=str(turn.tolist()),
+        )
+    if tuple(matrix[3]) != HERE[3]:
+        raise error(f"{what} has a pose that is none", expected="a last row 0 0 0 1", got=str(pose[3]))
+    if np.abs(place).max() > MAX_PLACE_M:
+        raise error(f"{what} is too far away", expected=f"at most {MAX_PLACE_M:g} m", got=str(place.tolist()))
+
+
+def pose_of(matrix: ArrayLike) -> Pose:
+    """The rows of a (4, 4) array."""
+    rows = np.asarray(matrix, dtype=np.float64)
+    return tuple(tuple(row) for row in rows.tolist())  # type: ignore[return-value] # four of four
+
+
+def make_pose(rotation: ArrayLike, place_m: ArrayLike) -> NDArray[np.float64]:
+    """(4, 4) of a rotation (3, 3) and a place (3,) m."""
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = rotation, place_m
+    return pose
+
+
+def turned(yaw_rad: float, pitch_rad: float = 0.0, roll_rad: float = 0.0) -> NDArray[np.float64]:
+    """(3, 3): the rotation about x by roll, then about y by pitch, then about z by yaw, axes fixed."""
+    (cz, cy, cx), (sz, sy, sx) = (
+        np.cos((yaw_rad, pitch_rad, roll_rad)),
+        np.sin((yaw_rad, pitch_rad, roll_rad)),
+    )
+    about_z = np.array([[cz, -sz, 0.0], [sz, cz, 0.0], [0.0, 0.0, 1.0]])
+    about_y = np.array([[cy, 0.0, sy], [0.0, 1.0, 0.0], [-sy, 0.0, cy]])
+    about_x = np.array([[1.0, 0.0, 0.0], [0.0, cx, -sx], [0.0, sx, cx]])
+    return np.asarray(about_z @ about_y @ about_x)
+
+
+def _matrix(pose: Any) -> NDArray[np.float64] | None:
+    try:
+        matrix = np.asarray(pose, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError):
+        return None
+    return matrix if matrix.shape == (4, 4) and np.isfinite(matrix).all() else None

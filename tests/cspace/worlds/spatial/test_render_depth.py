@@ -1,0 +1,108 @@
+"""The ray caster against marching along each ray by distances, which knows nothing of rays and shapes."""
+
+import numpy as np
+import pytest
+
+from cspace.worlds.spatial.camera import DepthCamera, looking
+from cspace.worlds.spatial.poses import HERE, make_pose, pose_of, turned
+from cspace.worlds.spatial.render import render_depth
+from cspace.worlds.spatial.shapes import Box, Cylinder, Obstacles
+from cspace.worlds.spatial.signed_distance import distance_m
+
+SIDE, FAR_M = 24, 3.0
+
+
+def marched(obstacles, camera, spheres):
+    """Sphere tracing: (H, W) depths and which are of the robot."""
+    rays = camera.rays().reshape(-1, 3)
+    lengths, pose = np.linalg.norm(rays, axis=1), camera.matrix
+    ways = rays @ pose[:3, :3].T
+    depth = np.zeros(len(rays))
+    for _ in range(3000):
+        points = pose[:3, 3] + depth[:, None] * ways
+        to_robot = np.full(len(rays), np.inf)
+        for sphere in spheres:
+            to_robot = np.minimum(to_robot, np.linalg.norm(points - sphere[:3], axis=1) - sphere[3])
+        to_scene = distance_m(obstacles, points)
+        depth = np.minimum(depth + np.minimum(to_robot, to_scene) / lengths, 2.0 * FAR_M)
+    seen = depth < FAR_M
+    return np.where(seen, depth, 0).reshape(SIDE, SIDE), (seen & (to_robot < to_scene)).reshape(SIDE, SIDE)
+
+
+def crowd(rng):
+    shapes = []
+    for kind in range(10):
+        turn = turned(*rng.uniform(-3, 3, 3)) if kind < 8 else np.eye(3)
+        pose = pose_of(make_pose(turn, rng.uniform(-0.6, 0.6, 3)))
+        sizes = rng.uniform(0.02, 0.3, 3)
+        shapes.append(Box(pose, tuple(sizes)) if kind % 2 else Cylinder(pose, *sizes[:2]))
+    spheres = np.column_stack((rng.uniform(-0.6, 0.6, (6, 3)), rng.uniform(0.03, 0.15, 6)))
+    return Obstacles.of(shapes), spheres
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_depths_are_those_of_marching_along_the_rays(seed):
+    rng = np.random.default_rng(seed)
+    obstacles, spheres = crowd(rng)
+    # Some cameras are amid the shapes, which are then partly behind them.
+    away = 1.6 if seed % 2 else 0.5
+    place = rng.normal(size=3)
+    place *= away / np.linalg.norm(place)
+    while distance_m(obstacles, place) < 0.02 or (np.linalg.norm(spheres[:, :3] - place, axis=1) < 0.2).any():
+        place += rng.normal(size=3) * 0.1
+    pose = looking(place, rng.normal(size=3) * 0.1, rng.uniform(-3, 3))
+    camera = DepthCamera(20.0, 24.0, 10.3, 12.9, SIDE, SIDE, pose_of(pose))
+    depth, robot = marched(obstacles, camera, spheres)
+    view = render_depth(obstacles, camera, spheres, FAR_M)
+    assert (depth > 0).mean() > 0.1
+    # Rays that graze an edge may pass it by a rounding.
+    agree = np.abs(view.depth_m - depth) < 2e-3
+    assert agree.mean() >= 0.99
+    assert (view.robot == robot)[agree].mean() >= 0.99
+    assert view.depth_m.dtype == np.float32
+
+
+def test_depth_is_along_the_axis_and_not_along_the_ray():
+    wall = Obstacles((Box(pose_of(make_pose(np.eye(3), (2.5, 0, 0))), (0.5, 9, 9)),))
+    camera = DepthCamera.of_field(32, 32, 90.0, looking((0, 0, 0), (1, 0, 0)))
+    np.testing.assert_allclose(render_depth(wall, camera).depth_m, 2.0, atol=1e-6)
+    assert not render_depth(wall, camera, max_range_m=1.99).depth_m.any()
+
+
+def test_the_robot_is_told_where_it_is_in_front():
+    camera = DepthCamera.of_field(33, 33, 60.0, looking((0, 0, 0), (1, 0, 0)))
+    wall = Obstacles((Box(pose_of(make_pose(np.eye(3), (2.0, 1.0, 0))), (0.1, 1.0, 2.0)),))
+    behind, before = ((3.0, 0.5, 0.0, 0.2),), ((1.0, 0.0, 0.0, 0.2),)
+    assert not render_depth(wall, camera, behind).robot.any()
+    view = render_depth(wall, camera, before)
+    assert view.robot[16, 16]
+    assert view.depth_m[16, 16] == pytest.approx(0.8)
+    assert not view.robot[0, 0]
+    assert not render_depth(wall, camera, before, 0.5).robot.any(), "out of range is no reading"
+
+
+def test_nothing_is_behind_the_camera_and_no_shape_is_seen_from_within():
+    camera = DepthCamera.of_field(20, 20, 80.0, looking((0, 0, 0), (1, 0, 0)))
+    behind = Obstacles((Box(pose_of(make_pose(np.eye(3), (-2, 0, 0))), (0.5, 1, 1)),))
+    around = Obstacles((Box(HERE, (1, 1, 1)),), (Cylinder(HERE, 1.0, 1.0),))
+    for obstacles in (behind, around, Obstacles()):
+        assert not render_depth(obstacles, camera, ((0, 0, 0, 0.5), (-1, 0, 0, 0.5))).depth_m.any()
+
+
+def test_points_of_the_picture_lie_on_surfaces():
+    rng = np.random.default_rng(9)
+    obstacles, _ = crowd(rng)
+    camera = DepthCamera.of_field(64, 48, 70.0, looking((1.5, 0.4, 1.0), (0, 0, 0)))
+    view = render_depth(obstacles, camera)
+    points = camera.points_m(view.depth_m)[view.depth_m > 0]
+    assert len(points) > 300
+    np.testing.assert_allclose(distance_m(obstacles, points), 0.0, atol=1e-6)
+
+
+def test_a_floor_that_goes_on_behind_the_camera_is_seen_at_its_feet():
+    camera = DepthCamera.of_field(32, 32, 90.0, looking((0, 0, 1), (1, 0, 1)))
+    floor = Obstacles((Box(pose_of(make_pose(np.eye(3), (0, 0, -0.5))), (50, 50, 0.5)),))
+    depth = render_depth(floor, camera, max_range_m=40.0).depth_m
+    down = (np.arange(16, 32) - 15.5) / camera.fy
+    np.testing.assert_allclose(depth[16:], np.repeat(1.0 / down[:, None], 32, axis=1), rtol=1e-6)
+    assert not depth[:16].any()

@@ -1,0 +1,77 @@
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cspace.errors import ScenarioError
+from cspace.splits import Split
+from cspace.strict_json import parse_json
+from cspace.worlds.spatial.families import SpatialScenes
+from cspace.worlds.spatial.render import render_depth
+from cspace.worlds.spatial.signed_distance import distance_m
+from cspace.worlds.spatial.views import CameraViews, camera_place, read_camera_views
+
+VIEWS = CameraViews()
+LAYOUTS = [SpatialScenes().draw(Split.TRAIN, 11, index) for index in range(40)]
+
+
+def test_places_by_hand():
+    """The scene is a metre ahead of the base, which lies behind it: to its left is the base's right."""
+    np.testing.assert_allclose(camera_place((1, 0, 0.5), 0.0, 0.0, 0.4), (0.6, 0, 0.5), atol=1e-12)
+    np.testing.assert_allclose(camera_place((1, 0, 0.5), np.pi / 2, 0.0, 0.4), (1.0, -0.4, 0.5), atol=1e-12)
+    np.testing.assert_allclose(camera_place((1, 0, 0.5), 0.3, np.pi / 2, 0.4), (1.0, 0, 0.9), atol=1e-12)
+
+
+def test_cameras_are_as_far_and_as_high_and_as_wide_as_set_on_both_sides():
+    sides, counts = [], set()
+    for index, layout in enumerate(LAYOUTS):
+        cameras = VIEWS.draw(np.random.default_rng(index), layout)
+        counts.add(len(cameras))
+        assert cameras == VIEWS.draw(np.random.default_rng(index), layout)
+        for camera in cameras:
+            place, focus = camera.matrix[:3, 3], np.array(layout.focus)
+            gap = place - focus
+            away = np.linalg.norm(gap)
+            assert 0.9 <= away <= 1.6
+            assert 10.0 <= np.degrees(np.arcsin(gap[2] / away)) <= 50.0
+            turn = np.arctan2(gap[1], gap[0]) - np.arctan2(-focus[1], -focus[0])
+            sides.append(np.degrees((turn + np.pi) % (2 * np.pi) - np.pi))
+            assert 51.9 <= np.degrees(2 * np.arctan(camera.width / 2 / camera.fx)) <= 85.1
+            assert distance_m(layout.obstacles, place) >= VIEWS.clear_m
+            assert camera.shows(camera.project(focus))
+    sides = np.array(sides)
+    assert counts == {1, 2, 3}
+    assert (np.abs(sides) >= 14.9).all()
+    assert (np.abs(sides) <= 75.1).all()
+    assert 0.3 < (sides > 0).mean() < 0.7
+
+
+def test_cameras_see_something():
+    for index, layout in enumerate(LAYOUTS[:10]):
+        for camera in VIEWS.draw(np.random.default_rng(index), layout):
+            view = render_depth(layout.obstacles, camera)
+            assert view.depth_m.shape == (128, 128)
+            assert (view.depth_m > 0).any()
+
+
+def test_views_come_back_from_json_as_they_were():
+    assert read_camera_views(parse_json(json.dumps(VIEWS.to_dict()).encode())) == VIEWS
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"count": (0, 2)}, {"count": (2, 1)}, {"side_deg": (10.0, 190.0)}, {"up_deg": (50.0, 20.0)},
+        {"distance_m": (0.0, 1.0)}, {"distance_m": (float("nan"), 1.0)}, {"field_deg": (50.0, 175.0)},
+        {"aim_m": -0.1}, {"clear_m": -1.0}, {"width": 8}, {"height": 5000}, {"roll_deg": float("nan")},
+    ],
+)  # fmt: skip
+def test_views_that_cannot_be_are_refused(change):
+    with pytest.raises(ScenarioError):
+        replace(VIEWS, **change)
+
+
+def test_a_camera_without_room_is_told():
+    with pytest.raises(ScenarioError, match="no camera has room"):
+        replace(VIEWS, clear_m=9.0).draw(np.random.default_rng(0), LAYOUTS[0])
