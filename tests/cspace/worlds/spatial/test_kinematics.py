@@ -1,0 +1,72 @@
+import json
+from dataclasses import replace
+from math import pi
+from pathlib import Path
+
+import numpy as np
+
+from cspace.worlds.spatial.arm import SerialArm
+from cspace.worlds.spatial.frames import Frame
+from cspace.worlds.spatial.kinematics import (
+    arm_arrays,
+    link_frames_batch,
+    self_distance_batch,
+    sphere_centres_batch,
+)
+from cspace.worlds.spatial.parts import Joint, Part
+
+PANDA = SerialArm.from_dict(json.loads(Path(__file__).with_name("vamp_panda.json").read_bytes()))
+SLANTED = SerialArm(
+    "slanted",
+    (
+        Joint("one", Frame((0.1, -0.2, 0.3), (0.3, -1.1, 2.0)), (2 / 3, -1 / 3, 2 / 3)),
+        Joint("two", Frame((-0.4, 0.2, 0.5), (-2.0, 0.7, 0.1)), (0.6, 0.0, -0.8)),
+    ),
+)
+
+
+def test_kernels_give_what_numpy_gives() -> None:
+    rng = np.random.default_rng(1)
+    for arm in (PANDA, SLANTED):
+        q = rng.uniform(-pi, pi, (50, arm.dim))
+        arrays = arm_arrays(arm)
+        frames = link_frames_batch(q, arrays.origins, arrays.axes)
+        np.testing.assert_allclose(frames, arm.link_frames(q), rtol=0.0, atol=1e-12)
+    q = rng.uniform(-pi, pi, (50, 7))
+    centres = sphere_centres_batch(q, arm_arrays(PANDA))
+    np.testing.assert_allclose(centres, PANDA.sphere_centres_m(q), rtol=0.0, atol=1e-12)
+
+
+def test_self_distance_is_that_of_the_closest_spheres_of_a_pair() -> None:
+    rng = np.random.default_rng(2)
+    q = rng.uniform(PANDA.space.lower, PANDA.space.upper, (200, 7))
+    found = self_distance_batch(q, arm_arrays(PANDA))
+    centres, radii = PANDA.sphere_centres_m(q), PANDA.spheres_m()[:, 3]
+    gaps = np.linalg.norm(centres[:, :, None] - centres[:, None], axis=-1) - radii[:, None] - radii
+    names = np.repeat([part.name for part in PANDA.parts], [len(part.spheres_m) for part in PANDA.parts])
+    allowed = np.zeros((59, 59), dtype=bool)
+    for first, second in PANDA.touching:
+        allowed |= np.outer(names == first, names == second)
+    expected = np.where(allowed, gaps, np.inf).min(axis=(1, 2))
+    np.testing.assert_allclose(found, expected, atol=1e-12)
+    assert (found < 0.0).any()
+    assert (found > 0.0).any()
+
+
+def test_nothing_touches_where_no_pair_can() -> None:
+    alone = replace(PANDA, touching=())
+    assert np.isinf(self_distance_batch(np.zeros((1, 7)), arm_arrays(alone))).all()
+    bare = arm_arrays(SLANTED)
+    assert np.isinf(self_distance_batch(np.zeros((1, 2)), bare)).all()
+    assert sphere_centres_batch(np.zeros((1, 2)), bare).shape == (1, 0, 3)
+
+
+def test_a_folded_arm_runs_into_itself() -> None:
+    arm = SerialArm(
+        "folding",
+        (Joint("base"), Joint("elbow", Frame((1.0, 0.0, 0.0)))),
+        (Part("upper", 1, ((0.5, 0.0, 0.0, 0.1),)), Part("lower", 2, ((0.5, 0.0, 0.0, 0.2),))),
+        (("upper", "lower"),),
+    )
+    distances = self_distance_batch(np.array([[0.3, 0.0], [0.3, pi], [0.3, pi / 2]]), arm_arrays(arm))
+    np.testing.assert_allclose(distances, [0.7, -0.3, np.sqrt(0.5) - 0.3], atol=1e-12)

@@ -1,0 +1,110 @@
+import re
+import sys
+from pathlib import Path
+
+import pytest
+
+from cspace.errors import ScenarioError
+from tests.training.robots.descriptions import BRANCH, FINGER, TWO_LINKS, described, with_more
+from training.robots.__main__ import main
+from training.robots.importing import Request, import_robot
+from training.robots.solids import found_file
+from training.robots.urdf import read_urdf
+
+BOMB = '<!DOCTYPE robot [<!ENTITY a "aaaa"><!ENTITY b "&a;&a;&a;">]><robot name="&b;"/>'
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (with_more(FINGER), "slide does not fit a serial arm.*got prismatic.*--lock slide=VALUE"),
+        (with_more(FINGER).replace('"prismatic"', '"planar"'), "got planar"),
+        (with_more(BRANCH), "tip of the chain is not clear.*gripper.*second.*--tip"),
+        (TWO_LINKS.replace('lower="-2" upper="2" ', ""), "shoulder has no limits.*--limit shoulder=LOW,HIGH"),
+        (TWO_LINKS.replace('upper="2"', 'upper="-2"'), "limits of joint shoulder do not fit"),
+        (TWO_LINKS.replace('"2 0 0"', '"0 0 0"'), "axis of joint elbow"),
+        (TWO_LINKS.replace('"2 0 0"', '"0 0 nan"'), "3 finite numbers"),
+        (TWO_LINKS.replace('"0.12"', '"-1"'), "sizes above 0"),
+        (TWO_LINKS.replace('child link="upper"', 'child link="missing"'), "unknown links .*missing"),
+        (TWO_LINKS.replace('child link="gripper"', 'child link="upper"'), "two parents"),
+        (TWO_LINKS.replace('parent link="base"', 'parent link="gripper"'), "no tree of links.*apart"),
+        (TWO_LINKS.replace("<sphere", "<capsule"), "box, cylinder, sphere or mesh; got capsule"),
+        (TWO_LINKS.replace('<parent link="base"/>', ""), "a <parent>"),
+        (BOMB, "no such description.*a document type"),
+        ("<robot", "no such description"),
+        ("", "no such description"),
+        ("<sdf/>", "<robot> as its root; got <sdf>"),
+    ],
+)
+def test_descriptions_that_cannot_be_are_refused(tmp_path: Path, text: str, message: str) -> None:
+    with pytest.raises(ScenarioError, match=message):
+        import_robot(Request(described(tmp_path, text)))
+
+
+def test_a_branch_that_moves_says_what_holds_it(tmp_path: Path) -> None:
+    request = Request(described(tmp_path, with_more(BRANCH)), tip="gripper")
+    with pytest.raises(ScenarioError, match=r"the robot branches.*joint other.*--lock other=VALUE"):
+        import_robot(request)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"locked": {"wrist": 0.0}},
+        {"limits": {"wrist": (0.0, 1.0)}},
+        {"tip": "hand"},
+        {"kept": (("a", "base"),)},
+    ],
+)
+def test_names_that_the_description_does_not_have_are_refused(
+    tmp_path: Path, options: dict[str, object]
+) -> None:
+    with pytest.raises(ScenarioError, match=r"unknown|not clear"):
+        import_robot(Request(described(tmp_path), **options))
+
+
+@pytest.mark.parametrize(
+    ("more", "message"),
+    [
+        (["nowhere.urdf"], "cannot be read.*No such file.*path of a URDF"),
+        (["two.urdf", "--lock", "elbow"], "--lock does not fit; expected NAME=VALUE"),
+        (["two.urdf", "--limit", "elbow=1"], "--limit does not fit; expected a finite number"),
+        (["two.urdf", "--slack-mm", "0"], "0.001 m or more"),
+    ],
+)
+def test_the_command_ends_with_one_line_and_2(
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    more: list[str],
+    message: str,
+) -> None:
+    described(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    assert main(["import", *more, "--out", "out.json"]) == 2
+    told = capsys.readouterr().err
+    assert told.count("\n") == 1
+    assert re.search(message, told)
+    assert not Path("out.json").exists()
+
+
+def test_meshes_are_found_in_packages(tmp_path: Path) -> None:
+    mesh = tmp_path / "share" / "arm" / "meshes" / "a.stl"
+    mesh.parent.mkdir(parents=True)
+    mesh.touch()
+    folder = tmp_path / "share" / "arm" / "urdf"
+    assert found_file("package://arm/meshes/a.stl", folder, {}) == mesh
+    assert found_file("package://other/meshes/a.stl", folder, {"other": mesh.parents[1]}) == mesh
+    assert found_file("../meshes/a.stl", mesh.parent, {}).samefile(mesh)
+    assert found_file(f"file://{mesh}", folder, {}) == mesh
+    with pytest.raises(ScenarioError, match=r"a mesh is not found.*--package other=FOLDER"):
+        found_file("package://other/meshes/a.stl", folder, {})
+
+
+def test_meshes_without_their_library_name_the_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "coal", None)
+    (tmp_path / "a.stl").touch()
+    text = TWO_LINKS.replace('<sphere radius="0.12"/>', '<mesh filename="a.stl"/>')
+    assert read_urdf(described(tmp_path, text)).links["base"][0].file == "a.stl"
+    with pytest.raises(ScenarioError, match=r"the extra spatial; got no coal for a.stl.*pip install"):
+        import_robot(Request(described(tmp_path, text)))
