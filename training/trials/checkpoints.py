@@ -59,7 +59,7 @@ class TrialFolder:
         saved = save_checkpoint(self.folder / f"step-{progress.step:09d}", module, progress)
         for old in self.checkpoints()[: -self.keep]:
             discard(old)
-        # What a process that was killed had not finished.
-        for half in self.folder.glob(f"*{HALF_SUFFIX}"):
+        # What a process that was killed had not finished; the job may be writing the trial's record.
+        for half in self.folder.glob(f"*step-*{HALF_SUFFIX}"):
             discard(half)
         return saved

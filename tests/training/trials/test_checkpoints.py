@@ -5,6 +5,7 @@ import multiprocessing
 import pytest
 
 from cspace.errors import JobError
+from cspace.files import replacing
 from tests.training.models.builders import tiny_module
 from training.models.checkpoint import Progress, read_progress
 from training.trials.checkpoints import TrialFolder
@@ -40,6 +41,14 @@ def test_half_a_checkpoint_is_none_and_goes_with_the_next(tmp_path):
     assert read_progress(folder.latest()).step == 4
     save(folder, 12)
     assert [path.name for path in tmp_path.iterdir()] == ["step-000000012"]
+
+
+def test_a_record_that_the_job_is_writing_survives_a_checkpoint(tmp_path):
+    folder, record = TrialFolder(tmp_path), tmp_path / "outcome.json"
+    with replacing(record) as beside:
+        beside.write_text("{}")
+        save(folder, 4)
+    assert record.read_text() == "{}"
 
 
 def test_a_disk_that_is_full_leaves_the_checkpoint_that_was_there(tmp_path, monkeypatch):
