@@ -1,14 +1,12 @@
 """Real jobs of two presets and two seeds each, their versions judged, on an MLflow server."""
 
 import json
-import os
-import subprocess
-import sys
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
 
-ROOT = Path(__file__).parents[2]
+from tests.own_ray import ROOT, run_alone
+
 PRESETS, SEEDS = ("smoke", "quickstart"), (0, 1)
 # What makes seconds of minutes, whatever the preset.
 SHORT = (
@@ -52,19 +50,7 @@ def _job(uri: str, folder: Path, preset: str, seed: int) -> RealJob:
 
 
 def _run(uri: str, folder: Path, *command: str) -> dict[str, str]:
-    environment = os.environ | {
-        "MLFLOW_TRACKING_URI": uri,
-        "CSPACE_DATA_DIR": str(folder),
-        "PYTHONPATH": str(ROOT),
-        "RAY_ADDRESS": "local",
-        "RAY_AUTH_MODE": "disabled",
-        "RAY_USAGE_STATS_ENABLED": "0",
-        "MLFLOW_DISABLE_TELEMETRY": "true",
-        "OMP_NUM_THREADS": "1",
-    }
-    done = subprocess.run(
-        [sys.executable, *command], env=environment, capture_output=True, text=True, check=False, timeout=300
-    )
+    done = run_alone(uri, folder, *command)
     if done.returncode != 0:
         raise RuntimeError(done.stdout + done.stderr)
     found: dict[str, str] = json.loads(done.stdout.rpartition("RESULT ")[2].splitlines()[0])

@@ -1,9 +1,6 @@
 """Robots that nobody planned for: each works from its file to a plan, or is refused with a reason."""
 
 import json
-import os
-import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -22,6 +19,7 @@ from services.planner.settings import PlannerSettings
 from services.registry.models.mlflow_registry import MlflowRegistry
 from services.scene_files import SceneFile, read_scene_file
 from tests.contracts.mlflow_server import mlflow_server
+from tests.own_ray import run_alone
 from training.datasets.configurations import draw_configurations
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -99,19 +97,7 @@ def uri(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
 
 
 def run(uri: str, data: Path, *command: str) -> str:
-    environment = os.environ | {
-        "MLFLOW_TRACKING_URI": uri,
-        "CSPACE_DATA_DIR": str(data),
-        "PYTHONPATH": str(ROOT),
-        "RAY_ADDRESS": "local",
-        "RAY_AUTH_MODE": "disabled",
-        "RAY_USAGE_STATS_ENABLED": "0",
-        "MLFLOW_DISABLE_TELEMETRY": "true",
-        "OMP_NUM_THREADS": "1",
-    }
-    done = subprocess.run(
-        [sys.executable, *command], env=environment, capture_output=True, text=True, check=False, timeout=300
-    )
+    done = run_alone(uri, data, *command)
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout
 

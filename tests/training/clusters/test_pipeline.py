@@ -2,9 +2,6 @@
 
 import base64
 import json
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +17,7 @@ from services.names import ALIAS_CHALLENGER, EXPERIMENT, MODEL_NAME
 from services.registry.models.mlflow_registry import MlflowRegistry
 from tests.contracts.mlflow_server import mlflow_server
 from tests.inference_api.client import running
+from tests.own_ray import run_alone
 from training.config.clusters import CLUSTERS_FILE
 from training.datasets.config import DatasetConfig
 from training.datasets.configurations import ConfigurationRecipe
@@ -46,19 +44,7 @@ def submit(uri, data_folder, *arguments, script="cluster_train.py"):
 
 
 def run_script(uri, data_folder, *arguments, script="cluster_train.py"):
-    environment = os.environ | {
-        "MLFLOW_TRACKING_URI": uri,
-        "CSPACE_DATA_DIR": str(data_folder),
-        "PYTHONPATH": str(ROOT),
-        # A cluster of its own, whatever else runs on this machine.
-        "RAY_ADDRESS": "local",
-        "RAY_AUTH_MODE": "disabled",
-        "RAY_USAGE_STATS_ENABLED": "0",
-        "MLFLOW_DISABLE_TELEMETRY": "true",
-        "OMP_NUM_THREADS": "1",
-    }
-    command = [sys.executable, str(ROOT / "training" / script), *arguments]
-    return subprocess.run(command, env=environment, capture_output=True, text=True, check=False, timeout=300)
+    return run_alone(uri, data_folder, str(ROOT / "training" / script), *arguments)
 
 
 @pytest.fixture(scope="module")
