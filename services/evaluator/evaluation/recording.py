@@ -2,12 +2,12 @@
 
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
 
 from cspace.errors import EvaluationError
-from cspace.problem import UNIFORM
+from cspace.problem import UNIFORM, Problem
 from cspace.splits import Split
 from cspace.worlds import picture_of, robot_digest, workshop_of
 from services.evaluator.evaluation.gallery import gallery
@@ -23,9 +23,8 @@ from services.evaluator.evaluation.shown import (
     comparison_note,
     measure_columns,
 )
-from services.evaluator.evaluation.units import Evaluation, planner_of, planner_seed
+from services.evaluator.evaluation.units import Evaluation, SplitResult, planner_of, planner_seed
 from services.evaluator.measures.planning import UNIFORM_SHARE, learned_samples
-from services.evaluator.measures.reconstruction import SceneQuality
 from services.evaluator.measures.reliability import reliability_diagram
 from services.evaluator.measures.scenes import Scene, Stage
 from services.planner.drawing.plot import draw_plan
@@ -110,7 +109,7 @@ def log_evaluation(
     names = []
     for split, measured in ((Split.VALIDATION, evaluation.validation), (Split.TEST, evaluation.test)):
         stage = Stage(setting.world, split, setting.seed)
-        shown = exhibits(stage, measured.scenes)
+        shown = exhibits(stage, measured)
         names.append(f"gallery-{split}")
         run.figure(gallery([*shown], sampler, title, [*shown.values()]), names[-1])
     summary = evaluation.test.reconstruction
@@ -125,7 +124,7 @@ def _plans(run: RunLog, evaluation: Evaluation, sampler: SampleSource, title: st
     names, setting = [], evaluation.setting
     for summary in evaluation.test.planning:
         family = summary.family
-        problem = workshop_of(setting.world).problem(family, Split.TEST, setting.seed)
+        problem = _first(evaluation.test.problems, family)
         seed = planner_seed(setting.seed, 0, 0)
         image = picture_of(problem.scenario)
         samples = learned_samples(problem, image, seed, sampler)
@@ -137,16 +136,21 @@ def _plans(run: RunLog, evaluation: Evaluation, sampler: SampleSource, title: st
     return tuple(names)
 
 
-def exhibits(stage: Stage, measured: Sequence[SceneQuality]) -> dict[Scene, str]:
+def _first(problems: Mapping[tuple[str, int], Problem], family: str) -> Problem:
+    return problems[min(key for key in problems if key[0] == family)]
+
+
+def exhibits(stage: Stage, measured: SplitResult) -> dict[Scene, str]:
     """The scenarios of a gallery with a note on each: some as they come, then the least precise by family."""
     shown: dict[Scene, str] = {}
     for family in workshop_of(stage.world).families.names:
-        mine = [row for row in measured if row.family == family]
+        mine = [row for row in measured.scenes if row.family == family]
         worst = min(mine, key=lambda row: row.sampler.precision, default=None)
         if family == UNIFORM:
             shown |= {Scene(stage, row.index): "" for row in mine[:GALLERY_SCENARIOS]}
         if worst is not None:
-            shown[Scene(stage, worst.index, family)] = f"least precise of {len(mine)}"
+            drawn = measured.problems.get((family, worst.index))
+            shown[Scene(stage, worst.index, family, drawn)] = f"least precise of {len(mine)}"
     return shown
 
 

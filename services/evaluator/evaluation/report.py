@@ -54,9 +54,11 @@ TOPOLOGY_NOTE = (
 
 def to_json(evaluation: Evaluation) -> str:
     """Everything, down to the rows behind the summaries."""
-    return json.dumps(
-        asdict(evaluation) | {"planner": asdict(planner_of(evaluation.setting.world))}, indent=1
-    )
+    told = asdict(evaluation) | {"planner": asdict(planner_of(evaluation.setting.world))}
+    for split in JUDGED:
+        # Drawn again from the seed by whoever wants them.
+        del told[split]["problems"]
+    return json.dumps(told, indent=1)
 
 
 def judged_on(setting: Setting) -> str:

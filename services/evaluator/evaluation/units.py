@@ -3,12 +3,12 @@
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from cspace.errors import EvaluationError, ScenarioError
-from cspace.problem import UNIFORM
+from cspace.problem import UNIFORM, Problem
 from cspace.splits import Split
 from cspace.world import World
 from cspace.worlds import workshop_of
@@ -27,7 +27,16 @@ from services.evaluator.statistics import Interval
 from services.planner.search.ompl_planner import PlannerSettings
 from services.planner.sources.samples import SampleSource
 
-Row = SceneQuality | SceneTopology | PlanningTrial
+
+@dataclass(frozen=True, slots=True)
+class Drawn:
+    """A problem that a unit drew, so that nobody searches for it again."""
+
+    index: int
+    problem: Problem
+
+
+Row = SceneQuality | SceneTopology | PlanningTrial | Drawn
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +63,7 @@ class SplitResult:
     """All of one split: summaries with the rows behind them.
 
     ``reconstruction`` is of the uniform scenarios, ``families`` of the others; ``scenes`` are of all. Path
-    models have none of the three.
+    models have none of the three. ``problems`` are those of the scenes and trials by family and index.
     """
 
     reconstruction: ReconstructionSummary | None
@@ -63,6 +72,7 @@ class SplitResult:
     scenes: tuple[SceneQuality, ...]
     trials: tuple[PlanningTrial, ...]
     families: Mapping[str, ReconstructionSummary]
+    problems: Mapping[tuple[str, int], Problem] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,6 +139,7 @@ def _split_result(rows: Sequence[Row], rng: np.random.Generator, setting: Settin
         scenes,
         trials,
         {family: summarise(mine, apart) for family, mine in by_family.items() if mine},
+        {(row.problem.family, row.index): row.problem for row in rows if isinstance(row, Drawn)},
     )
 
 
@@ -152,6 +163,8 @@ def _reconstruction_rows(unit: Unit, setting: Setting, sampler: SampleSource) ->
     for scene in _scenes(unit, setting):
         with suppress(*missing):
             rows.append(reconstruct(scene, sampler, setting.budget.samples))
+            if scene.problem is not None:
+                rows.append(Drawn(scene.index, scene.problem))
     return rows
 
 
@@ -175,6 +188,7 @@ def _planning_rows(unit: Unit, setting: Setting, sampler: SampleSource) -> list[
             if unit.family == UNIFORM:
                 raise
             continue
+        rows.append(Drawn(index, problem))
         for repeat in range(setting.budget.planner_seeds):
             seed = planner_seed(setting.seed, index, repeat)
             rows.append(plan_trial(problem, index, seed, sampler, planner))

@@ -122,5 +122,6 @@ def test_path_models_have_planning_units_alone(made):
     setting = Setting(PlanarWorld(TWO_LINK, Camera()), 0, FEW, paths=True)
     with pytest.raises(EvaluationError, match="judged by planning"):
         run_unit(Unit(Kind.RECONSTRUCTION, Split.TEST, 0, 1), setting, BundleSampler(made))
-    (row,) = run_unit(Unit(Kind.PLANNING, Split.TEST, 0, 1, Family.NARROW), setting, BundleSampler(made)).rows
+    result = run_unit(Unit(Kind.PLANNING, Split.TEST, 0, 1, Family.NARROW), setting, BundleSampler(made))
+    _, row = result.rows
     assert row.learned.learned_drawn > 0

@@ -10,6 +10,7 @@ from cspace.worlds.planar.problems import Family
 from cspace.worlds.planar.world import PlanarWorld
 from services.evaluator.evaluation.gallery import MISSED_COLOUR, SHOWN_SAMPLES, gallery
 from services.evaluator.evaluation.recording import exhibits
+from services.evaluator.evaluation.units import SplitResult
 from services.evaluator.measures.reconstruction import SampleQuality, SceneQuality
 from services.evaluator.measures.scenes import Scene, Stage
 from tests.fakes.sample_source import FakeSampleSource
@@ -21,6 +22,10 @@ STAGE = Stage(PlanarWorld(TWO_LINK, Camera()), Split.TEST, 0)
 def measured(family, *precisions):
     qualities = [SampleQuality(precision, 0.9, 0.1, 0.9, 0.9) for precision in precisions]
     return [SceneQuality(i, q, q, q, family=family) for i, q in enumerate(qualities)]
+
+
+def split_of(rows, problems=None):
+    return SplitResult(None, (), None, tuple(rows), (), {}, problems or {})
 
 
 def marked(axes, colour):
@@ -67,7 +72,7 @@ def test_the_first_scenarios_and_the_least_precise_of_every_family_are_exhibits(
         *measured(Family.NARROW, 0.5, 0.4),
         *measured(Family.DISCONNECTED, 0.3),
     ]
-    assert exhibits(STAGE, rows) == {
+    assert exhibits(STAGE, split_of(rows)) == {
         Scene(STAGE, 0): "",
         Scene(STAGE, 1): "",
         Scene(STAGE, 3): "least precise of 5",
@@ -78,4 +83,11 @@ def test_the_first_scenarios_and_the_least_precise_of_every_family_are_exhibits(
 
 def test_a_scenario_is_shown_once():
     rows = measured(Family.UNIFORM, 0.9, 0.2, 0.7)
-    assert exhibits(STAGE, rows) == {Scene(STAGE, 0): "", Scene(STAGE, 1): "least precise of 3"}
+    assert exhibits(STAGE, split_of(rows)) == {Scene(STAGE, 0): "", Scene(STAGE, 1): "least precise of 3"}
+
+
+def test_a_problem_that_was_drawn_for_the_measurement_is_not_searched_for_again():
+    problem = Scene(STAGE, 0, Family.DISCONNECTED).problem
+    rows = [*measured(Family.UNIFORM, 0.9), *measured(Family.DISCONNECTED, 0.3)]
+    shown = exhibits(STAGE, split_of(rows, {(Family.DISCONNECTED, 0): problem}))
+    assert [scene.drawn for scene in shown] == [None, problem]
