@@ -47,7 +47,7 @@ class CollisionChecker:
         return found
 
     def clearance(self, configurations: ArrayLike) -> NDArray[np.float64]:
-        """Distance to obstacles, or of the arm to itself, of each of (N, d) rad, (N,) m; negative in collision."""
+        """Distance to obstacles or of the arm to itself, of (N, d) rad, (N,) m; negative in collision."""
         found: NDArray[np.float64] = clearance_batch(self._rows(configurations), self._scene)
         return found
 
