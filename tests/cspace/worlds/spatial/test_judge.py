@@ -1,0 +1,165 @@
+import json
+import sys
+from importlib.metadata import PackageNotFoundError, files
+from math import pi
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import cspace.worlds.spatial
+from cspace.errors import ScenarioError
+from cspace.splits import Split
+from cspace.worlds.spatial.arm import SerialArm
+from cspace.worlds.spatial.frames import Frame
+from cspace.worlds.spatial.judge import Description, RobotMeshes
+from cspace.worlds.spatial.motionbench.problems import problems
+from cspace.worlds.spatial.parts import Joint, Part
+from cspace.worlds.spatial.poses import pose_of
+from cspace.worlds.spatial.shapes import Box, Cylinder, Obstacles
+from tests.training.robots.descriptions import FINGER, TWO_LINKS, described, with_more
+
+PANDA = SerialArm.from_dict(
+    json.loads(Path(cspace.worlds.spatial.__file__).with_name("robots").joinpath("panda.json").read_bytes())
+)
+# The one of TWO_LINKS; its spheres are not asked.
+TWO = SerialArm(
+    "two",
+    (
+        Joint("shoulder", Frame((0.0, 0.0, 0.1)), (0.0, 1.0, 0.0), (-2.0, 2.0)),
+        Joint("elbow", Frame((0.0, 0.0, 0.5), (0.0, 0.0, pi / 2)), (1.0, 0.0, 0.0), None),
+    ),
+    tuple(
+        Part(name, link, ((0.0, 0.0, 0.0, 0.01),))
+        for name, link in (("base", 0), ("upper", 1), ("lower", 2), ("gripper", 2))
+    ),
+    (("base", "gripper"), ("upper", "gripper")),
+    Frame((0.0, 0.0, 0.3)),
+)
+# Pinocchio wants limits whole.
+SLIDING = FINGER.replace('upper="1"', 'upper="1" effort="1" velocity="1"')
+REASON = "needs the extra spatial"
+
+
+@pytest.fixture
+def meshes(tmp_path: Path) -> RobotMeshes:
+    pytest.importorskip("coal", reason=REASON)
+    pytest.importorskip("pinocchio", reason=REASON)
+    return RobotMeshes(TWO, Description(described(tmp_path)))
+
+
+def block(x: float, z: float, half: float) -> Box:
+    pose = np.eye(4)
+    pose[:3, 3] = (x, 0.0, z)
+    return Box(pose_of(pose), (half, half, half))
+
+
+def test_clearance_is_the_distance_of_the_shapes(meshes: RobotMeshes) -> None:
+    # Beside the upper arm of radius 0.05, and beside the lower one, whose 0.06 lie along x.
+    for obstacle, expected in (
+        (block(0.2, 0.35, 0.1), 0.05),
+        (block(-0.1, 0.75, 0.05), 0.02),
+        (block(0.1, 0.35, 0.1), -0.05),
+        (Cylinder(pose_of(np.diag([1.0, -1.0, -1.0, 1.0]) + np.eye(4, k=3) * 0.2), 0.1, 2.0), -0.02),
+    ):
+        judge = meshes.among(Obstacles.of([obstacle]))
+        assert judge.clearance_m([[0.0, 0.0]])[0] == pytest.approx(expected, abs=1e-4)
+        assert judge.valid_batch([[0.0, 0.0]])[0] == (expected > 0.0)
+
+
+def test_a_turned_arm_meets_what_is_beside_it(meshes: RobotMeshes) -> None:
+    judge = meshes.among(Obstacles.of([block(0.9, 0.1, 0.05)]))
+    # The gripper ends 0.85 m from the shoulder; bent by the elbow it is out of the way.
+    assert judge.valid_batch([[0.0, 0.0], [pi / 2, 0.0], [pi / 2, pi / 2], [pi / 2, 2 * pi]]).tolist() == [
+        *(True, False, True, False)
+    ]
+
+
+def test_pairs_that_can_touch_are_held_apart(tmp_path: Path, meshes: RobotMeshes) -> None:
+    folded = [[0.0, 0.0], [0.0, pi], [0.0, -pi]]
+    assert meshes.among(Obstacles()).valid_batch(folded).tolist() == [True, False, False]
+    loose = SerialArm(TWO.name, TWO.joints, TWO.parts, (), TWO.tool)
+    judge = RobotMeshes(loose, Description(described(tmp_path))).among(Obstacles())
+    assert judge.valid_batch(folded).all()
+    assert judge.clearance_m(folded).tolist() == [np.inf] * 3
+
+
+def test_configurations_of_another_arm_are_refused(meshes: RobotMeshes) -> None:
+    with pytest.raises(ScenarioError, match=r"shape \(N, 2\); got \(1, 3\)"):
+        meshes.among(Obstacles()).valid_batch([[0.0, 0.0, 0.0]])
+
+
+@pytest.mark.parametrize(
+    ("text", "options", "message"),
+    [
+        (TWO_LINKS.replace('xyz="0 0 0.5"', 'xyz="0 0 0.6"'), {}, "joints 0.1 m away from the arm's"),
+        (TWO_LINKS.replace('"elbow"', '"bow"'), {}, r"joints that move .*'bow'"),
+        (TWO_LINKS.replace('<sphere radius="0.12"/>', '<mesh filename="no.stl"/>'), {}, "no.stl"),
+        (with_more(SLIDING), {}, "joints that move .*'slide'"),
+        (TWO_LINKS, {"locked": {"slide": 0.0}}, r"no joints \['slide'\]"),
+        (TWO_LINKS.replace('"lower"', '"arm"'), {}, r"no shapes for the arm's parts \['lower'\]"),
+        ("no description", {}, "two.urdf"),
+    ],
+)
+def test_descriptions_of_another_arm_are_refused(
+    tmp_path: Path, text: str, options: dict[str, object], message: str
+) -> None:
+    pytest.importorskip("pinocchio", reason=REASON)
+    with pytest.raises(ScenarioError, match=f"does not fit the arm.*{message}"):
+        RobotMeshes(TWO, Description(described(tmp_path, text), **options))
+
+
+def test_joints_that_are_held_are_where_they_are_held(tmp_path: Path) -> None:
+    pytest.importorskip("pinocchio", reason=REASON)
+    ball = '<link name="finger"><collision><geometry><sphere radius="0.01"/></geometry></collision></link>'
+    urdf = described(tmp_path, with_more(SLIDING.replace('<link name="finger"/>', ball)))
+    obstacles = Obstacles.of([block(-0.2, 0.9, 0.05)])
+    # The finger slides to where the base's -x is; elsewhere the gripper, of radius 0.03, is the closest.
+    for value, expected in ((0.0, 0.12), (0.1, 0.04), (-0.1, 0.12)):
+        judge = RobotMeshes(TWO, Description(urdf, {"slide": value})).among(obstacles)
+        assert judge.clearance_m([[0.0, 0.0]])[0] == pytest.approx(expected, abs=1e-4)
+
+
+def test_without_the_libraries_the_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pinocchio", None)
+    monkeypatch.setitem(sys.modules, "coal", None)
+    with pytest.raises(ScenarioError, match=r"the extra spatial; got no coal; pip install"):
+        RobotMeshes(TWO, Description(described(tmp_path)))
+
+
+@pytest.fixture(scope="module")
+def panda() -> RobotMeshes:
+    pytest.importorskip("pinocchio", reason=REASON)
+    try:
+        listed = files("example-robot-data") or []
+    except PackageNotFoundError:
+        pytest.skip(REASON)
+    urdf = next(
+        Path(one.locate()) for one in listed if str(one).endswith("panda_description/urdf/panda.urdf")
+    )
+    return RobotMeshes(PANDA, Description(urdf, {f"panda_finger_joint{number}": 0.065 for number in (1, 2)}))
+
+
+def test_all_ends_of_the_pandas_problems_are_free_by_its_meshes(panda: RobotMeshes) -> None:
+    folded = [0.0, 0.0, 0.0, -3.1, 0.0, 0.0, 0.0]
+    for problem in problems(Split.VALIDATION):
+        found = panda.among(problem.obstacles).valid_batch([problem.start, problem.goal, folded])
+        assert found.tolist() == [True, True, False]
+
+
+def test_a_collision_that_coal_misses_without_contacts_is_told(panda: RobotMeshes) -> None:
+    problem = problems(Split.VALIDATION, families=["cage"])[16]
+    row = [[-2.9671, 0.102454, 2.756017, -1.950074, 2.367983, 2.934542, -2.209954]]
+    judge = panda.among(problem.obstacles)
+    assert judge.clearance_m(row)[0] < -0.01
+    assert not judge.valid_batch(row)[0]
+
+
+def test_the_verdict_is_the_sign_of_the_clearance(panda: RobotMeshes) -> None:
+    rng, space = np.random.default_rng(0), PANDA.space
+    for problem in problems(Split.VALIDATION)[::30]:
+        judge = panda.among(problem.obstacles)
+        rows = rng.uniform(space.lower, space.upper, (200, 7))
+        free = judge.valid_batch(rows)
+        assert 0.4 < free.mean() < 0.95
+        np.testing.assert_array_equal(free, judge.clearance_m(rows) > 0.0)

@@ -1,0 +1,121 @@
+import gzip
+import json
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import cspace.worlds.spatial
+from cspace.errors import DatasetError, ScenarioError
+from cspace.splits import Split
+from cspace.worlds.spatial.arm import SerialArm
+from cspace.worlds.spatial.kinematics import arm_arrays, self_distance_batch
+from cspace.worlds.spatial.motionbench.problems import (
+    FAMILIES,
+    SHIPPED,
+    BenchProblem,
+    problems,
+    read_problems,
+    write_problems,
+)
+from cspace.worlds.spatial.shapes import Obstacles
+from cspace.worlds.spatial.signed_distance import clearance_m
+
+PANDA = SerialArm.from_dict(
+    json.loads(Path(cspace.worlds.spatial.__file__).with_name("robots").joinpath("panda.json").read_bytes())
+)
+# By how much spheres that stick out by 10 mm reach into a shelf beside goals, mm.
+TIGHT_GOALS = {("bookshelf_small", 9): -0.7, ("bookshelf_small", 29): -2.5}
+
+
+def test_thirty_problems_of_seven_families_ship() -> None:
+    found = problems(Split.VALIDATION)
+    assert Counter(one.family for one in found) == dict.fromkeys(FAMILIES, 30)
+    assert [one.number for one in found] == [*range(1, 31)] * 7
+    assert {one.split for one in found} == {Split.VALIDATION}
+    first = found[0]
+    assert (len(first.obstacles.boxes), len(first.obstacles.cylinders)) == (4, 3)
+    assert first.obstacles.boxes[0].half_m == (0.6, 0.5, 0.02)
+    assert first.obstacles.boxes[0].pose[0] == (0.452155, 0.89194, 0.0, 0.589609)
+    assert (first.obstacles.cylinders[0].radius_m, first.obstacles.cylinders[0].half_length_m) == (0.03, 0.07)
+    assert first.start == (0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785)
+    assert first.goal[:2] == (1.489049, -0.146671)
+    assert problems(Split.VALIDATION, families=["cage"]) == tuple(
+        one for one in found if one.family == "cage"
+    )
+
+
+def test_starts_and_goals_that_ship_are_free_but_for_two_tight_ones() -> None:
+    found, arrays, space = problems(Split.VALIDATION), arm_arrays(PANDA), PANDA.space
+    ends = np.array([(one.start, one.goal) for one in found])
+    assert (ends >= space.lower).all()
+    assert (ends <= space.upper).all()
+    assert self_distance_batch(ends.reshape(-1, 7), arrays).min() > 0.003
+    collides = {}
+    for problem, pair in zip(found, ends, strict=True):
+        start, goal = clearance_m(problem.obstacles, PANDA.sphere_centres_m(pair), arrays.radii)
+        assert start > 0.0
+        if goal <= 0.0:
+            collides[problem.family, problem.number] = round(1e3 * goal, 1)
+    assert collides == TIGHT_GOALS
+
+
+def test_cameras_look_where_the_goals_tool_is() -> None:
+    problem = problems(Split.VALIDATION)[0]
+    layout, tool = problem.layout(PANDA), PANDA.tool_frames([problem.goal])[0]
+    assert layout.obstacles is problem.obstacles
+    np.testing.assert_allclose(layout.focus, tool[:3, 3])
+    np.testing.assert_allclose(layout.regions[0].approach, tool[:3, 2])
+    assert layout.regions[0].box.pose[0][3] == layout.focus[0]
+
+
+def test_what_is_written_reads_back_and_is_what_ships(tmp_path: Path) -> None:
+    found = problems(Split.VALIDATION)
+    path = write_problems(tmp_path / "new", Split.VALIDATION, found)
+    shipped = SHIPPED / path.name
+    assert gzip.decompress(path.read_bytes()) == gzip.decompress(shipped.read_bytes())
+    assert problems(Split.VALIDATION, tmp_path / "new") == found
+
+
+def test_test_problems_are_asked_for_with_a_folder(tmp_path: Path) -> None:
+    with pytest.raises(DatasetError, match=r"do not ship.*training\.motionbench fetch --out FOLDER"):
+        problems(Split.TEST)
+    with pytest.raises(DatasetError, match="cannot be read"):
+        problems(Split.TEST, tmp_path)
+    write_problems(tmp_path, Split.TEST, problems(Split.VALIDATION))
+    with pytest.raises(DatasetError, match="numbers 31 to 100 of each family; got 210 problems"):
+        problems(Split.TEST, tmp_path)
+    with pytest.raises(DatasetError, match="no such split"):
+        problems(Split.TRAIN)
+    with pytest.raises(ScenarioError, match=r"families are unknown.*'kitchen'"):
+        problems(Split.VALIDATION, families=["box", "kitchen"])
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        b"no gzip",
+        (SHIPPED / "validation.json.gz").read_bytes()[:-50],
+        gzip.compress(b"{"),
+        gzip.compress(b'{"problems": 3}'),
+        gzip.compress(b'{"problems": [{"family": "box"}]}'),
+        gzip.compress(
+            json.dumps({"problems": [BenchProblem("box", 1, Obstacles(), (0,), (1,)).to_dict()] * 2}).encode()
+        ),
+    ],
+)
+def test_a_file_that_holds_something_else_is_refused(tmp_path: Path, data: bytes) -> None:
+    path = tmp_path / "validation.json.gz"
+    path.write_bytes(data)
+    with pytest.raises(DatasetError):
+        read_problems(path)
+
+
+@pytest.mark.parametrize(
+    ("family", "number", "goal"),
+    [("kitchen", 1, (0.0,)), ("box", 0, (0.0,)), ("box", 101, (0.0,)), ("box", 1, ())],
+)
+def test_problems_that_cannot_be_are_refused(family: str, number: int, goal: tuple[float, ...]) -> None:
+    with pytest.raises(ScenarioError):
+        BenchProblem(family, number, Obstacles(), (0.0,), goal)

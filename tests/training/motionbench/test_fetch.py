@@ -1,0 +1,183 @@
+import hashlib
+import io
+import tarfile
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from cspace.errors import DamagedFileError, DatasetError, ServiceError
+from cspace.splits import Split
+from cspace.worlds.spatial.motionbench.problems import FAMILIES, problems
+from training.motionbench import __main__ as command
+from training.motionbench import archive, download
+
+INSIDE = "vamp_planner-0.6.4/resources/panda/problems.tar.bz2"
+JOINTS = [f"panda_joint{number}" for number in range(1, 8)]
+HALF = 0.5**0.5
+
+
+def scene(number: int) -> dict[str, object]:
+    upright = {"position": [0.1, 0.2, number / 100], "orientation": [0, 0, 0, 1]}
+    turned = {"position": [1, 0, 0], "orientation": [0, 0, HALF, HALF]}
+    return {
+        "world": {
+            "collision_objects": [
+                {
+                    "id": "can",
+                    "primitives": [{"type": "cylinder", "dimensions": [0.12, 0.03]}],
+                    "primitive_poses": [upright],
+                },
+                {
+                    "id": "top",
+                    "pose": turned,
+                    "primitives": [{"type": "box", "dimensions": [0.2, 0.4, 0.6]}],
+                    "primitive_poses": [upright],
+                },
+            ]
+        }
+    }
+
+
+def request(number: int) -> dict[str, object]:
+    # In another order than the arm's.
+    goal = [{"joint_name": name, "position": index + 0.12345678} for index, name in enumerate(JOINTS)][::-1]
+    return {
+        "start_state": {
+            "joint_state": {
+                "name": ["finger", *JOINTS],
+                "position": [0.065, *np.linspace(0, number, 7).tolist()],
+            }
+        },
+        "goal_constraints": [{"joint_constraints": goal}],
+    }
+
+
+@cache
+def texts() -> list[tuple[bytes, bytes]]:
+    return [(yaml.safe_dump(scene(n)).encode(), yaml.safe_dump(request(n)).encode()) for n in range(1, 101)]
+
+
+def packed(files: dict[str, bytes], how: str) -> bytes:
+    out = io.BytesIO()
+    with tarfile.open(fileobj=out, mode=how) as tar:
+        for name, data in files.items():
+            info = tarfile.TarInfo(name)
+            info.size = len(data)
+            tar.addfile(info, io.BytesIO(data))
+    return out.getvalue()
+
+
+def made(
+    folder: Path, changes: dict[str, bytes | None] | None = None, inside: str = INSIDE
+) -> tuple[Path, str]:
+    files: dict[str, bytes | None] = {"problems/notes.txt": b"no problem"}
+    for family in FAMILIES:
+        for number, (first, second) in enumerate(texts(), 1):
+            files[f"problems/{family}_panda/scene{number:04}.yaml"] = first
+            files[f"problems/{family}_panda/request{number:04}.yaml"] = second
+    kept = {name: data for name, data in (files | (changes or {})).items() if data is not None}
+    project = b'[build-system]\nrequires = []\nbuild-backend = "scikit_build_core.build"\n'
+    outer = {
+        "vamp_planner-0.6.4/pyproject.toml": project,
+        "vamp_planner-0.6.4/PKG-INFO": b"Metadata-Version: 2.1\nName: vamp-planner\nVersion: 0.6.4\n",
+        inside: packed(kept, "w:bz2"),
+    }
+    path = folder / "vamp_planner-0.6.4.tar.gz"
+    path.write_bytes(packed(outer, "w:gz"))
+    return path, hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+@pytest.fixture(scope="module")
+def sound(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    return made(tmp_path_factory.mktemp("sound"))
+
+
+def test_an_archive_becomes_problems(sound: tuple[Path, str]) -> None:
+    splits = archive.read_archive(*sound)
+    assert {split: len(found) for split, found in splits.items()} == {Split.VALIDATION: 210, Split.TEST: 490}
+    problem = splits[Split.TEST][0]
+    assert (problem.family, problem.number) == ("bookshelf_small", 31)
+    assert problem.start == tuple(np.round(np.linspace(0, 31, 7), 6).tolist())
+    assert problem.goal == tuple(index + 0.123457 for index in range(7))
+    (box,), (cylinder,) = problem.obstacles.boxes, problem.obstacles.cylinders
+    assert (cylinder.radius_m, cylinder.half_length_m) == (0.03, 0.06)
+    assert cylinder.pose[2] == (0.0, 0.0, 1.0, 0.31)
+    assert box.half_m == (0.1, 0.2, 0.3)
+    # A quarter turn about z takes (0.1, 0.2) to (-0.2, 0.1).
+    assert box.pose == ((0, -1, 0, 0.8), (1, 0, 0, 0.1), (0, 0, 1, 0.31), (0, 0, 0, 1))
+
+
+def test_the_command_fetches_by_pip_without_building(
+    sound: tuple[Path, str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setenv("PIP_NO_INDEX", "1")
+    monkeypatch.setenv("PIP_FIND_LINKS", str(sound[0].parent))
+    monkeypatch.setattr(command, "SHA256", sound[1])
+    assert command.main(["fetch", "--out", str(tmp_path / "out")]) == 0
+    told = capsys.readouterr().out
+    assert "validation.json.gz: bookshelf_small 30," in told
+    assert "test.json.gz: bookshelf_small 70," in told
+    assert len(problems(Split.TEST, tmp_path / "out")) == 490
+    assert len(problems(Split.VALIDATION, tmp_path / "out")) == 210
+
+
+def test_an_archive_with_another_digest_is_refused(
+    sound: tuple[Path, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    damaged = tmp_path / "damaged.tar.gz"
+    damaged.write_bytes(sound[0].read_bytes()[:-1])
+    with pytest.raises(DamagedFileError, match="SHA-256"):
+        archive.read_archive(damaged, sound[1])
+    # Sound, but not the one that the problems are taken from.
+    assert command.main(["fetch", "--archive", str(sound[0]), "--out", str(tmp_path / "out")]) == 2
+    assert "damaged or another" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+FIRST = "problems/box_panda/scene0001.yaml"
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({FIRST: None}, "699 problems"),
+        ({FIRST: b"world: ["}, "ParserError"),
+        ({FIRST: b"world: {}"}, "box 1: KeyError 'collision_objects'"),
+        (
+            {FIRST: yaml.safe_dump(scene(1)).replace("cylinder", "sphere").encode()},
+            "a shape is unknown.*'sphere'",
+        ),
+        ({FIRST: yaml.safe_dump(scene(1)).replace("0.03", "-0.03").encode()}, "a size that cannot be"),
+        ({FIRST.replace("scene", "request"): None}, "box 1: KeyError"),
+        ({FIRST.replace("box", "kitchen"): b"{}"}, "kitchen 1: KeyError"),
+    ],
+)
+def test_an_archive_that_holds_other_problems_is_refused(
+    tmp_path: Path, changes: dict[str, bytes | None], message: str
+) -> None:
+    with pytest.raises(DatasetError, match=message):
+        archive.read_archive(*made(tmp_path, changes))
+
+
+def test_files_that_are_no_archive_are_refused(sound: tuple[Path, str], tmp_path: Path) -> None:
+    with pytest.raises(DatasetError, match=f"no {INSIDE}"):
+        archive.read_archive(*made(tmp_path, inside="elsewhere"))
+    path = tmp_path / "text.tar.gz"
+    path.write_bytes(b"no archive")
+    with pytest.raises(DatasetError, match="ReadError"):
+        archive.read_archive(path, hashlib.sha256(b"no archive").hexdigest())
+    with pytest.raises(DatasetError, match="No such file"):
+        archive.read_archive(tmp_path / "missing.tar.gz", sound[1])
+
+
+def test_a_fetch_that_pip_refuses_says_what_to_do(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PIP_NO_INDEX", "1")
+    monkeypatch.setenv("PIP_FIND_LINKS", str(tmp_path))
+    with pytest.raises(ServiceError, match=r"No matching distribution.*--archive"), download.downloaded():
+        pass

@@ -1,0 +1,51 @@
+"""The benchmark's problems: ``python -m training.motionbench fetch --out FOLDER``.
+
+Exit codes: 0 done; 1 the archive cannot be fetched or the disk is bad; 2 the command or the archive is wrong.
+"""
+
+import argparse
+import sys
+from collections import Counter
+from collections.abc import Sequence
+from contextlib import nullcontext
+from pathlib import Path
+
+from cspace.errors import CspaceError, InputError
+from cspace.worlds.spatial.motionbench.problems import write_problems
+from services.command_errors import tell_error
+from training.motionbench.archive import SHA256, read_archive
+from training.motionbench.download import downloaded
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Parse, call, print; returns the exit code."""
+    options = parser().parse_args(arguments)
+    try:
+        with downloaded() if options.archive is None else nullcontext(options.archive) as archive:
+            splits = read_archive(archive, SHA256)
+        for split, found in splits.items():
+            path = write_problems(options.out, split, found)
+            counts = Counter(one.family for one in found)
+            print(f"{path}: {', '.join(f'{name} {count}' for name, count in counts.items())}")
+    except CspaceError as error:
+        return tell_error(error, InputError)
+    return 0
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command line."""
+    result = argparse.ArgumentParser(
+        prog="python -m training.motionbench",
+        description="Get MotionBenchMaker's problems of the Panda.",
+        epilog="Exit codes: 0 done, 1 the archive cannot be fetched or the disk is bad, 2 the command or the "
+        "archive is wrong.",
+    )
+    commands = result.add_subparsers(required=True, metavar="COMMAND")
+    fetch = commands.add_parser("fetch", help="from the source archive of the package vamp-planner, by pip")
+    fetch.add_argument("--archive", type=Path, help="the archive, where it was fetched already")
+    fetch.add_argument("--out", type=Path, required=True, metavar="FOLDER", help="where the problems go")
+    return result
+
+
+if __name__ == "__main__":
+    sys.exit(main())

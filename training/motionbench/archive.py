@@ -1,0 +1,143 @@
+"""Problems out of the source archive of vamp-planner, in the project's form."""
+
+import hashlib
+import io
+import re
+import tarfile
+import zlib
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from cspace.errors import CspaceError, DamagedFileError, DatasetError, ScenarioError
+from cspace.splits import Split
+from cspace.worlds.spatial.motionbench.problems import NUMBERS, BenchProblem, expected_names
+from cspace.worlds.spatial.poses import Pose, make_pose, pose_of
+from cspace.worlds.spatial.shapes import Box, Cylinder, Obstacles
+
+PACKAGE, VERSION = "vamp-planner", "0.6.4"
+# Of the archive that the problems were first taken from.
+SHA256 = "d3150c6b67ff941af9ad56480b31d3fb73b12211ea21dc684f7737b059f6daba"
+_INSIDE = f"vamp_planner-{VERSION}/resources/panda/problems.tar.bz2"
+_NAME = re.compile(r"problems/(\w+)_panda/(scene|request)(\d{4})\.yaml")
+_JOINTS = tuple(f"panda_joint{number}" for number in range(1, 8))
+# Of places, m, angles, rad, and what turns are made of.
+_DIGITS = 6
+# The parser that is a hundred times faster, where PyYAML was built with it.
+_LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+
+
+def read_archive(archive: Path, sha256: str) -> dict[Split, tuple[BenchProblem, ...]]:
+    """All problems of an archive by what they may be used for, numbers rounded to 1e-6.
+
+    Args:
+        archive: the package's source archive.
+        sha256: that it has to have.
+
+    Raises:
+        DamagedFileError: its digest is another.
+        DatasetError: it cannot be read, or holds other problems.
+    """
+    try:
+        data = archive.read_bytes()
+    except OSError as error:
+        raise _bad(f"{archive}: {error.strerror}") from error
+    if (found := hashlib.sha256(data).hexdigest()) != sha256:
+        raise DamagedFileError(
+            "the benchmark's archive is damaged or another",
+            expected=f"{PACKAGE} {VERSION} with the SHA-256 sum {sha256}",
+            got=found,
+        )
+    try:
+        texts = dict(_texts(data))
+        read = [_problem(texts, family, number) for family, kind, number in texts if kind == "scene"]
+    except (tarfile.TarError, yaml.YAMLError, zlib.error, OSError, EOFError) as error:
+        raise _bad(f"{type(error).__name__}: {error}") from error
+    result = {}
+    for split, numbers in NUMBERS.items():
+        result[split] = tuple(sorted((one for one in read if one.number in numbers), key=_place))
+        if {_place(one) for one in result[split]} != expected_names(split):
+            raise _bad(f"{len(read)} problems")
+    return result
+
+
+def _texts(data: bytes) -> Iterator[tuple[tuple[str, str, int], bytes]]:
+    """What the files of problems hold, by family, kind and number."""
+    with tarfile.open(fileobj=io.BytesIO(data), mode="r:gz") as outer:
+        try:
+            packed = outer.extractfile(_INSIDE)
+        except KeyError:
+            packed = None
+        if packed is None:
+            raise _bad(f"no {_INSIDE}")
+        with tarfile.open(fileobj=io.BytesIO(packed.read()), mode="r:bz2") as inner:
+            for member in inner:
+                named, file = _NAME.fullmatch(member.name), inner.extractfile(member)
+                if named is not None and file is not None:
+                    yield (named[1], named[2], int(named[3])), file.read()
+
+
+def _problem(texts: Mapping[tuple[str, str, int], bytes], family: str, number: int) -> BenchProblem:
+    try:
+        scene = yaml.load(texts[family, "scene", number], Loader=_LOADER)  # noqa: S506 # a safe one
+        request = yaml.load(texts[family, "request", number], Loader=_LOADER)  # noqa: S506 # a safe one
+        state = request["start_state"]["joint_state"]
+        start = dict(zip(state["name"], state["position"], strict=True))
+        wanted = request["goal_constraints"][0]["joint_constraints"]
+        goal = {one["joint_name"]: one["position"] for one in wanted}
+        return BenchProblem(
+            family,
+            number,
+            Obstacles.of([_shape(one) for one in scene["world"]["collision_objects"]]),
+            tuple(round(float(start[name]), _DIGITS) for name in _JOINTS),
+            tuple(round(float(goal[name]), _DIGITS) for name in _JOINTS),
+        )
+    except (KeyError, IndexError, TypeError, ValueError) as error:
+        # Its own errors say more.
+        got = str(error) if isinstance(error, CspaceError) else f"{type(error).__name__} {error}"
+        raise _bad(f"{family} {number}: {got}") from error
+
+
+def _shape(listed: Mapping[str, Any]) -> Box | Cylinder:
+    (primitive,), (place,) = listed["primitives"], listed["primitive_poses"]
+    pose = _pose(place) if "pose" not in listed else _pose(listed["pose"]) @ _pose(place)
+    sizes = [float(size) for size in primitive["dimensions"]]
+    if primitive["type"] == "box":
+        x, y, z = (round(size / 2.0, _DIGITS) for size in sizes)
+        return Box(_rounded(pose), (x, y, z))
+    if primitive["type"] == "cylinder":
+        length, radius = sizes
+        return Cylinder(_rounded(pose), round(radius, _DIGITS), round(length / 2.0, _DIGITS))
+    raise ScenarioError("a shape is unknown", expected="box or cylinder", got=repr(primitive["type"])[:200])
+
+
+def _pose(listed: Mapping[str, Any]) -> NDArray[np.float64]:
+    """Of a place and a quaternion x, y, z, w, (4, 4)."""
+    x, y, z, w = np.asarray(listed["orientation"], dtype=np.float64) / np.linalg.norm(listed["orientation"])
+    turn = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ]
+    return make_pose(turn, listed["position"])
+
+
+def _rounded(pose: NDArray[np.float64]) -> Pose:
+    # Minus zero is zero.
+    return pose_of(np.round(pose, _DIGITS) + 0.0)
+
+
+def _place(problem: BenchProblem) -> tuple[str, int]:
+    return (problem.family, problem.number)
+
+
+def _bad(got: str) -> DatasetError:
+    return DatasetError(
+        "the benchmark's archive cannot be read",
+        expected=f"the source archive of {PACKAGE} {VERSION} with a hundred problems in each family",
+        got=got[:300],
+    )
