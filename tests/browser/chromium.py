@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from playwright.sync_api import Page, sync_playwright
+from playwright.sync_api import Page, expect, sync_playwright
 
 PROGRAM = shutil.which("chromium") or "/usr/bin/chromium"
 WIDTH, HEIGHT = 1480, 940
@@ -44,6 +44,8 @@ def browser_page() -> Iterator[Page]:
         try:
             page = browser.new_page(viewport={"width": WIDTH, "height": HEIGHT})
             page.set_default_timeout(LIMIT_MS)
+            # What a test expects to see waits for 5 s alone otherwise, too short beside other work.
+            expect.set_options(timeout=LIMIT_MS)
             page.route(lambda url: "//127.0.0.1:" not in url, lambda route: route.abort())
             page.add_init_script(REMEMBERED)
             yield page
