@@ -1,0 +1,1 @@
+"""What the spatial world takes on one core."""

@@ -1,0 +1,74 @@
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import cspace.worlds.spatial
+from cspace.errors import ScenarioError
+from cspace.strict_json import parse_json
+from cspace.worlds.spatial.arm import SerialArm
+from cspace.worlds.spatial.frames import Frame
+from cspace.worlds.spatial.grid_box import GridBox, grid_of, read_grid_box, shoulder_reach_m
+from cspace.worlds.spatial.parts import Joint, Part
+
+ROBOTS = Path(cspace.worlds.spatial.__file__).with_name("robots")
+PANDA = SerialArm.from_dict(json.loads((ROBOTS / "panda.json").read_bytes()))
+GRID = GridBox((-0.1, 0.0, 0.2), 0.05, (2, 3, 4))
+
+
+def test_centres_by_hand():
+    centres = GRID.centres_m()
+    assert centres.shape == (2, 3, 4, 3)
+    np.testing.assert_allclose(centres[0, 0, 0], (-0.075, 0.025, 0.225))
+    np.testing.assert_allclose(centres[1, 2, 3], (-0.025, 0.125, 0.375))
+    np.testing.assert_allclose(GRID.high_m, (0.0, 0.15, 0.4))
+
+
+def test_a_grid_comes_back_from_json_as_it_was():
+    whole = replace(GRID, low_m=[0, 0, 1], counts=[2, 3, 4])
+    for grid in (GRID, whole):
+        assert read_grid_box(parse_json(json.dumps(grid.to_dict()).encode())) == grid
+    with pytest.raises(ScenarioError):
+        read_grid_box(GRID.to_dict() | {"turn": 0.0})
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"voxel_m": 0.0}, {"voxel_m": float("nan")}, {"voxel_m": 1.0}, {"voxel_m": "1"}, {"low_m": (0, 0)},
+        {"low_m": (0.0, 0.0, float("nan"))}, {"low_m": (0.0, 0.0, 1e6)}, {"low_m": None}, {"counts": (2, 3)},
+        {"counts": (2, 3, 0)}, {"counts": (2, 3, 513)}, {"counts": (512, 512, 512)}, {"counts": (2, 3, 4.0)},
+        {"counts": (2, 3, True)},
+    ],
+)  # fmt: skip
+def test_grids_that_cannot_be_are_refused(change):
+    with pytest.raises(ScenarioError):
+        replace(GRID, **change)
+
+
+def test_the_pandas_grid_holds_all_that_it_can_touch_and_little_more():
+    grid = grid_of(PANDA)
+    assert grid.counts == (80, 80, 80)
+    rows = np.random.default_rng(0).uniform(PANDA.space.lower, PANDA.space.upper, (2000, 7))
+    centres, radii = PANDA.sphere_centres_m(rows), PANDA.spheres_m()[:, 3:]
+    assert ((centres - radii).min(axis=(0, 1)) >= grid.low_m).all()
+    assert ((centres + radii).max(axis=(0, 1)) <= grid.high_m).all()
+    away = np.linalg.norm(centres - PANDA.joints[0].origin.xyz_m, axis=-1) + radii[:, 0]
+    assert 0.97 * shoulder_reach_m(PANDA) < away.max() <= shoulder_reach_m(PANDA)
+    with pytest.raises(ScenarioError):
+        grid_of(PANDA, 0.0)
+
+
+def test_reach_by_hand():
+    """A link of 0.3 that turns about itself, then one of 0.4 at a right angle to it, and a ball of 0.1."""
+    joints = (
+        Joint("a", Frame((0.0, 0.0, 0.5))),
+        Joint("b", Frame((0.0, 0.0, 0.3))),
+    )
+    arm = SerialArm(
+        "two", joints, (Part("hand", 2, ((0.4, 0.0, 0.0, 0.1),)), Part("foot", 0, ((0, 0, 0, 0.05),)))
+    )
+    assert shoulder_reach_m(arm) == pytest.approx(0.6)
+    assert shoulder_reach_m(replace(arm, parts=arm.parts[1:])) == pytest.approx(0.55)

@@ -1,0 +1,289 @@
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import cspace.worlds.spatial
+from cspace.errors import ImageError
+from cspace.splits import Split
+from cspace.worlds.spatial import surface_patches
+from cspace.worlds.spatial.arm import SerialArm
+from cspace.worlds.spatial.camera import DepthCamera, looking
+from cspace.worlds.spatial.depth_picture import to_mm
+from cspace.worlds.spatial.families import FAMILIES, SpatialScenes
+from cspace.worlds.spatial.grid_box import GridBox, grid_of
+from cspace.worlds.spatial.observed import distances_m, lookup, observe, unseen_share
+from cspace.worlds.spatial.poses import make_pose, pose_of, turned
+from cspace.worlds.spatial.render import render_depth
+from cspace.worlds.spatial.shapes import Box, Cylinder, Obstacles
+from cspace.worlds.spatial.sight import (
+    BEHIND_STEP_M,
+    FREE,
+    FREE_MARGIN_M,
+    MOST_BEHIND,
+    NO_READING,
+    OUT_OF_VIEW,
+)
+from cspace.worlds.spatial.signed_distance import distance_m
+from cspace.worlds.spatial.surface_patches import DISTANCE_STEP_M, TRUNCATION_M
+from cspace.worlds.spatial.views import CameraViews
+
+ROBOTS = Path(cspace.worlds.spatial.__file__).with_name("robots")
+PANDA = SerialArm.from_dict(json.loads((ROBOTS / "panda.json").read_bytes()))
+READY = ((0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785),)
+SPHERES = np.concatenate((PANDA.sphere_centres_m(READY)[0], PANDA.spheres_m()[:, 3:]), axis=1)
+GRID = GridBox((-0.4, -0.4, 0.0), 0.025, (32, 32, 32))
+CENTRES = GRID.centres_m()
+ABOVE = DepthCamera.of_field(96, 96, 60.0, looking((0.01, 0.02, 1.5), (0.01, 0.02, 0.0)))
+PLANE_M = 0.31
+
+
+def slab(top_m, half_m=(3.0, 3.0), tilt=0.0):
+    """A board of 5 cm whose upper face goes through (0, 0, top)."""
+    turn = turned(0.3, tilt)
+    pose = make_pose(turn, np.array((0.0, 0.0, top_m)) - 0.025 * turn[:, 2])
+    return Obstacles((Box(pose_of(pose), (*half_m, 0.025)),))
+
+
+def seen(obstacles, *cameras, grid=GRID, spheres=None):
+    pictures = [to_mm(render_depth(obstacles, camera, spheres).depth_m) for camera in cameras]
+    return observe(pictures, cameras, grid, spheres)
+
+
+def test_a_plane_seen_head_on_is_as_far_as_it_is():
+    found = seen(slab(PLANE_M), ABOVE)
+    away = np.abs(CENTRES[..., 2] - PLANE_M)
+    near = away < TRUNCATION_M - 0.005
+    error = distances_m(found)[near] - away[near]
+    assert np.abs(error).max() < 0.004
+    assert np.median(np.abs(error)) < 0.001
+    assert (found[away > TRUNCATION_M + 0.005, 0] == 255).all()
+
+
+@pytest.mark.parametrize(("tilt_deg", "most_m"), [(40.0, 0.007), (65.0, 0.007)])
+def test_a_plane_seen_at_a_slant_has_no_gaps_between_pixels(tilt_deg, most_m):
+    obstacles = slab(0.4, tilt=np.radians(tilt_deg))
+    pose = np.array(obstacles.boxes[0].pose)
+    height = (CENTRES - (0.0, 0.0, 0.4)) @ pose[:3, 2]
+    foot = CENTRES - height[..., None] * pose[:3, 2]
+    within = (np.abs(foot - (0.0, 0.0, 0.4)) < (0.3, 0.3, 0.3)).all(axis=-1)
+    near = (np.abs(height) < TRUNCATION_M - 0.01) & within & (height > -0.02)
+    error = distances_m(seen(obstacles, ABOVE))[near] - np.abs(height[near])
+    assert near.sum() > 1000
+    assert np.abs(error).max() < most_m
+
+
+def test_before_a_plane_is_free_and_behind_it_unseen_and_how_deep():
+    found = seen(slab(PLANE_M), ABOVE)
+    projected = ABOVE.project(CENTRES)
+    shown = ABOVE.shows(projected)
+    code, height = found[..., 1], CENTRES[..., 2] - PLANE_M
+    assert (code[~shown] == OUT_OF_VIEW).all()
+    assert (code[shown & (height > FREE_MARGIN_M + 0.002)] == FREE).all()
+    hidden = shown & (height < 0.0)
+    ray = np.linalg.norm(CENTRES - ABOVE.matrix[:3, 3], axis=-1) / projected[..., 2]
+    deep = (-height * ray)[hidden] / BEHIND_STEP_M
+    assert np.abs(code[hidden] - (1.0 + np.floor(deep))).max() <= 1.0
+    assert code[hidden].max() > 25
+    assert not (code[shown & (height <= FREE_MARGIN_M - 0.002)] == FREE).any()
+
+
+def test_a_pixel_without_a_reading_is_unseen_and_no_surface():
+    picture = to_mm(render_depth(slab(PLANE_M), ABOVE).depth_m)
+    picture[40:60, 30:50] = 0
+    found = observe([picture], [ABOVE], GRID)
+    column, row, _ = np.moveaxis(ABOVE.project(CENTRES), -1, 0)
+    lost = (np.rint(column) >= 30) & (np.rint(column) < 50) & (np.rint(row) >= 40) & (np.rint(row) < 60)
+    assert lost.sum() > 1000
+    assert (found[lost, 1] == NO_READING).all()
+    nothing = observe([np.zeros_like(picture)], [ABOVE], GRID)
+    assert (nothing[..., 0] == 255).all()
+    assert (nothing[..., 1] >= NO_READING).all()
+    middle = np.abs(column - 39.5) + np.abs(row - 49.5) < 2.0
+    assert (distances_m(found)[middle & (np.abs(CENTRES[..., 2] - PLANE_M) < 0.02)] > 0.08).all()
+
+
+def test_two_cameras_know_at_least_what_each_knows():
+    obstacles = Obstacles.of(
+        (*slab(0.1).boxes, Cylinder(pose_of(make_pose(np.eye(3), (0, 0, 0.3))), 0.1, 0.2))
+    )
+    cameras = [
+        DepthCamera.of_field(64, 64, 60.0, looking((1.0, side, 0.9), (0.0, 0.0, 0.3))) for side in (-0.9, 0.9)
+    ]
+    one, other = (seen(obstacles, camera) for camera in cameras)
+    both = seen(obstacles, *cameras)
+    np.testing.assert_array_equal(both, np.minimum(one, other))
+    free = [(found[..., 1] == FREE).mean() for found in (one, other, both)]
+    assert free[2] > 1.05 * max(free[:2])
+
+
+def test_the_arm_is_no_surface_and_what_is_behind_it_is_unseen():
+    """A ball on the way from the camera to the plane; the space between camera and ball is seen."""
+    ball = np.array([[0.0, 0.0, 0.6, 0.12]])
+    with_arm = seen(slab(PLANE_M), ABOVE, spheres=ball)
+    arm_aside = seen(slab(PLANE_M), ABOVE)
+    gaps = np.linalg.norm(CENTRES - ball[0, :3], axis=-1) - 0.12
+    assert (distances_m(with_arm) - distances_m(arm_aside)).min() > -0.004
+    assert (with_arm[np.abs(CENTRES[..., 2] - PLANE_M) > 0.11, 0] == 255).all()
+    across = np.linalg.norm(CENTRES[..., :2], axis=-1)
+    shadow = (across < 0.08) & (CENTRES[..., 2] < 0.6)
+    assert (with_arm[shadow, 1] == NO_READING).all()
+    assert (with_arm[(gaps < 0.0), 1] == NO_READING).all()
+    assert (with_arm[(across < 0.2) & (CENTRES[..., 2] > 0.76), 1] == FREE).all()
+    assert (with_arm[gaps > 0.25, 1] == arm_aside[gaps > 0.25, 1])[CENTRES[gaps > 0.25][:, 2] > 0.4].all()
+
+
+def brute_codes(picture, camera, grid):
+    """Voxel by voxel, by the definition."""
+    found = np.empty(grid.counts, dtype=np.uint8)
+    depth = picture * 1e-3
+    for index, centre in zip(np.ndindex(grid.counts), grid.centres_m().reshape(-1, 3), strict=True):
+        column, row, far = projected = camera.project(centre)
+        if not camera.shows(projected):
+            found[index] = OUT_OF_VIEW
+            continue
+        u, v = int(np.floor(column + 0.5)), int(np.floor(row + 0.5))
+        reach = int(np.floor(0.5 * camera.fx * grid.voxel_m / far + 0.5))
+        window = depth[max(v - reach, 0) : v + reach + 1, max(u - reach, 0) : u + reach + 1]
+        if depth[v, u] == 0.0:
+            found[index] = NO_READING
+            continue
+        limit = window[window > 0.0].min()
+        behind = (far - limit) * np.linalg.norm(camera.rays()[v, u]) / BEHIND_STEP_M
+        hidden = 1 + int(np.clip(behind, 0.0, MOST_BEHIND - 1))
+        found[index] = FREE if far <= limit - FREE_MARGIN_M else hidden
+    return found
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_codes_are_those_of_the_definition(seed):
+    rng = np.random.default_rng(seed)
+    pose = looking(rng.normal(size=3) * 0.5 + (0, 0, 0.6), rng.normal(size=3) * 0.1, rng.uniform(-3, 3))
+    focal = rng.uniform(20.0, 60.0)
+    camera = DepthCamera(focal, focal, 15.0, 11.0, 32, 24, pose_of(pose))
+    picture = rng.integers(200, 1500, camera.picture_shape).astype(np.uint16)
+    picture[rng.random(picture.shape) < 0.2] = 0
+    grid = GridBox((-0.5, -0.4, -0.3), 0.07, (14, 12, 13))
+    found = observe([picture], [camera], grid)[..., 1]
+    expected = brute_codes(picture, camera, grid)
+    assert len(np.unique(expected)) > 20
+    assert (found == expected).mean() > 0.998, "but for roundings"
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_distances_to_pixels_that_stand_alone_are_those_to_their_points(seed):
+    rng = np.random.default_rng(seed)
+    camera = DepthCamera.of_field(32, 32, 60.0, looking((0.5, 0.6, 0.9), (0.0, 0.0, 0.4), 0.3))
+    picture = np.zeros(camera.picture_shape, dtype=np.uint16)
+    picture[::4, ::4] = rng.integers(500, 1200, (8, 8))
+    found = distances_m(observe([picture], [camera], GRID))
+    points = camera.points_m(picture * 1e-3)[picture > 0]
+    expected = np.linalg.norm(CENTRES[..., None, :] - points, axis=-1).min(axis=-1)
+    near = expected < TRUNCATION_M - DISTANCE_STEP_M
+    assert near.sum() > 500
+    assert np.abs(found - expected)[near].max() < 0.001
+    assert (found[expected > TRUNCATION_M] > TRUNCATION_M - 2 * DISTANCE_STEP_M).all()
+
+
+def test_patches_in_turns_are_as_near(monkeypatch):
+    at_once = seen(slab(PLANE_M, (0.2, 0.2)), ABOVE)
+    monkeypatch.setattr(surface_patches, "_AT_ONCE", 100)
+    in_turns = seen(slab(PLANE_M, (0.2, 0.2)), ABOVE)
+    assert np.abs(distances_m(at_once) - distances_m(in_turns)).max() < 0.001
+
+
+def test_between_a_thing_and_what_is_behind_it_is_no_surface():
+    """A pole before a wall: the rays between their edges show neither."""
+    pole = Box(pose_of(make_pose(np.eye(3), (0.0, 0.0, 0.55))), (0.02, 0.3, 0.02))
+    obstacles = Obstacles((*slab(0.2).boxes, pole))
+    found = distances_m(seen(obstacles, ABOVE))
+    truth = np.abs(distance_m(obstacles, CENTRES))
+    within = found < TRUNCATION_M - 0.001
+    assert (found - truth)[within].min() > -0.005
+    beside = (CENTRES[..., 2] > 0.57) & (truth < 0.09) & (np.abs(CENTRES[..., 1]) < 0.25)
+    assert beside.any()
+    assert np.abs(found - truth)[beside].max() < 0.012, "a pixel at most"
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_in_scenes_of_the_families_no_obstacle_is_free_and_no_surface_is_made_up(family):
+    """Roundings of silhouettes make a surface up to 8 mm off in about two voxels of 100,000."""
+    grid = grid_of(PANDA)
+    layout = SpatialScenes(floor=1.0).draw(Split.VALIDATION, 4, 0, family)
+    cameras = CameraViews(count=(2, 2)).draw(np.random.default_rng(5), layout)
+    found = seen(layout.obstacles, *cameras, grid=grid, spheres=SPHERES)
+    signed = distance_m(layout.obstacles, grid.centres_m())
+    free = found[..., 1] == FREE
+    assert free.mean() > 0.03
+    assert signed[free].min() > -0.015
+    away = distances_m(found)
+    within = away < TRUNCATION_M - 0.001
+    under = (np.abs(signed) - away)[within]
+    assert within.sum() > 5000
+    assert under.max() < 0.008
+    assert (under > 0.005).mean() < 1e-4
+
+
+def test_a_large_picture_is_reduced_and_says_the_same_within_a_pixel():
+    large = ABOVE.resized(640, 480)
+    obstacles = slab(PLANE_M, (0.2, 0.2))
+    found, small = seen(obstacles, large), seen(obstacles, ABOVE.resized(160, 120))
+    assert np.abs(distances_m(found) - distances_m(small)).max() < 0.02
+    both_free = (found[..., 1] == FREE) == (small[..., 1] == FREE)
+    assert both_free.mean() > 0.98
+
+
+def test_lookup_at_centres_and_between_and_outside():
+    rng = np.random.default_rng(0)
+    grid = GridBox((-0.1, 0.2, 0.3), 0.05, (4, 5, 6))
+    found = rng.integers(0, 256, (4, 5, 6, 2)).astype(np.uint8)
+    known = lookup(found, grid, grid.centres_m())
+    np.testing.assert_allclose(known.distance_m, distances_m(found), atol=1e-6)
+    np.testing.assert_array_equal(known.codes, found[..., 1])
+    np.testing.assert_array_equal(known.unseen, found[..., 1] != FREE)
+    corner = np.array(grid.low_m) + 0.05 * np.array((2.0, 3.0, 1.0))
+    mean = distances_m(found)[1:3, 2:4, 0:2].mean()
+    assert lookup(found, grid, corner).distance_m == pytest.approx(mean, abs=1e-6)
+    outside = lookup(found, grid, [[9.0, 0, 0], [-0.101, 0.3, 0.4], [np.nan, 0.3, 0.4], [0.0, 0.3, 1e30]])
+    np.testing.assert_allclose(outside.distance_m, TRUNCATION_M)
+    assert (outside.codes == OUT_OF_VIEW).all()
+    assert outside.unseen.all()
+
+
+def test_lookup_of_a_linear_field_is_linear():
+    grid = GridBox((0.0, 0.0, 0.0), 0.1, (5, 6, 7))
+    x, y, z = np.meshgrid(np.arange(5), np.arange(6), np.arange(7), indexing="ij")
+    found = np.zeros((5, 6, 7, 2), dtype=np.uint8)
+    found[..., 0] = 3 * x + 5 * y + 7 * z + 4
+    points = np.random.default_rng(0).uniform((0.05, 0.05, 0.05), (0.45, 0.55, 0.65), (200, 3))
+    expected = (points / 0.1 - 0.5) @ (3.0, 5.0, 7.0) + 4.0
+    np.testing.assert_allclose(lookup(found, grid, points).distance_m / DISTANCE_STEP_M, expected, atol=1e-3)
+    flat = GridBox((0.0, 0.0, 0.0), 0.1, (1, 1, 1))
+    assert lookup(found[:1, :1, :1], flat, (0.02, 0.09, 0.05)).distance_m == pytest.approx(
+        4 * DISTANCE_STEP_M
+    )
+
+
+def test_the_unseen_share_is_that_of_the_weights():
+    grid = GridBox((0.0, 0.0, 0.0), 0.1, (2, 1, 1))
+    found = np.zeros((2, 1, 1, 2), dtype=np.uint8)
+    found[1, 0, 0, 1] = 7
+    places = {"free": (0.05, 0.05, 0.05), "hidden": (0.15, 0.05, 0.05), "outside": (0.25, 0.05, 0.05)}
+    arms = [
+        [places[one] for one in arm] for arm in (("free", "free"), ("hidden", "free"), ("outside", "hidden"))
+    ]
+    np.testing.assert_allclose(unseen_share(found, grid, arms, (1.0, 3.0)), (0.0, 0.25, 1.0))
+
+
+@pytest.mark.parametrize(("count", "cameras"), [(0, 0), (1, 2), (5, 5)])
+def test_numbers_of_pictures_that_do_not_fit_are_refused(count, cameras):
+    picture = np.zeros(ABOVE.picture_shape, dtype=np.uint16)
+    with pytest.raises(ImageError):
+        observe([picture] * count, [ABOVE] * cameras, GRID)
+
+
+@pytest.mark.parametrize("picture", [np.zeros((96, 95), np.uint16), np.zeros((96, 96), np.float32)])
+def test_pictures_that_do_not_fit_their_camera_are_refused(picture):
+    with pytest.raises(ImageError):
+        observe([picture], [ABOVE], GRID)
