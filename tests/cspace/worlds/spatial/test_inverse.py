@@ -1,0 +1,132 @@
+"""Inverse kinematics, held against forward kinematics."""
+
+import numpy as np
+import pytest
+
+from cspace.errors import ScenarioError
+from cspace.worlds.spatial.arm import SerialArm
+from cspace.worlds.spatial.frames import Frame
+from cspace.worlds.spatial.inverse import Solving, solve_pose
+from cspace.worlds.spatial.parts import Joint
+from tests.cspace.worlds.spatial.test_robots import PANDA
+
+PLACE_M, TURN_RAD = 1e-3, np.radians(1.0)
+# Two links of 1 m in the plane z = 0, both joints circles.
+PLANAR = SerialArm(
+    "planar", (Joint("first"), Joint("second", Frame((1.0, 0.0, 0.0)))), tool=Frame((1.0, 0.0, 0.0))
+)
+
+
+class _Still(np.random.Generator):
+    """Begins with all joints at zero."""
+
+    def uniform(self, low, high, size):
+        return np.zeros(size)
+
+
+@pytest.fixture(scope="module")
+def poses():
+    rng = np.random.default_rng(0)
+    low, high = np.array(PANDA.space.lower), np.array(PANDA.space.upper)
+    margin = 0.1 * (high - low)
+    return PANDA.tool_frames(rng.uniform(low + margin, high - margin, (60, 7)))
+
+
+def test_a_pose_that_the_arm_has_is_found_within_its_limits(poses):
+    rng = np.random.default_rng(1)
+    found = [solve_pose(PANDA, pose[:3, 3], rng, rotation=pose[:3, :3]) for pose in poses]
+    for pose, rows in zip(poses, found, strict=True):
+        tools = PANDA.tool_frames(rows)
+        assert PANDA.space.contains(rows).all()
+        assert (np.linalg.norm(tools[:, :3, 3] - pose[:3, 3], axis=1) <= PLACE_M).all()
+        traces = np.einsum("ij,nij->n", pose[:3, :3], tools[:, :3, :3])
+        assert (np.arccos(np.clip((traces - 1.0) / 2.0, -1.0, 1.0)) <= TURN_RAD).all()
+    assert np.mean([len(rows) > 0 for rows in found]) > 0.95
+
+
+def test_along_an_approach_any_turn_about_it_will_do(poses):
+    rng = np.random.default_rng(2)
+    found = [solve_pose(PANDA, pose[:3, 3], rng, approach=pose[:3, 2]) for pose in poses]
+    turns = []
+    for pose, rows in zip(poses, found, strict=True):
+        tools = PANDA.tool_frames(rows)
+        assert PANDA.space.contains(rows).all()
+        assert (np.linalg.norm(tools[:, :3, 3] - pose[:3, 3], axis=1) <= PLACE_M).all()
+        assert (np.arccos(np.clip(tools[:, :3, 2] @ pose[:3, 2], -1.0, 1.0)) <= TURN_RAD).all()
+        turns += list(tools[:, :3, 0] @ pose[:3, 0])
+    assert np.mean([len(rows) > 0 for rows in found]) > 0.95
+    assert np.std(turns) > 0.3
+
+
+def test_solutions_are_distinct(poses):
+    apart = Solving(starts=32, apart_rad=0.3)
+    rows = solve_pose(PANDA, poses[0, :3, 3], np.random.default_rng(3), solving=apart)
+    assert len(rows) > 5
+    gaps = np.abs(rows[:, None] - rows).max(axis=-1)
+    assert gaps[~np.eye(len(rows), dtype=bool)].min() > 0.3
+
+
+def test_two_links_reach_a_place_with_the_elbow_on_either_side():
+    rows = solve_pose(PLANAR, (1.0, 1.0, 0.0), np.random.default_rng(0))
+    expected = np.array([[0.0, np.pi / 2], [np.pi / 2, -np.pi / 2]])
+    assert len(rows) == 2
+    assert np.allclose(rows[np.argsort(rows[:, 0])], expected, atol=3e-3)
+
+
+def test_half_a_turn_away_is_no_dead_end():
+    baton = SerialArm("baton", (Joint("turn", axis=(1.0, 0.0, 0.0), limits_rad=(-1e-3, 3.5)),))
+    solving = Solving(starts=1)
+    rng = _Still(np.random.PCG64(0))
+    rows = solve_pose(baton, (0.0, 0.0, 0.0), rng, approach=(0.0, 0.0, -1.0), solving=solving)
+    assert rows == pytest.approx(np.array([[np.pi]]), abs=TURN_RAD)
+
+
+@pytest.mark.parametrize("place", [(1.5, 0.0, 0.3), (0.0, 0.0, -1.2)])
+def test_out_of_reach_nothing_is_found(place):
+    assert solve_pose(PANDA, place, np.random.default_rng(0)).shape == (0, 7)
+    sideways = solve_pose(PLANAR, (1.0, 1.0, 0.0), np.random.default_rng(0), approach=(1.0, 0.0, 0.0))
+    assert sideways.shape == (0, 2)
+
+
+def test_beyond_its_limits_nothing_is_found():
+    stiff = SerialArm(
+        "stiff",
+        (
+            Joint("first", limits_rad=(-0.5, 0.5)),
+            Joint("second", Frame((1.0, 0.0, 0.0)), limits_rad=(-0.5, 0.5)),
+        ),
+        tool=Frame((1.0, 0.0, 0.0)),
+    )
+    assert len(solve_pose(stiff, (1.0, 1.0, 0.0), np.random.default_rng(0))) == 0
+    assert len(solve_pose(stiff, (1.9, 0.0, 0.0), np.random.default_rng(0))) == 0
+    place = stiff.tool_frames([[0.2, -0.4]])[0, :3, 3]
+    assert len(solve_pose(stiff, place, np.random.default_rng(0))) == 2
+
+
+def test_a_seed_gives_the_same_solutions(poses):
+    first, second = (
+        solve_pose(PANDA, poses[1, :3, 3], np.random.default_rng(7), approach=poses[1, :3, 2])
+        for _ in range(2)
+    )
+    assert np.array_equal(first, second)
+
+
+@pytest.mark.parametrize(
+    ("asked", "message"),
+    [
+        ({"approach": (0.0, 0.0, 2.0)}, "approach that is none"),
+        ({"rotation": np.diag([1.0, 1.0, -1.0])}, "rotation is none"),
+        ({"rotation": np.ones((2, 2))}, "rotation is none"),
+        ({"approach": (0.0, 0.0, 1.0), "rotation": np.eye(3)}, "told twice"),
+        ({"place_m": (0.0, np.nan, 0.0)}, "place does not fit"),
+    ],
+)
+def test_a_pose_that_is_none_is_refused(asked, message):
+    with pytest.raises(ScenarioError, match=message):
+        solve_pose(PANDA, **{"place_m": (0.5, 0.0, 0.5), "rng": np.random.default_rng(0)} | asked)
+
+
+def test_solving_without_starts_or_tolerance_is_refused():
+    for wrong in ({"starts": 0}, {"iterations": 0}, {"place_m": 0.0}, {"turn_rad": float("nan")}):
+        with pytest.raises(ScenarioError, match="solving of poses"):
+            Solving(**wrong)

@@ -1,0 +1,165 @@
+"""Free ways: their ends, their steps, their lengths."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cspace.errors import ScenarioError
+from cspace.space import circles
+from cspace.splits import Split
+from cspace.worlds.spatial.arm import SerialArm
+from cspace.worlds.spatial.collision import CollisionChecker
+from cspace.worlds.spatial.families import SpatialScenes
+from cspace.worlds.spatial.frames import Frame
+from cspace.worlds.spatial.objects import block
+from cspace.worlds.spatial.parts import Joint, Part
+from cspace.worlds.spatial.shapes import Obstacles
+from cspace.worlds.spatial.ways import (
+    WayLimits,
+    connect_trees,
+    find_way,
+    is_free,
+    length_rad,
+    shorten,
+    spaced,
+)
+from tests.cspace.worlds.spatial.test_robots import PANDA, READY
+
+LIMITS = WayLimits(tries=2)
+# Two links of 0.5 m in the plane z = 0, of balls.
+_LINK = tuple((x, 0.0, 0.0, 0.04) for x in np.linspace(0.0, 0.5, 11))
+TWO_LINKS = SerialArm(
+    "two_links",
+    (Joint("first"), Joint("second", Frame((0.5, 0.0, 0.0)))),
+    (Part("upper", 1, _LINK), Part("lower", 2, _LINK)),
+)
+# A wall at x = 0.6 m; the arm stretches through its door, and turns by 1.8 rad only if it is drawn in before.
+DOOR = Obstacles.of(
+    [block((0.58, 0.62), (-2.0, -0.25), (-0.5, 0.5)), block((0.58, 0.62), (0.25, 2.0), (-0.5, 0.5))]
+)
+
+# Compiling the kernels takes longer than the tests.
+pytestmark = pytest.mark.slow
+THROUGH, ASIDE = np.zeros(2), np.array([1.8, 0.0])
+
+
+@pytest.fixture(scope="module", params=[0, 1, 2])
+def ends(request):
+    """A checker of a scene with two free configurations that the straight way does not join."""
+    layout = SpatialScenes().draw(Split.VALIDATION, 0, request.param)
+    checker = CollisionChecker(PANDA, layout.obstacles)
+    drawn = PANDA.space.sample_uniform(np.random.default_rng(request.param), 400)
+    start = np.asarray(READY[0])
+    assert checker.valid(start)
+    free = drawn[checker.valid_batch(drawn)]
+    joined = checker.edge_batch(np.broadcast_to(start, free.shape).copy(), free, 0.01)
+    return checker, start, free[~joined]
+
+
+def test_a_way_leads_from_start_to_goal_and_every_step_of_it_is_free(ends):
+    checker, start, goals = ends
+    for goal in goals[:2]:
+        way = find_way(checker, start, goal, np.random.default_rng(0), LIMITS)
+        assert way is not None
+        assert np.array_equal(way[0], start)
+        assert np.array_equal(way[-1], goal)
+        assert is_free(checker, way, 0.01)
+        assert np.linalg.norm(np.diff(way, axis=0), axis=1).max() <= LIMITS.step_rad + 1e-12
+        dense = spaced(way, PANDA.space, 0.01)
+        assert checker.valid_batch(dense).all()
+
+
+def test_a_way_of_many_tries_is_no_longer_than_the_first_search_finds(ends):
+    checker, start, goals = ends
+    for goal in goals[:2]:
+        raw = connect_trees(checker, start, goal, np.random.default_rng(0), LIMITS)
+        way = find_way(checker, start, goal, np.random.default_rng(0), LIMITS)
+        assert length_rad(way, PANDA.space) < length_rad(raw, PANDA.space)
+        assert length_rad(way, PANDA.space) > np.linalg.norm(goal - start)
+
+
+def test_shortening_never_lengthens_and_keeps_a_way_free_and_its_ends(ends):
+    checker, start, goals = ends
+    raw = connect_trees(checker, start, goals[0], np.random.default_rng(1), LIMITS)
+    lengths = [length_rad(raw, PANDA.space)]
+    for shortcuts in (0, 1, 5, 20, 100):
+        short = shorten(checker, raw, np.random.default_rng(2), shortcuts, 0.005)
+        assert is_free(checker, short, 0.01)
+        assert np.array_equal(short[[0, -1]], raw[[0, -1]])
+        assert (np.linalg.norm(np.diff(short, axis=0), axis=1) > 0.0).all()
+        lengths.append(length_rad(short, PANDA.space))
+    assert lengths[1] == lengths[0]
+    assert (np.diff(lengths) <= 1e-9).all()
+    assert lengths[-1] < lengths[0]
+
+
+def test_the_arm_is_drawn_out_of_a_door():
+    checker = CollisionChecker(TWO_LINKS, DOOR)
+    assert not checker.edge(THROUGH, ASIDE, 0.01)
+    way = find_way(checker, THROUGH, ASIDE, np.random.default_rng(0))
+    assert way is not None
+    assert np.allclose(way[[0, -1]], [THROUGH, ASIDE])
+    assert is_free(checker, way, 0.01)
+    # The elbow bends by half a turn or nearly, to either side, and back.
+    assert np.abs(way[:, 1]).max() > 1.0
+    assert length_rad(way, circles(2)) < 6.0
+
+
+def test_without_a_door_no_way_is_found():
+    checker = CollisionChecker(TWO_LINKS, Obstacles.of([block((0.58, 0.62), (-0.3, 0.3), (0.03, 0.5))]))
+    assert not checker.valid(THROUGH)
+    assert find_way(checker, THROUGH, ASIDE, np.random.default_rng(0)) is None
+    jamb = [block((0.58, 0.62), (low, low + 0.1), (-0.5, 0.5)) for low in (-0.15, 0.05)]
+    shut = CollisionChecker(TWO_LINKS, Obstacles.of(jamb))
+    assert shut.valid(THROUGH)
+    assert shut.valid(ASIDE)
+    assert find_way(shut, THROUGH, ASIDE, np.random.default_rng(0), replace(LIMITS, states=2000)) is None
+
+
+def test_the_straight_way_is_taken_where_it_is_free():
+    checker = CollisionChecker(PANDA, Obstacles())
+    start, goal = np.asarray(READY[0]), np.asarray(READY[0]) + 0.3
+    way = find_way(checker, start, goal, np.random.default_rng(0), LIMITS)
+    assert length_rad(way, PANDA.space) == pytest.approx(0.3 * np.sqrt(7))
+    steps = np.linalg.norm(np.diff(way, axis=0), axis=1)
+    assert np.allclose(steps, steps[0])
+    assert len(way) == 9
+    assert len(find_way(checker, start, start, np.random.default_rng(0))) == 2
+
+
+def test_a_way_goes_round_the_shorter_side_of_a_circle():
+    checker = CollisionChecker(TWO_LINKS, Obstacles())
+    way = find_way(checker, np.array([3.0, 0.0]), np.array([-3.0, 0.0]), np.random.default_rng(0))
+    assert length_rad(way, circles(2)) == pytest.approx(2.0 * np.pi - 6.0)
+    bent = np.array([[3.0, 0.0], [3.1, 0.5], [-3.0, 0.0]])
+    short = shorten(checker, bent, np.random.default_rng(0), 200, 0.01)
+    assert length_rad(short, circles(2)) == pytest.approx(2.0 * np.pi - 6.0, rel=0.02)
+
+
+def test_even_steps_keep_the_corners():
+    way = np.array([[0.0, 0.0], [0.25, 0.0], [0.25, 0.1]])
+    expected = [[0.0, 0.0], [0.25 / 3, 0.0], [0.5 / 3, 0.0], [0.25, 0.0], [0.25, 0.1]]
+    assert np.allclose(spaced(way, circles(2), 0.11), expected)
+    across = spaced(np.array([[3.1, 0.0], [-3.1, 0.0]]), circles(2), 0.05)
+    assert len(across) == 3
+    assert abs(across[1, 0]) == pytest.approx(np.pi)
+
+
+def test_a_seed_gives_the_same_way(ends):
+    checker, start, goals = ends
+    first, second = (find_way(checker, start, goals[0], np.random.default_rng(5), LIMITS) for _ in range(2))
+    assert np.array_equal(first, second)
+
+
+def test_what_does_not_fit_is_refused():
+    checker = CollisionChecker(PANDA, Obstacles())
+    rng = np.random.default_rng(0)
+    with pytest.raises(ScenarioError, match="do not fit the robot"):
+        find_way(checker, READY[0], np.zeros(6), rng)
+    for way, resolution in ((np.zeros((1, 7)), 0.01), (np.zeros((3, 6)), 0.01), (np.zeros((3, 7)), 0.0)):
+        with pytest.raises(ScenarioError, match="way does not fit"):
+            shorten(checker, way, rng, 10, resolution)
+    for wrong in ({"tries": -1}, {"final_rad": 0.0}, {"range_rad": float("nan")}):
+        with pytest.raises(ScenarioError, match="limits of a search"):
+            WayLimits(**wrong)
