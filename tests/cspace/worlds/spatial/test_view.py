@@ -1,0 +1,123 @@
+"""View files: pictures, cameras and state as one untrusted file."""
+
+import json
+
+import numpy as np
+import pytest
+
+from cspace.errors import ImageError
+from cspace.worlds.spatial.camera import DepthCamera, looking
+from cspace.worlds.spatial.depth_picture import encode_depth
+from cspace.worlds.spatial.view import DepthView, pack_view, read_view, write_view
+from tests.cspace.worlds.spatial.test_robots import PANDA, READY
+
+SPACE = PANDA.space
+STATE = tuple(READY[0])
+
+
+def camera(width=32, height=24, side=0.5):
+    return DepthCamera.of_field(width, height, 70.0, looking((1.2, side, 0.8), (0.4, 0.0, 0.3)))
+
+
+def told(**changes):
+    values = camera().to_dict()
+    return {name: values[name] for name in ("fx", "fy", "cx", "cy", "pose")} | changes
+
+
+def picture(height=24, width=32, least=700):
+    return (least + np.arange(height * width).reshape(height, width)).astype(np.uint16)
+
+
+@pytest.fixture
+def view():
+    return DepthView((picture(), picture(48, 64)), (camera(), camera(64, 48, -0.5)), STATE)
+
+
+def test_what_is_written_is_read(view):
+    for one in (view, DepthView(view.pictures[:1], view.cameras[:1])):
+        found = read_view(write_view(one), SPACE)
+        assert found.cameras == one.cameras
+        assert found.state == one.state
+        assert all(np.array_equal(a, b) for a, b in zip(found.pictures, one.pictures, strict=True))
+        assert write_view(found) == write_view(one)
+
+
+def test_cameras_are_told_without_the_size_that_their_pictures_have(view):
+    line = write_view(view).partition(b"\n")[0].removeprefix(b"cspace-view 1 ")
+    assert set(json.loads(line)["cameras"][0]) == {"fx", "fy", "cx", "cy", "pose"}
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"fx": "30"}, "fx does not fit"),
+        ({"fx": True}, "fx does not fit"),
+        ({"fx": 0.01}, "focal length cannot be"),
+        ({"cx": 500.0}, "principal point cannot be"),
+        ({"pose": "here"}, "no pose"),
+        ({"pose": [[1.0, 0.0], [0.0, 1.0]]}, "no pose"),
+        ({"pose": [[2.0, 0, 0, 0], [0, 1.0, 0, 0], [0, 0, 1.0, 0], [0, 0, 0, 1.0]]}, "no rotation"),
+        ({"pose": [[-1.0, 0, 0, 0], [0, 1.0, 0, 0], [0, 0, 1.0, 0], [0, 0, 0, 1.0]]}, "no rotation"),
+        ({"width": 32}, "other keys"),
+    ],
+)
+def test_a_camera_that_cannot_be_is_refused(changes, message):
+    data = pack_view([encode_depth(picture())], [told(**changes)], None)
+    with pytest.raises(ImageError, match=message):
+        read_view(data, SPACE)
+
+
+@pytest.mark.parametrize(
+    "state", [[0.0] * 6, [0.0] * 8, "home", {"q": 1}, [99.0, *STATE[1:]], [*STATE[:6], "0"], []]
+)
+def test_a_state_that_the_arm_cannot_have_is_refused(state):
+    data = pack_view([encode_depth(picture())], [told()], state)
+    with pytest.raises(ImageError, match="state does not fit"):
+        read_view(data, SPACE)
+
+
+def test_pictures_and_cameras_are_as_many_as_each_other_and_at_most_four():
+    for pictures, cameras in ((0, 0), (1, 2), (2, 1), (5, 5)):
+        with pytest.raises(ImageError, match=f"{pictures} pictures, {cameras} cameras"):
+            pack_view([b"PNG"] * pictures, [told()] * cameras, None)
+
+
+def test_a_picture_without_a_reading_is_refused():
+    data = pack_view([encode_depth(np.zeros((24, 32), dtype=np.uint16))], [told()], None)
+    with pytest.raises(ImageError, match="no reading"):
+        read_view(data, SPACE)
+
+
+def test_bytes_that_are_no_view_are_refused(view):
+    data = write_view(view)
+    line, _, rest = data.partition(b"\n")
+    for wrong in (
+        b"",
+        data[:5],
+        encode_depth(picture()),
+        b"cspace-view 2 " + data[14:],
+        line,
+        line + b"\n",
+        data[:-1],
+        data + b" ",
+        line.replace(b'"state"', b'"State"') + b"\n" + rest,
+        b"cspace-view 1 [1]\n",
+        b"cspace-view 1 {\n",
+        b'cspace-view 1 {"pictures":[-1,1],"cameras":[1,1],"state":null}\n',
+        b'cspace-view 1 {"pictures":{},"cameras":[],"state":null}\n',
+        b"cspace-view 1 " + b" " * 20_000 + b"\n",
+    ):
+        with pytest.raises(ImageError):
+            read_view(wrong, SPACE)
+
+
+def test_a_camera_list_without_end_is_refused():
+    with pytest.raises(ImageError, match="too long"):
+        pack_view([b"PNG"], [["x" * 20_000]], None)
+
+
+def test_a_view_that_does_not_fit_itself_is_refused():
+    with pytest.raises(ImageError, match="does not fit its camera"):
+        DepthView((picture(),), (camera(64, 48),))
+    with pytest.raises(ImageError, match="does not fit its camera"):
+        DepthView((picture().astype(np.int32),), (camera(),))
