@@ -153,6 +153,9 @@ class Workshop(Protocol):
     def render(self, scene: Scene) -> Image:
         """Its picture."""
 
+    def picture_file(self, scene: Scene) -> bytes:
+        """The file that :meth:`cspace.world.World.read_picture` reads as its picture."""
+
     def checker(self, scene: Scene) -> Checker:
         """Its collision checks."""
 

@@ -19,7 +19,7 @@ Arrays = Mapping[str, NDArray[Any]]
 
 
 class Sensor(Protocol):
-    """How a scene is seen: every rule about a picture's bytes and numbers."""
+    """How a scene is seen: every rule about a picture's numbers."""
 
     @property
     def pixels(self) -> int:
@@ -37,18 +37,8 @@ class Sensor(Protocol):
     def extent_m(self) -> tuple[float, float, float, float] | None:
         """Left, right, bottom and top of the plane that a picture shows; None where it shows none."""
 
-    def decode(self, data: bytes) -> Image:
-        """An untrusted file as a picture.
-
-        Raises:
-            ImageError: it is none that is accepted.
-        """
-
-    def encode(self, image: Image) -> bytes:
-        """A picture as a file."""
-
     def to_network(self, images: Image) -> NDArray[np.float32]:
-        """Pictures (..., H, W, C) as a network takes them, (..., C, H, W)."""
+        """Pictures as a network takes them, their channels first: (..., H, W, C) to (..., C, H, W)."""
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for JSON."""
@@ -121,6 +111,16 @@ class World(Protocol):
     @property
     def scene_files(self) -> tuple[str, ...]:
         """Names of a data set's arrays that hold scenes, where their geometry is known."""
+
+    def read_picture(self, data: bytes) -> Image:
+        """An untrusted file as a picture.
+
+        Raises:
+            ImageError: it is none that is accepted.
+        """
+
+    def blank_picture(self) -> bytes:
+        """The file of a picture that shows nothing."""
 
     def levers(self, points_per_link: int, side_m: float) -> Levers:
         """Where K points of the robot lie in its pictures.

@@ -21,12 +21,14 @@ from benchmarks.command import arguments
 from cspace.splits import Split
 from cspace.worlds.spatial.arm import SerialArm
 from cspace.worlds.spatial.depth_picture import to_m, to_mm
-from cspace.worlds.spatial.families import SpatialScenes
+from cspace.worlds.spatial.families import draw_layout
 from cspace.worlds.spatial.grid_box import grid_of
 from cspace.worlds.spatial.noise import StructuredLight
 from cspace.worlds.spatial.observed import lookup, observe, unseen_share
+from cspace.worlds.spatial.placing import draw_cameras
 from cspace.worlds.spatial.render import render_depth
 from cspace.worlds.spatial.robot_pixels import drop_robot
+from cspace.worlds.spatial.scenes import SpatialScenes
 from cspace.worlds.spatial.sight import sight
 from cspace.worlds.spatial.surface_patches import distance_codes, patches
 from cspace.worlds.spatial.views import CameraViews
@@ -61,8 +63,8 @@ def main() -> int:
     )
     rows: dict[str, list[float]] = {}
     for index in range(options.scenes):
-        layout = SpatialScenes(floor=1.0).draw(Split.TEST, 3, index)
-        camera = CameraViews(count=(1, 1)).draw(rng, layout)[0]
+        layout = draw_layout(SpatialScenes(floor=1.0), Split.TEST, 3, index)
+        camera = draw_cameras(CameraViews(count=(1, 1)), rng, layout)[0]
         view = render_depth(layout.obstacles, camera, spheres)
         picture = to_mm(StructuredLight().apply(rng, view.depth_m, camera))
         kept = drop_robot(picture, camera, spheres)

@@ -279,7 +279,7 @@ class Bundle:
                 "the picture does not fit the model",
                 expected=f"uint8 {shape}",
                 got=f"{getattr(image, 'dtype', type(image).__name__)} {getattr(image, 'shape', '')}",
-                remedy="read files with bundle.spec.world.sensor.decode(data)",
+                remedy="read files with bundle.spec.world.read_picture(data)",
             )
         return self.spec.world.sensor.to_network(image[None])
 

@@ -117,7 +117,7 @@ def picture_of(scene: Scene) -> Image:
 
 def picture_file_of(scene: Scene) -> bytes:
     """The same as a file."""
-    return scene.world.sensor.encode(picture_of(scene))
+    return workshop_of(scene.world).picture_file(scene)
 
 
 def _part(kind: str, name: str) -> Any:

@@ -47,7 +47,7 @@ class PictureCache:
             InputError: not a picture that is accepted.
             BundleError: the encoder fails.
         """
-        return self._get(bundle, b"png" + _digest(png), lambda: bundle.spec.world.sensor.decode(png))
+        return self._get(bundle, b"png" + _digest(png), lambda: bundle.spec.world.read_picture(png))
 
     def of_pixels(self, bundle: Bundle, image: NDArray[np.uint8]) -> Prepared:
         """A picture that is decoded already, uint8 (P, P, 3).

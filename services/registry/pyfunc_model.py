@@ -47,7 +47,7 @@ class BundleModel(PythonModel):
 
     def _sample(self, row: dict[str, Any], count: int, seed: int) -> NDArray[np.float32]:
         bundle = self._bundle
-        image = bundle.spec.world.sensor.decode(row["image"])
+        image = bundle.spec.world.read_picture(row["image"])
         ends = {name: row[name] for name in bundle.spec.endpoints}
         return bundle.sample(image, count, seed, min_confidence=0.0, **ends).samples
 

@@ -84,7 +84,7 @@ def _picture(path: Path, world: World) -> NDArray[np.uint8]:
     try:
         if path.stat().st_size > _MAX_PICTURE_BYTES:
             raise DatasetError(f"{path} is too large", expected="at most 8 MiB")
-        return world.sensor.decode(path.read_bytes())
+        return world.read_picture(path.read_bytes())
     except OSError as error:
         raise DatasetError(f"{path} cannot be read", got=str(error)) from error
     except ImageError as error:

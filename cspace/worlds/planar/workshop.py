@@ -86,6 +86,10 @@ class PlanarWorkshop:
         """See :func:`cspace.worlds.planar.render.render`."""
         return render(_planar(scene))
 
+    def picture_file(self, scene: Scene) -> bytes:
+        """PNG."""
+        return self.world.sensor.encode(self.render(scene))
+
     def checker(self, scene: Scene) -> Checker:
         """See :class:`cspace.worlds.planar.collision.CollisionChecker`."""
         return CollisionChecker(_planar(scene))

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cspace.errors import DatasetError, ScenarioError
 from cspace.space import JointSpace
@@ -45,6 +46,14 @@ class PlanarWorld:
     def scene_files(self) -> tuple[str, ...]:
         """(S, D, 3) x, y, radius in m."""
         return ("discs",)
+
+    def read_picture(self, data: bytes) -> NDArray[np.uint8]:
+        """See :func:`cspace.worlds.planar.picture.decode_png`."""
+        return self.sensor.decode(data)
+
+    def blank_picture(self) -> bytes:
+        """All white."""
+        return self.sensor.encode(np.full(self.sensor.picture_shape, 255, np.uint8))
 
     def levers(self, points_per_link: int, side_m: float) -> Levers:
         """See :func:`cspace.worlds.planar.lookups.levers`."""

@@ -19,17 +19,17 @@ from cspace.errors import ScenarioError
 from cspace.splits import Split, scenario_rng
 from cspace.worlds.spatial.arm import SerialArm
 from cspace.worlds.spatial.collision import CollisionChecker
-from cspace.worlds.spatial.families import SpatialScenes
+from cspace.worlds.spatial.families import draw_layout
 from cspace.worlds.spatial.inverse import Solving, solve_pose
 from cspace.worlds.spatial.layout import GoalRegion, Layout
+from cspace.worlds.spatial.ready import ready_rad
+from cspace.worlds.spatial.scenes import SpatialScenes
 from cspace.worlds.spatial.signed_distance import distance_m
 from cspace.worlds.spatial.ways import WayLimits, find_way
 
 KINDS = ("reach_in", "between", "carry")
 SHARES = (0.5, 0.3, 0.2)
 CONE_RAD = float(np.radians(25.0))
-# Of the arms that come with the project; others are ready in the middle of their joints' limits.
-READY_RAD = {"panda": (0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785)}
 MAX_DRAWS = 60
 # Ends that are tried in a scene before the next one, and the least distance between their tools.
 _ENDS, _APART_M = 4, 0.15
@@ -77,7 +77,7 @@ def draw_problem(
 ) -> SpatialProblem:
     """A problem that :func:`find_way` solved, of what split, seed and index say.
 
-    Its scene is that of :meth:`SpatialScenes.draw` where that has one, else one drawn after it.
+    Its scene is that of :func:`draw_layout` where that has one, else one drawn after it.
 
     Args:
         arm: with its spheres.
@@ -102,7 +102,7 @@ def draw_problem(
     rejected = 0
     for number in range(MAX_DRAWS):
         scene_seed = seed if number == 0 else int(rng.integers(2**62))
-        layout = scenes.draw(split, scene_seed, index, family)
+        layout = draw_layout(scenes, split, scene_seed, index, family)
         ends = _Ends(arm, layout, rng)
         for _ in range(_ENDS):
             found = _attempt(ends, kind or drawn, limits)
@@ -196,13 +196,6 @@ class _Ends:
     def _first_free(self, configurations: NDArray[np.float64]) -> NDArray[np.float64] | None:
         free = configurations[self.checker.valid_batch(configurations)]
         return free[0] if len(free) else None
-
-
-def ready_rad(arm: SerialArm) -> NDArray[np.float64]:
-    """(d,) rad: the pose that an arm waits in."""
-    space = arm.space
-    middle = np.where(space.periodic, 0.0, (np.asarray(space.lower) + np.asarray(space.upper)) / 2.0)
-    return np.asarray(READY_RAD.get(arm.name, middle), dtype=np.float64)
 
 
 def reaches_into(arm: SerialArm, configurations: ArrayLike, region: GoalRegion) -> NDArray[np.bool_]:

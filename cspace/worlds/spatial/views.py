@@ -1,27 +1,16 @@
-"""Where depth cameras stand that look at a scene: one to three, by split, seed and index."""
+"""Where depth cameras stand that look at a scene, as a value: one to three, and how wide. Numpy alone.
+
+They are put there by :mod:`cspace.worlds.spatial.placing`.
+"""
 
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
-
 from cspace.errors import ScenarioError
 from cspace.strict_json import read_object, settle, written
-from cspace.worlds.spatial.camera import (
-    MAX_FIELD_DEG,
-    MAX_SIDE,
-    MIN_FIELD_DEG,
-    MIN_SIDE,
-    DepthCamera,
-    looking,
-)
-from cspace.worlds.spatial.layout import Layout
+from cspace.worlds.spatial.camera import MAX_FIELD_DEG, MAX_SIDE, MIN_FIELD_DEG, MIN_SIDE
 from cspace.worlds.spatial.objects import Range
 from cspace.worlds.spatial.poses import MAX_PLACE_M
-from cspace.worlds.spatial.signed_distance import distance_m
-
-_MAX_DRAWS = 300
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,54 +61,9 @@ class CameraViews:
         if not (ordered and angles and fields and lengths and sides and self.count[0] >= 1):
             raise ScenarioError("the views of cameras do not fit", got=str(self)[:300])
 
-    def draw(self, rng: np.random.Generator, layout: Layout) -> tuple[DepthCamera, ...]:
-        """Cameras that look at a scene.
-
-        Raises:
-            ScenarioError: there is no room for one.
-        """
-        count = int(rng.integers(*self.count, endpoint=True))
-        return tuple(self._camera(rng, layout) for _ in range(count))
-
     def to_dict(self) -> dict[str, Any]:
         """Plain values for JSON."""
         return written(self)
-
-    def _camera(self, rng: np.random.Generator, layout: Layout) -> DepthCamera:
-        for _ in range(_MAX_DRAWS):
-            side = np.radians(rng.uniform(*self.side_deg)) * rng.choice((-1.0, 1.0))
-            up, away = np.radians(rng.uniform(*self.up_deg)), rng.uniform(*self.distance_m)
-            place = camera_place(layout.focus, float(side), float(up), float(away))
-            aim = np.array(layout.focus) + rng.normal(size=3) * self.aim_m
-            roll, field_deg = (
-                np.radians(rng.uniform(-self.roll_deg, self.roll_deg)),
-                rng.uniform(*self.field_deg),
-            )
-            if self._has_room(place, layout):
-                pose = looking(place, aim, float(roll))
-                return DepthCamera.of_field(self.width, self.height, float(field_deg), pose)
-        raise ScenarioError("no camera has room in the scene", got=str(self)[:300])
-
-    def _has_room(self, place: NDArray[np.float64], layout: Layout) -> bool:
-        off_base = np.hypot(place[0], place[1]) >= 0.3
-        return bool(off_base and distance_m(layout.obstacles, place) >= self.clear_m)
-
-
-def camera_place(focus_m: ArrayLike, side_rad: float, up_rad: float, away_m: float) -> NDArray[np.float64]:
-    """Where a camera is, (3,) m in the base frame.
-
-    Args:
-        focus_m: (3,) what it looks at.
-        side_rad: angle on the ground from the line to the base to the line to the camera, left of it above 0.
-        up_rad: above the focus's level.
-        away_m: from the focus.
-    """
-    focus = np.asarray(focus_m, dtype=np.float64)
-    bearing = np.arctan2(-focus[1], -focus[0]) + side_rad
-    level = np.cos(up_rad)
-    return np.asarray(
-        focus + away_m * np.array([level * np.cos(bearing), level * np.sin(bearing), np.sin(up_rad)])
-    )
 
 
 def read_camera_views(values: object) -> CameraViews:

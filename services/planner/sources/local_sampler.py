@@ -50,8 +50,8 @@ class BundleSampler(SampleSource):
         began = time.perf_counter()
         try:
             query = fitted(query, self.bundle.spec, has_validity=self.bundle.has_validity)
-            sensor = self.bundle.spec.world.sensor
-            image = sensor.decode(picture) if isinstance(picture, bytes) else picture
+            world = self.bundle.spec.world
+            image = world.read_picture(picture) if isinstance(picture, bytes) else picture
             decoded = time.perf_counter()
             prepared = self.bundle.prepare(image)
             encoded = time.perf_counter()

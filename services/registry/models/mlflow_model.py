@@ -70,7 +70,7 @@ def save_model(
 def _example(spec: BundleSpec) -> Any:
     import pandas as pd  # noqa: PLC0415 - as above
 
-    blank = spec.world.sensor.encode(np.full(spec.world.sensor.picture_shape, 255, np.uint8))
+    blank = spec.world.blank_picture()
     ends = {name: [[0.0] * spec.dim] for name in spec.endpoints}
     return pd.DataFrame({"image": [blank], **ends}), {"n": DEFAULT_COUNT, "seed": 0}
 

@@ -7,10 +7,11 @@ from cspace.errors import ScenarioError
 from cspace.splits import Split
 from cspace.worlds.spatial.arm import SerialArm
 from cspace.worlds.spatial.collision import CollisionChecker
-from cspace.worlds.spatial.families import SpatialScenes
+from cspace.worlds.spatial.families import draw_layout
 from cspace.worlds.spatial.kinematics import arm_arrays, self_distance_batch
 from cspace.worlds.spatial.parts import Joint, Part
 from cspace.worlds.spatial.poses import make_pose, pose_of
+from cspace.worlds.spatial.scenes import SpatialScenes
 from cspace.worlds.spatial.shapes import Box, Obstacles
 from cspace.worlds.spatial.signed_distance import clearance_m
 from tests.cspace.worlds.spatial.test_robots import PANDA, READY
@@ -23,7 +24,7 @@ WALL = Obstacles((Box(pose_of(make_pose(np.eye(3), (0.0, 1.2, 0.0))), (2.0, 0.15
 
 @pytest.fixture(scope="module", params=[0, 1, 5])
 def checker(request):
-    layout = SpatialScenes().draw(Split.VALIDATION, 0, request.param)
+    layout = draw_layout(SpatialScenes(), Split.VALIDATION, 0, request.param)
     return CollisionChecker(PANDA, layout.obstacles)
 
 

@@ -7,15 +7,11 @@ import pytest
 from cspace.errors import ScenarioError
 from cspace.splits import Split
 from cspace.strict_json import parse_json
-from cspace.worlds.spatial.families import (
-    FAMILIES,
-    SpatialScenes,
-    base_clearance_m,
-    read_spatial_scenes,
-)
+from cspace.worlds.spatial.families import base_clearance_m, draw_layout
 from cspace.worlds.spatial.furniture import Bins, Cages, Shelves, Tables
 from cspace.worlds.spatial.layout import GoalRegion, Piece, read_layout
 from cspace.worlds.spatial.poses import HERE, make_pose, pose_of, turned
+from cspace.worlds.spatial.scenes import FAMILIES, SpatialScenes, read_spatial_scenes
 from cspace.worlds.spatial.shapes import Box, Cylinder, Obstacles
 from cspace.worlds.spatial.signed_distance import distance_m
 
@@ -24,26 +20,28 @@ SCENES = SpatialScenes()
 
 @pytest.fixture(scope="module")
 def drawn():
-    return {name: [SCENES.draw(Split.TRAIN, 3, index, name) for index in range(12)] for name in FAMILIES}
+    return {
+        name: [draw_layout(SCENES, Split.TRAIN, 3, index, name) for index in range(12)] for name in FAMILIES
+    }
 
 
 def test_a_scene_is_told_by_split_seed_and_index():
     def some(split, seed):
-        return [SCENES.draw(split, seed, index) for index in range(8)]
+        return [draw_layout(SCENES, split, seed, index) for index in range(8)]
 
     first = some(Split.TRAIN, 0)
     assert some(Split.TRAIN, 0) == first
     assert len(set(first)) == 8
     for other in (some(Split.TEST, 0), some(Split.TRAIN, 1)):
         assert not set(other) & set(first)
-    backwards = [SCENES.draw(Split.TRAIN, 0, index) for index in reversed(range(8))]
+    backwards = [draw_layout(SCENES, Split.TRAIN, 0, index) for index in reversed(range(8))]
     assert backwards[::-1] == first
 
 
 def test_the_shares_of_the_families_are_as_set():
     only = replace(SCENES, shares=(0, 0, 0, 1, 0, 0, 0))
-    assert {only.draw(Split.TRAIN, 0, index).family for index in range(5)} == {"bin"}
-    found = [SCENES.draw(Split.TRAIN, 0, index).family for index in range(100)]
+    assert {draw_layout(only, Split.TRAIN, 0, index).family for index in range(5)} == {"bin"}
+    found = [draw_layout(SCENES, Split.TRAIN, 0, index).family for index in range(100)]
     assert set(found) == set(FAMILIES)
     assert 12 <= found.count("shelf") <= 42
 
@@ -191,8 +189,8 @@ def test_pieces_are_moved_with_their_regions():
         lambda: Bins(side_m=(float("nan"), 1.0)),
         lambda: Cages(spacing_m=(0.0, 0.2)),
         lambda: GoalRegion(Box(HERE, (1, 1, 1)), (1, 1, 0)),
-        lambda: SCENES.draw(Split.TRAIN, 0, 0, "garage"),
-        lambda: SpatialScenes(reach_m=0.05).draw(Split.TRAIN, 0, 0, "shelf"),
+        lambda: draw_layout(SCENES, Split.TRAIN, 0, 0, "garage"),
+        lambda: draw_layout(SpatialScenes(reach_m=0.05), Split.TRAIN, 0, 0, "shelf"),
     ],
 )
 def test_settings_that_cannot_be_are_refused(make):

@@ -11,11 +11,13 @@ from cspace.worlds.spatial import surface_patches
 from cspace.worlds.spatial.arm import SerialArm
 from cspace.worlds.spatial.camera import DepthCamera, looking
 from cspace.worlds.spatial.depth_picture import to_mm
-from cspace.worlds.spatial.families import FAMILIES, SpatialScenes
+from cspace.worlds.spatial.families import draw_layout
 from cspace.worlds.spatial.grid_box import GridBox, grid_of
 from cspace.worlds.spatial.observed import distances_m, lookup, observe, unseen_share
+from cspace.worlds.spatial.placing import draw_cameras
 from cspace.worlds.spatial.poses import make_pose, pose_of, turned
 from cspace.worlds.spatial.render import render_depth
+from cspace.worlds.spatial.scenes import FAMILIES, SpatialScenes
 from cspace.worlds.spatial.shapes import Box, Cylinder, Obstacles
 from cspace.worlds.spatial.sight import (
     BEHIND_STEP_M,
@@ -210,8 +212,8 @@ def test_between_a_thing_and_what_is_behind_it_is_no_surface():
 def test_in_scenes_of_the_families_no_obstacle_is_free_and_no_surface_is_made_up(family):
     """Roundings of silhouettes make a surface up to 8 mm off in about two voxels of 100,000."""
     grid = grid_of(PANDA)
-    layout = SpatialScenes(floor=1.0).draw(Split.VALIDATION, 4, 0, family)
-    cameras = CameraViews(count=(2, 2)).draw(np.random.default_rng(5), layout)
+    layout = draw_layout(SpatialScenes(floor=1.0), Split.VALIDATION, 4, 0, family)
+    cameras = draw_cameras(CameraViews(count=(2, 2)), np.random.default_rng(5), layout)
     found = seen(layout.obstacles, *cameras, grid=grid, spheres=SPHERES)
     signed = distance_m(layout.obstacles, grid.centres_m())
     free = found[..., 1] == FREE

@@ -7,8 +7,10 @@ from cspace.errors import ScenarioError
 from cspace.splits import Split
 from cspace.worlds.spatial import problems
 from cspace.worlds.spatial.collision import CollisionChecker
-from cspace.worlds.spatial.families import FAMILIES, SpatialScenes
-from cspace.worlds.spatial.problems import KINDS, draw_problem, reaches_into, ready_rad
+from cspace.worlds.spatial.families import draw_layout
+from cspace.worlds.spatial.problems import KINDS, draw_problem, reaches_into
+from cspace.worlds.spatial.ready import ready_rad
+from cspace.worlds.spatial.scenes import FAMILIES, SpatialScenes
 from cspace.worlds.spatial.ways import WayLimits
 from tests.cspace.worlds.spatial.test_robots import PANDA, READY
 from tests.cspace.worlds.spatial.test_ways import TWO_LINKS
@@ -83,7 +85,7 @@ def test_a_problem_of_a_named_kind_has_the_scene_of_its_index_where_that_has_one
     for kind in KINDS:
         found = draw_problem(PANDA, SCENES, Split.TEST, 3, 0, "table", kind=kind, limits=QUICK)
         assert found.kind == kind
-        assert found.layout == SCENES.draw(Split.TEST, 3, 0, "table")
+        assert found.layout == draw_layout(SCENES, Split.TEST, 3, 0, "table")
 
 
 def test_what_a_problem_holds_is_not_written_to(drawn):

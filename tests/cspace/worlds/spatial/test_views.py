@@ -7,13 +7,15 @@ import pytest
 from cspace.errors import ScenarioError
 from cspace.splits import Split
 from cspace.strict_json import parse_json
-from cspace.worlds.spatial.families import SpatialScenes
+from cspace.worlds.spatial.families import draw_layout
+from cspace.worlds.spatial.placing import camera_place, draw_cameras
 from cspace.worlds.spatial.render import render_depth
+from cspace.worlds.spatial.scenes import SpatialScenes
 from cspace.worlds.spatial.signed_distance import distance_m
-from cspace.worlds.spatial.views import CameraViews, camera_place, read_camera_views
+from cspace.worlds.spatial.views import CameraViews, read_camera_views
 
 VIEWS = CameraViews()
-LAYOUTS = [SpatialScenes().draw(Split.TRAIN, 11, index) for index in range(40)]
+LAYOUTS = [draw_layout(SpatialScenes(), Split.TRAIN, 11, index) for index in range(40)]
 
 
 def test_places_by_hand():
@@ -26,9 +28,9 @@ def test_places_by_hand():
 def test_cameras_are_as_far_and_as_high_and_as_wide_as_set_on_both_sides():
     sides, counts = [], set()
     for index, layout in enumerate(LAYOUTS):
-        cameras = VIEWS.draw(np.random.default_rng(index), layout)
+        cameras = draw_cameras(VIEWS, np.random.default_rng(index), layout)
         counts.add(len(cameras))
-        assert cameras == VIEWS.draw(np.random.default_rng(index), layout)
+        assert cameras == draw_cameras(VIEWS, np.random.default_rng(index), layout)
         for camera in cameras:
             place, focus = camera.matrix[:3, 3], np.array(layout.focus)
             gap = place - focus
@@ -49,7 +51,7 @@ def test_cameras_are_as_far_and_as_high_and_as_wide_as_set_on_both_sides():
 
 def test_cameras_see_something():
     for index, layout in enumerate(LAYOUTS[:10]):
-        for camera in VIEWS.draw(np.random.default_rng(index), layout):
+        for camera in draw_cameras(VIEWS, np.random.default_rng(index), layout):
             view = render_depth(layout.obstacles, camera)
             assert view.depth_m.shape == (128, 128)
             assert (view.depth_m > 0).any()
@@ -74,4 +76,4 @@ def test_views_that_cannot_be_are_refused(change):
 
 def test_a_camera_without_room_is_told():
     with pytest.raises(ScenarioError, match="no camera has room"):
-        replace(VIEWS, clear_m=9.0).draw(np.random.default_rng(0), LAYOUTS[0])
+        draw_cameras(replace(VIEWS, clear_m=9.0), np.random.default_rng(0), LAYOUTS[0])

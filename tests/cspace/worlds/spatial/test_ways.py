@@ -10,10 +10,11 @@ from cspace.space import circles
 from cspace.splits import Split
 from cspace.worlds.spatial.arm import SerialArm
 from cspace.worlds.spatial.collision import CollisionChecker
-from cspace.worlds.spatial.families import SpatialScenes
+from cspace.worlds.spatial.families import draw_layout
 from cspace.worlds.spatial.frames import Frame
 from cspace.worlds.spatial.objects import block
 from cspace.worlds.spatial.parts import Joint, Part
+from cspace.worlds.spatial.scenes import SpatialScenes
 from cspace.worlds.spatial.shapes import Obstacles
 from cspace.worlds.spatial.ways import (
     WayLimits,
@@ -47,7 +48,7 @@ THROUGH, ASIDE = np.zeros(2), np.array([1.8, 0.0])
 @pytest.fixture(scope="module", params=[0, 1, 2])
 def ends(request):
     """A checker of a scene with two free configurations that the straight way does not join."""
-    layout = SpatialScenes().draw(Split.VALIDATION, 0, request.param)
+    layout = draw_layout(SpatialScenes(), Split.VALIDATION, 0, request.param)
     checker = CollisionChecker(PANDA, layout.obstacles)
     drawn = PANDA.space.sample_uniform(np.random.default_rng(request.param), 400)
     start = np.asarray(READY[0])

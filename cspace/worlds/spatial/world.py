@@ -1,0 +1,162 @@
+"""The spatial world as a value: a serial arm, depth cameras about it, and the families of its scenes."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cspace.errors import ConfigError, DatasetError, ScenarioError
+from cspace.space import JointSpace
+from cspace.strict_json import read_mapping, read_members, read_object
+from cspace.world import Arrays, Levers, World
+from cspace.worlds.spatial.arm import SerialArm
+from cspace.worlds.spatial.camera import DepthCamera, looking
+from cspace.worlds.spatial.grid_box import grid_of
+from cspace.worlds.spatial.observed import observe
+from cspace.worlds.spatial.obstacle_rows import BOX_VALUES, CYLINDER_VALUES
+from cspace.worlds.spatial.scenes import SpatialScenes, read_spatial_scenes
+from cspace.worlds.spatial.sensor import DepthSensor
+from cspace.worlds.spatial.view import DepthView, read_view, write_view
+
+KIND = "spatial"
+_ROBOTS = Path(__file__).with_name("robots")
+_BLANK_MM = 4000
+
+
+@dataclass(frozen=True, slots=True)
+class SpatialWorld:
+    """See :class:`cspace.world.World`; ``scenes`` is None where nobody knows where they come from."""
+
+    body: SerialArm
+    sensor: DepthSensor
+    scenes: SpatialScenes | None
+
+    @property
+    def kind(self) -> str:
+        """``spatial``."""
+        return KIND
+
+    @property
+    def space(self) -> JointSpace:
+        """The arm's joint space."""
+        return self.body.space
+
+    @property
+    def dim(self) -> int:
+        """Number of joints."""
+        return self.body.dim
+
+    @property
+    def scene_files(self) -> tuple[str, ...]:
+        """(S, any, 15) boxes and (S, any, 14) cylinders; see :mod:`cspace.worlds.spatial.obstacle_rows`."""
+        return ("boxes", "cylinders")
+
+    def read_picture(self, data: bytes) -> NDArray[np.uint8]:
+        """The array of a view file; see :mod:`cspace.worlds.spatial.view`."""
+        return self.observed(read_view(data, self.space))
+
+    def blank_picture(self) -> bytes:
+        """One camera before which nothing stands within 4 m, and no arm."""
+        pose = looking((1.5, 0.0, 0.8), (0.0, 0.0, 0.4))
+        camera = DepthCamera.of_field(self.sensor.views.width, self.sensor.views.height, 70.0, pose)
+        return write_view(DepthView((np.full(camera.picture_shape, _BLANK_MM, np.uint16),), (camera,)))
+
+    def observed(self, view: DepthView) -> NDArray[np.uint8]:
+        """What a view says of the space about the arm, (X, Y, Z, 2)."""
+        spheres = None if view.state is None else self.spheres_at(view.state)
+        return observe(view.pictures, view.cameras, self.sensor.grid, spheres)
+
+    def spheres_at(self, state: tuple[float, ...]) -> NDArray[np.float64]:
+        """The arm's spheres at a configuration (d,) rad, (S, 4): place in the base frame and radius, m."""
+        centres = self.body.sphere_centres_m([state])[0]
+        return np.concatenate([centres, self.body.spheres_m()[:, 3:]], axis=1)
+
+    def levers(self, points_per_link: int, side_m: float) -> Levers:
+        """None: pictures of this world are not read by levers.
+
+        Raises:
+            ConfigError: always.
+        """
+        raise ConfigError(
+            "pictures of the spatial world are not read along links",
+            expected="look-ups of the planar world for the planar world alone",
+            got=f"{points_per_link} points a link, {side_m} m beside it",
+        )
+
+    def check_scenes(self, arrays: Arrays, count: int) -> None:
+        """See :meth:`cspace.world.World.check_scenes`."""
+        for name, values in (("boxes", BOX_VALUES), ("cylinders", CYLINDER_VALUES)):
+            array = arrays.get(name)
+            if array is None:
+                continue
+            if (
+                array.dtype != np.float64
+                or array.ndim != 3
+                or (len(array), array.shape[2]) != (count, values)
+            ):
+                raise DatasetError(
+                    f"{name}.npy does not fit",
+                    expected=f"float64 of shape ({count}, any, {values})",
+                    got=f"{array.dtype} of shape {array.shape}",
+                )
+
+    def among(self, data: World, arrays: Arrays) -> "SpatialWorld":
+        """See :meth:`cspace.world.World.among`."""
+        del arrays
+        if not isinstance(data, SpatialWorld) or data.body != self.body:
+            raise ScenarioError(
+                "the data set is another robot's", expected=self.body.name, got=str(data.body)[:200]
+            )
+        if data.scenes is None:
+            raise ScenarioError(
+                "the data set holds no scenes",
+                expected="obstacles, by which samples can be judged",
+                got="pictures and configurations alone",
+            )
+        return replace(self, scenes=data.scenes)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values for JSON."""
+        scenes = None if self.scenes is None else self.scenes.to_dict()
+        return {
+            "kind": KIND,
+            "robot": self.body.to_dict(),
+            "cameras": self.sensor.to_dict(),
+            "scenes": scenes,
+        }
+
+
+def usual(arm: SerialArm) -> SpatialWorld:
+    """An arm that is seen and stands in scenes as most are."""
+    return SpatialWorld(arm, DepthSensor(grid_of(arm)), SpatialScenes())
+
+
+def shipped(name: str) -> SerialArm:
+    """A robot that comes with the project.
+
+    Raises:
+        ScenarioError: there is none of that name.
+    """
+    path = _ROBOTS / f"{name}.json"
+    if not path.is_file():
+        known = sorted(one.stem for one in _ROBOTS.glob("*.json"))
+        raise ScenarioError("the robot is unknown", expected=f"one of {', '.join(known)}", got=name[:200])
+    return SerialArm.from_dict(json.loads(path.read_bytes()))
+
+
+def read(values: Mapping[str, Any]) -> SpatialWorld:
+    """The inverse of :meth:`SpatialWorld.to_dict`.
+
+    Raises:
+        ScenarioError: a key is missing, unknown or of the wrong type.
+    """
+    members = read_mapping(values, "the world", ScenarioError)
+    members.pop("kind", None)
+    parts = read_members(members, {"robot", "cameras", "scenes"}, "the world", ScenarioError)
+    sensor = read_object(DepthSensor, parts["cameras"], "the cameras", ScenarioError)
+    scenes = None if parts["scenes"] is None else read_spatial_scenes(parts["scenes"])
+    return SpatialWorld(SerialArm.from_dict(parts["robot"]), sensor, scenes)

@@ -1,0 +1,163 @@
+"""The spatial world behind the seam: a value, its scenes, their pictures and checks."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+from cspace.errors import ConfigError, DatasetError, ImageError, ScenarioError
+from cspace.problem import UNIFORM
+from cspace.splits import Split
+from cspace.strict_json import parse_json
+from cspace.workshop import Workshop
+from cspace.world import World
+from cspace.worlds.planar.world import PlanarWorld
+from cspace.worlds.spatial.obstacle_rows import obstacles_of, rows_of
+from cspace.worlds.spatial.scenes import SpatialScenes
+from cspace.worlds.spatial.sensor import DepthSensor
+from cspace.worlds.spatial.views import CameraViews
+from cspace.worlds.spatial.workshop import open_workshop
+from cspace.worlds.spatial.world import SpatialWorld, read, shipped, usual
+
+WORLD: SpatialWorld = usual(shipped("panda"))
+SHOP: Workshop = open_workshop(WORLD)
+
+
+@pytest.fixture(scope="module")
+def scenes():
+    return SHOP.scenes(Split.VALIDATION, 0, 3)
+
+
+def test_the_world_is_read_from_what_it_tells():
+    world: World = WORLD
+    told = world.to_dict()
+    assert told["kind"] == "spatial"
+    again = read(parse_json(json.dumps(told).encode()))
+    assert again == world
+    assert hash(again) == hash(world)
+    unknown = replace(WORLD, scenes=None)
+    assert read(parse_json(json.dumps(unknown.to_dict()).encode())) == unknown
+    with pytest.raises(ScenarioError, match="other keys"):
+        read(told | {"colour": 1})
+
+
+def test_a_scene_is_that_of_its_split_seed_and_index(scenes):
+    again = SHOP.scenes(Split.VALIDATION, 0, 2)
+    assert list(again) == list(scenes[:2])
+    assert scenes[0] != scenes[1]
+    assert SHOP.scenes(Split.TRAIN, 0, 1)[0] != scenes[0]
+    assert all(scene.state is not None for scene in scenes)
+    assert all(SHOP.checker(scene).valid(scene.state) for scene in scenes)
+
+
+def test_a_scene_s_file_is_read_as_its_picture(scenes):
+    for scene in scenes:
+        picture = SHOP.render(scene)
+        assert picture.shape == WORLD.sensor.picture_shape
+        assert picture.dtype == np.uint8
+        assert np.array_equal(WORLD.read_picture(SHOP.picture_file(scene)), picture)
+        assert 0.02 < (picture[..., 1] == 0).mean() < 0.98
+        assert (picture[..., 0] < 255).mean() > 0.01
+
+
+def test_noise_makes_another_picture_and_the_same_one_each_time(scenes):
+    noisy = scenes[0]
+    exact = replace(noisy, noise=None)
+    assert noisy.noise in WORLD.sensor.noise
+    assert not np.array_equal(SHOP.render(noisy), SHOP.render(exact))
+    assert np.array_equal(SHOP.render(noisy), SHOP.render(noisy))
+
+
+def test_a_picture_of_nothing_is_free_where_it_looks():
+    picture = WORLD.read_picture(WORLD.blank_picture())
+    assert (picture[..., 0] == 255).all()
+    assert 0.1 < (picture[..., 1] == 0).mean() < 0.9
+
+
+def test_networks_take_channels_first(scenes):
+    picture = SHOP.render(scenes[0])
+    found = WORLD.sensor.to_network(np.stack([picture, picture]))
+    assert found.shape == (2, 2, *WORLD.sensor.grid.counts)
+    assert found.dtype == np.float32
+    assert found.min() >= 0.0
+    assert found.max() == pytest.approx(1.0)
+    assert np.array_equal(np.round(found[0, 1] * 255.0), picture[..., 1])
+
+
+def test_what_is_no_view_is_refused():
+    with pytest.raises(ImageError, match="no view"):
+        WORLD.read_picture(b"\x89PNG")
+
+
+def test_obstacles_are_kept_as_rows(scenes):
+    for scene in scenes:
+        rows = SHOP.arrays_of(scene)
+        assert obstacles_of(rows["boxes"], rows["cylinders"]) == scene.obstacles
+    stacked = {
+        name: np.stack([rows_of(scene.obstacles)[name] for scene in scenes]) for name in WORLD.scene_files
+    }
+    WORLD.check_scenes(stacked, len(scenes))
+    WORLD.check_scenes({}, len(scenes))
+    with pytest.raises(DatasetError, match=r"boxes\.npy does not fit"):
+        WORLD.check_scenes({"boxes": stacked["boxes"][..., :3]}, len(scenes))
+
+
+def test_every_family_has_problems_whose_names_are_known():
+    assert SHOP.families.names[0] == UNIFORM
+    SHOP.require("shelf")
+    with pytest.raises(ScenarioError, match="no such family"):
+        SHOP.require("narrow")
+    with pytest.raises(ScenarioError, match="no such family"):
+        SHOP.problem("narrow", Split.TEST, 0)
+
+
+@pytest.mark.slow
+def test_a_problem_is_seen_from_where_the_arm_starts():
+    problem = SHOP.problem("bin", Split.VALIDATION, 1, 2)
+    assert problem.family == "bin"
+    assert problem.scenario.state == tuple(problem.start)
+    checker = SHOP.checker(problem.scenario)
+    assert checker.valid_batch(np.stack([problem.start, problem.goal])).all()
+    assert SHOP.obstruction(problem) is None
+    way = SHOP.path_search(problem.scenario)(problem.start, problem.goal)
+    assert checker.edge_batch(way[:-1], way[1:], 0.01).all()
+    again = SHOP.problem("bin", Split.VALIDATION, 1, 2)
+    assert np.array_equal(again.goal, problem.goal)
+    assert again.scenario == problem.scenario
+    buried = replace(problem, goal=np.zeros(7))
+    assert "the goal is" in SHOP.obstruction(buried)
+
+
+def test_where_nobody_knows_the_scenes_none_are_drawn():
+    with pytest.raises(ScenarioError, match="nobody knows"):
+        open_workshop(replace(WORLD, scenes=None)).scenes(Split.TEST, 0, 1)
+
+
+def test_another_data_set_lends_its_scenes():
+    own = replace(WORLD, scenes=SpatialScenes(floor=1.0))
+    assert WORLD.among(own, {}).scenes == own.scenes
+    for other in (replace(WORLD, scenes=None), PlanarWorld()):
+        with pytest.raises(ScenarioError):
+            WORLD.among(other, {})
+
+
+def test_what_a_sensor_cannot_be_is_refused():
+    with pytest.raises(ScenarioError, match="depth cameras do not fit"):
+        DepthSensor(WORLD.sensor.grid, CameraViews(count=(1, 5)))
+    with pytest.raises(ScenarioError, match="depth cameras do not fit"):
+        DepthSensor(WORLD.sensor.grid, noise=("rain",))
+    with pytest.raises(ScenarioError, match="robot is unknown"):
+        shipped("r2d2")
+    with pytest.raises(ConfigError, match="not read along links"):
+        WORLD.levers(3, 0.0)
+
+
+def test_scene_and_robot_are_drawn(scenes):
+    axes = Figure().subplots()
+    SHOP.draw_scene(axes, scenes[0], "grey")
+    obstacles = len(axes.patches)
+    SHOP.draw_robot(axes, np.asarray(scenes[0].state), "blue", 3)
+    assert obstacles == len(scenes[0].obstacles)
+    assert len(axes.patches) == obstacles + WORLD.body.sphere_count
