@@ -215,13 +215,17 @@ class Bundle:
         return chunked(run, len(draws.latents), between, chunk_rows)[draws.kept]
 
     def score(
-        self, image: NDArray[np.uint8] | Picture, configurations: NDArray[np.float32]
+        self,
+        image: NDArray[np.uint8] | Picture,
+        configurations: NDArray[np.float32],
+        between: Between | None = None,
     ) -> NDArray[np.float32]:
         """P(free | picture, configuration) by the validity head, float32 (n,).
 
         Args:
             image: uint8 (P, P, 3), or one that :meth:`prepare` made.
             configurations: float32 (n, d) rad, at least one.
+            between: as :meth:`answer` has it.
 
         Raises:
             InputError: the bundle has no validity head, or picture or configurations do not fit.
@@ -236,7 +240,7 @@ class Bundle:
                 expected=f"shape (n, {self.spec.dim}), n at least 1",
                 got=str(shape),
             )
-        return self._score(head, pixels, configurations, None)
+        return self._score(head, pixels, configurations, between)
 
     def _head(self) -> Graph:
         if self._validity is None:

@@ -1,27 +1,20 @@
 """Reading a ``.npz`` that somebody else wrote: known arrays of bounded size, and nothing is evaluated."""
 
 import io
-import math
-import re
 import struct
 import zipfile
 import zlib
 from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
 from cspace.errors import BundleIntegrityError
+from cspace.npy import read_npy
 
 # Of one archive, unpacked; a picture of 2048 pixels has 12.6 MB.
 MAX_BYTES = 32 * 2**20
 _ENTRY = b"PK\x01\x02"
-_HEADER = re.compile(
-    rb"\{'descr': '([<|][a-z][0-9])', 'fortran_order': (True|False), 'shape': \(([0-9, ]{0,40})\), \} *\n"
-)
-_MAGIC = b"\x93NUMPY\x01\x00"
-_LONGEST_HEADER = 512
 _TORN = (
     zipfile.BadZipFile, zlib.error, struct.error, NotImplementedError, RuntimeError, EOFError, OSError,
     ValueError, OverflowError, KeyError, IndexError, MemoryError,
@@ -68,23 +61,5 @@ def _read(data: bytes, allowed: Mapping[str, tuple[tuple[str, ...], int]]) -> di
             if entry.flag_bits & 0x1 or entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
                 raise ValueError("an entry that is encrypted or packed in another way")
             with archive.open(entry) as file:
-                arrays[name] = _array(file.read(entry.file_size), *allowed[name])
+                arrays[name] = read_npy(file.read(entry.file_size), *allowed[name])
     return arrays
-
-
-def _array(data: bytes, types: tuple[str, ...], axes: int) -> NDArray[Any]:
-    """One array of a ``.npy`` file of version 1.0, whose header is matched and not evaluated."""
-    start = len(_MAGIC) + 2
-    length = int.from_bytes(data[len(_MAGIC) : start], "little")
-    match = _HEADER.fullmatch(data, start, start + min(length, _LONGEST_HEADER))
-    if not data.startswith(_MAGIC) or length > _LONGEST_HEADER or match is None:
-        raise ValueError("an array with another header")
-    descr = match[1].decode()
-    shape = tuple(int(size) for size in match[3].decode().split(",") if size.strip())
-    if descr not in types or len(shape) != axes:
-        raise ValueError(f"an array of type {descr} and shape {shape}")
-    kind = np.dtype(descr)
-    if math.prod(shape) * kind.itemsize != len(data) - start - length:
-        raise ValueError("an array whose shape does not fit its size")
-    found = np.frombuffer(data, dtype=kind, offset=start + length)
-    return found.reshape(shape, order="F" if match[2] == b"True" else "C")

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from dataclasses import fields
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from cspace.bundle.spec import BundleSpec
 from cspace.errors import InputError, OtherRobotError
@@ -33,7 +34,7 @@ def fitted(query: SampleQuery, spec: BundleSpec, *, has_validity: bool) -> Fitte
     """
     if isinstance(query, FittedQuery):
         return query
-    _require_robot(query, spec)
+    require_robot(query.robot, spec)
     least = query.min_confidence
     if least is None:
         least = (spec.confidence_threshold or 0.0) if has_validity else 0.0
@@ -49,11 +50,16 @@ def fitted(query: SampleQuery, spec: BundleSpec, *, has_validity: bool) -> Fitte
     return FittedQuery(**(values | {"start": start, "goal": goal, "min_confidence": least}))
 
 
-def _require_robot(query: SampleQuery, spec: BundleSpec) -> None:
-    if query.robot is not None and query.robot != (found := robot_digest(spec.world)):
+def require_robot(robot: str | None, spec: BundleSpec) -> None:
+    """Refuse a robot that the model is not of; None is any.
+
+    Raises:
+        OtherRobotError: it is another one.
+    """
+    if robot is not None and robot != (found := robot_digest(spec.world)):
         raise OtherRobotError(
             "the model is of another robot",
-            expected=f"robot {query.robot}",
+            expected=f"robot {robot}",
             got=f"{found}, {json.dumps(spec.world.body.to_dict())}"[:400],
             remedy="name a model of this robot; GET /models tells each model's",
         )
@@ -92,6 +98,39 @@ def _endpoint(spec: BundleSpec, name: str, angles: tuple[float, ...] | None) -> 
             remedy="send the joints as they stand, not wrapped",
         )
     return tuple(space.to_float32(configuration).tolist())
+
+
+def fitted_configurations(values: ArrayLike, spec: BundleSpec) -> NDArray[np.float32]:
+    """Configurations as a bundle scores them, (n, d) rad: circles wrapped, in single precision.
+
+    Args:
+        values: (n, d) finite rad, at least one row.
+        spec: of the bundle.
+
+    Raises:
+        InputError: the shape is another, or a row lies outside the limits of the robot's joints.
+    """
+    rows, space = np.asarray(values), spec.world.space
+    if rows.ndim != 2 or not len(rows) or rows.shape[1] != spec.dim or rows.dtype.kind not in "fiu":
+        raise InputError(
+            "the configurations do not fit the robot",
+            expected=f"an array of shape (n, {spec.dim}) in rad, n at least 1",
+            got=f"{rows.dtype} of shape {rows.shape}",
+        )
+    configurations = rows.astype(np.float64)
+    finite = np.asarray(np.isfinite(configurations).all(axis=1))
+    held = np.where(finite[:, None], configurations, 0.0)
+    outside = np.flatnonzero(~(finite & space.contains(held)))
+    if len(outside):
+        raise InputError(
+            "configurations lie outside the limits of the robot's joints",
+            expected=f"each joint finite, from {_listed(space.lower)} to {_listed(space.upper)} rad"
+            + (", circles at any turn" if any(space.periodic) else ""),
+            got=f"{len(outside)} of {len(rows)}, the first in row {outside[0]}: "
+            f"{_listed(configurations[outside[0]].tolist())}",
+            remedy="what lies outside the limits is never free; leave it out",
+        )
+    return space.to_float32(configurations)
 
 
 def _listed(values: Sequence[float]) -> str:

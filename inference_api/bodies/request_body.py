@@ -1,6 +1,7 @@
 """Bodies of requests, by media type, to plain field values; nothing is judged here but the form."""
 
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, get_type_hints
 
@@ -9,7 +10,7 @@ from python_multipart.multipart import parse_options_header
 
 from cspace.errors import InputError
 from cspace.query import SampleQuery
-from inference_api.bodies.bounded_json import load_json, parse_json
+from inference_api.bodies.bounded_json import MAX_MARKS, MAX_TENSOR_MARKS, load_json, parse_json
 from inference_api.bodies.multipart_form import Part, is_boundary, read_parts
 from inference_api.problems import MALFORMED_BODY, UNSUPPORTED_MEDIA_TYPE, RequestError
 
@@ -19,11 +20,39 @@ _MAX_NUMBER = 400
 
 _WHOLE = re.compile(r"[+-]?[0-9]{1,40}", re.ASCII)
 _NUMBER = re.compile(r"[+-]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][+-]?[0-9]{1,4})?", re.ASCII)
-# A form writes them by their types: numbers, one field for each value of a schedule, configurations as JSON.
-_TYPES = get_type_hints(SampleQuery)
-_SCHEDULE, _CONFIGURATION = tuple[float, ...], tuple[float, ...] | None
+_SCHEDULE, _CONFIGURATION, _CONFIGURATIONS = tuple[float, ...], tuple[float, ...] | None, "configurations"
+_JSON_MARKS = {_CONFIGURATION: MAX_MARKS, _CONFIGURATIONS: MAX_TENSOR_MARKS}
 _FLAGS = {"true": True, "false": False}
-KNOWN_FIELDS = ("image", "model", *_TYPES)
+
+
+@dataclass(frozen=True, slots=True)
+class Form:
+    """The fields of a page that takes pictures.
+
+    Args:
+        types: by name, as a form writes them: numbers, one field for each value of a schedule, configurations
+            as JSON. Others are texts.
+        either: those that come as a file or as a text; ``image`` is a file, all others are texts.
+        most_marks: commas, colons and opening brackets in JSON.
+    """
+
+    types: Mapping[str, Any]
+    either: frozenset[str] = frozenset()
+    most_marks: int = MAX_MARKS
+
+    def fits(self, name: str, value: bytes | str) -> bool:
+        """Whether a field of a form came as what it is; unknown ones do."""
+        if name in self.either or name not in ("image", "model", *self.types):
+            return True
+        return isinstance(value, bytes) == (name == "image")
+
+
+SAMPLE_FORM = Form(get_type_hints(SampleQuery))
+VALIDITY_FORM = Form(
+    {_CONFIGURATIONS: _CONFIGURATIONS, "robot": str | None, "require_confirmed": bool},
+    frozenset((_CONFIGURATIONS,)),
+    MAX_TENSOR_MARKS,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,46 +97,58 @@ async def read_fields(request: Request) -> RawFields:
     return RawFields(await request.body(), boundary)
 
 
-def parse_fields(raw: RawFields) -> dict[str, Any]:
+def parse_fields(raw: RawFields, form: Form = SAMPLE_FORM) -> dict[str, Any]:
     """The values of a body's fields by name; for a thread, for it may take a tenth of a second.
+
+    Args:
+        raw: the body.
+        form: the fields of the page.
 
     Raises:
         InputError: a field that is not repeatable is repeated, or file and text are mixed up.
         RequestError: the body or an array in it is malformed.
     """
-    return parse_json(raw.body) if raw.boundary is None else _values(read_parts(raw.body, raw.boundary))
+    if raw.boundary is None:
+        return parse_json(raw.body, form.most_marks)
+    return _values(read_parts(raw.body, raw.boundary), form)
 
 
-def _values(parts: list[Part]) -> dict[str, Any]:
+def _values(parts: list[Part], form: Form) -> dict[str, Any]:
     """Of a form; text that is no number stays text, for the schema to refuse."""
     values: dict[str, Any] = {}
     for part in parts:
         name, value = part.name, part.value
-        if name in KNOWN_FIELDS and isinstance(value, bytes) != (name == "image"):
+        if not form.fits(name, value):
+            told = [
+                "image as a file",
+                *(f"{one} as either" for one in form.either),
+                "every other field as text",
+            ]
             raise InputError(
                 f"{name} came in the wrong form",
-                expected="image as a file, every other field as text",
+                expected=", ".join(told),
                 got="a file" if isinstance(value, bytes) else "text",
             )
-        if _TYPES.get(name) == _SCHEDULE:
-            values.setdefault(name, []).append(_convert(name, value))
+        kind = form.types.get(name)
+        if kind == _SCHEDULE:
+            values.setdefault(name, []).append(_convert(name, value, kind))
         elif name in values:
             raise InputError(f"{name[:100]} is repeated", expected="one value", got="several")
         else:
-            values[name] = _convert(name, value)
+            values[name] = _convert(name, value, kind)
     return values
 
 
-def _convert(name: str, value: bytes | str) -> object:
+def _convert(name: str, value: bytes | str, kind: Any) -> object:
     if isinstance(value, bytes):
         return value
-    text, kind = value.strip(), _TYPES.get(name)
+    text = value.strip()
     if kind is int and _WHOLE.fullmatch(text):
         return int(text)
     if kind in (float | None, _SCHEDULE) and len(text) <= _MAX_NUMBER and _NUMBER.fullmatch(text):
         return float(text)
     if kind is bool and text in _FLAGS:
         return _FLAGS[text]
-    if kind == _CONFIGURATION:
-        return load_json(name, text.encode("utf-8"))
+    if kind in _JSON_MARKS:
+        return load_json(name, text.encode("utf-8"), _JSON_MARKS[kind])
     return value

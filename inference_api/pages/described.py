@@ -4,6 +4,7 @@ from typing import Any
 
 from inference_api.pages.sampling import NPY
 from inference_api.pages.schemas import SampleAnswer, SampleRequest, multipart_schema
+from inference_api.pages.validity_schemas import ValidityAnswer, ValidityRequest, validity_form_schema
 from inference_api.problems import (
     BODY_TOO_LARGE,
     FOREIGN_ORIGIN,
@@ -74,6 +75,9 @@ _HEADERS = {
 }
 
 
+_OF_SAMPLES = {"X-Seed", "X-Shortfall", "X-Acceptance"}
+
+
 def sample_extra() -> dict[str, Any]:
     """The request body of ``POST /sample`` in both forms."""
     content = {
@@ -85,22 +89,51 @@ def sample_extra() -> dict[str, Any]:
 
 def sample_responses() -> dict[int | str, dict[str, Any]]:
     """The answers of ``POST /sample``."""
-    headers = {
-        name: {"description": f"{text} With `Accept: {NPY}` only.", "schema": {"type": "string"}}
-        for name, text in _HEADERS.items()
-    }
-    text = "The client's own, or one that the server chose; every answer carries it."
-    headers["X-Request-ID"] = {"description": text, "schema": {"type": "string"}}
-    binary = {
-        "schema": {"type": "string", "format": "binary", "description": "float32 array (samples, joints)"}
-    }
     success = {
         "description": "Samples, as JSON or as `.npy`.",
         "model": SampleAnswer,
-        "content": {NPY: binary},
-        "headers": headers,
+        "content": {NPY: _binary("float32 array (samples, joints)")},
+        "headers": _headers(_HEADERS),
     }
     return {200: success, **problem_responses(*SAMPLE_PROBLEMS)}
+
+
+def validity_extra() -> dict[str, Any]:
+    """The request body of ``POST /validity`` in both forms."""
+    content = {
+        "multipart/form-data": {"schema": validity_form_schema()},
+        "application/json": {"schema": ValidityRequest.model_json_schema()},
+    }
+    return {"requestBody": {"required": True, "content": content}}
+
+
+def validity_responses() -> dict[int | str, dict[str, Any]]:
+    """The answers of ``POST /validity``."""
+    told = {name: text for name, text in _HEADERS.items() if name not in _OF_SAMPLES}
+    told |= {
+        "X-Threshold": "The confidence that training recommends, for models that have one.",
+        "Server-Timing": "decode, encode, score and total, in ms.",
+    }
+    success = {
+        "description": "A confidence for each configuration, as JSON or as `.npy`.",
+        "model": ValidityAnswer,
+        "content": {NPY: _binary("float32 array (configurations, 2): confidence and unseen, NaN for null")},
+        "headers": _headers(told),
+    }
+    return {200: success, **problem_responses(*SAMPLE_PROBLEMS)}
+
+
+def _binary(text: str) -> dict[str, Any]:
+    return {"schema": {"type": "string", "format": "binary", "description": text}}
+
+
+def _headers(told: dict[str, str]) -> dict[str, Any]:
+    headers = {
+        name: {"description": f"{text} With `Accept: {NPY}` only.", "schema": {"type": "string"}}
+        for name, text in told.items()
+    }
+    text = "The client's own, or one that the server chose; every answer carries it."
+    return headers | {"X-Request-ID": {"description": text, "schema": {"type": "string"}}}
 
 
 def problem_responses(*problems: ProblemType) -> dict[int | str, dict[str, Any]]:

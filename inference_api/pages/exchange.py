@@ -12,7 +12,6 @@ from typing import Protocol
 from fastapi import Request
 from fastapi.responses import Response
 
-from cspace.query import SampleQuery
 from inference_api.connections.departure import DEPARTURE
 from inference_api.failures import UnconfirmedAliasError
 from inference_api.guards.rate import client_of
@@ -31,8 +30,8 @@ class Question(Protocol):
         """The model that it names."""
 
     @property
-    def query(self) -> SampleQuery:
-        """What is asked of it."""
+    def require_confirmed(self) -> bool:
+        """Whether only a model is wanted that is sure to be that one."""
 
     def answer(self, served: ServedModel, turn: Turn) -> Response:
         """The answer of a model.
@@ -76,7 +75,7 @@ async def respond(
 
 def _answer(question: Question, served: ServedModel, turn: Turn) -> Response:
     """Nothing is computed by a model that is not sure to be the one that was asked for."""
-    if question.query.require_confirmed and not served.confirmed:
+    if question.require_confirmed and not served.confirmed:
         raise UnconfirmedAliasError(
             f"the model registry does not confirm {question.reference}",
             expected="an alias that the registry told of lately",

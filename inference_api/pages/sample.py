@@ -12,13 +12,21 @@ from fastapi.routing import APIRoute
 from inference_api.bodies.request_body import read_fields
 from inference_api.guards.rate import client_of
 from inference_api.pages.dependencies import Room, Store, Turn, room_of, store_of, turns_of
-from inference_api.pages.described import GUARD_PROBLEMS, problem_responses, sample_extra, sample_responses
+from inference_api.pages.described import (
+    GUARD_PROBLEMS,
+    problem_responses,
+    sample_extra,
+    sample_responses,
+    validity_extra,
+    validity_responses,
+)
 from inference_api.pages.exchange import respond
 from inference_api.pages.health import default_model
 from inference_api.pages.listing import listed
 from inference_api.pages.model_schemas import ModelList
 from inference_api.pages.sampling import model_info, prefers_npy, read_question
 from inference_api.pages.schemas import Live, Ready
+from inference_api.pages.validity import read_validity
 from inference_api.problems import INVALID_VALUE, NO_MODEL, UNAUTHORIZED
 from inference_api.telemetry.metrics import CONTENT_TYPE, Metrics
 
@@ -48,6 +56,15 @@ def add_routes(app: FastAPI) -> None:
         responses=sample_responses(),
         route_class_override=DirectRoute,
     )
+    app.router.add_api_route(
+        "/validity",
+        validity,
+        methods=["POST"],
+        summary="Tell which configurations are free in a picture's scenario",
+        openapi_extra=validity_extra(),
+        responses=validity_responses(),
+        route_class_override=DirectRoute,
+    )
     app.include_router(router)
 
 
@@ -61,6 +78,19 @@ async def sample(request: Request) -> Response:
     fields = await read_fields(request)
     store = store_of(request)
     ask = partial(read_question, store, fields, npy=npy, began=began)
+    return await respond(request, store, turns_of(request), room_of(request), ask)
+
+
+async def validity(request: Request) -> Response:
+    """The validity head's confidence for each of the configurations, whatever they were drawn by.
+
+    With `Accept: application/x-npy` the answer is a float32 `.npy` of two columns, the rest in headers.
+    """
+    began = time.perf_counter()
+    npy = prefers_npy(request.headers.get("accept"))
+    fields = await read_fields(request)
+    store = store_of(request)
+    ask = partial(read_validity, store, fields, npy=npy, began=began)
     return await respond(request, store, turns_of(request), room_of(request), ask)
 
 

@@ -67,6 +67,11 @@ class SampleQuestion:
     npy: bool
     began: float
 
+    @property
+    def require_confirmed(self) -> bool:
+        """See :class:`~inference_api.pages.exchange.Question`."""
+        return self.query.require_confirmed
+
     def answer(self, served: ServedModel, turn: Turn) -> Response:
         """Sample and write.
 
@@ -156,11 +161,11 @@ def npy_response(answer: Answer) -> Response:
     }
     if answer.novelty is not None:
         headers["X-Novelty"] = f"{answer.novelty:.6g}"
-    return Response(_npy_head(samples.shape) + samples.tobytes(), headers=headers, media_type=NPY)
+    return Response(npy_head(samples.shape) + samples.tobytes(), headers=headers, media_type=NPY)
 
 
 @lru_cache(maxsize=64)
-def _npy_head(shape: tuple[int, ...]) -> bytes:
+def npy_head(shape: tuple[int, ...]) -> bytes:
     """What stands before the numbers in the ``.npy`` of a float32 array in C order."""
     buffer = io.BytesIO()
     described = {"descr": "<f4", "fortran_order": False, "shape": shape}

@@ -3,8 +3,9 @@
 import base64
 import binascii
 import re
+from collections.abc import Mapping
 from dataclasses import fields
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, Strict, WithJsonSchema
 
@@ -36,7 +37,7 @@ def _as_list(value: object) -> object:
     return [value] if isinstance(value, int | float) and not isinstance(value, bool) else value
 
 
-_Image = Annotated[
+PictureFile = Annotated[
     bytes,
     BeforeValidator(_decode_image),
     WithJsonSchema({"type": "string", "contentEncoding": "base64", "contentMediaType": "image/png"}),
@@ -69,8 +70,8 @@ _Schedule = Annotated[
     ),
 ]
 _Confidence = Annotated[float, Field(ge=0.0, le=1.0, allow_inf_nan=False)] | None
-_Angle = Annotated[float, Field(allow_inf_nan=False)]
-_Configuration = Annotated[tuple[_Angle, ...], Field(max_length=MAX_JOINTS), Strict(strict=False)]
+Angle = Annotated[float, Field(allow_inf_nan=False)]
+_Configuration = Annotated[tuple[Angle, ...], Field(max_length=MAX_JOINTS), Strict(strict=False)]
 
 
 # In this order fields are described, and those that are wrong are told.
@@ -92,10 +93,15 @@ def _in_order(schema: dict[str, Any]) -> None:
     schema["properties"] = {name: schema["properties"][name] for name in EXPECTED}
 
 
-class QueryFields(BaseModel):
-    """What is asked for one picture, whatever names the picture and the model; unknown fields are errors."""
+class RequestFields(BaseModel):
+    """Fields of a request; unknown ones are errors."""
 
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
+    EXPECTED: ClassVar[Mapping[str, str]] = EXPECTED
+
+
+class QueryFields(RequestFields):
+    """What is asked for one picture, whatever names the picture and the model; unknown fields are errors."""
 
     n: int = Field(300, ge=1, le=MAX_SAMPLES, description="How many samples.")
     seed: _Seed = Field(
@@ -141,7 +147,7 @@ class SampleRequest(QueryFields):
 
     model_config = ConfigDict(json_schema_extra=_in_order)
 
-    image: _Image = Field(
+    image: PictureFile = Field(
         description="The scenario as a square PNG of 16 to 2048 pixels: RGB as it is, RGBA over white, grey "
         "and palette as RGB; 16-bit and animated ones are refused. Resized by area averaging."
     )

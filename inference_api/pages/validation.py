@@ -8,13 +8,12 @@ from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
 from inference_api.failures import FieldProblem, FieldsError
-from inference_api.pages.schemas import EXPECTED, QueryFields, SampleRequest
+from inference_api.pages.schemas import RequestFields, SampleRequest
 
-Fields = TypeVar("Fields", bound=QueryFields)
+Fields = TypeVar("Fields", bound=RequestFields)
 
 MAX_REPORTED = 8
 _SHOWN_BITS = 128
-_PLACES: dict[int | str, int] = {name: place for place, name in enumerate(EXPECTED)}
 
 
 def validate_request(values: Mapping[str, Any]) -> SampleRequest:
@@ -35,23 +34,27 @@ def validate_fields(kind: type[Fields], values: Mapping[str, Any]) -> Fields:
     try:
         return kind.model_validate(values)
     except ValidationError as error:
-        found = sorted(error.errors(include_url=False, include_context=False), key=_place)[:MAX_REPORTED]
+        told = kind.EXPECTED
+        places: dict[int | str, int] = {name: place for place, name in enumerate(told)}
+
+        def place(item: ErrorDetails) -> int:
+            return places.get(item["loc"][0] if item["loc"] else "", len(places))
+
+        found = sorted(error.errors(include_url=False, include_context=False), key=place)[:MAX_REPORTED]
         raise FieldsError(
-            [_field_problem(item["type"], item["loc"], item["input"]) for item in found]
+            [_field_problem(item["type"], item["loc"], item["input"], told) for item in found]
         ) from error
 
 
-def _place(item: ErrorDetails) -> int:
-    return _PLACES.get(item["loc"][0] if item["loc"] else "", len(_PLACES))
-
-
-def _field_problem(kind: str, location: tuple[int | str, ...], value: object) -> FieldProblem:
+def _field_problem(
+    kind: str, location: tuple[int | str, ...], value: object, told: Mapping[str, str]
+) -> FieldProblem:
     field = str(location[0])[:100] if location else ""
     if kind == "extra_forbidden":
-        expected = f"one of {', '.join(EXPECTED)}"
+        expected = f"one of {', '.join(told)}"
         return FieldProblem(field=field, expected=expected, got="an unknown field")
     got = "nothing" if kind == "missing" else brief(value)
-    return FieldProblem(field=field, expected=EXPECTED.get(field, "another value"), got=got)
+    return FieldProblem(field=field, expected=told.get(field, "another value"), got=got)
 
 
 def brief(value: object) -> str:

@@ -17,7 +17,7 @@ from prometheus_client.registry import Collector
 
 from inference_api.problems import PROBLEMS
 from inference_api.record import RequestRecord, current
-from inference_api.telemetry.observer import REFUSALS, Observer, Refusal, Sampled
+from inference_api.telemetry.observer import REFUSALS, Observer, Refusal, Sampled, Scored
 
 CONTENT_TYPE = "text/plain; version=0.0.4; charset=utf-8"
 STAGES = ("decode", "encode", "generate", "total")
@@ -73,6 +73,7 @@ class Metrics(Observer):
         )
         self._requested = counter("cspace_samples_requested", "Samples asked for.")
         self._returned = counter("cspace_samples_returned", "Samples returned.")
+        self._scored = counter("cspace_configurations_scored", "Configurations scored by POST /validity.")
         self._fallbacks = counter(
             "cspace_fallback_answers", "Answers of the shipped model in a champion's stead."
         )
@@ -102,6 +103,15 @@ class Metrics(Observer):
         if record is not None:
             record.model, record.n = answer.model, answer.n
             record.seed, record.shortfall = answer.seed, answer.shortfall
+
+    def scored(self, answer: Scored) -> None:
+        """Count configurations that were scored, and write the answer down for its line in the log."""
+        self._scored.inc(answer.n)
+        if answer.fallback:
+            self._fallbacks.inc()
+        record = current()
+        if record is not None:
+            record.model, record.n = answer.model, answer.n
 
     def reloaded(self) -> None:
         """Count a champion that was put into service."""

@@ -32,8 +32,26 @@ class Sampled:
     stages_s: dict[str, float]
 
 
+@dataclass(frozen=True, slots=True)
+class Scored:
+    """A question whether configurations are free that was answered.
+
+    Args:
+        model: that answered, ``name/version``.
+        fallback: whether the shipped model stood in for a champion.
+        n: configurations.
+    """
+
+    model: str
+    fallback: bool
+    n: int
+
+
 class Observer:
     """Watches, and does nothing; what is called must be safe to call from several threads."""
+
+    def scored(self, answer: Scored) -> None:
+        """Configurations were scored."""
 
     def sampled(self, answer: Sampled) -> None:
         """A request for samples was answered."""

@@ -41,6 +41,7 @@ def test_every_page_of_the_contract_is_in_the_document(document: dict[str, Any])
     assert document["openapi"].startswith("3.1")
     assert {path: set(item) for path, item in document["paths"].items()} == {
         "/sample": {"post"},
+        "/validity": {"post"},
         "/models": {"get"},
         "/metrics": {"get"},
         "/health/live": {"get"},

@@ -1,0 +1,186 @@
+"""Whether configurations are free, from field values to the bytes of the answer; runs in a worker thread."""
+
+import json
+import time
+from dataclasses import dataclass
+
+import numpy as np
+from fastapi.responses import Response
+from numpy.typing import NDArray
+
+from cspace.bundle.request import fitted_configurations, require_robot
+from cspace.errors import InputError
+from cspace.npy import read_npy
+from cspace.query import MAX_SAMPLES
+from inference_api.bodies.request_body import VALIDITY_FORM, RawFields, parse_fields
+from inference_api.models.served import ServedModel
+from inference_api.models.store import ModelStore
+from inference_api.pages.model_schemas import joint_space_info
+from inference_api.pages.sampling import NPY, model_info, npy_head
+from inference_api.pages.schemas import ScenarioInfo
+from inference_api.pages.validation import validate_fields
+from inference_api.pages.validity_schemas import ScoreTimingMs, ValidityAnswer, ValidityRequest
+from inference_api.telemetry.observer import Scored
+from inference_api.turns.turns import Turn
+from services.registry.references import ModelReference
+
+_TYPES = ("<f4", "<f8")
+
+
+@dataclass(frozen=True, slots=True)
+class Validity:
+    """What a model holds of configurations, before it is written as JSON or ``.npy``.
+
+    Args:
+        served: the model that answered.
+        confidence: (n,) float32.
+        novelty: of the picture; None where the model does not tell.
+        timing: where the time went.
+    """
+
+    served: ServedModel
+    confidence: NDArray[np.float32]
+    novelty: float | None
+    timing: ScoreTimingMs
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ValidityQuestion:
+    """A valid request; an :class:`~inference_api.pages.exchange.Question`.
+
+    Args:
+        store: where pictures are known and observers told.
+        reference: the model that it names.
+        image: the picture, a PNG file.
+        configurations: (n, d) rad, not held against the model's robot yet.
+        robot: whose they are; None for the model's.
+        require_confirmed: whether only a model is wanted that is sure to be that one.
+        npy: whether the client prefers a ``.npy``.
+        began: ``time.perf_counter()`` when the request came in, s.
+    """
+
+    store: ModelStore
+    reference: ModelReference
+    image: bytes
+    configurations: NDArray[np.floating]
+    robot: str | None
+    require_confirmed: bool
+    npy: bool
+    began: float
+
+    def answer(self, served: ServedModel, turn: Turn) -> Response:
+        """Score and write.
+
+        Raises:
+            CspaceError: as the contract's table of errors.
+            ClientDisconnect: the client has gone away.
+        """
+        found = self._score(served, turn)
+        name = f"{served.name}/{served.version}"
+        self.store.observer.scored(Scored(name, served.fallback, len(found.confidence)))
+        return _npy_response(found) if self.npy else _json_response(found)
+
+    def _score(self, served: ServedModel, turn: Turn) -> Validity:
+        bundle = served.bundle
+        require_robot(self.robot, bundle.spec)
+        configurations = fitted_configurations(self.configurations, bundle.spec)
+        turn.spend(float(len(configurations)))
+        prepared = self.store.pictures.get(bundle, self.image)
+        scoring = time.perf_counter()
+        confidence = bundle.score(prepared.picture, configurations, turn.between)
+        ended = time.perf_counter()
+        timing = ScoreTimingMs(
+            decode=prepared.decode_ms,
+            encode=prepared.encode_ms,
+            score=1e3 * (ended - scoring),
+            total=1e3 * (ended - self.began),
+        )
+        return Validity(served, confidence, prepared.picture.novelty, timing)
+
+
+def read_validity(store: ModelStore, fields: RawFields, *, npy: bool, began: float) -> ValidityQuestion:
+    """Parse and validate.
+
+    Args:
+        store: where the models are.
+        fields: the body as it was read.
+        npy: as :class:`ValidityQuestion` has it.
+        began: likewise.
+
+    Raises:
+        CspaceError: as the contract's table of errors.
+    """
+    request = validate_fields(ValidityRequest, parse_fields(fields, VALIDITY_FORM))
+    named = request.model if "model" in request.model_fields_set else store.model_name
+    return ValidityQuestion(
+        store,
+        ModelReference.parse(named),
+        request.image,
+        _array_of(request.configurations),
+        request.robot,
+        request.require_confirmed,
+        npy,
+        began,
+    )
+
+
+def _array_of(given: bytes | tuple[tuple[float, ...], ...]) -> NDArray[np.floating]:
+    """(n, d), of a ``.npy`` file or of rows."""
+    if not isinstance(given, bytes):
+        lengths = {len(row) for row in given}
+        if len(lengths) > 1:
+            raise _wrong(f"rows of {min(lengths)} to {max(lengths)}")
+        return np.array(given, dtype=np.float64)
+    try:
+        found = read_npy(given, _TYPES, 2)
+    except ValueError as error:
+        raise _wrong(str(error)[:200]) from error
+    if not 1 <= len(found) <= MAX_SAMPLES:
+        raise _wrong(f"{len(found)} rows")
+    return found
+
+
+def _wrong(got: str) -> InputError:
+    return InputError(
+        "configurations are wrong",
+        expected=f"1 to {MAX_SAMPLES} rows of as many angles in rad: JSON, or a .npy of float32 or float64",
+        got=got,
+        remedy="numpy.save(file, array) writes such a file",
+    )
+
+
+def _json_response(found: Validity) -> Response:
+    spec = found.served.bundle.spec
+    # Constructed, not validated: the list comes from an array.
+    body = ValidityAnswer.model_construct(
+        confidence=found.confidence.tolist(),
+        unseen=None,
+        threshold=spec.confidence_threshold,
+        scenario=ScenarioInfo(novelty=found.novelty),
+        joint_space=joint_space_info(spec.joint_space),
+        model=model_info(found.served),
+        timing_ms=found.timing,
+    )
+    return Response(body.model_dump_json(), media_type="application/json")
+
+
+def _npy_response(found: Validity) -> Response:
+    """(n, 2) float32: confidence, and the unseen share, NaN where the world is seen whole."""
+    served, spec = found.served, found.served.bundle.spec
+    columns = np.full((len(found.confidence), 2), np.nan, dtype="<f4")
+    columns[:, 0] = found.confidence
+    timing = ", ".join(f"{name};dur={value:.3f}" for name, value in found.timing.model_dump().items())
+    headers = {
+        "X-Model-Name": served.name,
+        "X-Model-Version": str(served.version),
+        "X-Model-Digest": served.bundle.digest,
+        "X-Robot": served.bundle.robot,
+        "X-Alias-Confirmed": "true" if served.confirmed else "false",
+        "X-Joint-Space": json.dumps(spec.joint_space, separators=(",", ":")),
+        "Server-Timing": timing,
+    }
+    if spec.confidence_threshold is not None:
+        headers["X-Threshold"] = f"{spec.confidence_threshold:.6g}"
+    if found.novelty is not None:
+        headers["X-Novelty"] = f"{found.novelty:.6g}"
+    return Response(npy_head(columns.shape) + columns.tobytes(), headers=headers, media_type=NPY)

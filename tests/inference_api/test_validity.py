@@ -1,0 +1,177 @@
+"""``POST /validity``: what a model holds of configurations that something else drew."""
+
+import io
+import json
+from typing import Any
+
+import httpx
+import numpy as np
+import pytest
+
+from cspace.bundle import Bundle
+from cspace.worlds import examples, robot_digest
+from tests.bundles import picture
+from tests.inference_api.answers import IMAGE, PNG, assert_answers, assert_problem
+from tests.inference_api.client import ApiClient
+
+CAREFUL = "cspace-sampler@careful"
+NPY = {"accept": "application/x-npy"}
+TWO, THREE = (robot_digest(world) for world in examples().values())
+ROWS = np.random.default_rng(0).uniform(-3.0, 3.0, (40, 2))
+
+
+def npy(array: np.ndarray) -> bytes:
+    file = io.BytesIO()
+    np.save(file, array)
+    return file.getvalue()
+
+
+def ask(
+    api: ApiClient, configurations: Any, headers: dict[str, str] | None = None, **fields: str
+) -> httpx.Response:
+    """By a form, the configurations as a file where they are bytes."""
+    files: dict[str, Any] = {"image": PNG}
+    data = {"model": CAREFUL, **fields}
+    if isinstance(configurations, bytes):
+        files["configurations"] = configurations
+    else:
+        data["configurations"] = json.dumps(configurations)
+    return api.post("/validity", files=files, data=data, headers=headers)
+
+
+@pytest.fixture(scope="module")
+def expected(bundles):
+    return Bundle.load(bundles["careful"]).score(picture(), ROWS.astype(np.float32))
+
+
+def test_every_form_of_the_question_has_the_bundle_s_own_answer(api, expected):
+    single = ROWS.astype(np.float32)
+    body = {"image": IMAGE, "model": CAREFUL}
+    answers = [
+        ask(api, single.tolist()),
+        ask(api, npy(single)),
+        ask(api, npy(single.astype(np.float64))),
+        ask(api, npy(np.asfortranarray(single))),
+        api.post("/validity", json=body | {"configurations": single.tolist()}),
+    ]
+    for answer in answers:
+        assert answer.status_code == 200, answer.text
+        assert answer.json()["confidence"] == expected.tolist()
+    told = answers[0].json()
+    assert told["unseen"] is None
+    assert told["threshold"] == 0.45
+    assert 0.0 <= told["scenario"]["novelty"] <= 1.0
+    assert told["joint_space"] == {"kind": "torus", "dim": 2, "unit": "rad"}
+    assert (told["model"]["version"], told["model"]["robot"]) == (5, TWO)
+    assert set(told["timing_ms"]) == {"decode", "encode", "score", "total"}
+
+
+def test_an_array_holds_two_columns_and_the_rest_is_in_headers(api, expected):
+    answer = ask(api, npy(ROWS.astype(np.float32)), NPY)
+    assert answer.headers["content-type"] == "application/x-npy"
+    found = np.load(io.BytesIO(answer.content))
+    assert found.dtype == np.float32
+    assert np.array_equal(found[:, 0], expected)
+    assert np.isnan(found[:, 1]).all()
+    assert answer.headers["x-threshold"] == "0.45"
+    assert answer.headers["x-model-version"] == "5"
+    assert answer.headers["x-robot"] == TWO
+    assert "score;dur=" in answer.headers["server-timing"]
+    assert not {"x-seed", "x-shortfall", "x-acceptance"} & set(answer.headers)
+
+
+def test_a_circle_is_the_same_at_every_turn(api):
+    once = ask(api, [[0.5, -1.0]]).json()["confidence"]
+    assert ask(api, [[0.5 + 4 * np.pi, -1.0 - 2 * np.pi]]).json()["confidence"] == pytest.approx(once)
+
+
+def test_samples_are_scored_as_they_were_when_they_were_drawn(api):
+    drawn = api.post("/sample", files={"image": PNG}, data={"n": "20", "seed": "1", "model": CAREFUL}).json()
+    assert ask(api, drawn["samples"]).json()["confidence"] == pytest.approx(drawn["confidence"], abs=1e-6)
+
+
+def test_twenty_thousand_are_answered(api):
+    many = np.random.default_rng(1).uniform(-3.0, 3.0, (20_000, 2)).astype(np.float32)
+    answer = ask(api, npy(many), NPY)
+    assert answer.status_code == 200
+    assert np.load(io.BytesIO(answer.content)).shape == (20_000, 2)
+
+
+@pytest.mark.parametrize(
+    "configurations",
+    [
+        [],
+        [[]],
+        [1.0, 2.0],
+        "all",
+        [["1.0", "2.0"]],
+        [[True, False]],
+        [[0.0, 1.0], [0.0]],
+        [[0.0, 0.0, 0.0]],
+        npy(np.zeros((0, 2))),
+        npy(np.zeros((20_001, 2), np.float32)),
+        npy(np.zeros((3, 3))),
+        npy(np.zeros(4)),
+        npy(np.zeros((2, 2), np.int64)),
+        npy(np.zeros((2, 2), np.complex128)),
+        npy(np.full((2, 2), np.nan)),
+        npy(np.full((2, 2), np.inf)),
+        npy(np.zeros((2, 2)))[:-1],
+        npy(np.zeros((2, 2))) + b"0",
+        b"",
+        b"\x93NUMPY",
+        PNG,
+    ],
+    ids=lambda value: repr(value)[:40],
+)
+def test_what_are_no_configurations_is_refused(api, configurations):
+    problem = assert_problem(ask(api, configurations), 422, "invalid-value")
+    assert "configurations" in problem["detail"] or problem["errors"][0]["field"] == "configurations"
+    assert_answers(api)
+
+
+def test_what_holds_python_objects_is_not_read(api):
+    evil = npy(np.array([[print, print]], dtype=object))
+    assert_problem(ask(api, evil), 422, "invalid-value")
+
+
+def test_json_without_end_is_refused_before_it_is_parsed(api):
+    rows = [[0.0, 0.0]] * 20_000
+    body = {"image": IMAGE, "model": CAREFUL, "configurations": [*rows, *rows]}
+    problem = assert_problem(api.post("/validity", json=body), 400, "malformed-body")
+    assert "too many values" in problem["detail"]
+
+
+def test_fields_of_samples_are_unknown_here(api):
+    problem = assert_problem(ask(api, ROWS.tolist(), n="3"), 422, "invalid-value")
+    (error,) = problem["errors"]
+    assert error["field"] == "n"
+    assert error["expected"] == "one of image, configurations, model, robot, require_confirmed"
+
+
+def test_both_fields_are_needed(api):
+    problem = assert_problem(api.post("/validity", json={}), 422, "invalid-value")
+    assert [error["field"] for error in problem["errors"]] == ["image", "configurations"]
+
+
+def test_a_model_without_a_head_says_so(api):
+    problem = assert_problem(ask(api, ROWS.tolist(), model="pretrained"), 422, "invalid-value")
+    assert "validity head" in problem["detail"]
+
+
+def test_another_robot_is_refused(api):
+    assert ask(api, ROWS.tolist(), robot=TWO).status_code == 200
+    assert_problem(ask(api, ROWS.tolist(), robot=THREE), 409, "other-robot")
+
+
+def test_a_picture_that_is_none_is_refused(api):
+    answer = api.post(
+        "/validity", files={"image": b"GIF", "configurations": npy(ROWS)}, data={"model": CAREFUL}
+    )
+    assert_problem(answer, 422, "invalid-image")
+
+
+def test_scored_configurations_are_counted(own_api):
+    assert ask(own_api, ROWS.tolist()).status_code == 200
+    lines = own_api.get("/metrics").text.splitlines()
+    assert f"cspace_configurations_scored_total {float(len(ROWS))}" in lines
