@@ -23,7 +23,7 @@ class TinyApi:
     def address(self) -> str:
         """Where it listens."""
         if self._address is None:
-            bundle = write_tiny_bundle(self._folder / "bundle")
+            bundle = write_tiny_bundle(self._folder / "bundle", validity=True)
             settings = {"CSPACE_PRETRAINED_MODEL": str(bundle)}
             self._address = self._stack.enter_context(api_server(self._folder, settings))
         return self._address
