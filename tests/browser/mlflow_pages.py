@@ -63,6 +63,8 @@ def open_picture(page: Page, url: str, experiment_id: str, run_id: str, path: st
 def open_comparison(page: Page, url: str, experiment_id: str, run_ids: Sequence[str]) -> None:
     """Two or more runs side by side."""
     runs, experiments = quote(json.dumps(list(run_ids))), quote(json.dumps([experiment_id]))
+    # From one comparison to the next the page would keep the first one's runs.
+    page.goto("about:blank")
     page.goto(f"{url}/#/compare-runs?runs={runs}&experiments={experiments}")
     expect_that(page.get_by_text(f"Comparing {len(run_ids)} Runs").first).to_be_visible()
 
