@@ -7,7 +7,7 @@ import pytest
 
 from cspace.errors import SamplerAnswerError
 from cspace.space import JointSpace, circles
-from inference_api.pages.sampling import _npy_head
+from inference_api.pages.sampling import npy_head
 from services.planner.sources.npy_answer import read_space
 from services.planner.sources.npy_body import read_samples
 
@@ -17,7 +17,7 @@ GOOD = MIXED.to_dict()
 
 def body(rows):
     samples = np.asarray(rows, dtype="<f4")
-    return _npy_head(samples.shape) + samples.tobytes()
+    return npy_head(samples.shape) + samples.tobytes()
 
 
 @pytest.mark.parametrize("space", [circles(3), MIXED, JointSpace((-9.0,), (9.0,), (False,))])
