@@ -104,6 +104,7 @@ def test_test_problems_are_asked_for_with_a_folder(tmp_path: Path) -> None:
             json.dumps({"problems": [BenchProblem("box", 1, Obstacles(), (0,), (1,)).to_dict()] * 2}).encode()
         ),
     ],
+    ids=["no gzip", "cut off", "no JSON", "no list", "no problem", "one twice"],
 )
 def test_a_file_that_holds_something_else_is_refused(tmp_path: Path, data: bytes) -> None:
     path = tmp_path / "validation.json.gz"
