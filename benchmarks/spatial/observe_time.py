@@ -19,19 +19,19 @@ import numpy as np
 import cspace.worlds.spatial
 from benchmarks.command import arguments
 from cspace.splits import Split
-from cspace.worlds.spatial.arm import SerialArm
-from cspace.worlds.spatial.depth_picture import to_m, to_mm
-from cspace.worlds.spatial.families import draw_layout
-from cspace.worlds.spatial.grid_box import grid_of
-from cspace.worlds.spatial.noise import StructuredLight
-from cspace.worlds.spatial.observed import lookup, observe, unseen_share
-from cspace.worlds.spatial.placing import draw_cameras
-from cspace.worlds.spatial.render import render_depth
-from cspace.worlds.spatial.robot_pixels import drop_robot
-from cspace.worlds.spatial.scenes import SpatialScenes
-from cspace.worlds.spatial.sight import sight
-from cspace.worlds.spatial.surface_patches import distance_codes, patches
-from cspace.worlds.spatial.views import CameraViews
+from cspace.worlds.spatial.obstacles.families import draw_layout
+from cspace.worlds.spatial.obstacles.scenes import SpatialScenes
+from cspace.worlds.spatial.robot.arm import SerialArm
+from cspace.worlds.spatial.seeing.depth_picture import to_m, to_mm
+from cspace.worlds.spatial.seeing.grid_box import grid_of
+from cspace.worlds.spatial.seeing.noise import StructuredLight
+from cspace.worlds.spatial.seeing.observed import lookup, observe, unseen_share
+from cspace.worlds.spatial.seeing.placing import draw_cameras
+from cspace.worlds.spatial.seeing.render import render_depth
+from cspace.worlds.spatial.seeing.robot_pixels import drop_robot
+from cspace.worlds.spatial.seeing.sight import sight
+from cspace.worlds.spatial.seeing.surface_patches import distance_codes, patches
+from cspace.worlds.spatial.seeing.views import CameraViews
 
 PANDA = Path(cspace.worlds.spatial.__file__).with_name("robots") / "panda.json"
 READY = ((0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785),)

@@ -20,12 +20,12 @@ import numpy as np
 import cspace.worlds.spatial
 from benchmarks.command import arguments
 from cspace.splits import Split
-from cspace.worlds.spatial.arm import SerialArm
-from cspace.worlds.spatial.judge import Description, RobotMeshes
-from cspace.worlds.spatial.kinematics import arm_arrays, self_distance_batch, sphere_centres_batch
 from cspace.worlds.spatial.motionbench.problems import BenchProblem, problems
-from cspace.worlds.spatial.shapes import Obstacles
-from cspace.worlds.spatial.signed_distance import clearance_m
+from cspace.worlds.spatial.obstacles.shapes import Obstacles
+from cspace.worlds.spatial.obstacles.signed_distance import clearance_m
+from cspace.worlds.spatial.planning.judge import Description, RobotMeshes
+from cspace.worlds.spatial.robot.arm import SerialArm
+from cspace.worlds.spatial.robot.kinematics import arm_arrays, self_distance_batch, sphere_centres_batch
 
 FINGERS_M = 0.065
 NEAR_M = 0.01

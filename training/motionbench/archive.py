@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from cspace.errors import CspaceError, DamagedFileError, DatasetError, ScenarioError
 from cspace.splits import Split
 from cspace.worlds.spatial.motionbench.problems import NUMBERS, BenchProblem, expected_names
+from cspace.worlds.spatial.obstacles.shapes import Box, Cylinder, Obstacles
 from cspace.worlds.spatial.poses import Pose, make_pose, pose_of
-from cspace.worlds.spatial.shapes import Box, Cylinder, Obstacles
 
 PACKAGE, VERSION = "vamp-planner", "0.6.4"
 # Of the archive that the problems were first taken from.

@@ -7,7 +7,7 @@ import numpy as np
 
 from cspace.errors import ScenarioError
 from cspace.worlds.spatial.frames import Frame, turn
-from cspace.worlds.spatial.parts import Joint
+from cspace.worlds.spatial.robot.parts import Joint
 from training.robots.urdf import Description, Matrix, Shape, UrdfJoint
 
 _TURNING = {"revolute", "continuous"}

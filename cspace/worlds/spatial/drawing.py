@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import ConvexHull
 
-from cspace.worlds.spatial.arm import SerialArm
-from cspace.worlds.spatial.shapes import Box, Cylinder, Obstacles
+from cspace.worlds.spatial.obstacles.shapes import Box, Cylinder, Obstacles
+from cspace.worlds.spatial.robot.arm import SerialArm
 
 # Which coordinates are across and up.
 SIDE, ABOVE = (0, 2), (0, 1)

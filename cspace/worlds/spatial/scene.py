@@ -8,19 +8,19 @@ from numpy.typing import NDArray
 
 from cspace.errors import ScenarioError
 from cspace.splits import Split
-from cspace.worlds.spatial.arm import SerialArm
-from cspace.worlds.spatial.camera import DepthCamera
-from cspace.worlds.spatial.collision import CollisionChecker
-from cspace.worlds.spatial.depth_picture import to_mm
-from cspace.worlds.spatial.families import draw_layout
-from cspace.worlds.spatial.layout import Layout
-from cspace.worlds.spatial.noise import Disparity, Noise, Stereo, StructuredLight
-from cspace.worlds.spatial.placing import draw_cameras
-from cspace.worlds.spatial.ready import ready_rad
-from cspace.worlds.spatial.render import render_depth
-from cspace.worlds.spatial.scenes import SpatialScenes
-from cspace.worlds.spatial.shapes import Obstacles
-from cspace.worlds.spatial.view import DepthView
+from cspace.worlds.spatial.obstacles.families import draw_layout
+from cspace.worlds.spatial.obstacles.layout import Layout
+from cspace.worlds.spatial.obstacles.scenes import SpatialScenes
+from cspace.worlds.spatial.obstacles.shapes import Obstacles
+from cspace.worlds.spatial.planning.collision import CollisionChecker
+from cspace.worlds.spatial.robot.arm import SerialArm
+from cspace.worlds.spatial.robot.ready import ready_rad
+from cspace.worlds.spatial.seeing.camera import DepthCamera
+from cspace.worlds.spatial.seeing.depth_picture import to_mm
+from cspace.worlds.spatial.seeing.noise import Disparity, Noise, Stereo, StructuredLight
+from cspace.worlds.spatial.seeing.placing import draw_cameras
+from cspace.worlds.spatial.seeing.render import render_depth
+from cspace.worlds.spatial.seeing.view import DepthView
 from cspace.worlds.spatial.world import SpatialWorld
 
 _MODELS: dict[str, Noise] = {
@@ -41,7 +41,7 @@ class SpatialScene:
         obstacles: in the base frame.
         cameras: one to four.
         state: (d,) rad, where the arm is while it is looked at; None where it is in no picture.
-        noise: one of :data:`cspace.worlds.spatial.sensor.NOISES`, or None for exact pictures.
+        noise: one of :data:`cspace.worlds.spatial.seeing.sensor.NOISES`, or None for exact pictures.
         noise_seed: of its draws.
     """
 

@@ -12,14 +12,14 @@ from cspace.problem import UNIFORM, Problem
 from cspace.splits import Split, scenario_rng
 from cspace.workshop import Checker, Families, Measures, PathSearch
 from cspace.world import Image, Scene, World
-from cspace.worlds.spatial.collision import CollisionChecker
 from cspace.worlds.spatial.drawing import draw_arm, draw_obstacles
-from cspace.worlds.spatial.obstacle_rows import rows_of
-from cspace.worlds.spatial.problems import draw_problem
+from cspace.worlds.spatial.obstacles.obstacle_rows import rows_of
+from cspace.worlds.spatial.obstacles.scenes import FAMILIES
+from cspace.worlds.spatial.planning.collision import CollisionChecker
+from cspace.worlds.spatial.planning.problems import draw_problem
+from cspace.worlds.spatial.planning.ways import WayLimits, find_way
 from cspace.worlds.spatial.scene import SpatialScene, draw_scene, scenes_of, seen
-from cspace.worlds.spatial.scenes import FAMILIES
-from cspace.worlds.spatial.view import write_view
-from cspace.worlds.spatial.ways import WayLimits, find_way
+from cspace.worlds.spatial.seeing.view import write_view
 from cspace.worlds.spatial.world import SpatialWorld
 
 _NOTE = "A family is what stands about the arm; every problem has a way that was found in the scene as it is."
@@ -63,7 +63,7 @@ class SpatialWorkshop:
         return [self.scene(scenario_rng(split, seed, index), split, index) for index in range(count)]
 
     def arrays_of(self, scene: Scene) -> dict[str, NDArray[Any]]:
-        """See :func:`cspace.worlds.spatial.obstacle_rows.rows_of`."""
+        """See :func:`cspace.worlds.spatial.obstacles.obstacle_rows.rows_of`."""
         return dict(rows_of(_spatial(scene).obstacles))
 
     def render(self, scene: Scene) -> Image:
@@ -71,11 +71,11 @@ class SpatialWorkshop:
         return self.world.observed(_spatial(scene).view())
 
     def picture_file(self, scene: Scene) -> bytes:
-        """See :mod:`cspace.worlds.spatial.view`."""
+        """See :mod:`cspace.worlds.spatial.seeing.view`."""
         return write_view(_spatial(scene).view())
 
     def checker(self, scene: Scene) -> Checker:
-        """See :class:`cspace.worlds.spatial.collision.CollisionChecker`."""
+        """See :class:`cspace.worlds.spatial.planning.collision.CollisionChecker`."""
         found = _spatial(scene)
         return CollisionChecker(found.world.body, found.obstacles)
 
@@ -94,7 +94,7 @@ class SpatialWorkshop:
         return np.empty((0, 2), dtype=np.int64)
 
     def path_search(self, scene: Scene) -> PathSearch:
-        """See :func:`cspace.worlds.spatial.ways.find_way`."""
+        """See :func:`cspace.worlds.spatial.planning.ways.find_way`."""
         checker = cast("CollisionChecker", self.checker(scene))
 
         def search(start: NDArray[np.float64], goal: NDArray[np.float64]) -> NDArray[np.float64] | None:
@@ -103,7 +103,7 @@ class SpatialWorkshop:
         return search
 
     def problem(self, family: str, split: Split, seed: int, index: int = 0) -> Problem:
-        """See :func:`cspace.worlds.spatial.problems.draw_problem`; the arm waits at the start."""
+        """See :func:`cspace.worlds.spatial.planning.problems.draw_problem`; the arm waits at the start."""
         self.require(family)
         named = None if family == UNIFORM else family
         found = draw_problem(self.world.body, scenes_of(self.world), split, seed, index, named)

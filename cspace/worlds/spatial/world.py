@@ -13,14 +13,14 @@ from cspace.errors import ConfigError, DatasetError, ScenarioError
 from cspace.space import JointSpace
 from cspace.strict_json import read_mapping, read_members, read_object
 from cspace.world import Arrays, Levers, World
-from cspace.worlds.spatial.arm import SerialArm
-from cspace.worlds.spatial.camera import DepthCamera, looking
-from cspace.worlds.spatial.grid_box import grid_of
-from cspace.worlds.spatial.observed import observe
-from cspace.worlds.spatial.obstacle_rows import BOX_VALUES, CYLINDER_VALUES
-from cspace.worlds.spatial.scenes import SpatialScenes, read_spatial_scenes
-from cspace.worlds.spatial.sensor import DepthSensor
-from cspace.worlds.spatial.view import DepthView, read_view, write_view
+from cspace.worlds.spatial.obstacles.obstacle_rows import BOX_VALUES, CYLINDER_VALUES
+from cspace.worlds.spatial.obstacles.scenes import SpatialScenes, read_spatial_scenes
+from cspace.worlds.spatial.robot.arm import SerialArm
+from cspace.worlds.spatial.seeing.camera import DepthCamera, looking
+from cspace.worlds.spatial.seeing.grid_box import grid_of
+from cspace.worlds.spatial.seeing.observed import observe
+from cspace.worlds.spatial.seeing.sensor import DepthSensor
+from cspace.worlds.spatial.seeing.view import DepthView, read_view, write_view
 
 KIND = "spatial"
 _ROBOTS = Path(__file__).with_name("robots")
@@ -52,11 +52,11 @@ class SpatialWorld:
 
     @property
     def scene_files(self) -> tuple[str, ...]:
-        """(S, any, 15) boxes and (S, any, 14) cylinders; see :mod:`cspace.worlds.spatial.obstacle_rows`."""
+        """(S, any, 15) boxes and (S, any, 14) cylinders, padded with NaN."""
         return ("boxes", "cylinders")
 
     def read_picture(self, data: bytes) -> NDArray[np.uint8]:
-        """The array of a view file; see :mod:`cspace.worlds.spatial.view`."""
+        """The array of a view file; see :mod:`cspace.worlds.spatial.seeing.view`."""
         return self.observed(read_view(data, self.space))
 
     def blank_picture(self) -> bytes:

@@ -14,10 +14,10 @@ from cspace.errors import DatasetError, ScenarioError
 from cspace.files import replacing
 from cspace.splits import Split
 from cspace.strict_json import parse_json, read_members, read_object, settle, written
-from cspace.worlds.spatial.arm import SerialArm
-from cspace.worlds.spatial.layout import GoalRegion, Layout
+from cspace.worlds.spatial.obstacles.layout import GoalRegion, Layout
+from cspace.worlds.spatial.obstacles.shapes import Box, Obstacles
 from cspace.worlds.spatial.poses import Vector, pose_of
-from cspace.worlds.spatial.shapes import Box, Obstacles
+from cspace.worlds.spatial.robot.arm import SerialArm
 
 FAMILIES = (
     "bookshelf_small",

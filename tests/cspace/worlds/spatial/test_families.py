@@ -7,13 +7,13 @@ import pytest
 from cspace.errors import ScenarioError
 from cspace.splits import Split
 from cspace.strict_json import parse_json
-from cspace.worlds.spatial.families import base_clearance_m, draw_layout
-from cspace.worlds.spatial.furniture import Bins, Cages, Shelves, Tables
-from cspace.worlds.spatial.layout import GoalRegion, Piece, read_layout
+from cspace.worlds.spatial.obstacles.families import base_clearance_m, draw_layout
+from cspace.worlds.spatial.obstacles.furniture import Bins, Cages, Shelves, Tables
+from cspace.worlds.spatial.obstacles.layout import GoalRegion, Piece, read_layout
+from cspace.worlds.spatial.obstacles.scenes import FAMILIES, SpatialScenes, read_spatial_scenes
+from cspace.worlds.spatial.obstacles.shapes import Box, Cylinder, Obstacles
+from cspace.worlds.spatial.obstacles.signed_distance import distance_m
 from cspace.worlds.spatial.poses import HERE, make_pose, pose_of, turned
-from cspace.worlds.spatial.scenes import FAMILIES, SpatialScenes, read_spatial_scenes
-from cspace.worlds.spatial.shapes import Box, Cylinder, Obstacles
-from cspace.worlds.spatial.signed_distance import distance_m
 
 SCENES = SpatialScenes()
 

@@ -9,8 +9,6 @@ import pytest
 import cspace.worlds.spatial
 from cspace.errors import DatasetError, ScenarioError
 from cspace.splits import Split
-from cspace.worlds.spatial.arm import SerialArm
-from cspace.worlds.spatial.kinematics import arm_arrays, self_distance_batch
 from cspace.worlds.spatial.motionbench.problems import (
     FAMILIES,
     SHIPPED,
@@ -19,8 +17,10 @@ from cspace.worlds.spatial.motionbench.problems import (
     read_problems,
     write_problems,
 )
-from cspace.worlds.spatial.shapes import Obstacles
-from cspace.worlds.spatial.signed_distance import clearance_m
+from cspace.worlds.spatial.obstacles.shapes import Obstacles
+from cspace.worlds.spatial.obstacles.signed_distance import clearance_m
+from cspace.worlds.spatial.robot.arm import SerialArm
+from cspace.worlds.spatial.robot.kinematics import arm_arrays, self_distance_batch
 
 PANDA = SerialArm.from_dict(
     json.loads(Path(cspace.worlds.spatial.__file__).with_name("robots").joinpath("panda.json").read_bytes())

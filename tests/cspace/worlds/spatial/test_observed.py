@@ -7,19 +7,20 @@ import pytest
 import cspace.worlds.spatial
 from cspace.errors import ImageError
 from cspace.splits import Split
-from cspace.worlds.spatial import surface_patches
-from cspace.worlds.spatial.arm import SerialArm
-from cspace.worlds.spatial.camera import DepthCamera, looking
-from cspace.worlds.spatial.depth_picture import to_mm
-from cspace.worlds.spatial.families import draw_layout
-from cspace.worlds.spatial.grid_box import GridBox, grid_of
-from cspace.worlds.spatial.observed import distances_m, lookup, observe, unseen_share
-from cspace.worlds.spatial.placing import draw_cameras
+from cspace.worlds.spatial.obstacles.families import draw_layout
+from cspace.worlds.spatial.obstacles.scenes import FAMILIES, SpatialScenes
+from cspace.worlds.spatial.obstacles.shapes import Box, Cylinder, Obstacles
+from cspace.worlds.spatial.obstacles.signed_distance import distance_m
 from cspace.worlds.spatial.poses import make_pose, pose_of, turned
-from cspace.worlds.spatial.render import render_depth
-from cspace.worlds.spatial.scenes import FAMILIES, SpatialScenes
-from cspace.worlds.spatial.shapes import Box, Cylinder, Obstacles
-from cspace.worlds.spatial.sight import (
+from cspace.worlds.spatial.robot.arm import SerialArm
+from cspace.worlds.spatial.seeing import surface_patches
+from cspace.worlds.spatial.seeing.camera import DepthCamera, looking
+from cspace.worlds.spatial.seeing.depth_picture import to_mm
+from cspace.worlds.spatial.seeing.grid_box import GridBox, grid_of
+from cspace.worlds.spatial.seeing.observed import distances_m, lookup, observe, unseen_share
+from cspace.worlds.spatial.seeing.placing import draw_cameras
+from cspace.worlds.spatial.seeing.render import render_depth
+from cspace.worlds.spatial.seeing.sight import (
     BEHIND_STEP_M,
     FREE,
     FREE_MARGIN_M,
@@ -27,9 +28,8 @@ from cspace.worlds.spatial.sight import (
     NO_READING,
     OUT_OF_VIEW,
 )
-from cspace.worlds.spatial.signed_distance import distance_m
-from cspace.worlds.spatial.surface_patches import DISTANCE_STEP_M, TRUNCATION_M
-from cspace.worlds.spatial.views import CameraViews
+from cspace.worlds.spatial.seeing.surface_patches import DISTANCE_STEP_M, TRUNCATION_M
+from cspace.worlds.spatial.seeing.views import CameraViews
 
 ROBOTS = Path(cspace.worlds.spatial.__file__).with_name("robots")
 PANDA = SerialArm.from_dict(json.loads((ROBOTS / "panda.json").read_bytes()))

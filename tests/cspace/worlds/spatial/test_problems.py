@@ -5,13 +5,13 @@ import pytest
 
 from cspace.errors import ScenarioError
 from cspace.splits import Split
-from cspace.worlds.spatial import problems
-from cspace.worlds.spatial.collision import CollisionChecker
-from cspace.worlds.spatial.families import draw_layout
-from cspace.worlds.spatial.problems import KINDS, draw_problem, reaches_into
-from cspace.worlds.spatial.ready import ready_rad
-from cspace.worlds.spatial.scenes import FAMILIES, SpatialScenes
-from cspace.worlds.spatial.ways import WayLimits
+from cspace.worlds.spatial.obstacles.families import draw_layout
+from cspace.worlds.spatial.obstacles.scenes import FAMILIES, SpatialScenes
+from cspace.worlds.spatial.planning import problems
+from cspace.worlds.spatial.planning.collision import CollisionChecker
+from cspace.worlds.spatial.planning.problems import KINDS, draw_problem, reaches_into
+from cspace.worlds.spatial.planning.ways import WayLimits
+from cspace.worlds.spatial.robot.ready import ready_rad
 from tests.cspace.worlds.spatial.test_robots import PANDA, READY
 from tests.cspace.worlds.spatial.test_ways import TWO_LINKS
 

@@ -2,14 +2,14 @@ import numpy as np
 import pytest
 
 from cspace.errors import ImageError
-from cspace.worlds.spatial import robot_pixels
-from cspace.worlds.spatial.camera import DepthCamera, looking
-from cspace.worlds.spatial.depth_picture import to_mm
-from cspace.worlds.spatial.noise import Disparity, Stereo, StructuredLight
+from cspace.worlds.spatial.obstacles.shapes import Box, Obstacles
 from cspace.worlds.spatial.poses import make_pose, pose_of
-from cspace.worlds.spatial.render import render_depth
-from cspace.worlds.spatial.robot_pixels import SLACK_M, drop_robot
-from cspace.worlds.spatial.shapes import Box, Obstacles
+from cspace.worlds.spatial.seeing import robot_pixels
+from cspace.worlds.spatial.seeing.camera import DepthCamera, looking
+from cspace.worlds.spatial.seeing.depth_picture import to_mm
+from cspace.worlds.spatial.seeing.noise import Disparity, Stereo, StructuredLight
+from cspace.worlds.spatial.seeing.render import render_depth
+from cspace.worlds.spatial.seeing.robot_pixels import SLACK_M, drop_robot
 
 CAMERA = DepthCamera.of_field(40, 32, 70.0, looking((1.0, 0.4, 0.8), (0.0, 0.0, 0.4), 0.2))
 WALL = Obstacles((Box(pose_of(make_pose(np.eye(3), (-0.7, 0, 0))), (0.1, 3.0, 3.0)),))

@@ -4,8 +4,8 @@ from pathlib import Path
 import numpy as np
 
 import cspace.worlds.spatial
-from cspace.worlds.spatial.arm import SerialArm
-from cspace.worlds.spatial.kinematics import arm_arrays, self_distance_batch
+from cspace.worlds.spatial.robot.arm import SerialArm
+from cspace.worlds.spatial.robot.kinematics import arm_arrays, self_distance_batch
 
 ROBOTS = Path(cspace.worlds.spatial.__file__).with_name("robots")
 PANDA = SerialArm.from_dict(json.loads((ROBOTS / "panda.json").read_bytes()))

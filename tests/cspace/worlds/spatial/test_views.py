@@ -7,12 +7,12 @@ import pytest
 from cspace.errors import ScenarioError
 from cspace.splits import Split
 from cspace.strict_json import parse_json
-from cspace.worlds.spatial.families import draw_layout
-from cspace.worlds.spatial.placing import camera_place, draw_cameras
-from cspace.worlds.spatial.render import render_depth
-from cspace.worlds.spatial.scenes import SpatialScenes
-from cspace.worlds.spatial.signed_distance import distance_m
-from cspace.worlds.spatial.views import CameraViews, read_camera_views
+from cspace.worlds.spatial.obstacles.families import draw_layout
+from cspace.worlds.spatial.obstacles.scenes import SpatialScenes
+from cspace.worlds.spatial.obstacles.signed_distance import distance_m
+from cspace.worlds.spatial.seeing.placing import camera_place, draw_cameras
+from cspace.worlds.spatial.seeing.render import render_depth
+from cspace.worlds.spatial.seeing.views import CameraViews, read_camera_views
 
 VIEWS = CameraViews()
 LAYOUTS = [draw_layout(SpatialScenes(), Split.TRAIN, 11, index) for index in range(40)]

@@ -8,15 +8,13 @@ import pytest
 from cspace.errors import ScenarioError
 from cspace.space import circles
 from cspace.splits import Split
-from cspace.worlds.spatial.arm import SerialArm
-from cspace.worlds.spatial.collision import CollisionChecker
-from cspace.worlds.spatial.families import draw_layout
 from cspace.worlds.spatial.frames import Frame
-from cspace.worlds.spatial.objects import block
-from cspace.worlds.spatial.parts import Joint, Part
-from cspace.worlds.spatial.scenes import SpatialScenes
-from cspace.worlds.spatial.shapes import Obstacles
-from cspace.worlds.spatial.ways import (
+from cspace.worlds.spatial.obstacles.families import draw_layout
+from cspace.worlds.spatial.obstacles.objects import block
+from cspace.worlds.spatial.obstacles.scenes import SpatialScenes
+from cspace.worlds.spatial.obstacles.shapes import Obstacles
+from cspace.worlds.spatial.planning.collision import CollisionChecker
+from cspace.worlds.spatial.planning.ways import (
     WayLimits,
     connect_trees,
     find_way,
@@ -25,6 +23,8 @@ from cspace.worlds.spatial.ways import (
     shorten,
     spaced,
 )
+from cspace.worlds.spatial.robot.arm import SerialArm
+from cspace.worlds.spatial.robot.parts import Joint, Part
 from tests.cspace.worlds.spatial.test_robots import PANDA, READY
 
 LIMITS = WayLimits(tries=2)

@@ -14,10 +14,10 @@ from cspace.strict_json import parse_json
 from cspace.workshop import Workshop
 from cspace.world import World
 from cspace.worlds.planar.world import PlanarWorld
-from cspace.worlds.spatial.obstacle_rows import obstacles_of, rows_of
-from cspace.worlds.spatial.scenes import SpatialScenes
-from cspace.worlds.spatial.sensor import DepthSensor
-from cspace.worlds.spatial.views import CameraViews
+from cspace.worlds.spatial.obstacles.obstacle_rows import obstacles_of, rows_of
+from cspace.worlds.spatial.obstacles.scenes import SpatialScenes
+from cspace.worlds.spatial.seeing.sensor import DepthSensor
+from cspace.worlds.spatial.seeing.views import CameraViews
 from cspace.worlds.spatial.workshop import open_workshop
 from cspace.worlds.spatial.world import SpatialWorld, read, shipped, usual
 

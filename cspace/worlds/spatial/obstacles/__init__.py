@@ -1,0 +1,1 @@
+"""What stands about an arm: shapes, their distances, furniture and families of scenes."""

@@ -1,0 +1,272 @@
+"""Free ways of a serial arm among obstacles: RRT-Connect, shortcuts, the shortest of several, even steps.
+
+Sources: Kuffner and LaValle, RRT-Connect, ICRA 2000; Geraerts and Overmars, Creating High-Quality Paths for
+Motion Planning, IJRR 26 (2007), for the shortcuts. A way is (k, d) rad, straight between neighbours and round
+the shorter side of circles; its length is Euclidean.
+
+On 50 validation problems of the Panda that no straight way solves, lengths over those of the best of 16
+tries, median and 90th percentile: as found 1.85 and 3.2, after 40 shortcuts 1.15 and 1.64, after 200 more
+1.05 and 1.29, the best of three tries 1.007 and 1.07, of six 1.001 and 1.04. Ways go close by obstacles, for
+no clearance is asked for.
+"""
+
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike, NDArray
+
+from cspace.errors import ScenarioError
+from cspace.space import JointSpace
+from cspace.worlds.spatial.planning.collision import CollisionChecker
+from cspace.worlds.spatial.planning.kernels import SceneArrays, checked_edge, gap, room_of, scene_arrays
+
+# States between two looks at whether there is room for more.
+_BLOCK = 64
+# Shares of the length below which shortcuts are not drawn, and gains below which they are not looked at.
+_SHORTEST, _LEAST_GAIN = 0.02, 1e-4
+_SAME_RAD = 1e-9
+
+
+@dataclass(frozen=True, slots=True)
+class WayLimits:
+    """How long and how finely ways are searched for.
+
+    Args:
+        states: uniform ones that the first try draws at most; the others draw a quarter of them.
+        tries: ways that the shortest is chosen from; fewer where one of the others fails.
+        shortcuts: proposed for each of them.
+        polish: proposed for the shortest.
+        range_rad: longest step of a tree, the sum over the joints.
+        search_rad: between states that the trees look at, the largest over the joints.
+        shortcut_rad: the same for shortcuts; finer than what is returned, which touches nothing then.
+        final_rad: the same for what is returned.
+        step_rad: longest step of what is returned, Euclidean.
+
+    Raises:
+        ScenarioError: a count is negative or a distance is not above 0.
+    """
+
+    states: int = 16000
+    tries: int = 6
+    shortcuts: int = 40
+    polish: int = 200
+    range_rad: float = 2.0
+    search_rad: float = 0.02
+    shortcut_rad: float = 0.005
+    final_rad: float = 0.01
+    step_rad: float = 0.1
+
+    def __post_init__(self) -> None:
+        counts = min(self.states, self.tries, self.shortcuts, self.polish) >= 0
+        steps = (self.range_rad, self.search_rad, self.shortcut_rad, self.final_rad, self.step_rad)
+        if not counts or not all(0.0 < one < np.inf for one in steps):
+            raise ScenarioError(
+                "the limits of a search for ways do not fit",
+                expected="counts of 0 or more and steps above 0 rad",
+                got=str(self)[:300],
+            )
+
+
+def find_way(
+    checker: CollisionChecker,
+    start: ArrayLike,
+    goal: ArrayLike,
+    rng: np.random.Generator,
+    limits: WayLimits = WayLimits(),
+) -> NDArray[np.float64] | None:
+    """A short free way, or None where none is found.
+
+    Args:
+        checker: of the scene.
+        start: (d,) rad, the first row of the way, circles in [-pi, pi).
+        goal: (d,) rad, likewise the last row.
+        rng: draws states and shortcuts.
+        limits: effort and resolutions.
+
+    Returns:
+        (k, d) rad, every edge free at ``limits.final_rad``; the straight way where it is free.
+
+    Raises:
+        ScenarioError: start or goal is of another shape.
+    """
+    if not (checker.valid(start) and checker.valid(goal)):
+        return None
+    ends = checker.space.wrap(np.stack([np.asarray(one, dtype=np.float64) for one in (start, goal)]))
+    straight = _checked(checker, ends, limits)
+    if straight is not None:
+        return straight
+    found: list[NDArray[np.float64]] = []
+    for index in range(limits.tries):
+        states = limits.states if index == 0 else limits.states // 4
+        raw = connect_trees(checker, ends[0], ends[1], rng, replace(limits, states=states))
+        if raw is None:
+            break
+        short = shorten(checker, raw, rng, limits.shortcuts, limits.shortcut_rad)
+        found += [way for way in (short, raw) if is_free(checker, way, limits.final_rad)][:1]
+    for way in sorted(found, key=lambda one: length_rad(one, checker.space)):
+        polished = shorten(checker, way, rng, limits.polish, limits.shortcut_rad)
+        for one in (polished, way):
+            spaced = _checked(checker, one, limits)
+            if spaced is not None:
+                return spaced
+    return None
+
+
+def connect_trees(
+    checker: CollisionChecker,
+    start: NDArray[np.float64],
+    goal: NDArray[np.float64],
+    rng: np.random.Generator,
+    limits: WayLimits,
+) -> NDArray[np.float64] | None:
+    """The way that RRT-Connect finds between two free configurations, (k, d) rad at ``limits.search_rad``."""
+    space = checker.space
+    states = space.sample_uniform(rng, limits.states)
+    nodes, parents = np.empty((2, 16 * _BLOCK, space.dim)), np.full((2, 16 * _BLOCK), -1, dtype=np.int64)
+    nodes[0, 0], nodes[1, 0] = space.wrap(start), space.wrap(goal)
+    counts, checks = np.ones(2, dtype=np.int64), np.zeros(2, dtype=np.int64)
+    side = 0
+    for begin in range(0, len(states), _BLOCK):
+        block = states[begin : begin + _BLOCK]
+        _, side, *joint = checker.grow_trees(
+            nodes, parents, counts, checks, block, side, limits.range_rad, limits.search_rad
+        )
+        if joint[0] >= 0:
+            halves = [nodes[tree, _to_root(parents[tree], joint[tree])] for tree in (0, 1)]
+            return np.concatenate([halves[0][::-1], halves[1][1:]])
+        # A tree without room grows no more until it has some.
+        if 2 * counts.max() > nodes.shape[1]:
+            nodes = np.concatenate([nodes, np.empty_like(nodes)], axis=1)
+            parents = np.concatenate([parents, np.full_like(parents, -1)], axis=1)
+    return None
+
+
+def shorten(
+    checker: CollisionChecker,
+    way: ArrayLike,
+    rng: np.random.Generator,
+    shortcuts: int,
+    resolution_rad: float,
+) -> NDArray[np.float64]:
+    """The way with straight pieces between random points of it wherever these are free and shorter.
+
+    Args:
+        checker: of the scene.
+        way: (k, d) rad, k at least 2.
+        rng: draws the points.
+        shortcuts: how many are proposed.
+        resolution_rad: between the states that are looked at, the largest over the joints.
+
+    Returns:
+        (n, d) rad with the same ends, no longer than before.
+
+    Raises:
+        ScenarioError: the way is of another shape, or the resolution is not above 0.
+    """
+    rows = np.array(way, dtype=np.float64)
+    if rows.ndim != 2 or len(rows) < 2 or rows.shape[1] != checker.arm.dim or not resolution_rad > 0.0:
+        raise ScenarioError(
+            "the way does not fit",
+            expected=f"two or more configurations of {checker.arm.dim} joints, and a positive resolution",
+            got=f"shape {rows.shape}, {resolution_rad} rad",
+        )
+    draws = rng.random((shortcuts, 2))
+    # Spans of all sizes: corners are cut by short ones, detours by long ones.
+    draws[:, 1] = _SHORTEST ** draws[:, 1]
+    found: NDArray[np.float64] = _shortened(rows, draws, resolution_rad, _scene(checker))
+    return found
+
+
+def spaced(way: ArrayLike, space: JointSpace, step_rad: float) -> NDArray[np.float64]:
+    """The same way in steps of at most ``step_rad``, equal within each of its pieces; corners are kept."""
+    rows = np.asarray(way, dtype=np.float64)
+    pieces = [rows[:1]]
+    for begin, end in pairwise(rows):
+        step = space.difference(begin, end)
+        count = max(1, int(np.ceil(np.linalg.norm(step) / step_rad)))
+        shares = np.arange(1, count)[:, None] / count
+        pieces += [space.wrap(begin + shares * step), end[None]]
+    return np.concatenate(pieces)
+
+
+def length_rad(way: ArrayLike, space: JointSpace) -> float:
+    """Euclidean length of a way (k, d) rad."""
+    rows = np.asarray(way, dtype=np.float64)
+    return float(space.distance(rows[:-1], rows[1:]).sum())
+
+
+def is_free(checker: CollisionChecker, way: NDArray[np.float64], resolution_rad: float) -> bool:
+    """Whether all edges of a way (k, d) rad are free."""
+    return bool(checker.edge_batch(way[:-1], way[1:], resolution_rad).all())
+
+
+def _checked(
+    checker: CollisionChecker, way: NDArray[np.float64], limits: WayLimits
+) -> NDArray[np.float64] | None:
+    """The way in even steps, None where one of these is not free."""
+    found = spaced(way, checker.space, limits.step_rad)
+    return found if is_free(checker, found, limits.final_rad) else None
+
+
+def _to_root(parents: NDArray[np.int64], node: int) -> list[int]:
+    numbers = [node]
+    while parents[numbers[-1]] >= 0:
+        numbers.append(int(parents[numbers[-1]]))
+    return numbers
+
+
+def _scene(checker: CollisionChecker) -> SceneArrays:
+    return scene_arrays(checker.arm, checker.obstacles)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _shortened(way, draws, resolution, scene):  # type: ignore[no-untyped-def]
+    """The way after shortcuts (N, 2): where each begins and its span, as shares of the length."""
+    room, periodic = room_of(scene), scene.periodic
+    now, count = np.empty((way.shape[0] + draws.shape[0], way.shape[1])), way.shape[0]
+    now[:count] = way
+    reached, first, last = np.zeros(now.shape[0]), np.empty(way.shape[1]), np.empty(way.shape[1])
+    for index in range(draws.shape[0]):
+        for node in range(1, count):
+            reached[node] = reached[node - 1] + _distance(now[node - 1], now[node], periodic)
+        whole = reached[count - 1]
+        span = draws[index, 1] * whole
+        begin = draws[index, 0] * (whole + span) - span
+        begin, end = max(begin, 0.0), min(begin + span, whole)
+        i = _point(now, count, reached, begin, periodic, first)
+        j = _point(now, count, reached, end, periodic, last)
+        gain = end - begin - _distance(first, last, periodic)
+        if i == j or gain < _LEAST_GAIN * whole or not checked_edge(first, last, resolution, scene, room)[0]:
+            continue
+        rest, at = now[j + 1 : count].copy(), i + 1
+        for point, node in ((first, now[i]), (last, rest[0])):
+            # A point at a node is that node.
+            if _distance(point, node, periodic) > _SAME_RAD:
+                now[at] = point
+                at += 1
+        count = at + rest.shape[0]
+        now[at:count] = rest
+    return now[:count].copy()
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _point(way, count, reached, along, periodic, out):  # type: ignore[no-untyped-def]
+    """Fill in the point at a distance along the way; the edge that it lies on."""
+    edge = 0
+    while edge < count - 2 and reached[edge + 1] < along:
+        edge += 1
+    length = reached[edge + 1] - reached[edge]
+    share = min(max((along - reached[edge]) / length, 0.0), 1.0) if length > 0.0 else 0.0
+    for joint in range(way.shape[1]):
+        out[joint] = way[edge, joint] + share * gap(way[edge, joint], way[edge + 1, joint], periodic[joint])
+    return edge
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _distance(first, second, periodic):  # type: ignore[no-untyped-def]
+    square = 0.0
+    for joint in range(first.shape[0]):
+        square += gap(first[joint], second[joint], periodic[joint]) ** 2
+    return np.sqrt(square)

@@ -1,0 +1,175 @@
+"""The robot: a serial arm of revolute joints, whose parts are covered by spheres. Numpy alone."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cspace.errors import ScenarioError
+from cspace.space import JointSpace
+from cspace.strict_json import read_mapping, read_object, settle, written
+from cspace.worlds.spatial.frames import SAME, Frame, moved, turn
+from cspace.worlds.spatial.robot.parts import Joint, Part
+
+KIND = "serial_arm"
+MAX_JOINTS = 10
+MAX_SPHERES = 2000
+
+
+@dataclass(frozen=True, slots=True)
+class SerialArm:
+    """A serial arm with its base at the origin, x forward and z up.
+
+    Args:
+        name: of the robot.
+        joints: from the base to the tip, at most ten.
+        parts: rigid pieces, each fixed to the base or to what one of the joints moves.
+        touching: pairs of names of the parts that can touch each other and are held apart.
+        tool: the frame of the tool, in that of the last link.
+
+    Raises:
+        ScenarioError: there is no joint or there are too many, names come twice, a part is fixed to no link,
+            or a pair names no two parts that move against each other.
+    """
+
+    name: str
+    joints: tuple[Joint, ...]
+    parts: tuple[Part, ...] = ()
+    touching: tuple[tuple[str, str], ...] = ()
+    tool: Frame = SAME
+
+    def __post_init__(self) -> None:
+        settle(self)
+        if not 1 <= len(self.joints) <= MAX_JOINTS:
+            raise ScenarioError(
+                "the arm's joints do not fit", expected=f"1 to {MAX_JOINTS}", got=str(len(self.joints))
+            )
+        for what, named in (("joints", self.joints), ("parts", self.parts)):
+            names = [one.name for one in named]
+            if len(set(names)) != len(names):
+                raise ScenarioError(f"the arm's {what} do not fit", expected="a name each", got=str(names))
+        self._check_parts()
+        self._check_pairs()
+
+    def __hash__(self) -> int:
+        # Equal arms have equal ones, and hundreds of spheres are not gone through.
+        return hash((self.name, self.joints, self.tool))
+
+    def _check_parts(self) -> None:
+        astray = [part.name for part in self.parts if not 0 <= part.link <= self.dim]
+        count = sum(len(part.spheres_m) for part in self.parts)
+        if astray or count > MAX_SPHERES:
+            raise ScenarioError(
+                "the arm's parts do not fit",
+                expected=f"links 0 to {self.dim}, and at most {MAX_SPHERES} spheres",
+                got=f"{count} spheres; on no link: {astray}",
+            )
+
+    def _check_pairs(self) -> None:
+        links = {part.name: part.link for part in self.parts}
+        pairs = [tuple(sorted(pair)) for pair in self.touching]
+        wrong = [
+            pair
+            for pair in pairs
+            if len(pair) != 2 or not set(pair) <= set(links) or links[pair[0]] == links[pair[1]]
+        ]
+        if wrong or len(set(pairs)) != len(pairs):
+            raise ScenarioError(
+                "the pairs of parts that can touch do not fit",
+                expected="names of two parts of different links, each pair once",
+                got=str(wrong or pairs)[:200],
+            )
+
+    @property
+    def dim(self) -> int:
+        """d, number of joints; links are counted from 0, the base, to d."""
+        return len(self.joints)
+
+    @property
+    def space(self) -> JointSpace:
+        """The arm's joint space."""
+        limits = [joint.limits_rad for joint in self.joints]
+        return JointSpace(
+            tuple(-np.pi if lim is None else lim[0] for lim in limits),
+            tuple(np.pi if lim is None else lim[1] for lim in limits),
+            tuple(lim is None for lim in limits),
+        )
+
+    @property
+    def sphere_count(self) -> int:
+        """S, spheres of all parts."""
+        return sum(len(part.spheres_m) for part in self.parts)
+
+    @property
+    def reach_m(self) -> float:
+        """No less than the distance from the base to any point of the arm."""
+        steps = np.cumsum([0.0, *(np.linalg.norm(joint.origin.xyz_m) for joint in self.joints)])
+        tips = [steps[-1] + np.linalg.norm(self.tool.xyz_m)]
+        for part in self.parts:
+            spheres = np.asarray(part.spheres_m)
+            tips.append(steps[part.link] + (np.linalg.norm(spheres[:, :3], axis=1) + spheres[:, 3]).max())
+        return float(max(tips))
+
+    def link_frames(self, configurations: ArrayLike) -> NDArray[np.float64]:
+        """Forward kinematics: (N, d) rad to the links' frames in the base's, (N, d + 1, 4, 4), m.
+
+        Raises:
+            ScenarioError: the configurations are of another shape.
+        """
+        rows = np.asarray(configurations, dtype=np.float64)
+        if rows.ndim != 2 or rows.shape[1] != self.dim:
+            raise ScenarioError(
+                "the configurations do not fit the robot",
+                expected=f"shape (N, {self.dim})",
+                got=str(rows.shape),
+            )
+        frames = np.empty((len(rows), self.dim + 1, 4, 4))
+        frames[:, 0] = np.eye(4)
+        for index, joint in enumerate(self.joints):
+            own = np.zeros((len(rows), 4, 4))
+            own[:, :3, :3] = turn(joint.axis, rows[:, index])
+            own[:, 3, 3] = 1.0
+            frames[:, index + 1] = frames[:, index] @ joint.origin.matrix() @ own
+        return frames
+
+    def tool_frames(self, configurations: ArrayLike) -> NDArray[np.float64]:
+        """Forward kinematics: (N, d) rad to the tool's frame in the base's, (N, 4, 4), m."""
+        return np.asarray(self.link_frames(configurations)[:, -1] @ self.tool.matrix())
+
+    def joint_positions_m(self, configurations: ArrayLike) -> NDArray[np.float64]:
+        """Forward kinematics: (N, d) rad to (N, d + 2, 3) m: the base, every joint, the tool."""
+        frames = self.link_frames(np.atleast_2d(np.asarray(configurations, dtype=np.float64)))
+        tips = frames[:, -1] @ self.tool.matrix()
+        return np.concatenate([frames[:, :, :3, 3], tips[:, None, :3, 3]], axis=1)
+
+    def sphere_links(self) -> NDArray[np.int64]:
+        """The link that each sphere is fixed to, (S,), in the order of the parts."""
+        return np.repeat(
+            np.asarray([part.link for part in self.parts], dtype=np.int64),
+            [len(part.spheres_m) for part in self.parts],
+        )
+
+    def spheres_m(self) -> NDArray[np.float64]:
+        """Centre in its link's frame and radius of every sphere, (S, 4), in the order of the parts."""
+        return np.concatenate([np.empty((0, 4)), *(np.asarray(part.spheres_m) for part in self.parts)])
+
+    def sphere_centres_m(self, configurations: ArrayLike) -> NDArray[np.float64]:
+        """Forward kinematics: (N, d) rad to the spheres' centres in the base's frame, (N, S, 3)."""
+        return moved(self.link_frames(configurations)[:, self.sphere_links()], self.spheres_m()[:, :3])
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values for JSON."""
+        return {"kind": KIND, **written(self)}
+
+    @classmethod
+    def from_dict(cls, values: object) -> "SerialArm":
+        """The inverse of :meth:`to_dict`.
+
+        Raises:
+            ScenarioError: a key is missing or unknown, or a value is of the wrong type.
+        """
+        members = {"kind": KIND} | read_mapping(values, "the robot", ScenarioError)
+        if (kind := members.pop("kind")) != KIND:
+            raise ScenarioError("the robot is unknown", expected=KIND, got=repr(kind)[:200])
+        return read_object(cls, members, "the robot", ScenarioError)

@@ -1,0 +1,246 @@
+"""What depth cameras do to a depth picture: noise models, seeded; 0 stays no reading.
+
+Sources: Nguyen, Izadi and Lovell, Modeling Kinect Sensor Noise for Improved 3D Reconstruction and Tracking
+(2012), for :class:`StructuredLight`; Handa, Whelan, McDonald and Davison, A Benchmark for RGB-D Visual
+Odometry, 3D Reconstruction and SLAM (2014), for :class:`Disparity`.
+"""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cspace.errors import ScenarioError
+from cspace.strict_json import settle
+from cspace.worlds.spatial.seeing.camera import DepthCamera
+
+Depth = NDArray[np.float32]
+# The formulae have poles at right angles; 85 degrees is about what a camera still reads.
+_STEEPEST_RAD = np.radians(85.0)
+# From where the angle adds to the axial noise (Nguyen, 60 degrees).
+_STEEP_RAD = np.radians(60.0)
+
+
+class Noise(Protocol):
+    """A camera's noise."""
+
+    def apply(self, rng: np.random.Generator, depth_m: Depth, camera: DepthCamera) -> Depth:
+        """An exact depth picture (H, W) m as the camera would read it, (H, W) float32 m."""
+
+
+@dataclass(frozen=True, slots=True)
+class DropOut:
+    """Pixels without a reading.
+
+    Args:
+        jump_m: a neighbour at least so much nearer or farther makes a depth jump.
+        at_jumps: share of the pixels beside a jump that read nothing.
+        anywhere: share of all others.
+
+    Raises:
+        ScenarioError: a share is none, or the jump is not above 0.
+    """
+
+    jump_m: float = 0.03
+    at_jumps: float = 0.4
+    anywhere: float = 0.002
+
+    def __post_init__(self) -> None:
+        settle(self)
+        shares = 0.0 <= self.at_jumps <= 1.0 and 0.0 <= self.anywhere <= 1.0
+        if not shares or not self.jump_m > 0.0:
+            raise ScenarioError(
+                "drop-outs that cannot be", expected="shares and a jump above 0", got=str(self)
+            )
+
+    def lost(self, rng: np.random.Generator, depth_m: Depth) -> NDArray[np.bool_]:
+        """Which pixels of an exact picture (H, W) m lose their reading."""
+        shares = np.where(beside_jumps(depth_m, self.jump_m), self.at_jumps, self.anywhere)
+        return np.asarray(rng.random(depth_m.shape) < shares)
+
+
+@dataclass(frozen=True, slots=True)
+class StructuredLight:
+    """Axial and lateral noise of the first Kinect: it grows with the depth and the surface's angle.
+
+    Args:
+        drop_out: of readings.
+    """
+
+    drop_out: DropOut = DropOut()
+
+    def apply(self, rng: np.random.Generator, depth_m: Depth, camera: DepthCamera) -> Depth:
+        """See :class:`Noise`."""
+        angle = np.minimum(incidence_rad(depth_m, camera), _STEEPEST_RAD)
+        lost = self.drop_out.lost(rng, depth_m)
+        moved = shifted(rng, depth_m, lateral_sigma_px(angle))
+        return _read(moved + rng.normal(size=depth_m.shape) * axial_sigma_m(moved, angle), moved, lost)
+
+
+@dataclass(frozen=True, slots=True)
+class Disparity:
+    """The hard case: a depth that is read from a disparity in whole parts of a pixel.
+
+    Args:
+        focal_px: of the sensor whose disparities they are, whatever the picture's size.
+        baseline_m: between projector and sensor.
+        parts: of a pixel.
+        sigma_parts: of the disparity before it is rounded, in parts.
+        lateral_px: sigma of the place at which a pixel reads.
+        drop_out: of readings.
+
+    Raises:
+        ScenarioError: a number cannot be.
+    """
+
+    focal_px: float = 480.0
+    baseline_m: float = 0.075
+    parts: int = 8
+    sigma_parts: float = 1.0 / 6.0
+    lateral_px: float = 0.5
+    drop_out: DropOut = DropOut()
+
+    def __post_init__(self) -> None:
+        settle(self)
+        lengths = self.focal_px > 0.0 and self.baseline_m > 0.0 and self.parts >= 1
+        if not lengths or self.sigma_parts < 0.0 or self.lateral_px < 0.0:
+            raise ScenarioError("a disparity noise that cannot be", got=str(self))
+
+    def apply(self, rng: np.random.Generator, depth_m: Depth, camera: DepthCamera) -> Depth:
+        """See :class:`Noise`."""
+        del camera
+        lost = self.drop_out.lost(rng, depth_m)
+        moved = shifted(rng, depth_m, np.full(depth_m.shape, self.lateral_px))
+        scale = self.focal_px * self.baseline_m * self.parts
+        exact = np.divide(scale, moved, out=np.zeros(moved.shape), where=moved > 0.0)
+        whole = np.floor(exact + rng.normal(size=depth_m.shape) * self.sigma_parts + 0.5)
+        read = np.divide(scale, whole, out=np.zeros(moved.shape), where=whole >= 1.0)
+        return _read(read, moved, lost)
+
+
+@dataclass(frozen=True, slots=True)
+class Stereo:
+    """A stereo camera: a sigma of z^2 s / (f B).
+
+    Args:
+        focal_px: f.
+        baseline_m: B.
+        sigma_px: s, of the disparity.
+        smooth_px: sigma of the disparity's errors in space, for neighbours err together; 0 for none.
+        drop_out: of readings.
+
+    Raises:
+        ScenarioError: a number cannot be.
+    """
+
+    focal_px: float = 424.0
+    baseline_m: float = 0.05
+    sigma_px: float = 0.08
+    smooth_px: float = 1.0
+    drop_out: DropOut = DropOut()
+
+    def __post_init__(self) -> None:
+        settle(self)
+        if not (self.focal_px > 0.0 and self.baseline_m > 0.0) or self.sigma_px < 0.0 or self.smooth_px < 0.0:
+            raise ScenarioError("a stereo noise that cannot be", got=str(self))
+
+    def apply(self, rng: np.random.Generator, depth_m: Depth, camera: DepthCamera) -> Depth:
+        """See :class:`Noise`."""
+        del camera
+        lost = self.drop_out.lost(rng, depth_m)
+        errors = _smooth(rng.normal(size=depth_m.shape), self.smooth_px)
+        sigma = depth_m.astype(np.float64) ** 2 * self.sigma_px / (self.focal_px * self.baseline_m)
+        return _read(depth_m + errors * sigma, depth_m, lost)
+
+
+def axial_sigma_m(depth_m: NDArray[np.floating], angle_rad: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Sigma along the optical axis, m (Nguyen, equations 1 and 2).
+
+    Args:
+        depth_m: any shape.
+        angle_rad: between the surface's normal and the ray, below a right angle.
+    """
+    depth = np.maximum(np.asarray(depth_m, dtype=np.float64), 0.1)
+    angle = np.asarray(angle_rad, dtype=np.float64)
+    level = 0.0012 + 0.0019 * (depth - 0.4) ** 2
+    steep = 0.0001 / np.sqrt(depth) * angle**2 / (np.pi / 2.0 - angle) ** 2
+    return np.asarray(level + np.where(angle >= _STEEP_RAD, steep, 0.0))
+
+
+def lateral_sigma_px(angle_rad: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Sigma in the picture, pixels (Nguyen, equation 3); the angle as for :func:`axial_sigma_m`."""
+    angle = np.asarray(angle_rad, dtype=np.float64)
+    return np.asarray(0.8 + 0.035 * angle / (np.pi / 2.0 - angle))
+
+
+def incidence_rad(depth_m: Depth, camera: DepthCamera) -> NDArray[np.float64]:
+    """Angle between each pixel's ray and the surface's normal, (H, W), from the nearer of both neighbours.
+
+    0 where there is no reading, or none beside it.
+    """
+    rays = camera.rays()
+    read = np.isfinite(depth_m) & (depth_m > 0.0)
+    points = rays * np.where(read, depth_m, np.nan)[..., None]
+    normal = np.cross(_slope(points, 1), _slope(points, 0))
+    lengths = np.linalg.norm(normal, axis=-1) * np.linalg.norm(rays, axis=-1)
+    facing = np.abs(np.einsum("hwk,hwk->hw", normal, rays))
+    cosine = np.divide(facing, lengths, out=np.ones(depth_m.shape), where=lengths > 0.0)
+    return np.asarray(np.arccos(np.clip(cosine, 0.0, 1.0)))
+
+
+def beside_jumps(depth_m: Depth, jump_m: float) -> NDArray[np.bool_]:
+    """Which pixels (H, W) read something and have one of four neighbours nearer or farther by ``jump_m``.
+
+    A neighbour that reads nothing is infinitely far.
+    """
+    read = depth_m > 0.0
+    far = np.where(read, depth_m, np.inf)
+    found = np.zeros(depth_m.shape, dtype=np.bool_)
+    for axis in (0, 1):
+        ahead, behind = np.moveaxis(far, axis, 0)[1:], np.moveaxis(far, axis, 0)[:-1]
+        with np.errstate(invalid="ignore"):
+            jumps = np.abs(ahead - behind) >= jump_m
+        view = np.moveaxis(found, axis, 0)
+        view[1:] |= jumps
+        view[:-1] |= jumps
+    return found & read
+
+
+def shifted(rng: np.random.Generator, depth_m: Depth, sigma_px: NDArray[np.float64]) -> Depth:
+    """Every pixel reads the pixel nearest to a place that is off by a normal draw in both directions."""
+    height, width = depth_m.shape
+    down, across = np.rint(rng.normal(size=(2, height, width)) * sigma_px).astype(np.int64)
+    rows = np.clip(np.arange(height)[:, None] + down, 0, height - 1)
+    columns = np.clip(np.arange(width)[None, :] + across, 0, width - 1)
+    return np.asarray(depth_m[rows, columns])
+
+
+def _read(read_m: NDArray[np.floating], exact_m: Depth, lost: NDArray[np.bool_]) -> Depth:
+    """What remains: nothing where nothing was read before, or a noise led behind the camera."""
+    kept = (exact_m > 0.0) & (read_m > 0.0) & ~lost
+    return np.where(kept, read_m, 0.0).astype(np.float32)
+
+
+def _slope(points: NDArray[np.float64], axis: int) -> NDArray[np.float64]:
+    """The step (H, W, 3) to that neighbour at which the depth changes least; 0 where none is read."""
+    steps = np.diff(points, axis=axis)
+    none = np.full_like(np.take(points, [0], axis=axis), np.nan)
+    after, before = np.concatenate((steps, none), axis), np.concatenate((none, steps), axis)
+    change_after, change_before = (np.abs(np.nan_to_num(one[..., 2], nan=np.inf)) for one in (after, before))
+    return np.nan_to_num(np.where((change_after <= change_before)[..., None], after, before))
+
+
+def _smooth(values: NDArray[np.float64], sigma_px: float) -> NDArray[np.float64]:
+    """A Gaussian filter that keeps the variance of white noise."""
+    if sigma_px == 0.0:
+        return values
+    reach = int(np.ceil(3.0 * sigma_px))
+    kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma_px) ** 2)
+    kernel /= np.linalg.norm(kernel)
+    for axis in (0, 1):
+        padded = np.pad(np.moveaxis(values, axis, 0), ((reach, reach), (0, 0)), mode="wrap")
+        count = values.shape[axis]
+        summed = sum(weight * padded[at : at + count] for at, weight in enumerate(kernel))
+        values = np.moveaxis(np.asarray(summed), 0, axis)
+    return values

@@ -1,0 +1,91 @@
+"""Depth cameras about an arm as a sensor: which ones, and the grid that their pictures are put on."""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cspace.errors import ScenarioError
+from cspace.strict_json import settle, written
+from cspace.worlds.spatial.seeing.grid_box import GridBox
+from cspace.worlds.spatial.seeing.observed import MAX_PICTURES
+from cspace.worlds.spatial.seeing.sight import BEHIND_STEP_M, FREE, MOST_BEHIND, OUT_OF_VIEW
+from cspace.worlds.spatial.seeing.surface_patches import DISTANCE_STEP_M, FARTHEST
+from cspace.worlds.spatial.seeing.views import CameraViews
+
+NOISES = ("structured_light", "disparity", "stereo")
+
+
+@dataclass(frozen=True, slots=True)
+class DepthSensor:
+    """What stands for the picture of a scene: an array (X, Y, Z, 2) of what its depth pictures say.
+
+    See :func:`cspace.worlds.spatial.seeing.observed.observe`.
+
+    Args:
+        grid: of the array.
+        views: the cameras of scenes for training.
+        noise: of these, some of :data:`NOISES`, one of them a scene; none for exact pictures.
+
+    Raises:
+        ScenarioError: there are more cameras than a scene may have, or a noise is unknown.
+    """
+
+    grid: GridBox
+    views: CameraViews = field(default_factory=CameraViews)
+    noise: tuple[str, ...] = NOISES
+
+    def __post_init__(self) -> None:
+        settle(self)
+        if self.views.count[1] > MAX_PICTURES or set(self.noise) - set(NOISES):
+            raise ScenarioError(
+                "the depth cameras do not fit",
+                expected=f"at most {MAX_PICTURES} of a scene, and noise of {', '.join(NOISES)}",
+                got=f"{self.views.count[1]} cameras, noise {self.noise}"[:200],
+            )
+
+    @property
+    def pixels(self) -> int:
+        """Most voxels along a side of the grid."""
+        return max(self.grid.counts)
+
+    @property
+    def picture_shape(self) -> tuple[int, ...]:
+        """(X, Y, Z, 2): distance to what is seen, and what is known."""
+        return (*self.grid.counts, 2)
+
+    @property
+    def convention(self) -> dict[str, Any]:
+        """What a bundle says of its pictures, and of the cameras that it has learned from."""
+        views = self.views
+        return {
+            "grid": self.grid.to_dict(),
+            "channels": ["distance to the nearest surface seen", "what is known of the voxel"],
+            "distance_step_m": DISTANCE_STEP_M,
+            "farther": FARTHEST,
+            "behind_step_m": BEHIND_STEP_M,
+            "codes": {"seen free": FREE, "no reading": MOST_BEHIND + 1, "out of view": OUT_OF_VIEW},
+            "cameras": {
+                "count": list(views.count),
+                "pixels": [views.width, views.height],
+                "field_deg": list(views.field_deg),
+                "distance_m": list(views.distance_m),
+            },
+            "range": [0, 1],
+        }
+
+    @property
+    def extent_m(self) -> None:
+        """An array of space shows no plane."""
+        return
+
+    def to_network(self, images: NDArray[np.uint8]) -> NDArray[np.float32]:
+        """(..., X, Y, Z, 2) uint8 to (..., 2, X, Y, Z) float32 in [0, 1]."""
+        scaled = np.moveaxis(images, -1, -4).astype(np.float32)
+        scaled *= np.float32(1.0 / 255.0)
+        return np.ascontiguousarray(scaled)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values for JSON."""
+        return written(self)

@@ -1,0 +1,198 @@
+"""What cameras saw of a scene, at the edge: pictures, cameras, where the arm was, as one file. Numpy alone.
+
+A view file is a line and the pictures' files behind it, one after the other. The line is the word
+``cspace-view``, the version 1, and an object in JSON with ``pictures`` (their sizes in bytes), ``cameras``
+(``fx, fy, cx, cy, pose`` each) and ``state`` (rad, or null where the arm is in no picture).
+"""
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import accumulate, pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cspace.errors import ImageError, ScenarioError
+from cspace.space import JointSpace
+from cspace.strict_json import parse_json, read_members
+from cspace.worlds.spatial.seeing.camera import DepthCamera
+from cspace.worlds.spatial.seeing.depth_picture import decode_depth, encode_depth
+from cspace.worlds.spatial.seeing.observed import MAX_PICTURES
+
+_MAGIC = b"cspace-view 1 "
+_MAX_LINE_BYTES = 16_384
+_CAMERA_KEYS = {"fx", "fy", "cx", "cy", "pose"}
+_KEYS = {"pictures", "cameras", "state"}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DepthView:
+    """Depth pictures of one scene.
+
+    Args:
+        pictures: one to four, (H, W) uint16 mm along the optical axis, 0 = no reading.
+        cameras: one each.
+        state: (d,) rad, where the arm was when they were taken; None where it is in no picture.
+
+    Raises:
+        ImageError: there are too few or too many pictures, not a camera each, one does not fit its camera, or
+            none has a reading.
+    """
+
+    pictures: tuple[NDArray[np.uint16], ...]
+    cameras: tuple[DepthCamera, ...]
+    state: tuple[float, ...] | None = None
+
+    def __post_init__(self) -> None:
+        check_counts(len(self.pictures), len(self.cameras))
+        for picture, camera in zip(self.pictures, self.cameras, strict=True):
+            if picture.shape != camera.picture_shape or picture.dtype != np.uint16:
+                raise ImageError(
+                    "the depth picture does not fit its camera",
+                    expected=f"uint16 of {camera.width} x {camera.height} pixels",
+                    got=f"{picture.dtype} of shape {picture.shape}",
+                )
+            if not picture.any():
+                raise ImageError(
+                    "a depth picture has no reading",
+                    expected="distances in mm, 0 where there is none",
+                    got="zeros alone",
+                    remedy="leave the picture out, or look at the camera's driver",
+                )
+
+
+def pack_view(pictures: Sequence[bytes], cameras: Sequence[object], state: object) -> bytes:
+    """A view file of files and plain values; what they hold is judged by :func:`read_view`.
+
+    Args:
+        pictures: PNG files.
+        cameras: plain values of JSON, one for each picture.
+        state: likewise; None where the arm is in no picture.
+
+    Raises:
+        ImageError: the counts do not fit.
+    """
+    check_counts(len(pictures), len(cameras))
+    told = {"pictures": [len(one) for one in pictures], "cameras": list(cameras), "state": state}
+    line = json.dumps(told, separators=(",", ":")).encode()
+    if len(line) > _MAX_LINE_BYTES:
+        raise ImageError(
+            "the cameras are too long", expected=f"at most {_MAX_LINE_BYTES} bytes", got=f"{len(line)} bytes"
+        )
+    return b"".join((_MAGIC, line, b"\n", *pictures))
+
+
+def write_view(view: DepthView) -> bytes:
+    """The view file of a view."""
+    cameras = [_told(camera) for camera in view.cameras]
+    state = None if view.state is None else list(view.state)
+    return pack_view([encode_depth(picture) for picture in view.pictures], cameras, state)
+
+
+def read_view(data: bytes, space: JointSpace) -> DepthView:
+    """An untrusted view file.
+
+    Args:
+        data: the file.
+        space: of the arm.
+
+    Raises:
+        ImageError: it is none, a picture or a camera is none, they do not fit each other, no picture has a
+            reading, or the state lies outside of the arm's limits.
+    """
+    told, rest = _line_of(data)
+    sizes, cameras = told["pictures"], told["cameras"]
+    if not isinstance(sizes, list) or not isinstance(cameras, list):
+        raise _no_view("lists of pictures and cameras", told)
+    check_counts(len(sizes), len(cameras))
+    if any(type(size) is not int or size < 0 for size in sizes) or sum(sizes) != len(rest):
+        raise _no_view(f"pictures of {sizes!r} bytes"[:200], f"{len(rest)} bytes")
+    ends = accumulate(sizes, initial=0)
+    pictures = tuple(decode_depth(rest[begin:end]) for begin, end in pairwise(ends))
+    seen_by = [read_pinhole(values, picture.shape) for values, picture in zip(cameras, pictures, strict=True)]
+    return DepthView(pictures, tuple(seen_by), _state_of(told["state"], space))
+
+
+def read_pinhole(values: object, shape: tuple[int, ...]) -> DepthCamera:
+    """The camera of a picture (H, W), of plain values ``fx, fy, cx, cy, pose``.
+
+    Raises:
+        ImageError: no camera is like that.
+    """
+    members = read_members(values, _CAMERA_KEYS, "the camera", ImageError)
+    try:
+        numbers = {name: float(_number(members[name], name)) for name in ("fx", "fy", "cx", "cy")}
+        pose = _rows(members["pose"])
+        return DepthCamera(**numbers, width=shape[1], height=shape[0], pose=pose)
+    except ScenarioError as error:
+        raise ImageError(
+            error.what, expected=error.expected, got=error.got, remedy=error.remedy or _REMEDY
+        ) from error
+
+
+_REMEDY = "send the camera in the base frame: x right, y down, z forward, pixel centres at whole numbers"
+
+
+def check_counts(pictures: int, cameras: int) -> None:
+    """Refuse numbers of pictures and cameras that do not fit.
+
+    Raises:
+        ImageError: they do not.
+    """
+    if not 1 <= pictures <= MAX_PICTURES or pictures != cameras:
+        raise ImageError(
+            "the depth pictures do not fit",
+            expected=f"1 to {MAX_PICTURES} pictures and a camera each, in the same order",
+            got=f"{pictures} pictures, {cameras} cameras",
+        )
+
+
+def _line_of(data: bytes) -> tuple[dict[str, Any], bytes]:
+    end = data.find(b"\n", 0, len(_MAGIC) + _MAX_LINE_BYTES + 1)
+    if not data.startswith(_MAGIC) or end < 0:
+        raise _no_view("a file that begins with cspace-view 1", data[:20])
+    try:
+        values = parse_json(data[len(_MAGIC) : end])
+    except ValueError as error:
+        raise _no_view("a line in JSON", error) from error
+    return read_members(values, _KEYS, "the view", ImageError), data[end + 1 :]
+
+
+def _state_of(values: object, space: JointSpace) -> tuple[float, ...] | None:
+    if values is None:
+        return None
+    fits = isinstance(values, list) and len(values) == space.dim
+    angles = [float(_number(one, "state")) for one in values] if fits else []  # type: ignore[attr-defined]
+    if not fits or not space.contains(np.array(angles)):
+        limits = ", ".join(
+            f"{low:.4g} to {high:.4g}" for low, high in zip(space.lower, space.upper, strict=True)
+        )
+        raise ImageError(
+            "the state does not fit the robot",
+            expected=f"{space.dim} angles in rad within its limits ({limits})",
+            got=repr(values)[:200],
+            remedy="send where the arm was when the pictures were taken, or leave it out if it is in none",
+        )
+    return tuple(angles)
+
+
+def _rows(values: object) -> Any:
+    if not isinstance(values, list) or any(not isinstance(row, list) for row in values):
+        raise ImageError("the camera has no pose", expected="4 x 4 finite numbers", got=repr(values)[:200])
+    return tuple(tuple(_number(one, "pose") for one in row) for row in values)
+
+
+def _number(value: object, name: str) -> float:
+    if type(value) not in (int, float):
+        raise ImageError(f"{name} does not fit", expected="a finite number", got=repr(value)[:200])
+    return value  # type: ignore[return-value] # one of the two
+
+
+def _told(camera: DepthCamera) -> dict[str, Any]:
+    return {name: value for name, value in camera.to_dict().items() if name in _CAMERA_KEYS}
+
+
+def _no_view(expected: str, got: object) -> ImageError:
+    return ImageError("the file is no view", expected=expected, got=repr(got)[:200])
