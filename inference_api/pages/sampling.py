@@ -147,21 +147,26 @@ def npy_response(answer: Answer) -> Response:
     samples = np.ascontiguousarray(answer.found.samples, dtype="<f4")
     served = answer.served
     timing = ", ".join(f"{name};dur={value:.3f}" for name, value in answer.timing.model_dump().items())
+    headers = model_headers(served, answer.novelty) | {
+        "X-Seed": str(answer.seed),
+        "X-Shortfall": str(answer.found.shortfall),
+        "X-Acceptance": f"{answer.found.acceptance:.6g}",
+        "Server-Timing": timing,
+    }
+    return Response(npy_head(samples.shape) + samples.tobytes(), headers=headers, media_type=NPY)
+
+
+def model_headers(served: ServedModel, novelty: float | None) -> dict[str, str]:
+    """What a ``.npy`` cannot hold of the model that answered and of the picture."""
     headers = {
         "X-Model-Name": served.name,
         "X-Model-Version": str(served.version),
         "X-Model-Digest": served.bundle.digest,
         "X-Robot": served.bundle.robot,
         "X-Alias-Confirmed": "true" if served.confirmed else "false",
-        "X-Seed": str(answer.seed),
-        "X-Shortfall": str(answer.found.shortfall),
-        "X-Acceptance": f"{answer.found.acceptance:.6g}",
         "X-Joint-Space": json.dumps(served.bundle.spec.joint_space, separators=(",", ":")),
-        "Server-Timing": timing,
     }
-    if answer.novelty is not None:
-        headers["X-Novelty"] = f"{answer.novelty:.6g}"
-    return Response(npy_head(samples.shape) + samples.tobytes(), headers=headers, media_type=NPY)
+    return headers if novelty is None else headers | {"X-Novelty": f"{novelty:.6g}"}
 
 
 @lru_cache(maxsize=64)

@@ -1,6 +1,5 @@
 """Whether configurations are free, from field values to the bytes of the answer; runs in a worker thread."""
 
-import json
 import time
 from dataclasses import dataclass
 
@@ -16,7 +15,7 @@ from inference_api.bodies.request_body import VALIDITY_FORM, RawFields, parse_fi
 from inference_api.models.served import ServedModel
 from inference_api.models.store import ModelStore
 from inference_api.pages.model_schemas import joint_space_info
-from inference_api.pages.sampling import NPY, model_info, npy_head
+from inference_api.pages.sampling import NPY, model_headers, model_info, npy_head
 from inference_api.pages.schemas import ScenarioInfo
 from inference_api.pages.validation import validate_fields
 from inference_api.pages.validity_schemas import ScoreTimingMs, ValidityAnswer, ValidityRequest
@@ -170,17 +169,7 @@ def _npy_response(found: Validity) -> Response:
     columns = np.full((len(found.confidence), 2), np.nan, dtype="<f4")
     columns[:, 0] = found.confidence
     timing = ", ".join(f"{name};dur={value:.3f}" for name, value in found.timing.model_dump().items())
-    headers = {
-        "X-Model-Name": served.name,
-        "X-Model-Version": str(served.version),
-        "X-Model-Digest": served.bundle.digest,
-        "X-Robot": served.bundle.robot,
-        "X-Alias-Confirmed": "true" if served.confirmed else "false",
-        "X-Joint-Space": json.dumps(spec.joint_space, separators=(",", ":")),
-        "Server-Timing": timing,
-    }
+    headers = model_headers(served, found.novelty) | {"Server-Timing": timing}
     if spec.confidence_threshold is not None:
         headers["X-Threshold"] = f"{spec.confidence_threshold:.6g}"
-    if found.novelty is not None:
-        headers["X-Novelty"] = f"{found.novelty:.6g}"
     return Response(npy_head(columns.shape) + columns.tobytes(), headers=headers, media_type=NPY)
