@@ -126,6 +126,43 @@ class Measures:
     free_share: float
 
 
+# What a proposal is: anywhere; near contact; about a start or a goal; along a way between the two.
+ORIGINS = ("uniform", "near contact", "about ends", "along ways")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Proposals:
+    """Configurations of a scene that are worth labelling, free ones and others.
+
+    Args:
+        configurations: (n, d) rad, within the limits.
+        origins: (n,) uint8, places in :data:`ORIGINS`.
+    """
+
+    configurations: NDArray[np.float64]
+    origins: NDArray[np.uint8]
+
+
+def near_contact(
+    checker: Checker, rng: np.random.Generator, count: int, within_m: float, sigma_rad: float
+) -> NDArray[np.float64]:
+    """Configurations near to touching something: uniform ones that are, and some way off, (count, d) rad.
+
+    Args:
+        checker: of the scene.
+        rng: of all draws.
+        count: how many.
+        within_m: clearance on either side.
+        sigma_rad: of what is added in each joint.
+    """
+    space = checker.space
+    anywhere = space.sample_uniform(rng, max(256, 8 * count))
+    near = anywhere[np.abs(checker.clearance(anywhere)) <= within_m]
+    chosen = near if len(near) else anywhere
+    rows = chosen[rng.integers(len(chosen), size=count)]
+    return space.bound(rows + rng.normal(size=rows.shape) * sigma_rad)
+
+
 class Workshop(Protocol):
     """Makes scenes of a world, shows and checks them."""
 
@@ -158,6 +195,23 @@ class Workshop(Protocol):
 
     def checker(self, scene: Scene) -> Checker:
         """Its collision checks."""
+
+    def proposals(self, scene: Scene, rng: np.random.Generator, count: int) -> Proposals:
+        """So many configurations of a scene that a head learns from, uniform ones first."""
+
+    def group_hits(
+        self, arrays: Mapping[str, NDArray[Any]], configurations: ArrayLike, groups: int
+    ) -> NDArray[np.bool_]:
+        """Which groups of the robot's spheres touch an obstacle, (N, G); see :meth:`World.grid_arm`.
+
+        Args:
+            arrays: a scene as a row of a data set's arrays, by their names.
+            configurations: (N, d) rad.
+            groups: of all spheres.
+
+        Raises:
+            ConfigError: the robot has no spheres.
+        """
 
     def require(self, family: str) -> None:
         """Refuse a family that the robot has no problems of.

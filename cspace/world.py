@@ -78,6 +78,44 @@ class Levers:
     origin: NDArray[np.float32]
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class GridArm:
+    """A serial arm as spheres on a chain of d joints, and the grid on which its pictures lie.
+
+    Frame 0 is the base, frame i is fixed behind joint i. Pictures are (X, Y, Z, 2) uint8, distance to what is
+    seen and what is known of each voxel.
+
+    Args:
+        origins: (d, 4, 4) of each joint in the frame before it, m.
+        axes: (d, 3) unit vectors that joints turn about.
+        spheres_m: (S, 4) centres in their frames, and radii.
+        links: (S,) the frame of each sphere.
+        touching: pairs of sets of spheres, numbers (a,) and (b,), that must not touch each other.
+        group_spheres_m: (G, 4), each of which holds a group of spheres.
+        group_links: (G,) their frames.
+        members: (G, most) numbers of the spheres in each group, the first repeated behind the last.
+        low_m: (3,) lowest corner of the grid in the base frame.
+        voxel_m: side of a voxel.
+        distance_step_m: of the first channel's codes.
+        no_reading: code of the second channel; 0 is seen free, what is between is behind a surface.
+        out_of_view: likewise.
+    """
+
+    origins: NDArray[np.float64]
+    axes: NDArray[np.float64]
+    spheres_m: NDArray[np.float64]
+    links: NDArray[np.int64]
+    touching: tuple[tuple[NDArray[np.int64], NDArray[np.int64]], ...]
+    group_spheres_m: NDArray[np.float64]
+    group_links: NDArray[np.int64]
+    members: NDArray[np.int64]
+    low_m: NDArray[np.float64]
+    voxel_m: float
+    distance_step_m: float
+    no_reading: int
+    out_of_view: int
+
+
 class World(Protocol):
     """A robot and how it is seen."""
 
@@ -128,6 +166,20 @@ class World(Protocol):
         Args:
             points_per_link: along each link, from its first joint to its tip.
             side_m: distance of the two rows of points beside each link, m; with 0 the middle row is alone.
+
+        Raises:
+            ConfigError: pictures of this world are no pictures of a plane.
+        """
+
+    def grid_arm(self, groups: int) -> GridArm:
+        """What a network that reads arrays of space has to know of the robot.
+
+        Args:
+            groups: of all spheres; those that do not move are left out.
+
+        Raises:
+            ConfigError: pictures of this world are no arrays of space.
+            ScenarioError: no such number of groups is possible.
         """
 
     def check_scenes(self, arrays: Arrays, count: int) -> None:

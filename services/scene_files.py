@@ -89,7 +89,7 @@ def read_scene_file(path: Path) -> SceneFile:
     if errors:
         raise _unfit(path, lines, next(filter(_unknown, errors), None) or best_match(errors))
     world = _told(path, lines, "robot", lambda: cast("World", _part(kind).read_world(values)))
-    scene = _part(kind).read_scene(world, values["obstacles"]) if "obstacles" in values else None
+    scene = _part(kind).read_scene(world, values) if "obstacles" in values else None
     ends = [_end(path, lines, world, values, name) for name in ("start", "goal")]
     return SceneFile(path, values.get("name"), world, scene, *ends)
 

@@ -8,9 +8,16 @@ from numpy.typing import NDArray
 
 from cspace.errors import DatasetError
 from cspace.space import JointSpace, circles
+from cspace.workshop import ORIGINS
 from cspace.world import World
 
 _BLOCK = 1_000_000
+# Of each configuration, free or in collision: how far it is from contact, and how it was drawn.
+TOLD: dict[str, type] = {
+    f"{name}_{what}": dtype
+    for name in ("free", "collision")
+    for what, dtype in (("clearance", np.float32), ("origin", np.uint8))
+}
 
 
 def check_arrays(
@@ -43,6 +50,8 @@ def check_arrays(
     _must_own("free", arrays, world.space, scenarios)
     if "collision" in arrays or "collision_offsets" in arrays:
         _must_own("collision", arrays, world.space, scenarios)
+    for name in set(TOLD) & set(arrays):
+        _must_tell(name, arrays)
     if {"paths", "path_offsets", "path_scenario"} & set(arrays):
         _must_hold_paths(arrays, world.space, scenarios)
 
@@ -65,6 +74,21 @@ def _must_own(name: str, arrays: Mapping[str, NDArray[Any]], space: JointSpace, 
         raise DatasetError(f"{name}.npy and {name}_offsets.npy belong together", got="only one of them")
     _must_be_angles(f"{name}.npy", arrays[name], space)
     _must_be_offsets(f"{name}_offsets.npy", arrays[f"{name}_offsets"], scenarios, len(arrays[name]))
+
+
+def _must_tell(name: str, arrays: Mapping[str, NDArray[Any]]) -> None:
+    rows, what = name.split("_")
+    if rows not in arrays:
+        raise DatasetError(f"{name}.npy belongs to {rows}.npy", got="the first alone")
+    _must(f"{name}.npy", arrays[name], TOLD[name], (len(arrays[rows]),))
+    values = arrays[name]
+    fits = values < len(ORIGINS) if what == "origin" else (values > 0.0 if rows == "free" else values <= 0.0)
+    if not fits.all():
+        raise DatasetError(
+            f"{name}.npy does not fit",
+            expected=f"below {len(ORIGINS)}" if what == "origin" else "m, above 0 where free, else not",
+            got=str(values[~fits][0]),
+        )
 
 
 def _must_hold_paths(arrays: Mapping[str, NDArray[Any]], space: JointSpace, scenarios: int) -> None:

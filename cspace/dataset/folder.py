@@ -5,6 +5,8 @@
 | ``images.npy`` | (S, P, P, 3) uint8, one picture a scenario |
 | ``free.npy``, ``free_offsets.npy`` | (M, d) float32 rad; scenario i owns rows offsets[i]:offsets[i+1] |
 | ``collision.npy``, ``collision_offsets.npy`` | the same for configurations in collision, optional |
+| ``free_clearance.npy``, ``collision_clearance.npy`` | (M,) float32 m, of each of their rows, optional |
+| ``free_origin.npy``, ``collision_origin.npy`` | (M,) uint8, places in cspace.workshop.ORIGINS, optional |
 | ``paths.npy``, ``path_offsets.npy``, ``path_scenario.npy`` | (T, d), rows of a path, scenario; optional |
 | what the world names | the geometry of the scenarios, where it is known; planar: ``discs.npy``, (S, D, 3) |
 | ``extra_images.npy`` | (E, P, P, 3) uint8, pictures without configurations; optional |
@@ -19,7 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cspace.dataset.checks import check_arrays
+from cspace.dataset.checks import TOLD, check_arrays
 from cspace.dataset.manifest import MANIFEST_FILE, Manifest, file_digest
 from cspace.errors import DamagedFileError, DatasetError, StorageError
 from cspace.files import replacing
@@ -27,7 +29,10 @@ from cspace.space import JointSpace
 from cspace.world import World
 
 REQUIRED = ("images", "free", "free_offsets")
-OPTIONAL = ("collision", "collision_offsets", "paths", "path_offsets", "path_scenario", "extra_images")
+OPTIONAL = (
+    *("collision", "collision_offsets", "paths", "path_offsets", "path_scenario", "extra_images"),
+    *TOLD,
+)
 # Room that stays free on the disk after a data set has been written.
 RESERVE_BYTES = 256 * 2**20
 # What single precision and the limits may move a configuration by.
@@ -120,6 +125,16 @@ class Dataset:
             raise DatasetError("the data set holds no configurations in collision", got=str(self.folder))
         return self.collision[self.collision_offsets[scenario] : self.collision_offsets[scenario + 1]]
 
+    @property
+    def told(self) -> tuple[str, ...]:
+        """Names of the arrays that tell more of each configuration."""
+        return tuple(name for name in TOLD if name in self.arrays)
+
+    def told_of(self, name: str, scenario: int) -> NDArray[Any]:
+        """One of :attr:`told` for one scenario's configurations, (n,)."""
+        offsets = self.arrays[f"{name.partition('_')[0]}_offsets"]
+        return self.arrays[name][offsets[scenario] : offsets[scenario + 1]]
+
 
 def open_dataset(folder: Path, *, verify: bool = True) -> Dataset:
     """Open a data-set folder.
@@ -154,6 +169,7 @@ def write_dataset(
     images: NDArray[np.uint8],
     free: Sequence[NDArray[Any]],
     collision: Sequence[NDArray[Any]] | None = None,
+    told: Mapping[str, Sequence[NDArray[Any]]] | None = None,
     paths: Sequence[tuple[int, NDArray[Any]]] | None = None,
     scenes: Arrays | None = None,
     extra_images: NDArray[np.uint8] | None = None,
@@ -167,6 +183,7 @@ def write_dataset(
         images: (S, P, P, 3).
         free: one (n_i, d) rad array a scenario.
         collision: the same for configurations in collision.
+        told: what is told of each configuration, one (n_i,) array a scenario, by the file's name.
         paths: (scenario, waypoints (t, d) rad) each.
         scenes: the geometry of all scenarios, where it is known, as the world's arrays.
         extra_images: (E, P, P, 3).
@@ -179,6 +196,7 @@ def write_dataset(
     arrays: dict[str, NDArray[Any]] = {"images": images, **_rows("free", free, world.space)}
     if collision is not None:
         arrays |= _rows("collision", collision, world.space)
+    arrays |= {name: np.concatenate(parts).astype(TOLD[name]) for name, parts in (told or {}).items()}
     if paths is not None:
         waypoints = _rows("paths", [path for _, path in paths], world.space)
         arrays |= {"paths": waypoints["paths"], "path_offsets": waypoints["paths_offsets"]}
@@ -186,7 +204,8 @@ def write_dataset(
     arrays |= {name: np.asarray(array, dtype=np.float64) for name, array in (scenes or {}).items()}
     arrays |= {} if extra_images is None else {"extra_images": extra_images}
     check_arrays(arrays, world, REQUIRED, OPTIONAL)
-    counts = {name: len(array) for name, array in arrays.items() if not name.endswith("_offsets")}
+    counted = (name for name in arrays if not name.endswith("_offsets") and name not in TOLD)
+    counts = {name: len(arrays[name]) for name in counted}
     _write(Path(folder), arrays, Manifest(world, counts, generator, {}))
     return open_dataset(folder, verify=False)
 

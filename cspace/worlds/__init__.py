@@ -16,7 +16,7 @@ from cspace.world import Body, Image, Scene, World
 # Each folder has ``world`` (numpy alone) with ``read`` and ``EXAMPLES`` (worlds by name); ``options`` with
 # ``add_options`` and ``described``, which gives None where none of its options was used and the kind is not
 # the first; ``workshop`` with ``open_workshop``.
-KINDS = ("planar",)
+KINDS = ("planar", "spatial")
 # What files are of that do not name their kind: older than kinds are.
 FIRST = "planar"
 

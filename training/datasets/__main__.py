@@ -54,7 +54,7 @@ def parser() -> argparse.ArgumentParser:
         commands.add_parser("generate", help="random scenarios, by Ray tasks; goes on where it stopped"),
         DatasetConfig,
         *("split", "seed", "scenario_count", "free_per_scenario", "collision_per_scenario"),
-        *("extra_image_count", "shard_size"),
+        *("proposals_per_scenario", "extra_image_count", "shard_size"),
     )
     _add_generated(
         commands.add_parser("paths", help="near-optimal paths between starts and goals, by Ray tasks"),

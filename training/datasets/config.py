@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import (
     BaseModel,
+    BeforeValidator,
     ConfigDict,
     Field,
     GetCoreSchemaHandler,
@@ -18,7 +19,7 @@ from pydantic import (
 from pydantic_core import CoreSchema
 
 from cspace.world import Body, World
-from cspace.worlds import default_world, part_types, usual_world
+from cspace.worlds import default_world, examples, part_types, usual_world
 from training.section import RobotName
 
 
@@ -38,12 +39,24 @@ def _as_told(body: Body, handler: SerializerFunctionWrapHandler) -> dict[str, An
     return {name: value for name, value in handler(body).items() if name in told}
 
 
+def _by_name(robot: object) -> object:
+    """The robot of an example where it is only named."""
+    if not isinstance(robot, str):
+        return robot
+    known = examples()
+    if robot not in known:
+        raise ValueError(f"robot is one of {', '.join(known)}, or described by its fields")
+    return known[robot].body
+
+
 class GeneratedConfig(BaseModel):
     """What fixes any generated data set."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    robot: Annotated[Body, _OfAnyKind("body"), WrapSerializer(_as_told)] = default_world().body
+    robot: Annotated[Body, _OfAnyKind("body"), WrapSerializer(_as_told), BeforeValidator(_by_name)] = (
+        default_world().body
+    )
     camera: Annotated[Any, _OfAnyKind("sensor")] | None = Field(
         None, exclude_if=lambda part: part is None, description="None: the usual one"
     )
@@ -80,6 +93,13 @@ class DatasetConfig(GeneratedConfig):
     scenario_count: int = Field(3000, ge=1)
     free_per_scenario: int = Field(300, ge=1)
     collision_per_scenario: int = Field(50, ge=0)
+    proposals_per_scenario: int = Field(
+        0,
+        ge=0,
+        exclude_if=lambda count: count == 0,
+        description="configurations of all kinds that a head learns from, free or not, with their clearance; "
+        "0: uniform ones, in the numbers of free_per_scenario and collision_per_scenario",
+    )
     extra_image_count: int = Field(6000, ge=0)
 
 

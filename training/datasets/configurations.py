@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cspace.dataset import Dataset, write_dataset
+from cspace.dataset import TOLD, Dataset, write_dataset
 from cspace.errors import DatasetError
 from cspace.splits import Split, scenario_rng
-from cspace.workshop import Checker
-from cspace.world import Arrays
+from cspace.workshop import Checker, Proposals
+from cspace.world import Arrays, World
 from cspace.worlds import workshop_of
 from training.datasets.config import DatasetConfig
 from training.datasets.shards import Shard
@@ -38,7 +38,8 @@ class ConfigurationRecipe:
         """Of pictures and configurations."""
         config = self.config
         pictures = config.scenario_count + config.extra_image_count
-        rows = config.scenario_count * (config.free_per_scenario + config.collision_per_scenario)
+        each = config.proposals_per_scenario or config.free_per_scenario + config.collision_per_scenario
+        rows = config.scenario_count * each
         return pictures * math.prod(config.world.sensor.picture_shape) + rows * 8 * config.world.dim
 
     def plan(self) -> list[Shard]:
@@ -65,6 +66,12 @@ class ConfigurationRecipe:
             if extra:
                 return {"images": workshop.render(scene)}
             checker = workshop.checker(scene)
+            if config.proposals_per_scenario:
+                return {
+                    "images": workshop.render(scene),
+                    **workshop.arrays_of(scene),
+                    **label(checker, workshop.proposals(scene, rng, config.proposals_per_scenario)),
+                }
             try:
                 free = draw_configurations(checker, config.free_per_scenario, rng, free=True)
                 collision = draw_configurations(checker, config.collision_per_scenario, rng, free=False)
@@ -81,20 +88,59 @@ class ConfigurationRecipe:
 
     def write(self, folder: Path, load: Callable[[Shard], Arrays]) -> Dataset:
         """See :func:`cspace.dataset.write_dataset`."""
-        shards = self.plan()
-        scenes, extras = ([load(s) for s in shards if s.extra is extra] for extra in (False, True))
-        known = self.config.world.scene_files
-        collision = [part for scene in scenes for part in scene["collision"]]
+        config = self.config
+        known, kept = config.world.scene_files, dict[str, list[NDArray[Any]]]()
+        # Filled shard by shard: arrays of space are large, and are not held twice.
+        images = _Pictures(config.world, config.scenario_count)
+        extras = _Pictures(config.world, config.extra_image_count)
+        for shard in self.plan():
+            arrays = dict(load(shard))
+            (extras if shard.extra else images).add(arrays.pop("images"))
+            if not shard.extra:
+                for name, rows in (_split(arrays) if "labelled" in arrays else arrays).items():
+                    kept.setdefault(name, []).extend(rows)
+        collided = config.collision_per_scenario or config.proposals_per_scenario
         return write_dataset(
             folder,
-            world=self.config.world,
-            images=np.concatenate([scene["images"] for scene in scenes]),
-            free=[part for scene in scenes for part in scene["free"]],
-            collision=collision if self.config.collision_per_scenario else None,
-            scenes={name: np.concatenate([scene[name] for scene in scenes]) for name in known},
-            extra_images=np.concatenate([extra["images"] for extra in extras]) if extras else None,
-            generator=self.config.model_dump(mode="json"),
+            world=config.world,
+            images=images.rows,
+            free=kept["free"],
+            collision=kept["collision"] if collided else None,
+            told={name: kept[name] for name in TOLD if name in kept},
+            scenes={name: np.stack(kept[name]) for name in known},
+            extra_images=extras.rows if len(extras.rows) else None,
+            generator=config.model_dump(mode="json"),
         )
+
+
+class _Pictures:
+    """Pictures of a world, (count, ...) uint8, filled from the front."""
+
+    def __init__(self, world: World, count: int) -> None:
+        self.rows = np.empty((count, *world.sensor.picture_shape), dtype=np.uint8)
+        self._filled = 0
+
+    def add(self, images: NDArray[np.uint8]) -> None:
+        self.rows[self._filled : self._filled + len(images)] = images
+        self._filled += len(images)
+
+
+def label(checker: Checker, proposals: Proposals) -> dict[str, NDArray[Any]]:
+    """``labelled`` (n, d) rad as they are stored, their ``clearance`` (n,) m and ``origin`` (n,)."""
+    stored = checker.space.to_float32(proposals.configurations)
+    clearance = checker.clearance(stored).astype(np.float32)
+    return {"labelled": stored, "clearance": clearance, "origin": proposals.origins}
+
+
+def _split(arrays: Arrays) -> dict[str, list[NDArray[Any]]]:
+    """Arrays of scenarios, what is labelled in them told as free and in collision, each of its own length."""
+    rows = ("labelled", "clearance", "origin")
+    found = {name: list(array) for name, array in arrays.items() if name not in rows}
+    sides = [clearance > 0.0 for clearance in arrays["clearance"]]
+    for side, wanted in (("free", True), ("collision", False)):
+        for name, told in zip(rows, (side, f"{side}_clearance", f"{side}_origin"), strict=True):
+            found[told] = [one[free == wanted] for one, free in zip(arrays[name], sides, strict=True)]
+    return found
 
 
 def draw_configurations(

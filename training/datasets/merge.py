@@ -38,6 +38,7 @@ def merge(parts: Sequence[Dataset], folder: Path) -> Dataset:
         images=_joined(parts, kept, "images"),
         free=[part.free_of(row) for part, row in pairs],
         collision=None if first.collision is None else [part.collision_of(row) for part, row in pairs],
+        told={name: [part.told_of(name, row) for part, row in pairs] for name in first.told},
         paths=_paths(parts, kept) if "paths" in first.arrays else None,
         scenes={name: _joined(parts, kept, name) for name in _geometry(first)} or None,
         extra_images=_distinct(np.concatenate(extras)) if extras else None,

@@ -72,9 +72,9 @@ def read_world(values: Mapping[str, Any]) -> PlanarWorld:
     return PlanarWorld(arm, Camera(**values.get("camera", {})), DiscScenes(**family))
 
 
-def read_scene(world: PlanarWorld, obstacles: list[Mapping[str, Any]]) -> Scenario:
+def read_scene(world: PlanarWorld, values: Mapping[str, Any]) -> Scenario:
     """The obstacles of values that follow the schema, about a world's robot."""
-    discs = (Disc(one["x_m"], one["y_m"], one.get("radius_m", DISC_RADIUS_M)) for one in obstacles)
+    discs = (Disc(one["x_m"], one["y_m"], one.get("radius_m", DISC_RADIUS_M)) for one in values["obstacles"])
     return Scenario(world.body, tuple(discs), world.sensor)
 
 

@@ -1,6 +1,6 @@
 """The planar world's workshop: scenarios of discs, their pictures, checks and problems."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, cast
 
@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from cspace.errors import ScenarioError
 from cspace.problem import Problem
 from cspace.splits import Split
-from cspace.workshop import Checker, Families, Measures, PathSearch
+from cspace.workshop import Checker, Families, Measures, PathSearch, Proposals, near_contact
 from cspace.world import Image, Scene, World
 from cspace.worlds.planar.collision import CollisionChecker
 from cspace.worlds.planar.drawing import draw_arm, draw_discs
@@ -93,6 +93,28 @@ class PlanarWorkshop:
     def checker(self, scene: Scene) -> Checker:
         """See :class:`cspace.worlds.planar.collision.CollisionChecker`."""
         return CollisionChecker(_planar(scene))
+
+    def proposals(self, scene: Scene, rng: np.random.Generator, count: int) -> Proposals:
+        """Half of them uniform, half near contact."""
+        checker, anywhere = self.checker(scene), count - count // 2
+        rows = (
+            self.world.space.sample_uniform(rng, anywhere),
+            near_contact(checker, rng, count // 2, self.measures.near_contact_m, 0.0),
+        )
+        return Proposals(
+            np.concatenate(rows), np.repeat(np.arange(2, dtype=np.uint8), [len(r) for r in rows])
+        )
+
+    def group_hits(
+        self, arrays: Mapping[str, NDArray[Any]], configurations: ArrayLike, groups: int
+    ) -> NDArray[np.bool_]:
+        """None: the arm has no spheres.
+
+        Raises:
+            ConfigError: always.
+        """
+        del arrays, configurations
+        self.world.grid_arm(groups)
 
     def require(self, family: str) -> None:
         """Any of :class:`Family`; narrow where the grid is as fine as its passages."""

@@ -2,14 +2,15 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cspace.errors import DatasetError, ScenarioError
+from cspace.errors import ConfigError, DatasetError, ImageError, ScenarioError
 from cspace.space import JointSpace
 from cspace.strict_json import read_mapping, read_members, read_object
+from cspace.view_file import is_view
 from cspace.world import Arrays, Levers, World
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK, PlanarArm
 from cspace.worlds.planar.camera import Camera
@@ -49,6 +50,12 @@ class PlanarWorld:
 
     def read_picture(self, data: bytes) -> NDArray[np.uint8]:
         """See :func:`cspace.worlds.planar.picture.decode_png`."""
+        if is_view(data):
+            raise ImageError(
+                "the picture comes with a camera",
+                expected="a picture alone",
+                remedy="leave camera and state out",
+            )
         return self.sensor.decode(data)
 
     def blank_picture(self) -> bytes:
@@ -58,6 +65,18 @@ class PlanarWorld:
     def levers(self, points_per_link: int, side_m: float) -> Levers:
         """See :func:`cspace.worlds.planar.lookups.levers`."""
         return levers(self.body, self.sensor, points_per_link, side_m)
+
+    def grid_arm(self, groups: int) -> NoReturn:
+        """None: pictures of this world are no arrays of space.
+
+        Raises:
+            ConfigError: always.
+        """
+        raise ConfigError(
+            "pictures of the planar world are no arrays of space",
+            expected="a head that reads along links",
+            got=f"one of {groups} groups of spheres",
+        )
 
     def check_scenes(self, arrays: Arrays, count: int) -> None:
         """See :meth:`cspace.world.World.check_scenes`."""

@@ -8,8 +8,9 @@ from numpy.typing import NDArray
 
 from cspace.errors import ScenarioError
 from cspace.splits import Split
+from cspace.strict_json import written
 from cspace.worlds.spatial.obstacles.families import draw_layout
-from cspace.worlds.spatial.obstacles.layout import Layout
+from cspace.worlds.spatial.obstacles.layout import GoalRegion, Layout
 from cspace.worlds.spatial.obstacles.scenes import SpatialScenes
 from cspace.worlds.spatial.obstacles.shapes import Obstacles
 from cspace.worlds.spatial.planning.collision import CollisionChecker
@@ -43,6 +44,7 @@ class SpatialScene:
         state: (d,) rad, where the arm is while it is looked at; None where it is in no picture.
         noise: one of :data:`cspace.worlds.spatial.seeing.sensor.NOISES`, or None for exact pictures.
         noise_seed: of its draws.
+        regions: where goals of the hand make sense; none where nobody knows.
     """
 
     world: SpatialWorld
@@ -51,6 +53,7 @@ class SpatialScene:
     state: tuple[float, ...] | None = None
     noise: str | None = None
     noise_seed: int = 0
+    regions: tuple[GoalRegion, ...] = ()
 
     def view(self) -> DepthView:
         """What the cameras see."""
@@ -72,6 +75,7 @@ class SpatialScene:
             "state": None if self.state is None else list(self.state),
             "noise": self.noise,
             "noise_seed": self.noise_seed,
+            "regions": [written(region) for region in self.regions],
         }
 
 
@@ -112,7 +116,8 @@ def seen(
     cameras, noises = draw_cameras(world.sensor.views, rng, layout), world.sensor.noise
     noise = noises[int(rng.integers(len(noises)))] if noises else None
     where = None if state is None else tuple(float(angle) for angle in state)
-    return SpatialScene(world, layout.obstacles, cameras, where, noise, int(rng.integers(2**62)))
+    seed = int(rng.integers(2**62))
+    return SpatialScene(world, layout.obstacles, cameras, where, noise, seed, layout.regions)
 
 
 def waiting(rng: np.random.Generator, arm: SerialArm, obstacles: Obstacles) -> NDArray[np.float64] | None:

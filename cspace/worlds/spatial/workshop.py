@@ -1,6 +1,6 @@
 """The spatial world's workshop: scenes, their depth pictures, checks and problems."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, cast
 
@@ -10,13 +10,14 @@ from numpy.typing import ArrayLike, NDArray
 from cspace.errors import ScenarioError
 from cspace.problem import UNIFORM, Problem
 from cspace.splits import Split, scenario_rng
-from cspace.workshop import Checker, Families, Measures, PathSearch
+from cspace.workshop import Checker, Families, Measures, PathSearch, Proposals
 from cspace.world import Image, Scene, World
 from cspace.worlds.spatial.drawing import draw_arm, draw_obstacles
-from cspace.worlds.spatial.obstacles.obstacle_rows import rows_of
+from cspace.worlds.spatial.obstacles.obstacle_rows import obstacles_of, rows_of
 from cspace.worlds.spatial.obstacles.scenes import FAMILIES
-from cspace.worlds.spatial.planning.collision import CollisionChecker
+from cspace.worlds.spatial.planning.collision import CollisionChecker, group_hits
 from cspace.worlds.spatial.planning.problems import draw_problem
+from cspace.worlds.spatial.planning.proposals import draw_proposals
 from cspace.worlds.spatial.planning.ways import WayLimits, find_way
 from cspace.worlds.spatial.scene import SpatialScene, draw_scene, scenes_of, seen
 from cspace.worlds.spatial.seeing.view import write_view
@@ -78,6 +79,20 @@ class SpatialWorkshop:
         """See :class:`cspace.worlds.spatial.planning.collision.CollisionChecker`."""
         found = _spatial(scene)
         return CollisionChecker(found.world.body, found.obstacles)
+
+    def proposals(self, scene: Scene, rng: np.random.Generator, count: int) -> Proposals:
+        """See :func:`cspace.worlds.spatial.planning.proposals.draw_proposals`."""
+        found = _spatial(scene)
+        start = None if found.state is None else np.asarray(found.state)
+        checker = CollisionChecker(found.world.body, found.obstacles)
+        return draw_proposals(checker, found.regions, start, rng, count)
+
+    def group_hits(
+        self, arrays: Mapping[str, NDArray[Any]], configurations: ArrayLike, groups: int
+    ) -> NDArray[np.bool_]:
+        """See :func:`cspace.worlds.spatial.planning.collision.group_hits`."""
+        obstacles = obstacles_of(arrays["boxes"], arrays["cylinders"])
+        return group_hits(self.world.body, obstacles, configurations, groups)
 
     def require(self, family: str) -> None:
         """Any of the families."""

@@ -12,14 +12,18 @@ from numpy.typing import NDArray
 from cspace.errors import ConfigError, DatasetError, ScenarioError
 from cspace.space import JointSpace
 from cspace.strict_json import read_mapping, read_members, read_object
-from cspace.world import Arrays, Levers, World
+from cspace.world import Arrays, GridArm, Levers, World
 from cspace.worlds.spatial.obstacles.obstacle_rows import BOX_VALUES, CYLINDER_VALUES
 from cspace.worlds.spatial.obstacles.scenes import SpatialScenes, read_spatial_scenes
 from cspace.worlds.spatial.robot.arm import SerialArm
+from cspace.worlds.spatial.robot.covering import grouped
+from cspace.worlds.spatial.robot.touching import touching_sets
 from cspace.worlds.spatial.seeing.camera import DepthCamera, looking
 from cspace.worlds.spatial.seeing.grid_box import grid_of
 from cspace.worlds.spatial.seeing.observed import observe
 from cspace.worlds.spatial.seeing.sensor import DepthSensor
+from cspace.worlds.spatial.seeing.sight import NO_READING, OUT_OF_VIEW
+from cspace.worlds.spatial.seeing.surface_patches import DISTANCE_STEP_M
 from cspace.worlds.spatial.seeing.view import DepthView, read_view, write_view
 
 KIND = "spatial"
@@ -87,6 +91,26 @@ class SpatialWorld:
             got=f"{points_per_link} points a link, {side_m} m beside it",
         )
 
+    def grid_arm(self, groups: int) -> GridArm:
+        """See :meth:`cspace.world.World.grid_arm`."""
+        found, arm, grid = grouped(self.body, groups), self.body, self.sensor.grid
+        moving = np.flatnonzero(found.links > 0)
+        return GridArm(
+            origins=np.stack([joint.origin.matrix() for joint in arm.joints]),
+            axes=np.asarray([joint.axis for joint in arm.joints]),
+            spheres_m=arm.spheres_m(),
+            links=arm.sphere_links(),
+            touching=touching_sets(arm),
+            group_spheres_m=found.spheres_m[moving],
+            group_links=found.links[moving],
+            members=found.members[moving],
+            low_m=np.asarray(grid.low_m),
+            voxel_m=grid.voxel_m,
+            distance_step_m=DISTANCE_STEP_M,
+            no_reading=NO_READING,
+            out_of_view=OUT_OF_VIEW,
+        )
+
     def check_scenes(self, arrays: Arrays, count: int) -> None:
         """See :meth:`cspace.world.World.check_scenes`."""
         for name, values in (("boxes", BOX_VALUES), ("cylinders", CYLINDER_VALUES)):
@@ -146,6 +170,11 @@ def shipped(name: str) -> SerialArm:
         known = sorted(one.stem for one in _ROBOTS.glob("*.json"))
         raise ScenarioError("the robot is unknown", expected=f"one of {', '.join(known)}", got=name[:200])
     return SerialArm.from_dict(json.loads(path.read_bytes()))
+
+
+# What a configuration says of such a world, and the worlds that commands can name.
+PARTS = {"body": (SerialArm,), "sensor": (DepthSensor,), "scenes": (SpatialScenes,)}
+EXAMPLES = {"panda": usual(shipped("panda"))}
 
 
 def read(values: Mapping[str, Any]) -> SpatialWorld:

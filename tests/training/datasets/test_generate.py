@@ -6,14 +6,22 @@ import numpy as np
 import pytest
 import ray
 
-from cspace.dataset import open_dataset
+from cspace.dataset import TOLD, open_dataset
 from cspace.errors import DamagedFileError, DatasetError, StorageError
+from cspace.worlds import workshop_of
 from cspace.worlds.planar.arm import PlanarArm
+from cspace.worlds.planar.collision import CollisionChecker
+from cspace.worlds.planar.scene import Disc, Scenario
+from cspace.worlds.spatial.obstacles.obstacle_rows import obstacles_of
+from cspace.worlds.spatial.scene import SpatialScene
 from training.datasets import generate as module
 from training.datasets.config import DatasetConfig
 from training.datasets.configurations import ConfigurationRecipe
 from training.datasets.generate import generate
+from training.datasets.merge import merge
 from training.datasets.shards import save_shard
+from training.models.settings import GridConfig
+from training.trials.grid_occupancy import grid_samples
 
 SMALL = DatasetConfig(
     seed=3,
@@ -197,3 +205,75 @@ def test_a_ray_task_that_cannot_write_is_a_storage_error(tmp_path):
 def test_free_configurations_of_a_data_set_are_float32(tmp_path, monkeypatch):
     HereInsteadOfRay(monkeypatch)
     assert generate(SMALL, tmp_path / "data").free.dtype == np.float32
+
+
+PROPOSED = SMALL.model_copy(update={"proposals_per_scenario": 30, "extra_image_count": 0})
+
+
+def test_proposals_are_kept_all_with_their_clearance_and_origin(tmp_path, monkeypatch):
+    HereInsteadOfRay(monkeypatch)
+    dataset = generate(PROPOSED, tmp_path / "data")
+    checker = checker_of_row(dataset, 2)
+    counts = set()
+    for scenario in range(5):
+        free, hit = dataset.free_of(scenario), dataset.collision_of(scenario)
+        counts.add((len(free), len(hit)))
+        assert len(free) + len(hit) == 30
+        origins = np.concatenate(
+            [dataset.told_of(f"{side}_origin", scenario) for side in ("free", "collision")]
+        )
+        assert np.bincount(origins).tolist() == [15, 15]
+    assert len(counts) > 1
+    for side, sign in (("free", 1), ("collision", -1)):
+        rows = dataset.free_of(2) if side == "free" else dataset.collision_of(2)
+        told = dataset.told_of(f"{side}_clearance", 2)
+        np.testing.assert_allclose(told, checker.clearance(rows), atol=1e-5)
+        assert (sign * told >= 0.0).all()
+    near = dataset.arrays["free_clearance"][dataset.arrays["free_origin"] == 1]
+    assert (near <= 0.1 + 1e-5).all()
+
+
+def checker_of_row(dataset, row):
+    discs = tuple(Disc(*values) for values in dataset.arrays["discs"][row].tolist())
+    return CollisionChecker(Scenario(dataset.world.body, discs, dataset.world.sensor))
+
+
+def test_merged_data_sets_keep_what_is_told_of_their_configurations(tmp_path, monkeypatch):
+    HereInsteadOfRay(monkeypatch)
+    parts = [generate(PROPOSED.model_copy(update={"seed": seed}), tmp_path / str(seed)) for seed in (3, 4)]
+    merged = merge(parts, tmp_path / "merged")
+    for name in TOLD:
+        expected = np.concatenate([part.arrays[name] for part in parts])
+        np.testing.assert_array_equal(merged.arrays[name], expected)
+
+
+def test_a_configuration_without_proposals_is_that_of_earlier_releases():
+    assert "proposals_per_scenario" not in SMALL.model_dump(mode="json")
+    assert DatasetConfig().key == "7476c8678ee2"
+
+
+@pytest.mark.slow
+def test_data_of_an_arm_in_space_hold_arrays_of_space_and_every_kind_of_configuration(tmp_path, monkeypatch):
+    HereInsteadOfRay(monkeypatch)
+    config = DatasetConfig(robot="panda", scenario_count=3, proposals_per_scenario=60, extra_image_count=0)
+    dataset = generate(config, tmp_path / "data")
+    assert dataset.images.shape == (3, 80, 80, 80, 2)
+    assert dataset.world.kind == "spatial"
+    samples = grid_samples(dataset, GridConfig())
+    assert samples.offsets.tolist() == [0, 60, 120, 180]
+    origins = np.concatenate([dataset.arrays[f"{side}_origin"] for side in ("free", "collision")])
+    assert np.bincount(origins).tolist() == [45, 45, 54, 36]
+    # What hits an obstacle is in collision; of the others some touch the arm itself.
+    hit = samples.hits.any(dim=1).numpy()
+    free = samples.free.numpy()
+    assert not (hit & free).any()
+    assert 0 < hit.sum() <= (~free).sum()
+    again = workshop_of(dataset.world).checker(
+        SpatialScene(
+            dataset.world, obstacles_of(*(dataset.arrays[name][1] for name in ("boxes", "cylinders"))), ()
+        )
+    )
+    np.testing.assert_array_equal(
+        again.valid_batch(dataset.free_of(1)), np.ones(len(dataset.free_of(1)), bool)
+    )
+    assert not again.valid_batch(dataset.collision_of(1)).any()

@@ -6,7 +6,9 @@ from numpy.typing import ArrayLike, NDArray
 from cspace.errors import ScenarioError
 from cspace.space import JointSpace
 from cspace.workshop import EdgeTest, StateTest
+from cspace.worlds.spatial.frames import moved
 from cspace.worlds.spatial.obstacles.shapes import Obstacles
+from cspace.worlds.spatial.obstacles.signed_distance import sets_are_free
 from cspace.worlds.spatial.planning.kernels import (
     checked_edge,
     clearance_batch,
@@ -18,6 +20,8 @@ from cspace.worlds.spatial.planning.kernels import (
 )
 from cspace.worlds.spatial.planning.tree_growth import advance
 from cspace.worlds.spatial.robot.arm import SerialArm
+from cspace.worlds.spatial.robot.covering import grouped
+from cspace.worlds.spatial.robot.kinematics import arm_arrays, sphere_centres_batch
 
 
 class CollisionChecker:
@@ -120,3 +124,33 @@ class CollisionChecker:
                 got=str(rows.shape),
             )
         return rows
+
+
+def group_hits(
+    arm: SerialArm, obstacles: Obstacles, configurations: ArrayLike, groups: int
+) -> NDArray[np.bool_]:
+    """Which groups of spheres touch an obstacle at (N, d) rad, (N, G); those that do not move are left out.
+
+    Args:
+        arm: with its spheres.
+        obstacles: in the base frame.
+        configurations: of the arm.
+        groups: as :func:`cspace.worlds.spatial.robot.covering.grouped` has it.
+    """
+    found, radii, stood = grouped(arm, groups), arm.spheres_m()[:, 3], obstacles.arrays
+    rows = np.ascontiguousarray(configurations, dtype=np.float64)
+    centres = sphere_centres_batch(rows, arm_arrays(arm))
+    moving = np.flatnonzero(found.links > 0)
+    round_groups = moved(arm.link_frames(rows)[:, found.links], found.spheres_m[:, :3])
+
+    def are_hit(spheres: NDArray[np.float64], own: NDArray[np.float64]) -> NDArray[np.bool_]:
+        held = np.ascontiguousarray(spheres)
+        return np.asarray(~sets_are_free(held, own.copy(), stood.boxes, stood.cylinders))
+
+    hits = np.zeros((len(rows), len(moving)), dtype=np.bool_)
+    for column, number in enumerate(moving):
+        # Few of the spheres that hold a group are near anything.
+        perhaps = are_hit(round_groups[:, number, None], found.spheres_m[number, 3:])
+        members = np.flatnonzero(found.groups == number)
+        hits[perhaps, column] = are_hit(centres[perhaps][:, members], radii[members])
+    return hits

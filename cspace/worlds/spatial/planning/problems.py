@@ -10,6 +10,7 @@ A hand reaches in where the tool's origin is within the region's box and its z a
 region's approach.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -103,7 +104,7 @@ def draw_problem(
     for number in range(MAX_DRAWS):
         scene_seed = seed if number == 0 else int(rng.integers(2**62))
         layout = draw_layout(scenes, split, scene_seed, index, family)
-        ends = _Ends(arm, layout, rng)
+        ends = Ends(CollisionChecker(arm, layout.obstacles), layout.regions, rng)
         for _ in range(_ENDS):
             found = _attempt(ends, kind or drawn, limits)
             if found is not None:
@@ -118,7 +119,7 @@ def draw_problem(
     )
 
 
-def _attempt(ends: "_Ends", kind: str, limits: WayLimits) -> tuple[NDArray[np.float64], bool] | None:
+def _attempt(ends: "Ends", kind: str, limits: WayLimits) -> tuple[NDArray[np.float64], bool] | None:
     """A way between two ends and whether it is straight; None where ends or way are missing, or too easy."""
     rng, checker = ends.rng, ends.checker
     goal = ends.reaching()
@@ -139,12 +140,14 @@ def _attempt(ends: "_Ends", kind: str, limits: WayLimits) -> tuple[NDArray[np.fl
     return way, is_trivial
 
 
-class _Ends:
+class Ends:
     """Draws free ends of problems in one scene."""
 
-    def __init__(self, arm: SerialArm, layout: Layout, rng: np.random.Generator) -> None:
-        self.arm, self.layout, self.rng = arm, layout, rng
-        self.checker = CollisionChecker(arm, layout.obstacles)
+    def __init__(
+        self, checker: CollisionChecker, regions: Sequence[GoalRegion], rng: np.random.Generator
+    ) -> None:
+        self.checker, self.regions, self.rng = checker, regions, rng
+        self.arm = checker.arm
 
     def home(self) -> NDArray[np.float64] | None:
         """About the ready pose."""
@@ -155,8 +158,8 @@ class _Ends:
 
     def reaching(self) -> NDArray[np.float64] | None:
         """A hand in one of the regions, each as likely to be tried first."""
-        for number in self.rng.permutation(len(self.layout.regions)):
-            found = self.reaching_into(self.layout.regions[number])
+        for number in self.rng.permutation(len(self.regions)):
+            found = self.reaching_into(self.regions[number])
             if found is not None:
                 return found
         return None
@@ -183,7 +186,7 @@ class _Ends:
         self, places: NDArray[np.float64], approach: NDArray[np.float64]
     ) -> NDArray[np.float64] | None:
         """The first free configuration whose tool is at one of (n, 3) m, its z axis within the cone."""
-        room = distance_m(self.layout.obstacles, places) >= _ROOM_M
+        room = distance_m(self.checker.obstacles, places) >= _ROOM_M
         near = np.linalg.norm(places, axis=1) <= self.arm.reach_m
         for place in places[room & near]:
             along = _in_cone(self.rng, approach, CONE_RAD - _SOLVING.turn_rad)

@@ -25,6 +25,13 @@ class Grouping:
     groups: NDArray[np.int64]
     weights: NDArray[np.float64]
 
+    @property
+    def members(self) -> NDArray[np.int64]:
+        """(G, most) numbers of the spheres in each group, the first of them repeated behind the last."""
+        held = [np.flatnonzero(self.groups == number) for number in range(len(self.links))]
+        most = max(len(one) for one in held)
+        return np.stack([np.append(one, np.full(most - len(one), one[0])) for one in held])
+
 
 def grouped(arm: SerialArm, count: int) -> Grouping:
     """The spheres of an arm in groups of one part each: the largest is halved until there are enough.

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cspace.errors import ImageError
+from cspace.view_file import MAX_PICTURES
 from cspace.worlds.spatial.seeing.camera import MIN_SIDE, DepthCamera
 from cspace.worlds.spatial.seeing.depth_picture import resize_depth, to_m
 from cspace.worlds.spatial.seeing.grid_box import GridBox
@@ -23,7 +24,6 @@ from cspace.worlds.spatial.seeing.surface_patches import (
     patches,
 )
 
-MAX_PICTURES = 4
 # Larger pictures are reduced to it, to the nearest readings of their cells.
 MAX_USED_SIDE = 160
 

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from cspace.errors import ScenarioError
 from cspace.strict_json import settle, written
+from cspace.view_file import MAX_PICTURES
 from cspace.worlds.spatial.seeing.grid_box import GridBox
-from cspace.worlds.spatial.seeing.observed import MAX_PICTURES
 from cspace.worlds.spatial.seeing.sight import BEHIND_STEP_M, FREE, MOST_BEHIND, OUT_OF_VIEW
 from cspace.worlds.spatial.seeing.surface_patches import DISTANCE_STEP_M, FARTHEST
 from cspace.worlds.spatial.seeing.views import CameraViews

@@ -1,14 +1,6 @@
-"""What cameras saw of a scene, at the edge: pictures, cameras, where the arm was, as one file. Numpy alone.
+"""What depth cameras saw of a scene, at the edge, and its file (:mod:`cspace.view_file`). Numpy alone."""
 
-A view file is a line and the pictures' files behind it, one after the other. The line is the word
-``cspace-view``, the version 1, and an object in JSON with ``pictures`` (their sizes in bytes), ``cameras``
-(``fx, fy, cx, cy, pose`` each) and ``state`` (rad, or null where the arm is in no picture).
-"""
-
-import json
-from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import accumulate, pairwise
 from typing import Any
 
 import numpy as np
@@ -16,15 +8,12 @@ from numpy.typing import NDArray
 
 from cspace.errors import ImageError, ScenarioError
 from cspace.space import JointSpace
-from cspace.strict_json import parse_json, read_members
+from cspace.strict_json import read_members
+from cspace.view_file import check_counts, pack_view, unpack_view
 from cspace.worlds.spatial.seeing.camera import DepthCamera
 from cspace.worlds.spatial.seeing.depth_picture import decode_depth, encode_depth
-from cspace.worlds.spatial.seeing.observed import MAX_PICTURES
 
-_MAGIC = b"cspace-view 1 "
-_MAX_LINE_BYTES = 16_384
 _CAMERA_KEYS = {"fx", "fy", "cx", "cy", "pose"}
-_KEYS = {"pictures", "cameras", "state"}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,27 +52,6 @@ class DepthView:
                 )
 
 
-def pack_view(pictures: Sequence[bytes], cameras: Sequence[object], state: object) -> bytes:
-    """A view file of files and plain values; what they hold is judged by :func:`read_view`.
-
-    Args:
-        pictures: PNG files.
-        cameras: plain values of JSON, one for each picture.
-        state: likewise; None where the arm is in no picture.
-
-    Raises:
-        ImageError: the counts do not fit.
-    """
-    check_counts(len(pictures), len(cameras))
-    told = {"pictures": [len(one) for one in pictures], "cameras": list(cameras), "state": state}
-    line = json.dumps(told, separators=(",", ":")).encode()
-    if len(line) > _MAX_LINE_BYTES:
-        raise ImageError(
-            "the cameras are too long", expected=f"at most {_MAX_LINE_BYTES} bytes", got=f"{len(line)} bytes"
-        )
-    return b"".join((_MAGIC, line, b"\n", *pictures))
-
-
 def write_view(view: DepthView) -> bytes:
     """The view file of a view."""
     cameras = [_told(camera) for camera in view.cameras]
@@ -102,17 +70,10 @@ def read_view(data: bytes, space: JointSpace) -> DepthView:
         ImageError: it is none, a picture or a camera is none, they do not fit each other, no picture has a
             reading, or the state lies outside of the arm's limits.
     """
-    told, rest = _line_of(data)
-    sizes, cameras = told["pictures"], told["cameras"]
-    if not isinstance(sizes, list) or not isinstance(cameras, list):
-        raise _no_view("lists of pictures and cameras", told)
-    check_counts(len(sizes), len(cameras))
-    if any(type(size) is not int or size < 0 for size in sizes) or sum(sizes) != len(rest):
-        raise _no_view(f"pictures of {sizes!r} bytes"[:200], f"{len(rest)} bytes")
-    ends = accumulate(sizes, initial=0)
-    pictures = tuple(decode_depth(rest[begin:end]) for begin, end in pairwise(ends))
+    files, cameras, state = unpack_view(data)
+    pictures = tuple(decode_depth(one) for one in files)
     seen_by = [read_pinhole(values, picture.shape) for values, picture in zip(cameras, pictures, strict=True)]
-    return DepthView(pictures, tuple(seen_by), _state_of(told["state"], space))
+    return DepthView(pictures, tuple(seen_by), _state_of(state, space))
 
 
 def read_pinhole(values: object, shape: tuple[int, ...]) -> DepthCamera:
@@ -133,31 +94,6 @@ def read_pinhole(values: object, shape: tuple[int, ...]) -> DepthCamera:
 
 
 _REMEDY = "send the camera in the base frame: x right, y down, z forward, pixel centres at whole numbers"
-
-
-def check_counts(pictures: int, cameras: int) -> None:
-    """Refuse numbers of pictures and cameras that do not fit.
-
-    Raises:
-        ImageError: they do not.
-    """
-    if not 1 <= pictures <= MAX_PICTURES or pictures != cameras:
-        raise ImageError(
-            "the depth pictures do not fit",
-            expected=f"1 to {MAX_PICTURES} pictures and a camera each, in the same order",
-            got=f"{pictures} pictures, {cameras} cameras",
-        )
-
-
-def _line_of(data: bytes) -> tuple[dict[str, Any], bytes]:
-    end = data.find(b"\n", 0, len(_MAGIC) + _MAX_LINE_BYTES + 1)
-    if not data.startswith(_MAGIC) or end < 0:
-        raise _no_view("a file that begins with cspace-view 1", data[:20])
-    try:
-        values = parse_json(data[len(_MAGIC) : end])
-    except ValueError as error:
-        raise _no_view("a line in JSON", error) from error
-    return read_members(values, _KEYS, "the view", ImageError), data[end + 1 :]
 
 
 def _state_of(values: object, space: JointSpace) -> tuple[float, ...] | None:
@@ -192,7 +128,3 @@ def _number(value: object, name: str) -> float:
 
 def _told(camera: DepthCamera) -> dict[str, Any]:
     return {name: value for name, value in camera.to_dict().items() if name in _CAMERA_KEYS}
-
-
-def _no_view(expected: str, got: object) -> ImageError:
-    return ImageError("the file is no view", expected=expected, got=repr(got)[:200])

@@ -87,8 +87,10 @@ def test_networks_take_channels_first(scenes):
 
 
 def test_what_is_no_view_is_refused():
-    with pytest.raises(ImageError, match="no view"):
+    with pytest.raises(ImageError, match="comes without its camera"):
         WORLD.read_picture(b"\x89PNG")
+    with pytest.raises(ImageError, match="no view"):
+        WORLD.read_picture(b"cspace-view 1 ?")
 
 
 def test_obstacles_are_kept_as_rows(scenes):

@@ -1,0 +1,100 @@
+"""Pictures with the cameras that took them and where the robot was, as one file: what a request carries.
+
+A view file is a line and the pictures' files behind it, one after the other. The line is the word
+``cspace-view``, the version 1, and an object in JSON with ``pictures`` (their sizes in bytes), ``cameras``
+(``fx, fy, cx, cy, pose`` each) and ``state`` (rad, or null where the robot is in no picture). Here it is only
+packed and unpacked; what it holds is judged by the world that takes such pictures.
+"""
+
+import json
+from collections.abc import Sequence
+from itertools import accumulate, pairwise
+from typing import Any
+
+from cspace.errors import ImageError
+from cspace.strict_json import parse_json, read_members
+
+MAX_PICTURES = 4
+_MAGIC = b"cspace-view 1 "
+_MAX_LINE_BYTES = 16_384
+_KEYS = {"pictures", "cameras", "state"}
+
+
+def is_view(data: bytes) -> bool:
+    """Whether a file says that it is one."""
+    return data.startswith(_MAGIC)
+
+
+def pack_view(pictures: Sequence[bytes], cameras: Sequence[object], state: object) -> bytes:
+    """A view file of files and plain values.
+
+    Args:
+        pictures: one to four files.
+        cameras: plain values of JSON, one for each picture.
+        state: likewise; None where the robot is in no picture.
+
+    Raises:
+        ImageError: the counts do not fit.
+    """
+    check_counts(len(pictures), len(cameras))
+    told = {"pictures": [len(one) for one in pictures], "cameras": list(cameras), "state": state}
+    line = json.dumps(told, separators=(",", ":")).encode()
+    if len(line) > _MAX_LINE_BYTES:
+        raise ImageError(
+            "the cameras are too long", expected=f"at most {_MAX_LINE_BYTES} bytes", got=f"{len(line)} bytes"
+        )
+    return b"".join((_MAGIC, line, b"\n", *pictures))
+
+
+def unpack_view(data: bytes) -> tuple[list[bytes], list[object], object]:
+    """Pictures, cameras and state of an untrusted view file, as :func:`pack_view` takes them.
+
+    Raises:
+        ImageError: it is none, or the counts do not fit.
+    """
+    if not is_view(data):
+        raise ImageError(
+            "the picture comes without its camera",
+            expected="camera for each image: fx, fy, cx, cy and pose, 4 x 4, camera in base",
+            got="a picture alone",
+            remedy="send a camera beside each picture, in the same order",
+        )
+    told, rest = _line_of(data)
+    sizes, cameras = told["pictures"], told["cameras"]
+    if not isinstance(sizes, list) or not isinstance(cameras, list):
+        raise no_view("lists of pictures and cameras", told)
+    check_counts(len(sizes), len(cameras))
+    if any(type(size) is not int or size < 0 for size in sizes) or sum(sizes) != len(rest):
+        raise no_view(f"pictures of {sizes!r} bytes"[:200], f"{len(rest)} bytes")
+    ends = accumulate(sizes, initial=0)
+    return [rest[begin:end] for begin, end in pairwise(ends)], cameras, told["state"]
+
+
+def check_counts(pictures: int, cameras: int) -> None:
+    """Refuse numbers of pictures and cameras that do not fit.
+
+    Raises:
+        ImageError: they do not.
+    """
+    if not 1 <= pictures <= MAX_PICTURES or pictures != cameras:
+        raise ImageError(
+            "the depth pictures do not fit",
+            expected=f"1 to {MAX_PICTURES} pictures and a camera each, in the same order",
+            got=f"{pictures} pictures, {cameras} cameras",
+        )
+
+
+def no_view(expected: str, got: object) -> ImageError:
+    """The error for a file that is none."""
+    return ImageError("the file is no view", expected=expected, got=repr(got)[:200])
+
+
+def _line_of(data: bytes) -> tuple[dict[str, Any], bytes]:
+    end = data.find(b"\n", 0, len(_MAGIC) + _MAX_LINE_BYTES + 1)
+    if end < 0:
+        raise no_view("a line that ends", data[:20])
+    try:
+        values = parse_json(data[len(_MAGIC) : end])
+    except ValueError as error:
+        raise no_view("a line in JSON", error) from error
+    return read_members(values, _KEYS, "the view", ImageError), data[end + 1 :]

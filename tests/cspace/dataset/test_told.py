@@ -1,0 +1,52 @@
+"""What a data set tells of each configuration beside its angles."""
+
+import numpy as np
+import pytest
+
+from cspace.dataset import open_dataset, write_dataset
+from cspace.errors import DatasetError
+from tests.dataset_content import content
+
+
+def told(name, change=lambda values: values):
+    """One array for all scenarios of the content, changed."""
+    rows, what = name.split("_")
+    parts = content()[rows]
+    sign = 1.0 if rows == "free" else -1.0
+    made = [
+        np.full(len(part), 2, np.uint8) if what == "origin" else sign * np.linspace(0.1, 0.2, len(part))
+        for part in parts
+    ]
+    return {name: [change(values) for values in made]}
+
+
+@pytest.mark.parametrize("name", ["free_clearance", "free_origin", "collision_clearance", "collision_origin"])
+def test_it_is_read_back_by_scenario(tmp_path, name):
+    given = told(name)
+    write_dataset(tmp_path / "data", **content(), told=given)
+    dataset = open_dataset(tmp_path / "data")
+    assert dataset.told == (name,)
+    for scenario, values in enumerate(given[name]):
+        np.testing.assert_allclose(dataset.told_of(name, scenario), values, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "message"),
+    [
+        ("free_clearance", lambda values: values[1:], "does not fit"),
+        ("free_clearance", lambda values: -values, "above 0 where free"),
+        ("free_clearance", lambda values: values * np.nan, "above 0 where free"),
+        ("collision_clearance", lambda values: -values, "above 0 where free"),
+        ("free_origin", lambda values: values + 2, "below 4"),
+    ],
+)
+def test_what_cannot_be_is_refused(tmp_path, name, change, message):
+    with pytest.raises(DatasetError, match=message):
+        write_dataset(tmp_path / "data", **content(), told=told(name, change))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_nothing_is_told_of_configurations_that_are_not_there(tmp_path):
+    without = content() | {"collision": None}
+    with pytest.raises(DatasetError, match=r"collision_origin\.npy belongs to collision\.npy"):
+        write_dataset(tmp_path / "data", **without, told=told("collision_origin"))
