@@ -18,13 +18,13 @@ _MAGIC = b"\x93NUMPY\x01\x00"
 _LONGEST_HEADER = 512
 
 
-def read_npy(data: bytes, types: tuple[str, ...], axes: int) -> NDArray[Any]:
+def read_npy(data: bytes, types: tuple[str, ...], axes: int | tuple[int, ...]) -> NDArray[Any]:
     """An untrusted ``.npy`` file of version 1.0, whose header is matched and not evaluated.
 
     Args:
         data: the file; the array shares its memory.
         types: that the array may have, as ``.npy`` writes them: ``<f4``.
-        axes: number of the array's axes.
+        axes: number of the array's axes, or those that it may have.
 
     Raises:
         ValueError: it is no such file.
@@ -36,7 +36,7 @@ def read_npy(data: bytes, types: tuple[str, ...], axes: int) -> NDArray[Any]:
         raise ValueError("an array with another header")
     descr = match[1].decode()
     shape = tuple(int(size) for size in match[3].decode().split(",") if size.strip())
-    if descr not in types or len(shape) != axes:
+    if descr not in types or len(shape) not in ((axes,) if isinstance(axes, int) else axes):
         raise ValueError(f"an array of type {descr} and shape {shape}")
     kind = np.dtype(descr)
     if math.prod(shape) * kind.itemsize != len(data) - start - length:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cspace.bundle.npz import read_arrays
+from cspace.bundle.npz import Allowed, read_arrays
 from cspace.errors import BundleIntegrityError, GoldenMismatchError, InputError
 from cspace.query import SampleQuery
 from cspace.space import JointSpace
@@ -16,8 +16,8 @@ from cspace.space import JointSpace
 TOLERANCE = 1e-4
 _FLOATS = ("<f4", "<f8")
 # Name to its types and number of axes.
-_ARRAYS = {
-    "image": (("|u1",), 3),
+_ARRAYS: dict[str, Allowed] = {
+    "image": (("|u1",), (3, 4)),
     "count": (("<i8", "<i4"), 0),
     "seed": (("<u8",), 0),
     "epsilon_sigma": (_FLOATS, 1),
@@ -28,6 +28,8 @@ _ARRAYS = {
     "samples": (_FLOATS, 2),
     "confidence": (_FLOATS, 1),
 }
+# Axes of a picture of a plane.
+_FLAT = 3
 _OPTIONAL = {"start", "goal", "confidence"}
 # As many as the inference API takes.
 MAX_COUNT, MAX_EPSILONS = 20_000, 1_000
@@ -38,7 +40,7 @@ class GoldenCase:
     """Inputs with their expected outputs; None where the model has no such thing.
 
     Args:
-        image: uint8 (P, P, 3).
+        image: uint8 (P, P, 3), or as the world's pictures are.
         query: what is asked, without a confidence to reach.
         mu: float32 (L,).
         sigma: float32 (L,).
@@ -146,8 +148,25 @@ def _close(name: str, expected: NDArray[Any], got: NDArray[Any], space: JointSpa
         )
 
 
-def scene(pixels: int) -> NDArray[np.uint8]:
-    """A fixed picture in the project's colours without the renderer: two discs over a stretched arm."""
+def scene(size: Sequence[int]) -> NDArray[np.uint8]:
+    """A fixed picture of a size (..., channels) without a renderer."""
+    return _flat_scene(size[0]) if len(size) == _FLAT else _space_scene(size)
+
+
+def _space_scene(size: Sequence[int]) -> NDArray[np.uint8]:
+    """A ball in the middle of space: far from it all is seen free, within and below it nothing is known."""
+    place = np.stack(np.meshgrid(*(np.linspace(-1.0, 1.0, side) for side in size[:-1]), indexing="ij"))
+    gap = np.linalg.norm(place, axis=0) - 0.4
+    hidden = (gap < 0.0) | ((np.linalg.norm(place[:2], axis=0) < 0.4) & (place[2] < 0.0))
+    image = np.empty(tuple(size), dtype=np.uint8)
+    image[..., 0] = np.minimum(np.abs(gap) * 1000.0, 255.0)
+    image[..., 1:] = np.where(hidden, np.clip(-gap * 250.0, 1.0, 253.0), 0.0)[..., None]
+    image[:2, ..., 1:] = 255
+    return image
+
+
+def _flat_scene(pixels: int) -> NDArray[np.uint8]:
+    """In the project's colours: two discs over a stretched arm."""
     rows, columns = np.mgrid[0:pixels, 0:pixels] / pixels
     image = np.full((pixels, pixels, 3), 255, dtype=np.uint8)
     arm = (np.abs(rows - 0.5) < 0.02) & (columns > 0.5) & (columns < 0.9)

@@ -28,7 +28,7 @@ class Kept:
 
     Args:
         samples: float32 (n', d) rad, those of the first share first.
-        confidence: float32 (n',).
+        confidence: float32 (n',), or (n', k) with what else was told of each behind it.
         acceptance: share of all drawn samples that reached the threshold.
     """
 
@@ -48,7 +48,7 @@ def gather(
 
     Args:
         draw: counts by share and the turn's number to samples (m, d), those of the first share first, and
-            their confidence (m,).
+            their confidence (m,), or (m, k) with what else is told of each behind it.
         shares: how many are wanted of each.
         threshold: the least confidence, 0 to 1.
         expected: share that is likely to pass, above 0 to 1; a further turn costs more than a few too many.
@@ -64,7 +64,7 @@ def gather(
             between()
         counts = _within(wanted, left)
         samples, confidence = draw(counts, turn)
-        good = confidence >= np.float32(threshold)
+        good = (confidence if confidence.ndim == 1 else confidence[:, 0]) >= np.float32(threshold)
         if turn == 0 and len(shares) == 1:
             # Nearly every request ends here, and the arrays below would cost it a tenth of a millisecond.
             kept = np.flatnonzero(good)

@@ -17,10 +17,10 @@ from cspace.bundle.request import fitted
 from cspace.bundle.running.chunks import CHUNK_ROWS, PATH_CHUNK_ROWS, Between, chunked
 from cspace.bundle.running.deadlines import RUN_LIMIT_S
 from cspace.bundle.running.graph_set import open_graphs
-from cspace.bundle.running.graphs import Graph
+from cspace.bundle.running.head import Head
 from cspace.bundle.samples import Encoding, Picture, SampleSet, require_inside
 from cspace.bundle.spec import MAP, PICTURE, BundleSpec
-from cspace.errors import BundleError, BundleIntegrityError, InputError
+from cspace.errors import BundleIntegrityError, InputError
 from cspace.query import QueryOptions, SampleQuery
 from cspace.worlds import robot_digest
 
@@ -38,7 +38,8 @@ class Bundle:
         self.robot = robot_digest(self.spec.world)
         graphs = open_graphs(self.spec, files, run_limit_s)
         self._encoder, self._generator = graphs.encoder, graphs.generator
-        self._validity, self._novelty, self._map = graphs.validity, graphs.novelty, graphs.map
+        self._novelty, self._map = graphs.novelty, graphs.map
+        self._validity = None if graphs.validity is None else Head(graphs.validity)
 
     @classmethod
     def load(cls, folder: Path, *, replay: bool = True, run_limit_s: float = RUN_LIMIT_S) -> "Bundle":
@@ -168,13 +169,13 @@ class Bundle:
 
         def scored(counts: Sequence[int], turn: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
             samples = drawn(counts, turn)
-            return samples, self._score(self._head(), picture.pixels, samples, between)
+            return samples, self._head().told(picture, samples, between)
 
         def proposed(counts: Sequence[int], turn: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
             proposals = propose(self.spec, counts, request.seed, turn)
             learned = drawn(proposals.learned, turn) if any(proposals.learned) else None
             samples = proposals.mixed_with(learned)
-            return samples, self._score(self._head(), picture.pixels, samples, between)
+            return samples, self._head().told(picture, samples, between)
 
         wanted, acceptance = shares(request.n, len(request.epsilon_sigma)), 1.0
         if request.min_confidence:
@@ -186,18 +187,22 @@ class Bundle:
             samples, confidence = scored(wanted, 0)
         else:
             samples, confidence = drawn(wanted, 0), None
+        unseen = None
+        if confidence is not None and confidence.ndim > 1:
+            confidence, unseen = confidence.T
         encode_ms, generate_ms = 1e3 * (encoded - began), 1e3 * (time.perf_counter() - encoded)
         if picture is image:
             encode_ms = 0.0
         require_inside(samples, self.spec.world.space)
-        return SampleSet(samples, confidence, request.n - len(samples), acceptance, encode_ms, generate_ms)
+        shortfall = request.n - len(samples)
+        return SampleSet(samples, confidence, shortfall, acceptance, encode_ms, generate_ms, unseen)
 
     def _generate(
         self, draws: Draws, request: SampleQuery, picture: Picture, between: Between | None
     ) -> NDArray[np.float32]:
         spec = self.spec
         seen = {PICTURE: picture.pixels} if spec.looks_at_picture else {}
-        seen |= {} if picture.map is None else {MAP: picture.map}
+        seen |= {MAP: picture.map} if spec.looks_at_map and picture.map is not None else {}
         fixed = {
             name: np.asarray(point, dtype=np.float32)
             for name, point in (("start", request.start), ("goal", request.goal))
@@ -220,7 +225,20 @@ class Bundle:
         configurations: NDArray[np.float32],
         between: Between | None = None,
     ) -> NDArray[np.float32]:
-        """P(free | picture, configuration) by the validity head, float32 (n,).
+        """The first of what :meth:`believe` gives, float32 (n,)."""
+        return self.believe(image, configurations, between)[0]
+
+    def believe(
+        self,
+        image: NDArray[np.uint8] | Picture,
+        configurations: NDArray[np.float32],
+        between: Between | None = None,
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
+        """What the validity head says of configurations.
+
+        Returns:
+            P(free | picture, configuration), float32 (n,), and the share of the robot that lies in space that
+            no picture shows, float32 (n,); None in worlds that are seen whole.
 
         Args:
             image: uint8 (P, P, 3), or one that :meth:`prepare` made.
@@ -231,8 +249,7 @@ class Bundle:
             InputError: the bundle has no validity head, or picture or configurations do not fit.
             BundleError: the graph fails.
         """
-        head = self._head()
-        pixels = image.pixels if isinstance(image, Picture) else self._network_image(image)
+        head, picture = self._head(), self._prepared(image)
         shape = np.shape(configurations)
         if len(shape) != 2 or not shape[0] or shape[1] != self.spec.dim:
             raise InputError(
@@ -240,29 +257,13 @@ class Bundle:
                 expected=f"shape (n, {self.spec.dim}), n at least 1",
                 got=str(shape),
             )
-        return self._score(head, pixels, configurations, between)
+        found = head.told(picture, configurations, between)
+        return (found, None) if found.ndim == 1 else (found[:, 0], found[:, 1])
 
-    def _head(self) -> Graph:
+    def _head(self) -> Head:
         if self._validity is None:
             raise InputError("the model has no validity head", remedy="train one with validity.steps above 0")
         return self._validity
-
-    def _score(
-        self,
-        head: Graph,
-        pixels: NDArray[np.float32],
-        configurations: NDArray[np.float32],
-        between: Between | None,
-    ) -> NDArray[np.float32]:
-        def run(rows: slice) -> NDArray[np.float32]:
-            part = configurations[rows]
-            feeds = {"image": pixels, "configurations": part}
-            return head.run(feeds, {"confidence": (len(part),)})["confidence"]
-
-        confidence = chunked(run, len(configurations), between)
-        if np.any((confidence < 0.0) | (confidence > 1.0)):
-            raise BundleError("the validity head gives no probabilities", expected="values from 0 to 1")
-        return confidence
 
     def _prepared(self, image: NDArray[np.uint8] | Picture) -> Picture:
         if not isinstance(image, Picture):

@@ -14,6 +14,8 @@ from cspace.npy import read_npy
 
 # Of one archive, unpacked; a picture of 2048 pixels has 12.6 MB.
 MAX_BYTES = 32 * 2**20
+# Types, and number of axes.
+Allowed = tuple[tuple[str, ...], int | tuple[int, ...]]
 _ENTRY = b"PK\x01\x02"
 _TORN = (
     zipfile.BadZipFile, zlib.error, struct.error, NotImplementedError, RuntimeError, EOFError, OSError,
@@ -21,9 +23,7 @@ _TORN = (
 )  # fmt: skip
 
 
-def read_arrays(
-    data: bytes, allowed: Mapping[str, tuple[tuple[str, ...], int]], name: str
-) -> dict[str, NDArray[Any]]:
+def read_arrays(data: bytes, allowed: Mapping[str, Allowed], name: str) -> dict[str, NDArray[Any]]:
     """The arrays of a ``.npz``.
 
     Args:
@@ -45,7 +45,7 @@ def read_arrays(
         ) from error
 
 
-def _read(data: bytes, allowed: Mapping[str, tuple[tuple[str, ...], int]]) -> dict[str, NDArray[Any]]:
+def _read(data: bytes, allowed: Mapping[str, Allowed]) -> dict[str, NDArray[Any]]:
     # Before any entry costs memory.
     if data.count(_ENTRY) > len(allowed):
         raise ValueError("more entries than there are arrays")

@@ -31,7 +31,7 @@ class Picture:
         pixels: float32 (1, 3, P, P), as the graphs take it.
         encoding: the encoder's view of it.
         novelty: how unlike the training scenarios it is, 0 to 1; None for a bundle that does not tell.
-        map: float32 (k,), what the bundle's map graph makes of it; None for a bundle without.
+        map: float32, what the bundle's map graph makes of it; None for a bundle without.
     """
 
     digest: str
@@ -52,6 +52,8 @@ class SampleSet:
         acceptance: share of what was drawn that reached the confidence asked for; 1 where none was.
         encode_ms: time in the encoder; 0 for a picture that was prepared.
         generate_ms: time from the latents to the samples, the validity head included.
+        unseen: float32 (n',), share of the robot where no picture shows what is there; None where that is not
+            told.
     """
 
     samples: NDArray[np.float32]
@@ -60,6 +62,7 @@ class SampleSet:
     acceptance: float
     encode_ms: float
     generate_ms: float
+    unseen: NDArray[np.float32] | None = None
 
 
 def require_inside(samples: NDArray[np.float32], space: JointSpace) -> None:

@@ -82,7 +82,7 @@ def _graph_files(graphs: Mapping[str, bytes]) -> dict[str, bytes]:
 
 def _compute_golden(folder: Path, contents: Mapping[str, bytes]) -> GoldenCase:
     bundle = Bundle(folder, BundleFiles(contents, digest=""))
-    image = scene(bundle.spec.pixels)
+    image = scene(bundle.spec.world.sensor.picture_shape)
     start, goal = endpoints(bundle.spec.endpoints, bundle.spec.world.space)
     query = SampleQuery(GOLDEN_COUNT, GOLDEN_SEED, GOLDEN_EPSILON, start, goal, min_confidence=0.0)
     encoding, answer = bundle.encode(image), bundle.answer(image, query)

@@ -201,7 +201,9 @@ def try_one(seed: int, original: Path) -> str:
 def _use(bundle: Bundle) -> None:
     """One request, of whatever the description has become."""
     start, goal = endpoints(bundle.spec.endpoints, bundle.spec.world.space)
-    bundle.sample(scene(bundle.spec.pixels), 3, 0, start=start, goal=goal, min_confidence=0.0)
+    bundle.sample(
+        scene(bundle.spec.world.sensor.picture_shape), 3, 0, start=start, goal=goal, min_confidence=0.0
+    )
 
 
 def main(first: int, seconds: float, count: int) -> None:

@@ -73,7 +73,7 @@ def test_a_seed_means_the_same_in_another_process(bundle: Bundle) -> None:
     code = (
         "import sys, hashlib; from pathlib import Path; from cspace.bundle import Bundle;"
         "from cspace.bundle.golden import scene; b = Bundle.load(Path(sys.argv[1]));"
-        "print(hashlib.sha256(b.sample(scene(48), 333, 12).samples.tobytes()).hexdigest())"
+        "print(hashlib.sha256(b.sample(scene((48, 48, 3)), 333, 12).samples.tobytes()).hexdigest())"
     )
     runs = {
         subprocess.run(

@@ -39,23 +39,29 @@ def open_graphs(spec: BundleSpec, files: BundleFiles, run_limit_s: float) -> Gra
         BundleError: one does not end in time.
     """
 
-    def opened(name: str, inputs: set[str], outputs: set[str]) -> Graph | None:
+    def opened(
+        name: str, inputs: set[str], outputs: set[str], shapes: dict[str, tuple[int, ...]] | None = None
+    ) -> Graph | None:
         model = files.contents.get(name)
-        return None if model is None else Graph(name, model, inputs, outputs, run_limit_s)
+        if model is None:
+            return None
+        return Graph(name, model, inputs, outputs, run_limit_s, shapes, perhaps=frozenset(shapes or ()))
 
     drawn = {item.name for item in spec.random_inputs}
     encoder = Graph(ENCODER_FILE, files.contents[ENCODER_FILE], {"image"}, {"mu", "sigma"}, run_limit_s)
     seen = opened(MAP_FILE, {"image"}, {"map"})
-    _check_whole(MAP_FILE, seen, "the condition map", described=spec.looks_at_map)
+    shapes = {} if seen is None else {MAP: seen.sizes("map")}
     generator = Graph(
         GENERATOR_FILE,
         files.contents[GENERATOR_FILE],
         {"latent", *drawn, *spec.conditions},
         {"samples"},
         run_limit_s,
-        {} if seen is None else {MAP: seen.sizes("map")},
+        shapes,
     )
-    validity = opened(VALIDITY_FILE, {"image", "configurations"}, {"confidence"})
+    validity = opened(VALIDITY_FILE, {"image", "configurations"}, {"confidence"}, shapes)
+    looked_at = spec.looks_at_map or (validity is not None and validity.takes(MAP))
+    _check_whole(MAP_FILE, seen, "the condition map", described=looked_at)
     scores = opened(NOVELTY_FILE, {"image", "mu"}, {"scores"})
     _check_whole(NOVELTY_FILE, scores, "novelty_quantiles", described=spec.novelty_quantiles is not None)
     return GraphSet(encoder, generator, validity, scores, seen)

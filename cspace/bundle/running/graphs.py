@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping
+from collections.abc import Set as AbstractSet
 from typing import Any
 
 import numpy as np
@@ -26,6 +27,7 @@ class Graph:
         outputs: the names that it must give.
         run_limit_s: how long a run may take.
         shapes: of those inputs whose shape the graph does not tell.
+        perhaps: names of inputs that it may take, too.
 
     Raises:
         BundleIntegrityError: not a graph, more than a bundle's graph may be, or other names.
@@ -40,18 +42,28 @@ class Graph:
         outputs: set[str],
         run_limit_s: float = RUN_LIMIT_S,
         shapes: Mapping[str, tuple[int, ...]] | None = None,
+        perhaps: AbstractSet[str] = frozenset(),
     ) -> None:
         self._name = name
         folding = check_graph(name, model)
         self._session = Session(name, model, folding, run_limit_s, shapes or {})
         found_in = {node.name for node in self._session.inputs()}
         found_out = {node.name for node in self._session.outputs()}
-        if found_in != inputs or not outputs <= found_out:
+        self._inputs, self._outputs = found_in, found_out
+        if found_in - perhaps != inputs - perhaps or not outputs <= found_out:
             raise BundleIntegrityError(
                 f"{name} has other inputs or outputs",
                 expected=f"{sorted(inputs)} -> {sorted(outputs)}",
                 got=f"{sorted(found_in)} -> {sorted(found_out)}"[:500],
             )
+
+    def takes(self, name: str) -> bool:
+        """Whether it has such an input."""
+        return name in self._inputs
+
+    def gives(self, name: str) -> bool:
+        """Whether it has such an output."""
+        return name in self._outputs
 
     def sizes(self, output: str) -> tuple[int, ...]:
         """The shape of an output that is the same for every feed.
