@@ -9,13 +9,15 @@ from cspace.bundle import Bundle, BundleSpec, Provenance, RandomInput, write_bun
 from cspace.dataset import Dataset
 from cspace.files import discard
 from cspace.space import Standardisation
-from training.clusters.novelty import known_quantiles, load_scores
+from cspace.world import World
+from training.clusters.novelty import known_quantiles
 from training.clusters.threshold import choose_threshold, choose_uniform_share, validation_scores
 from training.config.clusters import HeadConfig, TrainConfig
 from training.jobs.job import TAG_START
 from training.jobs.provenance import command_line, now, source_state
+from training.models.autoencoders import network_size
 from training.models.checkpoint import trained
-from training.models.encode import load_encoder
+from training.models.encode import load_encoder, load_scores
 from training.models.export import (
     encoder_graph,
     generator_graph,
@@ -24,6 +26,8 @@ from training.models.export import (
     novelty_graph,
     validity_graph,
 )
+from training.models.grids.export import grid_validity_graph, map_graph
+from training.models.grids.head import GridHead
 from training.models.lookups.lookups import make_lookups
 from training.models.mixture import LookupSampler
 from training.models.settings import GanConfig
@@ -74,21 +78,20 @@ def make_bundle(
         StorageError: the folder exists or cannot be written.
     """
     gan, latent_dim, dim = generator_config(config), config.vae.latent_dim, dataset.dim
-    pixels, has_head = dataset.world.sensor.pixels, parts.validity is not None
-    encoder = load_encoder(config.vae, pixels, parts.encoder)
+    sensor, has_head = dataset.world.sensor, parts.validity is not None
+    encoder = load_encoder(config.vae, sensor, parts.encoder)
     graphs = {
-        "encoder": encoder_graph(encoder, pixels),
+        "encoder": encoder_graph(encoder, network_size(sensor)),
         "generator": _sampler_graph(config, parts),
     }
     if parts.validity is not None:
-        head = trained(lambda: make_head(config.validity, dataset.world), parts.validity, "head")
-        graphs["validity"] = validity_graph(head, pixels, dim)
+        graphs |= _head_graphs(config.validity, dataset.world, parts.validity)
     known = None
     # The paper's joint baseline stays as the paper has it.
     if not config.joint:
-        scores = load_scores(config.vae, pixels, parts.encoder)
+        scores = load_scores(config.vae, sensor, parts.encoder)
         known = known_quantiles(config.vae, parts.encoder, scores, dataset)
-        graphs["novelty"] = novelty_graph(scores, pixels, latent_dim)
+        graphs["novelty"] = novelty_graph(scores, network_size(sensor), latent_dim)
     scale = Standardisation(*(tuple(float(v) for v in part) for part in parts.arrays.scale))
     spec = BundleSpec(
         world=dataset.world,
@@ -106,6 +109,14 @@ def make_bundle(
     if has_head and dataset.generator_seed is not None:
         spec = _with_choices(folder.with_name(folder.name + "-draft"), config.validity, spec, graphs)
     return Bundle.load(write_bundle(folder, spec, graphs))
+
+
+def _head_graphs(config: HeadConfig, world: World, checkpoint: Path) -> dict[str, bytes]:
+    if config.grid is None:
+        flat = trained(lambda: make_head(config, world), checkpoint, "head")
+        return {"validity": validity_graph(flat, world.sensor.pixels, world.dim)}
+    head = trained(lambda: GridHead.of(config, world), checkpoint, "head")
+    return {"map": map_graph(head), "validity": grid_validity_graph(head, world.dim)}
 
 
 def _with_choices(

@@ -1,44 +1,37 @@
-"""The novelty of a bundle: the decoder's scores, and how they lie over pictures that are not new."""
+"""The novelty of a bundle: how the decoder's scores lie over pictures that are not new."""
 
 from pathlib import Path
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import nn
 
 from cspace.bundle.novelty import quantiles_of
 from cspace.dataset import Dataset
 from cspace.splits import Split
 from cspace.worlds import workshop_of
-from training.models.checkpoint import trained
+from training.models.autoencoders import blocks
 from training.models.encode import load_encoder
-from training.models.networks import Decoder
-from training.models.novelty import NoveltyScores
 from training.models.settings import VaeConfig
 
 KNOWN_PICTURES = 400
 
 
-def load_scores(config: VaeConfig, pixels: int, checkpoint: Path) -> NoveltyScores:
-    """The scores by the decoder of a VAE trial's checkpoint."""
-    decoder = trained(lambda: Decoder(pixels, config.latent_dim, config.width), checkpoint, "decoder")
-    return NoveltyScores(decoder, pixels).eval()
-
-
 def known_quantiles(
-    config: VaeConfig, checkpoint: Path, scores: NoveltyScores, dataset: Dataset
+    config: VaeConfig, checkpoint: Path, scores: nn.Module, dataset: Dataset
 ) -> tuple[tuple[float, ...], ...]:
     """Quantiles of both scores over pictures of the kind that the VAE was trained on.
 
     Where the scenarios were generated these are validation scenarios; with data of one's own, of which
     there are no others, they are the pictures of the data set, and the percentiles a little too high.
     """
-    images = known_pictures(dataset)
-    encoder = load_encoder(config, images.shape[1], checkpoint)
+    images, sensor = known_pictures(dataset), dataset.world.sensor
+    encoder = load_encoder(config, sensor, checkpoint)
     found = []
     with torch.inference_mode():
-        for start in range(0, len(images), 100):
-            pictures = torch.from_numpy(dataset.world.sensor.to_network(images[start : start + 100]))
+        for rows in blocks(sensor, len(images)):
+            pictures = torch.from_numpy(sensor.to_network(images[rows]))
             found.append(scores(pictures, encoder(pictures)[0]).numpy())
     return quantiles_of(np.concatenate(found))
 

@@ -16,9 +16,11 @@ from training.clusters.clustering import Partition, cluster, group
 from training.config.clusters import CLUSTERS_FILE, TrainConfig
 from training.datasets.generate import generate
 from training.jobs.job import Job
+from training.models.autoencoders import shown
 from training.models.encode import Latents, encode, load_encoder
 from training.models.gate import gate_probabilities
 from training.trials.arrays import TrainingArrays
+from training.trials.grid_occupancy import GridOccupancy
 from training.trials.launch import run_trials
 from training.trials.loading import load_gate
 from training.trials.occupancy import OccupancyArrays
@@ -57,10 +59,12 @@ def train_on_pictures(
     there already, or that is trained with the generator, there is no VAE.
     """
     config = job.config
-    images = np.asarray(dataset.images)
+    sensor = dataset.world.sensor
+    images = shown(sensor, dataset.images)
     if dataset.extra_images is not None:
-        images = np.concatenate([images, dataset.extra_images])
-    occupancy = OccupancyArrays.of(dataset) if config.validity.steps > 0 else None
+        images = np.concatenate([images, shown(sensor, dataset.extra_images)])
+    arrays = OccupancyArrays if config.validity.grid is None else GridOccupancy
+    occupancy = arrays.of(dataset) if config.validity.steps > 0 else None
     vae = not config.joint and config.vae.checkpoint is None
     names = [name for name, wanted in ((VAE, vae), (VALIDITY, occupancy is not None)) if wanted]
     if not names:
@@ -83,12 +87,12 @@ def encode_and_cluster(job: Job[TrainConfig], dataset: Dataset, vae: TrialOutcom
 
     An encoder that is yet to be trained with the generator leaves the latents at zero.
     """
-    config, images = job.config, np.asarray(dataset.images)
+    config, images = job.config, dataset.images
     if config.joint:
         latents = Latents.none(len(images), config.vae.latent_dim)
     else:
         sensor = dataset.world.sensor
-        encoder = load_encoder(config.vae, sensor.pixels, encoder_checkpoint(job, vae))
+        encoder = load_encoder(config.vae, sensor, encoder_checkpoint(job, vae))
         latents = encode(encoder, sensor, images)
     free = np.asarray(dataset.free)
     ids = np.repeat(np.arange(dataset.scenario_count), np.diff(dataset.free_offsets))
@@ -109,7 +113,7 @@ def encode_and_cluster(job: Job[TrainConfig], dataset: Dataset, vae: TrialOutcom
         latents.mu,
         latents.sigma,
         dataset.world,
-        images if looked_up else None,
+        np.asarray(images) if looked_up else None,
         cells,
     )
 

@@ -131,6 +131,16 @@ class TrainConfig(JobConfig):
         return self
 
     @model_validator(mode="after")
+    def _head_reads_the_worlds_pictures(self) -> "TrainConfig":
+        if self.data_folder is None and self.validity.steps:
+            world, grid = self.data.world, self.validity.grid
+            if grid is None:
+                world.levers(self.validity.points_per_link, self.validity.side_m)
+            else:
+                world.grid_arm(grid.groups)
+        return self
+
+    @model_validator(mode="after")
     def _joint_encoder_has_no_other(self) -> "TrainConfig":
         if not self.joint:
             return self

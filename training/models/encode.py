@@ -6,13 +6,15 @@ from pathlib import Path
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import nn
 
 from cspace.world import Sensor
+from training.models.autoencoders import blocks, make_decoder, make_encoder, shown_size
 from training.models.checkpoint import trained
 from training.models.networks import Encoder
+from training.models.novelty import NoveltyScores
 from training.models.settings import VaeConfig
-
-_BLOCK = 256
+from training.models.space_autoencoder import GridNovelty, GridVaeDecoder, GridVaeEncoder
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,19 +31,25 @@ class Latents:
         return cls(empty, empty)
 
 
-def load_encoder(config: VaeConfig, pixels: int, checkpoint: Path) -> Encoder:
+def load_encoder(config: VaeConfig, sensor: Sensor, checkpoint: Path) -> Encoder | GridVaeEncoder:
     """The encoder of a VAE trial's checkpoint, ready to be asked."""
-    return trained(
-        lambda: Encoder(pixels, config.latent_dim, config.width, config.patches), checkpoint, "encoder"
-    )
+    return trained(lambda: make_encoder(config, shown_size(sensor)), checkpoint, "encoder")
 
 
-def encode(encoder: Encoder, sensor: Sensor, images: NDArray[np.uint8]) -> Latents:
+def load_scores(config: VaeConfig, sensor: Sensor, checkpoint: Path) -> nn.Module:
+    """The novelty scores by the decoder of a VAE trial's checkpoint."""
+    decoder = trained(lambda: make_decoder(config, shown_size(sensor)), checkpoint, "decoder")
+    if isinstance(decoder, GridVaeDecoder):
+        return GridNovelty(decoder).eval()
+    return NoveltyScores(decoder, sensor.pixels).eval()
+
+
+def encode(encoder: nn.Module, sensor: Sensor, images: NDArray[np.uint8]) -> Latents:
     """Latents of (S, ...) pictures of a sensor."""
     means, deviations = [], []
     with torch.inference_mode():
-        for start in range(0, len(images), _BLOCK):
-            mu, log_variance = encoder(torch.from_numpy(sensor.to_network(images[start : start + _BLOCK])))
+        for rows in blocks(sensor, len(images)):
+            mu, log_variance = encoder(torch.from_numpy(sensor.to_network(np.asarray(images[rows]))))
             means.append(mu.numpy())
             deviations.append((log_variance / 2.0).exp().numpy())
     return Latents(np.concatenate(means), np.concatenate(deviations))

@@ -4,25 +4,29 @@ import contextlib
 import io
 import logging
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import torch
 from torch import Tensor, nn
 
 from training.models.mixture import GatedSampler, LookupSampler
-from training.models.networks import Encoder, MeansGenerator, TorusGenerator
-from training.models.novelty import NoveltyScores
+from training.models.networks import MeansGenerator, TorusGenerator
 from training.models.space.joints import Joints
 from training.models.validity import ValidityHead
 
 OPSET = 18
 
 
+def _pictures(count: int, size: int | Sequence[int]) -> Tensor:
+    """Pictures of a side, or of a whole size, channels first."""
+    return torch.zeros(count, *((3, size, size) if isinstance(size, int) else size))
+
+
 class _EncoderGraph(nn.Module):
     """Picture to mean and standard deviation (not the log variance) of its latent."""
 
-    def __init__(self, encoder: Encoder) -> None:
+    def __init__(self, encoder: nn.Module) -> None:
         super().__init__()
         self.encoder = encoder
 
@@ -31,11 +35,11 @@ class _EncoderGraph(nn.Module):
         return mu, (log_variance / 2.0).exp()
 
 
-def encoder_graph(encoder: Encoder, pixels: int) -> bytes:
-    """ONNX bytes: ``image`` (b, 3, P, P) to ``mu`` (b, L) and ``sigma`` (b, L)."""
+def encoder_graph(encoder: nn.Module, pixels: int | Sequence[int]) -> bytes:
+    """ONNX bytes: ``image`` (b, 3, P, P), or of the size given, to ``mu`` (b, L) and ``sigma`` (b, L)."""
     return exported(
         _EncoderGraph(encoder),
-        (torch.zeros(2, 3, pixels, pixels),),
+        (_pictures(2, pixels),),
         ["image"],
         ["mu", "sigma"],
         batched("images", 1),
@@ -45,7 +49,7 @@ def encoder_graph(encoder: Encoder, pixels: int) -> bytes:
 class _NoveltyGraph(nn.Module):
     """One picture with its latent mean to its scores."""
 
-    def __init__(self, scores: NoveltyScores) -> None:
+    def __init__(self, scores: nn.Module) -> None:
         super().__init__()
         self.scores = scores
 
@@ -54,9 +58,9 @@ class _NoveltyGraph(nn.Module):
         return scores.squeeze(0)
 
 
-def novelty_graph(scores: NoveltyScores, pixels: int, latent_dim: int) -> bytes:
-    """ONNX bytes: ``image`` (1, 3, P, P) and ``mu`` (1, L) to ``scores`` (2,)."""
-    inputs = (torch.zeros(1, 3, pixels, pixels), torch.zeros(1, latent_dim))
+def novelty_graph(scores: nn.Module, pixels: int | Sequence[int], latent_dim: int) -> bytes:
+    """ONNX bytes: ``image`` (1, 3, P, P), or of the size given, and ``mu`` (1, L) to ``scores`` (2,)."""
+    inputs = (_pictures(1, pixels), torch.zeros(1, latent_dim))
     return exported(_NoveltyGraph(scores), inputs, ["image", "mu"], ["scores"], ({}, {}))
 
 

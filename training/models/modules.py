@@ -12,10 +12,11 @@ from torch.optim.lr_scheduler import LambdaLR, OneCycleLR
 
 from cspace.space import JointSpace
 from training.models import losses
+from training.models.autoencoders import make_decoder, make_encoder
 from training.models.cells import Base, UniformBase
 from training.models.data import Batch, Held, ScenarioSamples
 from training.models.lookups.lookups import Scenes, make_reader, read, values_read
-from training.models.networks import Critic, Decoder, Encoder, MeansGenerator, Sizes, TorusGenerator
+from training.models.networks import Critic, MeansGenerator, Sizes, TorusGenerator
 from training.models.settings import GanConfig, VaeConfig
 from training.models.space.joints import Joints
 
@@ -94,8 +95,8 @@ class VaeModule(TrialModule):
         super().__init__(seed)
         self.config = config
         self.register_buffer("images", images, persistent=False)
-        self.encoder = Encoder(images.shape[-1], config.latent_dim, config.width, config.patches)
-        self.decoder = Decoder(images.shape[-1], config.latent_dim, config.width)
+        self.encoder = make_encoder(config, images.shape[1:])
+        self.decoder = make_decoder(config, images.shape[1:])
         self.one_cycle(self.parameters(), config.learning_rate, config.steps)
 
     def training_step(self, step: int, batch_index: int) -> None:
@@ -106,7 +107,7 @@ class VaeModule(TrialModule):
         )
         # Pictures stay uint8 in memory; a float copy of thousands of them would be four times as large.
         pictures = self.images[rows].float() / 127.5 - 1.0
-        mu, log_variance = self.encoder(pictures)
+        mu, log_variance = self.encoder.of_shown(pictures)
         latent = mu + (log_variance / 2.0).exp() * self.normal(*mu.shape)
         reconstruction = losses.reconstruction_loss(pictures, self.decoder(latent)).mean()
         kl = losses.kl_divergence(mu, log_variance).mean()

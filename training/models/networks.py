@@ -86,6 +86,11 @@ class Encoder(nn.Module):
         features = torch.cat([self.features(patch) for patch in self._patches(images)], dim=1)
         return self.mean(features), self.log_variance(features).clamp(-8.0, 4.0)
 
+    def of_shown(self, images: Tensor) -> tuple[Tensor, Tensor]:
+        """The same: the decoder draws whole pictures."""
+        found: tuple[Tensor, Tensor] = self(images)
+        return found
+
     def _patches(self, images: Tensor) -> list[Tensor]:
         rows = torch.chunk(images, self.cuts, dim=2)
         return [patch for row in rows for patch in torch.chunk(row, self.cuts, dim=3)]

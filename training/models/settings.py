@@ -105,8 +105,19 @@ class GlobalConfig(GanConfig):
         return self
 
 
+class GridConfig(Section):
+    """What a head that reads arrays of space has beside the sizes of others."""
+
+    groups: int = Field(64, ge=1, description="of the arm's spheres, base included, whose hazards are told")
+    width: int = Field(20, ge=4, multiple_of=4, description="channels of the finest features")
+    middle: int = Field(40, ge=4, multiple_of=4)
+    deep: int = Field(64, ge=4, multiple_of=4)
+    hazard_weight: float = Field(1.0, ge=0, description="of the groups' cross entropy, where truth is known")
+    gradient_clip: float = Field(1.0, gt=0)
+
+
 class ValidityConfig(Section):
-    """The validity head: an occupancy network with pixel-aligned look-ups."""
+    """The validity head: an occupancy network that reads the picture where the arm would be."""
 
     steps: int = Field(3000, ge=0, description="0 leaves the bundle without a head")
     pictures_per_step: int = Field(32, ge=1)
@@ -116,6 +127,11 @@ class ValidityConfig(Section):
     )
     points_per_link: int = Field(12, ge=2)
     side_m: float = Field(0.1, ge=0, description="distance of the look-ups beside each link")
+    grid: GridConfig | None = Field(
+        None,
+        exclude_if=lambda part: part is None,
+        description="of a head that reads arrays of space at an arm's spheres; none: pictures along links",
+    )
     hidden: int = Field(160, ge=1)
     layers: int = Field(2, ge=1)
     learning_rate: float = Field(4e-3, gt=0)

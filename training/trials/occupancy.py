@@ -8,7 +8,9 @@ from numpy.typing import NDArray
 
 from cspace.dataset import Dataset
 from cspace.world import World
-from training.models.validity import OccupancySamples
+from training.models.modules import TrialModule
+from training.models.settings import ValidityConfig
+from training.models.validity import OccupancySamples, ValidityModule
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,6 +49,10 @@ class OccupancyArrays:
     def scenarios(self) -> NDArray[np.int64]:
         """Indices of the scenarios that have configurations of both kinds."""
         return np.flatnonzero((np.diff(self.free_offsets) > 0) & (np.diff(self.collision_offsets) > 0))
+
+    def module(self, config: ValidityConfig, images: torch.Tensor, seed: int) -> TrialModule:
+        """The head's training; arguments as of :meth:`samples`."""
+        return ValidityModule(config, self.samples(images), self.world, seed)
 
     def samples(self, images: torch.Tensor) -> OccupancySamples:
         """Tensors for the module; copied, for the shared arrays are read-only.

@@ -16,8 +16,8 @@ from training.models.joint import JointModule
 from training.models.lookups.lookups import make_reader
 from training.models.mixture import Experts
 from training.models.modules import TrialModule, VaeModule
-from training.models.validity import ValidityModule
 from training.trials.arrays import TrainingArrays
+from training.trials.grid_occupancy import GridOccupancy
 from training.trials.loading import fresh_generator, load_critic, load_generator, make_wgan, torus_generator
 from training.trials.occupancy import OccupancyArrays
 from training.trials.request import TrialRequest
@@ -30,18 +30,16 @@ def picture_trial(
     trial: TrialRequest,
     train: TrainConfig,
     images: NDArray[np.uint8],
-    occupancy: OccupancyArrays | None,
+    occupancy: OccupancyArrays | GridOccupancy | None,
     tracking_uri: str,
 ) -> None:
-    """Train what learns from (N, P, P, 3) pictures and needs no latents: the VAE, or the validity head."""
-    pictures = _channels_first(images)
+    """Train what learns from pictures, channels first, and needs no latents: the VAE, or the head."""
+    pictures = torch.tensor(images)
     module: TrialModule
     settings: TrialSettings
     with seeded_initialisation(trial.seed):
         if occupancy is not None and trial.name == VALIDITY:
-            samples = occupancy.samples(pictures)
-            module = ValidityModule(train.validity, samples, occupancy.world, trial.seed)
-            settings = train.validity
+            module, settings = occupancy.module(train.validity, pictures, trial.seed), train.validity
         else:
             module, settings = VaeModule(train.vae, pictures, trial.seed), train.vae
     fit_tracked(trial, module, settings, train.resources, tracking_uri, pictures=len(images))

@@ -13,9 +13,9 @@ from cspace.worlds.planar.picture import to_network
 from cspace.worlds.planar.render import render
 from cspace.worlds.planar.scene import Disc, random_scenarios
 from tests.dataset_content import content
-from training.clusters.novelty import KNOWN_PICTURES, known_pictures, known_quantiles, load_scores
+from training.clusters.novelty import KNOWN_PICTURES, known_pictures, known_quantiles
 from training.models.checkpoint import Progress, save_checkpoint, seeded_initialisation
-from training.models.encode import load_encoder
+from training.models.encode import load_encoder, load_scores
 from training.models.modules import VaeModule
 from training.models.settings import VaeConfig
 
@@ -55,7 +55,7 @@ def test_data_of_ones_own_are_held_against_their_own_pictures(tmp_path):
 def test_both_scores_have_rising_quantiles(tmp_path):
     dataset = opened(tmp_path)
     folder = checkpoint(tmp_path, CONFIG, np.array(dataset.images))
-    quantiles = known_quantiles(CONFIG, folder, load_scores(CONFIG, 16, folder), dataset)
+    quantiles = known_quantiles(CONFIG, folder, load_scores(CONFIG, dataset.world.sensor, folder), dataset)
     assert np.shape(quantiles) == (2, 101)
     assert (np.diff(quantiles, axis=1) >= 0).all()
 
@@ -66,7 +66,10 @@ def test_a_trained_vae_finds_strange_pictures_strange(tmp_path):
     seen = random_scenarios(Split.TRAIN, 0, 1000)
     folder = checkpoint(tmp_path, config, pictures_of(seen))
     dataset = opened(tmp_path, world=seen[0].world, images=pictures_of(seen[:3]), extra_images=None)
-    scores, encoder = load_scores(config, 48, folder), load_encoder(config, 48, folder)
+    scores, encoder = (
+        load_scores(config, dataset.world.sensor, folder),
+        load_encoder(config, dataset.world.sensor, folder),
+    )
     quantiles = known_quantiles(config, folder, scores, dataset)
 
     def found(images):

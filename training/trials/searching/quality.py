@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import nn
 
 from cspace.splits import Split
 from cspace.world import World
@@ -13,7 +14,7 @@ from services.evaluator.measures.reconstruction import SampleQuality
 from services.evaluator.measures.scenes import Scene, Stage
 from training.models.cells import UniformBase
 from training.models.mixture import GatedSampler, LookupSampler
-from training.models.networks import Encoder, TorusGenerator
+from training.models.networks import TorusGenerator
 
 SAMPLES = 1000
 
@@ -31,13 +32,13 @@ class Validation:
         uniform_energy: summed energy distance of uniform samples.
     """
 
-    encoder: Encoder
+    encoder: nn.Module
     scenes: Sequence[Scene]
     held_out: Sequence[NDArray[np.float64]]
     uniform_energy: float
 
     @classmethod
-    def draw(cls, encoder: Encoder, world: World, scenarios: int) -> "Validation":
+    def draw(cls, encoder: nn.Module, world: World, scenarios: int) -> "Validation":
         """The first scenarios of the validation split."""
         stage = Stage(world, Split.VALIDATION, 0)
         scenes = [Scene(stage, index) for index in range(scenarios)]

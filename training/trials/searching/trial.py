@@ -46,7 +46,7 @@ def search_trial(
     logging.getLogger("ray.tune").setLevel(logging.ERROR)
     settings = dict(config["settings"])
     gan = type(train.local).model_validate(train.local.model_dump() | settings)
-    encoder = load_encoder(train.vae, arrays.world.sensor.pixels, Path(checkpoints["vae"]))
+    encoder = load_encoder(train.vae, arrays.world.sensor, Path(checkpoints["vae"]))
     validation = Validation.draw(encoder, arrays.world, scenarios)
     module = make_wgan(gan, arrays, None, train.seed)
     gate = load_gate(train, Path(checkpoints["gate"]))

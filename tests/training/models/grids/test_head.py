@@ -1,0 +1,202 @@
+"""A head of arrays of space: what is seen is exact, and its graphs answer as it does."""
+
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+import onnxruntime
+import pytest
+import torch
+
+from cspace.errors import ConfigError
+from cspace.worlds import default_world, examples
+from cspace.worlds.spatial.robot.covering import grouped
+from cspace.worlds.spatial.seeing.observed import lookup, unseen_share
+from training.models.checkpoint import seeded_initialisation
+from training.models.grids.export import grid_validity_graph, map_graph
+from training.models.grids.head import GridHead
+from training.models.grids.training import GridBatch, GridHeadModule, GridSamples, head_losses
+from training.models.settings import GridConfig, ValidityConfig
+
+WORLD = examples()["panda"]
+ARM, GRID = WORLD.body, WORLD.sensor.grid
+SMALL = ValidityConfig(
+    free_share=0.6,
+    hidden=8,
+    steps=4,
+    pictures_per_step=2,
+    configurations_per_picture=6,
+    grid=GridConfig(width=4, middle=4, deep=4),
+)
+
+
+@pytest.fixture(scope="module")
+def head():
+    with seeded_initialisation(0):
+        return GridHead.of(SMALL, WORLD).eval()
+
+
+@pytest.fixture(scope="module")
+def picture():
+    """A wall of which one side is seen, and what is free before it."""
+    found = np.zeros(WORLD.sensor.picture_shape, np.uint8)
+    x = GRID.centres_m()[..., 0]
+    found[..., 0] = np.minimum(np.abs(x - 0.45) / 0.0004, 255.0).round()
+    found[..., 1] = np.where(x > 0.45, np.clip((x - 0.45) * 100.0, 1.0, 253.0), 0.0)
+    found[:5, ..., 1], found[5:9, ..., 1] = 255, 254
+    return found
+
+
+@pytest.fixture(scope="module")
+def rows():
+    return WORLD.space.to_float32(WORLD.space.sample_uniform(np.random.default_rng(3), 40))
+
+
+def to_network(picture):
+    return torch.from_numpy(WORLD.sensor.to_network(picture[None]))
+
+
+def test_spheres_are_where_the_arm_has_them(head, rows):
+    spheres, groups, turns = head.points(torch.from_numpy(rows))
+    np.testing.assert_allclose(spheres.transpose(1, 2), ARM.sphere_centres_m(rows), atol=1e-6)
+    found = grouped(ARM, 64)
+    moving, frames = found.links > 0, ARM.link_frames(rows)
+    centres = np.concatenate([found.spheres_m[moving, :3], np.ones((moving.sum(), 1))], axis=1)
+    places = np.einsum("nsij,sj->nsi", frames[:, found.links[moving]], centres)[..., :3]
+    np.testing.assert_allclose(groups.transpose(1, 2), places, atol=1e-6)
+    np.testing.assert_allclose(turns, frames[:, :, :3, :3], atol=1e-6)
+
+
+def test_an_arm_that_touches_itself_is_known_exactly(head, rows):
+    more = WORLD.space.to_float32(WORLD.space.sample_uniform(np.random.default_rng(4), 200))
+    centres, radii = ARM.sphere_centres_m(more), ARM.spheres_m()[:, 3]
+    ends = np.cumsum([len(part.spheres_m) for part in ARM.parts])
+    own = {
+        part.name: np.arange(end - len(part.spheres_m), end)
+        for part, end in zip(ARM.parts, ends, strict=True)
+    }
+    touches = np.zeros(len(more), bool)
+    for first, second in ARM.touching:
+        for i, j in product(own[first], own[second]):
+            touches |= np.linalg.norm(centres[:, i] - centres[:, j], axis=1) <= radii[i] + radii[j]
+    free = head.gap(head.points(torch.from_numpy(more))[0]) > 0.0
+    np.testing.assert_array_equal(free, ~touches)
+    assert 0.05 < touches.mean() < 0.5
+
+
+def test_what_is_seen_is_read_as_the_array_has_it(head, picture, rows):
+    moving = ARM.sphere_links() > 0
+    radii, spheres = ARM.spheres_m()[moving, 3], ARM.sphere_centres_m(rows)[:, moving]
+    known = lookup(picture, GRID, spheres)
+    margins, unseen = head._at_spheres(to_network(picture), head.points(torch.from_numpy(rows))[0], 1)
+    np.testing.assert_allclose(margins, known.distance_m - radii, atol=1e-5)
+    np.testing.assert_array_equal(unseen.reshape(known.unseen.shape) > 0.5, known.unseen)
+    belief = believe(head, picture, rows)
+    np.testing.assert_allclose(belief.unseen[0], unseen_share(picture, GRID, spheres, radii**3), atol=1e-5)
+
+
+def believe(head, picture, rows):
+    with torch.no_grad():
+        image = to_network(picture)
+        return head(image, head.encode(image), torch.from_numpy(rows)[None])
+
+
+def test_scenes_do_not_mix_within_a_batch(head, picture, rows):
+    other = np.roll(picture, 7, axis=0)
+    images = torch.cat([to_network(picture), to_network(other)])
+    both = torch.from_numpy(np.stack([rows, rows[::-1].copy()]))
+    with torch.no_grad():
+        found = head(images, head.encode(images), both)
+    for at, (one, ask) in enumerate(((picture, rows), (other, rows[::-1].copy()))):
+        alone = believe(head, one, ask)
+        np.testing.assert_allclose(found.free[at], alone.free[0], atol=1e-5)
+        np.testing.assert_allclose(found.hazards[at], alone.hazards[0], atol=1e-4)
+
+
+def test_the_graphs_answer_as_the_network(head, picture, rows):
+    image = {"image": to_network(picture).numpy()}
+    seen = run(map_graph(head), image)[0]
+    graph = grid_validity_graph(head, WORLD.dim)
+    for count in (1, len(rows)):
+        confidence, unseen = run(graph, image | {"map": seen, "configurations": rows[:count]})
+        belief = believe(head, picture, rows[:count])
+        np.testing.assert_allclose(confidence, belief.free[0], atol=1e-5)
+        np.testing.assert_allclose(unseen, belief.unseen[0], atol=1e-5)
+
+
+def run(graph, feeds):
+    return onnxruntime.InferenceSession(graph, providers=["CPUExecutionProvider"]).run(None, feeds)
+
+
+def batch(picture, rows, hits):
+    free = torch.from_numpy(np.arange(len(rows)) % 3 > 0)[None]
+    image = torch.from_numpy(np.moveaxis(picture, -1, 0)[None].copy())
+    return GridBatch(image, torch.from_numpy(rows)[None], free, hits)
+
+
+@pytest.mark.parametrize("quarters", [1, 2, 3])
+def test_a_turned_scene_is_the_same_to_a_turned_arm(head, picture, rows, quarters):
+    first = batch(np.roll(picture, 5, axis=0), rows, torch.zeros(1, len(rows), 0, dtype=torch.bool))
+    found = []
+    for one in (first, first.turned(quarters)):
+        spheres = head.points(one.configurations[0])[0]
+        found.append(head._at_spheres(one.images.float() / 255.0, spheres, 1))
+    np.testing.assert_allclose(found[0][0], found[1][0], atol=1e-5)
+    assert (found[0][1] != found[1][1]).float().mean() < 1e-3
+
+
+def test_where_the_groups_truth_is_known_it_is_learned_too(head, picture, rows):
+    belief = believe(head, picture, rows)
+    unknown = head_losses(belief, batch(picture, rows, torch.zeros(1, len(rows), 0, dtype=torch.bool)))
+    assert set(unknown) == {"head_loss"}
+    hits = torch.zeros(1, len(rows), head.groups, dtype=torch.bool)
+    hits[0, 3, 2] = True
+    known = head_losses(belief, batch(picture, rows, hits))
+    clear = np.arange(len(rows)) != 3
+    told = belief.clear[0].clamp(max=-1e-6)
+    each = -torch.where(torch.from_numpy(clear), told, torch.log(-torch.expm1(told)))
+    assert known["head_loss"].item() == pytest.approx(each.mean().item(), rel=1e-5)
+    wrong = torch.nn.functional.binary_cross_entropy_with_logits(belief.hazards, hits.float())
+    assert known["hazard_loss"].item() == pytest.approx(wrong.item(), rel=1e-5)
+
+
+def samples(picture, rows):
+    images = np.stack([picture, np.roll(picture, 9, axis=0)])
+    free = torch.from_numpy(np.arange(len(rows)) % 3 > 0)
+    hits = (~free)[:, None].expand(-1, GridHead.of(SMALL, WORLD).groups)
+    return GridSamples(images, torch.from_numpy(rows), free, hits, torch.tensor([0, 15, len(rows)]))
+
+
+def test_configurations_are_drawn_from_their_own_scenario(picture, rows):
+    held = samples(picture, rows)
+    found = held.draw(50, 4, torch.Generator().manual_seed(1))
+    for image, drawn in zip(found.images.numpy(), found.configurations.numpy(), strict=True):
+        scenario = int(not np.array_equal(np.moveaxis(image, 0, -1), picture))
+        own = rows[:15] if scenario == 0 else rows[15:]
+        assert (drawn[:, None] == own).all(axis=2).any(axis=1).all()
+
+
+def test_training_lowers_the_loss(picture, rows):
+    config = SMALL.model_copy(update={"steps": 30, "learning_rate": 0.02})
+    with seeded_initialisation(1):
+        module = GridHeadModule(config, samples(picture, rows), WORLD, 0)
+    losses = []
+    for step in range(30):
+        module.training_step(step, 0)
+        losses.append(module.metrics()["head_loss"])
+    assert np.mean(losses[-8:]) < 0.8 * np.mean(losses[:3])
+    assert set(module.metrics()) == {"head_loss", "hazard_loss", "head_accuracy"}
+
+
+def test_a_head_of_another_kind_of_picture_is_refused():
+    with pytest.raises(ConfigError, match="planar world are no arrays of space"):
+        GridHead.of(SMALL, default_world())
+    with pytest.raises(ConfigError, match="needs its sizes"):
+        GridHead.of(SMALL.model_copy(update={"grid": None}), WORLD)
+
+
+def test_an_arm_that_stands_off_the_grids_middle_is_not_turned(picture, rows):
+    aside = replace(GRID, low_m=(GRID.low_m[0] + 0.1, *GRID.low_m[1:]))
+    world = replace(WORLD, sensor=replace(WORLD.sensor, grid=aside))
+    assert GridHeadModule(SMALL, samples(picture, rows), world, 0).turns == 1
+    assert GridHeadModule(SMALL, samples(picture, rows), WORLD, 0).turns == 4

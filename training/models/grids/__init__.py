@@ -1,0 +1,1 @@
+"""Networks that read arrays of space where a serial arm would be."""

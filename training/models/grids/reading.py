@@ -1,0 +1,59 @@
+"""Reading grids at points: pictures and features, of several scenes at once."""
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+
+class Points:
+    """Points of several scenes in one grid.
+
+    Args:
+        places: (p, 3, n) in voxels from the lowest corner.
+        counts: X, Y, Z of the grid.
+    """
+
+    def __init__(self, places: Tensor, counts: tuple[int, int, int]) -> None:
+        self.places, self.counts = places, counts
+        self.rows = torch.arange(places.shape[0], device=places.device)[:, None] * (
+            counts[0] * counts[1] * counts[2]
+        )
+
+    @property
+    def inside(self) -> Tensor:
+        """(p, n): which lie in the grid."""
+        low = self.places.amin(dim=1) >= 0.0
+        sides = [self.places[:, axis] < float(self.counts[axis]) for axis in range(3)]
+        return low & sides[0] & sides[1] & sides[2]
+
+    def nearest(self) -> Tensor:
+        """(p, n): numbers of the voxels that they lie in, or of the nearest ones."""
+        x, y, z = (self.places[:, axis].clamp(0.0, float(self.counts[axis] - 1)).long() for axis in range(3))
+        return self._number(x, y, z)
+
+    def between(self, table: Tensor) -> Tensor:
+        """Trilinear between the centres of voxels, (p, n, C), of a table (p X Y Z, C)."""
+        firsts, shares = [], []
+        for axis in range(3):
+            middle = (self.places[:, axis] - 0.5).clamp(0.0, self.counts[axis] - 1.001)
+            first = middle.long()
+            firsts.append(first)
+            shares.append((middle - first).unsqueeze(-1))
+        start = self._number(firsts[0], firsts[1], firsts[2])
+        steps = (self.counts[1] * self.counts[2], self.counts[2], 1)
+
+        def along(axis: int, at: Tensor) -> Tensor:
+            if axis == 3:
+                return functional.embedding(at, table)
+            low = along(axis + 1, at)
+            return low + shares[axis] * (along(axis + 1, at + steps[axis]) - low)
+
+        return along(0, start)
+
+    def _number(self, x: Tensor, y: Tensor, z: Tensor) -> Tensor:
+        return (x * self.counts[1] + y) * self.counts[2] + z + self.rows
+
+
+def table_of(features: Tensor) -> Tensor:
+    """Features (p, C, X, Y, Z) as the rows (p X Y Z, C) that :class:`Points` reads."""
+    return features.permute(0, 2, 3, 4, 1).reshape(-1, features.shape[1])

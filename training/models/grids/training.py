@@ -1,0 +1,137 @@
+"""Training of the head of a serial arm."""
+
+from dataclasses import dataclass, replace
+from typing import Self
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+from torch.nn import functional
+
+from cspace.world import GridArm, World
+from training.models.data import Held
+from training.models.grids.head import Belief, GridHead
+from training.models.modules import TrialModule
+from training.models.settings import GridConfig, ValidityConfig
+
+# Of what is 1 at most, so that its logarithm's complement is finite.
+_ALMOST_SURE = -1e-6
+
+
+@dataclass(frozen=True, slots=True)
+class GridSamples(Held):
+    """Pictures on disk, and labelled configurations in memory.
+
+    Args:
+        images: (S, X, Y, Z, 2) uint8, memory-mapped.
+        configurations: (M, d) float32 rad, scenario after scenario.
+        free: (M,) bool.
+        hits: (M, G) bool, which groups of spheres touch an obstacle; (M, 0) where nobody knows.
+        offsets: (S + 1,) int64; scenario i owns rows offsets[i] to offsets[i + 1].
+    """
+
+    images: NDArray[np.uint8]
+    configurations: Tensor
+    free: Tensor
+    hits: Tensor
+    offsets: Tensor
+
+    def to(self, device: torch.device) -> Self:
+        """The same with its tensors on another device; pictures stay where they are."""
+        names = ("configurations", "free", "hits", "offsets")
+        return replace(self, **{name: getattr(self, name).to(device) for name in names})
+
+    def draw(self, pictures: int, count: int, rng: torch.Generator) -> "GridBatch":
+        """So many pictures with so many configurations each, with replacement."""
+        device = self.offsets.device
+        ids = torch.randint(len(self.images), (pictures,), generator=rng, device=device)
+        first, size = self.offsets[ids].unsqueeze(1), self.offsets[ids + 1].unsqueeze(1)
+        shares = torch.rand(pictures, count, generator=rng, device=device)
+        rows = torch.minimum(first + (shares * (size - first)).long(), size - 1)
+        shown = np.stack([self.images[index] for index in ids.tolist()])
+        images = torch.from_numpy(np.ascontiguousarray(np.moveaxis(shown, -1, 1))).to(device)
+        return GridBatch(images, self.configurations[rows], self.free[rows], self.hits[rows])
+
+
+@dataclass(frozen=True, slots=True)
+class GridBatch:
+    """What one step learns from.
+
+    Args:
+        images: (p, 2, X, Y, Z) uint8.
+        configurations: (p, c, d) rad.
+        free: (p, c) bool.
+        hits: (p, c, G) bool, or (p, c, 0).
+    """
+
+    images: Tensor
+    configurations: Tensor
+    free: Tensor
+    hits: Tensor
+
+    def turned(self, quarters: int) -> "GridBatch":
+        """The same scenes turned by quarters about the axis of the base and of the first joint."""
+        images = torch.rot90(self.images, quarters, dims=(2, 3))
+        first = self.configurations[..., :1] + quarters * np.pi / 2.0
+        configurations = torch.cat([first, self.configurations[..., 1:]], dim=-1)
+        return replace(self, images=images, configurations=configurations)
+
+
+class GridHeadModule(TrialModule):
+    """Trains the head by cross entropy on free and colliding configurations, and on its groups' hazards.
+
+    Configurations come as the data set has them, so that confidences are true to its mixture. Where the arm
+    touches itself the head knows, and learns nothing of the scene unless the groups' truth is known.
+
+    Args:
+        config: sizes and budget.
+        samples: pictures and configurations.
+        world: arm and sensor.
+        seed: of initialisation and of every draw.
+    """
+
+    samples: GridSamples
+
+    def __init__(self, config: ValidityConfig, samples: GridSamples, world: World, seed: int) -> None:
+        super().__init__(seed)
+        self.config, self.samples = config, samples
+        self.head = GridHead.of(config, world)
+        self.grid = config.grid or GridConfig()
+        self.turns = 4 if _turns_upright(world.grid_arm(self.grid.groups), self.head.counts) else 1
+        self.one_cycle(self.parameters(), config.learning_rate, config.steps)
+
+    def training_step(self, step: int, batch_index: int) -> None:
+        """One step."""
+        del step, batch_index
+        config = self.config
+        batch = self.samples.draw(config.pictures_per_step, config.configurations_per_picture, self.rng)
+        batch = batch.turned(int(torch.randint(self.turns, (1,), generator=self.rng, device=self.device)))
+        pictures = batch.images.float() / 255.0
+        belief = self.head(pictures, self.head.encode(pictures), batch.configurations)
+        losses = head_losses(belief, batch)
+        loss = losses["head_loss"] + self.grid.hazard_weight * losses.get("hazard_loss", 0.0)
+        self.descend(loss, self.grid.gradient_clip)
+        right = ((belief.free > 0.5) == batch.free).float().mean()
+        self.latest = {name: value.detach() for name, value in losses.items()} | {"head_accuracy": right}
+
+
+def head_losses(belief: Belief, batch: GridBatch) -> dict[str, Tensor]:
+    """``head_loss`` on whole configurations, and ``hazard_loss`` on groups where their truth is known."""
+    known = belief.itself > 0.5
+    clear, losses = batch.free, dict[str, Tensor]()
+    if batch.hits.shape[-1]:
+        hits = batch.hits.float()
+        losses["hazard_loss"] = functional.binary_cross_entropy_with_logits(belief.hazards, hits)
+        clear, known = ~batch.hits.any(dim=-1), torch.ones_like(known)
+    sure = belief.clear.clamp(max=_ALMOST_SURE)
+    each = -torch.where(clear, sure, torch.log(-torch.expm1(sure)))
+    losses["head_loss"] = (each * known).sum() / known.sum().clamp(min=1)
+    return losses
+
+
+def _turns_upright(arm: GridArm, counts: tuple[int, int, int]) -> bool:
+    """Whether a quarter turn of the scene about the grid's middle is one of the first joint."""
+    middle = arm.low_m + 0.5 * arm.voxel_m * np.asarray(counts)
+    upright = np.allclose(arm.origins[0, :3, :3] @ arm.axes[0], (0.0, 0.0, 1.0))
+    return bool(upright and np.allclose(middle[:2], arm.origins[0, :2, 3]) and counts[0] == counts[1])
