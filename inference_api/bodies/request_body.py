@@ -21,7 +21,11 @@ _MAX_NUMBER = 400
 _WHOLE = re.compile(r"[+-]?[0-9]{1,40}", re.ASCII)
 _NUMBER = re.compile(r"[+-]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][+-]?[0-9]{1,4})?", re.ASCII)
 _SCHEDULE, _CONFIGURATION, _CONFIGURATIONS = tuple[float, ...], tuple[float, ...] | None, "configurations"
-_JSON_MARKS = {_CONFIGURATION: MAX_MARKS, _CONFIGURATIONS: MAX_TENSOR_MARKS}
+_CAMERA = "camera"
+_JSON_MARKS = {_CONFIGURATION: MAX_MARKS, _CAMERA: MAX_MARKS, _CONFIGURATIONS: MAX_TENSOR_MARKS}
+# Of several pictures of a scene each has its own.
+_REPEATED = ("image", "camera")
+_SCENE = {"camera": _CAMERA, "state": _CONFIGURATION}
 _FLAGS = {"true": True, "false": False}
 
 
@@ -47,9 +51,9 @@ class Form:
         return isinstance(value, bytes) == (name == "image")
 
 
-SAMPLE_FORM = Form(get_type_hints(SampleQuery))
+SAMPLE_FORM = Form(get_type_hints(SampleQuery) | _SCENE)
 VALIDITY_FORM = Form(
-    {_CONFIGURATIONS: _CONFIGURATIONS, "robot": str | None, "require_confirmed": bool},
+    {_CONFIGURATIONS: _CONFIGURATIONS, "robot": str | None, "require_confirmed": bool, **_SCENE},
     frozenset((_CONFIGURATIONS,)),
     MAX_TENSOR_MARKS,
 )
@@ -130,7 +134,7 @@ def _values(parts: list[Part], form: Form) -> dict[str, Any]:
                 got="a file" if isinstance(value, bytes) else "text",
             )
         kind = form.types.get(name)
-        if kind == _SCHEDULE:
+        if kind == _SCHEDULE or name in _REPEATED:
             values.setdefault(name, []).append(_convert(name, value, kind))
         elif name in values:
             raise InputError(f"{name[:100]} is repeated", expected="one value", got="several")

@@ -54,7 +54,7 @@ class SampleQuestion:
     Args:
         store: where pictures are known and observers told.
         reference: the model that it names.
-        image: the picture, a PNG file.
+        image: the picture's file.
         query: what is asked.
         npy: whether the client prefers the samples alone as ``.npy``.
         began: ``time.perf_counter()`` when the request came in, s.
@@ -114,7 +114,7 @@ def read_question(store: ModelStore, fields: RawFields, *, npy: bool, began: flo
     request = validate_request(parse_fields(fields))
     named = request.model if "model" in request.model_fields_set else store.model_name
     reference = ModelReference.parse(named)
-    return SampleQuestion(store, reference, request.image, request.query(), npy, began)
+    return SampleQuestion(store, reference, request.picture(), request.query(), npy, began)
 
 
 def rows_of(spec: BundleSpec, query: SampleQuery, pictures: int = 1) -> float:
@@ -131,6 +131,7 @@ def json_response(answer: Answer) -> Response:
     body = SampleAnswer.model_construct(
         samples=found.samples.tolist(),
         confidence=None if found.confidence is None else found.confidence.tolist(),
+        unseen=None if found.unseen is None else found.unseen.tolist(),
         shortfall=found.shortfall,
         acceptance=found.acceptance,
         scenario=ScenarioInfo(novelty=answer.novelty),

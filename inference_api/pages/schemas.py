@@ -1,7 +1,5 @@
 """Requests and answers of the API as types; the OpenAPI document is made from them."""
 
-import base64
-import binascii
 import re
 from collections.abc import Mapping
 from dataclasses import fields
@@ -10,23 +8,22 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, Strict, WithJsonSchema
 
 from cspace.query import DIGEST_PATTERN, MAX_EPSILON, MAX_SAMPLES, MAX_SEED, PLAIN, SampleQuery, drawn_seed
+from cspace.view_file import MAX_PICTURES
 from inference_api.failures import FieldProblem
 from inference_api.pages.model_schemas import AnyJointSpace, ModelInfo
+from inference_api.pages.picture_fields import (
+    CAMERA_TOLD,
+    PICTURE_EXPECTED,
+    STATE_TOLD,
+    Cameras,
+    Configuration,
+    PictureFiles,
+    picture_of,
+)
 
 MAX_EPSILONS = 1000
-MAX_JOINTS = 64
 
 _SEED = re.compile(r"[0-9]{1,20}", re.ASCII)
-
-
-def _decode_image(value: object) -> object:
-    """Base64 text to bytes; bytes stay as they are (a file of a multipart body)."""
-    if not isinstance(value, str):
-        return value
-    try:
-        return base64.b64decode(value, validate=True)
-    except (binascii.Error, ValueError) as error:
-        raise ValueError("not base64") from error
 
 
 def _parse_seed(value: object) -> object:
@@ -37,11 +34,6 @@ def _as_list(value: object) -> object:
     return [value] if isinstance(value, int | float) and not isinstance(value, bool) else value
 
 
-PictureFile = Annotated[
-    bytes,
-    BeforeValidator(_decode_image),
-    WithJsonSchema({"type": "string", "contentEncoding": "base64", "contentMediaType": "image/png"}),
-]
 _Seed = Annotated[
     Annotated[int, Field(ge=0, le=MAX_SEED)] | None,
     BeforeValidator(_parse_seed),
@@ -70,13 +62,11 @@ _Schedule = Annotated[
     ),
 ]
 _Confidence = Annotated[float, Field(ge=0.0, le=1.0, allow_inf_nan=False)] | None
-Angle = Annotated[float, Field(allow_inf_nan=False)]
-_Configuration = Annotated[tuple[Angle, ...], Field(max_length=MAX_JOINTS), Strict(strict=False)]
 
 
 # In this order fields are described, and those that are wrong are told.
 EXPECTED = {
-    "image": "a PNG: a file in a form, base64 text in JSON",
+    **PICTURE_EXPECTED,
     "n": f"a whole number from 1 to {MAX_SAMPLES}",
     "model": "name, name@alias, name/version or pretrained",
     "seed": "an unsigned 64-bit whole number, or its decimal digits as text",
@@ -100,6 +90,22 @@ class RequestFields(BaseModel):
     EXPECTED: ClassVar[Mapping[str, str]] = EXPECTED
 
 
+class SceneFields(RequestFields):
+    """Fields that show the scene."""
+
+    image: PictureFiles = Field(
+        description="The scenario as a square PNG of 16 to 2048 pixels: RGB as it is, RGBA over white, grey "
+        "and palette as RGB; 16-bit and animated ones are refused. Resized by area averaging. For models of "
+        f"depth cameras, 1 to {MAX_PICTURES} 16-bit grey PNGs of mm along the optical axis, 0 for no reading."
+    )
+    camera: Cameras = Field((), description=CAMERA_TOLD)
+    state: Configuration | None = Field(None, description=STATE_TOLD)
+
+    def picture(self) -> bytes:
+        """See :func:`inference_api.pages.picture_fields.picture_of`."""
+        return picture_of(self.image, self.camera, self.state)
+
+
 class QueryFields(RequestFields):
     """What is asked for one picture, whatever names the picture and the model; unknown fields are errors."""
 
@@ -114,12 +120,12 @@ class QueryFields(RequestFields):
         description="The encoder's standard deviation is raised by each value; equal shares of the samples "
         "in this order, the remainder to the first.",
     )
-    start: _Configuration | None = Field(
+    start: Configuration | None = Field(
         None,
         description="Configuration in rad, for path models and only for them: circles are wrapped, other "
         "joints have to lie within their limits.",
     )
-    goal: _Configuration | None = Field(None, description="As `start`.")
+    goal: Configuration | None = Field(None, description="As `start`.")
     min_confidence: _Confidence = Field(
         None,
         description="What the model's validity head has to score; more are drawn for those that do not. "
@@ -142,15 +148,11 @@ class QueryFields(RequestFields):
         return SampleQuery(**asked | {"seed": drawn_seed(self.seed)})
 
 
-class SampleRequest(QueryFields):
+class SampleRequest(QueryFields, SceneFields):
     """A request for samples; unknown fields are errors."""
 
     model_config = ConfigDict(json_schema_extra=_in_order)
 
-    image: PictureFile = Field(
-        description="The scenario as a square PNG of 16 to 2048 pixels: RGB as it is, RGBA over white, grey "
-        "and palette as RGB; 16-bit and animated ones are refused. Resized by area averaging."
-    )
     model: str = Field(
         "cspace-sampler",
         max_length=300,
@@ -183,6 +185,11 @@ class SampleAnswer(BaseModel):
         description="Configurations in rad, circles in [-pi, pi), other joints within their limits."
     )
     confidence: list[float] | None = Field(description="The validity head's score of each sample.")
+    unseen: list[float] | None = Field(
+        None,
+        description="Share of the robot that would be where no picture shows what is there, of each sample; "
+        "null for worlds that are seen whole.",
+    )
     shortfall: int = Field(description="n minus what was returned.")
     acceptance: float = Field(description="Share of what was drawn that reached the confidence asked for.")
     scenario: ScenarioInfo
@@ -222,12 +229,24 @@ class Problem(BaseModel):
     errors: list[FieldProblem] | None = None
 
 
+def picture_form(fields: Mapping[str, Any]) -> dict[str, Any]:
+    """The schemas of images and cameras in a multipart form, of those in JSON."""
+    description = f"{fields['image']['description']} Repeat the field for several."
+    file = {"type": "string", "format": "binary"}
+    many = {"type": "array", "items": file, "minItems": 1, "maxItems": MAX_PICTURES}
+    camera = fields["camera"]
+    told = f"{camera['description']} As JSON; repeat the field for several."
+    return {
+        "image": {"anyOf": [file, many], "description": description},
+        "camera": camera | {"description": told},
+    }
+
+
 def multipart_schema() -> dict[str, Any]:
     """The JSON schema of the multipart form of :class:`SampleRequest`."""
     schema = SampleRequest.model_json_schema()
     fields = schema["properties"]
-    description = fields["image"]["description"]
-    fields["image"] = {"type": "string", "format": "binary", "description": description}
+    fields |= picture_form(fields)
     schedule = fields["epsilon_sigma"]
     fields["epsilon_sigma"] = {
         "type": "array",

@@ -33,12 +33,14 @@ class Validity:
     Args:
         served: the model that answered.
         confidence: (n,) float32.
+        unseen: (n,) float32, share of the robot that no picture shows; None in worlds that are seen whole.
         novelty: of the picture; None where the model does not tell.
         timing: where the time went.
     """
 
     served: ServedModel
     confidence: NDArray[np.float32]
+    unseen: NDArray[np.float32] | None
     novelty: float | None
     timing: ScoreTimingMs
 
@@ -50,7 +52,7 @@ class ValidityQuestion:
     Args:
         store: where pictures are known and observers told.
         reference: the model that it names.
-        image: the picture, a PNG file.
+        image: the picture's file.
         configurations: (n, d) rad, not held against the model's robot yet.
         robot: whose they are; None for the model's.
         require_confirmed: whether only a model is wanted that is sure to be that one.
@@ -86,7 +88,7 @@ class ValidityQuestion:
         turn.spend(float(len(configurations)))
         prepared = self.store.pictures.get(bundle, self.image)
         scoring = time.perf_counter()
-        confidence = bundle.score(prepared.picture, configurations, turn.between)
+        confidence, unseen = bundle.believe(prepared.picture, configurations, turn.between)
         ended = time.perf_counter()
         timing = ScoreTimingMs(
             decode=prepared.decode_ms,
@@ -94,7 +96,7 @@ class ValidityQuestion:
             score=1e3 * (ended - scoring),
             total=1e3 * (ended - self.began),
         )
-        return Validity(served, confidence, prepared.picture.novelty, timing)
+        return Validity(served, confidence, unseen, prepared.picture.novelty, timing)
 
 
 def read_validity(store: ModelStore, fields: RawFields, *, npy: bool, began: float) -> ValidityQuestion:
@@ -114,7 +116,7 @@ def read_validity(store: ModelStore, fields: RawFields, *, npy: bool, began: flo
     return ValidityQuestion(
         store,
         ModelReference.parse(named),
-        request.image,
+        request.picture(),
         _array_of(request.configurations),
         request.robot,
         request.require_confirmed,
@@ -153,7 +155,7 @@ def _json_response(found: Validity) -> Response:
     # Constructed, not validated: the list comes from an array.
     body = ValidityAnswer.model_construct(
         confidence=found.confidence.tolist(),
-        unseen=None,
+        unseen=None if found.unseen is None else found.unseen.tolist(),
         threshold=spec.confidence_threshold,
         scenario=ScenarioInfo(novelty=found.novelty),
         joint_space=joint_space_info(spec.joint_space),
@@ -168,6 +170,8 @@ def _npy_response(found: Validity) -> Response:
     served, spec = found.served, found.served.bundle.spec
     columns = np.full((len(found.confidence), 2), np.nan, dtype="<f4")
     columns[:, 0] = found.confidence
+    if found.unseen is not None:
+        columns[:, 1] = found.unseen
     timing = ", ".join(f"{name};dur={value:.3f}" for name, value in found.timing.model_dump().items())
     headers = model_headers(served, found.novelty) | {"Server-Timing": timing}
     if spec.confidence_threshold is not None:

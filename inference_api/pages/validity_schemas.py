@@ -7,17 +7,16 @@ from pydantic import BaseModel, Field, Strict, WithJsonSchema
 
 from cspace.query import DIGEST_PATTERN, MAX_SAMPLES
 from inference_api.pages.model_schemas import AnyJointSpace, ModelInfo
+from inference_api.pages.picture_fields import MAX_JOINTS, PICTURE_EXPECTED, Angle
 from inference_api.pages.schemas import (
     EXPECTED,
-    MAX_JOINTS,
-    Angle,
-    PictureFile,
-    RequestFields,
     ScenarioInfo,
+    SceneFields,
+    picture_form,
 )
 
 VALIDITY_EXPECTED = {
-    "image": EXPECTED["image"],
+    **PICTURE_EXPECTED,
     "configurations": f"1 to {MAX_SAMPLES} arrays of finite angles in rad: JSON, or a .npy file in a form",
     "model": EXPECTED["model"],
     "robot": EXPECTED["robot"],
@@ -38,12 +37,11 @@ _Configurations = Annotated[
 ]
 
 
-class ValidityRequest(RequestFields):
+class ValidityRequest(SceneFields):
     """A question whether configurations are free; unknown fields are errors."""
 
     EXPECTED: ClassVar[Mapping[str, str]] = VALIDITY_EXPECTED
 
-    image: PictureFile = Field(description="As of `POST /sample`.")
     configurations: _Configurations = Field(
         description=f"1 to {MAX_SAMPLES} configurations in rad, circles at any turn, other joints within "
         "their limits. In JSON, or in a form as a `.npy` file: float32 or float64 of shape (n, joints)."
@@ -84,7 +82,8 @@ class ValidityAnswer(BaseModel):
 def validity_form_schema() -> dict[str, Any]:
     """The JSON schema of the multipart form of :class:`ValidityRequest`."""
     schema = ValidityRequest.model_json_schema()
-    for name in ("image", "configurations"):
-        description = schema["properties"][name]["description"]
-        schema["properties"][name] = {"type": "string", "format": "binary", "description": description}
+    fields = schema["properties"]
+    description = fields["configurations"]["description"]
+    file = {"type": "string", "format": "binary", "description": description}
+    schema["properties"] = fields | picture_form(fields) | {"configurations": file}
     return schema

@@ -43,8 +43,8 @@ def test_the_answer_has_exactly_the_contracts_members(
 ) -> None:
     body = ask(own_api, png).json()
     assert set(body) == {
-        "samples", "confidence", "shortfall", "acceptance", "scenario", "joint_space", "model", "seed",
-        "timing_ms",
+        "samples", "confidence", "unseen", "shortfall", "acceptance", "scenario", "joint_space", "model",
+        "seed", "timing_ms",
     }  # fmt: skip
     assert body["scenario"] == {"novelty": None}
     assert body["joint_space"] == {"kind": "torus", "dim": 2, "unit": "rad"}

@@ -16,7 +16,7 @@ from tests.inference_api.client import ApiClient
 
 CAREFUL = "cspace-sampler@careful"
 NPY = {"accept": "application/x-npy"}
-TWO, THREE = (robot_digest(world) for world in examples().values())
+TWO, THREE, _ = (robot_digest(world) for world in examples().values())
 ROWS = np.random.default_rng(0).uniform(-3.0, 3.0, (40, 2))
 
 
@@ -146,7 +146,7 @@ def test_fields_of_samples_are_unknown_here(api):
     problem = assert_problem(ask(api, ROWS.tolist(), n="3"), 422, "invalid-value")
     (error,) = problem["errors"]
     assert error["field"] == "n"
-    assert error["expected"] == "one of image, configurations, model, robot, require_confirmed"
+    assert error["expected"] == "one of image, camera, state, configurations, model, robot, require_confirmed"
 
 
 def test_both_fields_are_needed(api):

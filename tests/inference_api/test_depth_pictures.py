@@ -1,0 +1,161 @@
+"""A model of depth cameras: pictures with cameras, and what no picture shows."""
+
+import base64
+import json
+
+import numpy as np
+import pytest
+
+from cspace.bundle import Bundle
+from cspace.png import encode_png
+from cspace.view_file import pack_view
+from cspace.worlds.spatial.robot.ready import ready_rad
+from cspace.worlds.spatial.seeing.camera import DepthCamera, looking
+from cspace.worlds.spatial.seeing.depth_picture import encode_depth
+from tests.bundles import picture
+from tests.inference_api.answers import assert_problem
+from tests.inference_api.conftest import api_over, stock
+from tests.inference_api.fake_registry import CountingRegistry
+from tests.space_bundle import WORLD, write_space_bundle
+
+MODEL = "panda-sampler@champion"
+STATE = ready_rad(WORLD.body).tolist()
+ROWS = WORLD.space.sample_uniform(np.random.default_rng(1), 30)
+
+
+def camera(side):
+    told = DepthCamera.of_field(64, 48, 70.0, looking((1.3, side, 0.9), (0.4, 0.0, 0.3))).to_dict()
+    return {name: told[name] for name in ("fx", "fy", "cx", "cy", "pose")}
+
+
+def depth(near_mm):
+    found = np.full((48, 64), 2000, np.uint16)
+    found[20:30, 10:40] = near_mm
+    return encode_depth(found)
+
+
+CAMERAS, IMAGES = [camera(0.6), camera(-0.7)], [depth(900), depth(1100)]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return write_space_bundle(tmp_path_factory.mktemp("space") / "bundle")
+
+
+@pytest.fixture(scope="module")
+def bundle(folder):
+    return Bundle.load(folder)
+
+
+@pytest.fixture(scope="module")
+def api(folder, bundles, tmp_path_factory):
+    place = tmp_path_factory.mktemp("api")
+    registry = stock(CountingRegistry(place / "registry"), bundles)
+    registry.add(folder, "champion", name="panda-sampler")
+    with api_over(place, bundles, registry) as found:
+        yield found
+
+
+def ask(api, images=tuple(IMAGES), cameras=tuple(CAMERAS), page="/sample", **fields):
+    files = [("image", image) for image in images]
+    data = {"model": MODEL, "camera": [json.dumps(one) for one in cameras], **fields}
+    return api.post(page, files=files, data=data)
+
+
+def as_read(bundle, images=tuple(IMAGES), cameras=tuple(CAMERAS), state=None):
+    return bundle.prepare(bundle.spec.world.read_picture(pack_view(images, cameras, state)))
+
+
+def test_samples_come_with_confidence_and_the_unseen_share(api, bundle):
+    body = ask(api, n="20", seed="3", state=json.dumps(STATE)).json()
+    expected = bundle.sample(as_read(bundle, state=STATE), 20, 3)
+    np.testing.assert_array_equal(np.array(body["samples"], np.float32), expected.samples)
+    np.testing.assert_array_equal(np.array(body["confidence"], np.float32), expected.confidence)
+    np.testing.assert_array_equal(np.array(body["unseen"], np.float32), expected.unseen)
+    assert body["joint_space"]["kind"] == "box"
+    assert 0.0 < np.mean(body["unseen"]) < 1.0
+
+
+def test_one_picture_shows_less_than_two(api):
+    def unseen(count):
+        told = ask(
+            api, IMAGES[:count], CAMERAS[:count], "/validity", configurations=json.dumps(ROWS.tolist())
+        )
+        return np.array(told.json()["unseen"])
+
+    one, two = unseen(1), unseen(2)
+    assert (two <= one + 1e-6).all()
+    assert two.mean() < one.mean()
+
+
+def test_json_and_a_form_are_answered_alike(api, bundle):
+    body = {
+        "model": MODEL,
+        "image": [base64.b64encode(image).decode() for image in IMAGES],
+        "camera": CAMERAS,
+        "state": STATE,
+        "configurations": ROWS.tolist(),
+    }
+    form = ask(
+        api, page="/validity", state=json.dumps(STATE), configurations=json.dumps(ROWS.tolist())
+    ).json()
+    plain = api.post("/validity", json=body).json()
+    for name in ("confidence", "unseen"):
+        assert form[name] == plain[name]
+    expected = bundle.believe(as_read(bundle, state=STATE), ROWS.astype(np.float32))
+    np.testing.assert_array_equal(np.array(form["confidence"], np.float32), expected[0])
+    single = body | {"image": body["image"][0], "camera": CAMERAS[0]}
+    assert api.post("/validity", json=single).status_code == 200
+
+
+def test_an_array_has_the_unseen_share_in_its_second_column(api, bundle):
+    files = [("image", image) for image in IMAGES]
+    data = {"model": MODEL, "camera": [json.dumps(one) for one in CAMERAS]}
+    data["configurations"] = json.dumps(ROWS.tolist())
+    answer = api.post("/validity", files=files, data=data, headers={"accept": "application/x-npy"})
+    columns = np.frombuffer(answer.content[-ROWS.size // 7 * 8 :], "<f4").reshape(-1, 2)
+    np.testing.assert_array_equal(columns.T, bundle.believe(as_read(bundle), ROWS.astype(np.float32)))
+
+
+def test_where_the_arm_is_changes_what_is_seen(api):
+    without, ahead = (
+        ask(api, n="5", seed="1").json(),
+        ask(api, n="5", seed="1", state=json.dumps(STATE)).json(),
+    )
+    assert without["confidence"] != ahead["confidence"]
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"cameras": CAMERAS[:1]}, "2 pictures, 1 cameras"),
+        ({"cameras": []}, "image is repeated"),
+        ({"images": IMAGES[:1], "cameras": []}, "comes without its camera"),
+        ({"cameras": [CAMERAS[0], CAMERAS[1] | {"fx": -300.0}]}, "focal"),
+        ({"cameras": [CAMERAS[0], CAMERAS[1] | {"pose": np.diag([1, 1, 2, 1]).tolist()}]}, "rotation"),
+        ({"cameras": [CAMERAS[0], {"fx": 1.0}]}, "the camera"),
+        ({"images": [IMAGES[0], encode_png(picture())]}, "16-bit"),
+        ({"images": [IMAGES[0], encode_depth(np.zeros((48, 64), np.uint16))]}, "no reading"),
+        ({"images": IMAGES * 3, "cameras": CAMERAS * 3}, "6 pictures"),
+    ],
+)
+def test_pictures_and_cameras_that_do_not_fit_are_told(api, changes, words):
+    answer = ask(api, **changes)
+    name = "invalid-value" if words in ("image is repeated",) else "invalid-image"
+    assert words in json.dumps(assert_problem(answer, 422, name))
+
+
+def test_a_state_that_is_none_of_the_arms_is_told(api):
+    problem = assert_problem(ask(api, state="[0, 0]"), 422, "invalid-image")
+    assert "the state does not fit the robot" in problem["detail"]
+
+
+def test_a_model_of_flat_pictures_takes_no_camera(api):
+    answer = ask(api, IMAGES[:1], CAMERAS[:1], model="cspace-sampler")
+    assert "comes with a camera" in assert_problem(answer, 422, "invalid-image")["detail"]
+
+
+def test_models_of_both_worlds_are_served_side_by_side(api, png):
+    flat = api.post("/sample", files={"image": png}, data={"n": "3"})
+    assert (flat.status_code, flat.json()["unseen"]) == (200, None)
+    assert ask(api, n="3").status_code == 200

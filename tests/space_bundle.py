@@ -1,0 +1,54 @@
+"""A bundle of an arm in space whose networks are tiny and not trained."""
+
+from pathlib import Path
+
+import numpy as np
+
+from cspace.bundle import BundleSpec, RandomInput, write_bundle
+from cspace.worlds import examples
+from training.models.autoencoders import make_encoder, network_size, shown_size
+from training.models.checkpoint import seeded_initialisation
+from training.models.encode import GridNovelty
+from training.models.export import encoder_graph, generator_graph, novelty_graph
+from training.models.grids.export import grid_validity_graph, map_graph
+from training.models.grids.head import GridHead
+from training.models.networks import Sizes, TorusGenerator
+from training.models.settings import GridConfig, VaeConfig, ValidityConfig
+from training.models.space_autoencoder import GridVaeDecoder
+
+WORLD = examples()["panda"]
+LATENT = 5
+HEAD = ValidityConfig(free_share=0.6, hidden=8, grid=GridConfig(width=4, middle=4, deep=4))
+SPEC = BundleSpec(
+    world=WORLD,
+    latent_dim=LATENT,
+    random_inputs=(
+        RandomInput("base", "uniform", (WORLD.dim,), -np.pi, np.pi),
+        RandomInput("noise", "normal", (2,)),
+    ),
+    confidence_threshold=0.1,
+    novelty_quantiles=((0.0, 1.0), (0.0, 1.0)),
+)
+
+
+def space_graphs() -> dict[str, bytes]:
+    """Encoder, generator, novelty, map and validity."""
+    sensor, size = WORLD.sensor, network_size(WORLD.sensor)
+    with seeded_initialisation(0):
+        encoder = make_encoder(VaeConfig(latent_dim=LATENT, width=4), shown_size(sensor))
+        x, y, z, _ = sensor.picture_shape
+        decoder = GridVaeDecoder((x, y, z), LATENT, 4)
+        generator = TorusGenerator(Sizes(WORLD.space, LATENT, 8, 1), 2)
+        head = GridHead.of(HEAD, WORLD).eval()
+    return {
+        "encoder": encoder_graph(encoder, size),
+        "generator": generator_graph(generator, WORLD.dim, LATENT, 2),
+        "novelty": novelty_graph(GridNovelty(decoder).eval(), size, LATENT),
+        "map": map_graph(head),
+        "validity": grid_validity_graph(head, WORLD.dim),
+    }
+
+
+def write_space_bundle(folder: Path) -> Path:
+    """The bundle, written."""
+    return write_bundle(folder, SPEC, space_graphs())
