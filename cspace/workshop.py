@@ -239,6 +239,9 @@ class Workshop(Protocol):
     def count(self, split: Split) -> int | None:
         """How many scenes a split has; None where they are drawn without end."""
 
+    def draw_picture(self, axes: Any, picture: Image) -> None:
+        """What a picture shows, on axes of matplotlib, with their labels."""
+
     def draw_scene(self, axes: Any, scene: Scene, colour: str) -> None:
         """Obstacles and frame, on axes of matplotlib."""
 

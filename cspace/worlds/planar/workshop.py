@@ -148,6 +148,11 @@ class PlanarWorkshop:
         """How many were given; a family has no end."""
         return len(self._scenes.part(split)) if isinstance(self._scenes, GivenScenes) else None
 
+    def draw_picture(self, axes: Any, picture: Image) -> None:
+        """As it is."""
+        axes.imshow(picture, extent=self.world.sensor.extent_m)
+        axes.set(xlabel="x [m]", ylabel="y [m]")
+
     def draw_scene(self, axes: Any, scene: Scene, colour: str) -> None:
         """Discs in the camera's frame."""
         draw_discs(axes, _planar(scene), colour)

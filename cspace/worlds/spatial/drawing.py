@@ -8,10 +8,14 @@ from scipy.spatial import ConvexHull
 
 from cspace.worlds.spatial.obstacles.shapes import Box, Cylinder, Obstacles
 from cspace.worlds.spatial.robot.arm import SerialArm
+from cspace.worlds.spatial.seeing.grid_box import GridBox
+from cspace.worlds.spatial.seeing.sight import FREE
+from cspace.worlds.spatial.seeing.surface_patches import DISTANCE_STEP_M
 
 # Which coordinates are across and up.
 SIDE, ABOVE = (0, 2), (0, 1)
 _ROUND = 24
+_SURFACE = (0.77, 0.19, 0.19)
 
 
 def draw_obstacles(axes: Any, obstacles: Obstacles, colour: str, plane: tuple[int, int] = SIDE) -> None:
@@ -24,6 +28,17 @@ def draw_obstacles(axes: Any, obstacles: Obstacles, colour: str, plane: tuple[in
     axes.set_aspect("equal")
     axes.set_xlabel(f"{'xyz'[plane[0]]} [m]")
     axes.set_ylabel(f"{'xyz'[plane[1]]} [m]")
+
+
+def draw_seen(axes: Any, observed: NDArray[np.uint8], grid: GridBox) -> None:
+    """An array (X, Y, Z, 2) from the side: surfaces that are seen in red, grey as far as space is unseen."""
+    surface = observed[..., 0].min(axis=1) * DISTANCE_STEP_M < grid.voxel_m / 2.0
+    unseen = (observed[..., 1] != FREE).mean(axis=1)
+    shown = np.repeat(1.0 - 0.6 * unseen[..., None], 3, axis=2)
+    shown[surface] = _SURFACE
+    (left, _, low), (right, _, high) = grid.low_m, grid.high_m
+    axes.imshow(shown.transpose(1, 0, 2), extent=(left, right, low, high), origin="lower")
+    axes.set(xlabel="x [m]", ylabel="z [m]")
 
 
 def draw_arm(

@@ -12,7 +12,7 @@ from cspace.problem import UNIFORM, Problem
 from cspace.splits import Split, scenario_rng
 from cspace.workshop import Checker, Families, Measures, PathSearch, Proposals
 from cspace.world import Image, Scene, World
-from cspace.worlds.spatial.drawing import draw_arm, draw_obstacles
+from cspace.worlds.spatial.drawing import draw_arm, draw_obstacles, draw_seen
 from cspace.worlds.spatial.obstacles.obstacle_rows import obstacles_of, rows_of
 from cspace.worlds.spatial.obstacles.scenes import FAMILIES
 from cspace.worlds.spatial.planning.collision import CollisionChecker, group_hits
@@ -140,6 +140,10 @@ class SpatialWorkshop:
         """They are drawn without end."""
         del split
         return None
+
+    def draw_picture(self, axes: Any, picture: Image) -> None:
+        """See :func:`cspace.worlds.spatial.drawing.draw_seen`."""
+        draw_seen(axes, picture, self.world.sensor.grid)
 
     def draw_scene(self, axes: Any, scene: Scene, colour: str) -> None:
         """Obstacles, from the side."""

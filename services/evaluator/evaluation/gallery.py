@@ -11,6 +11,7 @@ from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from cspace.problem import UNIFORM
+from cspace.worlds import workshop_of
 from services.evaluator.measures.nearest import covered
 from services.evaluator.measures.samplers import unfiltered
 from services.evaluator.measures.scenes import Scene
@@ -60,12 +61,10 @@ def gallery(
 
 
 def _picture(axes: Axes, scene: Scene, note: str) -> None:
-    axes.imshow(scene.image, extent=scene.stage.world.sensor.extent_m)
+    workshop_of(scene.stage.world).draw_picture(axes, scene.image)
     family = "" if scene.family == UNIFORM else f"{scene.family} "
     name = f"{scene.stage.split}, {family}scenario {scene.index}"
     axes.set_title(f"{name}\n{note}" if note else name, fontsize=9)
-    axes.set_xlabel("x [m]")
-    axes.set_ylabel("y [m]")
 
 
 def _truth(axes: Axes, scene: Scene) -> None:

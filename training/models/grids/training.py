@@ -110,14 +110,14 @@ class GridHeadModule(TrialModule):
         pictures = batch.images.float() / 255.0
         belief = self.head(pictures, self.head.encode(pictures), batch.configurations)
         losses = head_losses(belief, batch)
-        loss = losses["head_loss"] + self.grid.hazard_weight * losses.get("hazard_loss", 0.0)
+        loss = losses["validity_loss"] + self.grid.hazard_weight * losses.get("hazard_loss", 0.0)
         self.descend(loss, self.grid.gradient_clip)
         right = ((belief.free > 0.5) == batch.free).float().mean()
-        self.latest = {name: value.detach() for name, value in losses.items()} | {"head_accuracy": right}
+        self.latest = {name: value.detach() for name, value in losses.items()} | {"validity_accuracy": right}
 
 
 def head_losses(belief: Belief, batch: GridBatch) -> dict[str, Tensor]:
-    """``head_loss`` on whole configurations, and ``hazard_loss`` on groups where their truth is known."""
+    """``validity_loss`` on whole configurations, and ``hazard_loss`` on groups where their truth is known."""
     known = belief.itself > 0.5
     clear, losses = batch.free, dict[str, Tensor]()
     if batch.hits.shape[-1]:
@@ -126,7 +126,7 @@ def head_losses(belief: Belief, batch: GridBatch) -> dict[str, Tensor]:
         clear, known = ~batch.hits.any(dim=-1), torch.ones_like(known)
     sure = belief.clear.clamp(max=_ALMOST_SURE)
     each = -torch.where(clear, sure, torch.log(-torch.expm1(sure)))
-    losses["head_loss"] = (each * known).sum() / known.sum().clamp(min=1)
+    losses["validity_loss"] = (each * known).sum() / known.sum().clamp(min=1)
     return losses
 
 

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from cspace.problem import Problem
-from cspace.worlds import picture_of
+from cspace.worlds import picture_of, workshop_of
 from services.evaluator.benchmark.runs.arms import DEFAULT_SHARE, Arm, Group
 from services.evaluator.benchmark.runs.measure import known_problem
 from services.evaluator.benchmark.runs.setting import Setting
@@ -107,9 +107,7 @@ def _outcome(result: PlanResult) -> str:
 
 
 def _draw_picture(axes: Any, problem: Problem) -> None:
-    extent = problem.scenario.world.sensor.extent_m
-    axes.imshow(np.asarray(picture_of(problem.scenario)), extent=extent)
-    axes.set(xlabel="x (m)", ylabel="y (m)")
+    workshop_of(problem.scenario.world).draw_picture(axes, np.asarray(picture_of(problem.scenario)))
     axes.set_title("the picture that the sampler sees\n", fontsize=10)
 
 

@@ -148,14 +148,14 @@ def test_a_turned_scene_is_the_same_to_a_turned_arm(head, picture, rows, quarter
 def test_where_the_groups_truth_is_known_it_is_learned_too(head, picture, rows):
     belief = believe(head, picture, rows)
     unknown = head_losses(belief, batch(picture, rows, torch.zeros(1, len(rows), 0, dtype=torch.bool)))
-    assert set(unknown) == {"head_loss"}
+    assert set(unknown) == {"validity_loss"}
     hits = torch.zeros(1, len(rows), head.groups, dtype=torch.bool)
     hits[0, 3, 2] = True
     known = head_losses(belief, batch(picture, rows, hits))
     clear = np.arange(len(rows)) != 3
     told = belief.clear[0].clamp(max=-1e-6)
     each = -torch.where(torch.from_numpy(clear), told, torch.log(-torch.expm1(told)))
-    assert known["head_loss"].item() == pytest.approx(each.mean().item(), rel=1e-5)
+    assert known["validity_loss"].item() == pytest.approx(each.mean().item(), rel=1e-5)
     wrong = torch.nn.functional.binary_cross_entropy_with_logits(belief.hazards, hits.float())
     assert known["hazard_loss"].item() == pytest.approx(wrong.item(), rel=1e-5)
 
@@ -183,9 +183,9 @@ def test_training_lowers_the_loss(picture, rows):
     losses = []
     for step in range(30):
         module.training_step(step, 0)
-        losses.append(module.metrics()["head_loss"])
+        losses.append(module.metrics()["validity_loss"])
     assert np.mean(losses[-8:]) < 0.8 * np.mean(losses[:3])
-    assert set(module.metrics()) == {"head_loss", "hazard_loss", "head_accuracy"}
+    assert set(module.metrics()) == {"validity_loss", "hazard_loss", "validity_accuracy"}
 
 
 def test_a_head_of_another_kind_of_picture_is_refused():

@@ -1,0 +1,64 @@
+"""An arm in space from the preset to a version that answers: every stage runs, nothing is learned."""
+
+import numpy as np
+import pytest
+
+from cspace.bundle import Bundle
+from cspace.dataset import open_dataset
+from cspace.splits import Split, scenario_rng
+from cspace.worlds import examples, workshop_of
+from services.registry.models.mlflow_registry import MlflowRegistry
+from tests.contracts.mlflow_server import mlflow_server
+from tests.training.clusters.test_pipeline import submit
+
+pytestmark = [pytest.mark.e2e, pytest.mark.slow, pytest.mark.timeout(600)]
+
+WORLD = examples()["panda"]
+SMALL = (
+    *("data.scenario_count=6", "data.proposals_per_scenario=80", "data.shard_size=3"),
+    *("vae.latent_dim=8", "vae.width=4", "vae.steps=4", "vae.batch_size=4"),
+    *("validity.steps=4", "validity.pictures_per_step=2", "validity.configurations_per_picture=8"),
+    *("validity.hidden=8", "validity.grid={width: 4, middle: 4, deep: 4}"),
+    *("validity.threshold=0.05", "validity.uniform_share=0.2"),
+    *("gate.cells=4", "gate.points=64", "gate.steps=4"),
+    *("local.hidden=16", "local.critic_hidden=16", "local.batch_size=32", "local.steps=4"),
+)
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory):
+    """What the job says, the registry's bundle, and the folder of its data sets."""
+    folder = tmp_path_factory.mktemp("space")
+    settings = [part for setting in SMALL for part in ("--set", setting)]
+    with mlflow_server(tmp_path_factory.mktemp("mlflow")) as uri:
+        result = submit(uri, folder, "--preset", "panda_quick", *settings)
+        registry = MlflowRegistry(uri)
+        version = registry.version(result["model"], result["version"])
+        yield result, Bundle.load(registry.download(version, folder / "bundle")), folder
+
+
+def test_the_model_is_the_arms_own(trained):
+    result, bundle, _ = trained
+    assert result["model"] == "panda-sampler"
+    assert bundle.spec.world == WORLD
+    assert bundle.spec.provenance.config["preset"] == "panda_quick"
+    assert {"vae", "validity", "gate", "local-0", "local-1"} <= set(result["trials"])
+
+
+def test_its_data_are_labelled_configurations_of_arrays_of_space(trained):
+    (manifest,) = trained[2].glob("datasets/*/*.json")
+    dataset = open_dataset(manifest.parent)
+    assert dataset.images.shape == (6, *WORLD.sensor.picture_shape)
+    assert len(dataset.free) + len(dataset.collision) == 6 * 80
+    assert len(dataset.told) == 4
+
+
+def test_samples_lie_within_the_limits_and_tell_what_no_camera_saw(trained):
+    bundle = trained[1]
+    scene = workshop_of(WORLD).scene(scenario_rng(Split.DEMO, 0, 0), Split.DEMO, 0)
+    picture = bundle.prepare(WORLD.read_picture(workshop_of(WORLD).picture_file(scene)))
+    found = bundle.sample(picture, 300, 1, min_confidence=0.0)
+    assert WORLD.space.contains(found.samples).all()
+    assert found.confidence.shape == found.unseen.shape == (300,)
+    assert np.ptp(found.unseen) > 0.0
+    assert 0.0 <= picture.novelty <= 1.0
