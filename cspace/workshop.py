@@ -109,7 +109,7 @@ class Measures:
             uniform baseline is.
         resolution_rad: largest distance between checked states in any joint.
         coverage_share: of what as many real samples cover; a sampler of configurations that covers less is
-            not promoted.
+            not promoted. None where samples cover nothing that could be told by balls.
         margins: the metrics by which a version is compared with champions that were not measured beside it,
             and how much worse than the best of them it may be.
         path_margins: the same for path models.
@@ -120,7 +120,7 @@ class Measures:
     near_contact_m: float
     range_rad: float
     resolution_rad: float
-    coverage_share: float
+    coverage_share: float | None
     margins: Mapping[str, float]
     path_margins: Mapping[str, float]
     free_share: float

@@ -6,10 +6,12 @@ GRAPHS is a folder with a head's map.onnx and validity.onnx, such as a bundle. O
 MotionBenchMaker, seen once with noise by cameras that are placed by chance as for training: half of the
 configurations uniform, half about start and goal (sigma 0.3 rad). The truth is that of the spheres. Beside
 the head stands the cloud: no sphere touches a surface that is seen, nor another sphere, and what is not seen
-is free. Test problems are for figures that are reported, once. One process, minutes.
+is free; once as it is, and once with the slack that makes it most accurate on these very problems. Test
+problems are for figures that are reported, once. One process, minutes.
 
-Means over problems with 95 % bootstrap intervals over them. Near contact is within 2 cm; false free is the
-share in collision of what passes, with as many refused as the cloud refuses over all.
+Means over problems with 95 % bootstrap intervals over them. Near contact is within 2 cm of an obstacle, with
+an arm that does not touch itself. False free is the share in collision of what passes, with as many refused
+as that cloud refuses over all.
 """
 
 import sys
@@ -26,6 +28,7 @@ from cspace.bundle.running.graphs import Graph
 from cspace.splits import Split
 from cspace.worlds.spatial.motionbench.problems import BenchProblem, problems
 from cspace.worlds.spatial.obstacles.shapes import Obstacles
+from cspace.worlds.spatial.obstacles.signed_distance import clearance_m
 from cspace.worlds.spatial.planning.collision import CollisionChecker
 from cspace.worlds.spatial.scene import seen
 from cspace.worlds.spatial.seeing.observed import lookup
@@ -33,7 +36,8 @@ from cspace.worlds.spatial.world import SpatialWorld, usual
 from services.evaluator.statistics import bootstrap_interval, mean_interval, ratio_of_sums_interval
 
 NEAR_M, SIGMA_RAD, BINS = 0.02, 0.3, 15
-UNSEEN = (0.0, 0.05, 0.2, 0.5, 1.01)
+UNSEEN = (0.0, 0.5, 0.7, 0.8, 0.9, 1.01)
+SLACKS_M = tuple(0.0025 * step for step in range(-8, 17))
 
 
 class Head:
@@ -72,45 +76,59 @@ class Judged:
         about = world.space.bound(ends + rng.normal(0.0, SIGMA_RAD, ends.shape))
         rows = np.concatenate([world.space.sample_uniform(rng, count - len(about)), about])
         stored = world.space.to_float32(rows)
-        self.clearance = CollisionChecker(arm, problem.obstacles).clearance(stored)
-        self.free, self.near = self.clearance > 0.0, np.abs(self.clearance) < NEAR_M
+        spheres, radii = arm.sphere_centres_m(stored), arm.spheres_m()[:, 3]
+        self.itself = CollisionChecker(arm, Obstacles()).clearance(stored) > 0.0
+        away = clearance_m(problem.obstacles, spheres, radii)
+        self.free, self.near = self.itself & (away > 0.0), self.itself & (np.abs(away) < NEAR_M)
         self.confidence, self.unseen = head.confidence(picture, stored)
         moving = arm.sphere_links() > 0
-        spheres = arm.sphere_centres_m(stored)[:, moving]
-        margin = lookup(picture, world.sensor.grid, spheres).distance_m - arm.spheres_m()[moving, 3]
-        itself = CollisionChecker(arm, Obstacles()).clearance(stored) > 0.0
-        self.cloud = (margin > 0.0).all(axis=1) & itself
+        margins = lookup(picture, world.sensor.grid, spheres[:, moving]).distance_m - radii[moving]
+        self.margin = margins.min(axis=1)
+
+    def cloud(self, slack_m: float = 0.0) -> np.ndarray:
+        return self.itself & (self.margin > -slack_m)
 
 
 def report(judged: list[Judged], rng: np.random.Generator) -> list[str]:
-    every = {name: np.concatenate([getattr(one, name) for one in judged]) for name in ("confidence", "cloud")}
-    # The head refuses as many as the cloud.
-    threshold = float(np.quantile(every["confidence"], 1.0 - every["cloud"].mean()))
-
-    def right(name: str, rows: str) -> str:
-        shares = []
-        for one in judged:
-            said = one.confidence > 0.5 if name == "head" else one.cloud
-            chosen = np.ones_like(one.near) if rows == "all" else one.near
-            if chosen.any():
-                shares.append((said == one.free)[chosen].mean())
-        return f"{mean_interval(shares, rng):.4f}"
-
-    def false_free(name: str) -> str:
-        passes = [one.confidence > threshold if name == "head" else one.cloud for one in judged]
-        wrong = [float((said & ~one.free).sum()) for said, one in zip(passes, judged, strict=True)]
-        counts = [float(said.sum()) for said in passes]
-        return f"{ratio_of_sums_interval(wrong, counts, rng):.4f}"
-
-    lines = [f"{'':<34}{'head':<28}cloud"]
-    for name, told in (
-        ("accuracy", lambda who: right(who, "all")),
-        ("accuracy within 2 cm of contact", lambda who: right(who, "near")),
-        ("false free at equal refusal", false_free),
-    ):
-        lines.append(f"{name:<34}{told('head'):<28}{told('cloud')}")
-    lines.append(f"calibration error of the head     {calibration(judged, rng):.4f}")
+    best_m = max(
+        SLACKS_M, key=lambda slack: np.mean([(one.cloud(slack) == one.free).mean() for one in judged])
+    )
+    told = {
+        "head": [one.confidence > 0.5 for one in judged],
+        "cloud": [one.cloud() for one in judged],
+        f"cloud, slack {1e3 * best_m:.1f} mm": [one.cloud(best_m) for one in judged],
+    }
+    lines = [
+        f"{name:<24}accuracy {right(said, judged, rng)}, near contact {right(said, judged, rng, near=True)}"
+        for name, said in told.items()
+    ]
+    for name, said in list(told.items())[1:]:
+        threshold = np.quantile(joined(judged, "confidence"), 1.0 - np.concatenate(said).mean())
+        head = [one.confidence > threshold for one in judged]
+        pair = f"head {false_free(head, judged, rng)}, {name} {false_free(said, judged, rng)}"
+        lines.append(f"false free at equal refusal: {pair}")
+    lines.append(f"calibration error of the head {calibration(judged, rng):.4f}")
     return [*lines, *by_family(judged), *by_unseen(judged)]
+
+
+def right(
+    said: list[np.ndarray], judged: list[Judged], rng: np.random.Generator, *, near: bool = False
+) -> str:
+    shares = []
+    for rows, one in zip(said, judged, strict=True):
+        chosen = one.near if near else np.ones_like(one.near)
+        if chosen.any():
+            shares.append((rows == one.free)[chosen].mean())
+    return f"{mean_interval(shares, rng):.4f}"
+
+
+def false_free(passes: list[np.ndarray], judged: list[Judged], rng: np.random.Generator) -> str:
+    wrong = [float((said & ~one.free).sum()) for said, one in zip(passes, judged, strict=True)]
+    return f"{ratio_of_sums_interval(wrong, [float(said.sum()) for said in passes], rng):.4f}"
+
+
+def joined(judged: list[Judged], name: str) -> np.ndarray:
+    return np.concatenate([getattr(one, name) for one in judged])
 
 
 def calibration(judged: list[Judged], rng: np.random.Generator) -> object:
@@ -132,14 +150,14 @@ def by_family(judged: list[Judged]) -> list[str]:
     for family in dict.fromkeys(one.family for one in judged):
         own = [one for one in judged if one.family == family]
         head = np.mean([((one.confidence > 0.5) == one.free).mean() for one in own])
-        cloud = np.mean([(one.cloud == one.free).mean() for one in own])
+        cloud = np.mean([(one.cloud() == one.free).mean() for one in own])
         lines.append(f"  {family:<20}{head:8.4f}{cloud:8.4f}{np.mean([one.free.mean() for one in own]):8.3f}")
     return lines
 
 
 def by_unseen(judged: list[Judged]) -> list[str]:
-    names = ("confidence", "unseen", "free", "cloud")
-    confidence, unseen, free, cloud = (np.concatenate([getattr(o, name) for o in judged]) for name in names)
+    confidence, unseen, free = (joined(judged, name) for name in ("confidence", "unseen", "free"))
+    cloud = np.concatenate([one.cloud() for one in judged])
     lines = ["share unseen: of all, accuracy of the head, of the cloud, mean confidence, free share"]
     for low, high in pairwise(UNSEEN):
         rows = (unseen >= low) & (unseen < high)

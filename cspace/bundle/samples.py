@@ -40,6 +40,11 @@ class Picture:
     novelty: float | None = None
     map: NDArray[np.float32] | None = None
 
+    @property
+    def size_bytes(self) -> int:
+        """Of what it holds, nearly."""
+        return self.pixels.nbytes + (0 if self.map is None else self.map.nbytes)
+
 
 @dataclass(frozen=True, slots=True)
 class SampleSet:

@@ -13,6 +13,10 @@ from numpy.typing import NDArray
 from cspace.bundle import Bundle, Picture
 
 
+# A dozen arrays of space, or all the flat pictures that are kept.
+MOST_BYTES = 64 * 2**20
+
+
 @dataclass(frozen=True, slots=True)
 class Prepared:
     """A picture for a bundle, and what it took.
@@ -32,11 +36,12 @@ class PictureCache:
     """The pictures asked for last, by bundle and content; safe to share between threads.
 
     Args:
-        capacity: how many are kept, about 30 kB each, 40 with a map; 0 keeps none.
+        capacity: how many are kept, about 30 kB each, 40 with a map, arrays of space 5 MB; 0 keeps none.
+        most_bytes: of all that are kept.
     """
 
-    def __init__(self, capacity: int) -> None:
-        self._capacity = capacity
+    def __init__(self, capacity: int, most_bytes: int = MOST_BYTES) -> None:
+        self._capacity, self._most_bytes, self._bytes = capacity, most_bytes, 0
         self._known: OrderedDict[tuple[str, bytes], Picture] = OrderedDict()
         self._lock = Lock()
 
@@ -71,10 +76,15 @@ class PictureCache:
         picture = bundle.prepare(image)
         encoded = time.perf_counter()
         with self._lock:
-            self._known[key] = picture
-            while len(self._known) > self._capacity:
-                self._known.popitem(last=False)
+            self._keep(key, picture)
         return Prepared(picture, 1e3 * (decoded - began), 1e3 * (encoded - decoded))
+
+    def _keep(self, key: tuple[str, bytes], picture: Picture) -> None:
+        known = self._known.pop(key, None)
+        self._bytes += picture.size_bytes - (0 if known is None else known.size_bytes)
+        self._known[key] = picture
+        while self._known and (len(self._known) > self._capacity or self._bytes > self._most_bytes):
+            self._bytes -= self._known.popitem(last=False)[1].size_bytes
 
     def __len__(self) -> int:
         with self._lock:

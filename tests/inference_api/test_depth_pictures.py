@@ -108,6 +108,14 @@ def test_json_and_a_form_are_answered_alike(api, bundle):
     assert api.post("/validity", json=single).status_code == 200
 
 
+def test_a_view_file_is_the_same_in_one_field(api):
+    view = pack_view(IMAGES, CAMERAS, STATE)
+    fields = {"model": MODEL, "n": "9", "seed": "2"}
+    one = api.post("/sample", files={"image": view}, data=fields).json()
+    several = ask(api, n="9", seed="2", state=json.dumps(STATE)).json()
+    assert one["samples"] == several["samples"]
+
+
 def test_an_array_has_the_unseen_share_in_its_second_column(api, bundle):
     files = [("image", image) for image in IMAGES]
     data = {"model": MODEL, "camera": [json.dumps(one) for one in CAMERAS]}

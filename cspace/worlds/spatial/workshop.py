@@ -49,7 +49,7 @@ class SpatialWorkshop:
             near_contact_m=0.02,
             range_rad=2.0,
             resolution_rad=0.02,
-            coverage_share=0.5,
+            coverage_share=None,
             margins={"precision": 0.02, "edr": 0.1, "planning_success": 0.1},
             path_margins={"planning_success": 0.1},
             free_share=0.6,

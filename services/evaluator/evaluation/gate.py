@@ -102,10 +102,9 @@ def judge(candidate: Candidate, bar: Bar, measures: Measures) -> Verdict:
         bar: whom it is compared with.
         measures: the world's share of coverage and margins.
     """
-    findings = [
-        _beats_uniform(candidate.precision_gain),
-        _covers(candidate.metrics[COVERAGE], candidate.real_coverage, measures.coverage_share),
-    ]
+    findings, share = [_beats_uniform(candidate.precision_gain)], measures.coverage_share
+    if share is not None:
+        findings.append(_covers(candidate.metrics[COVERAGE], candidate.real_coverage, share))
     return _verdict(findings, measures.margins, candidate.metrics, bar)
 
 

@@ -66,3 +66,16 @@ def test_what_is_no_picture_is_refused_and_not_kept(bundle: Bundle) -> None:
     with pytest.raises(InputError):
         cache.get(bundle, b"no picture")
     assert len(cache) == 0
+
+
+def test_large_pictures_are_kept_as_long_as_they_fit(bundle: Bundle) -> None:
+    size = PictureCache(1).get(bundle, png_of(0)).picture.size_bytes
+    cache = PictureCache(100, most_bytes=2 * size)
+    for seed in (0, 1, 2, 1):
+        cache.get(bundle, png_of(seed))
+    assert len(cache) == 2
+    assert cache.get(bundle, png_of(2)).encode_ms == 0.0
+    assert cache.get(bundle, png_of(0)).encode_ms > 0.0
+    small = PictureCache(100, most_bytes=size - 1)
+    small.get(bundle, png_of(0))
+    assert len(small) == 0

@@ -216,3 +216,12 @@ def test_a_path_model_stays_near_the_best_of_its_champions(changes, held):
     champions = [Champion(1, PATHS), Champion(2, PATHS | {"narrow_edge_checks_ratio": 2.0})]
     verdict = judge_paths(path_candidate(uniform_success=0.5, **changes), recorded(*champions), PLANAR)
     assert (verdict.promoted, verdict.bar.against) == (held, 2)
+
+
+def test_a_world_without_balls_that_tell_asks_for_no_coverage():
+    measures = replace(PLANAR, coverage_share=None)
+    collapsed = candidate(coverage=0.012)
+    assert judge(collapsed, Bar(), measures).promoted
+    without = replace(collapsed, metrics={"precision": 0.9, "edr": 0.2})
+    assert judge(without, Bar(), measures).promoted
+    assert not any("coverage" in reason for reason in judge(without, Bar(), measures).reasons)

@@ -1,0 +1,111 @@
+"""Scene files and options of the spatial world."""
+
+import argparse
+import json
+
+import numpy as np
+import pytest
+import yaml
+
+from cspace.errors import ConfigError, ScenarioError
+from cspace.worlds import add_world_options, described_world, examples
+from cspace.worlds.spatial.obstacles.shapes import Box, Cylinder
+from cspace.worlds.spatial.robot.ready import ready_rad
+from services.scene_files import given_scenes, read_scene_file
+
+PANDA = examples()["panda"]
+READY = ready_rad(PANDA.body).round(3).tolist()
+SCENE = {
+    "world": "spatial",
+    "robot": "panda",
+    "obstacles": [
+        {
+            "shape": "box",
+            "at_m": [0.5, 0.0, 0.2],
+            "size_m": [0.4, 0.6, 0.1],
+            "yaw_pitch_roll_deg": [90, 0, 0],
+        },
+        {"shape": "cylinder", "at_m": [0.4, 0.3, 0.3], "radius_m": 0.05, "height_m": 0.2},
+    ],
+    "cameras": [{"at_m": [1.2, 0.5, 0.9], "look_at_m": [0.4, 0.0, 0.2], "field_deg": 60}],
+    "start": READY,
+    "goal": [0.3, *READY[1:]],
+}
+
+
+def read(folder, **changes):
+    path = folder / "scene.yaml"
+    values = {name: value for name, value in (SCENE | changes).items() if value is not None}
+    path.write_text(yaml.safe_dump(values))
+    return read_scene_file(path)
+
+
+def test_a_file_says_what_stands_where_and_who_looks(tmp_path):
+    found = read(tmp_path)
+    assert found.world == PANDA
+    (box,), (cylinder,) = found.scene.obstacles.boxes, found.scene.obstacles.cylinders
+    assert isinstance(box, Box)
+    assert isinstance(cylinder, Cylinder)
+    np.testing.assert_allclose(box.half_m, (0.2, 0.3, 0.05))
+    np.testing.assert_allclose(np.array(box.pose)[:3, 0], (0.0, 1.0, 0.0), atol=1e-12)
+    np.testing.assert_allclose(np.array(cylinder.pose)[:3, 3], (0.4, 0.3, 0.3))
+    assert (cylinder.radius_m, cylinder.half_length_m) == (0.05, 0.1)
+    (camera,) = found.scene.cameras
+    np.testing.assert_allclose(np.array(camera.pose)[:3, 3], (1.2, 0.5, 0.9))
+    assert found.scene.state == tuple(READY)
+    problem = found.problem()
+    np.testing.assert_allclose(problem.goal, SCENE["goal"])
+
+
+def test_without_cameras_there_is_one_and_without_a_state_no_arm_in_its_picture(tmp_path):
+    found = read(tmp_path, cameras=None, start=None, goal=None)
+    assert len(found.scene.cameras) == 1
+    assert found.scene.state is None
+    assert read(tmp_path, state=SCENE["goal"]).scene.state == tuple(SCENE["goal"])
+
+
+def test_the_robot_may_be_described_in_the_file(tmp_path):
+    assert read(tmp_path, robot=PANDA.body.to_dict()).world == PANDA
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"robot": "kuka"}, "one of panda"),
+        ({"robot": {"name": "x"}}, "scene.yaml"),
+        ({"state": [0.0]}, "the state does not fit"),
+        ({"goal": [9.0, *READY[1:]]}, "limits"),
+        ({"obstacles": [{"shape": "ball", "at_m": [0, 0, 0]}]}, "obstacles"),
+        ({"obstacles": [{"shape": "box", "at_m": [0, 0, 0], "size_m": [0.1, 0.1]}]}, "obstacles"),
+        ({"cameras": []}, "cameras"),
+        ({"colour": "red"}, "colour"),
+    ],
+)
+def test_what_does_not_fit_is_told(tmp_path, changes, words):
+    with pytest.raises(ScenarioError, match=words):
+        read(tmp_path, **changes)
+
+
+def test_scenes_of_files_are_planned_in_and_not_learned_from(tmp_path):
+    one = read(tmp_path)
+    with pytest.raises(ScenarioError, match="not learned from as files"):
+        given_scenes(one.world, [one])
+
+
+def described(*arguments):
+    parser = argparse.ArgumentParser()
+    add_world_options(parser, sensor=True)
+    return described_world(parser.parse_args(arguments))
+
+
+def test_an_arm_is_named_or_read_from_its_file(tmp_path):
+    assert described("--arm", "panda") == PANDA
+    path = tmp_path / "arm.json"
+    path.write_text(json.dumps(PANDA.body.to_dict()))
+    assert described("--arm", str(path)) == PANDA
+    assert described().kind == "planar"
+    with pytest.raises(ScenarioError, match="one of panda"):
+        described("--arm", "kuka")
+    path.write_text("{")
+    with pytest.raises(ConfigError, match="holds no robot"):
+        described("--arm", str(path))
