@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from cspace.dataset import Dataset, open_dataset
 from cspace.errors import ConfigError
 from cspace.space import JointSpace
+from cspace.workshop import ORIGINS
 from training.clusters.clustering import Partition, cluster, group
 from training.config.clusters import CLUSTERS_FILE, TrainConfig
 from training.datasets.generate import generate
@@ -94,8 +95,7 @@ def encode_and_cluster(job: Job[TrainConfig], dataset: Dataset, vae: TrialOutcom
         sensor = dataset.world.sensor
         encoder = load_encoder(config.vae, sensor, encoder_checkpoint(job, vae))
         latents = encode(encoder, sensor, images)
-    free = np.asarray(dataset.free)
-    ids = np.repeat(np.arange(dataset.scenario_count), np.diff(dataset.free_offsets))
+    free, ids = uniform_free(dataset)
     parted = partition(config, free, dataset.world.space, job.start_folder)
     parted.save(job.folder / CLUSTERS_FILE)
     labels, cells = parted.labels, parted.gated(config.gate, config.seed)
@@ -116,6 +116,20 @@ def encode_and_cluster(job: Job[TrainConfig], dataset: Dataset, vae: TrialOutcom
         np.asarray(images) if looked_up else None,
         cells,
     )
+
+
+def uniform_free(dataset: Dataset) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
+    """Free configurations (M, d) that were drawn uniformly, and the scenario of each, (M,).
+
+    Where a data set does not tell how they were drawn, these are all.
+    """
+    free = np.asarray(dataset.free)
+    ids = np.repeat(np.arange(dataset.scenario_count), np.diff(dataset.free_offsets))
+    origins = dataset.arrays.get("free_origin")
+    if origins is None:
+        return free, ids
+    uniform = np.asarray(origins) == ORIGINS.index("uniform")
+    return free[uniform], ids[uniform]
 
 
 def partition(

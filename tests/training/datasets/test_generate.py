@@ -14,6 +14,7 @@ from cspace.worlds.planar.collision import CollisionChecker
 from cspace.worlds.planar.scene import Disc, Scenario
 from cspace.worlds.spatial.obstacles.obstacle_rows import obstacles_of
 from cspace.worlds.spatial.scene import SpatialScene
+from training.clusters.stages import uniform_free
 from training.datasets import generate as module
 from training.datasets.config import DatasetConfig
 from training.datasets.configurations import ConfigurationRecipe
@@ -231,6 +232,17 @@ def test_proposals_are_kept_all_with_their_clearance_and_origin(tmp_path, monkey
         assert (sign * told >= 0.0).all()
     near = dataset.arrays["free_clearance"][dataset.arrays["free_origin"] == 1]
     assert (near <= 0.1 + 1e-5).all()
+
+
+def test_samplers_learn_from_what_was_drawn_uniformly(tmp_path, monkeypatch):
+    HereInsteadOfRay(monkeypatch)
+    dataset = generate(PROPOSED, tmp_path / "data")
+    free, ids = uniform_free(dataset)
+    expected = [dataset.free_of(row)[dataset.told_of("free_origin", row) == 0] for row in range(5)]
+    np.testing.assert_array_equal(free, np.concatenate(expected))
+    np.testing.assert_array_equal(ids, np.repeat(np.arange(5), [len(rows) for rows in expected]))
+    plain = generate(SMALL, tmp_path / "plain")
+    np.testing.assert_array_equal(uniform_free(plain)[0], plain.free)
 
 
 def checker_of_row(dataset, row):
