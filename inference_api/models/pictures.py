@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from cspace.bundle import Bundle, Picture
 
-
 # A dozen arrays of space, or all the flat pictures that are kept.
 MOST_BYTES = 64 * 2**20
 
