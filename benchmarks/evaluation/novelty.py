@@ -21,10 +21,10 @@ from benchmarks.command import arguments
 from benchmarks.machine import machine
 from cspace.bundle import Bundle
 from cspace.splits import Split, scenario_rng
-from cspace.worlds.planar.camera import Camera
-from cspace.worlds.planar.collision import CollisionChecker
+from cspace.worlds.planar.planning.collision import CollisionChecker
 from cspace.worlds.planar.render import render
 from cspace.worlds.planar.scene import Disc, Scenario, random_scenario
+from cspace.worlds.planar.seeing.camera import Camera
 from services.evaluator.evaluation.tables import markdown
 from services.evaluator.statistics import mean_interval, quantile_interval
 

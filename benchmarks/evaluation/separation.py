@@ -31,9 +31,9 @@ from benchmarks.command import arguments
 from benchmarks.machine import machine
 from cspace.splits import Split
 from cspace.worlds.planar.arm import TWO_LINK
-from cspace.worlds.planar.camera import Camera
-from cspace.worlds.planar.collision import CollisionChecker
+from cspace.worlds.planar.planning.collision import CollisionChecker
 from cspace.worlds.planar.scene import Disc, Scenario
+from cspace.worlds.planar.seeing.camera import Camera
 from cspace.worlds.planar.world import PlanarWorld
 from services.evaluator.evaluation.tables import markdown
 from services.evaluator.measures.scenes import Scene, Stage

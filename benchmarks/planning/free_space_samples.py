@@ -15,7 +15,7 @@ from benchmarks.command import arguments
 from benchmarks.machine import ROOT
 from cspace.bundle import Bundle
 from cspace.splits import Split
-from cspace.worlds.planar.problems import Family, draw_problem
+from cspace.worlds.planar.planning.problems import Family, draw_problem
 from services.evaluator.evaluation.tables import aligned, planning_table
 from services.evaluator.evaluation.units import planner_of, planner_seed
 from services.evaluator.measures.planning import plan_trial

@@ -16,8 +16,8 @@ import numpy as np
 from benchmarks.command import arguments
 from cspace.problem import Problem
 from cspace.splits import Split
-from cspace.worlds.planar.grid_paths import PathFinder
-from cspace.worlds.planar.problems import Family, draw_problem
+from cspace.worlds.planar.planning.grid_paths import PathFinder
+from cspace.worlds.planar.planning.problems import Family, draw_problem
 from services.evaluator.evaluation.tables import markdown
 from services.evaluator.statistics import bootstrap_interval
 from services.planner.search.ompl_planner import solve

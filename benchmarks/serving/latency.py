@@ -24,7 +24,7 @@ from benchmarks.serving.served import BUNDLE, CLIENT_CORE, SERVER_CORE, Asker, n
 from cspace.bundle import Bundle
 from cspace.bundle.draws import draw, propose
 from cspace.bundle.keeping import EXTRA
-from cspace.worlds.planar.picture import decode_png
+from cspace.worlds.planar.seeing.picture import decode_png
 from services.evaluator.evaluation.tables import markdown
 from services.planner.sources.sampling_client import SamplingClient
 

@@ -10,7 +10,7 @@ from cspace.worlds import default_world, picture_file_of, robot_digest
 from services.names import model_name
 from services.planner.plan_result import PlanResult
 from services.planner.search.ompl_planner import DEFAULT_UNIFORM_SHARE, solve
-from services.planner.search.sample_order import order_along
+from services.planner.search.samples.sample_order import order_along
 from services.planner.settings import RRT_CONNECT, PlannerSettings
 from services.planner.sources.samples import SampleBatch, SampleSource
 from services.planner.sources.sampling_client import SamplingClient

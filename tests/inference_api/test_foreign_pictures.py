@@ -7,7 +7,7 @@ from PIL import Image, ImageDraw
 
 from cspace.bundle import Bundle
 from cspace.splits import Split
-from cspace.worlds.planar.collision import CollisionChecker
+from cspace.worlds.planar.planning.collision import CollisionChecker
 from cspace.worlds.planar.render import render
 from cspace.worlds.planar.scene import Scenario, random_scenarios
 from inference_api.settings import PRETRAINED_FOLDER

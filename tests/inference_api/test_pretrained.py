@@ -8,7 +8,7 @@ import pytest
 from cspace.bundle import Bundle
 from cspace.splits import Split
 from cspace.worlds.planar.arm import TWO_LINK
-from cspace.worlds.planar.collision import CollisionChecker
+from cspace.worlds.planar.planning.collision import CollisionChecker
 from cspace.worlds.planar.render import render
 from cspace.worlds.planar.scene import random_scenarios
 from inference_api.settings import PRETRAINED_FOLDER

@@ -8,9 +8,9 @@ from cspace.dataset import open_dataset
 from cspace.png import encode_png
 from cspace.splits import Split
 from cspace.worlds.planar.arm import PlanarArm
-from cspace.worlds.planar.picture import decode_png
 from cspace.worlds.planar.render import render
 from cspace.worlds.planar.scene import random_scenarios
+from cspace.worlds.planar.seeing.picture import decode_png
 from services.registry.models.mlflow_registry import MlflowRegistry
 from tests.contracts.mlflow_server import mlflow_server
 from tests.training.clusters.test_pipeline import GATED, submit

@@ -13,7 +13,7 @@ from cspace.errors import BundleError, ConfigError, InputError
 from cspace.query import SampleQuery
 from cspace.splits import Split
 from cspace.worlds.planar.arm import THREE_LINK, JointLimits, PlanarArm
-from cspace.worlds.planar.problems import Family, draw_problem
+from cspace.worlds.planar.planning.problems import Family, draw_problem
 from inference_api.settings import PRETRAINED_FOLDER
 from services.planner.planning import SampleRequest, plan_with_api
 from services.planner.search.ompl_planner import PlannerSettings

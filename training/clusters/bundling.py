@@ -15,7 +15,6 @@ from training.clusters.threshold import choose_threshold, choose_uniform_share, 
 from training.config.clusters import HeadConfig, TrainConfig
 from training.jobs.job import TAG_START
 from training.jobs.provenance import command_line, now, source_state
-from training.models.autoencoders import network_size
 from training.models.checkpoint import trained
 from training.models.encode import load_encoder, load_scores
 from training.models.export import (
@@ -30,6 +29,7 @@ from training.models.grids.export import grid_validity_graph, map_graph
 from training.models.grids.head import GridHead
 from training.models.lookups.lookups import make_lookups
 from training.models.mixture import LookupSampler
+from training.models.pictures.autoencoders import network_size
 from training.models.settings import GanConfig
 from training.models.validity import make_head
 from training.trials.arrays import TrainingArrays

@@ -11,8 +11,8 @@ from cspace.bundle.novelty import quantiles_of
 from cspace.dataset import Dataset
 from cspace.splits import Split
 from cspace.worlds import workshop_of
-from training.models.autoencoders import blocks
 from training.models.encode import load_encoder
+from training.models.pictures.autoencoders import blocks
 from training.models.settings import VaeConfig
 
 KNOWN_PICTURES = 400

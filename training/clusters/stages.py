@@ -17,9 +17,9 @@ from training.clusters.clustering import Partition, cluster, group
 from training.config.clusters import CLUSTERS_FILE, TrainConfig
 from training.datasets.generate import generate
 from training.jobs.job import Job
-from training.models.autoencoders import shown
 from training.models.encode import Latents, encode, load_encoder
 from training.models.gate import gate_probabilities
+from training.models.pictures.autoencoders import shown
 from training.trials.arrays import TrainingArrays
 from training.trials.grid_occupancy import GridOccupancy
 from training.trials.launch import run_trials

@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 from torch import nn
 
 from cspace.world import Sensor
-from training.models.autoencoders import blocks, make_decoder, make_encoder, shown_size
 from training.models.checkpoint import trained
 from training.models.networks import Encoder
-from training.models.novelty import NoveltyScores
+from training.models.pictures.autoencoders import blocks, make_decoder, make_encoder, shown_size
+from training.models.pictures.novelty import NoveltyScores
+from training.models.pictures.space_autoencoder import GridNovelty, GridVaeDecoder, GridVaeEncoder
 from training.models.settings import VaeConfig
-from training.models.space_autoencoder import GridNovelty, GridVaeDecoder, GridVaeEncoder
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,7 +5,7 @@ import os
 from pathlib import Path
 
 from cspace.bundle import Bundle
-from cspace.worlds.planar.picture import decode_png
+from cspace.worlds.planar.seeing.picture import decode_png
 
 
 class Model:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from cspace.world import Levers
 from cspace.worlds.planar.arm import PlanarArm
-from cspace.worlds.planar.camera import Camera
+from cspace.worlds.planar.seeing.camera import Camera
 
 
 def levers(robot: PlanarArm, camera: Camera, points_per_link: int, side_m: float) -> Levers:

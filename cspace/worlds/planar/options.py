@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 from cspace.errors import ConfigError
 from cspace.worlds.planar.arm import JointLimits, PlanarArm
-from cspace.worlds.planar.camera import Camera
+from cspace.worlds.planar.seeing.camera import Camera
 from cspace.worlds.planar.world import PlanarWorld
 
 

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from cspace.splits import Split, scenario_rng
 from cspace.strict_json import settle
 from cspace.worlds.planar.arm import TWO_LINK, PlanarArm
-from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.scenes import DiscScenes, Scenes
+from cspace.worlds.planar.seeing.camera import Camera
 from cspace.worlds.planar.world import PlanarWorld
 
 DISC_RADIUS_M = 1.0

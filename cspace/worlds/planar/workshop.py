@@ -12,10 +12,10 @@ from cspace.problem import Problem
 from cspace.splits import Split
 from cspace.workshop import Checker, Families, Measures, PathSearch, Proposals, near_contact
 from cspace.world import Image, Scene, World
-from cspace.worlds.planar.collision import CollisionChecker
 from cspace.worlds.planar.drawing import draw_arm, draw_discs
-from cspace.worlds.planar.grid_paths import path_search
-from cspace.worlds.planar.problems import (
+from cspace.worlds.planar.planning.collision import CollisionChecker
+from cspace.worlds.planar.planning.grid_paths import path_search
+from cspace.worlds.planar.planning.problems import (
     Family,
     draw_problem,
     narrow_pairs,
@@ -91,7 +91,7 @@ class PlanarWorkshop:
         return self.world.sensor.encode(self.render(scene))
 
     def checker(self, scene: Scene) -> Checker:
-        """See :class:`cspace.worlds.planar.collision.CollisionChecker`."""
+        """See :class:`cspace.worlds.planar.planning.collision.CollisionChecker`."""
         return CollisionChecker(_planar(scene))
 
     def proposals(self, scene: Scene, rng: np.random.Generator, count: int) -> Proposals:
@@ -126,22 +126,22 @@ class PlanarWorkshop:
             require_resolution(self.world.body)
 
     def narrow_pairs(self, scene: Scene, configurations: NDArray[np.float64]) -> NDArray[np.int64]:
-        """See :func:`cspace.worlds.planar.problems.narrow_pairs`."""
+        """See :func:`cspace.worlds.planar.planning.problems.narrow_pairs`."""
         found = narrow_pairs(_planar(scene), configurations)
         return np.empty((0, 2), dtype=np.int64) if found is None else found[1]
 
     def path_search(self, scene: Scene) -> PathSearch:
-        """See :mod:`cspace.worlds.planar.grid_paths`."""
+        """See :mod:`cspace.worlds.planar.planning.grid_paths`."""
         return path_search(_planar(scene))
 
     def problem(self, family: str, split: Split, seed: int, index: int = 0) -> Problem:
-        """See :func:`cspace.worlds.planar.problems.draw_problem`."""
+        """See :func:`cspace.worlds.planar.planning.problems.draw_problem`."""
         self.require(family)
         found = draw_problem(Family(family), split, seed, index, self.world.body, self._scenes)
         return replace(found, scenario=self._seen(_planar(found.scenario)))
 
     def obstruction(self, problem: Problem) -> str | None:
-        """See :func:`cspace.worlds.planar.problems.obstruction`."""
+        """See :func:`cspace.worlds.planar.planning.problems.obstruction`."""
         return obstruction(_planar(problem.scenario), problem.start, problem.goal)
 
     def count(self, split: Split) -> int | None:

@@ -13,9 +13,9 @@ from cspace.strict_json import read_mapping, read_members, read_object
 from cspace.view_file import is_view
 from cspace.world import Arrays, Levers, World
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK, PlanarArm
-from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.lookups import levers
 from cspace.worlds.planar.scenes import MAX_GIVEN, DiscScenes, GivenScenes, Scenes, read_scenes
+from cspace.worlds.planar.seeing.camera import Camera
 
 KIND = "planar"
 
@@ -49,7 +49,7 @@ class PlanarWorld:
         return ("discs",)
 
     def read_picture(self, data: bytes) -> NDArray[np.uint8]:
-        """See :func:`cspace.worlds.planar.picture.decode_png`."""
+        """See :func:`cspace.worlds.planar.seeing.picture.decode_png`."""
         if is_view(data):
             raise ImageError(
                 "the picture comes with a camera",

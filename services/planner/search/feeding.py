@@ -18,7 +18,7 @@ from cspace.errors import PlanningError
 from cspace.space import JointSpace
 from services.planner.search.goal_region import REACHED_RAD, DrawnGoal
 from services.planner.search.ompl_planner import DEFAULT_UNIFORM_SHARE
-from services.planner.search.sample_mixture import SampleMixture, StateDraws
+from services.planner.search.samples.sample_mixture import SampleMixture, StateDraws
 from services.planner.search.state_space import read_configuration, read_joint_space
 from services.planner.settings import check_uniform_share
 

@@ -13,7 +13,7 @@ import numpy as np
 from ompl import base as ob
 
 from cspace.space import JointSpace
-from services.planner.search.sample_mixture import StateDraws
+from services.planner.search.samples.sample_mixture import StateDraws
 from services.planner.search.state_space import StateAccess
 
 REACHED_RAD = 1e-9

@@ -25,9 +25,9 @@ from services.planner.search.ompl_search import OmplSearch, copy_tree, set_up
 from services.planner.search.outcome import Counts, after, outcome
 from services.planner.search.path_check import CHECK_FACTOR
 from services.planner.search.roadmap import Roadmap
-from services.planner.search.sample_mixture import GoalOnly, SampleMixture, StateDraws
 from services.planner.search.sampled_connect import connect
 from services.planner.search.sampled_prm import solve_by_roadmap
+from services.planner.search.samples.sample_mixture import GoalOnly, SampleMixture, StateDraws
 from services.planner.search.stopping import StoppingRule
 from services.planner.search.validity import EdgeValidator, free_test
 from services.planner.settings import (

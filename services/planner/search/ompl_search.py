@@ -14,7 +14,7 @@ from cspace.workshop import Checker
 from services.planner.plan_result import SearchTree
 from services.planner.search.goal_region import DrawnGoal
 from services.planner.search.path_objective import make_objective
-from services.planner.search.sample_mixture import SampleMixture, StateDraws
+from services.planner.search.samples.sample_mixture import SampleMixture, StateDraws
 from services.planner.search.state_space import StateAccess, make_state_space
 from services.planner.search.validity import EdgeValidator, StateValidator
 from services.planner.settings import BIT_STAR, OPTIMISING_PLANNERS, PRM, RRT_CONNECT, PlannerSettings

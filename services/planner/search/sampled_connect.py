@@ -15,7 +15,7 @@ from cspace.space import JointSpace
 from cspace.worlds import checker_of
 from services.planner.plan_result import PlanResult, Reason, SearchTree
 from services.planner.search.outcome import Counts, outcome
-from services.planner.search.sample_order import colliding_last
+from services.planner.search.samples.sample_order import colliding_last
 from services.planner.settings import PlannerSettings
 
 # Iterations between two looks at the clock.

@@ -8,7 +8,7 @@ import numpy as np
 from cspace.dataset import open_dataset
 from cspace.dataset.manifest import Manifest
 from cspace.worlds.planar.arm import PlanarArm
-from cspace.worlds.planar.camera import Camera
+from cspace.worlds.planar.seeing.camera import Camera
 from cspace.worlds.planar.world import PlanarWorld
 
 # Written by 0.x before worlds had kinds: two scenarios, one joint with limits.

@@ -11,7 +11,7 @@ from pydantic import ValidationError
 from cspace import worlds
 from cspace.errors import ConfigError, ScenarioError
 from cspace.worlds.planar.arm import TWO_LINK, PlanarArm
-from cspace.worlds.planar.camera import Camera
+from cspace.worlds.planar.seeing.camera import Camera
 from cspace.worlds.planar.world import PlanarWorld
 from training.datasets.config import GeneratedConfig
 

@@ -11,8 +11,8 @@ from cspace.errors import EvaluationError
 from cspace.splits import Split
 from cspace.worlds import workshop_of
 from cspace.worlds.planar.arm import TWO_LINK
-from cspace.worlds.planar.camera import Camera
-from cspace.worlds.planar.problems import Family, draw_problem
+from cspace.worlds.planar.planning.problems import Family, draw_problem
+from cspace.worlds.planar.seeing.camera import Camera
 from cspace.worlds.planar.world import PlanarWorld
 from inference_api.settings import PRETRAINED_FOLDER
 from services.evaluator.evaluation.budget import Budget, Kind, Unit, units

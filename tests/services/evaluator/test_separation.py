@@ -5,7 +5,7 @@ import pytest
 
 from cspace.splits import Split
 from cspace.worlds.planar.arm import TWO_LINK
-from cspace.worlds.planar.camera import Camera
+from cspace.worlds.planar.seeing.camera import Camera
 from cspace.worlds.planar.world import PlanarWorld
 from services.evaluator.measures.scenes import Scene, Stage
 from services.evaluator.measures.topology.complement import POINTS_PER_CELL, sample_complement

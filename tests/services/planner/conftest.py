@@ -5,7 +5,7 @@ import pytest
 
 from cspace.problem import Problem
 from cspace.worlds.planar.arm import TWO_LINK, PlanarArm
-from cspace.worlds.planar.problems import Family
+from cspace.worlds.planar.planning.problems import Family
 from cspace.worlds.planar.scene import Disc, Scenario
 
 MakeProblem = Callable[..., Problem]

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from cspace.splits import Split
-from cspace.worlds.planar.collision import CollisionChecker
-from cspace.worlds.planar.problems import Family, draw_problem
+from cspace.worlds.planar.planning.collision import CollisionChecker
+from cspace.worlds.planar.planning.problems import Family, draw_problem
 from services.planner.search.ompl_planner import PlannerSettings, solve
-from services.planner.search.sample_order import colliding_last
+from services.planner.search.samples.sample_order import colliding_last
 from services.planner.settings import LEARNED_PLANNERS
 
 SAMPLES = np.random.default_rng(0).uniform(-np.pi, np.pi, (60, 2))

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from cspace.splits import Split
-from cspace.worlds.planar.collision import CollisionChecker
-from cspace.worlds.planar.problems import Family, draw_problem
+from cspace.worlds.planar.planning.collision import CollisionChecker
+from cspace.worlds.planar.planning.problems import Family, draw_problem
 from services.planner.planning import plan_with_api
 from services.planner.search.ompl_planner import PlannerSettings, solve
 from services.planner.settings import LEARNED_PLANNERS, RRT

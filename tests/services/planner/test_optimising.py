@@ -9,7 +9,7 @@ from ompl import base as ob
 
 from cspace.splits import Split
 from cspace.worlds.planar.arm import THREE_LINK, PlanarArm
-from cspace.worlds.planar.problems import Family, draw_problem
+from cspace.worlds.planar.planning.problems import Family, draw_problem
 from services.planner.plan_result import CostPoint
 from services.planner.search.cost_record import CostRecord
 from services.planner.search.ompl_planner import PlannerSettings, solve

@@ -15,7 +15,7 @@ ROOT = Path(__file__).parents[3]
 SETTING = """
 import numpy as np
 from cspace.problem import Problem
-from cspace.worlds.planar.problems import Family
+from cspace.worlds.planar.planning.problems import Family
 from cspace.worlds.planar.arm import TWO_LINK
 from cspace.worlds.planar.scene import Disc, Scenario
 from services.planner.search.ompl_planner import PlannerSettings, solve

@@ -10,7 +10,7 @@ from cspace.dataset import TOLD, open_dataset
 from cspace.errors import DamagedFileError, DatasetError, StorageError
 from cspace.worlds import workshop_of
 from cspace.worlds.planar.arm import PlanarArm
-from cspace.worlds.planar.collision import CollisionChecker
+from cspace.worlds.planar.planning.collision import CollisionChecker
 from cspace.worlds.planar.scene import Disc, Scenario
 from cspace.worlds.spatial.obstacles.obstacle_rows import obstacles_of
 from cspace.worlds.spatial.scene import SpatialScene

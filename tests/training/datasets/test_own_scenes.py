@@ -11,7 +11,7 @@ import pytest
 from cspace.dataset import open_dataset
 from cspace.splits import Split
 from cspace.worlds import workshop_of
-from cspace.worlds.planar.collision import CollisionChecker
+from cspace.worlds.planar.planning.collision import CollisionChecker
 from cspace.worlds.planar.scene import Scenario
 from cspace.worlds.planar.scenes import DiscScenes, GivenScenes
 

@@ -6,8 +6,8 @@ import pytest
 from cspace.dataset import open_dataset
 from cspace.errors import DatasetError, ScenarioError
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK
-from cspace.worlds.planar.collision import CollisionChecker
-from cspace.worlds.planar.problems import NARROW_RAD, bottleneck_rad
+from cspace.worlds.planar.planning.collision import CollisionChecker
+from cspace.worlds.planar.planning.problems import NARROW_RAD, bottleneck_rad
 from cspace.worlds.planar.render import render
 from cspace.worlds.planar.scene import Disc, Scenario
 from training.datasets import generate as module

@@ -4,7 +4,7 @@ import pytest
 from cspace.errors import DatasetError, StorageError
 from cspace.splits import Split
 from cspace.worlds.planar.arm import THREE_LINK, PlanarArm
-from cspace.worlds.planar.collision import CollisionChecker
+from cspace.worlds.planar.planning.collision import CollisionChecker
 from cspace.worlds.planar.render import render
 from cspace.worlds.planar.scene import Scenario, random_scenarios
 from tests.capsules import self_clearance_by_hand

@@ -7,11 +7,11 @@ import torch
 
 from cspace.space import circles
 from cspace.worlds.planar.arm import TWO_LINK
-from cspace.worlds.planar.camera import Camera
+from cspace.worlds.planar.seeing.camera import Camera
 from cspace.worlds.planar.world import PlanarWorld
 from training.models.export import encoder_graph, generator_graph, novelty_graph, validity_graph
 from training.models.networks import Decoder, Encoder, MeansGenerator, Sizes, TorusGenerator
-from training.models.novelty import NoveltyScores
+from training.models.pictures.novelty import NoveltyScores
 from training.models.settings import ValidityConfig
 from training.models.validity import make_head
 

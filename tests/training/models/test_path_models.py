@@ -7,7 +7,7 @@ import torch
 
 from cspace.grid_search import ways_to
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK
-from cspace.worlds.planar.camera import Camera
+from cspace.worlds.planar.seeing.camera import Camera
 from cspace.worlds.planar.world import PlanarWorld
 from tests.training.models.path_builders import LATENT, arrays
 from tests.training.paths.test_ways import walled_head

@@ -6,10 +6,10 @@ import torch
 
 from cspace.splits import Split
 from cspace.worlds.planar.arm import TWO_LINK
-from cspace.worlds.planar.camera import Camera
-from cspace.worlds.planar.collision import CollisionChecker
+from cspace.worlds.planar.planning.collision import CollisionChecker
 from cspace.worlds.planar.render import render
 from cspace.worlds.planar.scene import random_scenarios
+from cspace.worlds.planar.seeing.camera import Camera
 from cspace.worlds.planar.world import PlanarWorld
 from training.models.checkpoint import seeded_initialisation
 from training.models.settings import ValidityConfig

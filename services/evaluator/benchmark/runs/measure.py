@@ -22,7 +22,7 @@ from services.evaluator.evaluation.units import planner_seed
 from services.planner.plan_result import CostPoint, Reason
 from services.planner.search.ompl_planner import PlanResult, solve
 from services.planner.search.path_check import judge_path
-from services.planner.search.sample_order import order_along
+from services.planner.search.samples.sample_order import order_along
 from services.planner.settings import PlannerSettings
 from services.planner.sources.samples import SampleBatch, SampleSource, SourceTiming
 

@@ -7,9 +7,9 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK, PlanarArm
-from cspace.worlds.planar.collision import CollisionChecker
-from cspace.worlds.planar.distance import distance_to_false
-from cspace.worlds.planar.free_grid import FreeGrid, cells_per_joint
+from cspace.worlds.planar.planning.collision import CollisionChecker
+from cspace.worlds.planar.planning.distance import distance_to_false
+from cspace.worlds.planar.planning.free_grid import FreeGrid, cells_per_joint
 from cspace.worlds.planar.scene import Disc, Scenario
 
 ONE_LINK = PlanarArm(link_lengths_m=(2.0,))

@@ -8,9 +8,9 @@ from cspace.path_points import points_along, spread_points
 from cspace.space import torus_distance
 from cspace.splits import Split
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK
-from cspace.worlds.planar.collision import CollisionChecker
-from cspace.worlds.planar.grid_paths import RESOLUTION_RAD, PathFinder, clearance_weights, shortcut
-from cspace.worlds.planar.problems import Family, draw_problem
+from cspace.worlds.planar.planning.collision import CollisionChecker
+from cspace.worlds.planar.planning.grid_paths import RESOLUTION_RAD, PathFinder, clearance_weights, shortcut
+from cspace.worlds.planar.planning.problems import Family, draw_problem
 from cspace.worlds.planar.scene import Disc, Scenario
 
 SPACE = TWO_LINK.space

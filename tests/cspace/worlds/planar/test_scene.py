@@ -7,9 +7,9 @@ from cspace.errors import ScenarioError
 from cspace.splits import Split, scenario_rng
 from cspace.worlds import read_world
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK
-from cspace.worlds.planar.camera import Camera
-from cspace.worlds.planar.collision import CollisionChecker
+from cspace.worlds.planar.planning.collision import CollisionChecker
 from cspace.worlds.planar.scene import Disc, Scenario, random_scenarios
+from cspace.worlds.planar.seeing.camera import Camera
 
 COUNT = 1500
 PINNED = (2.091881118312129, -1.5918146715586463)

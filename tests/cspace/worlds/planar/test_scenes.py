@@ -10,9 +10,9 @@ from cspace.errors import ScenarioError
 from cspace.splits import Split, scenario_rng
 from cspace.worlds import read_world, workshop_of
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK, PlanarArm
-from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.scene import Disc
 from cspace.worlds.planar.scenes import DiscScenes, GivenScenes, read_scenes
+from cspace.worlds.planar.seeing.camera import Camera
 from cspace.worlds.planar.world import PlanarWorld
 
 SCENES = tuple(((float(number), 2.0, 0.4), (-2.0, 2.0, 0.4)) for number in range(1, 12))

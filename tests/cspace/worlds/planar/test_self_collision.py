@@ -12,10 +12,10 @@ from cspace.errors import ScenarioError
 from cspace.problem import Problem
 from cspace.worlds import robot_digest
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK, PlanarArm
-from cspace.worlds.planar.collision import CollisionChecker
-from cspace.worlds.planar.free_grid import FreeGrid
-from cspace.worlds.planar.kernels import segment_gap
-from cspace.worlds.planar.problems import obstruction
+from cspace.worlds.planar.planning.collision import CollisionChecker
+from cspace.worlds.planar.planning.free_grid import FreeGrid
+from cspace.worlds.planar.planning.kernels import segment_gap
+from cspace.worlds.planar.planning.problems import obstruction
 from cspace.worlds.planar.scene import Disc, Scenario
 from cspace.worlds.planar.world import PlanarWorld
 from services.planner.search.ompl_planner import solve

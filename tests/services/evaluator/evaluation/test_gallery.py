@@ -5,8 +5,8 @@ import pytest
 
 from cspace.splits import Split
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK, PlanarArm
-from cspace.worlds.planar.camera import Camera
-from cspace.worlds.planar.problems import Family
+from cspace.worlds.planar.planning.problems import Family
+from cspace.worlds.planar.seeing.camera import Camera
 from cspace.worlds.planar.world import PlanarWorld
 from services.evaluator.evaluation.gallery import MISSED_COLOUR, SHOWN_SAMPLES, gallery
 from services.evaluator.evaluation.recording import exhibits

@@ -10,8 +10,8 @@ from cspace.errors import EvaluationError
 from cspace.splits import Split
 from cspace.worlds import workshop_of
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK
-from cspace.worlds.planar.camera import Camera
-from cspace.worlds.planar.problems import Family
+from cspace.worlds.planar.planning.problems import Family
+from cspace.worlds.planar.seeing.camera import Camera
 from cspace.worlds.planar.world import PlanarWorld
 from services.evaluator.evaluation.budget import QUICK, Budget, Kind, Unit, units
 from services.evaluator.evaluation.execution import run_here

@@ -9,9 +9,9 @@ from cspace.bundle import Bundle, write_bundle
 from cspace.errors import EvaluationError
 from cspace.splits import Split
 from cspace.worlds.planar.arm import TWO_LINK
-from cspace.worlds.planar.camera import Camera
-from cspace.worlds.planar.collision import CollisionChecker
-from cspace.worlds.planar.problems import Family
+from cspace.worlds.planar.planning.collision import CollisionChecker
+from cspace.worlds.planar.planning.problems import Family
+from cspace.worlds.planar.seeing.camera import Camera
 from cspace.worlds.planar.world import PlanarWorld
 from services.evaluator.evaluation.budget import JUDGED, Budget, Kind, Unit
 from services.evaluator.evaluation.metrics import flat_metrics

@@ -6,7 +6,7 @@ import pytest
 from cspace.errors import EvaluationError
 from cspace.problem import Problem
 from cspace.worlds.planar.arm import TWO_LINK
-from cspace.worlds.planar.problems import Family
+from cspace.worlds.planar.planning.problems import Family
 from cspace.worlds.planar.scene import Disc, Scenario
 from services.evaluator.evaluation.tables import planning_table
 from services.evaluator.measures.planning import PlanningTrial, RunOutcome, plan_trial

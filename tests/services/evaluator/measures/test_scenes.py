@@ -7,9 +7,9 @@ from cspace.errors import EvaluationError
 from cspace.splits import Split
 from cspace.worlds import workshop_of
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK
-from cspace.worlds.planar.camera import Camera
-from cspace.worlds.planar.problems import Family, draw_problem
+from cspace.worlds.planar.planning.problems import Family, draw_problem
 from cspace.worlds.planar.scene import Disc, Scenario, random_scenarios
+from cspace.worlds.planar.seeing.camera import Camera
 from cspace.worlds.planar.world import PlanarWorld
 from services.evaluator.measures.scenes import (
     CONFIDENT_STREAM,

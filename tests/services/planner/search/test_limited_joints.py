@@ -5,14 +5,14 @@ import pytest
 
 from cspace.problem import Problem
 from cspace.worlds.planar.arm import PlanarArm
-from cspace.worlds.planar.collision import CollisionChecker
-from cspace.worlds.planar.grid_paths import PathFinder
-from cspace.worlds.planar.problems import Family, bottleneck_rad, connected
+from cspace.worlds.planar.planning.collision import CollisionChecker
+from cspace.worlds.planar.planning.grid_paths import PathFinder
+from cspace.worlds.planar.planning.problems import Family, bottleneck_rad, connected
 from cspace.worlds.planar.scene import Scenario
 from services.planner.plan_result import Reason
 from services.planner.search.ompl_planner import solve
 from services.planner.search.path_check import judge_path
-from services.planner.search.sample_order import order_along
+from services.planner.search.samples.sample_order import order_along
 from services.planner.settings import PlannerSettings
 
 # Nearly a whole turn, beyond half a turn, and more than a turn.

@@ -3,9 +3,9 @@ import pytest
 from scipy.stats import mannwhitneyu
 
 from cspace.errors import ConfigError, PlanningError
-from cspace.worlds.planar import collision
 from cspace.worlds.planar.arm import THREE_LINK, PlanarArm
-from cspace.worlds.planar.collision import CollisionChecker
+from cspace.worlds.planar.planning import collision
+from cspace.worlds.planar.planning.collision import CollisionChecker
 from services.planner.search import validity
 from services.planner.search.ompl_planner import PlannerSettings, Reason, solve
 from services.planner.settings import LEARNED_PLANNERS, PLANNERS, RRT, RRT_STAR, SAMPLED_CONNECT

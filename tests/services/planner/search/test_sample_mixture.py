@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from cspace.worlds.planar.arm import TWO_LINK, PlanarArm
-from services.planner.search.sample_mixture import GoalOnly, SampleMixture
+from services.planner.search.samples.sample_mixture import GoalOnly, SampleMixture
 
 GOAL = [9.0, 9.0]
 SAMPLES = np.stack([np.linspace(-1.0, 1.0, 500), np.full(500, 0.25)], axis=-1)

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from cspace.worlds.planar.arm import TWO_LINK, PlanarArm
-from cspace.worlds.planar.collision import CollisionChecker
-from services.planner.search.sample_order import colliding_last, order_along
+from cspace.worlds.planar.planning.collision import CollisionChecker
+from services.planner.search.samples.sample_order import colliding_last, order_along
 
 SPACE = TWO_LINK.space
 

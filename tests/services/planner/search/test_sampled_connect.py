@@ -6,8 +6,8 @@ from scipy.stats import mannwhitneyu
 
 from cspace.splits import Split
 from cspace.worlds.planar.arm import PlanarArm
-from cspace.worlds.planar.collision import CollisionChecker
-from cspace.worlds.planar.problems import Family, draw_problem
+from cspace.worlds.planar.planning.collision import CollisionChecker
+from cspace.worlds.planar.planning.problems import Family, draw_problem
 from services.planner.search.ompl_planner import PlannerSettings, Reason, solve
 from services.planner.search.sampled_connect import _BLOCK, _Trees, drawn_states
 from services.planner.settings import RRT_CONNECT, SAMPLED_CONNECT

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK
-from cspace.worlds.planar.camera import Camera
+from cspace.worlds.planar.seeing.camera import Camera
 from cspace.worlds.planar.world import PlanarWorld
 from tests.training.paths.test_ways import walled_head
 from training.models.export import validity_graph

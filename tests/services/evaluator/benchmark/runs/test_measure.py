@@ -13,8 +13,8 @@ from cspace.png import encode_png
 from cspace.query import SampleQuery
 from cspace.splits import Split
 from cspace.worlds import default_world
-from cspace.worlds.planar.picture import decode_png
-from cspace.worlds.planar.problems import Family, draw_problem
+from cspace.worlds.planar.planning.problems import Family, draw_problem
+from cspace.worlds.planar.seeing.picture import decode_png
 from services.evaluator.benchmark.runs.arms import pick, table
 from services.evaluator.benchmark.runs.check_cost import state_check_s
 from services.evaluator.benchmark.runs.fresh_png import fresh_png
@@ -22,7 +22,7 @@ from services.evaluator.benchmark.runs.measure import drawn_samples, known_probl
 from services.evaluator.benchmark.runs.setting import Unit
 from services.evaluator.benchmark.runs.sources import ask, bundled, mixed, opened, parse_named
 from services.planner.plan_result import Reason
-from services.planner.search.sample_order import order_along
+from services.planner.search.samples.sample_order import order_along
 from tests.bundles import picture, write_tiny_bundle
 
 NAMES = ("RRT, way, 70 %", "RRT, way, 100 %", "PRM, way, 100 %", "RRT*, way, 70 %, optimising")

@@ -5,7 +5,7 @@ import pytest
 
 from cspace.errors import ConfigError, EvaluationError, StorageError
 from cspace.worlds import workshop_of
-from cspace.worlds.planar.problems import Family
+from cspace.worlds.planar.planning.problems import Family
 from cspace.worlds.planar.world import PlanarWorld
 from services.evaluator.benchmark.runs.arms import pick, table
 from services.evaluator.benchmark.runs.run import DESCRIPTIONS, Run, finite

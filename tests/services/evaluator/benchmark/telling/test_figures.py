@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from cspace.worlds.planar.problems import Family
+from cspace.worlds.planar.planning.problems import Family
 from services.evaluator.benchmark.runs.arms import pick, table
 from services.evaluator.benchmark.runs.setting import Protocol, Setting
 from services.evaluator.benchmark.summary.results import Results

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import pytest
 from ompl import tools
 
-from cspace.worlds.planar.problems import Family
+from cspace.worlds.planar.planning.problems import Family
 from services.evaluator.benchmark.runs.arms import pick, table
 from services.evaluator.benchmark.summary.results import Results
 from services.evaluator.benchmark.telling.ompl_log import PROGRESS, PROPERTIES, STATUS, ompl_log, planner_name

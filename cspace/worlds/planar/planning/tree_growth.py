@@ -7,7 +7,7 @@ the metric (the sum over the joints) and the order of OMPL's.
 import numpy as np
 from numba import njit
 
-from cspace.worlds.planar.kernels import TWO_PI, arm_is_free, checked_edge
+from cspace.worlds.planar.planning.kernels import TWO_PI, arm_is_free, checked_edge
 
 _TRAPPED, _ADVANCED, _REACHED = 0, 1, 2
 

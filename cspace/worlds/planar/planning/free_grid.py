@@ -11,8 +11,8 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from cspace.grid_search import cells_of, centres, spacing
-from cspace.worlds.planar.collision import CollisionChecker
-from cspace.worlds.planar.distance import distance_to_false
+from cspace.worlds.planar.planning.collision import CollisionChecker
+from cspace.worlds.planar.planning.distance import distance_to_false
 from cspace.worlds.planar.scene import Scenario
 
 # Cells a joint for two joints; more joints get as many cells in all.

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from cspace.png import encode_png
 from cspace.strict_json import settle, written
-from cspace.worlds.planar.picture import decode_png, to_network
+from cspace.worlds.planar.seeing.picture import decode_png, to_network
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +44,7 @@ class Camera:
         return (self.x_min_m, self.x_max_m, self.y_min_m, self.y_max_m)
 
     def decode(self, data: bytes) -> NDArray[np.uint8]:
-        """See :func:`cspace.worlds.planar.picture.decode_png`."""
+        """See :func:`cspace.worlds.planar.seeing.picture.decode_png`."""
         return decode_png(data, self.pixels)
 
     def encode(self, image: NDArray[np.uint8]) -> bytes:
@@ -52,5 +52,5 @@ class Camera:
         return encode_png(image)
 
     def to_network(self, images: NDArray[np.uint8]) -> NDArray[np.float32]:
-        """See :func:`cspace.worlds.planar.picture.to_network`."""
+        """See :func:`cspace.worlds.planar.seeing.picture.to_network`."""
         return to_network(images)

@@ -14,9 +14,15 @@ from cspace.errors import ScenarioError
 from cspace.space import JointSpace
 from cspace.workshop import EdgeTest, StateTest
 from cspace.worlds.planar.arm import PlanarArm
-from cspace.worlds.planar.kernels import arm_is_free, checked_edge, clearance_batch, edge_batch, free_batch
+from cspace.worlds.planar.planning.kernels import (
+    arm_is_free,
+    checked_edge,
+    clearance_batch,
+    edge_batch,
+    free_batch,
+)
+from cspace.worlds.planar.planning.tree_growth import advance
 from cspace.worlds.planar.scene import Scenario
-from cspace.worlds.planar.tree_growth import advance
 
 
 class CollisionChecker:
@@ -112,7 +118,7 @@ class CollisionChecker:
         range_rad: float,
         resolution_rad: float,
     ) -> tuple[int, int, int, int]:
-        """See :func:`cspace.worlds.planar.tree_growth.advance`."""
+        """See :func:`cspace.worlds.planar.planning.tree_growth.advance`."""
         grown: tuple[int, int, int, int] = advance(
             nodes, parents, counts, checks, states, side, range_rad, resolution_rad, *self.kernel_args
         )

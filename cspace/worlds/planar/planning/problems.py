@@ -23,8 +23,8 @@ from cspace.errors import ScenarioError
 from cspace.problem import NARROW, UNIFORM, Problem
 from cspace.splits import Split, scenario_rng
 from cspace.worlds.planar.arm import TWO_LINK, PlanarArm
-from cspace.worlds.planar.collision import CollisionChecker
-from cspace.worlds.planar.free_grid import FreeGrid, cells_per_joint
+from cspace.worlds.planar.planning.collision import CollisionChecker
+from cspace.worlds.planar.planning.free_grid import FreeGrid, cells_per_joint
 from cspace.worlds.planar.scene import Scenario, random_scenario
 from cspace.worlds.planar.scenes import DiscScenes, Scenes
 

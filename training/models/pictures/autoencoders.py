@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from cspace.world import Sensor
 from training.models.networks import Decoder, Encoder
+from training.models.pictures.space_autoencoder import COARSE, STRIDE, GridVaeDecoder, GridVaeEncoder, coarse
 from training.models.settings import VaeConfig
-from training.models.space_autoencoder import COARSE, STRIDE, GridVaeDecoder, GridVaeEncoder, coarse
 
 _SPACE_AXES = 4
 # Of pictures that are worked on at once.

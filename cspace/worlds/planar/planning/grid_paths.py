@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 from cspace.errors import ScenarioError
 from cspace.grid_search import WayTree, ways_to
 from cspace.workshop import PathSearch
-from cspace.worlds.planar.collision import CollisionChecker
-from cspace.worlds.planar.free_grid import FreeGrid, cells_per_joint
+from cspace.worlds.planar.planning.collision import CollisionChecker
+from cspace.worlds.planar.planning.free_grid import FreeGrid, cells_per_joint
 from cspace.worlds.planar.scene import Scenario
 
 # Cells a joint for two joints; more joints get as many in all.

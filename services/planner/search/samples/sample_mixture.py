@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cspace.space import JointSpace
-from services.planner.search.sample_order import free_first
+from services.planner.search.samples.sample_order import free_first
 
 _BLOCK = 256
 

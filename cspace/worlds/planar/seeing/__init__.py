@@ -1,0 +1,1 @@
+"""The camera above, and its pictures: from untrusted bytes to network input."""
