@@ -11,6 +11,7 @@ from cspace.files import discard
 from cspace.space import Standardisation
 from cspace.world import World
 from training.clusters.novelty import known_quantiles
+from training.clusters.promise import choose_promised, make_promise
 from training.clusters.threshold import choose_threshold, choose_uniform_share, validation_scores
 from training.config.clusters import HeadConfig, TrainConfig
 from training.jobs.job import TAG_START
@@ -122,18 +123,25 @@ def _head_graphs(config: HeadConfig, world: World, checkpoint: Path) -> dict[str
 def _with_choices(
     folder: Path, config: HeadConfig, spec: BundleSpec, graphs: Mapping[str, bytes]
 ) -> BundleSpec:
-    """By the rules of ``threshold``, from a draft of the bundle that is deleted again."""
-    threshold, share = config.threshold, config.uniform_share
-    if threshold is not None and share is not None:
+    """By the rules of ``threshold`` and ``promise``, from a draft of the bundle that is deleted again."""
+    threshold, share, promised = config.threshold, config.uniform_share, config.promise
+    if threshold is not None and share is not None and promised is None:
         return spec
+    scenarios = THRESHOLD_SCENARIOS if promised is None else promised.scenarios
     try:
         draft = Bundle.load(write_bundle(folder, spec, graphs))
-        learned, uniform = validation_scores(draft, spec.world, THRESHOLD_SCENARIOS)
+        learned, uniform = validation_scores(draft, spec.world, scenarios)
     finally:
         discard(folder)
     precision, acceptance = config.target_precision, config.target_acceptance
-    if threshold is None:
+    if threshold is None and promised is not None:
+        threshold = choose_promised(learned, promised.at_most)
+    elif threshold is None:
         threshold = choose_threshold(learned, precision)
+    if promised is not None:
+        kinds = {"samples": learned, "uniform": uniform}
+        told = [make_promise(scenes, threshold).metrics(kind) for kind, scenes in kinds.items()]
+        spec = replace(spec, provenance=replace(spec.provenance, metrics=told[0] | told[1]))
     if share is None:
         share = choose_uniform_share(learned, uniform, threshold, precision, acceptance)
     return replace(spec, confidence_threshold=threshold, uniform_share=share)

@@ -45,11 +45,27 @@ class ClusterConfig(Section):
     )
 
 
+class PromiseConfig(Section):
+    """What a bundle is to promise of samples that pass its threshold, on validation scenarios."""
+
+    at_most: float = Field(
+        0.04, gt=0, lt=1, description="share of what passes that may collide, as expected of a scene"
+    )
+    scenarios: int = Field(
+        300, ge=30, description="a third chooses the threshold, one makes the promise, one measures it"
+    )
+
+
 class HeadConfig(ValidityConfig):
     """The validity head, and by what rules its bundle uses it."""
 
     threshold: float | None = Field(
         None, gt=0, lt=1, description="the confidence that the bundle recommends; none to choose it"
+    )
+    promise: PromiseConfig | None = Field(
+        None,
+        exclude_if=lambda part: part is None,
+        description="chooses the threshold by a bound that is stated; none: by target_precision",
     )
     target_precision: float = Field(
         0.995, gt=0, lt=1, description="that the chosen threshold reaches on validation scenarios"
