@@ -26,8 +26,8 @@ help: ## print this
 
 venv: $(INSTALLED) ## make .venv with the pinned packages (2-5 minutes the first time)
 
-quickstart: $(INSTALLED) ## the main job: start the services, train, evaluate, promote, serve, plan
-	@$(LOCAL) quickstart
+quickstart: $(INSTALLED) ## the main job: start services, train, evaluate, promote, serve, plan; WORLD=panda for that arm
+	@$(LOCAL) quickstart $(if $(WORLD),--world "$(WORLD)")
 
 up: $(INSTALLED) ## start MLflow, Ray and the API; print their addresses and how to set a shell up
 	@$(LOCAL) up

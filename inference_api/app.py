@@ -17,6 +17,7 @@ from inference_api.models.apart.parts import parts_apart, parts_here
 from inference_api.models.bundle_cache import BundleCache
 from inference_api.models.pictures import PictureCache
 from inference_api.models.polling import following
+from inference_api.models.shipped import ShippedModels
 from inference_api.models.store import ModelStore
 from inference_api.open_inference.pages import add_open_inference
 from inference_api.openapi import document
@@ -33,6 +34,7 @@ from inference_api.telemetry.tracing import TracedObserver, add_tracing, otlp_pr
 from inference_api.turns.turns import Turns
 from inference_api.turns.waiting_room import WaitingRoom
 from services.registry.models.port import ModelRegistry
+from services.registry.references import PRETRAINED
 
 # Long enough for a registry nearby, short enough for a health check's patience.
 FIRST_LOOK_S = 20.0
@@ -104,7 +106,7 @@ def _make_store(settings: ApiSettings, registry: ModelRegistry | None) -> ModelS
     return ModelStore(
         parts.registry,
         cache,
-        settings.pretrained_folder,
+        ShippedModels({PRETRAINED: settings.pretrained_folder, **settings.further_folders}),
         settings.model_name,
         settings.poll_s,
         pictures=PictureCache(settings.cached_pictures),

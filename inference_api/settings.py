@@ -11,7 +11,7 @@ from inference_api.connections.limits import MIB, ConnectionLimits
 from inference_api.guards.names import host_names, origins, proxies
 from inference_api.guards.protection import Protection
 from inference_api.telemetry.tracing import wants_traces
-from services.registry.references import PRETRAINED, is_model_name
+from services.registry.references import PRETRAINED, SHIPPED, is_model_name, is_shipped
 
 # The name is the metrics library's; `--workers` sets it.
 METRICS_FOLDER = "PROMETHEUS_MULTIPROC_DIR"
@@ -47,6 +47,7 @@ class ApiSettings:
         stored_bundles: how many versions of each model stay on disk beside its champion, at least 1.
         connections: bounds on connections.
         grace_s: for requests in flight when the server is told to end, in whole s, at least 1.
+        further_folders: shipped bundles of other robots, by name.
     """
 
     registry_uri: str | None
@@ -63,6 +64,7 @@ class ApiSettings:
     stored_bundles: int = 20
     connections: ConnectionLimits = field(default_factory=ConnectionLimits)
     grace_s: int = 10
+    further_folders: Mapping[str, Path] = field(default_factory=dict)
 
     @classmethod
     def from_environment(cls, environment: Mapping[str, str] | None = None) -> "ApiSettings":
@@ -73,12 +75,13 @@ class ApiSettings:
         """
         values = os.environ if environment is None else environment
         cache = Path(values.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "cspace-sampler" / "models"
+        own = values.get("CSPACE_PRETRAINED_MODEL")
         return cls(
             registry_uri=values.get("MLFLOW_TRACKING_URI") or None,
             cache_folder=Path(values.get("CSPACE_MODEL_CACHE") or cache),
             model_name=_served_name(values.get("CSPACE_MODEL_NAME") or DEFAULT_MODEL),
             poll_s=_number(values, "CSPACE_MODEL_POLL_S", 2.0, 0.01),
-            pretrained_folder=Path(values.get("CSPACE_PRETRAINED_MODEL") or PRETRAINED_FOLDER),
+            pretrained_folder=Path(own or PRETRAINED_FOLDER),
             loaded_bundles=int(_number(values, "CSPACE_LOADED_MODELS", 4, 1)),
             cached_pictures=int(_number(values, "CSPACE_CACHED_PICTURES", 256, 0)),
             threads=int(_number(values, THREADS, usable_cores(), 1)),
@@ -92,14 +95,21 @@ class ApiSettings:
                 write_timeout_s=_number(values, "CSPACE_API_WRITE_TIMEOUT_S", 10.0, 0.01),
             ),
             grace_s=int(_number(values, "CSPACE_API_GRACE_S", 10, 1)),
+            further_folders={} if own else further_folders(),
         )
 
 
+def further_folders() -> dict[str, Path]:
+    """Shipped bundles beside the default robot's, by name; those whose folders are there."""
+    beside = {name: PRETRAINED_FOLDER.with_name(folder) for name, folder in SHIPPED.items()}
+    return {name: folder for name, folder in beside.items() if name != PRETRAINED and folder.is_dir()}
+
+
 def _served_name(text: str) -> str:
-    if not is_model_name(text) or text == PRETRAINED:
+    if not is_model_name(text) or is_shipped(text):
         raise ConfigError(
             "the setting CSPACE_MODEL_NAME is wrong",
-            expected=f"1 to 100 letters, digits, '.', '_' and '-', first a letter or digit; not {PRETRAINED}",
+            expected="1 to 100 letters, digits, '.', '_' and '-', first a letter or digit; no shipped one's",
             got=repr(text)[:200],
             remedy="name a registered model, or unset it",
         )

@@ -10,7 +10,6 @@ import logging
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Literal
 
 from cspace.bundle import Bundle
@@ -20,10 +19,11 @@ from inference_api.models.apart.processes.child import Child
 from inference_api.models.bundle_cache import BundleCache, NotLoadedYetError
 from inference_api.models.pictures import PictureCache
 from inference_api.models.registry_view import LOAD_WAIT_S, RegistryView
-from inference_api.models.served import PRETRAINED_VERSION, ServedModel
+from inference_api.models.served import ServedModel
+from inference_api.models.shipped import ShippedModels
 from inference_api.models.succession import Fetch, Succession, refusal_of
 from inference_api.telemetry.observer import Observer
-from services.names import ALIAS_CHAMPION, TAG_ROBOT, may_name, recorded_name
+from services.names import ALIAS_CHAMPION, TAG_ROBOT
 from services.registry.models.port import ModelLookups, ModelVersion
 from services.registry.references import PRETRAINED, ModelReference
 from services.registry.scrubbing import anonymous
@@ -37,7 +37,7 @@ class ModelStore:
     Args:
         registry: None serves the shipped model only.
         cache: of downloaded bundles.
-        pretrained_folder: the shipped bundle.
+        shipped: what comes with the server.
         model_name: whose champion is the default.
         lookup_s: how long a looked-up version or alias is trusted.
         clock: seconds, monotonic.
@@ -50,7 +50,7 @@ class ModelStore:
         self,
         registry: ModelLookups | None,
         cache: BundleCache,
-        pretrained_folder: Path,
+        shipped: ShippedModels,
         model_name: str,
         lookup_s: float = 2.0,
         clock: Callable[[], float] = time.monotonic,
@@ -63,10 +63,8 @@ class ModelStore:
         self.model_name = model_name
         self._cache = cache
         self._view = None if registry is None else RegistryView(registry, cache, lookup_s, clock)
-        self._pretrained_folder = pretrained_folder
+        self.shipped = shipped
         self._champion: ServedModel | None = None
-        # None until it is loaded, and without a usable one.
-        self.shipped: ServedModel | None = None
         # Of the last champion; None where it is not known.
         last = cache.disk.last_champion(model_name)
         self._robot = None if last is None else last.tags.get(TAG_ROBOT)
@@ -93,14 +91,9 @@ class ModelStore:
         return found if found is None else self._as_confirmed(found)
 
     def load_shipped(self) -> None:
-        """Load the shipped bundle; without a usable one the reason is logged and the store goes on."""
-        try:
-            bundle = Bundle.load(self._pretrained_folder)
-        except BundleError as error:
-            _LOG.warning("the shipped model is not usable: %s", error)
-        else:
-            self.shipped = ServedModel(bundle, PRETRAINED, PRETRAINED_VERSION)
-            self._choose_stand_in()
+        """Load what is shipped; without a usable bundle the reason is logged and the store goes on."""
+        self.shipped.look()
+        self._choose_stand_in()
 
     def start(self) -> None:
         """Start the children that are needed at once, without waiting for them."""
@@ -153,21 +146,23 @@ class ModelStore:
             ModelNotFoundError: there is no such model, or there was none a moment ago.
             ModelNotReadyError: no model answers by default.
         """
-        if reference.name == PRETRAINED:
+        if reference.name in self.shipped:
             if not reference.is_bare:
                 raise _unknown(reference)
-            return self._or_raise(self.shipped)
+            if not self.shipped.is_usable(reference.name):
+                raise self._not_ready()
+            return self.shipped.peek(reference.name)
         if reference == ModelReference(self.model_name):
             return self._or_raise(self.default)
         champion = self._champion
         if champion is not None and reference == ModelReference(self.model_name, ALIAS_CHAMPION):
             return self._as_confirmed(champion)
         if self._view is None:
-            raise _unknown(reference)
+            return self.shipped.peek(self._instead_of(reference), fallback=True)
         try:
             version = self._view.recall(reference)
-        except ModelNotFoundError as error:
-            raise _unknown(reference) from error
+        except ModelNotFoundError:
+            return self.shipped.peek(self._instead_of(reference), fallback=True)
         bundle = None if version is None else self._cache.peek(version)
         return None if version is None or bundle is None else self._found(bundle, version, reference)
 
@@ -183,13 +178,15 @@ class ModelStore:
         found = self.resolve_now(reference)
         if found is not None:
             return found
+        if reference.name in self.shipped:
+            return self.shipped.get(reference.name)
         view, until_s = self._view, time.monotonic() + self._wait_s
         if view is None:
-            raise _unknown(reference)
+            return self.shipped.get(self._instead_of(reference), fallback=True)
         try:
             version = view.look_up(reference)
-        except ModelNotFoundError as error:
-            raise _unknown(reference) from error
+        except ModelNotFoundError:
+            return self.shipped.get(self._instead_of(reference), fallback=True)
         try:
             bundle = self._cache.get(version, max(0.0, until_s - time.monotonic()))
         except NotLoadedYetError as error:
@@ -220,20 +217,28 @@ class ModelStore:
         return replace(served, confirmed=False) if is_away or self.successor != "none" else served
 
     def _choose_stand_in(self) -> None:
-        """The shipped model stands in for champions of its own robot."""
-        shipped = self.shipped
-        if shipped is None:
-            return
-        spec = shipped.bundle.spec
-        by_name = may_name(self.model_name, spec.world, recorded_name(spec.provenance.config))
-        fits = by_name if self._robot is None else self._robot == shipped.bundle.robot
-        self._stand_in = replace(shipped, fallback=True) if fits else None
+        """A shipped model stands in for champions of its own robot."""
+        self._stand_in = self.shipped.stand_in(self.model_name, self._robot)
+
+    def _instead_of(self, reference: ModelReference) -> str:
+        """The shipped model of the robot of a model that nobody has registered.
+
+        Raises:
+            ModelNotFoundError: there is none.
+        """
+        name = self.shipped.named_after(reference.name) if reference.is_bare else None
+        if name is None:
+            raise _unknown(reference)
+        return name
 
     def _or_raise(self, served: ServedModel | None) -> ServedModel:
-        if served is not None:
-            return served
-        other = "" if self.shipped is None else "; the shipped model is of another robot"
-        raise ModelNotReadyError(
+        if served is None:
+            raise self._not_ready()
+        return served
+
+    def _not_ready(self) -> ModelNotReadyError:
+        other = "; the shipped model is of another robot" if self.shipped.is_usable(PRETRAINED) else ""
+        return ModelNotReadyError(
             "no model is ready",
             expected=f"a champion of {self.model_name}, or a shipped model",
             got=f"none (registry: {self.registry_state}){other}",

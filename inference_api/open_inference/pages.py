@@ -29,7 +29,7 @@ from inference_api.pages.dependencies import Room, Store, Turn, room_of, store_o
 from inference_api.pages.exchange import respond
 from inference_api.pages.health import default_model
 from inference_api.problems import UNSUPPORTED_MEDIA_TYPE, RequestError
-from services.registry.references import PRETRAINED, ModelReference
+from services.registry.references import ModelReference, is_shipped
 
 MEDIA_TYPES = ("application/json", "application/octet-stream")
 PLATFORM = "onnx_onnxv1"
@@ -198,7 +198,7 @@ def _check_media_type(request: Request) -> None:
 
 
 def _versions(store: ModelStore, served: ServedModel) -> list[str]:
-    if served.name == PRETRAINED:
+    if is_shipped(served.name):
         return [str(PRETRAINED_VERSION)]
     if served.name != store.model_name:
         return [str(served.version)]

@@ -24,7 +24,7 @@ from inference_api.pages.schemas import QueryFields
 from inference_api.pages.validation import brief_members, validate_fields
 from inference_api.telemetry.observer import Sampled
 from inference_api.turns.turns import Turn
-from services.registry.references import PRETRAINED, ModelReference
+from services.registry.references import ModelReference, is_shipped
 
 IMAGE = "image"
 # Each is encoded, and has a seed.
@@ -50,12 +50,12 @@ class Drawn:
 
 
 def reference_of(model: str, version: str | None = None) -> ModelReference:
-    """The model that an address names; the shipped one has the version 0.
+    """The model that an address names; shipped ones have the version 0.
 
     Raises:
         InputError: there are no such names.
     """
-    if version is None or (model, version) == (PRETRAINED, "0"):
+    if version is None or (is_shipped(model) and version == "0"):
         return ModelReference.parse(model)
     return ModelReference.parse(f"{model}/{version}")
 

@@ -13,11 +13,11 @@ from inference_api.models.store import ModelStore
 from inference_api.pages.model_schemas import ListedModel, ModelList, joint_space_info
 from services.names import MAX_WORLD, TAG_ROBOT, TAG_WORLD
 from services.registry.models.port import ModelVersion
-from services.registry.references import PRETRAINED, is_model_name
+from services.registry.references import is_model_name
 
 
 def listed(store: ModelStore, name: str | None) -> ModelList:
-    """Versions of a model, None for the default one, newest first, and the shipped model.
+    """Versions of a model, None for the default one, newest first, and the shipped models.
 
     Raises:
         InputError: the name is none.
@@ -42,20 +42,20 @@ def listed(store: ModelStore, name: str | None) -> ModelList:
         )
         for version in store.versions(name or store.model_name)
     ]
-    if (shipped := store.shipped) is not None:
-        models.append(
-            ListedModel(
-                reference=PRETRAINED,
-                name=PRETRAINED,
-                version=PRETRAINED_VERSION,
-                aliases=[],
-                run_id=None,
-                digest=shipped.bundle.digest,
-                loaded=True,
-                default=default == (PRETRAINED, PRETRAINED_VERSION),
-                **_described(shipped.bundle.spec.world),
-            )
+    models += [
+        ListedModel(
+            reference=shipped.name,
+            name=shipped.name,
+            version=PRETRAINED_VERSION,
+            aliases=[],
+            run_id=None,
+            digest=shipped.digest,
+            loaded=shipped.loaded is not None,
+            default=default == (shipped.name, PRETRAINED_VERSION),
+            **_described(shipped.spec.world),
         )
+        for shipped in store.shipped
+    ]
     return ModelList(default=store.model_name, registry=store.registry_state, models=models)
 
 

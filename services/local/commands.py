@@ -3,10 +3,11 @@
 import argparse
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from cspace.errors import ConfigError
 from services.local.environment import shell_lines
+from services.local.quickstart.tours import TOURS, USUAL
 from services.local.servers.stack import down, require_down, services, status, up
 from services.local.settings import Settings
 from services.local.state import drop_state, size_text, state_parts
@@ -82,22 +83,27 @@ def _quickstart(settings: Settings, options: argparse.Namespace) -> int:
     # Imported here: it brings the evaluator's and the planner's libraries, which no other command needs.
     from services.local.quickstart.tour import quickstart  # noqa: PLC0415
 
-    quickstart(settings, options.train, options.evaluate, _say)
+    tour = TOURS[options.world]
+    train, evaluate = options.train or tour.train, options.evaluate or tour.evaluate
+    quickstart(settings, replace(tour, train=train, evaluate=evaluate), _say)
     return 0
 
 
 def _quickstart_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
+        "--world", choices=sorted(TOURS), default=USUAL, help="whose job it is (default: %(default)s)"
+    )
+    usual = TOURS[USUAL]
+    parser.add_argument(
         "--train",
-        default="python training/cluster_train.py --preset quickstart",
         metavar="COMMAND",
-        help="entry point of the training job (default: %(default)s)",
+        help=f"entry point of the training job (default: the world's; {usual.train})",
     )
     parser.add_argument(
         "--evaluate",
-        default="python -m services.evaluator --model {model} --without-shipped",
         metavar="COMMAND",
-        help="entry point of the evaluation job; {model} is the new version (default: %(default)s)",
+        help="entry point of the evaluation job; {model} is the new version "
+        f"(default: the world's; {usual.evaluate})",
     )
 
 

@@ -65,9 +65,12 @@ def parse_command(arguments: Sequence[str] | None = None) -> Command:
     if options.plot is not None:
         check_figure_path(options.plot)
     check_uniform_share(options.uniform_share)
+    world = WORLDS[options.robot] if scene is None else scene.world
+    measures = workshop_of(world).measures
     settings = PlannerSettings(
         planner=options.planner,
-        range_rad=options.range,
+        range_rad=measures.range_rad if options.range is None else options.range,
+        resolution_rad=measures.resolution_rad,
         time_limit_s=options.time_limit,
         max_iterations=options.max_iterations,
         seed=options.seed if options.planner_seed is None else options.planner_seed,
@@ -84,7 +87,7 @@ def parse_command(arguments: Sequence[str] | None = None) -> Command:
         family=options.family,
         seed=options.seed,
         index=options.index,
-        world=WORLDS[options.robot] if scene is None else scene.world,
+        world=world,
         settings=settings,
         request=request,
         uniform_share=options.uniform_share,
@@ -153,7 +156,7 @@ def make_parser() -> argparse.ArgumentParser:
         default=DEFAULT_UNIFORM_SHARE,
         help="of uniform samples mixed in; default %(default)s",
     )
-    search.add_argument("--range", type=float, default=defaults.range_rad, help="rad; default %(default)s")
+    search.add_argument("--range", type=float, help="rad; default the robot's, of two and three links 1")
     search.add_argument("--max-iterations", type=int, default=defaults.max_iterations, help="%(default)s")
     search.add_argument("--time-limit", type=float, default=defaults.time_limit_s, help="s; %(default)s")
     search.add_argument("--planner-seed", type=_count, help="of planner and samples; default --seed")

@@ -8,6 +8,8 @@ from services.names import ALIAS_CHAMPION
 from services.registry.models.port import ModelLookups, ModelVersion
 
 PRETRAINED = "pretrained"
+# Of other robots than the default one, and the folders of all beside the API's code.
+SHIPPED = {PRETRAINED: "pretrained", f"{PRETRAINED}-panda": "pretrained_panda"}
 
 # Names become folders of the cache: no separators, no leading dot.
 _NAME = r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}"
@@ -16,6 +18,11 @@ _PATTERN = re.compile(
     r"(?:@(?P<alias>[A-Za-z0-9_-]{1,100})|/(?P<version>[1-9][0-9]{0,8}))?",
     re.ASCII,
 )
+
+
+def is_shipped(name: str) -> bool:
+    """Whether a name is one of those that the server's own models have."""
+    return name in SHIPPED
 
 
 def is_model_name(text: str) -> bool:

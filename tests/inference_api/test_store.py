@@ -9,8 +9,9 @@ from inference_api.failures import ModelNotReadyError
 from inference_api.models.apart.disk import DiskCache
 from inference_api.models.apart.loading import LoaderHere
 from inference_api.models.bundle_cache import RETRY_S, BundleCache
+from inference_api.models.shipped import ShippedModels
 from inference_api.models.store import ModelStore
-from services.registry.references import ModelReference
+from services.registry.references import PRETRAINED, ModelReference
 from tests.inference_api.client import ApiClient
 from tests.inference_api.clock import Clock
 from tests.inference_api.conftest import StartApi
@@ -32,7 +33,9 @@ def make_store(
 ) -> ModelStore:
     loader = LoaderHere(disk := DiskCache(folder / "cache"), registry)
     cache = BundleCache(disk, loader, loader, 2, clock)
-    store = ModelStore(registry, cache, bundles["shipped"], "cspace-sampler", 2.0, clock)
+    store = ModelStore(
+        registry, cache, ShippedModels({PRETRAINED: bundles["shipped"]}), "cspace-sampler", 2.0, clock
+    )
     store.load_shipped()
     return store
 
@@ -247,7 +250,9 @@ def test_the_versions_used_last_and_the_champion_stay_on_disk(
     disk = DiskCache(tmp_path / "cache", stored=2)
     loader = LoaderHere(disk, registry)
     cache = BundleCache(disk, loader, loader, 1)
-    store = ModelStore(registry, cache, bundles["shipped"], "cspace-sampler", 0.0)
+    store = ModelStore(
+        registry, cache, ShippedModels({PRETRAINED: bundles["shipped"]}), "cspace-sampler", 0.0
+    )
     registry.add(bundles["plain"], "champion")
     store.refresh()
     for name in ("other", "path", "scored"):

@@ -14,9 +14,10 @@ from inference_api.models.apart.disk import DiskCache
 from inference_api.models.apart.loading import LoaderHere
 from inference_api.models.bundle_cache import RETRY_S, BundleCache
 from inference_api.models.registry_view import REMEMBERED
+from inference_api.models.shipped import ShippedModels
 from inference_api.models.store import ModelStore
 from services.registry.models.port import ModelVersion
-from services.registry.references import ModelReference
+from services.registry.references import PRETRAINED, ModelReference
 from tests.inference_api.clock import Clock
 from tests.inference_api.fake_registry import MODEL, CountingRegistry
 
@@ -72,7 +73,9 @@ def store(
 def store_over(
     registry: CountingRegistry, cache: BundleCache, bundles: dict[str, Path], clock: Clock
 ) -> ModelStore:
-    store = ModelStore(registry, cache, bundles["shipped"], MODEL, 2.0, clock, wait_s=0.3)
+    store = ModelStore(
+        registry, cache, ShippedModels({PRETRAINED: bundles["shipped"]}), MODEL, 2.0, clock, wait_s=0.3
+    )
     store.load_shipped()
     return store
 

@@ -6,8 +6,8 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from cspace.errors import PlanningError
+from services.local.quickstart.tours import Tour
 
-FAMILIES = ("uniform", "narrow")
 SEED = 7
 LIMIT_S = 120.0
 # What the command ends with when the planner found no path: an outcome, which it has printed and drawn.
@@ -15,7 +15,13 @@ NOT_SOLVED = 1
 
 
 def plan_and_draw(
-    url: str, root: Path, folder: Path, environment: Mapping[str, str], show: Callable[[str], None]
+    url: str,
+    root: Path,
+    folder: Path,
+    environment: Mapping[str, str],
+    show: Callable[[str], None],
+    tour: Tour,
+    model: str | None = None,
 ) -> list[Path]:
     """Plan one problem of each family and draw it; the pictures.
 
@@ -25,16 +31,20 @@ def plan_and_draw(
         folder: for the pictures; made if it is not there.
         environment: of the command.
         show: takes the command's lines.
+        tour: whose problems.
+        model: that is asked; None for the API's default.
 
     Raises:
         PlanningError: the command failed.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    pictures = [folder / f"plan-{family}.png" for family in FAMILIES]
-    for family, picture in zip(FAMILIES, pictures, strict=True):
+    pictures = [folder / f"plan-{family}.png" for family in tour.families]
+    # The default robot and the default model need no words.
+    named = [] if model is None else ["--robot", tour.robot, "--model", model]
+    for family, picture in zip(tour.families, pictures, strict=True):
         picture.unlink(missing_ok=True)
         # A process of its own: OMPL seeds its generator once a process.
-        arguments = ["--api", url, "--family", family, "--seed", str(SEED), "--plot", str(picture)]
+        arguments = ["--api", url, *named, "--family", family, "--seed", str(SEED), "--plot", str(picture)]
         show(f"$ python -m services.planner {' '.join(arguments)}")
         outcome = subprocess.run(
             [sys.executable, "-m", "services.planner", *arguments],

@@ -50,6 +50,12 @@ def wait_served(
     )
 
 
+def listed_models(url: str, name: str) -> frozenset[str]:
+    """What requests may name of a model and of what is shipped; empty while the API does not answer."""
+    with httpx.Client(base_url=url, timeout=5.0, trust_env=False) as client:
+        return frozenset(_models(client, name))
+
+
 def _models(client: httpx.Client, name: str) -> dict[str, bool]:
     """References of a model with whether each is the default; empty while the API does not answer."""
     try:

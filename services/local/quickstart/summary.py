@@ -5,16 +5,17 @@ from pathlib import Path
 
 from services.evaluator.measures.reconstruction import ReconstructionSummary, SamplerSummary
 from services.evaluator.statistics import Interval
-from services.local.quickstart.quality import SAMPLES, SCENARIOS
+from services.local.quickstart.quality import SAMPLES
 from services.local.quickstart.results import EvaluationResult, TrainingResult
 from services.local.texts import aligned
-from services.registry.references import PRETRAINED
+from services.registry.references import is_shipped
 
 
 def summary(
     training: TrainingResult,
     evaluation: EvaluationResult,
     quality: Mapping[str, ReconstructionSummary],
+    scenarios: int,
     pictures: Sequence[Path],
     elapsed_s: float,
 ) -> str:
@@ -32,7 +33,7 @@ def summary(
     drawn = "\n".join(f"  {path}" for path in pictures)
     return (
         f"{head}\nwhy\n{reasons}\n\n"
-        f"{SCENARIOS} unseen scenarios over HTTP, {SAMPLES} samples each, "
+        f"{scenarios} unseen scenarios over HTTP, {SAMPLES} samples each, "
         f"drawn without the validity filter and as served; 95 % intervals over scenarios\n"
         f"{quality_table(quality)}\n\npictures\n{drawn}"
     )
@@ -42,7 +43,7 @@ def quality_table(quality: Mapping[str, ReconstructionSummary]) -> str:
     """Precision, coverage and energy ratio of models by reference, beside uniform and real samples."""
     rows: list[tuple[str, ...]] = [("sampler", "precision", "coverage", "EDr")]
     for reference, summary in quality.items():
-        name = f"{reference} (shipped)" if reference == PRETRAINED else reference
+        name = f"{reference} (shipped)" if is_shipped(reference) else reference
         rows.append((name, *_cells(summary.sampler)))
         if summary.confident is not None:
             rows.append((f"{name}, as served", *_cells(summary.confident)))

@@ -16,12 +16,13 @@ from services.local.quickstart.results import (
     evaluation_result,
     training_result,
 )
-from services.local.quickstart.serving import wait_served
+from services.local.quickstart.serving import listed_models, wait_served
 from services.local.quickstart.summary import summary
+from services.local.quickstart.tours import Tour
 from services.local.servers.stack import services, up
 from services.local.settings import Settings
 from services.local.texts import addresses, shell_help
-from services.registry.references import PRETRAINED
+from services.names import MODEL_NAME
 from services.results import PREFIX
 
 
@@ -51,13 +52,12 @@ class Progress:
         self.say(f"[{self.elapsed_s:5.1f} s]   {text}")
 
 
-def quickstart(settings: Settings, train: str, evaluate: str, say: Callable[[str], None]) -> None:
+def quickstart(settings: Settings, tour: Tour, say: Callable[[str], None]) -> None:
     """Run the main job and print its summary.
 
     Args:
         settings: of the services.
-        train: entry point of the training job.
-        evaluate: entry point of the evaluation job, with ``{model}`` where the version goes.
+        tour: what is done.
         say: takes lines for people.
 
     Raises:
@@ -68,17 +68,20 @@ def quickstart(settings: Settings, train: str, evaluate: str, say: Callable[[str
     progress.stage("starting the services")
     up(settings, services(settings), progress.line)
     jobs = RayJobs(settings)
-    training = training_result(_run(jobs, train, progress))
-    evaluation = evaluation_result(_run(jobs, evaluate.replace("{model}", training.reference), progress))
+    training = training_result(_run(jobs, tour.train, progress))
+    evaluation = evaluation_result(_run(jobs, tour.evaluate.replace("{model}", training.reference), progress))
     progress.stage(f"waiting until the inference API serves {training.reference}")
-    wait_served(settings.api_url, training.reference, default=evaluation.promoted)
-    both = (training.reference, PRETRAINED)
+    # The API's default is one robot's; a model of another one is asked for by its name.
+    default = evaluation.promoted and training.model == MODEL_NAME
+    wait_served(settings.api_url, training.reference, default=default)
+    told = listed_models(settings.api_url, training.model)
+    both = tuple(name for name in (training.reference, tour.shipped) if name in told)
     progress.stage(f"quality of {' and '.join(both)} over HTTP, on scenarios that nobody was trained on")
-    quality = served_quality(settings.api_url, both)
+    quality = served_quality(settings.api_url, both, tour)
     progress.stage("planning with samples from POST /sample")
-    pictures = _pictures(settings, training, evaluation, progress)
+    pictures = _pictures(settings, tour, training, evaluation, progress)
     progress.stage("done")
-    say(f"\n{summary(training, evaluation, quality, pictures, progress.elapsed_s)}")
+    say(f"\n{summary(training, evaluation, quality, tour.scenarios, pictures, progress.elapsed_s)}")
     say(f"\n{addresses(settings)}\n\n{shell_help(settings)}\n\nThe services stay up; `make down` ends them.")
 
 
@@ -96,11 +99,16 @@ def _run(jobs: Jobs, entrypoint: str, progress: Progress) -> str:
 
 
 def _pictures(
-    settings: Settings, training: TrainingResult, evaluation: EvaluationResult, progress: Progress
+    settings: Settings,
+    tour: Tour,
+    training: TrainingResult,
+    evaluation: EvaluationResult,
+    progress: Progress,
 ) -> list[Path]:
     folder = settings.figures_folder / f"{training.model}-{training.version}"
     environment = service_environment(settings)
-    pictures = plan_and_draw(settings.api_url, settings.root, folder, environment, progress.line)
+    model = None if training.model == MODEL_NAME else training.reference
+    pictures = plan_and_draw(settings.api_url, settings.root, folder, environment, progress.line, tour, model)
     for run_id, names in ((training.run_id, training.figures), (evaluation.run_id, evaluation.figures)):
         pictures += fetch_pictures(settings.mlflow_url, run_id, names, folder)
     return pictures

@@ -126,8 +126,8 @@ def read_timing(header: str) -> SourceTiming | None:
 def _answers(asked: str | None, name: str, version: int) -> bool:
     """Whether a model is the one that a reference names.
 
-    The shipped model stands in for a default model without a champion. Which model is the default only the
-    server knows, so it may do that for every bare name; an alias or a version has no stand-in.
+    A shipped model stands in for a model of its robot without a champion. Which model is the default only
+    the server knows, so it may do that for every bare name; an alias or a version has no stand-in.
     """
     if asked is None:
         return True
@@ -135,7 +135,8 @@ def _answers(asked: str | None, name: str, version: int) -> bool:
     if slash:
         return (name, str(version)) == (asked_name, asked_version)
     bare, at, _ = asked.partition("@")
-    return name == bare or (not at and (name, version) == (_PRETRAINED, 0))
+    shipped = version == 0 and name.partition("-")[0] == _PRETRAINED
+    return name == bare or (not at and shipped)
 
 
 def _text(headers: Mapping[str, str], name: str) -> str:

@@ -14,10 +14,11 @@ from cspace.bundle.files import read_files
 from inference_api.models.apart.disk import DiskCache
 from inference_api.models.apart.parts import Limits, parts_apart
 from inference_api.models.bundle_cache import BundleCache
+from inference_api.models.shipped import ShippedModels
 from inference_api.models.store import ModelStore
 from inference_api.telemetry.observer import Observer, Refusal
 from services.registry.models.port import ModelVersion
-from services.registry.references import ModelReference
+from services.registry.references import PRETRAINED, ModelReference
 from tests.inference_api.bad_bundles import write_hungry_bundle, write_looping_bundle
 
 VERIFY_S = 2.0
@@ -56,7 +57,9 @@ def test_it_is_refused_in_time_and_takes_nothing_of_this_process(
     disk.remember_champion(champion)
     parts = parts_apart(disk, "http://127.0.0.1:9", Limits(verify_s=VERIFY_S))
     cache = BundleCache(disk, parts.near, parts.far, 2)
-    store = ModelStore(parts.registry, cache, bundles["shipped"], "m", children=parts.children)
+    store = ModelStore(
+        parts.registry, cache, ShippedModels({PRETRAINED: bundles["shipped"]}), "m", children=parts.children
+    )
     store.observer = seen = Refusals()
     store.load_shipped()
     before = psutil.Process().memory_info().rss

@@ -16,9 +16,10 @@ from inference_api.models.apart.disk import DiskCache
 from inference_api.models.apart.parts import Limits, Parts, parts_apart
 from inference_api.models.apart.processes.child import ChildLimits
 from inference_api.models.bundle_cache import BundleCache
+from inference_api.models.shipped import ShippedModels
 from inference_api.models.store import ModelStore
 from services.registry.models.port import ModelVersion
-from services.registry.references import ModelReference
+from services.registry.references import PRETRAINED, ModelReference
 from tests.inference_api.trickling import Kind, trickling
 from tests.services.registry.strange_server import strange_server
 
@@ -49,7 +50,12 @@ def apart(tmp_path: Path) -> Iterator[Apart]:
 def store_of(parts: Parts, folder: Path, shipped: Path, wait_s: float = 60.0) -> ModelStore:
     cache = BundleCache(DiskCache(folder / "cache"), parts.near, parts.far, 2)
     store = ModelStore(
-        parts.registry, cache, shipped, "cspace-sampler", wait_s=wait_s, children=parts.children
+        parts.registry,
+        cache,
+        ShippedModels({PRETRAINED: shipped}),
+        "cspace-sampler",
+        wait_s=wait_s,
+        children=parts.children,
     )
     store.load_shipped()
     return store

@@ -7,6 +7,7 @@ import pytest
 
 from cspace.errors import PlanningError
 from services.local.quickstart import planning
+from services.local.quickstart.tours import TOURS
 
 
 def command(folder: Path, script: str) -> str:
@@ -20,7 +21,10 @@ def command(folder: Path, script: str) -> str:
 def plan(folder: Path, script: str, monkeypatch: pytest.MonkeyPatch) -> tuple[list[Path], list[str]]:
     monkeypatch.setattr(planning.sys, "executable", command(folder, script))
     lines: list[str] = []
-    pictures = planning.plan_and_draw("http://127.0.0.1:1", folder, folder / "out", os.environ, lines.append)
+    tour = TOURS["planar"]
+    pictures = planning.plan_and_draw(
+        "http://127.0.0.1:1", folder, folder / "out", os.environ, lines.append, tour
+    )
     return pictures, lines
 
 
@@ -42,3 +46,13 @@ def test_an_older_picture_does_not_hide_a_crash(tmp_path: Path, monkeypatch: pyt
     plan(tmp_path, 'touch "$picture"', monkeypatch)
     with pytest.raises(PlanningError):
         plan(tmp_path, "exit 1", monkeypatch)
+
+
+def test_a_model_that_is_not_the_apis_default_is_named_with_its_robot(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(planning.sys, "executable", command(tmp_path, 'echo "$*" >&2; exit 2'))
+    with pytest.raises(PlanningError, match=r"--robot panda --model panda-sampler/3 --family uniform"):
+        planning.plan_and_draw(
+            "http://127.0.0.1:1", tmp_path, tmp_path, os.environ, print, TOURS["panda"], "panda-sampler/3"
+        )

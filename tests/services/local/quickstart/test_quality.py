@@ -6,15 +6,18 @@ from dataclasses import replace
 
 import pytest
 
-from cspace.worlds import default_world, robot_digest
+from cspace.worlds import default_world, robot_digest, workshop_of
 from services.local.commands import COMMANDS
 from services.local.quickstart import quality
 from services.local.quickstart.results import EvaluationResult, TrainingResult
 from services.local.quickstart.summary import summary
+from services.local.quickstart.tours import TOURS
 from services.planner.sources.samples import SampleSource
+from services.registry.references import SHIPPED
 from tests.fakes.uniform_sampler import UniformSampler
 
 MODELS = ("cspace-sampler/1", "pretrained")
+TOUR = replace(TOURS["planar"], scenarios=2)
 
 
 class Api(SampleSource):
@@ -42,13 +45,12 @@ def api(monkeypatch):
         yield fake
 
     monkeypatch.setattr(quality, "SamplingClient", client)
-    monkeypatch.setattr(quality, "SCENARIOS", 2)
     monkeypatch.setattr(quality, "SAMPLES", 60)
     return fake
 
 
 def test_both_models_are_asked_on_the_same_scenarios_with_the_same_seeds_with_and_without_filter(api):
-    found = quality.served_quality("http://api", MODELS)
+    found = quality.served_quality("http://api", MODELS, TOUR)
     assert list(found) == list(MODELS)
     assert [asked[:2] for asked in api.asked] == 2 * [(m, least) for m in MODELS for least in (0.0, None)]
     assert [len({seed for _, _, seed in api.asked[first : first + 4]}) for first in (0, 4)] == [1, 1]
@@ -59,12 +61,13 @@ def test_both_models_are_asked_on_the_same_scenarios_with_the_same_seeds_with_an
 
 def test_the_summary_shows_both_models_side_by_side_and_why_the_shipped_one_was_left_out(api):
     api.short = MODELS[0]
-    found = quality.served_quality("http://api", MODELS)
+    found = quality.served_quality("http://api", MODELS, TOUR)
     note = "not compared with the shipped model, as was asked for"
     text = summary(
         TrainingResult("run", "cspace-sampler", 1, "digest", ()),
         EvaluationResult("run", 1, promoted=True, reasons=(note,), metrics={}, figures=()),
         found,
+        TOUR.scenarios,
         (),
         1.0,
     )
@@ -74,7 +77,20 @@ def test_the_summary_shows_both_models_side_by_side_and_why_the_shipped_one_was_
     assert [row for row in table if row in (*rows, "cspace-sampler/1, as served")] == rows
 
 
-def test_the_quickstart_asks_for_the_gate_without_the_shipped_model():
+def test_every_tour_asks_for_the_gate_without_the_shipped_model_and_knows_its_robot():
+    for name, tour in TOURS.items():
+        assert "--model {model} --without-shipped" in tour.evaluate
+        assert set(tour.families) <= set(workshop_of(tour.world).families.names)
+        assert tour.shipped in SHIPPED
+        assert (name == "planar") == (tour.world == default_world())
+
+
+def test_a_world_is_named_on_the_command_line_and_its_entry_points_may_be_others():
     parser = argparse.ArgumentParser()
     COMMANDS["quickstart"].options(parser)
-    assert parser.parse_args([]).evaluate.endswith("--model {model} --without-shipped")
+    usual = parser.parse_args([])
+    assert (usual.world, usual.train, usual.evaluate) == ("planar", None, None)
+    other = parser.parse_args(["--world", "panda", "--train", "true"])
+    assert (other.world, other.train) == ("panda", "true")
+    with pytest.raises(SystemExit):
+        parser.parse_args(["--world", "pluto"])
