@@ -65,6 +65,25 @@ class Body(Protocol):
         """Plain values for JSON."""
 
 
+@dataclass(frozen=True, slots=True)
+class TensorInput:
+    """An array by which a picture, or several, can be told without a file.
+
+    Args:
+        name: of the input.
+        dtype: numpy's name of its type.
+        shape: of sizes, and letters where any will do; an axis has one size wherever its letter stands.
+        most: of its first axis, where that has a letter.
+        optional: whether it may be left out.
+    """
+
+    name: str
+    dtype: str
+    shape: tuple[int | str, ...]
+    most: int = 1
+    optional: bool = False
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Levers:
     """Where pictures are read: (cos, sin) of the links' directions times ``levers``, plus ``origin``.
@@ -155,6 +174,17 @@ class World(Protocol):
 
         Raises:
             ImageError: it is none that is accepted.
+        """
+
+    @property
+    def tensors(self) -> tuple[TensorInput, ...]:
+        """The arrays that :meth:`read_tensors` takes."""
+
+    def read_tensors(self, tensors: Arrays) -> Image:
+        """Pictures (b, ...) of arrays that follow :attr:`tensors`.
+
+        Raises:
+            ImageError: their contents are none that are accepted.
         """
 
     def blank_picture(self) -> bytes:

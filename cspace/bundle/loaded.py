@@ -40,6 +40,7 @@ class Bundle:
         self._encoder, self._generator = graphs.encoder, graphs.generator
         self._novelty, self._map = graphs.novelty, graphs.map
         self._validity = None if graphs.validity is None else Head(graphs.validity)
+        self.tells_unseen = self._validity is not None and self._validity.tells_unseen
 
     @classmethod
     def load(cls, folder: Path, *, replay: bool = True, run_limit_s: float = RUN_LIMIT_S) -> "Bundle":

@@ -12,8 +12,9 @@ from fastapi.responses import Response
 from inference_api.guards.rate import client_of
 from inference_api.models.served import PRETRAINED_VERSION, ServedModel
 from inference_api.models.store import ModelStore
+from inference_api.open_inference.picture_tensors import inputs_of
 from inference_api.open_inference.protocol_errors import PREFIX, ProtocolErrors
-from inference_api.open_inference.tensor_sampling import IMAGE, read_inference, reference_of
+from inference_api.open_inference.tensor_sampling import read_inference, reference_of
 from inference_api.open_inference.tensor_schemas import (
     InferenceAnswer,
     ModelMetadata,
@@ -173,10 +174,11 @@ def _describe(store: ModelStore, name: str, reference: ModelReference) -> ModelM
         name=name,
         versions=_versions(store, served),
         platform=PLATFORM,
-        inputs=[_tensor(IMAGE, "UINT8", -1, spec.pixels, spec.pixels, 3)],
+        inputs=inputs_of(spec.world),
         outputs=[
             _tensor("samples", "FP32", -1, spec.dim),
             *scores,
+            *([_tensor("unseen", "FP32", -1)] if served.bundle.tells_unseen else []),
             _tensor("shortfall", "INT32", -1),
             *told,
             _tensor("seed", "UINT64", -1),

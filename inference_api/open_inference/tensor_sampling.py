@@ -16,6 +16,7 @@ from cspace.query import MAX_SAMPLES, MAX_SEED, SampleQuery
 from inference_api.models.pictures import PictureCache, Prepared
 from inference_api.models.served import ServedModel
 from inference_api.models.store import ModelStore
+from inference_api.open_inference.picture_tensors import read_pictures
 from inference_api.open_inference.tensor_request import flag, read_request, split_parameters
 from inference_api.open_inference.tensor_schemas import InferenceRequest, RequestedOutput
 from inference_api.open_inference.tensors import JSON_LENGTH, Tensor, read_tensors, split_body, write_tensors
@@ -26,9 +27,6 @@ from inference_api.telemetry.observer import Sampled
 from inference_api.turns.turns import Turn
 from services.registry.references import ModelReference, is_shipped
 
-IMAGE = "image"
-# Each is encoded, and has a seed.
-MAX_PICTURES = 256
 _BINARY = "binary_data"
 
 
@@ -96,7 +94,7 @@ class InferenceQuestion:
         """
         bundle = served.bundle
         query = fitted(self.query, bundle.spec, has_validity=bundle.has_validity)
-        drawn = draw(bundle, _images(bundle, self.tensors), query, self.store.pictures, turn)
+        drawn = draw(bundle, read_pictures(bundle.spec.world, self.tensors), query, self.store.pictures, turn)
         spent_s = time.perf_counter() - self.began
         self.store.observer.sampled(sampled(served, drawn, self.query.n, spent_s))
         arrays = output_arrays(drawn)
@@ -140,7 +138,7 @@ def draw(
 
     Args:
         bundle: the model.
-        images: uint8 (b, P, P, 3), b from 1 to :data:`MAX_PICTURES`.
+        images: uint8 (b, ...), as the model's world has pictures.
         query: what is asked for the first, and but for the seed for all.
         known: pictures that are encoded already.
         turn: told the cost, and asked between pictures.
@@ -190,14 +188,17 @@ def output_arrays(drawn: Drawn) -> dict[str, NDArray[Any]]:
     """Every output by name; several pictures are cut to the number of samples of the one that has fewest.
 
     ``samples`` (n', d) for one picture and (b, n', d) for several, ``confidence`` likewise without the last
-    axis where the model has a validity head, ``shortfall`` (b,): n minus what each picture had before the
-    cut, so that n' is n minus the largest, ``novelty`` (b,) where the model tells, and ``seed`` (b,).
+    axis where the model has a validity head, ``unseen`` like it where that is told, ``shortfall`` (b,): n
+    minus what each picture had before the cut, so that n' is n minus the largest, ``novelty`` (b,) where the
+    model tells, and ``seed`` (b,).
     """
     found = drawn.found
     count = min(len(one.samples) for one in found)
     arrays: dict[str, NDArray[Any]] = {"samples": np.stack([one.samples[:count] for one in found])}
     scores = [one.confidence[:count] for one in found if one.confidence is not None]
     arrays |= {"confidence": np.stack(scores)} if scores else {}
+    unseen = [one.unseen[:count] for one in found if one.unseen is not None]
+    arrays |= {"unseen": np.stack(unseen)} if unseen else {}
     if len(found) == 1:
         arrays = {name: array[0] for name, array in arrays.items()}
     arrays["shortfall"] = np.array([one.shortfall for one in found], dtype=np.int32)
@@ -205,23 +206,6 @@ def output_arrays(drawn: Drawn) -> dict[str, NDArray[Any]]:
         arrays["novelty"] = np.array(drawn.novelties, dtype=np.float32)
     arrays["seed"] = np.array(drawn.seeds, dtype=np.uint64)
     return arrays
-
-
-def _images(bundle: Bundle, tensors: Mapping[str, NDArray[Any]]) -> NDArray[np.uint8]:
-    pixels = bundle.spec.pixels
-    image = tensors.get(IMAGE)
-    if set(tensors) != {IMAGE} or image is None:
-        got = ", ".join(tensors)[:100]
-        raise InputError("the inputs are wrong", expected=f"one with the name {IMAGE}", got=got)
-    fits = image.ndim == 4 and image.shape[1:] == (pixels, pixels, 3) and 1 <= len(image) <= MAX_PICTURES
-    if image.dtype != np.uint8 or not fits:
-        raise InputError(
-            f"the input {IMAGE} does not fit the model",
-            expected=f"UINT8 of shape [b, {pixels}, {pixels}, 3], b from 1 to {MAX_PICTURES}",
-            got=f"{image.dtype} of shape {list(image.shape)}",
-            remedy="POST /sample takes PNG files of any size",
-        )
-    return image
 
 
 def _asked(

@@ -22,9 +22,11 @@ from inference_api.problems import MALFORMED_BODY, RequestError
 JSON_LENGTH = "Inference-Header-Content-Length"
 DTYPES: dict[str, np.dtype[Any]] = {
     "UINT8": np.dtype("u1"),
+    "UINT16": np.dtype("<u2"),
     "INT32": np.dtype("<i4"),
     "UINT64": np.dtype("<u8"),
     "FP32": np.dtype("<f4"),
+    "FP64": np.dtype("<f8"),
 }
 # Of an axis; with the eight that there may be, no product has more than 75 digits.
 MAX_SIZE = 2**31 - 1
@@ -144,7 +146,12 @@ def write_tensors(head: Mapping[str, Any], tensors: Sequence[Tensor]) -> Written
 
 def datatype_of(array: NDArray[Any]) -> str:
     """The protocol's name of an array's type."""
-    return _DATATYPES[array.dtype.newbyteorder("<")]
+    return datatype_named(array.dtype.name)
+
+
+def datatype_named(name: str) -> str:
+    """The protocol's name of a type that has one of numpy's."""
+    return _DATATYPES[np.dtype(name).newbyteorder("<")]
 
 
 def _describe(tensor: Tensor, blob: bytes | None) -> dict[str, Any]:

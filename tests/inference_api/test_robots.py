@@ -23,7 +23,7 @@ from tests.inference_api.tensor_client import IMAGES, json_input
 
 NPY = {"accept": "application/x-npy"}
 LIMITED = PlanarArm(joint_limits_rad=((-2.9, 4.0), None))
-TWO, THREE, _ = (robot_digest(world) for world in examples().values())
+TWO, THREE, *_ = (robot_digest(world) for world in examples().values())
 
 
 def ask(api: ApiClient, headers: dict[str, str] | None = None, **fields: str) -> httpx.Response:

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from cspace.errors import InputError
+from cspace.worlds.planar.world import MAX_PICTURES
 from inference_api.open_inference.tensor_request import MAX_MEMBERS, MAX_TEXT, read_request
-from inference_api.open_inference.tensor_sampling import MAX_PICTURES
 from inference_api.open_inference.tensor_schemas import InputTensor
 from inference_api.open_inference.tensors import MAX_SIZE, read_tensors
 from inference_api.pages.validation import brief, brief_members

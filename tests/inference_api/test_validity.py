@@ -16,7 +16,7 @@ from tests.inference_api.client import ApiClient
 
 CAREFUL = "cspace-sampler@careful"
 NPY = {"accept": "application/x-npy"}
-TWO, THREE, _ = (robot_digest(world) for world in examples().values())
+TWO, THREE, *_ = (robot_digest(world) for world in examples().values())
 ROWS = np.random.default_rng(0).uniform(-3.0, 3.0, (40, 2))
 
 

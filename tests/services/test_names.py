@@ -17,7 +17,7 @@ from services.names import (
     world_tags,
 )
 
-TWO, THREE, _ = examples().values()
+TWO, THREE, *_ = examples().values()
 OWN = PlanarWorld(PlanarArm((1.0, 1.0), joint_limits_rad=((-1.0, 1.0), None)))
 DERIVED = f"planar-{robot_digest(OWN)[:8]}"
 

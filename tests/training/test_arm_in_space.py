@@ -19,7 +19,7 @@ SMALL = (
     *("vae.latent_dim=8", "vae.width=4", "vae.steps=4", "vae.batch_size=4"),
     *("validity.steps=4", "validity.pictures_per_step=2", "validity.configurations_per_picture=8"),
     *("validity.hidden=8", "validity.grid={width: 4, middle: 4, deep: 4}"),
-    *("validity.threshold=0.05", "validity.uniform_share=0.2"),
+    *("validity.threshold=0.05", "validity.uniform_share=0.2", "validity.promise={scenarios: 30}"),
     *("gate.cells=4", "gate.points=64", "gate.steps=4"),
     *("local.hidden=16", "local.critic_hidden=16", "local.batch_size=32", "local.steps=4"),
 )
@@ -43,6 +43,15 @@ def test_the_model_is_the_arms_own(trained):
     assert bundle.spec.world == WORLD
     assert bundle.spec.provenance.config["preset"] == "panda_quick"
     assert {"vae", "validity", "gate", "local-0", "local-1"} <= set(result["trials"])
+
+
+def test_it_states_what_passes_and_collides_and_how_that_was_kept(trained):
+    told = trained[1].spec.provenance.metrics
+    for kind in ("samples", "uniform"):
+        one = {name.rpartition("/")[2]: value for name, value in told.items() if f"/{kind}_" in name}
+        assert (one["scenes"], one["measured_scenes"]) == (10.0, 10.0)
+        assert 1.0 / 11.0 <= one["at_most"] <= 1.0
+        assert 0.0 <= one["measured"] <= 1.0
 
 
 def test_its_data_are_labelled_configurations_of_arrays_of_space(trained):

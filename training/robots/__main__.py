@@ -87,6 +87,9 @@ def parser() -> argparse.ArgumentParser:
         help="a pair that is held apart whatever the SRDF says",
     )
     one.add_argument(
+        "--ready", metavar="A,B,...", help="where the arm waits, rad; default: the middle of its limits"
+    )
+    one.add_argument(
         "--slack-mm", type=float, default=2.0, help="of the surface outside the spheres; default 2"
     )
     one.add_argument("--excess-mm", type=float, default=10.0, help="that spheres stick out; default 10")
@@ -108,6 +111,9 @@ def _request(options: argparse.Namespace) -> Request:
         limits=limits,
         packages={name: Path(value) for name, value in _pairs("--package", options.package)},
         kept=tuple((first, second) for first, second in options.keep),
+        ready_rad=None
+        if options.ready is None
+        else tuple(_number("--ready", text) for text in options.ready.split(",")),
         allowances=Allowances(options.slack_mm / 1e3, options.excess_mm / 1e3),
     )
 

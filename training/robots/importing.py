@@ -37,6 +37,7 @@ class Request:
         packages: folders of packages that meshes are named in.
         kept: pairs that are held apart whatever the SRDF says.
         allowances: of the spheres.
+        ready_rad: where the arm waits, joint after joint; None for the middle of its limits.
     """
 
     urdf: Path
@@ -47,6 +48,7 @@ class Request:
     packages: Mapping[str, Path] = field(default_factory=dict)
     kept: tuple[tuple[str, str], ...] = ()
     allowances: Allowances = field(default_factory=Allowances)
+    ready_rad: tuple[float, ...] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +68,7 @@ def import_robot(request: Request, tell: Callable[[str], None] = lambda _: None)
         tell: takes the name of each part before its spheres are sought.
 
     Raises:
-        ScenarioError: a file is missing or wrong, or the robot is no serial arm.
+        ScenarioError: a file is missing or wrong, the robot is no serial arm, or it cannot wait there.
     """
     description = read_urdf(request.urdf)
     disabled = frozenset() if request.srdf is None else read_disabled_pairs(request.srdf)
@@ -74,12 +76,14 @@ def import_robot(request: Request, tell: Callable[[str], None] = lambda _: None)
     names = {piece.name for piece in chain.pieces}
     if unknown := sorted({name for pair in request.kept for name in pair} - names):
         raise ScenarioError("parts are unknown", expected=f"some of {sorted(names)}", got=str(unknown))
+    # First, for spheres take a while.
+    jointed = SerialArm(description.name, chain.joints, (), (), chain.tool, request.ready_rad)
     parts, fits = [], {}
     for piece in chain.pieces:
         tell(piece.name)
         part, fits[piece.name] = _covered(piece, request)
         parts.append(part)
-    bare = SerialArm(description.name, chain.joints, tuple(parts), (), chain.tool)
+    bare = replace(jointed, parts=tuple(parts))
     kept = frozenset(frozenset(pair) for pair in request.kept)
     rng = np.random.default_rng(_SEED)
     touching = touching_pairs(bare, chain.neighbours, disabled, kept, rng)

@@ -17,7 +17,8 @@ class Head:
 
     def __init__(self, graph: Graph) -> None:
         self._graph = graph
-        self._told = (CONFIDENCE, UNSEEN) if graph.gives(UNSEEN) else (CONFIDENCE,)
+        self.tells_unseen = graph.gives(UNSEEN)
+        self._told = (CONFIDENCE, UNSEEN) if self.tells_unseen else (CONFIDENCE,)
 
     def told(
         self, picture: Picture, configurations: NDArray[np.float32], between: Between | None

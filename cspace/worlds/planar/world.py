@@ -11,13 +11,16 @@ from cspace.errors import ConfigError, DatasetError, ImageError, ScenarioError
 from cspace.space import JointSpace
 from cspace.strict_json import read_mapping, read_members, read_object
 from cspace.view_file import is_view
-from cspace.world import Arrays, Levers, World
+from cspace.world import Arrays, Levers, TensorInput, World
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK, PlanarArm
 from cspace.worlds.planar.lookups import levers
 from cspace.worlds.planar.scenes import MAX_GIVEN, DiscScenes, GivenScenes, Scenes, read_scenes
 from cspace.worlds.planar.seeing.camera import Camera
 
 KIND = "planar"
+_IMAGE = "image"
+# Told in one request: each is encoded, and has a seed.
+MAX_PICTURES = 256
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,6 +60,15 @@ class PlanarWorld:
                 remedy="leave camera and state out",
             )
         return self.sensor.decode(data)
+
+    @property
+    def tensors(self) -> tuple[TensorInput, ...]:
+        """Pictures as they are, one for each answer."""
+        return (TensorInput(_IMAGE, "uint8", ("b", *self.sensor.picture_shape), MAX_PICTURES),)
+
+    def read_tensors(self, tensors: Arrays) -> NDArray[np.uint8]:
+        """The only one of them."""
+        return np.asarray(tensors[_IMAGE], dtype=np.uint8)
 
     def blank_picture(self) -> bytes:
         """All white."""

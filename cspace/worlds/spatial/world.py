@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from cspace.errors import ConfigError, DatasetError, ScenarioError
 from cspace.space import JointSpace
 from cspace.strict_json import read_mapping, read_members, read_object
-from cspace.world import Arrays, GridArm, Levers, World
+from cspace.world import Arrays, GridArm, Levers, TensorInput, World
 from cspace.worlds.spatial.obstacles.obstacle_rows import BOX_VALUES, CYLINDER_VALUES
 from cspace.worlds.spatial.obstacles.scenes import SpatialScenes, read_spatial_scenes
 from cspace.worlds.spatial.robot.arm import SerialArm
@@ -25,6 +25,7 @@ from cspace.worlds.spatial.seeing.sensor import DepthSensor
 from cspace.worlds.spatial.seeing.sight import NO_READING, OUT_OF_VIEW
 from cspace.worlds.spatial.seeing.surface_patches import DISTANCE_STEP_M
 from cspace.worlds.spatial.seeing.view import DepthView, read_view, write_view
+from cspace.worlds.spatial.seeing.view_tensors import view_of_tensors, view_tensors
 
 KIND = "spatial"
 _ROBOTS = Path(__file__).with_name("robots")
@@ -62,6 +63,19 @@ class SpatialWorld:
     def read_picture(self, data: bytes) -> NDArray[np.uint8]:
         """The array of a view file; see :mod:`cspace.worlds.spatial.seeing.view`."""
         return self.observed(read_view(data, self.space))
+
+    @property
+    def tensors(self) -> tuple[TensorInput, ...]:
+        """Depth pictures of one scene with their cameras; see :func:`view_of_tensors`."""
+        return view_tensors(self.dim)
+
+    def read_tensors(self, tensors: Arrays) -> NDArray[np.uint8]:
+        """(1, X, Y, Z, 2): all pictures are of one scene.
+
+        Raises:
+            ImageError: a picture, a camera or the state is none.
+        """
+        return self.observed(view_of_tensors(tensors, self.space))[None]
 
     def blank_picture(self) -> bytes:
         """One camera before which nothing stands within 4 m, and no arm."""
@@ -174,7 +188,7 @@ def shipped(name: str) -> SerialArm:
 
 # What a configuration says of such a world, and the worlds that commands can name.
 PARTS = {"body": (SerialArm,), "sensor": (DepthSensor,), "scenes": (SpatialScenes,)}
-EXAMPLES = {"panda": usual(shipped("panda"))}
+EXAMPLES = {name: usual(shipped(name)) for name in ("panda", "ur5")}
 
 
 def read(values: Mapping[str, Any]) -> SpatialWorld:

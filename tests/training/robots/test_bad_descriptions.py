@@ -70,6 +70,9 @@ def test_names_that_the_description_does_not_have_are_refused(
         (["two.urdf", "--lock", "elbow"], "--lock does not fit; expected NAME=VALUE"),
         (["two.urdf", "--limit", "elbow=1"], "--limit does not fit; expected a finite number"),
         (["two.urdf", "--slack-mm", "0"], "0.001 m or more"),
+        (["two.urdf", "--ready", "0,nan"], "--ready does not fit; expected a finite number"),
+        (["two.urdf", "--ready", "0"], "the arm cannot wait there; expected 2 angles within its limits"),
+        (["two.urdf", "--ready", "2.5,0"], "the arm cannot wait there; expected 2 angles within its limits"),
     ],
 )
 def test_the_command_ends_with_one_line_and_2(

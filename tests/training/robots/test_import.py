@@ -28,10 +28,12 @@ def coarse_search(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_a_description_becomes_a_robot_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "two.json"
-    assert main(["import", str(described(tmp_path, ROUND_UPPER)), "--out", str(out)]) == 0
+    command = ["import", str(described(tmp_path, ROUND_UPPER)), "--ready", "0.5,-1", "--out", str(out)]
+    assert main(command) == 0
     arm = SerialArm.from_dict(json.loads(out.read_bytes()))
     assert (arm.name, arm.dim) == ("two", 2)
     assert arm.space.periodic == (False, True)
+    assert arm.ready_rad == (0.5, -1.0)
     assert arm.joints[0].limits_rad == (-2.0, 2.0)
     assert [(part.name, part.link) for part in arm.parts] == [
         ("base", 0),

@@ -27,10 +27,11 @@ class SerialArm:
         parts: rigid pieces, each fixed to the base or to what one of the joints moves.
         touching: pairs of names of the parts that can touch each other and are held apart.
         tool: the frame of the tool, in that of the last link.
+        ready_rad: (d,) where it waits, in scenes that are drawn; None for the middle of its limits.
 
     Raises:
         ScenarioError: there is no joint or there are too many, names come twice, a part is fixed to no link,
-            or a pair names no two parts that move against each other.
+            a pair names no two parts that move against each other, or it waits outside its limits.
     """
 
     name: str
@@ -38,6 +39,7 @@ class SerialArm:
     parts: tuple[Part, ...] = ()
     touching: tuple[tuple[str, str], ...] = ()
     tool: Frame = SAME
+    ready_rad: tuple[float, ...] | None = None
 
     def __post_init__(self) -> None:
         settle(self)
@@ -51,6 +53,11 @@ class SerialArm:
                 raise ScenarioError(f"the arm's {what} do not fit", expected="a name each", got=str(names))
         self._check_parts()
         self._check_pairs()
+        ready = self.ready_rad
+        if ready is not None and not (len(ready) == self.dim and self.space.contains(np.array(ready))):
+            raise ScenarioError(
+                "the arm cannot wait there", expected=f"{self.dim} angles within its limits", got=str(ready)
+            )
 
     def __hash__(self) -> int:
         # Equal arms have equal ones, and hundreds of spheres are not gone through.
@@ -160,7 +167,11 @@ class SerialArm:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for JSON."""
-        return {"kind": KIND, **written(self)}
+        told = written(self)
+        if self.ready_rad is None:
+            # Arms that were written before it could be told stay the same.
+            del told["ready_rad"]
+        return {"kind": KIND, **told}
 
     @classmethod
     def from_dict(cls, values: object) -> "SerialArm":
@@ -169,7 +180,7 @@ class SerialArm:
         Raises:
             ScenarioError: a key is missing or unknown, or a value is of the wrong type.
         """
-        members = {"kind": KIND} | read_mapping(values, "the robot", ScenarioError)
+        members = {"kind": KIND, "ready_rad": None} | read_mapping(values, "the robot", ScenarioError)
         if (kind := members.pop("kind")) != KIND:
             raise ScenarioError("the robot is unknown", expected=KIND, got=repr(kind)[:200])
         return read_object(cls, members, "the robot", ScenarioError)

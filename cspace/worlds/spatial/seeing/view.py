@@ -73,7 +73,7 @@ def read_view(data: bytes, space: JointSpace) -> DepthView:
     files, cameras, state = unpack_view(data)
     pictures = tuple(decode_depth(one) for one in files)
     seen_by = [read_pinhole(values, picture.shape) for values, picture in zip(cameras, pictures, strict=True)]
-    return DepthView(pictures, tuple(seen_by), _state_of(state, space))
+    return DepthView(pictures, tuple(seen_by), state_of(state, space))
 
 
 def read_pinhole(values: object, shape: tuple[int, ...]) -> DepthCamera:
@@ -96,7 +96,12 @@ def read_pinhole(values: object, shape: tuple[int, ...]) -> DepthCamera:
 _REMEDY = "send the camera in the base frame: x right, y down, z forward, pixel centres at whole numbers"
 
 
-def _state_of(values: object, space: JointSpace) -> tuple[float, ...] | None:
+def state_of(values: object, space: JointSpace) -> tuple[float, ...] | None:
+    """Where an arm was, of plain values; None where they are.
+
+    Raises:
+        ImageError: that is outside of its limits, or no configuration.
+    """
     if values is None:
         return None
     fits = isinstance(values, list) and len(values) == space.dim

@@ -12,7 +12,7 @@ from cspace.worlds.spatial.planning.collision import CollisionChecker
 from cspace.worlds.spatial.planning.problems import KINDS, draw_problem, reaches_into
 from cspace.worlds.spatial.planning.ways import WayLimits
 from cspace.worlds.spatial.robot.ready import ready_rad
-from tests.cspace.worlds.spatial.test_robots import PANDA, READY
+from tests.cspace.worlds.spatial.test_robots import PANDA, READY, UR5
 from tests.cspace.worlds.spatial.test_ways import TWO_LINKS
 
 # Compiling the kernels takes longer than the tests.
@@ -81,6 +81,15 @@ def test_split_seed_and_index_alone_tell_a_problem():
     assert len({one.start.tobytes() for one in first}) == len(told)
 
 
+@pytest.mark.parametrize("family", FAMILIES)
+def test_another_arm_has_problems_of_every_family_too(family):
+    found = draw_problem(UR5, SCENES, Split.VALIDATION, 0, 0, family, limits=QUICK)
+    checker = CollisionChecker(UR5, found.layout.obstacles)
+    assert checker.edge_batch(found.way[:-1], found.way[1:], 0.01).all()
+    ends = np.stack([found.start, found.goal])
+    assert any(reaches_into(UR5, ends, region).any() for region in found.layout.regions)
+
+
 def test_a_problem_of_a_named_kind_has_the_scene_of_its_index_where_that_has_one():
     for kind in KINDS:
         found = draw_problem(PANDA, SCENES, Split.TEST, 3, 0, "table", kind=kind, limits=QUICK)
@@ -94,9 +103,10 @@ def test_what_a_problem_holds_is_not_written_to(drawn):
             values[0] = 0.0
 
 
-def test_an_arm_without_a_known_ready_pose_waits_in_the_middle_of_its_limits():
+def test_an_arm_without_a_ready_pose_waits_in_the_middle_of_its_limits():
     assert ready_rad(TWO_LINKS).tolist() == [0.0, 0.0]
     assert ready_rad(PANDA).tolist() == READY[0]
+    assert ready_rad(UR5).tolist() == list(UR5.ready_rad)
 
 
 def test_where_there_is_no_problem_an_error_says_so(monkeypatch):

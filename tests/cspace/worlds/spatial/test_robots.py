@@ -11,6 +11,7 @@ ROBOTS = Path(cspace.worlds.spatial.__file__).with_name("robots")
 PANDA = SerialArm.from_dict(json.loads((ROBOTS / "panda.json").read_bytes()))
 # Of KavrakiLab/vamp, Apache-2.0.
 VAMP = SerialArm.from_dict(json.loads(Path(__file__).with_name("vamp_panda.json").read_bytes()))
+UR5 = SerialArm.from_dict(json.loads((ROBOTS / "ur5.json").read_bytes()))
 READY = [[0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785]]
 
 
@@ -34,3 +35,17 @@ def test_the_panda_is_clear_of_itself_where_it_starts_and_holds_its_wrist_apart(
     assert {"panda_link5", "panda_hand"} in pairs
     assert {"panda_link5", "panda_link7"} in pairs
     assert not any({"panda_link4", "panda_link5"} == pair for pair in pairs)
+
+
+def test_the_ur5_has_the_geometry_of_its_makers_table() -> None:
+    """Denavit-Hartenberg parameters: d1 0.08916, a2 0.425, a3 0.39225, d4 0.10915, d5 0.09465, d6 0.0823."""
+    up, ready = UR5.tool_frames([[0.0, -np.pi / 2, 0.0, -np.pi / 2, 0.0, 0.0], UR5.ready_rad])
+    # Both to the maker's digits: the arm upright, and with its elbow at a right angle.
+    np.testing.assert_allclose(up[:3, 3], [0.0, 0.19145, 0.08916 + 0.425 + 0.39225 + 0.09465], atol=2e-4)
+    np.testing.assert_allclose(ready[:3, 3], [0.39225 + 0.09465, 0.10915, 0.43186], atol=2e-4)
+    assert self_distance_batch(np.asarray([UR5.ready_rad]), arm_arrays(UR5))[0] > 0.0
+
+
+def test_an_arm_says_where_it_waits_only_if_it_was_told() -> None:
+    assert "ready_rad" not in PANDA.to_dict()
+    assert SerialArm.from_dict(UR5.to_dict()) == UR5

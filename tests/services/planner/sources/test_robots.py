@@ -20,7 +20,7 @@ from tests.fakes.sample_source import FakeSampleSource
 from tests.services.planner.clients import KINDS, ask
 
 PNG = b"\x89PNG picture"
-TWO, THREE, _ = (robot_digest(world) for world in examples().values())
+TWO, THREE, *_ = (robot_digest(world) for world in examples().values())
 SAMPLES = np.array([[0.5, 1.0], [3.0, 1.0]], dtype=np.float32)
 OLDER = {
     "type": "urn:cspace-sampler:problem:invalid-value",
