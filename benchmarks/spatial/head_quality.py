@@ -1,13 +1,14 @@
 """What a head knows of configurations that depth pictures do not show whole, beside what the pictures say.
 
-    python -m benchmarks.spatial.head_quality GRAPHS [--cameras 2] [--split test --problems FOLDER]
+    python -m benchmarks.spatial.head_quality GRAPHS [--cameras 2] [--split test --problems FOLDER | --own 20]
 
 GRAPHS is a folder with a head's map.onnx and validity.onnx, such as a bundle. On each problem of
 MotionBenchMaker, seen once with noise by cameras that are placed by chance as for training: half of the
 configurations uniform, half about start and goal (sigma 0.3 rad). The truth is that of the spheres. Beside
 the head stands the cloud: no sphere touches a surface that is seen, nor another sphere, and what is not seen
 is free; once as it is, and once with the slack that makes it most accurate on these very problems. Test
-problems are for figures that are reported, once. One process, minutes.
+problems are for figures that are reported, once. With --own the problems are those of the project's own
+families, of which training sees others. One process, minutes.
 
 Means over problems with 95 % bootstrap intervals over them. Near contact is within 2 cm of an obstacle, with
 an arm that does not touch itself. False free is the share in collision of what passes, with as many refused
@@ -15,7 +16,8 @@ as that cloud refuses over all.
 """
 
 import sys
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -27,9 +29,13 @@ from benchmarks.spatial.spheres_and_meshes import panda
 from cspace.bundle.running.graphs import Graph
 from cspace.splits import Split
 from cspace.worlds.spatial.motionbench.problems import BenchProblem, problems
+from cspace.worlds.spatial.obstacles.layout import Layout
+from cspace.worlds.spatial.obstacles.scenes import FAMILIES, SpatialScenes
 from cspace.worlds.spatial.obstacles.shapes import Obstacles
 from cspace.worlds.spatial.obstacles.signed_distance import clearance_m
 from cspace.worlds.spatial.planning.collision import CollisionChecker
+from cspace.worlds.spatial.planning.problems import SpatialProblem, draw_problem
+from cspace.worlds.spatial.robot.arm import SerialArm
 from cspace.worlds.spatial.scene import seen
 from cspace.worlds.spatial.seeing.observed import lookup
 from cspace.worlds.spatial.world import SpatialWorld, usual
@@ -62,10 +68,47 @@ class Head:
         return found["confidence"], found["unseen"]
 
 
+@dataclass(frozen=True)
+class OwnProblem:
+    """A problem of one of the project's own families."""
+
+    family: str
+    number: int
+    drawn: SpatialProblem
+
+    @property
+    def obstacles(self) -> Obstacles:
+        return self.drawn.layout.obstacles
+
+    @property
+    def start(self) -> np.ndarray:
+        return self.drawn.start
+
+    @property
+    def goal(self) -> np.ndarray:
+        return self.drawn.goal
+
+    def layout(self, arm: SerialArm) -> Layout:
+        del arm
+        return self.drawn.layout
+
+
+def own_problems(world: SpatialWorld, split: Split, count: int, seed: int) -> list[OwnProblem]:
+    """So many of each family."""
+    scenes = world.scenes or SpatialScenes()
+    return [
+        OwnProblem(family, index, draw_problem(world.body, scenes, split, seed, index, family))
+        for family in FAMILIES
+        for index in range(count)
+    ]
+
+
 class Judged:
     """Configurations of one problem, by truth, head and cloud."""
 
-    def __init__(self, head: Head, problem: BenchProblem, cameras: int, count: int, seed: int) -> None:
+    def __init__(
+        self, head: Head, problem: BenchProblem | OwnProblem, cameras: int, count: int, seed: int
+    ) -> None:
         sensor = replace(head.world.sensor, views=replace(head.world.sensor.views, count=(cameras, cameras)))
         world = replace(head.world, sensor=sensor)
         arm, self.family = world.body, problem.family
@@ -173,12 +216,17 @@ def main() -> int:
     parser.add_argument("graphs", type=Path)
     parser.add_argument("--split", choices=("validation", "test"), default="validation")
     parser.add_argument("--problems", type=Path, help="the folder of the test problems")
+    parser.add_argument("--own", type=int, default=0, help="problems of each of the project's own families")
     parser.add_argument("--cameras", type=int, default=1)
     parser.add_argument("--configurations", type=int, default=1000, help="in each problem")
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     head = Head(options.graphs, usual(panda()))
-    found = problems(Split(options.split), options.problems)
+    found: Sequence[BenchProblem | OwnProblem]
+    if options.own:
+        found = own_problems(head.world, Split(options.split), options.own, options.seed)
+    else:
+        found = problems(Split(options.split), options.problems)
     judged = [Judged(head, one, options.cameras, options.configurations, options.seed) for one in found]
     print(machine())
     print(f"{len(judged)} {options.split} problems, {options.cameras} cameras, {options.configurations} each")

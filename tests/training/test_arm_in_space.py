@@ -1,15 +1,19 @@
 """An arm in space from the preset to a version that answers: every stage runs, nothing is learned."""
 
+import json
+
 import numpy as np
 import pytest
 
 from cspace.bundle import Bundle
 from cspace.dataset import open_dataset
 from cspace.splits import Split, scenario_rng
-from cspace.worlds import examples, workshop_of
+from cspace.view_file import unpack_view
+from cspace.worlds import checker_of, examples, picture_file_of, workshop_of
 from services.registry.models.mlflow_registry import MlflowRegistry
 from tests.contracts.mlflow_server import mlflow_server
 from tests.training.clusters.test_pipeline import submit
+from training.datasets.__main__ import main as datasets
 
 pytestmark = [pytest.mark.e2e, pytest.mark.slow, pytest.mark.timeout(600)]
 
@@ -27,18 +31,18 @@ SMALL = (
 
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory):
-    """What the job says, the registry's bundle, and the folder of its data sets."""
+    """What the job says, the registry's bundle, the folder of its data sets, and the server."""
     folder = tmp_path_factory.mktemp("space")
     settings = [part for setting in SMALL for part in ("--set", setting)]
     with mlflow_server(tmp_path_factory.mktemp("mlflow")) as uri:
         result = submit(uri, folder, "--preset", "panda_quick", *settings)
         registry = MlflowRegistry(uri)
         version = registry.version(result["model"], result["version"])
-        yield result, Bundle.load(registry.download(version, folder / "bundle")), folder
+        yield result, Bundle.load(registry.download(version, folder / "bundle")), folder, uri
 
 
 def test_the_model_is_the_arms_own(trained):
-    result, bundle, _ = trained
+    result, bundle, *_ = trained
     assert result["model"] == "panda-sampler"
     assert bundle.spec.world == WORLD
     assert bundle.spec.provenance.config["preset"] == "panda_quick"
@@ -71,3 +75,37 @@ def test_samples_lie_within_the_limits_and_tell_what_no_camera_saw(trained):
     assert found.confidence.shape == found.unseen.shape == (300,)
     assert np.ptp(found.unseen) > 0.0
     assert 0.0 <= picture.novelty <= 1.0
+
+
+def recordings(folder, count=5):
+    """Scenes as somebody records them: pictures, cameras, where the arm was, what was free and what not."""
+    folder.mkdir()
+    for index in range(count):
+        scene = workshop_of(WORLD).scene(scenario_rng(Split.DEMO, 1, index), Split.DEMO, index)
+        pictures, cameras, state = unpack_view(picture_file_of(scene))
+        names = [f"scene-{index}-{number}.png" for number in range(len(pictures))]
+        for name, picture in zip(names, pictures, strict=True):
+            (folder / name).write_bytes(picture)
+        told = {"pictures": names, "cameras": cameras, "state": state}
+        (folder / f"scene-{index}.json").write_text(json.dumps(told))
+        rows = WORLD.space.sample_uniform(np.random.default_rng(index), 80)
+        free = checker_of(scene).valid_batch(rows)
+        np.save(folder / f"scene-{index}.npy", rows[free])
+        np.save(folder / f"scene-{index}.collision.npy", rows[~free])
+    return folder
+
+
+def test_recordings_of_ones_own_train_a_version_that_promises_nothing(trained, tmp_path):
+    source, data = recordings(tmp_path / "own"), tmp_path / "data"
+    assert datasets(["import", str(source), str(data), "--arm", "panda"]) == 0
+    uri = trained[3]
+    kept = [part for part in SMALL if not part.startswith("data.")]
+    settings = [part for setting in (*kept, f"data_folder={data}") for part in ("--set", setting)]
+    result = submit(uri, tmp_path / "jobs", "--preset", "panda_quick", *settings)
+    registry = MlflowRegistry(uri)
+    version = registry.version(result["model"], result["version"])
+    bundle = Bundle.load(registry.download(version, tmp_path / "bundle"))
+    assert bundle.spec.world.body == WORLD.body
+    assert bundle.spec.world.scenes is None
+    assert bundle.spec.provenance.metrics == {}
+    assert bundle.tells_unseen

@@ -103,7 +103,9 @@ def _add_generated(
 
 def _add_import(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "source", type=Path, help="name.png, name.npy, optional name.collision.npy, extra/*.png"
+        "source",
+        type=Path,
+        help="name.png (of depth cameras name.json), name.npy, optional name.collision.npy, extra/",
     )
     parser.add_argument("folder", type=Path, help="where the data set goes")
     add_world_options(parser, sensor=True)

@@ -1,10 +1,13 @@
-"""Import of somebody's own data: a folder of PNG pictures with their configurations as arrays.
+"""Import of somebody's own data: a folder of pictures with their configurations as arrays.
 
 pictures/
   kitchen.png             a scenario
   kitchen.npy             (n, d) rad: configurations that are free in it
   kitchen.collision.npy   (m, d) rad: configurations in collision; optional
   extra/*.png             pictures without configurations; optional
+
+For depth cameras a scenario is kitchen.json, which names its PNGs and tells their cameras
+(:mod:`training.datasets.own_pictures`).
 """
 
 from dataclasses import dataclass, replace
@@ -15,13 +18,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cspace.dataset import Dataset, require_room, write_dataset
-from cspace.errors import DatasetError, ImageError
+from cspace.errors import DatasetError
 from cspace.space import JointSpace
 from cspace.world import World
+from training.datasets.own_pictures import found_pictures, read_own_picture
 
 EXTRA_FOLDER = "extra"
 COLLISION_ENDING = ".collision.npy"
-_MAX_PICTURE_BYTES = 8 * 2**20
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,15 +54,17 @@ def import_folder(source: Path, folder: Path, *, world: World) -> Dataset:
         DatasetError: a file is missing or does not fit; it is named.
         StorageError: the folder exists or cannot be written.
     """
-    pictures = sorted(source.glob("*.png"))
+    pictures = found_pictures(source)
     if not pictures:
         raise DatasetError(
-            f"{source} holds no pictures", expected="scenario.png with scenario.npy", got="no *.png"
+            f"{source} holds no pictures",
+            expected="scenario.png with scenario.npy",
+            got="no *.png, no *.json",
         )
     _refuse_strays(source, pictures)
     require_room(folder, 2 * sum(path.stat().st_size for path in source.glob("*.npy")))
     scenarios = [_read(picture, world) for picture in pictures]
-    extras = [_picture(path, world) for path in sorted((source / EXTRA_FOLDER).glob("*.png"))]
+    extras = [read_own_picture(path, world) for path in found_pictures(source / EXTRA_FOLDER)]
     has_collision = any(len(scenario.collision) for scenario in scenarios)
     return write_dataset(
         folder,
@@ -77,20 +82,7 @@ def _read(picture: Path, world: World) -> OwnScenario:
     free = _configurations(picture.with_suffix(".npy"), world.space)
     path = picture.with_suffix(COLLISION_ENDING)
     collision = _configurations(path, world.space) if path.exists() else np.empty((0, world.dim))
-    return OwnScenario(_picture(picture, world), free, collision)
-
-
-def _picture(path: Path, world: World) -> NDArray[np.uint8]:
-    try:
-        if path.stat().st_size > _MAX_PICTURE_BYTES:
-            raise DatasetError(f"{path} is too large", expected="at most 8 MiB")
-        return world.read_picture(path.read_bytes())
-    except OSError as error:
-        raise DatasetError(f"{path} cannot be read", got=str(error)) from error
-    except ImageError as error:
-        raise DatasetError(
-            f"{path}: {error.what}", expected=error.expected, got=error.got, remedy=error.remedy
-        ) from error
+    return OwnScenario(read_own_picture(picture, world), free, collision)
 
 
 def _configurations(path: Path, space: JointSpace) -> NDArray[np.float64]:
