@@ -39,13 +39,13 @@ class ArmPoints(nn.Module):
         self.register_buffer("steps", buffer(arm.origins[:, :3, 3:]))
         self.register_buffer("cross", _cross(buffer(arm.axes)))
 
-    def forward(self, configurations: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Spheres, groups, and the links' rotations (n, d + 1, 3, 3)."""
+    def forward(self, configurations: Tensor) -> tuple[Tensor, Tensor]:
+        """Spheres and groups."""
         count = configurations.shape[0]
         still = torch.eye(3, device=configurations.device)
         turn, place = still.expand(count, 3, 3), self.points.new_zeros(1, 3, 1)
         parts = torch.split(self.points, self.sizes, dim=1)
-        turns, found = [turn], [parts[0].unsqueeze(0).expand(count, 3, self.sizes[0])]
+        found = [parts[0].unsqueeze(0).expand(count, 3, self.sizes[0])]
         sines, cosines = torch.sin(configurations), 1.0 - torch.cos(configurations)
         for joint, part in enumerate(parts[1:]):
             cross = self.cross[joint]
@@ -53,10 +53,9 @@ class ArmPoints(nn.Module):
             own = own + cosines[:, joint, None, None] * (cross @ cross)
             place = place + turn @ self.steps[joint]
             turn = (turn @ self.turns[joint]) @ own
-            turns.append(turn)
             found.append(turn @ part + place)
         points = torch.cat(found, dim=2)
-        return points[:, :, self.sphere_places], points[:, :, self.group_places], torch.stack(turns, dim=1)
+        return points[:, :, self.sphere_places], points[:, :, self.group_places]
 
 
 class SelfGap(nn.Module):

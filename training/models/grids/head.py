@@ -20,6 +20,8 @@ from training.models.networks import mlp
 from training.models.settings import GridConfig, ValidityConfig
 
 _NAMES = 8
+# Of a picture: distance to what is seen, and what is known.
+_CHANNELS = 2
 # Margins to what is seen that are told apart: about contact, and on the whole.
 _SHARP_M, _NEAR_M, _FAR_M = 0.01, 0.03, 0.1
 # Log odds of a group's hazard before anything is learned.
@@ -56,8 +58,7 @@ class GridHead(nn.Module):
     radii: Tensor
     volumes: Tensor
     low: Tensor
-    links: Tensor
-    along: Tensor
+    farthest: Tensor
 
     def __init__(self, config: GridConfig, hidden: int, arm: GridArm, counts: tuple[int, int, int]) -> None:
         super().__init__()
@@ -72,8 +73,7 @@ class GridHead(nn.Module):
         self.register_buffer("radii", buffer(arm.spheres_m[:, 3])[moving])
         self.register_buffer("volumes", functional.normalize(self.radii**3, p=1.0, dim=0))
         self.register_buffer("low", buffer(arm.low_m)[:, None])
-        self.register_buffer("links", buffer(arm.group_links, torch.long))
-        self.register_buffer("along", _longest(arm)[:, :, None])
+        self.register_buffer("farthest", _farthest(arm))
         self.names = nn.Parameter(0.1 * torch.randn(self.groups, _NAMES))
         # Features, place, place in the voxel, direction, three margins, five of sight, share unseen, name.
         told = config.width + 3 + 3 + 3 + 3 + 5 + 1 + _NAMES
@@ -105,10 +105,11 @@ class GridHead(nn.Module):
     def forward(self, pictures: Tensor, table: Tensor, configurations: Tensor) -> Belief:
         """What is believed of configurations."""
         scenes, count, dim = configurations.shape
-        spheres, groups, turns = self.points(configurations.reshape(-1, dim))
+        spheres, groups = self.points(configurations.reshape(-1, dim))
         margins, unseen = self._at_spheres(pictures, spheres, scenes)
         margins, unseen = margins.reshape(scenes * count, -1), unseen.reshape(scenes * count, -1)
-        read = self._at_groups(pictures, table, groups, turns, scenes)
+        along = (spheres[:, :, self.farthest] - groups).transpose(1, 2) / _FAR_M
+        read = self._at_groups(pictures, table, groups, along, scenes)
         near = margins[:, self.members].amin(dim=2)
         sight = unseen[:, self.members].mean(dim=2)
         told = torch.cat([read, _told(near), sight.unsqueeze(-1)], dim=2)
@@ -127,35 +128,38 @@ class GridHead(nn.Module):
 
     def _at_spheres(self, pictures: Tensor, spheres: Tensor, scenes: int) -> tuple[Tensor, Tensor]:
         """Margins to the surface seen, m, and whether not seen free, of all spheres that move."""
-        points = self._points(spheres[:, :, self.moving], scenes, self.counts, self.voxel_m)
-        near = points.between(pictures[:, 0].reshape(-1, 1)).squeeze(-1) * self.scale_m
-        codes = functional.embedding(points.nearest(), pictures[:, 1].reshape(-1, 1)).squeeze(-1)
+        points = self._points(spheres[:, :, self.moving], scenes, self.counts, self.voxel_m, _CHANNELS)
+        # Read where it lies: a channel of its own would be a copy, as large as all that is read of it.
+        table = pictures.reshape(-1, 1)
+        near = points.between(table).squeeze(-1) * self.scale_m
+        codes = functional.embedding(points.nearest(1), table).squeeze(-1)
         margins = near.reshape(-1, len(self.radii)) - self.radii
         return margins, (codes > 0.5 / 255.0).float()
 
     def _at_groups(
-        self, pictures: Tensor, table: Tensor, groups: Tensor, turns: Tensor, scenes: int
+        self, pictures: Tensor, table: Tensor, groups: Tensor, along: Tensor, scenes: int
     ) -> Tensor:
-        """(n, G, ...): features, places, directions, and what is known of the voxel."""
+        """(n, G, ...): features, places, directions (n, G, 3), and what is known of the voxel."""
         counts = (self.counts[0] // STRIDE, self.counts[1] // STRIDE, self.counts[2] // STRIDE)
         coarse = self._points(groups, scenes, counts, STRIDE * self.voxel_m)
         rows = groups.shape[0]
         features = coarse.between(table).reshape(rows, self.groups, -1)
         inside = (coarse.places - coarse.places.floor() - 0.5).transpose(1, 2).reshape(rows, -1, 3)
-        fine = self._points(groups, scenes, self.counts, self.voxel_m)
-        code = functional.embedding(fine.nearest(), pictures[:, 1].reshape(-1, 1)).reshape(rows, -1, 1)
+        fine = self._points(groups, scenes, self.counts, self.voxel_m, _CHANNELS)
+        code = functional.embedding(fine.nearest(1), pictures.reshape(-1, 1)).reshape(rows, -1, 1)
         free, out = (code < 0.5 / 255.0).float(), (code > 254.5 / 255.0).float()
         unread = ((code - self.encoder.no_reading).abs() < 0.5 / 255.0).float()
         hidden = 1.0 - free - out - unread
-        along = (turns[:, self.links] @ self.along).squeeze(-1)
         places = groups.transpose(1, 2)
         return torch.cat([features, places, inside, along, free, unread, out, hidden, hidden * code], dim=2)
 
-    def _points(self, points: Tensor, scenes: int, counts: tuple[int, int, int], voxel_m: float) -> Points:
+    def _points(
+        self, points: Tensor, scenes: int, counts: tuple[int, int, int], voxel_m: float, channels: int = 1
+    ) -> Points:
         """Points (n, 3, S) of so many scenes in a grid."""
         places = (points - self.low) / voxel_m
         flat = places.reshape(scenes, -1, 3, places.shape[2]).transpose(1, 2)
-        return Points(flat.reshape(scenes, 3, -1), counts)
+        return Points(flat.reshape(scenes, 3, -1), counts, channels)
 
     def _clear(self, inner: Tensor, hazards: Tensor, unseen: Tensor) -> Tensor:
         """Log probability that nothing is touched, as far as it is learned, (n,)."""
@@ -183,9 +187,9 @@ def _told(margins: Tensor) -> Tensor:
     return torch.stack(scales, dim=2)
 
 
-def _longest(arm: GridArm) -> Tensor:
-    """From the centre of each group to its farthest sphere, in units of 10 cm in the link's frame, (G, 3)."""
+def _farthest(arm: GridArm) -> Tensor:
+    """Of each group the sphere that is farthest from its centre, (G,)."""
     centres, spheres = buffer(arm.group_spheres_m[:, :3]), buffer(arm.spheres_m[:, :3])
-    ways = spheres[buffer(arm.members, torch.long)] - centres[:, None]
-    farthest = ways.norm(dim=2).argmax(dim=1)
-    return ways[torch.arange(len(ways)), farthest] / _FAR_M
+    members = buffer(arm.members, torch.long)
+    farthest = (spheres[members] - centres[:, None]).norm(dim=2).argmax(dim=1, keepdim=True)
+    return torch.gather(members, 1, farthest)[:, 0]

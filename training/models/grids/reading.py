@@ -11,13 +11,14 @@ class Points:
     Args:
         places: (p, 3, n) in voxels from the lowest corner.
         counts: X, Y, Z of the grid.
+        channels: that lie one behind the other in each scene's part of a table, as a picture (p, C, X, Y, Z)
+            that is only reshaped has them.
     """
 
-    def __init__(self, places: Tensor, counts: tuple[int, int, int]) -> None:
+    def __init__(self, places: Tensor, counts: tuple[int, int, int], channels: int = 1) -> None:
         self.places, self.counts = places, counts
-        self.rows = torch.arange(places.shape[0], device=places.device)[:, None] * (
-            counts[0] * counts[1] * counts[2]
-        )
+        self.voxels = counts[0] * counts[1] * counts[2]
+        self.rows = torch.arange(places.shape[0], device=places.device)[:, None] * (channels * self.voxels)
 
     @property
     def inside(self) -> Tensor:
@@ -26,13 +27,13 @@ class Points:
         sides = [self.places[:, axis] < float(self.counts[axis]) for axis in range(3)]
         return low & sides[0] & sides[1] & sides[2]
 
-    def nearest(self) -> Tensor:
-        """(p, n): numbers of the voxels that they lie in, or of the nearest ones."""
+    def nearest(self, channel: int = 0) -> Tensor:
+        """(p, n): rows of a channel for the voxels that they lie in, or for the nearest ones."""
         x, y, z = (self.places[:, axis].clamp(0.0, float(self.counts[axis] - 1)).long() for axis in range(3))
-        return self._number(x, y, z)
+        return self._number(x, y, z) + channel * self.voxels
 
     def between(self, table: Tensor) -> Tensor:
-        """Trilinear between the centres of voxels, (p, n, C), of a table (p X Y Z, C)."""
+        """Trilinear between voxels, (p, n, C), of a table (p X Y Z, C) or its first channel."""
         firsts, shares = [], []
         for axis in range(3):
             middle = (self.places[:, axis] - 0.5).clamp(0.0, self.counts[axis] - 1.001)

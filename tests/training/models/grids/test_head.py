@@ -57,14 +57,18 @@ def to_network(picture):
 
 
 def test_spheres_are_where_the_arm_has_them(head, rows):
-    spheres, groups, turns = head.points(torch.from_numpy(rows))
+    spheres, groups = head.points(torch.from_numpy(rows))
     np.testing.assert_allclose(spheres.transpose(1, 2), ARM.sphere_centres_m(rows), atol=1e-6)
     found = grouped(ARM, 64)
     moving, frames = found.links > 0, ARM.link_frames(rows)
     centres = np.concatenate([found.spheres_m[moving, :3], np.ones((moving.sum(), 1))], axis=1)
     places = np.einsum("nsij,sj->nsi", frames[:, found.links[moving]], centres)[..., :3]
     np.testing.assert_allclose(groups.transpose(1, 2), places, atol=1e-6)
-    np.testing.assert_allclose(turns, frames[:, :, :3, :3], atol=1e-6)
+    # A group's direction is that to its farthest sphere, about as long as its own radius.
+    ways = np.linalg.norm(spheres.numpy()[:, :, head.farthest] - groups.numpy(), axis=1)
+    own = ARM.spheres_m()[:, 3][head.farthest]
+    assert (ways <= found.spheres_m[moving, 3] + 1e-6).all()
+    assert (ways + own >= 0.5 * found.spheres_m[moving, 3]).all()
 
 
 def test_an_arm_that_touches_itself_is_known_exactly(head, rows):
