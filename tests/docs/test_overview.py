@@ -7,6 +7,7 @@ from PIL import Image
 from cspace.worlds.planar.seeing.picture import decode_png
 from tests.bundles import write_tiny_bundle
 from tests.docs.blocks import ROOT
+from tests.space_bundle import write_space_bundle
 
 SCRIPT = ROOT / "docs" / "make_overview.py"
 
@@ -28,3 +29,13 @@ def test_a_missing_bundle_is_told_and_nothing_is_drawn(tmp_path: Path) -> None:
     main = runpy.run_path(str(SCRIPT))["main"]
     assert main(["--bundle", str(tmp_path / "gone"), "--folder", str(tmp_path)]) == 1
     assert list(tmp_path.iterdir()) == []
+
+
+def test_the_picture_of_space_is_drawn_from_a_bundle(tmp_path: Path) -> None:
+    bundle = write_space_bundle(tmp_path / "bundle")
+    main = runpy.run_path(str(SCRIPT.with_name("make_space_overview.py")))["main"]
+    assert main(["--bundle", str(bundle), "--folder", str(tmp_path)]) == 0
+    with Image.open(tmp_path / "space.png") as drawn:
+        assert drawn.width > 2 * drawn.height
+        assert len(np.unique(np.asarray(drawn.convert("L")))) > 20
+    assert main(["--bundle", str(tmp_path / "gone"), "--folder", str(tmp_path)]) == 1

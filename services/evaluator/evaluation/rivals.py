@@ -25,6 +25,7 @@ from services.evaluator.measures.samplers import PackedBundle
 from services.names import ALIAS_CHAMPION, TAG_ROLLED_BACK
 from services.registry.models.port import ModelRegistry, ModelVersion
 from services.registry.promotion import Decision, champions
+from services.registry.references import SHIPPED
 
 # What decisions told of their robot before they told its digest.
 JOINTS = "joints"
@@ -167,7 +168,10 @@ class _Found:
                 got=str(folder),
                 remedy="set CSPACE_PRETRAINED_MODEL, or do without the comparison: --without-shipped",
             )
-        if not self._add("the shipped model", Bundle.load(folder)):
+        # Those of other robots lie beside it, and are looked at where it is not of this one.
+        beside = (folder.with_name(name) for name in SHIPPED.values())
+        folders = dict.fromkeys([folder, *(one for one in beside if one.is_dir())])
+        if not any(self._add("the shipped model", Bundle.load(one)) for one in folders):
             self.notes.append("no model of this robot and kind is shipped")
 
     def _add(self, name: str, bundle: Bundle) -> bool:
