@@ -116,6 +116,7 @@ class IncomingAnswer:
             timing=head.timing,
             robot=head.robot,
             alias_confirmed=head.alias_confirmed,
+            acceptance=head.acceptance,
         )
 
     def _check_framing(self, headers: Mapping[str, str]) -> None:

@@ -34,6 +34,7 @@ class AnswerHead:
     space: JointSpace | None = None
     robot: str | None = None
     alias_confirmed: bool | None = None
+    acceptance: float | None = None
 
 
 def read_head(headers: Mapping[str, str], question: Question) -> AnswerHead:
@@ -72,6 +73,7 @@ def read_head(headers: Mapping[str, str], question: Question) -> AnswerHead:
         space=read_space(headers["x-joint-space"]) if "x-joint-space" in headers else None,
         robot=robot,
         alias_confirmed=_flag(headers, "x-alias-confirmed") if "x-alias-confirmed" in headers else None,
+        acceptance=_share(headers, "x-acceptance") if "x-acceptance" in headers else None,
     )
 
 

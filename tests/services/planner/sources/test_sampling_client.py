@@ -48,15 +48,18 @@ def test_a_good_answer_becomes_a_batch():
     assert (batch.seed, batch.shortfall) == (SEED, 0)
 
 
-def test_the_novelty_is_read_where_it_is_told():
-    assert client_of(answer_of()).sample(PNG, 2, seed=SEED).novelty is None
-    assert client_of(answer_of(X_Novelty="0.25")).sample(PNG, 2, seed=SEED).novelty == 0.25
+@pytest.mark.parametrize("name", ["novelty", "acceptance"])
+def test_novelty_and_acceptance_are_read_where_they_are_told(name):
+    assert getattr(client_of(answer_of()).sample(PNG, 2, seed=SEED), name) is None
+    told = client_of(answer_of(**{f"X_{name.title()}": "0.25"})).sample(PNG, 2, seed=SEED)
+    assert getattr(told, name) == 0.25
 
 
+@pytest.mark.parametrize("name", ["novelty", "acceptance"])
 @pytest.mark.parametrize("value", ["", "new", "nan", "-0.1", "1.5"])
-def test_a_novelty_that_can_not_be_is_refused(value):
-    with pytest.raises(SamplerError, match="x-novelty"):
-        client_of(answer_of(X_Novelty=value)).sample(PNG, 2, seed=SEED)
+def test_those_that_can_not_be_are_refused(value, name):
+    with pytest.raises(SamplerError, match=f"x-{name}"):
+        client_of(answer_of(**{f"X_{name.title()}": value})).sample(PNG, 2, seed=SEED)
 
 
 def test_a_batch_from_which_all_samples_were_dropped_is_empty():
