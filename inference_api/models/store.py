@@ -221,7 +221,7 @@ class ModelStore:
         self._stand_in = self.shipped.stand_in(self.model_name, self._robot)
 
     def _instead_of(self, reference: ModelReference) -> str:
-        """The shipped model of the robot of a model that nobody has registered.
+        """The shipped model of the robot of a model that has no champion.
 
         Raises:
             ModelNotFoundError: there is none.
