@@ -58,8 +58,19 @@ def spread(
         raise JobError(f"the cluster lost the {what}", got=str(error), remedy=remedy) from error
     finally:
         with suppress(RayError, ConnectionError):
-            for reference in waiting:
-                ray.cancel(reference)
+            cancel(waiting)
+
+
+def cancel(references: Sequence["ray.ObjectRef[Any]"]) -> None:
+    """Cancel the tasks that have not ended.
+
+    Ray ends the whole process where a task is cancelled whose answer is just being taken in ("Tried to
+    complete task that was not pending"), so none is cancelled that is known to be over.
+    """
+    if references:
+        _, left = ray.wait(list(references), num_returns=len(references), timeout=0)
+        for reference in left:
+            ray.cancel(reference)
 
 
 def join(**settings: Any) -> None:

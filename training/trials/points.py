@@ -8,6 +8,8 @@ from typing import Generic, TypeVar
 import ray
 from ray.exceptions import RayError
 
+from services.evaluator.cluster import cancel
+
 # How long jobs that were asked to end may take.
 STOP_S = 30.0
 
@@ -75,8 +77,7 @@ def run_side_by_side(
             ray.wait(list(running), num_returns=len(running), timeout=STOP_S)
         raise
     finally:
-        for reference in running:
-            ray.cancel(reference)
+        cancel(list(running))
 
 
 def _result(reference: "ray.ObjectRef[Result]") -> Result | RayError:
