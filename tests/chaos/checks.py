@@ -17,6 +17,7 @@ from training.trials.checkpoints import TrialFolder
 STAGES = {
     "vae": "pictures",
     "validity": "pictures",
+    "gate": "gate",
     "local-0": "local",
     "local-1": "local",
     "global": "global",
@@ -40,7 +41,14 @@ class Left:
     digests: dict[str, str]
 
 
-def left_behind(uri: str, data: Path, result: dict[str, object], steps: dict[str, int], every: int) -> Left:
+def left_behind(
+    uri: str,
+    data: Path,
+    result: dict[str, object],
+    steps: dict[str, int],
+    every: int,
+    model: str = MODEL_NAME,
+) -> Left:
     """Look at everything; an assertion names what was lost or doubled.
 
     Args:
@@ -49,11 +57,12 @@ def left_behind(uri: str, data: Path, result: dict[str, object], steps: dict[str
         result: the job's own last line.
         steps: of each trial.
         every: steps between two points of a metric.
+        model: that the job makes a version of.
     """
     run_id, folder = str(result["run_id"]), data / "jobs" / str(result["run_id"])
     client, registry = MlflowClient(uri), MlflowRegistry(uri)
     check_runs(client, run_id, steps, every)
-    versions = [one for one in registry.versions(MODEL_NAME) if one.run_id == run_id]
+    versions = [one for one in registry.versions(model) if one.run_id == run_id]
     assert [one.number for one in versions] == [result["version"]]
     bundle = Bundle.load(registry.download(versions[0], folder.parent / f"fetched-{run_id}"))
     assert bundle.digest == result["digest"] == versions[0].digest

@@ -17,6 +17,7 @@ from typing import Any, Self
 
 import psutil
 
+from services.names import MODEL_NAME
 from tests.contracts.mlflow_server import MlflowServer, free_port
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -26,11 +27,27 @@ LOOK_S = 0.1
 EVERY = 25
 
 
+@dataclass(frozen=True)
+class Kind:
+    """A kind of job, small enough to be struck many times.
+
+    Args:
+        preset: that it starts from.
+        model: that its versions are of.
+        settings: that all its jobs have.
+    """
+
+    preset: str = "smoke"
+    model: str = MODEL_NAME
+    settings: tuple[str, ...] = ()
+
+
 def settings(steps: dict[str, int]) -> tuple[str, ...]:
     """The settings of a job with so many steps of each trial."""
-    sections = {"vae": "vae", "validity": "validity", "local": "local-0", "global": "global"}
+    sections = {"local-0": "local", "local-1": "local"}
+    numbers = {sections.get(trial, trial): count for trial, count in steps.items()}
     return (
-        *(f"{section}.steps={steps[trial]}" for section, trial in sections.items()),
+        *(f"{section}.steps={count}" for section, count in numbers.items()),
         f"resources.log_every_steps={EVERY}",
         f"resources.checkpoint_every_steps={2 * EVERY}",
     )
@@ -117,10 +134,12 @@ class System:
     Args:
         folder: of the server and of the jobs' logs.
         data: the data folder of the jobs.
+        kind: of the jobs.
     """
 
     folder: Path
     data: Path
+    kind: Kind = Kind()
     server: MlflowServer = field(init=False)
     head: RayHead = field(init=False)
 
@@ -141,10 +160,10 @@ class System:
         return self.run(name, "cluster_train.py", settings)
 
     def run(self, name: str, script: str, settings: tuple[str, ...], *options: str) -> "Driver":
-        """Run a command of ``training/`` on the preset ``smoke`` with settings and options of its own."""
-        sets = [part for setting in settings for part in ("--set", setting)]
+        """Run a command of ``training/`` on its kind's preset with settings and options of its own."""
+        sets = [part for setting in (*self.kind.settings, *settings) for part in ("--set", setting)]
         path = str(ROOT / "training" / script)
-        command = [sys.executable, path, "--preset", "smoke", "--job", name, *sets, *options]
+        command = [sys.executable, path, "--preset", self.kind.preset, "--job", name, *sets, *options]
         log = self.folder / f"{name}.log"
         given = environment(
             RAY_ADDRESS=self.head.address,

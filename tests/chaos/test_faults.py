@@ -51,7 +51,7 @@ def undisturbed(system: System) -> tuple[Left, float]:
     driver = system.submit("undisturbed", settings(STEPS))
     assert driver.wait() == 0, driver.printed
     taken_s = time.monotonic() - began
-    return left_behind(system.server.address, system.data, driver.result, STEPS, EVERY), taken_s
+    return whole(system, driver, STEPS), taken_s
 
 
 def survive(
@@ -66,11 +66,17 @@ def survive(
         name = f"{'-'.join(kinds).replace('_', '-')}-{seed}" + (f"-{sooner}" if sooner else "")
         rng = random.Random(name)  # noqa: S311 - a moment, not a secret
         attempts, struck = _strike(system, kinds, name, rng, taken_s * 0.6**sooner, steps)
-        left = left_behind(system.server.address, system.data, attempts[-1].result, steps, EVERY)
+        left = whole(system, attempts[-1], steps)
         _note(f"| {name} | {', '.join(struck)} | {len(attempts)} | 0 |")
         if LATE not in struck:
             return left, attempts
     raise AssertionError(f"{name}: the job was over {TRIES} times before it could be struck")
+
+
+def whole(system: System, driver: Driver, steps: dict[str, int]) -> Left:
+    """What a driver that has ended well left."""
+    address, model = system.server.address, system.kind.model
+    return left_behind(address, system.data, driver.result, steps, EVERY, model)
 
 
 def _strike(
@@ -119,9 +125,9 @@ def test_a_killed_worker_and_then_a_killed_driver_lose_nothing(system: System) -
 def test_repeated_faults_lose_nothing_and_change_no_weight(
     fault: str, seed: int, system: System, undisturbed: tuple[Left, float]
 ) -> None:
-    whole, taken_s = undisturbed
+    expected, taken_s = undisturbed
     left, _ = survive(system, (fault,), seed, taken_s, STEPS)
-    assert same(left, whole)
+    assert same(left, expected)
 
 
 @pytest.fixture
@@ -147,11 +153,10 @@ def test_a_full_disk_loses_nothing_and_is_told(small_disk: System) -> None:
     driver = small_disk.submit("undisturbed", settings(STEPS))
     assert driver.wait() == 0, driver.printed
     taken_s = time.monotonic() - began
-    address = small_disk.server.address
-    whole = left_behind(address, small_disk.data, driver.result, STEPS, EVERY)
+    expected = whole(small_disk, driver, STEPS)
     for seed in range(3):
         left, attempts = survive(small_disk, ("fill_disk",), seed, taken_s, STEPS)
-        assert same(left, whole)
+        assert same(left, expected)
         if len(attempts) > 1:
             assert "No space left" in attempts[0].printed or "too full" in attempts[0].printed
 
