@@ -15,8 +15,9 @@ RUN pip install --no-cache-dir -c /tmp/constraints.txt -r /tmp/requirements.txt
 RUN useradd --uid 1000 --create-home cspace \
  && install -d -o cspace -g cspace /var/lib/cspace
 COPY cspace /app/cspace
-# The shipped model, which the evaluation compares with.
+# The shipped models, which the evaluation compares with.
 COPY inference_api/pretrained /app/inference_api/pretrained
+COPY inference_api/pretrained_panda /app/inference_api/pretrained_panda
 COPY services /app/services
 COPY training /app/training
 

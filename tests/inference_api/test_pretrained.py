@@ -1,18 +1,21 @@
-"""The bundle that ships with the project: whole, small, told where it comes from, and better than uniform."""
+"""The bundles that ship: whole, small, told where they come from, and better than uniform."""
 
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from cspace.bundle import Bundle
-from cspace.splits import Split
+from cspace.splits import Split, scenario_rng
+from cspace.worlds import checker_of, examples, picture_of, workshop_of
 from cspace.worlds.planar.arm import TWO_LINK
 from cspace.worlds.planar.planning.collision import CollisionChecker
 from cspace.worlds.planar.render import render
 from cspace.worlds.planar.scene import random_scenarios
-from inference_api.settings import PRETRAINED_FOLDER
+from inference_api.settings import PRETRAINED_FOLDER, further_folders
 
+FOLDERS = (PRETRAINED_FOLDER, *further_folders().values())
 MAX_BYTES = 40_000_000
 SCENARIOS = 20
 SAMPLES = 500
@@ -69,7 +72,44 @@ def test_its_samples_are_free_more_often_than_uniform_ones(bundle: Bundle) -> No
     assert np.mean(learned) > np.mean(uniform) + 0.1
 
 
-def test_it_names_no_folder_of_the_machine_that_made_it() -> None:
+@pytest.mark.parametrize(
+    "shipped", [PRETRAINED_FOLDER, *further_folders().values()], ids=lambda one: one.name
+)
+def test_it_names_no_folder_of_the_machine_that_made_it(shipped: Path) -> None:
     # A name of some letters: a million bytes of weights hold ".py" by chance.
     folder = re.compile(rb"[\w/-]{3,}\.py\b(?<!cluster_train\.py)|/home/|/tmp/|/root/")
-    assert [file.name for file in PRETRAINED_FOLDER.iterdir() if folder.search(file.read_bytes())] == []
+    assert [file.name for file in shipped.iterdir() if folder.search(file.read_bytes())] == []
+
+
+def test_all_that_ships_is_small() -> None:
+    assert sum(file.stat().st_size for folder in FOLDERS for file in folder.iterdir()) < MAX_BYTES
+
+
+@pytest.fixture(scope="module")
+def panda() -> Bundle:
+    """The shipped bundle of the arm in space."""
+    return Bundle.load(further_folders()["pretrained-panda"])
+
+
+def test_that_of_the_arm_in_space_tells_how_it_was_made_and_what_it_promises(panda: Bundle) -> None:
+    assert panda.spec.world == examples()["panda"]
+    provenance = panda.spec.provenance
+    assert provenance.command == "python training/cluster_train.py --preset panda"
+    assert re.fullmatch(r"[0-9a-f]{40}", provenance.git_commit)
+    assert provenance.git_dirty is False
+    told = provenance.metrics
+    assert told["promise/samples_collide/scenes"] == 100.0
+    assert told["promise/samples_collide/measured"] <= told["promise/samples_collide/at_most"] <= 0.06
+
+
+def test_its_samples_are_free_in_space_more_often_than_uniform_ones(panda: Bundle) -> None:
+    workshop, space = workshop_of(panda.spec.world), panda.spec.world.space
+    served, uniform = [], []
+    for index in range(6):
+        scene = workshop.scene(scenario_rng(Split.DEMO, 21, index), Split.DEMO, index)
+        checker = checker_of(scene)
+        found = panda.sample(picture_of(scene), 200, index)
+        served.append(checker.valid_batch(found.samples).mean())
+        uniform.append(checker.valid_batch(space.sample_uniform(np.random.default_rng(index), 1000)).mean())
+    assert np.mean(served) > 0.9
+    assert np.mean(served) > np.mean(uniform) + 0.2
