@@ -4,13 +4,20 @@ import pytest
 
 from cspace.errors import ConfigError
 from inference_api.connections.limits import ConnectionLimits
-from inference_api.settings import PRETRAINED_FOLDER, ApiSettings
+from inference_api.settings import PRETRAINED_FOLDER, ApiSettings, further_folders
+from services.registry.references import PRETRAINED, SHIPPED
 
 
 def test_an_empty_environment_serves_the_shipped_model_from_defaults() -> None:
     settings = ApiSettings.from_environment({"XDG_CACHE_HOME": "/var/cache/user"})
-    assert settings == ApiSettings(None, Path("/var/cache/user/cspace-sampler/models"))
+    folders = Path("/var/cache/user/cspace-sampler/models")
+    assert settings == ApiSettings(None, folders, further_folders=further_folders())
     assert PRETRAINED_FOLDER.parent.name == "inference_api"
+    assert set(further_folders()) == set(SHIPPED) - {PRETRAINED}
+
+
+def test_who_serves_a_folder_of_their_own_gets_no_other_shipped_model() -> None:
+    assert ApiSettings.from_environment({"CSPACE_PRETRAINED_MODEL": "/srv/shipped"}).further_folders == {}
 
 
 def test_every_setting_is_read() -> None:
