@@ -25,6 +25,7 @@ from inference_api.open_inference.tensor_schemas import (
     ServerReady,
     TensorMetadata,
 )
+from inference_api.open_inference.tensor_scoring import configurations_input
 from inference_api.open_inference.tensors import JSON_LENGTH
 from inference_api.pages.dependencies import Room, Store, Turn, room_of, store_of, turns_of
 from inference_api.pages.exchange import respond
@@ -108,7 +109,7 @@ async def ready(store: Store, turns: Turn) -> ServerReady:
 
 @router.get("/models/{model}", summary="A model's tensors", responses=_MODEL_ERRORS)
 async def metadata(request: Request, store: Store, room: Room, model: str) -> ModelMetadata:
-    """Names, types and shapes; the outputs are given as for one picture."""
+    """Names, types and shapes; the outputs are given as for one picture and without configurations."""
     return await room.run(partial(_describe, store, model, reference_of(model)), client_of(request.scope))
 
 
@@ -143,7 +144,10 @@ async def version_ready(request: Request, store: Store, room: Room, model: str, 
     "/models/{model}/infer", summary="Samples from a model", openapi_extra=_REQUEST, responses=_ANSWERS
 )
 async def infer(request: Request, model: str) -> Response:
-    """The same samples as `POST /sample` gives for the same picture, seed, parameters and model."""
+    """The same samples as `POST /sample` gives for the same picture, seed, parameters and model.
+
+    With the input `configurations` the same confidences as `POST /validity` gives for them.
+    """
     return await _infer(request, reference_of(model))
 
 
@@ -169,12 +173,13 @@ def _describe(store: ModelStore, name: str, reference: ModelReference) -> ModelM
     served = store.resolve(reference)
     spec = served.bundle.spec
     scores = [_tensor("confidence", "FP32", -1)] if served.bundle.has_validity else []
+    asked_about = [configurations_input(spec.dim)] if served.bundle.has_validity else []
     told = [_tensor("novelty", "FP32", -1)] if spec.novelty_quantiles is not None else []
     return ModelMetadata(
         name=name,
         versions=_versions(store, served),
         platform=PLATFORM,
-        inputs=inputs_of(spec.world),
+        inputs=inputs_of((*spec.world.tensors, *asked_about)),
         outputs=[
             _tensor("samples", "FP32", -1, spec.dim),
             *scores,

@@ -1,6 +1,6 @@
 """Pictures as tensors: what a model's world takes, told in the metadata, and checked in a request."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,7 @@ from inference_api.open_inference.tensor_schemas import TensorMetadata
 from inference_api.open_inference.tensors import datatype_named
 
 
-def inputs_of(world: World) -> list[TensorMetadata]:
+def inputs_of(tensors: Iterable[TensorInput]) -> list[TensorMetadata]:
     """A model's inputs as its metadata tells them: -1 for an axis of any size."""
     return [
         TensorMetadata(
@@ -20,7 +20,7 @@ def inputs_of(world: World) -> list[TensorMetadata]:
             datatype=datatype_named(one.dtype),
             shape=[-1 if isinstance(size, str) else size for size in one.shape],
         )
-        for one in world.tensors
+        for one in tensors
     ]
 
 
@@ -38,14 +38,31 @@ def read_pictures(world: World, tensors: Mapping[str, NDArray[Any]]) -> NDArray[
         raise InputError("the inputs are wrong", expected=told, got=", ".join(tensors)[:100])
     sizes: dict[str, int] = {}
     for name, array in tensors.items():
-        if not _fits(taken[name], array, sizes):
-            raise InputError(
-                f"the input {name} does not fit the model",
-                expected=_expected(taken[name]),
-                got=f"{array.dtype} of shape {list(array.shape)}",
-                remedy="POST /sample takes PNG files of any size",
-            )
+        require_fitting(taken[name], array, sizes, remedy="POST /sample takes PNG files of any size")
     return world.read_tensors(tensors)
+
+
+def require_fitting(
+    one: TensorInput, array: NDArray[Any], sizes: dict[str, int] | None = None, remedy: str | None = None
+) -> None:
+    """Refuse an array that does not follow its description.
+
+    Args:
+        one: the description.
+        array: what came.
+        sizes: of letters that other arrays have fixed; those of this one are kept there.
+        remedy: what to do instead.
+
+    Raises:
+        InputError: type or shape are others.
+    """
+    if not _fits(one, array, {} if sizes is None else sizes):
+        raise InputError(
+            f"the input {one.name} does not fit the model",
+            expected=_expected(one),
+            got=f"{array.dtype} of shape {list(array.shape)}",
+            remedy=remedy,
+        )
 
 
 def _fits(one: TensorInput, array: NDArray[Any], sizes: dict[str, int]) -> bool:

@@ -1,7 +1,7 @@
 """One request of the Open Inference Protocol from the bytes of its body to those of its answer."""
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -17,17 +17,17 @@ from inference_api.models.pictures import PictureCache, Prepared
 from inference_api.models.served import ServedModel
 from inference_api.models.store import ModelStore
 from inference_api.open_inference.picture_tensors import read_pictures
-from inference_api.open_inference.tensor_request import flag, read_request, split_parameters
-from inference_api.open_inference.tensor_schemas import InferenceRequest, RequestedOutput
-from inference_api.open_inference.tensors import JSON_LENGTH, Tensor, read_tensors, split_body, write_tensors
+from inference_api.open_inference.tensor_answer import answer_of
+from inference_api.open_inference.tensor_request import read_request, split_parameters
+from inference_api.open_inference.tensor_schemas import InferenceRequest
+from inference_api.open_inference.tensor_scoring import CONFIGURATIONS, ScoringQuestion, scoring
+from inference_api.open_inference.tensors import read_tensors, split_body
 from inference_api.pages.sampling import rows_of
 from inference_api.pages.schemas import QueryFields
-from inference_api.pages.validation import brief_members, validate_fields
+from inference_api.pages.validation import validate_fields
 from inference_api.telemetry.observer import Sampled
 from inference_api.turns.turns import Turn
 from services.registry.references import ModelReference, is_shipped
-
-_BINARY = "binary_data"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -97,20 +97,12 @@ class InferenceQuestion:
         drawn = draw(bundle, read_pictures(bundle.spec.world, self.tensors), query, self.store.pictures, turn)
         spent_s = time.perf_counter() - self.began
         self.store.observer.sampled(sampled(served, drawn, self.query.n, spent_s))
-        arrays = output_arrays(drawn)
-        asked = _asked(self.request.outputs, arrays, self.binary)
-        outputs = [Tensor(name, arrays[name], as_bytes) for name, as_bytes in asked]
-        head = _head(served) | ({} if self.request.id is None else {"id": self.request.id})
-        written = write_tensors(head, outputs)
-        if written.json_length is None:
-            return Response(written.content, media_type="application/json")
-        headers = {JSON_LENGTH: str(written.json_length)}
-        return Response(written.content, headers=headers, media_type="application/octet-stream")
+        return answer_of(served, self.request, output_arrays(drawn), binary=self.binary)
 
 
 def read_inference(
     store: ModelStore, reference: ModelReference, body: bytes, json_length: str | None
-) -> InferenceQuestion:
+) -> InferenceQuestion | ScoringQuestion:
     """Parse and validate.
 
     Args:
@@ -127,6 +119,8 @@ def read_inference(
     request = read_request(parts.head)
     tensors = read_tensors(request.inputs, parts.tail)
     binary, fields = split_parameters(request.parameters)
+    if CONFIGURATIONS in tensors:
+        return scoring(store, reference, request, tensors, fields, binary=binary, began=began)
     query = validate_fields(QueryFields, fields).query()
     return InferenceQuestion(store, reference, request, tensors, query, binary, began)
 
@@ -206,35 +200,3 @@ def output_arrays(drawn: Drawn) -> dict[str, NDArray[Any]]:
         arrays["novelty"] = np.array(drawn.novelties, dtype=np.float32)
     arrays["seed"] = np.array(drawn.seeds, dtype=np.uint64)
     return arrays
-
-
-def _asked(
-    requested: Sequence[RequestedOutput] | None, arrays: Mapping[str, NDArray[Any]], binary: bool
-) -> list[tuple[str, bool]]:
-    """Names of the outputs in their order, each with whether it comes as bytes."""
-    if not requested:
-        return [(name, binary) for name in arrays]
-    asked: dict[str, bool] = {}
-    for output in requested:
-        if output.name not in arrays or output.name in asked or set(output.parameters) - {_BINARY}:
-            raise InputError(
-                f"the output {output.name} cannot be had",
-                expected=f"each of {', '.join(arrays)} at most once, with no other parameter than {_BINARY}",
-                got=f"parameters {brief_members(output.parameters)}"[:200],
-                remedy="confidence is there for models with a validity head, novelty for those that tell it",
-            )
-        asked[output.name] = flag(_BINARY, output.parameters.get(_BINARY, binary))
-    return list(asked.items())
-
-
-def _head(served: ServedModel) -> dict[str, Any]:
-    return {
-        "model_name": served.name,
-        "model_version": str(served.version),
-        "parameters": {
-            "digest": served.bundle.digest,
-            "fallback": served.fallback,
-            "robot": served.bundle.robot,
-            "alias_confirmed": served.confirmed,
-        },
-    }

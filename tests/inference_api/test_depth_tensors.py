@@ -1,5 +1,6 @@
 """The Open Inference Protocol for a model of depth cameras: pictures, cameras and the state as tensors."""
 
+import base64
 import json
 
 import numpy as np
@@ -91,11 +92,29 @@ def test_the_metadata_tell_the_inputs_and_what_is_unseen(api):
         "intrinsics": ("FP64", [-1, 4]),
         "poses": ("FP64", [-1, 4, 4]),
         "state": ("FP64", [7]),
+        "configurations": ("FP32", [-1, 7]),
     }
     assert [one["name"] for one in told["outputs"]][:3] == ["samples", "confidence", "unseen"]
     planar = api.get("/v2/models/pretrained").json()
     assert [one["name"] for one in planar["inputs"]] == ["image"]
     assert "unseen" not in [one["name"] for one in planar["outputs"]]
+
+
+def test_configurations_are_scored_as_by_the_other_page(api):
+    rows = np.random.default_rng(0).uniform(-0.05, 0.05, (40, 7)).astype("<f4") + np.float32(STATE)
+    found = outputs_of(ask(api, {**VIEW, "configurations": rows}))
+    fields = {
+        "image": [base64.b64encode(one).decode() for one in IMAGES],
+        "camera": CAMERAS,
+        "state": STATE,
+        "configurations": rows.tolist(),
+        "model": "panda-sampler",
+    }
+    other = api.post("/validity", json=fields).json()
+    assert set(found) == {"confidence", "unseen", "novelty"}
+    np.testing.assert_array_equal(found["confidence"], np.float32(other["confidence"]))
+    np.testing.assert_array_equal(found["unseen"], np.float32(other["unseen"]))
+    assert found["novelty"] == np.float32(other["scenario"]["novelty"])
 
 
 WRONG = [

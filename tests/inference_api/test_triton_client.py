@@ -55,7 +55,10 @@ def test_the_client_finds_the_server_and_its_model(client: Any) -> None:
     assert not client.is_model_ready("nobody")
     assert client.get_server_metadata()["extensions"] == ["binary_tensor_data"]
     described = client.get_model_metadata("pretrained")
-    assert described["inputs"] == [{"name": "image", "datatype": "UINT8", "shape": [-1, 48, 48, 3]}]
+    assert described["inputs"] == [
+        {"name": "image", "datatype": "UINT8", "shape": [-1, 48, 48, 3]},
+        {"name": "configurations", "datatype": "FP32", "shape": [-1, 2]},
+    ]
 
 
 @pytest.mark.parametrize("binary", [True, False], ids=["bytes", "json"])
