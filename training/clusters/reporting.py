@@ -47,15 +47,19 @@ def log_result(
 
 
 def _galleries(bundle: Bundle, dataset: Dataset) -> dict[str, Figure]:
-    """Galleries where the truth is known: generated scenarios, and unseen ones of the same robot."""
+    """Galleries where the truth is known: generated scenarios, and unseen ones of the same robot.
+
+    Of data whose world nobody can draw further scenes of there is none.
+    """
     figures: dict[str, Figure] = {}
     sampler = BundleSampler(bundle)
     seed = dataset.generator_seed
     if seed is not None:
         seen = _scenes(dataset, Split.TRAIN, seed)
         figures["samples-seen"] = gallery(seen, sampler, "training scenarios")
-    unseen = _scenes(dataset, Split.VALIDATION, 0)
-    figures["samples-unseen"] = gallery(unseen, sampler, "unseen scenarios")
+    if dataset.world.scenes is not None:
+        unseen = _scenes(dataset, Split.VALIDATION, 0)
+        figures["samples-unseen"] = gallery(unseen, sampler, "unseen scenarios")
     return figures
 
 
