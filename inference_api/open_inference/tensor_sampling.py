@@ -1,7 +1,6 @@
 """One request of the Open Inference Protocol from the bytes of its body to those of its answer."""
 
 import time
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -18,9 +17,9 @@ from inference_api.models.served import ServedModel
 from inference_api.models.store import ModelStore
 from inference_api.open_inference.picture_tensors import read_pictures
 from inference_api.open_inference.tensor_answer import answer_of
+from inference_api.open_inference.tensor_question import TensorQuestion
 from inference_api.open_inference.tensor_request import read_request, split_parameters
-from inference_api.open_inference.tensor_schemas import InferenceRequest
-from inference_api.open_inference.tensor_scoring import CONFIGURATIONS, ScoringQuestion, scoring
+from inference_api.open_inference.tensor_scoring import CONFIGURATIONS, ScoringQuestion, scoring_query
 from inference_api.open_inference.tensors import read_tensors, split_body
 from inference_api.pages.sampling import rows_of
 from inference_api.pages.schemas import QueryFields
@@ -58,32 +57,10 @@ def reference_of(model: str, version: str | None = None) -> ModelReference:
     return ModelReference.parse(f"{model}/{version}")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class InferenceQuestion:
-    """A request whose tensors are read; an :class:`~inference_api.pages.exchange.Question`.
+class InferenceQuestion(TensorQuestion):
+    """A request for samples; an :class:`~inference_api.pages.exchange.Question`."""
 
-    Args:
-        store: where pictures are known and observers told.
-        reference: the model that it names.
-        request: the JSON object.
-        tensors: its inputs by name.
-        query: what is asked for the first picture.
-        binary: whether outputs come as bytes unless they are asked for otherwise.
-        began: ``time.perf_counter()`` when the request was read, s.
-    """
-
-    store: ModelStore
-    reference: ModelReference
-    request: InferenceRequest
-    tensors: Mapping[str, NDArray[Any]]
-    query: SampleQuery
-    binary: bool
-    began: float
-
-    @property
-    def require_confirmed(self) -> bool:
-        """See :class:`~inference_api.pages.exchange.Question`."""
-        return self.query.require_confirmed
+    __slots__ = ()
 
     def answer(self, served: ServedModel, turn: Turn) -> Response:
         """Sample and write.
@@ -120,7 +97,8 @@ def read_inference(
     tensors = read_tensors(request.inputs, parts.tail)
     binary, fields = split_parameters(request.parameters)
     if CONFIGURATIONS in tensors:
-        return scoring(store, reference, request, tensors, fields, binary=binary, began=began)
+        query = scoring_query(fields)
+        return ScoringQuestion(store, reference, request, tensors, query, binary, began)
     query = validate_fields(QueryFields, fields).query()
     return InferenceQuestion(store, reference, request, tensors, query, binary, began)
 

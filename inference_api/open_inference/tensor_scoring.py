@@ -1,7 +1,6 @@
 """Whether configurations are free, asked by the Open Inference Protocol: an input beside a picture's."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -13,15 +12,13 @@ from cspace.errors import InputError
 from cspace.query import MAX_SAMPLES, SampleQuery
 from cspace.world import TensorInput
 from inference_api.models.served import ServedModel
-from inference_api.models.store import ModelStore
 from inference_api.open_inference.picture_tensors import read_pictures, require_fitting
 from inference_api.open_inference.tensor_answer import answer_of
-from inference_api.open_inference.tensor_schemas import InferenceRequest
+from inference_api.open_inference.tensor_question import TensorQuestion
 from inference_api.pages.schemas import QueryFields
 from inference_api.pages.validation import validate_fields
 from inference_api.telemetry.observer import Scored
 from inference_api.turns.turns import Turn
-from services.registry.references import ModelReference
 
 CONFIGURATIONS = "configurations"
 _PARAMETERS = ("robot", "require_confirmed")
@@ -32,34 +29,10 @@ def configurations_input(dim: int) -> TensorInput:
     return TensorInput(CONFIGURATIONS, "float32", ("n", dim), most=MAX_SAMPLES, optional=True)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ScoringQuestion:
-    """A request whose tensors are read; an :class:`~inference_api.pages.exchange.Question`.
+class ScoringQuestion(TensorQuestion):
+    """A request that has configurations among its tensors; an answer has their confidence."""
 
-    Args:
-        store: where pictures are known and observers told.
-        reference: the model that it names.
-        request: the JSON object.
-        pictures: its inputs by name, but for the configurations.
-        configurations: not held against the model's robot yet.
-        query: whose robot it is, and how sure the model has to be.
-        binary: whether outputs come as bytes unless they are asked for otherwise.
-        began: ``time.perf_counter()`` when the request was read, s.
-    """
-
-    store: ModelStore
-    reference: ModelReference
-    request: InferenceRequest
-    pictures: Mapping[str, NDArray[Any]]
-    configurations: NDArray[Any]
-    query: SampleQuery
-    binary: bool
-    began: float
-
-    @property
-    def require_confirmed(self) -> bool:
-        """See :class:`~inference_api.pages.exchange.Question`."""
-        return self.query.require_confirmed
+    __slots__ = ()
 
     def answer(self, served: ServedModel, turn: Turn) -> Response:
         """Score and write.
@@ -71,9 +44,11 @@ class ScoringQuestion:
         bundle = served.bundle
         spec = bundle.spec
         require_robot(self.query.robot, spec)
-        require_fitting(configurations_input(spec.dim), self.configurations)
-        configurations = fitted_configurations(self.configurations, spec)
-        images = read_pictures(spec.world, self.pictures)
+        pictures = dict(self.tensors)
+        given = pictures.pop(CONFIGURATIONS)
+        require_fitting(configurations_input(spec.dim), given)
+        configurations = fitted_configurations(given, spec)
+        images = read_pictures(spec.world, pictures)
         if len(images) != 1:
             raise InputError(
                 "configurations are asked about in one picture",
@@ -94,26 +69,8 @@ class ScoringQuestion:
         return answer_of(served, self.request, arrays, binary=self.binary)
 
 
-def scoring(
-    store: ModelStore,
-    reference: ModelReference,
-    request: InferenceRequest,
-    tensors: Mapping[str, NDArray[Any]],
-    fields: Mapping[str, object],
-    *,
-    binary: bool,
-    began: float,
-) -> ScoringQuestion:
-    """A request that has configurations among its tensors.
-
-    Args:
-        store: as :class:`ScoringQuestion` has it.
-        reference: likewise.
-        request: likewise.
-        tensors: all its inputs by name.
-        fields: its parameters but for the outputs' own.
-        binary: as :class:`ScoringQuestion` has it.
-        began: likewise.
+def scoring_query(fields: Mapping[str, object]) -> SampleQuery:
+    """What a request with configurations has among its parameters but for the outputs' own.
 
     Raises:
         InputError: a parameter is one of samples, or has a wrong value.
@@ -126,6 +83,4 @@ def scoring(
             got=others[0],
             remedy=f"leave it out, or ask for samples without the input {CONFIGURATIONS}",
         )
-    query = validate_fields(QueryFields, fields).query()
-    pictures = {name: array for name, array in tensors.items() if name != CONFIGURATIONS}
-    return ScoringQuestion(store, reference, request, pictures, tensors[CONFIGURATIONS], query, binary, began)
+    return validate_fields(QueryFields, fields).query()

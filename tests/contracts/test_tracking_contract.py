@@ -1,6 +1,7 @@
 import json
 import math
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -159,6 +160,19 @@ def test_a_run_s_name_tells_the_begin_of_its_id(backend: Backend) -> None:
 def test_a_data_set_is_an_input_with_its_whole_digest(backend: Backend, run: RunLog) -> None:
     run.dataset("own", DIGEST, "data/own", "training")
     assert backend.read(run.run_id).inputs == [("own", DIGEST, "data/own", "training")]
+
+
+def test_runs_that_name_a_data_set_at_once_all_have_it(backend: Backend) -> None:
+    runs = [backend.tracking.start(EXPERIMENT, f"point-{index}") for index in range(6)]
+    for round_ in range(3):
+        with ThreadPoolExecutor(len(runs)) as pool:
+            list(
+                pool.map(
+                    lambda run, name=f"set-{round_}": run.dataset(name, DIGEST, "data", "training"), runs
+                )
+            )
+    for run in runs:
+        assert len(backend.read(run.run_id).inputs) == 3
 
 
 def test_leaving_the_block_finishes_the_run(backend: Backend, run: RunLog) -> None:

@@ -103,6 +103,8 @@ def _run_rest(
         if look.ended is not None:
             one, result = look.ended
             if not isinstance(result, PointResult):
+                # Not an error that the project foresees: whoever looks for its cause needs all of it.
+                _LOG.warning("%s: %s", one.point.title, result)
                 result = PointResult("failed", 0.0, {}, error=_last_line(result))
             record.keep(one.point, result)
             found[one.point] = result

@@ -83,10 +83,7 @@ def _fit(
     resources: ResourceConfig,
 ) -> None:
     storage, requests = trials[0].stage, {trial.name: trial for trial in trials}
-    bound = tune.with_resources(
-        tune.with_parameters(_asked(trainable), requests=requests, **shared),
-        resources.of_a_trial(),
-    )
+    bound = bind(trainable, requests, shared, resources)
     stop = Stop(trials[0].stop)
     tuner = tune.Tuner(
         bound,
@@ -116,6 +113,27 @@ def _fit(
         )
     if any(read_outcome(trial) is None for trial in trials):
         raise KeyboardInterrupt
+
+
+def bind(
+    trainable: Callable[..., None],
+    requests: Mapping[str, TrialRequest],
+    shared: Mapping[str, Any],
+    resources: ResourceConfig,
+) -> Callable[..., None]:
+    """A Tune function of a stage's trials that Tune knows by a name which no other job's has.
+
+    Tune finds a function by its name alone among all that one driver's tasks have registered: of a sweep's
+    points, which run side by side, one would otherwise be handed the trials of another.
+    """
+    bound: Callable[..., None] = tune.with_resources(
+        tune.with_parameters(_asked(trainable), requests=requests, **shared),
+        resources.of_a_trial(),
+    )
+    stage = next(iter(requests.values())).stage
+    # Read by Tune before __name__, which stays what logs show.
+    vars(bound)["_name"] = f"{trainable.__name__}-{stage.parent.name}-{stage.name}"
+    return bound
 
 
 def _asked(trainable: Callable[..., None]) -> Callable[..., None]:

@@ -11,6 +11,7 @@ from typing import Any
 import PIL.Image
 from mlflow import MlflowClient
 from mlflow.entities import Dataset, DatasetInput, InputTag, Metric, Param, RunTag
+from mlflow.exceptions import MlflowException
 
 from cspace.errors import RegistryError
 from services.registry.mlflow_errors import mapped
@@ -127,7 +128,13 @@ class MlflowRun(RunBlock):
         )
         entry = DatasetInput(entity, [InputTag(_CONTEXT, context)])
         with self._mapped("logging the data set"):
-            self._client.log_inputs(self._run_id, [entry])
+            try:
+                self._client.log_inputs(self._run_id, [entry])
+            except MlflowException as error:
+                if error.error_code != "BAD_REQUEST":
+                    raise
+                # Another run logged the same one in this moment, and MLflow wants each to be new or there.
+                self._client.log_inputs(self._run_id, [entry])
 
     def flush(self) -> None:
         """Send the metrics that wait."""
