@@ -7,6 +7,8 @@ from numpy.typing import NDArray
 
 from cspace.space import JointSpace
 
+_SAME_RAD = 1e-9
+
 
 def wrapped_segments(
     space: JointSpace,
@@ -31,7 +33,8 @@ def wrapped_segments(
     plane = list(joints)
     first = space.wrap(starts)[:, plane]
     lines = np.stack([first, first + space.difference(starts, ends)[:, plane]], axis=1)
-    low, high = np.asarray(space.lower)[plane], np.asarray(space.upper)[plane]
+    # An end on a seam is on it at both sides, however its place was rounded.
+    low, high = np.asarray(space.lower)[plane] - _SAME_RAD, np.asarray(space.upper)[plane] + _SAME_RAD
     turns = [(-1, 0, 1) if space.periodic[joint] else (0,) for joint in plane]
     copies = [lines + 2.0 * np.pi * np.array(turn) for turn in product(*turns)]
     seen = [copy[np.all((copy.max(axis=1) >= low) & (copy.min(axis=1) <= high), axis=-1)] for copy in copies]

@@ -1,5 +1,5 @@
 import numpy as np
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from cspace.worlds.planar.arm import TWO_LINK, PlanarArm
@@ -27,6 +27,7 @@ def test_a_limited_joint_has_no_seam():
 
 
 @given(start=PAIR, end=PAIR)
+@example(start=(1.0 / 3.0, 0.0), end=(-np.pi, 0.0))
 def test_no_line_is_longer_than_its_segment_and_both_ends_are_shown(start, end):
     space = TWO_LINK.space
     lines = wrapped_segments(space, np.array([start]), np.array([end]), (0, 1))
