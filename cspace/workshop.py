@@ -126,8 +126,9 @@ class Measures:
     free_share: float
 
 
-# What a proposal is: anywhere; near contact; about a start or a goal; along a way between the two.
-ORIGINS = ("uniform", "near contact", "about ends", "along ways")
+# What a proposal is: anywhere; near contact; about a start or a goal; along a way between the two; along one
+# that is free of some obstacles alone.
+ORIGINS = ("uniform", "near contact", "about ends", "along ways", "along mistaken ways")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -30,5 +30,9 @@ class UnconfirmedAliasError(CspaceError):
     """What an alias stands for is not known for certain, and the request asks for nothing less."""
 
 
+class NoKernelsError(CspaceError):
+    """What is asked for needs compiled code that this server has not."""
+
+
 class ModelNotReadyError(CspaceError):
     """There is no model that could answer."""

@@ -20,7 +20,7 @@ from cspace.errors import (
     OtherRobotError,
     RegistryError,
 )
-from inference_api.failures import FieldsError, ModelNotReadyError, UnconfirmedAliasError
+from inference_api.failures import FieldsError, ModelNotReadyError, NoKernelsError, UnconfirmedAliasError
 from inference_api.record import note_reason
 
 _LOG = logging.getLogger(__name__)
@@ -69,6 +69,7 @@ HEADERS_TOO_LARGE = ProblemType("headers-too-large", 431, "The headers are too l
 # nginx's number for it; nobody reads the answer, but metrics and log tell of it.
 CLIENT_GONE = ProblemType("client-gone", 499, "The client went away")
 INTERNAL_ERROR = ProblemType("internal-error", 500, "The server failed")
+NO_PLANNER = ProblemType("no-planner", 501, "This server does not plan")
 OVERLOADED = ProblemType("overloaded", 503, "The server answers too many requests already")
 SHUTTING_DOWN = ProblemType("shutting-down", 503, "The server is shutting down")
 NO_MODEL = ProblemType("no-model", 503, "No model is ready")
@@ -87,6 +88,7 @@ _BY_STATUS = {404: NOT_FOUND, 405: METHOD_NOT_ALLOWED, 413: BODY_TOO_LARGE, 415:
 _BY_ERROR: tuple[tuple[type[CspaceError], ProblemType], ...] = (
     (ImageError, INVALID_IMAGE),
     (OtherRobotError, OTHER_ROBOT),
+    (NoKernelsError, NO_PLANNER),
     (InputError, INVALID_VALUE),
     (ModelNotFoundError, UNKNOWN_MODEL),
     (RegistryError, REGISTRY_UNAVAILABLE),

@@ -82,6 +82,20 @@ def _endpoint(spec: BundleSpec, name: str, angles: tuple[float, ...] | None) -> 
             got="none",
             remedy=f"send {name}",
         )
+    return fitted_end(spec, name, angles)
+
+
+def fitted_end(spec: BundleSpec, name: str, angles: tuple[float, ...]) -> tuple[float, ...]:
+    """A start or goal as a bundle takes it: circles wrapped, in single precision.
+
+    Args:
+        spec: of the bundle.
+        name: of the end, for messages.
+        angles: finite, rad.
+
+    Raises:
+        InputError: there are not as many as joints, or they lie outside the limits of the robot's joints.
+    """
     if len(angles) != spec.dim:
         raise InputError(
             f"{name} does not fit the robot",

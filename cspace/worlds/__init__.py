@@ -2,11 +2,15 @@
 
 import json
 from argparse import ArgumentParser, Namespace
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
 from hashlib import sha256
 from importlib import import_module
 from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
 
 from cspace.errors import ScenarioError
 from cspace.strict_json import read_mapping
@@ -15,7 +19,7 @@ from cspace.world import Body, Image, Scene, World
 
 # Each folder has ``world`` (numpy alone) with ``read`` and ``EXAMPLES`` (worlds by name); ``options`` with
 # ``add_options`` and ``described``, which gives None where none of its options was used and the kind is not
-# the first; ``workshop`` with ``open_workshop``.
+# the first; ``workshop`` with ``open_workshop``; ``seen_checks`` with ``seen_checkers``.
 KINDS = ("planar", "spatial")
 # What files are of that do not name their kind: older than kinds are.
 FIRST = "planar"
@@ -91,6 +95,22 @@ def described_world(options: Namespace) -> World:
 def workshop_of(world: World) -> Workshop:
     """The workshop of a world; its kernels are loaded at the first call."""
     return cast("Workshop", _part(world.kind, "workshop").open_workshop(world))
+
+
+def seen_checkers(world: World, picture: Image, ends: NDArray[np.float64]) -> Sequence[Checker]:
+    """Checks against what a picture shows, the most careful first; what it does not show is free.
+
+    Of the compiled code of a world only what checks is loaded, at the first call: nothing that draws.
+
+    Args:
+        world: whose.
+        picture: of it.
+        ends: (k, d) rad, where the robot is taken to be free: of what seems to stand there nothing is kept.
+
+    Raises:
+        ImportError: the compiler of the checks is not installed.
+    """
+    return cast("Sequence[Checker]", _part(world.kind, "seen_checks").seen_checkers(world, picture, ends))
 
 
 @lru_cache(maxsize=256)

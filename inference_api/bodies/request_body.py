@@ -57,6 +57,19 @@ VALIDITY_FORM = Form(
     frozenset((_CONFIGURATIONS,)),
     MAX_TENSOR_MARKS,
 )
+PLAN_FORM = Form(
+    {
+        "start": _CONFIGURATION,
+        "goal": _CONFIGURATION,
+        "seed": int,
+        "min_confidence": float | None,
+        "time_limit_s": float | None,
+        "ways": int,
+        "robot": str | None,
+        "require_confirmed": bool,
+        **_SCENE,
+    }
+)
 
 
 @dataclass(frozen=True, slots=True)

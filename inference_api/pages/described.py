@@ -2,6 +2,7 @@
 
 from typing import Any
 
+from inference_api.pages.planning.schemas import PlanAnswer, PlanRequest, plan_form_schema
 from inference_api.pages.sampling import NPY
 from inference_api.pages.schemas import SampleAnswer, SampleRequest, multipart_schema
 from inference_api.pages.validity_schemas import ValidityAnswer, ValidityRequest, validity_form_schema
@@ -17,6 +18,7 @@ from inference_api.problems import (
     MALFORMED_REQUEST,
     MEDIA_TYPE,
     NO_MODEL,
+    NO_PLANNER,
     OTHER_ROBOT,
     OVERLOADED,
     REGISTRY_UNAVAILABLE,
@@ -121,6 +123,25 @@ def validity_responses() -> dict[int | str, dict[str, Any]]:
         "headers": _headers(told),
     }
     return {200: success, **problem_responses(*SAMPLE_PROBLEMS)}
+
+
+def plan_extra() -> dict[str, Any]:
+    """The request body of ``POST /plan`` in both forms."""
+    content = {
+        "multipart/form-data": {"schema": plan_form_schema()},
+        "application/json": {"schema": PlanRequest.model_json_schema()},
+    }
+    return {"requestBody": {"required": True, "content": content}}
+
+
+def plan_responses() -> dict[int | str, dict[str, Any]]:
+    """The answers of ``POST /plan``."""
+    success = {
+        "description": "A way, or why there is none.",
+        "model": PlanAnswer,
+        "headers": _headers({}),
+    }
+    return {200: success, **problem_responses(*SAMPLE_PROBLEMS, NO_PLANNER)}
 
 
 def _binary(text: str) -> dict[str, Any]:

@@ -14,6 +14,8 @@ from inference_api.guards.rate import client_of
 from inference_api.pages.dependencies import Room, Store, Turn, room_of, store_of, turns_of
 from inference_api.pages.described import (
     GUARD_PROBLEMS,
+    plan_extra,
+    plan_responses,
     problem_responses,
     sample_extra,
     sample_responses,
@@ -24,6 +26,7 @@ from inference_api.pages.exchange import respond
 from inference_api.pages.health import default_model
 from inference_api.pages.listing import listed
 from inference_api.pages.model_schemas import ModelList
+from inference_api.pages.planning.question import read_plan
 from inference_api.pages.sampling import model_info, prefers_npy, read_question
 from inference_api.pages.schemas import Live, Ready
 from inference_api.pages.validity import read_validity
@@ -65,6 +68,15 @@ def add_routes(app: FastAPI) -> None:
         responses=validity_responses(),
         route_class_override=DirectRoute,
     )
+    app.router.add_api_route(
+        "/plan",
+        plan,
+        methods=["POST"],
+        summary="Plan a way through a picture's scenario, or tell why there is none",
+        openapi_extra=plan_extra(),
+        responses=plan_responses(),
+        route_class_override=DirectRoute,
+    )
     app.include_router(router)
 
 
@@ -91,6 +103,18 @@ async def validity(request: Request) -> Response:
     fields = await read_fields(request)
     store = store_of(request)
     ask = partial(read_validity, store, fields, npy=npy, began=began)
+    return await respond(request, store, turns_of(request), room_of(request), ask)
+
+
+async def plan(request: Request) -> Response:
+    """Of several ways through what the picture shows the one that the model doubts least.
+
+    What no picture shows is free for the search; how likely it is free is the model's to say.
+    """
+    began = time.perf_counter()
+    fields = await read_fields(request)
+    store = store_of(request)
+    ask = partial(read_plan, store, fields, began=began)
     return await respond(request, store, turns_of(request), room_of(request), ask)
 
 

@@ -34,7 +34,7 @@ def _as_list(value: object) -> object:
     return [value] if isinstance(value, int | float) and not isinstance(value, bool) else value
 
 
-_Seed = Annotated[
+Seed = Annotated[
     Annotated[int, Field(ge=0, le=MAX_SEED)] | None,
     BeforeValidator(_parse_seed),
     WithJsonSchema(
@@ -110,7 +110,7 @@ class QueryFields(RequestFields):
     """What is asked for one picture, whatever names the picture and the model; unknown fields are errors."""
 
     n: int = Field(300, ge=1, le=MAX_SAMPLES, description="How many samples.")
-    seed: _Seed = Field(
+    seed: Seed = Field(
         None,
         description="Unsigned 64 bit as number or decimal string; drawn and returned when absent. "
         "The samples for a smaller n are not promised to be a prefix.",

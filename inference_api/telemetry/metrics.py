@@ -7,7 +7,7 @@ that the server itself chooses, one model.
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, get_args
 
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, generate_latest
 from prometheus_client.core import GaugeMetricFamily, Metric
@@ -15,9 +15,10 @@ from prometheus_client.multiprocess import MultiProcessCollector
 from prometheus_client.process_collector import ProcessCollector
 from prometheus_client.registry import Collector
 
+from cspace.planning.query import Status
 from inference_api.problems import PROBLEMS
 from inference_api.record import RequestRecord, current
-from inference_api.telemetry.observer import REFUSALS, Observer, Refusal, Sampled, Scored
+from inference_api.telemetry.observer import REFUSALS, Observer, Planned, Refusal, Sampled, Scored
 
 CONTENT_TYPE = "text/plain; version=0.0.4; charset=utf-8"
 STAGES = ("decode", "encode", "generate", "total")
@@ -74,6 +75,7 @@ class Metrics(Observer):
         self._requested = counter("cspace_samples_requested", "Samples asked for.")
         self._returned = counter("cspace_samples_returned", "Samples returned.")
         self._scored = counter("cspace_configurations_scored", "Configurations scored by POST /validity.")
+        self._plans = counter("cspace_plans", "Answers of POST /plan, by status.", ("status",))
         self._fallbacks = counter(
             "cspace_fallback_answers", "Answers of the shipped model in a champion's stead."
         )
@@ -83,6 +85,8 @@ class Metrics(Observer):
         # Else a rate over the first event of a kind would see no rise.
         for problem in PROBLEMS:
             self._failures.labels(problem.name)
+        for status in get_args(Status):
+            self._plans.labels(status)
         self._stage = {stage: stages.labels(stage) for stage in STAGES}
         self._reloads.labels("served", NO_REASON)
         for reason in REFUSALS:
@@ -112,6 +116,15 @@ class Metrics(Observer):
         record = current()
         if record is not None:
             record.model, record.n = answer.model, answer.n
+
+    def planned(self, answer: Planned) -> None:
+        """Count a plan, and write the answer down for its line in the log."""
+        self._plans.labels(answer.status).inc()
+        if answer.fallback:
+            self._fallbacks.inc()
+        record = current()
+        if record is not None:
+            record.model, record.seed = answer.model, answer.seed
 
     def reloaded(self) -> None:
         """Count a champion that was put into service."""

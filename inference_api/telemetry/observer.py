@@ -47,11 +47,31 @@ class Scored:
     n: int
 
 
+@dataclass(frozen=True, slots=True)
+class Planned:
+    """A question for a way that was answered.
+
+    Args:
+        model: that answered, ``name/version``.
+        fallback: whether the shipped model stood in for a champion.
+        status: ``solved``, ``refused`` or ``timeout``.
+        seed: that was used.
+    """
+
+    model: str
+    fallback: bool
+    status: str
+    seed: int
+
+
 class Observer:
     """Watches, and does nothing; what is called must be safe to call from several threads."""
 
     def scored(self, answer: Scored) -> None:
         """Configurations were scored."""
+
+    def planned(self, answer: Planned) -> None:
+        """A question for a way was answered."""
 
     def sampled(self, answer: Sampled) -> None:
         """A request for samples was answered."""

@@ -14,7 +14,7 @@ from fastapi import FastAPI
 from cspace.errors import ConfigError
 from inference_api.page_names import HEALTH, METRICS
 from inference_api.record import current
-from inference_api.telemetry.observer import Observer, Refusal, Sampled
+from inference_api.telemetry.observer import Observer, Planned, Refusal, Sampled, Scored
 
 if TYPE_CHECKING:
     from opentelemetry.sdk.trace import TracerProvider
@@ -81,20 +81,15 @@ class TracedObserver(Observer):
 
     def sampled(self, answer: Sampled) -> None:
         """Attributes on the request's span, and a span below it for each stage; the last one ends now."""
-        from opentelemetry.trace import get_current_span  # noqa: PLC0415
-
-        record = current()
-        attributes: dict[str, str | bool | int | float] = {
-            "cspace.request_id": "" if record is None else record.request_id,
-            "cspace.model": answer.model,
-            "cspace.fallback": answer.fallback,
-            "cspace.n": answer.n,
+        self._mark(
+            answer.model,
+            fallback=answer.fallback,
+            n=answer.n,
             # In decimal, for an attribute has 63 bits.
-            "cspace.seed": str(answer.seed),
-            "cspace.shortfall": answer.shortfall,
-            "cspace.acceptance": answer.acceptance,
-        }
-        get_current_span().set_attributes(attributes)
+            seed=str(answer.seed),
+            shortfall=answer.shortfall,
+            acceptance=answer.acceptance,
+        )
         stages = [(name, answer.stages_s[name]) for name in _STAGES if name in answer.stages_s]
         begin = time.time_ns() - int(1e9 * sum(seconds for _, seconds in stages))
         for name, seconds in stages:
@@ -103,6 +98,16 @@ class TracedObserver(Observer):
             begin = end
         self._others.sampled(answer)
 
+    def scored(self, answer: Scored) -> None:
+        """Attributes on the request's span."""
+        self._mark(answer.model, fallback=answer.fallback, n=answer.n)
+        self._others.scored(answer)
+
+    def planned(self, answer: Planned) -> None:
+        """Attributes on the request's span."""
+        self._mark(answer.model, fallback=answer.fallback, status=answer.status, seed=str(answer.seed))
+        self._others.planned(answer)
+
     def reloaded(self) -> None:
         """Passed on; no request is concerned."""
         self._others.reloaded()
@@ -110,3 +115,11 @@ class TracedObserver(Observer):
     def refused(self, reason: Refusal) -> None:
         """Passed on; no request is concerned."""
         self._others.refused(reason)
+
+    def _mark(self, model: str, **told: str | bool | float) -> None:
+        """Attributes on the request's span."""
+        from opentelemetry.trace import get_current_span  # noqa: PLC0415
+
+        record = current()
+        given = {"request_id": "" if record is None else record.request_id, "model": model, **told}
+        get_current_span().set_attributes({f"cspace.{name}": value for name, value in given.items()})

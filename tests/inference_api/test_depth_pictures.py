@@ -167,3 +167,20 @@ def test_models_of_both_worlds_are_served_side_by_side(api, png):
     flat = api.post("/sample", files={"image": png}, data={"n": "3"})
     assert (flat.status_code, flat.json()["unseen"]) == (200, None)
     assert ask(api, n="3").status_code == 200
+
+
+def test_a_way_is_planned_in_what_depth_pictures_show(api, bundle):
+    goal = list(STATE)
+    goal[0] += 1.2
+    fields = {"start": json.dumps(STATE), "goal": json.dumps(goal), "state": json.dumps(STATE), "seed": "1"}
+    told = ask(api, page="/plan", time_limit_s="10", **fields).json()
+    assert told["status"] == "solved", told["reason"]
+    assert np.allclose([told["path"][0], told["path"][-1]], [STATE, goal], atol=1e-6)
+    assert len(told["unseen"]) == len(told["edges"]) == len(told["path"]) - 1
+    assert 0.0 <= min(told["unseen"]) <= max(told["unseen"]) <= 1.0
+    assert told["joint_space"]["kind"] == "box"
+    ends = np.asarray(told["path"], np.float32)
+    believed = bundle.believe(as_read(bundle, state=STATE), ends)[0]
+    edges = np.asarray(told["edges"])
+    assert (edges <= believed[1:] + 1e-5).all()
+    assert (edges <= believed[:-1] + 1e-5).all()

@@ -42,6 +42,7 @@ def test_every_page_of_the_contract_is_in_the_document(document: dict[str, Any])
     assert {path: set(item) for path, item in document["paths"].items()} == {
         "/sample": {"post"},
         "/validity": {"post"},
+        "/plan": {"post"},
         "/models": {"get"},
         "/metrics": {"get"},
         "/health/live": {"get"},

@@ -23,6 +23,10 @@ from cspace.worlds import default_world, examples, part_types, usual_world
 from training.section import RobotName
 
 
+# Counts on with every change of what worlds propose for labelling.
+_PROPOSALS = 2
+
+
 @dataclass(frozen=True, slots=True)
 class _OfAnyKind:
     """A part of a world by the fields of its type."""
@@ -76,10 +80,12 @@ class GeneratedConfig(BaseModel):
     @property
     def key(self) -> str:
         """Twelve hex digits that change with every field that changes the data (not with their sharding)."""
-        content = json.dumps(
-            self.model_dump(mode="json", exclude={"shard_size", "robot_name"}), sort_keys=True
-        )
-        return hashlib.sha256(content.encode()).hexdigest()[:12]
+        told = self.model_dump(mode="json", exclude={"shard_size", "robot_name"}) | self._versions()
+        return hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()[:12]
+
+    def _versions(self) -> dict[str, int]:
+        """Of what changes the data and is no setting."""
+        return {}
 
     @property
     def folder_name(self) -> str:
@@ -101,6 +107,9 @@ class DatasetConfig(GeneratedConfig):
         "0: uniform ones, in the numbers of free_per_scenario and collision_per_scenario",
     )
     extra_image_count: int = Field(6000, ge=0)
+
+    def _versions(self) -> dict[str, int]:
+        return {"proposals": _PROPOSALS} if self.proposals_per_scenario else {}
 
 
 class PathDatasetConfig(GeneratedConfig):

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from cspace.png import encode_png
 from cspace.strict_json import settle, written
-from cspace.worlds.planar.seeing.picture import decode_png, to_network
+from cspace.worlds.planar.seeing.picture import decode_png, from_network, to_network
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,3 +54,7 @@ class Camera:
     def to_network(self, images: NDArray[np.uint8]) -> NDArray[np.float32]:
         """See :func:`cspace.worlds.planar.seeing.picture.to_network`."""
         return to_network(images)
+
+    def from_network(self, pixels: NDArray[np.float32]) -> NDArray[np.uint8]:
+        """See :func:`cspace.worlds.planar.seeing.picture.from_network`."""
+        return from_network(pixels)

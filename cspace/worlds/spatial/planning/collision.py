@@ -9,6 +9,7 @@ from cspace.workshop import EdgeTest, StateTest
 from cspace.worlds.spatial.frames import moved
 from cspace.worlds.spatial.obstacles.shapes import Obstacles
 from cspace.worlds.spatial.obstacles.signed_distance import sets_are_free
+from cspace.worlds.spatial.planning.distance_grid import NOTHING, DistanceGrid
 from cspace.worlds.spatial.planning.kernels import (
     checked_edge,
     clearance_batch,
@@ -30,11 +31,12 @@ class CollisionChecker:
     Args:
         arm: with its spheres.
         obstacles: in the base frame.
+        grid: distances to what else is there, as pictures show it.
     """
 
-    def __init__(self, arm: SerialArm, obstacles: Obstacles) -> None:
+    def __init__(self, arm: SerialArm, obstacles: Obstacles, grid: DistanceGrid = NOTHING) -> None:
         self.arm, self.obstacles = arm, obstacles
-        self._scene = scene_arrays(arm, obstacles)
+        self.scene = scene_arrays(arm, obstacles, grid)
 
     @property
     def space(self) -> JointSpace:
@@ -47,12 +49,12 @@ class CollisionChecker:
 
     def valid_batch(self, configurations: ArrayLike) -> NDArray[np.bool_]:
         """Which of (N, d) rad are free, (N,)."""
-        found: NDArray[np.bool_] = free_batch(self._rows(configurations), self._scene)
+        found: NDArray[np.bool_] = free_batch(self._rows(configurations), self.scene)
         return found
 
     def clearance(self, configurations: ArrayLike) -> NDArray[np.float64]:
         """Distance to obstacles or of the arm to itself, of (N, d) rad, (N,) m; negative in collision."""
-        found: NDArray[np.float64] = clearance_batch(self._rows(configurations), self._scene)
+        found: NDArray[np.float64] = clearance_batch(self._rows(configurations), self.scene)
         return found
 
     def edge(self, start: ArrayLike, end: ArrayLike, resolution_rad: float) -> bool:
@@ -73,12 +75,12 @@ class CollisionChecker:
                 expected="as many starts as ends and a positive resolution",
                 got=f"{first.shape}, {second.shape}, {resolution_rad} rad",
             )
-        found: NDArray[np.bool_] = edge_batch(first, second, float(resolution_rad), self._scene)
+        found: NDArray[np.bool_] = edge_batch(first, second, float(resolution_rad), self.scene)
         return found
 
     def state_test(self) -> StateTest:
         """See :meth:`cspace.workshop.Checker.state_test`."""
-        scene, room = self._scene, room_of(self._scene)
+        scene, room = self.scene, room_of(self.scene)
 
         def is_free(configuration: NDArray[np.float64]) -> bool:
             return bool(state_is_free(configuration, scene, room))
@@ -89,7 +91,7 @@ class CollisionChecker:
 
     def edge_test(self, resolution_rad: float) -> EdgeTest:
         """See :meth:`cspace.workshop.Checker.edge_test`."""
-        scene, room = self._scene, room_of(self._scene)
+        scene, room = self.scene, room_of(self.scene)
 
         def check(start: NDArray[np.float64], end: NDArray[np.float64]) -> tuple[bool, int]:
             found: tuple[bool, int] = checked_edge(start, end, resolution_rad, scene, room)
@@ -111,7 +113,7 @@ class CollisionChecker:
     ) -> tuple[int, int, int, int]:
         """See :func:`cspace.worlds.spatial.planning.tree_growth.advance`."""
         grown: tuple[int, int, int, int] = advance(
-            nodes, parents, counts, checks, states, side, range_rad, resolution_rad, self._scene
+            nodes, parents, counts, checks, states, side, range_rad, resolution_rad, self.scene
         )
         return grown
 

@@ -16,6 +16,7 @@ from cspace.worlds.spatial.obstacles.signed_distance import (
     cylinder_distance,
     set_clearance,
 )
+from cspace.worlds.spatial.planning.distance_grid import NOTHING, DistanceGrid, grid_clearance, grid_hits
 from cspace.worlds.spatial.robot.arm import SerialArm
 from cspace.worlds.spatial.robot.kinematics import (
     ArmArrays,
@@ -35,6 +36,7 @@ class SceneArrays(NamedTuple):
         arm: its arrays.
         boxes: (B, 16), see :class:`cspace.worlds.spatial.obstacles.shapes.ObstacleArrays`.
         cylinders: (C, 15), likewise.
+        grid: distances to what pictures show.
         lower: (d,) rad.
         upper: (d,) rad.
         periodic: (d,) which joints are circles.
@@ -43,18 +45,20 @@ class SceneArrays(NamedTuple):
     arm: ArmArrays
     boxes: NDArray[np.float64]
     cylinders: NDArray[np.float64]
+    grid: DistanceGrid
     lower: NDArray[np.float64]
     upper: NDArray[np.float64]
     periodic: NDArray[np.bool_]
 
 
-def scene_arrays(arm: SerialArm, obstacles: Obstacles) -> SceneArrays:
-    """The arrays of an arm among obstacles."""
+def scene_arrays(arm: SerialArm, obstacles: Obstacles, grid: DistanceGrid = NOTHING) -> SceneArrays:
+    """The arrays of an arm among obstacles, and what stands on a grid beside them."""
     space, stood = arm.space, obstacles.arrays
     return SceneArrays(
         arm_arrays(arm),
         stood.boxes,
         stood.cylinders,
+        grid,
         np.asarray(space.lower, dtype=np.float64),
         np.asarray(space.upper, dtype=np.float64),
         np.asarray(space.periodic, dtype=np.bool_),
@@ -89,6 +93,8 @@ def state_is_free(q, scene, room):  # type: ignore[no-untyped-def]
     for index in range(scene.cylinders.shape[0]):
         if _cylinder_hits(scene.cylinders[index], arm, centres, bounds):
             return False
+    if grid_hits(scene.grid, arm, centres, bounds):
+        return False
     return not _hits_itself(arm, centres, bounds)
 
 
@@ -100,9 +106,8 @@ def state_clearance(q, scene, room):  # type: ignore[no-untyped-def]
     link_frames_into(q, arm.origins, arm.axes, frames)
     points_into(frames, arm.bound_links, arm.bound_centres, bounds)
     points_into(frames, arm.links, arm.centres, centres)
-    return min(
-        set_clearance(centres, arm.radii, scene.boxes, scene.cylinders), self_distance(centres, bounds, arm)
-    )
+    least = min(grid_clearance(scene.grid, arm, centres), self_distance(centres, bounds, arm))
+    return min(set_clearance(centres, arm.radii, scene.boxes, scene.cylinders), least)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

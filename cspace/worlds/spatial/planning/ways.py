@@ -10,20 +10,17 @@ tries, median and 90th percentile: as found 1.85 and 3.2, after 40 shortcuts 1.1
 no clearance is asked for.
 """
 
-from dataclasses import dataclass, replace
-from itertools import pairwise
+from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
+from cspace.connecting import connect_trees, length_rad, spaced
 from cspace.errors import ScenarioError
-from cspace.space import JointSpace
 from cspace.worlds.spatial.planning.collision import CollisionChecker
-from cspace.worlds.spatial.planning.kernels import SceneArrays, checked_edge, gap, room_of, scene_arrays
+from cspace.worlds.spatial.planning.kernels import checked_edge, gap, room_of
 
-# States between two looks at whether there is room for more.
-_BLOCK = 64
 # Shares of the length below which shortcuts are not drawn, and gains below which they are not looked at.
 _SHORTEST, _LEAST_GAIN = 0.02, 1e-4
 _SAME_RAD = 1e-9
@@ -100,7 +97,7 @@ def find_way(
     found: list[NDArray[np.float64]] = []
     for index in range(limits.tries):
         states = limits.states if index == 0 else limits.states // 4
-        raw = connect_trees(checker, ends[0], ends[1], rng, replace(limits, states=states))
+        raw = _raw_way(checker, ends, rng, limits, states)
         if raw is None:
             break
         short = shorten(checker, raw, rng, limits.shortcuts, limits.shortcut_rad)
@@ -114,33 +111,18 @@ def find_way(
     return None
 
 
-def connect_trees(
+def _raw_way(
     checker: CollisionChecker,
-    start: NDArray[np.float64],
-    goal: NDArray[np.float64],
+    ends: NDArray[np.float64],
     rng: np.random.Generator,
     limits: WayLimits,
+    count: int,
 ) -> NDArray[np.float64] | None:
-    """The way that RRT-Connect finds between two free configurations, (k, d) rad at ``limits.search_rad``."""
-    space = checker.space
-    states = space.sample_uniform(rng, limits.states)
-    nodes, parents = np.empty((2, 16 * _BLOCK, space.dim)), np.full((2, 16 * _BLOCK), -1, dtype=np.int64)
-    nodes[0, 0], nodes[1, 0] = space.wrap(start), space.wrap(goal)
-    counts, checks = np.ones(2, dtype=np.int64), np.zeros(2, dtype=np.int64)
-    side = 0
-    for begin in range(0, len(states), _BLOCK):
-        block = states[begin : begin + _BLOCK]
-        _, side, *joint = checker.grow_trees(
-            nodes, parents, counts, checks, block, side, limits.range_rad, limits.search_rad
-        )
-        if joint[0] >= 0:
-            halves = [nodes[tree, _to_root(parents[tree], joint[tree])] for tree in (0, 1)]
-            return np.concatenate([halves[0][::-1], halves[1][1:]])
-        # A tree without room grows no more until it has some.
-        if 2 * counts.max() > nodes.shape[1]:
-            nodes = np.concatenate([nodes, np.empty_like(nodes)], axis=1)
-            parents = np.concatenate([parents, np.full_like(parents, -1)], axis=1)
-    return None
+    """What RRT-Connect finds with so many uniform states."""
+    states = checker.space.sample_uniform(rng, count)
+    return connect_trees(
+        checker, ends[0], ends[1], states, range_rad=limits.range_rad, resolution_rad=limits.search_rad
+    )
 
 
 def shorten(
@@ -175,26 +157,8 @@ def shorten(
     draws = rng.random((shortcuts, 2))
     # Spans of all sizes: corners are cut by short ones, detours by long ones.
     draws[:, 1] = _SHORTEST ** draws[:, 1]
-    found: NDArray[np.float64] = _shortened(rows, draws, resolution_rad, _scene(checker))
+    found: NDArray[np.float64] = _shortened(rows, draws, resolution_rad, checker.scene)
     return found
-
-
-def spaced(way: ArrayLike, space: JointSpace, step_rad: float) -> NDArray[np.float64]:
-    """The same way in steps of at most ``step_rad``, equal within each of its pieces; corners are kept."""
-    rows = np.asarray(way, dtype=np.float64)
-    pieces = [rows[:1]]
-    for begin, end in pairwise(rows):
-        step = space.difference(begin, end)
-        count = max(1, int(np.ceil(np.linalg.norm(step) / step_rad)))
-        shares = np.arange(1, count)[:, None] / count
-        pieces += [space.wrap(begin + shares * step), end[None]]
-    return np.concatenate(pieces)
-
-
-def length_rad(way: ArrayLike, space: JointSpace) -> float:
-    """Euclidean length of a way (k, d) rad."""
-    rows = np.asarray(way, dtype=np.float64)
-    return float(space.distance(rows[:-1], rows[1:]).sum())
 
 
 def is_free(checker: CollisionChecker, way: NDArray[np.float64], resolution_rad: float) -> bool:
@@ -208,17 +172,6 @@ def _checked(
     """The way in even steps, None where one of these is not free."""
     found = spaced(way, checker.space, limits.step_rad)
     return found if is_free(checker, found, limits.final_rad) else None
-
-
-def _to_root(parents: NDArray[np.int64], node: int) -> list[int]:
-    numbers = [node]
-    while parents[numbers[-1]] >= 0:
-        numbers.append(int(parents[numbers[-1]]))
-    return numbers
-
-
-def _scene(checker: CollisionChecker) -> SceneArrays:
-    return scene_arrays(checker.arm, checker.obstacles)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

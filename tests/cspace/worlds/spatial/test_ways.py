@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from cspace.connecting import connect_trees, length_rad, spaced
 from cspace.errors import ScenarioError
 from cspace.space import circles
 from cspace.splits import Split
@@ -14,15 +15,7 @@ from cspace.worlds.spatial.obstacles.objects import block
 from cspace.worlds.spatial.obstacles.scenes import SpatialScenes
 from cspace.worlds.spatial.obstacles.shapes import Obstacles
 from cspace.worlds.spatial.planning.collision import CollisionChecker
-from cspace.worlds.spatial.planning.ways import (
-    WayLimits,
-    connect_trees,
-    find_way,
-    is_free,
-    length_rad,
-    shorten,
-    spaced,
-)
+from cspace.worlds.spatial.planning.ways import WayLimits, find_way, is_free, shorten
 from cspace.worlds.spatial.robot.arm import SerialArm
 from cspace.worlds.spatial.robot.parts import Joint, Part
 from tests.cspace.worlds.spatial.test_robots import PANDA, READY
@@ -58,6 +51,11 @@ def ends(request):
     return checker, start, free[~joined]
 
 
+def raw_way(checker, start, goal, seed):
+    states = checker.space.sample_uniform(np.random.default_rng(seed), LIMITS.states)
+    return connect_trees(checker, start, goal, states, range_rad=2.0, resolution_rad=0.02)
+
+
 def test_a_way_leads_from_start_to_goal_and_every_step_of_it_is_free(ends):
     checker, start, goals = ends
     for goal in goals[:2]:
@@ -74,7 +72,7 @@ def test_a_way_leads_from_start_to_goal_and_every_step_of_it_is_free(ends):
 def test_a_way_of_many_tries_is_no_longer_than_the_first_search_finds(ends):
     checker, start, goals = ends
     for goal in goals[:2]:
-        raw = connect_trees(checker, start, goal, np.random.default_rng(0), LIMITS)
+        raw = raw_way(checker, start, goal, 0)
         way = find_way(checker, start, goal, np.random.default_rng(0), LIMITS)
         assert length_rad(way, PANDA.space) < length_rad(raw, PANDA.space)
         assert length_rad(way, PANDA.space) > np.linalg.norm(goal - start)
@@ -82,7 +80,7 @@ def test_a_way_of_many_tries_is_no_longer_than_the_first_search_finds(ends):
 
 def test_shortening_never_lengthens_and_keeps_a_way_free_and_its_ends(ends):
     checker, start, goals = ends
-    raw = connect_trees(checker, start, goals[0], np.random.default_rng(1), LIMITS)
+    raw = raw_way(checker, start, goals[0], 1)
     lengths = [length_rad(raw, PANDA.space)]
     for shortcuts in (0, 1, 5, 20, 100):
         short = shorten(checker, raw, np.random.default_rng(2), shortcuts, 0.005)

@@ -1,0 +1,78 @@
+"""What is asked of a planner, and what it answers. NumPy alone."""
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+Status = Literal["solved", "refused", "timeout"]
+
+
+@dataclass(frozen=True, slots=True)
+class PlanQuery:
+    """A planning problem for a scene that a picture shows.
+
+    Args:
+        start: (d,) rad.
+        goal: (d,) rad.
+        seed: of all draws, unsigned 64 bit.
+        min_confidence: below which no way is returned, 0 to 1.
+        time_limit_s: for the search, above 0.
+        ways: that are looked for, 1 or more.
+    """
+
+    start: tuple[float, ...]
+    goal: tuple[float, ...]
+    seed: int = 0
+    min_confidence: float = 0.0
+    time_limit_s: float = 1.0
+    ways: int = 8
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Doubt:
+    """Where a way is least sure.
+
+    Args:
+        configuration: (d,) rad.
+        confidence: of it alone.
+        unseen: share of the robot that no picture shows there; None in worlds that are seen whole.
+        along: how far along the way it lies, 0 to 1.
+    """
+
+    configuration: NDArray[np.float64]
+    confidence: float
+    unseen: float | None
+    along: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Plan:
+    """An answer.
+
+    Args:
+        status: ``solved``; ``refused`` where no way is sure enough or none was found; ``timeout`` where none
+            was found in time.
+        way: (k, d) rad from start to goal, (0, d) unless it is solved.
+        confidence: that the whole way touches nothing; of the surest one where it is refused, 0 without one.
+        edges: (k - 1,) the least confidence of a state on each of its pieces.
+        unseen: (k - 1,) the largest share of the robot on each piece that no picture shows; None in worlds
+            that are seen whole.
+        length_rad: Euclidean.
+        found: ways that the best was chosen from.
+        least: where the surest way is least sure; None without one.
+        search_ms: looking for ways.
+        score_ms: asking the model about them.
+    """
+
+    status: Status
+    way: NDArray[np.float64]
+    confidence: float = 0.0
+    edges: NDArray[np.float32] = field(default_factory=lambda: np.empty(0, dtype=np.float32))
+    unseen: NDArray[np.float32] | None = None
+    length_rad: float = 0.0
+    found: int = 0
+    least: Doubt | None = None
+    search_ms: float = 0.0
+    score_ms: float = 0.0

@@ -1,0 +1,94 @@
+"""How sure a model is of ways: of every state along them, of their pieces, and of the whole.
+
+A model says of a configuration how likely it is free. Along a way neighbours are free or not together, so
+that the product over its states would fall with the step at which one looks. The whole way's confidence is
+exp(-D), with the doubt D the integral of -log P along the way in rad: of equal doubt on each rad, twice the
+way has the square. It is an estimate: how often such ways are free in truth is measured by benchmarks.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cspace.connecting import length_rad, spaced
+from cspace.planning.query import Doubt
+from cspace.space import JointSpace
+
+# (n, d) float32 rad to P(free) (n,) and to the share of the robot in unseen space (n,), or None.
+Believe = Callable[[NDArray[np.float32]], tuple[NDArray[np.float32], NDArray[np.float32] | None]]
+_LEAST = 1e-6
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ScoredWay:
+    """A way and what a model believes of it.
+
+    Args:
+        way: (k, d) rad.
+        states: (n, d) rad along it, both ends included.
+        pieces: (n,) the piece that each state lies on, 0 to k - 2.
+        confidence: (n,) of each state.
+        unseen: (n,) share of the robot that no picture shows, or None.
+        length_rad: Euclidean.
+    """
+
+    way: NDArray[np.float64]
+    states: NDArray[np.float64]
+    pieces: NDArray[np.int64]
+    confidence: NDArray[np.float32]
+    unseen: NDArray[np.float32] | None
+    length_rad: float
+
+    @property
+    def doubt(self) -> float:
+        """Integral of -log P along the way, rad."""
+        logs = -np.log(np.clip(self.confidence, _LEAST, 1.0)).astype(np.float64)
+        return float(logs.mean() * self.length_rad) if len(logs) else 0.0
+
+    @property
+    def whole(self) -> float:
+        """Confidence of the whole way."""
+        return float(np.exp(-self.doubt))
+
+    def least(self) -> Doubt:
+        """Its least sure state."""
+        at = int(np.argmin(self.confidence))
+        unseen = None if self.unseen is None else float(self.unseen[at])
+        return Doubt(self.states[at], float(self.confidence[at]), unseen, at / max(1, len(self.states) - 1))
+
+    def of_pieces(self, values: NDArray[np.float32], pick: np.ufunc) -> NDArray[np.float32]:
+        """The least (``np.minimum``) or largest (``np.maximum``) value on each piece, its ends included."""
+        count = len(self.way) - 1
+        found = np.full(count, np.inf if pick is np.minimum else -np.inf, dtype=np.float32)
+        pick.at(found, self.pieces, values)
+        # A corner belongs to both its pieces.
+        corners = np.flatnonzero(np.diff(self.pieces))
+        pick.at(found, self.pieces[corners + 1], values[corners])
+        return found
+
+
+def score(
+    ways: Sequence[NDArray[np.float64]], space: JointSpace, step_rad: float, believe: Believe
+) -> list[ScoredWay]:
+    """What is believed of ways, all asked at once; states are at most ``step_rad`` apart."""
+    if not ways:
+        return []
+    rows, pieces = zip(*(_states(way, space, step_rad) for way in ways), strict=True)
+    confidence, unseen = believe(space.to_float32(np.concatenate(rows)))
+    ends = np.cumsum([len(one) for one in rows])[:-1]
+    sure = np.split(confidence, ends)
+    hidden = [None] * len(ways) if unseen is None else np.split(unseen, ends)
+    return [
+        ScoredWay(way, states, numbers, one, other, length_rad(way, space))
+        for way, states, numbers, one, other in zip(ways, rows, pieces, sure, hidden, strict=True)
+    ]
+
+
+def _states(
+    way: NDArray[np.float64], space: JointSpace, step_rad: float
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    parts = [spaced(way[index : index + 2], space, step_rad) for index in range(len(way) - 1)]
+    rows = [parts[0], *(part[1:] for part in parts[1:])]
+    return np.concatenate(rows), np.repeat(np.arange(len(rows)), [len(part) for part in rows])

@@ -1,0 +1,151 @@
+"""Several ways through what a picture shows: RRT-Connect and shortcuts, each from draws of its own."""
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cspace.connecting import Between, connect_trees
+from cspace.workshop import Checker
+
+# Shares of the length that shortcuts span are drawn down to this, evenly by their logarithm.
+_SHORTEST = 0.02
+# Shortcuts that are looked at together: one call of compiled code for all of them.
+_TOGETHER = 16
+
+
+class OutOfTimeError(Exception):
+    """The time for the search is over."""
+
+
+@dataclass(frozen=True, slots=True)
+class SearchLimits:
+    """Effort for each way.
+
+    Args:
+        states: uniform ones that trees grow towards.
+        range_rad: longest step of a tree, the sum over the joints.
+        search_rad: between states that trees look at, the largest over the joints.
+        shortcuts: proposed for each way.
+        shortcut_rad: the same as ``search_rad`` for shortcuts.
+    """
+
+    states: int = 4096
+    range_rad: float = 2.0
+    search_rad: float = 0.05
+    shortcuts: int = 64
+    shortcut_rad: float = 0.03
+
+
+def find_ways(
+    checkers: Sequence[Checker],
+    start: NDArray[np.float64],
+    goal: NDArray[np.float64],
+    count: int,
+    seed: int,
+    until_s: float,
+    *,
+    limits: SearchLimits = SearchLimits(),
+    between: Between | None = None,
+) -> tuple[list[NDArray[np.float64]], bool]:
+    """Up to so many ways, and whether the time was over before there were.
+
+    The most careful checker in which there is a way gives all of them: where its first try fails, the next
+    one is taken.
+
+    Args:
+        checkers: the most careful first.
+        start: (d,) rad.
+        goal: (d,) rad.
+        count: of ways.
+        seed: of all draws; each way has draws of its own.
+        until_s: by ``time.monotonic``.
+        limits: effort for each way.
+        between: called now and then; may raise to stop, which passes through.
+    """
+    pause = _pause(until_s, between)
+    found: list[NDArray[np.float64]] = []
+    try:
+        for level, checker in enumerate(checkers):
+            if not checker.valid_batch(np.stack([start, goal])).all():
+                continue
+            for number in range(count):
+                rng = np.random.default_rng([seed, level, number])
+                way = _way(checker, start, goal, rng, limits, pause)
+                if way is None:
+                    break
+                found.append(way)
+                pause()
+            if found:
+                return found, False
+    except OutOfTimeError:
+        return found, True
+    return found, False
+
+
+def _pause(until_s: float, between: Between | None) -> Callable[[], None]:
+    def pause() -> None:
+        if between is not None:
+            between()
+        if time.monotonic() > until_s:
+            raise OutOfTimeError
+
+    return pause
+
+
+def _way(
+    checker: Checker,
+    start: NDArray[np.float64],
+    goal: NDArray[np.float64],
+    rng: np.random.Generator,
+    limits: SearchLimits,
+    pause: Between,
+) -> NDArray[np.float64] | None:
+    states = checker.space.sample_uniform(rng, limits.states)
+    raw = connect_trees(
+        checker,
+        start,
+        goal,
+        states,
+        range_rad=limits.range_rad,
+        resolution_rad=limits.search_rad,
+        between=pause,
+    )
+    return None if raw is None else cut_short(checker, raw, rng, limits.shortcuts, limits.shortcut_rad)
+
+
+def cut_short(
+    checker: Checker,
+    way: NDArray[np.float64],
+    rng: np.random.Generator,
+    shortcuts: int,
+    resolution_rad: float,
+) -> NDArray[np.float64]:
+    """The way with straight pieces between random points of it wherever these are free and shorter.
+
+    Source: Geraerts and Overmars, Creating High-Quality Paths for Motion Planning, IJRR 26 (2007). Proposals
+    are looked at some at a time, and of those that are free the one that gains most is taken.
+    """
+    space = checker.space
+    for _ in range(0, shortcuts, _TOGETHER):
+        # Pieces of no length are no pieces.
+        steps = space.difference(way[:-1], way[1:])
+        sizes = np.linalg.norm(steps, axis=1)
+        if len(way) < 3 or not sizes.sum() > 0.0:
+            return way
+        gone = np.concatenate([[0.0], np.cumsum(sizes)])
+        span = _SHORTEST ** rng.random(_TOGETHER)
+        first = rng.random(_TOGETHER) * (1.0 - span)
+        cuts = np.stack([first, first + span]) * gone[-1]
+        at = np.clip(np.searchsorted(gone, cuts, side="right") - 1, 0, len(sizes) - 1)
+        shares = (cuts - gone[at]) / np.maximum(sizes[at], 1e-12)
+        points = space.wrap(way[at] + np.minimum(shares, 1.0)[..., None] * steps[at])
+        gains = cuts[1] - cuts[0] - space.distance(points[0], points[1])
+        free = checker.edge_batch(points[0], points[1], resolution_rad)
+        best = int(np.argmax(np.where(free, gains, 0.0)))
+        if free[best] and gains[best] > 1e-4:
+            i, j = at[0, best], at[1, best]
+            way = np.concatenate([way[: i + 1], points[:, best], way[j + 1 :]])
+    return way

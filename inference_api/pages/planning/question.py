@@ -1,0 +1,172 @@
+"""A way from start to goal, from field values to the bytes of the answer; runs in a worker thread."""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from fastapi.responses import Response
+
+from cspace.bundle.request import fitted_end, require_robot
+from cspace.errors import InputError
+from cspace.planning.plan import plan
+from cspace.planning.query import Doubt, Plan, PlanQuery
+from inference_api.bodies.request_body import PLAN_FORM, RawFields, parse_fields
+from inference_api.failures import NoKernelsError
+from inference_api.models.pictures import Prepared
+from inference_api.models.served import ServedModel
+from inference_api.models.store import ModelStore
+from inference_api.pages.model_schemas import joint_space_info
+from inference_api.pages.planning.schemas import LeastSure, PlanAnswer, PlanRequest, PlanTimingMs
+from inference_api.pages.sampling import model_info
+from inference_api.pages.schemas import ScenarioInfo
+from inference_api.pages.validation import validate_fields
+from inference_api.telemetry.observer import Planned
+from inference_api.turns.turns import LONG_ROWS, Turn
+from services.registry.references import ModelReference
+
+# What a stint of a search takes; others have their turns between two of them.
+_STINT_S = 0.02
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlanQuestion:
+    """A valid request; an :class:`~inference_api.pages.exchange.Question`.
+
+    Args:
+        store: where pictures are known and observers told.
+        reference: the model that it names.
+        image: the picture's file.
+        query: start and goal, not held against the model's robot yet, and limits.
+        robot: whose they are; None for the model's.
+        require_confirmed: whether only a model is wanted that is sure to be that one.
+        began: ``time.perf_counter()`` when the request came in, s.
+    """
+
+    store: ModelStore
+    reference: ModelReference
+    image: bytes
+    query: PlanQuery
+    robot: str | None
+    require_confirmed: bool
+    began: float
+
+    def answer(self, served: ServedModel, turn: Turn) -> Response:
+        """Plan and write.
+
+        Raises:
+            CspaceError: as the contract's table of errors.
+            ClientDisconnect: the client has gone away.
+        """
+        bundle, spec = served.bundle, served.bundle.spec
+        require_robot(self.robot, spec)
+        if not bundle.has_validity:
+            raise InputError("the model has no validity head", remedy="name a model that has one")
+        for name, end in (("start", self.query.start), ("goal", self.query.goal)):
+            fitted_end(spec, name, end)
+        # A search lasts as long as it lasts: it pays stint by stint.
+        turn.spend(LONG_ROWS + 1.0)
+        prepared = self.store.pictures.get(bundle, self.image)
+        try:
+            found = plan(bundle, prepared.picture, self.query, _paced(turn.between))
+        except ImportError as error:
+            raise NoKernelsError(
+                "this server does not plan",
+                expected="the packages of the extra plan",
+                got=f"no {error.name or 'compiler'}",
+                remedy="ask a server that has them, or sample here and plan elsewhere",
+            ) from error
+        self.store.observer.planned(
+            Planned(f"{served.name}/{served.version}", served.fallback, found.status, self.query.seed)
+        )
+        return self._response(served, prepared, found)
+
+    def _response(self, served: ServedModel, prepared: Prepared, found: Plan) -> Response:
+        body = PlanAnswer.model_construct(
+            status=found.status,
+            reason=_reason(found, self.query),
+            path=found.way.tolist(),
+            confidence=found.confidence,
+            edges=found.edges.tolist(),
+            unseen=None if found.unseen is None else found.unseen.tolist(),
+            length_rad=found.length_rad,
+            ways=found.found,
+            least_sure=_told(found.least),
+            seed=self.query.seed,
+            scenario=ScenarioInfo(novelty=prepared.picture.novelty),
+            joint_space=joint_space_info(served.bundle.spec.joint_space),
+            model=model_info(served),
+            timing_ms=PlanTimingMs(
+                decode=prepared.decode_ms,
+                encode=prepared.encode_ms,
+                search=found.search_ms,
+                score=found.score_ms,
+                total=1e3 * (time.perf_counter() - self.began),
+            ),
+        )
+        return Response(body.model_dump_json(), media_type="application/json")
+
+
+def read_plan(store: ModelStore, fields: RawFields, *, began: float) -> PlanQuestion:
+    """Parse and validate.
+
+    Args:
+        store: where the models are.
+        fields: the body as it was read.
+        began: as :class:`PlanQuestion` has it.
+
+    Raises:
+        CspaceError: as the contract's table of errors.
+    """
+    request = validate_fields(PlanRequest, parse_fields(fields, PLAN_FORM))
+    named = request.model if "model" in request.model_fields_set else store.model_name
+    query = PlanQuery(
+        request.start,
+        request.goal,
+        request.drawn_seed(),
+        request.min_confidence,
+        request.time_limit_s,
+        request.ways,
+    )
+    reference = ModelReference.parse(named)
+    picture, confirmed = request.picture(), request.require_confirmed
+    return PlanQuestion(store, reference, picture, query, request.robot, confirmed, began)
+
+
+def _told(least: Doubt | None) -> LeastSure | None:
+    if least is None:
+        return None
+    return LeastSure(
+        configuration=least.configuration.tolist(),
+        confidence=least.confidence,
+        unseen=least.unseen,
+        along=least.along,
+    )
+
+
+def _reason(found: Plan, query: PlanQuery) -> str | None:
+    if found.status == "solved":
+        return None
+    if found.status == "timeout":
+        return f"no way was found within {query.time_limit_s:g} s"
+    least = found.least
+    if least is None:
+        return "no way was found through what the picture shows"
+    unseen = "" if least.unseen is None else f", where {least.unseen:.0%} of the robot is in unseen space"
+    return (
+        f"the surest of {found.found} ways has a confidence of {found.confidence:.3f}, asked for is "
+        f"{query.min_confidence:g}; it is least sure at {least.along:.0%} of its length, with "
+        f"{least.confidence:.3f}{unseen}"
+    )
+
+
+def _paced(between: Callable[[], None]) -> Callable[[], None]:
+    """The same, at most once a stint."""
+    last_s = time.monotonic()
+
+    def pause() -> None:
+        nonlocal last_s
+        if time.monotonic() - last_s >= _STINT_S:
+            between()
+            last_s = time.monotonic()
+
+    return pause

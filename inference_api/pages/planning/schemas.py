@@ -1,0 +1,103 @@
+"""Question and answer of ``POST /plan`` as types; the OpenAPI document is made from them."""
+
+from collections.abc import Mapping
+from typing import Annotated, Any, ClassVar, Literal
+
+from pydantic import BaseModel, Field
+
+from cspace.query import DIGEST_PATTERN, drawn_seed
+from inference_api.pages.model_schemas import AnyJointSpace, ModelInfo
+from inference_api.pages.picture_fields import PICTURE_EXPECTED, Configuration
+from inference_api.pages.schemas import EXPECTED, ScenarioInfo, SceneFields, Seed, picture_form
+
+MAX_TIME_S, MAX_WAYS = 10.0, 64
+LEAST_TIME_S = 0.01
+PLAN_EXPECTED = {
+    **PICTURE_EXPECTED,
+    **{name: EXPECTED[name] for name in ("start", "goal", "model", "seed", "min_confidence")},
+    "time_limit_s": f"a finite number from {LEAST_TIME_S:g} to {MAX_TIME_S:g}",
+    "ways": f"a whole number from 1 to {MAX_WAYS}",
+    **{name: EXPECTED[name] for name in ("robot", "require_confirmed")},
+}
+
+
+class PlanRequest(SceneFields):
+    """A question for a way; unknown fields are errors."""
+
+    EXPECTED: ClassVar[Mapping[str, str]] = PLAN_EXPECTED
+
+    start: Configuration = Field(
+        description="Where the way begins, rad: circles at any turn, other joints within their limits."
+    )
+    goal: Configuration = Field(description="Where it ends, as `start`.")
+    model: str = Field("cspace-sampler", max_length=300, description="As of `POST /sample`.")
+    seed: Seed = Field(None, description="As of `POST /sample`: of all draws of the search.")
+    min_confidence: Annotated[float, Field(ge=0.0, le=1.0, allow_inf_nan=False)] = Field(
+        0.0, description="Below it no way is returned, but the reason why."
+    )
+    time_limit_s: Annotated[float, Field(ge=LEAST_TIME_S, le=MAX_TIME_S, allow_inf_nan=False)] = Field(
+        1.0, description="Of the search; what is found by then is what is chosen from."
+    )
+    ways: int = Field(8, ge=1, le=MAX_WAYS, description="That are looked for, to choose the surest of.")
+    robot: Annotated[str, Field(pattern=f"^{DIGEST_PATTERN}$")] | None = Field(
+        None, description="As of `POST /sample`."
+    )
+    require_confirmed: bool = Field(default=False, description="As of `POST /sample`.")
+
+    def drawn_seed(self) -> int:
+        """The seed, drawn where it is absent."""
+        return drawn_seed(self.seed)
+
+
+class LeastSure(BaseModel):
+    """Where the surest way is least sure."""
+
+    configuration: list[float] = Field(description="rad.")
+    confidence: float = Field(description="Of this configuration alone.")
+    unseen: float | None = Field(description="Share of the robot there that no picture shows.")
+    along: float = Field(description="How far along the way, 0 to 1.")
+
+
+class PlanTimingMs(BaseModel):
+    """Where the time went, in ms."""
+
+    decode: float
+    encode: float
+    search: float
+    score: float
+    total: float
+
+
+class PlanAnswer(BaseModel):
+    """A way, or why there is none."""
+
+    status: Literal["solved", "refused", "timeout"] = Field(
+        description="`refused` where no way is sure enough or none was found, `timeout` where the time was "
+        "over before one was."
+    )
+    reason: str | None = Field(description="Of what is not solved, in words.")
+    path: list[list[float]] = Field(description="From start to goal, straight in between, rad; or empty.")
+    confidence: float = Field(
+        description="Of the whole way, an estimate: exp(-D) with D the integral of -log P(free) along it in "
+        "rad. Of the surest way where it is refused; 0 without one."
+    )
+    edges: list[float] = Field(description="The least confidence on each piece of the way.")
+    unseen: list[float] | None = Field(
+        description="The largest share of the robot on each piece that no picture shows; null for worlds "
+        "that are seen whole."
+    )
+    length_rad: float
+    ways: int = Field(description="That were found.")
+    least_sure: LeastSure | None
+    seed: int
+    scenario: ScenarioInfo
+    joint_space: AnyJointSpace
+    model: ModelInfo
+    timing_ms: PlanTimingMs
+
+
+def plan_form_schema() -> dict[str, Any]:
+    """The JSON schema of the multipart form of :class:`PlanRequest`."""
+    schema = PlanRequest.model_json_schema()
+    schema["properties"] = schema["properties"] | picture_form(schema["properties"])
+    return schema

@@ -1,0 +1,98 @@
+"""Plans by bundles: whose doubts decide, what is refused, what is told."""
+
+import numpy as np
+import pytest
+
+from cspace.bundle import Bundle
+from cspace.errors import InputError
+from cspace.planning.plan import plan
+from cspace.planning.query import PlanQuery
+from cspace.planning.scoring import score
+from cspace.splits import Split
+from cspace.worlds import examples, workshop_of
+from tests.bundles import write_tiny_bundle
+
+WORLD = examples()["two-link"]
+STEP = 0.1
+
+
+@pytest.fixture(scope="module")
+def bundle(tmp_path_factory):
+    return Bundle.load(write_tiny_bundle(tmp_path_factory.mktemp("tiny") / "bundle", validity=True))
+
+
+@pytest.fixture(scope="module")
+def scene():
+    workshop = workshop_of(WORLD)
+    problem = workshop.problem("uniform", Split.VALIDATION, 0, 0)
+    return workshop.render(problem.scenario), problem
+
+
+def asked(problem, **fields):
+    return PlanQuery(tuple(problem.start), tuple(problem.goal), time_limit_s=60.0, **fields)
+
+
+def test_a_plan_is_a_way_from_start_to_goal_with_what_is_believed_of_it(bundle, scene):
+    image, problem = scene
+    picture = bundle.prepare(image)
+    found = plan(bundle, picture, asked(problem, seed=3))
+    assert found.status == "solved"
+    assert np.allclose(found.way[[0, -1]], [problem.start, problem.goal], atol=1e-6)
+    assert found.edges.shape == (len(found.way) - 1,)
+    assert found.unseen is None
+    assert found.found == 8
+    (alone,) = score([found.way], WORLD.space, 0.15, lambda rows: bundle.believe(picture, rows))
+    assert found.confidence == alone.whole
+    assert found.edges.min() == pytest.approx(found.least.confidence)
+    again = plan(bundle, picture, asked(problem, seed=3))
+    assert np.array_equal(again.way, found.way)
+
+
+def test_more_ways_make_the_surest_no_less_sure(bundle, scene):
+    image, problem = scene
+    picture = bundle.prepare(image)
+    sure = [plan(bundle, picture, asked(problem, ways=ways)).confidence for ways in (1, 2, 4, 8, 16)]
+    assert sure == sorted(sure)
+
+
+def test_a_way_that_is_not_sure_enough_is_refused_with_its_doubt(bundle, scene):
+    image, problem = scene
+    picture = bundle.prepare(image)
+    sure = plan(bundle, picture, asked(problem)).confidence
+    assert 0.0 < sure < 1.0
+    refused = plan(bundle, picture, asked(problem, min_confidence=min(1.0, sure + 1e-3)))
+    assert (refused.status, refused.way.shape, refused.confidence) == ("refused", (0, 2), sure)
+    assert 0.0 <= refused.least.along <= 1.0
+    assert plan(bundle, picture, asked(problem, min_confidence=sure)).status == "solved"
+
+
+def test_what_does_not_fit_the_robot_is_refused(bundle, scene):
+    image, _ = scene
+    picture = bundle.prepare(image)
+    with pytest.raises(InputError, match="goal"):
+        plan(bundle, picture, PlanQuery((0.0, 0.0), (0.0, 0.0, 0.0)))
+
+
+def test_the_doubt_of_a_way_does_not_depend_on_how_finely_one_looks():
+    way = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 2.0]])
+
+    def believe(rows):
+        return (1.0 - 0.2 * np.abs(np.sin(rows[:, 0] + rows[:, 1]))).astype(np.float32), None
+
+    doubts = [score([way], WORLD.space, step, believe)[0].doubt for step in (0.3, 0.1, 0.01)]
+    assert doubts[0] == pytest.approx(doubts[2], rel=0.1)
+    assert doubts[1] == pytest.approx(doubts[2], rel=0.04)
+
+
+def test_each_piece_has_its_least_and_its_largest_with_its_corners():
+    way = np.array([[0.0, 0.0], [0.2, 0.0], [0.2, 0.2]])
+
+    def believe(rows):
+        return (1.0 - rows.sum(axis=1)).astype(np.float32), rows.sum(axis=1).astype(np.float32)
+
+    (one,) = score([way], WORLD.space, STEP, believe)
+    assert one.of_pieces(one.confidence, np.minimum).tolist() == pytest.approx([0.8, 0.6])
+    assert one.of_pieces(one.unseen, np.maximum).tolist() == pytest.approx([0.2, 0.4])
+    assert one.of_pieces(one.confidence, np.maximum).tolist() == pytest.approx([1.0, 0.8])
+    assert one.length_rad == pytest.approx(0.4)
+    assert score([], WORLD.space, STEP, believe) == []

@@ -1,0 +1,142 @@
+"""Ways through what pictures show, in both worlds, by the compiled checks of each."""
+
+import time
+
+import numpy as np
+import pytest
+
+from cspace.connecting import length_rad
+from cspace.planning.ways import cut_short, find_ways
+from cspace.splits import Split
+from cspace.worlds import examples, seen_checkers, workshop_of
+from cspace.worlds.planar.render import render
+from cspace.worlds.planar.scene import Disc, Scenario
+from cspace.worlds.spatial.obstacles.objects import block
+from cspace.worlds.spatial.obstacles.shapes import Obstacles
+from cspace.worlds.spatial.planning.collision import CollisionChecker
+from cspace.worlds.spatial.robot.ready import ready_rad
+
+PLANAR, PANDA = (examples()[name] for name in ("two-link", "panda"))
+LATE = 1e9
+
+
+def planar(index):
+    workshop = workshop_of(PLANAR)
+    problem = workshop.problem("uniform", Split.VALIDATION, 0, index)
+    return workshop.checker(problem.scenario), workshop.render(problem.scenario), problem
+
+
+@pytest.mark.parametrize("index", range(6))
+def test_ways_through_a_picture_are_nearly_free_in_the_scene(index):
+    truth, picture, problem = planar(index)
+    ends = np.stack([problem.start, problem.goal])
+    checkers = seen_checkers(PLANAR, picture, ends)
+    ways, late = find_ways(checkers, *ends, 4, 0, time.monotonic() + LATE)
+    assert (len(ways), late) == (4, False)
+    for way in ways:
+        assert np.array_equal(way[[0, -1]], ends)
+        # Pixels are 0.2 m wide.
+        assert truth.clearance(way).min() > -0.1
+    again, _ = find_ways(checkers, *ends, 4, 0, time.monotonic() + LATE)
+    assert all(np.array_equal(one, other) for one, other in zip(ways, again, strict=True))
+    assert len({way.tobytes() for way in ways}) > 1
+
+
+def test_the_more_careful_checks_know_more_obstacles():
+    truth, picture, problem = planar(0)
+    ends = np.stack([problem.start, problem.goal])
+    checkers = seen_checkers(PLANAR, picture, ends)
+    rows = PLANAR.space.sample_uniform(np.random.default_rng(0), 3000)
+    shares = [checker.valid_batch(rows).mean() for checker in checkers]
+    assert shares == sorted(shares)
+    assert shares[0] < shares[-1]
+    # The middle one is as right as its pixels are fine.
+    assert (checkers[1].valid_batch(rows) == truth.valid_batch(rows)).mean() > 0.93
+
+
+def test_ends_are_free_whatever_seems_to_stand_there():
+    scene = Scenario(PLANAR.body, (Disc(2.0, 0.0),), PLANAR.sensor)
+    ends = np.array([[0.0, 0.0], [2.0, 0.5]])
+    assert not workshop_of(PLANAR).checker(scene).valid(ends[0])
+    for checker in seen_checkers(PLANAR, render(scene), ends):
+        assert checker.valid_batch(ends).all()
+
+
+def test_the_time_ends_a_search():
+    _, picture, problem = planar(1)
+    ends = np.stack([problem.start, problem.goal])
+    ways, late = find_ways(seen_checkers(PLANAR, picture, ends), *ends, 1000, 0, time.monotonic() + 0.05)
+    assert late
+    assert len(ways) < 1000
+
+
+def test_whoever_calls_can_stop_a_search():
+    class StopError(Exception):
+        pass
+
+    def stop():
+        raise StopError
+
+    _, picture, problem = planar(1)
+    ends = np.stack([problem.start, problem.goal])
+    with pytest.raises(StopError):
+        find_ways(seen_checkers(PLANAR, picture, ends), *ends, 2, 0, time.monotonic() + LATE, between=stop)
+
+
+def test_no_way_is_found_where_there_is_none():
+    class Wall:
+        """Nothing but the ends is free."""
+
+        space = PLANAR.space
+
+        def valid_batch(self, rows):
+            return np.ones(len(rows), dtype=bool)
+
+        def grow_trees(self, nodes, parents, counts, checks, states, side, *lengths):
+            return len(states), side, -1, -1
+
+    assert find_ways([Wall()], np.zeros(2), np.ones(2), 3, 0, time.monotonic() + LATE) == ([], False)
+
+
+def test_cutting_short_keeps_ends_and_never_lengthens():
+    truth, _, problem = planar(2)
+    rng = np.random.default_rng(0)
+    way = np.stack([problem.start, [0.1, 0.2], [-2.0, 1.0], [1.5, -1.0], problem.goal])
+
+    class Open:
+        space = PLANAR.space
+
+        def edge_batch(self, starts, ends, resolution):
+            return np.ones(len(starts), dtype=bool)
+
+    short = cut_short(Open(), way, rng, 64, 0.05)
+    assert np.array_equal(short[[0, -1]], way[[0, -1]])
+    assert length_rad(short, truth.space) < length_rad(way, truth.space)
+
+    class Shut(Open):
+        def edge_batch(self, starts, ends, resolution):
+            return np.zeros(len(starts), dtype=bool)
+
+    assert np.array_equal(cut_short(Shut(), way, rng, 64, 0.05), way)
+
+
+def test_what_depth_pictures_show_is_known_to_a_voxel():
+    """A box in front of the arm: poses that are in it are found out, those far from it are free."""
+    obstacles = Obstacles.of([block((0.35, 0.6), (-0.3, 0.3), (0.2, 0.9))])
+    grid = PANDA.sensor.grid
+    from cspace.worlds.spatial.obstacles.signed_distance import distance_m
+
+    away = distance_m(obstacles, grid.centres_m().reshape(-1, 3)).reshape(grid.counts)
+    picture = np.zeros((*grid.counts, 2), np.uint8)
+    picture[..., 0] = np.clip(away / 0.0004, 0, 255)
+    start = ready_rad(PANDA.body)
+    ends = np.stack([start * [0, 1, 1, 1, 1, 1, 1] + [2.5, 0, 0, 0, 0, 0, 0], start * 1.0])
+    truth = CollisionChecker(PANDA.body, obstacles)
+    checkers = seen_checkers(PANDA, picture, ends[:1])
+    rows = PANDA.space.sample_uniform(np.random.default_rng(0), 2000)
+    rows = rows[np.abs(truth.clearance(rows)) > 0.03]
+    found = checkers[-1].valid_batch(rows)
+    # Within a surface distances are 0, which spheres of the arm cannot be from their centre.
+    assert (found == truth.valid_batch(rows)).mean() > 0.99
+    assert checkers[0].valid_batch(rows).sum() <= found.sum()
+    assert checkers[0].valid(ends[0])

@@ -1,0 +1,110 @@
+"""``POST /plan``: a way that a model believes in, or the reason why there is none."""
+
+import base64
+import json
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cspace.png import encode_png
+from cspace.splits import Split
+from cspace.worlds import examples, robot_digest, workshop_of
+from inference_api.pages.planning import question
+from tests.inference_api.answers import assert_answers, assert_problem
+from tests.inference_api.client import ApiClient
+
+CAREFUL = "cspace-sampler@careful"
+WORLD = examples()["two-link"]
+PROBLEM = workshop_of(WORLD).problem("uniform", Split.VALIDATION, 0, 0)
+PNG = encode_png(workshop_of(WORLD).render(PROBLEM.scenario))
+ENDS = {"start": list(PROBLEM.start), "goal": list(PROBLEM.goal)}
+QUESTION: dict[str, Any] = {**ENDS, "model": CAREFUL, "seed": 3, "time_limit_s": 10.0}
+
+
+def ask(api: ApiClient, **fields: Any):
+    body = {**QUESTION, "image": base64.b64encode(PNG).decode(), **fields}
+    return api.post("/plan", json={name: value for name, value in body.items() if value is not None})
+
+
+def test_a_way_comes_back_with_what_is_believed_of_it(api):
+    told = ask(api).json()
+    assert told["status"] == "solved"
+    assert told["reason"] is None
+    assert np.allclose(told["path"][0], PROBLEM.start, atol=1e-6)
+    assert np.allclose(told["path"][-1], PROBLEM.goal, atol=1e-6)
+    assert len(told["edges"]) == len(told["path"]) - 1
+    assert 0.0 < told["confidence"] <= min(told["edges"])
+    assert told["least_sure"]["confidence"] == pytest.approx(min(told["edges"]), abs=1e-6)
+    assert told["unseen"] is None
+    assert (told["ways"], told["seed"]) == (8, 3)
+    assert told["model"]["robot"] == robot_digest(WORLD)
+    assert set(told["timing_ms"]) == {"decode", "encode", "search", "score", "total"}
+    lengths = WORLD.space.distance(told["path"][:-1], told["path"][1:])
+    assert told["length_rad"] == pytest.approx(lengths.sum())
+
+
+def test_a_form_has_the_same_answer_and_a_seed_gives_the_same_way(api):
+    data = {name: value if isinstance(value, str) else json.dumps(value) for name, value in QUESTION.items()}
+    by_form = api.post("/plan", files={"image": PNG}, data=data)
+    assert by_form.status_code == 200, by_form.text
+    assert by_form.json()["path"] == ask(api).json()["path"]
+    drawn = ask(api, seed=None).json()["seed"]
+    assert ask(api, seed=drawn).json()["seed"] == drawn
+
+
+def test_a_way_that_is_not_sure_enough_is_refused_with_the_reason(api):
+    sure = ask(api).json()["confidence"]
+    told = ask(api, min_confidence=min(1.0, sure + 1e-3)).json()
+    assert (told["status"], told["path"], told["edges"]) == ("refused", [], [])
+    assert told["confidence"] == sure
+    assert f"{sure:.3f}" in told["reason"]
+    assert len(told["least_sure"]["configuration"]) == 2
+
+
+@pytest.mark.parametrize(
+    ("fields", "field"),
+    [
+        ({"start": None}, "start"),
+        ({"goal": [0.0]}, "goal"),
+        ({"goal": "home"}, "goal"),
+        ({"min_confidence": 1.5}, "min_confidence"),
+        ({"time_limit_s": 0.0}, "time_limit_s"),
+        ({"time_limit_s": 11.0}, "time_limit_s"),
+        ({"ways": 0}, "ways"),
+        ({"ways": 65}, "ways"),
+        ({"ways": 2.5}, "ways"),
+        ({"seed": -1}, "seed"),
+        ({"n": 10}, "n"),
+    ],
+)
+def test_what_does_not_fit_is_told_by_its_field(api, fields, field):
+    problem = assert_problem(ask(api, **fields), 422, "invalid-value")
+    assert field in problem["detail"] or problem["errors"][0]["field"] == field
+    assert_answers(api)
+
+
+def test_a_model_without_a_head_and_one_of_another_robot_do_not_plan(api):
+    problem = assert_problem(ask(api, model="cspace-sampler/1"), 422, "invalid-value")
+    assert "validity head" in problem["detail"]
+    assert_problem(ask(api, robot=robot_digest(examples()["three-link"])), 409, "other-robot")
+
+
+def test_a_server_without_compiled_code_says_so(api, monkeypatch):
+    def missing(*asked):
+        raise ModuleNotFoundError("No module named 'numba'", name="numba")
+
+    monkeypatch.setattr(question, "plan", missing)
+    problem = assert_problem(ask(api), 501, "no-planner")
+    assert "numba" in problem["detail"]
+
+
+def test_plans_are_counted_by_their_status(api):
+    def solved():
+        lines = api.get("/metrics").text.splitlines()
+        found = [line for line in lines if line.startswith('cspace_plans_total{status="solved"}')]
+        return float(found[0].split()[-1]) if found else 0.0
+
+    before = solved()
+    ask(api)
+    assert solved() == before + 1.0
