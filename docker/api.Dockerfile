@@ -1,8 +1,8 @@
-# The inference API: onnxruntime, FastAPI and the compiled search of /plan, no training framework. Build context: the repository.
+# The inference API: onnxruntime and FastAPI, no training framework. Build context: the repository.
 FROM python:3.11-slim-bookworm AS requirements
 WORKDIR /src
 COPY pyproject.toml docker/requirements.py ./
-RUN python requirements.py api plan tracing > /requirements.txt
+RUN python requirements.py api tracing > /requirements.txt
 
 FROM python:3.11-slim-bookworm
 ARG PIP_EXTRA_INDEX_URL=""

@@ -1,10 +1,11 @@
 """How often plans of POST /plan collide in truth, beside what planners do with unseen space.
 
-    python -m benchmarks.spatial.plan_quality BUNDLE [--cameras 2] [--each 10] [--split test --problems DIR]
+    python -m benchmarks.spatial.plan_quality BUNDLE [--cameras 2] [--aim scene] [--each 10]
 
-Problems of MotionBenchMaker, seen with noise by cameras 30 to 60 degrees off the line from the scene to the
-robot, 20 to 40 degrees up, 1.1 to 1.3 m away, with 70 degrees of view; of two cameras one stands on either
-side. The arm is in the picture. Test problems are for figures that are reported, once. One process, minutes.
+Problems of MotionBenchMaker, seen with noise by cameras 30 to 60 degrees off the line from what they look at
+to the robot, 20 to 40 degrees up, 1.1 to 1.3 m away, with 70 degrees of view; of two cameras one stands on
+either side. They look at the goal's hand, or with --aim scene at the middle of the box round all obstacles.
+The arm is in the picture. Test problems are for figures that are reported, once. One process, minutes.
 
 All arms search alike (eight ways, the same draws); they differ in what they take the scene to be, and in the
 way that they choose:
@@ -38,6 +39,7 @@ from cspace.planning.ways import find_ways
 from cspace.splits import Split
 from cspace.worlds import seen_checkers
 from cspace.worlds.spatial.motionbench.problems import FAMILIES, BenchProblem, problems
+from cspace.worlds.spatial.obstacles.shapes import Box, Obstacles
 from cspace.worlds.spatial.planning.collision import CollisionChecker
 from cspace.worlds.spatial.scene import SpatialScene, seen
 from cspace.worlds.spatial.seeing.sight import FREE
@@ -81,6 +83,8 @@ def viewed(world: SpatialWorld, cameras: int) -> SpatialWorld:
 def from_both_sides(rng: np.random.Generator, world: SpatialWorld, problem: BenchProblem) -> SpatialScene:
     """The problem's scene, of several cameras not all on the same side."""
     layout = problem.layout(world.body)
+    if aim == "scene":
+        layout = replace(layout, focus=middle(problem.obstacles))
     focus = np.asarray(layout.focus)[:2]
     while True:
         scene = seen(rng, world, layout, np.array(problem.start))
@@ -90,14 +94,31 @@ def from_both_sides(rng: np.random.Generator, world: SpatialWorld, problem: Benc
             return scene
 
 
-def judged(bundle: Bundle, world: SpatialWorld, problem: BenchProblem, cameras: int) -> list[Judged]:
+def middle(obstacles: Obstacles) -> tuple[float, float, float]:
+    """Of the box round all that stands there, m: what cameras look at."""
+    solid = [
+        (np.array(one.pose), np.array(one.half_m))
+        if isinstance(one, Box)
+        else (np.array(one.pose), np.array([one.radius_m, one.radius_m, one.half_length_m]))
+        for one in (*obstacles.boxes, *obstacles.cylinders)
+    ]
+    reach = [(pose[:3, 3], np.abs(pose[:3, :3]) @ half) for pose, half in solid]
+    low = np.min([centre - half for centre, half in reach], axis=0)
+    high = np.max([centre + half for centre, half in reach], axis=0)
+    x, y, z = ((low + high) / 2.0).tolist()
+    return x, y, z
+
+
+def judged(
+    bundle: Bundle, world: SpatialWorld, problem: BenchProblem, cameras: int, aim: str
+) -> list[Judged]:
     """All arms on one problem; none where start or goal collides in truth."""
     truth = CollisionChecker(world.body, problem.obstacles)
     ends = np.array([problem.start, problem.goal])
     if not truth.valid_batch(ends).all():
         return []
     rng = np.random.default_rng([25, cameras, *problem.family.encode(), problem.number])
-    scene = from_both_sides(rng, world, problem)
+    scene = from_both_sides(rng, world, problem, aim)
     picture = world.observed(scene.view())
     occupied = picture.copy()
     occupied[picture[..., 1] != FREE, 0] = 0
@@ -167,6 +188,7 @@ def main() -> int:
     parser.add_argument("--problems", type=Path, help="the folder of the test problems")
     parser.add_argument("--each", type=int, default=0, help="problems of each family; 0 for all")
     parser.add_argument("--cameras", type=int, default=1)
+    parser.add_argument("--aim", choices=("goal", "scene"), default="goal")
     options = parser.parse_args()
     bundle = Bundle.load(options.bundle)
     world = viewed(panda_world(bundle), options.cameras)
@@ -174,7 +196,7 @@ def main() -> int:
     for family in FAMILIES:
         of_family = problems(Split(options.split), options.problems, families=(family,))
         chosen += of_family[: options.each or None]
-    rows = [row for problem in chosen for row in judged(bundle, world, problem, options.cameras)]
+    rows = [row for problem in chosen for row in judged(bundle, world, problem, options.cameras, options.aim)]
     print(machine())
     print(f"{len(rows) // len(ARMS)} of {len(chosen)} {options.split} problems, {options.cameras} cameras")
     print("\n".join(report(rows, np.random.default_rng(0))))
