@@ -80,7 +80,9 @@ def viewed(world: SpatialWorld, cameras: int) -> SpatialWorld:
     return replace(world, sensor=replace(world.sensor, views=views))
 
 
-def from_both_sides(rng: np.random.Generator, world: SpatialWorld, problem: BenchProblem) -> SpatialScene:
+def from_both_sides(
+    rng: np.random.Generator, world: SpatialWorld, problem: BenchProblem, aim: str
+) -> SpatialScene:
     """The problem's scene, of several cameras not all on the same side."""
     layout = problem.layout(world.body)
     if aim == "scene":
