@@ -37,7 +37,7 @@ def test_it_is_read_back_by_scenario(tmp_path, name):
         ("free_clearance", lambda values: -values, "above 0 where free"),
         ("free_clearance", lambda values: values * np.nan, "above 0 where free"),
         ("collision_clearance", lambda values: -values, "above 0 where free"),
-        ("free_origin", lambda values: values + 2, "below 4"),
+        ("free_origin", lambda values: values + 5, "below 5"),
     ],
 )
 def test_what_cannot_be_is_refused(tmp_path, name, change, message):
