@@ -9,7 +9,7 @@ from training.trials.request import TrialRequest
 
 def known_as(folder):
     def look(trial):
-        raise NotImplementedError
+        del trial
 
     trial = TrialRequest(folder / "stage" / "vae")
     bound = bind(look, {trial.name: trial}, {}, ResourceConfig())
