@@ -2,6 +2,8 @@
 
 from typing import Any
 
+from pydantic import BaseModel
+
 from inference_api.pages.planning.schemas import PlanAnswer, PlanRequest, plan_form_schema
 from inference_api.pages.sampling import NPY
 from inference_api.pages.schemas import SampleAnswer, SampleRequest, multipart_schema
@@ -82,11 +84,7 @@ _OF_SAMPLES = {"X-Seed", "X-Shortfall", "X-Acceptance"}
 
 def sample_extra() -> dict[str, Any]:
     """The request body of ``POST /sample`` in both forms."""
-    content = {
-        "multipart/form-data": {"schema": multipart_schema()},
-        "application/json": {"schema": SampleRequest.model_json_schema()},
-    }
-    return {"requestBody": {"required": True, "content": content}}
+    return _body(multipart_schema(), SampleRequest)
 
 
 def sample_responses() -> dict[int | str, dict[str, Any]]:
@@ -102,11 +100,7 @@ def sample_responses() -> dict[int | str, dict[str, Any]]:
 
 def validity_extra() -> dict[str, Any]:
     """The request body of ``POST /validity`` in both forms."""
-    content = {
-        "multipart/form-data": {"schema": validity_form_schema()},
-        "application/json": {"schema": ValidityRequest.model_json_schema()},
-    }
-    return {"requestBody": {"required": True, "content": content}}
+    return _body(validity_form_schema(), ValidityRequest)
 
 
 def validity_responses() -> dict[int | str, dict[str, Any]]:
@@ -127,11 +121,7 @@ def validity_responses() -> dict[int | str, dict[str, Any]]:
 
 def plan_extra() -> dict[str, Any]:
     """The request body of ``POST /plan`` in both forms."""
-    content = {
-        "multipart/form-data": {"schema": plan_form_schema()},
-        "application/json": {"schema": PlanRequest.model_json_schema()},
-    }
-    return {"requestBody": {"required": True, "content": content}}
+    return _body(plan_form_schema(), PlanRequest)
 
 
 def plan_responses() -> dict[int | str, dict[str, Any]]:
@@ -142,6 +132,15 @@ def plan_responses() -> dict[int | str, dict[str, Any]]:
         "headers": _headers({}),
     }
     return {200: success, **problem_responses(*SAMPLE_PROBLEMS, NO_PLANNER)}
+
+
+def _body(form: dict[str, Any], asked: type[BaseModel]) -> dict[str, Any]:
+    """A body that is a form, or JSON with the same names."""
+    content = {
+        "multipart/form-data": {"schema": form},
+        "application/json": {"schema": asked.model_json_schema()},
+    }
+    return {"requestBody": {"required": True, "content": content}}
 
 
 def _binary(text: str) -> dict[str, Any]:

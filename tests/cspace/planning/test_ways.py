@@ -13,6 +13,7 @@ from cspace.worlds.planar.render import render
 from cspace.worlds.planar.scene import Disc, Scenario
 from cspace.worlds.spatial.obstacles.objects import block
 from cspace.worlds.spatial.obstacles.shapes import Obstacles
+from cspace.worlds.spatial.obstacles.signed_distance import distance_m
 from cspace.worlds.spatial.planning.collision import CollisionChecker
 from cspace.worlds.spatial.robot.ready import ready_rad
 
@@ -124,8 +125,6 @@ def test_what_depth_pictures_show_is_known_to_a_voxel():
     """A box in front of the arm: poses that are in it are found out, those far from it are free."""
     obstacles = Obstacles.of([block((0.35, 0.6), (-0.3, 0.3), (0.2, 0.9))])
     grid = PANDA.sensor.grid
-    from cspace.worlds.spatial.obstacles.signed_distance import distance_m
-
     away = distance_m(obstacles, grid.centres_m().reshape(-1, 3)).reshape(grid.counts)
     picture = np.zeros((*grid.counts, 2), np.uint8)
     picture[..., 0] = np.clip(away / 0.0004, 0, 255)
