@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Status = Literal["solved", "refused", "timeout"]
+DEFAULT_WAYS = 8
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,7 +28,7 @@ class PlanQuery:
     seed: int = 0
     min_confidence: float = 0.0
     time_limit_s: float = 1.0
-    ways: int = 8
+    ways: int = DEFAULT_WAYS
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,8 +1,10 @@
-"""Solve one problem with an API's samples.
+"""Solve one problem with an API's samples, or let the API plan it.
 
-``python -m services.planner plan scene.yaml``, or a problem of a family: ``--family narrow --seed 7``.
+``python -m services.planner plan scene.yaml``, or a problem of a family: ``--family narrow --seed 7``. With
+``--whole-plan`` the API plans in what its model believes of the picture.
 
-Exit codes: 0 solved, 1 not solved, 2 wrong usage or input, or the API refused the request.
+Exit codes: 0 solved, 1 not solved or the API's way collides, 2 wrong usage or input, or the API refused the
+request.
 """
 
 import json
@@ -10,6 +12,7 @@ import sys
 from collections.abc import Sequence
 
 from cspace.errors import CspaceError
+from cspace.planning.query import PlanQuery
 from cspace.problem import Problem
 from cspace.splits import Split
 from cspace.worlds import workshop_of
@@ -17,8 +20,9 @@ from services.command_errors import tell_error
 from services.planner.command_line import Command, parse_command
 from services.planner.drawing.plot import draw_plan, save_figure
 from services.planner.planning import Comparison, compare_with_api
-from services.planner.report import comparison_json, comparison_table
+from services.planner.report import comparison_json, comparison_table, problem_line
 from services.planner.sources.sampling_client import SamplingClient
+from services.planner.whole_plan import as_json, ask_for_plan, told
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -30,6 +34,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if obstruction is not None:
             print(f"there is no path: {obstruction}", file=sys.stderr)
             return 1
+        if command.whole:
+            return _plan_whole(command, problem)
         comparison = _compare(command, problem)
         _print(command, comparison)
         _draw(command, comparison)
@@ -43,6 +49,22 @@ def _problem(command: Command) -> Problem:
         return command.scene.problem()
     workshop = workshop_of(command.world)
     return workshop.problem(command.family, Split.DEMO, command.seed, command.index)
+
+
+def _plan_whole(command: Command, problem: Problem) -> int:
+    settings, asked = command.settings, command.request
+    start, goal = (tuple(float(angle) for angle in end) for end in (problem.start, problem.goal))
+    least = asked.query.min_confidence or 0.0
+    query = PlanQuery(start, goal, settings.seed, least, settings.time_limit_s, command.ways)
+    # The search is a part of the request.
+    timeout_s = command.timeout_s + settings.time_limit_s
+    with SamplingClient(command.url, timeout_s) as client:
+        whole = ask_for_plan(problem, client, query, asked.model)
+    print(json.dumps(as_json(whole), allow_nan=False) if command.json else told(whole))
+    if command.plot is not None:
+        title = f"{problem_line(problem)}: {whole.found.plan.status}"
+        save_figure(draw_plan(problem, whole.result, None, title), command.plot)
+    return 0 if whole.free else 1
 
 
 def _compare(command: Command, problem: Problem) -> Comparison:

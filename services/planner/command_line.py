@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from cspace.planning.query import DEFAULT_WAYS
 from cspace.query import PLAIN, SampleQuery
 from cspace.world import World
 from cspace.worlds import examples, workshop_of
@@ -36,6 +37,8 @@ class Command:
         scene: a file that holds the problem; None for one of a family.
         plot: the figure's file, or None.
         json: whether the outcome is printed as JSON.
+        whole: whether the API plans the whole way.
+        ways: that it chooses from then.
     """
 
     url: str
@@ -50,6 +53,8 @@ class Command:
     scene: SceneFile | None
     plot: Path | None
     json: bool
+    whole: bool
+    ways: int
 
 
 def parse_command(arguments: Sequence[str] | None = None) -> Command:
@@ -94,6 +99,8 @@ def parse_command(arguments: Sequence[str] | None = None) -> Command:
         scene=scene,
         plot=options.plot,
         json=options.json,
+        whole=options.whole_plan,
+        ways=options.ways,
     )
 
 
@@ -148,6 +155,14 @@ def make_parser() -> argparse.ArgumentParser:
         action="store_true",
         help="check each sample as its turn comes, and take those that collide after all others",
     )
+    whole = parser.add_argument_group("whole plans")
+    whole.add_argument(
+        "--whole-plan",
+        action="store_true",
+        help="let the API plan in what its model believes, and judge the way in the scene as it is; of the "
+        "options for samples and search --min-confidence, --time-limit and --planner-seed hold for it",
+    )
+    whole.add_argument("--ways", type=_count, default=DEFAULT_WAYS, help="to choose from; %(default)s")
     search = parser.add_argument_group("search")
     search.add_argument("--planner", choices=LEARNED_PLANNERS, default=RRT, help="default %(default)s")
     search.add_argument(

@@ -4,7 +4,7 @@ import math
 from dataclasses import asdict
 from typing import Any
 
-from cspace.problem import OWN
+from cspace.problem import OWN, Problem
 from services.planner.plan_result import PlanResult
 from services.planner.planning import Comparison
 
@@ -29,7 +29,7 @@ def comparison_table(comparison: Comparison, planner: str) -> str:
         for row in cells
     ]
     return "\n".join(
-        [f"problem  {_problem_line(comparison)}", f"samples  {_samples_line(comparison)}", "", *lines]
+        [f"problem  {problem_line(comparison.problem)}", f"samples  {_samples_line(comparison)}", "", *lines]
     )
 
 
@@ -72,8 +72,8 @@ def named_results(comparison: Comparison, planner: str) -> list[tuple[str, PlanR
     ]
 
 
-def _problem_line(comparison: Comparison) -> str:
-    problem = comparison.problem
+def problem_line(problem: Problem) -> str:
+    """A problem in a few words."""
     if problem.family == OWN:
         return f"your own, {problem.space.dim} joints"
     passage = (

@@ -11,8 +11,8 @@ from cspace.space import circles
 from cspace.worlds.planar.arm import PlanarArm
 from inference_api.app import create_app
 from inference_api.settings import ApiSettings
-from services.planner.sources.npy_answer import read_space
-from services.planner.sources.npy_body import read_samples
+from services.planner.sources.questions.model_head import read_space
+from services.planner.sources.questions.npy_body import read_samples
 from tests.bundles import picture, write_tiny_bundle
 from tests.inference_api.client import running
 

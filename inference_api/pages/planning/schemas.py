@@ -5,6 +5,7 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import BaseModel, Field
 
+from cspace.planning.query import DEFAULT_WAYS
 from cspace.query import DIGEST_PATTERN, drawn_seed
 from inference_api.pages.model_schemas import AnyJointSpace, ModelInfo
 from inference_api.pages.picture_fields import PICTURE_EXPECTED, Configuration
@@ -38,7 +39,9 @@ class PlanRequest(SceneFields):
     time_limit_s: Annotated[float, Field(ge=LEAST_TIME_S, le=MAX_TIME_S, allow_inf_nan=False)] = Field(
         1.0, description="Of the search; what is found by then is what is chosen from."
     )
-    ways: int = Field(8, ge=1, le=MAX_WAYS, description="That are looked for, to choose the surest of.")
+    ways: int = Field(
+        DEFAULT_WAYS, ge=1, le=MAX_WAYS, description="That are looked for, to choose the surest of."
+    )
     robot: Annotated[str, Field(pattern=f"^{DIGEST_PATTERN}$")] | None = Field(
         None, description="As of `POST /sample`."
     )

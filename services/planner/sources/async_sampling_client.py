@@ -1,4 +1,4 @@
-"""The HTTP client of ``POST /sample`` for programs with an event loop, asyncio's or trio's."""
+"""The HTTP client of an inference API for programs with an event loop, asyncio's or trio's."""
 
 import time
 from collections.abc import Coroutine
@@ -8,12 +8,17 @@ from typing import Any, Self, cast
 import anyio
 import anyio.to_thread
 import httpx
+from numpy.typing import ArrayLike
 
 from cspace.errors import SamplerAnswerError, SamplerError, SamplerUnavailableError
+from cspace.planning.query import PlanQuery
 from cspace.query import SampleQuery
 from services.planner.sources.http_answer import Failure, IncomingAnswer, lost
 from services.planner.sources.http_client import HttpClient
-from services.planner.sources.http_exchange import LIMITS, Question
+from services.planner.sources.http_exchange import LIMITS
+from services.planner.sources.questions.plan_question import FoundPlan
+from services.planner.sources.questions.question import Found, Question
+from services.planner.sources.questions.validity_question import Beliefs
 from services.planner.sources.samples import Answering, Picture, SampleBatch
 
 
@@ -34,7 +39,7 @@ class AsyncSamplingClient(HttpClient[httpx.AsyncBaseTransport], Answering[Corout
             SamplerError: as there.
         """
         began = time.perf_counter()
-        question = self._question(picture, query, model)
+        question = self._of_samples(picture, query, model)
         try:
             return await self._ask(question, began)
         except SamplerUnavailableError as error:
@@ -45,6 +50,16 @@ class AsyncSamplingClient(HttpClient[httpx.AsyncBaseTransport], Answering[Corout
             except SamplerError as refusal:
                 raise error from refusal
             return replace(batch, fallback=True, round_trip_s=time.perf_counter() - began)
+
+    async def validity(
+        self, picture: Picture, configurations: ArrayLike, model: str | None = None
+    ) -> Beliefs:
+        """See :meth:`services.planner.sources.sampling_client.SamplingClient.validity`."""
+        return await self._ask(self._of_validity(picture, configurations, model), time.perf_counter())
+
+    async def plan(self, picture: Picture, query: PlanQuery, model: str | None = None) -> FoundPlan:
+        """See :meth:`services.planner.sources.sampling_client.SamplingClient.plan`."""
+        return await self._ask(self._of_plan(picture, query, model), time.perf_counter())
 
     async def aclose(self) -> None:
         """Close the connections."""
@@ -61,13 +76,13 @@ class AsyncSamplingClient(HttpClient[httpx.AsyncBaseTransport], Answering[Corout
     def _network() -> httpx.AsyncBaseTransport:
         return httpx.AsyncHTTPTransport(trust_env=False, limits=LIMITS)
 
-    async def _ask(self, question: Question, began: float) -> SampleBatch:
+    async def _ask(self, question: Question[Found], began: float) -> Found:
         if self._closed:
             raise RuntimeError("the client is closed")
         tried = 0
         while True:
             found = await self._attempt(question, began)
-            if isinstance(found, SampleBatch):
+            if not isinstance(found, Failure):
                 return found
             if (untold := self._untold(question, found)) is not None:
                 question = untold
@@ -75,7 +90,7 @@ class AsyncSamplingClient(HttpClient[httpx.AsyncBaseTransport], Answering[Corout
             tried += 1
             await anyio.sleep(self._pause_s(found, tried, began))
 
-    async def _attempt(self, question: Question, began: float) -> SampleBatch | Failure:
+    async def _attempt(self, question: Question[Found], began: float) -> Found | Failure:
         spent_s = time.perf_counter() - began
         request = self._endpoint.request(question, spent_s)
         try:
@@ -93,7 +108,7 @@ class AsyncSamplingClient(HttpClient[httpx.AsyncBaseTransport], Answering[Corout
         except Exception as error:  # noqa: BLE001 - whatever a stranger's bytes bring out of the HTTP library
             return lost(error, self._endpoint)
 
-    async def _read(self, answer: httpx.Response, question: Question, began: float) -> SampleBatch | Failure:
+    async def _read(self, answer: httpx.Response, question: Question[Found], began: float) -> Found | Failure:
         incoming = IncomingAnswer(answer, question, began + self._endpoint.policy.deadline_s)
         async for chunk in cast("httpx.AsyncByteStream", answer.stream):
             incoming.take(chunk)

@@ -1,4 +1,4 @@
-"""An answer of the sampling endpoint as it comes in: what is read of it, and what it stands for.
+"""An answer of an inference API as it comes in: what is read of it, and what it stands for.
 
 Every byte is a stranger's. What comes is judged from the head on, so that an answer that can not be used is
 given up before its body, and of a body no more is kept than what was asked for can be.
@@ -8,16 +8,15 @@ import json
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Generic
 
 import httpx
 
 from cspace.errors import SamplerAnswerError, SamplerError, SamplerModelError, SamplerUnavailableError
 from services.planner.sources.answer_errors import printable, unusable
-from services.planner.sources.http_exchange import Endpoint, Question
-from services.planner.sources.npy_answer import AnswerHead, read_head
-from services.planner.sources.npy_body import max_body_bytes, read_samples
+from services.planner.sources.http_exchange import Endpoint
+from services.planner.sources.questions.question import Found, Question, Reading
 from services.planner.sources.retries import parse_retry_after
-from services.planner.sources.samples import SampleBatch
 
 MAX_PROBLEM_BYTES = 64 * 1024
 """Of a problem document."""
@@ -38,7 +37,7 @@ _LOST = (httpx.NetworkError, httpx.ConnectTimeout, httpx.RemoteProtocolError)
 
 @dataclass(frozen=True, slots=True)
 class Failure:
-    """An attempt that gave no samples.
+    """An attempt that gave no answer.
 
     Args:
         error: what it stands for.
@@ -53,7 +52,7 @@ class Failure:
     knows_no_robot: bool = False
 
 
-class IncomingAnswer:
+class IncomingAnswer(Generic[Found]):
     """An answer whose head is here and whose body follows.
 
     Args:
@@ -65,13 +64,13 @@ class IncomingAnswer:
         SamplerAnswerError: the head alone says that it can not be used.
     """
 
-    def __init__(self, answer: httpx.Response, question: Question, until: float) -> None:
-        self._answer, self._question, self._until = answer, question, until
-        self._head: AnswerHead | None = None
+    def __init__(self, answer: httpx.Response, question: Question[Found], until: float) -> None:
+        self._answer, self._until = answer, until
+        self._reading: Reading[Found] | None = None
         self._limit_bytes = MAX_PROBLEM_BYTES
         if answer.status_code == httpx.codes.OK:
-            self._head = read_head(answer.headers, question)
-            self._limit_bytes = max_body_bytes(question.asked)
+            self._reading = question.read(answer.headers)
+            self._limit_bytes = self._reading.limit_bytes
         elif not httpx.codes.is_error(answer.status_code):
             raise unusable("has another status", "200, 4xx or 5xx", f"status {answer.status_code}")
         self._check_framing(answer.headers)
@@ -92,7 +91,7 @@ class IncomingAnswer:
             raise httpx.ReadTimeout("the deadline has passed")
         self._body += chunk
 
-    def conclude(self, round_trip_s: float) -> SampleBatch | Failure:
+    def conclude(self, round_trip_s: float) -> Found | Failure:
         """What the whole answer stands for.
 
         Args:
@@ -101,23 +100,10 @@ class IncomingAnswer:
         Raises:
             SamplerAnswerError: it can not be used.
         """
-        head, body = self._head, bytes(self._body)
-        if head is None:
+        body = bytes(self._body)
+        if self._reading is None:
             return _failure(self._answer, body)
-        return SampleBatch(
-            samples=read_samples(body, self._question.query.n - head.shortfall, head.space),
-            model_name=head.model_name,
-            model_version=head.model_version,
-            digest=head.digest,
-            seed=head.seed,
-            shortfall=head.shortfall,
-            round_trip_s=round_trip_s,
-            novelty=head.novelty,
-            timing=head.timing,
-            robot=head.robot,
-            alias_confirmed=head.alias_confirmed,
-            acceptance=head.acceptance,
-        )
+        return self._reading.conclude(body, round_trip_s)
 
     def _check_framing(self, headers: Mapping[str, str]) -> None:
         # Asked for as it is: what unpacks it would decide how much memory it takes.

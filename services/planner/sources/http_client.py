@@ -7,11 +7,17 @@ from dataclasses import replace
 from typing import Generic, TypeVar
 
 import httpx
+from numpy.typing import ArrayLike
 
 from cspace.errors import ConfigError
+from cspace.planning.query import PlanQuery
 from cspace.query import SampleQuery, is_digest
 from services.planner.sources.http_answer import Failure
-from services.planner.sources.http_exchange import Endpoint, Question
+from services.planner.sources.http_exchange import Endpoint
+from services.planner.sources.questions.plan_question import PlanQuestion
+from services.planner.sources.questions.question import Found, Question, picture_file
+from services.planner.sources.questions.sample_question import SampleQuestion
+from services.planner.sources.questions.validity_question import ValidityQuestion, rows_of
 from services.planner.sources.retries import RetryPolicy
 from services.planner.sources.samples import Picture, SampleSource, for_robot
 
@@ -53,10 +59,20 @@ class HttpClient(ABC, Generic[Transport]):
     @abstractmethod
     def _network() -> Transport: ...
 
-    def _question(self, picture: Picture, query: SampleQuery, model: str | None) -> Question:
-        return Question.of(picture, for_robot(query, self._robot), model, tells_robot=self._tells_robot)
+    def _of_samples(self, picture: Picture, query: SampleQuery, model: str | None) -> SampleQuestion:
+        query = for_robot(query, self._robot)
+        given = picture_file(picture), model, query.robot, query.require_confirmed, self._tells_robot
+        return SampleQuestion(*given, query)
 
-    def _untold(self, question: Question, found: Failure) -> Question | None:
+    def _of_validity(self, picture: Picture, rows: ArrayLike, model: str | None) -> ValidityQuestion:
+        given = picture_file(picture), model, self._robot, False, self._tells_robot
+        return ValidityQuestion(*given, rows_of(rows))
+
+    def _of_plan(self, picture: Picture, query: PlanQuery, model: str | None) -> PlanQuestion:
+        given = picture_file(picture), model, self._robot, False, self._tells_robot
+        return PlanQuestion(*given, query)
+
+    def _untold(self, question: Question[Found], found: Failure) -> Question[Found] | None:
         """The question without its robot, where it failed for an older server knows no such field; else None.
 
         From then on it is not sent; the robot of an answer is looked at all the same.

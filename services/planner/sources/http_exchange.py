@@ -1,7 +1,6 @@
-"""Requests to the sampling endpoint, apart from how they travel: shared by both clients."""
+"""Requests to an inference API, apart from how they travel: shared by both clients."""
 
 import base64
-import json
 import math
 from dataclasses import dataclass, field
 from typing import Any
@@ -9,11 +8,8 @@ from typing import Any
 import httpx
 
 from cspace.errors import ConfigError
-from cspace.png import encode_png
-from cspace.query import MAX_SAMPLES, PLAIN, SampleQuery
-from services.planner.sources.npy_body import NPY
+from services.planner.sources.questions.question import Question
 from services.planner.sources.retries import RetryPolicy
-from services.planner.sources.samples import Picture
 
 # Shorter than what the server keeps an idle connection for, so that it is the client that closes it.
 LIMITS = httpx.Limits(max_connections=100, max_keepalive_connections=20, keepalive_expiry=45.0)
@@ -65,7 +61,7 @@ class Endpoint:
         # itself, the awaited transport would leave a socket in the middle of its handshake open.
         return httpx.Timeout(min(self.timeout_s, left), connect=min(self.connect_s, 0.5 * left))
 
-    def request(self, question: "Question", spent_s: float) -> httpx.Request:
+    def request(self, question: Question[Any], spent_s: float) -> httpx.Request:
         """A question as it is sent.
 
         Transports are given it as it is. A client of httpx would store a stranger's cookies and look at where
@@ -73,69 +69,18 @@ class Endpoint:
         """
         return httpx.Request(
             "POST",
-            f"{self.url}/sample",
-            headers=self._headers,
+            f"{self.url}{question.path}",
+            headers=self._headers | {"Accept": f"{question.media_type}, application/problem+json"},
             data=question.fields,
-            files={"image": ("scenario.png", question.image_png, "image/png")},
+            files=question.files,
             extensions={"timeout": self.timeout(spent_s).as_dict()},
         )
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Question:
-    """One request, which may be sent more than once: its seed makes every answer to it the same.
-
-    Args:
-        image_png: the scenario's picture as a PNG file.
-        query: what is asked.
-        model: as :class:`services.planner.sources.samples.SampleSource` has it.
-        tells_robot: whether the query's robot is sent, which older servers refuse.
-    """
-
-    image_png: bytes
-    query: SampleQuery
-    model: str | None
-    tells_robot: bool = True
-
-    @classmethod
-    def of(
-        cls, picture: Picture, query: SampleQuery, model: str | None, *, tells_robot: bool = True
-    ) -> "Question":
-        """The question as it is sent, its picture as a file."""
-        png = picture if isinstance(picture, bytes) else encode_png(picture)
-        return cls(png, query, model, tells_robot)
-
-    @property
-    def fields(self) -> dict[str, Any]:
-        """The form's fields; what the endpoint takes for granted is left to it."""
-        query = self.query
-        fields: dict[str, Any] = {"n": str(query.n), "seed": str(query.seed)}
-        if query.min_confidence is not None:
-            fields["min_confidence"] = repr(query.min_confidence)
-        if query.robot is not None and self.tells_robot:
-            fields["robot"] = query.robot
-        if query.require_confirmed:
-            fields["require_confirmed"] = "true"
-        if self.model is not None:
-            fields["model"] = self.model
-        if query.epsilon_sigma != PLAIN:
-            fields["epsilon_sigma"] = [repr(value) for value in query.epsilon_sigma]
-        for name, angles in (("start", query.start), ("goal", query.goal)):
-            if angles is not None:
-                fields[name] = json.dumps(angles)
-        return fields
-
-    @property
-    def asked(self) -> int:
-        """The samples that an answer may hold; a server refuses the rest."""
-        return min(self.query.n, MAX_SAMPLES)
 
 
 def _headers(url: str, key: str | None) -> dict[str, str]:
     """What every request carries; an address with a name and a password has them before the key."""
     headers = {
         # The body as it is: what unpacks it would decide how much memory an answer takes.
-        "Accept": f"{NPY}, application/problem+json",
         "Accept-Encoding": "identity",
         "Connection": "keep-alive",
         "User-Agent": f"python-httpx/{httpx.__version__}",

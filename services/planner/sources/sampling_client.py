@@ -1,17 +1,22 @@
-"""The HTTP client of ``POST /sample``."""
+"""The HTTP client of an inference API: ``POST /sample``, ``/validity`` and ``/plan``."""
 
 import time
 from dataclasses import replace
 from typing import Self, cast
 
 import httpx
+from numpy.typing import ArrayLike
 
 from cspace.errors import SamplerAnswerError, SamplerError, SamplerUnavailableError
+from cspace.planning.query import PlanQuery
 from cspace.query import SampleQuery
 from services.planner.sources.deadline_transport import DeadlineTransport, deadline
 from services.planner.sources.http_answer import Failure, IncomingAnswer, lost
 from services.planner.sources.http_client import HttpClient
-from services.planner.sources.http_exchange import LIMITS, Question
+from services.planner.sources.http_exchange import LIMITS
+from services.planner.sources.questions.plan_question import FoundPlan
+from services.planner.sources.questions.question import Found, Question
+from services.planner.sources.questions.validity_question import Beliefs
 from services.planner.sources.retries import RetryPolicy
 from services.planner.sources.samples import Picture, SampleBatch, SampleSource
 
@@ -19,11 +24,12 @@ __all__ = ["RetryPolicy", "SampleBatch", "SamplingClient"]
 
 
 class SamplingClient(HttpClient[httpx.BaseTransport], SampleSource):
-    """Asks an inference API for samples over one kept connection. Use as a context manager, or close it.
+    """Asks an inference API for samples, beliefs and ways over one kept connection.
 
-    A request costs about 1 ms beside the server's work; never send one from a planner's callback, which would
-    stop the search (and the interpreter) for as long. A lost connection, 503 and 429 are tried again; the
-    seed, drawn here when none is given, makes that the same request.
+    Use it as a context manager, or close it. A request costs about 1 ms beside the server's work; never send
+    one from a planner's callback, which would stop the search (and the interpreter) for as long. A lost
+    connection, 503 and 429 are tried again; the seed, drawn here when none is given, makes that the same
+    request.
 
     Args:
         url: of the API, for example ``http://127.0.0.1:8000``.
@@ -52,7 +58,7 @@ class SamplingClient(HttpClient[httpx.BaseTransport], SampleSource):
             SamplerError: the request was refused (4xx).
         """
         began = time.perf_counter()
-        question = self._question(picture, query, model)
+        question = self._of_samples(picture, query, model)
         try:
             return self._ask(question, began)
         except SamplerUnavailableError as error:
@@ -63,6 +69,38 @@ class SamplingClient(HttpClient[httpx.BaseTransport], SampleSource):
             except SamplerError as refusal:
                 raise error from refusal
             return replace(batch, fallback=True, round_trip_s=time.perf_counter() - began)
+
+    def validity(self, picture: Picture, configurations: ArrayLike, model: str | None = None) -> Beliefs:
+        """How sure a model is that configurations are free; no fallback answers.
+
+        Args:
+            picture: of the scenario; of depth cameras a file of :func:`cspace.view_file.pack_view`.
+            configurations: (n, d) rad, at most ``MAX_SAMPLES``.
+            model: as :meth:`answer` has it.
+
+        Raises:
+            SamplerUnavailableError: as :meth:`answer` has it.
+            SamplerAnswerError: likewise.
+            SamplerError: likewise, or the configurations can not be asked about.
+        """
+        return self._ask(self._of_validity(picture, configurations, model), time.perf_counter())
+
+    def plan(self, picture: Picture, query: PlanQuery, model: str | None = None) -> FoundPlan:
+        """A way from start to goal in what a model believes of a picture; no fallback answers.
+
+        The client's time limits have to leave room for that of the search.
+
+        Args:
+            picture: as :meth:`validity` has it.
+            query: the problem; the server judges it.
+            model: as :meth:`answer` has it.
+
+        Raises:
+            SamplerUnavailableError: as :meth:`answer` has it, or the server does not plan (501).
+            SamplerAnswerError: likewise, for a way that does not lead from start to goal, for example.
+            SamplerError: likewise.
+        """
+        return self._ask(self._of_plan(picture, query, model), time.perf_counter())
 
     def close(self) -> None:
         """Close the connection."""
@@ -79,13 +117,13 @@ class SamplingClient(HttpClient[httpx.BaseTransport], SampleSource):
     def _network() -> httpx.BaseTransport:
         return DeadlineTransport(LIMITS)
 
-    def _ask(self, question: Question, began: float) -> SampleBatch:
+    def _ask(self, question: Question[Found], began: float) -> Found:
         if self._closed:
             raise RuntimeError("the client is closed")
         tried = 0
         while True:
             found = self._attempt(question, began)
-            if isinstance(found, SampleBatch):
+            if not isinstance(found, Failure):
                 return found
             if (untold := self._untold(question, found)) is not None:
                 question = untold
@@ -93,7 +131,7 @@ class SamplingClient(HttpClient[httpx.BaseTransport], SampleSource):
             tried += 1
             time.sleep(self._pause_s(found, tried, began))
 
-    def _attempt(self, question: Question, began: float) -> SampleBatch | Failure:
+    def _attempt(self, question: Question[Found], began: float) -> Found | Failure:
         request = self._endpoint.request(question, time.perf_counter() - began)
         until = began + self._endpoint.policy.deadline_s
         try:
@@ -113,8 +151,8 @@ class SamplingClient(HttpClient[httpx.BaseTransport], SampleSource):
 
     @staticmethod
     def _read(
-        answer: httpx.Response, question: Question, began: float, until: float
-    ) -> SampleBatch | Failure:
+        answer: httpx.Response, question: Question[Found], began: float, until: float
+    ) -> Found | Failure:
         incoming = IncomingAnswer(answer, question, until)
         for chunk in cast("httpx.SyncByteStream", answer.stream):
             incoming.take(chunk)

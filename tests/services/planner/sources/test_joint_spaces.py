@@ -8,8 +8,8 @@ import pytest
 from cspace.errors import SamplerAnswerError
 from cspace.space import JointSpace, circles
 from inference_api.pages.sampling import npy_head
-from services.planner.sources.npy_answer import read_space
-from services.planner.sources.npy_body import read_samples
+from services.planner.sources.questions.model_head import read_space
+from services.planner.sources.questions.npy_body import read_samples
 
 MIXED = JointSpace((-np.pi, -4.0), (np.pi, 1.0), (True, False))
 GOOD = MIXED.to_dict()

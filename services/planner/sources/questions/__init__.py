@@ -1,0 +1,1 @@
+"""What clients ask an inference API, and how its answers are read."""

@@ -1,0 +1,177 @@
+"""Both Python clients against the app: ``/validity`` and ``/plan``."""
+
+import json
+from typing import Any
+
+import anyio
+import httpx
+import numpy as np
+import pytest
+
+from cspace.errors import SamplerAnswerError, SamplerError, SamplerUnavailableError
+from cspace.planning.query import PlanQuery
+from cspace.png import encode_png
+from cspace.splits import Split
+from cspace.worlds import examples, robot_digest, workshop_of
+from services.planner.sources.async_sampling_client import AsyncSamplingClient
+from services.planner.sources.sampling_client import SamplingClient
+from tests.bundles import picture
+from tests.inference_api.client_transports import IntoApp
+from tests.services.planner.clients import KINDS
+
+CAREFUL = "cspace-sampler@careful"
+WORLD = examples()["two-link"]
+PROBLEM = workshop_of(WORLD).problem("uniform", Split.VALIDATION, 0, 0)
+PNG = encode_png(workshop_of(WORLD).render(PROBLEM.scenario))
+ROWS = np.array([[0.1, 0.2], [3.0, -3.0], [-1.5, 1.0]])
+START, GOAL = (tuple(float(angle) for angle in end) for end in (PROBLEM.start, PROBLEM.goal))
+QUERY = PlanQuery(START, GOAL, seed=3, time_limit_s=10.0)
+
+
+def ask(kind: str, transport: Any, question: str, *values: Any, **options: Any) -> Any:
+    """One question by either client: ``validity`` or ``plan``."""
+    if kind == "sync":
+        with SamplingClient("http://localhost", 60.0, transport=transport, **options) as client:
+            return getattr(client, question)(*values)
+
+    async def awaited() -> Any:
+        async with AsyncSamplingClient("http://localhost", 60.0, transport=transport, **options) as client:
+            return await getattr(client, question)(*values)
+
+    return anyio.run(awaited)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_beliefs_are_those_of_the_model(api, kind):
+    found = ask(kind, IntoApp(api), "validity", picture(), ROWS, CAREFUL)
+    form = {"model": CAREFUL, "configurations": json.dumps(ROWS.tolist())}
+    told = api.post("/validity", files={"image": encode_png(picture())}, data=form).json()
+    assert np.allclose(found.confidence, told["confidence"], atol=1e-6)
+    assert found.unseen is None
+    assert found.threshold == told["threshold"] == 0.45
+    assert (found.model.model_name, found.model.robot) == ("cspace-sampler", robot_digest(WORLD))
+    assert found.model.novelty == pytest.approx(told["scenario"]["novelty"], abs=1e-5)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_way_comes_as_the_api_tells_it(api, kind):
+    found = ask(kind, IntoApp(api), "plan", PNG, QUERY, CAREFUL)
+    assert (found.plan.status, found.reason, found.seed) == ("solved", None, 3)
+    assert np.allclose(found.plan.way[[0, -1]], [START, GOAL], atol=1e-6)
+    assert len(found.plan.edges) == len(found.plan.way) - 1
+    assert found.plan.least.confidence == pytest.approx(float(found.plan.edges.min()), abs=1e-6)
+    assert found.model.space == WORLD.space
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_what_is_not_sure_enough_comes_with_the_reason(api, kind):
+    query = PlanQuery(START, GOAL, seed=3, min_confidence=1.0, time_limit_s=10.0)
+    found = ask(kind, IntoApp(api), "plan", PNG, query, CAREFUL)
+    assert (found.plan.status, len(found.plan.way)) == ("refused", 0)
+    assert f"{found.plan.confidence:.3f}" in found.reason
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_what_the_api_refuses_is_an_error_with_its_words(api, kind):
+    with pytest.raises(SamplerError, match="validity head"):
+        ask(kind, IntoApp(api), "plan", PNG, QUERY, "cspace-sampler")
+    with pytest.raises(SamplerError, match="start"):
+        ask(kind, IntoApp(api), "plan", PNG, PlanQuery((0.0,), GOAL), CAREFUL)
+    with pytest.raises(SamplerAnswerError, match="another robot"):
+        ask(kind, Changed(api, robot="cd" * 32), "plan", PNG, QUERY, CAREFUL, robot=robot_digest(WORLD))
+
+
+@pytest.mark.parametrize("rows", [[], [0.1, 0.2], [[np.nan, 0.0]], np.zeros((20_001, 2)), np.zeros((2, 0))])
+def test_configurations_that_can_not_be_are_told_before_they_are_sent(rows):
+    def nobody(request: httpx.Request) -> httpx.Response:
+        raise AssertionError(request)
+
+    with pytest.raises(SamplerError, match="configurations"):
+        ask("sync", httpx.MockTransport(nobody), "validity", PNG, rows)
+
+
+class Changed(IntoApp):
+    """The app's answers of ``/plan``, with something in them changed."""
+
+    def __init__(self, api, **changes: Any) -> None:
+        super().__init__(api)
+        self._changes = changes
+
+    def handle_request(self, request: httpx.Request) -> httpx.Response:
+        told = super().handle_request(request).json()
+        for name, value in self._changes.items():
+            part = told["model"] if name in told["model"] else told
+            part[name] = value(told) if callable(value) else value
+        return httpx.Response(200, json=told)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"status": "found"}, "status"),
+        ({"path": lambda told: told["path"][:-1]}, "no whole way"),
+        ({"path": lambda told: [*told["path"][:-1], [0.0, 0.0]]}, "leads elsewhere"),
+        ({"path": lambda told: [[9.0, 0.0], *told["path"][1:]]}, "limits"),
+        ({"path": lambda told: [[*row, 0.0] for row in told["path"]]}, "no whole way"),
+        ({"path": []}, "no whole way"),
+        ({"confidence": 1.5}, "confidence"),
+        ({"edges": ["1"]}, "edges"),
+        ({"unseen": [0.5] * 99}, "no whole way"),
+        ({"seed": 4}, "another seed"),
+        ({"name": "other"}, "another model"),
+        ({"digest": "none"}, "digest"),
+        ({"joint_space": {"kind": "torus", "dim": 99, "unit": "rad"}}, "joint space"),
+        ({"status": "refused"}, "a way that was not found"),
+    ],
+)
+def test_an_answer_that_can_not_be_is_no_plan(api, changes, words):
+    with pytest.raises(SamplerAnswerError, match=words):
+        ask("sync", Changed(api, **changes), "plan", PNG, QUERY, CAREFUL)
+
+
+@pytest.mark.parametrize("content", [b"", b"[]", b"[" * 5000, b'{"status": NaN}', b"\xff"])
+def test_a_body_that_is_no_plan_is_an_error_of_the_tree(content):
+    def handle(request: httpx.Request) -> httpx.Response:
+        return httpx.Response(200, headers={"Content-Type": "application/json"}, content=content)
+
+    with pytest.raises(SamplerAnswerError, match="no plan"):
+        ask("sync", httpx.MockTransport(handle), "plan", PNG, QUERY)
+
+
+HEADERS = {
+    "Content-Type": "application/x-npy",
+    "X-Model-Name": "cspace-sampler",
+    "X-Model-Version": "3",
+    "X-Model-Digest": "ab" * 32,
+}
+
+
+@pytest.mark.parametrize(
+    ("columns", "words"),
+    [
+        (np.full((2, 2), 0.5, dtype="<f4"), "another array"),
+        (np.full((3, 1), 0.5, dtype="<f4"), "another array"),
+        (np.full((3, 2), 0.5, dtype="<f8"), "no .npy file|too long"),
+        (np.full((3, 2), 1.5, dtype="<f4"), "no shares"),
+        (np.array([[0.5, np.nan], [0.5, 0.1], [0.5, 0.1]], dtype="<f4"), "no shares"),
+        (np.array([[np.nan, 0.1]] * 3, dtype="<f4"), "no shares"),
+    ],
+)
+def test_beliefs_that_can_not_be_are_no_answer(columns, words, tmp_path):
+    np.save(tmp_path / "columns.npy", columns)
+    content = (tmp_path / "columns.npy").read_bytes()
+
+    def handle(request: httpx.Request) -> httpx.Response:
+        return httpx.Response(200, headers=HEADERS, content=content)
+
+    with pytest.raises(SamplerAnswerError, match=words):
+        ask("sync", httpx.MockTransport(handle), "validity", PNG, ROWS)
+
+
+def test_a_server_that_does_not_plan_is_away_for_plans():
+    def handle(request: httpx.Request) -> httpx.Response:
+        problem = {"title": "This server does not plan", "type": "urn:cspace-sampler:problem:no-planner"}
+        return httpx.Response(501, json=problem)
+
+    with pytest.raises(SamplerUnavailableError, match="does not plan"):
+        ask("sync", httpx.MockTransport(handle), "plan", PNG, QUERY)

@@ -1,0 +1,58 @@
+"""The planner command that lets an API plan, against the app."""
+
+import json
+from functools import partial
+
+import pytest
+
+from services.planner import __main__ as command
+from services.planner.sources.sampling_client import SamplingClient
+from tests.inference_api.client_transports import IntoApp
+
+WHOLE = ["--whole-plan", "--api", "http://localhost", "--family", "uniform", "--seed", "7"]
+CAREFUL = ["--model", "cspace-sampler@careful"]
+
+
+@pytest.fixture
+def plan(api, monkeypatch, capsys):
+    monkeypatch.setattr(command, "SamplingClient", partial(SamplingClient, transport=IntoApp(api)))
+
+    def run(*arguments: str) -> tuple[int, str, str]:
+        code = command.main([*WHOLE, *arguments])
+        told = capsys.readouterr()
+        return code, told.out, told.err
+
+    return run
+
+
+def test_a_way_is_told_judged_in_the_scene_and_drawn(plan, tmp_path):
+    figure = tmp_path / "plan.png"
+    code, out, _ = plan(*CAREFUL, "--plot", str(figure))
+    lines = [line.split(maxsplit=1) for line in out.splitlines()]
+    assert [first for first, _ in lines] == ["problem", "plan", "way", "in"]
+    assert lines[1][1].startswith("solved by cspace-sampler/5")
+    assert code == (0 if "in truth free" in out else 1)
+    assert figure.stat().st_size > 10_000
+
+
+def test_a_way_as_json_says_whether_it_is_free(plan):
+    code, out, _ = plan(*CAREFUL, "--json", "--ways", "3")
+    told = json.loads(out)
+    assert (told["status"], told["ways"]) == ("solved", 3)
+    assert len(told["path"]) == len(told["edges"]) + 1
+    assert told["in_truth"]["free"] == (told["in_truth"]["clearance_m"] > 0.0) == (code == 0)
+
+
+def test_what_is_not_sure_enough_is_told_with_the_reason_and_returns_1(plan, tmp_path):
+    figure = tmp_path / "plan.png"
+    code, out, _ = plan(*CAREFUL, "--min-confidence", "1", "--plot", str(figure))
+    assert code == 1
+    assert "\nreason   the surest of 8 ways" in out
+    assert "in truth" not in out
+    assert figure.exists()
+
+
+def test_a_model_that_believes_nothing_is_wrong_usage(plan):
+    code, _, err = plan("--model", "cspace-sampler")
+    assert code == 2
+    assert "validity head" in err
