@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from cspace.bundle import Bundle, Picture
 from cspace.bundle.request import fitted_end
-from cspace.connecting import Between, connect_trees
+from cspace.connecting import Between
+from cspace.planning.compiled import load_kernels
 from cspace.planning.query import Plan, PlanQuery
 from cspace.planning.scoring import ScoredWay, score
 from cspace.planning.ways import find_ways
-from cspace.workshop import Checker
 from cspace.worlds import seen_checkers
 
 # Between states that the model is asked about.
@@ -42,7 +42,8 @@ def plan(bundle: Bundle, picture: Picture, query: PlanQuery, between: Between | 
     ends = np.asarray([fitted_end(bundle.spec, name, end) for name, end in given], dtype=np.float64)
     world = bundle.spec.world
     checkers = seen_checkers(world, world.sensor.from_network(picture.pixels)[0], ends)
-    _load(checkers[0], ends[0])
+    # Before the time counts.
+    load_kernels(checkers[0], ends[0], STEP_RAD)
     began = time.monotonic()
     until_s = began + query.time_limit_s
     ways, late = find_ways(checkers, ends[0], ends[1], query.ways, query.seed, until_s, between=between)
@@ -54,14 +55,6 @@ def plan(bundle: Bundle, picture: Picture, query: PlanQuery, between: Between | 
     else:
         found = Plan("timeout" if late else "refused", np.empty((0, space.dim)))
     return replace(found, search_ms=1e3 * (searched - began), score_ms=1e3 * (ended - searched))
-
-
-def _load(checker: Checker, configuration: NDArray[np.float64]) -> None:
-    """Have the compiled code here before the time counts: a process's first call loads it, or compiles it."""
-    checker.valid_batch(configuration[None])
-    checker.edge_batch(configuration[None], configuration[None], STEP_RAD)
-    ends = configuration, configuration
-    connect_trees(checker, *ends, configuration[None], range_rad=STEP_RAD, resolution_rad=STEP_RAD)
 
 
 def _answer(best: ScoredWay, found: int, min_confidence: float) -> Plan:

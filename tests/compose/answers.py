@@ -19,6 +19,14 @@ def ask_for_samples(stack: Stack, **fields: str) -> httpx.Response:
     return httpx.post(f"{stack.url('API')}/sample", timeout=60, **request(**fields))
 
 
+def ask_for_plan(stack: Stack, **fields: str) -> httpx.Response:
+    """Ask for a way through the same picture, by one seed."""
+    asked = request(**fields)
+    ends = {"start": "[1.5, 0.5]", "goal": "[-1.5, 0.5]", "seed": "1", "time_limit_s": "10"}
+    data = {name: value for name, value in asked["data"].items() if name not in ("n", "seed")} | ends
+    return httpx.post(f"{stack.url('API')}/plan", timeout=60, files=asked["files"], data=data)
+
+
 def serves_champion(stack: Stack, decided: Mapping[str, Any]) -> None:
     """Wait until the API answers with the version that the gate decided about. Raises when it does not."""
     wait_served(stack.url("API"), f"{decided['model']}/{decided['version']}", default=True)

@@ -7,7 +7,7 @@ import httpx
 import numpy as np
 import pytest
 
-from tests.compose.answers import ask_for_samples
+from tests.compose.answers import ask_for_plan, ask_for_samples
 from tests.compose.stack import Stack
 
 pytestmark = [pytest.mark.compose, pytest.mark.timeout(3600)]
@@ -29,6 +29,14 @@ def test_a_container_is_not_root_and_cannot_write_to_its_root(stack: Stack, serv
     assert stack.compose("exec", "-T", service, "id", "-u").strip() != "0"
     with pytest.raises(AssertionError, match="Read-only file system"):
         stack.compose("exec", "-T", service, "touch", "/written")
+
+
+def test_the_api_plans_without_compiling_first(stack: Stack) -> None:
+    began = stack.compose("exec", "-T", "inference-api", "ls", "-R", "/var/lib/cspace/kernels")
+    told = ask_for_plan(stack, model="pretrained").json()
+    assert told["status"] in ("solved", "refused"), told
+    assert began.count(".nbc") > 10
+    assert stack.compose("exec", "-T", "inference-api", "ls", "-R", "/var/lib/cspace/kernels") == began
 
 
 @pytest.mark.parametrize("framework", ["torch", "ray", "lightning", "sklearn"])

@@ -1,0 +1,40 @@
+"""Compile the search of plans ahead: ``python -m cspace.planning.compiled``, for images of servers.
+
+What is compiled lies in numba's cache (``NUMBA_CACHE_DIR``), for processors like this one.
+"""
+
+import sys
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cspace.connecting import connect_trees
+from cspace.workshop import Checker
+from cspace.worlds import examples, seen_checkers
+
+
+def load_kernels(checker: Checker, configuration: NDArray[np.float64], step_rad: float) -> None:
+    """Have a checker's compiled code in this process: a first call loads it, or compiles it.
+
+    Args:
+        checker: of any scene.
+        configuration: (d,) rad.
+        step_rad: above 0.
+    """
+    checker.valid_batch(configuration[None])
+    checker.edge_batch(configuration[None], configuration[None], step_rad)
+    ends = configuration, configuration
+    connect_trees(checker, *ends, configuration[None], range_rad=step_rad, resolution_rad=step_rad)
+
+
+def main() -> int:
+    for name, world in examples().items():
+        nothing = np.zeros(world.sensor.picture_shape, dtype=np.uint8)
+        ends = np.zeros((2, world.dim))
+        load_kernels(seen_checkers(world, nothing, ends)[0], ends[0], 0.1)
+        print(f"compiled for {name}", flush=True)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
