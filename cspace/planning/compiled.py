@@ -28,11 +28,12 @@ def load_kernels(checker: Checker, configuration: NDArray[np.float64], step_rad:
 
 
 def main() -> int:
+    """Compile for every example; returns the exit code."""
     for name, world in examples().items():
         nothing = np.zeros(world.sensor.picture_shape, dtype=np.uint8)
         ends = np.zeros((2, world.dim))
         load_kernels(seen_checkers(world, nothing, ends)[0], ends[0], 0.1)
-        print(f"compiled for {name}", flush=True)
+        sys.stdout.write(f"compiled for {name}\n")
     return 0
 
 

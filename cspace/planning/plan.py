@@ -8,7 +8,6 @@ import time
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cspace.bundle import Bundle, Picture
 from cspace.bundle.request import fitted_end
