@@ -22,8 +22,8 @@ from cspace.world import Body, World
 from cspace.worlds import default_world, examples, part_types, usual_world
 from training.section import RobotName
 
-# Counts on with every change of what worlds propose for labelling.
-_PROPOSALS = 2
+# Counts on with every change of what worlds propose for labelling, and of how they are seen then.
+_PROPOSALS = 3
 
 
 @dataclass(frozen=True, slots=True)

@@ -86,7 +86,8 @@ class SpatialWorld:
     def observed(self, view: DepthView) -> NDArray[np.uint8]:
         """What a view says of the space about the arm, (X, Y, Z, 2)."""
         spheres = None if view.state is None else self.spheres_at(view.state)
-        return observe(view.pictures, view.cameras, self.sensor.grid, spheres)
+        sensor = self.sensor
+        return observe(view.pictures, view.cameras, sensor.grid, spheres, arm_hides=sensor.arm_hides)
 
     def spheres_at(self, state: tuple[float, ...]) -> NDArray[np.float64]:
         """The arm's spheres at a configuration (d,) rad, (S, 4): place in the base frame and radius, m."""
@@ -200,6 +201,9 @@ def read(values: Mapping[str, Any]) -> SpatialWorld:
     members = read_mapping(values, "the world", ScenarioError)
     members.pop("kind", None)
     parts = read_members(members, {"robot", "cameras", "scenes"}, "the world", ScenarioError)
-    sensor = read_object(DepthSensor, parts["cameras"], "the cameras", ScenarioError)
+    cameras = read_mapping(parts["cameras"], "the cameras", ScenarioError)
+    # Written before there was a choice.
+    cameras.setdefault("arm_hides", False)
+    sensor = read_object(DepthSensor, cameras, "the cameras", ScenarioError)
     scenes = None if parts["scenes"] is None else read_spatial_scenes(parts["scenes"])
     return SpatialWorld(SerialArm.from_dict(parts["robot"]), sensor, scenes)

@@ -130,13 +130,13 @@ class Tables:
 
 @dataclass(frozen=True, slots=True)
 class Bins:
-    """A box of five walls, open upwards, to the front or to a side, often with a lid that is tilted open."""
+    """A box of five walls, open upwards, to the front or to a side, often with a lid that is half open."""
 
     side_m: Range = (0.25, 0.8)
     thickness_m: Range = (0.008, 0.045)
     lowest_m: Range = (-0.55, 0.4)
-    lid: float = 0.6
-    lid_rad: Range = (0.5, 2.4)
+    lid: float = 0.7
+    lid_rad: Range = (0.3, 1.9)
     lower_wall: float = 0.4
     objects: tuple[int, int] = (0, 4)
 

@@ -51,6 +51,8 @@ def observe(
     cameras: Sequence[DepthCamera],
     grid: GridBox,
     spheres: ArrayLike | None = None,
+    *,
+    arm_hides: bool = True,
 ) -> NDArray[np.uint8]:
     """Fuse depth pictures of one scene.
 
@@ -60,6 +62,7 @@ def observe(
         grid: of the array.
         spheres: (S, 4) that cover the arm as it stands, x, y, z, radius in m in the base frame; None where
             it is in no picture.
+        arm_hides: as :func:`cspace.worlds.spatial.seeing.sight.sight` has it.
 
     Returns:
         (X, Y, Z, 2) uint8. Channel 0 is the distance from a voxel's centre to the nearest surface seen, see
@@ -82,7 +85,7 @@ def observe(
         kept = drop_robot(picture, camera, np.empty((0, 4)) if spheres is None else spheres)
         surface_m = to_m(kept.depth_mm)
         away = distance_codes(patches(surface_m, camera, grid), grid)
-        known = sight(surface_m, kept.front_m, camera, grid)
+        known = sight(surface_m, kept.front_m, camera, grid, arm_hides=arm_hides)
         for channel, codes in enumerate((away, known)):
             np.minimum(found[..., channel], codes, out=found[..., channel])
     return found

@@ -27,6 +27,8 @@ class DepthSensor:
         grid: of the array.
         views: the cameras of scenes for training.
         noise: of these, some of :data:`NOISES`, one of them a scene; none for exact pictures.
+        arm_hides: whether space behind the arm's pixels counts as hidden, so far behind it; else it is as
+            if these pixels had read nothing, which the sky does as well.
 
     Raises:
         ScenarioError: there are more cameras than a scene may have, or a noise is unknown.
@@ -35,6 +37,7 @@ class DepthSensor:
     grid: GridBox
     views: CameraViews = field(default_factory=CameraViews)
     noise: tuple[str, ...] = NOISES
+    arm_hides: bool = True
 
     def __post_init__(self) -> None:
         settle(self)
@@ -65,6 +68,7 @@ class DepthSensor:
             "distance_step_m": DISTANCE_STEP_M,
             "farther": FARTHEST,
             "behind_step_m": BEHIND_STEP_M,
+            **({"arm_hides": True} if self.arm_hides else {}),
             "codes": {"seen free": FREE, "no reading": MOST_BEHIND + 1, "out of view": OUT_OF_VIEW},
             "cameras": {
                 "count": list(views.count),

@@ -18,18 +18,24 @@ _MAX_REACH = 8
 
 
 def sight(
-    surface_m: NDArray[np.float32], front_m: NDArray[np.float32], camera: DepthCamera, grid: GridBox
+    surface_m: NDArray[np.float32],
+    front_m: NDArray[np.float32],
+    camera: DepthCamera,
+    grid: GridBox,
+    *,
+    arm_hides: bool = True,
 ) -> NDArray[np.uint8]:
     """The codes of all voxels, (X, Y, Z).
 
-    :data:`FREE`; 1 to :data:`MOST_BEHIND` for at most so many :data:`BEHIND_STEP_M` behind the surface that
-    the pixel shows, along its ray; :data:`NO_READING`; :data:`OUT_OF_VIEW`.
+    :data:`FREE`; 1 to :data:`MOST_BEHIND` for at most so many :data:`BEHIND_STEP_M` behind what the pixel
+    shows, a surface or the arm, along its ray; :data:`NO_READING`; :data:`OUT_OF_VIEW`.
 
     Args:
         surface_m: (H, W) depth of surfaces, 0 = none.
         front_m: (H, W) depth up to which the ray of a pixel without a surface was free, inf = not known.
         camera: of the picture.
         grid: of the voxels.
+        arm_hides: False tells what lies behind the arm as :data:`NO_READING`.
     """
     codes = np.full(int(np.prod(grid.counts)), OUT_OF_VIEW, dtype=np.uint8)
     voxels, column, row, depth = _in_view(camera, grid)
@@ -44,10 +50,9 @@ def sight(
     hidden = np.flatnonzero(depth > np.abs(limit) - np.float32(FREE_MARGIN_M))
     limit, pixel = limit[hidden], pixel[hidden]
     rays = np.linalg.norm(camera.rays(), axis=2).astype(np.float32).ravel() / np.float32(BEHIND_STEP_M)
-    behind = np.clip((depth[hidden] - limit) * rays[pixel], 0.0, MOST_BEHIND - 1.0).astype(
-        np.uint8
-    ) + np.uint8(1)
-    found[hidden] = np.where(limit > 0.0, behind, np.uint8(NO_READING))
+    deep = np.clip((depth[hidden] - np.abs(limit)) * rays[pixel], 0.0, MOST_BEHIND - 1.0)
+    known = limit != 0.0 if arm_hides else limit > 0.0
+    found[hidden] = np.where(known, deep.astype(np.uint8) + np.uint8(1), np.uint8(NO_READING))
     codes[voxels] = found
     return codes.reshape(grid.counts)
 

@@ -39,7 +39,7 @@ class CameraViews:
     up_deg: Range = (10.0, 50.0)
     distance_m: Range = (0.9, 1.6)
     field_deg: Range = (52.0, 85.0)
-    aim_m: float = 0.08
+    aim_m: float = 0.15
     roll_deg: float = 8.0
     clear_m: float = 0.05
     width: int = 128

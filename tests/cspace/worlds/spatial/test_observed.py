@@ -20,6 +20,7 @@ from cspace.worlds.spatial.seeing.grid_box import GridBox, grid_of
 from cspace.worlds.spatial.seeing.observed import distances_m, lookup, observe, unseen_share
 from cspace.worlds.spatial.seeing.placing import draw_cameras
 from cspace.worlds.spatial.seeing.render import render_depth
+from cspace.worlds.spatial.seeing.robot_pixels import SLACK_M
 from cspace.worlds.spatial.seeing.sight import (
     BEHIND_STEP_M,
     FREE,
@@ -120,7 +121,7 @@ def test_two_cameras_know_at_least_what_each_knows():
     assert free[2] > 1.05 * max(free[:2])
 
 
-def test_the_arm_is_no_surface_and_what_is_behind_it_is_unseen():
+def test_the_arm_is_no_surface_and_hides_what_is_behind_it():
     """A ball on the way from the camera to the plane; the space between camera and ball is seen."""
     ball = np.array([[0.0, 0.0, 0.6, 0.12]])
     with_arm = seen(slab(PLANE_M), ABOVE, spheres=ball)
@@ -130,8 +131,19 @@ def test_the_arm_is_no_surface_and_what_is_behind_it_is_unseen():
     assert (with_arm[np.abs(CENTRES[..., 2] - PLANE_M) > 0.11, 0] == 255).all()
     across = np.linalg.norm(CENTRES[..., :2], axis=-1)
     shadow = (across < 0.08) & (CENTRES[..., 2] < 0.6)
-    assert (with_arm[shadow, 1] == NO_READING).all()
-    assert (with_arm[(gaps < 0.0), 1] == NO_READING).all()
+    ray = np.linalg.norm(CENTRES - ABOVE.matrix[:3, 3], axis=-1)
+    # From the ball's front on, and its slack before it.
+    deep = (ray - np.linalg.norm(ABOVE.matrix[:3, 3] - ball[0, :3]) + 0.12 + SLACK_M) / BEHIND_STEP_M
+    middle = shadow & (across < 0.02)
+    assert np.abs(with_arm[middle, 1] - deep[middle]).max() < 3.0
+    hidden = with_arm[shadow | (gaps < 0.0), 1]
+    assert (hidden > FREE).all()
+    assert (hidden < NO_READING).all()
+    earlier = observe(
+        [to_mm(render_depth(slab(PLANE_M), ABOVE, ball).depth_m)], [ABOVE], GRID, ball, arm_hides=False
+    )
+    assert (earlier[shadow | (gaps < 0.0), 1] == NO_READING).all()
+    assert ((earlier[..., 1] == FREE) == (with_arm[..., 1] == FREE)).all()
     assert (with_arm[(across < 0.2) & (CENTRES[..., 2] > 0.76), 1] == FREE).all()
     assert (with_arm[gaps > 0.25, 1] == arm_aside[gaps > 0.25, 1])[CENTRES[gaps > 0.25][:, 2] > 0.4].all()
 

@@ -43,6 +43,15 @@ def test_the_world_is_read_from_what_it_tells():
         read(told | {"colour": 1})
 
 
+def test_what_earlier_releases_wrote_has_arms_that_hide_nothing():
+    told = WORLD.to_dict()
+    older = {name: value for name, value in told["cameras"].items() if name != "arm_hides"}
+    found = read(told | {"cameras": older}).sensor
+    assert found == replace(WORLD.sensor, arm_hides=False)
+    assert "arm_hides" not in found.convention
+    assert WORLD.sensor.convention == found.convention | {"arm_hides": True}
+
+
 def test_a_scene_is_that_of_its_split_seed_and_index(scenes):
     again = SHOP.scenes(Split.VALIDATION, 0, 2)
     assert list(again) == list(scenes[:2])
