@@ -87,6 +87,19 @@ class TensorInput:
     optional: bool = False
 
 
+@dataclass(frozen=True, slots=True)
+class NextView:
+    """A camera that would see more.
+
+    Args:
+        camera: as plain values.
+        sees: share of the doubt along a way that lies on space it would see, 0 to 1.
+    """
+
+    camera: Mapping[str, Any]
+    sees: float
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Levers:
     """Where pictures are read: (cos, sin) of the links' directions times ``levers``, plus ``origin``.

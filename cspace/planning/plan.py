@@ -16,7 +16,7 @@ from cspace.planning.compiled import load_kernels
 from cspace.planning.query import Plan, PlanQuery
 from cspace.planning.scoring import ScoredWay, score
 from cspace.planning.ways import find_ways
-from cspace.worlds import seen_checkers
+from cspace.worlds import best_view, seen_checkers
 
 # Between states that the model is asked about.
 STEP_RAD = 0.15
@@ -40,7 +40,8 @@ def plan(bundle: Bundle, picture: Picture, query: PlanQuery, between: Between | 
     given = (("start", query.start), ("goal", query.goal))
     ends = np.asarray([fitted_end(bundle.spec, name, end) for name, end in given], dtype=np.float64)
     world = bundle.spec.world
-    checkers = seen_checkers(world, world.sensor.from_network(picture.pixels)[0], ends)
+    shown = world.sensor.from_network(picture.pixels)[0]
+    checkers = seen_checkers(world, shown, ends)
     # Before the time counts.
     load_kernels(checkers[0], ends[0], STEP_RAD)
     began = time.monotonic()
@@ -50,7 +51,10 @@ def plan(bundle: Bundle, picture: Picture, query: PlanQuery, between: Between | 
     scored = score(ways, space, STEP_RAD, lambda rows: bundle.believe(picture, rows, between))
     ended = time.monotonic()
     if scored:
-        found = _answer(min(scored, key=lambda one: one.doubt), len(scored), query.min_confidence)
+        best = min(scored, key=lambda one: one.doubt)
+        found = _answer(best, len(scored), query.min_confidence)
+        if query.next_view:
+            found = replace(found, next_view=best_view(world, shown, best.states, best.doubts, query.views))
     else:
         found = Plan("timeout" if late else "refused", np.empty((0, space.dim)))
     return replace(found, search_ms=1e3 * (searched - began), score_ms=1e3 * (ended - searched))

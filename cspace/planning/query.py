@@ -1,10 +1,13 @@
 """What is asked of a planner, and what it answers. NumPy alone."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+
+from cspace.world import NextView
 
 Status = Literal["solved", "refused", "timeout"]
 DEFAULT_WAYS = 8
@@ -21,6 +24,8 @@ class PlanQuery:
         min_confidence: below which no way is returned, 0 to 1.
         time_limit_s: for the search, above 0.
         ways: that are looked for, 1 or more.
+        next_view: whether the camera is wanted that would see most of what the way is doubted for.
+        views: cameras to choose it from, as plain values; none for those of a hemisphere.
     """
 
     start: tuple[float, ...]
@@ -29,6 +34,8 @@ class PlanQuery:
     min_confidence: float = 0.0
     time_limit_s: float = 1.0
     ways: int = DEFAULT_WAYS
+    next_view: bool = False
+    views: tuple[Mapping[str, Any], ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,6 +70,8 @@ class Plan:
         length_rad: Euclidean.
         found: ways that the best was chosen from.
         least: where the surest way is least sure; None without one.
+        next_view: the camera that would see most of what that way is doubted for; None where none was asked
+            for, or none would see more.
         search_ms: looking for ways.
         score_ms: asking the model about them.
     """
@@ -75,5 +84,6 @@ class Plan:
     length_rad: float = 0.0
     found: int = 0
     least: Doubt | None = None
+    next_view: NextView | None = None
     search_ms: float = 0.0
     score_ms: float = 0.0

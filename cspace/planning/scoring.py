@@ -42,10 +42,14 @@ class ScoredWay:
     length_rad: float
 
     @property
+    def doubts(self) -> NDArray[np.float64]:
+        """(n,): -log P of each state."""
+        return np.asarray(-np.log(np.clip(self.confidence, _LEAST, 1.0)), dtype=np.float64)
+
+    @property
     def doubt(self) -> float:
         """Integral of -log P along the way, rad."""
-        logs = -np.log(np.clip(self.confidence, _LEAST, 1.0)).astype(np.float64)
-        return float(logs.mean() * self.length_rad) if len(logs) else 0.0
+        return float(self.doubts.mean() * self.length_rad) if len(self.states) else 0.0
 
     @property
     def whole(self) -> float:

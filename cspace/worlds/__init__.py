@@ -15,11 +15,12 @@ from numpy.typing import NDArray
 from cspace.errors import ScenarioError
 from cspace.strict_json import read_mapping
 from cspace.workshop import Checker, Workshop
-from cspace.world import Body, Image, Scene, World
+from cspace.world import Body, Image, NextView, Scene, World
 
 # Each folder has ``world`` (numpy alone) with ``read`` and ``EXAMPLES`` (worlds by name); ``options`` with
 # ``add_options`` and ``described``, which gives None where none of its options was used and the kind is not
-# the first; ``workshop`` with ``open_workshop``; ``seen_checks`` with ``seen_checkers``.
+# the first; ``workshop`` with ``open_workshop``; ``seen_checks`` with ``seen_checkers``; ``next_view`` (numpy
+# alone) with ``best_view``.
 KINDS = ("planar", "spatial")
 # What files are of that do not name their kind: older than kinds are.
 FIRST = "planar"
@@ -111,6 +112,32 @@ def seen_checkers(world: World, picture: Image, ends: NDArray[np.float64]) -> Se
         ImportError: the compiler of the checks is not installed.
     """
     return cast("Sequence[Checker]", _part(world.kind, "seen_checks").seen_checkers(world, picture, ends))
+
+
+def best_view(
+    world: World,
+    picture: Image,
+    states: NDArray[np.float64],
+    doubts: NDArray[np.float64],
+    given: Sequence[object] = (),
+) -> NextView | None:
+    """The camera that would see most of the space that a way is doubted for.
+
+    Args:
+        world: whose.
+        picture: of it.
+        states: (n, d) rad along the way.
+        doubts: (n,) of each, 0 or more.
+        given: cameras to choose from, as plain values; none for those of a hemisphere about the doubt.
+
+    Returns:
+        None where no camera would see any, and in worlds that are seen whole.
+
+    Raises:
+        InputError: one of the given ones is no camera.
+    """
+    found = _part(world.kind, "next_view").best_view(world, picture, states, doubts, given)
+    return cast("NextView | None", found)
 
 
 @lru_cache(maxsize=256)

@@ -23,8 +23,8 @@ _NUMBER = re.compile(r"[+-]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][+-]?[0-9]{1,4})?",
 _SCHEDULE, _CONFIGURATION, _CONFIGURATIONS = tuple[float, ...], tuple[float, ...] | None, "configurations"
 _CAMERA = "camera"
 _JSON_MARKS = {_CONFIGURATION: MAX_MARKS, _CAMERA: MAX_MARKS, _CONFIGURATIONS: MAX_TENSOR_MARKS}
-# Of several pictures of a scene each has its own.
-_REPEATED = ("image", "camera")
+# Of several pictures of a scene each has its own, and of views there may be several.
+_REPEATED = ("image", "camera", "view")
 _SCENE = {"camera": _CAMERA, "state": _CONFIGURATION}
 _FLAGS = {"true": True, "false": False}
 
@@ -65,6 +65,8 @@ PLAN_FORM = Form(
         "min_confidence": float | None,
         "time_limit_s": float | None,
         "ways": int,
+        "next_view": bool,
+        "view": _CAMERA,
         "robot": str | None,
         "require_confirmed": bool,
         **_SCENE,

@@ -49,21 +49,36 @@ PictureFiles = Annotated[
 ]
 _NUMBER = {"type": "number"}
 _ROW = {"type": "array", "items": _NUMBER, "minItems": 4, "maxItems": 4}
-_CAMERA_SCHEMA: dict[str, Any] = {
-    "type": "object",
-    "properties": {
-        **dict.fromkeys(("fx", "fy", "cx", "cy"), _NUMBER),
-        "pose": {"type": "array", "items": _ROW, "minItems": 4, "maxItems": 4},
-    },
-    "required": ["fx", "fy", "cx", "cy", "pose"],
-    "additionalProperties": False,
-}
+_POSE = {"type": "array", "items": _ROW, "minItems": 4, "maxItems": 4}
+
+
+def _camera_schema(**properties: dict[str, Any]) -> dict[str, Any]:
+    members = dict.fromkeys(("fx", "fy", "cx", "cy"), _NUMBER) | properties | {"pose": _POSE}
+    return {
+        "type": "object",
+        "properties": members,
+        "required": list(members),
+        "additionalProperties": False,
+    }
+
+
+_CAMERA_SCHEMA = _camera_schema()
+_VIEW_SCHEMA = _camera_schema(width={"type": "integer"}, height={"type": "integer"})
 # What is in a camera is judged by the world that has cameras.
 Cameras = Annotated[
     Annotated[tuple[dict[str, Any], ...], Field(max_length=_MOST)],
     BeforeValidator(_as_tuple),
     WithJsonSchema(
         {"anyOf": [_CAMERA_SCHEMA, {"type": "array", "items": _CAMERA_SCHEMA, "maxItems": MAX_PICTURES}]}
+    ),
+]
+MAX_VIEWS = 64
+# Cameras that have taken no picture yet.
+Views = Annotated[
+    Annotated[tuple[dict[str, Any], ...], Field(max_length=MAX_VIEWS)],
+    BeforeValidator(_as_tuple),
+    WithJsonSchema(
+        {"anyOf": [_VIEW_SCHEMA, {"type": "array", "items": _VIEW_SCHEMA, "maxItems": MAX_VIEWS}]}
     ),
 ]
 Angle = Annotated[float, Field(allow_inf_nan=False)]

@@ -184,3 +184,20 @@ def test_a_way_is_planned_in_what_depth_pictures_show(api, bundle):
     edges = np.asarray(told["edges"])
     assert (edges <= believed[1:] + 1e-5).all()
     assert (edges <= believed[:-1] + 1e-5).all()
+
+
+def test_a_plan_names_the_view_that_would_see_most_of_its_doubt(api):
+    goal = list(STATE)
+    goal[0] += 1.2
+    fields = {"start": json.dumps(STATE), "goal": json.dumps(goal), "state": json.dumps(STATE), "seed": "1"}
+    fields |= {"page": "/plan", "time_limit_s": "10"}
+    assert ask(api, **fields).json()["next_view"] is None
+    around = ask(api, **fields, next_view="true").json()["next_view"]
+    assert 0.0 < around["sees"] <= 1.0
+    named = [around["camera"], around["camera"] | {"pose": CAMERAS[0]["pose"]}]
+    chosen = ask(api, **fields, view=[json.dumps(one) for one in named]).json()["next_view"]
+    assert chosen == around
+    refused = ask(api, **fields, next_view="true", min_confidence="1").json()
+    assert (refused["status"], refused["next_view"]) == ("refused", around)
+    problem = assert_problem(ask(api, **fields, view=[json.dumps({"fx": 1.0})]), 422, "invalid-value")
+    assert "a view is no camera" in problem["detail"]

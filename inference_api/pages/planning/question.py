@@ -16,7 +16,13 @@ from inference_api.models.pictures import Prepared
 from inference_api.models.served import ServedModel
 from inference_api.models.store import ModelStore
 from inference_api.pages.model_schemas import joint_space_info
-from inference_api.pages.planning.schemas import LeastSure, PlanAnswer, PlanRequest, PlanTimingMs
+from inference_api.pages.planning.schemas import (
+    LeastSure,
+    NextViewInfo,
+    PlanAnswer,
+    PlanRequest,
+    PlanTimingMs,
+)
 from inference_api.pages.sampling import model_info
 from inference_api.pages.schemas import ScenarioInfo
 from inference_api.pages.validation import validate_fields
@@ -81,6 +87,7 @@ class PlanQuestion:
         return self._response(served, prepared, found)
 
     def _response(self, served: ServedModel, prepared: Prepared, found: Plan) -> Response:
+        view = found.next_view
         body = PlanAnswer.model_construct(
             status=found.status,
             reason=_reason(found, self.query),
@@ -91,6 +98,7 @@ class PlanQuestion:
             length_rad=found.length_rad,
             ways=found.found,
             least_sure=_told(found.least),
+            next_view=None if view is None else NextViewInfo(camera=dict(view.camera), sees=view.sees),
             seed=self.query.seed,
             scenario=ScenarioInfo(novelty=prepared.picture.novelty),
             joint_space=joint_space_info(served.bundle.spec.joint_space),
@@ -126,6 +134,8 @@ def read_plan(store: ModelStore, fields: RawFields, *, began: float) -> PlanQues
         request.min_confidence,
         request.time_limit_s,
         request.ways,
+        request.next_view or bool(request.view),
+        request.view,
     )
     reference = ModelReference.parse(named)
     picture, confirmed = request.picture(), request.require_confirmed

@@ -8,7 +8,7 @@ from pydantic import BaseModel, Field
 from cspace.planning.query import DEFAULT_WAYS
 from cspace.query import DIGEST_PATTERN, drawn_seed
 from inference_api.pages.model_schemas import AnyJointSpace, ModelInfo
-from inference_api.pages.picture_fields import PICTURE_EXPECTED, Configuration
+from inference_api.pages.picture_fields import MAX_VIEWS, PICTURE_EXPECTED, Configuration, Views
 from inference_api.pages.schemas import EXPECTED, ScenarioInfo, SceneFields, Seed, picture_form
 
 MAX_TIME_S, MAX_WAYS = 10.0, 64
@@ -18,6 +18,8 @@ PLAN_EXPECTED = {
     **{name: EXPECTED[name] for name in ("start", "goal", "model", "seed", "min_confidence")},
     "time_limit_s": f"a finite number from {LEAST_TIME_S:g} to {MAX_TIME_S:g}",
     "ways": f"a whole number from 1 to {MAX_WAYS}",
+    "next_view": "true or false",
+    "view": f"at most {MAX_VIEWS} objects of fx, fy, cx, cy, width, height and pose",
     **{name: EXPECTED[name] for name in ("robot", "require_confirmed")},
 }
 
@@ -42,6 +44,15 @@ class PlanRequest(SceneFields):
     ways: int = Field(
         DEFAULT_WAYS, ge=1, le=MAX_WAYS, description="That are looked for, to choose the surest of."
     )
+    next_view: bool = Field(
+        default=False,
+        description="Whether the answer names the camera that would see most of what the way is doubted for.",
+    )
+    view: Views = Field(
+        (),
+        description="Cameras to choose it from, as `camera` with `width` and `height` in pixels; in a form "
+        "repeat the field. Absent, those of a hemisphere about the doubt.",
+    )
     robot: Annotated[str, Field(pattern=f"^{DIGEST_PATTERN}$")] | None = Field(
         None, description="As of `POST /sample`."
     )
@@ -59,6 +70,13 @@ class LeastSure(BaseModel):
     confidence: float = Field(description="Of this configuration alone.")
     unseen: float | None = Field(description="Share of the robot there that no picture shows.")
     along: float = Field(description="How far along the way, 0 to 1.")
+
+
+class NextViewInfo(BaseModel):
+    """A camera that would see more."""
+
+    camera: dict[str, Any] = Field(description="As `view`.")
+    sees: float = Field(description="Share of the doubt along the way that lies on space it would see.")
 
 
 class PlanTimingMs(BaseModel):
@@ -92,6 +110,10 @@ class PlanAnswer(BaseModel):
     length_rad: float
     ways: int = Field(description="That were found.")
     least_sure: LeastSure | None
+    next_view: NextViewInfo | None = Field(
+        description="Of the surest way; null where it was not asked for, none would see more, or the world "
+        "is seen whole."
+    )
     seed: int
     scenario: ScenarioInfo
     joint_space: AnyJointSpace

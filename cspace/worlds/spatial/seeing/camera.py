@@ -169,6 +169,23 @@ def looking(from_m: ArrayLike, at_m: ArrayLike, roll_rad: float = 0.0) -> NDArra
     return make_pose(np.stack((across, np.cross(ahead, across), ahead), axis=1), place)
 
 
+def camera_place(focus_m: ArrayLike, side_rad: float, up_rad: float, away_m: float) -> NDArray[np.float64]:
+    """Where a camera is, (3,) m in the base frame.
+
+    Args:
+        focus_m: (3,) what it looks at.
+        side_rad: angle on the ground from the line to the base to the line to the camera, left of it above 0.
+        up_rad: above the focus's level.
+        away_m: from the focus.
+    """
+    focus = np.asarray(focus_m, dtype=np.float64)
+    bearing = np.arctan2(-focus[1], -focus[0]) + side_rad
+    level = np.cos(up_rad)
+    return np.asarray(
+        focus + away_m * np.array([level * np.cos(bearing), level * np.sin(bearing), np.sin(up_rad)])
+    )
+
+
 def _check_pinhole(camera: DepthCamera) -> None:
     for name, side in (("width", camera.width), ("height", camera.height)):
         if type(side) is not int or not MIN_SIDE <= side <= MAX_SIDE:

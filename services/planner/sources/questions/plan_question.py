@@ -11,6 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from cspace.planning.query import Doubt, Plan, PlanQuery
 from cspace.query import is_digest
 from cspace.space import JointSpace
+from cspace.world import NextView
 from services.planner.sources.answer_errors import printable, unusable
 from services.planner.sources.questions.model_head import (
     ModelHead,
@@ -63,14 +64,20 @@ class PlanQuestion(Question[FoundPlan]):
     def own_fields(self) -> dict[str, Any]:
         """All of the query."""
         query = self.query
-        return {
-            "start": json.dumps(query.start),
-            "goal": json.dumps(query.goal),
-            "seed": str(query.seed),
-            "min_confidence": repr(query.min_confidence),
-            "time_limit_s": repr(query.time_limit_s),
-            "ways": str(query.ways),
-        }
+        # Older servers know no views.
+        views = {"view": [json.dumps(dict(view)) for view in query.views]} if query.views else {}
+        return (
+            ({"next_view": "true"} if query.next_view else {})
+            | views
+            | {
+                "start": json.dumps(query.start),
+                "goal": json.dumps(query.goal),
+                "seed": str(query.seed),
+                "min_confidence": repr(query.min_confidence),
+                "time_limit_s": repr(query.time_limit_s),
+                "ways": str(query.ways),
+            }
+        )
 
     def read(self, headers: Mapping[str, str]) -> "PlanReading":
         """See :class:`services.planner.sources.questions.question.Question`."""
@@ -104,6 +111,11 @@ class _Least(_Told):
     along: _Share
 
 
+class _View(_Told):
+    camera: dict[str, Any]
+    sees: _Share
+
+
 class _Timing(_Told):
     search: _Length
     score: _Length
@@ -123,6 +135,7 @@ class _Answer(_Told):
     length_rad: _Length
     ways: Annotated[int, Field(ge=0)]
     least_sure: _Least | None
+    next_view: _View | None = None
     seed: int
     scenario: _Scenario
     joint_space: dict[str, Any]
@@ -184,6 +197,7 @@ def _plan(told: _Answer, space: JointSpace) -> Plan:
         least=None
         if least is None
         else Doubt(np.array(least.configuration), least.confidence, least.unseen, least.along),
+        next_view=None if told.next_view is None else NextView(told.next_view.camera, told.next_view.sees),
         search_ms=told.timing_ms.search,
         score_ms=told.timing_ms.score,
     )

@@ -10,7 +10,8 @@ from cspace.strict_json import parse_json
 from cspace.worlds.spatial.obstacles.families import draw_layout
 from cspace.worlds.spatial.obstacles.scenes import SpatialScenes
 from cspace.worlds.spatial.obstacles.signed_distance import distance_m
-from cspace.worlds.spatial.seeing.placing import camera_place, draw_cameras
+from cspace.worlds.spatial.seeing.camera import camera_place
+from cspace.worlds.spatial.seeing.placing import draw_cameras
 from cspace.worlds.spatial.seeing.render import render_depth
 from cspace.worlds.spatial.seeing.views import CameraViews, read_camera_views
 

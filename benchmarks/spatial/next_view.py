@@ -1,0 +1,113 @@
+"""What a second depth picture is worth where POST /plan says to look next, beside one from anywhere.
+
+    python -m benchmarks.spatial.next_view BUNDLE [--aim scene] [--each 10]
+
+Problems and first pictures are those of plan_quality. The second camera is the one that the first plan names,
+of a hemisphere about its doubt, or one of the same hemisphere by chance. Both pictures are noisy, the arm is
+in them; the plan from both is judged as there. Share of the ways that collide, with 95 % bootstrap intervals
+over the problems that all three solve, and the median of their doubt, -log of the confidence.
+"""
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.command import arguments
+from benchmarks.machine import machine
+from benchmarks.spatial.plan_quality import (
+    LIMIT_S,
+    LOOK_RAD,
+    WAYS,
+    from_both_sides,
+    panda_world,
+    viewed,
+)
+from cspace.bundle import Bundle
+from cspace.connecting import spaced
+from cspace.planning.plan import plan
+from cspace.planning.query import Plan, PlanQuery
+from cspace.splits import Split
+from cspace.worlds.spatial.motionbench.problems import FAMILIES, BenchProblem, problems
+from cspace.worlds.spatial.next_view import hemisphere
+from cspace.worlds.spatial.planning.collision import CollisionChecker
+from cspace.worlds.spatial.scene import SpatialScene
+from cspace.worlds.spatial.seeing.camera import DepthCamera, read_camera
+from cspace.worlds.spatial.world import SpatialWorld
+from services.evaluator.statistics import difference_interval, mean_interval
+
+ARMS = ("first picture", "and where to look next", "and anywhere")
+
+
+def judged(
+    bundle: Bundle, world: SpatialWorld, problem: BenchProblem, aim: str
+) -> list[tuple[float, float]] | None:
+    """Doubt and clearance of each arm's way; None where one solves nothing or the ends collide."""
+    truth = CollisionChecker(world.body, problem.obstacles)
+    ends = np.array([problem.start, problem.goal])
+    if not truth.valid_batch(ends).all():
+        return None
+    rng = np.random.default_rng([25, 1, *problem.family.encode(), problem.number])
+    first = from_both_sides(rng, world, problem, aim)
+    query = PlanQuery(tuple(ends[0]), tuple(ends[1]), 0, 0.0, LIMIT_S, WAYS, next_view=True)
+    found = planned(bundle, world, first, query)
+    if found.next_view is None:
+        return None
+    named = read_camera(found.next_view.camera)
+    # The same hemisphere: its cameras look at one point, which is where two of them cross.
+    around = hemisphere(world, looked_at(named))
+    other = around[int(rng.integers(len(around)))]
+    plans = [found, *(planned(bundle, world, seen_too(first, camera), query) for camera in (named, other))]
+    if any(not len(one.way) for one in plans):
+        return None
+    clearances = [truth.clearance(spaced(one.way, world.space, LOOK_RAD)).min() for one in plans]
+    doubts = [-np.log(max(one.confidence, 1e-9)) for one in plans]
+    return [(float(doubt), float(one)) for doubt, one in zip(doubts, clearances, strict=True)]
+
+
+def planned(bundle: Bundle, world: SpatialWorld, scene: SpatialScene, query: PlanQuery) -> Plan:
+    """By what the scene's cameras see."""
+    return plan(bundle, bundle.prepare(world.observed(scene.view())), query)
+
+
+def seen_too(scene: SpatialScene, camera: DepthCamera) -> SpatialScene:
+    """The scene with a further camera."""
+    return replace(scene, cameras=(*scene.cameras, camera))
+
+
+def looked_at(camera: DepthCamera) -> NDArray[np.float64]:
+    """(3,) m: the middle of the hemisphere that a camera is of."""
+    return np.asarray(camera.matrix[:3, 3] + 1.2 * camera.matrix[:3, 2])
+
+
+def main() -> int:
+    parser = arguments(__doc__)
+    parser.add_argument("bundle", type=Path)
+    parser.add_argument("--split", choices=("validation", "test"), default="validation")
+    parser.add_argument("--problems", type=Path, help="the folder of the test problems")
+    parser.add_argument("--each", type=int, default=0, help="problems of each family; 0 for all")
+    parser.add_argument("--aim", choices=("goal", "scene"), default="goal")
+    options = parser.parse_args()
+    bundle = Bundle.load(options.bundle)
+    world = viewed(panda_world(bundle), 1)
+    rows = []
+    for family in FAMILIES:
+        chosen = problems(Split(options.split), options.problems, families=(family,))[: options.each or None]
+        rows += [judged(bundle, world, problem, options.aim) for problem in chosen]
+    told = np.array([row for row in rows if row is not None])
+    rng = np.random.default_rng(0)
+    print(machine())
+    print(f"{len(told)} of {len(rows)} problems solved from all, {options.split}; collide, median doubt")
+    for number, arm in enumerate(ARMS):
+        hits = [float(one) for one in told[:, number, 1] <= 0.0]
+        print(f"{arm:<24}{mean_interval(hits, rng):.3f}, {np.median(told[:, number, 0]):.3f}")
+    fewer = difference_interval(told[:, 2, 1] <= 0.0, told[:, 1, 1] <= 0.0, rng)
+    surer = difference_interval(told[:, 2, 0], told[:, 1, 0], rng)
+    print(f"less where one looks next than anywhere: collide {fewer:.3f}, doubt {surer:.3f}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
