@@ -13,7 +13,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.command import arguments
 from benchmarks.machine import machine
@@ -31,7 +30,7 @@ from cspace.planning.plan import plan
 from cspace.planning.query import Plan, PlanQuery
 from cspace.splits import Split
 from cspace.worlds.spatial.motionbench.problems import FAMILIES, BenchProblem, problems
-from cspace.worlds.spatial.next_view import hemisphere
+from cspace.worlds.spatial.next_view import away_m, hemisphere
 from cspace.worlds.spatial.planning.collision import CollisionChecker
 from cspace.worlds.spatial.scene import SpatialScene
 from cspace.worlds.spatial.seeing.camera import DepthCamera, read_camera
@@ -56,8 +55,8 @@ def judged(
     if found.next_view is None:
         return None
     named = read_camera(found.next_view.camera)
-    # The same hemisphere: its cameras look at one point, which is where two of them cross.
-    around = hemisphere(world, looked_at(named))
+    learned = panda_world(bundle)
+    around = hemisphere(learned, named.matrix[:3, 3] + away_m(learned) * named.matrix[:3, 2])
     other = around[int(rng.integers(len(around)))]
     plans = [found, *(planned(bundle, world, seen_too(first, camera), query) for camera in (named, other))]
     if any(not len(one.way) for one in plans):
@@ -75,11 +74,6 @@ def planned(bundle: Bundle, world: SpatialWorld, scene: SpatialScene, query: Pla
 def seen_too(scene: SpatialScene, camera: DepthCamera) -> SpatialScene:
     """The scene with a further camera."""
     return replace(scene, cameras=(*scene.cameras, camera))
-
-
-def looked_at(camera: DepthCamera) -> NDArray[np.float64]:
-    """(3,) m: the middle of the hemisphere that a camera is of."""
-    return np.asarray(camera.matrix[:3, 3] + 1.2 * camera.matrix[:3, 2])
 
 
 def main() -> int:

@@ -25,7 +25,7 @@ class PlanQuery:
         time_limit_s: for the search, above 0.
         ways: that are looked for, 1 or more.
         next_view: whether the camera is wanted that would see most of what the way is doubted for.
-        views: cameras to choose it from, as plain values; none for those of a hemisphere.
+        views: cameras to choose it from, as plain values; none for some about the doubt.
     """
 
     start: tuple[float, ...]

@@ -128,7 +128,7 @@ def best_view(
         picture: of it.
         states: (n, d) rad along the way.
         doubts: (n,) of each, 0 or more.
-        given: cameras to choose from, as plain values; none for those of a hemisphere about the doubt.
+        given: cameras to choose from, as plain values; none for some about the doubt.
 
     Returns:
         None where no camera would see any, and in worlds that are seen whole.

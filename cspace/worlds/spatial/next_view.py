@@ -16,10 +16,8 @@ from cspace.worlds.spatial.seeing.sight import FREE, NO_READING
 from cspace.worlds.spatial.seeing.surface_patches import DISTANCE_STEP_M
 from cspace.worlds.spatial.world import SpatialWorld
 
-# The hemisphere about the doubted space: to the sides of the line to the base, and above.
-SIDES_DEG = tuple(range(-165, 181, 30))
-UPS_DEG = (20.0, 40.0, 60.0)
-AWAY_M, FIELD_DEG = 1.2, 70.0
+# Cameras about the doubted space: so many to each side, and so many heights.
+_SIDES, _HEIGHTS = 5, 3
 # Nobody puts a camera into the arm, or far below it.
 _OFF_BASE_M, _LOWEST_M = 0.35, 0.1
 # Voxels of doubted space that are looked at, those with most doubt.
@@ -50,15 +48,24 @@ def best_view(
 
 
 def hemisphere(world: SpatialWorld, focus_m: NDArray[np.float64]) -> list[DepthCamera]:
-    """Cameras all round and above a point (3,) m that look at it."""
+    """Cameras that look at a point (3,) m from where the cameras of the world's training stood.
+
+    Others see more where the arm is not in the way, but a model doubts what it has not learned to read.
+    """
     views, found = world.sensor.views, []
-    for up in UPS_DEG:
-        for side in SIDES_DEG:
-            place = camera_place(focus_m, float(np.radians(side)), float(np.radians(up)), AWAY_M)
+    sides = np.radians(np.linspace(*views.side_deg, _SIDES))
+    for up in np.radians(np.linspace(*views.up_deg, _HEIGHTS)):
+        for side in (*-sides, *sides):
+            place = camera_place(focus_m, float(side), float(up), away_m(world))
             if np.hypot(place[0], place[1]) >= _OFF_BASE_M and place[2] >= _LOWEST_M:
-                pose = looking(place, focus_m)
-                found.append(DepthCamera.of_field(views.width, views.height, FIELD_DEG, pose))
+                field_deg, pose = float(np.mean(views.field_deg)), looking(place, focus_m)
+                found.append(DepthCamera.of_field(views.width, views.height, field_deg, pose))
     return found
+
+
+def away_m(world: SpatialWorld) -> float:
+    """How far from what they look at the cameras of :func:`hemisphere` are, m."""
+    return float(np.mean(world.sensor.views.distance_m))
 
 
 def seen_shares(

@@ -51,7 +51,7 @@ class PlanRequest(SceneFields):
     view: Views = Field(
         (),
         description="Cameras to choose it from, as `camera` with `width` and `height` in pixels; in a form "
-        "repeat the field. Absent, those of a hemisphere about the doubt.",
+        "repeat the field. Absent, some about the doubt, from where cameras of the training stood.",
     )
     robot: Annotated[str, Field(pattern=f"^{DIGEST_PATTERN}$")] | None = Field(
         None, description="As of `POST /sample`."
