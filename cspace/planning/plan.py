@@ -51,8 +51,12 @@ def plan(bundle: Bundle, picture: Picture, query: PlanQuery, between: Between | 
     scored = score(ways, space, STEP_RAD, lambda rows: bundle.believe(picture, rows, between))
     ended = time.monotonic()
     if scored:
-        best = min(scored, key=lambda one: one.doubt)
+        ranked = sorted(scored, key=lambda one: one.doubt)
+        best = ranked[0]
         found = _answer(best, len(scored), query.min_confidence)
+        if query.alternatives:
+            sure = tuple(one.believed() for one in ranked if one.whole >= query.min_confidence)
+            found = replace(found, alternatives=sure)
         if query.next_view:
             found = replace(found, next_view=best_view(world, shown, best.states, best.doubts, query.views))
     else:

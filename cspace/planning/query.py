@@ -26,6 +26,7 @@ class PlanQuery:
         ways: that are looked for, 1 or more.
         next_view: whether the camera is wanted that would see most of what the way is doubted for.
         views: cameras to choose it from, as plain values; none for some about the doubt.
+        alternatives: whether all ways are wanted that are sure enough, for those who can check them.
     """
 
     start: tuple[float, ...]
@@ -36,6 +37,7 @@ class PlanQuery:
     ways: int = DEFAULT_WAYS
     next_view: bool = False
     views: tuple[Mapping[str, Any], ...] = ()
+    alternatives: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,6 +58,21 @@ class Doubt:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class BelievedWay:
+    """A way and how sure a model is of it.
+
+    Args:
+        way: (k, d) rad from start to goal.
+        confidence: that the whole way touches nothing.
+        edges: (k - 1,) the least confidence of a state on each of its pieces.
+    """
+
+    way: NDArray[np.float64]
+    confidence: float
+    edges: NDArray[np.float32]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Plan:
     """An answer.
 
@@ -72,6 +89,8 @@ class Plan:
         least: where the surest way is least sure; None without one.
         next_view: the camera that would see most of what that way is doubted for; None where none was asked
             for, or none would see more.
+        alternatives: all ways that are sure enough, the surest first, which is the plan's; none where they
+            were not asked for.
         search_ms: looking for ways.
         score_ms: asking the model about them.
     """
@@ -85,5 +104,6 @@ class Plan:
     found: int = 0
     least: Doubt | None = None
     next_view: NextView | None = None
+    alternatives: tuple[BelievedWay, ...] = ()
     search_ms: float = 0.0
     score_ms: float = 0.0

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cspace.connecting import length_rad, spaced
-from cspace.planning.query import Doubt
+from cspace.planning.query import BelievedWay, Doubt
 from cspace.space import JointSpace
 
 # (n, d) float32 rad to P(free) (n,) and to the share of the robot in unseen space (n,), or None.
@@ -55,6 +55,10 @@ class ScoredWay:
     def whole(self) -> float:
         """Confidence of the whole way."""
         return float(np.exp(-self.doubt))
+
+    def believed(self) -> BelievedWay:
+        """The way with what is believed of it and its pieces."""
+        return BelievedWay(self.way, self.whole, self.of_pieces(self.confidence, np.minimum))
 
     def least(self) -> Doubt:
         """Its least sure state."""

@@ -65,6 +65,7 @@ PLAN_FORM = Form(
         "min_confidence": float | None,
         "time_limit_s": float | None,
         "ways": int,
+        "alternatives": bool,
         "next_view": bool,
         "view": _CAMERA,
         "robot": str | None,

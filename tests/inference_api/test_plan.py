@@ -53,6 +53,22 @@ def test_a_form_has_the_same_answer_and_a_seed_gives_the_same_way(api):
     assert ask(api, seed=drawn).json()["seed"] == drawn
 
 
+def test_all_ways_that_are_sure_enough_come_where_they_are_asked_for(api):
+    plain = ask(api).json()
+    assert plain["alternatives"] is None
+    told = ask(api, alternatives=True).json()
+    ways = told["alternatives"]
+    assert {name: ways[0][name] for name in ("path", "confidence", "edges")} == {
+        name: plain[name] for name in ("path", "confidence", "edges")
+    }
+    sure = [way["confidence"] for way in ways]
+    assert len(sure) == 8
+    assert sure == sorted(sure, reverse=True)
+    some = ask(api, alternatives=True, min_confidence=sure[3]).json()["alternatives"]
+    assert [way["confidence"] for way in some] == [one for one in sure if one >= sure[3]]
+    assert ask(api, alternatives=True, min_confidence=min(1.0, sure[0] + 1e-3)).json()["alternatives"] == []
+
+
 def test_a_way_that_is_not_sure_enough_is_refused_with_the_reason(api):
     sure = ask(api).json()["confidence"]
     told = ask(api, min_confidence=min(1.0, sure + 1e-3)).json()

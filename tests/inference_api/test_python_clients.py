@@ -1,6 +1,7 @@
 """Both Python clients against the app: ``/validity`` and ``/plan``."""
 
 import json
+from dataclasses import replace
 from typing import Any
 
 import anyio
@@ -61,6 +62,18 @@ def test_a_way_comes_as_the_api_tells_it(api, kind):
     assert len(found.plan.edges) == len(found.plan.way) - 1
     assert found.plan.least.confidence == pytest.approx(float(found.plan.edges.min()), abs=1e-6)
     assert found.model.space == WORLD.space
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_all_ways_come_with_what_is_believed_of_them(api, kind):
+    query = replace(QUERY, alternatives=True, next_view=True)
+    plan = ask(kind, IntoApp(api), "plan", PNG, query, CAREFUL).plan
+    assert len(plan.alternatives) == plan.found == 8
+    np.testing.assert_array_equal(plan.alternatives[0].way, plan.way)
+    assert plan.next_view is None
+    empty = {"path": [], "confidence": 1.0, "edges": []}
+    with pytest.raises(SamplerAnswerError, match="no whole way"):
+        ask(kind, Changed(api, alternatives=[empty]), "plan", PNG, query, CAREFUL)
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -17,6 +17,7 @@ from inference_api.models.served import ServedModel
 from inference_api.models.store import ModelStore
 from inference_api.pages.model_schemas import joint_space_info
 from inference_api.pages.planning.schemas import (
+    Alternative,
     LeastSure,
     NextViewInfo,
     PlanAnswer,
@@ -98,6 +99,7 @@ class PlanQuestion:
             length_rad=found.length_rad,
             ways=found.found,
             least_sure=_told(found.least),
+            alternatives=_alternatives(found) if self.query.alternatives else None,
             next_view=None if view is None else NextViewInfo(camera=dict(view.camera), sees=view.sees),
             seed=self.query.seed,
             scenario=ScenarioInfo(novelty=prepared.picture.novelty),
@@ -136,10 +138,18 @@ def read_plan(store: ModelStore, fields: RawFields, *, began: float) -> PlanQues
         request.ways,
         request.next_view or bool(request.view),
         request.view,
+        request.alternatives,
     )
     reference = ModelReference.parse(named)
     picture, confirmed = request.picture(), request.require_confirmed
     return PlanQuestion(store, reference, picture, query, request.robot, confirmed, began)
+
+
+def _alternatives(found: Plan) -> list[Alternative]:
+    return [
+        Alternative(path=one.way.tolist(), confidence=one.confidence, edges=one.edges.tolist())
+        for one in found.alternatives
+    ]
 
 
 def _told(least: Doubt | None) -> LeastSure | None:

@@ -18,6 +18,7 @@ PLAN_EXPECTED = {
     **{name: EXPECTED[name] for name in ("start", "goal", "model", "seed", "min_confidence")},
     "time_limit_s": f"a finite number from {LEAST_TIME_S:g} to {MAX_TIME_S:g}",
     "ways": f"a whole number from 1 to {MAX_WAYS}",
+    "alternatives": "true or false",
     "next_view": "true or false",
     "view": f"at most {MAX_VIEWS} objects of fx, fy, cx, cy, width, height and pose",
     **{name: EXPECTED[name] for name in ("robot", "require_confirmed")},
@@ -43,6 +44,10 @@ class PlanRequest(SceneFields):
     )
     ways: int = Field(
         DEFAULT_WAYS, ge=1, le=MAX_WAYS, description="That are looked for, to choose the surest of."
+    )
+    alternatives: bool = Field(
+        default=False,
+        description="Whether the answer holds all ways that are sure enough, for those who can check them.",
     )
     next_view: bool = Field(
         default=False,
@@ -70,6 +75,14 @@ class LeastSure(BaseModel):
     confidence: float = Field(description="Of this configuration alone.")
     unseen: float | None = Field(description="Share of the robot there that no picture shows.")
     along: float = Field(description="How far along the way, 0 to 1.")
+
+
+class Alternative(BaseModel):
+    """A way that was found."""
+
+    path: list[list[float]]
+    confidence: float
+    edges: list[float]
 
 
 class NextViewInfo(BaseModel):
@@ -110,6 +123,9 @@ class PlanAnswer(BaseModel):
     length_rad: float
     ways: int = Field(description="That were found.")
     least_sure: LeastSure | None
+    alternatives: list[Alternative] | None = Field(
+        description="All ways that are sure enough, the surest first; null where they were not asked for."
+    )
     next_view: NextViewInfo | None = Field(
         description="Of the surest way; null where it was not asked for, none would see more, or the world "
         "is seen whole."

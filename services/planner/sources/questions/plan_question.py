@@ -8,7 +8,7 @@ from typing import Annotated, Any, ClassVar, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from cspace.planning.query import Doubt, Plan, PlanQuery
+from cspace.planning.query import BelievedWay, Doubt, Plan, PlanQuery
 from cspace.query import is_digest
 from cspace.space import JointSpace
 from cspace.world import NextView
@@ -62,22 +62,20 @@ class PlanQuestion(Question[FoundPlan]):
     query: PlanQuery
 
     def own_fields(self) -> dict[str, Any]:
-        """All of the query."""
+        """All of the query; of what older servers do not know, what is not taken for granted."""
         query = self.query
-        # Older servers know no views.
-        views = {"view": [json.dumps(dict(view)) for view in query.views]} if query.views else {}
-        return (
-            ({"next_view": "true"} if query.next_view else {})
-            | views
-            | {
-                "start": json.dumps(query.start),
-                "goal": json.dumps(query.goal),
-                "seed": str(query.seed),
-                "min_confidence": repr(query.min_confidence),
-                "time_limit_s": repr(query.time_limit_s),
-                "ways": str(query.ways),
-            }
-        )
+        flags = {"next_view": query.next_view, "alternatives": query.alternatives}
+        fields: dict[str, Any] = {name: "true" for name, wanted in flags.items() if wanted}
+        if query.views:
+            fields["view"] = [json.dumps(dict(view)) for view in query.views]
+        return fields | {
+            "start": json.dumps(query.start),
+            "goal": json.dumps(query.goal),
+            "seed": str(query.seed),
+            "min_confidence": repr(query.min_confidence),
+            "time_limit_s": repr(query.time_limit_s),
+            "ways": str(query.ways),
+        }
 
     def read(self, headers: Mapping[str, str]) -> "PlanReading":
         """See :class:`services.planner.sources.questions.question.Question`."""
@@ -111,6 +109,12 @@ class _Least(_Told):
     along: _Share
 
 
+class _Way(_Told):
+    path: list[_Row]
+    confidence: _Share
+    edges: list[_Share]
+
+
 class _View(_Told):
     camera: dict[str, Any]
     sees: _Share
@@ -136,6 +140,7 @@ class _Answer(_Told):
     ways: Annotated[int, Field(ge=0)]
     least_sure: _Least | None
     next_view: _View | None = None
+    alternatives: list[_Way] | None = None
     seed: int
     scenario: _Scenario
     joint_space: dict[str, Any]
@@ -198,6 +203,10 @@ def _plan(told: _Answer, space: JointSpace) -> Plan:
         if least is None
         else Doubt(np.array(least.configuration), least.confidence, least.unseen, least.along),
         next_view=None if told.next_view is None else NextView(told.next_view.camera, told.next_view.sees),
+        alternatives=tuple(
+            BelievedWay(np.array(one.path), one.confidence, np.array(one.edges, dtype=np.float32))
+            for one in told.alternatives or ()
+        ),
         search_ms=told.timing_ms.search,
         score_ms=told.timing_ms.score,
     )
@@ -209,19 +218,25 @@ def _require_fit(told: _Answer, query: PlanQuery, space: JointSpace) -> None:
     Raises:
         SamplerAnswerError: it is such a one.
     """
-    pieces = len(told.path) - 1
-    if told.status != "solved":
-        if told.path or told.edges or told.unseen:
-            raise unusable("has a way that was not found", "none", f"{told.status}, {pieces + 1} corners")
-        return
-    counts = {len(told.edges), pieces if told.unseen is None else len(told.unseen)}
-    if pieces < 1 or counts != {pieces} or {len(row) for row in told.path} != {space.dim}:
+    for way in told.alternatives or ():
+        _require_way(way, query, space)
+    if told.status == "solved":
+        if told.unseen is not None and len(told.unseen) != len(told.edges):
+            raise unusable("has no whole way", f"{len(told.edges)} unseen shares", str(len(told.unseen)))
+        _require_way(_Way.model_construct(**told.model_dump(include=set(_Way.model_fields))), query, space)
+    elif told.path or told.edges or told.unseen or told.alternatives:
+        raise unusable("has a way that was not found", "none", told.status)
+
+
+def _require_way(way: _Way, query: PlanQuery, space: JointSpace) -> None:
+    pieces = len(way.path) - 1
+    if pieces < 1 or len(way.edges) != pieces or {len(row) for row in way.path} != {space.dim}:
         raise unusable("has no whole way", f"corners of {space.dim} joints, edges between", f"{pieces} edges")
-    if told.confidence < query.min_confidence:
-        raise unusable("is less sure than was asked for", str(query.min_confidence), str(told.confidence))
-    way = np.array(told.path)
-    if not space.holds(way).all():
+    if way.confidence < query.min_confidence:
+        raise unusable("is less sure than was asked for", str(query.min_confidence), str(way.confidence))
+    rows = np.array(way.path)
+    if not space.holds(rows).all():
         raise unusable("leaves the joints' limits", str(space.to_dict())[:200], "others")
     ends = np.array([query.start, query.goal], dtype=np.float64)
-    if ends.shape[1] != space.dim or (space.distance(ends, way[[0, -1]]) > _SAME_RAD).any():
+    if ends.shape[1] != space.dim or (space.distance(ends, rows[[0, -1]]) > _SAME_RAD).any():
         raise unusable("leads elsewhere", "a way from start to goal", "other ends")
