@@ -16,10 +16,10 @@ from cspace.strict_json import json_text, parse_json, read_members, read_object,
 from cspace.world import World
 from cspace.worlds import read_world
 
-SCHEMA_VERSION = 3
+SCHEMA_VERSION = 4
 # Without uniform_share and novelty_quantiles, read as 0 and none; robot and camera of a planar world by
-# themselves, read as that.
-_WITHOUT_SHARE, _WITHOUT_WORLD = (1,), (1, 2)
+# themselves, read as that; without plan_doubt, read as none.
+_WITHOUT_SHARE, _WITHOUT_WORLD, _WITHOUT_DOUBT = (1,), (1, 2), (1, 2, 3)
 KINDS = ("configuration", "path")
 MODEL_KINDS = ("generator", "mixture")
 ENDPOINTS = ("start", "goal")
@@ -28,7 +28,7 @@ MIN_PIXELS, MAX_PIXELS = 16, 2048
 # What a request draws for one latent is at most so many numbers, and so is what it gets for one.
 MAX_PER_LATENT = 4096
 MAX_LATENT, MAX_JOINTS, MAX_RANDOM_INPUTS = 1024, 64, 16
-MAX_QUANTILES, MAX_SCORES = 1001, 16
+MAX_QUANTILES, MAX_SCORES, MAX_DOUBT = 1001, 16, 100.0
 MAX_BYTES, MAX_DEPTH = LIMITS_BYTES[SPEC_FILE], 32
 
 
@@ -51,6 +51,8 @@ class BundleSpec:
             instead of generated, 0 to below 1; 0 for path models.
         novelty_quantiles: for each score of the novelty graph its rising quantiles over known pictures; None
             without one.
+        plan_doubt: (a, b), by which a way of doubt D is free with exp(-exp(a + b log D)), b above 0; see
+            :mod:`cspace.planning.scoring`. None for (0, 1).
         provenance: how the bundle was made.
 
     Raises:
@@ -69,6 +71,7 @@ class BundleSpec:
     confidence_threshold: float | None = None
     uniform_share: float = 0.0
     novelty_quantiles: tuple[tuple[float, ...], ...] | None = None
+    plan_doubt: tuple[float, float] | None = None
     provenance: Provenance = field(default_factory=Provenance)
 
     def __post_init__(self) -> None:
@@ -86,13 +89,14 @@ class BundleSpec:
             "uniform_share" if not 0.0 <= share < 1.0 or (share and self.kind == "path") else "",
             "novelty_quantiles" if not _rise(self.novelty_quantiles) else "",
             "standardisation" if scale is not None and len(scale.mean) != self.dim else "",
+            "plan_doubt" if not _is_doubt(self.plan_doubt) else "",
         ]
         if any(wrong):
             raise BundleIntegrityError(
                 "the bundle's description does not fit",
                 expected=f"at most {MAX_JOINTS} joints, a latent of 1..{MAX_LATENT}, {MIN_PIXELS}.."
                 f"{MAX_PIXELS} pixels, at most {MAX_PER_LATENT} numbers drawn for a latent and given for it, "
-                "different names, a threshold within 0..1, a share below 1, rising quantiles",
+                "different names, a threshold within 0..1, a share below 1, quantiles and a doubt that rise",
                 got=", ".join(f"{name} = {getattr(self, name)!r}"[:200] for name in wrong if name),
             )
 
@@ -207,8 +211,10 @@ def _members(values: object) -> dict[str, Any]:
     version, keys, absent = _version(values), _KEYS, dict[str, Any]()
     if version in _WITHOUT_WORLD:
         keys = keys - {"world"} | {"robot", "camera"}
+    if version in _WITHOUT_DOUBT:
+        absent |= {"plan_doubt": None}
     if version in _WITHOUT_SHARE:
-        absent = {"uniform_share": 0.0, "novelty_quantiles": None}
+        absent |= {"uniform_share": 0.0, "novelty_quantiles": None}
     members = read_members(values, keys - set(absent), SPEC_FILE, BundleIntegrityError) | absent
     del members["schema_version"]
     if version in _WITHOUT_WORLD:
@@ -218,7 +224,7 @@ def _members(values: object) -> dict[str, Any]:
 
 def _version(values: object) -> int:
     version = values.get("schema_version") if isinstance(values, Mapping) else None
-    known = (*_WITHOUT_WORLD, SCHEMA_VERSION)
+    known = (*_WITHOUT_DOUBT, SCHEMA_VERSION)
     if version not in known or not isinstance(version, int) or version is True:
         raise BundleIntegrityError(
             "the bundle's schema is another",
@@ -227,6 +233,10 @@ def _version(values: object) -> int:
             remedy="use the release of cspace-sampler that wrote the bundle, or export it again",
         )
     return version
+
+
+def _is_doubt(values: tuple[float, float] | None) -> bool:
+    return values is None or (abs(values[0]) <= MAX_DOUBT and 0.0 < values[1] <= MAX_DOUBT)
 
 
 def _rise(quantiles: tuple[tuple[float, ...], ...] | None) -> bool:

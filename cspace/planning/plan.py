@@ -48,7 +48,8 @@ def plan(bundle: Bundle, picture: Picture, query: PlanQuery, between: Between | 
     until_s = began + query.time_limit_s
     ways, late = find_ways(checkers, ends[0], ends[1], query.ways, query.seed, until_s, between=between)
     searched = time.monotonic()
-    scored = score(ways, space, STEP_RAD, lambda rows: bundle.believe(picture, rows, between))
+    calibrated = bundle.spec.plan_doubt or (0.0, 1.0)
+    scored = score(ways, space, STEP_RAD, lambda rows: bundle.believe(picture, rows, between), calibrated)
     ended = time.monotonic()
     if scored:
         ranked = sorted(scored, key=lambda one: one.doubt)
@@ -68,11 +69,12 @@ def _answer(best: ScoredWay, found: int, min_confidence: float) -> Plan:
     least, sure = best.least(), best.whole
     if sure < min_confidence:
         nothing = np.empty((0, best.way.shape[1]))
-        return Plan("refused", nothing, confidence=sure, found=found, least=least)
+        return Plan("refused", nothing, confidence=sure, doubt=best.doubt, found=found, least=least)
     return Plan(
         "solved",
         best.way,
         confidence=sure,
+        doubt=best.doubt,
         edges=best.of_pieces(best.confidence, np.minimum),
         unseen=None if best.unseen is None else best.of_pieces(best.unseen, np.maximum),
         length_rad=best.length_rad,

@@ -84,6 +84,7 @@ class Plan:
         edges: (k - 1,) the least confidence of a state on each of its pieces.
         unseen: (k - 1,) the largest share of the robot on each piece that no picture shows; None in worlds
             that are seen whole.
+        doubt: that its confidence is of: the integral of -log P along it in rad, 0 without a way.
         length_rad: Euclidean.
         found: ways that the best was chosen from.
         least: where the surest way is least sure; None without one.
@@ -100,6 +101,7 @@ class Plan:
     confidence: float = 0.0
     edges: NDArray[np.float32] = field(default_factory=lambda: np.empty(0, dtype=np.float32))
     unseen: NDArray[np.float32] | None = None
+    doubt: float = 0.0
     length_rad: float = 0.0
     found: int = 0
     least: Doubt | None = None

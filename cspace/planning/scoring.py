@@ -3,7 +3,8 @@
 A model says of a configuration how likely it is free. Along a way neighbours are free or not together, so
 that the product over its states would fall with the step at which one looks. The whole way's confidence is
 exp(-D), with the doubt D the integral of -log P along the way in rad: of equal doubt on each rad, twice the
-way has the square. It is an estimate: how often such ways are free in truth is measured by benchmarks.
+way has the square. A bundle may know better how often ways of such a doubt are free: exp(-exp(a + b log D)),
+fitted to plans in validation scenes, of which (0, 1) is exp(-D).
 """
 
 from collections.abc import Callable, Sequence
@@ -19,6 +20,8 @@ from cspace.space import JointSpace
 # (n, d) float32 rad to P(free) (n,) and to the share of the robot in unseen space (n,), or None.
 Believe = Callable[[NDArray[np.float32]], tuple[NDArray[np.float32], NDArray[np.float32] | None]]
 _LEAST = 1e-6
+# Of an exponent; e to that is no chance any more.
+_MOST = 20.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,6 +35,7 @@ class ScoredWay:
         confidence: (n,) of each state.
         unseen: (n,) share of the robot that no picture shows, or None.
         length_rad: Euclidean.
+        plan_doubt: (a, b), see this module.
     """
 
     way: NDArray[np.float64]
@@ -40,6 +44,7 @@ class ScoredWay:
     confidence: NDArray[np.float32]
     unseen: NDArray[np.float32] | None
     length_rad: float
+    plan_doubt: tuple[float, float] = (0.0, 1.0)
 
     @property
     def doubts(self) -> NDArray[np.float64]:
@@ -54,7 +59,7 @@ class ScoredWay:
     @property
     def whole(self) -> float:
         """Confidence of the whole way."""
-        return float(np.exp(-self.doubt))
+        return float(free_of_doubt(np.array(self.doubt), self.plan_doubt))
 
     def believed(self) -> BelievedWay:
         """The way with what is believed of it and its pieces."""
@@ -77,8 +82,19 @@ class ScoredWay:
         return found
 
 
+def free_of_doubt(doubt: NDArray[np.float64], plan_doubt: tuple[float, float]) -> NDArray[np.float64]:
+    """How likely ways of a doubt (n,) are free, (n,); 1 without doubt."""
+    offset, slope = plan_doubt
+    with np.errstate(divide="ignore"):
+        return np.asarray(np.exp(-np.exp(np.minimum(offset + slope * np.log(doubt), _MOST))))
+
+
 def score(
-    ways: Sequence[NDArray[np.float64]], space: JointSpace, step_rad: float, believe: Believe
+    ways: Sequence[NDArray[np.float64]],
+    space: JointSpace,
+    step_rad: float,
+    believe: Believe,
+    plan_doubt: tuple[float, float] = (0.0, 1.0),
 ) -> list[ScoredWay]:
     """What is believed of ways, all asked at once; states are at most ``step_rad`` apart."""
     if not ways:
@@ -89,7 +105,7 @@ def score(
     sure = np.split(confidence, ends)
     hidden = [None] * len(ways) if unseen is None else np.split(unseen, ends)
     return [
-        ScoredWay(way, states, numbers, one, other, length_rad(way, space))
+        ScoredWay(way, states, numbers, one, other, length_rad(way, space), plan_doubt)
         for way, states, numbers, one, other in zip(ways, rows, pieces, sure, hidden, strict=True)
     ]
 

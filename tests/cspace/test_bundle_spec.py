@@ -22,6 +22,7 @@ def full_spec() -> BundleSpec:
         standardisation=Standardisation((0.0, 0.1, 0.2), (1.0, 2.0, 3.0)),
         confidence_threshold=0.8,
         novelty_quantiles=((0.0, 0.5, 1.0), (0.0, 0.0, 2.0)),
+        plan_doubt=(0.3, 0.8),
         provenance=Provenance(
             git_commit="abc",
             git_dirty=True,
@@ -45,9 +46,9 @@ def test_the_json_has_exactly_the_fields_of_the_schema() -> None:
     assert set(values) == {
         "schema_version", "kind", "world", "joint_space", "image", "latent_dim", "model_kind",
         "samples_per_latent", "random_inputs", "standardisation", "conditions", "confidence_threshold",
-        "uniform_share", "novelty_quantiles", "provenance",
+        "uniform_share", "novelty_quantiles", "plan_doubt", "provenance",
     }  # fmt: skip
-    assert values["schema_version"] == 3
+    assert values["schema_version"] == 4
     assert values["joint_space"] == {"kind": "torus", "dim": 3, "unit": "rad"}
     assert values["image"] == {"pixels": 32, "channels": "RGB", "range": [-1, 1]}
     assert values["conditions"] == ["start", "goal"]
@@ -55,12 +56,18 @@ def test_the_json_has_exactly_the_fields_of_the_schema() -> None:
 
 WORLD = full_spec().world.to_dict()
 CHANGES: list[dict[str, Any]] = [
-    {"schema_version": 4},
+    {"schema_version": 5},
+    {"schema_version": 3},
     {"schema_version": 2},
     {"schema_version": 1},
     {"schema_version": 2.0},
     {"schema_version": True},
     {"schema_version": None},
+    {"plan_doubt": [0.0, 0.0]},
+    {"plan_doubt": [0.0, -1.0]},
+    {"plan_doubt": [1e9, 1.0]},
+    {"plan_doubt": [0.0]},
+    {"plan_doubt": 1.0},
     {"kind": "paths"},
     {"kind": None},
     {"model_kind": "flow"},
@@ -101,6 +108,8 @@ CHANGES: list[dict[str, Any]] = [
 
 def test_the_schemas_before_are_read_without_what_they_did_not_have() -> None:
     values = tiny_spec().to_dict()
+    del values["plan_doubt"]
+    assert BundleSpec.from_dict({**values, "schema_version": 3}) == tiny_spec()
     world = values.pop("world")
     values |= {"schema_version": 2, "robot": world["robot"], "camera": world["camera"]}
     assert BundleSpec.from_dict(values) == tiny_spec()

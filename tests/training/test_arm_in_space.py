@@ -24,6 +24,7 @@ SMALL = (
     *("validity.steps=4", "validity.pictures_per_step=2", "validity.configurations_per_picture=8"),
     *("validity.hidden=8", "validity.grid={width: 4, middle: 4, deep: 4}"),
     *("validity.threshold=0.05", "validity.uniform_share=0.2", "validity.promise={scenarios: 30}"),
+    "validity.plan_problems=7",
     *("gate.cells=4", "gate.points=64", "gate.steps=4"),
     *("local.hidden=16", "local.critic_hidden=16", "local.batch_size=32", "local.steps=4"),
 )
@@ -56,6 +57,15 @@ def test_it_states_what_passes_and_collides_and_how_that_was_kept(trained):
         assert (one["scenes"], one["measured_scenes"]) == (10.0, 10.0)
         assert 1.0 / 11.0 <= one["at_most"] <= 1.0
         assert 0.0 <= one["measured"] <= 1.0
+
+
+def test_the_confidence_of_its_plans_was_measured(trained):
+    spec = trained[1].spec
+    told = spec.provenance.metrics
+    assert (told["plans/fitted"], told["plans/measured"]) == (5.0, 2.0)
+    assert 0.0 <= told["plans/measured_collide"] <= 1.0
+    assert spec.plan_doubt is not None
+    assert spec.plan_doubt[1] > 0.0
 
 
 def test_its_data_are_labelled_configurations_of_arrays_of_space(trained):

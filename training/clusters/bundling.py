@@ -1,5 +1,6 @@
 """From trained weights to a bundle."""
 
+import logging
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -11,6 +12,7 @@ from cspace.files import discard
 from cspace.space import Standardisation
 from cspace.world import World
 from training.clusters.novelty import known_quantiles
+from training.clusters.plan_doubt import fit_plan_doubt, planned
 from training.clusters.promise import choose_promised, make_promise
 from training.clusters.threshold import choose_threshold, choose_uniform_share, validation_scores
 from training.config.clusters import HeadConfig, TrainConfig
@@ -36,6 +38,7 @@ from training.models.validity import make_head
 from training.trials.arrays import TrainingArrays
 from training.trials.loading import gated_sampler, load_gate, load_generator, torus_generator
 
+_LOG = logging.getLogger("training")
 THRESHOLD_SCENARIOS = 40
 # Where the truth of further scenarios is not known, as with data of one's own.
 FALLBACK_THRESHOLD = 0.8
@@ -124,15 +127,34 @@ def _with_choices(
     folder: Path, config: HeadConfig, spec: BundleSpec, graphs: Mapping[str, bytes]
 ) -> BundleSpec:
     """By the rules of ``threshold`` and ``promise``, from a draft of the bundle that is deleted again."""
+    chosen = config.threshold is not None and config.uniform_share is not None and config.promise is None
+    if chosen and not config.plan_problems:
+        return spec
+    try:
+        draft = Bundle.load(write_bundle(folder, spec, graphs))
+        return _with_plan_doubt(draft, config, _with_threshold(draft, config, spec))
+    finally:
+        discard(folder)
+
+
+def _with_plan_doubt(draft: Bundle, config: HeadConfig, spec: BundleSpec) -> BundleSpec:
+    """By :mod:`training.clusters.plan_doubt`, where that is wanted."""
+    if not config.plan_problems:
+        return spec
+    _LOG.info("plans: %d problems", config.plan_problems)
+    found = fit_plan_doubt(planned(draft, spec.world, config.plan_problems))
+    if found is None:
+        return spec
+    metrics = {**spec.provenance.metrics, **found.metrics()}
+    return replace(spec, plan_doubt=found.parameters, provenance=replace(spec.provenance, metrics=metrics))
+
+
+def _with_threshold(draft: Bundle, config: HeadConfig, spec: BundleSpec) -> BundleSpec:
     threshold, share, promised = config.threshold, config.uniform_share, config.promise
     if threshold is not None and share is not None and promised is None:
         return spec
     scenarios = THRESHOLD_SCENARIOS if promised is None else promised.scenarios
-    try:
-        draft = Bundle.load(write_bundle(folder, spec, graphs))
-        learned, uniform = validation_scores(draft, spec.world, scenarios)
-    finally:
-        discard(folder)
+    learned, uniform = validation_scores(draft, spec.world, scenarios)
     precision, acceptance = config.target_precision, config.target_acceptance
     if threshold is None and promised is not None:
         threshold = choose_promised(learned, promised.at_most)

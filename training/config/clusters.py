@@ -67,6 +67,12 @@ class HeadConfig(ValidityConfig):
         exclude_if=lambda part: part is None,
         description="chooses the threshold by a bound that is stated; none: by target_precision",
     )
+    plan_problems: int = Field(
+        0,
+        ge=0,
+        exclude_if=lambda count: count == 0,
+        description="validation problems on which the confidence of plans is calibrated; 0 to leave it",
+    )
     target_precision: float = Field(
         0.995, gt=0, lt=1, description="that the chosen threshold reaches on validation scenarios"
     )

@@ -112,8 +112,9 @@ class PlanAnswer(BaseModel):
     reason: str | None = Field(description="Of what is not solved, in words.")
     path: list[list[float]] = Field(description="From start to goal, straight in between, rad; or empty.")
     confidence: float = Field(
-        description="Of the whole way, an estimate: exp(-D) with D the integral of -log P(free) along it in "
-        "rad. Of the surest way where it is refused; 0 without one."
+        description="Of the whole way, an estimate: exp(-exp(a + b log D)) with D the integral of "
+        "-log P(free) along it in rad, and (a, b) the bundle's `plan_doubt`; exp(-D) without one. Of the "
+        "surest way where it is refused; 0 without one."
     )
     edges: list[float] = Field(description="The least confidence on each piece of the way.")
     unseen: list[float] | None = Field(

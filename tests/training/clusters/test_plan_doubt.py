@@ -1,0 +1,62 @@
+"""How likely plans are free that a bundle doubts so much."""
+
+import numpy as np
+import pytest
+
+from cspace.bundle import Bundle
+from cspace.planning.scoring import free_of_doubt
+from cspace.worlds import examples
+from tests.bundles import write_tiny_bundle
+from training.clusters.plan_doubt import Planned, calibration_error, fit_plan_doubt, planned
+
+
+def drawn(parameters, count, seed=0):
+    rng = np.random.default_rng(seed)
+    doubt = np.exp(rng.normal(-1.0, 1.5, count))
+    return Planned(doubt, rng.random(count) < free_of_doubt(doubt, parameters))
+
+
+@pytest.mark.parametrize("parameters", [(0.0, 1.0), (0.8, 0.5), (-1.0, 1.3)])
+def test_the_fit_finds_what_the_plans_were_drawn_by(parameters):
+    found = fit_plan_doubt(drawn(parameters, 9000))
+    assert found.parameters == pytest.approx(parameters, abs=0.12)
+    assert (found.fitted, found.measured) == (6000, 3000)
+    assert found.error < 0.04
+    if parameters != (0.0, 1.0):
+        assert found.error < 0.5 * found.plain_error
+
+
+def test_few_plans_change_little_and_none_nothing():
+    few = fit_plan_doubt(drawn((3.0, 0.3), 6))
+    many = fit_plan_doubt(drawn((3.0, 0.3), 6000))
+    assert np.abs(np.subtract(few.parameters, (0.0, 1.0))).max() < 1.0
+    assert many.parameters[0] > few.parameters[0]
+    assert fit_plan_doubt(Planned(np.empty(0), np.empty(0, dtype=bool))) is None
+    assert fit_plan_doubt(Planned(np.ones(2), np.ones(2, dtype=bool))) is None
+
+
+def test_ways_without_doubt_are_free_and_more_doubt_is_never_surer():
+    doubts = np.array([0.0, 1e-3, 0.1, 1.0, 10.0, 1e9])
+    for parameters in ((0.0, 1.0), (0.8, 0.5), (-5.0, 5.0)):
+        sure = free_of_doubt(doubts, parameters)
+        assert sure[0] == 1.0
+        assert (np.diff(sure) <= 0.0).all()
+        assert sure[-1] < 1e-6
+    np.testing.assert_allclose(free_of_doubt(doubts, (0.0, 1.0)), np.exp(-doubts), atol=1e-12)
+
+
+def test_the_calibration_error_is_the_distance_of_confidence_and_truth():
+    sure = np.array([0.05, 0.05, 0.95, 0.95])
+    assert calibration_error(sure, np.array([False, False, True, True])) == pytest.approx(0.05)
+    assert calibration_error(sure, np.array([True, True, False, False])) == pytest.approx(0.95)
+
+
+def test_plans_of_validation_problems_are_judged_in_truth(tmp_path):
+    bundle = Bundle.load(write_tiny_bundle(tmp_path / "bundle", validity=True))
+    world = examples()["two-link"]
+    first = planned(bundle, world, 4)
+    assert 1 <= len(first.doubt) <= 4
+    assert (first.doubt > 0.0).all()
+    again = planned(bundle, world, 4)
+    np.testing.assert_array_equal(first.doubt, again.doubt)
+    np.testing.assert_array_equal(first.free, again.free)
