@@ -109,7 +109,8 @@ class Judged:
     def __init__(
         self, head: Head, problem: BenchProblem | OwnProblem, cameras: int, count: int, seed: int
     ) -> None:
-        sensor = replace(head.world.sensor, views=replace(head.world.sensor.views, count=(cameras, cameras)))
+        views = replace(head.world.sensor.views, count=(cameras, cameras))
+        sensor = replace(head.world.sensor, views=views, holes=0.0)
         world = replace(head.world, sensor=sensor)
         arm, self.family = world.body, problem.family
         rng = np.random.default_rng([seed, cameras, *problem.family.encode(), problem.number])

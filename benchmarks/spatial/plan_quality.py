@@ -77,7 +77,7 @@ def viewed(world: SpatialWorld, cameras: int) -> SpatialWorld:
         distance_m=(1.1, 1.3),
         field_deg=(70.0, 70.0),
     )
-    return replace(world, sensor=replace(world.sensor, views=views))
+    return replace(world, sensor=replace(world.sensor, views=views, holes=0.0))
 
 
 def from_both_sides(

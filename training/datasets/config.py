@@ -23,7 +23,7 @@ from cspace.worlds import default_world, examples, part_types, usual_world
 from training.section import RobotName
 
 # Counts on with every change of what worlds propose for labelling, and of how they are seen then.
-_PROPOSALS = 3
+_PROPOSALS = 4
 
 
 @dataclass(frozen=True, slots=True)

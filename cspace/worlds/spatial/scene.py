@@ -18,7 +18,7 @@ from cspace.worlds.spatial.robot.arm import SerialArm
 from cspace.worlds.spatial.robot.ready import ready_rad
 from cspace.worlds.spatial.seeing.camera import DepthCamera
 from cspace.worlds.spatial.seeing.depth_picture import to_mm
-from cspace.worlds.spatial.seeing.noise import Disparity, Noise, Stereo, StructuredLight
+from cspace.worlds.spatial.seeing.noise import Disparity, Noise, Stereo, StructuredLight, holed
 from cspace.worlds.spatial.seeing.placing import draw_cameras
 from cspace.worlds.spatial.seeing.render import render_depth
 from cspace.worlds.spatial.seeing.view import DepthView
@@ -45,6 +45,7 @@ class SpatialScene:
         noise: one of :data:`cspace.worlds.spatial.seeing.sensor.NOISES`, or None for exact pictures.
         noise_seed: of its draws.
         regions: where goals of the hand make sense; none where nobody knows.
+        holes: chance of each picture that parts of it read nothing.
     """
 
     world: SpatialWorld
@@ -54,6 +55,7 @@ class SpatialScene:
     noise: str | None = None
     noise_seed: int = 0
     regions: tuple[GoalRegion, ...] = ()
+    holes: float = 0.0
 
     def view(self) -> DepthView:
         """What the cameras see."""
@@ -63,6 +65,10 @@ class SpatialScene:
         for camera in self.cameras:
             depth = render_depth(self.obstacles, camera, spheres).depth_m
             read = depth if self.noise is None else _MODELS[self.noise].apply(rng, depth, camera)
+            if self.holes and rng.random() < self.holes:
+                with_holes = holed(rng, read)
+                # A picture that reads nothing at all is none.
+                read = with_holes if (with_holes > 0.0).any() else read
             pictures.append(to_mm(read))
         return DepthView(tuple(pictures), self.cameras, self.state)
 
@@ -76,6 +82,7 @@ class SpatialScene:
             "noise": self.noise,
             "noise_seed": self.noise_seed,
             "regions": [written(region) for region in self.regions],
+            "holes": self.holes,
         }
 
 
@@ -117,7 +124,8 @@ def seen(
     noise = noises[int(rng.integers(len(noises)))] if noises else None
     where = None if state is None else tuple(float(angle) for angle in state)
     seed = int(rng.integers(2**62))
-    return SpatialScene(world, layout.obstacles, cameras, where, noise, seed, layout.regions)
+    holes = world.sensor.holes
+    return SpatialScene(world, layout.obstacles, cameras, where, noise, seed, layout.regions, holes)
 
 
 def waiting(rng: np.random.Generator, arm: SerialArm, obstacles: Obstacles) -> NDArray[np.float64] | None:

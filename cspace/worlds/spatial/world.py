@@ -203,7 +203,7 @@ def read(values: Mapping[str, Any]) -> SpatialWorld:
     parts = read_members(members, {"robot", "cameras", "scenes"}, "the world", ScenarioError)
     cameras = read_mapping(parts["cameras"], "the cameras", ScenarioError)
     # Written before there was a choice.
-    cameras.setdefault("arm_hides", False)
+    cameras = {"arm_hides": False, "holes": 0.0} | cameras
     sensor = read_object(DepthSensor, cameras, "the cameras", ScenarioError)
     scenes = None if parts["scenes"] is None else read_spatial_scenes(parts["scenes"])
     return SpatialWorld(SerialArm.from_dict(parts["robot"]), sensor, scenes)

@@ -20,6 +20,8 @@ Depth = NDArray[np.float32]
 _STEEPEST_RAD = np.radians(85.0)
 # From where the angle adds to the axial noise (Nguyen, 60 degrees).
 _STEEP_RAD = np.radians(60.0)
+# Of a picture's side.
+_LARGEST_HOLE = 0.65
 
 
 class Noise(Protocol):
@@ -244,3 +246,15 @@ def _smooth(values: NDArray[np.float64], sigma_px: float) -> NDArray[np.float64]
         summed = sum(weight * padded[at : at + count] for at, weight in enumerate(kernel))
         values = np.moveaxis(np.asarray(summed), 0, axis)
     return values
+
+
+def holed(rng: np.random.Generator, depth_m: Depth) -> Depth:
+    """A depth picture (H, W) m in which one to three rectangles read nothing, up to 0.65 of a side each."""
+    found = depth_m.copy()
+    for _ in range(int(rng.integers(1, 4))):
+        sizes = [max(1, int(side * rng.uniform(0.1, _LARGEST_HOLE))) for side in depth_m.shape]
+        row, column = (
+            int(rng.integers(side - size + 1)) for side, size in zip(depth_m.shape, sizes, strict=True)
+        )
+        found[row : row + sizes[0], column : column + sizes[1]] = 0.0
+    return found

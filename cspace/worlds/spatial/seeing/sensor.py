@@ -29,6 +29,8 @@ class DepthSensor:
         noise: of these, some of :data:`NOISES`, one of them a scene; none for exact pictures.
         arm_hides: whether space behind the arm's pixels counts as hidden, so far behind it; else it is as
             if these pixels had read nothing, which the sky does as well.
+        holes: share of the pictures of scenes in which rectangles read nothing, as black and shiny things
+            do; a head that knows none takes whatever read nothing for the sky.
 
     Raises:
         ScenarioError: there are more cameras than a scene may have, or a noise is unknown.
@@ -38,14 +40,16 @@ class DepthSensor:
     views: CameraViews = field(default_factory=CameraViews)
     noise: tuple[str, ...] = NOISES
     arm_hides: bool = True
+    holes: float = 0.3
 
     def __post_init__(self) -> None:
         settle(self)
-        if self.views.count[1] > MAX_PICTURES or set(self.noise) - set(NOISES):
+        known = not set(self.noise) - set(NOISES) and 0.0 <= self.holes <= 1.0
+        if self.views.count[1] > MAX_PICTURES or not known:
             raise ScenarioError(
                 "the depth cameras do not fit",
-                expected=f"at most {MAX_PICTURES} of a scene, and noise of {', '.join(NOISES)}",
-                got=f"{self.views.count[1]} cameras, noise {self.noise}"[:200],
+                expected=f"at most {MAX_PICTURES} of a scene, noise of {', '.join(NOISES)}, a share of holes",
+                got=f"{self.views.count[1]} cameras, noise {self.noise}, {self.holes} with holes"[:200],
             )
 
     @property

@@ -14,6 +14,7 @@ from cspace.worlds.spatial.seeing.noise import (
     StructuredLight,
     axial_sigma_m,
     beside_jumps,
+    holed,
     incidence_rad,
     lateral_sigma_px,
 )
@@ -142,3 +143,16 @@ def test_noise_is_seeded_and_reads_nothing_where_nothing_is(model):
 def test_noise_that_cannot_be_is_refused(kind, change):
     with pytest.raises(ScenarioError):
         kind(**change)
+
+
+def test_holes_are_rectangles_without_a_reading():
+    depth = np.full((40, 60), 1.5, dtype=np.float32)
+    rng, lost = np.random.default_rng(0), []
+    for _ in range(200):
+        found = holed(rng, depth)
+        assert set(np.unique(found)) <= {0.0, 1.5}
+        lost.append(float((found == 0.0).mean()))
+    assert min(lost) >= 0.005
+    assert 0.15 < np.mean(lost) < 0.45
+    assert max(lost) < 1.0
+    assert (depth == 1.5).all()

@@ -45,9 +45,9 @@ def test_the_world_is_read_from_what_it_tells():
 
 def test_what_earlier_releases_wrote_has_arms_that_hide_nothing():
     told = WORLD.to_dict()
-    older = {name: value for name, value in told["cameras"].items() if name != "arm_hides"}
+    older = {name: value for name, value in told["cameras"].items() if name not in ("arm_hides", "holes")}
     found = read(told | {"cameras": older}).sensor
-    assert found == replace(WORLD.sensor, arm_hides=False)
+    assert found == replace(WORLD.sensor, arm_hides=False, holes=0.0)
     assert "arm_hides" not in found.convention
     assert WORLD.sensor.convention == found.convention | {"arm_hides": True}
 
@@ -69,6 +69,20 @@ def test_a_scene_s_file_is_read_as_its_picture(scenes):
         assert np.array_equal(WORLD.read_picture(SHOP.picture_file(scene)), picture)
         assert 0.02 < (picture[..., 1] == 0).mean() < 0.98
         assert (picture[..., 0] < 255).mean() > 0.01
+
+
+def test_pictures_with_holes_read_less_and_are_the_same_each_time(scenes):
+    whole = replace(scenes[1], holes=0.0)
+    holed = replace(whole, holes=1.0)
+    for before, after in zip(whole.view().pictures, holed.view().pictures, strict=True):
+        assert after.any()
+        assert ((after > 0) <= (before > 0)).all()
+    read = [sum(int((picture > 0).sum()) for picture in one.view().pictures) for one in (whole, holed)]
+    assert read[1] < read[0]
+    assert np.array_equal(SHOP.render(holed), SHOP.render(holed))
+    assert {scene.holes for scene in scenes} == {WORLD.sensor.holes}
+    with pytest.raises(ScenarioError, match="do not fit"):
+        replace(WORLD.sensor, holes=1.5)
 
 
 def test_noise_makes_another_picture_and_the_same_one_each_time(scenes):
