@@ -25,7 +25,8 @@ class SearchLimits:
     """Effort for each way.
 
     Args:
-        states: uniform ones that trees grow towards.
+        states: uniform ones that trees grow towards, most.
+        first: of them in the first round over all checkers; each next round has four times as many.
         range_rad: longest step of a tree, the sum over the joints.
         search_rad: between states that trees look at, the largest over the joints.
         shortcuts: proposed for each way.
@@ -33,10 +34,18 @@ class SearchLimits:
     """
 
     states: int = 4096
+    first: int = 256
     range_rad: float = 2.0
     search_rad: float = 0.05
     shortcuts: int = 64
     shortcut_rad: float = 0.03
+
+    def rounds(self) -> list[int]:
+        """States of each round, to the most."""
+        found = [min(self.first, self.states)]
+        while found[-1] < self.states:
+            found.append(min(4 * found[-1], self.states))
+        return found
 
 
 def find_ways(
@@ -52,8 +61,8 @@ def find_ways(
 ) -> tuple[list[NDArray[np.float64]], bool]:
     """Up to so many ways, and whether the time was over before there were.
 
-    The most careful checker in which there is a way gives all of them: where its first try fails, the next
-    one is taken.
+    The most careful checker in which a way is found with as few states as any gives all of them: all are
+    tried in turn, with few states at first, for a careful one without a way would take all the time.
 
     Args:
         checkers: the most careful first.
@@ -67,19 +76,21 @@ def find_ways(
     """
     pause = _pause(until_s, between)
     found: list[NDArray[np.float64]] = []
+    ends = np.stack([start, goal])
+    possible = [level for level, checker in enumerate(checkers) if checker.valid_batch(ends).all()]
     try:
-        for level, checker in enumerate(checkers):
-            if not checker.valid_batch(np.stack([start, goal])).all():
-                continue
-            for number in range(count):
-                rng = np.random.default_rng([seed, level, number])
-                way = _way(checker, start, goal, rng, limits, pause)
-                if way is None:
-                    break
-                found.append(way)
-                pause()
-            if found:
-                return found, False
+        for states in limits.rounds():
+            for level in possible:
+                for number in range(count):
+                    rng = np.random.default_rng([seed, level, number])
+                    most = states if number == 0 else limits.states
+                    way = _way(checkers[level], start, goal, rng, limits, most, pause)
+                    if way is None:
+                        break
+                    found.append(way)
+                    pause()
+                if found:
+                    return found, False
     except OutOfTimeError:
         return found, True
     return found, False
@@ -101,9 +112,11 @@ def _way(
     goal: NDArray[np.float64],
     rng: np.random.Generator,
     limits: SearchLimits,
+    most: int,
     pause: Between,
 ) -> NDArray[np.float64] | None:
-    states = checker.space.sample_uniform(rng, limits.states)
+    # All are drawn, so that what follows does not depend on how many are used.
+    states = checker.space.sample_uniform(rng, limits.states)[:most]
     raw = connect_trees(
         checker,
         start,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cspace.connecting import length_rad
-from cspace.planning.ways import cut_short, find_ways
+from cspace.planning.ways import SearchLimits, cut_short, find_ways
 from cspace.splits import Split
 from cspace.worlds import examples, seen_checkers, workshop_of
 from cspace.worlds.planar.render import render
@@ -84,19 +84,46 @@ def test_whoever_calls_can_stop_a_search():
         find_ways(seen_checkers(PLANAR, picture, ends), *ends, 2, 0, time.monotonic() + LATE, between=stop)
 
 
+class Wall:
+    """Nothing but the ends is free; counts the states that trees were to grow towards."""
+
+    space = PLANAR.space
+
+    def __init__(self):
+        self.states = 0
+
+    def valid_batch(self, rows):
+        return np.ones(len(rows), dtype=bool)
+
+    def grow_trees(self, nodes, parents, counts, checks, states, side, *lengths):
+        self.states += len(states)
+        return len(states), side, -1, -1
+
+
 def test_no_way_is_found_where_there_is_none():
-    class Wall:
-        """Nothing but the ends is free."""
+    wall = Wall()
+    assert find_ways([wall], np.zeros(2), np.ones(2), 3, 0, time.monotonic() + LATE) == ([], False)
+    assert wall.states == sum(SearchLimits().rounds()) == 256 + 1024 + 4096
 
-        space = PLANAR.space
 
-        def valid_batch(self, rows):
-            return np.ones(len(rows), dtype=bool)
+def test_a_careful_checker_without_a_way_takes_few_states_before_the_next_is_tried():
+    wall, (truth, _, problem) = Wall(), planar(2)
+    ends = problem.start, problem.goal
+    ways, late = find_ways([wall, truth], *ends, 3, 0, time.monotonic() + LATE)
+    assert (len(ways), late, wall.states) == (3, False, 256)
+    alone, _ = find_ways(
+        [Wall(), truth], *ends, 3, 0, time.monotonic() + LATE, limits=SearchLimits(first=4096)
+    )
+    for way, other in zip(ways, alone, strict=True):
+        np.testing.assert_array_equal(way, other)
 
-        def grow_trees(self, nodes, parents, counts, checks, states, side, *lengths):
-            return len(states), side, -1, -1
 
-    assert find_ways([Wall()], np.zeros(2), np.ones(2), 3, 0, time.monotonic() + LATE) == ([], False)
+@pytest.mark.parametrize(
+    ("first", "states", "rounds"),
+    [(256, 4096, [256, 1024, 4096]), (500, 3000, [500, 2000, 3000]), (64, 64, [64]), (99, 10, [10])],
+)
+def test_rounds_end_with_all_states(first, states, rounds):
+    assert SearchLimits(states=states, first=first).rounds() == rounds
 
 
 def test_cutting_short_keeps_ends_and_never_lengthens():
