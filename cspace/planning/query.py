@@ -84,7 +84,7 @@ class Plan:
         edges: (k - 1,) the least confidence of a state on each of its pieces.
         unseen: (k - 1,) the largest share of the robot on each piece that no picture shows; None in worlds
             that are seen whole.
-        doubt: that its confidence is of: the integral of -log P along it in rad, 0 without a way.
+        doubt: that its confidence is of, see :mod:`cspace.planning.scoring`; 0 without a way.
         length_rad: Euclidean.
         found: ways that the best was chosen from.
         least: where the surest way is least sure; None without one.

@@ -2,9 +2,9 @@
 
 A model says of a configuration how likely it is free. Along a way neighbours are free or not together, so
 that the product over its states would fall with the step at which one looks. The whole way's confidence is
-exp(-D), with the doubt D the integral of -log P along the way in rad: of equal doubt on each rad, twice the
-way has the square. A bundle may know better how often ways of such a doubt are free: exp(-exp(a + b log D)),
-fitted to plans in validation scenes, of which (0, 1) is exp(-D).
+exp(-D), with the doubt D the integral of -log P along the way in rad and, for one place is enough to collide,
+its largest value: neither depends on the step. A bundle may know better how often ways of such a doubt are
+free: exp(-exp(a + b log D)), fitted to plans in validation scenes, of which (0, 1) is exp(-D).
 """
 
 from collections.abc import Callable, Sequence
@@ -53,8 +53,8 @@ class ScoredWay:
 
     @property
     def doubt(self) -> float:
-        """Integral of -log P along the way, rad."""
-        return float(self.doubts.mean() * self.length_rad) if len(self.states) else 0.0
+        """Integral of -log P along the way in rad, and its largest value."""
+        return float(self.doubts.mean() * self.length_rad + self.doubts.max()) if len(self.states) else 0.0
 
     @property
     def whole(self) -> float:

@@ -92,7 +92,8 @@ def panda() -> Bundle:
 
 
 def test_that_of_the_arm_in_space_tells_how_it_was_made_and_what_it_promises(panda: Bundle) -> None:
-    assert panda.spec.world == examples()["panda"]
+    today = examples()["panda"]
+    assert (panda.spec.world.body, panda.spec.world.sensor.grid) == (today.body, today.sensor.grid)
     provenance = panda.spec.provenance
     assert provenance.command == "python training/cluster_train.py --preset panda"
     assert re.fullmatch(r"[0-9a-f]{40}", provenance.git_commit)

@@ -36,7 +36,7 @@ class Planned:
     """The surest ways of validation problems.
 
     Args:
-        doubt: (n,) integral of -log P along each.
+        doubt: (n,) of each, see :mod:`cspace.planning.scoring`.
         free: (n,) whether it is, in truth.
     """
 

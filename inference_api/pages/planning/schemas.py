@@ -113,8 +113,8 @@ class PlanAnswer(BaseModel):
     path: list[list[float]] = Field(description="From start to goal, straight in between, rad; or empty.")
     confidence: float = Field(
         description="Of the whole way, an estimate: exp(-exp(a + b log D)) with D the integral of "
-        "-log P(free) along it in rad, and (a, b) the bundle's `plan_doubt`; exp(-D) without one. Of the "
-        "surest way where it is refused; 0 without one."
+        "-log P(free) along it in rad and its largest value, and (a, b) the bundle's `plan_doubt`; exp(-D) "
+        "without one. Of the surest way where it is refused; 0 without one."
     )
     edges: list[float] = Field(description="The least confidence on each piece of the way.")
     unseen: list[float] | None = Field(
