@@ -59,7 +59,9 @@ def plan(bundle: Bundle, picture: Picture, query: PlanQuery, between: Between | 
             sure = tuple(one.believed() for one in ranked if one.whole >= query.min_confidence)
             found = replace(found, alternatives=sure)
         if query.next_view:
-            found = replace(found, next_view=best_view(world, shown, best.states, best.doubts, query.views))
+            pause = between or (lambda: None)
+            view = best_view(world, shown, best.states, best.doubts, query.views, pause)
+            found = replace(found, next_view=view)
     else:
         found = Plan("timeout" if late else "refused", np.empty((0, space.dim)))
     return replace(found, search_ms=1e3 * (searched - began), score_ms=1e3 * (ended - searched))

@@ -2,7 +2,7 @@
 
 import json
 from argparse import ArgumentParser, Namespace
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from hashlib import sha256
@@ -120,6 +120,7 @@ def best_view(
     states: NDArray[np.float64],
     doubts: NDArray[np.float64],
     given: Sequence[object] = (),
+    between: Callable[[], None] = lambda: None,
 ) -> NextView | None:
     """The camera that would see most of the space that a way is doubted for.
 
@@ -129,6 +130,7 @@ def best_view(
         states: (n, d) rad along the way.
         doubts: (n,) of each, 0 or more.
         given: cameras to choose from, as plain values; none for some about the doubt.
+        between: called before each camera; may raise to stop, which passes through.
 
     Returns:
         None where no camera would see any, and in worlds that are seen whole.
@@ -136,7 +138,7 @@ def best_view(
     Raises:
         InputError: one of the given ones is no camera.
     """
-    found = _part(world.kind, "next_view").best_view(world, picture, states, doubts, given)
+    found = _part(world.kind, "next_view").best_view(world, picture, states, doubts, given, between)
     return cast("NextView | None", found)
 
 

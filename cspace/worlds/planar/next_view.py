@@ -1,6 +1,6 @@
 """The plane is seen whole: no further picture tells more."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,8 @@ def best_view(
     states: NDArray[np.float64],
     doubts: NDArray[np.float64],
     given: Sequence[object],
+    between: Callable[[], None],
 ) -> NextView | None:
     """See :func:`cspace.worlds.best_view`."""
-    del world, picture, states, doubts, given
+    del world, picture, states, doubts, given, between
     return None

@@ -3,7 +3,7 @@
 Space in which a camera read nothing is mostly the sky: another picture would read nothing either.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +22,7 @@ _SIDES, _HEIGHTS = 5, 3
 _OFF_BASE_M, _LOWEST_M = 0.35, 0.1
 # Voxels of doubted space that are looked at, those with most doubt.
 _PLACES = 512
-_STEP_M, _NEAR_M = 0.02, 0.0
+_STEP_M = 0.02
 # A seen surface is met, and so much unseen space hides what is behind it with 1 - 1/e.
 _SURFACE_M, _HIDING_M = 0.02, 0.3
 
@@ -33,6 +33,7 @@ def best_view(
     states: NDArray[np.float64],
     doubts: NDArray[np.float64],
     given: Sequence[object],
+    between: Callable[[], None],
 ) -> NextView | None:
     """See :func:`cspace.worlds.best_view`."""
     places, weights = _doubted(world, picture, states, doubts)
@@ -42,7 +43,10 @@ def best_view(
     cameras = [_camera(one) for one in given] or hemisphere(
         world, np.average(places, axis=0, weights=weights)
     )
-    shares = [float(weights @ seen_shares(world, picture, camera, places)) / total for camera in cameras]
+    shares = []
+    for camera in cameras:
+        between()
+        shares.append(float(weights @ seen_shares(world, picture, camera, places)) / total)
     best = int(np.argmax(shares))
     return NextView(cameras[best].to_dict(), shares[best]) if shares[best] > 0.0 else None
 
@@ -78,7 +82,8 @@ def seen_shares(
     ahead = camera.shows(camera.project(places))
     to_camera = camera.matrix[:3, 3] - places[ahead]
     length = np.linalg.norm(to_camera, axis=1, keepdims=True)
-    steps = np.arange(_NEAR_M, float(length.max(initial=0.0)), _STEP_M)
+    # However far a camera is: beyond the grid nothing is known of what a ray crosses.
+    steps = np.arange(0.0, min(float(length.max(initial=0.0)), _across_m(world)), _STEP_M)
     points = places[ahead][:, None] + (to_camera / length)[:, None] * steps[:, None]
     grid = world.sensor.grid
     cells = np.floor((points - np.array(grid.low_m)) / grid.voxel_m).astype(np.int64)
@@ -90,6 +95,12 @@ def seen_shares(
     found = np.zeros(len(places))
     found[ahead] = np.where(surface.any(axis=1), 0.0, np.exp(-hidden_m / _HIDING_M))
     return found
+
+
+def _across_m(world: SpatialWorld) -> float:
+    """From corner to corner of the grid, m."""
+    grid = world.sensor.grid
+    return float(grid.voxel_m * np.linalg.norm(grid.counts))
 
 
 def _doubted(

@@ -1,5 +1,7 @@
 """Where to look next: at what a way is doubted for, past what is known to stand before it."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 
@@ -89,3 +91,25 @@ def test_the_plane_is_seen_whole():
     world = examples()["two-link"]
     image = np.zeros(world.sensor.picture_shape, dtype=np.uint8)
     assert best_view(world, image, np.zeros((3, 2)), np.ones(3)) is None
+
+
+def test_a_camera_that_is_far_away_costs_no_more_than_one_that_is_near(picture):
+    far = DepthCamera.of_field(128, 128, 70.0, looking((90.0, 0.2, 0.8), (0.6, 0.0, 0.4)))
+    tracemalloc.start()
+    assert seen_shares(WORLD, picture, far, np.repeat(BEHIND, 512, axis=0)).min() > 0.1
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert most < 60e6
+
+
+def test_whoever_calls_can_stop_between_two_cameras(picture, reaching):
+    called = []
+
+    def stop():
+        called.append(None)
+        if len(called) == 2:
+            raise InterruptedError
+
+    with pytest.raises(InterruptedError):
+        best_view(WORLD, picture, reaching, np.ones(len(reaching)), between=stop)
+    assert len(called) == 2
