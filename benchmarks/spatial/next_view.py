@@ -10,11 +10,9 @@ over the problems that all three solve, and the median of their doubt, -log of t
 
 import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
-from benchmarks.command import arguments
 from benchmarks.machine import machine
 from benchmarks.spatial.plan_quality import (
     LIMIT_S,
@@ -24,12 +22,12 @@ from benchmarks.spatial.plan_quality import (
     panda_world,
     viewed,
 )
+from benchmarks.spatial.problem_options import chosen_problems, problem_arguments
 from cspace.bundle import Bundle
 from cspace.connecting import spaced
 from cspace.planning.plan import plan
 from cspace.planning.query import Plan, PlanQuery
-from cspace.splits import Split
-from cspace.worlds.spatial.motionbench.problems import FAMILIES, BenchProblem, problems
+from cspace.worlds.spatial.motionbench.problems import BenchProblem
 from cspace.worlds.spatial.next_view import away_m, hemisphere
 from cspace.worlds.spatial.planning.collision import CollisionChecker
 from cspace.worlds.spatial.scene import SpatialScene
@@ -77,19 +75,11 @@ def seen_too(scene: SpatialScene, camera: DepthCamera) -> SpatialScene:
 
 
 def main() -> int:
-    parser = arguments(__doc__)
-    parser.add_argument("bundle", type=Path)
-    parser.add_argument("--split", choices=("validation", "test"), default="validation")
-    parser.add_argument("--problems", type=Path, help="the folder of the test problems")
-    parser.add_argument("--each", type=int, default=0, help="problems of each family; 0 for all")
-    parser.add_argument("--aim", choices=("goal", "scene"), default="goal")
+    parser = problem_arguments(__doc__)
     options = parser.parse_args()
     bundle = Bundle.load(options.bundle)
     world = viewed(panda_world(bundle), 1)
-    rows = []
-    for family in FAMILIES:
-        chosen = problems(Split(options.split), options.problems, families=(family,))[: options.each or None]
-        rows += [judged(bundle, world, problem, options.aim) for problem in chosen]
+    rows = [judged(bundle, world, problem, options.aim) for problem in chosen_problems(options)]
     told = np.array([row for row in rows if row is not None])
     rng = np.random.default_rng(0)
     print(machine())

@@ -24,21 +24,19 @@ import sys
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 
-from benchmarks.command import arguments
 from benchmarks.machine import machine
+from benchmarks.spatial.problem_options import chosen_problems, problem_arguments
 from benchmarks.spatial.spheres_and_meshes import panda
 from cspace.bundle import Bundle
 from cspace.connecting import length_rad, spaced
 from cspace.planning.plan import plan
 from cspace.planning.query import PlanQuery
 from cspace.planning.ways import find_ways
-from cspace.splits import Split
 from cspace.worlds import seen_checkers
-from cspace.worlds.spatial.motionbench.problems import FAMILIES, BenchProblem, problems
+from cspace.worlds.spatial.motionbench.problems import FAMILIES, BenchProblem
 from cspace.worlds.spatial.obstacles.shapes import Box, Obstacles
 from cspace.worlds.spatial.planning.collision import CollisionChecker
 from cspace.worlds.spatial.scene import SpatialScene, seen
@@ -184,20 +182,12 @@ def by_confidence(rows: Sequence[Judged]) -> list[str]:
 
 
 def main() -> int:
-    parser = arguments(__doc__)
-    parser.add_argument("bundle", type=Path)
-    parser.add_argument("--split", choices=("validation", "test"), default="validation")
-    parser.add_argument("--problems", type=Path, help="the folder of the test problems")
-    parser.add_argument("--each", type=int, default=0, help="problems of each family; 0 for all")
+    parser = problem_arguments(__doc__)
     parser.add_argument("--cameras", type=int, default=1)
-    parser.add_argument("--aim", choices=("goal", "scene"), default="goal")
     options = parser.parse_args()
     bundle = Bundle.load(options.bundle)
     world = viewed(panda_world(bundle), options.cameras)
-    chosen: list[BenchProblem] = []
-    for family in FAMILIES:
-        of_family = problems(Split(options.split), options.problems, families=(family,))
-        chosen += of_family[: options.each or None]
+    chosen = chosen_problems(options)
     rows = [row for problem in chosen for row in judged(bundle, world, problem, options.cameras, options.aim)]
     print(machine())
     print(f"{len(rows) // len(ARMS)} of {len(chosen)} {options.split} problems, {options.cameras} cameras")

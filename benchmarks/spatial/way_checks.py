@@ -14,21 +14,19 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.command import arguments
 from benchmarks.machine import machine
 from benchmarks.spatial.plan_quality import LIMIT_S, WAYS, from_both_sides, panda_world, viewed
+from benchmarks.spatial.problem_options import chosen_problems, problem_arguments
 from cspace.bundle import Bundle
 from cspace.planning.plan import plan
 from cspace.planning.query import PlanQuery
 from cspace.problem import Problem
-from cspace.splits import Split
 from cspace.worlds import checker_of, workshop_of
-from cspace.worlds.spatial.motionbench.problems import FAMILIES, BenchProblem, problems
+from cspace.worlds.spatial.motionbench.problems import FAMILIES, BenchProblem
 from cspace.worlds.spatial.world import SpatialWorld
 from services.evaluator.statistics import bootstrap_interval
 from services.planner.search.ompl_planner import solve
@@ -110,21 +108,14 @@ def _ratio(share: float, pairs: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def main() -> int:
-    parser = arguments(__doc__)
-    parser.add_argument("bundle", type=Path)
-    parser.add_argument("--split", choices=("validation", "test"), default="validation")
-    parser.add_argument("--problems", type=Path, help="the folder of the test problems")
-    parser.add_argument("--each", type=int, default=0, help="problems of each family; 0 for all")
+    parser = problem_arguments(__doc__)
     parser.add_argument("--cameras", type=int, default=1)
-    parser.add_argument("--aim", choices=("goal", "scene"), default="goal")
     parser.add_argument("--seeds", type=int, default=3, help="of both planners")
     options = parser.parse_args()
     bundle = Bundle.load(options.bundle)
     world = viewed(panda_world(bundle), options.cameras)
-    rows = []
-    for family in FAMILIES:
-        chosen = problems(Split(options.split), options.problems, families=(family,))[: options.each or None]
-        rows += [counted(bundle, world, one, options.cameras, options.aim, options.seeds) for one in chosen]
+    given = options.cameras, options.aim, options.seeds
+    rows = [counted(bundle, world, one, *given) for one in chosen_problems(options)]
     kept = [row for row in rows if row is not None]
     print(machine())
     print(f"{len(kept)} {options.split} problems, {options.cameras} cameras, {options.seeds} seeds")
