@@ -43,6 +43,7 @@ from cspace.worlds.spatial.scene import SpatialScene, seen
 from cspace.worlds.spatial.seeing.sight import FREE
 from cspace.worlds.spatial.world import SpatialWorld
 from services.evaluator.statistics import mean_interval
+from training.clusters.plan_doubt import calibration_error
 
 ARMS = ("least doubtful", "unseen is free", "unseen is occupied", "truth")
 DEEP_M, LOOK_RAD, WAYS, LIMIT_S = 0.01, 0.01, 8, 2.0
@@ -176,9 +177,7 @@ def by_confidence(rows: Sequence[Judged]) -> list[str]:
     for share in SHARES:
         chosen = order[: max(1, int(share * len(order)))]
         lines.append(f"  {share:.1f}  {sure[chosen].min():.3f}  {1.0 - free[chosen].mean():.3f}")
-    place = np.minimum((sure * 10).astype(int), 9)
-    error = np.abs(np.bincount(place, sure - free, 10)).sum() / len(sure)
-    return [*lines, f"calibration error of the confidence, ten bins: {error:.3f}"]
+    return [*lines, f"calibration error of the confidence, ten bins: {calibration_error(sure, free):.3f}"]
 
 
 def main() -> int:
