@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from onnx import TensorProto, helper, numpy_helper
 
 from cspace.bundle import BundleSpec, GoldenCase, Provenance, RandomInput, write_bundle
+from cspace.bundle.spec import WAYS
 from cspace.worlds.planar.arm import TWO_LINK, PlanarArm
 from cspace.worlds.planar.world import PlanarWorld
 
@@ -40,7 +41,9 @@ def tiny_spec(
 
 def tiny_graphs(spec: BundleSpec, *, validity: bool = False, scale: float = 1.0) -> dict[str, bytes]:
     """Graphs that fit a description; another ``scale`` is another model."""
-    graphs = {"encoder": _encoder(spec, scale), "generator": _generator(spec, scale)}
+    graphs = {"encoder": _encoder(spec, scale)}
+    if spec.model_kind != WAYS:
+        graphs["generator"] = _generator(spec, scale)
     if spec.novelty_quantiles is not None:
         graphs["novelty"] = _novelty(spec)
     if spec.looks_at_map:
@@ -56,6 +59,7 @@ def write_tiny_bundle(
     *,
     kind: str = "configuration",
     samples_per_latent: int = 1,
+    model_kind: str = "generator",
     validity: bool = False,
     scale: float = 1.0,
     golden: GoldenCase | None = None,
@@ -67,11 +71,12 @@ def write_tiny_bundle(
         robot: two or more joints.
         kind: ``configuration`` or ``path``.
         samples_per_latent: K.
+        model_kind: ``generator``, ``mixture`` or ``ways``.
         validity: whether it has a validity head, which likes joints near 0 rad.
         scale: another one is another model with another digest.
         golden: instead of the one that is computed.
     """
-    spec = tiny_spec(robot, kind=kind, samples_per_latent=samples_per_latent)
+    spec = tiny_spec(robot, kind=kind, samples_per_latent=samples_per_latent, model_kind=model_kind)
     return write_bundle(folder, spec, tiny_graphs(spec, validity=validity, scale=scale), golden)
 
 

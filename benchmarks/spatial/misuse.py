@@ -21,7 +21,6 @@ from benchmarks.machine import machine
 from benchmarks.spatial.plan_quality import LIMIT_S, LOOK_RAD, WAYS, from_both_sides, panda_world, viewed
 from cspace.bundle import Bundle
 from cspace.connecting import spaced
-from cspace.planning.plan import plan
 from cspace.planning.query import PlanQuery
 from cspace.splits import Split
 from cspace.worlds.spatial.motionbench.problems import FAMILIES, BenchProblem, problems
@@ -152,7 +151,7 @@ def judged(bundle: Bundle, world: SpatialWorld, problem: BenchProblem, misuse: M
     view = _noisy(scene, misuse).view()
     prepared = bundle.prepare(world.observed(view if misuse.change is None else misuse.change(view, rng)))
     query = PlanQuery(tuple(ends[0]), tuple(ends[1]), 0, 0.0, LIMIT_S, WAYS)
-    found = plan(bundle, prepared, query)
+    found = bundle.plan(prepared, query)
     if not len(found.way):
         return None
     clearance = truth.clearance(spaced(found.way, world.space, LOOK_RAD)).min()

@@ -25,7 +25,6 @@ from benchmarks.spatial.plan_quality import (
 from benchmarks.spatial.problem_options import chosen_problems, problem_arguments
 from cspace.bundle import Bundle
 from cspace.connecting import spaced
-from cspace.planning.plan import plan
 from cspace.planning.query import Plan, PlanQuery
 from cspace.worlds.spatial.motionbench.problems import BenchProblem
 from cspace.worlds.spatial.next_view import away_m, hemisphere
@@ -66,7 +65,7 @@ def judged(
 
 def planned(bundle: Bundle, world: SpatialWorld, scene: SpatialScene, query: PlanQuery) -> Plan:
     """By what the scene's cameras see."""
-    return plan(bundle, bundle.prepare(world.observed(scene.view())), query)
+    return bundle.plan(bundle.prepare(world.observed(scene.view())), query)
 
 
 def seen_too(scene: SpatialScene, camera: DepthCamera) -> SpatialScene:

@@ -32,7 +32,6 @@ from benchmarks.spatial.problem_options import chosen_problems, problem_argument
 from benchmarks.spatial.spheres_and_meshes import panda
 from cspace.bundle import Bundle
 from cspace.connecting import length_rad, spaced
-from cspace.planning.plan import plan
 from cspace.planning.query import PlanQuery
 from cspace.planning.ways import find_ways
 from cspace.worlds import seen_checkers
@@ -126,7 +125,7 @@ def judged(
     prepared = bundle.prepare(picture)
     query = PlanQuery(tuple(ends[0]), tuple(ends[1]), 0, 0.0, LIMIT_S, WAYS)
     began = time.perf_counter()
-    planned = plan(bundle, prepared, query)
+    planned = bundle.plan(prepared, query)
     found = [(planned.way if len(planned.way) else None, planned.confidence, time.perf_counter() - began)]
     checks = (
         lambda: seen_checkers(world, picture, ends),

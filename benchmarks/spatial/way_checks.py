@@ -22,7 +22,6 @@ from benchmarks.machine import machine
 from benchmarks.spatial.plan_quality import LIMIT_S, WAYS, from_both_sides, panda_world, viewed
 from benchmarks.spatial.problem_options import chosen_problems, problem_arguments
 from cspace.bundle import Bundle
-from cspace.planning.plan import plan
 from cspace.planning.query import PlanQuery
 from cspace.problem import Problem
 from cspace.worlds import checker_of, workshop_of
@@ -65,7 +64,7 @@ def counted(
     if not checker_of(scene).valid_batch(ends).all():
         return None
     query = PlanQuery(tuple(ends[0]), tuple(ends[1]), 0, 0.0, LIMIT_S, WAYS, alternatives=True)
-    found = plan(bundle, bundle.prepare(world.observed(scene.view())), query)
+    found = bundle.plan(bundle.prepare(world.observed(scene.view())), query)
     measures = workshop_of(world).measures
     runs = []
     for seed in range(seeds):

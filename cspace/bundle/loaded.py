@@ -1,31 +1,28 @@
 """The deployable artefact: load it, verify it, sample from it. onnxruntime and numpy, no torch, no pickle."""
 
 import time
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Unpack
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cspace.bundle.draws import Draws, draw, propose, shares
+from cspace.bundle.drawing.samplers import sampler_of
 from cspace.bundle.files import GOLDEN_FILE, SPEC_FILE, BundleFiles, read_files
 from cspace.bundle.golden import GoldenCase
-from cspace.bundle.keeping import gather
 from cspace.bundle.novelty import novelty
-from cspace.bundle.request import fitted
-from cspace.bundle.running.chunks import CHUNK_ROWS, PATH_CHUNK_ROWS, Between, chunked
+from cspace.bundle.request import fitted, fitted_ends
+from cspace.bundle.running.chunks import Between
 from cspace.bundle.running.deadlines import RUN_LIMIT_S
 from cspace.bundle.running.graph_set import open_graphs
 from cspace.bundle.running.head import Head
 from cspace.bundle.samples import Encoding, Picture, SampleSet, require_inside
-from cspace.bundle.spec import MAP, PICTURE, BundleSpec
+from cspace.bundle.spec import WAYS, BundleSpec
 from cspace.errors import BundleIntegrityError, InputError
+from cspace.planning.plan import plan
+from cspace.planning.query import Plan, PlanQuery
 from cspace.query import QueryOptions, SampleQuery
 from cspace.worlds import robot_digest
-
-# Samples about a path are close to contact where it matters, and a further turn costs a further search.
-PATHS_PASS = 0.75
 
 
 class Bundle:
@@ -37,10 +34,11 @@ class Bundle:
         self.spec = BundleSpec.from_json(files.contents[SPEC_FILE])
         self.robot = robot_digest(self.spec.world)
         graphs = open_graphs(self.spec, files, run_limit_s)
-        self._encoder, self._generator = graphs.encoder, graphs.generator
-        self._novelty, self._map = graphs.novelty, graphs.map
+        self._encoder, self._novelty, self._map = graphs.encoder, graphs.novelty, graphs.map
         self._validity = None if graphs.validity is None else Head(graphs.validity)
+        self._sampler = sampler_of(self.spec, graphs.generator, self._validity)
         self.tells_unseen = self._validity is not None and self._validity.tells_unseen
+        self.head_looks_at_map = self._validity is not None and self._validity.looks_at_map
 
     @classmethod
     def load(cls, folder: Path, *, replay: bool = True, run_limit_s: float = RUN_LIMIT_S) -> "Bundle":
@@ -163,31 +161,8 @@ class Bundle:
         picture = self._prepared(image)
         encoded = time.perf_counter()
 
-        def drawn(counts: Sequence[int], turn: int) -> NDArray[np.float32]:
-            mu, sigma = picture.encoding.mu, picture.encoding.sigma
-            draws = draw(self.spec, mu, sigma, counts, request.seed, request.epsilon_sigma, turn)
-            return self.spec.world.space.to_float32(self._generate(draws, request, picture, between))
-
-        def scored(counts: Sequence[int], turn: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-            samples = drawn(counts, turn)
-            return samples, self._head().told(picture, samples, between)
-
-        def proposed(counts: Sequence[int], turn: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-            proposals = propose(self.spec, counts, request.seed, turn)
-            learned = drawn(proposals.learned, turn) if any(proposals.learned) else None
-            samples = proposals.mixed_with(learned)
-            return samples, self._head().told(picture, samples, between)
-
-        wanted, acceptance = shares(request.n, len(request.epsilon_sigma)), 1.0
-        if request.min_confidence:
-            # Of a free-space generator's samples nearly all pass, of uniform ones about every second.
-            expected = 1.0 - self.spec.uniform_share / 2.0 if self.spec.kind != "path" else PATHS_PASS
-            kept = gather(proposed, wanted, request.min_confidence, expected, between)
-            samples, confidence, acceptance = kept.samples, kept.confidence, kept.acceptance
-        elif self.has_validity and tell_confidence:
-            samples, confidence = scored(wanted, 0)
-        else:
-            samples, confidence = drawn(wanted, 0), None
+        found = self._sampler.draw(picture, request, tell_confidence=tell_confidence, between=between)
+        samples, confidence = found.samples, found.told
         unseen = None
         if confidence is not None and confidence.ndim > 1:
             confidence, unseen = confidence.T
@@ -196,29 +171,40 @@ class Bundle:
             encode_ms = 0.0
         require_inside(samples, self.spec.world.space)
         shortfall = request.n - len(samples)
-        return SampleSet(samples, confidence, shortfall, acceptance, encode_ms, generate_ms, unseen)
+        times = encode_ms, generate_ms
+        return SampleSet(samples, confidence, shortfall, found.acceptance, *times, unseen, found.ways)
 
-    def _generate(
-        self, draws: Draws, request: SampleQuery, picture: Picture, between: Between | None
-    ) -> NDArray[np.float32]:
-        spec = self.spec
-        seen = {PICTURE: picture.pixels} if spec.looks_at_picture else {}
-        seen |= {MAP: picture.map} if spec.looks_at_map and picture.map is not None else {}
-        fixed = {
-            name: np.asarray(point, dtype=np.float32)
-            for name, point in (("start", request.start), ("goal", request.goal))
-            if point is not None
-        }
+    def plan(
+        self, image: NDArray[np.uint8] | Picture, query: PlanQuery, between: Between | None = None
+    ) -> Plan:
+        """The way from start to goal that the head doubts least, of several that the picture leaves free.
 
-        def run(rows: slice) -> NDArray[np.float32]:
-            latents = draws.latents[rows]
-            feeds = {"latent": latents, **{name: array[rows] for name, array in draws.random_inputs.items()}}
-            feeds |= {name: np.tile(point, (len(latents), 1)) for name, point in fixed.items()} | seen
-            shape = (len(latents), spec.samples_per_latent, spec.dim)
-            return self._generator.run(feeds, {"samples": shape})["samples"]
+        Args:
+            image: uint8 (P, P, 3), or one that :meth:`prepare` made.
+            query: the problem.
+            between: called now and then; may raise to stop, which passes through.
 
-        chunk_rows = PATH_CHUNK_ROWS if spec.kind == "path" else CHUNK_ROWS
-        return chunked(run, len(draws.latents), between, chunk_rows)[draws.kept]
+        Raises:
+            InputError: the bundle has no validity head, start or goal does not fit the robot, or a view is no
+                camera.
+            BundleError: a graph fails.
+            ImportError: the compiler of the checks is not installed.
+        """
+        head, picture = self._head(), self._prepared(image)
+        ends = fitted_ends(self.spec, query.start, query.goal)
+        return plan(head.seen(self.spec, picture, between), ends, query, between)
+
+    def golden_answer(self, image: NDArray[np.uint8], query: SampleQuery) -> SampleSet:
+        """What a golden case holds: :meth:`answer`, or where samples are searched for uniform configurations.
+
+        A search needs packages that not every reader of bundles has; the head is held to them all the same.
+        """
+        if self.spec.model_kind != WAYS:
+            return self.answer(image, query)
+        rng, space = np.random.default_rng(query.seed), self.spec.world.space
+        rows = space.to_float32(space.sample_uniform(rng, query.n))
+        confidence, unseen = self.believe(image, rows)
+        return SampleSet(rows, confidence, 0, 1.0, 0.0, 0.0, unseen)
 
     def score(
         self,
@@ -258,8 +244,7 @@ class Bundle:
                 expected=f"shape (n, {self.spec.dim}), n at least 1",
                 got=str(shape),
             )
-        found = head.told(picture, configurations, between)
-        return (found, None) if found.ndim == 1 else (found[:, 0], found[:, 1])
+        return head.believe(picture, configurations, between)
 
     def _head(self) -> Head:
         if self._validity is None:
@@ -292,7 +277,8 @@ class Bundle:
     def _replay(self, case: GoldenCase) -> None:
         try:
             encoding = self.encode(case.image)
-            answer = None if case.is_beyond(self.spec.world.space) else self.answer(case.image, case.query)
+            beyond = case.is_beyond(self.spec.world.space)
+            answer = None if beyond else self.golden_answer(case.image, case.query)
         except InputError as error:
             raise BundleIntegrityError("the golden case does not fit its bundle", got=str(error)) from error
         case.compare_encoding(encoding.mu, encoding.sigma)

@@ -114,6 +114,12 @@ def fitted_end(spec: BundleSpec, name: str, angles: tuple[float, ...]) -> tuple[
     return tuple(space.to_float32(configuration).tolist())
 
 
+def fitted_ends(spec: BundleSpec, start: tuple[float, ...], goal: tuple[float, ...]) -> NDArray[np.float64]:
+    """Start and goal of a search, (2, d) rad; see :func:`fitted_end`."""
+    given = (("start", start), ("goal", goal))
+    return np.asarray([fitted_end(spec, name, end) for name, end in given], dtype=np.float64)
+
+
 def fitted_configurations(values: ArrayLike, spec: BundleSpec) -> NDArray[np.float32]:
     """Configurations as a bundle scores them, (n, d) rad: circles wrapped, in single precision.
 

@@ -46,6 +46,24 @@ class Picture:
         return self.pixels.nbytes + (0 if self.map is None else self.map.nbytes)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Drawn:
+    """What a sampler draws.
+
+    Args:
+        samples: float32 (n', d) rad.
+        told: float32 (n',), the validity head's confidence, or (n', 2) with the unseen share beside it; None
+            where it was not asked.
+        acceptance: share of what was drawn that reached the confidence asked for.
+        ways: int64 (n',), see :class:`SampleSet`.
+    """
+
+    samples: NDArray[np.float32]
+    told: NDArray[np.float32] | None = None
+    acceptance: float = 1.0
+    ways: NDArray[np.int64] | None = None
+
+
 @dataclass(frozen=True, slots=True)
 class SampleSet:
     """Configurations for one picture.
@@ -59,6 +77,8 @@ class SampleSet:
         generate_ms: time from the latents to the samples, the validity head included.
         unseen: float32 (n',), share of the robot where no picture shows what is there; None where that is not
             told.
+        ways: int64 (n',), the way that each sample lies along, 0 for the one that is doubted least; None for
+            samples that were not drawn along ways.
     """
 
     samples: NDArray[np.float32]
@@ -68,6 +88,7 @@ class SampleSet:
     encode_ms: float
     generate_ms: float
     unseen: NDArray[np.float32] | None = None
+    ways: NDArray[np.int64] | None = None
 
 
 def require_inside(samples: NDArray[np.float32], space: JointSpace) -> None:

@@ -21,7 +21,8 @@ SCHEMA_VERSION = 4
 # themselves, read as that; without plan_doubt, read as none.
 _WITHOUT_SHARE, _WITHOUT_WORLD, _WITHOUT_DOUBT = (1,), (1, 2), (1, 2, 3)
 KINDS = ("configuration", "path")
-MODEL_KINDS = ("generator", "mixture")
+WAYS = "ways"
+MODEL_KINDS = ("generator", "mixture", WAYS)
 ENDPOINTS = ("start", "goal")
 PICTURE, MAP = "image", "map"
 MIN_PIXELS, MAX_PIXELS = 16, 2048
@@ -40,7 +41,8 @@ class BundleSpec:
         world: whose configurations are sampled, and how it is seen; its pixels are the encoder's input size.
         latent_dim: L, size of the encoder's mean and standard deviation.
         kind: ``configuration`` (free configurations) or ``path`` (conditioned on start and goal).
-        model_kind: ``generator`` or ``mixture``; both are one graph with the same inputs and outputs.
+        model_kind: ``generator`` or ``mixture``, both one graph with the same inputs and outputs; or
+            ``ways``, a path sampler that searches and has no such graph.
         looks_at_picture: whether the generator takes the picture itself beside its latent.
         looks_at_map: whether it takes what the map graph makes of the picture, once for all its requests.
         samples_per_latent: K, samples that the generator draws from one latent.
@@ -90,6 +92,7 @@ class BundleSpec:
             "novelty_quantiles" if not _rise(self.novelty_quantiles) else "",
             "standardisation" if scale is not None and len(scale.mean) != self.dim else "",
             "plan_doubt" if not _is_doubt(self.plan_doubt) else "",
+            "kind" if self.model_kind == WAYS and self.kind != "path" else "",
         ]
         if any(wrong):
             raise BundleIntegrityError(

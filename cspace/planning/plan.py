@@ -4,67 +4,119 @@ Ways are searched for through what the picture shows, where all that it does not
 asked about them, and the one that it doubts least is taken.
 """
 
+import math
 import time
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
-from cspace.bundle import Bundle, Picture
-from cspace.bundle.request import fitted_end
 from cspace.connecting import Between
 from cspace.planning.compiled import load_kernels
 from cspace.planning.query import Plan, PlanQuery
-from cspace.planning.scoring import ScoredWay, score
+from cspace.planning.scoring import Believe, ScoredWay, score
 from cspace.planning.ways import find_ways
+from cspace.world import Image, World
 from cspace.worlds import best_view, seen_checkers
 
 # Between states that the model is asked about.
 STEP_RAD = 0.15
 
 
-def plan(bundle: Bundle, picture: Picture, query: PlanQuery, between: Between | None = None) -> Plan:
+@dataclass(frozen=True, slots=True, eq=False)
+class Seen:
+    """A scene as a model knows it.
+
+    Args:
+        world: the robot and how it is seen.
+        picture: of the scene.
+        believe: what the model says of configurations in it.
+        plan_doubt: (a, b), see :mod:`cspace.planning.scoring`.
+    """
+
+    world: World
+    picture: Image
+    believe: Believe
+    plan_doubt: tuple[float, float] = (0.0, 1.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Searched:
+    """Ways through what a picture shows.
+
+    Args:
+        ways: the least doubtful first.
+        late: whether the time was over before there were as many as were wanted.
+        search_ms: looking for them.
+        score_ms: asking the model about them.
+    """
+
+    ways: list[ScoredWay]
+    late: bool
+    search_ms: float
+    score_ms: float
+
+
+def plan(seen: Seen, ends: NDArray[np.float64], query: PlanQuery, between: Between | None = None) -> Plan:
     """Plan.
 
     Args:
-        bundle: with a validity head.
-        picture: that the bundle has prepared.
+        seen: the scene.
+        ends: (2, d) rad, the query's start and goal as the model takes them.
         query: the problem.
         between: called now and then; may raise to stop, which passes through.
 
     Raises:
-        InputError: the bundle has no validity head, or start or goal does not fit the robot.
-        BundleError: a graph fails.
+        InputError: one of the query's views is no camera.
         ImportError: the compiler of the checks is not installed.
     """
-    space = bundle.spec.world.space
-    given = (("start", query.start), ("goal", query.goal))
-    ends = np.asarray([fitted_end(bundle.spec, name, end) for name, end in given], dtype=np.float64)
-    world = bundle.spec.world
-    shown = world.sensor.from_network(picture.pixels)[0]
-    checkers = seen_checkers(world, shown, ends)
-    # Before the time counts.
-    load_kernels(checkers[0], ends[0], STEP_RAD)
-    began = time.monotonic()
-    until_s = began + query.time_limit_s
-    ways, late = find_ways(checkers, ends[0], ends[1], query.ways, query.seed, until_s, between=between)
-    searched = time.monotonic()
-    calibrated = bundle.spec.plan_doubt or (0.0, 1.0)
-    scored = score(ways, space, STEP_RAD, lambda rows: bundle.believe(picture, rows, between), calibrated)
-    ended = time.monotonic()
-    if scored:
-        ranked = sorted(scored, key=lambda one: one.doubt)
-        best = ranked[0]
-        found = _answer(best, len(scored), query.min_confidence)
+    ways = search_ways(seen, ends, query.ways, query.seed, query.time_limit_s, between)
+    if ways.ways:
+        best = ways.ways[0]
+        found = _answer(best, len(ways.ways), query.min_confidence)
         if query.alternatives:
-            sure = tuple(one.believed() for one in ranked if one.whole >= query.min_confidence)
+            sure = tuple(one.believed() for one in ways.ways if one.whole >= query.min_confidence)
             found = replace(found, alternatives=sure)
         if query.next_view:
             pause = between or (lambda: None)
-            view = best_view(world, shown, best.states, best.doubts, query.views, pause)
+            view = best_view(seen.world, seen.picture, best.states, best.doubts, query.views, pause)
             found = replace(found, next_view=view)
     else:
-        found = Plan("timeout" if late else "refused", np.empty((0, space.dim)))
-    return replace(found, search_ms=1e3 * (searched - began), score_ms=1e3 * (ended - searched))
+        found = Plan("timeout" if ways.late else "refused", np.empty((0, seen.world.dim)))
+    return replace(found, search_ms=ways.search_ms, score_ms=ways.score_ms)
+
+
+def search_ways(
+    seen: Seen,
+    ends: NDArray[np.float64],
+    count: int,
+    seed: int,
+    time_limit_s: float = math.inf,
+    between: Between | None = None,
+) -> Searched:
+    """Up to so many ways from ``ends[0]`` to ``ends[1]``, scored.
+
+    Args:
+        seen: the scene.
+        ends: (2, d) rad.
+        count: of ways.
+        seed: of all draws.
+        time_limit_s: for the search; without one the ways depend on nothing but the rest.
+        between: called now and then; may raise to stop, which passes through.
+
+    Raises:
+        ImportError: the compiler of the checks is not installed.
+    """
+    checkers = seen_checkers(seen.world, seen.picture, ends)
+    # Before the time counts.
+    load_kernels(checkers[0], ends[0], STEP_RAD)
+    began = time.monotonic()
+    until_s = began + time_limit_s
+    ways, late = find_ways(checkers, ends[0], ends[1], count, seed, until_s, between=between)
+    searched = time.monotonic()
+    scored = score(ways, seen.world.space, STEP_RAD, seen.believe, seen.plan_doubt)
+    ranked = sorted(scored, key=lambda one: one.doubt)
+    return Searched(ranked, late, 1e3 * (searched - began), 1e3 * (time.monotonic() - searched))
 
 
 def _answer(best: ScoredWay, found: int, min_confidence: float) -> Plan:

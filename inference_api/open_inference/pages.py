@@ -9,6 +9,7 @@ from typing import Any
 from fastapi import APIRouter, FastAPI, Request
 from fastapi.responses import Response
 
+from cspace.bundle.spec import WAYS
 from inference_api.guards.rate import client_of
 from inference_api.models.served import PRETRAINED_VERSION, ServedModel
 from inference_api.models.store import ModelStore
@@ -184,6 +185,7 @@ def _describe(store: ModelStore, name: str, reference: ModelReference) -> ModelM
             _tensor("samples", "FP32", -1, spec.dim),
             *scores,
             *([_tensor("unseen", "FP32", -1)] if served.bundle.tells_unseen else []),
+            *([_tensor("ways", "INT64", -1)] if spec.model_kind == WAYS else []),
             _tensor("shortfall", "INT32", -1),
             *told,
             _tensor("seed", "UINT64", -1),

@@ -21,7 +21,7 @@ from inference_api.open_inference.tensor_question import TensorQuestion
 from inference_api.open_inference.tensor_request import read_request, split_parameters
 from inference_api.open_inference.tensor_scoring import CONFIGURATIONS, ScoringQuestion, scoring_query
 from inference_api.open_inference.tensors import read_tensors, split_body
-from inference_api.pages.sampling import rows_of
+from inference_api.pages.sampling import paid
 from inference_api.pages.schemas import QueryFields
 from inference_api.pages.validation import validate_fields
 from inference_api.telemetry.observer import Sampled
@@ -125,15 +125,15 @@ def draw(
             got=f"{query.n} times {len(images)}",
             remedy="ask for fewer at a time",
         )
-    turn.spend(rows_of(bundle.spec, query, len(images)))
     seeds = [(query.seed + index) % (MAX_SEED + 1) for index in range(len(images))]
     prepared: list[Prepared] = []
     found: list[SampleSet] = []
-    for image, seed in zip(images, seeds, strict=True):
-        if found:
-            turn.between()
-        prepared.append(known.of_pixels(bundle, image))
-        found.append(bundle.answer(prepared[-1].picture, replace(query, seed=seed), between=turn.between))
+    with paid(turn, bundle.spec, query, len(images)) as between:
+        for image, seed in zip(images, seeds, strict=True):
+            if found:
+                turn.between()
+            prepared.append(known.of_pixels(bundle, image))
+            found.append(bundle.answer(prepared[-1].picture, replace(query, seed=seed), between=between))
     novelties = [one.picture.novelty for one in prepared if one.picture.novelty is not None]
     return Drawn(found, seeds, novelties, 1e-3 * sum(one.encode_ms for one in prepared))
 
@@ -160,9 +160,9 @@ def output_arrays(drawn: Drawn) -> dict[str, NDArray[Any]]:
     """Every output by name; several pictures are cut to the number of samples of the one that has fewest.
 
     ``samples`` (n', d) for one picture and (b, n', d) for several, ``confidence`` likewise without the last
-    axis where the model has a validity head, ``unseen`` like it where that is told, ``shortfall`` (b,): n
-    minus what each picture had before the cut, so that n' is n minus the largest, ``novelty`` (b,) where the
-    model tells, and ``seed`` (b,).
+    axis where the model has a validity head, ``unseen`` and ``ways`` like it where they are told,
+    ``shortfall`` (b,): n minus what each picture had before the cut, so that n' is n minus the largest,
+    ``novelty`` (b,) where the model tells, and ``seed`` (b,).
     """
     found = drawn.found
     count = min(len(one.samples) for one in found)
@@ -171,6 +171,8 @@ def output_arrays(drawn: Drawn) -> dict[str, NDArray[Any]]:
     arrays |= {"confidence": np.stack(scores)} if scores else {}
     unseen = [one.unseen[:count] for one in found if one.unseen is not None]
     arrays |= {"unseen": np.stack(unseen)} if unseen else {}
+    ways = [one.ways[:count] for one in found if one.ways is not None]
+    arrays |= {"ways": np.stack(ways)} if ways else {}
     if len(found) == 1:
         arrays = {name: array[0] for name, array in arrays.items()}
     arrays["shortfall"] = np.array([one.shortfall for one in found], dtype=np.int32)

@@ -3,6 +3,8 @@
 import io
 import json
 import time
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -12,6 +14,7 @@ from fastapi.responses import Response
 from cspace.bundle import BundleSpec, SampleSet
 from cspace.bundle.keeping import BUDGET, BUDGET_AT_LEAST
 from cspace.bundle.request import fitted
+from cspace.bundle.spec import WAYS
 from cspace.query import SampleQuery
 from inference_api.bodies.request_body import RawFields, parse_fields
 from inference_api.models.served import ServedModel
@@ -20,6 +23,7 @@ from inference_api.pages.model_schemas import ModelInfo, joint_space_info
 from inference_api.pages.schemas import SampleAnswer, ScenarioInfo, TimingMs
 from inference_api.pages.validation import validate_request
 from inference_api.telemetry.observer import Sampled
+from inference_api.turns.searching import searching
 from inference_api.turns.turns import Turn
 from services.registry.references import ModelReference
 
@@ -86,10 +90,10 @@ class SampleQuestion:
     def _sample(self, served: ServedModel, turn: Turn) -> Answer:
         bundle = served.bundle
         query = fitted(self.query, bundle.spec, has_validity=bundle.has_validity)
-        turn.spend(rows_of(bundle.spec, query))
-        prepared = self.store.pictures.get(bundle, self.image)
-        # A ``.npy`` holds samples alone: nobody would see the scores of those that are not filtered.
-        found = bundle.answer(prepared.picture, query, tell_confidence=not self.npy, between=turn.between)
+        with paid(turn, bundle.spec, query) as between:
+            prepared = self.store.pictures.get(bundle, self.image)
+            # A ``.npy`` holds samples alone: nobody would see the scores of those that are not filtered.
+            found = bundle.answer(prepared.picture, query, tell_confidence=not self.npy, between=between)
         timing = TimingMs(
             decode=prepared.decode_ms,
             encode=prepared.encode_ms,
@@ -117,6 +121,21 @@ def read_question(store: ModelStore, fields: RawFields, *, npy: bool, began: flo
     return SampleQuestion(store, reference, request.picture(), request.query(), npy, began)
 
 
+def paid(
+    turn: Turn, spec: BundleSpec, query: SampleQuery, pictures: int = 1
+) -> AbstractContextManager[Callable[[], None]]:
+    """The turn of a request for samples, paid for; gives what drawing calls between its parts.
+
+    Raises:
+        NoKernelsError: the model searches, and the compiler of the checks is not installed.
+        ClientDisconnect: the client has gone away.
+    """
+    if spec.model_kind == WAYS:
+        return searching(turn)
+    turn.spend(rows_of(spec, query, pictures))
+    return nullcontext(turn.between)
+
+
 def rows_of(spec: BundleSpec, query: SampleQuery, pictures: int = 1) -> float:
     """What a request may cost at most, in samples that are drawn."""
     threshold = spec.confidence_threshold if query.min_confidence is None else query.min_confidence
@@ -132,6 +151,7 @@ def json_response(answer: Answer) -> Response:
         samples=found.samples.tolist(),
         confidence=None if found.confidence is None else found.confidence.tolist(),
         unseen=None if found.unseen is None else found.unseen.tolist(),
+        ways=None if found.ways is None else found.ways.tolist(),
         shortfall=found.shortfall,
         acceptance=found.acceptance,
         scenario=ScenarioInfo(novelty=answer.novelty),

@@ -190,6 +190,11 @@ class SampleAnswer(BaseModel):
         description="Share of the robot that would be where no picture shows what is there, of each sample; "
         "null for worlds that are seen whole.",
     )
+    ways: list[int] | None = Field(
+        None,
+        description="The way from start to goal that each sample lies along, 0 for the one that is doubted "
+        "least; samples come in the order of their ways. Null for models that do not search for ways.",
+    )
     shortfall: int = Field(description="n minus what was returned.")
     acceptance: float = Field(description="Share of what was drawn that reached the confidence asked for.")
     scenario: ScenarioInfo

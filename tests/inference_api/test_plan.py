@@ -10,7 +10,6 @@ import pytest
 from cspace.png import encode_png
 from cspace.splits import Split
 from cspace.worlds import examples, robot_digest, workshop_of
-from inference_api.pages.planning import question
 from tests.inference_api.answers import assert_answers, assert_problem
 from tests.inference_api.client import ApiClient
 
@@ -110,7 +109,7 @@ def test_a_server_without_compiled_code_says_so(api, monkeypatch):
     def missing(*asked):
         raise ModuleNotFoundError("No module named 'numba'", name="numba")
 
-    monkeypatch.setattr(question, "plan", missing)
+    monkeypatch.setattr("cspace.planning.plan.seen_checkers", missing)
     problem = assert_problem(ask(api), 501, "no-planner")
     assert "numba" in problem["detail"]
 

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from cspace.bundle import Bundle
-from cspace.errors import BundleError, ConfigError, InputError
+from cspace.errors import BundleError, InputError
 from cspace.query import SampleQuery
 from cspace.splits import Split
+from cspace.worlds import workshop_of
 from cspace.worlds.planar.arm import THREE_LINK, JointLimits, PlanarArm
 from cspace.worlds.planar.planning.problems import Family, draw_problem
 from inference_api.settings import PRETRAINED_FOLDER
@@ -130,31 +131,32 @@ def test_the_command_may_be_given_again_and_names_no_machine(source: Path, tmp_p
     assert main([str(source), str(tmp_path / "paths"), "--cells", "24"]) == 1
 
 
-def test_a_bundle_without_a_head_or_with_three_joints_is_refused(tmp_path: Path) -> None:
+def test_a_bundle_without_a_head_is_refused(tmp_path: Path) -> None:
     plain = write_tiny_bundle(tmp_path / "plain")
     with pytest.raises(BundleError, match="no validity head"):
         make_path_bundle(Bundle.load(plain), tmp_path / "paths")
-    three = write_tiny_bundle(tmp_path / "three", THREE_LINK, validity=True)
-    with pytest.raises(ConfigError, match="two joints"):
-        make_path_bundle(Bundle.load(three), tmp_path / "paths")
     assert not (tmp_path / "paths").exists()
 
 
-@pytest.mark.parametrize(
-    ("arguments", "code", "words"),
-    [
-        (["{source}", "{new}", "--cells", "8", "--sweeps", "9"], 0, "digest"),
-        (["{source}", "{source}"], 1, "exists"),
-        (["{new}", "{new}"], 1, "error:"),
-        (["{source}", "{new}", "--register", "champion"], 2, "MLFLOW_TRACKING_URI"),
-        (["{source}", "{new}", "--cells", "1"], 2, "cells"),
-    ],
-)
-def test_the_command_tells_what_it_did_and_what_was_wrong(
-    source: Path, tmp_path: Path, arguments: list[str], code: int, words: str, capsys, monkeypatch
-) -> None:
-    monkeypatch.delenv("MLFLOW_TRACKING_URI", raising=False)
-    found = main([part.format(source=source, new=tmp_path / "new") for part in arguments])
-    told = capsys.readouterr()
-    assert found == code
-    assert words in (told.out if code == 0 else told.err)
+def test_with_three_joints_ways_are_searched_for(tmp_path: Path) -> None:
+    three = Bundle.load(write_tiny_bundle(tmp_path / "three", THREE_LINK, validity=True))
+    made = make_path_bundle(three, tmp_path / "paths")
+    assert (made.spec.model_kind, made.spec.conditions) == ("ways", ("start", "goal"))
+    image = workshop_of(made.spec.world).render(draw_problem(Family.UNIFORM, Split.DEMO, 21, 0).scenario)
+    found = made.sample(image, 30, 7, start=(0.5, 0.5, 0.0), goal=(-0.5, -1.0, 1.0))
+    assert len(found.samples) == len(found.ways) == 30
+
+
+@pytest.mark.slow
+def test_samples_along_ways_of_the_arm_in_space_lead_to_a_path(tmp_path: Path) -> None:
+    source = Bundle.load(PRETRAINED_FOLDER.with_name("pretrained_panda"))
+    made = make_path_bundle(source, tmp_path / "paths")
+    assert made.spec.plan_doubt == source.spec.plan_doubt
+    sampler = LocalSampler(made.folder)
+    for index in range(3):
+        problem = workshop_of(made.spec.world).problem("uniform", Split.DEMO, 21, index)
+        request = SampleRequest(SampleQuery(200, 1, min_confidence=0.0), with_ends=True)
+        settings = PlannerSettings(planner="SampledRRTConnect", seed=1, range_rad=2.0, resolution_rad=0.02)
+        found = plan_with_api(problem, sampler, settings, request, 0.3)
+        assert found.result.solved
+        assert found.result.learned_drawn > 0

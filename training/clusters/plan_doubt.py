@@ -14,7 +14,6 @@ from scipy.optimize import minimize
 
 from cspace.bundle import Bundle
 from cspace.connecting import spaced
-from cspace.planning.plan import plan
 from cspace.planning.query import PlanQuery
 from cspace.planning.scoring import free_of_doubt
 from cspace.splits import Split
@@ -86,7 +85,7 @@ def planned(bundle: Bundle, world: World, problems: int) -> Planned:
         problem = shop.problem(family, Split.VALIDATION, SEED, index)
         start, goal = (tuple(float(angle) for angle in end) for end in (problem.start, problem.goal))
         query = PlanQuery(start, goal, number, 0.0, TIME_S)
-        found = plan(bundle, bundle.prepare(picture_of(problem.scenario)), query)
+        found = bundle.plan(bundle.prepare(picture_of(problem.scenario)), query)
         if not len(found.way):
             continue
         states = spaced(found.way, world.space, _FINER * measures.resolution_rad)

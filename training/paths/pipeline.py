@@ -181,7 +181,7 @@ def _bundles(
 ) -> dict[str, Bundle]:
     """The untrained sampler's bundle, where the source has a head for it, and those of all trials."""
     bundles: dict[str, Bundle] = {}
-    if source.has_validity and source.spec.dim == 2:
+    if source.has_validity:
         bundles[UNTRAINED] = made_or_found(source, job.folder / "bundles" / UNTRAINED, WaySettings())
     for name, outcome in zip(job.config.models, outcomes, strict=True):
         _LOG.info("bundle: exporting %s", name)

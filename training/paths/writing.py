@@ -6,8 +6,11 @@ from pathlib import Path
 from typing import Any
 
 from cspace.bundle import Bundle, Provenance, RandomInput, write_bundle
-from cspace.bundle.files import ENCODER_FILE, NOVELTY_FILE, VALIDITY_FILE
+from cspace.bundle.files import ENCODER_FILE, MAP_FILE, NOVELTY_FILE, VALIDITY_FILE
+from cspace.bundle.spec import WAYS
 from training.jobs.provenance import command_line, now, source_state
+
+_TAKEN = {"encoder": ENCODER_FILE, "validity": VALIDITY_FILE, "novelty": NOVELTY_FILE, "map": MAP_FILE}
 
 
 @dataclass(frozen=True, slots=True)
@@ -16,14 +19,15 @@ class PathGraph:
 
     Args:
         model: ONNX bytes: ``latent`` (m, L), the random inputs, ``start`` and ``goal`` (m, d) rad and, where
-            it looks at them, ``image`` (1, 3, P, P) and ``map`` (k,) to ``samples`` (m, 1, d) rad.
+            it looks at them, ``image`` (1, 3, P, P) and ``map`` (k,) to ``samples`` (m, 1, d) rad; None for
+            one that searches for ways.
         random_inputs: in the order in which they are drawn.
         looks_at_picture: whether it takes ``image``.
         map: ONNX bytes: ``image`` (1, 3, P, P) to ``map`` (k,), where the model takes that.
     """
 
-    model: bytes
-    random_inputs: tuple[RandomInput, ...]
+    model: bytes | None
+    random_inputs: tuple[RandomInput, ...] = ()
     looks_at_picture: bool = False
     map: bytes | None = None
 
@@ -52,18 +56,17 @@ def write_path_bundle(
         BundleError: the parts do not make a bundle.
         StorageError: the folder exists or cannot be written.
     """
-    graphs = {"encoder": (source.folder / ENCODER_FILE).read_bytes(), "generator": graph.model}
-    if source.has_validity:
-        graphs["validity"] = (source.folder / VALIDITY_FILE).read_bytes()
-    if source.spec.novelty_quantiles is not None:
-        graphs["novelty"] = (source.folder / NOVELTY_FILE).read_bytes()
-    if graph.map is not None:
-        graphs["map"] = graph.map
+    found = {name: source.folder / file for name, file in _TAKEN.items()}
+    # A map that the source's generator alone looks at goes with it.
+    if not source.head_looks_at_map:
+        del found["map"]
+    graphs = {name: file.read_bytes() for name, file in found.items() if file.is_file()}
+    graphs |= {name: data for name, data in (("generator", graph.model), ("map", graph.map)) if data}
     state = source_state()
     spec = replace(
         source.spec,
         kind="path",
-        model_kind="generator",
+        model_kind="generator" if graph.model else WAYS,
         looks_at_picture=graph.looks_at_picture,
         looks_at_map=graph.map is not None,
         samples_per_latent=1,

@@ -11,7 +11,7 @@ from cspace.bundle.files import (
     BundleFiles,
 )
 from cspace.bundle.running.graphs import Graph
-from cspace.bundle.spec import MAP, BundleSpec
+from cspace.bundle.spec import MAP, WAYS, BundleSpec
 from cspace.errors import BundleIntegrityError
 
 
@@ -20,7 +20,7 @@ class GraphSet:
     """The graphs; None for what a bundle is without."""
 
     encoder: Graph
-    generator: Graph
+    generator: Graph | None
     validity: Graph | None
     novelty: Graph | None
     map: Graph | None
@@ -40,26 +40,22 @@ def open_graphs(spec: BundleSpec, files: BundleFiles, run_limit_s: float) -> Gra
     """
 
     def opened(
-        name: str, inputs: set[str], outputs: set[str], shapes: dict[str, tuple[int, ...]] | None = None
+        name: str,
+        inputs: set[str],
+        outputs: set[str],
+        shapes: dict[str, tuple[int, ...]] | None = None,
+        perhaps: frozenset[str] = frozenset(),
     ) -> Graph | None:
         model = files.contents.get(name)
-        if model is None:
-            return None
-        return Graph(name, model, inputs, outputs, run_limit_s, shapes, perhaps=frozenset(shapes or ()))
+        return None if model is None else Graph(name, model, inputs, outputs, run_limit_s, shapes, perhaps)
 
     drawn = {item.name for item in spec.random_inputs}
     encoder = Graph(ENCODER_FILE, files.contents[ENCODER_FILE], {"image"}, {"mu", "sigma"}, run_limit_s)
     seen = opened(MAP_FILE, {"image"}, {"map"})
     shapes = {} if seen is None else {MAP: seen.sizes("map")}
-    generator = Graph(
-        GENERATOR_FILE,
-        files.contents[GENERATOR_FILE],
-        {"latent", *drawn, *spec.conditions},
-        {"samples"},
-        run_limit_s,
-        shapes,
-    )
-    validity = opened(VALIDITY_FILE, {"image", "configurations"}, {"confidence"}, shapes)
+    generator = opened(GENERATOR_FILE, {"latent", *drawn, *spec.conditions}, {"samples"}, shapes)
+    _check_whole(GENERATOR_FILE, generator, "a model kind that has one", described=spec.model_kind != WAYS)
+    validity = opened(VALIDITY_FILE, {"image", "configurations"}, {"confidence"}, shapes, frozenset(shapes))
     looked_at = spec.looks_at_map or (validity is not None and validity.takes(MAP))
     _check_whole(MAP_FILE, seen, "the condition map", described=looked_at)
     scores = opened(NOVELTY_FILE, {"image", "mu"}, {"scores"})

@@ -8,8 +8,9 @@ from numpy.typing import NDArray
 from cspace.bundle.running.chunks import Between, chunked
 from cspace.bundle.running.graphs import Graph
 from cspace.bundle.samples import Picture
-from cspace.bundle.spec import MAP
+from cspace.bundle.spec import MAP, BundleSpec
 from cspace.errors import BundleError
+from cspace.planning.plan import Seen
 
 CONFIDENCE, UNSEEN = "confidence", "unseen"
 # A head that reads arrays of space at hundreds of spheres a configuration is quickest while what it computes
@@ -22,7 +23,7 @@ class Head:
 
     def __init__(self, graph: Graph) -> None:
         self._graph = graph
-        self.tells_unseen = graph.gives(UNSEEN)
+        self.tells_unseen, self.looks_at_map = graph.gives(UNSEEN), graph.takes(MAP)
         self._told = (CONFIDENCE, UNSEEN) if self.tells_unseen else (CONFIDENCE,)
 
     def told(
@@ -34,7 +35,7 @@ class Head:
             BundleError: the graph fails, or gives what is no probability.
         """
         fixed = {"image": picture.pixels}
-        if picture.map is not None and self._graph.takes(MAP):
+        if picture.map is not None and self.looks_at_map:
             fixed[MAP] = picture.map
 
         def scored(part: NDArray[np.float32]) -> Mapping[str, NDArray[np.float32]]:
@@ -53,3 +54,19 @@ class Head:
         if np.any((found < 0.0) | (found > 1.0)):
             raise BundleError("the validity head gives no probabilities", expected="values from 0 to 1")
         return found
+
+    def believe(
+        self, picture: Picture, configurations: NDArray[np.float32], between: Between | None
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
+        """The same, the unseen share apart: None where it is not told."""
+        found = self.told(picture, configurations, between)
+        return (found[:, 0], found[:, 1]) if self.tells_unseen else (found, None)
+
+    def seen(self, spec: BundleSpec, picture: Picture, between: Between | None) -> Seen:
+        """A picture of the bundle's as searches for ways take it."""
+        return Seen(
+            spec.world,
+            spec.world.sensor.from_network(picture.pixels)[0],
+            lambda rows: self.believe(picture, rows, between),
+            spec.plan_doubt or (0.0, 1.0),
+        )

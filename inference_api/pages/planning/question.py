@@ -1,17 +1,14 @@
 """A way from start to goal, from field values to the bytes of the answer; runs in a worker thread."""
 
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 
 from fastapi.responses import Response
 
 from cspace.bundle.request import fitted_end, require_robot
 from cspace.errors import InputError
-from cspace.planning.plan import plan
 from cspace.planning.query import Doubt, Plan, PlanQuery
 from inference_api.bodies.request_body import PLAN_FORM, RawFields, parse_fields
-from inference_api.failures import NoKernelsError
 from inference_api.models.pictures import Prepared
 from inference_api.models.served import ServedModel
 from inference_api.models.store import ModelStore
@@ -28,11 +25,9 @@ from inference_api.pages.sampling import model_info
 from inference_api.pages.schemas import ScenarioInfo
 from inference_api.pages.validation import validate_fields
 from inference_api.telemetry.observer import Planned
-from inference_api.turns.turns import LONG_ROWS, Turn
+from inference_api.turns.searching import searching
+from inference_api.turns.turns import Turn
 from services.registry.references import ModelReference
-
-# What a stint of a search takes; others have their turns between two of them.
-_STINT_S = 0.02
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,18 +65,9 @@ class PlanQuestion:
             raise InputError("the model has no validity head", remedy="name a model that has one")
         for name, end in (("start", self.query.start), ("goal", self.query.goal)):
             fitted_end(spec, name, end)
-        # A search lasts as long as it lasts: it pays stint by stint.
-        turn.spend(LONG_ROWS + 1.0)
-        prepared = self.store.pictures.get(bundle, self.image)
-        try:
-            found = plan(bundle, prepared.picture, self.query, _paced(turn.between))
-        except ImportError as error:
-            raise NoKernelsError(
-                "this server does not plan",
-                expected="the packages of the extra plan",
-                got=f"no {error.name or 'compiler'}",
-                remedy="ask a server that has them, or sample here and plan elsewhere",
-            ) from error
+        with searching(turn) as between:
+            prepared = self.store.pictures.get(bundle, self.image)
+            found = bundle.plan(prepared.picture, self.query, between)
         self.store.observer.planned(
             Planned(f"{served.name}/{served.version}", served.fallback, found.status, self.query.seed)
         )
@@ -177,16 +163,3 @@ def _reason(found: Plan, query: PlanQuery) -> str | None:
         f"{query.min_confidence:g}; it is least sure at {least.along:.0%} of its length, with "
         f"{least.confidence:.3f}{unseen}"
     )
-
-
-def _paced(between: Callable[[], None]) -> Callable[[], None]:
-    """The same, at most once a stint."""
-    last_s = time.monotonic()
-
-    def pause() -> None:
-        nonlocal last_s
-        if time.monotonic() - last_s >= _STINT_S:
-            between()
-            last_s = time.monotonic()
-
-    return pause

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from cspace.connecting import spaced
+from cspace.planning.along import NOISE_RAD, AlongWays
 from cspace.planning.query import BelievedWay
 from cspace.problem import Problem
 from cspace.space import JointSpace
@@ -23,9 +23,6 @@ from services.planner.search.outcome import Counts, after, outcome
 from services.planner.search.sampled_connect import connect
 from services.planner.settings import PlannerSettings
 
-# Standard deviations of the noise, one joint, from turn to turn; and how far apart draws are along a way.
-NOISE_RAD = (0.0, 0.05, 0.1, 0.2)
-STEP_RAD = 0.3
 UNIFORM_SHARE = 0.3
 
 
@@ -65,9 +62,8 @@ def drawn_about(
     """Configurations about ways, (n, d) rad within the limits, in the order in which they are drawn."""
     if not ways:
         return None
-    lines = [spaced(way, space, STEP_RAD) for way in ways]
-    rows = [space.bound(line + sigma * rng.normal(size=line.shape)) for sigma in NOISE_RAD for line in lines]
-    return np.concatenate(rows)
+    along = AlongWays(ways, space, rng)
+    return along.take(len(NOISE_RAD) * along.turn_rows)[0]
 
 
 def _checked(test: EdgeTest, way: BelievedWay) -> tuple[bool, int, int]:

@@ -5,7 +5,6 @@ import pytest
 
 from cspace.bundle import Bundle
 from cspace.errors import InputError
-from cspace.planning.plan import plan
 from cspace.planning.query import PlanQuery
 from cspace.planning.scoring import score
 from cspace.splits import Split
@@ -35,7 +34,7 @@ def asked(problem, **fields):
 def test_a_plan_is_a_way_from_start_to_goal_with_what_is_believed_of_it(bundle, scene):
     image, problem = scene
     picture = bundle.prepare(image)
-    found = plan(bundle, picture, asked(problem, seed=3))
+    found = bundle.plan(picture, asked(problem, seed=3))
     assert found.status == "solved"
     assert np.allclose(found.way[[0, -1]], [problem.start, problem.goal], atol=1e-6)
     assert found.edges.shape == (len(found.way) - 1,)
@@ -44,33 +43,33 @@ def test_a_plan_is_a_way_from_start_to_goal_with_what_is_believed_of_it(bundle, 
     (alone,) = score([found.way], WORLD.space, 0.15, lambda rows: bundle.believe(picture, rows))
     assert found.confidence == alone.whole
     assert found.edges.min() == pytest.approx(found.least.confidence)
-    again = plan(bundle, picture, asked(problem, seed=3))
+    again = bundle.plan(picture, asked(problem, seed=3))
     assert np.array_equal(again.way, found.way)
 
 
 def test_more_ways_make_the_surest_no_less_sure(bundle, scene):
     image, problem = scene
     picture = bundle.prepare(image)
-    sure = [plan(bundle, picture, asked(problem, ways=ways)).confidence for ways in (1, 2, 4, 8, 16)]
+    sure = [bundle.plan(picture, asked(problem, ways=ways)).confidence for ways in (1, 2, 4, 8, 16)]
     assert sure == sorted(sure)
 
 
 def test_a_way_that_is_not_sure_enough_is_refused_with_its_doubt(bundle, scene):
     image, problem = scene
     picture = bundle.prepare(image)
-    sure = plan(bundle, picture, asked(problem)).confidence
+    sure = bundle.plan(picture, asked(problem)).confidence
     assert 0.0 < sure < 1.0
-    refused = plan(bundle, picture, asked(problem, min_confidence=min(1.0, sure + 1e-3)))
+    refused = bundle.plan(picture, asked(problem, min_confidence=min(1.0, sure + 1e-3)))
     assert (refused.status, refused.way.shape, refused.confidence) == ("refused", (0, 2), sure)
     assert 0.0 <= refused.least.along <= 1.0
-    assert plan(bundle, picture, asked(problem, min_confidence=sure)).status == "solved"
+    assert bundle.plan(picture, asked(problem, min_confidence=sure)).status == "solved"
 
 
 def test_what_does_not_fit_the_robot_is_refused(bundle, scene):
     image, _ = scene
     picture = bundle.prepare(image)
     with pytest.raises(InputError, match="goal"):
-        plan(bundle, picture, PlanQuery((0.0, 0.0), (0.0, 0.0, 0.0)))
+        bundle.plan(picture, PlanQuery((0.0, 0.0), (0.0, 0.0, 0.0)))
 
 
 def test_the_doubt_of_a_way_does_not_depend_on_how_finely_one_looks():

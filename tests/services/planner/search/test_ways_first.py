@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from cspace.connecting import spaced
+from cspace.planning.along import NOISE_RAD, STEP_RAD
 from cspace.planning.query import BelievedWay
 from cspace.splits import Split
 from cspace.worlds import checker_of, examples, workshop_of
@@ -92,12 +93,12 @@ def test_what_is_drawn_goes_along_each_way_with_growing_noise(problem, free_way)
     space, wrong = problem.space, straight(problem)
     ways = [free_way.way, wrong.way]
     drawn = drawn_about(ways, space, np.random.default_rng(0))
-    lines = [spaced(way, space, ways_first.STEP_RAD) for way in ways]
+    lines = [spaced(way, space, STEP_RAD) for way in ways]
     exact = np.concatenate(lines)
-    assert len(drawn) == len(ways_first.NOISE_RAD) * len(exact)
-    turns = drawn.reshape(len(ways_first.NOISE_RAD), len(exact), -1)
+    assert len(drawn) == len(NOISE_RAD) * len(exact)
+    turns = drawn.reshape(len(NOISE_RAD), len(exact), -1)
     np.testing.assert_allclose(turns[0], exact, atol=1e-9)
     spread = [np.sqrt((space.difference(exact, turn) ** 2).mean()) for turn in turns]
-    assert spread == pytest.approx(ways_first.NOISE_RAD, rel=0.4)
+    assert spread == pytest.approx(NOISE_RAD, rel=0.4)
     assert (spread == np.sort(spread)).all()
     assert drawn_about([], space, np.random.default_rng(0)) is None

@@ -1,0 +1,80 @@
+"""``POST /sample`` of a model that searches for ways: samples in their order, each with its way."""
+
+import json
+
+import numpy as np
+import pytest
+
+from cspace.png import encode_png
+from cspace.splits import Split
+from cspace.worlds import examples, workshop_of
+from inference_api.turns import searching
+from tests.bundles import write_tiny_bundle
+from tests.inference_api.answers import assert_answers, assert_problem
+from tests.inference_api.conftest import CountingRegistry, api_over, stock
+
+WORLD = examples()["two-link"]
+PROBLEM = workshop_of(WORLD).problem("uniform", Split.VALIDATION, 0, 0)
+PNG = encode_png(workshop_of(WORLD).render(PROBLEM.scenario))
+MODEL = "path-sampler@champion"
+FIELDS = {
+    "start": json.dumps(list(PROBLEM.start)),
+    "goal": json.dumps(list(PROBLEM.goal)),
+    "n": "50",
+    "seed": "4",
+    "model": MODEL,
+}
+
+
+@pytest.fixture(scope="module")
+def api(bundles, tmp_path_factory):
+    place = tmp_path_factory.mktemp("api")
+    folder = write_tiny_bundle(place / "ways", kind="path", model_kind="ways", validity=True)
+    registry = stock(CountingRegistry(place / "registry"), bundles)
+    registry.add(folder, "champion", name="path-sampler")
+    with api_over(place, bundles, registry) as found:
+        yield found
+
+
+def ask(api, headers=None, **fields):
+    return api.post("/sample", files={"image": PNG}, data={**FIELDS, **fields}, headers=headers)
+
+
+def test_samples_come_in_the_order_of_the_ways_and_say_which(api):
+    told = ask(api).json()
+    assert len(told["samples"]) == len(told["ways"]) == len(told["confidence"]) == 50
+    assert np.allclose(told["samples"][0], PROBLEM.start, atol=1e-6)
+    assert told["ways"][0] == 0
+    assert max(told["ways"]) > 0
+    assert ask(api).json()["samples"] == told["samples"]
+
+
+def test_an_npy_holds_the_same_samples(api):
+    found = ask(api, headers={"Accept": "application/x-npy"})
+    samples = np.frombuffer(found.content[-50 * 8 :], dtype="<f4").reshape(50, 2)
+    assert np.allclose(samples, ask(api).json()["samples"], atol=1e-6)
+
+
+def test_other_models_tell_of_no_ways(api):
+    told = api.post("/sample", files={"image": PNG}, data={"model": "cspace-sampler"}).json()
+    assert told["ways"] is None
+
+
+def test_without_the_compiler_it_says_so_and_goes_on(api, monkeypatch):
+    def none(*args, **kwargs):
+        raise ImportError("no kernels", name="numba")
+
+    monkeypatch.setattr("cspace.planning.plan.seen_checkers", none)
+    assert_problem(ask(api), 501, "no-planner")
+    monkeypatch.undo()
+    assert_answers(api)
+
+
+def test_others_have_their_turns_during_the_search(api, monkeypatch):
+    monkeypatch.setattr(searching, "_STINT_S", 0.0)
+    assert ask(api).status_code == 200
+
+
+def test_the_open_inference_protocol_tells_the_ways(api):
+    outputs = {one["name"] for one in api.get("/v2/models/path-sampler").json()["outputs"]}
+    assert "ways" in outputs
