@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from cspace.bundle import Bundle, Provenance, RandomInput, write_bundle
-from cspace.bundle.files import ENCODER_FILE, NOVELTY_FILE, VALIDITY_FILE
+from cspace.bundle.files import ENCODER_FILE, MAP_FILE, NOVELTY_FILE, VALIDITY_FILE
 from training.jobs.provenance import command_line, now, source_state
 
 
@@ -59,6 +59,9 @@ def write_path_bundle(
         graphs["novelty"] = (source.folder / NOVELTY_FILE).read_bytes()
     if graph.map is not None:
         graphs["map"] = graph.map
+    elif (source.folder / MAP_FILE).is_file():
+        # The head's.
+        graphs["map"] = (source.folder / MAP_FILE).read_bytes()
     state = source_state()
     spec = replace(
         source.spec,
