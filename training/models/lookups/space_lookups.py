@@ -9,8 +9,8 @@ import torch
 from torch import Tensor, nn
 
 from cspace.world import World
-from training.models.grids.arm import ArmPoints, buffer
-from training.models.grids.reading import Points
+from training.models.space.arm import ArmPoints, buffer
+from training.models.space.reading import Points
 
 # Margins to the surface seen that are told apart: about contact, and on the whole.
 _NEAR_M, _FAR_M = 0.03, 0.1
