@@ -3,7 +3,7 @@
 A workshop is imported when it is first asked for (:func:`cspace.worlds.workshop_of`), and never by a server.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -223,6 +223,18 @@ class Workshop(Protocol):
 
     def narrow_pairs(self, scene: Scene, configurations: NDArray[np.float64]) -> NDArray[np.int64]:
         """Pairs of free configurations (n, d) rad that a narrow passage joins and nothing wider, (k, 2)."""
+
+    def ends(
+        self, scene: Scene, free: NDArray[np.float64], rng: np.random.Generator, count: int
+    ) -> Iterable[NDArray[np.float64]]:
+        """Starts and goals as problems of a scene have them, at most so many, each (2, d) rad and free.
+
+        Args:
+            scene: as it is.
+            free: (n, d) rad, uniform ones that are free.
+            rng: of all draws.
+            count: how many are tried.
+        """
 
     def path_search(self, scene: Scene) -> PathSearch:
         """Near-optimal paths of a scene that is known in full."""

@@ -48,7 +48,10 @@ class PathTrainConfig(JobConfig):
     wgan: PathGanConfig = PathGanConfig()
     wgan_guided: PathGanConfig = PathGanConfig(guide_weight=0.1)
     wgan_lookups: PathGanConfig = PathGanConfig(
-        place=True, refinements=3, steps=600, lookups=LookupConfig(points_per_link=8, side_m=0.1)
+        place=True,
+        refinements=3,
+        steps=600,
+        lookups=LookupConfig(points_per_link=8, side_m=0.1, groups=32),
     )
     resources: ResourceConfig = ResourceConfig(log_every_steps=50, checkpoint_every_steps=500)
 

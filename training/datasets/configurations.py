@@ -13,10 +13,10 @@ from cspace.dataset import TOLD, Dataset, write_dataset
 from cspace.errors import DatasetError
 from cspace.splits import Split, scenario_rng
 from cspace.workshop import Checker, Proposals
-from cspace.world import Arrays, World
+from cspace.world import Arrays
 from cspace.worlds import workshop_of
 from training.datasets.config import DatasetConfig
-from training.datasets.shards import Shard
+from training.datasets.shards import Pictures, Shard
 
 # Pictures alone come from the same split under indices that no scenario with configurations has.
 EXTRA_FIRST_INDEX = 2**31
@@ -91,8 +91,8 @@ class ConfigurationRecipe:
         config = self.config
         known, kept = config.world.scene_files, dict[str, list[NDArray[Any]]]()
         # Filled shard by shard: arrays of space are large, and are not held twice.
-        images = _Pictures(config.world, config.scenario_count)
-        extras = _Pictures(config.world, config.extra_image_count)
+        images = Pictures(config.world, config.scenario_count)
+        extras = Pictures(config.world, config.extra_image_count)
         for shard in self.plan():
             arrays = dict(load(shard))
             (extras if shard.extra else images).add(arrays.pop("images"))
@@ -111,18 +111,6 @@ class ConfigurationRecipe:
             extra_images=extras.rows if len(extras.rows) else None,
             generator=config.model_dump(mode="json"),
         )
-
-
-class _Pictures:
-    """Pictures of a world, (count, ...) uint8, filled from the front."""
-
-    def __init__(self, world: World, count: int) -> None:
-        self.rows = np.empty((count, *world.sensor.picture_shape), dtype=np.uint8)
-        self._filled = 0
-
-    def add(self, images: NDArray[np.uint8]) -> None:
-        self.rows[self._filled : self._filled + len(images)] = images
-        self._filled += len(images)
 
 
 def label(checker: Checker, proposals: Proposals) -> dict[str, NDArray[Any]]:

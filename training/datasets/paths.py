@@ -6,7 +6,7 @@ or OMPL's RRT* with a limit in time, as in the MultiWGAN-GP paper (section 4).
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -25,7 +25,7 @@ from cspace.worlds import workshop_of
 from services.planner.search.ompl_planner import solve
 from services.planner.settings import RRT_STAR, PlannerSettings
 from training.datasets.config import PathDatasetConfig
-from training.datasets.shards import Shard
+from training.datasets.shards import Pictures, Shard
 
 MAX_DRAWS = 5000
 _PROPOSALS = 1000
@@ -59,7 +59,7 @@ class PathRecipe:
         return [Shard(first, min(size, total - first), extra=False) for first in range(0, total, size)]
 
     def make(self, shard: Shard) -> dict[str, NDArray[Any]]:
-        """Pictures (n, P, P, 3), the scenes' arrays, free (n, f, d) and paths (n, pairs, points, d)."""
+        """Pictures (n, ...), the scenes' arrays, free (n, f, d) and paths (n, pairs, points, d)."""
         rows = [
             _scenario_with_paths(self.config, index)
             for index in range(shard.first, shard.first + shard.count)
@@ -68,17 +68,21 @@ class PathRecipe:
 
     def write(self, folder: Path, load: Callable[[Shard], Arrays]) -> Dataset:
         """See :func:`cspace.dataset.write_dataset`."""
-        parts = [load(shard) for shard in self.plan()]
+        world, parts = self.config.world, list[Arrays]()
+        # Filled shard by shard: arrays of space are large, and are not held twice.
+        images = Pictures(world, self.config.scenario_count)
+        for shard in self.plan():
+            arrays = dict(load(shard))
+            images.add(arrays.pop("images"))
+            parts.append(arrays)
         paths = np.concatenate([part["paths"] for part in parts])
         return write_dataset(
             folder,
-            world=self.config.world,
-            images=np.concatenate([part["images"] for part in parts]),
+            world=world,
+            images=images.rows,
             free=[free for part in parts for free in part["free"]],
             paths=[(scenario, path) for scenario, of_one in enumerate(paths) for path in of_one],
-            scenes={
-                name: np.concatenate([part[name] for part in parts]) for name in self.config.world.scene_files
-            },
+            scenes={name: np.concatenate([part[name] for part in parts]) for name in world.scene_files},
             generator=self.config.model_dump(mode="json"),
         )
 
@@ -93,9 +97,9 @@ def _scenario_with_paths(config: PathDatasetConfig, index: int) -> dict[str, NDA
         free = proposals[workshop.checker(scene).valid_batch(proposals)]
         if len(free) < max(2, config.free_per_scenario):
             continue
-        pairs = _pairs(config, workshop, scene, free, rng, narrow=index < config.narrow_count)
+        ends = _ends(config, workshop, scene, free, rng, narrow=index < config.narrow_count)
         search = workshop.path_search(scene) if config.source == "grid" else _asymptotic(config, scene, rng)
-        paths = _paths(config, search, free[pairs])
+        paths = _paths(config, search, ends)
         if len(paths) == config.pairs_per_scenario:
             return {
                 "images": workshop.render(scene),
@@ -111,7 +115,7 @@ def _scenario_with_paths(config: PathDatasetConfig, index: int) -> dict[str, NDA
     )
 
 
-def _pairs(
+def _ends(
     config: PathDatasetConfig,
     workshop: Workshop,
     scene: Scene,
@@ -119,19 +123,19 @@ def _pairs(
     rng: np.random.Generator,
     *,
     narrow: bool,
-) -> NDArray[np.int64]:
-    """Indices (k, 2) of starts and goals among free configurations, more than are wanted."""
+) -> Iterable[NDArray[np.float64]]:
+    """Starts and goals (2, d) rad, more than are wanted."""
     count = _TRIES_PER_PAIR * config.pairs_per_scenario
     if not narrow:
-        return rng.integers(len(free), size=(count, 2))
+        return workshop.ends(scene, free, rng, count)
     pairs = workshop.narrow_pairs(scene, free)
-    return pairs[rng.integers(len(pairs), size=count)] if len(pairs) else pairs
+    return free[pairs[rng.integers(len(pairs), size=count)] if len(pairs) else pairs]
 
 
 def _paths(
-    config: PathDatasetConfig, search: PathSearch, ends: NDArray[np.float64]
+    config: PathDatasetConfig, search: PathSearch, ends: Iterable[NDArray[np.float64]]
 ) -> list[NDArray[np.float64]]:
-    """Points (points, d) along paths between as many of the ends (k, 2, d) as are wanted and have one."""
+    """Points (points, d) along paths between as many of the ends (2, d) as are wanted and have one."""
     found: list[NDArray[np.float64]] = []
     for start, goal in ends:
         path = search(start, goal)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cspace.files import replacing
+from cspace.world import World
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,6 +30,19 @@ class Shard:
     def file_name(self) -> str:
         """The shard's file within the unfinished data set."""
         return f"{'extra' if self.extra else 'scenes'}-{self.first:08d}-{self.count}.npz"
+
+
+class Pictures:
+    """Pictures of a world, (count, ...) uint8, filled from the front."""
+
+    def __init__(self, world: World, count: int) -> None:
+        self.rows = np.empty((count, *world.sensor.picture_shape), dtype=np.uint8)
+        self._filled = 0
+
+    def add(self, images: NDArray[np.uint8]) -> None:
+        """The next ones."""
+        self.rows[self._filled : self._filled + len(images)] = images
+        self._filled += len(images)
 
 
 def save_shard(folder: Path, shard: Shard, arrays: dict[str, NDArray[Any]]) -> Path:

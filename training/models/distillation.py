@@ -5,7 +5,7 @@ from torch.optim.lr_scheduler import LambdaLR
 
 from training.models.cells import CellBase
 from training.models.data import ScenarioSamples
-from training.models.lookups.lookups import PictureReader, read
+from training.models.lookups.lookups import Reader, read
 from training.models.mixture import Experts
 from training.models.modules import TrialModule
 from training.models.networks import TorusGenerator
@@ -33,9 +33,9 @@ class DistillationModule(TrialModule):
         config: GanConfig,
         samples: ScenarioSamples,
         teacher: Experts,
-        teacher_reader: PictureReader | None,
+        teacher_reader: Reader | None,
         student: TorusGenerator,
-        reader: PictureReader | None,
+        reader: Reader | None,
         base: CellBase,
         seed: int,
     ) -> None:

@@ -18,7 +18,7 @@ from training.models.validity import ValidityHead
 OPSET = 18
 
 
-def _pictures(count: int, size: int | Sequence[int]) -> Tensor:
+def pictures(count: int, size: int | Sequence[int]) -> Tensor:
     """Pictures of a side, or of a whole size, channels first."""
     return torch.zeros(count, *((3, size, size) if isinstance(size, int) else size))
 
@@ -39,7 +39,7 @@ def encoder_graph(encoder: nn.Module, pixels: int | Sequence[int]) -> bytes:
     """ONNX bytes: ``image`` (b, 3, P, P), or of the size given, to ``mu`` (b, L) and ``sigma`` (b, L)."""
     return exported(
         _EncoderGraph(encoder),
-        (_pictures(2, pixels),),
+        (pictures(2, pixels),),
         ["image"],
         ["mu", "sigma"],
         batched("images", 1),
@@ -60,7 +60,7 @@ class _NoveltyGraph(nn.Module):
 
 def novelty_graph(scores: nn.Module, pixels: int | Sequence[int], latent_dim: int) -> bytes:
     """ONNX bytes: ``image`` (1, 3, P, P), or of the size given, and ``mu`` (1, L) to ``scores`` (2,)."""
-    inputs = (_pictures(1, pixels), torch.zeros(1, latent_dim))
+    inputs = (pictures(1, pixels), torch.zeros(1, latent_dim))
     return exported(_NoveltyGraph(scores), inputs, ["image", "mu"], ["scores"], ({}, {}))
 
 

@@ -8,7 +8,7 @@ from torch.nn import functional
 
 from training.models.cells import CellPoints
 from training.models.gate import Gate
-from training.models.lookups.lookups import ArmLookups
+from training.models.lookups.lookups import Lookups
 from training.models.networks import TorusGenerator, generator_inputs
 
 
@@ -73,7 +73,7 @@ class GatedSampler(nn.Module):
     points: Tensor
     spacing: Tensor
 
-    def __init__(self, gate: Gate, cells: CellPoints, experts: Experts, lookups: ArmLookups | None) -> None:
+    def __init__(self, gate: Gate, cells: CellPoints, experts: Experts, lookups: Lookups | None) -> None:
         super().__init__()
         self.gate, self.experts, self.lookups = gate, experts, lookups
         self.noise_dim = experts.noise_dim
@@ -108,7 +108,7 @@ class LookupSampler(nn.Module):
     Shapes: latent (m, L), base (m, d) rad, noise (m, n), image (1, 3, P, P) to (m, 1, d) rad.
     """
 
-    def __init__(self, generator: TorusGenerator, lookups: ArmLookups) -> None:
+    def __init__(self, generator: TorusGenerator, lookups: Lookups) -> None:
         super().__init__()
         self.generator, self.lookups, self.noise_dim = generator, lookups, generator.noise_dim
 
@@ -118,8 +118,8 @@ class LookupSampler(nn.Module):
         return samples
 
 
-def look(lookups: ArmLookups | None, image: Tensor | None, base: Tensor) -> Tensor | None:
-    """What one picture (1, 3, P, P) shows at (m, d) configurations, (m, values); None without look-ups."""
+def look(lookups: Lookups | None, image: Tensor | None, base: Tensor) -> Tensor | None:
+    """What one picture (1, ...) shows at (m, d) configurations, (m, values); None without look-ups."""
     if lookups is None or image is None:
         return None
     seen: Tensor = lookups(image, base.unsqueeze(0))

@@ -34,10 +34,21 @@ class GateConfig(Section):
 
 
 class LookupConfig(Section):
-    """Where a network reads the picture: at points along the links and beside them."""
+    """Where a network reads the picture: along the links and beside them, or at an arm's spheres in space."""
 
-    points_per_link: int = Field(0, ge=0, description="0 for no look-ups")
+    points_per_link: int = Field(0, ge=0, description="in pictures of a plane; 0 for no look-ups")
     side_m: float = Field(0.0, ge=0, description="distance of the rows beside each link; 0 for none")
+    groups: int = Field(
+        0,
+        ge=0,
+        exclude_if=lambda count: count == 0,
+        description="of the arm's spheres, in arrays of space; 0 for no look-ups",
+    )
+
+    @property
+    def wanted(self) -> bool:
+        """Whether there are look-ups in pictures of some kind."""
+        return self.points_per_link > 0 or self.groups > 0
 
     @model_validator(mode="after")
     def _one_point_is_no_row(self) -> "LookupConfig":

@@ -10,6 +10,7 @@ from training.config.paths import PathModel, PathTrainConfig
 from training.jobs.job import TAG_START
 from training.models.lookups.lookups import make_lookups
 from training.models.paths.density import DensitySampler
+from training.models.pictures.autoencoders import network_size
 from training.paths.export import PointSampler, density_graph, point_graph
 from training.paths.writing import PathGraph, write_path_bundle
 from training.trials.paths.arrays import PathArrays
@@ -29,7 +30,7 @@ def path_graph(
     net = load_points(name, train, arrays, checkpoint)
     lookups = make_lookups(config.lookups, spec.world)
     points = PointSampler(net, lookups, place=config.place, sweep=train.sweep, jitter_rad=config.jitter_rad)
-    return point_graph(points.eval(), spec.latent_dim, spec.world.sensor.pixels)
+    return point_graph(points.eval(), spec.latent_dim, network_size(spec.world.sensor))
 
 
 def trained_bundle(

@@ -1,5 +1,7 @@
 """Path models to ONNX graphs whose randomness is an input, with what a bundle's description says of them."""
 
+from collections.abc import Sequence
+
 import numpy as np
 import onnx
 import torch
@@ -9,9 +11,9 @@ from torch import Tensor, nn
 from cspace.bundle import RandomInput
 from cspace.grid_search import centres
 from cspace.space import JointSpace
-from training.models.export import batched, exported
+from training.models.export import batched, exported, pictures
 from training.models.lookups.head_map import MAP, map_graph, named, shaped
-from training.models.lookups.lookups import ArmLookups
+from training.models.lookups.lookups import Lookups
 from training.models.mixture import look
 from training.models.paths.condition import Condition, swept
 from training.models.paths.density import DensitySampler
@@ -36,7 +38,7 @@ class PointSampler(nn.Module):
     def __init__(
         self,
         net: PointNetwork,
-        lookups: ArmLookups | None,
+        lookups: Lookups | None,
         *,
         place: bool,
         sweep: int,
@@ -60,8 +62,8 @@ class PointSampler(nn.Module):
         return points.unsqueeze(1)
 
 
-def point_graph(sampler: PointSampler, latent_dim: int, pixels: int) -> PathGraph:
-    """The graph of a flow, a decoder or a generator."""
+def point_graph(sampler: PointSampler, latent_dim: int, pixels: int | Sequence[int]) -> PathGraph:
+    """The graph of a flow, a decoder or a generator; pictures of a side, or of a whole size."""
     net, dim = sampler.net, sampler.net.joints.dim
     rows = [torch.zeros(2, size) for size in (latent_dim, dim, dim, net.noise_dim)]
     names = ["latent", "start", "goal", "noise"]
@@ -79,7 +81,7 @@ def point_graph(sampler: PointSampler, latent_dim: int, pixels: int) -> PathGrap
         random.append(RandomInput("jitter", "normal", (dim,)))
     axes = batched("latents", len(rows))
     if sampler.lookups is not None:
-        rows.append(torch.zeros(1, 3, pixels, pixels))
+        rows.append(pictures(1, pixels))
         names.append("image")
         axes = (*axes, {})
     # The parameters behind the fourth are one: a tuple of its own.

@@ -130,6 +130,13 @@ class PlanarWorkshop:
         found = narrow_pairs(_planar(scene), configurations)
         return np.empty((0, 2), dtype=np.int64) if found is None else found[1]
 
+    def ends(
+        self, scene: Scene, free: NDArray[np.float64], rng: np.random.Generator, count: int
+    ) -> NDArray[np.float64]:
+        """Any two free configurations, (count, 2, d) rad."""
+        del scene
+        return free[rng.integers(len(free), size=(count, 2))]
+
     def path_search(self, scene: Scene) -> PathSearch:
         """See :mod:`cspace.worlds.planar.planning.grid_paths`."""
         return path_search(_planar(scene))

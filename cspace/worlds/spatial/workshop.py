@@ -1,6 +1,6 @@
 """The spatial world's workshop: scenes, their depth pictures, checks and problems."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, cast
 
@@ -16,7 +16,7 @@ from cspace.worlds.spatial.drawing import draw_arm, draw_obstacles, draw_seen
 from cspace.worlds.spatial.obstacles.obstacle_rows import obstacles_of, rows_of
 from cspace.worlds.spatial.obstacles.scenes import FAMILIES
 from cspace.worlds.spatial.planning.collision import CollisionChecker, group_hits
-from cspace.worlds.spatial.planning.problems import draw_problem
+from cspace.worlds.spatial.planning.problems import Ends, draw_problem
 from cspace.worlds.spatial.planning.proposals import draw_proposals
 from cspace.worlds.spatial.planning.ways import WayLimits, find_way
 from cspace.worlds.spatial.scene import SpatialScene, draw_scene, scenes_of, seen
@@ -107,6 +107,16 @@ class SpatialWorkshop:
         """None: narrow passages of this world are not told on a grid."""
         del scene, configurations
         return np.empty((0, 2), dtype=np.int64)
+
+    def ends(
+        self, scene: Scene, free: NDArray[np.float64], rng: np.random.Generator, count: int
+    ) -> Iterator[NDArray[np.float64]]:
+        """See :meth:`cspace.worlds.spatial.planning.problems.Ends.pairs`; the arm sets out where it waits."""
+        del free
+        found = _spatial(scene)
+        state = None if found.state is None else np.asarray(found.state)
+        checker = CollisionChecker(found.world.body, found.obstacles)
+        return Ends(checker, found.regions, rng).pairs(count, state)
 
     def path_search(self, scene: Scene) -> PathSearch:
         """See :func:`cspace.worlds.spatial.planning.ways.find_way`."""

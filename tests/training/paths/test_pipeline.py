@@ -8,6 +8,7 @@ import pytest
 from mlflow import MlflowClient
 
 from cspace.bundle import Bundle
+from cspace.bundle.golden import scene
 from cspace.errors import ConfigError
 from cspace.worlds.planar.arm import THREE_LINK
 from inference_api.settings import PRETRAINED_FOLDER
@@ -16,6 +17,7 @@ from services.registry.models.mlflow_registry import MlflowRegistry
 from tests.bundles import write_tiny_bundle
 from tests.contracts.mlflow_server import mlflow_server
 from tests.fakes.registry import FakeRegistry
+from tests.space_bundle import WORLD, write_space_bundle
 from tests.training.clusters.test_pipeline import submit
 from training.config.paths import ALL_MODELS, load_path_config
 from training.paths.source import source_bundle
@@ -154,7 +156,7 @@ def test_a_configuration_that_cannot_be_is_refused(override, message):
 
 
 def test_every_preset_is_a_configuration():
-    for preset in ("paths", "smoke", "paper"):
+    for preset in ("paths", "smoke", "paper", "panda"):
         assert load_path_config(preset).preset == preset
 
 
@@ -179,3 +181,25 @@ def test_three_joints_take_the_same_job_without_the_models_of_a_grid(server, dat
         folder = registry.download(registry.version(made["model"], number), tmp_path / name)
         ends = {"start": (0.5, 0.5, 0.1), "goal": (-0.5, -1.0, 0.3)}
         assert Bundle.load(folder).sample(WHITE, 20, 1, **ends).samples.shape == (20, 3)
+
+
+@pytest.mark.e2e
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+def test_an_arm_in_space_takes_the_same_job_without_the_models_of_a_grid(server, data_folder, tmp_path):
+    source = write_space_bundle(tmp_path / "source")
+    settings = ("data.robot=panda", "data.scenario_count=2", "data.shard_size=1", "data.narrow_share=0")
+    names = {"flow", "flow_distilled", "cvae", "wgan", "wgan_lookups"}
+    models = f"models=[{', '.join(sorted(names))}]"
+    made = train(server, data_folder, f"source={source}", *settings, "flow.evaluations=2", models)
+    assert set(made["versions"]) >= names
+    assert made["model"] == "panda-path-sampler"
+    registry, rng = MlflowRegistry(server), np.random.default_rng(0)
+    start, goal = WORLD.space.sample_uniform(rng, 2)
+    picture = scene(WORLD.sensor.picture_shape)
+    for name in names:
+        version = registry.version(made["model"], made["versions"][name])
+        bundle = Bundle.load(registry.download(version, tmp_path / name))
+        found = bundle.sample(picture, 20, 1, start=tuple(start), goal=tuple(goal))
+        assert WORLD.space.contains(found.samples).all()
+        assert found.unseen.shape == (20,)

@@ -13,11 +13,11 @@ from torch.nn import functional
 
 from cspace.errors import ConfigError
 from cspace.world import GridArm, World
-from training.models.grids.arm import ArmPoints, SelfGap, buffer
 from training.models.grids.encoder import STRIDE, GridEncoder
-from training.models.grids.reading import Points, table_of
 from training.models.networks import mlp
 from training.models.settings import GridConfig, ValidityConfig
+from training.models.space.arm import ArmPoints, SelfGap, buffer
+from training.models.space.reading import Points, table_of
 
 _NAMES = 8
 # Of a picture: distance to what is seen, and what is known.

@@ -12,6 +12,7 @@ from torch.nn import functional
 
 from cspace.errors import ConfigError
 from cspace.world import World
+from training.models.lookups.space_lookups import SpaceLookups, SpaceReader
 from training.models.settings import LookupConfig
 
 
@@ -124,40 +125,49 @@ class Scenes:
 
     Args:
         world: robot and sensor.
-        images: (S, P, P, 3) uint8.
+        images: (S, P, P, 3) uint8, or (S, X, Y, Z, 2) of arrays of space.
     """
 
     world: World
     images: Tensor
 
 
-def make_lookups(config: LookupConfig, world: World) -> ArmLookups | None:
-    """The look-ups that a configuration names; None for none."""
+Lookups = ArmLookups | SpaceLookups
+Reader = PictureReader | SpaceReader
+
+
+def make_lookups(config: LookupConfig, world: World) -> Lookups | None:
+    """The look-ups that a configuration names for pictures such as a world's; None for none."""
+    if world.sensor.extent_m is None:
+        return SpaceLookups(world, config.groups) if config.groups else None
     if config.points_per_link == 0:
         return None
     return ArmLookups(world, config.points_per_link, config.side_m)
 
 
-def make_reader(config: LookupConfig, scenes: Scenes | None) -> PictureReader | None:
+def make_reader(config: LookupConfig, scenes: Scenes | None) -> Reader | None:
     """The reader that a configuration names; None for no look-ups.
 
     Raises:
         ConfigError: look-ups without pictures.
     """
-    if config.points_per_link == 0:
+    if not config.wanted:
         return None
     if scenes is None:
         raise ConfigError(
             "look-ups need the pictures", expected="pictures, or points_per_link=0", got="no pictures"
         )
-    return PictureReader(ArmLookups(scenes.world, config.points_per_link, config.side_m), scenes.images)
+    lookups = make_lookups(config, scenes.world)
+    if isinstance(lookups, SpaceLookups):
+        return SpaceReader(lookups, scenes.images)
+    return None if lookups is None else PictureReader(lookups, scenes.images)
 
 
-def read(reader: PictureReader | None, ids: Tensor, configurations: Tensor) -> Tensor | None:
+def read(reader: Reader | None, ids: Tensor, configurations: Tensor) -> Tensor | None:
     """What a reader finds at configurations (b, d) in the pictures of the ids (b,); None for no look-ups."""
     return None if reader is None else reader(ids, configurations)
 
 
-def values_read(found: PictureReader | ArmLookups | None) -> int:
+def values_read(found: Reader | Lookups | None) -> int:
     """How many values look-ups give for one configuration; 0 for none."""
     return 0 if found is None else found.values

@@ -7,7 +7,7 @@ from torch import Tensor, nn
 
 from cspace.space import JointSpace
 from training.models import losses
-from training.models.lookups.lookups import PictureReader, Scenes, make_reader, read, values_read
+from training.models.lookups.lookups import Reader, Scenes, make_reader, read, values_read
 from training.models.modules import AdversarialModule, TrialModule
 from training.models.networks import Critic, Sizes
 from training.models.paths.condition import Condition
@@ -42,7 +42,7 @@ class PointModule(TrialModule):
     ) -> None:
         super().__init__(seed)
         self.samples, self.place, self.joints = samples, config.place, Joints(space)
-        self.reader: PictureReader | None = make_reader(config.lookups, scenes)
+        self.reader = make_reader(config.lookups, scenes)
         self.sizes = point_sizes(config, space, samples.mu.shape[1], values_read(self.reader))
 
     def condition(self, batch: PathBatch) -> Condition:
@@ -130,7 +130,7 @@ class PathGanModule(PointModule, AdversarialModule):
         seed: int,
         space: JointSpace,
         guides: list[Critic] | None = None,
-        guide_reader: PictureReader | None = None,
+        guide_reader: Reader | None = None,
     ) -> None:
         super().__init__(config, samples, scenes, seed, space)
         self.config = config

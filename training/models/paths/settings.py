@@ -41,7 +41,7 @@ class FlowConfig(PointConfig):
     """Flow matching on the torus (Lipman et al. 2023; Chen and Lipman 2024)."""
 
     place: bool = False
-    lookups: LookupConfig = LookupConfig(points_per_link=8, side_m=0.1)
+    lookups: LookupConfig = LookupConfig(points_per_link=8, side_m=0.1, groups=32)
     jitter_rad: float = Field(0.05, ge=0)
     hidden: int = Field(384, ge=1)
     batch_size: int = Field(1024, ge=2)

@@ -1,1 +1,1 @@
-"""The joint space as networks have it."""
+"""The joint space, and the space about an arm, as networks have them."""

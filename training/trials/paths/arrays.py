@@ -2,6 +2,7 @@
 
 import logging
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -19,6 +20,8 @@ from training.models.paths.samples import PathSamples, equal_paths
 from training.models.ways.fields import WayFields, fields_to_store
 
 _LOG = logging.getLogger("training")
+# Pictures of more bytes stay on disk: those of space are a megabyte each.
+HELD_BYTES = 2**28
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,7 +34,8 @@ class PathArrays:
         ids: (T,) int64 scenario of each.
         mu: (S, L) float32.
         sigma: (S, L) float32.
-        images: (S, P, P, 3) uint8.
+        images: (S, ...) uint8, or the data set's folder, from which every node reads them where they are
+            too large to be sent about.
         maps: (S, c, c) uint8, the validity head's confidence at the cells' centres in 255 steps; None where
             no model asks for it.
         fields: (T, 2, c, c) uint8, detour and progress of every path by :mod:`training.models.ways.fields`;
@@ -43,7 +47,7 @@ class PathArrays:
     ids: NDArray[np.int64]
     mu: NDArray[np.float32]
     sigma: NDArray[np.float32]
-    images: NDArray[np.uint8]
+    images: NDArray[np.uint8] | Path
     maps: NDArray[np.uint8] | None
     fields: NDArray[np.uint8] | None = None
 
@@ -52,7 +56,11 @@ class PathArrays:
         return PathSamples(*(torch.tensor(part) for part in (self.paths, self.ids, self.mu, self.sigma)))
 
     def scenes(self) -> Scenes:
-        """The pictures for look-ups, copied."""
+        """The pictures for look-ups, copied, or mapped from the disk."""
+        if isinstance(self.images, Path):
+            # Mapped as its own, for torch warns of what cannot be written.
+            mapped = np.load(self.images / "images.npy", mmap_mode="c")
+            return Scenes(self.world, torch.from_numpy(mapped))
         return Scenes(self.world, torch.tensor(self.images))
 
 
@@ -88,14 +96,16 @@ def path_arrays(
             remedy="leave density out of models",
         )
     paths, ids = equal_paths(dataset, points)
-    images = np.asarray(dataset.images)
+    images = dataset.images
     grid = None if cells is None else centres(spec.world.space, (cells, cells)).astype(np.float32)
     latents, maps = [], []
     with Progress("pictures", len(images), _LOG.info, "picture") as progress:
         for image in images:
-            picture = bundle.prepare(image)
-            latents.append(picture.encoding)
-            if grid is not None:
+            if grid is None:
+                latents.append(bundle.encode(image))
+            else:
+                picture = bundle.prepare(image)
+                latents.append(picture.encoding)
                 maps.append(np.round(bundle.score(picture, grid) * 255.0).astype(np.uint8))
             progress.advance()
     mu, sigma = (np.stack([getattr(one, name) for one in latents]) for name in ("mu", "sigma"))
@@ -103,7 +113,8 @@ def path_arrays(
     fields = None
     if shown is not None and penalty is not None:
         fields = _fields(shown, paths, ids, spec.world.space, penalty)
-    return PathArrays(dataset.world, paths, ids, mu, sigma, images, shown, fields)
+    held = dataset.folder.absolute() if images.nbytes > HELD_BYTES else np.asarray(images)
+    return PathArrays(dataset.world, paths, ids, mu, sigma, held, shown, fields)
 
 
 def _fields(

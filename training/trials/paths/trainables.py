@@ -114,4 +114,4 @@ def load_points(
 
 
 def _scenes(config: PointConfig, arrays: PathArrays) -> Scenes | None:
-    return arrays.scenes() if config.lookups.points_per_link else None
+    return arrays.scenes() if config.lookups.wanted else None

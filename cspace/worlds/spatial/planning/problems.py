@@ -10,7 +10,7 @@ A hand reaches in where the tool's origin is within the region's box and its z a
 region's approach.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -99,7 +99,7 @@ def draw_problem(
         )
     # A child, for the scene is drawn from the same three values.
     (rng,) = scenario_rng(split, seed, index).spawn(1)
-    drawn = KINDS[int(rng.choice(len(KINDS), p=SHARES))]
+    drawn = _any_kind(rng)
     rejected = 0
     for number in range(MAX_DRAWS):
         scene_seed = seed if number == 0 else int(rng.integers(2**62))
@@ -121,23 +121,19 @@ def draw_problem(
 
 def _attempt(ends: "Ends", kind: str, limits: WayLimits) -> tuple[NDArray[np.float64], bool] | None:
     """A way between two ends and whether it is straight; None where ends or way are missing, or too easy."""
-    rng, checker = ends.rng, ends.checker
-    goal = ends.reaching()
-    if goal is None:
+    pair = ends.pair(kind, limits.final_rad)
+    if pair is None:
         return None
-    start = {"reach_in": ends.home, "between": ends.reaching, "carry": ends.elsewhere}[kind]()
-    if start is None or not ends.are_apart(start, goal):
-        return None
-    if kind == "carry":
-        start, goal = goal, start
-    is_trivial = checker.edge(start, goal, limits.final_rad)
-    if is_trivial and rng.random() >= _TRIVIAL_KEPT:
-        return None
-    way = find_way(checker, start, goal, rng, limits)
+    start, goal, is_trivial = pair
+    way = find_way(ends.checker, start, goal, ends.rng, limits)
     if way is None:
         return None
     way.setflags(write=False)
     return way, is_trivial
+
+
+def _any_kind(rng: np.random.Generator) -> str:
+    return KINDS[int(rng.choice(len(KINDS), p=SHARES))]
 
 
 class Ends:
@@ -148,6 +144,36 @@ class Ends:
     ) -> None:
         self.checker, self.regions, self.rng = checker, regions, rng
         self.arm = checker.arm
+
+    def pairs(self, count: int, state: NDArray[np.float64] | None) -> Iterator[NDArray[np.float64]]:
+        """Starts and goals (2, d) rad of any kind from so many tries.
+
+        Args:
+            count: tries; those without ends, and most of those that the straight way solves, give none.
+            state: (d,) rad, where the arm waits before it reaches in; None for about the ready pose.
+        """
+        for _ in range(count):
+            pair = self.pair(_any_kind(self.rng), WayLimits().final_rad, state)
+            if pair is not None:
+                yield np.stack(pair[:2])
+
+    def pair(
+        self, kind: str, resolution_rad: float, state: NDArray[np.float64] | None = None
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], bool] | None:
+        """Start, goal and whether the straight way solves them; None where one is missing, or too easy."""
+        goal = self.reaching()
+        if goal is None:
+            return None
+        home = self.home if state is None else lambda: state
+        start = {"reach_in": home, "between": self.reaching, "carry": self.elsewhere}[kind]()
+        if start is None or not self.are_apart(start, goal):
+            return None
+        if kind == "carry":
+            start, goal = goal, start
+        is_trivial = self.checker.edge(start, goal, resolution_rad)
+        if is_trivial and self.rng.random() >= _TRIVIAL_KEPT:
+            return None
+        return start, goal, is_trivial
 
     def home(self) -> NDArray[np.float64] | None:
         """About the ready pose."""

@@ -3,7 +3,22 @@
 import struct
 import zlib
 
+from cspace.view_file import is_view, pack_view, unpack_view
+
 _END = struct.pack(">I", 0) + b"IEND" + struct.pack(">I", zlib.crc32(b"IEND"))
+
+
+def fresh_picture(file: bytes, note: str) -> bytes:
+    """:func:`fresh_png` of a PNG file, or of the first picture of a view.
+
+    Raises:
+        ValueError: a picture does not end as a PNG file does.
+        ImageError: the view is none.
+    """
+    if not is_view(file):
+        return fresh_png(file, note)
+    pictures, cameras, state = unpack_view(file)
+    return pack_view([fresh_png(pictures[0], note), *pictures[1:]], cameras, state)
 
 
 def fresh_png(png: bytes, note: str) -> bytes:

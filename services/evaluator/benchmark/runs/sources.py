@@ -16,7 +16,7 @@ from cspace.query import SampleQuery
 from cspace.splits import Split
 from cspace.world import World
 from cspace.worlds import picture_file_of, robot_digest, workshop_of
-from services.evaluator.benchmark.runs.fresh_png import fresh_png
+from services.evaluator.benchmark.runs.fresh_png import fresh_picture
 from services.evaluator.measures.samplers import PackedBundle
 from services.planner.planning import between_ends
 from services.planner.sources.local_sampler import LocalSampler
@@ -110,8 +110,8 @@ def ask(source: SampleSource, spec: SourceSpec, problem: Problem, query: SampleQ
     """
     query = replace(query, robot=robot_digest(problem.scenario.world))
     note = f"{query.seed} {query.n} {query.epsilon_sigma} {query.min_confidence}"
-    png = fresh_png(picture_file_of(problem.scenario), note)
-    batch = source.answer(png, between_ends(query, problem) if spec.with_ends else query, spec.model)
+    picture = fresh_picture(picture_file_of(problem.scenario), note)
+    batch = source.answer(picture, between_ends(query, problem) if spec.with_ends else query, spec.model)
     if batch.digest != spec.digest:
         raise SamplerError(
             f"another model answers for {spec.name}", expected=spec.digest[:12], got=batch.digest[:12]

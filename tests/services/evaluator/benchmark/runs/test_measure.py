@@ -12,12 +12,12 @@ from cspace.errors import ConfigError, SamplerError
 from cspace.png import encode_png
 from cspace.query import SampleQuery
 from cspace.splits import Split
-from cspace.worlds import default_world
+from cspace.worlds import default_world, examples
 from cspace.worlds.planar.planning.problems import Family, draw_problem
 from cspace.worlds.planar.seeing.picture import decode_png
 from services.evaluator.benchmark.runs.arms import pick, table
 from services.evaluator.benchmark.runs.check_cost import state_check_s
-from services.evaluator.benchmark.runs.fresh_png import fresh_png
+from services.evaluator.benchmark.runs.fresh_png import fresh_picture, fresh_png
 from services.evaluator.benchmark.runs.measure import drawn_samples, known_problem, measure
 from services.evaluator.benchmark.runs.setting import Unit
 from services.evaluator.benchmark.runs.sources import ask, bundled, mixed, opened, parse_named
@@ -196,6 +196,13 @@ def test_a_fresh_png_is_another_file_of_the_same_picture(tmp_path):
         assert opened_picture.info["Comment"] == "2"
     with pytest.raises(ValueError, match="IEND"):
         fresh_png(png[:-1], "1")
+
+
+def test_a_fresh_view_is_another_file_of_the_same_scene():
+    view = examples()["panda"].blank_picture()
+    fresh = fresh_picture(view, "1")
+    assert fresh != view
+    assert np.array_equal(examples()["panda"].read_picture(fresh), examples()["panda"].read_picture(view))
 
 
 def test_a_look_at_a_state_takes_well_under_the_time_of_a_python_call(setting):

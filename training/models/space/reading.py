@@ -1,5 +1,7 @@
 """Reading grids at points: pictures and features, of several scenes at once."""
 
+from collections.abc import Callable
+
 import torch
 from torch import Tensor
 from torch.nn import functional
@@ -13,12 +15,20 @@ class Points:
         counts: X, Y, Z of the grid.
         channels: that lie one behind the other in each scene's part of a table, as a picture (p, C, X, Y, Z)
             that is only reshaped has them.
+        scenes: (p,) their numbers in the table; None for all in their order.
     """
 
-    def __init__(self, places: Tensor, counts: tuple[int, int, int], channels: int = 1) -> None:
+    def __init__(
+        self,
+        places: Tensor,
+        counts: tuple[int, int, int],
+        channels: int = 1,
+        scenes: Tensor | None = None,
+    ) -> None:
         self.places, self.counts = places, counts
         self.voxels = counts[0] * counts[1] * counts[2]
-        self.rows = torch.arange(places.shape[0], device=places.device)[:, None] * (channels * self.voxels)
+        numbers = torch.arange(places.shape[0], device=places.device) if scenes is None else scenes
+        self.rows = numbers[:, None] * (channels * self.voxels)
 
     @property
     def inside(self) -> Tensor:
@@ -32,8 +42,16 @@ class Points:
         x, y, z = (self.places[:, axis].clamp(0.0, float(self.counts[axis] - 1)).long() for axis in range(3))
         return self._number(x, y, z) + channel * self.voxels
 
-    def between(self, table: Tensor) -> Tensor:
-        """Trilinear between voxels, (p, n, C), of a table (p X Y Z, C) or its first channel."""
+    def between(
+        self, table: Tensor, channel: int = 0, told: Callable[[Tensor], Tensor] | None = None
+    ) -> Tensor:
+        """Trilinear between voxels, (p, n, C), of a table (p X Y Z, C) or of one of its channels.
+
+        Args:
+            table: rows of all voxels.
+            channel: which, where several lie one behind the other.
+            told: what becomes of rows (p, n, C) before they are mixed; None for themselves.
+        """
         firsts, shares = [], []
         for axis in range(3):
             middle = (self.places[:, axis] - 0.5).clamp(0.0, self.counts[axis] - 1.001)
@@ -41,11 +59,13 @@ class Points:
             firsts.append(first)
             shares.append((middle - first).unsqueeze(-1))
         start = self._number(firsts[0], firsts[1], firsts[2])
+        start = start + channel * self.voxels if channel else start
         steps = (self.counts[1] * self.counts[2], self.counts[2], 1)
 
         def along(axis: int, at: Tensor) -> Tensor:
             if axis == 3:
-                return functional.embedding(at, table)
+                rows = functional.embedding(at, table)
+                return rows if told is None else told(rows)
             low = along(axis + 1, at)
             return low + shares[axis] * (along(axis + 1, at + steps[axis]) - low)
 

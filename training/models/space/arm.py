@@ -42,7 +42,7 @@ class ArmPoints(nn.Module):
     def forward(self, configurations: Tensor) -> tuple[Tensor, Tensor]:
         """Spheres and groups."""
         count = configurations.shape[0]
-        still = torch.eye(3, device=configurations.device)
+        still = torch.eye(3, dtype=configurations.dtype, device=configurations.device)
         turn, place = still.expand(count, 3, 3), self.points.new_zeros(1, 3, 1)
         parts = torch.split(self.points, self.sizes, dim=1)
         found = [parts[0].unsqueeze(0).expand(count, 3, self.sizes[0])]
