@@ -48,7 +48,7 @@ def _panel(axes: Any, one: Plans) -> None:
         share = sum(map(hits, ways)) / len(ways) if ways else float("nan")
         mark, colour = _MARKS[number % len(_MARKS)], f"C{len(one.models) + number}"
         at = len(ways) / len(runs)
-        axes.plot([at], [share], mark, color=colour, label=arm, markersize=7, clip_on=False)
+        axes.plot([at], [share], mark, color=colour, label=arm, markersize=7, clip_on=False, zorder=3)
     axes.set_xlim(0.0, 1.0)
     axes.set_ylim(0.0, 1.0)
     pictures = "one picture" if one.pictures == 1 else f"{one.pictures} pictures"

@@ -19,7 +19,7 @@ from services.names import EXPERIMENT
 from services.registry.tracking.experiment import NOTE, TAG_STAGE
 from services.registry.tracking.port import ID, Tracking
 
-SAFETY = "safety"
+SAFETY, LOGS = "safety", "logs"
 
 
 def write_plan_files(results: PlanResults, store: RunStore[PlanRun]) -> None:
@@ -31,8 +31,9 @@ def write_plan_files(results: PlanResults, store: RunStore[PlanRun]) -> None:
     out, shown = store.folder, None
     try:
         write_parquet(results.runs, out / PARQUET)
+        (out / LOGS).mkdir(exist_ok=True)
         for name, log in _logs(results):
-            (out / name).write_text(log, "utf-8")
+            (out / LOGS / name).write_text(log, "utf-8")
         if results.plans:
             shown = f"{FIGURES}/{SAFETY}.png"
             (out / FIGURES).mkdir(exist_ok=True)
@@ -56,8 +57,9 @@ def log_plan_run(tracking: Tracking, results: PlanResults, store: RunStore[PlanR
         run.params({"setting": asdict(setting), "samplers": samplers})
         run.metrics(plan_metrics(results), 0)
         run.tags({NOTE: headline(results)})
-        for part in (MANIFEST, PARQUET, REPORT, *(name for name, _ in _logs(results))):
+        for part in (MANIFEST, PARQUET, REPORT):
             run.artifact(store.folder / part)
+        run.artifact(store.folder / LOGS, LOGS)
         for path in sorted((store.folder / FIGURES).glob("*.png")):
             run.figure(Saved(path), path.stem)
         run.flush()

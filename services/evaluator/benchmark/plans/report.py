@@ -88,7 +88,8 @@ class PlanResults:
     @classmethod
     def gather(cls, runs: Sequence[PlanRun], pictures: Sequence[int], setting: PlanSetting) -> "PlanResults":
         """Pair and summarise the runs."""
-        rng = np.random.default_rng(setting.seed)
+        rng, sources = np.random.default_rng(setting.seed), list(setting.seen.sources)
+        runs = sorted(runs, key=lambda run: sources.index(run.source))
         plans, groups = gather_plans(runs, pictures), gather_checked(runs, pictures, setting.seen.hard)
         summaries = tuple(tuple(one.summaries(rng)) for one in plans)
         checks = tuple(tuple(one.summaries(rng)) for one in groups)
