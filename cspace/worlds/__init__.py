@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cspace.errors import ScenarioError
-from cspace.partly_seen import PartlySeen
 from cspace.strict_json import read_mapping
 from cspace.workshop import Checker, Workshop
 from cspace.world import Body, Image, NextView, Scene, World
+from cspace.worlds.unseen import PartlySeen
 
 # Each folder has ``world`` (numpy alone) with ``read`` and ``EXAMPLES`` (worlds by name); ``options`` with
 # ``add_options`` and ``described``, which gives None where none of its options was used and the kind is not

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cspace.errors import ScenarioError
-from cspace.partly_seen import Asked, Taken
 from cspace.problem import Problem
 from cspace.splits import Split
 from cspace.world import Image, World
@@ -29,6 +28,7 @@ from cspace.worlds.spatial.seeing.observed import lookup
 from cspace.worlds.spatial.seeing.sight import FREE
 from cspace.worlds.spatial.seen_checks import seen_checkers
 from cspace.worlds.spatial.world import SpatialWorld, shipped
+from cspace.worlds.unseen import Asked, Taken
 
 PREFIX = "motionbench_"
 # Of MotionBenchMaker's Panda, m.
@@ -37,7 +37,7 @@ FINGERS_M = 0.065
 
 @dataclass(frozen=True, slots=True)
 class SpatialPartlySeen:
-    """See :class:`cspace.partly_seen.PartlySeen`."""
+    """See :class:`cspace.worlds.unseen.PartlySeen`."""
 
     world: SpatialWorld
 

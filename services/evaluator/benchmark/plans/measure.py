@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cspace.connecting import length_rad, spaced
-from cspace.partly_seen import Judge, Taken
 from cspace.planning.compiled import load_kernels
 from cspace.planning.query import BelievedWay
 from cspace.planning.ways import find_ways
 from cspace.problem import Problem
 from cspace.workshop import Checker
 from cspace.worlds import checker_of, picture_file_of, workshop_of
+from cspace.worlds.unseen import Judge, Taken
 from services.evaluator.benchmark.plans.planners import Answer, Planner, opened_planners, plan_query
 from services.evaluator.benchmark.plans.record import NO_PROBLEM, PlanRun
 from services.evaluator.benchmark.plans.setting import BASE, PlanArm, PlanSetting, PlanUnit, Table

@@ -17,7 +17,10 @@ from cspace.splits import Split
 from cspace.world import World
 from cspace.worlds import picture_file_of, robot_digest, workshop_of
 from services.evaluator.benchmark.runs.sources import SourceSpec, bundled
-from services.planner.sources.sampling_client import SamplingClient
+from services.planner.sources.sampling_client import RetryPolicy, SamplingClient
+
+# A server's first plan may have to wait for its compiler.
+_PATIENCE_S = 60.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -95,7 +98,7 @@ def served_planner(name: str, model: str, url: str, world: World) -> SourceSpec:
         SamplerError: the API refuses, or does not answer.
     """
     problem = _example(world)
-    with SamplingClient(url, robot=robot_digest(world)) as client:
+    with _client(url, world) as client:
         told = client.plan(picture_file_of(problem.scenario), plan_query(problem), model).model
     pinned = f"{told.model_name}/{told.model_version}" if told.model_version else told.model_name
     return SourceSpec(name, told.digest, with_ends=True, model=pinned, url=url)
@@ -127,8 +130,13 @@ def _opened(spec: SourceSpec, world: World, stack: ExitStack) -> Planner:
     if spec.packed is not None:
         with TemporaryDirectory(prefix="cspace-bundle-") as folder:
             return BundlePlanner(Bundle.load(spec.packed.unpack(Path(folder))))
-    client = stack.enter_context(SamplingClient(spec.url or "", robot=robot_digest(world)))
+    client = stack.enter_context(_client(spec.url or "", world))
     return ServedPlanner(client, spec)
+
+
+def _client(url: str, world: World) -> SamplingClient:
+    policy = RetryPolicy(deadline_s=2.0 * _PATIENCE_S)
+    return SamplingClient(url, _PATIENCE_S, policy=policy, robot=robot_digest(world))
 
 
 def _example(world: World) -> Problem:

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from cspace.partly_seen import Taken
+from cspace.worlds.unseen import Taken
 from services.evaluator.benchmark.plans.checked import ArmChecks, Checked
 from services.evaluator.benchmark.plans.checked import gather as gather_checked
 from services.evaluator.benchmark.plans.record import PlanRun

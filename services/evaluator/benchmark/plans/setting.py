@@ -6,10 +6,10 @@ from enum import StrEnum
 from itertools import product
 from pathlib import Path
 
-from cspace.partly_seen import Asked, PartlySeen, Taken
 from cspace.splits import Split
 from cspace.world import World
 from cspace.worlds import partly_seen, workshop_of
+from cspace.worlds.unseen import Asked, PartlySeen, Taken
 from services.evaluator.evaluation.units import planner_seed
 from services.planner.settings import SAMPLED_CONNECT, PlannerSettings
 

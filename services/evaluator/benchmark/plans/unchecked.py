@@ -8,8 +8,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from cspace.partly_seen import Taken
 from cspace.planning.scoring import calibration_error
+from cspace.worlds.unseen import Taken
 from services.evaluator.benchmark.plans.record import NO_PROBLEM, PlanRun
 from services.evaluator.benchmark.plans.setting import Table, in_order
 from services.evaluator.statistics import Interval, clopper_pearson, difference_interval

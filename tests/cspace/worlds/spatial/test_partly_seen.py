@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from cspace.errors import ScenarioError
-from cspace.partly_seen import Asked, Taken
 from cspace.splits import Split
 from cspace.worlds import default_world, examples, partly_seen, picture_of
 from cspace.worlds.spatial.obstacles.shapes import Box, Obstacles
 from cspace.worlds.spatial.partly_seen import middle
 from cspace.worlds.spatial.poses import make_pose, pose_of
+from cspace.worlds.unseen import Asked, Taken
 
 ASKED = Asked(Split.VALIDATION)
 SETS = partly_seen(examples()["panda"])

@@ -2,7 +2,7 @@
 
 import pytest
 
-from cspace.partly_seen import Taken
+from cspace.worlds.unseen import Taken
 from services.evaluator.benchmark.plans.record import PlanRun
 from services.evaluator.benchmark.plans.setting import Table
 

@@ -8,8 +8,8 @@ import pandas as pd
 import pytest
 
 from cspace.errors import SamplerError
-from cspace.partly_seen import Taken
 from cspace.planning.query import Plan
+from cspace.worlds.unseen import Taken
 from services.evaluator.benchmark import __main__ as command
 from services.evaluator.benchmark.command import parser
 from services.evaluator.benchmark.plans.command import make_plan_request

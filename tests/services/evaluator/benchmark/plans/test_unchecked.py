@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cspace.partly_seen import Taken
+from cspace.worlds.unseen import Taken
 from services.evaluator.benchmark.plans.record import NO_PROBLEM
 from services.evaluator.benchmark.plans.rows import plans_table, sureness_table
 from services.evaluator.benchmark.plans.unchecked import Plans, gather
