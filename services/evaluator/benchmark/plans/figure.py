@@ -52,4 +52,4 @@ def _panel(axes: Any, one: Plans) -> None:
     axes.set_xlim(0.0, 1.0)
     axes.set_ylim(0.0, 1.0)
     pictures = "one picture" if one.pictures == 1 else f"{one.pictures} pictures"
-    axes.set_title(f"{one.source}, {pictures}\n{one.count} problems", fontsize=10)
+    axes.set_title(f"{one.source}, {pictures}\n{one.count} problem{'s' * (one.count > 1)}", fontsize=10)

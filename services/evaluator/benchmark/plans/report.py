@@ -163,7 +163,7 @@ def _tables(results: PlanResults) -> list[tuple[str, str, Table]]:
         name = _name(plans)
         found.append(
             (
-                f"## Without exact checks: {name}, {plans.count} problems",
+                f"## Without exact checks: {name}, {plans.count} problem{'s' * (plans.count > 1)}",
                 f"{READING}\n\n{SURENESS}",
                 plans_table(summaries),
             )

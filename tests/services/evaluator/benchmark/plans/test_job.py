@@ -29,6 +29,12 @@ GIVEN = ("--protocol", "plans", "--robot", "panda", "--family", "motionbench_tab
          "--pictures", "1", "--runs", "1")  # fmt: skip
 
 
+@pytest.fixture(autouse=True)
+def patient(monkeypatch):
+    """Searches that a busy machine does not cut off."""
+    monkeypatch.setattr("services.evaluator.benchmark.plans.command.PLAN_LIMIT_S", 10.0)
+
+
 def work_here(work, setting, specs):
     worker = PlanWorker(setting, specs)
     for unit in work:
