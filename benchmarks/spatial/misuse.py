@@ -2,11 +2,12 @@
 
     python -m benchmarks.spatial.misuse BUNDLE [--each 10]
 
-Problems of MotionBenchMaker as in plan_quality, one picture each, changed in one way at a time: noise, where
-the camera stands and how wide it looks, what is missing, where the camera is said to stand, whether the arm's
-state is told, and things that no family of scenes has (rods of 4 to 8 mm, boxes at any tilt). For each: share
-of the plans that collide in truth with its 95 % bootstrap interval, their mean confidence, the difference of
-it to the share that is free, the median novelty, and the share of pictures with a novelty above 0.95.
+Problems of MotionBenchMaker as `python -m services.evaluator planning --protocol plans` has them, one picture
+each, changed in one way at a time: noise, where the camera stands and how wide it looks, what is missing,
+where the camera is said to stand, whether the arm's state is told, and things that no family of scenes has
+(rods of 4 to 8 mm, boxes at any tilt). For each: share of the plans that collide in truth with its 95 %
+bootstrap interval, their mean confidence, the difference of it to the share that is free, the median novelty,
+and the share of pictures with a novelty above 0.95.
 """
 
 import sys
@@ -18,13 +19,14 @@ import numpy as np
 
 from benchmarks.command import arguments
 from benchmarks.machine import machine
-from benchmarks.spatial.plan_quality import LIMIT_S, LOOK_RAD, WAYS, from_both_sides, panda_world, viewed
+from benchmarks.spatial.problem_options import LIMIT_S, LOOK_RAD, WAYS, panda_world
 from cspace.bundle import Bundle
 from cspace.connecting import spaced
 from cspace.planning.query import PlanQuery
 from cspace.splits import Split
 from cspace.worlds.spatial.motionbench.problems import FAMILIES, BenchProblem, problems
 from cspace.worlds.spatial.obstacles.shapes import Box, Cylinder, Obstacles
+from cspace.worlds.spatial.partly_seen import from_both_sides, viewed
 from cspace.worlds.spatial.planning.collision import CollisionChecker
 from cspace.worlds.spatial.poses import make_pose, pose_of
 from cspace.worlds.spatial.scene import SpatialScene
@@ -147,7 +149,8 @@ def judged(bundle: Bundle, world: SpatialWorld, problem: BenchProblem, misuse: M
         return None
     views = replace(world.sensor.views, **(misuse.views or {}))
     seen_by = replace(world, sensor=replace(world.sensor, views=views))
-    scene = replace(from_both_sides(rng, seen_by, problem, "goal"), obstacles=obstacles)
+    layout = problem.layout(world.body)
+    scene = replace(from_both_sides(rng, seen_by, layout, ends[0], "goal"), obstacles=obstacles)
     view = _noisy(scene, misuse).view()
     prepared = bundle.prepare(world.observed(view if misuse.change is None else misuse.change(view, rng)))
     query = PlanQuery(tuple(ends[0]), tuple(ends[1]), 0, 0.0, LIMIT_S, WAYS)

@@ -2,10 +2,11 @@
 
     python -m benchmarks.spatial.next_view BUNDLE [--aim scene] [--each 10]
 
-Problems and first pictures are those of plan_quality. The second camera is the one that the first plan names,
-of a hemisphere about its doubt, or one of the same hemisphere by chance. Both pictures are noisy, the arm is
-in them; the plan from both is judged as there. Share of the ways that collide, with 95 % bootstrap intervals
-over the problems that all three solve, and the median of their doubt, -log of the confidence.
+Problems and first pictures are those of `python -m services.evaluator planning --protocol plans`. The second
+camera is the one that the first plan names, of a hemisphere about its doubt, or one of the same hemisphere by
+chance. Both pictures are noisy, the arm is in them; the plan from both is judged as there. Share of the ways
+that collide, with 95 % bootstrap intervals over the problems that all three solve, and the median of their
+doubt, -log of the confidence.
 """
 
 import sys
@@ -14,20 +15,20 @@ from dataclasses import replace
 import numpy as np
 
 from benchmarks.machine import machine
-from benchmarks.spatial.plan_quality import (
+from benchmarks.spatial.problem_options import (
     LIMIT_S,
     LOOK_RAD,
     WAYS,
-    from_both_sides,
+    chosen_problems,
     panda_world,
-    viewed,
+    problem_arguments,
 )
-from benchmarks.spatial.problem_options import chosen_problems, problem_arguments
 from cspace.bundle import Bundle
 from cspace.connecting import spaced
 from cspace.planning.query import Plan, PlanQuery
 from cspace.worlds.spatial.motionbench.problems import BenchProblem
 from cspace.worlds.spatial.next_view import away_m, hemisphere
+from cspace.worlds.spatial.partly_seen import from_both_sides, viewed
 from cspace.worlds.spatial.planning.collision import CollisionChecker
 from cspace.worlds.spatial.scene import SpatialScene
 from cspace.worlds.spatial.seeing.camera import DepthCamera, read_camera
@@ -46,7 +47,7 @@ def judged(
     if not truth.valid_batch(ends).all():
         return None
     rng = np.random.default_rng([25, 1, *problem.family.encode(), problem.number])
-    first = from_both_sides(rng, world, problem, aim)
+    first = from_both_sides(rng, world, problem.layout(world.body), ends[0], aim)
     query = PlanQuery(tuple(ends[0]), tuple(ends[1]), 0, 0.0, LIMIT_S, WAYS, next_view=True)
     found = planned(bundle, world, first, query)
     if found.next_view is None:

@@ -1,11 +1,16 @@
-"""Which problems of MotionBenchMaker a benchmark takes, on its command line."""
+"""Which problems of MotionBenchMaker a benchmark takes, on its command line, and how it asks for plans."""
 
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
 from benchmarks.command import arguments
+from benchmarks.spatial.spheres_and_meshes import panda
+from cspace.bundle import Bundle
 from cspace.splits import Split
 from cspace.worlds.spatial.motionbench.problems import FAMILIES, BenchProblem, problems
+from cspace.worlds.spatial.world import SpatialWorld
+
+LOOK_RAD, WAYS, LIMIT_S = 0.01, 8, 2.0
 
 
 def problem_arguments(description: str | None) -> ArgumentParser:
@@ -26,3 +31,11 @@ def chosen_problems(options: Namespace) -> list[BenchProblem]:
         of_family = problems(Split(options.split), options.problems, families=(family,))
         chosen += of_family[: options.each or None]
     return chosen
+
+
+def panda_world(bundle: Bundle) -> SpatialWorld:
+    """The bundle's world, whose robot is the Panda."""
+    world = bundle.spec.world
+    if not isinstance(world, SpatialWorld) or world.body != panda():
+        raise SystemExit("the problems are those of the Panda: name a bundle of its world")
+    return world

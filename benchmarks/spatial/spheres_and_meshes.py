@@ -12,7 +12,6 @@ intervals over these, and medians; near is a clearance by spheres below 1 cm, in
 import json
 import sys
 from collections.abc import Callable
-from importlib.metadata import files
 from pathlib import Path
 
 import numpy as np
@@ -23,11 +22,11 @@ from cspace.splits import Split
 from cspace.worlds.spatial.motionbench.problems import BenchProblem, problems
 from cspace.worlds.spatial.obstacles.shapes import Obstacles
 from cspace.worlds.spatial.obstacles.signed_distance import clearance_m
-from cspace.worlds.spatial.planning.judge import Description, RobotMeshes
+from cspace.worlds.spatial.partly_seen import FINGERS_M
+from cspace.worlds.spatial.planning.judge import Description, RobotMeshes, panda_urdf
 from cspace.worlds.spatial.robot.arm import SerialArm
 from cspace.worlds.spatial.robot.kinematics import arm_arrays, self_distance_batch, sphere_centres_batch
 
-FINGERS_M = 0.065
 NEAR_M = 0.01
 RESAMPLES = 10_000
 KINDS = (
@@ -92,7 +91,7 @@ def main() -> int:
     options = parser.parse_args()
     arm = panda()
     held = dict.fromkeys(("panda_finger_joint1", "panda_finger_joint2"), FINGERS_M)
-    meshes = RobotMeshes(arm, Description(options.urdf or described(), held))
+    meshes = RobotMeshes(arm, Description(options.urdf or panda_urdf() or parser.error("give --urdf"), held))
     space = arm.space
 
     def uniform(rng: np.random.Generator, _: BenchProblem, count: int) -> np.ndarray:
@@ -125,14 +124,6 @@ def panda() -> SerialArm:
     """The robot that ships."""
     path = Path(cspace.worlds.spatial.__file__).with_name("robots") / "panda.json"
     return SerialArm.from_dict(json.loads(path.read_bytes()))
-
-
-def described() -> Path:
-    """Its description in the package example-robot-data."""
-    listed = files("example-robot-data") or []
-    return next(
-        Path(one.locate()) for one in listed if str(one).endswith("panda_description/urdf/panda.urdf")
-    )
 
 
 if __name__ == "__main__":

@@ -22,6 +22,8 @@ Believe = Callable[[NDArray[np.float32]], tuple[NDArray[np.float32], NDArray[np.
 _LEAST = 1e-6
 # Of an exponent; e to that is no chance any more.
 _MOST = 20.0
+# Of confidence, beside what is true.
+_BINS = 10
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,6 +89,12 @@ def free_of_doubt(doubt: NDArray[np.float64], plan_doubt: tuple[float, float]) -
     offset, slope = plan_doubt
     with np.errstate(divide="ignore"):
         return np.asarray(np.exp(-np.exp(np.minimum(offset + slope * np.log(doubt), _MOST))))
+
+
+def calibration_error(sure: NDArray[np.float64], free: Sequence[bool] | NDArray[np.bool_]) -> float:
+    """Mean distance of confidence (n,) and truth (n,) over ten bins of the confidence."""
+    place = np.minimum((np.asarray(sure) * _BINS).astype(int), _BINS - 1)
+    return float(np.abs(np.bincount(place, sure - np.asarray(free), _BINS)).sum() / len(sure))
 
 
 def score(

@@ -16,12 +16,14 @@ from cspace.errors import ScenarioError
 from cspace.strict_json import read_mapping
 from cspace.workshop import Checker, Workshop
 from cspace.world import Body, Image, NextView, Scene, World
+from cspace.worlds.unseen import PartlySeen
 
 # Each folder has ``world`` (numpy alone) with ``read`` and ``EXAMPLES`` (worlds by name); ``options`` with
 # ``add_options`` and ``described``, which gives None where none of its options was used and the kind is not
 # the first; ``workshop`` with ``open_workshop``; ``seen_checks`` with ``seen_checkers``; ``next_view`` (numpy
-# alone) with ``best_view``.
+# alone) with ``best_view``. One that no picture shows whole has ``partly_seen`` with ``open_partly_seen``.
 KINDS = ("planar", "spatial")
+_PARTLY_SEEN = ("spatial",)
 # What files are of that do not name their kind: older than kinds are.
 FIRST = "planar"
 
@@ -96,6 +98,21 @@ def described_world(options: Namespace) -> World:
 def workshop_of(world: World) -> Workshop:
     """The workshop of a world; its kernels are loaded at the first call."""
     return cast("Workshop", _part(world.kind, "workshop").open_workshop(world))
+
+
+def partly_seen(world: World) -> PartlySeen:
+    """Planning problems of a world that no picture shows whole.
+
+    Raises:
+        ScenarioError: pictures show the world whole.
+    """
+    if world.kind not in _PARTLY_SEEN:
+        raise ScenarioError(
+            "the world's pictures hide nothing",
+            expected=f"a world of the kind {', '.join(_PARTLY_SEEN)}",
+            got=world.kind,
+        )
+    return cast("PartlySeen", _part(world.kind, "partly_seen").open_partly_seen(world))
 
 
 def seen_checkers(world: World, picture: Image, ends: NDArray[np.float64]) -> Sequence[Checker]:

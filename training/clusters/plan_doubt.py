@@ -5,7 +5,6 @@ probability. exp(-exp(a + b log D)), the complementary log-log link, keeps 1 whe
 with it; (0, 1) is exp(-D), to which few plans are pulled. Two thirds of the plans fit, the others measure.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +14,7 @@ from scipy.optimize import minimize
 from cspace.bundle import Bundle
 from cspace.connecting import spaced
 from cspace.planning.query import PlanQuery
-from cspace.planning.scoring import free_of_doubt
+from cspace.planning.scoring import calibration_error, free_of_doubt
 from cspace.splits import Split
 from cspace.world import World
 from cspace.worlds import checker_of, picture_of, workshop_of
@@ -27,7 +26,7 @@ TIME_S = 5.0
 _FINER = 0.5
 # How hard (a, b) is pulled to (0, 1), in plans.
 _PULL = 4.0
-_BINS, _LEAST = 10, 1e-6
+_LEAST = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,9 +117,3 @@ def fit_plan_doubt(plans: Planned) -> PlanDoubt | None:
         error=calibration_error(free_of_doubt(others, parameters), in_truth),
         plain_error=calibration_error(np.exp(-others), in_truth),
     )
-
-
-def calibration_error(sure: NDArray[np.float64], free: Sequence[bool] | NDArray[np.bool_]) -> float:
-    """Mean distance of confidence (n,) and truth (n,) over ten bins of the confidence."""
-    place = np.minimum((np.asarray(sure) * _BINS).astype(int), _BINS - 1)
-    return float(np.abs(np.bincount(place, sure - np.asarray(free), _BINS)).sum() / len(sure))

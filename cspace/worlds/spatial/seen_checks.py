@@ -18,9 +18,15 @@ _NO_OBSTACLES = Obstacles((), ())
 
 
 def seen_checkers(
-    world: SpatialWorld, picture: NDArray[np.uint8], ends: NDArray[np.float64]
+    world: SpatialWorld,
+    picture: NDArray[np.uint8],
+    ends: NDArray[np.float64],
+    obstacles: Obstacles = _NO_OBSTACLES,
 ) -> list[CollisionChecker]:
-    """See :func:`cspace.worlds.seen_checkers`; distances are those of the picture's voxels."""
+    """See :func:`cspace.worlds.seen_checkers`; distances are those of the picture's voxels.
+
+    Obstacles are known to stand there, too, whatever the picture shows.
+    """
     arm, grid = world.body, world.sensor.grid
     arrays = arm_arrays(arm)
     moving = arrays.links > 0
@@ -30,5 +36,5 @@ def seen_checkers(
     for margin_m in MARGINS_M:
         known = distance_grid(distances_m(picture) - np.float32(margin_m), grid.low_m, grid.voxel_m)
         clear_spheres(known, centres.reshape(-1, 3), radii, _ROOM_M)
-        found.append(CollisionChecker(arm, _NO_OBSTACLES, known))
+        found.append(CollisionChecker(arm, obstacles, known))
     return found

@@ -8,7 +8,12 @@ from cspace.errors import ConfigError, CspaceError
 from services.command_errors import tell_error
 from services.evaluator.benchmark.command import chosen_arms, make_request, parser
 from services.evaluator.benchmark.job import run_benchmark
-from services.evaluator.benchmark.runs.cluster import executor
+from services.evaluator.benchmark.plans.command import make_plan_request, refuse_others
+from services.evaluator.benchmark.plans.job import run_plans
+from services.evaluator.benchmark.plans.measure import PlanWorker
+from services.evaluator.benchmark.plans.report import plan_terminal
+from services.evaluator.benchmark.runs.cluster import executor, executor_of
+from services.evaluator.benchmark.runs.setting import Protocol
 from services.evaluator.benchmark.telling.files import REPORT
 from services.evaluator.benchmark.telling.report import terminal_tables
 from services.registry.tracking.port import Tracking
@@ -16,18 +21,26 @@ from services.registry.tracking.port import Tracking
 
 def main(arguments: Sequence[str] | None = None, environment: Mapping[str, str] = os.environ) -> int:
     """Parse, run, print; returns the exit code."""
-    options = parser().parse_args(arguments)
+    known = parser()
+    options = known.parse_args(arguments)
     try:
+        refuse_others(options, known)
         if options.list_arms:
             print("\n".join(f"{arm.group:11} {arm.name}" for arm in chosen_arms(options)))
             return 0
         tracking = None if options.no_mlflow else _tracking(environment)
-        request = make_request(options)
-        results = run_benchmark(request, executor(environment, options.processes), _show, tracking)
+        if options.protocol is Protocol.PLANS:
+            asked = make_plan_request(options)
+            execute = executor_of(PlanWorker, environment, options.processes)
+            told = plan_terminal(run_plans(asked, execute, _show, tracking))
+        else:
+            request = make_request(options)
+            results = run_benchmark(request, executor(environment, options.processes), _show, tracking)
+            told = terminal_tables(results)
     except CspaceError as error:
         return tell_error(error, ConfigError)
-    print(terminal_tables(results))
-    print(f"{request.out / REPORT}", flush=True)
+    print(told)
+    print(f"{options.out / REPORT}", flush=True)
     return 0
 
 

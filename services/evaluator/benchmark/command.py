@@ -5,11 +5,12 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
-from cspace.errors import ConfigError
+from cspace.errors import ConfigError, ScenarioError
 from cspace.query import MAX_SAMPLES
 from cspace.splits import Split
-from cspace.worlds import examples, workshop_of
+from cspace.worlds import examples, partly_seen, workshop_of
 from services.evaluator.benchmark.job import Request
+from services.evaluator.benchmark.plans.command import add_options
 from services.evaluator.benchmark.runs.arms import (
     LEARNED_SHARES,
     MIN_CONFIDENCE,
@@ -53,17 +54,16 @@ def parser() -> argparse.ArgumentParser:
     what.add_argument(
         "--robot", choices=list(WORLDS), default=next(iter(WORLDS)), help="default: %(default)s"
     )
-    families = list(
-        dict.fromkeys(name for one in WORLDS.values() for name in workshop_of(one).families.names)
-    )
-    what.add_argument("--family", choices=families, action="append", help="default: all")
+    what.add_argument("--family", choices=_families(), action="append", help="default: all")
     what.add_argument("--split", type=Split, choices=SPLITS, default=Split.VALIDATION)
     what.add_argument(
         "--problems",
         type=int,
         help="of each family (default: 300, disconnected 30; of the paper's protocol 10)",
     )
-    what.add_argument("--runs", type=int, help="of each problem (default: 1, of the paper's protocol 100)")
+    what.add_argument(
+        "--runs", type=int, help="of each problem (default: 1, of the paper's protocol 100, of plans 3)"
+    )
     what.add_argument("--seed", type=int, default=0, help="of problems, planners and samplers")
     what.add_argument(
         "--arms", nargs="+", default=[group.value for group in GROUPS],
@@ -89,6 +89,7 @@ def parser() -> argparse.ArgumentParser:
         "--optimising-iterations", type=int, help="the same, of optimising arms (default: 2000)"
     )
     what.add_argument("--time-limit", type=float, metavar="S", help="default: 10, of the paper's protocol 1")
+    add_options(parser)
     how = parser.add_argument_group("how")
     how.add_argument(
         "--processes", type=int, default=os.cpu_count() or 1,
@@ -98,6 +99,17 @@ def parser() -> argparse.ArgumentParser:
     how.add_argument("--no-mlflow", action="store_true", help="log no run")
     how.add_argument("--list-arms", action="store_true", help="print the arms and end")
     return parser
+
+
+def _families() -> list[str]:
+    found: list[str] = []
+    for world in WORLDS.values():
+        found += workshop_of(world).families.names
+        try:
+            found += [name for names in partly_seen(world).sources.values() for name in names]
+        except ScenarioError:
+            continue
+    return list(dict.fromkeys(found))
 
 
 def chosen_arms(options: argparse.Namespace) -> tuple[Arm, ...]:

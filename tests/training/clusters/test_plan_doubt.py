@@ -7,7 +7,7 @@ from cspace.bundle import Bundle
 from cspace.planning.scoring import free_of_doubt
 from cspace.worlds import examples
 from tests.bundles import write_tiny_bundle
-from training.clusters.plan_doubt import Planned, calibration_error, fit_plan_doubt, planned
+from training.clusters.plan_doubt import Planned, fit_plan_doubt, planned
 
 
 def drawn(parameters, count, seed=0):
@@ -43,12 +43,6 @@ def test_ways_without_doubt_are_free_and_more_doubt_is_never_surer():
         assert (np.diff(sure) <= 0.0).all()
         assert sure[-1] < 1e-6
     np.testing.assert_allclose(free_of_doubt(doubts, (0.0, 1.0)), np.exp(-doubts), atol=1e-12)
-
-
-def test_the_calibration_error_is_the_distance_of_confidence_and_truth():
-    sure = np.array([0.05, 0.05, 0.95, 0.95])
-    assert calibration_error(sure, np.array([False, False, True, True])) == pytest.approx(0.05)
-    assert calibration_error(sure, np.array([True, True, False, False])) == pytest.approx(0.95)
 
 
 def test_plans_of_validation_problems_are_judged_in_truth(tmp_path):

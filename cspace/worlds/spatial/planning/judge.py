@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from importlib.metadata import PackageNotFoundError, files
 from pathlib import Path
 from typing import Any
 
@@ -207,6 +208,16 @@ class MeshJudge:
                 got=str(rows.shape),
             )
         return rows
+
+
+def panda_urdf() -> Path | None:
+    """The Panda's description in the package example-robot-data; None where that is not installed."""
+    try:
+        listed = files("example-robot-data") or []
+    except PackageNotFoundError:
+        return None
+    ending = "panda_description/urdf/panda.urdf"
+    return next((Path(str(one.locate())) for one in listed if str(one).endswith(ending)), None)
 
 
 def _libraries() -> tuple[Any, Any]:

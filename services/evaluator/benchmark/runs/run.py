@@ -8,8 +8,44 @@ from typing import Annotated, Any, Self, get_type_hints
 from cspace.errors import EvaluationError
 
 
+class Record:
+    """A flat dataclass, annotated with what each column holds."""
+
+    __slots__ = ()
+
+    @property
+    def key(self) -> tuple[Any, ...]:
+        """What tells it from all others."""
+        raise NotImplementedError
+
+    def to_json(self) -> str:
+        """One line."""
+        return json.dumps(asdict(self), allow_nan=False)  # type: ignore[call-overload]
+
+    @classmethod
+    def from_json(cls, line: str) -> Self:
+        """Read one line.
+
+        Raises:
+            EvaluationError: it holds no run.
+        """
+        try:
+            found: dict[str, Any] = json.loads(line)
+            lists = {name: tuple(value) for name, value in found.items() if isinstance(value, list)}
+            return cls(**{**found, **lists})
+        except (ValueError, TypeError) as error:
+            raise EvaluationError(
+                "a line of the runs can not be read", expected="the columns of this release", got=line[:80]
+            ) from error
+
+
+def descriptions(kind: type[Record]) -> dict[str, str]:
+    """What each column of a kind of records holds."""
+    return {name: hint.__metadata__[0] for name, hint in get_type_hints(kind, include_extras=True).items()}
+
+
 @dataclass(frozen=True, slots=True)
-class Run:
+class Run(Record):
     """One run, each column with what it holds."""
 
     protocol: Annotated[str, "families or paper"]
@@ -75,30 +111,8 @@ class Run:
         """Family, problem, run and arm."""
         return self.family, self.problem, self.run, self.arm
 
-    def to_json(self) -> str:
-        """One line."""
-        return json.dumps(asdict(self), allow_nan=False)
 
-    @classmethod
-    def from_json(cls, line: str) -> Self:
-        """Read one line.
-
-        Raises:
-            EvaluationError: it holds no run.
-        """
-        try:
-            found: dict[str, Any] = json.loads(line)
-            lists = {name: tuple(value) for name, value in found.items() if isinstance(value, list)}
-            return cls(**{**found, **lists})
-        except (ValueError, TypeError) as error:
-            raise EvaluationError(
-                "a line of the runs can not be read", expected="the columns of this release", got=line[:80]
-            ) from error
-
-
-DESCRIPTIONS: dict[str, str] = {
-    name: hint.__metadata__[0] for name, hint in get_type_hints(Run, include_extras=True).items()
-}
+DESCRIPTIONS = descriptions(Run)
 """What each column of ``runs.parquet`` holds."""
 
 

@@ -18,11 +18,13 @@ class Protocol(StrEnum):
     """How much is run on what.
 
     ``families``: many problems of every family, once each, to a limit of iterations. ``paper``: few problems,
-    many times each, to a limit of wall time.
+    many times each, to a limit of wall time. ``plans``: ways through scenes that pictures show in part; see
+    :mod:`services.evaluator.benchmark.plans`.
     """
 
     FAMILIES = "families"
     PAPER = "paper"
+    PLANS = "plans"
 
 
 @dataclass(frozen=True, slots=True)

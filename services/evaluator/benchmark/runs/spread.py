@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import ExitStack
+from typing import Any, Protocol, TypeVar
 
 from cspace.errors import JobError
 from services.evaluator.benchmark.runs.measure import measure
@@ -13,7 +14,22 @@ from services.evaluator.benchmark.runs.run import Run
 from services.evaluator.benchmark.runs.setting import Setting, Unit
 from services.evaluator.benchmark.runs.sources import SourceSpec, opened
 
-Execute = Callable[[Sequence[Unit], Setting, Sequence[SourceSpec]], Iterator[list[Run]]]
+Work = TypeVar("Work")
+Work_contra = TypeVar("Work_contra", contravariant=True)
+Limits = TypeVar("Limits")
+Found = TypeVar("Found")
+
+
+class Works(Protocol[Work_contra, Found]):
+    """What a process keeps between units."""
+
+    def run(self, unit: Work_contra) -> list[Found]:
+        """One unit."""
+
+
+Make = Callable[[Limits, Sequence[SourceSpec]], Works[Work, Found]]
+Executes = Callable[[Sequence[Work], Limits, Sequence[SourceSpec]], Iterator[list[Found]]]
+Execute = Executes[Unit, Setting, Run]
 # Each process computes on one core; the pools of numeric libraries would fight over the others.
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
@@ -37,16 +53,21 @@ class Worker:
 
 def processes(count: int) -> Execute:
     """Units over so many spawned processes of this machine."""
+    return spawned(Worker, count)
+
+
+def spawned(make: Make[Limits, Work, Found], count: int) -> Executes[Work, Limits, Found]:
+    """The same with workers of another make, a class of a module."""
 
     def run_spawned(
-        work: Sequence[Unit], setting: Setting, specs: Sequence[SourceSpec]
-    ) -> Iterator[list[Run]]:
+        work: Sequence[Work], setting: Limits, specs: Sequence[SourceSpec]
+    ) -> Iterator[list[Found]]:
         for name in ONE_THREAD:
             os.environ.setdefault(name, "1")
         context = multiprocessing.get_context("spawn")
-        pool = ProcessPoolExecutor(count, context, _begin, (setting, tuple(specs)))
+        pool = ProcessPoolExecutor(count, context, _begin, (make, setting, tuple(specs)))
         try:
-            futures: list[Future[list[Run]]] = [pool.submit(_run, unit) for unit in work]
+            futures: list[Future[list[Found]]] = [pool.submit(_run, unit) for unit in work]
             for done in as_completed(futures):
                 yield done.result()
         except BrokenProcessPool as error:
@@ -61,18 +82,18 @@ def processes(count: int) -> Execute:
     return run_spawned
 
 
-_here: list[Worker | Exception] = []
+_here: list[Works[Any, Any] | Exception] = []
 
 
-def _begin(setting: Setting, specs: Sequence[SourceSpec]) -> None:
+def _begin(make: Make[Any, Any, Any], setting: Any, specs: Sequence[SourceSpec]) -> None:
     # An error here would break the pool without its words; the first unit raises it instead.
     try:
-        _here[:] = [Worker(setting, specs)]
+        _here[:] = [make(setting, specs)]
     except Exception as error:  # noqa: BLE001 - whatever it is, it is raised again
         _here[:] = [error]
 
 
-def _run(unit: Unit) -> list[Run]:
+def _run(unit: Any) -> list[Any]:
     (worker,) = _here
     if isinstance(worker, Exception):
         raise worker

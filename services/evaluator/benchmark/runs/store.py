@@ -3,37 +3,54 @@
 import json
 import os
 import platform
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 from cspace.errors import ConfigError, EvaluationError, StorageError
 from cspace.files import write_json
 from cspace.worlds import default_world
 from services.evaluator.benchmark.runs.arms import Arm
-from services.evaluator.benchmark.runs.run import Run
-from services.evaluator.benchmark.runs.setting import Key, Setting
+from services.evaluator.benchmark.runs.run import Record, Run
+from services.evaluator.benchmark.runs.setting import Setting
 from services.evaluator.benchmark.runs.sources import SourceSpec
 
 MANIFEST, RUNS = "manifest.json", "runs.jsonl"
 SCHEMA = 1
 
 
-class RunStore:
-    """Appends runs and reads them back. Make one with :meth:`open`; one process writes at a time."""
+Kept = TypeVar("Kept", bound=Record)
 
-    def __init__(self, folder: Path) -> None:
+
+class RunStore(Generic[Kept]):
+    """Appends runs and reads them back. Make one with :meth:`begin`; one process writes at a time."""
+
+    def __init__(self, folder: Path, kind: type[Kept]) -> None:
         self.folder = folder
-        self._path = folder / RUNS
+        self._path, self._kind = folder / RUNS, kind
+
+    @staticmethod
+    def open(
+        folder: Path, setting: Setting, arms: Iterable[Arm], specs: Iterable[SourceSpec]
+    ) -> "RunStore[Run]":
+        """The store of the runs of planners with samples; see :meth:`begin`."""
+        return RunStore.begin(folder, Run, setting, arms, specs)
 
     @classmethod
-    def open(
-        cls, folder: Path, setting: Setting, arms: Iterable[Arm], specs: Iterable[SourceSpec]
-    ) -> "RunStore":
+    def begin(
+        cls, folder: Path, kind: type[Kept], setting: Any, arms: Iterable[Any], specs: Iterable[SourceSpec]
+    ) -> "RunStore[Kept]":
         """Start a folder, or go on with one of the same setting; further arms may be added to it.
+
+        Args:
+            folder: of runs and manifest.
+            kind: of the records.
+            setting: a dataclass with a ``world``.
+            arms: dataclasses with a ``name``.
+            specs: the models.
 
         Raises:
             ConfigError: the folder holds runs of another setting, or of arms or samplers of the same names
@@ -57,13 +74,13 @@ class RunStore:
             # What times depend on, once for every command that ran here.
             merged["sessions"] = [*merged.get("sessions", []), _session()]
             write_json(path, merged, indent=1)
-            store = cls(folder)
+            store = cls(folder, kind)
             store._mend()
         except OSError as error:
             raise StorageError(f"the folder {folder} can not be used", got=str(error)) from error
         return store
 
-    def runs(self) -> list[Run]:
+    def runs(self) -> list[Kept]:
         """All runs, in a fixed order whatever order they came in.
 
         Raises:
@@ -72,13 +89,13 @@ class RunStore:
         if not self._path.is_file():
             return []
         lines = self._path.read_text("utf-8").splitlines()
-        return sorted((Run.from_json(line) for line in lines), key=lambda run: run.key)
+        return sorted((self._kind.from_json(line) for line in lines), key=lambda run: run.key)
 
-    def done(self) -> set[Key]:
-        """The runs that there are."""
+    def done(self) -> set[Any]:
+        """The keys of the runs that there are."""
         return {run.key for run in self.runs()}
 
-    def append(self, runs: Iterable[Run]) -> None:
+    def append(self, runs: Sequence[Kept]) -> None:
         """Keep the runs of a unit for good.
 
         Raises:

@@ -9,6 +9,7 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from cspace.errors import StorageError
+from services.evaluator.benchmark.runs.run import Run
 from services.evaluator.benchmark.runs.store import MANIFEST, RunStore
 from services.evaluator.benchmark.summary.results import Results
 from services.evaluator.benchmark.telling.figures import all_figures
@@ -25,7 +26,7 @@ FIGURES, PAGES = "figures", "pages"
 STAGE = "planning-benchmark"
 
 
-def write_files(results: Results, store: RunStore, pages: Iterable[tuple[str, Figure]]) -> None:
+def write_files(results: Results, store: RunStore[Run], pages: Iterable[tuple[str, Figure]]) -> None:
     """Table, a log a family, figures, pages, and the report that shows them.
 
     Args:
@@ -49,7 +50,7 @@ def write_files(results: Results, store: RunStore, pages: Iterable[tuple[str, Fi
         raise StorageError(f"the folder {out} can not be written", got=str(error)) from error
 
 
-def log_run(tracking: Tracking, results: Results, store: RunStore) -> str:
+def log_run(tracking: Tracking, results: Results, store: RunStore[Run]) -> str:
     """Settings, metrics and files as a tracking run; its id.
 
     Args:
@@ -72,7 +73,7 @@ def log_run(tracking: Tracking, results: Results, store: RunStore) -> str:
         for part in (MANIFEST, PARQUET, REPORT, COMPARISON, *map(log_name, results.families)):
             run.artifact(store.folder / part)
         for path in sorted((store.folder / FIGURES).glob("*.png")):
-            run.figure(_Saved(path), path.stem)
+            run.figure(Saved(path), path.stem)
         if (store.folder / PAGES).is_dir():
             run.artifact(store.folder / PAGES, PAGES)
         run.flush()
@@ -80,7 +81,7 @@ def log_run(tracking: Tracking, results: Results, store: RunStore) -> str:
 
 
 @dataclass(frozen=True, slots=True)
-class _Saved:
+class Saved:
     """A picture that was drawn before."""
 
     path: Path

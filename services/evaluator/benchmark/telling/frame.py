@@ -3,13 +3,13 @@
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import get_type_hints
+from typing import Any, cast, get_type_hints
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 
 from cspace.errors import StorageError
-from services.evaluator.benchmark.runs.run import DESCRIPTIONS, Run
+from services.evaluator.benchmark.runs.run import Record, descriptions
 
 _KINDS: dict[object, pa.DataType] = {
     str: pa.string(),
@@ -19,22 +19,29 @@ _KINDS: dict[object, pa.DataType] = {
     bool: pa.bool_(),
     float: pa.float64(),
     float | None: pa.float64(),
+    bool | None: pa.bool_(),
     tuple[float, ...]: pa.list_(pa.float64()),
     tuple[int, ...]: pa.list_(pa.int64()),
 }
-_SCHEMA = pa.schema(
-    pa.field(name, _KINDS[kind], metadata={"what": DESCRIPTIONS[name]})
-    for name, kind in get_type_hints(Run).items()
-)
 
 
-def write_parquet(runs: Sequence[Run], path: Path) -> None:
+def write_parquet(runs: Sequence[Record], path: Path) -> None:
     """Write the table; what a column holds travels with it as metadata of its field.
+
+    Args:
+        runs: of one kind, one or more.
+        path: of the file.
 
     Raises:
         StorageError: the file can not be written.
     """
-    table = pa.Table.from_pylist([asdict(run) for run in runs], schema=_SCHEMA)
+    kind, rows = type(runs[0]), [asdict(cast("Any", run)) for run in runs]
+    told = descriptions(kind)
+    schema = pa.schema(
+        pa.field(name, _KINDS[hint], metadata={"what": told[name]})
+        for name, hint in get_type_hints(kind).items()
+    )
+    table = pa.Table.from_pylist(rows, schema=schema)
     try:
         pq.write_table(table, path)
     except OSError as error:

@@ -6,9 +6,10 @@ such a log into the database that Planner Arena opens. A family is an experiment
 
 import platform
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from typing import Any
 
 from services.evaluator.benchmark.runs.arms import Arm
 from services.evaluator.benchmark.runs.run import Run
@@ -46,18 +47,18 @@ class Property:
 
     name: str
     kind: str
-    of: Callable[[Run], float | int | bool | None]
+    of: Callable[[Any], float | int | bool | None]
 
 
-def status_of(run: Run) -> int:
-    """The place of a run's status in ``STATUS``; a path that the check rejects solves nothing."""
-    return STATUS.index(_STATUS_OF.get(Reason(run.reason), "Unknown status"))
+def status_of(reason: str) -> int:
+    """The place in ``STATUS`` of why a run ended; a path that the check rejects solves nothing."""
+    return STATUS.index(_STATUS_OF.get(Reason(reason), "Unknown status"))
 
 
 PROPERTIES = (
     Property("time", "REAL", lambda run: run.solve_s),
     Property("solved", "BOOLEAN", lambda run: run.solved),
-    Property("status", "ENUM", status_of),
+    Property("status", "ENUM", lambda run: status_of(run.reason)),
     Property("solution length", "REAL", lambda run: run.length_rad),
     Property("iterations", "INTEGER", lambda run: run.iterations),
     Property("edge checks", "INTEGER", lambda run: run.edge_checks),
@@ -102,18 +103,38 @@ def planner_name(arm: str) -> str:
 
 def _header(found: FamilyResult, results: Results, version: str) -> Iterator[str]:
     setting, runs = results.setting, [run for arm in found.runs.arms for run in found.runs.runs(arm)]
+    experiment = f"{setting.protocol.value}_{setting.split.value}_{found.family}"
+    each, spent_s = len(found.runs.problems) * len(found.runs.numbers), sum(run.total_s for run in runs)
+    limit_s = setting.time_limit_s
+    return log_header(experiment, version, list(_setup(results)), setting.seed, limit_s, each, spent_s)
+
+
+def log_header(
+    experiment: str, version: str, setup: Sequence[str], seed: int, limit_s: float, each: int, spent_s: float
+) -> Iterator[str]:
+    """The lines before the planners.
+
+    Args:
+        experiment: its name, without blanks.
+        version: of OMPL.
+        setup: lines about it.
+        seed: of all draws.
+        limit_s: of a run.
+        each: runs of each planner.
+        spent_s: by all of them.
+    """
     yield f"{LIBRARY} version {version}"
-    yield f"Experiment {setting.protocol.value}_{setting.split.value}_{found.family}"
+    yield f"Experiment {experiment}"
     yield f"Running on {platform.node() or 'unknown'}"
     yield f"Starting at {datetime.now(UTC):%Y-%m-%d %H:%M:%S}"
-    yield from ("<<<|", *_setup(results), "|>>>")
+    yield from ("<<<|", *setup, "|>>>")
     yield from ("<<<|", platform.processor() or platform.machine() or "unknown", "|>>>")
-    yield f"{setting.seed} is the random seed"
-    yield f"{setting.time_limit_s:g} seconds per run"
+    yield f"{seed} is the random seed"
+    yield f"{limit_s:g} seconds per run"
     # No run is limited in memory.
     yield "0 MB per run"
-    yield f"{len(found.runs.problems) * len(found.runs.numbers)} runs per planner"
-    yield f"{sum(run.total_s for run in runs):.6f} seconds spent to collect the data"
+    yield f"{each} runs per planner"
+    yield f"{spent_s:.6f} seconds spent to collect the data"
     yield "1 enum type"
     yield "|".join(("status", *STATUS))
 
@@ -128,7 +149,6 @@ def _setup(results: Results) -> Iterator[str]:
 
 
 def _planner(arm: Arm, runs: Sequence[Run]) -> Iterator[str]:
-    yield planner_name(arm.name)
     common = {
         "planner": arm.planner,
         "range": arm.range_rad,
@@ -138,18 +158,26 @@ def _planner(arm: Arm, runs: Sequence[Run]) -> Iterator[str]:
         "min_confidence": arm.min_confidence,
         "epsilon_sigma": ",".join(f"{value:g}" for value in arm.epsilon_sigma),
     }
-    yield f"{len(common)} common properties"
-    yield from (f"{name} = {value}" for name, value in common.items())
-    yield f"{len(PROPERTIES)} properties for each run"
-    yield from (f"{one.name} {one.kind}" for one in PROPERTIES)
-    yield f"{len(runs)} runs"
-    yield from ("".join(f"{_data(one.of(run))}; " for one in PROPERTIES) for run in runs)
+    yield from planner_lines(arm.name, common, PROPERTIES, runs)
     if not arm.stop_at_first:
         yield f"{len(PROGRESS)} progress properties for each run"
         yield from PROGRESS
         yield f"{len(runs)} runs"
         yield from (_series(run) for run in runs)
     yield "."
+
+
+def planner_lines(
+    arm: str, common: Mapping[str, object], properties: Sequence[Property], runs: Sequence[Any]
+) -> Iterator[str]:
+    """An arm with what its runs share and what each has, without the closing line."""
+    yield planner_name(arm)
+    yield f"{len(common)} common properties"
+    yield from (f"{name} = {value}" for name, value in common.items())
+    yield f"{len(properties)} properties for each run"
+    yield from (f"{one.name} {one.kind}" for one in properties)
+    yield f"{len(runs)} runs"
+    yield from ("".join(f"{_data(one.of(run))}; " for one in properties) for run in runs)
 
 
 def _series(run: Run) -> str:

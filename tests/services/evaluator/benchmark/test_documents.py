@@ -1,13 +1,14 @@
 from pathlib import Path
 
+from services.evaluator.benchmark.plans.record import PlanRun
 from services.evaluator.benchmark.runs.arms import Group
-from services.evaluator.benchmark.runs.run import DESCRIPTIONS
+from services.evaluator.benchmark.runs.run import DESCRIPTIONS, descriptions
 
 TEXT = (Path(__file__).parents[4] / "docs" / "benchmark.md").read_text("utf-8")
 
 
 def test_the_document_names_every_column_as_the_table_has_it():
-    for name, what in DESCRIPTIONS.items():
+    for name, what in (*DESCRIPTIONS.items(), *descriptions(PlanRun).items()):
         assert f"| `{name}` | {what} |" in TEXT
 
 
