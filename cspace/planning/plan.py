@@ -1,7 +1,7 @@
 """A way from start to goal in what a model believes of a picture, or the reason why there is none.
 
 Ways are searched for through what the picture shows, where all that it does not show is free; the model is
-asked about them, and the one that it doubts least is taken.
+asked about them, the surest are changed until it doubts them less, and the one that it doubts least is taken.
 """
 
 import math
@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 
 from cspace.connecting import Between
 from cspace.planning.compiled import load_kernels
+from cspace.planning.less_doubt import Doubter, Effort
 from cspace.planning.query import Plan, PlanQuery
 from cspace.planning.scoring import Believe, ScoredWay, score
-from cspace.planning.ways import find_ways
+from cspace.planning.ways import find_ways, paused
 from cspace.world import Image, World
 from cspace.worlds import best_view, seen_checkers
 
@@ -48,7 +49,7 @@ class Searched:
         ways: the least doubtful first.
         late: whether the time was over before there were as many as were wanted.
         search_ms: looking for them.
-        score_ms: asking the model about them.
+        score_ms: asking the model about them, and changing them until it doubts them less.
     """
 
     ways: list[ScoredWay]
@@ -112,11 +113,29 @@ def search_ways(
     load_kernels(checkers[0], ends[0], STEP_RAD)
     began = time.monotonic()
     until_s = began + time_limit_s
-    ways, late = find_ways(checkers, ends[0], ends[1], count, seed, until_s, between=between)
+    found = find_ways(checkers, ends[0], ends[1], count, seed, until_s, between=between)
     searched = time.monotonic()
-    scored = score(ways, seen.world.space, STEP_RAD, seen.believe, seen.plan_doubt)
-    ranked = sorted(scored, key=lambda one: one.doubt)
-    return Searched(ranked, late, 1e3 * (searched - began), 1e3 * (time.monotonic() - searched))
+    scored = score(found.ways, seen.world.space, STEP_RAD, seen.believe, seen.plan_doubt)
+    ranked = sorted(scored, key=_by_doubt)
+    if found.checker is not None:
+        pause = paused(until_s, between)
+        doubter = Doubter(found.checker, seen.believe, seen.plan_doubt, Effort(step_rad=STEP_RAD), pause)
+        ranked = _less_doubtful(ranked, doubter, seed)
+    return Searched(ranked, found.late, 1e3 * (searched - began), 1e3 * (time.monotonic() - searched))
+
+
+def _less_doubtful(ranked: list[ScoredWay], doubter: Doubter, seed: int) -> list[ScoredWay]:
+    """The ways, the first of them changed."""
+    changed = ranked[: doubter.effort.ways]
+    found = [
+        doubter.less_doubtful(way, np.random.default_rng([seed, number, 1]))
+        for number, way in enumerate(changed)
+    ]
+    return sorted([*found, *ranked[len(changed) :]], key=_by_doubt)
+
+
+def _by_doubt(way: ScoredWay) -> float:
+    return way.doubt
 
 
 def _answer(best: ScoredWay, found: int, min_confidence: float) -> Plan:

@@ -51,7 +51,7 @@ class ScoredWay:
     @property
     def doubts(self) -> NDArray[np.float64]:
         """(n,): -log P of each state."""
-        return np.asarray(-np.log(np.clip(self.confidence, _LEAST, 1.0)), dtype=np.float64)
+        return doubts_of(self.confidence)
 
     @property
     def doubt(self) -> float:
@@ -82,6 +82,11 @@ class ScoredWay:
         corners = np.flatnonzero(np.diff(self.pieces))
         pick.at(found, self.pieces[corners + 1], values[corners])
         return found
+
+
+def doubts_of(confidence: NDArray[np.float32]) -> NDArray[np.float64]:
+    """-log P of states (n,), (n,); finite."""
+    return np.asarray(-np.log(np.clip(confidence, _LEAST, 1.0)), dtype=np.float64)
 
 
 def free_of_doubt(doubt: NDArray[np.float64], plan_doubt: tuple[float, float]) -> NDArray[np.float64]:

@@ -20,6 +20,21 @@ class OutOfTimeError(Exception):
     """The time for the search is over."""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class FoundWays:
+    """What a search for ways came to.
+
+    Args:
+        ways: (k, d) rad each.
+        late: whether the time was over before there were as many as were wanted.
+        checker: by which they are free; None without ways.
+    """
+
+    ways: list[NDArray[np.float64]]
+    late: bool
+    checker: Checker | None
+
+
 @dataclass(frozen=True, slots=True)
 class SearchLimits:
     """Effort for each way.
@@ -58,8 +73,8 @@ def find_ways(
     *,
     limits: SearchLimits = SearchLimits(),
     between: Between | None = None,
-) -> tuple[list[NDArray[np.float64]], bool]:
-    """Up to so many ways, and whether the time was over before there were.
+) -> FoundWays:
+    """Up to so many ways.
 
     The most careful checker in which a way is found with as few states as any gives all of them: all are
     tried in turn, with few states at first, for a careful one without a way would take all the time.
@@ -74,10 +89,11 @@ def find_ways(
         limits: effort for each way.
         between: called now and then; may raise to stop, which passes through.
     """
-    pause = _pause(until_s, between)
+    pause = paused(until_s, between)
     found: list[NDArray[np.float64]] = []
     ends = np.stack([start, goal])
     possible = [level for level, checker in enumerate(checkers) if checker.valid_batch(ends).all()]
+    checker = None
     try:
         for states in limits.rounds():
             for level in possible:
@@ -88,15 +104,18 @@ def find_ways(
                     if way is None:
                         break
                     found.append(way)
+                    checker = checkers[level]
                     pause()
                 if found:
-                    return found, False
+                    return FoundWays(found, late=False, checker=checker)
     except OutOfTimeError:
-        return found, True
-    return found, False
+        return FoundWays(found, late=True, checker=checker)
+    return FoundWays(found, late=False, checker=checker)
 
 
-def _pause(until_s: float, between: Between | None) -> Callable[[], None]:
+def paused(until_s: float, between: Between | None) -> Callable[[], None]:
+    """What calls ``between`` and raises :class:`OutOfTimeError` from a time on, by ``time.monotonic``."""
+
     def pause() -> None:
         if between is not None:
             between()

@@ -32,15 +32,16 @@ def test_ways_through_a_picture_are_nearly_free_in_the_scene(index):
     truth, picture, problem = planar(index)
     ends = np.stack([problem.start, problem.goal])
     checkers = seen_checkers(PLANAR, picture, ends)
-    ways, late = find_ways(checkers, *ends, 4, 0, time.monotonic() + LATE)
-    assert (len(ways), late) == (4, False)
-    for way in ways:
+    found = find_ways(checkers, *ends, 4, 0, time.monotonic() + LATE)
+    assert (len(found.ways), found.late) == (4, False)
+    assert found.checker in checkers
+    for way in found.ways:
         assert np.array_equal(way[[0, -1]], ends)
         # Pixels are 0.2 m wide.
         assert truth.clearance(way).min() > -0.1
-    again, _ = find_ways(checkers, *ends, 4, 0, time.monotonic() + LATE)
-    assert all(np.array_equal(one, other) for one, other in zip(ways, again, strict=True))
-    assert len({way.tobytes() for way in ways}) > 1
+    again = find_ways(checkers, *ends, 4, 0, time.monotonic() + LATE)
+    assert all(np.array_equal(one, other) for one, other in zip(found.ways, again.ways, strict=True))
+    assert len({way.tobytes() for way in found.ways}) > 1
 
 
 def test_the_more_careful_checks_know_more_obstacles():
@@ -66,9 +67,9 @@ def test_ends_are_free_whatever_seems_to_stand_there():
 def test_the_time_ends_a_search():
     _, picture, problem = planar(1)
     ends = np.stack([problem.start, problem.goal])
-    ways, late = find_ways(seen_checkers(PLANAR, picture, ends), *ends, 1000, 0, time.monotonic() + 0.05)
-    assert late
-    assert len(ways) < 1000
+    found = find_ways(seen_checkers(PLANAR, picture, ends), *ends, 1000, 0, time.monotonic() + 0.05)
+    assert found.late
+    assert len(found.ways) < 1000
 
 
 def test_whoever_calls_can_stop_a_search():
@@ -102,19 +103,21 @@ class Wall:
 
 def test_no_way_is_found_where_there_is_none():
     wall = Wall()
-    assert find_ways([wall], np.zeros(2), np.ones(2), 3, 0, time.monotonic() + LATE) == ([], False)
+    found = find_ways([wall], np.zeros(2), np.ones(2), 3, 0, time.monotonic() + LATE)
+    assert (found.ways, found.late, found.checker) == ([], False, None)
     assert wall.states == sum(SearchLimits().rounds()) == 256 + 1024 + 4096
 
 
 def test_a_careful_checker_without_a_way_takes_few_states_before_the_next_is_tried():
     wall, (truth, _, problem) = Wall(), planar(2)
     ends = problem.start, problem.goal
-    ways, late = find_ways([wall, truth], *ends, 3, 0, time.monotonic() + LATE)
-    assert (len(ways), late, wall.states) == (3, False, 256)
-    alone, _ = find_ways(
+    found = find_ways([wall, truth], *ends, 3, 0, time.monotonic() + LATE)
+    assert (len(found.ways), found.late, wall.states) == (3, False, 256)
+    assert found.checker is truth
+    alone = find_ways(
         [Wall(), truth], *ends, 3, 0, time.monotonic() + LATE, limits=SearchLimits(first=4096)
     )
-    for way, other in zip(ways, alone, strict=True):
+    for way, other in zip(found.ways, alone.ways, strict=True):
         np.testing.assert_array_equal(way, other)
 
 

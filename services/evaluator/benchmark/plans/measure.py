@@ -130,11 +130,11 @@ def searched(checkers: Sequence[Checker], problem: Problem, setting: PlanSetting
     load_kernels(checkers[0], problem.start, UNSEEN_RAD)
     began = time.perf_counter()
     until_s = time.monotonic() + setting.plan_limit_s
-    ways, late = find_ways(checkers, *ends, setting.ways, setting.seed, until_s)
+    found = find_ways(checkers, *ends, setting.ways, setting.seed, until_s)
     spent_s = time.perf_counter() - began
-    ways = sorted(ways, key=lambda way: length_rad(way, space))
+    ways = sorted(found.ways, key=lambda way: length_rad(way, space))
     believed = tuple(BelievedWay(way, 1.0, np.ones(len(way) - 1, dtype=np.float32)) for way in ways)
-    status = "solved" if believed else "timeout" if late else "refused"
+    status = "solved" if believed else "timeout" if found.late else "refused"
     return Ways(believed, status, None, spent_s, 0.0, spent_s)
 
 

@@ -1,0 +1,134 @@
+"""Ways changed for less doubt: towards what is believed, through what the picture leaves free, in both worlds."""
+
+import numpy as np
+import pytest
+
+from cspace.planning.less_doubt import Doubter, Effort, cheapest_route
+from cspace.planning.scoring import score
+from cspace.planning.ways import OutOfTimeError
+from cspace.worlds import examples
+
+SPACE = examples()["two-link"].space
+WAY = np.array([[-1.5, 0.0], [1.5, 0.0]])
+PLAIN = (0.0, 1.0)
+
+
+class Open:
+    """All is free, but what a test shuts."""
+
+    space = SPACE
+
+    def __init__(self, shut=lambda rows: np.zeros(len(rows), dtype=bool)):
+        self.shut = shut
+
+    def valid_batch(self, rows):
+        return ~self.shut(np.asarray(rows))
+
+    def edge_batch(self, starts, ends, resolution):
+        shares = np.linspace(0.0, 1.0, 60)[:, None, None]
+        rows = starts + shares * SPACE.difference(starts, ends)
+        return ~np.array([self.shut(row).any() for row in np.moveaxis(rows, 1, 0)])
+
+
+def hill(rows):
+    """Doubtful about the middle of the straight way, sure half a rad away from it."""
+    away = np.linalg.norm(rows / [1.0, 0.5], axis=1)
+    return (1.0 - 0.9 * np.exp(-((away / 0.5) ** 2))).astype(np.float32), None
+
+
+def scored(way, believe=hill):
+    return score([way], SPACE, 0.1, believe)[0]
+
+
+def doubter(checker=None, believe=hill, pause=lambda: None, **effort):
+    limits = Effort(step_rad=0.1, **effort)
+    return Doubter(checker or Open(), believe, PLAIN, limits, pause)
+
+
+def test_a_way_is_led_round_what_the_model_doubts():
+    before = scored(WAY)
+    after = doubter().less_doubtful(before, np.random.default_rng(0))
+    assert np.array_equal(after.way[[0, -1]], WAY)
+    assert after.doubt < 0.3 * before.doubt
+    assert after.length_rad < 1.6 * before.length_rad
+    again = doubter().less_doubtful(before, np.random.default_rng(0))
+    assert np.array_equal(again.way, after.way)
+
+
+def test_what_the_picture_shows_is_kept_to():
+    # The model would like to pass above, where the picture has a wall.
+    wall = Open(lambda rows: (np.abs(rows[:, 0]) < 0.2) & (rows[:, 1] > 0.15))
+    after = doubter(wall).less_doubtful(scored(WAY), np.random.default_rng(1))
+    assert wall.edge_batch(after.way[:-1], after.way[1:], 0.01).all()
+    assert after.states[np.abs(after.states[:, 0]) < 0.2, 1].max() <= 0.15
+    assert after.doubt < scored(WAY).doubt
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_way_is_never_doubted_more_than_before(seed):
+    def noisy(rows):
+        return (0.6 + 0.4 * np.sin(37.0 * rows.sum(axis=1)) ** 2).astype(np.float32), None
+
+    before = scored(WAY, noisy)
+    after = doubter(believe=noisy).less_doubtful(before, np.random.default_rng(seed))
+    assert after.doubt <= before.doubt
+
+
+def test_a_ridge_between_two_states_is_seen_before_a_way_crosses_it():
+    def ridge(rows):
+        return np.where(np.abs(rows[:, 0]) < 0.05, 0.05, 1.0).astype(np.float32), None
+
+    # Neighbours 0.3 rad apart at either side of it look sure.
+    before = score([WAY], SPACE, 0.3, ridge)[0]
+    shut = Open(lambda rows: np.abs(rows[:, 1]) > 0.6)
+    one = Doubter(shut, ridge, PLAIN, Effort(step_rad=0.05), lambda: None)
+    after = one.less_doubtful(scored(before.way, ridge), np.random.default_rng(0))
+    assert after.confidence.min() == np.float32(0.05)
+
+
+def test_what_is_sure_enough_is_left_alone_and_asks_nothing():
+    def never(rows):
+        raise AssertionError
+
+    sure = scored(WAY, lambda rows: (np.ones(len(rows), np.float32), None))
+    assert doubter(believe=never).less_doubtful(sure, np.random.default_rng(0)) is sure
+
+
+def test_the_time_ends_it_with_the_best_so_far():
+    turns = iter(range(100))
+
+    def late():
+        if next(turns) == 2:
+            raise OutOfTimeError
+
+    before = scored(WAY)
+    after = doubter(pause=late, enough=0.0).less_doubtful(before, np.random.default_rng(0))
+    assert next(turns) == 3
+    assert after.doubt < before.doubt
+
+
+def test_whoever_calls_can_stop_it():
+    class StopError(Exception):
+        pass
+
+    def stop():
+        raise StopError
+
+    with pytest.raises(StopError):
+        doubter(pause=stop).less_doubtful(scored(WAY), np.random.default_rng(0))
+
+
+def test_the_cheapest_route_is_that_of_all_routes():
+    rng = np.random.default_rng(3)
+    for _ in range(20):
+        costs = np.where(rng.random((6, 6)) < 0.5, rng.random((6, 6)), np.inf)
+        best = costs.copy()
+        np.fill_diagonal(best, 0.0)
+        for middle in range(6):
+            best = np.minimum(best, best[:, middle, None] + best[None, middle])
+        route = cheapest_route(costs, 0, 5)
+        if route is None:
+            assert np.isinf(best[0, 5])
+        else:
+            assert costs[route[:-1], route[1:]].sum() == pytest.approx(best[0, 5])
+
