@@ -56,7 +56,15 @@ class Effort:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Graph:
-    """Configurations (n, d) rad, the first m those of the way, and costs (n, n) of going straight, inf for no."""
+    """Configurations about a way.
+
+    Args:
+        nodes: (n, d) rad, the first of them the way's.
+        doubts: (n,) of each.
+        lengths: (n, n) between them, rad.
+        costs: (n, n) of going straight, inf where that is none of the ways; changed by what is found out.
+        own: how many are the way's.
+    """
 
     nodes: NDArray[np.float64]
     doubts: NDArray[np.float64]
@@ -127,7 +135,7 @@ class Doubter:
         return _Graph(nodes, doubts, lengths, np.where(joined, each, np.inf), own)
 
     def _through(self, graph: _Graph) -> NDArray[np.float64] | None:
-        """The least doubtful way through a graph that is free and as it seemed, (k, d) rad; None without one."""
+        """The least doubtful way that is free and as it seemed, (k, d) rad; None without one."""
         known, asked = (np.zeros(graph.costs.shape, dtype=np.bool_) for _ in range(2))
         ahead = np.arange(graph.own - 1)
         known[ahead, ahead + 1] = known[ahead + 1, ahead] = True

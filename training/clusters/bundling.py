@@ -143,10 +143,7 @@ def _with_plan_doubt(draft: Bundle, config: HeadConfig, spec: BundleSpec) -> Bun
         return spec
     _LOG.info("plans: %d problems", config.plan_problems)
     found = fit_plan_doubt(planned(draft, spec.world, config.plan_problems))
-    if found is None:
-        return spec
-    metrics = {**spec.provenance.metrics, **found.metrics()}
-    return replace(spec, plan_doubt=found.parameters, provenance=replace(spec.provenance, metrics=metrics))
+    return spec if found is None else found.stated_in(spec)
 
 
 def _with_threshold(draft: Bundle, config: HeadConfig, spec: BundleSpec) -> BundleSpec:

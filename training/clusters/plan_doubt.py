@@ -5,13 +5,13 @@ probability. exp(-exp(a + b log D)), the complementary log-log link, keeps 1 whe
 with it; (0, 1) is exp(-D), to which few plans are pulled. Two thirds of the plans fit, the others measure.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-from cspace.bundle import Bundle
+from cspace.bundle import Bundle, BundleSpec
 from cspace.connecting import spaced
 from cspace.planning.query import PlanQuery
 from cspace.planning.scoring import calibration_error, free_of_doubt
@@ -72,6 +72,11 @@ class PlanDoubt:
             "measured_calibration_error_of_exp_minus_doubt": self.plain_error,
         }
         return {f"plans/{name}": value for name, value in told.items()}
+
+    def stated_in(self, spec: BundleSpec) -> BundleSpec:
+        """A bundle's description with what was fitted."""
+        provenance = replace(spec.provenance, metrics={**spec.provenance.metrics, **self.metrics()})
+        return replace(spec, plan_doubt=self.parameters, provenance=provenance)
 
 
 def planned(bundle: Bundle, world: World, problems: int) -> Planned:

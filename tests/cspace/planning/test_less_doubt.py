@@ -1,4 +1,4 @@
-"""Ways changed for less doubt: towards what is believed, through what the picture leaves free, in both worlds."""
+"""Ways changed for less doubt: round what a model doubts, through what the picture leaves free."""
 
 import numpy as np
 import pytest
@@ -131,4 +131,3 @@ def test_the_cheapest_route_is_that_of_all_routes():
             assert np.isinf(best[0, 5])
         else:
             assert costs[route[:-1], route[1:]].sum() == pytest.approx(best[0, 5])
-

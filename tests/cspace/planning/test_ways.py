@@ -114,9 +114,7 @@ def test_a_careful_checker_without_a_way_takes_few_states_before_the_next_is_tri
     found = find_ways([wall, truth], *ends, 3, 0, time.monotonic() + LATE)
     assert (len(found.ways), found.late, wall.states) == (3, False, 256)
     assert found.checker is truth
-    alone = find_ways(
-        [Wall(), truth], *ends, 3, 0, time.monotonic() + LATE, limits=SearchLimits(first=4096)
-    )
+    alone = find_ways([Wall(), truth], *ends, 3, 0, time.monotonic() + LATE, limits=SearchLimits(first=4096))
     for way, other in zip(found.ways, alone.ways, strict=True):
         np.testing.assert_array_equal(way, other)
 

@@ -1,0 +1,74 @@
+"""``python -m training.plan_confidence BUNDLE FOLDER``: how sure a bundle's plans are, fitted anew.
+
+Plans come of a search that the project changes now and then, and of the same doubt more or fewer are free
+then. This plans in validation scenes with the search as it is, as training does with
+``validity.plan_problems``, and writes the bundle with what was fitted; its networks stay as they are.
+
+Exit codes: 0 done, 1 the bundle or the disk is bad, 2 the command is wrong.
+"""
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from cspace.bundle import Bundle, write_bundle
+from cspace.bundle.files import ENCODER_FILE, GENERATOR_FILE, MAP_FILE, NOVELTY_FILE, VALIDITY_FILE
+from cspace.errors import BundleError, ConfigError, CspaceError, InputError
+from services.command_errors import tell_error
+from training.clusters.plan_doubt import PlanDoubt, fit_plan_doubt, planned
+
+_GRAPHS = (ENCODER_FILE, GENERATOR_FILE, MAP_FILE, NOVELTY_FILE, VALIDITY_FILE)
+# Fewer say nothing of what a third of them measures.
+_LEAST = 6
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Parse, plan, fit, write."""
+    options = parser().parse_args(arguments)
+    try:
+        source = Bundle.load(options.bundle)
+        found = _fitted(source, options.problems)
+        graphs = {
+            Path(name).stem: (source.folder / name).read_bytes()
+            for name in _GRAPHS
+            if (source.folder / name).exists()
+        }
+        folder = write_bundle(options.folder, found.stated_in(source.spec), graphs)
+    except CspaceError as error:
+        return tell_error(error, InputError)
+    told = ", ".join(f"{name.removeprefix('plans/')} {value:.3g}" for name, value in found.metrics().items())
+    sys.stdout.write(f"{folder}\n  plan_doubt {found.parameters}\n  {told}\n")
+    return 0
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command line."""
+    parser = argparse.ArgumentParser(
+        prog="python -m training.plan_confidence",
+        description="Fit anew how sure a bundle's plans are; its networks stay as they are.",
+        epilog="Exit codes: 0 done, 1 failed, 2 bad input.",
+    )
+    parser.add_argument("bundle", type=Path, help="a bundle with a validity head")
+    parser.add_argument("folder", type=Path, help="where the new one goes; must not exist")
+    parser.add_argument("--problems", type=int, default=210, help="to plan in (default: %(default)s)")
+    return parser
+
+
+def _fitted(source: Bundle, problems: int) -> PlanDoubt:
+    if problems < _LEAST:
+        raise ConfigError("too few problems to fit anything", expected=f"{_LEAST} or more", got=str(problems))
+    if not source.has_validity:
+        raise BundleError("the bundle has no validity head", expected=VALIDITY_FILE, got=str(source.folder))
+    found = fit_plan_doubt(planned(source, source.spec.world, problems))
+    if found is None:
+        raise BundleError(
+            "too few plans were found to fit anything",
+            got=f"of {problems} problems",
+            remedy="give more with --problems",
+        )
+    return found
+
+
+if __name__ == "__main__":
+    sys.exit(main())
