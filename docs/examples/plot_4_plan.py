@@ -9,6 +9,8 @@ RRT with uniform samples and with those of a path sampler, which knows start and
 # The path sampler is made of the shipped model's validity head; nothing is trained.
 
 import tempfile
+from contextlib import redirect_stdout
+from io import StringIO
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -26,7 +28,8 @@ from training import path_sampler
 
 problem = draw_problem(Family.NARROW, Split.DEMO, seed=24)
 folder = Path(tempfile.mkdtemp()) / "path-sampler"
-path_sampler.main([str(PRETRAINED_FOLDER), str(folder)])
+with redirect_stdout(StringIO()):  # a command, which tells where it wrote
+    path_sampler.main([str(PRETRAINED_FOLDER), str(folder)])
 ends = {"start": tuple(problem.start), "goal": tuple(problem.goal)}
 batch = LocalSampler(folder).sample(encode_png(render(problem.scenario)), 300, seed=7, **ends)
 

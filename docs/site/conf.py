@@ -57,6 +57,7 @@ sphinx_gallery_conf = {
 html_theme = "furo"
 html_title = f"cspace-sampler {version}"
 html_static_path = ["static"]
+html_favicon = "static/favicon.svg"
 html_css_files = ["site.css"]
 html_show_sphinx = False
 html_show_copyright = False

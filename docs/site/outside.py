@@ -1,7 +1,7 @@
 """Pages of the project's root as pages of the site, and links to and from them.
 
 A page such as ``docs/site/readme.myst`` is empty: the text of ``README.md`` is put in when it is read, and
-links are led to where their targets lie on the site.
+links are led to where their targets lie on the site. A link that shows a file's name shows its title there.
 """
 
 import os
@@ -19,7 +19,7 @@ SHOWN: Mapping[str, str] = {
     "CHANGELOG.md": "site/changelog.myst",
 }
 _SOURCE = {page.removesuffix(".myst"): name for name, page in SHOWN.items()}
-_LINK = re.compile(r"(?P<before>\]\()(?P<target>[^)#\s]+)(?P<after>(?:#[^)\s]*)?\))")
+_LINK = re.compile(r"\[(?P<text>[^\]]*)\]\((?P<target>[^)#\s]+)(?P<anchor>(?:#[^)\s]*)?)\)")
 _CODE = re.compile(r"(```.*?```|`[^`\n]*`)", re.DOTALL)
 
 
@@ -44,9 +44,8 @@ def _led(link: re.Match[str], lies: PurePosixPath, shown: PurePosixPath) -> str:
     if re.match(r"[a-z]+:", link["target"]):
         return link[0]
     target = PurePosixPath(os.path.normpath(lies.parent / link["target"]))
-    page = SHOWN.get(str(target))
-    if page is None and lies.parts[0] == DOCS.name:
-        return link[0]
-    # From the root, files outside docs/ lie above it; they become downloads.
-    found = page if page is not None else os.path.relpath(target, DOCS)
-    return f"{link['before']}{os.path.relpath(found, shown.parent)}{link['after']}"
+    # Files outside docs/ that are no pages become downloads.
+    found = SHOWN.get(str(target)) or os.path.relpath(target, DOCS)
+    # MyST puts the title of the page, or of the heading, where there is no text.
+    text = "" if target.suffix == ".md" and PurePosixPath(link["text"]).name == target.name else link["text"]
+    return f"[{text}]({os.path.relpath(found, shown.parent)}{link['anchor']})"

@@ -80,6 +80,12 @@ def test_a_link_to_a_document_of_the_root_leads_to_its_page(outside: ModuleType)
     assert outside.text_of("results/paper", "[a](../../SECURITY.md)") == "[a](../site/security-policy.myst)"
 
 
+def test_a_link_that_shows_a_files_name_shows_its_title_on_the_site(outside: ModuleType) -> None:
+    assert outside.text_of("index", "[data.md](data.md#the-folder)") == "[](data.md#the-folder)"
+    assert outside.text_of("index", "[adr](adr/README.md)") == "[adr](adr/README.md)"
+    assert outside.text_of("index", "![data.png](data.png)") == "![data.png](data.png)"
+
+
 def test_the_page_of_commands_has_every_command_of_the_project(command_lines: ModuleType) -> None:
     told = {command.line for command in command_lines.COMMANDS}
     doors = [*ROOT.glob("services/*/__main__.py"), *ROOT.glob("training/*/__main__.py"),
