@@ -173,12 +173,16 @@ def test_the_guide_works_in_a_browser_under_the_servers_policy(guide: str, page:
 def test_a_search_in_a_browser_finds_the_glossary_before_all_others(
     guide: str, page: Page, term: str
 ) -> None:
+    errors: list[str] = []
+    page.on("pageerror", lambda error: errors.append(str(error)))
     page.goto(guide)
     page.get_by_role("searchbox").or_(page.get_by_placeholder("Search")).first.fill(term)
     page.keyboard.press("Enter")
     first = page.locator("#search-results li a").first
     first.wait_for()
-    assert first.get_attribute("href").partition("#")[0].endswith("glossary.html")
+    assert str(first.get_attribute("href")).partition("#")[0].endswith("glossary.html")
+    page.get_by_text("Search finished, found").wait_for()
+    assert errors == []
 
 
 @pytest.mark.browser
