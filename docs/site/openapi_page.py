@@ -63,7 +63,7 @@ def _answers(responses: Mapping[str, Any]) -> Iterator[tuple[str, ...]]:
         if set(content) == {PROBLEM}:
             refused.append(status)
             continue
-        schema = next((one.get("schema", {}) for one in content.values()), {})
+        schema: Mapping[str, Any] = next((one.get("schema", {}) for one in content.values()), {})
         told = answer.get("description", "")
         yield status, " ".join(part for part in (told, _type(schema)) if part), ", ".join(map(code, content))
     if refused:
