@@ -10,12 +10,13 @@ PYTEST := OMP_NUM_THREADS=1 MLFLOW_DISABLE_TELEMETRY=true RAY_USAGE_STATS_ENABLE
 SIDE_BY_SIDE := -n auto --maxprocesses 4 --dist loadfile
 TWO_AT_A_TIME := -n 2 --dist loadfile
 INSTALLED := $(VENV)/installed
+SITE := OMP_NUM_THREADS=1 MPLBACKEND=agg $(BIN)/python -m sphinx -W --keep-going -E -q -c docs/site -d build/docs-state
 
 FAST := not slow and not e2e and not compose and not browser and not gpu
 ALL := not compose and not gpu
 
 .DEFAULT_GOAL := help
-.PHONY: help venv quickstart test test-all check format up down status env clean-state
+.PHONY: help venv quickstart test test-all check format docs docs-links up down status env clean-state
 
 help: ## print this
 	@echo "make TARGET, with"
@@ -63,6 +64,15 @@ check: $(INSTALLED) ## format, lint, types, import rules, images, compose file, 
 format: $(INSTALLED) ## mend format and lint where a tool can
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
+
+# What is built is read anew each time: pages are made of the code, and Sphinx looks at files alone.
+docs: $(INSTALLED) ## build the documentation site into build/docs, warnings as errors; the API serves it at /guide
+	rm -rf build/docs docs/gallery
+	$(SITE) -b html docs build/docs
+	@echo "build/docs/index.html"
+
+docs-links: $(INSTALLED) ## follow the documents' links to other sites as well, which needs the internet
+	$(SITE) -b linkcheck docs build/docs-links
 
 # The last line of pip's output carries its exit code through the pipe; its whole output is kept in a log.
 $(INSTALLED): pyproject.toml constraints.txt

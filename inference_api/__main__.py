@@ -27,7 +27,8 @@ DESCRIPTION = (
     "CSPACE_API_BURST, CSPACE_API_HELD_BODIES_MIB, CSPACE_API_MAX_CONNECTIONS, CSPACE_API_HEADER_TIMEOUT_S, "
     "CSPACE_API_WRITE_TIMEOUT_S, CSPACE_API_GRACE_S, CSPACE_API_HOSTS (names that the server answers to "
     "beside loopback and --host, * for any), CSPACE_API_ORIGINS (of other sites' pages), "
-    "CSPACE_API_TRUSTED_PROXIES (addresses or networks whose X-Forwarded-For is believed)."
+    "CSPACE_API_TRUSTED_PROXIES (addresses or networks whose X-Forwarded-For is believed), CSPACE_API_GUIDE "
+    "(folder of the built documentation site, for /guide)."
 )
 
 

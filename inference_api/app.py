@@ -22,6 +22,7 @@ from inference_api.models.store import ModelStore
 from inference_api.open_inference.pages import add_open_inference
 from inference_api.openapi import document
 from inference_api.pages.docs_page import add_docs_page
+from inference_api.pages.guide import add_guide
 from inference_api.pages.model_schemas import ModelInfo
 from inference_api.pages.sample import add_routes
 from inference_api.pages.sampling import model_info
@@ -78,6 +79,7 @@ def create_app(settings: ApiSettings | None = None, registry: ModelRegistry | No
     )
     add_routes(app)
     add_docs_page(app)
+    add_guide(app, settings.guide_folder)
     add_problem_handlers(app)
     add_guards(app, settings.protection)
     app.add_middleware(LastResort)

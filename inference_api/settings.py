@@ -19,6 +19,8 @@ THREADS = "CSPACE_API_THREADS"
 HOSTS = "CSPACE_API_HOSTS"
 DEFAULT_MODEL = "cspace-sampler"
 PRETRAINED_FOLDER = Path(__file__).parent / "pretrained"
+# Where `make docs` of a checkout builds it.
+GUIDE_FOLDER = Path(__file__).parents[1] / "build" / "docs"
 
 
 def usable_cores() -> int:
@@ -48,6 +50,7 @@ class ApiSettings:
         connections: bounds on connections.
         grace_s: for requests in flight when the server is told to end, in whole s, at least 1.
         further_folders: shipped bundles of other robots, by name.
+        guide_folder: the built documentation site, which need not be there.
     """
 
     registry_uri: str | None
@@ -65,6 +68,7 @@ class ApiSettings:
     connections: ConnectionLimits = field(default_factory=ConnectionLimits)
     grace_s: int = 10
     further_folders: Mapping[str, Path] = field(default_factory=dict)
+    guide_folder: Path = GUIDE_FOLDER
 
     @classmethod
     def from_environment(cls, environment: Mapping[str, str] | None = None) -> "ApiSettings":
@@ -96,6 +100,7 @@ class ApiSettings:
             ),
             grace_s=int(_number(values, "CSPACE_API_GRACE_S", 10, 1)),
             further_folders={} if own else further_folders(),
+            guide_folder=Path(values.get("CSPACE_API_GUIDE") or GUIDE_FOLDER),
         )
 
 

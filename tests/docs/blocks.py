@@ -11,7 +11,8 @@ A shell block says on the line above its fence what runs it, in a comment that r
 | ``<!-- run: stack slow -->`` | the same, left out of the sample that CI takes |
 | ``<!-- run: elsewhere FILE -->`` | a test in FILE, which holds every word of ``words: ...`` after it |
 
-Python blocks run in the fast tests, JSON blocks are parsed, text blocks show what something prints.
+Python blocks run in the fast tests, C++ blocks where a compiler and libcurl are, JSON blocks are parsed, text
+blocks show what something prints.
 """
 
 import re
@@ -27,6 +28,7 @@ _MARK = re.compile(r"^ *<!-- run: (?P<kind>[a-z]+)(?: (?P<rest>.*?))? -->$")
 
 class Kind(StrEnum):
     PYTHON = "python"
+    CPP = "cpp"
     JSON = "json"
     TEXT = "text"
     STATIC = "static"
@@ -36,7 +38,7 @@ class Kind(StrEnum):
     ELSEWHERE = "elsewhere"
 
 
-BY_LANGUAGE = {"python": Kind.PYTHON, "json": Kind.JSON, "text": Kind.TEXT}
+BY_LANGUAGE = {"python": Kind.PYTHON, "cpp": Kind.CPP, "json": Kind.JSON, "text": Kind.TEXT}
 OF_SHELL = (Kind.STATIC, Kind.API, Kind.MAKE, Kind.STACK, Kind.ELSEWHERE)
 
 

@@ -25,8 +25,16 @@ FIELDS = ("Content-Type: application/json", f"Content-Length: {len(BODY)}")
 
 @pytest.fixture(scope="module")
 def api(tmp_path_factory: pytest.TempPathFactory, bundles: dict[str, Path]) -> Iterator[str]:
-    settings = {**BEHIND, "CSPACE_PRETRAINED_MODEL": str(bundles["plain"])}
-    with api_server(tmp_path_factory.mktemp("api"), settings) as found:
+    folder = tmp_path_factory.mktemp("api")
+    guide = folder / "guide"
+    guide.mkdir()
+    (guide / "index.html").write_text("<h1>the guide</h1>")
+    settings = {
+        **BEHIND,
+        "CSPACE_PRETRAINED_MODEL": str(bundles["plain"]),
+        "CSPACE_API_GUIDE": str(guide),
+    }
+    with api_server(folder, settings) as found:
         yield found
 
 
@@ -49,8 +57,10 @@ def test_samples_through_the_proxy_are_those_of_the_api(api: str, proxy: Proxy) 
         assert answer.json()["samples"] == direct["samples"]
         assert answer.headers["strict-transport-security"]
         assert answer.headers["cache-control"] == "no-store"
-        for path in ("/models", "/v2", "/health/ready", "/docs", "/openapi.json", "/docs/assets/favicon.png"):
+        pages = ("/models", "/v2", "/health/ready", "/docs", "/openapi.json", "/docs/assets/favicon.png")
+        for path in (*pages, "/guide/"):
             assert proxy.ask(client, "GET", path).status_code == 200
+        assert proxy.ask(client, "GET", "/guide").headers["location"] == "guide/"
         own = {"origin": f"https://{NAME}"}
         assert proxy.ask(client, "GET", "/models", headers=own).status_code == 200
 

@@ -1,0 +1,69 @@
+"""``/guide``: the documentation site, where ``make docs`` has built it."""
+
+from pathlib import Path
+
+from fastapi import FastAPI
+from fastapi.responses import RedirectResponse, Response
+from fastapi.staticfiles import StaticFiles
+from starlette.exceptions import HTTPException
+from starlette.types import Scope
+
+from inference_api.problems import NOT_FOUND, RequestError
+
+PAGE = "/guide"
+# Scripts and search index are files of the site. Drawings of the theme have style attributes.
+POLICY = (
+    "default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' data:; "
+    "connect-src 'self'; base-uri 'none'; form-action 'self'; frame-ancestors 'none'"
+)
+
+
+def add_guide(app: FastAPI, folder: Path) -> None:
+    """Serve ``/guide`` and all below it.
+
+    Args:
+        app: that serves it.
+        folder: of the built site; it may come and go while the app runs.
+    """
+
+    @app.get(PAGE, include_in_schema=False)
+    def guide() -> Response:
+        _check_built(folder)
+        # Relative, for a proxy may have put the API below a path of its own.
+        return RedirectResponse("guide/")
+
+    app.mount(PAGE, GuideFiles(folder), name="guide")
+
+
+class GuideFiles(StaticFiles):
+    """The site's files, with the policy that its pages need.
+
+    Args:
+        folder: of the built site.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__(directory=folder, html=True, check_dir=False)
+        self._folder = folder
+        # A folder that is not there is told by an answer, not by an error of the server.
+        self.config_checked = True
+
+    async def get_response(self, path: str, scope: Scope) -> Response:
+        """A file, or the reason why there is none."""
+        try:
+            answer = await super().get_response(path, scope)
+        except HTTPException as error:
+            if error.status_code == NOT_FOUND.status:
+                _check_built(self._folder)
+            raise
+        answer.headers["Content-Security-Policy"] = POLICY
+        return answer
+
+
+def _check_built(folder: Path) -> None:
+    if not (folder / "index.html").is_file():
+        raise RequestError(
+            NOT_FOUND,
+            "the guide is not built here",
+            remedy="run make docs beside the server, or have its CSPACE_API_GUIDE name a built one",
+        )
