@@ -1,6 +1,7 @@
 """The deployable artefact: load it, verify it, sample from it. onnxruntime and numpy, no torch, no pickle."""
 
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Unpack
 
@@ -192,6 +193,8 @@ class Bundle:
         """
         head, picture = self._head(), self._prepared(image)
         ends = fitted_ends(self.spec, query.start, query.goal)
+        if query.min_confidence is None:
+            query = replace(query, min_confidence=self.spec.plan_confidence)
         return plan(head.seen(self.spec, picture, between), ends, query, between)
 
     def golden_answer(self, image: NDArray[np.uint8], query: SampleQuery) -> SampleSet:

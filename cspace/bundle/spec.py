@@ -30,6 +30,9 @@ MIN_PIXELS, MAX_PIXELS = 16, 2048
 MAX_PER_LATENT = 4096
 MAX_LATENT, MAX_JOINTS, MAX_RANDOM_INPUTS = 1024, 64, 16
 MAX_QUANTILES, MAX_SCORES, MAX_DOUBT = 1001, 16, 100.0
+# Of a plan that is asked for without saying how sure it has to be, where plans are calibrated: on validation
+# problems it leaves 94 % of all solved.
+PLAN_CONFIDENCE = 0.2
 MAX_BYTES, MAX_DEPTH = LIMITS_BYTES[SPEC_FILE], 32
 
 
@@ -127,6 +130,11 @@ class BundleSpec:
     def endpoints(self) -> tuple[str, ...]:
         """Configurations that the generator is conditioned on."""
         return ENDPOINTS if self.kind == "path" else ()
+
+    @property
+    def plan_confidence(self) -> float:
+        """How sure a way has to be where nobody says so: what is not calibrated rules nothing out."""
+        return 0.0 if self.plan_doubt is None else PLAN_CONFIDENCE
 
     @property
     def joint_space(self) -> dict[str, Any]:

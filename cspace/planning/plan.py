@@ -64,19 +64,20 @@ def plan(seen: Seen, ends: NDArray[np.float64], query: PlanQuery, between: Betwe
     Args:
         seen: the scene.
         ends: (2, d) rad, the query's start and goal as the model takes them.
-        query: the problem.
+        query: the problem; without ``min_confidence`` every way is sure enough.
         between: called now and then; may raise to stop, which passes through.
 
     Raises:
         InputError: one of the query's views is no camera.
         ImportError: the compiler of the checks is not installed.
     """
+    least = query.min_confidence or 0.0
     ways = search_ways(seen, ends, query.ways, query.seed, query.time_limit_s, between)
     if ways.ways:
         best = ways.ways[0]
-        found = _answer(best, len(ways.ways), query.min_confidence)
+        found = _answer(best, len(ways.ways), least)
         if query.alternatives:
-            sure = tuple(one.believed() for one in ways.ways if one.whole >= query.min_confidence)
+            sure = tuple(one.believed() for one in ways.ways if one.whole >= least)
             found = replace(found, alternatives=sure)
         if query.next_view:
             pause = between or (lambda: None)

@@ -21,7 +21,8 @@ class PlanQuery:
         start: (d,) rad.
         goal: (d,) rad.
         seed: of all draws, unsigned 64 bit.
-        min_confidence: below which no way is returned, 0 to 1.
+        min_confidence: below which no way is returned, 0 to 1; None for what fits the bundle, see
+            :attr:`cspace.bundle.BundleSpec.plan_confidence`.
         time_limit_s: for the search, above 0.
         ways: that are looked for, 1 or more.
         next_view: whether the camera is wanted that would see most of what the way is doubted for.
@@ -32,7 +33,7 @@ class PlanQuery:
     start: tuple[float, ...]
     goal: tuple[float, ...]
     seed: int = 0
-    min_confidence: float = 0.0
+    min_confidence: float | None = None
     time_limit_s: float = 1.0
     ways: int = DEFAULT_WAYS
     next_view: bool = False

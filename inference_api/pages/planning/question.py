@@ -1,7 +1,7 @@
 """A way from start to goal, from field values to the bytes of the answer; runs in a worker thread."""
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from fastapi.responses import Response
 
@@ -60,6 +60,9 @@ class PlanQuestion:
             ClientDisconnect: the client has gone away.
         """
         bundle, spec = served.bundle, served.bundle.spec
+        query = self.query
+        if query.min_confidence is None:
+            query = replace(query, min_confidence=spec.plan_confidence)
         require_robot(self.robot, spec)
         if not bundle.has_validity:
             raise InputError("the model has no validity head", remedy="name a model that has one")
@@ -67,17 +70,17 @@ class PlanQuestion:
             fitted_end(spec, name, end)
         with searching(turn) as between:
             prepared = self.store.pictures.get(bundle, self.image)
-            found = bundle.plan(prepared.picture, self.query, between)
+            found = bundle.plan(prepared.picture, query, between)
         self.store.observer.planned(
             Planned(f"{served.name}/{served.version}", served.fallback, found.status, self.query.seed)
         )
-        return self._response(served, prepared, found)
+        return self._response(served, prepared, found, query)
 
-    def _response(self, served: ServedModel, prepared: Prepared, found: Plan) -> Response:
+    def _response(self, served: ServedModel, prepared: Prepared, found: Plan, query: PlanQuery) -> Response:
         view = found.next_view
         body = PlanAnswer.model_construct(
             status=found.status,
-            reason=_reason(found, self.query),
+            reason=_reason(found, query),
             path=found.way.tolist(),
             confidence=found.confidence,
             edges=found.edges.tolist(),

@@ -36,8 +36,10 @@ class PlanRequest(SceneFields):
     goal: Configuration = Field(description="Where it ends, as `start`.")
     model: str = Field("cspace-sampler", max_length=300, description="As of `POST /sample`.")
     seed: Seed = Field(None, description="As of `POST /sample`: of all draws of the search.")
-    min_confidence: Annotated[float, Field(ge=0.0, le=1.0, allow_inf_nan=False)] = Field(
-        0.0, description="Below it no way is returned, but the reason why."
+    min_confidence: Annotated[float, Field(ge=0.0, le=1.0, allow_inf_nan=False)] | None = Field(
+        None,
+        description="Below it no way is returned, but the reason why. Absent, 0.2 where plans of the model "
+        "are calibrated, else 0.",
     )
     time_limit_s: Annotated[float, Field(ge=LEAST_TIME_S, le=MAX_TIME_S, allow_inf_nan=False)] = Field(
         1.0, description="Of the search; what is found by then is what is chosen from."

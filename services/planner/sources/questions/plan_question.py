@@ -232,7 +232,7 @@ def _require_way(way: _Way, query: PlanQuery, space: JointSpace) -> None:
     pieces = len(way.path) - 1
     if pieces < 1 or len(way.edges) != pieces or {len(row) for row in way.path} != {space.dim}:
         raise unusable("has no whole way", f"corners of {space.dim} joints, edges between", f"{pieces} edges")
-    if way.confidence < query.min_confidence:
+    if way.confidence < (query.min_confidence or 0.0):
         raise unusable("is less sure than was asked for", str(query.min_confidence), str(way.confidence))
     rows = np.array(way.path)
     if not space.holds(rows).all():
