@@ -11,51 +11,73 @@ def buffer(values: object, dtype: torch.dtype = torch.float32) -> Tensor:
     return torch.tensor(values, dtype=dtype)
 
 
-class ArmPoints(nn.Module):
-    """Configurations (n, d) rad to the spheres' centres (n, 3, S) m and those of their groups (n, 3, G).
+class ArmFrames(nn.Module):
+    """Configurations (n, d) rad to the frames of an arm's links, (3, 4 (d + 1), n).
 
-    The same product serves all points of a link, so that a graph of it is small and quick.
+    Of each link the three columns of its turn and its place, m, one behind the other. Configurations come
+    last, so that a graph computes with long rows; a joint costs it one product.
     """
 
-    points: Tensor
-    sphere_places: Tensor
-    group_places: Tensor
-    turns: Tensor
-    steps: Tensor
-    cross: Tensor
+    ahead: Tensor
+    base: Tensor
 
     def __init__(self, arm: GridArm) -> None:
         super().__init__()
-        spheres, groups = len(arm.links), len(arm.group_links)
+        turns, steps = buffer(arm.origins[:, :3, :3]), buffer(arm.origins[:, :3, 3:])
+        cross = _cross(buffer(arm.axes))
+        square = cross @ cross
+        # A turn by an angle is 1 + K^2 + sin K - cos K^2: its three parts behind the joint's own place.
+        still = torch.eye(3) + square
+        ahead = torch.cat([turns @ still, turns @ cross, -turns @ square, steps], dim=2)
+        self.register_buffer("ahead", ahead.transpose(1, 2).contiguous())
+        self.register_buffer("base", torch.cat([torch.eye(3), torch.zeros(3, 1)], dim=1).unsqueeze(-1))
+
+    def forward(self, configurations: Tensor) -> Tensor:
+        """Frames."""
+        angles = configurations.T
+        sines, cosines = torch.sin(angles), torch.cos(angles)
+        turn, place = self.base[:, :3], self.base.new_zeros(3, 1, 1)
+        found = [self.base.expand(3, 4, configurations.shape[0])]
+        for joint, ahead in enumerate(self.ahead):
+            still, sine, cosine, step = torch.split(ahead @ turn, [3, 3, 3, 1], dim=1)
+            turn = still + sines[joint] * sine + cosines[joint] * cosine
+            place = place + step
+            found += [turn, place.expand(3, 1, configurations.shape[0])]
+        return torch.cat(found, dim=1)
+
+
+def frame_rows(points: Tensor, links: Tensor, count: int, places: float = 1.0) -> Tensor:
+    """What a product with frames (3, 4 c, n) takes to points: (k, 4 c) for points (k, 3) of links (k,).
+
+    Args:
+        points: in the links' frames.
+        links: their numbers.
+        count: c of the links, the base included.
+        places: what the links' places are multiplied by; 0 for directions.
+    """
+    rows = points.new_zeros(len(points), count, 4)
+    numbers = torch.arange(len(points))
+    rows[numbers, links, :3] = points
+    rows[numbers, links, 3] = places
+    return rows.reshape(len(points), -1)
+
+
+class ArmPoints(nn.Module):
+    """Configurations (n, d) rad to the spheres' centres (n, 3, S) m and those of their groups (n, 3, G)."""
+
+    rows: Tensor
+
+    def __init__(self, arm: GridArm) -> None:
+        super().__init__()
+        self.frames, self.spheres = ArmFrames(arm), len(arm.links)
         points = torch.cat([buffer(arm.spheres_m[:, :3]), buffer(arm.group_spheres_m[:, :3])])
         links = torch.cat([buffer(arm.links, torch.long), buffer(arm.group_links, torch.long)])
-        order = torch.argsort(links, stable=True)
-        self.sizes = [int((links == link).sum()) for link in range(len(arm.axes) + 1)]
-        place = torch.argsort(order)
-        self.register_buffer("points", points[order].T.contiguous())
-        self.register_buffer("sphere_places", place[:spheres])
-        self.register_buffer("group_places", place[spheres : spheres + groups])
-        self.register_buffer("turns", buffer(arm.origins[:, :3, :3]))
-        self.register_buffer("steps", buffer(arm.origins[:, :3, 3:]))
-        self.register_buffer("cross", _cross(buffer(arm.axes)))
+        self.register_buffer("rows", frame_rows(points, links, len(arm.axes) + 1))
 
     def forward(self, configurations: Tensor) -> tuple[Tensor, Tensor]:
         """Spheres and groups."""
-        count = configurations.shape[0]
-        still = torch.eye(3, dtype=configurations.dtype, device=configurations.device)
-        turn, place = still.expand(count, 3, 3), self.points.new_zeros(1, 3, 1)
-        parts = torch.split(self.points, self.sizes, dim=1)
-        found = [parts[0].unsqueeze(0).expand(count, 3, self.sizes[0])]
-        sines, cosines = torch.sin(configurations), 1.0 - torch.cos(configurations)
-        for joint, part in enumerate(parts[1:]):
-            cross = self.cross[joint]
-            own = still + sines[:, joint, None, None] * cross
-            own = own + cosines[:, joint, None, None] * (cross @ cross)
-            place = place + turn @ self.steps[joint]
-            turn = (turn @ self.turns[joint]) @ own
-            found.append(turn @ part + place)
-        points = torch.cat(found, dim=2)
-        return points[:, :, self.sphere_places], points[:, :, self.group_places]
+        points = (self.rows @ self.frames(configurations)).permute(2, 0, 1)
+        return points[:, :, : self.spheres], points[:, :, self.spheres :]
 
 
 class SelfGap(nn.Module):
