@@ -17,9 +17,9 @@ from torch.nn import functional
 from cspace.errors import ConfigError
 from cspace.world import GridArm, World
 from training.models.grids.encoder import STRIDE, GridEncoder
+from training.models.grids.voxels import Corners, nearest_value
 from training.models.networks import mlp
 from training.models.settings import GridConfig, ValidityConfig
-from training.models.grids.voxels import Corners, nearest_value
 from training.models.space.arm import ArmFrames, SelfGap, buffer, frame_rows
 from training.models.space.reading import table_of
 
@@ -61,7 +61,6 @@ class GridHead(nn.Module):
     group_voxels: Tensor
     group_places: Tensor
     group_ways: Tensor
-    gap_spheres: Tensor
     corner: Tensor
     members: Tensor
     radii: Tensor
@@ -117,8 +116,10 @@ class GridHead(nn.Module):
         scene = None if scenes == 1 else torch.arange(scenes, device=frames.device).repeat_interleave(count)
         margins, unseen = self.at_spheres(pictures, frames, scene)
         near, sight = margins[self.members].amin(dim=1), unseen[self.members].mean(dim=1)
-        told = torch.cat([*self._at_groups(pictures, frames, scene), *_told(near), sight.unsqueeze(0)])
-        inner = self._inner(self._features(table, frames, scene), told)
+        told = [*self._at_groups(pictures, frames, scene), *_told(near), sight.unsqueeze(0)]
+        features = self._features(table, frames, scene).T.reshape(-1, *near.shape)
+        named = self.names.T.unsqueeze(-1).expand(-1, -1, near.shape[1])
+        inner = self._inner(torch.cat([features, *told, named]))
         hazards = _through(self.hazard, inner)[0]
         share = (unseen * self.volumes).sum(dim=0)
         clear = self._clear(inner, hazards, share) + self._past_the_seen(margins)
@@ -126,13 +127,9 @@ class GridHead(nn.Module):
         return Belief(
             clear.reshape(shape),
             hazards.T.reshape(scenes, count, -1),
-            (self.gap(self.centres(frames)) > 0.0).float().reshape(shape),
+            (self.gap(frames) > 0.0).float().reshape(shape),
             share.reshape(shape),
         )
-
-    def centres(self, frames: Tensor) -> Tensor:
-        """Centres of all spheres, (n, 3, S) m."""
-        return (self.gap_spheres @ frames).permute(2, 0, 1)
 
     def at_spheres(self, pictures: Tensor, frames: Tensor, scene: Tensor | None) -> tuple[Tensor, Tensor]:
         """Of all spheres that move, (S, n): margins to the surface seen, m, and whether not seen free.
@@ -170,15 +167,10 @@ class GridHead(nn.Module):
         ways = self.group_ways @ frames
         return [self.group_places @ frames, inside, ways, free, unread, out, hidden, hidden * code]
 
-    def _inner(self, features: Tensor, told: Tensor) -> Tensor:
-        """What is made of features (G n, C), of what else is told (k, G, n), and of names: (H, G, n)."""
-        first, second = self.group[0][0], self.group[0][2]
-        sizes = [features.shape[1], told.shape[0], _NAMES]
-        of_map, of_told, of_names = torch.split(first.weight, sizes, dim=1)
-        known = of_map @ features.T + of_told @ told.flatten(1)
-        named = (of_names @ self.names.T + first.bias[:, None]).unsqueeze(-1)
-        inner = self.group[0][1](known.reshape(-1, *told.shape[1:]) + named)
-        return functional.relu(_through(second, inner))
+    def _inner(self, told: Tensor) -> Tensor:
+        """What is made of all that is told of groups, (k, G, n) to (H, G, n)."""
+        first, bent, second = (self.group.get_submodule(f"0.{number}") for number in range(3))
+        return functional.relu(_through(second, bent(_through(first, told))))
 
     def _clear(self, inner: Tensor, hazards: Tensor, unseen: Tensor) -> Tensor:
         """Log probability that nothing is touched, as far as it is learned, (n,)."""
@@ -214,7 +206,7 @@ def _told(margins: Tensor) -> list[Tensor]:
 
 
 def _rows(arm: GridArm, moving: Tensor) -> dict[str, Tensor]:
-    """What takes frames to points: spheres that move and groups in voxels, groups in m and their ways, all spheres."""
+    """What takes frames to points: spheres that move and groups and groups in voxels, groups in m, ways."""
     links, groups = buffer(arm.links, torch.long), buffer(arm.group_links, torch.long)
     spheres, centres = buffer(arm.spheres_m[:, :3]), buffer(arm.group_spheres_m[:, :3])
     count, step = len(arm.axes) + 1, 1.0 / arm.voxel_m
@@ -224,7 +216,6 @@ def _rows(arm: GridArm, moving: Tensor) -> dict[str, Tensor]:
         "group_voxels": frame_rows(centres * step, groups, count, step),
         "group_places": frame_rows(centres, groups, count),
         "group_ways": frame_rows((spheres[farthest] - centres) / _FAR_M, groups, count, 0.0),
-        "gap_spheres": frame_rows(spheres, links, count),
     }
 
 

@@ -16,8 +16,8 @@ _OF_MAP = "encoder."
 def read_back(head: GridHead, validity: bytes) -> None:
     """Give a head the weights that a validity graph of its kind holds; those of its encoder stay.
 
-    Names of parameters are kept by the exporter; a layer's weight that it turned has none, and is found by
-    its bias, which is added to its product.
+    Names of parameters are kept by the exporter; what it turned has none. A layer's weight is then found by
+    its bias, which is added to its product, or the other way round, and the names of groups by their shape.
 
     Args:
         head: of the same sizes.
@@ -33,7 +33,7 @@ def read_back(head: GridHead, validity: bytes) -> None:
             continue
         found = held.get(_PREFIX + name)
         if found is None:
-            found = _turned(graph, held, _PREFIX + name.removesuffix("weight") + "bias")
+            found = _turned(graph, held, _PREFIX + name, parameter.shape)
         if found is None or found.shape != parameter.shape:
             raise BundleError(
                 f"the validity graph holds no {name}",
@@ -45,11 +45,19 @@ def read_back(head: GridHead, validity: bytes) -> None:
             parameter.copy_(found)
 
 
-def _turned(graph: onnx.GraphProto, held: dict[str, Tensor], bias: str) -> Tensor | None:
-    """The weight of which a product is made that the bias is added to."""
-    sums = [node for node in graph.node if node.op_type == "Add" and bias in node.input]
-    for node in graph.node:
-        if node.op_type == "MatMul" and any(node.output[0] in found.input for found in sums):
-            weight = held.get(node.input[1])
+def _turned(graph: onnx.GraphProto, held: dict[str, Tensor], name: str, shape: torch.Size) -> Tensor | None:
+    layer, _, kind = name.rpartition(".")
+    if kind not in ("weight", "bias"):
+        found = [values for values in held.values() if values.shape == (*shape[::-1], 1)]
+        return found[0].squeeze(-1).T if len(found) == 1 else None
+    for product in graph.node:
+        after = [node for node in graph.node if node.op_type == "Add" and product.output[0] in node.input]
+        if product.op_type != "MatMul" or not after:
+            continue
+        if kind == "weight" and f"{layer}.bias" in after[0].input:
+            weight = held.get(product.input[1])
             return None if weight is None else weight.T
+        if kind == "bias" and f"{layer}.weight" in product.input:
+            columns = [held[other] for other in after[0].input if other in held]
+            return columns[0].flatten() if columns else None
     return None
