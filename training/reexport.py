@@ -135,9 +135,12 @@ def _head_of(source: Bundle) -> GridHead:
             expected="one of an arm in space, with its sizes under validity.grid",
             got=f"a bundle of the world {source.spec.world.kind}",
         )
-    grid = GridConfig(**sizes)
+    try:
+        grid, hidden = GridConfig(**sizes), int(config["hidden"])
+    except (KeyError, TypeError, ValueError) as error:
+        raise BundleError("the sizes of the bundle's head cannot be read", got=str(error)[:200]) from error
     x, y, z, _ = source.spec.world.sensor.picture_shape
-    return GridHead(grid, config["hidden"], source.spec.world.grid_arm(grid.groups), (x, y, z)).eval()
+    return GridHead(grid, hidden, source.spec.world.grid_arm(grid.groups), (x, y, z)).eval()
 
 
 if __name__ == "__main__":

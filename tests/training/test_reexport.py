@@ -1,6 +1,6 @@
 """A bundle's head is exported anew from its own weights, and answers as it did."""
 
-from dataclasses import asdict, replace
+from dataclasses import replace
 
 import onnx
 import pytest
@@ -10,7 +10,8 @@ from tests.bundles import write_tiny_bundle
 from tests.space_bundle import HEAD, SPEC, space_graphs
 from training.reexport import apart, main
 
-CONFIG = {"validity": {"hidden": HEAD.hidden, "grid": asdict(HEAD.grid)}}
+SIZES = {"width": 4, "middle": 4, "deep": 4}
+CONFIG = {"validity": {"hidden": HEAD.hidden, "grid": SIZES}}
 
 
 @pytest.fixture(scope="module")
