@@ -5,7 +5,7 @@ itself is told exactly. What is not seen is learned: features of the scene are r
 would be, each group's hazard is told, and pooled to the whole arm's.
 
 What is computed in between has the configurations last, (..., n): rows are long, nothing is read value by
-value, and a graph of it takes little more than half of the time.
+value, and a graph of it takes about half of the time.
 """
 
 from dataclasses import dataclass
