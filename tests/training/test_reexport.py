@@ -65,6 +65,13 @@ def test_a_bundle_that_tells_no_sizes_is_refused(graphs, tmp_path, capsys, confi
     assert "cannot be exported anew" in capsys.readouterr().err
 
 
+def test_sizes_that_are_none_are_told(graphs, tmp_path, capsys):
+    spec = replace(SPEC, provenance=Provenance(config={"validity": {"hidden": 8, "grid": {"width": 3}}}))
+    other = write_bundle(tmp_path / "other", spec, graphs)
+    assert main([str(other), str(tmp_path / "new")]) == 1
+    assert "the sizes of the bundle's head cannot be read" in capsys.readouterr().err
+
+
 def test_a_bundle_of_the_plane_is_refused(tmp_path, capsys):
     flat = write_tiny_bundle(tmp_path / "flat", validity=True)
     assert main([str(flat), str(tmp_path / "new")]) == 1

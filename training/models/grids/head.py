@@ -4,8 +4,8 @@ What is seen bounds the answer: distances to the surface seen are read at all sp
 itself is told exactly. What is not seen is learned: features of the scene are read where groups of spheres
 would be, each group's hazard is told, and pooled to the whole arm's.
 
-What is computed in between has the configurations last, (..., n): rows are long, nothing is read value by
-value, and a graph of it takes about half of the time.
+What is computed in between has the configurations last, (..., n), so that rows are long: a graph of it takes
+about half of the time.
 """
 
 from dataclasses import dataclass
