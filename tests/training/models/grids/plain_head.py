@@ -1,0 +1,80 @@
+"""What a head says, computed straight on: what is quicker is held to it."""
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from cspace.world import GridArm
+from training.models.grids.encoder import STRIDE
+from training.models.grids.head import GridHead
+from training.models.space.arm import ArmPoints, buffer
+from training.models.space.reading import Points
+
+
+def plain_answers(head: GridHead, arm: GridArm, picture: Tensor, rows: Tensor) -> tuple[Tensor, Tensor]:
+    """P(free of obstacles) and unseen share, (n,), for one picture (1, 2, X, Y, Z) and (n, d) rad."""
+    spheres, groups = ArmPoints(arm)(rows)
+    moving = buffer(arm.links, torch.long) > 0
+    margins, unseen = at_spheres(head, arm, picture, spheres[:, :, moving])
+    places = torch.cumsum(moving, dim=0) - 1
+    members = places[buffer(arm.members, torch.long)]
+    near, sight = margins[:, members].amin(dim=2), unseen[:, members].mean(dim=2)
+    told = torch.cat([at_groups(head, arm, picture, spheres, groups), scales(near), sight[..., None]], dim=2)
+    inner = head.group(torch.cat([told, head.names.expand(len(rows), -1, -1)], dim=2))
+    hazards = head.hazard(inner).squeeze(-1)
+    volumes = functional.normalize(buffer(arm.spheres_m[:, 3])[moving] ** 3, p=1.0, dim=0)
+    share = (unseen * volumes).sum(dim=1)
+    together, worst = torch.logsumexp(hazards, dim=1), hazards.amax(dim=1)
+    sums = torch.stack([together / 4.0, worst / 4.0, share], dim=1)
+    pooled = head.whole(torch.cat([inner.amax(dim=1), inner.mean(dim=1), sums], dim=1)).squeeze(-1)
+    least = -torch.topk(-margins, 2, dim=1).values
+    first = least[:, :1]
+    seen = torch.cat(
+        [(least / 0.1).clamp(-1.0, 1.0), torch.tanh(first / 0.01), torch.tanh(first / 0.03)], dim=1
+    )
+    past = functional.logsigmoid(head.seen(seen).squeeze(-1))
+    return (functional.logsigmoid(-together - pooled) + past).exp(), share
+
+
+def at_spheres(head: GridHead, arm: GridArm, picture: Tensor, spheres: Tensor) -> tuple[Tensor, Tensor]:
+    """Margins to the surface seen, m, and whether not seen free, (n, S)."""
+    points = grid_points(arm, spheres, head.counts, arm.voxel_m, 2)
+    table = picture.reshape(-1, 1)
+    near = points.between(table).reshape(len(spheres), -1) * 255.0 * arm.distance_step_m
+    codes = table[points.nearest(1)].reshape(len(spheres), -1)
+    radii = buffer(arm.spheres_m[arm.links > 0, 3])
+    return near - radii, (codes > 0.5 / 255.0).float()
+
+
+def at_groups(head: GridHead, arm: GridArm, picture: Tensor, spheres: Tensor, groups: Tensor) -> Tensor:
+    """All but margins, sight and names, (n, G, k)."""
+    rows, x, y, z = len(groups), *(count // STRIDE for count in head.counts)
+    coarse = grid_points(arm, groups, (x, y, z), STRIDE * arm.voxel_m)
+    features = coarse.between(head.encode(picture)).reshape(rows, head.groups, -1)
+    inside = (coarse.places - coarse.places.floor() - 0.5).reshape(3, rows, -1).permute(1, 2, 0)
+    fine = grid_points(arm, groups, head.counts, arm.voxel_m, 2)
+    code = picture.reshape(-1)[fine.nearest(1)].reshape(rows, -1, 1)
+    free, out = (code < 0.5 / 255.0).float(), (code > 254.5 / 255.0).float()
+    unread = ((code - arm.no_reading / 255.0).abs() < 0.5 / 255.0).float()
+    hidden = 1.0 - free - out - unread
+    members, centres = buffer(arm.members, torch.long), buffer(arm.group_spheres_m[:, :3])
+    gaps = (buffer(arm.spheres_m[:, :3])[members] - centres[:, None]).norm(dim=2)
+    farthest = torch.gather(members, 1, gaps.argmax(dim=1, keepdim=True))[:, 0]
+    along = (spheres[:, :, farthest] - groups).transpose(1, 2) / 0.1
+    places = groups.transpose(1, 2)
+    return torch.cat([features, places, inside, along, free, unread, out, hidden, hidden * code], dim=2)
+
+
+def grid_points(
+    arm: GridArm, points: Tensor, counts: tuple[int, int, int], voxel_m: float, channels: int = 1
+) -> Points:
+    """Points (n, 3, k) in a grid."""
+    places = (points - buffer(arm.low_m)[:, None]) / voxel_m
+    return Points(places.transpose(0, 1).reshape(1, 3, -1), counts, channels)
+
+
+def scales(margins: Tensor) -> Tensor:
+    """(n, G) m to (n, G, 3)."""
+    return torch.stack(
+        [(margins / 0.1).clamp(-1.0, 1.2), torch.tanh(margins / 0.01), torch.tanh(margins / 0.03)], dim=2
+    )

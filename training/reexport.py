@@ -1,0 +1,147 @@
+"""``python -m training.reexport BUNDLE FOLDER``: a bundle whose head is exported anew from its own weights.
+
+Nothing is trained. The validity graph of an arm in space is read back into the network that it was exported
+of, and that is exported as this release does it, which may be quicker to compute. All other graphs stay as
+they are, byte for byte. The two graphs must answer alike, or nothing is written; what the bundle tells of its
+making keeps its words, with a note of the bundle that it comes from.
+
+Exit codes: 0 done, 1 the bundle or the disk is bad, or the graphs differ, 2 the command is wrong.
+"""
+
+import argparse
+import sys
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cspace.bundle import Bundle, write_bundle
+from cspace.bundle.files import (
+    ENCODER_FILE,
+    GENERATOR_FILE,
+    GOLDEN_FILE,
+    MAP_FILE,
+    NOVELTY_FILE,
+    VALIDITY_FILE,
+)
+from cspace.bundle.golden import GoldenCase, scene
+from cspace.errors import BundleError, CspaceError, InputError
+from cspace.files import replacing
+from services.command_errors import tell_error
+from training.models.grids.export import grid_validity_graph
+from training.models.grids.head import GridHead
+from training.models.grids.reading_back import read_back
+from training.models.settings import GridConfig
+
+_KEPT = {"encoder": ENCODER_FILE, "generator": GENERATOR_FILE, "novelty": NOVELTY_FILE, "map": MAP_FILE}
+# Configurations that both graphs are asked about, of each of so many pictures.
+_ASKED, _TURNS = 1000, 4
+# Between the answers; and the share of configurations that may be further apart, as a sphere's middle that
+# lies on the border of two voxels may be counted to either.
+ALIKE, _ON_BORDERS = 1e-5, 1e-3
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Parse, export, print."""
+    options = parser().parse_args(arguments)
+    try:
+        source = Bundle.load(options.bundle)
+        bundle = reexported(source, options.folder)
+        print(f"{bundle.folder}\n  digest {bundle.digest}")
+        print(f"  answers differ by {apart(source, bundle).max():.1e} at most")
+    except CspaceError as error:
+        return tell_error(error, InputError)
+    return 0
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command line."""
+    parser = argparse.ArgumentParser(
+        prog="python -m training.reexport",
+        description="Export a bundle's head anew from its own weights; nothing is trained.",
+        epilog="Exit codes: 0 done, 1 failed, 2 bad input.",
+    )
+    parser.add_argument("bundle", type=Path, help="a bundle of an arm in space")
+    parser.add_argument("folder", type=Path, help="where the new bundle goes")
+    return parser
+
+
+def reexported(source: Bundle, folder: Path) -> Bundle:
+    """Write the bundle with its validity graph exported anew.
+
+    Args:
+        source: a bundle of an arm in space, with a head that reads the map of its pictures.
+        folder: where the new one is to be; must not exist.
+
+    Raises:
+        BundleError: the source has no such head, its weights cannot be read, or the new one answers
+            otherwise; nothing is left behind.
+        StorageError: the folder exists or cannot be written.
+    """
+    head = _head_of(source)
+    read_back(head, (source.folder / VALIDITY_FILE).read_bytes())
+    origin = source.spec.provenance
+    note = {"graphs": ["validity"], "source_digest": source.digest}
+    spec = replace(source.spec, provenance=replace(origin, config={**origin.config, "exported_anew": note}))
+    graphs = {
+        name: (source.folder / file).read_bytes()
+        for name, file in _KEPT.items()
+        if (source.folder / file).is_file()
+    }
+    graphs["validity"] = grid_validity_graph(head, source.spec.dim)
+    # The golden case stays: what the bundle promised holds on, within its tolerance, or it is not loaded.
+    golden = GoldenCase.from_npz((source.folder / GOLDEN_FILE).read_bytes())
+    with replacing(Path(folder), "the bundle") as beside:
+        _require_alike(source, Bundle.load(write_bundle(beside, spec, graphs, golden), replay=False))
+    return Bundle.load(folder, replay=False)
+
+
+def apart(one: Bundle, other: Bundle) -> NDArray[np.float32]:
+    """How far the answers of two bundles' heads are apart, the farther of confidence and unseen share, (m,).
+
+    Of uniform configurations, in the fixed picture of golden cases, moved further from case to case.
+    """
+    rng, space = np.random.default_rng(0), one.spec.world.space
+    picture = scene(one.spec.world.sensor.picture_shape)
+    found = []
+    for turn in range(_TURNS):
+        rows = space.to_float32(space.sample_uniform(rng, _ASKED))
+        shown = np.roll(picture, [turn * side // _TURNS for side in picture.shape[:3]], axis=(0, 1, 2))
+        first, second = (bundle.believe(shown, rows) for bundle in (one, other))
+        gaps = [np.abs(a - b) for a, b in zip(first, second, strict=True) if a is not None and b is not None]
+        found.append(np.max(gaps, axis=0))
+    return np.concatenate(found)
+
+
+def _require_alike(source: Bundle, made: Bundle) -> None:
+    gaps = apart(source, made)
+    if np.mean(gaps > ALIKE) > _ON_BORDERS:
+        raise BundleError(
+            "the head answers otherwise than the one that it was read from",
+            expected=f"within {ALIKE:g} but for one in {1 / _ON_BORDERS:g}",
+            got=f"{np.mean(gaps > ALIKE):.3f} farther apart, by {gaps.max():.1e} at most",
+        )
+
+
+def _head_of(source: Bundle) -> GridHead:
+    """A head of the sizes that the bundle tells, on which its validity graph's weights fit."""
+    config = source.spec.provenance.config.get("validity")
+    sizes = config.get("grid") if isinstance(config, dict) else None
+    if not source.head_looks_at_map or not isinstance(config, dict) or not isinstance(sizes, dict):
+        raise BundleError(
+            "the bundle's head cannot be exported anew",
+            expected="one of an arm in space, with its sizes under validity.grid",
+            got=f"a bundle of the world {source.spec.world.kind}",
+        )
+    try:
+        grid, hidden = GridConfig(**sizes), int(config["hidden"])
+    except (KeyError, TypeError, ValueError) as error:
+        raise BundleError("the sizes of the bundle's head cannot be read", got=str(error)[:200]) from error
+    x, y, z, _ = source.spec.world.sensor.picture_shape
+    return GridHead(grid, hidden, source.spec.world.grid_arm(grid.groups), (x, y, z)).eval()
+
+
+if __name__ == "__main__":
+    sys.exit(main())
