@@ -1,0 +1,36 @@
+// What is shown, to take along: a command, a script, a link.
+
+/** @import {Workbench} from "./main.js" */
+
+import { toHash } from "./state.js";
+import { byId } from "./svg.js";
+
+/** @typedef {"curl" | "python" | "link"} Form */
+
+/** @param {Workbench} bench */
+export function listenToCopies(bench) {
+  for (const form of /** @type {const} */ (["curl", "python", "link"])) {
+    byId(`copy-${form}`, HTMLButtonElement).addEventListener("click", () => void copy(bench, form));
+  }
+}
+
+/** @param {Workbench} bench @param {Form} form */
+async function copy(bench, form) {
+  const what = /** @type {"sample" | "plan"} */ (byId("take-what", HTMLSelectElement).value);
+  const text =
+    form === "link" ? new URL(toHash(bench.state), location.href).href : await bench.taken(what, form);
+  const area = byId("taken", HTMLTextAreaElement);
+  area.value = text;
+  area.hidden = false;
+  const copied = byId("copied", HTMLElement);
+  try {
+    await navigator.clipboard.writeText(text);
+    copied.textContent = "Copied.";
+  } catch {
+    area.select();
+    copied.textContent = "The browser does not let the page copy; here it is.";
+  }
+  if (form === "link" && bench.state.picture && !text.includes("picture=")) {
+    copied.textContent += " The picture is too large for a link: send it beside it.";
+  }
+}
