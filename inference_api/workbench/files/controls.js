@@ -205,8 +205,8 @@ export class Controls {
     });
   }
 
-  /** @param {number} at @param {Disc} disc */
-  moveDisc(at, disc) {
+  /** @param {number} at @param {Disc} disc @param {boolean} [byKey]  Said then, for it may not be seen. */
+  moveDisc(at, disc, byKey = false) {
     const camera = this.bench.camera;
     if (!camera) return;
     const moved = {
@@ -215,7 +215,7 @@ export class Controls {
       r: Math.min(2.5, Math.max(0.2, disc.r)),
     };
     this.bench.change({ discs: this.bench.state.discs.map((one, place) => (place === at ? moved : one)) });
-    speak(`Disc ${at + 1}: x ${moved.x.toFixed(1)}, y ${moved.y.toFixed(1)}, radius ${moved.r.toFixed(2)}`);
+    if (byKey) speak(`Disc ${at + 1}: x ${moved.x.toFixed(1)}, y ${moved.y.toFixed(1)}, radius ${moved.r.toFixed(2)}`);
   }
 
   /** A click into the joint space. @param {number} first @param {number} second */

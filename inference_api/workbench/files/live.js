@@ -15,7 +15,7 @@ export const MEASURE = "interaction-to-samples";
  *
  * @typedef {object} Heard
  * @property {(answer: any, tookMs: number) => void} samples
- * @property {(answer: any) => void} truth
+ * @property {(answer: any, samples: number[][]) => void} truth  Of these samples; others may be shown by now.
  * @property {(answer: any) => void} belief
  * @property {(error: unknown) => void} failed
  * @property {(busy: boolean) => void} busy  Whether answers are waited for.
@@ -29,25 +29,33 @@ export class Live {
   constructor(asked, heard) {
     this.asked = asked;
     this.heard = heard;
-    this.running = false;
     /** When the oldest change was made that no samples are there for; null for none. @type {number | null} */
     this.since = null;
+    /** What is asked beside the samples, which do not wait for it. @type {(() => Promise<void>) | null} */
+    this.beside = null;
+    this.running = { samples: false, beside: false };
   }
 
   /** Something has changed. */
   changed() {
     this.since ??= performance.now();
-    if (!this.running) void this.run();
+    void this.run("samples", async () => {
+      while (this.since !== null) await this.once();
+    });
   }
 
-  async run() {
-    this.running = true;
+  /** Run a loop unless it runs. @param {"samples" | "beside"} which @param {() => Promise<void>} loop */
+  async run(which, loop) {
+    if (this.running[which]) return;
+    this.running[which] = true;
     this.heard.busy(true);
     try {
-      while (this.since !== null) await this.once();
+      await loop();
+    } catch (error) {
+      this.heard.failed(error);
     } finally {
-      this.running = false;
-      this.heard.busy(false);
+      this.running[which] = false;
+      this.heard.busy(this.running.samples || this.running.beside);
     }
   }
 
@@ -59,8 +67,7 @@ export class Live {
       const answer = await ask("sample", asked.sample);
       this.heard.samples(answer, performance.now() - since);
       performance.measure(MEASURE, { start: since });
-      if (asked.truth) this.heard.truth(await ask("workbench/truth", asked.truth(answer.samples)));
-      if (asked.belief && this.since === null) this.heard.belief(await ask("validity", asked.belief()));
+      this.askBeside(asked, answer.samples);
     } catch (error) {
       this.heard.failed(error);
       if (error instanceof ApiAway) this.since = null;
@@ -69,6 +76,24 @@ export class Live {
         this.since ??= performance.now();
       }
     }
+  }
+
+  /** The truth and the belief of the latest samples, one question at a time. @param {Asked} asked @param {number[][]} samples */
+  askBeside(asked, samples) {
+    this.beside = async () => {
+      if (asked.truth) this.heard.truth(await ask("workbench/truth", asked.truth(samples)), samples);
+      if (asked.belief && this.since === null) this.heard.belief(await ask("validity", asked.belief()));
+    };
+    void this.run("beside", async () => {
+      while (this.beside) {
+        const next = this.beside;
+        this.beside = null;
+        const began = performance.now();
+        await next();
+        // As long again, so that samples come first on a machine that has much to do.
+        await new Promise((done) => setTimeout(done, this.beside ? Math.min(200, performance.now() - began) : 0));
+      }
+    });
   }
 }
 

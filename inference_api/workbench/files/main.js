@@ -50,7 +50,7 @@ class Workbench {
     this.messages = new Messages(() => void this.begin());
     this.live = new Live(() => this.asked(), {
       samples: (answer, tookMs) => this.sampled(answer, tookMs),
-      truth: (answer) => this.judged(answer),
+      truth: (answer, samples) => this.judged(answer, samples),
       belief: (answer) => this.believed(answer),
       failed: (error) => this.messages.failed(error),
       busy: (busy) => byId("torus", SVGSVGElement).setAttribute("aria-busy", String(busy)),
@@ -98,7 +98,7 @@ class Workbench {
       left: camera.x_min_m, right: camera.x_max_m, bottom: camera.y_min_m, top: camera.y_max_m, pixels: camera.pixels,
     };
     this.scene = new SceneView(byId("scene", SVGSVGElement), this.robot, this.camera, {
-      disc: (at, disc) => this.controls.moveDisc(at, disc),
+      disc: (at, disc, byKey) => this.controls.moveDisc(at, disc, byKey),
       choose: (at) => this.chooseDisc(at),
       remove: (at) => this.controls.removeDisc(at),
       end: (end, configuration) => this.moveEnd(end, configuration),
@@ -249,9 +249,9 @@ class Workbench {
     this.readout.showAnswer(answer);
   }
 
-  /** @param {any} answer */
-  judged(answer) {
-    this.drawn.free = answer.sample_free;
+  /** @param {any} answer @param {number[][]} samples */
+  judged(answer, samples) {
+    if (samples === this.drawn.samples) this.drawn.free = answer.sample_free;
     if (this.state.ground === "truth") this.drawn.ground = trueGround(answer);
     this.torus?.show(this.drawn);
     this.readout.showTruth(answer);

@@ -22,7 +22,7 @@ const ENDS = /** @type {const} */ (["start", "goal"]);
  * @property {string | null} picture  Address of what is shown instead of discs.
  *
  * @typedef {object} Changes
- * @property {(at: number, disc: Disc) => void} disc
+ * @property {(at: number, disc: Disc, byKey: boolean) => void} disc
  * @property {(at: number) => void} choose
  * @property {(at: number) => void} remove
  * @property {(end: "start" | "goal", configuration: Configuration) => void} end
@@ -167,7 +167,7 @@ export class SceneView {
       if (first) {
         [offX, offY] = [disc.x - x, disc.y - y];
         this.changes.choose(at);
-      } else this.changes.disc(at, { ...disc, x: x + offX, y: y + offY });
+      } else this.changes.disc(at, { ...disc, x: x + offX, y: y + offY }, false);
     });
     circle.addEventListener("focus", () => this.changes.choose(at));
     circle.addEventListener("keydown", (event) => this.pressed(event, at));
@@ -179,10 +179,10 @@ export class SceneView {
     const disc = this.shown?.discs[at];
     if (!disc) return;
     const step = arrow(event);
-    if (step) this.changes.disc(at, { ...disc, x: disc.x + STEP_M * step[0], y: disc.y + STEP_M * step[1] });
+    if (step) this.changes.disc(at, { ...disc, x: disc.x + STEP_M * step[0], y: disc.y + STEP_M * step[1] }, true);
     else if (event.key === "Delete" || event.key === "Backspace") this.changes.remove(at);
     else if (event.key === "+" || event.key === "-") {
-      this.changes.disc(at, { ...disc, r: disc.r + (event.key === "+" ? 0.05 : -0.05) });
+      this.changes.disc(at, { ...disc, r: disc.r + (event.key === "+" ? 0.05 : -0.05) }, true);
     } else return;
     event.preventDefault();
   }
