@@ -56,7 +56,7 @@ def add_workbench(app: FastAPI, *, truth: bool, mlflow_pages: str | None) -> Non
     Raises:
         ConfigError: the truth is wanted, and its packages are not there.
     """
-    missing = [name for name in _PACKAGES if truth and find_spec(name) is None]
+    missing = [name for name in _PACKAGES if truth and not _is_installed(name)]
     if missing:
         raise ConfigError(
             "the workbench cannot tell the truth",
@@ -65,7 +65,7 @@ def add_workbench(app: FastAPI, *, truth: bool, mlflow_pages: str | None) -> Non
             remedy="pip install .[workbench], or leave CSPACE_API_WORKBENCH and --workbench out",
         )
     add_page(app)
-    about = About(version=app.version, truth=truth, plans=find_spec("numba") is not None, mlflow=mlflow_pages)
+    about = About(version=app.version, truth=truth, plans=_is_installed("numba"), mlflow=mlflow_pages)
 
     @app.get("/workbench/about", include_in_schema=False)
     async def told() -> About:
@@ -78,6 +78,13 @@ def add_workbench(app: FastAPI, *, truth: bool, mlflow_pages: str | None) -> Non
     if truth:
         app.post("/workbench/scene", include_in_schema=False)(_scene)
         app.post("/workbench/truth", include_in_schema=False)(_truth)
+
+
+def _is_installed(name: str) -> bool:
+    try:
+        return find_spec(name) is not None
+    except ImportError:
+        return False
 
 
 async def _scene(request: Request) -> Response:
