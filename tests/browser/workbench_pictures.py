@@ -22,7 +22,7 @@ PICTURES = {
     "workbench-dark": ("dark", 1480, 940),
     "workbench-phone": ("light", 390, 844),
 }
-COLOURS = 128
+COLOURS = 256
 
 
 def main() -> int:
@@ -60,7 +60,9 @@ def _taken(page: Page, address: str, name: str) -> bytes:
 def _write(taken: bytes, path: Path) -> None:
     """Few colours, for they are few."""
     with Image.open(io.BytesIO(taken)) as picture:
-        picture.convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE).save(path, optimize=True)
+        picture.convert("RGB").quantize(COLOURS, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE).save(
+            path, optimize=True
+        )
 
 
 if __name__ == "__main__":
