@@ -19,6 +19,8 @@ from inference_api.pages.validation import validate_fields
 from inference_api.problems import UNSUPPORTED_MEDIA_TYPE, RequestError
 from inference_api.workbench.models import ModelStory, stories
 from inference_api.workbench.page import add_page
+from inference_api.workbench.space import SpaceQuestion
+from inference_api.workbench.space_schemas import SpaceRequest
 from inference_api.workbench.truth import SceneQuestion, TruthQuestion
 from inference_api.workbench.truth_schemas import SceneRequest, TruthRequest
 from services.registry.references import ModelReference
@@ -26,7 +28,7 @@ from services.registry.references import ModelReference
 # What compiled checks and drawn scenes need, as the extra ``workbench`` has it.
 _PACKAGES = ("numba", "scipy", "matplotlib")
 
-Asked = TypeVar("Asked", SceneRequest, TruthRequest)
+Asked = TypeVar("Asked", SceneRequest, SpaceRequest, TruthRequest)
 
 
 class About(BaseModel):
@@ -78,6 +80,7 @@ def add_workbench(app: FastAPI, *, truth: bool, mlflow_pages: str | None) -> Non
     if truth:
         app.post("/workbench/scene", include_in_schema=False)(_scene)
         app.post("/workbench/truth", include_in_schema=False)(_truth)
+        app.post("/workbench/space", include_in_schema=False)(_space)
 
 
 def _is_installed(name: str) -> bool:
@@ -93,6 +96,10 @@ async def _scene(request: Request) -> Response:
 
 async def _truth(request: Request) -> Response:
     return await _ask(request, TruthRequest, TruthQuestion)
+
+
+async def _space(request: Request) -> Response:
+    return await _ask(request, SpaceRequest, SpaceQuestion)
 
 
 async def _ask(

@@ -89,7 +89,7 @@ class TruthQuestion:
             CspaceError: as the contract's table of errors.
         """
         asked, world = self.asked, _planar(served.bundle.spec.world)
-        samples, path = (_rows(rows, world) for rows in (asked.configurations, asked.path))
+        samples, path = (rows_of(rows, world) for rows in (asked.configurations, asked.path))
         turn.spend(float(asked.cells**2 + len(samples)))
         began = time.perf_counter()
         with telling():
@@ -99,7 +99,7 @@ class TruthQuestion:
             turn.between()
             good = checker.valid_batch(samples) if len(samples) else np.zeros(0, dtype=np.bool_)
             covered = _coverage(workshop, checker, samples[good]) if len(samples) else None
-            way = _way(checker, path) if len(path) > 1 else None
+            way = way_truth(checker, path) if len(path) > 1 else None
         body = TruthAnswer(
             cells=asked.cells,
             free=base64.b64encode(np.packbits(free).tobytes()).decode(),
@@ -147,7 +147,12 @@ def _among(world: World, discs: tuple[tuple[float, float, float], ...]) -> World
     return read_world(world.to_dict() | {"scenes": given})
 
 
-def _rows(rows: tuple[tuple[float, ...], ...], world: World) -> NDArray[np.float64]:
+def rows_of(rows: tuple[tuple[float, ...], ...], world: World) -> NDArray[np.float64]:
+    """Configurations as an array, (n, d) rad.
+
+    Raises:
+        InputError: one is of another length.
+    """
     wrong = next((len(row) for row in rows if len(row) != world.dim), None)
     if wrong is not None:
         raise InputError("a configuration is wrong", expected=f"{world.dim} angles", got=str(wrong))
@@ -156,7 +161,7 @@ def _rows(rows: tuple[tuple[float, ...], ...], world: World) -> NDArray[np.float
 
 def _grid(world: World, asked: TruthRequest) -> NDArray[np.float64]:
     """Centres of cells over the first two joints, joint 1 the slower axis, (cells^2, d) rad."""
-    at = _rows((asked.at,), world)[0] if asked.at else np.zeros(world.dim)
+    at = rows_of((asked.at,), world)[0] if asked.at else np.zeros(world.dim)
     low, high = (np.asarray(end[:2]) for end in (world.space.lower, world.space.upper))
     steps = (np.arange(asked.cells) + 0.5) / asked.cells
     first, second = (low[joint] + steps * (high - low)[joint] for joint in (0, 1))
@@ -181,7 +186,8 @@ def _coverage(workshop: Workshop, checker: Checker, samples: NDArray[np.float64]
     return float(np.mean(covered))
 
 
-def _way(checker: Checker, path: NDArray[np.float64]) -> WayTruth:
+def way_truth(checker: Checker, path: NDArray[np.float64]) -> WayTruth:
+    """Whether a way (n, d) rad is free."""
     edges = checker.edge_batch(path[:-1], path[1:], _RESOLUTION_RAD)
     return WayTruth(
         free=bool(edges.all()),

@@ -14,20 +14,20 @@ MAX_DISCS = 64
 # What is on the page at once; the nearest sample of each reference is looked for among them.
 MAX_SHOWN = 2_000
 
-_Number = Annotated[float, Field(allow_inf_nan=False, ge=-1e6, le=1e6)]
-_Row = Annotated[tuple[_Number, ...], Field(min_length=1, max_length=64), Strict(strict=False)]
-_Disc = Annotated[tuple[_Number, _Number, _Number], Strict(strict=False)]
+Number = Annotated[float, Field(allow_inf_nan=False, ge=-1e6, le=1e6)]
+Row = Annotated[tuple[Number, ...], Field(min_length=1, max_length=64), Strict(strict=False)]
+_Disc = Annotated[tuple[Number, Number, Number], Strict(strict=False)]
 _Discs = Annotated[tuple[_Disc, ...], Field(max_length=MAX_DISCS), Strict(strict=False)]
-_Rows = Annotated[tuple[_Row, ...], Field(max_length=MAX_SHOWN), Strict(strict=False)]
+Rows = Annotated[tuple[Row, ...], Field(max_length=MAX_SHOWN), Strict(strict=False)]
 
-_MODEL = "name, name@alias, name/version or pretrained"
+MODEL_EXPECTED = "name, name@alias, name/version or pretrained"
 
 
 class SceneRequest(RequestFields):
     """Which scene of a family is wanted."""
 
     EXPECTED: ClassVar[Mapping[str, str]] = {
-        "model": _MODEL,
+        "model": MODEL_EXPECTED,
         "family": "a family of the model's robot, or nothing for the first",
         "seed": f"a whole number from 0 to {MAX_SEED}",
     }
@@ -40,7 +40,7 @@ class TruthRequest(RequestFields):
     """A scene of discs, and what is held against it."""
 
     EXPECTED: ClassVar[Mapping[str, str]] = {
-        "model": _MODEL,
+        "model": MODEL_EXPECTED,
         "discs": f"at most {MAX_DISCS} of x, y and radius in m, the radius above 0",
         "cells": f"a whole number from 8 to {MAX_CELLS}",
         "at": "an angle in rad for each joint",
@@ -50,9 +50,9 @@ class TruthRequest(RequestFields):
     model: str = ""
     discs: _Discs
     cells: Annotated[int, Field(ge=8, le=MAX_CELLS)] = 96
-    at: _Row | None = None
-    configurations: _Rows = ()
-    path: _Rows = ()
+    at: Row | None = None
+    configurations: Rows = ()
+    path: Rows = ()
 
 
 class SceneAnswer(BaseModel):

@@ -36,6 +36,7 @@ export class Controls {
       bench.choose(this.select.value);
     });
     byId("to-plane", HTMLButtonElement).addEventListener("click", () => bench.change({ view: "plane" }));
+    byId("to-space", HTMLButtonElement).addEventListener("click", () => bench.change({ view: "space" }));
     byId("to-models", HTMLButtonElement).addEventListener("click", () => bench.change({ view: "models" }));
     byId("add-disc", HTMLButtonElement).addEventListener("click", () => this.addDisc());
     byId("remove-disc", HTMLButtonElement).addEventListener("click", () => this.removeDisc(bench.chosen));
@@ -160,10 +161,11 @@ export class Controls {
 
   showView() {
     const { view } = this.bench.state;
-    byId("plane", HTMLElement).hidden = view !== "plane";
-    byId("models", HTMLElement).hidden = view !== "models";
-    byId("to-plane", HTMLElement).setAttribute("aria-pressed", String(view === "plane"));
-    byId("to-models", HTMLElement).setAttribute("aria-pressed", String(view === "models"));
+    byId("model-label", HTMLElement).hidden = view === "space";
+    for (const name of ["plane", "space", "models"]) {
+      byId(name, HTMLElement).hidden = view !== name;
+      byId(`to-${name}`, HTMLElement).setAttribute("aria-pressed", String(view === name));
+    }
   }
 
   /** @param {Uint8ClampedArray<ArrayBuffer>} pixels @param {number} side */

@@ -15,6 +15,7 @@ import { Planner } from "./planner.js";
 import { Readout } from "./readout.js";
 import { SceneView } from "./scene-view.js";
 import { asCurl, asPython, planBody, sampleBody } from "./snippets.js";
+import { Space } from "./space.js";
 import { fromHash, toHash } from "./state.js";
 import { byId } from "./svg.js";
 import { listenToCopies } from "./take.js";
@@ -56,6 +57,7 @@ class Workbench {
       busy: (busy) => byId("torus", SVGSVGElement).setAttribute("aria-busy", String(busy)),
     });
     this.planner = new Planner(this);
+    this.space = new Space(this);
     this.readout = new Readout(this);
     this.controls = new Controls(this);
     listenToCopies(this);
@@ -71,6 +73,7 @@ class Workbench {
       this.controls.listModels(listed);
       this.choose(this.state.model);
       this.controls.ready();
+      if (this.state.view === "space") this.space.open();
       showModels(listed.models, await ask("workbench/models"), listed.registry, (reference) => {
         this.change({ model: reference, view: "plane" });
         this.choose(reference);
@@ -123,11 +126,13 @@ class Workbench {
   /** Change what is shown. @param {Partial<State>} changes */
   change(changes) {
     const scene = ["discs", "picture", "start", "goal", "model"].some((name) => name in changes);
+    const sampled = scene || ["n", "seed", "confidence", "ground"].some((name) => name in changes);
     this.state = { ...this.state, ...changes };
     if (scene) this.planner.forget();
     this.draw();
-    this.live.changed();
+    if ((sampled || changes.view === "plane") && this.state.view !== "space") this.live.changed();
     this.remember();
+    if (changes.view === "space") this.space.open();
   }
 
   /** Keep the state in the address, at most some times a second, as browsers want it. */
@@ -174,7 +179,7 @@ class Workbench {
     const ghosts = way.length
       ? Array.from({ length: GHOSTS }, (_, at) => along(robot, way, (at + 1) / (GHOSTS + 1)))
       : [];
-    const moving = way.length ? along(robot, way, planner.share) : null;
+    const moving = way.length ? along(robot, way, planner.player.share) : null;
     this.scene.show({
       discs: state.discs, chosen: this.chosen, start: state.start, goal: state.goal, ghosts, moving,
       peek: this.peek, picture: state.picture ? this.pictureAddress : null,

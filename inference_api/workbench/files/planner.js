@@ -4,6 +4,7 @@
 /** @import {Workbench} from "./main.js" */
 
 import { ask } from "./api.js";
+import { Player } from "./player.js";
 import { planBody } from "./snippets.js";
 import { byId } from "./svg.js";
 
@@ -15,30 +16,20 @@ export class Planner {
     this.bench = bench;
     /** @type {Configuration[]} */
     this.path = [];
-    this.share = 0;
-    this.playing = false;
+    this.player = new Player("play", "along", PLAY_MS, () => bench.draw());
     this.asking = 0;
     this.told = byId("plan-told", HTMLElement);
     this.button = byId("plan", HTMLButtonElement);
-    this.play = byId("play", HTMLButtonElement);
-    this.slider = byId("along", HTMLInputElement);
     this.button.addEventListener("click", () => void this.plan());
-    this.play.addEventListener("click", () => (this.playing ? this.stop() : this.start()));
-    this.slider.addEventListener("input", () => {
-      this.share = Number(this.slider.value) / 1000;
-      this.stop();
-    });
   }
 
   /** What was planned does not fit any more. */
   forget() {
     this.asking += 1;
     if (this.path.length === 0 && this.told.textContent === "") return;
-    this.stop();
     this.path = [];
-    this.share = 0;
+    this.player.load(false);
     this.say("");
-    this.show();
   }
 
   async plan() {
@@ -58,10 +49,10 @@ export class Planner {
             `confidence ${answer.confidence.toFixed(3)}, the surest of ${answer.ways} ways.`
           : `${answer.status === "refused" ? "Refused" : "Out of time"}: ${answer.reason}.`;
       this.say(words, answer.status !== "solved");
-      this.show();
+      this.player.load(this.path.length > 1);
       if (this.path.length > 1) {
         await this.check(asking, words);
-        if (!matchMedia("(prefers-reduced-motion: reduce)").matches) this.start();
+        this.player.begin();
       }
     } catch (error) {
       this.say("");
@@ -81,38 +72,6 @@ export class Planner {
     if (asking !== this.asking) return;
     const verdict = way.free ? "it is free" : `it collides on ${way.edges.filter((/** @type {boolean} */ free) => !free).length} of ${way.edges.length} pieces`;
     this.say(`${words} Checked against the discs: ${verdict}.`, !way.free);
-  }
-
-  start() {
-    if (this.path.length < 2) return;
-    this.playing = true;
-    if (this.share >= 1) this.share = 0;
-    this.show();
-    let last = performance.now();
-    const tick = (/** @type {number} */ now) => {
-      if (!this.playing) return;
-      this.share = Math.min(1, this.share + Math.max(0, now - last) / PLAY_MS);
-      last = now;
-      this.slider.value = String(Math.round(1000 * this.share));
-      this.bench.draw();
-      if (this.share >= 1) this.stop();
-      else requestAnimationFrame(tick);
-    };
-    requestAnimationFrame(tick);
-  }
-
-  stop() {
-    this.playing = false;
-    this.show();
-  }
-
-  show() {
-    const none = this.path.length < 2;
-    this.play.disabled = none;
-    this.slider.disabled = none;
-    this.slider.value = String(Math.round(1000 * this.share));
-    this.play.textContent = this.playing ? "Pause" : "Play";
-    this.bench.draw();
   }
 
   /** @param {string} words @param {boolean} [bad] */

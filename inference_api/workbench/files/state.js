@@ -13,7 +13,10 @@
  * @property {string} seed  Decimal digits, for seeds have 64 bits.
  * @property {number | null} confidence  What samples have to score; null for the model's own threshold.
  * @property {"truth" | "belief" | "none"} ground  What lies under the samples.
- * @property {"plane" | "models"} view
+ * @property {"plane" | "space" | "models"} view
+ * @property {string} family  Of the scene in space; empty for the first.
+ * @property {number} sceneSeed  Likewise.
+ * @property {number[] | null} cameras  How many, side and up in degrees, away in m; null for those of the scene.
  */
 
 export const MAX_DISCS = 64;
@@ -37,6 +40,9 @@ export function usual() {
     confidence: null,
     ground: "truth",
     view: "plane",
+    family: "",
+    sceneSeed: 0,
+    cameras: null,
   };
 }
 
@@ -59,6 +65,9 @@ export function toHash(state) {
   told.set("seed", state.seed);
   if (state.confidence !== null) told.set("confidence", short(state.confidence));
   if (state.ground !== "truth") told.set("ground", state.ground);
+  if (state.family) told.set("family", state.family);
+  if (state.sceneSeed) told.set("scene", String(state.sceneSeed));
+  if (state.cameras) told.set("cameras", state.cameras.map(short).join(","));
   return `#${told.toString().replaceAll("%2C", ",").replaceAll("%3B", ";").replaceAll("%2F", "/")}`;
 }
 
@@ -85,7 +94,12 @@ export function fromHash(hash) {
   if (told.has("confidence")) state.confidence = clamp(told.get("confidence"), 0, 1, 0.5, false);
   const ground = told.get("ground");
   if (ground === "belief" || ground === "none") state.ground = ground;
-  if (told.get("view") === "models") state.view = "models";
+  const view = told.get("view");
+  if (view === "models" || view === "space") state.view = view;
+  state.family = (told.get("family") ?? "").slice(0, 100);
+  state.sceneSeed = clamp(told.get("scene"), 0, 999999, 0, true);
+  const cameras = numbers(told.get("cameras") ?? "");
+  if (cameras.length === 4 && [1, 2, 3].includes(cameras[0])) state.cameras = cameras;
   return state;
 }
 
