@@ -16,11 +16,12 @@ from tests.browser.chromium import browser_page
 from tests.browser.workbench import open_bench
 from tests.inference_api.server import api_server
 
-# Colour scheme, width and height of the window in px.
+# Colour scheme, width and height of the window in px, and what is opened.
 PICTURES = {
-    "workbench-light": ("light", 1480, 940),
-    "workbench-dark": ("dark", 1480, 940),
-    "workbench-phone": ("light", 390, 844),
+    "workbench-light": ("light", 1480, 940, ""),
+    "workbench-dark": ("dark", 1480, 940, ""),
+    "workbench-phone": ("light", 390, 844, ""),
+    "workbench-space": ("light", 1480, 940, "#view=space&family=table&scene=2"),
 }
 COLOURS = 256
 
@@ -45,10 +46,12 @@ def main() -> int:
 
 def _taken(page: Page, address: str, name: str) -> bytes:
     """A planned way, a little less than half of it gone."""
-    scheme, width, height = PICTURES[name]
+    scheme, width, height, fragment = PICTURES[name]
     page.emulate_media(color_scheme=scheme, reduced_motion="reduce")  # type: ignore[arg-type]
     page.set_viewport_size({"width": width, "height": height})
-    open_bench(page, address)
+    open_bench(page, address, fragment)
+    if fragment:
+        return page.screenshot(full_page=True, animations="disabled")
     page.get_by_role("button", name="Plan a way").click()
     expect(page.locator("#plan-told")).to_contain_text("Checked")
     page.get_by_role("slider", name="Along the way").evaluate(
