@@ -46,7 +46,7 @@ class SpaceQuestion:
                 "the model is of another kind of world", expected=f"a {_SPATIAL} one", got=world.kind
             )
         samples, path = (rows_of(rows, world) for rows in (asked.configurations, asked.path))
-        turn.spend(LONG_ROWS + len(samples))
+        turn.spend(LONG_ROWS + 1.0 + len(samples))
         with telling():
             names = workshop_of(world).families.names
             family = asked.family or names[0]

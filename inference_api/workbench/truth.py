@@ -17,7 +17,7 @@ from cspace.world import World
 from cspace.worlds import read_world, workshop_of
 from inference_api.failures import NoKernelsError
 from inference_api.models.served import ServedModel
-from inference_api.turns.turns import Turn
+from inference_api.turns.turns import LONG_ROWS, Turn
 from inference_api.workbench.truth_schemas import (
     SceneAnswer,
     SceneRequest,
@@ -52,7 +52,8 @@ class SceneQuestion:
         Raises:
             CspaceError: as the contract's table of errors.
         """
-        del turn
+        # Draws that are not of the family are drawn again.
+        turn.spend(LONG_ROWS + 1.0)
         world = _planar(served.bundle.spec.world)
         with telling():
             workshop = workshop_of(world)

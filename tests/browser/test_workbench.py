@@ -166,8 +166,8 @@ def test_what_is_copied_runs_and_asks_for_the_same(
     shown = open_bench(page, address, hash_of(SCENE, n="5"))
     page.locator("#take-what").select_option(what)
     page.get_by_role("button", name=f"Copy as {form}").click()
-    expect(page.locator("#copied")).not_to_be_empty()
-    text = page.get_by_label("What was copied").input_value()
+    expect(page.locator("#take-told")).not_to_be_empty()
+    text = page.locator("#take-text").input_value()
     command = ["bash", "-c", text] if form == "curl" else [sys.executable, "-c", text]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True, timeout=60)
     if what == "plan":
@@ -180,7 +180,7 @@ def test_what_is_copied_runs_and_asks_for_the_same(
 def test_a_family_draws_its_scene_and_its_problem_by_a_seed(page: Page, address: str) -> None:
     open_bench(page, address)
     expect(page.locator("#family option")).to_have_count(3)
-    page.get_by_label("family").select_option("narrow")
+    page.locator("#family").select_option("narrow")
     page.locator("#family-seed").fill("24")
     with page.expect_response(is_page("scene")) as answer:
         page.get_by_role("button", name="Draw a scene").click()

@@ -1,7 +1,11 @@
 """The workbench's view of an arm in space, held against the spatial world's own code."""
 
+import json
 import re
+import subprocess
+import sys
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import httpx
@@ -87,8 +91,37 @@ def test_a_way_is_planned_checked_and_played(page: Page, address: str) -> None:
     expect(page.get_by_role("button", name="Pause")).to_be_visible()
     page.get_by_role("slider", name="Along the way").press("Home")
     expect(page.get_by_role("button", name="Play")).to_be_visible()
-    page.get_by_role("slider", name="goal 1").press("ArrowLeft")
+    page.get_by_role("slider", name="joint 1").press("ArrowLeft")
     expect(page.locator("#space-told")).to_be_empty()
+
+
+def test_the_arm_that_the_cameras_see_stands_at_the_start_and_the_address_keeps_it(
+    page: Page, address: str
+) -> None:
+    open_space(page, address)
+    page.get_by_label("sliders move").select_option("start")
+    with page.expect_response(is_page("space")) as moved:
+        page.get_by_role("slider", name="joint 1").press("ArrowRight")
+    settle(page)
+    start = moved.value.json()["start"]
+    problem = workshop().problem(FAMILY, Split.DEMO, SEED)
+    assert start[0] > problem.start[0]
+    assert np.allclose(start[1:], problem.start[1:])
+    page.wait_for_url(re.compile(f"from={start[0]:.3f}"[:-1]))
+    fragment = page.url[page.url.index("#") :]
+    with page.expect_response(is_page("space")) as again:
+        open_space(page, address, fragment)
+    assert np.allclose(again.value.json()["start"], start, atol=1e-3)
+
+
+def test_what_is_copied_runs_and_asks_for_the_same(page: Page, address: str, tmp_path: Path) -> None:
+    shown = open_space(page, address)
+    page.get_by_role("button", name="Copy as Python").click()
+    expect(page.locator("#space-take-told")).not_to_be_empty()
+    text = page.locator("#space-take-text").input_value()
+    command = [sys.executable, "-c", text]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True, timeout=120)
+    assert json.loads(done.stdout) == shown["samples"]
 
 
 def test_the_arm_is_drawn_where_its_kinematics_have_it(page: Page, address: str) -> None:

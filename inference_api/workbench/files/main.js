@@ -60,7 +60,8 @@ class Workbench {
     this.space = new Space(this);
     this.readout = new Readout(this);
     this.controls = new Controls(this);
-    listenToCopies(this);
+    listenToCopies(this, "take", async (what, form) => this.taken(what, form, await this.bodyOf(what)));
+    listenToCopies(this, "space-take", async (what, form) => this.taken(what, form, this.space.bodies()[what]));
     addEventListener("hashchange", () => this.opened());
   }
 
@@ -121,6 +122,7 @@ class Workbench {
     if (location.hash === toHash(this.state)) return;
     this.state = fromHash(location.hash);
     this.choose(this.state.model);
+    if (this.state.view === "space") this.space.open();
   }
 
   /** Change what is shown. @param {Partial<State>} changes */
@@ -269,10 +271,14 @@ class Workbench {
     this.torus?.show(this.drawn);
   }
 
-  /** What is shown, for a shell or a script. @param {"sample" | "plan"} what @param {"curl" | "python"} form */
-  async taken(what, form) {
+  /** The request for what is shown of the plane. @param {"sample" | "plan"} what */
+  async bodyOf(what) {
     const image = await this.pictured();
-    const body = what === "sample" ? sampleBody(this.state, image) : planBody(this.state, image);
+    return what === "sample" ? sampleBody(this.state, image) : planBody(this.state, image);
+  }
+
+  /** A request for a shell or a script. @param {"sample" | "plan"} what @param {"curl" | "python"} form @param {object} body */
+  taken(what, form, body) {
     const address = new URL(".", location.href).href.replace(/\/$/, "");
     return (form === "curl" ? asCurl : asPython)(address, what, body, hasKey());
   }

@@ -4,10 +4,10 @@
 /** @import {SerialArm} from "./solid.js" */
 
 import { ask } from "./api.js";
-import { degrees } from "./geometry.js";
 import { Player } from "./player.js";
 import { around, looking } from "./solid.js";
 import { SpaceDrawing, facesOf } from "./space-drawing.js";
+import { JointSliders } from "./space-joints.js";
 import { Previews, showSpaceNumbers } from "./space-readout.js";
 import { byId } from "./svg.js";
 
@@ -37,10 +37,12 @@ export class Space {
     this.player = new Player("space-play", "space-along", PLAY_MS, () => this.draw());
     /** @type {number | undefined} */
     this.frame = undefined;
-    /** @type {number[] | null} */
-    this.goal = null;
+    this.joints = new JointSliders((end, configuration) => this.moveEnd(end, configuration));
     this.dirty = false;
     this.busy = false;
+    this.failed = false;
+    /** The question whose scene is shown. */
+    this.asked = "";
     this.previews = new Previews();
     /** Of which scene the view was chosen. */
     this.faced = "";
@@ -61,8 +63,8 @@ export class Space {
     byId("space-form", HTMLFormElement).addEventListener("submit", (event) => {
       event.preventDefault();
       const seed = byId("space-seed", HTMLInputElement).value;
-      this.bench.change({ family: byId("space-family", HTMLSelectElement).value, sceneSeed: Number(seed) || 0 });
-      this.goal = null;
+      const family = byId("space-family", HTMLSelectElement).value;
+      this.bench.change({ family, sceneSeed: Number(seed) || 0, from: null, to: null });
       this.changed();
     });
     byId("space-plan", HTMLButtonElement).addEventListener("click", () => void this.plan());
@@ -96,6 +98,7 @@ export class Space {
     byId("space-body", HTMLElement).hidden = !able;
     if (!able || !model) return;
     this.model = model.reference;
+    if (this.arm !== model.world.robot) this.joints.make(model.world.robot);
     this.arm = model.world.robot;
     const { family, sceneSeed, cameras } = this.bench.state;
     byId("space-seed", HTMLInputElement).value = String(sceneSeed);
@@ -106,7 +109,8 @@ export class Space {
         byId(`camera-${name}`, HTMLInputElement).value = String(value);
       });
     }
-    if (!this.scene || this.scene.family !== family) this.changed();
+    const shown = JSON.stringify(this.body());
+    if (this.failed || shown !== this.asked) this.changed();
     else this.draw();
   }
 
@@ -135,8 +139,22 @@ export class Space {
 
   body() {
     const { family, sceneSeed } = this.bench.state;
+    const from = this.fitted(this.bench.state.from);
     const cameras = this.poses();
-    return { model: this.model, seed: sceneSeed, ...(family ? { family } : {}), ...(cameras ? { cameras } : {}) };
+    return {
+      model: this.model, seed: sceneSeed, ...(family ? { family } : {}), ...(cameras ? { cameras } : {}),
+      ...(from ? { state: from } : {}),
+    };
+  }
+
+  /** What the samples and the way of what is shown are asked with. */
+  bodies() {
+    const { model, scene } = this;
+    const { seed } = this.bench.state;
+    return {
+      sample: { model, image: scene.image, n: SAMPLES, seed, min_confidence: 0 },
+      plan: { model, image: scene.image, ...this.ends(), seed, time_limit_s: 5 },
+    };
   }
 
   /** Something has changed: ask again, one question at a time. */
@@ -159,15 +177,18 @@ export class Space {
     try {
       while (this.dirty) {
         this.dirty = false;
-        const scene = await ask("workbench/space", this.body());
-        this.see(scene);
-        const body = { model: this.model, image: scene.image, n: SAMPLES, seed: this.bench.state.seed, min_confidence: 0 };
-        this.answer = await ask("sample", body);
+        this.failed = false;
+        if (!this.scene) this.say("Drawing a scene. The first one after an installation takes up to a minute.");
+        const body = this.body();
+        this.asked = JSON.stringify(body);
+        this.see(await ask("workbench/space", body));
+        if (this.path.length === 0) this.say("");
+        this.answer = await ask("sample", this.bodies().sample);
         this.free = null;
         showSpaceNumbers(this.answer, this.free);
         this.draw();
         if (this.dirty) continue;
-        const judged = await ask("workbench/space", { ...this.body(), configurations: this.answer.samples });
+        const judged = await ask("workbench/space", { ...body, configurations: this.answer.samples });
         if (!this.dirty) this.free = judged.sample_free;
         showSpaceNumbers(this.answer, this.free);
         this.draw();
@@ -175,6 +196,7 @@ export class Space {
         this.bench.messages.here(`${this.answer.samples.length} samples in space`);
       }
     } catch (error) {
+      this.failed = true;
       this.bench.messages.failed(error);
     } finally {
       this.busy = false;
@@ -185,14 +207,13 @@ export class Space {
   /** @param {any} scene */
   see(scene) {
     this.scene = scene;
-    this.goal ??= scene.goal;
     this.faces = facesOf(scene.obstacles.boxes, scene.obstacles.cylinders);
     const select = byId("space-family", HTMLSelectElement);
     if (select.options.length !== scene.families.length) {
       select.replaceChildren(...scene.families.map((/** @type {string} */ name) => new Option(name, name)));
     }
     select.value = scene.family;
-    this.makeJoints();
+    this.joints.show(this.ends());
     this.previews.show(scene.previews);
     this.face(scene);
     this.draw();
@@ -209,37 +230,31 @@ export class Space {
     this.turnView();
   }
 
-  /** Sliders of the goal; the arm starts where it stands in the pictures. */
-  makeJoints() {
-    /** @type {number[]} */
-    const goal = this.goal ?? [];
-    byId("space-joints", HTMLElement).replaceChildren(
-      ...(this.arm?.joints ?? []).map((joint, at) => {
-        const row = document.createElement("label");
-        row.className = "joint";
-        const slider = document.createElement("input");
-        const [low, high] = joint.limits_rad ?? [-Math.PI, Math.PI];
-        Object.assign(slider, { type: "range", min: String(low), max: String(high), step: "0.01", value: String(goal[at]) });
-        const told = document.createElement("output");
-        told.textContent = degrees(goal[at]);
-        slider.addEventListener("input", () => {
-          goal[at] = Math.min(high, Math.max(low, Number(slider.value)));
-          told.textContent = degrees(goal[at]);
-          this.forget();
-        });
-        row.append(`goal ${at + 1}`, slider, told);
-        return row;
-      }),
-    );
+  /** @param {"start" | "goal"} end @param {number[]} configuration */
+  moveEnd(end, configuration) {
+    this.bench.change(end === "start" ? { from: configuration } : { to: configuration });
+    this.forget();
+    this.joints.show(this.ends());
+    // The arm stands at the start while it is looked at.
+    if (end === "start") this.changed();
+  }
+
+  /** What an address says of an arm with other joints is nothing. @param {number[] | null} configuration */
+  fitted(configuration) {
+    return configuration?.length === this.arm?.joints.length ? configuration : null;
+  }
+
+  ends() {
+    const { from, to } = this.bench.state;
+    return { start: this.fitted(from) ?? this.scene.start, goal: this.fitted(to) ?? this.scene.goal };
   }
 
   async plan() {
     if (!this.scene) return;
-    const { model, scene, goal } = this;
+    const { scene } = this;
     this.say("Looking for a way. The first one after an installation takes up to a minute.");
     try {
-      const body = { model, image: scene.image, start: scene.start, goal, seed: this.bench.state.seed, time_limit_s: 5 };
-      const answer = await ask("plan", body);
+      const answer = await ask("plan", this.bodies().plan);
       if (scene !== this.scene) return;
       if (answer.status !== "solved") return this.say(`Not solved: ${answer.reason}.`, true);
       this.path = answer.path;
@@ -275,8 +290,8 @@ export class Space {
         {
           boxes: scene.obstacles.boxes, cylinders: scene.obstacles.cylinders, cameras: scene.cameras, way: this.path,
           arms: [
-            { configuration: moving ?? scene.start, kind: moving ? "moving" : "start" },
-            { configuration: this.goal ?? scene.goal, kind: "goal" },
+            { configuration: moving ?? this.ends().start, kind: moving ? "moving" : "start" },
+            { configuration: this.ends().goal, kind: "goal" },
           ],
           samples: samples.map((/** @type {number[]} */ configuration, /** @type {number} */ at) => ({
             configuration, confidence: answer.confidence?.[at] ?? 1, free: this.free ? this.free[at] : null,

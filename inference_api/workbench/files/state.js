@@ -17,6 +17,8 @@
  * @property {string} family  Of the scene in space; empty for the first.
  * @property {number} sceneSeed  Likewise.
  * @property {number[] | null} cameras  How many, side and up in degrees, away in m; null for those of the scene.
+ * @property {Configuration | null} from  Where the arm in space starts; null for the scene's own.
+ * @property {Configuration | null} to  Likewise its goal.
  */
 
 export const MAX_DISCS = 64;
@@ -43,6 +45,8 @@ export function usual() {
     family: "",
     sceneSeed: 0,
     cameras: null,
+    from: null,
+    to: null,
   };
 }
 
@@ -68,6 +72,8 @@ export function toHash(state) {
   if (state.family) told.set("family", state.family);
   if (state.sceneSeed) told.set("scene", String(state.sceneSeed));
   if (state.cameras) told.set("cameras", state.cameras.map(short).join(","));
+  if (state.from) told.set("from", state.from.map(short).join(","));
+  if (state.to) told.set("to", state.to.map(short).join(","));
   return `#${told.toString().replaceAll("%2C", ",").replaceAll("%3B", ";").replaceAll("%2F", "/")}`;
 }
 
@@ -100,6 +106,10 @@ export function fromHash(hash) {
   state.sceneSeed = clamp(told.get("scene"), 0, 999999, 0, true);
   const cameras = numbers(told.get("cameras") ?? "");
   if (cameras.length === 4 && [1, 2, 3].includes(cameras[0])) state.cameras = cameras;
+  for (const name of /** @type {const} */ (["from", "to"])) {
+    const angles = numbers(told.get(name) ?? "");
+    if (angles.length > 0) state[name] = angles;
+  }
   return state;
 }
 

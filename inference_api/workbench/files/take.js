@@ -7,22 +7,30 @@ import { byId } from "./svg.js";
 
 /** @typedef {"curl" | "python" | "link"} Form */
 
-/** @param {Workbench} bench */
-export function listenToCopies(bench) {
+/**
+ * @param {Workbench} bench
+ * @param {string} prefix  Of the ids of what belongs together.
+ * @param {(what: "sample" | "plan", form: "curl" | "python") => Promise<string>} textOf
+ */
+export function listenToCopies(bench, prefix, textOf) {
   for (const form of /** @type {const} */ (["curl", "python", "link"])) {
-    byId(`copy-${form}`, HTMLButtonElement).addEventListener("click", () => void copy(bench, form));
+    byId(`${prefix}-${form}`, HTMLButtonElement).addEventListener("click", () => void copy(bench, prefix, form, textOf));
   }
 }
 
-/** @param {Workbench} bench @param {Form} form */
-async function copy(bench, form) {
-  const what = /** @type {"sample" | "plan"} */ (byId("take-what", HTMLSelectElement).value);
-  const text =
-    form === "link" ? new URL(toHash(bench.state), location.href).href : await bench.taken(what, form);
-  const area = byId("taken", HTMLTextAreaElement);
+/**
+ * @param {Workbench} bench
+ * @param {string} prefix
+ * @param {Form} form
+ * @param {(what: "sample" | "plan", form: "curl" | "python") => Promise<string>} textOf
+ */
+async function copy(bench, prefix, form, textOf) {
+  const what = /** @type {"sample" | "plan"} */ (byId(`${prefix}-what`, HTMLSelectElement).value);
+  const text = form === "link" ? new URL(toHash(bench.state), location.href).href : await textOf(what, form);
+  const area = byId(`${prefix}-text`, HTMLTextAreaElement);
   area.value = text;
   area.hidden = false;
-  const copied = byId("copied", HTMLElement);
+  const copied = byId(`${prefix}-told`, HTMLElement);
   try {
     await navigator.clipboard.writeText(text);
     copied.textContent = "Copied.";
