@@ -1,5 +1,6 @@
 """The workbench as a person uses it, held against the planar world's own checks."""
 
+import base64
 import re
 import subprocess
 import sys
@@ -12,7 +13,10 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from cspace.png import encode_png
+from cspace.worlds.planar.arm import PlanarArm
+from cspace.worlds.planar.planning.collision import CollisionChecker
 from cspace.worlds.planar.render import render
+from cspace.worlds.planar.scene import Disc, Scenario
 from cspace.worlds.planar.seeing.picture import decode_png
 from inference_api.keys import digest_of, make_key
 from tests.browser import workbench
@@ -26,6 +30,7 @@ from tests.browser.workbench import (
     shown_samples,
     wait_for_disc,
 )
+from tests.bundles import write_tiny_bundle
 from tests.inference_api.server import api_server
 
 pytestmark = [pytest.mark.browser, pytest.mark.e2e]
@@ -238,3 +243,27 @@ def test_models_are_listed_with_where_they_come_from_and_can_be_chosen(page: Pag
     assert answer.value.json()["model"]["name"] == "pretrained"
     expect(page.locator("#scene")).to_be_visible()
     page.wait_for_url(re.compile("model=pretrained"))
+
+
+def test_an_arm_of_three_joints_with_limits_has_a_map_of_two_and_sliders_for_all(
+    page: Page, tmp_path: Path
+) -> None:
+    arm = PlanarArm((1.6, 1.4, 1.0), joint_limits_rad=((-1.0, 2.0), None, (-0.5, 0.5)))
+    bundle = write_tiny_bundle(tmp_path / "bundle", arm, validity=True)
+    settings = {"CSPACE_PRETRAINED_MODEL": str(bundle), "CSPACE_API_WORKBENCH": "1"}
+    with api_server(tmp_path, settings) as own:
+        with page.expect_response(is_page("truth")) as told:
+            answer = open_bench(page, own, hash_of(SCENE, start="0.5,1,0.4", goal="9,9,9", n="20"))
+        assert len(answer["samples"][0]) == 3
+        expect(page.locator("#joints input")).to_have_count(6)
+        # Limits stop what leaves them, circles wrap it.
+        page.wait_for_url(re.compile(r"goal=2,2.717,0.5"))
+        checks = CollisionChecker(Scenario(arm, tuple(Disc(*disc) for disc in SCENE)))
+        assert told.value.json()["sample_free"] == checks.valid_batch(answer["samples"]).tolist()
+        cells = told.value.json()["cells"]
+        first = -1.0 + 3.0 * (np.arange(cells) + 0.5) / cells
+        second = -np.pi + 2.0 * np.pi * (np.arange(cells) + 0.5) / cells
+        grid = np.stack(np.meshgrid(first, second, [0.4], indexing="ij"), axis=-1).reshape(-1, 3)
+        bits = np.unpackbits(np.frombuffer(base64.b64decode(told.value.json()["free"]), np.uint8))
+        assert np.array_equal(bits[: len(grid)].astype(bool), checks.valid_batch(grid))
+        page.goto("about:blank")
