@@ -10,7 +10,7 @@ import { along, bound } from "./geometry.js";
 import { Live, believedGround, trueGround } from "./live.js";
 import { Messages } from "./messages.js";
 import { showModels } from "./models-view.js";
-import { encodePng, fromBase64, render, toBase64 } from "./picture.js";
+import { encodePng, fromBase64, render, smallPng, toBase64 } from "./picture.js";
 import { Planner } from "./planner.js";
 import { Readout } from "./readout.js";
 import { SceneView } from "./scene-view.js";
@@ -43,6 +43,8 @@ class Workbench {
     this.drawn = { samples: [], confidence: null, free: null, ground: null };
     /** @type {Uint8Array<ArrayBuffer> | null} */
     this.png = null;
+    /** What is drawn of the discs, RGBA. */
+    this.pixels = new Uint8ClampedArray(0);
     this.pictureAddress = "";
     /** Which uploaded picture that is the address of. */
     this.seen = "";
@@ -191,17 +193,18 @@ class Workbench {
   }
 
   /** The picture as it is sent, and shown as it is sent. */
-  async pictured() {
+  pictured() {
     if (!this.robot || !this.camera) throw new Error("there is no robot yet");
-    if (this.state.picture) {
-      if (this.state.picture !== this.seen) this.see(this.state.picture, this.camera.pixels);
-    } else {
-      const pixels = render(this.robot, this.camera, this.state.discs);
-      this.seen = "";
-      this.controls.showPixels(pixels, this.camera.pixels);
-      this.png = await encodePng(pixels);
+    const { picture } = this.state;
+    if (picture) {
+      if (picture !== this.seen) this.see(picture, this.camera.pixels);
+      return picture;
     }
-    return this.state.picture ?? toBase64(/** @type {Uint8Array} */ (this.png));
+    this.seen = "";
+    this.pixels = render(this.robot, this.camera, this.state.discs);
+    this.controls.showPixels(this.pixels, this.camera.pixels);
+    this.png = encodePng(this.pixels);
+    return toBase64(this.png);
   }
 
   /** Show an uploaded picture. @param {string} picture @param {number} side */
@@ -216,8 +219,8 @@ class Workbench {
   }
 
   /** What a round of questions asks. */
-  async asked() {
-    const image = await this.pictured();
+  asked() {
+    const image = this.pictured();
     const { state, about, robot } = this;
     const model = state.model ? { model: state.model } : {};
     const truth = about.truth && !state.picture;
@@ -273,7 +276,7 @@ class Workbench {
 
   /** The request for what is shown of the plane. @param {"sample" | "plan"} what */
   async bodyOf(what) {
-    const image = await this.pictured();
+    const image = this.state.picture ?? toBase64(await smallPng(this.pixels));
     return what === "sample" ? sampleBody(this.state, image) : planBody(this.state, image);
   }
 

@@ -6,6 +6,9 @@ import { jointPositions } from "./geometry.js";
 
 const SUBSAMPLES = 8;
 
+/** Much faster than Math.hypot, which guards against what is not here. @param {number} x @param {number} y */
+const length = (x, y) => Math.sqrt(x * x + y * y);
+
 /**
  * Red discs over the blue arm at angle zero on white ground, y up.
  * @param {Robot} robot
@@ -20,8 +23,11 @@ export function render(robot, camera, discs) {
   const reach = Math.hypot(width, height) / 2;
 
   /** @param {number} x @param {number} y */
-  const toDisc = (x, y) =>
-    discs.reduce((least, disc) => Math.min(least, Math.hypot(x - disc.x, y - disc.y) - disc.r), Infinity);
+  const toDisc = (x, y) => {
+    let least = Infinity;
+    for (const disc of discs) least = Math.min(least, length(x - disc.x, y - disc.y) - disc.r);
+    return least;
+  };
 
   /** @param {number} x @param {number} y */
   const toArm = (x, y) => {
@@ -30,7 +36,7 @@ export function render(robot, camera, discs) {
       const [from, to] = [joints[link], joints[link + 1]];
       const [dx, dy, px, py] = [to.x - from.x, to.y - from.y, x - from.x, y - from.y];
       const part = Math.min(1, Math.max(0, (px * dx + py * dy) / (dx * dx + dy * dy)));
-      least = Math.min(least, Math.hypot(px - part * dx, py - part * dy) - robot.halfWidth);
+      least = Math.min(least, length(px - part * dx, py - part * dy) - robot.halfWidth);
     }
     return least;
   };
@@ -75,21 +81,61 @@ const CRC = Uint32Array.from({ length: 256 }, (_, value) => {
 });
 
 /**
- * A PNG of 8 bits a channel without alpha: signature, header, pixels, end, and nothing else.
+ * A PNG of 8 bits a channel without alpha: signature, header, pixels, end, and nothing else. Its pixels are not
+ * compressed, which is done at once; what is taken along is, see smallPng.
  * @param {Uint8ClampedArray<ArrayBuffer>} pixels  RGBA of a square.
- * @returns {Promise<Uint8Array<ArrayBuffer>>}
  */
-export async function encodePng(pixels) {
+export function encodePng(pixels) {
+  return assembled(pixels, stored(linesOf(pixels)));
+}
+
+/** The same, compressed. @param {Uint8ClampedArray<ArrayBuffer>} pixels */
+export async function smallPng(pixels) {
+  const packed = new Blob([linesOf(pixels)]).stream().pipeThrough(new CompressionStream("deflate"));
+  return assembled(pixels, new Uint8Array(await new Response(packed).arrayBuffer()));
+}
+
+/** Lines of red, green and blue, each after a byte that says: no filter. @param {Uint8ClampedArray<ArrayBuffer>} pixels */
+function linesOf(pixels) {
   const side = Math.sqrt(pixels.length / 4);
   const lines = new Uint8Array(side * (3 * side + 1));
   for (let row = 0, to = 0; row < side; row += 1) {
-    lines[to++] = 0; // No filter.
+    to += 1;
     for (let column = 0; column < side; column += 1) {
       const from = 4 * (row * side + column);
       for (let channel = 0; channel < 3; channel += 1) lines[to++] = pixels[from + channel];
     }
   }
-  const packed = new Blob([lines]).stream().pipeThrough(new CompressionStream("deflate"));
+  return lines;
+}
+
+/** In zlib's form, as it is. @param {Uint8Array} data */
+function stored(data) {
+  const most = 65535;
+  const blocks = Math.ceil(data.length / most);
+  const bytes = new Uint8Array(2 + data.length + 5 * blocks + 4);
+  const view = new DataView(bytes.buffer);
+  bytes.set([0x78, 0x01]);
+  for (let block = 0; block < blocks; block += 1) {
+    const part = data.subarray(block * most, (block + 1) * most);
+    const at = 2 + block * (most + 5);
+    bytes[at] = block + 1 === blocks ? 1 : 0;
+    view.setUint16(at + 1, part.length, true);
+    view.setUint16(at + 3, ~part.length & 0xffff, true);
+    bytes.set(part, at + 5);
+  }
+  let [low, high] = [1, 0];
+  for (const byte of data) {
+    low = (low + byte) % 65521;
+    high = (high + low) % 65521;
+  }
+  view.setUint32(bytes.length - 4, high * 65536 + low);
+  return bytes;
+}
+
+/** @param {Uint8ClampedArray<ArrayBuffer>} pixels @param {Uint8Array<ArrayBuffer>} packed */
+function assembled(pixels, packed) {
+  const side = Math.sqrt(pixels.length / 4);
   const header = new DataView(new ArrayBuffer(13));
   header.setUint32(0, side);
   header.setUint32(4, side);
@@ -98,10 +144,16 @@ export async function encodePng(pixels) {
   const parts = [
     Uint8Array.of(137, 80, 78, 71, 13, 10, 26, 10),
     chunk("IHDR", new Uint8Array(header.buffer)),
-    chunk("IDAT", new Uint8Array(await new Response(packed).arrayBuffer())),
+    chunk("IDAT", packed),
     chunk("IEND", new Uint8Array(0)),
   ];
-  return new Uint8Array(await new Blob(parts).arrayBuffer());
+  const bytes = new Uint8Array(parts.reduce((sum, part) => sum + part.length, 0));
+  let at = 0;
+  for (const part of parts) {
+    bytes.set(part, at);
+    at += part.length;
+  }
+  return bytes;
 }
 
 /**

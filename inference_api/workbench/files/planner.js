@@ -39,7 +39,7 @@ export class Planner {
     this.say(bench.about.plans ? "Looking for a way. The first one after an installation takes up to a minute." : "Asking.");
     this.button.disabled = true;
     try {
-      const answer = await ask("plan", planBody(bench.state, await bench.pictured()));
+      const answer = await ask("plan", planBody(bench.state, bench.pictured()));
       if (asking !== this.asking) return;
       bench.messages.clear();
       this.path = answer.path;

@@ -46,6 +46,8 @@ export class TorusView {
     this.changes = changes;
     /** @type {Ends | null} */
     this.ends = null;
+    /** @type {Ground | null} */
+    this.ground = null;
     this.grounds = [1, 2, 3].map((level) => draw("path", { class: `ground ground-${level}` }));
     this.dots = [0, 1, 2, 3].map((place) => draw("path", { class: `dots dots-${place}` }));
     this.crosses = draw("path", { class: "crosses" });
@@ -193,8 +195,10 @@ export class TorusView {
     this.showGround(drawn.ground);
   }
 
-  /** @param {Ground | null} ground */
+  /** Drawn anew only where it is another one: it is most of the work. @param {Ground | null} ground */
   showGround(ground) {
+    if (ground === this.ground) return;
+    this.ground = ground;
     const paths = this.grounds.map(() => "");
     for (let first = 0; ground && first < ground.cells; first += 1) {
       const [left, right] = [first, first + 1].map((at) => (at * SIDE) / ground.cells);
