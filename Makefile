@@ -16,7 +16,7 @@ FAST := not slow and not e2e and not compose and not browser and not gpu
 ALL := not compose and not gpu
 
 .DEFAULT_GOAL := help
-.PHONY: help venv quickstart test test-all check format docs docs-links up down status env clean-state
+.PHONY: help venv demo quickstart test test-all check format docs docs-links up down status env clean-state
 
 help: ## print this
 	@echo "make TARGET, with"
@@ -26,6 +26,9 @@ help: ## print this
 	@echo "\`Error N\`; \`$(LOCAL) --help\` tells what the codes mean."
 
 venv: $(INSTALLED) ## make .venv with the pinned packages (2-5 minutes the first time)
+
+demo: $(INSTALLED) ## the API on the shipped models alone, and its page in a browser; nothing is trained
+	@$(LOCAL) demo
 
 quickstart: $(INSTALLED) ## the main job: start services, train, evaluate, promote, serve, plan; WORLD=panda for that arm
 	@$(LOCAL) quickstart $(if $(WORLD),--world "$(WORLD)")

@@ -16,7 +16,7 @@ from inference_api.connections.config import ApiConfig
 from inference_api.ending import end_in_time
 from inference_api.guards.exposure import check_exposure, is_wildcard
 from inference_api.guards.names import bracketed
-from inference_api.settings import HOSTS, METRICS_FOLDER, THREADS, ApiSettings, usable_cores
+from inference_api.settings import HOSTS, METRICS_FOLDER, THREADS, WORKBENCH, ApiSettings, usable_cores
 from inference_api.telemetry.logs import LOG_FORMS, log_settings
 
 DESCRIPTION = (
@@ -28,7 +28,8 @@ DESCRIPTION = (
     "CSPACE_API_WRITE_TIMEOUT_S, CSPACE_API_GRACE_S, CSPACE_API_HOSTS (names that the server answers to "
     "beside loopback and --host, * for any), CSPACE_API_ORIGINS (of other sites' pages), "
     "CSPACE_API_TRUSTED_PROXIES (addresses or networks whose X-Forwarded-For is believed), CSPACE_API_GUIDE "
-    "(folder of the built documentation site, for /guide)."
+    "(folder of the built documentation site, for /guide), CSPACE_API_WORKBENCH (1 is as --workbench), "
+    "CSPACE_API_MLFLOW_PAGES (where browsers find MLflow)."
 )
 
 
@@ -58,7 +59,15 @@ def main(arguments: list[str] | None = None) -> int:
         action="store_true",
         help="listen on other addresses than loopback although no key is asked for",
     )
+    parser.add_argument(
+        "--workbench",
+        action="store_true",
+        help="let the page at / ask for the truth of scenes: collision regions, families, checks of ways",
+    )
     options = parser.parse_args(arguments)
+    if options.workbench:
+        # The processes of the server read it again.
+        os.environ[WORKBENCH] = "1"
     try:
         settings = ApiSettings.from_environment()
         check_exposure(options.host, settings.protection, allowed=options.allow_unauthenticated)

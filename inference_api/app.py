@@ -34,6 +34,7 @@ from inference_api.telemetry.route_names import RouteNames
 from inference_api.telemetry.tracing import TracedObserver, add_tracing, otlp_provider
 from inference_api.turns.turns import Turns
 from inference_api.turns.waiting_room import WaitingRoom
+from inference_api.workbench.routes import add_workbench
 from services.registry.models.port import ModelRegistry
 from services.registry.references import PRETRAINED
 
@@ -49,8 +50,8 @@ def create_app(settings: ApiSettings | None = None, registry: ModelRegistry | No
         registry: where the models are; MLflow at ``settings.registry_uri`` when None.
 
     Raises:
-        ConfigError: a setting in the environment is wrong, or the file of API keys, or traces are asked for
-            and their packages are not there.
+        ConfigError: a setting in the environment is wrong, or the file of API keys, or traces or the truth
+            of scenes are asked for and their packages are not there.
     """
     settings = settings or ApiSettings.from_environment()
     store = _make_store(settings, registry)
@@ -80,6 +81,7 @@ def create_app(settings: ApiSettings | None = None, registry: ModelRegistry | No
     add_routes(app)
     add_docs_page(app)
     add_guide(app, settings.guide_folder)
+    add_workbench(app, truth=settings.workbench, mlflow_pages=settings.mlflow_pages)
     add_problem_handlers(app)
     add_guards(app, settings.protection)
     app.add_middleware(LastResort)

@@ -17,6 +17,7 @@ from services.registry.references import PRETRAINED, SHIPPED, is_model_name, is_
 METRICS_FOLDER = "PROMETHEUS_MULTIPROC_DIR"
 THREADS = "CSPACE_API_THREADS"
 HOSTS = "CSPACE_API_HOSTS"
+WORKBENCH = "CSPACE_API_WORKBENCH"
 DEFAULT_MODEL = "cspace-sampler"
 PRETRAINED_FOLDER = Path(__file__).parent / "pretrained"
 # Where `make docs` of a checkout builds it.
@@ -51,6 +52,8 @@ class ApiSettings:
         grace_s: for requests in flight when the server is told to end, in whole s, at least 1.
         further_folders: shipped bundles of other robots, by name.
         guide_folder: the built documentation site, which need not be there.
+        workbench: whether the page at ``/`` may ask for the truth of scenes.
+        mlflow_pages: where browsers find MLflow's pages, for links; None for no links.
     """
 
     registry_uri: str | None
@@ -69,6 +72,8 @@ class ApiSettings:
     grace_s: int = 10
     further_folders: Mapping[str, Path] = field(default_factory=dict)
     guide_folder: Path = GUIDE_FOLDER
+    workbench: bool = False
+    mlflow_pages: str | None = None
 
     @classmethod
     def from_environment(cls, environment: Mapping[str, str] | None = None) -> "ApiSettings":
@@ -101,6 +106,8 @@ class ApiSettings:
             grace_s=int(_number(values, "CSPACE_API_GRACE_S", 10, 1)),
             further_folders={} if own else further_folders(),
             guide_folder=Path(values.get("CSPACE_API_GUIDE") or GUIDE_FOLDER),
+            workbench=_switch(values, WORKBENCH),
+            mlflow_pages=_pages(values, "CSPACE_API_MLFLOW_PAGES"),
         )
 
 
@@ -151,3 +158,19 @@ def _number(values: Mapping[str, str], name: str, default: float, low: float) ->
             remedy=f"set {name} in the environment, or unset it for {default:g}",
         )
     return number
+
+
+def _switch(values: Mapping[str, str], name: str) -> bool:
+    text = values.get(name) or "0"
+    if text not in ("0", "1"):
+        raise ConfigError(f"the setting {name} is wrong", expected="0 or 1", got=repr(text)[:200])
+    return text == "1"
+
+
+def _pages(values: Mapping[str, str], name: str) -> str | None:
+    text = values.get(name) or None
+    if text is not None and not text.startswith(("http://", "https://")):
+        raise ConfigError(
+            f"the setting {name} is wrong", expected="an http or https address", got=repr(text)[:200]
+        )
+    return None if text is None else text.rstrip("/")

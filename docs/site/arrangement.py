@@ -31,6 +31,7 @@ ARRANGEMENT: Mapping[str, Sequence[Section]] = {
             "How-to guides",
             (
                 "serve",
+                "workbench",
                 "Operate: operations",
                 "Run in containers: containers",
                 "Upgrade and uninstall: upgrade",

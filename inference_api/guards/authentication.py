@@ -4,7 +4,7 @@ from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from inference_api.keys import ApiKeys
-from inference_api.page_names import is_health
+from inference_api.page_names import is_open
 from inference_api.problems import UNAUTHORIZED, problem_response
 from inference_api.record import note_client
 
@@ -14,7 +14,7 @@ REALM = 'Bearer realm="cspace-sampler"'
 
 
 class Authentication:
-    """Answers 401 to a request without a known key; health pages need none.
+    """Answers 401 to a request without a known key; health and the workbench's files need none.
 
     Args:
         app: what is protected.
@@ -27,7 +27,7 @@ class Authentication:
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass a request on under the name of its key."""
-        if scope["type"] == "lifespan" or (scope["type"] == "http" and is_health(scope)):
+        if scope["type"] == "lifespan" or (scope["type"] == "http" and is_open(scope)):
             await self._app(scope, receive, send)
             return
         token = bearer_token(Headers(scope=scope).getlist("authorization"))

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from cspace.errors import ConfigError
+from services.local.demo import demo
 from services.local.environment import shell_lines
 from services.local.quickstart.tours import TOURS, USUAL
 from services.local.servers.stack import down, require_down, services, status, up
@@ -107,6 +108,15 @@ def _quickstart_options(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def _demo(settings: Settings, options: argparse.Namespace) -> int:
+    demo(settings, _say, browser=not options.no_browser)
+    return 0
+
+
+def _no_browser(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--no-browser", action="store_true", help="print the address alone")
+
+
 def _yes(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--yes", action="store_true", help="do not ask")
 
@@ -115,6 +125,7 @@ COMMANDS = {
     "up": Command("start what does not run, wait until it is ready, print the addresses", _up),
     "down": Command("end exactly what was started, by process id", _down),
     "status": Command("tell what runs, since when, where, whether it answers; and the state folder", _status),
+    "demo": Command("start the API on the shipped models alone and open its page", _demo, _no_browser),
     "quickstart": Command(
         "the main job: up, train, evaluate, promote, serve, plan", _quickstart, _quickstart_options
     ),

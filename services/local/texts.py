@@ -16,6 +16,7 @@ def addresses(settings: Settings) -> str:
             f"MLflow UI       {settings.mlflow_url}",
             f"Ray dashboard   {settings.ray_url}  (asks for the token: `ray get-auth-token` prints it)",
             f"API             {settings.api_url}/docs",
+            f"workbench       {settings.api_url}/",
         ]
     )
 

@@ -58,7 +58,7 @@ def test_samples_through_the_proxy_are_those_of_the_api(api: str, proxy: Proxy) 
         assert answer.headers["strict-transport-security"]
         assert answer.headers["cache-control"] == "no-store"
         pages = ("/models", "/v2", "/health/ready", "/docs", "/openapi.json", "/docs/assets/favicon.png")
-        for path in (*pages, "/guide/"):
+        for path in (*pages, "/guide/", "/"):
             assert proxy.ask(client, "GET", path).status_code == 200
         assert proxy.ask(client, "GET", "/guide").headers["location"] == "guide/"
         own = {"origin": f"https://{NAME}"}

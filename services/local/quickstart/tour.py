@@ -83,6 +83,7 @@ def quickstart(settings: Settings, tour: Tour, say: Callable[[str], None]) -> No
     progress.stage("done")
     say(f"\n{summary(training, evaluation, quality, tour.scenarios, pictures, progress.elapsed_s)}")
     say(f"\n{addresses(settings)}\n\n{shell_help(settings)}\n\nThe services stay up; `make down` ends them.")
+    say(f"\nLook at what was trained: {settings.api_url}/")
 
 
 def _run(jobs: Jobs, entrypoint: str, progress: Progress) -> str:

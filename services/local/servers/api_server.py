@@ -9,7 +9,10 @@ from services.local.settings import API_PORT, HOST, Settings
 
 
 def api_server(settings: Settings) -> Service:
-    """``python -m inference_api``; it answers before the registry does and looks for champions by itself."""
+    """``python -m inference_api``; it answers before the registry does and looks for champions by itself.
+
+    On a machine of one's own its page tells the truth of scenes, and links to MLflow.
+    """
     return Service(
         name="api",
         title="inference API",
@@ -23,7 +26,11 @@ def api_server(settings: Settings) -> Service:
             f"--host={HOST}",
             f"--port={settings.api_port}",
         ),
-        environment=service_environment(settings),
+        environment={
+            **service_environment(settings),
+            "CSPACE_API_WORKBENCH": "1",
+            "CSPACE_API_MLFLOW_PAGES": settings.mlflow_url,
+        },
         folder=settings.root,
         ready=lambda: answers(f"{settings.api_url}/health/live"),
         start_limit_s=120.0,

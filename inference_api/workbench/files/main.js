@@ -1,0 +1,297 @@
+// The page: its state, and what its parts tell each other.
+
+/** @import {Camera, Configuration, Robot} from "./geometry.js" */
+/** @import {Listed} from "./models-view.js" */
+/** @import {State} from "./state.js" */
+
+import { ask, hasKey } from "./api.js";
+import { Controls } from "./controls.js";
+import { along, bound } from "./geometry.js";
+import { Live, believedGround, trueGround } from "./live.js";
+import { Messages } from "./messages.js";
+import { showModels } from "./models-view.js";
+import { encodePng, fromBase64, render, smallPng, toBase64 } from "./picture.js";
+import { Planner } from "./planner.js";
+import { Readout } from "./readout.js";
+import { SceneView } from "./scene-view.js";
+import { asCurl, asPython, planBody, sampleBody } from "./snippets.js";
+import { Space } from "./space.js";
+import { fromHash, toHash } from "./state.js";
+import { byId } from "./svg.js";
+import { listenToCopies } from "./take.js";
+import { TorusView } from "./torus-view.js";
+
+const BELIEF_CELLS = 64;
+const TRUTH_CELLS = 120;
+const GHOSTS = 14;
+
+class Workbench {
+  constructor() {
+    /** @type {State} */
+    this.state = fromHash(location.hash);
+    this.about = { version: "", truth: false, plans: false, mlflow: /** @type {string | null} */ (null) };
+    /** @type {Listed[]} */
+    this.models = [];
+    /** @type {Robot | null} */
+    this.robot = null;
+    /** @type {Camera | null} */
+    this.camera = null;
+    this.chosen = -1;
+    /** @type {Configuration | null} */
+    this.peek = null;
+    /** @type {{samples: number[][], confidence: number[] | null, free: boolean[] | null, ground: any}} */
+    this.drawn = { samples: [], confidence: null, free: null, ground: null };
+    /** @type {Uint8Array<ArrayBuffer> | null} */
+    this.png = null;
+    /** What is drawn of the discs, RGBA. */
+    this.pixels = new Uint8ClampedArray(0);
+    this.pictureAddress = "";
+    /** Which uploaded picture that is the address of. */
+    this.seen = "";
+    /** @type {number | undefined} */
+    this.frame = undefined;
+    this.messages = new Messages(() => void this.begin());
+    this.live = new Live(() => this.asked(), {
+      samples: (answer, tookMs) => this.sampled(answer, tookMs),
+      truth: (answer, samples) => this.judged(answer, samples),
+      belief: (answer) => this.believed(answer),
+      failed: (error) => this.messages.failed(error),
+      busy: (busy) => byId("torus", SVGSVGElement).setAttribute("aria-busy", String(busy)),
+    });
+    this.planner = new Planner(this);
+    this.space = new Space(this);
+    this.readout = new Readout(this);
+    this.controls = new Controls(this);
+    listenToCopies(this, "take", async (what, form) => this.taken(what, form, await this.bodyOf(what)));
+    listenToCopies(this, "space-take", async (what, form) => this.taken(what, form, this.space.bodies()[what]));
+    addEventListener("hashchange", () => this.opened());
+  }
+
+  /** Ask what there is, then show it. */
+  async begin() {
+    try {
+      const [about, listed] = await Promise.all([ask("workbench/about"), ask("models")]);
+      this.about = about;
+      this.models = listed.models;
+      this.controls.listModels(listed);
+      this.choose(this.state.model);
+      this.controls.ready();
+      if (this.state.view === "space") this.space.open();
+      showModels(listed.models, await ask("workbench/models"), listed.registry, (reference) => {
+        this.change({ model: reference, view: "plane" });
+        this.choose(reference);
+      });
+    } catch (error) {
+      this.messages.failed(error);
+    }
+  }
+
+  /** Make room for a model's robot. @param {string} reference */
+  choose(reference) {
+    const planar = this.models.filter((model) => model.world?.kind === "planar");
+    const wanted = planar.find((model) => (reference ? named(model, reference) : model.default)) ?? planar[0];
+    if (!wanted) return;
+    const { robot, camera } = wanted.world;
+    const space = wanted.joint_space;
+    this.robot = {
+      links: robot.link_lengths_m,
+      halfWidth: robot.half_width_m,
+      low: space.lower ?? robot.link_lengths_m.map(() => -Math.PI),
+      high: space.upper ?? robot.link_lengths_m.map(() => Math.PI),
+      circle: space.periodic ?? robot.link_lengths_m.map(() => true),
+    };
+    this.camera = {
+      left: camera.x_min_m, right: camera.x_max_m, bottom: camera.y_min_m, top: camera.y_max_m, pixels: camera.pixels,
+    };
+    this.scene = new SceneView(byId("scene", SVGSVGElement), this.robot, this.camera, {
+      disc: (at, disc, byKey) => this.controls.moveDisc(at, disc, byKey),
+      choose: (at) => this.chooseDisc(at),
+      remove: (at) => this.controls.removeDisc(at),
+      end: (end, configuration) => this.moveEnd(end, configuration),
+    });
+    this.torus = new TorusView(byId("torus", SVGSVGElement), this.robot, {
+      end: (end, configuration) => this.moveEnd(end, configuration),
+      click: (first, second) => this.controls.clicked(first, second),
+      peek: (first, second) => this.peeked(first, second),
+    });
+    this.controls.makeJoints(this.robot);
+    const { start, goal } = this.state;
+    this.change({ start: bound(this.robot, start), goal: bound(this.robot, goal) });
+  }
+
+  /** An address was opened in this page. */
+  opened() {
+    if (location.hash === toHash(this.state)) return;
+    this.state = fromHash(location.hash);
+    this.choose(this.state.model);
+    if (this.state.view === "space") this.space.open();
+  }
+
+  /** Change what is shown. @param {Partial<State>} changes */
+  change(changes) {
+    const scene = ["discs", "picture", "start", "goal", "model"].some((name) => name in changes);
+    const sampled = scene || ["n", "seed", "confidence", "ground"].some((name) => name in changes);
+    this.state = { ...this.state, ...changes };
+    if (scene) this.planner.forget();
+    this.draw();
+    if ((sampled || changes.view === "plane") && this.state.view !== "space") this.live.changed();
+    this.remember();
+    if (changes.view === "space") this.space.open();
+  }
+
+  /** Keep the state in the address, at most some times a second, as browsers want it. */
+  remember() {
+    clearTimeout(this.later);
+    this.later = setTimeout(() => history.replaceState(null, "", toHash(this.state)), 200);
+  }
+
+  /** @param {"start" | "goal"} end @param {Configuration} configuration */
+  moveEnd(end, configuration) {
+    if (!this.robot) return;
+    this.planner.forget();
+    this.state = { ...this.state, [end]: bound(this.robot, configuration) };
+    this.draw();
+    this.remember();
+    // Of more joints than two, the map shows the start's others.
+    if (this.robot.links.length > 2) this.live.changed();
+  }
+
+  /** @param {number} at */
+  chooseDisc(at) {
+    this.chosen = at;
+    this.draw();
+  }
+
+  /** @param {number | null} first @param {number} second */
+  peeked(first, second) {
+    this.peek = first === null ? null : [first, second, ...this.state.start.slice(2)];
+    this.draw();
+  }
+
+  /** Draw at the next frame; several changes before it are drawn together. */
+  draw() {
+    this.frame ??= requestAnimationFrame(() => {
+      this.frame = undefined;
+      this.drawNow();
+    });
+  }
+
+  drawNow() {
+    if (!this.robot || !this.scene || !this.torus) return;
+    const { state, robot, planner } = this;
+    const way = planner.path;
+    const ghosts = way.length
+      ? Array.from({ length: GHOSTS }, (_, at) => along(robot, way, (at + 1) / (GHOSTS + 1)))
+      : [];
+    const moving = way.length ? along(robot, way, planner.player.share) : null;
+    this.scene.show({
+      discs: state.discs, chosen: this.chosen, start: state.start, goal: state.goal, ghosts, moving,
+      peek: this.peek, picture: state.picture ? this.pictureAddress : null,
+    });
+    this.torus.showEnds({ start: state.start, goal: state.goal, way, moving });
+    this.controls.show();
+  }
+
+  /** The picture as it is sent, and shown as it is sent. */
+  pictured() {
+    if (!this.robot || !this.camera) throw new Error("there is no robot yet");
+    const { picture } = this.state;
+    if (picture) {
+      if (picture !== this.seen) this.see(picture, this.camera.pixels);
+      return picture;
+    }
+    this.seen = "";
+    this.pixels = render(this.robot, this.camera, this.state.discs);
+    this.controls.showPixels(this.pixels, this.camera.pixels);
+    this.png = encodePng(this.pixels);
+    return toBase64(this.png);
+  }
+
+  /** Show an uploaded picture. @param {string} picture @param {number} side */
+  see(picture, side) {
+    this.seen = picture;
+    this.png = fromBase64(picture);
+    const file = new Blob([this.png], { type: "image/png" });
+    URL.revokeObjectURL(this.pictureAddress);
+    this.pictureAddress = URL.createObjectURL(file);
+    void this.controls.showFile(file, side);
+    this.draw();
+  }
+
+  /** What a round of questions asks. */
+  asked() {
+    const image = this.pictured();
+    const { state, about, robot } = this;
+    const model = state.model ? { model: state.model } : {};
+    const truth = about.truth && !state.picture;
+    return {
+      sample: sampleBody(state, image),
+      truth: truth
+        ? (/** @type {number[][]} */ configurations) => ({
+            ...model, discs: state.discs.map((disc) => [disc.x, disc.y, disc.r]), cells: TRUTH_CELLS, configurations,
+            ...(robot && robot.links.length > 2 ? { at: state.start } : {}),
+          })
+        : null,
+      belief: state.ground === "belief" ? () => ({ ...model, image, configurations: this.grid() }) : null,
+    };
+  }
+
+  grid() {
+    const { low, high } = /** @type {Robot} */ (this.robot);
+    const at = (/** @type {number} */ joint, /** @type {number} */ cell) =>
+      Number((low[joint] + ((cell + 0.5) / BELIEF_CELLS) * (high[joint] - low[joint])).toFixed(4));
+    const rest = this.state.start.slice(2);
+    return Array.from({ length: BELIEF_CELLS ** 2 }, (_, cell) => [
+      at(0, Math.floor(cell / BELIEF_CELLS)), at(1, cell % BELIEF_CELLS), ...rest,
+    ]);
+  }
+
+  /** @param {any} answer @param {number} tookMs */
+  sampled(answer, tookMs) {
+    const { ground } = this.drawn;
+    this.drawn = { samples: answer.samples, confidence: answer.confidence, free: null, ground };
+    if (this.state.ground === "none" || (this.state.ground === "truth" && (!this.about.truth || this.state.picture))) {
+      this.drawn.ground = null;
+    }
+    this.torus?.show(this.drawn);
+    this.messages.clear();
+    this.messages.here(`${answer.samples.length} samples in ${Math.round(tookMs)} ms`);
+    this.readout.showAnswer(answer);
+  }
+
+  /** @param {any} answer @param {number[][]} samples */
+  judged(answer, samples) {
+    if (samples === this.drawn.samples) this.drawn.free = answer.sample_free;
+    if (this.state.ground === "truth") this.drawn.ground = trueGround(answer);
+    this.torus?.show(this.drawn);
+    this.readout.showTruth(answer);
+  }
+
+  /** @param {any} answer */
+  believed(answer) {
+    if (this.state.ground !== "belief") return;
+    this.drawn.ground = believedGround(answer.confidence, BELIEF_CELLS);
+    this.torus?.show(this.drawn);
+  }
+
+  /** The request for what is shown of the plane. @param {"sample" | "plan"} what */
+  async bodyOf(what) {
+    const image = this.state.picture ?? toBase64(await smallPng(this.pixels));
+    return what === "sample" ? sampleBody(this.state, image) : planBody(this.state, image);
+  }
+
+  /** A request for a shell or a script. @param {"sample" | "plan"} what @param {"curl" | "python"} form @param {object} body */
+  taken(what, form, body) {
+    const address = new URL(".", location.href).href.replace(/\/$/, "");
+    return (form === "curl" ? asCurl : asPython)(address, what, body, hasKey());
+  }
+}
+
+/** @param {Listed} model @param {string} reference */
+function named(model, reference) {
+  return model.reference === reference || model.aliases.some((alias) => `${model.name}@${alias}` === reference);
+}
+
+export { Workbench };
+
+if (document.getElementById("plane")) void new Workbench().begin();

@@ -1,0 +1,211 @@
+// The plane: discs and arms, which can be dragged and moved by arrow keys.
+
+/** @import {Camera, Configuration, Disc, Point, Robot} from "./geometry.js" */
+
+import { degrees, jointPositions, pointedAt } from "./geometry.js";
+import { arrow, draggable, draw, set } from "./svg.js";
+
+const SIDE = 480;
+const STEP_M = 0.1;
+const STEP_RAD = Math.PI / 36;
+const ENDS = /** @type {const} */ (["start", "goal"]);
+
+/**
+ * @typedef {object} Shown
+ * @property {Disc[]} discs
+ * @property {number} chosen  Which disc; -1 for none.
+ * @property {Configuration} start
+ * @property {Configuration} goal
+ * @property {Configuration[]} ghosts  Along the way.
+ * @property {Configuration | null} moving  The arm on its way.
+ * @property {Configuration | null} peek  Where the pointer is in the joint space.
+ * @property {string | null} picture  Address of what is shown instead of discs.
+ *
+ * @typedef {object} Changes
+ * @property {(at: number, disc: Disc, byKey: boolean) => void} disc
+ * @property {(at: number) => void} choose
+ * @property {(at: number) => void} remove
+ * @property {(end: "start" | "goal", configuration: Configuration) => void} end
+ */
+
+export class SceneView {
+  /**
+   * @param {SVGSVGElement} drawing
+   * @param {Robot} robot
+   * @param {Camera} camera
+   * @param {Changes} changes
+   */
+  constructor(drawing, robot, camera, changes) {
+    this.drawing = drawing;
+    this.robot = robot;
+    this.camera = camera;
+    this.changes = changes;
+    /** @type {Shown | null} */
+    this.shown = null;
+    /** @type {SVGCircleElement[]} */
+    this.discs = [];
+    this.picture = draw("image", { width: SIDE, height: SIDE, class: "shown", preserveAspectRatio: "none" });
+    this.layers = { discs: draw("g"), arms: draw("g"), handles: draw("g") };
+    drawing.replaceChildren(this.ground(), this.picture, ...Object.values(this.layers));
+    this.arms = this.makeArms();
+    this.handles = ENDS.map((end) => robot.links.map((_, joint) => this.makeHandle(end, joint)));
+    const base = this.toDrawing({ x: 0, y: 0 });
+    this.layers.arms.append(draw("circle", { class: "base", cx: base.x, cy: base.y, r: 5 }));
+  }
+
+  /** Pixels of the drawing for a metre. */
+  get scale() {
+    return SIDE / (this.camera.right - this.camera.left);
+  }
+
+  /** @param {Point} place @returns {Point} */
+  toDrawing(place) {
+    return { x: (place.x - this.camera.left) * this.scale, y: (this.camera.top - place.y) * this.scale };
+  }
+
+  /** @param {Point} place @returns {Point} */
+  toMetres(place) {
+    return { x: place.x / this.scale + this.camera.left, y: this.camera.top - place.y / this.scale };
+  }
+
+  /** @param {Shown} shown */
+  show(shown) {
+    this.shown = shown;
+    this.showDiscs(shown);
+    const { start, goal, moving, peek } = shown;
+    this.showArm(this.arms.start, start);
+    this.showArm(this.arms.goal, goal);
+    this.showArm(this.arms.moving, moving);
+    this.showArm(this.arms.peek, peek);
+    this.arms.ghosts.setAttribute("d", shown.ghosts.map((one) => this.outline(one)).join(""));
+    ENDS.forEach((end, row) => {
+      const places = jointPositions(this.robot, shown[end]).slice(1).map((place) => this.toDrawing(place));
+      this.handles[row].forEach((handle, joint) => {
+        set(handle, { cx: places[joint].x, cy: places[joint].y, ...told(end, joint, shown[end], this.robot) });
+      });
+    });
+    if (shown.picture) this.picture.setAttribute("href", shown.picture);
+    this.picture.toggleAttribute("hidden", !shown.picture);
+    this.layers.discs.toggleAttribute("hidden", Boolean(shown.picture));
+  }
+
+  ground() {
+    const group = draw("g", { "aria-hidden": "true" });
+    group.append(draw("rect", { class: "frame", width: SIDE, height: SIDE }));
+    for (let at = Math.ceil(this.camera.left); at <= this.camera.right; at += 1) {
+      const x = this.toDrawing({ x: at, y: 0 }).x;
+      group.append(draw("path", { class: "grid", d: `M${x} 0V${SIDE}M0 ${x}H${SIDE}` }));
+    }
+    return group;
+  }
+
+  makeArms() {
+    const width = Math.max(2.5, 2 * this.robot.halfWidth * this.scale);
+    /** @param {string} kind */
+    const arm = (kind) => {
+      const path = draw("path", { class: `arm ${kind}`, "stroke-width": width, "aria-hidden": "true" });
+      this.layers.arms.append(path);
+      return path;
+    };
+    return { ghosts: arm("ghost"), peek: arm("peek"), start: arm("start"), goal: arm("goal"), moving: arm("moving") };
+  }
+
+  /** @param {SVGPathElement} path @param {Configuration | null} configuration */
+  showArm(path, configuration) {
+    path.setAttribute("d", configuration ? this.outline(configuration) : "");
+  }
+
+  /** @param {Configuration} configuration */
+  outline(configuration) {
+    const places = jointPositions(this.robot, configuration).map((place) => this.toDrawing(place));
+    return `M${places.map((place) => `${place.x.toFixed(1)} ${place.y.toFixed(1)}`).join("L")}`;
+  }
+
+  /** @param {"start" | "goal"} end @param {number} joint */
+  makeHandle(end, joint) {
+    const handle = draw("circle", { class: `handle ${end}`, r: 7, tabindex: 0, role: "slider" });
+    this.layers.handles.append(handle);
+    draggable(handle, this.drawing, (place) => {
+      if (!this.shown) return;
+      const configuration = [...this.shown[end]];
+      configuration[joint] = pointedAt(this.robot, configuration, joint, this.toMetres(place));
+      this.changes.end(end, configuration);
+    });
+    handle.addEventListener("keydown", (event) => {
+      const step = arrow(event);
+      if (!step || !this.shown) return;
+      const configuration = [...this.shown[end]];
+      configuration[joint] += STEP_RAD * (step[0] + step[1]);
+      this.changes.end(end, configuration);
+    });
+    return handle;
+  }
+
+  /** @param {Shown} shown */
+  showDiscs(shown) {
+    while (this.discs.length > shown.discs.length) this.discs.pop()?.remove();
+    while (this.discs.length < shown.discs.length) this.discs.push(this.makeDisc(this.discs.length));
+    shown.discs.forEach((disc, at) => {
+      const { x, y } = this.toDrawing(disc);
+      const words = `Disc ${at + 1} at x ${disc.x.toFixed(1)} m, y ${disc.y.toFixed(1)} m, radius ${disc.r.toFixed(2)} m`;
+      set(this.discs[at], { cx: x, cy: y, r: disc.r * this.scale, "aria-label": words });
+      this.discs[at].classList.toggle("chosen", at === shown.chosen);
+      set(this.discs[at], { "aria-pressed": String(at === shown.chosen) });
+    });
+  }
+
+  /** @param {number} at */
+  makeDisc(at) {
+    const circle = draw("circle", { class: "disc", tabindex: 0, role: "button", "aria-roledescription": "disc" });
+    circle.setAttribute("aria-describedby", "scene-title");
+    this.layers.discs.append(circle);
+    let [offX, offY] = [0, 0];
+    draggable(circle, this.drawing, (place, first) => {
+      const disc = this.shown?.discs[at];
+      if (!disc) return;
+      const { x, y } = this.toMetres(place);
+      if (first) {
+        [offX, offY] = [disc.x - x, disc.y - y];
+        this.changes.choose(at);
+      } else this.changes.disc(at, { ...disc, x: x + offX, y: y + offY }, false);
+    });
+    circle.addEventListener("focus", () => this.changes.choose(at));
+    circle.addEventListener("keydown", (event) => this.pressed(event, at));
+    return circle;
+  }
+
+  /** @param {KeyboardEvent} event @param {number} at */
+  pressed(event, at) {
+    const disc = this.shown?.discs[at];
+    if (!disc) return;
+    const step = arrow(event);
+    if (step) this.changes.disc(at, { ...disc, x: disc.x + STEP_M * step[0], y: disc.y + STEP_M * step[1] }, true);
+    else if (event.key === "Delete" || event.key === "Backspace") this.changes.remove(at);
+    else if (event.key === "+" || event.key === "-") {
+      this.changes.disc(at, { ...disc, r: disc.r + (event.key === "+" ? 0.05 : -0.05) }, true);
+    } else return;
+    event.preventDefault();
+  }
+
+  /** @param {number} at */
+  focusDisc(at) {
+    this.discs[at]?.focus();
+  }
+}
+
+/**
+ * What a handle says of itself.
+ * @param {"start" | "goal"} end
+ * @param {number} joint
+ * @param {Configuration} configuration
+ * @param {Robot} robot
+ */
+function told(end, joint, configuration, robot) {
+  return {
+    "aria-label": `${end === "start" ? "Start" : "Goal"}, joint ${joint + 1}`,
+    "aria-valuemin": Math.round((robot.low[joint] * 180) / Math.PI),
+    "aria-valuemax": Math.round((robot.high[joint] * 180) / Math.PI),
+    "aria-valuenow": Math.round((configuration[joint] * 180) / Math.PI),
+    "aria-valuetext": degrees(configuration[joint]),
+  };
+}

@@ -1,0 +1,310 @@
+// The view of an arm in space: its scene, its cameras, samples, and a way.
+
+/** @import {Workbench} from "./main.js" */
+/** @import {SerialArm} from "./solid.js" */
+
+import { ask } from "./api.js";
+import { Player } from "./player.js";
+import { around, looking } from "./solid.js";
+import { SpaceDrawing, facesOf } from "./space-drawing.js";
+import { JointSliders } from "./space-joints.js";
+import { Previews, showSpaceNumbers } from "./space-readout.js";
+import { byId } from "./svg.js";
+
+const FOCUS = /** @type {[number, number, number]} */ ([0.45, 0, 0.35]);
+const SAMPLES = 60;
+const PLAY_MS = 5000;
+// Where further cameras stand from the first one, rad.
+const ASIDE = [0, 1.3, -1.3];
+
+export class Space {
+  /** @param {Workbench} bench */
+  constructor(bench) {
+    this.bench = bench;
+    this.drawing = new SpaceDrawing(byId("space-drawing", HTMLCanvasElement));
+    /** @type {SerialArm | null} */
+    this.arm = null;
+    /** @type {any} */
+    this.scene = null;
+    /** @type {any} */
+    this.answer = null;
+    /** @type {boolean[] | null} */
+    this.free = null;
+    /** @type {import("./space-drawing.js").Face[]} */
+    this.faces = [];
+    /** @type {number[][]} */
+    this.path = [];
+    this.player = new Player("space-play", "space-along", PLAY_MS, () => this.draw());
+    /** @type {number | undefined} */
+    this.frame = undefined;
+    this.joints = new JointSliders((end, configuration) => this.moveEnd(end, configuration));
+    this.dirty = false;
+    this.busy = false;
+    this.failed = false;
+    /** The question whose scene is shown. */
+    this.asked = "";
+    this.previews = new Previews();
+    /** Of which scene the view was chosen. */
+    this.faced = "";
+    this.told = byId("space-told", HTMLElement);
+    this.listen();
+  }
+
+  listen() {
+    for (const id of ["view-side", "view-up"]) {
+      byId(id, HTMLInputElement).addEventListener("input", () => this.turnView());
+    }
+    for (const id of ["camera-count", "camera-side", "camera-up", "camera-away"]) {
+      byId(id, HTMLElement).addEventListener("input", () => {
+        this.bench.change({ cameras: this.readCameras(id) });
+        this.changed();
+      });
+    }
+    byId("space-form", HTMLFormElement).addEventListener("submit", (event) => {
+      event.preventDefault();
+      const seed = byId("space-seed", HTMLInputElement).value;
+      const family = byId("space-family", HTMLSelectElement).value;
+      this.bench.change({ family, sceneSeed: Number(seed) || 0, from: null, to: null });
+      this.changed();
+    });
+    byId("space-plan", HTMLButtonElement).addEventListener("click", () => void this.plan());
+    this.listenToDrag();
+  }
+
+  /** The drawing turns with the pointer; sliders do the same for keys. */
+  listenToDrag() {
+    const { canvas } = this.drawing;
+    canvas.addEventListener("pointerdown", (event) => canvas.setPointerCapture(event.pointerId));
+    canvas.addEventListener("pointermove", (event) => {
+      if (!canvas.hasPointerCapture(event.pointerId)) return;
+      const [side, up] = [byId("view-side", HTMLInputElement), byId("view-up", HTMLInputElement)];
+      side.value = String(Number(side.value) - 0.4 * event.movementX);
+      up.value = String(Number(up.value) + 0.4 * event.movementY);
+      this.turnView();
+    });
+  }
+
+  turnView() {
+    this.drawing.side = (Number(byId("view-side", HTMLInputElement).value) * Math.PI) / 180;
+    this.drawing.up = (Number(byId("view-up", HTMLInputElement).value) * Math.PI) / 180;
+    this.draw();
+  }
+
+  /** The view was opened. */
+  open() {
+    const model = this.bench.models.find((one) => one.world?.kind === "spatial");
+    const able = this.bench.about.truth && Boolean(model);
+    byId("space-none", HTMLElement).hidden = able;
+    byId("space-body", HTMLElement).hidden = !able;
+    if (!able || !model) return;
+    this.model = model.reference;
+    if (this.arm !== model.world.robot) this.joints.make(model.world.robot);
+    this.arm = model.world.robot;
+    const { family, sceneSeed, cameras } = this.bench.state;
+    byId("space-seed", HTMLInputElement).value = String(sceneSeed);
+    if (cameras) {
+      const [count, side, up, away] = cameras;
+      byId("camera-count", HTMLSelectElement).value = String(count);
+      Object.entries({ side, up, away }).forEach(([name, value]) => {
+        byId(`camera-${name}`, HTMLInputElement).value = String(value);
+      });
+    }
+    const shown = JSON.stringify(this.body());
+    if (this.failed || shown !== this.asked) this.changed();
+    else this.draw();
+  }
+
+  /**
+   * How many, degrees, degrees, m; of the first. Null for those of the scene.
+   * @param {string} moved  What was set: who turns a camera wants one that turns.
+   * @returns {number[] | null}
+   */
+  readCameras(moved) {
+    const select = byId("camera-count", HTMLSelectElement);
+    if (select.value === "0" && moved !== "camera-count") select.value = "1";
+    const count = Number(select.value);
+    if (count === 0) return null;
+    const rest = ["side", "up", "away"].map((name) => Number(byId(`camera-${name}`, HTMLInputElement).value));
+    return [count, ...rest];
+  }
+
+  poses() {
+    const { cameras } = this.bench.state;
+    if (!cameras) return null;
+    const [count, side, up, away] = cameras;
+    return ASIDE.slice(0, count).map((aside) =>
+      looking(around(FOCUS, (side * Math.PI) / 180 + aside, (up * Math.PI) / 180, away), FOCUS),
+    );
+  }
+
+  body() {
+    const { family, sceneSeed } = this.bench.state;
+    const from = this.fitted(this.bench.state.from);
+    const cameras = this.poses();
+    return {
+      model: this.model, seed: sceneSeed, ...(family ? { family } : {}), ...(cameras ? { cameras } : {}),
+      ...(from ? { state: from } : {}),
+    };
+  }
+
+  /** What the samples and the way of what is shown are asked with. */
+  bodies() {
+    const { model, scene } = this;
+    const { seed } = this.bench.state;
+    return {
+      sample: { model, image: scene.image, n: SAMPLES, seed, min_confidence: 0 },
+      plan: { model, image: scene.image, ...this.ends(), seed, time_limit_s: 5 },
+    };
+  }
+
+  /** Something has changed: ask again, one question at a time. */
+  changed() {
+    this.dirty = true;
+    this.forget();
+    if (!this.busy) void this.refresh();
+  }
+
+  /** What was planned does not fit any more. */
+  forget() {
+    this.path = [];
+    this.player.load(false);
+    this.say("");
+  }
+
+  async refresh() {
+    this.busy = true;
+    this.drawing.canvas.setAttribute("aria-busy", "true");
+    try {
+      while (this.dirty) {
+        this.dirty = false;
+        this.failed = false;
+        if (!this.scene) this.say("Drawing a scene. The first one after an installation takes up to a minute.");
+        const body = this.body();
+        this.asked = JSON.stringify(body);
+        this.see(await ask("workbench/space", body));
+        if (this.path.length === 0) this.say("");
+        this.answer = await ask("sample", this.bodies().sample);
+        this.free = null;
+        showSpaceNumbers(this.answer, this.free);
+        this.draw();
+        if (this.dirty) continue;
+        const judged = await ask("workbench/space", { ...body, configurations: this.answer.samples });
+        if (!this.dirty) this.free = judged.sample_free;
+        showSpaceNumbers(this.answer, this.free);
+        this.draw();
+        this.bench.messages.clear();
+        this.bench.messages.here(`${this.answer.samples.length} samples in space`);
+      }
+    } catch (error) {
+      this.failed = true;
+      this.bench.messages.failed(error);
+    } finally {
+      this.busy = false;
+      this.drawing.canvas.setAttribute("aria-busy", "false");
+    }
+  }
+
+  /** @param {any} scene */
+  see(scene) {
+    this.scene = scene;
+    this.faces = facesOf(scene.obstacles.boxes, scene.obstacles.cylinders);
+    const select = byId("space-family", HTMLSelectElement);
+    if (select.options.length !== scene.families.length) {
+      select.replaceChildren(...scene.families.map((/** @type {string} */ name) => new Option(name, name)));
+    }
+    select.value = scene.family;
+    this.joints.show(this.ends());
+    this.previews.show(scene.previews);
+    this.face(scene);
+    this.draw();
+  }
+
+  /** Look at a new scene from where its first camera does, a little from the side. @param {any} scene */
+  face(scene) {
+    const name = `${scene.family} ${this.bench.state.sceneSeed}`;
+    if (name === this.faced) return;
+    this.faced = name;
+    const [x, y] = scene.cameras[0].pose;
+    const bearing = (Math.atan2(y[3], x[3]) * 180) / Math.PI + 25;
+    byId("view-side", HTMLInputElement).value = String(bearing > 180 ? bearing - 360 : bearing);
+    this.turnView();
+  }
+
+  /** @param {"start" | "goal"} end @param {number[]} configuration */
+  moveEnd(end, configuration) {
+    this.bench.change(end === "start" ? { from: configuration } : { to: configuration });
+    this.forget();
+    this.joints.show(this.ends());
+    // The arm stands at the start while it is looked at.
+    if (end === "start") this.changed();
+  }
+
+  /** What an address says of an arm with other joints is nothing. @param {number[] | null} configuration */
+  fitted(configuration) {
+    return configuration?.length === this.arm?.joints.length ? configuration : null;
+  }
+
+  ends() {
+    const { from, to } = this.bench.state;
+    return { start: this.fitted(from) ?? this.scene.start, goal: this.fitted(to) ?? this.scene.goal };
+  }
+
+  async plan() {
+    if (!this.scene) return;
+    const { scene } = this;
+    this.say("Looking for a way. The first one after an installation takes up to a minute.");
+    try {
+      const answer = await ask("plan", this.bodies().plan);
+      if (scene !== this.scene) return;
+      if (answer.status !== "solved") return this.say(`Not solved: ${answer.reason}.`, true);
+      this.path = answer.path;
+      this.player.load(true);
+      const { way } = await ask("workbench/space", { ...this.body(), path: answer.path });
+      const verdict = way.free ? "it is free" : `it collides on ${way.edges.filter((/** @type {boolean} */ free) => !free).length} of ${way.edges.length} pieces`;
+      this.say(`Confidence ${answer.confidence.toFixed(3)}, ${answer.length_rad.toFixed(2)} rad. Checked against the obstacles: ${verdict}.`, !way.free);
+      this.player.begin();
+    } catch (error) {
+      this.say("");
+      this.bench.messages.failed(error);
+    }
+  }
+
+  /** The configuration along the way; joints with limits go straight. */
+  moving() {
+    const pieces = this.path.length - 1;
+    if (pieces < 1) return null;
+    const at = Math.min(pieces - 1, Math.floor(this.player.share * pieces));
+    const part = this.player.share * pieces - at;
+    return this.path[at].map((angle, joint) => angle + part * (this.path[at + 1][joint] - angle));
+  }
+
+  draw() {
+    this.frame ??= requestAnimationFrame(() => {
+      this.frame = undefined;
+      const { arm, scene, answer } = this;
+      if (!arm || !scene || this.bench.state.view !== "space") return;
+      const moving = this.moving();
+      const samples = moving ? [] : (answer?.samples ?? []);
+      this.drawing.draw(
+        arm,
+        {
+          boxes: scene.obstacles.boxes, cylinders: scene.obstacles.cylinders, cameras: scene.cameras, way: this.path,
+          arms: [
+            { configuration: moving ?? this.ends().start, kind: moving ? "moving" : "start" },
+            { configuration: this.ends().goal, kind: "goal" },
+          ],
+          samples: samples.map((/** @type {number[]} */ configuration, /** @type {number} */ at) => ({
+            configuration, confidence: answer.confidence?.[at] ?? 1, free: this.free ? this.free[at] : null,
+          })),
+        },
+        this.faces,
+      );
+    });
+  }
+
+  /** @param {string} words @param {boolean} [bad] */
+  say(words, bad = false) {
+    this.told.textContent = words;
+    this.told.classList.toggle("bad", bad);
+  }
+}

@@ -1,0 +1,139 @@
+// What is shown, as a value and as an address that a colleague can open.
+
+/** @import {Configuration, Disc} from "./geometry.js" */
+
+/**
+ * @typedef {object} State
+ * @property {Disc[]} discs
+ * @property {string | null} picture  Base64 of an uploaded PNG that is shown instead of discs.
+ * @property {Configuration} start
+ * @property {Configuration} goal
+ * @property {string} model  As requests name it; empty for the default one.
+ * @property {number} n
+ * @property {string} seed  Decimal digits, for seeds have 64 bits.
+ * @property {number | null} confidence  What samples have to score; null for the model's own threshold.
+ * @property {"truth" | "belief" | "none"} ground  What lies under the samples.
+ * @property {"plane" | "space" | "models"} view
+ * @property {string} family  Of the scene in space; empty for the first.
+ * @property {number} sceneSeed  Likewise.
+ * @property {number[] | null} cameras  How many, side and up in degrees, away in m; null for those of the scene.
+ * @property {Configuration | null} from  Where the arm in space starts; null for the scene's own.
+ * @property {Configuration | null} to  Likewise its goal.
+ */
+
+export const MAX_DISCS = 64;
+// An address longer than this is cut by what people send it with.
+const MAX_PICTURE = 6000;
+
+/** @returns {State} */
+export function usual() {
+  return {
+    discs: [
+      { x: 2.6, y: 1.9, r: 1 },
+      { x: -1.9, y: 2.5, r: 1 },
+      { x: 0.5, y: -3.2, r: 1 },
+    ],
+    picture: null,
+    start: [0, 0.3],
+    goal: [-2.6, -0.6],
+    model: "",
+    n: 300,
+    seed: "7",
+    confidence: null,
+    ground: "truth",
+    view: "plane",
+    family: "",
+    sceneSeed: 0,
+    cameras: null,
+    from: null,
+    to: null,
+  };
+}
+
+/** @param {number} value */
+const short = (value) => String(Number(value.toFixed(3)));
+
+/**
+ * The part of an address behind its #.
+ * @param {State} state
+ */
+export function toHash(state) {
+  const told = new URLSearchParams();
+  if (state.view !== "plane") told.set("view", state.view);
+  if (state.picture && state.picture.length <= MAX_PICTURE) told.set("picture", state.picture);
+  told.set("discs", state.discs.map((disc) => [disc.x, disc.y, disc.r].map(short).join(",")).join(";"));
+  told.set("start", state.start.map(short).join(","));
+  told.set("goal", state.goal.map(short).join(","));
+  if (state.model) told.set("model", state.model);
+  told.set("n", String(state.n));
+  told.set("seed", state.seed);
+  if (state.confidence !== null) told.set("confidence", short(state.confidence));
+  if (state.ground !== "truth") told.set("ground", state.ground);
+  if (state.family) told.set("family", state.family);
+  if (state.sceneSeed) told.set("scene", String(state.sceneSeed));
+  if (state.cameras) told.set("cameras", state.cameras.map(short).join(","));
+  if (state.from) told.set("from", state.from.map(short).join(","));
+  if (state.to) told.set("to", state.to.map(short).join(","));
+  return `#${told.toString().replaceAll("%2C", ",").replaceAll("%3B", ";").replaceAll("%2F", "/")}`;
+}
+
+/**
+ * The inverse; what is missing or wrong is as usual.
+ * @param {string} hash
+ * @returns {State}
+ */
+export function fromHash(hash) {
+  const told = new URLSearchParams(hash.replace(/^#/, ""));
+  const state = usual();
+  const discs = told.get("discs");
+  if (discs !== null) state.discs = readDiscs(discs);
+  for (const name of /** @type {const} */ (["start", "goal"])) {
+    const angles = numbers(told.get(name) ?? "");
+    if (angles.length > 0) state[name] = angles;
+  }
+  const picture = told.get("picture");
+  if (picture && /^[A-Za-z0-9+/]+=*$/.test(picture)) state.picture = picture;
+  state.model = (told.get("model") ?? "").slice(0, 200);
+  state.n = clamp(told.get("n"), 1, 2000, state.n, true);
+  const seed = told.get("seed");
+  if (seed !== null && /^[0-9]{1,20}$/.test(seed)) state.seed = seed;
+  if (told.has("confidence")) state.confidence = clamp(told.get("confidence"), 0, 1, 0.5, false);
+  const ground = told.get("ground");
+  if (ground === "belief" || ground === "none") state.ground = ground;
+  const view = told.get("view");
+  if (view === "models" || view === "space") state.view = view;
+  state.family = (told.get("family") ?? "").slice(0, 100);
+  state.sceneSeed = clamp(told.get("scene"), 0, 999999, 0, true);
+  const cameras = numbers(told.get("cameras") ?? "");
+  if (cameras.length === 4 && [1, 2, 3].includes(cameras[0])) state.cameras = cameras;
+  for (const name of /** @type {const} */ (["from", "to"])) {
+    const angles = numbers(told.get(name) ?? "");
+    if (angles.length > 0) state[name] = angles;
+  }
+  return state;
+}
+
+/** @param {string} text @returns {Disc[]} */
+function readDiscs(text) {
+  const rows = text.split(";").map(numbers).filter((row) => row.length === 3 && row[2] > 0);
+  return rows.slice(0, MAX_DISCS).map(([x, y, r]) => ({ x, y, r }));
+}
+
+/** @param {string} text */
+function numbers(text) {
+  const found = text.split(",").map((part) => (part.trim() === "" ? NaN : Number(part)));
+  return found.every((value) => Number.isFinite(value) && Math.abs(value) < 1e3) ? found : [];
+}
+
+/**
+ * @param {string | null} text
+ * @param {number} low
+ * @param {number} high
+ * @param {number} otherwise
+ * @param {boolean} whole
+ */
+export function clamp(text, low, high, otherwise, whole) {
+  const value = text === null || text.trim() === "" ? NaN : Number(text);
+  if (!Number.isFinite(value)) return otherwise;
+  return Math.min(high, Math.max(low, whole ? Math.round(value) : value));
+}

@@ -1,0 +1,85 @@
+// Small help for drawings.
+
+const SPACE = "http://www.w3.org/2000/svg";
+
+/**
+ * A new element of a drawing.
+ * @template {keyof SVGElementTagNameMap} Name
+ * @param {Name} name
+ * @param {Record<string, string | number>} [attributes]
+ * @returns {SVGElementTagNameMap[Name]}
+ */
+export function draw(name, attributes = {}) {
+  const element = document.createElementNS(SPACE, name);
+  set(element, attributes);
+  return element;
+}
+
+/**
+ * @param {Element} element
+ * @param {Record<string, string | number>} attributes
+ */
+export function set(element, attributes) {
+  for (const [name, value] of Object.entries(attributes)) element.setAttribute(name, String(value));
+}
+
+/**
+ * An element of the page by its id.
+ * @template {Element} Kind
+ * @param {string} id
+ * @param {new () => Kind} kind
+ * @returns {Kind}
+ */
+export function byId(id, kind) {
+  const found = document.getElementById(id);
+  if (!(found instanceof kind)) throw new Error(`the page has no ${id}`);
+  return found;
+}
+
+/**
+ * Where a pointer is in a drawing's own units.
+ * @param {SVGSVGElement} drawing
+ * @param {PointerEvent} event
+ */
+export function placeIn(drawing, event) {
+  const matrix = drawing.getScreenCTM();
+  if (!matrix) return { x: 0, y: 0 };
+  const { x, y } = new DOMPoint(event.clientX, event.clientY).matrixTransform(matrix.inverse());
+  return { x, y };
+}
+
+/**
+ * Let an element be dragged.
+ * @param {SVGElement} element
+ * @param {SVGSVGElement} drawing
+ * @param {(place: {x: number, y: number}, first: boolean) => void} moved  In the drawing's units.
+ */
+export function draggable(element, drawing, moved) {
+  let held = false;
+  element.addEventListener("pointerdown", (event) => {
+    if (event.button !== 0) return;
+    held = true;
+    element.setPointerCapture(event.pointerId);
+    event.stopPropagation();
+    moved(placeIn(drawing, event), true);
+  });
+  element.addEventListener("pointermove", (event) => {
+    if (held) moved(placeIn(drawing, event), false);
+  });
+  for (const end of ["pointerup", "pointercancel"]) element.addEventListener(end, () => (held = false));
+}
+
+/** What arrow keys mean. */
+const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
+
+/**
+ * The direction of an arrow key, y up, finer with Shift; null for other keys.
+ * @param {KeyboardEvent} event
+ * @returns {number[] | null}
+ */
+export function arrow(event) {
+  const found = ARROWS[/** @type {keyof ARROWS} */ (event.key)];
+  if (!found || event.ctrlKey || event.metaKey || event.altKey) return null;
+  event.preventDefault();
+  return found.map((step) => step * (event.shiftKey ? 0.2 : 1));
+}

@@ -1,0 +1,197 @@
+"""What holds in truth of scenes of discs: collision regions, samples, ways; runs in a worker thread."""
+
+import base64
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import numpy as np
+from fastapi.responses import Response
+from numpy.typing import NDArray
+
+from cspace.errors import InputError, ScenarioError
+from cspace.splits import Split
+from cspace.workshop import Checker, Workshop
+from cspace.world import World
+from cspace.worlds import read_world, workshop_of
+from inference_api.failures import NoKernelsError
+from inference_api.models.served import ServedModel
+from inference_api.turns.turns import LONG_ROWS, Turn
+from inference_api.workbench.truth_schemas import (
+    SceneAnswer,
+    SceneRequest,
+    TruthAnswer,
+    TruthRequest,
+    WayTruth,
+)
+from services.registry.references import ModelReference
+
+_PLANAR = "planar"
+# Free ones of these are covered or not: two percent of accuracy, in a few ms.
+_REFERENCES = 800
+# Samples at a time, so that memory stays small.
+_CHUNK = 256
+# Checks of a way for a person's eyes are finer than those of a planner.
+_RESOLUTION_RAD = 0.005
+# A scene without discs is one whose disc nobody reaches, for worlds of given scenes have one at least.
+_NOWHERE = (1e6, 1e6, 1e-3)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SceneQuestion:
+    """A scene of a family; an :class:`~inference_api.pages.exchange.Question`."""
+
+    asked: SceneRequest
+    reference: ModelReference
+    require_confirmed: bool = False
+
+    def answer(self, served: ServedModel, turn: Turn) -> Response:
+        """Draw it.
+
+        Raises:
+            CspaceError: as the contract's table of errors.
+        """
+        # Draws that are not of the family are drawn again.
+        turn.spend(LONG_ROWS + 1.0)
+        world = _planar(served.bundle.spec.world)
+        with telling():
+            workshop = workshop_of(world)
+            names = workshop.families.names
+            family = self.asked.family or names[0]
+            # Nothing of these scenes is used to train or to judge, so playing with them gives nothing away.
+            problem = workshop.problem(family, Split.DEMO, self.asked.seed)
+            rows = workshop.arrays_of(problem.scenario)["discs"]
+        # Scenes with fewer discs than the most repeat their last one.
+        discs = list(dict.fromkeys(tuple(row) for row in rows.tolist()))
+        body = SceneAnswer(
+            discs=[list(disc) for disc in discs],
+            start=problem.start.tolist(),
+            goal=problem.goal.tolist(),
+            family=family,
+            families=list(names),
+            seed=self.asked.seed,
+        )
+        return Response(body.model_dump_json(), media_type="application/json")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TruthQuestion:
+    """A scene of discs and what is held against it; an :class:`~inference_api.pages.exchange.Question`."""
+
+    asked: TruthRequest
+    reference: ModelReference
+    require_confirmed: bool = False
+
+    def answer(self, served: ServedModel, turn: Turn) -> Response:
+        """Check and write.
+
+        Raises:
+            CspaceError: as the contract's table of errors.
+        """
+        asked, world = self.asked, _planar(served.bundle.spec.world)
+        samples, path = (rows_of(rows, world) for rows in (asked.configurations, asked.path))
+        turn.spend(float(asked.cells**2 + len(samples)))
+        began = time.perf_counter()
+        with telling():
+            workshop = workshop_of(_among(world, asked.discs))
+            checker = workshop.checker(workshop.scene(np.random.default_rng(0), Split.TEST, 0))
+            free = checker.valid_batch(_grid(world, asked)) if world.dim > 1 else np.ones(0, np.bool_)
+            turn.between()
+            good = checker.valid_batch(samples) if len(samples) else np.zeros(0, dtype=np.bool_)
+            covered = _coverage(workshop, checker, samples[good]) if len(samples) else None
+            way = way_truth(checker, path) if len(path) > 1 else None
+        body = TruthAnswer(
+            cells=asked.cells,
+            free=base64.b64encode(np.packbits(free).tobytes()).decode(),
+            sample_free=good.tolist(),
+            precision=float(np.mean(good)) if len(good) else None,
+            coverage=covered,
+            radius_rad=workshop.measures.coverage_radius_rad,
+            way=way,
+            families=list(workshop.families.names),
+            timing_ms={"total": 1e3 * (time.perf_counter() - began)},
+        )
+        return Response(body.model_dump_json(), media_type="application/json")
+
+
+@contextmanager
+def telling() -> Iterator[None]:
+    """Errors of what is asked for in the words of requests.
+
+    Raises:
+        InputError: the scene cannot be.
+        NoKernelsError: the packages of the extra ``workbench`` are not installed.
+    """
+    try:
+        yield
+    except ScenarioError as error:
+        raise InputError(error.what, expected=error.expected, got=error.got, remedy=error.remedy) from error
+    except ImportError as error:
+        raise NoKernelsError(
+            "this server knows no truth",
+            expected="the packages of the extra workbench",
+            got=f"no {error.name or 'compiler'}",
+            remedy="install them, or do without the truth",
+        ) from error
+
+
+def _planar(world: World) -> World:
+    if world.kind != _PLANAR:
+        raise InputError("the model is of another kind of world", expected=f"a {_PLANAR} one", got=world.kind)
+    return world
+
+
+def _among(world: World, discs: tuple[tuple[float, float, float], ...]) -> World:
+    """The same world with these discs as its only scene."""
+    given = {"train": [], "held_out": [[list(disc) for disc in discs or (_NOWHERE,)]]}
+    return read_world(world.to_dict() | {"scenes": given})
+
+
+def rows_of(rows: tuple[tuple[float, ...], ...], world: World) -> NDArray[np.float64]:
+    """Configurations as an array, (n, d) rad.
+
+    Raises:
+        InputError: one is of another length.
+    """
+    wrong = next((len(row) for row in rows if len(row) != world.dim), None)
+    if wrong is not None:
+        raise InputError("a configuration is wrong", expected=f"{world.dim} angles", got=str(wrong))
+    return np.array(rows, dtype=np.float64).reshape(-1, world.dim)
+
+
+def _grid(world: World, asked: TruthRequest) -> NDArray[np.float64]:
+    """Centres of cells over the first two joints, joint 1 the slower axis, (cells^2, d) rad."""
+    at = rows_of((asked.at,), world)[0] if asked.at else np.zeros(world.dim)
+    low, high = (np.asarray(end[:2]) for end in (world.space.lower, world.space.upper))
+    steps = (np.arange(asked.cells) + 0.5) / asked.cells
+    first, second = (low[joint] + steps * (high - low)[joint] for joint in (0, 1))
+    grid = np.tile(at, (asked.cells**2, 1))
+    grid[:, 0], grid[:, 1] = np.repeat(first, asked.cells), np.tile(second, asked.cells)
+    return grid
+
+
+def _coverage(workshop: Workshop, checker: Checker, samples: NDArray[np.float64]) -> float | None:
+    """Share of free configurations with a sample nearby; the evaluator's measure, on fewer of them."""
+    space = checker.space
+    anywhere = space.sample_uniform(np.random.default_rng(0), _REFERENCES)
+    free = anywhere[checker.valid_batch(anywhere)]
+    if not len(free):
+        return None
+    if not len(samples):
+        return 0.0
+    radius = workshop.measures.coverage_radius_rad
+    covered = np.zeros(len(free), dtype=np.bool_)
+    for chunk in np.array_split(samples, -(-len(samples) // _CHUNK)):
+        covered |= np.any(space.distance(chunk[None], free[:, None]) <= radius, axis=1)
+    return float(np.mean(covered))
+
+
+def way_truth(checker: Checker, path: NDArray[np.float64]) -> WayTruth:
+    """Whether a way (n, d) rad is free."""
+    edges = checker.edge_batch(path[:-1], path[1:], _RESOLUTION_RAD)
+    return WayTruth(
+        free=bool(edges.all()),
+        edges=edges.tolist(),
+        clearance_m=float(np.min(checker.clearance(path))),
+    )

@@ -1,0 +1,157 @@
+"""The workbench for everybody: by keyboard, for screen readers, in the dark, on a phone, from one server."""
+
+import re
+from collections.abc import Iterator
+
+import httpx
+import pytest
+from axe_playwright_python.sync_playwright import Axe
+from playwright.sync_api import Locator, Page, expect
+
+from tests.browser.workbench import hash_of, is_page, open_bench
+from tests.inference_api.server import api_server
+
+pytestmark = [pytest.mark.browser, pytest.mark.e2e]
+
+SCHEMES = ("light", "dark")
+SIZES = {"desk": (1480, 940), "tablet": (900, 1100), "phone": (390, 844)}
+MOST_TABS = 60
+
+
+@pytest.fixture(scope="module")
+def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    with api_server(tmp_path_factory.mktemp("bench"), {"CSPACE_API_WORKBENCH": "1"}) as found:
+        body = {"discs": [], "path": [[0, 0], [1, 1]]}
+        httpx.post(f"{found}/workbench/truth", json=body, timeout=60).raise_for_status()
+        yield found
+
+
+def tab_to(page: Page, wanted: Locator) -> None:
+    """Press Tab until an element has the focus."""
+    for _ in range(MOST_TABS):
+        page.keyboard.press("Tab")
+        if wanted.evaluate("(element) => element === document.activeElement"):
+            return
+    raise AssertionError(f"{wanted} is not reached by Tab")
+
+
+def test_everything_can_be_done_by_keyboard_alone(page: Page, address: str) -> None:
+    open_bench(page, address, hash_of([(2.6, 1.9, 1.0), (0.5, -3.2, 1.0)]))
+    second = page.get_by_role("button", name=re.compile("^Disc 2"))
+    tab_to(page, second)
+    for key in ("ArrowRight", "ArrowUp", "+"):
+        with page.expect_response(is_page("sample")):
+            page.keyboard.press(key)
+    expect(second).to_have_accessible_name("Disc 2 at x 0.6 m, y -3.1 m, radius 1.05 m")
+    expect(second).to_be_focused()
+    joint = page.get_by_role("slider", name="Goal, joint 1")
+    tab_to(page, joint)
+    page.keyboard.press("ArrowRight")
+    expect(joint).to_have_attribute("aria-valuetext", "\N{MINUS SIGN}144°")
+    start = page.get_by_role("button", name=re.compile("^Start: "))
+    tab_to(page, start)
+    page.keyboard.press("ArrowDown")
+    expect(start).to_have_accessible_name("Start: joint 1 0°, joint 2 12°")
+    plan = page.get_by_role("button", name="Plan a way")
+    tab_to(page, plan)
+    page.keyboard.press("Enter")
+    expect(page.locator("#plan-told")).to_contain_text("Checked against the discs: it is free.")
+    page.keyboard.press("Shift+Tab")
+    tab_to(page, page.get_by_role("button", name="Copy the link"))
+    page.keyboard.press("Enter")
+    expect(page.locator("#take-text")).to_have_value(re.compile("start=0,0.21"))
+    second.focus()
+    page.keyboard.press("Delete")
+    expect(second).to_have_count(0)
+    expect(page.get_by_role("button", name=re.compile("^Disc 1"))).to_be_focused()
+    expect(page.locator("#spoken")).to_have_text("Disc 2 removed")
+
+
+@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize("scheme", SCHEMES)
+@pytest.mark.parametrize("view", ["plane", "space", "models"])
+def test_axe_finds_nothing_serious(page: Page, address: str, view: str, scheme: str, size: str) -> None:
+    page.emulate_media(color_scheme=scheme)  # type: ignore[arg-type]
+    page.set_viewport_size(dict(zip(("width", "height"), SIZES[size], strict=True)))  # type: ignore[arg-type]
+    open_bench(page, address, f"#view={view}")
+    found = Axe().run(page).response["violations"]
+    serious = [
+        (one["id"], [node["html"] for node in one["nodes"]])
+        for one in found
+        if one["impact"] in ("serious", "critical")
+    ]
+    assert serious == []
+
+
+@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize("view", ["plane", "space", "models"])
+def test_nothing_is_cut_off_and_nothing_lies_over_something_else(
+    page: Page, address: str, view: str, size: str
+) -> None:
+    page.set_viewport_size(dict(zip(("width", "height"), SIZES[size], strict=True)))  # type: ignore[arg-type]
+    open_bench(page, address, f"#view={view}")
+    found = page.evaluate(
+        """() => {
+            const visible = [...document.querySelectorAll("header *, main *")].filter(
+                (one) => one instanceof HTMLElement && one.checkVisibility() && !one.closest(".hidden"));
+            const kinds = "button, .button, label, a, h1, h2, h3, dt, dd, p, output, select";
+            const leaves = visible.filter((one) => one.matches(kinds));
+            const name = (one) => `${one.tagName} ${one.id || one.textContent.trim().slice(0, 30)}`;
+            const cut = leaves.filter((one) => one.tagName !== "SELECT"
+                && one.scrollWidth > one.clientWidth + 1 && getComputedStyle(one).display !== "inline");
+            const over = [];
+            leaves.forEach((one, at) => leaves.slice(at + 1).forEach((other) => {
+                if (one.contains(other) || other.contains(one)) return;
+                const [a, b] = [one.getBoundingClientRect(), other.getBoundingClientRect()];
+                const wide = Math.min(a.right, b.right) - Math.max(a.left, b.left);
+                const high = Math.min(a.bottom, b.bottom) - Math.max(a.top, b.top);
+                if (wide > 1 && high > 1) over.push(`${name(one)} / ${name(other)}`);
+            }));
+            return {cut: cut.map(name), over, aside: document.documentElement.scrollWidth - innerWidth};
+        }"""
+    )
+    assert found["cut"] == []
+    assert found["over"] == []
+    assert found["aside"] <= 0
+
+
+def test_the_page_asks_this_server_alone_and_its_policy_refuses_it_nothing(page: Page, address: str) -> None:
+    asked: list[str] = []
+    errors: list[str] = []
+    page.on("request", lambda request: asked.append(request.url))
+    page.on("console", lambda message: errors.append(message.text) if message.type == "error" else None)
+    open_bench(page, address, "#ground=belief")
+    page.get_by_role("button", name="Plan a way").click()
+    expect(page.locator("#plan-told")).to_contain_text("Checked")
+    page.get_by_role("button", name="Copy as Python").click()
+    page.get_by_role("button", name="Models").click()
+    assert len(asked) > 20
+    assert [one for one in asked if not one.startswith((f"{address}/", f"blob:{address}/", "about:"))] == []
+    assert errors == []
+
+
+def test_a_script_that_is_not_the_pages_own_is_refused(page: Page, address: str) -> None:
+    open_bench(page, address)
+    page.evaluate(
+        """() => {
+            const script = document.createElement("script");
+            script.textContent = "window.intruder = true";
+            document.body.append(script);
+        }"""
+    )
+    assert page.evaluate("() => window.intruder === undefined")
+
+
+def test_texts_that_others_write_are_shown_as_text(page: Page, address: str) -> None:
+    wicked = "<img src=x class=intruder onerror='window.intruder = true'>"
+    story = {
+        "reference": "pretrained", "created": wicked, "figures": {wicked: 1.0}, "lineage": {wicked: wicked},
+        "decisions": [{"promoted": True, "reasons": [wicked], "against": None, "created_ms": 0}],
+        "link": None,
+    }  # fmt: skip
+    page.route("**/workbench/models", lambda route: route.fulfill(json=[story]))
+    open_bench(page, address, "#view=models&model=%3Cimg%20class%3Dintruder%3E")
+    expect(page.get_by_role("article").first).to_contain_text(wicked)
+    expect(page.locator(".intruder")).to_have_count(0)
+    assert page.evaluate("() => window.intruder === undefined")
+    page.unroute("**/workbench/models")

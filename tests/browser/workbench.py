@@ -1,0 +1,106 @@
+"""The workbench in a browser: opens it and reads its drawings."""
+
+import base64
+import json
+import re
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from playwright.sync_api import Page, Response, expect
+
+from cspace.worlds.planar.arm import TWO_LINK
+from cspace.worlds.planar.planning.collision import CollisionChecker
+from cspace.worlds.planar.scene import Disc, Scenario
+
+SIDE = 480.0
+# Half of the plane that the picture shows.
+HALF_M = 5.0
+Discs = list[tuple[float, float, float]]
+
+
+def hash_of(discs: Discs, **fields: str) -> str:
+    """The part of an address behind its # that shows so many discs."""
+    told = {"discs": ";".join(",".join(f"{value:g}" for value in disc) for disc in discs), **fields}
+    return "#" + "&".join(f"{name}={value}" for name, value in told.items())
+
+
+def scenario(discs: Discs) -> Scenario:
+    """The two-link arm among discs."""
+    return Scenario(TWO_LINK, tuple(Disc(*disc) for disc in discs))
+
+
+def checker(discs: Discs) -> CollisionChecker:
+    """Its checks."""
+    return CollisionChecker(scenario(discs))
+
+
+def is_page(name: str) -> Callable[[Response], bool]:
+    """Whether a response is an answer of a page of the API."""
+    return lambda response: response.url.endswith(f"/{name}")
+
+
+def open_bench(page: Page, address: str, fragment: str = "") -> dict[str, Any]:
+    """Open the page anew and return the first answer with samples, drawn."""
+    page.goto("about:blank")
+    with page.expect_response(is_page("sample")) as samples:
+        page.goto(f"{address}/{fragment}")
+    found: dict[str, Any] = samples.value.json()
+    settle(page)
+    return found
+
+
+def settle(page: Page) -> None:
+    """Wait until the page waits for nothing."""
+    expect(page.locator("[aria-busy=true]")).to_have_count(0)
+
+
+def wait_for_disc(page: Page, at: int, x_m: float, y_m: float) -> None:
+    """Wait until a disc is where it was dragged, in the page's address too, and its samples are there."""
+    page.wait_for_url(lambda _: np.hypot(*np.subtract(discs_in_address(page)[at][:2], (x_m, y_m))) < 0.05)
+    settle(page)
+
+
+def shown_samples(page: Page) -> NDArray[np.float64]:
+    """(n, 2) rad: what is drawn in the joint space, crossed ones included."""
+    found = []
+    for place in range(4):
+        found += re.findall(
+            r"M([-\d.]+) ([-\d.]+)h0", page.locator(f".dots-{place}").first.get_attribute("d") or ""
+        )
+    crossed = re.findall(r"M([-\d.]+) ([-\d.]+)l8", page.locator("#torus .crosses").get_attribute("d") or "")
+    places = [(float(x), float(y)) for x, y in found] + [(float(x) + 4, float(y) + 4) for x, y in crossed]
+    xy = np.array(places, dtype=np.float64).reshape(-1, 2)
+    turn = 2.0 * np.pi
+    return np.stack([xy[:, 0] / SIDE * turn - np.pi, (1.0 - xy[:, 1] / SIDE) * turn - np.pi], axis=1)
+
+
+def discs_in_address(page: Page) -> Discs:
+    """The discs of the page's address."""
+    rows = re.search(r"discs=([^&]*)", page.url)
+    assert rows is not None, page.url
+    return [tuple(map(float, row.split(","))) for row in rows[1].split(";") if row]  # type: ignore[misc]
+
+
+def place_of(page: Page, x_m: float, y_m: float) -> tuple[float, float]:
+    """Where a place of the plane is in the window, px."""
+    box = page.locator("#scene").bounding_box()
+    assert box is not None
+    return (
+        box["x"] + (x_m + HALF_M) / (2 * HALF_M) * box["width"],
+        box["y"] + (HALF_M - y_m) / (2 * HALF_M) * box["height"],
+    )
+
+
+def drag(page: Page, start: tuple[float, float], end: tuple[float, float], steps: int = 12) -> None:
+    """Drag what lies at a place of the plane, m, to another one."""
+    page.mouse.move(*place_of(page, *start))
+    page.mouse.down()
+    page.mouse.move(*place_of(page, *end), steps=steps)
+    page.mouse.up()
+
+
+def sent_picture(body: str | None) -> bytes:
+    """The PNG in a request's body."""
+    return base64.b64decode(json.loads(body or "")["image"])

@@ -1,0 +1,110 @@
+"""Scenes in space as the workbench is told of them, held against the world's own workshop."""
+
+import base64
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cspace.splits import Split
+from cspace.worlds import workshop_of
+from cspace.worlds.spatial.seeing.camera import looking
+from cspace.worlds.spatial.seeing.view import read_view
+from inference_api.app import create_app
+from inference_api.settings import PRETRAINED_FOLDER, ApiSettings
+from tests.inference_api.client import ApiClient, running
+
+PANDA = "pretrained-panda"
+FAMILY, SEED = "table", 2
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ApiClient]:
+    """An API on the shipped models with the truth."""
+    settings = ApiSettings(
+        registry_uri=None,
+        cache_folder=tmp_path_factory.mktemp("cache"),
+        further_folders={PANDA: Path(PRETRAINED_FOLDER).with_name("pretrained_panda")},
+        workbench=True,
+    )
+    with running(create_app(settings)) as client:
+        yield client
+
+
+@pytest.fixture(scope="module")
+def workshop(bench: ApiClient) -> Any:
+    shipped = bench.app.state.store.shipped
+    return workshop_of(next(one.spec.world for one in shipped if one.name == PANDA))
+
+
+def told(bench: ApiClient, **fields: Any) -> dict[str, Any]:
+    body = {"model": PANDA, "family": FAMILY, "seed": SEED, **fields}
+    answer = bench.post("/workbench/space", json=body)
+    assert answer.status_code == 200, answer.text
+    found: dict[str, Any] = answer.json()
+    return found
+
+
+def test_a_scene_is_the_demo_s_of_its_family_and_seed_as_its_cameras_see_it(
+    bench: ApiClient, workshop: Any
+) -> None:
+    problem = workshop.problem(FAMILY, Split.DEMO, SEED)
+    found = told(bench)
+    assert base64.b64decode(found["image"]) == workshop.picture_file(problem.scenario)
+    assert found["obstacles"] == problem.scenario.obstacles.to_dict()
+    assert np.allclose(found["goal"], problem.goal)
+    assert np.allclose(found["start"], problem.start)
+    assert len(found["previews"]) == len(found["cameras"]) == len(problem.scenario.cameras)
+    assert found["families"] == list(workshop.families.names)
+
+
+def test_cameras_that_one_places_see_the_scene_from_there(bench: ApiClient, workshop: Any) -> None:
+    poses = [looking((1.2, y, 1.0), (0.4, 0.0, 0.3)) for y in (-0.8, 0.8)]
+    found = told(bench, cameras=[pose.tolist() for pose in poses])
+    view = read_view(base64.b64decode(found["image"]), workshop.world.space)
+    assert np.allclose([camera.pose for camera in view.cameras], poses)
+    assert found["image"] != told(bench)["image"]
+    assert found["obstacles"] == told(bench)["obstacles"]
+
+
+def test_an_arm_that_is_moved_stands_there_in_the_pictures(bench: ApiClient, workshop: Any) -> None:
+    state = workshop.problem(FAMILY, Split.DEMO, SEED).goal.tolist()
+    found = told(bench, state=state)
+    assert found["start"] == state
+    view = read_view(base64.b64decode(found["image"]), workshop.world.space)
+    assert view.state == pytest.approx(state)
+
+
+def test_samples_and_ways_are_judged_by_the_scene_s_checks(bench: ApiClient, workshop: Any) -> None:
+    problem = workshop.problem(FAMILY, Split.DEMO, SEED)
+    checker = workshop.checker(problem.scenario)
+    rows = workshop.world.space.sample_uniform(np.random.default_rng(0), 40)
+    free = checker.valid_batch(rows)
+    assert 0 < free.sum() < len(free)
+    straight = [problem.start.tolist(), problem.goal.tolist()]
+    found = told(bench, configurations=rows.tolist(), path=straight)
+    assert found["sample_free"] == free.tolist()
+    assert found["way"]["free"] == bool(checker.edge_batch(*np.array(straight)[:, None], 0.005).all())
+
+
+REFUSED: list[tuple[str, dict[str, Any]]] = [
+    ("space", {"model": "pretrained"}),
+    ("truth", {"model": PANDA, "discs": []}),
+    ("scene", {"model": PANDA}),
+    ("space", {"model": PANDA, "family": "gothic"}),
+    ("space", {"model": PANDA, "cameras": [np.ones((4, 4)).tolist()]}),
+    ("space", {"model": PANDA, "cameras": []}),
+    ("space", {"model": PANDA, "cameras": [np.eye(4).tolist()] * 5}),
+    ("space", {"model": PANDA, "state": [0.0]}),
+]
+
+
+@pytest.mark.parametrize(("page", "body"), REFUSED, ids=lambda value: str(value)[:60])
+def test_what_does_not_fit_is_refused_with_what_was_expected(
+    bench: ApiClient, page: str, body: dict[str, Any]
+) -> None:
+    answer = bench.post(f"/workbench/{page}", json=body)
+    assert answer.status_code == 422, answer.text
+    assert answer.json()["expected"]

@@ -1,0 +1,68 @@
+"""What the workbench tells of itself and of models."""
+
+from pathlib import Path
+
+import pytest
+
+from cspace.errors import ConfigError
+from inference_api.settings import ApiSettings
+from inference_api.workbench import routes
+from services.registry.promotion import Decision, record_decision
+from tests.inference_api.fake_registry import CountingRegistry
+from tests.inference_api.workbench.conftest import StartBench
+
+NAME = "cspace-sampler"
+
+
+def decided(version: int, precision: float, *, promoted: bool) -> Decision:
+    return Decision(NAME, version, promoted, ("because",), {"precision": precision}, None, 1_700_000_000_000)
+
+
+def test_a_version_tells_its_last_figures_all_decisions_and_its_page(
+    start_bench: StartBench, registry: CountingRegistry, bundles: dict[str, Path]
+) -> None:
+    registry.add(bundles["plain"], "champion")
+    record_decision(registry, decided(1, 0.8, promoted=False))
+    record_decision(registry, decided(1, 0.9, promoted=True))
+    api = start_bench(registry=registry, mlflow_pages="https://mlflow.example/base")
+    version, shipped = api.get("/workbench/models").json()
+    assert version["reference"] == f"{NAME}/1"
+    assert version["figures"] == {"precision": 0.9}
+    assert [one["promoted"] for one in version["decisions"]] == [False, True]
+    assert version["link"] == f"https://mlflow.example/base/#/models/{NAME}/versions/1"
+    assert shipped["reference"] == "pretrained"
+    assert shipped["figures"] == {"precision": 0.5}
+    assert shipped["link"] is None
+
+
+def test_an_entry_that_nobody_can_read_hides_no_version(
+    start_bench: StartBench, registry: CountingRegistry, bundles: dict[str, Path]
+) -> None:
+    registry.add(bundles["plain"], "champion")
+    registry.set_tags(NAME, 1, {"decision.0001": "no JSON"})
+    version = start_bench(registry=registry).get("/workbench/models").json()[0]
+    assert (version["reference"], version["decisions"], version["link"]) == (f"{NAME}/1", [], None)
+
+
+def test_the_truth_without_its_packages_stops_the_start_with_the_remedy(
+    start_bench: StartBench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(routes, "find_spec", lambda name: None)
+    with pytest.raises(ConfigError, match=r"pip install \.\[workbench\]"):
+        start_bench()
+    assert start_bench(truth=False).get("/workbench/about").json()["plans"] is False
+
+
+def test_settings_of_the_workbench_are_read_and_judged() -> None:
+    assert ApiSettings.from_environment({}).workbench is False
+    values = {"CSPACE_API_WORKBENCH": "1", "CSPACE_API_MLFLOW_PAGES": "http://127.0.0.1:5000/"}
+    settings = ApiSettings.from_environment(values)
+    assert (settings.workbench, settings.mlflow_pages) == (True, "http://127.0.0.1:5000")
+
+
+@pytest.mark.parametrize(
+    "values", [{"CSPACE_API_WORKBENCH": "yes"}, {"CSPACE_API_MLFLOW_PAGES": "javascript:alert(1)"}], ids=str
+)
+def test_a_wrong_setting_is_told(values: dict[str, str]) -> None:
+    with pytest.raises(ConfigError, match=next(iter(values))):
+        ApiSettings.from_environment(values)

@@ -1,0 +1,82 @@
+"""The demo starts the API alone and opens its page where there is a screen."""
+
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import httpx
+import pytest
+
+from services.local import demo as demo_module
+from services.local.__main__ import main
+from services.local.demo import demo
+from services.local.servers.ports import free_ports
+from services.local.servers.service import Service
+from services.local.settings import Settings
+
+
+@pytest.fixture
+def settings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Settings:
+    """A state folder and ports that nobody else uses."""
+    for name, port in zip(("API", "RAY", "MLFLOW"), free_ports(3), strict=True):
+        monkeypatch.setenv(f"CSPACE_{name}_PORT", str(port))
+    monkeypatch.setenv("CSPACE_HOME", str(tmp_path / "state"))
+    for name in ("NO_PROXY", "no_proxy"):
+        monkeypatch.setenv(name, "")
+    return Settings.from_environment()
+
+
+@pytest.fixture
+def started(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """The names of the services that would be started."""
+    found: list[str] = []
+
+    def up(settings: Settings, wanted: tuple[Service, ...], say: object) -> None:
+        found.extend(service.name for service in wanted)
+
+    monkeypatch.setattr(demo_module, "up", up)
+    return found
+
+
+@pytest.mark.parametrize(
+    ("browser", "environment", "opens"),
+    [
+        (True, {"DISPLAY": ":0"}, True),
+        (True, {"WAYLAND_DISPLAY": "wayland-0"}, True),
+        (True, {"DISPLAY": ""}, False),
+        (True, {}, False),
+        (False, {"DISPLAY": ":0"}, False),
+    ],
+)
+def test_the_page_is_opened_where_there_is_a_screen_and_one_is_wanted(
+    settings: Settings, started: list[str], browser: bool, environment: dict[str, str], opens: bool
+) -> None:
+    said: list[str] = []
+    opened: list[str] = []
+    demo(settings, said.append, browser=browser, environment=environment, open_page=opened.append)
+    page = f"http://127.0.0.1:{settings.api_port}/"
+    assert started == ["api"]
+    assert page in said[-1]
+    assert opened == ([page] if opens else [])
+
+
+@pytest.fixture
+def ended(settings: Settings) -> Iterator[None]:
+    yield
+    assert main(["down"]) == 0
+
+
+@pytest.mark.e2e
+def test_the_page_and_its_first_samples_are_there_within_20_s(
+    settings: Settings, ended: None, capsys: pytest.CaptureFixture[str]
+) -> None:
+    began = time.monotonic()
+    assert main(["demo", "--no-browser"]) == 0
+    page = f"http://127.0.0.1:{settings.api_port}/"
+    assert page in capsys.readouterr().out
+    assert httpx.get(page).status_code == 200
+    assert httpx.get(f"{page}workbench/about").json()["truth"] is True
+    picture = (Path(__file__).parents[3] / "docs" / "images" / "scenario.png").read_bytes()
+    answer = httpx.post(f"{page}sample", files={"image": picture}, timeout=20)
+    assert answer.json()["model"]["name"] == "pretrained"
+    assert time.monotonic() - began < 20.0
