@@ -150,6 +150,8 @@ class JointSpace:
     def difference(self, start: ArrayLike, end: ArrayLike) -> NDArray[np.float64]:
         """The straight way from ``start`` to ``end``, round the shorter side of each circle; (..., d) rad."""
         plain = np.asarray(end, dtype=np.float64) - np.asarray(start, dtype=np.float64)
+        if not any(self.periodic):
+            return plain
         return np.where(self.periodic, wrap(plain), plain)
 
     def distance(self, start: ArrayLike, end: ArrayLike) -> NDArray[np.float64]:

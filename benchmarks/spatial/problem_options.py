@@ -6,11 +6,12 @@ from pathlib import Path
 from benchmarks.command import arguments
 from benchmarks.spatial.spheres_and_meshes import panda
 from cspace.bundle import Bundle
+from cspace.planning.query import DEFAULT_WAYS
 from cspace.splits import Split
 from cspace.worlds.spatial.motionbench.problems import FAMILIES, BenchProblem, problems
 from cspace.worlds.spatial.world import SpatialWorld
 
-LOOK_RAD, WAYS, LIMIT_S = 0.01, 8, 2.0
+LOOK_RAD, WAYS, LIMIT_S = 0.01, DEFAULT_WAYS, 2.0
 
 
 def problem_arguments(description: str | None) -> ArgumentParser:

@@ -46,9 +46,9 @@ class Effort:
         enough: doubt at which a way is left as it is.
     """
 
-    ways: int = 3
-    rounds: int = 5
-    states: int = 100
+    ways: int = 4
+    rounds: int = 4
+    states: int = 75
     step_rad: float = 0.15
     check_rad: float = 0.03
     enough: float = 0.02

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from cspace.world import NextView
 
 Status = Literal["solved", "refused", "timeout"]
-DEFAULT_WAYS = 8
+DEFAULT_WAYS = 4
 
 
 @dataclass(frozen=True, slots=True)

@@ -42,7 +42,7 @@ def test_a_plan_is_a_way_from_start_to_goal_with_what_is_believed_of_it(bundle, 
     assert np.allclose(found.way[[0, -1]], [problem.start, problem.goal], atol=1e-6)
     assert found.edges.shape == (len(found.way) - 1,)
     assert found.unseen is None
-    assert found.found == 8
+    assert found.found == 4
     (alone,) = score([found.way], WORLD.space, 0.15, lambda rows: bundle.believe(picture, rows))
     assert found.confidence == alone.whole
     assert found.edges.min() == pytest.approx(found.least.confidence)

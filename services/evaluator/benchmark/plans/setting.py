@@ -6,6 +6,7 @@ from enum import StrEnum
 from itertools import product
 from pathlib import Path
 
+from cspace.planning.query import DEFAULT_WAYS
 from cspace.splits import Split
 from cspace.world import World
 from cspace.worlds import partly_seen, workshop_of
@@ -19,7 +20,7 @@ PROBLEMS = 30
 RUNS = 3
 PICTURES = (1, 2, 3)
 AIMS = ("goal", "scene")
-WAYS = 8
+WAYS = DEFAULT_WAYS
 PLAN_LIMIT_S, CHECKED_LIMIT_S, CHECKED_ITERATIONS = 2.0, 20.0, 200_000
 
 
