@@ -1,6 +1,7 @@
 """A checker of one's own, samples of any source, and OMPL's RRT."""
 
 import importlib.util
+import re
 from pathlib import Path
 
 import numpy as np
@@ -14,9 +15,10 @@ from cspace.worlds.planar.planning.collision import CollisionChecker
 from cspace.worlds.planar.scene import Disc, Scenario
 from cspace_client import ConfigError, JointSpace, PlanningError, SampleBatch
 from cspace_client.local import LocalClient
-from cspace_client.ompl import Problem, learned_sampler
+from cspace_client.ompl import LearnedSampler, Problem, learned_sampler
 from inference_api.settings import PRETRAINED_FOLDER
 from tests.bundles import picture, write_tiny_bundle
+from tests.docs.tiny_api import DOCUMENTED
 from tests.fakes.sample_source import DIGEST, MODEL
 
 EXAMPLES = Path(__file__).parents[3] / "clients" / "python" / "examples"
@@ -109,6 +111,7 @@ def test_what_the_checker_raises_comes_out_and_ends_the_search():
         ({"goal": (0.0, 0.0, 0.0)}, "goal is no configuration of this robot"),
         ({"goal": (5.0, 0.0), "space": BOX}, "within their limits"),
         ({"start": (np.nan, 0.0), "space": BOX}, "start is no configuration"),
+        ({"goal": (np.nan, 0.0)}, "goal is no configuration"),
     ],
 )
 def test_ends_that_can_not_be_are_told_before_the_search(ends, words):
@@ -116,9 +119,24 @@ def test_ends_that_can_not_be_are_told_before_the_search(ends, words):
         planner_of(**ends)
 
 
-def test_a_share_that_is_none_is_refused():
-    with pytest.raises(ConfigError, match="uniform_share"):
-        planner_of().solve(uniform_share=1.5)
+@pytest.mark.parametrize(
+    "wrong",
+    [{"uniform_share": 1.5}, {"time_limit_s": 0.0}, {"range_rad": -1.0}, {"resolution_rad": np.nan}],
+    ids=lambda wrong: next(iter(wrong)),
+)
+def test_a_setting_that_can_not_be_is_refused(wrong):
+    with pytest.raises(ConfigError, match=next(iter(wrong))):
+        planner_of().solve(**wrong)
+
+
+def test_samples_at_limits_in_single_precision_are_within_them():
+    limit = 2.8973
+    space = JointSpace((-limit, -limit), (limit, limit), (False, False))
+    samples = np.full((20, 2), limit, np.float32)
+    assert samples.astype(np.float64).max() > limit
+    batch = SampleBatch(samples, MODEL, 0, DIGEST, 1, 0, 0.0, space=space)
+    found = LearnedSampler(Problem(b"", START, GOAL, lambda joints: True), batch).solve(uniform_share=0.0)
+    assert found.path is not None
 
 
 def test_start_and_goal_are_sent_where_they_are_wanted():
@@ -164,3 +182,18 @@ def test_pixels_are_as_good_as_a_file(tmp_path):
         for shown in (picture(), encode_png(picture()))
     ]
     np.testing.assert_array_equal(batches[0].samples, batches[1].samples)
+
+
+def test_the_packages_own_readme_runs(tiny_api):
+    text = (EXAMPLES.parent / "README.md").read_text(encoding="utf-8")
+    (block,) = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+    script = example()
+    names = {
+        "picture": (EXAMPLES / "discs.png").read_bytes(),
+        "start": script.START,
+        "goal": script.GOAL,
+        "is_free": script.is_free,
+    }
+    exec(block.replace(DOCUMENTED, tiny_api.address), names)  # noqa: S102 - the project's own
+    assert DOCUMENTED in block
+    np.testing.assert_allclose(names["path"][[0, -1]], [script.START, script.GOAL])

@@ -1,5 +1,6 @@
 """A planning problem solved by OMPL's RRT with learned samples and the caller's own collision checker."""
 
+import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -10,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from ompl import base as ob
 from ompl import geometric as og
 
-from cspace_client.errors import PlanningError
+from cspace_client.errors import ConfigError, PlanningError
 from cspace_client.joint_space import JointSpace, circles
 from cspace_client.ompl.feeding import DEFAULT_UNIFORM_SHARE, feed_samples
 from cspace_client.ompl.state_space import StateAccess, make_state_space
@@ -74,6 +75,12 @@ class LearnedSampler:
     def __init__(self, problem: Problem, batch: SampleBatch) -> None:
         self.batch, self._is_free = batch, problem.is_free
         self.space: JointSpace = batch.space or circles(batch.samples.shape[1])
+        # Limits as single precision has them may lie a little beyond themselves.
+        low, high = (
+            np.where(self.space.periodic, open_end, ends)
+            for open_end, ends in ((-np.inf, self.space.lower), (np.inf, self.space.upper))
+        )
+        self._samples = np.clip(batch.samples.astype(np.float64), low, high)
         self._ends = [self._end(name, getattr(problem, name)) for name in ("start", "goal")]
 
     def solve(
@@ -88,27 +95,34 @@ class LearnedSampler:
         """Search, and shorten what was found.
 
         Args:
-            time_limit_s: of the search.
+            time_limit_s: of the search, and again of shortening.
             uniform_share: of uniform states among the samples, 0 to 1; after the last sample all are uniform.
             range_rad: longest step of the tree, in OMPL's metric, the sum over the joints.
             resolution_rad: largest distance between checked states in any joint.
             seed: of what is drawn beside the samples. OMPL's own generators keep their state.
 
         Raises:
-            ConfigError: the uniform share is out of range.
+            ConfigError: a value is out of range.
             Exception: whatever the collision checker raised.
         """
+        for name, value in (
+            ("time_limit_s", time_limit_s),
+            ("range_rad", range_rad),
+            ("resolution_rad", resolution_rad),
+        ):
+            if not 0.0 < value < math.inf:
+                raise ConfigError(f"{name} is out of range", expected="above 0", got=repr(value)[:200])
         began = time.perf_counter()
         checks = _Checks(self._is_free, self.space)
         setup = self._set_up(checks, range_rad, resolution_rad)
         end = ob.PlannerTerminationCondition(
             lambda: checks.error is not None or time.perf_counter() - began > time_limit_s
         )
-        with feed_samples(setup, self.batch.samples, uniform_share=uniform_share, seed=seed) as draws:
+        with feed_samples(setup, self._samples, uniform_share=uniform_share, seed=seed) as draws:
             setup.solve(end)
         path = None
         if checks.error is None and setup.haveExactSolutionPath():
-            setup.simplifySolution()
+            setup.simplifySolution(time_limit_s)
             path = checks.access.rows(setup.getSolutionPath().getStates())
         if checks.error is not None:
             error, checks.error = checks.error, None
@@ -135,7 +149,8 @@ class LearnedSampler:
 
     def _end(self, name: str, given: ArrayLike) -> list[float]:
         values = np.asarray(given, dtype=np.float64)
-        if values.shape != (self.space.dim,) or not self.space.contains(values):
+        fits = values.shape == (self.space.dim,) and np.isfinite(values).all()
+        if not (fits and self.space.contains(values)):
             raise PlanningError(
                 f"the {name} is no configuration of this robot",
                 expected=f"{self.space.dim} joints within their limits",
