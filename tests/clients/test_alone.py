@@ -10,6 +10,7 @@ import pytest
 from cspace.worlds.planar.arm import TWO_LINK
 from cspace.worlds.planar.planning.collision import CollisionChecker
 from cspace.worlds.planar.scene import Disc, Scenario
+from inference_api.settings import PRETRAINED_FOLDER
 from tests.inference_api.server import ROOT, api_server
 
 pytestmark = [pytest.mark.e2e, pytest.mark.slow, pytest.mark.timeout(600)]
@@ -18,15 +19,19 @@ DISCS = [(-1.93, -0.31, 1.0), (-0.76, -3.35, 1.0), (1.74, -0.79, 1.0)]
 ABSENT = {"cspace-sampler", "onnxruntime", "torch", "ray", "mlflow", "fastapi", "pydantic", "pillow"}
 
 
-@pytest.fixture(scope="module")
-def python(tmp_path_factory: pytest.TempPathFactory) -> str:
-    """As docs/client.md installs it: ``pip install './clients/python[ompl]'``."""
-    folder = tmp_path_factory.mktemp("environment")
+def environment(folder: Path, *packages: str) -> str:
+    """The interpreter of a new environment."""
     subprocess.run([sys.executable, "-m", "venv", str(folder)], check=True, capture_output=True)
     interpreter = str(folder / "bin" / "python")
     command = [interpreter, "-m", "pip", "install", "--quiet", "--constraint", str(ROOT / "constraints.txt")]
-    subprocess.run([*command, f"{ROOT}/clients/python[ompl]"], check=True)
+    subprocess.run([*command, *packages], check=True)
     return interpreter
+
+
+@pytest.fixture(scope="module")
+def python(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """As docs/client.md installs it: ``pip install './clients/python[ompl]'``."""
+    return environment(tmp_path_factory.mktemp("environment"), f"{ROOT}/clients/python[ompl]")
 
 
 def run(python: str, *arguments: str, folder: Path) -> str:
@@ -66,3 +71,16 @@ except LocalError as error:
     print(error)
 """
     assert "install onnxruntime and cspace-sampler" in run(python, "-c", code, folder=tmp_path)
+
+
+def test_a_bundle_is_read_where_the_project_and_a_runtime_are_beside_it(tmp_path: Path) -> None:
+    """As docs/client.md installs it, but for the project's sources, which stay where they are."""
+    packages = "--editable", str(ROOT), f"{ROOT}/clients/python[local]"
+    python = environment(tmp_path / "environment", *packages)
+    code = f"""
+import pathlib
+from cspace_client.local import LocalClient
+picture = pathlib.Path({str(EXAMPLES / "discs.png")!r}).read_bytes()
+print(LocalClient({str(PRETRAINED_FOLDER)!r}).sample(picture, 30, seed=7).samples.shape)
+"""
+    assert run(python, "-c", code, folder=tmp_path).strip() == "(30, 2)"
