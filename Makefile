@@ -78,7 +78,7 @@ docs-links: $(INSTALLED) ## follow the documents' links to other sites as well, 
 	$(SITE) -b linkcheck docs build/docs-links
 
 # The last line of pip's output carries its exit code through the pipe; its whole output is kept in a log.
-$(INSTALLED): pyproject.toml constraints.txt
+$(INSTALLED): pyproject.toml clients/python/pyproject.toml constraints.txt
 	@"$(PYTHON)" -c 'import sys; sys.exit(sys.version_info[:2] != (3, 11))' 2>/dev/null || { \
 	  echo "Python 3.11 is needed and '$(PYTHON)' is not it: install it, or name it with make PYTHON=/path/to/python3.11" >&2; \
 	  exit 1; }
@@ -88,7 +88,7 @@ $(INSTALLED): pyproject.toml constraints.txt
 	  echo "the environment could not be made (on Debian: apt install python3.11-venv)" >&2; exit 1; }
 	@echo "installing the packages of constraints.txt, 2-5 minutes the first time; log $(VENV)/install.log"
 	@{ PYTHONUNBUFFERED=1 PIP_DISABLE_PIP_VERSION_CHECK=1 $(BIN)/python -m pip install --progress-bar off \
-	  -c constraints.txt -e '.[dev]' 2>&1; echo "exit $$?"; } | awk ' \
+	  -c constraints.txt -e ./clients/python -e '.[dev]' 2>&1; echo "exit $$?"; } | awk ' \
 	  /^exit [0-9]+$$/ { code = $$2; next } \
 	  { print > "$(VENV)/install.log"; end[NR % 20] = $$0 } \
 	  /^(Collecting|Requirement already satisfied)/ && ++found % 25 == 0 { print "  " found " requirements found"; fflush() } \

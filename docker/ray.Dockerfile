@@ -2,6 +2,7 @@
 FROM python:3.11-slim-bookworm AS requirements
 WORKDIR /src
 COPY pyproject.toml docker/requirements.py ./
+COPY clients/python/pyproject.toml clients/python/
 RUN python requirements.py train > /requirements.txt
 
 FROM python:3.11-slim-bookworm
@@ -14,6 +15,7 @@ RUN pip install --no-cache-dir -c /tmp/constraints.txt -r /tmp/requirements.txt
 
 RUN useradd --uid 1000 --create-home cspace \
  && install -d -o cspace -g cspace /var/lib/cspace
+COPY clients/python/src/cspace_client /app/cspace_client
 COPY cspace /app/cspace
 # The shipped models, which the evaluation compares with.
 COPY inference_api/pretrained /app/inference_api/pretrained

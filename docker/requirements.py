@@ -1,9 +1,23 @@
-"""Print the requirements of extras of pyproject.toml: an image layer that depends on them alone."""
+"""Print the requirements of extras of pyproject.toml: an image layer that depends on them alone.
+
+The project's own client is not asked for by its name, but by what it needs.
+"""
 
 import pathlib
 import sys
 import tomllib
 
-project = tomllib.loads(pathlib.Path("pyproject.toml").read_text(encoding="utf-8"))["project"]
-extras = [package for extra in sys.argv[1:] for package in project["optional-dependencies"][extra]]
-sys.stdout.write("\n".join([*project["dependencies"], *extras, ""]))
+CLIENT = "cspace-client"
+
+
+def project(folder: str) -> dict:
+    """The table ``project`` of a folder's pyproject.toml."""
+    return tomllib.loads(pathlib.Path(folder, "pyproject.toml").read_text(encoding="utf-8"))["project"]
+
+
+main = project(".")
+found = [*main["dependencies"]]
+for extra in sys.argv[1:]:
+    for package in main["optional-dependencies"][extra]:
+        found += project("clients/python")["dependencies"] if package == CLIENT else [package]
+sys.stdout.write("\n".join([*found, ""]))

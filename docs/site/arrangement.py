@@ -37,6 +37,7 @@ ARRANGEMENT: Mapping[str, Sequence[Section]] = {
                 "Upgrade and uninstall: upgrade",
                 "Bring data: data",
                 "Train on more machines: scaling",
+                "client",
                 "own-script",
                 "from-cpp",
                 "from-ros2",

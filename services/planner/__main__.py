@@ -54,8 +54,8 @@ def _problem(command: Command) -> Problem:
 def _plan_whole(command: Command, problem: Problem) -> int:
     settings, asked = command.settings, command.request
     start, goal = (tuple(float(angle) for angle in end) for end in (problem.start, problem.goal))
-    least = asked.query.min_confidence or 0.0
-    query = PlanQuery(start, goal, settings.seed, least, settings.time_limit_s, command.ways)
+    least, limit_s = asked.query.min_confidence, settings.time_limit_s
+    query = PlanQuery(start, goal, settings.seed, least, limit_s, command.ways)
     # The search is a part of the request.
     timeout_s = command.timeout_s + settings.time_limit_s
     with SamplingClient(command.url, timeout_s) as client:

@@ -14,7 +14,7 @@ from services.planner.drawing.plot import check_figure_path
 from services.planner.planning import DEFAULT_SAMPLES, PAPER_SCHEDULE, SampleRequest
 from services.planner.search.ompl_planner import DEFAULT_UNIFORM_SHARE
 from services.planner.settings import LEARNED_PLANNERS, RRT, PlannerSettings, check_uniform_share
-from services.planner.sources.http_client import DEFAULT_TIMEOUT_S
+from services.planner.sources.sampling_client import DEFAULT_TIMEOUT_S
 from services.scene_files import SceneFile, read_scene_file
 
 WORLDS = examples()

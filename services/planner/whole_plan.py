@@ -12,7 +12,7 @@ from cspace.problem import Problem
 from cspace.worlds import checker_of, picture_file_of, workshop_of
 from services.planner.plan_result import PlanResult, Reason
 from services.planner.report import problem_line
-from services.planner.sources.questions.plan_question import FoundPlan
+from services.planner.sources.found_plan import FoundPlan
 from services.planner.sources.sampling_client import SamplingClient
 
 # Ways are judged at a tenth of the distance at which planners look.

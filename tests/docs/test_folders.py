@@ -4,7 +4,7 @@ from collections import Counter
 
 from tests.docs.blocks import ROOT
 
-SOURCE = ("cspace", "training", "services", "inference_api", "benchmarks")
+SOURCE = ("cspace", "clients", "training", "services", "inference_api", "benchmarks")
 
 
 def test_a_folder_has_at_most_fifteen_modules() -> None:

@@ -8,7 +8,9 @@ from tests.docs.links import links
 
 NAMES = [str(path.relative_to(ROOT)) for path in documents()]
 # A name in code that ends in one of these, or in a slash, is a path of the project.
-_PATH = re.compile(r"`((?:cspace|training|services|inference_api|tests|docs|docker|benchmarks)/[\w./-]*)`")
+_PATH = re.compile(
+    r"`((?:cspace|clients|training|services|inference_api|tests|docs|docker|benchmarks)/[\w./-]*)`"
+)
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -7,7 +7,7 @@ import pytest
 
 from tests.docs.blocks import ROOT
 
-_NAME = re.compile(r"`((?:cspace|training|services|inference_api)(?:\.\w+)+)`")
+_NAME = re.compile(r"`((?:cspace|cspace_client|training|services|inference_api)(?:\.\w+)+)`")
 PAGES = sorted((ROOT / "docs").rglob("*.md"))
 
 

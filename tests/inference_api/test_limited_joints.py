@@ -2,6 +2,7 @@
 
 import base64
 import json
+from dataclasses import asdict
 
 import numpy as np
 import pytest
@@ -9,10 +10,10 @@ import pytest
 from cspace.png import encode_png
 from cspace.space import circles
 from cspace.worlds.planar.arm import PlanarArm
+from cspace_client.questions.model_head import read_space
+from cspace_client.questions.npy_body import read_samples
 from inference_api.app import create_app
 from inference_api.settings import ApiSettings
-from services.planner.sources.questions.model_head import read_space
-from services.planner.sources.questions.npy_body import read_samples
 from tests.bundles import picture, write_tiny_bundle
 from tests.inference_api.client import running
 
@@ -45,7 +46,7 @@ def test_answers_tell_the_limits_and_keep_them(api):
 def test_the_client_reads_the_same_from_the_array_and_its_header(api):
     answer = api.post("/sample", json=JSON | api.ends, headers={"accept": NPY})
     space = read_space(answer.headers["x-joint-space"])
-    assert space == ROBOT.space
+    assert asdict(space) == asdict(ROBOT.space)
     samples = read_samples(answer.content, JSON["n"], space)
     np.testing.assert_array_equal(
         samples, np.float32(api.post("/sample", json=JSON | api.ends).json()["samples"])

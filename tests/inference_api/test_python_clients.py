@@ -1,7 +1,7 @@
 """Both Python clients against the app: ``/validity`` and ``/plan``."""
 
 import json
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import Any
 
 import anyio
@@ -61,7 +61,7 @@ def test_a_way_comes_as_the_api_tells_it(api, kind):
     assert np.allclose(found.plan.way[[0, -1]], [START, GOAL], atol=1e-6)
     assert len(found.plan.edges) == len(found.plan.way) - 1
     assert found.plan.least.confidence == pytest.approx(float(found.plan.edges.min()), abs=1e-6)
-    assert found.model.space == WORLD.space
+    assert asdict(found.model.space) == asdict(WORLD.space)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -129,6 +129,13 @@ class Changed(IntoApp):
         ({"path": []}, "no whole way"),
         ({"confidence": 1.5}, "confidence"),
         ({"edges": ["1"]}, "edges"),
+        ({"edges": [True]}, "edges"),
+        ({"edges": None}, "edges"),
+        ({"path": [[float(10**300)], 10**400]}, "plan"),
+        ({"least_sure": {}}, "least_sure"),
+        ({"next_view": {"camera": 1, "sees": 0.5}}, "next_view"),
+        ({"alternatives": [{"path": [], "confidence": 1.0, "edges": []}]}, "no whole way"),
+        ({"alias_confirmed": "yes"}, "alias_confirmed"),
         ({"unseen": [0.5] * 99}, "no whole way"),
         ({"seed": 4}, "another seed"),
         ({"name": "other"}, "another model"),
@@ -142,7 +149,21 @@ def test_an_answer_that_can_not_be_is_no_plan(api, changes, words):
         ask("sync", Changed(api, **changes), "plan", PNG, QUERY, CAREFUL)
 
 
-@pytest.mark.parametrize("content", [b"", b"[]", b"[" * 5000, b'{"status": NaN}', b"\xff"])
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"",
+        b"[]",
+        b"[" * 5000,
+        b'{"status": NaN}',
+        b"\xff",
+        b'{"seed": %s}' % (b"9" * 5000),
+        b'{"seed": 1e999}',
+        b'{"seed": 3, "seed": 3}',
+        b'{"seed": true}',
+        b'{"seed": 3}',
+    ],
+)
 def test_a_body_that_is_no_plan_is_an_error_of_the_tree(content):
     def handle(request: httpx.Request) -> httpx.Response:
         return httpx.Response(200, headers={"Content-Type": "application/json"}, content=content)

@@ -19,6 +19,8 @@ from cspace.errors import PlanningError
 from cspace.problem import Problem
 from cspace.workshop import Checker
 from cspace.worlds import checker_of
+from cspace_client.ompl.feeding import DEFAULT_UNIFORM_SHARE
+from cspace_client.ompl.sample_mixture import GoalOnly, SampleMixture, StateDraws
 from services.planner.plan_result import PlanResult, Reason, SearchTree
 from services.planner.search.cost_record import CostRecord
 from services.planner.search.ompl_search import OmplSearch, copy_tree, set_up
@@ -27,7 +29,6 @@ from services.planner.search.path_check import CHECK_FACTOR
 from services.planner.search.roadmap import Roadmap
 from services.planner.search.sampled_connect import connect
 from services.planner.search.sampled_prm import solve_by_roadmap
-from services.planner.search.samples.sample_mixture import GoalOnly, SampleMixture, StateDraws
 from services.planner.search.stopping import StoppingRule
 from services.planner.search.validity import EdgeValidator, free_test
 from services.planner.settings import (
@@ -42,8 +43,6 @@ from services.planner.settings import (
 )
 
 __all__ = ["DEFAULT_UNIFORM_SHARE", "PlanResult", "PlannerSettings", "Reason", "SearchTree", "solve"]
-
-DEFAULT_UNIFORM_SHARE = 0.3
 
 
 def solve(

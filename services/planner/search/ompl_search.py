@@ -11,11 +11,11 @@ from ompl import util as ou
 
 from cspace.problem import Problem
 from cspace.workshop import Checker
+from cspace_client.ompl.goal_region import DrawnGoal
+from cspace_client.ompl.sample_mixture import SampleMixture, StateDraws
+from cspace_client.ompl.state_space import StateAccess, make_state_space
 from services.planner.plan_result import SearchTree
-from services.planner.search.goal_region import DrawnGoal
 from services.planner.search.path_objective import make_objective
-from services.planner.search.samples.sample_mixture import SampleMixture, StateDraws
-from services.planner.search.state_space import StateAccess, make_state_space
 from services.planner.search.validity import EdgeValidator, StateValidator
 from services.planner.settings import BIT_STAR, OPTIMISING_PLANNERS, PRM, RRT_CONNECT, PlannerSettings
 

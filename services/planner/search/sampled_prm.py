@@ -21,12 +21,12 @@ from ompl import base as ob
 
 from cspace.problem import Problem
 from cspace.workshop import Checker
+from cspace_client.ompl.sample_mixture import StateDraws
+from cspace_client.ompl.state_space import StateAccess
 from services.planner.plan_result import PlanResult, Reason
 from services.planner.search.ompl_search import copy_tree, set_up
 from services.planner.search.outcome import Counts, outcome
 from services.planner.search.roadmap import Roadmap
-from services.planner.search.samples.sample_mixture import StateDraws
-from services.planner.search.state_space import StateAccess
 from services.planner.search.stopping import StoppingRule
 from services.planner.settings import PlannerSettings
 

@@ -7,7 +7,7 @@ import numpy as np
 from ompl import base as ob
 
 from cspace.workshop import Checker
-from services.planner.search.state_space import StateAccess
+from cspace_client.ompl.state_space import StateAccess
 
 
 class EdgeValidator(ob.MotionValidator):  # type: ignore[misc]

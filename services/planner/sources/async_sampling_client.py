@@ -1,34 +1,42 @@
-"""The HTTP client of an inference API for programs with an event loop, asyncio's or trio's."""
+"""The awaited client of an inference API, for asyncio's event loops and trio's, with the project's errors."""
 
-import time
 from collections.abc import Coroutine
-from dataclasses import replace
-from typing import Any, Self, cast
+from typing import Any, Self, Unpack
 
-import anyio
-import anyio.to_thread
 import httpx
 from numpy.typing import ArrayLike
 
-from cspace.errors import SamplerAnswerError, SamplerError, SamplerUnavailableError
+import cspace_client
 from cspace.planning.query import PlanQuery
 from cspace.query import SampleQuery
-from services.planner.sources.http_answer import Failure, IncomingAnswer, lost
-from services.planner.sources.http_client import HttpClient
-from services.planner.sources.http_exchange import LIMITS
-from services.planner.sources.questions.plan_question import FoundPlan
-from services.planner.sources.questions.question import Found, Question
-from services.planner.sources.questions.validity_question import Beliefs
-from services.planner.sources.samples import Answering, Picture, SampleBatch
+from services.planner.sources.client_errors import mapped
+from services.planner.sources.found_plan import FoundPlan, found_plan
+from services.planner.sources.samples import Answering, Picture, SampleBatch, SampleSource
+from services.planner.sources.sampling_client import DEFAULT_TIMEOUT_S, Beliefs, ClientOptions, stand_in
 
 
-class AsyncSamplingClient(HttpClient[httpx.AsyncBaseTransport], Answering[Coroutine[Any, Any, SampleBatch]]):
+class AsyncSamplingClient(Answering[Coroutine[Any, Any, SampleBatch]]):
     """As :class:`services.planner.sources.sampling_client.SamplingClient`, awaited; tasks may share one.
 
     Args:
         url: as there, and so the rest.
+        timeout_s: likewise.
         fallback: answers in a thread while the API stays away.
+        options: likewise.
     """
+
+    def __init__(
+        self,
+        url: str,
+        timeout_s: float = DEFAULT_TIMEOUT_S,
+        *,
+        fallback: SampleSource | None = None,
+        **options: Unpack[ClientOptions[httpx.AsyncBaseTransport]],
+    ) -> None:
+        with mapped():
+            self._client = cspace_client.AsyncSamplingClient(
+                url, timeout_s, fallback=stand_in(fallback), **options
+            )
 
     async def answer(self, picture: Picture, query: SampleQuery, model: str | None = None) -> SampleBatch:
         """See :meth:`services.planner.sources.sampling_client.SamplingClient.answer`.
@@ -38,84 +46,27 @@ class AsyncSamplingClient(HttpClient[httpx.AsyncBaseTransport], Answering[Corout
             SamplerAnswerError: as there.
             SamplerError: as there.
         """
-        began = time.perf_counter()
-        question = self._of_samples(picture, query, model)
-        try:
-            return await self._ask(question, began)
-        except SamplerUnavailableError as error:
-            if self._fallback is None:
-                raise
-            try:
-                batch = await anyio.to_thread.run_sync(self._fallback.answer, picture, question.query, model)
-            except SamplerError as refusal:
-                raise error from refusal
-            return replace(batch, fallback=True, round_trip_s=time.perf_counter() - began)
+        with mapped():
+            return await self._client.answer(picture, query, model)
 
     async def validity(
         self, picture: Picture, configurations: ArrayLike, model: str | None = None
     ) -> Beliefs:
         """See :meth:`services.planner.sources.sampling_client.SamplingClient.validity`."""
-        return await self._ask(self._of_validity(picture, configurations, model), time.perf_counter())
+        with mapped():
+            return await self._client.validity(picture, configurations, model)
 
     async def plan(self, picture: Picture, query: PlanQuery, model: str | None = None) -> FoundPlan:
         """See :meth:`services.planner.sources.sampling_client.SamplingClient.plan`."""
-        return await self._ask(self._of_plan(picture, query, model), time.perf_counter())
+        with mapped():
+            return found_plan(await self._client.plan(picture, query, model))
 
     async def aclose(self) -> None:
         """Close the connections."""
-        self._closed = True
-        await self._transport.aclose()
+        await self._client.aclose()
 
     async def __aenter__(self) -> Self:
         return self
 
     async def __aexit__(self, *_: object) -> None:
         await self.aclose()
-
-    @staticmethod
-    def _network() -> httpx.AsyncBaseTransport:
-        return httpx.AsyncHTTPTransport(trust_env=False, limits=LIMITS)
-
-    async def _ask(self, question: Question[Found], began: float) -> Found:
-        if self._closed:
-            raise RuntimeError("the client is closed")
-        tried = 0
-        while True:
-            found = await self._attempt(question, began)
-            if not isinstance(found, Failure):
-                return found
-            if (untold := self._untold(question, found)) is not None:
-                question = untold
-                continue
-            tried += 1
-            await anyio.sleep(self._pause_s(found, tried, began))
-
-    async def _attempt(self, question: Question[Found], began: float) -> Found | Failure:
-        spent_s = time.perf_counter() - began
-        request = self._endpoint.request(question, spent_s)
-        try:
-            with anyio.fail_after(self._endpoint.policy.deadline_s - spent_s):
-                answer = await self._transport.handle_async_request(request)
-                try:
-                    return await self._read(answer, question, began)
-                except SamplerAnswerError:
-                    await _hang_up(answer)
-                    raise
-                finally:
-                    await answer.aclose()
-        except SamplerAnswerError as error:
-            return Failure(error)
-        except Exception as error:  # noqa: BLE001 - whatever a stranger's bytes bring out of the HTTP library
-            return lost(error, self._endpoint)
-
-    async def _read(self, answer: httpx.Response, question: Question[Found], began: float) -> Found | Failure:
-        incoming = IncomingAnswer(answer, question, began + self._endpoint.policy.deadline_s)
-        async for chunk in cast("httpx.AsyncByteStream", answer.stream):
-            incoming.take(chunk)
-        return incoming.conclude(time.perf_counter() - began)
-
-
-async def _hang_up(answer: httpx.Response) -> None:
-    """As the other client's."""
-    if (stream := answer.extensions.get("network_stream")) is not None:
-        await stream.aclose()

@@ -7,6 +7,7 @@ from cspace.bundle import Bundle
 from cspace.bundle.request import fitted
 from cspace.errors import BundleError, InputError, SamplerError, SamplerUnavailableError
 from cspace.query import MAX_SAMPLES, SampleQuery
+from cspace_client import JointSpace
 from services.planner.sources.samples import Picture, SampleBatch, SampleSource, SourceTiming, for_robot
 
 PRETRAINED = "pretrained"
@@ -58,7 +59,7 @@ class BundleSampler(SampleSource):
             found = self.bundle.answer(prepared, query, tell_confidence=False)
         except (InputError, BundleError) as error:
             raise SamplerError("the local bundle refused the request", got=str(error)) from error
-        total_s = time.perf_counter() - began
+        total_s, space = time.perf_counter() - began, world.space
         return SampleBatch(
             samples=found.samples,
             model_name=self._name,
@@ -72,6 +73,7 @@ class BundleSampler(SampleSource):
             acceptance=found.acceptance,
             robot=self.bundle.robot,
             confidence=found.confidence,
+            space=JointSpace(space.lower, space.upper, space.periodic),
         )
 
 

@@ -1,6 +1,6 @@
-"""A batch of learned samples, and the port to whatever gives one for a picture."""
+"""The port to whatever gives a batch of learned samples for a picture."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Protocol, TypeVar, Unpack
 
 import numpy as np
@@ -8,69 +8,14 @@ from numpy.typing import NDArray
 
 from cspace.errors import InputError, SamplerError
 from cspace.query import QueryOptions, SampleQuery, drawn_seed
+from cspace_client import SampleBatch, SourceTiming
+
+__all__ = ["Answering", "Picture", "PinnedSource", "SampleBatch", "SampleSource", "SourceTiming", "for_robot"]
 
 Picture = bytes | NDArray[np.uint8]
 """A scenario's picture: a PNG file, or uint8 (P, P, 3)."""
 
 Answer_co = TypeVar("Answer_co", covariant=True)
-
-
-@dataclass(frozen=True, slots=True)
-class SourceTiming:
-    """Where a source's own time went, in s; what a round trip takes beyond the total is transport.
-
-    Args:
-        decode_s: reading the picture; 0 for one that was known.
-        encode_s: the picture's latent; 0 for one that was known.
-        generate_s: drawing, and scoring where that is asked for.
-        total_s: all of it, what the other three leave out among it.
-    """
-
-    decode_s: float
-    encode_s: float
-    generate_s: float
-    total_s: float
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class SampleBatch:
-    """Learned samples for one picture, with the model they come from.
-
-    Args:
-        samples: (n, d) float32 rad, circles in [-pi, pi), other joints within the limits that are told.
-        model_name: of the model that answered; ``pretrained`` for the one that ships with the server.
-        model_version: its number in the registry.
-        digest: of its bundle.
-        seed: that was used, whether asked for or drawn.
-        shortfall: how many fewer samples came than were asked for.
-        round_trip_s: from the request to the checked answer, further attempts included.
-        novelty: how unlike the model's training scenarios the picture is, 0 to 1; None where it is not told.
-        fallback: whether another source answered because the server stayed away.
-        timing: where the source's own time went; None where it is not told.
-        acceptance: share of what was drawn that reached the confidence asked for; None where it is not told.
-        robot: whose configurations they are, as :func:`cspace.worlds.robot_digest` names it; None where it is
-            not told.
-        alias_confirmed: whether the server is sure of what the model's alias stands for; None where it is not
-            told.
-        confidence: (n,) float32, what the model's validity head scores each sample, 0 to 1; None for a model
-            without one, for samples that were not filtered by it, and over HTTP, whose ``.npy`` has no room
-            for it.
-    """
-
-    samples: NDArray[np.float32]
-    model_name: str
-    model_version: int
-    digest: str
-    seed: int
-    shortfall: int
-    round_trip_s: float
-    fallback: bool = False
-    novelty: float | None = None
-    timing: SourceTiming | None = None
-    acceptance: float | None = None
-    robot: str | None = None
-    alias_confirmed: bool | None = None
-    confidence: NDArray[np.float32] | None = None
 
 
 class Answering(Protocol[Answer_co]):

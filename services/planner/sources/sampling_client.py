@@ -1,52 +1,77 @@
-"""The HTTP client of an inference API: ``POST /sample``, ``/validity`` and ``/plan``."""
+"""The client of an inference API as a source of samples: ``cspace_client``'s, behind the project's port."""
 
-import time
-from dataclasses import replace
-from typing import Self, cast
+from typing import Generic, Self, TypedDict, TypeVar, Unpack
 
 import httpx
 from numpy.typing import ArrayLike
 
-from cspace.errors import SamplerAnswerError, SamplerError, SamplerUnavailableError
+import cspace_client
 from cspace.planning.query import PlanQuery
 from cspace.query import SampleQuery
-from services.planner.sources.deadline_transport import DeadlineTransport, deadline
-from services.planner.sources.http_answer import Failure, IncomingAnswer, lost
-from services.planner.sources.http_client import HttpClient
-from services.planner.sources.http_exchange import LIMITS
-from services.planner.sources.questions.plan_question import FoundPlan
-from services.planner.sources.questions.question import Found, Question
-from services.planner.sources.questions.validity_question import Beliefs
-from services.planner.sources.retries import RetryPolicy
+from cspace_client import DEFAULT_TIMEOUT_S, Beliefs, RetryPolicy
+from services.planner.sources.client_errors import mapped
+from services.planner.sources.client_source import ClientSource
+from services.planner.sources.found_plan import FoundPlan, found_plan
 from services.planner.sources.samples import Picture, SampleBatch, SampleSource
 
-__all__ = ["RetryPolicy", "SampleBatch", "SamplingClient"]
+__all__ = [
+    "DEFAULT_TIMEOUT_S",
+    "Beliefs",
+    "ClientOptions",
+    "FoundPlan",
+    "RetryPolicy",
+    "SampleBatch",
+    "SamplingClient",
+    "stand_in",
+]
+
+Transport = TypeVar("Transport", httpx.BaseTransport, httpx.AsyncBaseTransport)
 
 
-class SamplingClient(HttpClient[httpx.BaseTransport], SampleSource):
+class ClientOptions(TypedDict, Generic[Transport], total=False):
+    """What a client may be given beside the address, as :class:`cspace_client.SamplingClient` has it.
+
+    Its ``robot`` is what :func:`cspace.worlds.robot_digest` names.
+    """
+
+    connect_timeout_s: float | None
+    policy: RetryPolicy
+    api_key: str | None
+    transport: Transport | None
+    robot: str | None
+
+
+class SamplingClient(SampleSource):
     """Asks an inference API for samples, beliefs and ways over one kept connection.
 
-    Use it as a context manager, or close it. A request costs about 1 ms beside the server's work; never send
-    one from a planner's callback, which would stop the search (and the interpreter) for as long. A lost
-    connection, 503 and 429 are tried again; the seed, drawn here when none is given, makes that the same
-    request.
-
     Args:
-        url: of the API, for example ``http://127.0.0.1:8000``.
-        timeout_s: for each read and write.
-        connect_timeout_s: for connecting; ``timeout_s`` when None.
-        policy: when a request is sent again; its deadline holds for connecting, sending and reading in all
-            attempts together, whatever the time limits of their parts.
-        api_key: sent as ``Authorization: Bearer``; None sends none.
+        url: as :class:`cspace_client.SamplingClient` has it, and so the rest.
+        timeout_s: likewise.
         fallback: answers while the API stays away or its answers can not be used, with the same seed; the
             batch says so. The deadline does not hold for it.
-        transport: of httpx; None for the network, where alone the deadline holds for every byte.
-        robot: that is planned for, as :func:`cspace.worlds.robot_digest` names it, where a query names none:
-            samples of another one are refused. None takes those of any.
+        options: likewise.
 
     Raises:
         ConfigError: the address, a time limit, the key or the robot can not be.
     """
+
+    def __init__(
+        self,
+        url: str,
+        timeout_s: float = DEFAULT_TIMEOUT_S,
+        *,
+        fallback: SampleSource | None = None,
+        **options: Unpack[ClientOptions[httpx.BaseTransport]],
+    ) -> None:
+        with mapped():
+            self._client = cspace_client.SamplingClient(
+                url, timeout_s, fallback=stand_in(fallback), **options
+            )
+
+    @property
+    def url(self) -> str:
+        """Of the API, without a slash at its end."""
+        return self._client.url
 
     def answer(self, picture: Picture, query: SampleQuery, model: str | None = None) -> SampleBatch:
         """See :class:`services.planner.sources.samples.SampleSource`.
@@ -57,18 +82,8 @@ class SamplingClient(HttpClient[httpx.BaseTransport], SampleSource):
             SamplerAnswerError: likewise, for an answer that can not be used.
             SamplerError: the request was refused (4xx).
         """
-        began = time.perf_counter()
-        question = self._of_samples(picture, query, model)
-        try:
-            return self._ask(question, began)
-        except SamplerUnavailableError as error:
-            if self._fallback is None:
-                raise
-            try:
-                batch = self._fallback.answer(picture, question.query, model)
-            except SamplerError as refusal:
-                raise error from refusal
-            return replace(batch, fallback=True, round_trip_s=time.perf_counter() - began)
+        with mapped():
+            return self._client.answer(picture, query, model)
 
     def validity(self, picture: Picture, configurations: ArrayLike, model: str | None = None) -> Beliefs:
         """How sure a model is that configurations are free; no fallback answers.
@@ -83,7 +98,8 @@ class SamplingClient(HttpClient[httpx.BaseTransport], SampleSource):
             SamplerAnswerError: likewise.
             SamplerError: likewise, or the configurations can not be asked about.
         """
-        return self._ask(self._of_validity(picture, configurations, model), time.perf_counter())
+        with mapped():
+            return self._client.validity(picture, configurations, model)
 
     def plan(self, picture: Picture, query: PlanQuery, model: str | None = None) -> FoundPlan:
         """A way from start to goal in what a model believes of a picture; no fallback answers.
@@ -100,12 +116,12 @@ class SamplingClient(HttpClient[httpx.BaseTransport], SampleSource):
             SamplerAnswerError: likewise, for a way that does not lead from start to goal, for example.
             SamplerError: likewise.
         """
-        return self._ask(self._of_plan(picture, query, model), time.perf_counter())
+        with mapped():
+            return found_plan(self._client.plan(picture, query, model))
 
     def close(self) -> None:
         """Close the connection."""
-        self._closed = True
-        self._transport.close()
+        self._client.close()
 
     def __enter__(self) -> Self:
         return self
@@ -113,53 +129,7 @@ class SamplingClient(HttpClient[httpx.BaseTransport], SampleSource):
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    @staticmethod
-    def _network() -> httpx.BaseTransport:
-        return DeadlineTransport(LIMITS)
 
-    def _ask(self, question: Question[Found], began: float) -> Found:
-        if self._closed:
-            raise RuntimeError("the client is closed")
-        tried = 0
-        while True:
-            found = self._attempt(question, began)
-            if not isinstance(found, Failure):
-                return found
-            if (untold := self._untold(question, found)) is not None:
-                question = untold
-                continue
-            tried += 1
-            time.sleep(self._pause_s(found, tried, began))
-
-    def _attempt(self, question: Question[Found], began: float) -> Found | Failure:
-        request = self._endpoint.request(question, time.perf_counter() - began)
-        until = began + self._endpoint.policy.deadline_s
-        try:
-            with deadline(until):
-                answer = self._transport.handle_request(request)
-                try:
-                    return self._read(answer, question, began, until)
-                except SamplerAnswerError:
-                    _hang_up(answer)
-                    raise
-                finally:
-                    answer.close()
-        except SamplerAnswerError as error:
-            return Failure(error)
-        except Exception as error:  # noqa: BLE001 - whatever a stranger's bytes bring out of the HTTP library
-            return lost(error, self._endpoint)
-
-    @staticmethod
-    def _read(
-        answer: httpx.Response, question: Question[Found], began: float, until: float
-    ) -> Found | Failure:
-        incoming = IncomingAnswer(answer, question, until)
-        for chunk in cast("httpx.SyncByteStream", answer.stream):
-            incoming.take(chunk)
-        return incoming.conclude(time.perf_counter() - began)
-
-
-def _hang_up(answer: httpx.Response) -> None:
-    """Close the connection: an answer that was read whole would leave it to be used again."""
-    if (stream := answer.extensions.get("network_stream")) is not None:
-        stream.close()
+def stand_in(source: SampleSource | None) -> ClientSource | None:
+    """A source as the client's fallback."""
+    return None if source is None else ClientSource(source)

@@ -16,9 +16,8 @@ from anyio.from_thread import start_blocking_portal
 
 from cspace.errors import SamplerError
 from services.planner.sources.async_sampling_client import AsyncSamplingClient
-from services.planner.sources.retries import RetryPolicy
 from services.planner.sources.samples import SampleBatch
-from services.planner.sources.sampling_client import SamplingClient
+from services.planner.sources.sampling_client import RetryPolicy, SamplingClient
 from tests.services.planner.hostile_server import GOOD_BODY, GOOD_HEADERS, SEED, N, hostile_server
 
 PNG = b"\x89PNG picture"

@@ -12,12 +12,11 @@ from anyio.from_thread import start_blocking_portal
 
 from cspace.errors import ConfigError, SamplerError, SamplerUnavailableError
 from cspace.png import encode_png
-from services.planner.sources import async_sampling_client, sampling_client
+from cspace_client import async_sampling_client, sampling_client
 from services.planner.sources.async_sampling_client import AsyncSamplingClient
 from services.planner.sources.local_sampler import LocalSampler
-from services.planner.sources.retries import RetryPolicy
 from services.planner.sources.samples import SampleBatch
-from services.planner.sources.sampling_client import SamplingClient
+from services.planner.sources.sampling_client import RetryPolicy, SamplingClient
 from tests.bundles import picture, write_tiny_bundle
 from tests.fakes.sample_server import npy, read_form, sample_server
 from tests.fakes.sample_source import DIGEST, FakeSampleSource
@@ -230,14 +229,15 @@ def test_small_packets_are_not_held_back_on_the_real_socket(
 ) -> None:
     seen: list[int] = []
     with SamplingClient(server_url) as client:
-        send = client._transport.handle_request
+        transport = client._client._transport
+        send = transport.handle_request
 
         def look(request: httpx.Request) -> httpx.Response:
             answer = send(request)
             seen.append(_no_delay(answer))
             return answer
 
-        monkeypatch.setattr(client._transport, "handle_request", look)
+        monkeypatch.setattr(transport, "handle_request", look)
         client.sample(PNG, 2)
     assert [bool(value) for value in seen] == [True]
 
@@ -247,14 +247,15 @@ def test_small_packets_are_not_held_back_on_the_real_socket_of_the_awaited_clien
 ) -> None:
     seen: list[int] = []
     client = AsyncSamplingClient(server_url)
-    send = client._transport.handle_async_request
+    transport = client._client._transport
+    send = transport.handle_async_request
 
     async def look(request: httpx.Request) -> httpx.Response:
         answer = await send(request)
         seen.append(_no_delay(answer))
         return answer
 
-    monkeypatch.setattr(client._transport, "handle_async_request", look)
+    monkeypatch.setattr(transport, "handle_async_request", look)
     with start_blocking_portal() as portal, portal.wrap_async_context_manager(client):
         portal.call(client.sample, PNG, 2)
     assert [bool(value) for value in seen] == [True]

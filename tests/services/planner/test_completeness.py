@@ -11,8 +11,7 @@ from cspace.worlds.planar.planning.problems import Family, draw_problem
 from services.planner.planning import plan_with_api
 from services.planner.search.ompl_planner import PlannerSettings, solve
 from services.planner.settings import LEARNED_PLANNERS, RRT
-from services.planner.sources.retries import RetryPolicy
-from services.planner.sources.sampling_client import SamplingClient
+from services.planner.sources.sampling_client import RetryPolicy, SamplingClient
 
 GARBAGE = 300
 BUDGET = 20_000

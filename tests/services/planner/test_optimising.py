@@ -10,11 +10,11 @@ from ompl import base as ob
 from cspace.splits import Split
 from cspace.worlds.planar.arm import THREE_LINK, PlanarArm
 from cspace.worlds.planar.planning.problems import Family, draw_problem
+from cspace_client.ompl.state_space import StateAccess, make_state_space
 from services.planner.plan_result import CostPoint
 from services.planner.search.cost_record import CostRecord
 from services.planner.search.ompl_planner import PlannerSettings, solve
 from services.planner.search.path_objective import TorusLengthByGoal, make_objective
-from services.planner.search.state_space import StateAccess, make_state_space
 from services.planner.search.stopping import StoppingRule
 from services.planner.settings import (
     BIT_STAR,

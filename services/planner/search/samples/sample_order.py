@@ -4,17 +4,13 @@ Samplers give a cloud. Its chains of short hops from start to goal tell how far 
 tree that takes the samples from the start on can reach nearly each one from the one before.
 """
 
-from collections.abc import Callable, Iterable, Iterator
-from typing import TypeVar
-
 import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from cspace.space import JointSpace
 from cspace.workshop import Checker
-
-Sample = TypeVar("Sample")
+from cspace_client.ompl.sample_mixture import free_first
 
 SWEEP = 24
 # Of a hop's length: many short hops cost less than one long one, so that chains stay within the cloud.
@@ -61,24 +57,6 @@ def colliding_last(samples: ArrayLike, checker: Checker) -> NDArray[np.intp]:
     rows = checker.space.wrap(np.asarray(samples, dtype=np.float64))
     free = checker.valid_batch(rows).tolist()
     return np.fromiter(free_first(range(len(free)), free.__getitem__), dtype=np.intp)
-
-
-def free_first(samples: Iterable[Sample], is_free: Callable[[Sample], bool]) -> Iterator[Sample]:
-    """Samples with those that collide after all others, each looked at as its turn comes.
-
-    They may still lead towards a passage, so none is dropped.
-
-    Args:
-        samples: in the order that is kept else.
-        is_free: tells whether one does not collide.
-    """
-    put_off = []
-    for sample in samples:
-        if is_free(sample):
-            yield sample
-        else:
-            put_off.append(sample)
-    yield from put_off
 
 
 @njit(cache=True, nogil=True)

@@ -54,8 +54,8 @@ def test_without_samples_the_planner_is_ompl_s_own_rrt(blocked):
     from ompl import geometric as og
     from ompl import util as ou
 
+    from cspace_client.ompl.state_space import StateAccess, make_state_space
     from services.planner.search.ompl_search import _ompl_seed
-    from services.planner.search.state_space import StateAccess, make_state_space
 
     ours = solve(blocked, SETTINGS)
     ou.setLogLevel(ou.LOG_NONE)

@@ -1,0 +1,81 @@
+"""What goes wrong, in one tree.
+
+ClientError
+├── ConfigError (also a ValueError)     an address, a time limit, a key or a share that cannot be
+├── SamplerError                        the server refused a request, or it cannot be sent
+│   ├── SamplerModelError               the server has no such model
+│   └── SamplerUnavailableError         the server does not answer
+│       └── SamplerAnswerError          its answer cannot be used
+├── LocalError                          nothing here draws from a bundle
+└── PlanningError                       a planner was asked for something impossible
+"""
+
+
+class ClientError(Exception):
+    """Base of every error of the package.
+
+    Args:
+        what: what is wrong, in one clause.
+        expected: what would have been right.
+        got: what came instead.
+        remedy: what the reader can do.
+    """
+
+    def __init__(
+        self,
+        what: str,
+        *,
+        expected: str | None = None,
+        got: str | None = None,
+        remedy: str | None = None,
+    ) -> None:
+        told = [what]
+        if expected is not None:
+            told.append(f"expected {expected}")
+        if got is not None:
+            told.append(f"got {got}")
+        if remedy is not None:
+            told.append(remedy)
+        super().__init__("; ".join(told))
+        self.what, self.expected, self.got, self.remedy = what, expected, got, remedy
+
+    @property
+    def details(self) -> dict[str, str | None]:
+        """All but what is wrong."""
+        return {"expected": self.expected, "got": self.got, "remedy": self.remedy}
+
+    def __reduce__(self) -> tuple[object, ...]:
+        # Pickle would replay the joined message alone.
+        return (_rebuild, (type(self), self.what, self.details))
+
+
+def _rebuild(kind: type[ClientError], what: str, details: dict[str, str | None]) -> ClientError:
+    return kind(what, **details)
+
+
+class ConfigError(ClientError, ValueError):
+    """A client, or a share of samples, that cannot be."""
+
+
+class SamplerError(ClientError):
+    """The server refused a request, or the request cannot be sent."""
+
+
+class SamplerModelError(SamplerError):
+    """The server has no such model."""
+
+
+class SamplerUnavailableError(SamplerError):
+    """The server does not answer."""
+
+
+class SamplerAnswerError(SamplerUnavailableError):
+    """The server's answer cannot be used: as good as none."""
+
+
+class LocalError(ClientError):
+    """Nothing that is installed here draws from a bundle, or the bundle cannot be used."""
+
+
+class PlanningError(ClientError):
+    """A planner was asked for something impossible."""

@@ -1,0 +1,95 @@
+"""The joint space that an answer tells: which joints are circles, and the others' limits."""
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+MAX_LIMIT_RAD = 1000.0
+"""Of a joint, either way; further out single precision tells neighbours no longer apart."""
+
+_TURN = 2.0 * np.pi
+
+
+class Joints(Protocol):
+    """What a planner's draws need of a joint space, whoever made it."""
+
+    @property
+    def dim(self) -> int:
+        """d, number of joints."""
+
+    @property
+    def lower(self) -> tuple[float, ...]:
+        """Lower end of each joint, rad."""
+
+    @property
+    def upper(self) -> tuple[float, ...]:
+        """Upper end of each joint, rad."""
+
+    @property
+    def periodic(self) -> tuple[bool, ...]:
+        """Whether each joint is a circle."""
+
+    def wrap(self, configurations: ArrayLike) -> NDArray[np.float64]:
+        """Periodic joints brought into [-pi, pi), the others as they are; (..., d) rad."""
+
+    def sample_uniform(self, rng: np.random.Generator, count: int) -> NDArray[np.float64]:
+        """``count`` uniform configurations, (count, d) rad."""
+
+
+@dataclass(frozen=True, slots=True)
+class JointSpace:
+    """Circles for periodic joints, intervals for the others.
+
+    Args:
+        lower: lower end of each joint, rad; -pi where periodic.
+        upper: upper end of each joint, rad; pi where periodic.
+        periodic: whether the joint is a circle.
+    """
+
+    lower: tuple[float, ...]
+    upper: tuple[float, ...]
+    periodic: tuple[bool, ...]
+
+    @property
+    def dim(self) -> int:
+        """Number of joints."""
+        return len(self.lower)
+
+    def sample_uniform(self, rng: np.random.Generator, count: int) -> NDArray[np.float64]:
+        """``count`` uniform configurations, (count, d) rad."""
+        return rng.uniform(self.lower, self.upper, size=(count, self.dim))
+
+    def wrap(self, configurations: ArrayLike) -> NDArray[np.float64]:
+        """Periodic joints brought into [-pi, pi), the others as they are; (..., d) rad."""
+        values = np.asarray(configurations, dtype=np.float64)
+        wrapped = np.mod(values + np.pi, _TURN) - np.pi
+        # The modulo of a tiny negative number rounds up to the full period.
+        return np.where(self.periodic, np.where(wrapped >= np.pi, -np.pi, wrapped), values)
+
+    def distance(self, start: ArrayLike, end: ArrayLike) -> NDArray[np.float64]:
+        """Euclidean length of the straight way, round the shorter side of each circle; (...,) rad."""
+        apart = np.asarray(end, dtype=np.float64) - np.asarray(start, dtype=np.float64)
+        return np.asarray(np.linalg.norm(self.wrap(apart), axis=-1))
+
+    def contains(self, configurations: ArrayLike) -> NDArray[np.bool_]:
+        """Whether each of (..., d) lies within the limits of the joints that have some."""
+        values = np.asarray(configurations, dtype=np.float64)
+        inside = (values >= self.lower) & (values <= self.upper)
+        return np.asarray(np.all(inside | np.asarray(self.periodic), axis=-1))
+
+    def holds(self, configurations: NDArray[np.floating[Any]]) -> NDArray[np.bool_]:
+        """Which values of (..., d) lie in their joint's range, circles in [-pi, pi).
+
+        Limits are compared in the precision of the values, for they may have been rounded to it.
+        """
+        low, high = (np.asarray(ends, dtype=configurations.dtype) for ends in (self.lower, self.upper))
+        limited = (configurations >= low) & (configurations <= high)
+        exact = configurations.astype(np.float64)
+        return np.where(self.periodic, (exact >= -np.pi) & (exact < np.pi), limited)
+
+
+def circles(dim: int) -> JointSpace:
+    """``dim`` joints without limits."""
+    return JointSpace((-np.pi,) * dim, (np.pi,) * dim, (True,) * dim)

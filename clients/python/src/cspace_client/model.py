@@ -1,0 +1,28 @@
+"""The model behind an answer."""
+
+from dataclasses import dataclass
+
+from cspace_client.joint_space import JointSpace
+
+
+@dataclass(frozen=True, slots=True)
+class ModelHead:
+    """The model that answered, and what it holds of the picture.
+
+    Args:
+        model_name: as :class:`cspace_client.samples.SampleBatch` has it, and so the rest.
+        model_version: likewise.
+        digest: likewise.
+        novelty: likewise.
+        space: of its robot; None where it is not told.
+        robot: likewise.
+        alias_confirmed: likewise.
+    """
+
+    model_name: str
+    model_version: int
+    digest: str
+    novelty: float | None = None
+    space: JointSpace | None = None
+    robot: str | None = None
+    alias_confirmed: bool | None = None

@@ -1,0 +1,119 @@
+"""A scene's picture, as it is sent: a file, pixels, or what depth cameras saw."""
+
+import json
+import struct
+import zlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cspace_client.errors import SamplerError
+
+File = tuple[str, bytes, str]
+"""Name, content and media type."""
+
+_PNG = "image/png"
+_GREY, _COLOUR = 0, 2
+_MAX_PICTURES = 4
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DepthPictures:
+    """One scene as one to four depth cameras saw it, nothing having moved between.
+
+    Args:
+        pictures: uint16 (h, w), mm along the optical axis and 0 without a reading; or files of such pictures.
+        cameras: ``fx``, ``fy``, ``cx``, ``cy`` and ``pose`` of each, as the API has them.
+        state: (d,) rad, where the robot was; None where it is in no picture.
+
+    Raises:
+        SamplerError: there are more or fewer cameras than pictures, or more than four.
+    """
+
+    pictures: Sequence[bytes | NDArray[np.uint16]]
+    cameras: Sequence[Mapping[str, Any]]
+    state: ArrayLike | None = None
+
+    def __post_init__(self) -> None:
+        if not 1 <= len(self.pictures) <= _MAX_PICTURES or len(self.pictures) != len(self.cameras):
+            raise SamplerError(
+                "the depth pictures do not fit",
+                expected=f"1 to {_MAX_PICTURES} pictures and a camera each, in the same order",
+                got=f"{len(self.pictures)} pictures, {len(self.cameras)} cameras",
+            )
+
+
+Picture = bytes | NDArray[np.uint8] | DepthPictures
+"""A picture's file, uint8 (P, P, 3), or what depth cameras saw."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shown:
+    """A picture as a form holds it.
+
+    Args:
+        files: of the field ``image``, one or more.
+        fields: cameras and the robot's state, where it has any.
+    """
+
+    files: tuple[File, ...]
+    fields: Mapping[str, Any]
+
+
+def shown(picture: Picture) -> Shown:
+    """A picture as it is sent.
+
+    Raises:
+        SamplerError: it is none that can be.
+    """
+    parts = picture.pictures if isinstance(picture, DepthPictures) else [picture]
+    encoded = (part if isinstance(part, bytes) else encode_png(part) for part in parts)
+    files = tuple(("scenario.png", part, _PNG) for part in encoded)
+    return Shown(files, _fields(picture) if isinstance(picture, DepthPictures) else {})
+
+
+def _fields(picture: DepthPictures) -> dict[str, Any]:
+    try:
+        fields: dict[str, Any] = {"camera": [_text(dict(camera)) for camera in picture.cameras]}
+        if picture.state is not None:
+            fields["state"] = _text(picture.state)
+    except (TypeError, ValueError) as error:
+        raise SamplerError(
+            "the cameras are no plain values", expected="numbers, lists and arrays", got=str(error)[:200]
+        ) from error
+    return fields
+
+
+def encode_png(image: NDArray[Any]) -> bytes:
+    """Pixels as a PNG file: uint8 (H, W, 3) in colour, uint16 (H, W) in grey.
+
+    Raises:
+        SamplerError: they are neither.
+    """
+    pixels = np.asarray(image)
+    colour = pixels.dtype.type is np.uint8 and pixels.ndim == 3 and pixels.shape[2] == 3
+    grey = pixels.dtype.type is np.uint16 and pixels.ndim == 2
+    if not (colour or grey) or pixels.size == 0:
+        raise SamplerError(
+            "the picture can not be sent",
+            expected="a file, uint8 (P, P, 3), or uint16 (h, w) of a depth camera",
+            got=f"{pixels.dtype} {pixels.shape}"[:200],
+        )
+    height, width = pixels.shape[:2]
+    rows = pixels.reshape(height, -1).astype(">u2" if grey else np.uint8).view(np.uint8)
+    # Every row begins with the number of its filter: none.
+    data = np.pad(rows, ((0, 0), (1, 0))).tobytes()
+    header = struct.pack(">IIBBBBB", width, height, 16 if grey else 8, _GREY if grey else _COLOUR, 0, 0, 0)
+    parts = ((b"IHDR", header), (b"IDAT", zlib.compress(data, 1)), (b"IEND", b""))
+    return b"\x89PNG\r\n\x1a\n" + b"".join(_chunk(kind, part) for kind, part in parts)
+
+
+def _chunk(kind: bytes, data: bytes) -> bytes:
+    return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+
+def _text(value: object) -> str:
+    return json.dumps(value, default=lambda array: np.asarray(array, dtype=np.float64).tolist())

@@ -1,0 +1,195 @@
+"""Samples for set-ups that this project did not make."""
+
+import math
+
+import numpy as np
+import pytest
+from ompl import base as ob
+from ompl import geometric as og
+from ompl import util as ou
+
+from cspace_client.errors import ConfigError, PlanningError
+from cspace_client.ompl.feeding import feed_samples
+from cspace_client.ompl.state_space import read_configuration, read_joint_space
+
+
+def circle():
+    return ob.SO2StateSpace()
+
+
+def box(dim, low=-2.0, high=2.0):
+    space = ob.RealVectorStateSpace(dim)
+    space.setBounds(low, high)
+    return space
+
+
+def product(*parts):
+    space = ob.CompoundStateSpace()
+    for part in parts:
+        space.addSubspace(part, 1.0)
+    return space
+
+
+SPACES = {
+    "circle": circle,
+    "box": lambda: box(2),
+    "torus": lambda: product(circle(), circle()),
+    "mixed": lambda: product(box(2), circle()),
+}
+
+
+def make_setup(space, planner=og.RRT, free=lambda values: True, threshold=None, ends=(-1.0, 1.0)):
+    """From all joints at one value to all joints at another one."""
+    ou.setLogLevel(ou.LOG_NONE)
+    setup = og.SimpleSetup(space)
+    states, information = setup.getStateSpace(), setup.getSpaceInformation()
+    setup.setStateValidityChecker(lambda state: free(read_configuration(states, state)))
+    information.setup()
+    start, goal = information.allocState(), information.allocState()
+    for state, end in ((start, ends[0]), (goal, ends[1])):
+        states.copyFromReals(state, [end] * states.getDimension())
+    setup.setStartAndGoalStates(start, goal, *(() if threshold is None else (threshold,)))
+    if planner is not None:
+        setup.setPlanner(planner(information))
+    return setup
+
+
+def rows_of(setup, states):
+    return np.array([read_configuration(setup.getStateSpace(), state) for state in states])
+
+
+def tree_of(setup):
+    data = ob.PlannerData(setup.getSpaceInformation())
+    setup.getPlannerData(data)
+    return rows_of(setup, [data.getVertex(index).getState() for index in range(data.numVertices())])
+
+
+def counted(count):
+    """Ends a search after so many iterations."""
+    left = iter(range(count))
+    return ob.PlannerTerminationCondition(lambda: next(left, None) is None)
+
+
+def test_the_planner_draws_these_samples_and_no_others():
+    setup = make_setup(SPACES["mixed"](), free=lambda values: values[0] < 0.5)  # the goal is not free
+    setup.getPlanner().setGoalBias(0.0)
+    setup.getPlanner().setRange(10.0)
+    samples = np.random.default_rng(0).uniform(0.0, 0.4, (60, 3)) - [1.0, 0.0, -2.0]
+    with feed_samples(setup, samples, uniform_share=0.0) as draws:
+        setup.getPlanner().setProblemDefinition(setup.getProblemDefinition())
+        setup.getPlanner().setup()
+        setup.getPlanner().solve(counted(50))
+    assert (draws.learned_drawn, draws.uniform_drawn, draws.goal_drawn) == (50, 0, 0)
+    tree = {tuple(row) for row in tree_of(setup).round(9)}
+    assert tree == {(-1.0, -1.0, -1.0), *map(tuple, samples[:50].round(9))}
+
+
+@pytest.mark.parametrize("planner", [og.RRT, og.RRTstar])
+@pytest.mark.parametrize("kind", list(SPACES))
+def test_a_path_leads_to_the_real_goal(kind, planner):
+    setup = make_setup(SPACES[kind](), planner)
+    space = read_joint_space(setup.getStateSpace())
+    samples = space.sample_uniform(np.random.default_rng(1), 200)
+    with feed_samples(setup, samples, uniform_share=0.0) as draws:
+        setup.solve(0.2)
+    assert setup.haveExactSolutionPath()
+    assert draws.goal_drawn > 0
+    path = rows_of(setup, setup.getSolutionPath().getStates())
+    np.testing.assert_allclose(path[[0, -1]], [[-1.0] * space.dim, [1.0] * space.dim])
+
+
+def wall(values):
+    """Two joints; the first one passes zero only where the second is near one."""
+    return abs(values[0]) > 0.3 or abs(values[1] - 1.5) < 0.3
+
+
+def test_a_path_that_is_simplified_afterwards_still_ends_at_the_goal():
+    for seed in range(5):
+        setup = make_setup(SPACES["torus"](), free=wall)
+        samples = np.random.default_rng(seed).uniform(-1.5, 1.5, (2000, 2))
+        with feed_samples(setup, samples, seed=seed) as draws:
+            setup.solve(5.0)
+        drawn = draws.learned_drawn
+        assert setup.haveExactSolutionPath()
+        setup.simplifySolution()
+        path = rows_of(setup, setup.getSolutionPath().getStates())
+        np.testing.assert_allclose(path[-1], [1.0, 1.0])
+        assert draws.learned_drawn == drawn
+
+
+def test_the_set_up_is_what_it_was_whatever_ends_the_block():
+    setup = make_setup(SPACES["torus"]())
+    setup.getPlanner().setGoalBias(0.2)
+    goal = setup.getGoal()
+    block = feed_samples(setup, np.zeros((1, 2)))
+    block.__enter__()
+    assert setup.getGoal() is not goal
+    assert setup.getPlanner().getGoalBias() == 1.0
+    assert not block.__exit__(KeyError, KeyError("of the block"), None)
+    assert setup.getGoal() is goal
+    assert setup.getPlanner().getGoalBias() == 0.2
+
+
+def test_the_goals_threshold_holds_in_the_metric_of_the_state_space():
+    # 0.8 in each of four joints: 1.6 in OMPL's metric of a box, 3.2 in the sum over the joints.
+    setup = make_setup(box(4), threshold=1.7)
+    setup.getPlanner().setGoalBias(0.0)
+    setup.getPlanner().setRange(10.0)
+    with feed_samples(setup, np.full((1, 4), 0.2), uniform_share=0.0) as draws:
+        setup.solve(5.0)
+    assert setup.haveExactSolutionPath()
+    assert (draws.learned_drawn, draws.uniform_drawn) == (1, 0)
+
+
+def test_samples_may_be_any_rows_at_any_turn():
+    setup = make_setup(circle())
+    setup.getPlanner().setGoalBias(0.0)
+    with feed_samples(setup, ([value] for value in (0.5, 0.5 + math.tau)), uniform_share=0.0) as draws:
+        np.testing.assert_allclose([draws.draw(), draws.draw()], [[0.5], [0.5]])
+
+
+def test_without_samples_all_states_are_uniform():
+    setup = make_setup(SPACES["torus"](), free=wall)
+    with feed_samples(setup, []) as draws:
+        setup.solve(5.0)
+    assert draws.learned_drawn == 0
+    assert draws.uniform_drawn > 0
+    assert setup.haveExactSolutionPath()
+
+
+@pytest.mark.parametrize("planner", [None, og.RRTConnect, og.InformedRRTstar, og.PRM])
+def test_other_planners_are_refused(planner):
+    setup = make_setup(SPACES["torus"](), planner)
+    with pytest.raises(PlanningError, match="RRT or RRTstar"), feed_samples(setup, np.zeros((1, 2))):
+        pass
+
+
+@pytest.mark.parametrize(
+    ("samples", "words"),
+    [
+        (np.zeros((3, 3)), "do not fit"),
+        ([0.0, 0.0], "do not fit"),
+        ([[math.nan, 0.0]], "do not fit"),
+        ([[0.0, 2.5], [0.0, 1.0]], "outside the bounds.*1 others"),
+    ],
+)
+def test_samples_that_do_not_fit_are_refused(samples, words):
+    setup = make_setup(box(2))
+    with pytest.raises(PlanningError, match=words), feed_samples(setup, samples):
+        pass
+
+
+def test_other_state_spaces_goals_and_shares_are_refused():
+    plane = ob.SE2StateSpace()
+    bounds = ob.RealVectorBounds(2)
+    bounds.setLow(-1)
+    bounds.setHigh(1)
+    plane.setBounds(bounds)
+    with pytest.raises(PlanningError, match="SO2"):
+        read_joint_space(product(plane))
+    setup = make_setup(SPACES["torus"]())
+    with pytest.raises(ConfigError, match="uniform_share"), feed_samples(setup, [], uniform_share=2.0):
+        pass
+    setup.setGoal(ob.GoalStates(setup.getSpaceInformation()))
+    with pytest.raises(PlanningError, match="no single state"), feed_samples(setup, []):
+        pass

@@ -1,0 +1,199 @@
+"""A checker of one's own, samples of any source, and OMPL's RRT."""
+
+import importlib.util
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from ompl import util as ou
+
+from cspace.png import encode_png
+from cspace.worlds import picture_file_of
+from cspace.worlds.planar.arm import TWO_LINK
+from cspace.worlds.planar.planning.collision import CollisionChecker
+from cspace.worlds.planar.scene import Disc, Scenario
+from cspace_client import ConfigError, JointSpace, PlanningError, SampleBatch
+from cspace_client.local import LocalClient
+from cspace_client.ompl import LearnedSampler, Problem, learned_sampler
+from inference_api.settings import PRETRAINED_FOLDER
+from tests.bundles import picture, write_tiny_bundle
+from tests.docs.tiny_api import DOCUMENTED
+from tests.fakes.sample_source import DIGEST, MODEL
+
+EXAMPLES = Path(__file__).parents[3] / "clients" / "python" / "examples"
+START, GOAL = (-1.0, -1.0), (1.0, 1.0)
+BOX = JointSpace((-4.0, -2.0), (4.0, 2.0), (False, False))
+
+
+@pytest.fixture(autouse=True)
+def quiet():
+    ou.setLogLevel(ou.LOG_NONE)
+
+
+class Source:
+    """Uniform samples of a joint space, and what it was asked."""
+
+    def __init__(self, space=None):
+        self.space, self.asked = space, []
+
+    def answer(self, picture, query, model=None):
+        self.asked.append((picture, query, model))
+        joints = self.space or JointSpace((-np.pi,) * 2, (3.0,) * 2, (True,) * 2)
+        samples = joints.sample_uniform(np.random.default_rng(query.seed), query.n).astype(np.float32)
+        return SampleBatch(samples, MODEL, 0, DIGEST, query.seed, 0, 0.0, space=self.space)
+
+
+def wall(joints, slack_rad=0.0):
+    """The first joint passes zero only where the second is near one and a half."""
+    return abs(joints[0]) > 0.3 - slack_rad or abs(joints[1] - 1.5) < 0.3 + slack_rad
+
+
+def planner_of(is_free=wall, space=None, start=START, goal=GOAL, **options):
+    return learned_sampler(Problem(b"", start, goal, is_free), Source(space), seed=1, **options)
+
+
+@pytest.mark.parametrize("space", [None, BOX], ids=["circles", "limits"])
+def test_every_state_of_the_path_has_passed_the_checker_and_it_leads_from_start_to_goal(space):
+    seen = []
+
+    def looked_at(joints):
+        seen.append(joints)
+        return wall(joints)
+
+    found = planner_of(looked_at, space).solve(10.0)
+    np.testing.assert_allclose(found.path[[0, -1]], [START, GOAL])
+    assert all(wall(row) for row in found.path)
+    assert found.learned_drawn > 0
+    # Both ends were looked at before.
+    assert len(seen) == found.state_checks + 2
+    # Between its corners by no more than the resolution; circles may be passed the other way round.
+    pieces = zip(found.path, found.path[1:], strict=False)
+    along = np.concatenate([np.linspace(*ends, 50) for ends in pieces])
+    assert space is None or all(wall(row, 0.03) for row in along)
+
+
+def test_it_may_be_solved_again_and_the_same_seed_draws_the_same():
+    planner = planner_of()
+    first, again, uniform = (planner.solve(seed=3, uniform_share=share) for share in (0.3, 0.3, 1.0))
+    assert (first.learned_drawn, first.uniform_drawn, first.goal_drawn) == (
+        again.learned_drawn,
+        again.uniform_drawn,
+        again.goal_drawn,
+    )
+    assert uniform.learned_drawn == 0 < uniform.uniform_drawn
+
+
+def test_what_has_no_way_ends_in_time_without_a_path():
+    found = planner_of(lambda joints: abs(joints[0]) > 0.3 and abs(joints[0]) < 3.0).solve(0.2)
+    assert found.path is None
+    assert 0.2 <= found.solve_time_s < 5.0
+    assert found.learned_drawn == 300
+
+
+def test_what_the_checker_raises_comes_out_and_ends_the_search():
+    left = iter(range(50))
+
+    def failing(joints):
+        if next(left, None) is None:
+            raise KeyError("of the checker")
+        return wall(joints)
+
+    planner = planner_of(failing)
+    with pytest.raises(KeyError, match="of the checker"):
+        planner.solve(60.0)
+
+
+@pytest.mark.parametrize(
+    ("ends", "words"),
+    [
+        ({"start": (0.0, 0.0)}, "start is not free"),
+        ({"goal": (0.0, 0.0, 0.0)}, "goal is no configuration of this robot"),
+        ({"goal": (5.0, 0.0), "space": BOX}, "within their limits"),
+        ({"start": (np.nan, 0.0), "space": BOX}, "start is no configuration"),
+        ({"goal": (np.nan, 0.0)}, "goal is no configuration"),
+    ],
+)
+def test_ends_that_can_not_be_are_told_before_the_search(ends, words):
+    with pytest.raises(PlanningError, match=words):
+        planner_of(**ends)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"uniform_share": 1.5}, {"time_limit_s": 0.0}, {"range_rad": -1.0}, {"resolution_rad": np.nan}],
+    ids=lambda wrong: next(iter(wrong)),
+)
+def test_a_setting_that_can_not_be_is_refused(wrong):
+    with pytest.raises(ConfigError, match=next(iter(wrong))):
+        planner_of().solve(**wrong)
+
+
+def test_samples_at_limits_in_single_precision_are_within_them():
+    limit = 2.8973
+    space = JointSpace((-limit, -limit), (limit, limit), (False, False))
+    samples = np.full((20, 2), limit, np.float32)
+    assert samples.astype(np.float64).max() > limit
+    batch = SampleBatch(samples, MODEL, 0, DIGEST, 1, 0, 0.0, space=space)
+    found = LearnedSampler(Problem(b"", START, GOAL, lambda joints: True), batch).solve(uniform_share=0.0)
+    assert found.path is not None
+
+
+def test_start_and_goal_are_sent_where_they_are_wanted():
+    source = Source()
+    problem = Problem(b"picture", np.array(START), GOAL, wall)
+    learned_sampler(problem, source, n=7, model="path-sampler", with_ends=True)
+    learned_sampler(problem, source)
+    (with_ends, without) = source.asked
+    assert (with_ends[0], with_ends[2], with_ends[1].n) == (b"picture", "path-sampler", 7)
+    assert (with_ends[1].start, with_ends[1].goal) == (START, GOAL)
+    assert (without[1].start, without[1].goal, without[1].n) == (None, None, 300)
+
+
+def example():
+    spec = importlib.util.spec_from_file_location("plan_among_discs", EXAMPLES / "plan_among_discs.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_the_example_shows_its_own_scene_and_its_checker_knows_it():
+    script = example()
+    scene = Scenario(TWO_LINK, tuple(Disc(*disc) for disc in script.DISCS))
+    assert picture_file_of(scene) == (EXAMPLES / "discs.png").read_bytes()
+    rows = TWO_LINK.space.sample_uniform(np.random.default_rng(0), 2000)
+    truth = CollisionChecker(scene).valid_batch(rows)
+    assert [script.is_free(row) for row in rows] == truth.tolist()
+
+
+def test_a_plan_with_samples_of_the_shipped_bundle_is_free_in_truth():
+    script = example()
+    problem = Problem((EXAMPLES / "discs.png").read_bytes(), script.START, script.GOAL, script.is_free)
+    found = learned_sampler(problem, LocalClient(PRETRAINED_FOLDER), seed=7).solve(10.0)
+    scene = Scenario(TWO_LINK, tuple(Disc(*disc) for disc in script.DISCS))
+    assert CollisionChecker(scene).valid_batch(found.path).all()
+    assert found.learned_drawn > 0
+
+
+def test_pixels_are_as_good_as_a_file(tmp_path):
+    client = LocalClient(write_tiny_bundle(tmp_path / "bundle"))
+    batches = [
+        learned_sampler(Problem(shown, START, GOAL, wall), client, seed=3).batch
+        for shown in (picture(), encode_png(picture()))
+    ]
+    np.testing.assert_array_equal(batches[0].samples, batches[1].samples)
+
+
+def test_the_packages_own_readme_runs(tiny_api):
+    text = (EXAMPLES.parent / "README.md").read_text(encoding="utf-8")
+    (block,) = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+    script = example()
+    names = {
+        "picture": (EXAMPLES / "discs.png").read_bytes(),
+        "start": script.START,
+        "goal": script.GOAL,
+        "is_free": script.is_free,
+    }
+    exec(block.replace(DOCUMENTED, tiny_api.address), names)  # noqa: S102 - the project's own
+    assert DOCUMENTED in block
+    np.testing.assert_allclose(names["path"][[0, -1]], [script.START, script.GOAL])

@@ -1,0 +1,96 @@
+import numpy as np
+import pytest
+
+from cspace.worlds.planar.arm import TWO_LINK, PlanarArm
+from cspace_client.ompl.sample_mixture import GoalOnly, SampleMixture
+
+GOAL = [9.0, 9.0]
+SAMPLES = np.stack([np.linspace(-1.0, 1.0, 500), np.full(500, 0.25)], axis=-1)
+
+
+def mixture(goal_bias=0.05, uniform_share=0.3, samples=SAMPLES, space=TWO_LINK.space):
+    return SampleMixture(space, GOAL, samples, goal_bias, uniform_share, np.random.default_rng(0))
+
+
+def test_learned_samples_come_in_their_order_and_once_each():
+    draws = mixture(goal_bias=0.0, uniform_share=0.0)
+    assert np.allclose([draws.draw() for _ in range(500)], SAMPLES)
+    assert (draws.goal_drawn, draws.learned_drawn, draws.uniform_drawn) == (0, 500, 0)
+
+
+def test_after_the_last_learned_sample_all_are_uniform():
+    draws = mixture(goal_bias=0.0, uniform_share=0.0, samples=SAMPLES[:3])
+    drawn = np.array([draws.draw() for _ in range(2003)])[3:]
+    assert (draws.learned_drawn, draws.uniform_drawn) == (3, 2000)
+    quarters = np.histogram2d(*drawn.T, bins=2, range=[[-np.pi, np.pi]] * 2)[0]
+    # Four standard deviations of a binomial count.
+    assert np.all(np.abs(quarters - 500) < 4 * np.sqrt(2000 * 0.25 * 0.75))
+
+
+def test_shares_are_those_that_were_asked_for():
+    draws = mixture(goal_bias=0.1, uniform_share=0.3, samples=np.zeros((20_000, 2)))
+    for _ in range(10_000):
+        draws.draw()
+    assert draws.goal_drawn == pytest.approx(1000, abs=120)
+    assert draws.uniform_drawn == pytest.approx(2700, abs=180)
+    assert draws.goal_drawn + draws.uniform_drawn + draws.learned_drawn == 10_000
+
+
+def test_a_reached_goal_is_not_drawn_any_more():
+    draws = mixture(goal_bias=1.0)
+    assert draws.draw() == GOAL
+    draws.goal_reached()
+    assert all(draws.draw() != GOAL for _ in range(100))
+
+
+def test_uniform_samples_keep_within_joint_limits():
+    robot = PlanarArm(joint_limits_rad=((0.5, 1.0), None))
+    draws = mixture(goal_bias=0.0, samples=np.empty((0, 2)), space=robot.space)
+    drawn = np.array([draws.draw() for _ in range(300)])
+    assert np.all((drawn[:, 0] >= 0.5) & (drawn[:, 0] <= 1.0))
+    assert np.ptp(drawn[:, 1]) > 5.0
+
+
+def test_the_same_generator_gives_the_same_draws():
+    first, second = mixture(), mixture()
+    assert [first.draw() for _ in range(600)] == [second.draw() for _ in range(600)]
+
+
+def test_the_goal_alone_is_given_and_counted():
+    draws = GoalOnly(GOAL)
+    assert [draws.draw(), draws.draw()] == [GOAL, GOAL]
+    assert (draws.goal_drawn, draws.learned_drawn, draws.uniform_drawn) == (2, 0, 0)
+
+
+def test_samples_that_are_rejected_come_after_all_others_and_none_is_lost():
+    draws = SampleMixture(
+        TWO_LINK.space, GOAL, SAMPLES, 0.0, 0.0, np.random.default_rng(0), lambda sample: sample[0] > 0.0
+    )
+    free = SAMPLES[:, 0] > 0.0
+    assert 0 < free.sum() < 500
+    assert np.allclose([draws.draw() for _ in range(500)], np.concatenate([SAMPLES[free], SAMPLES[~free]]))
+    assert (draws.learned_drawn, draws.uniform_drawn, draws.state_checks) == (500, 0, 500)
+
+
+def test_a_sample_is_checked_when_its_turn_comes_and_no_sooner():
+    looked_at = []
+
+    def is_free(sample):
+        looked_at.append(sample)
+        return sample[1] == 1.0
+
+    rows = np.array([[0.0, 1.0], [1.0, 0.0], [2.0, 1.0], [3.0, 1.0]])
+    draws = SampleMixture(TWO_LINK.space, GOAL, rows, 0.0, 0.0, np.random.default_rng(0), is_free)
+    assert [draws.draw()[0] for _ in range(2)] == [0.0, 2.0]
+    assert draws.state_checks == len(looked_at) == 3
+    assert [draws.draw()[0] for _ in range(2)] == [3.0, 1.0]
+    assert draws.state_checks == 4
+
+
+def test_where_every_sample_is_rejected_they_come_in_their_order():
+    draws = SampleMixture(
+        TWO_LINK.space, GOAL, SAMPLES[:5], 0.0, 0.0, np.random.default_rng(0), lambda sample: False
+    )
+    assert np.allclose([draws.draw() for _ in range(5)], SAMPLES[:5])
+    draws.draw()
+    assert (draws.learned_drawn, draws.uniform_drawn) == (5, 1)

@@ -1,0 +1,101 @@
+"""A bundle in place of a server, by what is installed."""
+
+from dataclasses import replace
+
+import httpx
+import numpy as np
+import pytest
+
+from cspace.query import SampleQuery
+from cspace_client import (
+    DepthPictures,
+    JointSpace,
+    LocalError,
+    SamplerError,
+    SamplerModelError,
+    SamplerUnavailableError,
+    SamplingClient,
+    local,
+)
+from cspace_client.local import LocalClient
+from services.planner.sources.client_source import ClientSource
+from services.planner.sources.local_sampler import LocalSampler
+from tests.bundles import picture, write_tiny_bundle
+from tests.fakes.sample_source import FakeSampleSource
+from tests.inference_api.test_depth_pictures import CAMERAS, IMAGES, STATE
+from tests.space_bundle import write_space_bundle
+
+OTHER = "0" * 64
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return write_tiny_bundle(tmp_path_factory.mktemp("local") / "bundle", validity=True)
+
+
+def test_a_bundle_answers_as_the_projects_own_sampler(folder):
+    asked = {"seed": 7, "epsilon_sigma": [0, 0.5], "min_confidence": 0.4}
+    ours, theirs = (
+        LocalSampler(folder).sample(picture(), 50, **asked),
+        LocalClient(folder).sample(picture(), 50, **asked),
+    )
+    assert np.array_equal(ours.samples, theirs.samples)
+    assert (ours.digest, ours.shortfall) == (theirs.digest, theirs.shortfall)
+    assert theirs.space == JointSpace((-np.pi,) * 2, (np.pi,) * 2, (True,) * 2)
+
+
+@pytest.mark.slow
+def test_a_bundle_takes_what_depth_cameras_saw(tmp_path):
+    client = LocalClient(write_space_bundle(tmp_path / "space"))
+    batch = client.sample(DepthPictures(IMAGES, CAMERAS, STATE), 20, seed=3)
+    again = client.sample(DepthPictures(IMAGES[:1], CAMERAS[:1]), 20, seed=3)
+    assert batch.samples.shape == again.samples.shape == (20, 7)
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"n": 0}, {"seed": 2**64}, {"min_confidence": 2.0}, {"model": "nobody"}, {"robot": OTHER}]
+)
+def test_a_request_that_does_not_fit_is_refused_in_the_clients_words(folder, wrong):
+    with pytest.raises(SamplerError):
+        LocalClient(folder).sample(picture(), **{"n": 3, **wrong})
+
+
+def test_a_folder_that_is_no_bundle_is_told(tmp_path):
+    with pytest.raises(LocalError, match="can not be used"):
+        LocalClient(tmp_path)
+
+
+def test_without_anything_that_reads_bundles_the_remedy_is_told(monkeypatch, tmp_path):
+    monkeypatch.setattr(local, "entry_points", lambda group: [])
+    with pytest.raises(LocalError, match="install onnxruntime and cspace-sampler"):
+        LocalClient(tmp_path)
+
+
+def test_a_part_that_is_missing_is_told_with_the_remedy(monkeypatch, tmp_path):
+    class Broken:
+        def load(self):
+            raise ModuleNotFoundError("No module named 'onnxruntime'")
+
+    monkeypatch.setattr(local, "entry_points", lambda group: [Broken()])
+    with pytest.raises(LocalError, match=r"'onnxruntime'.*install"):
+        LocalClient(tmp_path)
+
+
+def test_a_bundle_stands_in_and_its_refusal_leaves_the_servers_absence_to_be_told(folder):
+    away = httpx.MockTransport(lambda request: httpx.Response(502))
+    with SamplingClient("http://test:1", fallback=LocalClient(folder), transport=away) as client:
+        assert client.sample(picture(), 3, seed=1).fallback
+        with pytest.raises(SamplerUnavailableError, match="502"):
+            client.sample(picture(), 3, robot=OTHER)
+
+
+def test_a_source_of_the_project_gets_its_own_query_and_tells_the_clients_errors():
+    source = FakeSampleSource()
+    query = SampleQuery(3, 7)
+    ClientSource(source).answer(b"\x89PNG", query)
+    assert source.requests[0].query is query
+    with pytest.raises(SamplerUnavailableError):
+        ClientSource(FakeSampleSource(ready=False)).answer(b"\x89PNG", query)
+    with pytest.raises(SamplerError) as caught:
+        ClientSource(source).answer(b"\x89PNG", replace(query, start=(0.0, 0.0)))
+    assert not isinstance(caught.value, SamplerUnavailableError | SamplerModelError)
