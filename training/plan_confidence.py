@@ -2,7 +2,8 @@
 
 Plans come of a search that the project changes now and then, and of the same doubt more or fewer are free
 then. This plans in validation scenes with the search as it is, as training does with
-``validity.plan_problems``, and writes the bundle with what was fitted; its networks stay as they are.
+``validity.plan_problems``, and writes the bundle with what was fitted. Its networks stay as they are, and so
+does its golden case; what it tells of its making gets a note of the bundle that it comes from.
 
 Exit codes: 0 done, 1 the bundle or the disk is bad, 2 the command is wrong.
 """
@@ -10,15 +11,16 @@ Exit codes: 0 done, 1 the bundle or the disk is bad, 2 the command is wrong.
 import argparse
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
-from cspace.bundle import Bundle, write_bundle
-from cspace.bundle.files import ENCODER_FILE, GENERATOR_FILE, MAP_FILE, NOVELTY_FILE, VALIDITY_FILE
+from cspace.bundle import Bundle, graphs_of, write_bundle
+from cspace.bundle.files import GOLDEN_FILE, VALIDITY_FILE
+from cspace.bundle.golden import GoldenCase
 from cspace.errors import BundleError, ConfigError, CspaceError, InputError
 from services.command_errors import tell_error
 from training.clusters.plan_doubt import PlanDoubt, fit_plan_doubt, planned
 
-_GRAPHS = (ENCODER_FILE, GENERATOR_FILE, MAP_FILE, NOVELTY_FILE, VALIDITY_FILE)
 # Fewer say nothing of what a third of them measures.
 _LEAST = 6
 
@@ -29,12 +31,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         source = Bundle.load(options.bundle)
         found = _fitted(source, options.problems)
-        graphs = {
-            Path(name).stem: (source.folder / name).read_bytes()
-            for name in _GRAPHS
-            if (source.folder / name).exists()
-        }
-        folder = write_bundle(options.folder, found.stated_in(source.spec), graphs)
+        folder = _written(source, options.folder, found)
     except CspaceError as error:
         return tell_error(error, InputError)
     told = ", ".join(f"{name.removeprefix('plans/')} {value:.3g}" for name, value in found.metrics().items())
@@ -68,6 +65,15 @@ def _fitted(source: Bundle, problems: int) -> PlanDoubt:
             remedy="give more with --problems",
         )
     return found
+
+
+def _written(source: Bundle, folder: Path, found: PlanDoubt) -> Path:
+    note = {"plan_problems": found.fitted + found.measured, "source_digest": source.digest}
+    spec = found.stated_in(source.spec)
+    config = {**spec.provenance.config, "plans_fitted_anew": note}
+    spec = replace(spec, provenance=replace(spec.provenance, config=config))
+    golden = GoldenCase.from_npz((source.folder / GOLDEN_FILE).read_bytes())
+    return write_bundle(folder, spec, graphs_of(source.folder), golden)
 
 
 if __name__ == "__main__":

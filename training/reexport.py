@@ -17,15 +17,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from cspace.bundle import Bundle, write_bundle
-from cspace.bundle.files import (
-    ENCODER_FILE,
-    GENERATOR_FILE,
-    GOLDEN_FILE,
-    MAP_FILE,
-    NOVELTY_FILE,
-    VALIDITY_FILE,
-)
+from cspace.bundle import Bundle, graphs_of, write_bundle
+from cspace.bundle.files import GOLDEN_FILE, VALIDITY_FILE
 from cspace.bundle.golden import GoldenCase, scene
 from cspace.errors import BundleError, CspaceError, InputError
 from cspace.files import replacing
@@ -35,7 +28,6 @@ from training.models.grids.head import GridHead
 from training.models.grids.reading_back import read_back
 from training.models.settings import GridConfig
 
-_KEPT = {"encoder": ENCODER_FILE, "generator": GENERATOR_FILE, "novelty": NOVELTY_FILE, "map": MAP_FILE}
 # Configurations that both graphs are asked about, of each of so many pictures.
 _ASKED, _TURNS = 1000, 4
 # Between the answers; and the share of configurations that may be further apart, as a sphere's middle that
@@ -85,12 +77,7 @@ def reexported(source: Bundle, folder: Path) -> Bundle:
     origin = source.spec.provenance
     note = {"graphs": ["validity"], "source_digest": source.digest}
     spec = replace(source.spec, provenance=replace(origin, config={**origin.config, "exported_anew": note}))
-    graphs = {
-        name: (source.folder / file).read_bytes()
-        for name, file in _KEPT.items()
-        if (source.folder / file).is_file()
-    }
-    graphs["validity"] = grid_validity_graph(head, source.spec.dim)
+    graphs = graphs_of(source.folder) | {"validity": grid_validity_graph(head, source.spec.dim)}
     # The golden case stays: what the bundle promised holds on, within its tolerance, or it is not loaded.
     golden = GoldenCase.from_npz((source.folder / GOLDEN_FILE).read_bytes())
     with replacing(Path(folder), "the bundle") as beside:

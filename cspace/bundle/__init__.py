@@ -5,7 +5,7 @@ from cspace.bundle.loaded import Bundle
 from cspace.bundle.parts import Provenance, RandomInput
 from cspace.bundle.samples import Encoding, Picture, SampleSet
 from cspace.bundle.spec import SCHEMA_VERSION, BundleSpec
-from cspace.bundle.writer import write_bundle
+from cspace.bundle.writer import graphs_of, write_bundle
 from cspace.query import MAX_EPSILON, MAX_SEED, SampleQuery
 
 __all__ = [
@@ -21,5 +21,6 @@ __all__ = [
     "RandomInput",
     "SampleQuery",
     "SampleSet",
+    "graphs_of",
     "write_bundle",
 ]

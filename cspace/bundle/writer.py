@@ -71,6 +71,12 @@ def write_bundle(
     return folder
 
 
+def graphs_of(folder: Path) -> dict[str, bytes]:
+    """The graphs of a bundle as :func:`write_bundle` takes them, from its folder."""
+    files = {name: folder / file for name, file in _GRAPH_FILES.items()}
+    return {name: file.read_bytes() for name, file in files.items() if file.is_file()}
+
+
 def _graph_files(graphs: Mapping[str, bytes]) -> dict[str, bytes]:
     if not {"encoder"} <= set(graphs) <= set(_GRAPH_FILES):
         raise BundleIntegrityError(
