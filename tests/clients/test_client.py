@@ -69,7 +69,6 @@ def test_what_a_plan_does_not_ask_for_is_left_to_the_server():
         "start",
         "goal",
         "seed",
-        "min_confidence",
     }
     views = ({"fx": 1.0}, {"fx": 2.0})
     query = PlanQuery((0.0,), (1.0,), time_limit_s=2, ways=3, next_view=True, views=views, alternatives=True)

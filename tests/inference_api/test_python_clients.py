@@ -68,7 +68,7 @@ def test_a_way_comes_as_the_api_tells_it(api, kind):
 def test_all_ways_come_with_what_is_believed_of_them(api, kind):
     query = replace(QUERY, alternatives=True, next_view=True)
     plan = ask(kind, IntoApp(api), "plan", PNG, query, CAREFUL).plan
-    assert len(plan.alternatives) == plan.found == 8
+    assert len(plan.alternatives) == plan.found == 4
     np.testing.assert_array_equal(plan.alternatives[0].way, plan.way)
     assert plan.next_view is None
     empty = {"path": [], "confidence": 1.0, "edges": []}
