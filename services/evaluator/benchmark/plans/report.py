@@ -25,15 +25,16 @@ from services.evaluator.evaluation.tables import Table, aligned, markdown
 
 READING = (
     "All arms search alike, with the same draws; they differ in what they take the space to be that no "
-    "picture shows, and models in the way that they choose: the least doubtful instead of the shortest. A"
-    " way collides where its clearance in truth, by the arm's spheres every 0.01 rad, is not above 0; by "
-    "meshes where convex hulls of its parts touch. *Solved* and *refused* are shares of the problems, the"
-    " others had no more time; what collides is a share of the ways. *More than with unseen free*: the "
-    "paired difference of what collides, over problems that both solve. *Truth where unseen* keeps to "
-    "what is seen and to the truth, and is what a perfect guess of the unseen would reach; all that it "
-    "loses is lost to the pictures' noise. Where unseen space is occupied, room is made where the arm "
-    "stands, and about the goal where that is cleared. Square brackets are 95 % limits, exact "
-    "(Clopper-Pearson) for shares, by bootstrap over problems for the rest."
+    "picture shows. Models change their ways until they doubt them less, and choose the least doubtful "
+    "instead of the shortest. A way collides where its clearance in truth, by the arm's spheres every "
+    "0.01 rad, is not above 0; by meshes where convex hulls of its parts touch. *Solved* and *refused* "
+    "are shares of the problems, the others had no more time; what collides is a share of the ways. *More "
+    "than with unseen free*: the paired difference of what collides, over problems that both solve. "
+    "*Truth where unseen* keeps to what is seen and to the truth, and is what a perfect guess of the "
+    "unseen would reach; all that it loses is lost to the pictures' noise. Where unseen space is "
+    "occupied, room is made where the arm stands, and about the goal where that is cleared. Square "
+    "brackets are 95 % limits, exact (Clopper-Pearson) for shares, by bootstrap over problems for the "
+    "rest."
 )
 SURENESS = (
     "*By min_confidence*: from one run at 0, its ways sorted by confidence; only the surest are taken as "
