@@ -22,6 +22,7 @@ export class Controls {
     /** @type {Record<"start" | "goal", {slider: HTMLInputElement, told: HTMLOutputElement}[]>} */
     this.joints = { start: [], goal: [] };
     this.select = byId("model", HTMLSelectElement);
+    this.others = byId("beside", HTMLSelectElement);
     this.picture = byId("picture", HTMLCanvasElement);
     this.radius = byId("radius", HTMLInputElement);
     this.listen();
@@ -35,9 +36,10 @@ export class Controls {
       bench.state = { ...bench.state, model: this.select.value };
       bench.choose(this.select.value);
     });
-    byId("to-plane", HTMLButtonElement).addEventListener("click", () => bench.change({ view: "plane" }));
-    byId("to-space", HTMLButtonElement).addEventListener("click", () => bench.change({ view: "space" }));
-    byId("to-models", HTMLButtonElement).addEventListener("click", () => bench.change({ view: "models" }));
+    this.others.addEventListener("change", () => bench.change({ beside: this.others.value }));
+    for (const view of /** @type {const} */ (["plane", "space", "models"])) {
+      byId(`to-${view}`, HTMLElement).addEventListener("click", () => bench.change({ view }));
+    }
     byId("add-disc", HTMLButtonElement).addEventListener("click", () => this.addDisc());
     byId("remove-disc", HTMLButtonElement).addEventListener("click", () => this.removeDisc(bench.chosen));
     this.radius.addEventListener("input", () => {
@@ -57,7 +59,7 @@ export class Controls {
     });
     const ground = byId("ground", HTMLSelectElement);
     ground.addEventListener("change", () => {
-      bench.drawn.ground = null;
+      for (const side of bench.sides()) side.drawn.ground = null;
       bench.change({ ground: /** @type {"truth" | "belief" | "none"} */ (ground.value) });
     });
     byId("family-form", HTMLFormElement).addEventListener("submit", (event) => {
@@ -86,12 +88,14 @@ export class Controls {
 
   /** @param {{models: Listed[]}} listed */
   listModels(listed) {
-    const options = listed.models
-      .filter((model) => model.world?.kind === "planar")
-      .map((model) => new Option(`${model.reference}${model.aliases.length ? ` (${model.aliases.join(", ")})` : ""}`, model.reference));
-    this.select.replaceChildren(new Option("the default", ""), ...options);
-    const { model } = this.bench.state;
-    if (model && !options.some((option) => option.value === model)) this.select.append(new Option(model, model));
+    const planar = listed.models.filter((model) => model.world?.kind === "planar");
+    offer(this.select, "the default", planar, this.bench.state.model);
+  }
+
+  /** Models of the same robot, to look at beside the one that is chosen. @param {Listed[]} models @param {string} chosen */
+  listOthers(models, chosen) {
+    this.others.disabled = !models.length && !chosen;
+    offer(this.others, this.others.disabled ? "no other model of this robot" : "nothing", models, chosen);
   }
 
   /** The server has told what it can do. */
@@ -155,6 +159,9 @@ export class Controls {
     byId("confidence", HTMLSelectElement).value = state.confidence === null ? "" : String(state.confidence);
     byId("ground", HTMLSelectElement).value = state.ground;
     this.select.value = state.model;
+    this.others.value = state.beside;
+    byId("beside-figure", HTMLElement).hidden = !state.beside;
+    byId("figures", HTMLElement).classList.toggle("three", Boolean(state.beside));
     byId("back", HTMLButtonElement).hidden = !state.picture;
     this.showView();
   }
@@ -162,6 +169,10 @@ export class Controls {
   showView() {
     const { view } = this.bench.state;
     byId("model-label", HTMLElement).hidden = view === "space";
+    const last = view === "models" ? null : byId(`${view}-last`, HTMLElement);
+    const take = byId("take", HTMLElement);
+    // Moving it takes the focus from what is in it.
+    if (last && take.parentElement !== last) last.append(take);
     for (const name of ["plane", "space", "models"]) {
       byId(name, HTMLElement).hidden = view !== name;
       byId(`to-${name}`, HTMLElement).setAttribute("aria-pressed", String(view === name));
@@ -253,6 +264,16 @@ export class Controls {
       bench.messages.failed(error);
     }
   }
+}
+
+/** @param {HTMLSelectElement} select @param {string} none @param {Listed[]} models @param {string} chosen */
+function offer(select, none, models, chosen) {
+  const options = models.map(
+    ({ reference, aliases }) => new Option(`${reference}${aliases.length ? ` (${aliases.join(", ")})` : ""}`, reference),
+  );
+  if (chosen && !options.some((option) => option.value === chosen)) options.push(new Option(chosen, chosen));
+  select.replaceChildren(new Option(none, ""), ...options);
+  select.value = chosen;
 }
 
 /** Leave a field alone in which somebody is writing. @param {string} id @param {string} text */

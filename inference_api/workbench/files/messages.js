@@ -81,7 +81,7 @@ export class Messages {
 }
 
 /**
- * @param {"dt" | "dd" | "li" | "p"} name
+ * @param {"dt" | "dd" | "li" | "p" | "td" | "th"} name
  * @param {string} text
  */
 export function entry(name, text) {

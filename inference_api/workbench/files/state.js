@@ -9,6 +9,7 @@
  * @property {Configuration} start
  * @property {Configuration} goal
  * @property {string} model  As requests name it; empty for the default one.
+ * @property {string} beside  Likewise, of the model that is compared with it; empty for none.
  * @property {number} n
  * @property {string} seed  Decimal digits, for seeds have 64 bits.
  * @property {number | null} confidence  What samples have to score; null for the model's own threshold.
@@ -37,6 +38,7 @@ export function usual() {
     start: [0, 0.3],
     goal: [-2.6, -0.6],
     model: "",
+    beside: "",
     n: 300,
     seed: "7",
     confidence: null,
@@ -65,6 +67,7 @@ export function toHash(state) {
   told.set("start", state.start.map(short).join(","));
   told.set("goal", state.goal.map(short).join(","));
   if (state.model) told.set("model", state.model);
+  if (state.beside) told.set("beside", state.beside);
   told.set("n", String(state.n));
   told.set("seed", state.seed);
   if (state.confidence !== null) told.set("confidence", short(state.confidence));
@@ -94,6 +97,7 @@ export function fromHash(hash) {
   const picture = told.get("picture");
   if (picture && /^[A-Za-z0-9+/]+=*$/.test(picture)) state.picture = picture;
   state.model = (told.get("model") ?? "").slice(0, 200);
+  state.beside = (told.get("beside") ?? "").slice(0, 200);
   state.n = clamp(told.get("n"), 1, 2000, state.n, true);
   const seed = told.get("seed");
   if (seed !== null && /^[0-9]{1,20}$/.test(seed)) state.seed = seed;

@@ -54,7 +54,7 @@ export class TorusView {
     this.way = draw("path", { class: "way" });
     this.now = draw("circle", { class: "now", r: 5 });
     const plot = draw("rect", { class: "plot", width: SIDE, height: SIDE });
-    const inside = draw("g", { "clip-path": "url(#torus-clip)", "aria-hidden": "true" });
+    const inside = draw("g", { "clip-path": `url(#${drawing.id}-clip)`, "aria-hidden": "true" });
     inside.append(...this.grounds, ...this.dots, this.crosses, this.way, this.now);
     this.marks = ENDS.map((end) => this.makeMark(end));
     const marks = draw("g");
@@ -79,7 +79,7 @@ export class TorusView {
 
   frame() {
     const group = draw("g", { "aria-hidden": "true" });
-    const clip = draw("clipPath", { id: "torus-clip" });
+    const clip = draw("clipPath", { id: `${this.drawing.id}-clip` });
     clip.append(draw("rect", { width: SIDE, height: SIDE }));
     group.append(clip, draw("rect", { class: "frame", width: SIDE, height: SIDE }));
     for (const joint of [0, 1]) {
