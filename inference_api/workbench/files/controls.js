@@ -5,14 +5,12 @@
 /** @import {Listed} from "./models-view.js" */
 
 import { ask } from "./api.js";
-import { bound, degrees } from "./geometry.js";
+import { degrees } from "./geometry.js";
 import { speak } from "./messages.js";
-import { toBase64 } from "./picture.js";
+import { openFile } from "./scene-file.js";
 import { MAX_DISCS, clamp } from "./state.js";
 import { byId } from "./svg.js";
 
-// The API takes no larger body, and base64 makes four letters of three bytes.
-const MAX_FILE = 5 * 1024 * 1024;
 const ENDS = /** @type {const} */ (["start", "goal"]);
 
 export class Controls {
@@ -72,9 +70,16 @@ export class Controls {
     const open = byId("open", HTMLInputElement);
     open.addEventListener("change", () => {
       const file = open.files?.[0];
-      if (file) void this.openPicture(file);
+      if (file) void openFile(this.bench, file);
       // The same file again is a change, too.
       open.value = "";
+    });
+    // Dropped beside what takes it, a file would be opened instead of the page.
+    addEventListener("dragover", (event) => event.preventDefault());
+    addEventListener("drop", (event) => {
+      event.preventDefault();
+      const file = event.dataTransfer?.files[0];
+      if (file && this.bench.state.view === "plane") void openFile(this.bench, file);
     });
     byId("back", HTMLButtonElement).addEventListener("click", () => this.bench.change({ picture: null }));
     byId("save", HTMLAnchorElement).addEventListener("click", (event) => {
@@ -238,15 +243,6 @@ export class Controls {
     this.bench.moveEnd(end, [first, second, ...this.bench.state[end].slice(2)]);
   }
 
-  /** @param {File} file */
-  async openPicture(file) {
-    if (file.size > MAX_FILE) {
-      const expected = "a PNG of 16 to 2048 pixels a side";
-      return this.bench.messages.refuse("The file is too large", `${file.name} has more than 5 MiB`, expected);
-    }
-    this.bench.change({ picture: toBase64(new Uint8Array(await file.arrayBuffer())) });
-  }
-
   async drawFamily() {
     const { bench } = this;
     const family = byId("family", HTMLSelectElement).value;
@@ -254,12 +250,8 @@ export class Controls {
     try {
       const model = bench.state.model ? { model: bench.state.model } : {};
       const scene = await ask("workbench/scene", { ...model, ...(family ? { family } : {}), seed });
-      const robot = /** @type {Robot} */ (bench.robot);
-      bench.chosen = -1;
-      bench.change({
-        discs: scene.discs.map((/** @type {number[]} */ [x, y, r]) => ({ x, y, r })),
-        picture: null, start: bound(robot, scene.start), goal: bound(robot, scene.goal),
-      });
+      const discs = scene.discs.map((/** @type {number[]} */ [x, y, r]) => ({ x, y, r }));
+      bench.showScene({ discs, start: scene.start, goal: scene.goal, model: bench.state.model });
     } catch (error) {
       bench.messages.failed(error);
     }

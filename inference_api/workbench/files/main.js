@@ -34,6 +34,8 @@ class Workbench {
     /** @type {Camera | null} */
     this.camera = null;
     this.chosen = -1;
+    /** The model that is asked. @type {Listed | null} */
+    this.listed = null;
     /** @type {Configuration | null} */
     this.peek = null;
     /** The picture of these discs. @type {{of: object | null, image: string}} */
@@ -90,6 +92,7 @@ class Workbench {
     const planar = this.models.filter((model) => model.world?.kind === "planar");
     const wanted = planar.find((model) => (reference ? named(model, reference) : model.default)) ?? planar[0];
     if (!wanted) return;
+    this.listed = wanted;
     const others = planar.filter((model) => model !== wanted && model.robot === wanted.robot);
     const { beside } = this.state;
     // What is not in the list may be there all the same; its question tells.
@@ -119,6 +122,13 @@ class Workbench {
     this.controls.makeJoints(this.robot);
     const { start, goal, model } = this.state;
     this.change({ model, beside: fits ? beside : "", start: bound(this.robot, start), goal: bound(this.robot, goal) });
+  }
+
+  /** Show a whole scene. @param {Pick<State, "discs" | "start" | "goal" | "model">} scene */
+  showScene(scene) {
+    this.chosen = -1;
+    this.state = { ...this.state, ...scene, picture: null };
+    this.choose(scene.model);
   }
 
   /** An address was opened in this page. */
