@@ -144,7 +144,7 @@ class Workbench {
     const scene = ["discs", "picture", "start", "goal", "model", "beside"].some((name) => name in changes);
     const sampled = scene || ["n", "seed", "confidence", "ground"].some((name) => name in changes);
     this.state = { ...this.state, ...changes };
-    if (scene) this.planner.forget();
+    if (scene || ["planSeed", "limit", "ways"].some((name) => name in changes)) this.planner.forget();
     this.draw();
     if ((sampled || changes.view === "plane") && this.state.view !== "space") {
       for (const side of this.sides()) side.changed(side.part in changes);
@@ -202,10 +202,12 @@ class Workbench {
     );
     this.scene.show({
       discs: state.discs, chosen: this.chosen, start: state.start, goal: state.goal, ghosts, moving, other,
+      least: this.first.doubt.least,
       peek: this.peek, picture: state.picture ? this.pictureAddress : null,
     });
-    this.first.torus?.showEnds({ start: state.start, goal: state.goal, way, moving });
-    this.beside.torus?.showEnds({ start: state.start, goal: state.goal, way: this.beside.way, moving: other });
+    const { start, goal } = state;
+    this.first.torus?.showEnds({ start, goal, way, moving, ...this.first.doubt });
+    this.beside.torus?.showEnds({ start, goal, way: this.beside.way, moving: other, ...this.beside.doubt });
     this.controls.show();
   }
 
@@ -242,7 +244,7 @@ class Workbench {
   /** The request for what is shown of the plane. @param {"sample" | "plan"} what */
   async bodyOf(what) {
     const image = this.state.picture ?? toBase64(await smallPng(this.pixels));
-    return what === "sample" ? sampleBody(this.state, image) : planBody(this.state, image);
+    return { ...(what === "sample" ? sampleBody : planBody)(this.state, image), ...this.first.model };
   }
 
   /** A request for a shell or a script. @param {"sample" | "plan"} what @param {"curl" | "python"} form @param {object} body */

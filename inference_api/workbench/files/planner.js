@@ -4,11 +4,13 @@
 /** @import {Side} from "./side.js" */
 
 import { ask } from "./api.js";
+import { degrees } from "./geometry.js";
 import { Player } from "./player.js";
 import { planBody } from "./snippets.js";
-import { byId } from "./svg.js";
+import { buttonOf, byId } from "./svg.js";
 
 const PLAY_MS = 4000;
+export const LOOKING = "Looking for a way. The first one after an installation takes up to a minute.";
 
 /**
  * @typedef {object} Planned
@@ -22,8 +24,8 @@ export class Planner {
     this.bench = bench;
     this.player = new Player("play", "along", PLAY_MS, () => bench.draw());
     this.asking = 0;
-    this.told = byId("plan-told", HTMLElement);
-    this.button = byId("plan", HTMLButtonElement);
+    this.told = byId("plan-told");
+    this.button = buttonOf("plan");
     this.button.addEventListener("click", () => void this.plan());
   }
 
@@ -35,7 +37,8 @@ export class Planner {
     first.planned = beside.planned = null;
     this.player.load(false);
     this.bench.readout.show();
-    this.say("");
+    say(this.told, "");
+    this.tellDoubt();
   }
 
   /** Ask one model after the other, so that none waits for another's search. */
@@ -44,7 +47,7 @@ export class Planner {
     this.forget();
     const asking = this.asking;
     const sides = bench.sides();
-    this.say(bench.about.plans ? "Looking for a way. The first one after an installation takes up to a minute." : "Asking.");
+    say(this.told, bench.about.plans ? LOOKING : "Asking.");
     this.button.disabled = true;
     try {
       for (const side of sides) {
@@ -62,7 +65,7 @@ export class Planner {
         this.player.begin();
       }
     } catch (error) {
-      if (!bench.first.planned) this.say("");
+      if (!bench.first.planned) say(this.told, "");
       bench.messages.failed(error);
     } finally {
       this.button.disabled = false;
@@ -82,15 +85,24 @@ export class Planner {
     const planned = sides.filter((side) => side.planned);
     const two = sides.length > 1;
     const words = planned.map((side) => (two ? `${side.title}: ` : "") + wordsOf(/** @type {Planned} */ (side.planned), two));
-    this.say(words.join(" "), planned.some(({ planned }) => planned?.answer.status !== "solved" || planned.way?.free === false));
+    say(this.told, words.join(" "), planned.some(({ planned }) => planned?.answer.status !== "solved" || planned.way?.free === false));
+    this.tellDoubt();
     this.bench.readout.show();
     this.bench.draw();
   }
 
-  /** @param {string} words @param {boolean} [bad] */
-  say(words, bad = false) {
-    this.told.textContent = words;
-    this.told.classList.toggle("bad", bad);
+  /** How sure the first model's way is, piece by piece, and where least. */
+  tellDoubt() {
+    const { first } = this.bench;
+    const { edges } = first.doubt;
+    const least = first.planned?.answer.least_sure;
+    const told = [];
+    if (least) {
+      const angles = least.configuration.map(degrees).join(", ");
+      told.push(`Least sure, ${least.confidence.toFixed(3)}, after ${Math.round(100 * least.along)} % of it: ${angles}.`);
+    }
+    if (edges.length) told.push(`On its pieces: ${edges.map((one) => one.toFixed(3)).join(", ")}.`);
+    byId("plan-doubt").textContent = told.join(" ");
   }
 }
 
@@ -102,8 +114,18 @@ function wordsOf({ answer, way }, brief) {
     `Solved in ${searchedMs(answer)} ms: ${answer.length_rad.toFixed(2)} rad, ` +
     `confidence ${answer.confidence.toFixed(3)}, the surest of ${answer.ways} ways.`;
   if (!way) return words;
-  const hit = way.edges.filter((free) => !free).length;
-  return `${words} Checked against the discs: ${way.free ? "it is free" : `it collides on ${hit} of ${way.edges.length} pieces`}.`;
+  return `${words} Checked against the discs: ${verdictOf(way)}.`;
+}
+
+/** @param {HTMLElement} place @param {string} words @param {boolean} [bad] */
+export function say(place, words, bad = false) {
+  place.textContent = words;
+  place.classList.toggle("bad", bad);
+}
+
+/** @param {{free: boolean, edges: boolean[]}} way */
+export function verdictOf({ free, edges }) {
+  return free ? "it is free" : `it collides on ${edges.filter((one) => !one).length} of ${edges.length} pieces`;
 }
 
 /** @param {any} answer  Of POST /plan. */

@@ -3,7 +3,7 @@
 /** @import {Workbench} from "./main.js" */
 /** @import {Side} from "./side.js" */
 
-import { entry } from "./messages.js";
+import { entry, offerNames, showFigures } from "./messages.js";
 import { searchedMs } from "./planner.js";
 import { byId, draw } from "./svg.js";
 
@@ -19,23 +19,15 @@ export class Readout {
     const { first, beside } = this.bench;
     if (!first.answer) return;
     const two = this.bench.sides().length > 1;
-    byId("numbers", HTMLElement).hidden = two;
+    byId("numbers").hidden = two;
     byId("compared", HTMLTableElement).hidden = !two;
     const axes = first.answer.confidence ? "joint 1 across, joint 2 up" : "this model has no confidence";
-    byId("torus-note", HTMLElement).textContent = two ? first.title : axes;
-    byId("beside-note", HTMLElement).textContent = beside.title;
+    byId("torus-note").textContent = two ? first.title : axes;
+    byId("beside-note").textContent = beside.title;
     if (two) this.compare();
     else this.showNumbers();
     this.showLegend(Boolean(first.answer.confidence));
-    this.showFamilies(first.truth);
-  }
-
-  /** @param {any} truth */
-  showFamilies(truth) {
-    const family = byId("family", HTMLSelectElement);
-    const names = [...family.options].map((option) => option.value);
-    if (!truth || names.join() === truth.families.join()) return;
-    family.replaceChildren(...truth.families.map((/** @type {string} */ name) => new Option(name, name)));
+    if (first.truth) offerNames("family", first.truth.families);
   }
 
   /** What a model's samples are like. @param {Side} side @returns {[string, string][]} */
@@ -55,13 +47,7 @@ export class Readout {
   }
 
   showNumbers() {
-    byId("numbers", HTMLElement).replaceChildren(
-      ...this.figures(this.bench.first).map(([name, value]) => {
-        const pair = document.createElement("div");
-        pair.append(entry("dt", name), entry("dd", value));
-        return pair;
-      }),
-    );
+    showFigures("numbers", this.figures(this.bench.first));
   }
 
   /** Two models in a table: a column each, for that fits a phone. */
@@ -72,13 +58,15 @@ export class Readout {
       ["sampled in", side.answer ? `${side.answer.timing_ms.total.toFixed(1)} ms` : "–"],
       ...(sides.some(({ planned }) => planned) ? planFigures(side.planned) : []),
     ]);
-    const head = document.createElement("thead");
-    head.append(row([entry("td", ""), ...sides.map((side) => header(side.title, "col"))]));
-    const body = document.createElement("tbody");
-    body.append(
-      ...rows[0].map(([name], at) => row([header(name, "row"), ...rows.map((told) => entry("td", told[at][1]))])),
-    );
-    byId("compared", HTMLTableElement).replaceChildren(head, body);
+    const table = byId("compared", HTMLTableElement);
+    table.replaceChildren();
+    const head = table.createTHead().insertRow();
+    head.insertCell();
+    head.append(...sides.map((side) => header(side.title, "col")));
+    const body = table.createTBody();
+    rows[0].forEach(([name], at) => {
+      body.insertRow().append(header(name, "row"), ...rows.map((told) => entry("td", told[at][1])));
+    });
   }
 
   /** @param {boolean} confident  Whether the model tells its confidence. */
@@ -95,7 +83,7 @@ export class Readout {
     const key = JSON.stringify(told);
     if (key === this.legend) return;
     this.legend = key;
-    byId("legend", HTMLElement).replaceChildren(
+    byId("legend").replaceChildren(
       ...told.map(([kind, path, words]) => {
         const item = entry("li", "");
         const sign = draw("svg", { viewBox: "0 0 14 14", "aria-hidden": "true" });
@@ -114,18 +102,12 @@ function planFigures(planned) {
   return [
     ["plan", answer?.status ?? "–"],
     ["its confidence", answer?.confidence?.toFixed(3) ?? "–"],
+    ["least sure", answer?.least_sure?.confidence.toFixed(3) ?? "–"],
     ["length", found ? `${answer.length_rad.toFixed(2)} rad` : "–"],
     ["ways found", `${answer?.ways ?? "–"}`],
     ["planned in", answer ? `${searchedMs(answer)} ms` : "–"],
     ["free in truth", way ? (way.free ? "yes" : "no") : "–"],
   ];
-}
-
-/** @param {HTMLElement[]} cells */
-function row(cells) {
-  const made = document.createElement("tr");
-  made.append(...cells);
-  return made;
 }
 
 /** @param {string} text @param {string} scope */

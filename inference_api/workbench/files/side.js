@@ -1,6 +1,6 @@
 // A model's part of the page: what it is asked, its map of the joint space, and what it has answered.
 
-/** @import {Robot} from "./geometry.js" */
+/** @import {Configuration, Robot} from "./geometry.js" */
 /** @import {Workbench} from "./main.js" */
 /** @import {Planned} from "./planner.js" */
 
@@ -59,7 +59,18 @@ export class Side {
 
   /** Its way; empty where there is none. */
   get way() {
-    return this.planned?.answer.path ?? [];
+    /** @type {Configuration[]} */
+    const path = this.planned?.answer.path ?? [];
+    return path;
+  }
+
+  /** How sure its way is: on each piece, and where it is least so. */
+  get doubt() {
+    const answer = this.planned?.answer;
+    /** @type {number[]} */
+    const edges = answer?.edges ?? [];
+    const least = answer?.least_sure;
+    return { edges, least: least?.configuration ?? null };
   }
 
   /** Make its map anew. @param {Robot} robot */

@@ -3,7 +3,7 @@
 /** @import {Workbench} from "./main.js" */
 
 import { toHash } from "./state.js";
-import { byId } from "./svg.js";
+import { byId, selectOf } from "./svg.js";
 
 /** @typedef {"curl" | "python" | "link"} Form */
 
@@ -13,7 +13,7 @@ import { byId } from "./svg.js";
  */
 export function listenToCopies(bench, textOf) {
   for (const form of /** @type {const} */ (["curl", "python", "link"])) {
-    byId(`take-${form}`, HTMLButtonElement).addEventListener("click", () => void copy(bench, form, textOf));
+    byId(`take-${form}`).addEventListener("click", () => void copy(bench, form, textOf));
   }
 }
 
@@ -23,12 +23,12 @@ export function listenToCopies(bench, textOf) {
  * @param {(what: "sample" | "plan", form: "curl" | "python") => Promise<string>} textOf
  */
 async function copy(bench, form, textOf) {
-  const what = /** @type {"sample" | "plan"} */ (byId("take-what", HTMLSelectElement).value);
+  const what = /** @type {"sample" | "plan"} */ (selectOf("take-what").value);
   const text = form === "link" ? new URL(toHash(bench.state), location.href).href : await textOf(what, form);
   const area = byId("take-text", HTMLTextAreaElement);
   area.value = text;
   area.hidden = false;
-  const copied = byId("take-told", HTMLElement);
+  const copied = byId("take-told");
   try {
     await navigator.clipboard.writeText(text);
     copied.textContent = "Copied.";
