@@ -64,13 +64,13 @@ export class Side {
     return path;
   }
 
-  /** How sure its way is: on each piece, and where it is least so. */
+  /** How sure its way is: on each piece, and where least, if below 0.99. */
   get doubt() {
     const answer = this.planned?.answer;
     /** @type {number[]} */
     const edges = answer?.edges ?? [];
     const least = answer?.least_sure;
-    return { edges, least: least?.configuration ?? null };
+    return { edges, least: least?.confidence < 0.99 ? least.configuration : null };
   }
 
   /** Make its map anew. @param {Robot} robot */
