@@ -21,6 +21,8 @@ from cspace.world import Scene, World
 from cspace.worlds import FIRST, KINDS
 
 MAX_BYTES, MAX_DEPTH = 2**20, 16
+# Letters of a wrong value in an error.
+MAX_SHOWN = 200
 _NAME = {"type": "string", "pattern": "^[a-z0-9]([a-z0-9-]{0,38}[a-z0-9])?$"}
 _WORDS = {"exclusiveMinimum": "above", "minimum": "at least", "maximum": "at most", "required": "the keys"}
 _Lines = dict[tuple[Hashable, ...], int]
@@ -81,10 +83,28 @@ def read_scene_file(path: Path) -> SceneFile:
     Raises:
         ScenarioError: it cannot be read, is no YAML, or a value does not fit; the line is named.
     """
-    values, lines = _parse(path)
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise ScenarioError(f"{path} cannot be read", got=str(error)) from error
+    return read_scene_text(data, path)
+
+
+def read_scene_text(data: bytes, path: Path, kinds: Sequence[str] = tuple(KINDS)) -> SceneFile:
+    """Read what a scene file holds.
+
+    Args:
+        data: UTF-8.
+        path: what it is called in errors.
+        kinds: of worlds that are read.
+
+    Raises:
+        ScenarioError: as :func:`read_scene_file`.
+    """
+    values, lines = _parse(path, data)
     kind = values.get("world", FIRST) if isinstance(values, Mapping) else FIRST
-    if kind not in KINDS:
-        raise _at(path, lines, ("world",), "the world is unknown", " or ".join(KINDS), repr(kind))
+    if kind not in kinds:
+        raise _at(path, lines, ("world",), "the world is unknown", " or ".join(kinds), repr(kind)[:MAX_SHOWN])
     errors = list(Draft202012Validator(schema(kind)).iter_errors(values))
     if errors:
         raise _unfit(path, lines, next(filter(_unknown, errors), None) or best_match(errors))
@@ -122,16 +142,15 @@ def _end(
     return angles
 
 
-def _parse(path: Path) -> tuple[Any, _Lines]:
+def _parse(path: Path, data: bytes) -> tuple[Any, _Lines]:
     try:
-        data = path.read_bytes()
         if len(data) > MAX_BYTES:
             raise ScenarioError(f"{path} is too large", expected=f"{MAX_BYTES} bytes", got=str(len(data)))
         loader = yaml.SafeLoader(data.decode("utf-8"))
         node = loader.get_single_node()
         lines = {} if node is None else dict(_lines(node, ()))
         return (None if node is None else loader.construct_document(node)), lines
-    except (OSError, ValueError) as error:
+    except ValueError as error:
         if isinstance(error, InputError):
             raise
         raise ScenarioError(f"{path} cannot be read", got=str(error)) from error
@@ -150,6 +169,8 @@ def _lines(node: yaml.Node, place: tuple[Hashable, ...]) -> Iterator[tuple[tuple
     if isinstance(node, yaml.MappingNode):
         seen = set()
         for key, value in node.value:
+            if not isinstance(key, yaml.ScalarNode):
+                raise yaml.constructor.ConstructorError(None, None, "a key is no text", key.start_mark)
             if key.value in seen:
                 raise yaml.constructor.ConstructorError(
                     None, None, f"the key {key.value} stands twice", key.start_mark
@@ -182,7 +203,8 @@ def _unfit(path: Path, lines: _Lines, error: ValidationError) -> ScenarioError:
         return _at(path, lines, (*place, unknown[0]), f"{name} has an unknown key", known, unknown[0])
     words = _WORDS.get(str(error.validator), str(error.validator))
     expected = _schema(error).get("description") or f"{words} {error.validator_value}"
-    return _at(path, lines, place, f"{name} does not fit", expected, error.message)
+    got = error.message if len(error.message) <= MAX_SHOWN else f"{error.message[:MAX_SHOWN]} ..."
+    return _at(path, lines, place, f"{name} does not fit", expected, got)
 
 
 def _told(path: Path, lines: _Lines, part: str, read: Callable[[], World]) -> World:

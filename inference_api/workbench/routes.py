@@ -19,16 +19,17 @@ from inference_api.pages.validation import validate_fields
 from inference_api.problems import UNSUPPORTED_MEDIA_TYPE, RequestError
 from inference_api.workbench.models import ModelStory, stories
 from inference_api.workbench.page import add_page
+from inference_api.workbench.scene_file import FileQuestion, FileRequest
 from inference_api.workbench.space import SpaceQuestion
 from inference_api.workbench.space_schemas import SpaceRequest
 from inference_api.workbench.truth import SceneQuestion, TruthQuestion
 from inference_api.workbench.truth_schemas import SceneRequest, TruthRequest
 from services.registry.references import ModelReference
 
-# What compiled checks and drawn scenes need, as the extra ``workbench`` has it.
-_PACKAGES = ("numba", "scipy", "matplotlib")
+# What compiled checks, drawn scenes and scene files need, as the extra ``workbench`` has it.
+_PACKAGES = ("numba", "scipy", "matplotlib", "jsonschema", "yaml")
 
-Asked = TypeVar("Asked", SceneRequest, SpaceRequest, TruthRequest)
+Asked = TypeVar("Asked", FileRequest, SceneRequest, SpaceRequest, TruthRequest)
 
 
 class About(BaseModel):
@@ -78,6 +79,7 @@ def add_workbench(app: FastAPI, *, truth: bool, mlflow_pages: str | None) -> Non
         return await room.run(partial(stories, store, name, mlflow_pages), client_of(request.scope))
 
     if truth:
+        app.post("/workbench/scene-file", include_in_schema=False)(_scene_file)
         app.post("/workbench/scene", include_in_schema=False)(_scene)
         app.post("/workbench/truth", include_in_schema=False)(_truth)
         app.post("/workbench/space", include_in_schema=False)(_space)
@@ -92,6 +94,10 @@ def _is_installed(name: str) -> bool:
 
 async def _scene(request: Request) -> Response:
     return await _ask(request, SceneRequest, SceneQuestion)
+
+
+async def _scene_file(request: Request) -> Response:
+    return await _ask(request, FileRequest, FileQuestion)
 
 
 async def _truth(request: Request) -> Response:

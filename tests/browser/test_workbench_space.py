@@ -117,8 +117,8 @@ def test_the_arm_that_the_cameras_see_stands_at_the_start_and_the_address_keeps_
 def test_what_is_copied_runs_and_asks_for_the_same(page: Page, address: str, tmp_path: Path) -> None:
     shown = open_space(page, address)
     page.get_by_role("button", name="Copy as Python").click()
-    expect(page.locator("#space-take-told")).not_to_be_empty()
-    text = page.locator("#space-take-text").input_value()
+    expect(page.locator("#take-told")).not_to_be_empty()
+    text = page.locator("#take-text").input_value()
     command = [sys.executable, "-c", text]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True, timeout=120)
     assert json.loads(done.stdout) == shown["samples"]

@@ -62,14 +62,14 @@ def wait_for_disc(page: Page, at: int, x_m: float, y_m: float) -> None:
     settle(page)
 
 
-def shown_samples(page: Page) -> NDArray[np.float64]:
-    """(n, 2) rad: what is drawn in the joint space, crossed ones included."""
+def shown_samples(page: Page, drawing: str = "#torus") -> NDArray[np.float64]:
+    """(n, 2) rad: what is drawn in a map of the joint space, crossed ones included."""
     found = []
     for place in range(4):
-        found += re.findall(
-            r"M([-\d.]+) ([-\d.]+)h0", page.locator(f".dots-{place}").first.get_attribute("d") or ""
-        )
-    crossed = re.findall(r"M([-\d.]+) ([-\d.]+)l8", page.locator("#torus .crosses").get_attribute("d") or "")
+        dots = page.locator(f"{drawing} .dots-{place}").get_attribute("d") or ""
+        found += re.findall(r"M([-\d.]+) ([-\d.]+)h0", dots)
+    crosses = page.locator(f"{drawing} .crosses").get_attribute("d") or ""
+    crossed = re.findall(r"M([-\d.]+) ([-\d.]+)l8", crosses)
     places = [(float(x), float(y)) for x, y in found] + [(float(x) + 4, float(y) + 4) for x, y in crossed]
     xy = np.array(places, dtype=np.float64).reshape(-1, 2)
     turn = 2.0 * np.pi

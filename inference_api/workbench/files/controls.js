@@ -1,29 +1,35 @@
 // Everything beside the drawings: fields, buttons, figures.
 
-/** @import {Configuration, Disc, Robot} from "./geometry.js" */
+/** @import {Disc, Robot} from "./geometry.js" */
 /** @import {Workbench} from "./main.js" */
 /** @import {Listed} from "./models-view.js" */
 
 import { ask } from "./api.js";
-import { bound, degrees } from "./geometry.js";
 import { speak } from "./messages.js";
-import { toBase64 } from "./picture.js";
-import { MAX_DISCS, clamp } from "./state.js";
-import { byId } from "./svg.js";
+import { openFile } from "./scene-file.js";
+import { jointRow } from "./space-joints.js";
+import { MAX_DISCS, clamp, isSeed } from "./state.js";
+import { buttonOf, byId, inputOf, selectOf } from "./svg.js";
 
-// The API takes no larger body, and base64 makes four letters of three bytes.
-const MAX_FILE = 5 * 1024 * 1024;
+/** Fields of numbers: id, name in the state, least, most, whether whole. */
+const NUMBERS = /** @type {const} */ ([
+  ["count", "n", 1, 2000, true],
+  ["plan-limit", "limit", 0.01, 10, false],
+  ["plan-ways", "ways", 1, 64, true],
+]);
+const SEEDS = /** @type {const} */ ([["seed", "seed"], ["plan-seed", "planSeed"]]);
 const ENDS = /** @type {const} */ (["start", "goal"]);
 
 export class Controls {
   /** @param {Workbench} bench */
   constructor(bench) {
     this.bench = bench;
-    /** @type {Record<"start" | "goal", {slider: HTMLInputElement, told: HTMLOutputElement}[]>} */
+    /** @type {Record<"start" | "goal", ((angle: number) => void)[]>} */
     this.joints = { start: [], goal: [] };
-    this.select = byId("model", HTMLSelectElement);
+    this.select = selectOf("model");
+    this.others = selectOf("beside");
     this.picture = byId("picture", HTMLCanvasElement);
-    this.radius = byId("radius", HTMLInputElement);
+    this.radius = inputOf("radius");
     this.listen();
     this.listenToFiles();
     this.showView();
@@ -35,29 +41,34 @@ export class Controls {
       bench.state = { ...bench.state, model: this.select.value };
       bench.choose(this.select.value);
     });
-    byId("to-plane", HTMLButtonElement).addEventListener("click", () => bench.change({ view: "plane" }));
-    byId("to-space", HTMLButtonElement).addEventListener("click", () => bench.change({ view: "space" }));
-    byId("to-models", HTMLButtonElement).addEventListener("click", () => bench.change({ view: "models" }));
-    byId("add-disc", HTMLButtonElement).addEventListener("click", () => this.addDisc());
-    byId("remove-disc", HTMLButtonElement).addEventListener("click", () => this.removeDisc(bench.chosen));
+    this.others.addEventListener("change", () => bench.change({ beside: this.others.value }));
+    for (const view of /** @type {const} */ (["plane", "space", "models"])) {
+      byId(`to-${view}`).addEventListener("click", () => bench.change({ view }));
+    }
+    byId("add-disc").addEventListener("click", () => this.addDisc());
+    byId("remove-disc").addEventListener("click", () => this.removeDisc(bench.chosen));
     this.radius.addEventListener("input", () => {
       const disc = bench.state.discs[bench.chosen];
       if (disc) this.moveDisc(bench.chosen, { ...disc, r: Number(this.radius.value) });
     });
-    const count = byId("count", HTMLInputElement);
-    count.addEventListener("input", () => bench.change({ n: clamp(count.value, 1, 2000, bench.state.n, true) }));
-    count.addEventListener("change", () => (count.value = String(bench.state.n)));
-    const seed = byId("seed", HTMLInputElement);
-    seed.addEventListener("input", () => {
-      if (/^[0-9]{1,20}$/.test(seed.value)) bench.change({ seed: seed.value });
-    });
-    const confidence = byId("confidence", HTMLSelectElement);
+    for (const [id, name, low, high, whole] of NUMBERS) {
+      const field = inputOf(id);
+      field.addEventListener("input", () => bench.change({ [name]: clamp(field.value, low, high, bench.state[name], whole) }));
+      field.addEventListener("change", () => (field.value = String(bench.state[name])));
+    }
+    for (const [id, name] of SEEDS) {
+      const field = inputOf(id);
+      field.addEventListener("input", () => {
+        if (isSeed(field.value)) bench.change({ [name]: field.value });
+      });
+    }
+    const confidence = selectOf("confidence");
     confidence.addEventListener("change", () => {
       bench.change({ confidence: confidence.value === "" ? null : Number(confidence.value) });
     });
-    const ground = byId("ground", HTMLSelectElement);
+    const ground = selectOf("ground");
     ground.addEventListener("change", () => {
-      bench.drawn.ground = null;
+      for (const side of bench.sides()) side.drawn.ground = null;
       bench.change({ ground: /** @type {"truth" | "belief" | "none"} */ (ground.value) });
     });
     byId("family-form", HTMLFormElement).addEventListener("submit", (event) => {
@@ -67,15 +78,22 @@ export class Controls {
   }
 
   listenToFiles() {
-    const open = byId("open", HTMLInputElement);
+    const open = inputOf("open");
     open.addEventListener("change", () => {
       const file = open.files?.[0];
-      if (file) void this.openPicture(file);
+      if (file) void openFile(this.bench, file);
       // The same file again is a change, too.
       open.value = "";
     });
-    byId("back", HTMLButtonElement).addEventListener("click", () => this.bench.change({ picture: null }));
-    byId("save", HTMLAnchorElement).addEventListener("click", (event) => {
+    // Dropped beside what takes it, a file would be opened instead of the page.
+    addEventListener("dragover", (event) => event.preventDefault());
+    addEventListener("drop", (event) => {
+      event.preventDefault();
+      const file = event.dataTransfer?.files[0];
+      if (file && this.bench.state.view === "plane") void openFile(this.bench, file);
+    });
+    byId("back").addEventListener("click", () => this.bench.change({ picture: null }));
+    byId("save").addEventListener("click", (event) => {
       const { png } = this.bench;
       if (!png) return event.preventDefault();
       URL.revokeObjectURL(this.saved ?? "");
@@ -86,85 +104,76 @@ export class Controls {
 
   /** @param {{models: Listed[]}} listed */
   listModels(listed) {
-    const options = listed.models
-      .filter((model) => model.world?.kind === "planar")
-      .map((model) => new Option(`${model.reference}${model.aliases.length ? ` (${model.aliases.join(", ")})` : ""}`, model.reference));
-    this.select.replaceChildren(new Option("the default", ""), ...options);
-    const { model } = this.bench.state;
-    if (model && !options.some((option) => option.value === model)) this.select.append(new Option(model, model));
+    const planar = listed.models.filter((model) => model.world?.kind === "planar");
+    offer(this.select, "the default", planar, this.bench.state.model);
+  }
+
+  /** Models of the same robot, to look at beside the one that is chosen. @param {Listed[]} models @param {string} chosen */
+  listOthers(models, chosen) {
+    this.others.disabled = !models.length && !chosen;
+    offer(this.others, this.others.disabled ? "no other model of this robot" : "nothing", models, chosen);
   }
 
   /** The server has told what it can do. */
   ready() {
     const { about } = this.bench;
-    byId("plan", HTMLButtonElement).title = about.plans ? "" : "this server does not plan";
-    const truth = byId("ground", HTMLSelectElement).options[0];
+    buttonOf("plan").title = about.plans ? "" : "this server does not plan";
+    const truth = selectOf("ground").options[0];
     truth.disabled = !about.truth;
     truth.textContent = about.truth ? "collisions in truth" : "collisions in truth (off on this server)";
     byId("family-form", HTMLFormElement).hidden = !about.truth;
   }
 
   /** @param {Robot} robot */
-  makeJoints(robot) {
+  makeJoints({ low, high }) {
     const rows = ENDS.flatMap((end) => {
       this.joints[end] = [];
-      return robot.links.map((_, joint) => this.makeJoint(robot, end, joint));
+      return low.map((_, joint) => {
+        const { row, show } = jointRow(`${end} ${joint + 1}`, low[joint], high[joint], (angle) => {
+          const configuration = [...this.bench.state[end]];
+          configuration[joint] = angle;
+          this.bench.moveEnd(end, configuration);
+        });
+        this.joints[end].push(show);
+        return row;
+      });
     });
-    byId("joints", HTMLElement).replaceChildren(...rows);
-  }
-
-  /** @param {Robot} robot @param {"start" | "goal"} end @param {number} joint */
-  makeJoint(robot, end, joint) {
-    const row = document.createElement("label");
-    row.className = "joint";
-    const slider = document.createElement("input");
-    Object.assign(slider, { type: "range", step: "0.01" });
-    slider.min = String(robot.low[joint]);
-    slider.max = String(robot.high[joint]);
-    const told = document.createElement("output");
-    slider.addEventListener("input", () => {
-      const configuration = [...this.bench.state[end]];
-      configuration[joint] = Math.min(robot.high[joint] - 1e-6, Number(slider.value));
-      this.bench.moveEnd(end, configuration);
-    });
-    row.append(`${end} ${joint + 1}`, slider, told);
-    this.joints[end].push({ slider, told });
-    return row;
+    byId("joints").replaceChildren(...rows);
   }
 
   /** Fields follow the state. */
   show() {
     const { state, chosen } = this.bench;
-    for (const end of ENDS) {
-      this.joints[end].forEach(({ slider, told }, joint) => {
-        slider.value = String(state[end][joint]);
-        slider.setAttribute("aria-valuetext", degrees(state[end][joint]));
-        told.textContent = degrees(state[end][joint]);
-      });
-    }
+    for (const end of ENDS) this.joints[end].forEach((show, joint) => show(state[end][joint]));
     const disc = state.picture ? undefined : state.discs[chosen];
     byId("disc-told", HTMLOutputElement).textContent = disc
       ? `disc ${chosen + 1}: x ${disc.x.toFixed(2)}, y ${disc.y.toFixed(2)}, r ${disc.r.toFixed(2)} m`
       : state.picture ? "a picture, not discs" : "no disc chosen";
-    byId("remove-disc", HTMLButtonElement).disabled = !disc;
-    byId("add-disc", HTMLButtonElement).disabled = Boolean(state.picture) || state.discs.length >= MAX_DISCS;
+    buttonOf("remove-disc").disabled = !disc;
+    buttonOf("add-disc").disabled = Boolean(state.picture) || state.discs.length >= MAX_DISCS;
     this.radius.disabled = !disc;
     if (disc) this.radius.value = String(disc.r);
-    keep("count", String(state.n));
-    keep("seed", state.seed);
-    byId("confidence", HTMLSelectElement).value = state.confidence === null ? "" : String(state.confidence);
-    byId("ground", HTMLSelectElement).value = state.ground;
+    for (const [id, name] of [...NUMBERS, ...SEEDS]) keep(id, String(state[name]));
+    selectOf("confidence").value = state.confidence === null ? "" : String(state.confidence);
+    selectOf("ground").value = state.ground;
     this.select.value = state.model;
-    byId("back", HTMLButtonElement).hidden = !state.picture;
+    this.others.value = state.beside;
+    byId("beside-figure").hidden = !state.beside;
+    byId("figures").classList.toggle("three", Boolean(state.beside));
+    buttonOf("back").hidden = !state.picture;
     this.showView();
   }
 
   showView() {
     const { view } = this.bench.state;
-    byId("model-label", HTMLElement).hidden = view === "space";
+    byId("model-label").hidden = view === "space";
+    const last = view === "models" ? null : byId(`${view}-last`);
+    const take = byId("take");
+    // Moving it takes the focus from what is in it.
+    if (last && take.parentElement !== last) last.append(take);
     for (const name of ["plane", "space", "models"]) {
-      byId(name, HTMLElement).hidden = view !== name;
-      byId(`to-${name}`, HTMLElement).setAttribute("aria-pressed", String(view === name));
+      byId(name).hidden = view !== name;
+      byId(`to-${name}`).setAttribute("aria-pressed", String(view === name));
     }
   }
 
@@ -203,7 +212,7 @@ export class Controls {
     speak(`Disc ${at + 1} removed`);
     requestAnimationFrame(() => {
       if (bench.state.discs.length) bench.scene?.focusDisc(Math.min(at, bench.state.discs.length - 1));
-      else byId("add-disc", HTMLButtonElement).focus();
+      else buttonOf("add-disc").focus();
     });
   }
 
@@ -227,36 +236,32 @@ export class Controls {
     this.bench.moveEnd(end, [first, second, ...this.bench.state[end].slice(2)]);
   }
 
-  /** @param {File} file */
-  async openPicture(file) {
-    if (file.size > MAX_FILE) {
-      const expected = "a PNG of 16 to 2048 pixels a side";
-      return this.bench.messages.refuse("The file is too large", `${file.name} has more than 5 MiB`, expected);
-    }
-    this.bench.change({ picture: toBase64(new Uint8Array(await file.arrayBuffer())) });
-  }
-
   async drawFamily() {
     const { bench } = this;
-    const family = byId("family", HTMLSelectElement).value;
-    const seed = clamp(byId("family-seed", HTMLInputElement).value, 0, 999999, 0, true);
+    const family = selectOf("family").value;
+    const seed = clamp(inputOf("family-seed").value, 0, 999999, 0, true);
     try {
-      const model = bench.state.model ? { model: bench.state.model } : {};
-      const scene = await ask("workbench/scene", { ...model, ...(family ? { family } : {}), seed });
-      const robot = /** @type {Robot} */ (bench.robot);
-      bench.chosen = -1;
-      bench.change({
-        discs: scene.discs.map((/** @type {number[]} */ [x, y, r]) => ({ x, y, r })),
-        picture: null, start: bound(robot, scene.start), goal: bound(robot, scene.goal),
-      });
+      const scene = await ask("workbench/scene", { ...bench.first.model, ...(family ? { family } : {}), seed });
+      const discs = scene.discs.map((/** @type {number[]} */ [x, y, r]) => ({ x, y, r }));
+      bench.showScene({ discs, start: scene.start, goal: scene.goal, model: bench.state.model });
     } catch (error) {
       bench.messages.failed(error);
     }
   }
 }
 
+/** @param {HTMLSelectElement} select @param {string} none @param {Listed[]} models @param {string} chosen */
+function offer(select, none, models, chosen) {
+  const options = models.map(
+    ({ reference, aliases }) => new Option(`${reference}${aliases.length ? ` (${aliases.join(", ")})` : ""}`, reference),
+  );
+  if (chosen && !options.some((option) => option.value === chosen)) options.push(new Option(chosen, chosen));
+  select.replaceChildren(new Option(none, ""), ...options);
+  select.value = chosen;
+}
+
 /** Leave a field alone in which somebody is writing. @param {string} id @param {string} text */
 function keep(id, text) {
-  const field = byId(id, HTMLInputElement);
+  const field = inputOf(id);
   if (document.activeElement !== field) field.value = text;
 }

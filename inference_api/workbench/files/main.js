@@ -7,22 +7,19 @@
 import { ask, hasKey } from "./api.js";
 import { Controls } from "./controls.js";
 import { along, bound } from "./geometry.js";
-import { Live, believedGround, trueGround } from "./live.js";
 import { Messages } from "./messages.js";
 import { showModels } from "./models-view.js";
 import { encodePng, fromBase64, render, smallPng, toBase64 } from "./picture.js";
 import { Planner } from "./planner.js";
 import { Readout } from "./readout.js";
 import { SceneView } from "./scene-view.js";
+import { Side } from "./side.js";
 import { asCurl, asPython, planBody, sampleBody } from "./snippets.js";
 import { Space } from "./space.js";
 import { fromHash, toHash } from "./state.js";
 import { byId } from "./svg.js";
 import { listenToCopies } from "./take.js";
-import { TorusView } from "./torus-view.js";
 
-const BELIEF_CELLS = 64;
-const TRUTH_CELLS = 120;
 const GHOSTS = 14;
 
 class Workbench {
@@ -37,10 +34,12 @@ class Workbench {
     /** @type {Camera | null} */
     this.camera = null;
     this.chosen = -1;
+    /** The model that is asked. @type {Listed | null} */
+    this.listed = null;
     /** @type {Configuration | null} */
     this.peek = null;
-    /** @type {{samples: number[][], confidence: number[] | null, free: boolean[] | null, ground: any}} */
-    this.drawn = { samples: [], confidence: null, free: null, ground: null };
+    /** The picture of these discs. @type {{of: object | null, image: string}} */
+    this.rendered = { of: null, image: "" };
     /** @type {Uint8Array<ArrayBuffer> | null} */
     this.png = null;
     /** What is drawn of the discs, RGBA. */
@@ -51,19 +50,16 @@ class Workbench {
     /** @type {number | undefined} */
     this.frame = undefined;
     this.messages = new Messages(() => void this.begin());
-    this.live = new Live(() => this.asked(), {
-      samples: (answer, tookMs) => this.sampled(answer, tookMs),
-      truth: (answer, samples) => this.judged(answer, samples),
-      belief: (answer) => this.believed(answer),
-      failed: (error) => this.messages.failed(error),
-      busy: (busy) => byId("torus", SVGSVGElement).setAttribute("aria-busy", String(busy)),
-    });
+    this.first = new Side(this, "torus", "model");
+    this.beside = new Side(this, "torus-beside", "beside");
     this.planner = new Planner(this);
     this.space = new Space(this);
     this.readout = new Readout(this);
     this.controls = new Controls(this);
-    listenToCopies(this, "take", async (what, form) => this.taken(what, form, await this.bodyOf(what)));
-    listenToCopies(this, "space-take", async (what, form) => this.taken(what, form, this.space.bodies()[what]));
+    listenToCopies(this, async (what, form) => {
+      const body = this.state.view === "space" ? this.space.bodies()[what] : await this.bodyOf(what);
+      return this.taken(what, form, body);
+    });
     addEventListener("hashchange", () => this.opened());
   }
 
@@ -86,11 +82,23 @@ class Workbench {
     }
   }
 
+  /** Models whose answers are shown: the one that was chosen, and one beside it. */
+  sides() {
+    return this.state.beside ? [this.first, this.beside] : [this.first];
+  }
+
   /** Make room for a model's robot. @param {string} reference */
   choose(reference) {
     const planar = this.models.filter((model) => model.world?.kind === "planar");
     const wanted = planar.find((model) => (reference ? named(model, reference) : model.default)) ?? planar[0];
     if (!wanted) return;
+    this.listed = wanted;
+    const others = planar.filter((model) => model !== wanted && model.robot === wanted.robot);
+    const { beside } = this.state;
+    // What is not in the list may be there all the same; its question tells.
+    const fits = others.some((model) => named(model, beside)) || !this.models.some((model) => named(model, beside));
+    this.controls.listOthers(others, fits ? beside : "");
+    this.rendered.of = null;
     const { robot, camera } = wanted.world;
     const space = wanted.joint_space;
     this.robot = {
@@ -109,14 +117,18 @@ class Workbench {
       remove: (at) => this.controls.removeDisc(at),
       end: (end, configuration) => this.moveEnd(end, configuration),
     });
-    this.torus = new TorusView(byId("torus", SVGSVGElement), this.robot, {
-      end: (end, configuration) => this.moveEnd(end, configuration),
-      click: (first, second) => this.controls.clicked(first, second),
-      peek: (first, second) => this.peeked(first, second),
-    });
+    this.first.make(this.robot);
+    this.beside.make(this.robot);
     this.controls.makeJoints(this.robot);
-    const { start, goal } = this.state;
-    this.change({ start: bound(this.robot, start), goal: bound(this.robot, goal) });
+    const { start, goal, model } = this.state;
+    this.change({ model, beside: fits ? beside : "", start: bound(this.robot, start), goal: bound(this.robot, goal) });
+  }
+
+  /** Show a whole scene. @param {Pick<State, "discs" | "start" | "goal" | "model">} scene */
+  showScene(scene) {
+    this.chosen = -1;
+    this.state = { ...this.state, ...scene, picture: null };
+    this.choose(scene.model);
   }
 
   /** An address was opened in this page. */
@@ -129,12 +141,14 @@ class Workbench {
 
   /** Change what is shown. @param {Partial<State>} changes */
   change(changes) {
-    const scene = ["discs", "picture", "start", "goal", "model"].some((name) => name in changes);
+    const scene = ["discs", "picture", "start", "goal", "model", "beside"].some((name) => name in changes);
     const sampled = scene || ["n", "seed", "confidence", "ground"].some((name) => name in changes);
     this.state = { ...this.state, ...changes };
-    if (scene) this.planner.forget();
+    if (scene || ["planSeed", "limit", "ways"].some((name) => name in changes)) this.planner.forget();
     this.draw();
-    if ((sampled || changes.view === "plane") && this.state.view !== "space") this.live.changed();
+    if ((sampled || changes.view === "plane") && this.state.view !== "space") {
+      for (const side of this.sides()) side.changed(side.part in changes);
+    }
     this.remember();
     if (changes.view === "space") this.space.open();
   }
@@ -153,7 +167,7 @@ class Workbench {
     this.draw();
     this.remember();
     // Of more joints than two, the map shows the start's others.
-    if (this.robot.links.length > 2) this.live.changed();
+    if (this.robot.links.length > 2) this.sides().forEach((side) => side.changed(false));
   }
 
   /** @param {number} at */
@@ -177,18 +191,23 @@ class Workbench {
   }
 
   drawNow() {
-    if (!this.robot || !this.scene || !this.torus) return;
+    if (!this.robot || !this.scene) return;
     const { state, robot, planner } = this;
-    const way = planner.path;
+    const { way } = this.first;
     const ghosts = way.length
       ? Array.from({ length: GHOSTS }, (_, at) => along(robot, way, (at + 1) / (GHOSTS + 1)))
       : [];
-    const moving = way.length ? along(robot, way, planner.player.share) : null;
+    const [moving, other] = [this.first, this.beside].map((side) =>
+      side.way.length ? along(robot, side.way, planner.player.share) : null,
+    );
     this.scene.show({
-      discs: state.discs, chosen: this.chosen, start: state.start, goal: state.goal, ghosts, moving,
+      discs: state.discs, chosen: this.chosen, start: state.start, goal: state.goal, ghosts, moving, other,
+      least: this.first.doubt.least,
       peek: this.peek, picture: state.picture ? this.pictureAddress : null,
     });
-    this.torus.showEnds({ start: state.start, goal: state.goal, way, moving });
+    const { start, goal } = state;
+    this.first.torus?.showEnds({ start, goal, way, moving, ...this.first.doubt });
+    this.beside.torus?.showEnds({ start, goal, way: this.beside.way, moving: other, ...this.beside.doubt });
     this.controls.show();
   }
 
@@ -201,15 +220,19 @@ class Workbench {
       return picture;
     }
     this.seen = "";
-    this.pixels = render(this.robot, this.camera, this.state.discs);
+    const { discs } = this.state;
+    if (this.rendered.of === discs) return this.rendered.image;
+    this.pixels = render(this.robot, this.camera, discs);
     this.controls.showPixels(this.pixels, this.camera.pixels);
     this.png = encodePng(this.pixels);
-    return toBase64(this.png);
+    this.rendered = { of: discs, image: toBase64(this.png) };
+    return this.rendered.image;
   }
 
   /** Show an uploaded picture. @param {string} picture @param {number} side */
   see(picture, side) {
     this.seen = picture;
+    this.rendered.of = null;
     this.png = fromBase64(picture);
     const file = new Blob([this.png], { type: "image/png" });
     URL.revokeObjectURL(this.pictureAddress);
@@ -218,66 +241,10 @@ class Workbench {
     this.draw();
   }
 
-  /** What a round of questions asks. */
-  asked() {
-    const image = this.pictured();
-    const { state, about, robot } = this;
-    const model = state.model ? { model: state.model } : {};
-    const truth = about.truth && !state.picture;
-    return {
-      sample: sampleBody(state, image),
-      truth: truth
-        ? (/** @type {number[][]} */ configurations) => ({
-            ...model, discs: state.discs.map((disc) => [disc.x, disc.y, disc.r]), cells: TRUTH_CELLS, configurations,
-            ...(robot && robot.links.length > 2 ? { at: state.start } : {}),
-          })
-        : null,
-      belief: state.ground === "belief" ? () => ({ ...model, image, configurations: this.grid() }) : null,
-    };
-  }
-
-  grid() {
-    const { low, high } = /** @type {Robot} */ (this.robot);
-    const at = (/** @type {number} */ joint, /** @type {number} */ cell) =>
-      Number((low[joint] + ((cell + 0.5) / BELIEF_CELLS) * (high[joint] - low[joint])).toFixed(4));
-    const rest = this.state.start.slice(2);
-    return Array.from({ length: BELIEF_CELLS ** 2 }, (_, cell) => [
-      at(0, Math.floor(cell / BELIEF_CELLS)), at(1, cell % BELIEF_CELLS), ...rest,
-    ]);
-  }
-
-  /** @param {any} answer @param {number} tookMs */
-  sampled(answer, tookMs) {
-    const { ground } = this.drawn;
-    this.drawn = { samples: answer.samples, confidence: answer.confidence, free: null, ground };
-    if (this.state.ground === "none" || (this.state.ground === "truth" && (!this.about.truth || this.state.picture))) {
-      this.drawn.ground = null;
-    }
-    this.torus?.show(this.drawn);
-    this.messages.clear();
-    this.messages.here(`${answer.samples.length} samples in ${Math.round(tookMs)} ms`);
-    this.readout.showAnswer(answer);
-  }
-
-  /** @param {any} answer @param {number[][]} samples */
-  judged(answer, samples) {
-    if (samples === this.drawn.samples) this.drawn.free = answer.sample_free;
-    if (this.state.ground === "truth") this.drawn.ground = trueGround(answer);
-    this.torus?.show(this.drawn);
-    this.readout.showTruth(answer);
-  }
-
-  /** @param {any} answer */
-  believed(answer) {
-    if (this.state.ground !== "belief") return;
-    this.drawn.ground = believedGround(answer.confidence, BELIEF_CELLS);
-    this.torus?.show(this.drawn);
-  }
-
   /** The request for what is shown of the plane. @param {"sample" | "plan"} what */
   async bodyOf(what) {
     const image = this.state.picture ?? toBase64(await smallPng(this.pixels));
-    return what === "sample" ? sampleBody(this.state, image) : planBody(this.state, image);
+    return { ...(what === "sample" ? sampleBody : planBody)(this.state, image), ...this.first.model };
   }
 
   /** A request for a shell or a script. @param {"sample" | "plan"} what @param {"curl" | "python"} form @param {object} body */

@@ -1,7 +1,7 @@
 // What the page says: whether the server answers, what it refused and why, what was done.
 
 import { ApiAway, ApiProblem, ask, useKey } from "./api.js";
-import { byId } from "./svg.js";
+import { byId, inputOf, selectOf } from "./svg.js";
 
 const LOOK_MS = 1000;
 
@@ -10,13 +10,13 @@ export class Messages {
   constructor(again) {
     this.again = again;
     this.away = false;
-    this.connection = byId("connection", HTMLElement);
-    this.box = byId("problem", HTMLElement);
+    this.connection = byId("connection");
+    this.box = byId("problem");
     this.keyForm = byId("key-form", HTMLFormElement);
-    byId("problem-close", HTMLButtonElement).addEventListener("click", () => this.clear());
+    byId("problem-close").addEventListener("click", () => this.clear());
     this.keyForm.addEventListener("submit", (event) => {
       event.preventDefault();
-      useKey(byId("key", HTMLInputElement).value);
+      useKey(inputOf("key").value);
       this.clear();
       this.again();
     });
@@ -52,10 +52,10 @@ export class Messages {
 
   /** @param {import("./api.js").Problem} problem */
   show({ title, detail, expected, got, remedy }) {
-    byId("problem-title", HTMLElement).textContent = title;
-    byId("problem-detail", HTMLElement).textContent = detail;
+    byId("problem-title").textContent = title;
+    byId("problem-detail").textContent = detail;
     const more = Object.entries({ expected, got, remedy }).filter(([, text]) => text);
-    byId("problem-more", HTMLElement).replaceChildren(
+    byId("problem-more").replaceChildren(
       ...more.flatMap(([name, text]) => [entry("dt", name), entry("dd", String(text))]),
     );
     this.box.hidden = false;
@@ -81,16 +81,37 @@ export class Messages {
 }
 
 /**
- * @param {"dt" | "dd" | "li" | "p"} name
- * @param {string} text
+ * @template {keyof HTMLElementTagNameMap} Name
+ * @param {Name} name
+ * @param {string} [text]
+ * @param {string} [kind]  Its class.
  */
-export function entry(name, text) {
+export function entry(name, text = "", kind = "") {
   const element = document.createElement(name);
   element.textContent = text;
+  if (kind) element.className = kind;
   return element;
+}
+
+/** @param {string} id  Of a list. @param {[string, string][]} told */
+export function showFigures(id, told) {
+  byId(id).replaceChildren(
+    ...told.map(([name, value]) => {
+      const pair = entry("div");
+      pair.append(entry("dt", name), entry("dd", value));
+      return pair;
+    }),
+  );
+}
+
+/** Fill a list of names anew where it has others. @param {string} id @param {string[]} names */
+export function offerNames(id, names) {
+  const select = selectOf(id);
+  if ([...select.options].map((option) => option.value).join() === names.join()) return;
+  select.replaceChildren(...names.map((name) => new Option(name, name)));
 }
 
 /** Say something to screen readers. @param {string} words */
 export function speak(words) {
-  byId("spoken", HTMLElement).textContent = words;
+  byId("spoken").textContent = words;
 }

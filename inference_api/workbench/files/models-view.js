@@ -24,9 +24,9 @@ const REGISTRY = {
  * @param {(reference: string) => void} use
  */
 export function showModels(models, stories, registry, use) {
-  byId("registry", HTMLElement).textContent = REGISTRY[registry];
+  byId("registry").textContent = REGISTRY[registry];
   const byReference = new Map(stories.map((story) => [story.reference, story]));
-  byId("model-list", HTMLElement).replaceChildren(
+  byId("model-list").replaceChildren(
     ...models.map((model) => card(model, byReference.get(model.reference), use)),
   );
 }
@@ -37,21 +37,18 @@ export function showModels(models, stories, registry, use) {
  * @param {(reference: string) => void} use
  */
 function card(model, story, use) {
-  const article = document.createElement("article");
-  article.className = "card";
-  const title = document.createElement("h3");
+  const article = entry("article", "", "card");
+  const title = entry("h3");
   title.append(model.reference, ...[...model.aliases, ...(model.default ? ["default"] : [])].map(badge));
   article.append(title, table(rows(model, story)));
   const further = Object.entries(story?.figures ?? {}).filter(([name]) => !isHeadline(name));
   if (further.length) {
-    const details = document.createElement("details");
-    const summary = document.createElement("summary");
-    summary.textContent = `${further.length} further figures`;
+    const details = entry("details");
+    const summary = entry("summary", `${further.length} further figures`);
     details.append(summary, table(further.map(figure)));
     article.append(details);
   }
-  const bar = document.createElement("div");
-  bar.className = "bar";
+  const bar = entry("div", "", "bar");
   if (model.world?.kind === "planar") bar.append(useButton(model.reference, use));
   if (story?.link) bar.append(linkTo(story.link));
   if (bar.childElementCount) article.append(bar);
@@ -94,7 +91,7 @@ function figure([name, value]) {
 
 /** @param {[string, string][]} rows */
 function table(rows) {
-  const list = document.createElement("dl");
+  const list = entry("dl");
   for (const [name, text] of rows) list.append(entry("dt", name), entry("dd", text));
   return list;
 }
@@ -107,15 +104,14 @@ function when(text) {
 
 /** @param {string} text */
 function badge(text) {
-  const found = document.createElement("span");
-  found.className = "alias";
+  const found = entry("span", "", "alias");
   found.textContent = text;
   return found;
 }
 
 /** @param {string} reference @param {(reference: string) => void} use */
 function useButton(reference, use) {
-  const button = document.createElement("button");
+  const button = entry("button");
   button.type = "button";
   button.textContent = "Use it";
   button.setAttribute("aria-label", `Use ${reference}`);
@@ -125,7 +121,7 @@ function useButton(reference, use) {
 
 /** @param {string} address */
 function linkTo(address) {
-  const link = document.createElement("a");
+  const link = entry("a");
   link.href = address;
   link.textContent = "In MLflow";
   link.rel = "noreferrer";

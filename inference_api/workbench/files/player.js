@@ -1,6 +1,6 @@
 // What plays a way: a button, a slider, and how much of the way is gone.
 
-import { byId } from "./svg.js";
+import { buttonOf, inputOf } from "./svg.js";
 
 export class Player {
   /**
@@ -10,8 +10,8 @@ export class Player {
    * @param {() => void} draw
    */
   constructor(button, slider, lastsMs, draw) {
-    this.button = byId(button, HTMLButtonElement);
-    this.slider = byId(slider, HTMLInputElement);
+    this.button = buttonOf(button);
+    this.slider = inputOf(slider);
     this.lastsMs = lastsMs;
     this.draw = draw;
     this.share = 0;

@@ -1,60 +1,72 @@
 // What the answers say, in figures and in a legend.
 
 /** @import {Workbench} from "./main.js" */
+/** @import {Side} from "./side.js" */
 
-import { entry } from "./messages.js";
+import { entry, offerNames, showFigures } from "./messages.js";
+import { searchedMs } from "./planner.js";
 import { byId, draw } from "./svg.js";
 
 export class Readout {
   /** @param {Workbench} bench */
   constructor(bench) {
     this.bench = bench;
-    /** @type {any} */
-    this.answer = null;
-    /** @type {any} */
-    this.truth = null;
     this.legend = "";
   }
 
-  /** @param {any} answer  Of POST /sample. */
-  showAnswer(answer) {
-    this.answer = answer;
-    this.showNumbers();
-    const threshold = answer.confidence ? "" : "this model has no confidence";
-    byId("torus-note", HTMLElement).textContent = threshold || "joint 1 across, joint 2 up";
-    this.showLegend(Boolean(answer.confidence));
+  /** Show what has been answered. */
+  show() {
+    const { first, beside } = this.bench;
+    if (!first.answer) return;
+    const two = this.bench.sides().length > 1;
+    byId("numbers").hidden = two;
+    byId("compared", HTMLTableElement).hidden = !two;
+    const axes = first.answer.confidence ? "joint 1 across, joint 2 up" : "this model has no confidence";
+    byId("torus-note").textContent = two ? first.title : axes;
+    byId("beside-note").textContent = beside.title;
+    if (two) this.compare();
+    else this.showNumbers();
+    this.showLegend(Boolean(first.answer.confidence));
+    if (first.truth) offerNames("family", first.truth.families);
   }
 
-  /** @param {any} truth */
-  showTruth(truth) {
-    this.truth = truth;
-    this.showNumbers();
-    const family = byId("family", HTMLSelectElement);
-    const names = [...family.options].map((option) => option.value);
-    if (names.join() !== truth.families.join()) family.replaceChildren(...truth.families.map((/** @type {string} */ name) => new Option(name, name)));
+  /** What a model's samples are like. @param {Side} side @returns {[string, string][]} */
+  figures({ answer, truth }) {
+    /** @type {[string, string][]} */
+    const told = [];
+    if (this.bench.about.truth && !this.bench.state.picture) {
+      told.push(["precision", percent(truth?.precision)], ["coverage", percent(truth?.coverage)]);
+    }
+    told.push(
+      ["samples", `${answer?.samples.length ?? "–"}`],
+      ["accepted", percent(answer?.acceptance)],
+      ["novelty", answer?.scenario.novelty?.toFixed(2) ?? "–"],
+      ["shortfall", `${answer?.shortfall ?? "–"}`],
+    );
+    return told;
   }
 
   showNumbers() {
-    const { about, state } = this.bench;
-    const { answer } = this;
-    const truth = about.truth && !state.picture ? this.truth : null;
-    /** @type {[string, string][]} */
-    const told = [
-      ["samples", `${answer.samples.length}`],
-      ["accepted", percent(answer.acceptance)],
-      ["novelty", answer.scenario.novelty === null ? "–" : answer.scenario.novelty.toFixed(2)],
-    ];
-    if (truth) {
-      told.unshift(["precision", percent(truth.precision)], ["coverage", percent(truth.coverage)]);
-      told.push(["shortfall", `${answer.shortfall}`]);
-    } else told.push(["shortfall", `${answer.shortfall}`]);
-    byId("numbers", HTMLElement).replaceChildren(
-      ...told.map(([name, value]) => {
-        const pair = document.createElement("div");
-        pair.append(entry("dt", name), entry("dd", value));
-        return pair;
-      }),
-    );
+    showFigures("numbers", this.figures(this.bench.first));
+  }
+
+  /** Two models in a table: a column each, for that fits a phone. */
+  compare() {
+    const sides = this.bench.sides();
+    const rows = sides.map((side) => [
+      ...this.figures(side),
+      ["sampled in", side.answer ? `${side.answer.timing_ms.total.toFixed(1)} ms` : "–"],
+      ...(sides.some(({ planned }) => planned) ? planFigures(side.planned) : []),
+    ]);
+    const table = byId("compared", HTMLTableElement);
+    table.replaceChildren();
+    const head = table.createTHead().insertRow();
+    head.insertCell();
+    head.append(...sides.map((side) => header(side.title, "col")));
+    const body = table.createTBody();
+    rows[0].forEach(([name], at) => {
+      body.insertRow().append(header(name, "row"), ...rows.map((told) => entry("td", told[at][1])));
+    });
   }
 
   /** @param {boolean} confident  Whether the model tells its confidence. */
@@ -71,7 +83,7 @@ export class Readout {
     const key = JSON.stringify(told);
     if (key === this.legend) return;
     this.legend = key;
-    byId("legend", HTMLElement).replaceChildren(
+    byId("legend").replaceChildren(
       ...told.map(([kind, path, words]) => {
         const item = entry("li", "");
         const sign = draw("svg", { viewBox: "0 0 14 14", "aria-hidden": "true" });
@@ -83,7 +95,29 @@ export class Readout {
   }
 }
 
-/** @param {number | null} share */
+/** What a model's way is like. @param {import("./planner.js").Planned | null} planned @returns {[string, string][]} */
+function planFigures(planned) {
+  const { answer, way } = planned ?? { answer: null, way: null };
+  const found = answer?.path.length > 1;
+  return [
+    ["plan", answer?.status ?? "–"],
+    ["its confidence", answer?.confidence?.toFixed(3) ?? "–"],
+    ["least sure", answer?.least_sure?.confidence.toFixed(3) ?? "–"],
+    ["length", found ? `${answer.length_rad.toFixed(2)} rad` : "–"],
+    ["ways found", `${answer?.ways ?? "–"}`],
+    ["planned in", answer ? `${searchedMs(answer)} ms` : "–"],
+    ["free in truth", way ? (way.free ? "yes" : "no") : "–"],
+  ];
+}
+
+/** @param {string} text @param {string} scope */
+function header(text, scope) {
+  const made = entry("th", text);
+  made.setAttribute("scope", scope);
+  return made;
+}
+
+/** @param {number | null | undefined} share */
 function percent(share) {
-  return share === null ? "–" : `${(100 * share).toFixed(share === 1 ? 0 : 1)} %`;
+  return share === null || share === undefined ? "–" : `${(100 * share).toFixed(share === 1 ? 0 : 1)} %`;
 }

@@ -18,6 +18,8 @@ const ENDS = /** @type {const} */ (["start", "goal"]);
  * @property {Configuration} goal
  * @property {Configuration[]} ghosts  Along the way.
  * @property {Configuration | null} moving  The arm on its way.
+ * @property {Configuration | null} other  The arm on the way of the model beside.
+ * @property {Configuration | null} least  Where the way is least sure.
  * @property {Configuration | null} peek  Where the pointer is in the joint space.
  * @property {string | null} picture  Address of what is shown instead of discs.
  *
@@ -72,10 +74,12 @@ export class SceneView {
   show(shown) {
     this.shown = shown;
     this.showDiscs(shown);
-    const { start, goal, moving, peek } = shown;
+    const { start, goal, moving, other, least, peek } = shown;
     this.showArm(this.arms.start, start);
     this.showArm(this.arms.goal, goal);
     this.showArm(this.arms.moving, moving);
+    this.showArm(this.arms.other, other);
+    this.showArm(this.arms.least, least);
     this.showArm(this.arms.peek, peek);
     this.arms.ghosts.setAttribute("d", shown.ghosts.map((one) => this.outline(one)).join(""));
     ENDS.forEach((end, row) => {
@@ -107,7 +111,7 @@ export class SceneView {
       this.layers.arms.append(path);
       return path;
     };
-    return { ghosts: arm("ghost"), peek: arm("peek"), start: arm("start"), goal: arm("goal"), moving: arm("moving") };
+    return { ghosts: arm("ghost"), peek: arm("peek"), start: arm("start"), goal: arm("goal"), least: arm("least"), other: arm("other"), moving: arm("moving") };
   }
 
   /** @param {SVGPathElement} path @param {Configuration | null} configuration */

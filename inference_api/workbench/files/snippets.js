@@ -12,7 +12,6 @@ export function sampleBody(state, image) {
     image,
     n: state.n,
     seed: state.seed,
-    ...(state.model ? { model: state.model } : {}),
     ...(state.confidence === null ? {} : { min_confidence: state.confidence }),
   };
 }
@@ -27,9 +26,9 @@ export function planBody(state, image) {
     image,
     start: state.start,
     goal: state.goal,
-    seed: state.seed,
-    ...(state.model ? { model: state.model } : {}),
-    time_limit_s: 5,
+    seed: state.planSeed,
+    time_limit_s: state.limit,
+    ways: state.ways,
   };
 }
 

@@ -3,14 +3,37 @@
 /** @import {SerialArm} from "./solid.js" */
 
 import { degrees } from "./geometry.js";
-import { byId } from "./svg.js";
+import { entry } from "./messages.js";
+import { byId, selectOf } from "./svg.js";
+
+/**
+ * A slider, and what shows an angle on it.
+ * @param {string} words
+ * @param {number} low  rad.
+ * @param {number} high  rad.
+ * @param {(angle: number) => void} moved
+ */
+export function jointRow(words, low, high, moved) {
+  const row = entry("label", "", "joint");
+  const slider = entry("input");
+  Object.assign(slider, { type: "range", min: low, max: high, step: 0.01 });
+  const told = entry("output");
+  slider.addEventListener("input", () => moved(Math.min(high - 1e-6, Math.max(low, Number(slider.value)))));
+  row.append(words, slider, told);
+  const show = (/** @type {number} */ angle) => {
+    slider.value = String(angle);
+    told.textContent = degrees(angle);
+    slider.setAttribute("aria-valuetext", told.textContent);
+  };
+  return { row, show };
+}
 
 export class JointSliders {
   /** @param {(end: "start" | "goal", configuration: number[]) => void} moved */
   constructor(moved) {
     this.moved = moved;
-    this.select = byId("space-end", HTMLSelectElement);
-    /** @type {{slider: HTMLInputElement, told: HTMLOutputElement}[]} */
+    this.select = selectOf("space-end");
+    /** @type {((angle: number) => void)[]} */
     this.rows = [];
     /** @type {Record<"start" | "goal", number[]>} */
     this.ends = { start: [], goal: [] };
@@ -25,21 +48,15 @@ export class JointSliders {
   /** One row a joint. @param {SerialArm} arm */
   make(arm) {
     this.rows = [];
-    byId("space-joints", HTMLElement).replaceChildren(
+    byId("space-joints").replaceChildren(
       ...arm.joints.map((joint, at) => {
-        const row = document.createElement("label");
-        row.className = "joint";
-        const slider = document.createElement("input");
         const [low, high] = joint.limits_rad ?? [-Math.PI, Math.PI];
-        Object.assign(slider, { type: "range", min: String(low), max: String(high), step: "0.01" });
-        const told = document.createElement("output");
-        slider.addEventListener("input", () => {
+        const { row, show } = jointRow(`joint ${at + 1}`, low, high, (angle) => {
           const configuration = [...this.ends[this.end]];
-          configuration[at] = Math.min(high, Math.max(low, Number(slider.value)));
+          configuration[at] = angle;
           this.moved(this.end, configuration);
         });
-        row.append(`joint ${at + 1}`, slider, told);
-        this.rows.push({ slider, told });
+        this.rows.push(show);
         return row;
       }),
     );
@@ -48,11 +65,6 @@ export class JointSliders {
   /** @param {Record<"start" | "goal", number[]>} ends */
   show(ends) {
     this.ends = ends;
-    this.rows.forEach(({ slider, told }, joint) => {
-      const angle = ends[this.end][joint];
-      if (document.activeElement !== slider) slider.value = String(angle);
-      slider.setAttribute("aria-valuetext", degrees(angle));
-      told.textContent = degrees(angle);
-    });
+    this.rows.forEach((show, joint) => show(ends[this.end][joint]));
   }
 }

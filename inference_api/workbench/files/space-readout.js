@@ -1,6 +1,6 @@
 // What is told of a scene in space: figures, and what its cameras see.
 
-import { entry } from "./messages.js";
+import { entry, showFigures } from "./messages.js";
 import { fromBase64 } from "./picture.js";
 import { byId } from "./svg.js";
 
@@ -15,9 +15,9 @@ export class Previews {
   show(previews) {
     this.addresses.forEach((address) => URL.revokeObjectURL(address));
     this.addresses = previews.map((one) => URL.createObjectURL(new Blob([fromBase64(one)], { type: "image/png" })));
-    byId("space-pictures", HTMLElement).replaceChildren(
+    byId("space-pictures").replaceChildren(
       ...this.addresses.map((address, at) => {
-        const picture = document.createElement("img");
+        const picture = entry("img");
         Object.assign(picture, { src: address, alt: `Depth picture of camera ${at + 1}`, width: 128, height: 128 });
         return picture;
       }),
@@ -35,13 +35,7 @@ export function showSpaceNumbers(answer, free) {
     "free in truth": mean(free ? free.map(Number) : null),
     "of the arm unseen": mean(answer.unseen),
   };
-  byId("space-numbers", HTMLElement).replaceChildren(
-    ...Object.entries(told).map(([name, value]) => {
-      const pair = document.createElement("div");
-      pair.append(entry("dt", name), entry("dd", value));
-      return pair;
-    }),
-  );
+  showFigures("space-numbers", Object.entries(told));
 }
 
 /** @param {number[] | null} values */

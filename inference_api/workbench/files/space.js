@@ -4,12 +4,14 @@
 /** @import {SerialArm} from "./solid.js" */
 
 import { ask } from "./api.js";
+import { offerNames } from "./messages.js";
+import { LOOKING, say, verdictOf } from "./planner.js";
 import { Player } from "./player.js";
 import { around, looking } from "./solid.js";
 import { SpaceDrawing, facesOf } from "./space-drawing.js";
 import { JointSliders } from "./space-joints.js";
 import { Previews, showSpaceNumbers } from "./space-readout.js";
-import { byId } from "./svg.js";
+import { byId, inputOf, selectOf } from "./svg.js";
 
 const FOCUS = /** @type {[number, number, number]} */ ([0.45, 0, 0.35]);
 const SAMPLES = 60;
@@ -46,28 +48,28 @@ export class Space {
     this.previews = new Previews();
     /** Of which scene the view was chosen. */
     this.faced = "";
-    this.told = byId("space-told", HTMLElement);
+    this.told = byId("space-told");
     this.listen();
   }
 
   listen() {
     for (const id of ["view-side", "view-up"]) {
-      byId(id, HTMLInputElement).addEventListener("input", () => this.turnView());
+      byId(id).addEventListener("input", () => this.turnView());
     }
     for (const id of ["camera-count", "camera-side", "camera-up", "camera-away"]) {
-      byId(id, HTMLElement).addEventListener("input", () => {
+      byId(id).addEventListener("input", () => {
         this.bench.change({ cameras: this.readCameras(id) });
         this.changed();
       });
     }
     byId("space-form", HTMLFormElement).addEventListener("submit", (event) => {
       event.preventDefault();
-      const seed = byId("space-seed", HTMLInputElement).value;
-      const family = byId("space-family", HTMLSelectElement).value;
+      const seed = inputOf("space-seed").value;
+      const family = selectOf("space-family").value;
       this.bench.change({ family, sceneSeed: Number(seed) || 0, from: null, to: null });
       this.changed();
     });
-    byId("space-plan", HTMLButtonElement).addEventListener("click", () => void this.plan());
+    byId("space-plan").addEventListener("click", () => void this.plan());
     this.listenToDrag();
   }
 
@@ -77,7 +79,7 @@ export class Space {
     canvas.addEventListener("pointerdown", (event) => canvas.setPointerCapture(event.pointerId));
     canvas.addEventListener("pointermove", (event) => {
       if (!canvas.hasPointerCapture(event.pointerId)) return;
-      const [side, up] = [byId("view-side", HTMLInputElement), byId("view-up", HTMLInputElement)];
+      const [side, up] = [inputOf("view-side"), inputOf("view-up")];
       side.value = String(Number(side.value) - 0.4 * event.movementX);
       up.value = String(Number(up.value) + 0.4 * event.movementY);
       this.turnView();
@@ -85,8 +87,8 @@ export class Space {
   }
 
   turnView() {
-    this.drawing.side = (Number(byId("view-side", HTMLInputElement).value) * Math.PI) / 180;
-    this.drawing.up = (Number(byId("view-up", HTMLInputElement).value) * Math.PI) / 180;
+    this.drawing.side = (Number(inputOf("view-side").value) * Math.PI) / 180;
+    this.drawing.up = (Number(inputOf("view-up").value) * Math.PI) / 180;
     this.draw();
   }
 
@@ -94,19 +96,19 @@ export class Space {
   open() {
     const model = this.bench.models.find((one) => one.world?.kind === "spatial");
     const able = this.bench.about.truth && Boolean(model);
-    byId("space-none", HTMLElement).hidden = able;
-    byId("space-body", HTMLElement).hidden = !able;
+    byId("space-none").hidden = able;
+    byId("space-body").hidden = !able;
     if (!able || !model) return;
     this.model = model.reference;
     if (this.arm !== model.world.robot) this.joints.make(model.world.robot);
     this.arm = model.world.robot;
-    const { family, sceneSeed, cameras } = this.bench.state;
-    byId("space-seed", HTMLInputElement).value = String(sceneSeed);
+    const { sceneSeed, cameras } = this.bench.state;
+    inputOf("space-seed").value = String(sceneSeed);
     if (cameras) {
       const [count, side, up, away] = cameras;
-      byId("camera-count", HTMLSelectElement).value = String(count);
+      selectOf("camera-count").value = String(count);
       Object.entries({ side, up, away }).forEach(([name, value]) => {
-        byId(`camera-${name}`, HTMLInputElement).value = String(value);
+        inputOf(`camera-${name}`).value = String(value);
       });
     }
     const shown = JSON.stringify(this.body());
@@ -120,11 +122,11 @@ export class Space {
    * @returns {number[] | null}
    */
   readCameras(moved) {
-    const select = byId("camera-count", HTMLSelectElement);
+    const select = selectOf("camera-count");
     if (select.value === "0" && moved !== "camera-count") select.value = "1";
     const count = Number(select.value);
     if (count === 0) return null;
-    const rest = ["side", "up", "away"].map((name) => Number(byId(`camera-${name}`, HTMLInputElement).value));
+    const rest = ["side", "up", "away"].map((name) => Number(inputOf(`camera-${name}`).value));
     return [count, ...rest];
   }
 
@@ -168,7 +170,7 @@ export class Space {
   forget() {
     this.path = [];
     this.player.load(false);
-    this.say("");
+    say(this.told, "");
   }
 
   async refresh() {
@@ -178,11 +180,11 @@ export class Space {
       while (this.dirty) {
         this.dirty = false;
         this.failed = false;
-        if (!this.scene) this.say("Drawing a scene. The first one after an installation takes up to a minute.");
+        if (!this.scene) say(this.told, "Drawing a scene. The first one after an installation takes up to a minute.");
         const body = this.body();
         this.asked = JSON.stringify(body);
         this.see(await ask("workbench/space", body));
-        if (this.path.length === 0) this.say("");
+        if (this.path.length === 0) say(this.told, "");
         this.answer = await ask("sample", this.bodies().sample);
         this.free = null;
         showSpaceNumbers(this.answer, this.free);
@@ -208,11 +210,8 @@ export class Space {
   see(scene) {
     this.scene = scene;
     this.faces = facesOf(scene.obstacles.boxes, scene.obstacles.cylinders);
-    const select = byId("space-family", HTMLSelectElement);
-    if (select.options.length !== scene.families.length) {
-      select.replaceChildren(...scene.families.map((/** @type {string} */ name) => new Option(name, name)));
-    }
-    select.value = scene.family;
+    offerNames("space-family", scene.families);
+    selectOf("space-family").value = scene.family;
     this.joints.show(this.ends());
     this.previews.show(scene.previews);
     this.face(scene);
@@ -226,7 +225,7 @@ export class Space {
     this.faced = name;
     const [x, y] = scene.cameras[0].pose;
     const bearing = (Math.atan2(y[3], x[3]) * 180) / Math.PI + 25;
-    byId("view-side", HTMLInputElement).value = String(bearing > 180 ? bearing - 360 : bearing);
+    inputOf("view-side").value = String(bearing > 180 ? bearing - 360 : bearing);
     this.turnView();
   }
 
@@ -252,19 +251,18 @@ export class Space {
   async plan() {
     if (!this.scene) return;
     const { scene } = this;
-    this.say("Looking for a way. The first one after an installation takes up to a minute.");
+    say(this.told, LOOKING);
     try {
       const answer = await ask("plan", this.bodies().plan);
       if (scene !== this.scene) return;
-      if (answer.status !== "solved") return this.say(`Not solved: ${answer.reason}.`, true);
+      if (answer.status !== "solved") return say(this.told, `Not solved: ${answer.reason}.`, true);
       this.path = answer.path;
       this.player.load(true);
       const { way } = await ask("workbench/space", { ...this.body(), path: answer.path });
-      const verdict = way.free ? "it is free" : `it collides on ${way.edges.filter((/** @type {boolean} */ free) => !free).length} of ${way.edges.length} pieces`;
-      this.say(`Confidence ${answer.confidence.toFixed(3)}, ${answer.length_rad.toFixed(2)} rad. Checked against the obstacles: ${verdict}.`, !way.free);
+      say(this.told, `Confidence ${answer.confidence.toFixed(3)}, ${answer.length_rad.toFixed(2)} rad. Checked against the obstacles: ${verdictOf(way)}.`, !way.free);
       this.player.begin();
     } catch (error) {
-      this.say("");
+      say(this.told, "");
       this.bench.messages.failed(error);
     }
   }
@@ -300,11 +298,5 @@ export class Space {
         this.faces,
       );
     });
-  }
-
-  /** @param {string} words @param {boolean} [bad] */
-  say(words, bad = false) {
-    this.told.textContent = words;
-    this.told.classList.toggle("bad", bad);
   }
 }

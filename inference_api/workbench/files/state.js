@@ -9,9 +9,13 @@
  * @property {Configuration} start
  * @property {Configuration} goal
  * @property {string} model  As requests name it; empty for the default one.
+ * @property {string} beside  Likewise, of the model that is compared with it; empty for none.
  * @property {number} n
  * @property {string} seed  Decimal digits, for seeds have 64 bits.
  * @property {number | null} confidence  What samples have to score; null for the model's own threshold.
+ * @property {string} planSeed  As the seed, of plans.
+ * @property {number} limit  How long a way is looked for, s.
+ * @property {number} ways  How many are looked for.
  * @property {"truth" | "belief" | "none"} ground  What lies under the samples.
  * @property {"plane" | "space" | "models"} view
  * @property {string} family  Of the scene in space; empty for the first.
@@ -21,6 +25,7 @@
  * @property {Configuration | null} to  Likewise its goal.
  */
 
+const NAMES = /** @type {const} */ (["model", "beside", "family"]);
 export const MAX_DISCS = 64;
 // An address longer than this is cut by what people send it with.
 const MAX_PICTURE = 6000;
@@ -37,9 +42,13 @@ export function usual() {
     start: [0, 0.3],
     goal: [-2.6, -0.6],
     model: "",
+    beside: "",
     n: 300,
     seed: "7",
     confidence: null,
+    planSeed: "7",
+    limit: 5,
+    ways: 4,
     ground: "truth",
     view: "plane",
     family: "",
@@ -49,6 +58,12 @@ export function usual() {
     to: null,
   };
 }
+
+/** @param {State} state */
+const planOf = ({ planSeed, limit, ways }) => `${planSeed},${short(limit)},${ways}`;
+
+/** What a seed is. @param {string | null | undefined} text */
+export const isSeed = (text) => /^[0-9]{1,20}$/.test(text ?? "");
 
 /** @param {number} value */
 const short = (value) => String(Number(value.toFixed(3)));
@@ -64,12 +79,13 @@ export function toHash(state) {
   told.set("discs", state.discs.map((disc) => [disc.x, disc.y, disc.r].map(short).join(",")).join(";"));
   told.set("start", state.start.map(short).join(","));
   told.set("goal", state.goal.map(short).join(","));
-  if (state.model) told.set("model", state.model);
+  for (const name of NAMES) if (state[name]) told.set(name, state[name]);
   told.set("n", String(state.n));
   told.set("seed", state.seed);
   if (state.confidence !== null) told.set("confidence", short(state.confidence));
+  const plan = planOf(state);
+  if (plan !== planOf(usual())) told.set("plan", plan);
   if (state.ground !== "truth") told.set("ground", state.ground);
-  if (state.family) told.set("family", state.family);
   if (state.sceneSeed) told.set("scene", String(state.sceneSeed));
   if (state.cameras) told.set("cameras", state.cameras.map(short).join(","));
   if (state.from) told.set("from", state.from.map(short).join(","));
@@ -87,29 +103,28 @@ export function fromHash(hash) {
   const state = usual();
   const discs = told.get("discs");
   if (discs !== null) state.discs = readDiscs(discs);
-  for (const name of /** @type {const} */ (["start", "goal"])) {
+  for (const name of /** @type {const} */ (["start", "goal", "from", "to"])) {
     const angles = numbers(told.get(name) ?? "");
     if (angles.length > 0) state[name] = angles;
   }
   const picture = told.get("picture");
   if (picture && /^[A-Za-z0-9+/]+=*$/.test(picture)) state.picture = picture;
-  state.model = (told.get("model") ?? "").slice(0, 200);
+  for (const name of NAMES) state[name] = (told.get(name) ?? "").slice(0, 200);
   state.n = clamp(told.get("n"), 1, 2000, state.n, true);
   const seed = told.get("seed");
-  if (seed !== null && /^[0-9]{1,20}$/.test(seed)) state.seed = seed;
+  if (seed && isSeed(seed)) state.seed = seed;
+  const [planSeed, limit, ways] = (told.get("plan") ?? "").split(",");
+  if (isSeed(planSeed)) state.planSeed = planSeed;
+  state.limit = clamp(limit, 0.01, 10, state.limit, false);
+  state.ways = clamp(ways, 1, 64, state.ways, true);
   if (told.has("confidence")) state.confidence = clamp(told.get("confidence"), 0, 1, 0.5, false);
   const ground = told.get("ground");
   if (ground === "belief" || ground === "none") state.ground = ground;
   const view = told.get("view");
   if (view === "models" || view === "space") state.view = view;
-  state.family = (told.get("family") ?? "").slice(0, 100);
   state.sceneSeed = clamp(told.get("scene"), 0, 999999, 0, true);
   const cameras = numbers(told.get("cameras") ?? "");
   if (cameras.length === 4 && [1, 2, 3].includes(cameras[0])) state.cameras = cameras;
-  for (const name of /** @type {const} */ (["from", "to"])) {
-    const angles = numbers(told.get(name) ?? "");
-    if (angles.length > 0) state[name] = angles;
-  }
   return state;
 }
 
@@ -126,14 +141,14 @@ function numbers(text) {
 }
 
 /**
- * @param {string | null} text
+ * @param {string | null | undefined} text
  * @param {number} low
  * @param {number} high
  * @param {number} otherwise
  * @param {boolean} whole
  */
 export function clamp(text, low, high, otherwise, whole) {
-  const value = text === null || text.trim() === "" ? NaN : Number(text);
+  const value = text?.trim() ? Number(text) : NaN;
   if (!Number.isFinite(value)) return otherwise;
   return Math.min(high, Math.max(low, whole ? Math.round(value) : value));
 }

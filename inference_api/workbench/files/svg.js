@@ -25,16 +25,23 @@ export function set(element, attributes) {
 
 /**
  * An element of the page by its id.
- * @template {Element} Kind
+ * @template {Element} [Kind=HTMLElement]
  * @param {string} id
- * @param {new () => Kind} kind
+ * @param {new () => Kind} [kind]
  * @returns {Kind}
  */
-export function byId(id, kind) {
+export function byId(id, kind = /** @type {any} */ (HTMLElement)) {
   const found = document.getElementById(id);
   if (!(found instanceof kind)) throw new Error(`the page has no ${id}`);
   return found;
 }
+
+/** @param {string} id */
+export const inputOf = (id) => byId(id, HTMLInputElement);
+/** @param {string} id */
+export const selectOf = (id) => byId(id, HTMLSelectElement);
+/** @param {string} id */
+export const buttonOf = (id) => byId(id, HTMLButtonElement);
 
 /**
  * Where a pointer is in a drawing's own units.

@@ -3,34 +3,32 @@
 /** @import {Workbench} from "./main.js" */
 
 import { toHash } from "./state.js";
-import { byId } from "./svg.js";
+import { byId, selectOf } from "./svg.js";
 
 /** @typedef {"curl" | "python" | "link"} Form */
 
 /**
  * @param {Workbench} bench
- * @param {string} prefix  Of the ids of what belongs together.
  * @param {(what: "sample" | "plan", form: "curl" | "python") => Promise<string>} textOf
  */
-export function listenToCopies(bench, prefix, textOf) {
+export function listenToCopies(bench, textOf) {
   for (const form of /** @type {const} */ (["curl", "python", "link"])) {
-    byId(`${prefix}-${form}`, HTMLButtonElement).addEventListener("click", () => void copy(bench, prefix, form, textOf));
+    byId(`take-${form}`).addEventListener("click", () => void copy(bench, form, textOf));
   }
 }
 
 /**
  * @param {Workbench} bench
- * @param {string} prefix
  * @param {Form} form
  * @param {(what: "sample" | "plan", form: "curl" | "python") => Promise<string>} textOf
  */
-async function copy(bench, prefix, form, textOf) {
-  const what = /** @type {"sample" | "plan"} */ (byId(`${prefix}-what`, HTMLSelectElement).value);
+async function copy(bench, form, textOf) {
+  const what = /** @type {"sample" | "plan"} */ (selectOf("take-what").value);
   const text = form === "link" ? new URL(toHash(bench.state), location.href).href : await textOf(what, form);
-  const area = byId(`${prefix}-text`, HTMLTextAreaElement);
+  const area = byId("take-text", HTMLTextAreaElement);
   area.value = text;
   area.hidden = false;
-  const copied = byId(`${prefix}-told`, HTMLElement);
+  const copied = byId("take-told");
   try {
     await navigator.clipboard.writeText(text);
     copied.textContent = "Copied.";

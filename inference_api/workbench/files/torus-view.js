@@ -9,7 +9,7 @@ const SIDE = 480;
 const STEP_RAD = Math.PI / 36;
 const ENDS = /** @type {const} */ (["start", "goal"]);
 // Lower ends of the classes of confidence; what is below the first has a class of its own.
-export const CLASSES = [0.5, 0.9, 0.99];
+const CLASSES = [0.5, 0.9, 0.99];
 
 /**
  * @typedef {object} Ground  What lies under the samples.
@@ -27,6 +27,8 @@ export const CLASSES = [0.5, 0.9, 0.99];
  * @property {Configuration} goal
  * @property {Configuration[]} way
  * @property {Configuration | null} moving
+ * @property {number[]} edges  The least confidence on each piece of the way.
+ * @property {Configuration | null} least  Where it is least sure.
  *
  * @typedef {object} EndChanges
  * @property {(end: "start" | "goal", configuration: Configuration) => void} end
@@ -52,10 +54,12 @@ export class TorusView {
     this.dots = [0, 1, 2, 3].map((place) => draw("path", { class: `dots dots-${place}` }));
     this.crosses = draw("path", { class: "crosses" });
     this.way = draw("path", { class: "way" });
+    this.doubted = draw("path", { class: "doubted" });
+    this.least = draw("circle", { class: "least", r: 8 });
     this.now = draw("circle", { class: "now", r: 5 });
     const plot = draw("rect", { class: "plot", width: SIDE, height: SIDE });
-    const inside = draw("g", { "clip-path": "url(#torus-clip)", "aria-hidden": "true" });
-    inside.append(...this.grounds, ...this.dots, this.crosses, this.way, this.now);
+    const inside = draw("g", { "clip-path": `url(#${drawing.id}-clip)`, "aria-hidden": "true" });
+    inside.append(...this.grounds, ...this.dots, this.crosses, this.way, this.doubted, this.least, this.now);
     this.marks = ENDS.map((end) => this.makeMark(end));
     const marks = draw("g");
     marks.append(...this.marks.flatMap(({ mark, letter }) => [mark, letter]));
@@ -79,7 +83,7 @@ export class TorusView {
 
   frame() {
     const group = draw("g", { "aria-hidden": "true" });
-    const clip = draw("clipPath", { id: "torus-clip" });
+    const clip = draw("clipPath", { id: `${this.drawing.id}-clip` });
     clip.append(draw("rect", { width: SIDE, height: SIDE }));
     group.append(clip, draw("rect", { class: "frame", width: SIDE, height: SIDE }));
     for (const joint of [0, 1]) {
@@ -152,17 +156,26 @@ export class TorusView {
       set(this.marks[row].letter, { x, y });
     });
     this.way.setAttribute("d", this.line(ends.way));
-    this.now.toggleAttribute("hidden", !ends.moving);
-    if (ends.moving) set(this.now, { cx: this.toDrawing(0, ends.moving[0]), cy: this.toDrawing(1, ends.moving[1]) });
+    this.doubted.setAttribute("d", this.line(ends.way, (at) => ends.edges[at] < CLASSES[1]));
+    this.place(this.now, ends.moving);
+    this.place(this.least, ends.least);
+  }
+
+  /** @param {SVGCircleElement} circle @param {Configuration | null} configuration */
+  place(circle, configuration) {
+    circle.toggleAttribute("hidden", !configuration);
+    if (configuration) set(circle, { cx: this.toDrawing(0, configuration[0]), cy: this.toDrawing(1, configuration[1]) });
   }
 
   /**
    * A path on the map: a piece that crosses a seam is drawn at both sides of it.
    * @param {Configuration[]} path
+   * @param {(at: number) => boolean} [wanted]  Which pieces.
    */
-  line(path) {
+  line(path, wanted = () => true) {
     let told = "";
     for (let at = 0; at + 1 < path.length; at += 1) {
+      if (!wanted(at)) continue;
       const [from, to] = [path[at], path[at + 1]];
       const step = difference(this.robot, from, to);
       told += this.piece(from, from.map((angle, joint) => angle + step[joint]));
@@ -186,7 +199,7 @@ export class TorusView {
     let crosses = "";
     places.forEach(([x, y], at) => {
       const confidence = drawn.confidence ? drawn.confidence[at] : 1;
-      const place = CLASSES.filter((low) => confidence >= low).length;
+      const place = levelOf(confidence);
       if (drawn.free && !drawn.free[at]) crosses += `M${(x - 4).toFixed(1)} ${(y - 4).toFixed(1)}l8 8m-8 0l8-8`;
       else dots[place] += `M${x.toFixed(1)} ${y.toFixed(1)}h0`;
     });
@@ -214,6 +227,9 @@ export class TorusView {
     this.grounds.forEach((path, level) => path.setAttribute("d", paths[level]));
   }
 }
+
+/** The class of a confidence, 0 to 3. @param {number} confidence */
+const levelOf = (confidence) => CLASSES.filter((low) => confidence >= low).length;
 
 /** @param {number} angle */
 function tick(angle) {

@@ -81,9 +81,12 @@ def test_every_element_that_a_module_asks_for_is_in_the_page() -> None:
     ids = re.findall(r'\sid="([^"]+)"', page)
     assert len(ids) == len(set(ids))
     asked = {
-        one for name in FILES if name.endswith(".js") for one in re.findall(r'byId\("([^"]+)"', text_of(name))
+        one
+        for name in FILES
+        if name.endswith(".js")
+        for one in re.findall(r'(?:byId|inputOf|selectOf|buttonOf)\("([^"]+)"', text_of(name))
     }
-    assert len(asked) > 25
+    assert len(asked) > 50
     assert asked <= set(ids)
 
 

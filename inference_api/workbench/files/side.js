@@ -1,0 +1,148 @@
+// A model's part of the page: what it is asked, its map of the joint space, and what it has answered.
+
+/** @import {Configuration, Robot} from "./geometry.js" */
+/** @import {Workbench} from "./main.js" */
+/** @import {Planned} from "./planner.js" */
+
+import { Live, believedGround, trueGround } from "./live.js";
+import { sampleBody } from "./snippets.js";
+import { byId } from "./svg.js";
+import { TorusView } from "./torus-view.js";
+
+const BELIEF_CELLS = 64;
+const TRUTH_CELLS = 120;
+
+export class Side {
+  /**
+   * @param {Workbench} bench
+   * @param {string} id  Of its map.
+   * @param {"model" | "beside"} part  Of the state, which names the model.
+   */
+  constructor(bench, id, part) {
+    this.bench = bench;
+    this.map = byId(id, SVGSVGElement);
+    this.part = part;
+    /** @type {TorusView | null} */
+    this.torus = null;
+    /** @type {{samples: number[][], confidence: number[] | null, free: boolean[] | null, ground: any}} */
+    this.drawn = { samples: [], confidence: null, free: null, ground: null };
+    /** The last answers. @type {any} */
+    this.answer = null;
+    /** @type {any} */
+    this.truth = null;
+    /** @type {Planned | null} */
+    this.planned = null;
+    this.failing = false;
+    this.live = new Live(() => this.asked(), {
+      samples: (answer, tookMs) => this.sampled(answer, tookMs),
+      truth: (answer, samples) => this.judged(answer, samples),
+      belief: (answer) => this.believed(answer),
+      failed: (error) => {
+        this.failing = true;
+        bench.messages.failed(error);
+      },
+      busy: (busy) => this.map.setAttribute("aria-busy", String(busy)),
+    });
+  }
+
+  /** The model as requests name it; nothing for the default one. */
+  get model() {
+    const name = this.bench.state[this.part];
+    return name ? { model: name } : {};
+  }
+
+  /** What it is called on the page. */
+  get title() {
+    const { name, version } = this.answer?.model ?? {};
+    return name ? `${name}${version ? `/${version}` : ""}` : this.bench.state[this.part] || "the default";
+  }
+
+  /** Its way; empty where there is none. */
+  get way() {
+    /** @type {Configuration[]} */
+    const path = this.planned?.answer.path ?? [];
+    return path;
+  }
+
+  /** How sure its way is: on each piece, and where least, if below 0.99. */
+  get doubt() {
+    const answer = this.planned?.answer;
+    /** @type {number[]} */
+    const edges = answer?.edges ?? [];
+    const least = answer?.least_sure;
+    return { edges, least: least?.confidence < 0.99 ? least.configuration : null };
+  }
+
+  /** Make its map anew. @param {Robot} robot */
+  make(robot) {
+    const { bench } = this;
+    this.torus = new TorusView(this.map, robot, {
+      end: (end, configuration) => bench.moveEnd(end, configuration),
+      click: (first, second) => bench.controls.clicked(first, second),
+      peek: (first, second) => bench.peeked(first, second),
+    });
+  }
+
+  /** Ask again; what was answered is of another model where that has changed. @param {boolean} another */
+  changed(another) {
+    if (another) [this.answer, this.truth, this.failing] = [null, null, false];
+    this.live.changed();
+  }
+
+  /** What a round of questions asks. */
+  asked() {
+    const { bench, model } = this;
+    const image = bench.pictured();
+    const { state, about, robot } = bench;
+    return {
+      sample: { ...sampleBody(state, image), ...model },
+      truth: about.truth && !state.picture
+        ? (/** @type {number[][]} */ configurations) => ({
+            ...model, discs: state.discs.map((disc) => [disc.x, disc.y, disc.r]), cells: TRUTH_CELLS, configurations,
+            ...(robot && robot.links.length > 2 ? { at: state.start } : {}),
+          })
+        : null,
+      belief: state.ground === "belief" ? () => ({ ...model, image, configurations: this.grid() }) : null,
+    };
+  }
+
+  grid() {
+    const { low, high } = /** @type {Robot} */ (this.bench.robot);
+    const at = (/** @type {number} */ joint, /** @type {number} */ cell) =>
+      Number((low[joint] + ((cell + 0.5) / BELIEF_CELLS) * (high[joint] - low[joint])).toFixed(4));
+    const rest = this.bench.state.start.slice(2);
+    return Array.from({ length: BELIEF_CELLS ** 2 }, (_, cell) => [
+      at(0, Math.floor(cell / BELIEF_CELLS)), at(1, cell % BELIEF_CELLS), ...rest,
+    ]);
+  }
+
+  /** @param {any} answer @param {number} tookMs */
+  sampled(answer, tookMs) {
+    const { bench } = this;
+    const { ground, picture } = bench.state;
+    const kept = ground === "belief" || (ground === "truth" && bench.about.truth && !picture);
+    this.drawn = { samples: answer.samples, confidence: answer.confidence, free: null, ground: kept ? this.drawn.ground : null };
+    this.torus?.show(this.drawn);
+    this.answer = answer;
+    this.failing = false;
+    if (bench.sides().every((side) => !side.failing)) bench.messages.clear();
+    if (this.part === "model") bench.messages.here(`${answer.samples.length} samples in ${Math.round(tookMs)} ms`);
+    bench.readout.show();
+  }
+
+  /** @param {any} answer @param {number[][]} samples */
+  judged(answer, samples) {
+    if (samples === this.drawn.samples) this.drawn.free = answer.sample_free;
+    if (this.bench.state.ground === "truth") this.drawn.ground = trueGround(answer);
+    this.torus?.show(this.drawn);
+    this.truth = answer;
+    this.bench.readout.show();
+  }
+
+  /** @param {any} answer */
+  believed(answer) {
+    if (this.bench.state.ground !== "belief") return;
+    this.drawn.ground = believedGround(answer.confidence, BELIEF_CELLS);
+    this.torus?.show(this.drawn);
+  }
+}

@@ -1,0 +1,90 @@
+"""Scene files that are opened in the workbench, held against the reader of the command lines."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from services.scene_files import read_scene_file
+from tests.inference_api.client import ApiClient
+from tests.inference_api.workbench.conftest import StartBench
+
+TEXT = """\
+name: bench-arm
+robot:
+  link_lengths_m: [2.0, 2.0]
+  joint_limits_rad: [null, [-2.5, 2.5]]
+obstacles:
+  - {x_m: 1.5, y_m: 2, radius_m: 0.4}
+  - {x_m: -1.5, y_m: 2}
+start: [0, 0.4]
+goal: [-1.8, -0.5]
+"""
+
+
+def told(bench: ApiClient, text: str) -> dict[str, Any]:
+    answer = bench.post("/workbench/scene-file", json={"text": text})
+    assert answer.status_code == 200, answer.text
+    found: dict[str, Any] = answer.json()
+    return found
+
+
+def test_a_file_is_told_as_the_reader_has_it_with_what_it_leaves_out(
+    bench: ApiClient, tmp_path: Path
+) -> None:
+    path = tmp_path / "scene.yaml"
+    path.write_text(TEXT)
+    scene = read_scene_file(path)
+    found = told(bench, TEXT)
+    assert found["robot"] == json.loads(json.dumps(scene.world.to_dict()["robot"]))
+    assert found["obstacles"] == [
+        {"x_m": 1.5, "y_m": 2.0, "radius_m": 0.4},
+        {"x_m": -1.5, "y_m": 2.0, "radius_m": 1.0},
+    ]
+    assert (found["start"], found["goal"]) == ([0.0, 0.4], [-1.8, -0.5])
+    # What is told is a scene file again.
+    assert told(bench, json.dumps(found)) == found
+
+
+def test_ends_that_a_file_leaves_out_are_left_out(bench: ApiClient) -> None:
+    assert told(bench, TEXT.partition("start")[0]).keys() == {"robot", "obstacles"}
+
+
+WRONG = {
+    "a wrong value": (TEXT.replace("0.4}", "-1}"), "the file:6: obstacles: 0: radius_m"),
+    "an unknown key": (TEXT + "colour: red\n", "the file:10"),
+    "no YAML": ("robot: [", "the file:1 is no YAML"),
+    "no obstacles": ("robot: {link_lengths_m: [1, 1]}", "holds no scene"),
+    "aliases": ("a: &a [1]\nb: *a\n", "the file:2: it is nested too deep, or refers to itself"),
+    "much depth": ("[" * 30_000, "the file:1: it is nested too deep"),
+    "a list as a key": ("? [1]\n: 2\n", "the file:1 is no YAML"),
+    "tags": ("robot: !!python/object:os.system {}", "is no YAML"),
+    "half a letter": ("\ud800", "the file"),
+    "too many discs": (
+        json.dumps({"robot": {"link_lengths_m": [1, 1]}, "obstacles": [{"x_m": 3, "y_m": 3}] * 65}),
+        "obstacles does not fit; expected maxItems 64",
+    ),
+    "another world": ("world: spatial\nrobot: ../pretrained\n", "the file:1: the world is unknown"),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_what_is_no_scene_is_told_with_its_line(bench: ApiClient, name: str) -> None:
+    text, words = WRONG[name]
+    answer = bench.post("/workbench/scene-file", content=json.dumps({"text": text}), headers=JSON)
+    assert 400 <= answer.status_code < 500
+    assert name == "half a letter" or words in answer.json()["detail"], answer.text
+
+
+JSON = {"content-type": "application/json"}
+
+
+def test_a_text_that_is_too_long_is_refused_before_it_is_read(bench: ApiClient) -> None:
+    answer = bench.post("/workbench/scene-file", json={"text": "#" * (2**15 + 1)})
+    assert answer.status_code == 422
+    assert answer.json()["errors"][0]["field"] == "text"
+
+
+def test_a_server_without_the_truth_reads_no_files(start_bench: StartBench) -> None:
+    assert start_bench(truth=False).post("/workbench/scene-file", json={"text": TEXT}).status_code == 404
