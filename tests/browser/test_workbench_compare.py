@@ -16,9 +16,10 @@ from playwright.sync_api import Page, Request, Response, expect
 from tests.browser import workbench
 from tests.browser.workbench import drag, hash_of, open_bench, place_of, settle, shown_samples
 from tests.bundles import write_tiny_bundle
+from tests.contracts.mlflow_server import mlflow_server
 from tests.inference_api.server import api_server
 
-pytestmark = [pytest.mark.browser, pytest.mark.e2e]
+pytestmark = [pytest.mark.browser, pytest.mark.e2e, pytest.mark.slow]
 
 SCENE: workbench.Discs = [(2.6, 1.9, 1.0), (-1.9, 2.5, 1.0), (0.5, -3.2, 1.0)]
 VERSION = "cspace-sampler/1"
@@ -26,13 +27,16 @@ BESIDE = {"model": "pretrained", "beside": VERSION}
 
 
 @pytest.fixture(scope="module")
-def address(server: str, tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    """A server on the shipped model and on a registry with one version, with the truth."""
+def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """A server on the shipped model and on a registry of its own with one version, with the truth."""
     folder = tmp_path_factory.mktemp("bench")
     bundle = write_tiny_bundle(folder / "bundle", validity=True)
     command = [sys.executable, "-m", "services.registry", "models", "import", str(bundle), "cspace-sampler"]
-    subprocess.run(command, check=True, env={**os.environ, "MLFLOW_TRACKING_URI": server}, timeout=100)
-    with api_server(folder, {"CSPACE_API_WORKBENCH": "1", "MLFLOW_TRACKING_URI": server}) as found:
+    with (
+        mlflow_server(tmp_path_factory.mktemp("mlflow")) as server,
+        api_server(folder, {"CSPACE_API_WORKBENCH": "1", "MLFLOW_TRACKING_URI": server}) as found,
+    ):
+        subprocess.run(command, check=True, env={**os.environ, "MLFLOW_TRACKING_URI": server}, timeout=100)
         body = {"discs": [], "path": [[0, 0], [1, 1]]}
         httpx.post(f"{found}/workbench/truth", json=body, timeout=60).raise_for_status()
         httpx.post(f"{found}/workbench/truth", json={**body, "model": VERSION}, timeout=60).raise_for_status()

@@ -11,7 +11,7 @@ from playwright.sync_api import FilePayload, Page, expect
 from tests.browser.workbench import discs_in_address, hash_of, is_page, open_bench, settle
 from tests.inference_api.server import api_server
 
-pytestmark = [pytest.mark.browser, pytest.mark.e2e]
+pytestmark = [pytest.mark.browser, pytest.mark.e2e, pytest.mark.slow]
 
 TEXT = """\
 robot: {link_lengths_m: [2.0, 2.0]}

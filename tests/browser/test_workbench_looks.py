@@ -11,7 +11,7 @@ from playwright.sync_api import Locator, Page, expect
 from tests.browser.workbench import hash_of, is_page, open_bench
 from tests.inference_api.server import api_server
 
-pytestmark = [pytest.mark.browser, pytest.mark.e2e]
+pytestmark = [pytest.mark.browser, pytest.mark.e2e, pytest.mark.slow]
 
 SCHEMES = ("light", "dark")
 SIZES = {"desk": (1480, 940), "tablet": (900, 1100), "phone": (390, 844)}

@@ -16,7 +16,7 @@ from tests.browser.workbench import hash_of, is_page, open_bench
 from tests.bundles import write_tiny_bundle
 from tests.inference_api.server import api_server
 
-pytestmark = [pytest.mark.browser, pytest.mark.e2e]
+pytestmark = [pytest.mark.browser, pytest.mark.e2e, pytest.mark.slow]
 
 SCENE: workbench.Discs = [(2.6, 1.9, 1.0), (-1.9, 2.5, 1.0), (0.5, -3.2, 1.0)]
 ENDS = {"start": "0,0.3", "goal": "-2.6,-0.6"}

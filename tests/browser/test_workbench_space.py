@@ -18,7 +18,7 @@ from cspace.worlds import examples, workshop_of
 from tests.browser.workbench import is_page
 from tests.inference_api.server import api_server
 
-pytestmark = [pytest.mark.browser, pytest.mark.e2e, pytest.mark.timeout(300)]
+pytestmark = [pytest.mark.browser, pytest.mark.e2e, pytest.mark.slow, pytest.mark.timeout(300)]
 
 FAMILY, SEED = "table", 2
 FRAGMENT = f"#view=space&family={FAMILY}&scene={SEED}"
