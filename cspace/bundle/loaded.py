@@ -1,7 +1,6 @@
 """The deployable artefact: load it, verify it, sample from it. onnxruntime and numpy, no torch, no pickle."""
 
 import time
-from dataclasses import replace
 from pathlib import Path
 from typing import Unpack
 
@@ -12,7 +11,7 @@ from cspace.bundle.drawing.samplers import sampler_of
 from cspace.bundle.files import GOLDEN_FILE, SPEC_FILE, BundleFiles, read_files
 from cspace.bundle.golden import GoldenCase
 from cspace.bundle.novelty import novelty
-from cspace.bundle.request import fitted, fitted_ends
+from cspace.bundle.request import fitted, fitted_ends, fitted_plan
 from cspace.bundle.running.chunks import Between
 from cspace.bundle.running.deadlines import RUN_LIMIT_S
 from cspace.bundle.running.graph_set import open_graphs
@@ -193,9 +192,8 @@ class Bundle:
         """
         head, picture = self._head(), self._prepared(image)
         ends = fitted_ends(self.spec, query.start, query.goal)
-        if query.min_confidence is None:
-            query = replace(query, min_confidence=self.spec.plan_confidence)
-        return plan(head.seen(self.spec, picture, between), ends, query, between)
+        wanted = fitted_plan(self.spec, query)
+        return plan(head.seen(self.spec, picture, between), ends, wanted, between)
 
     def golden_answer(self, image: NDArray[np.uint8], query: SampleQuery) -> SampleSet:
         """What a golden case holds: :meth:`answer`, or where samples are searched for uniform configurations.

@@ -2,13 +2,14 @@
 
 import json
 from collections.abc import Sequence
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cspace.bundle.spec import BundleSpec
 from cspace.errors import InputError, OtherRobotError
+from cspace.planning.query import PlanQuery
 from cspace.query import SampleQuery
 from cspace.worlds import robot_digest
 
@@ -83,6 +84,13 @@ def _endpoint(spec: BundleSpec, name: str, angles: tuple[float, ...] | None) -> 
             remedy=f"send {name}",
         )
     return fitted_end(spec, name, angles)
+
+
+def fitted_plan(spec: BundleSpec, query: PlanQuery) -> PlanQuery:
+    """The query with the confidence that fits the bundle, where it names none."""
+    if query.min_confidence is not None:
+        return query
+    return replace(query, min_confidence=spec.plan_confidence)
 
 
 def fitted_end(spec: BundleSpec, name: str, angles: tuple[float, ...]) -> tuple[float, ...]:

@@ -1,11 +1,11 @@
 """A way from start to goal, from field values to the bytes of the answer; runs in a worker thread."""
 
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from fastapi.responses import Response
 
-from cspace.bundle.request import fitted_end, require_robot
+from cspace.bundle.request import fitted_end, fitted_plan, require_robot
 from cspace.errors import InputError
 from cspace.planning.query import Doubt, Plan, PlanQuery
 from inference_api.bodies.request_body import PLAN_FORM, RawFields, parse_fields
@@ -60,9 +60,7 @@ class PlanQuestion:
             ClientDisconnect: the client has gone away.
         """
         bundle, spec = served.bundle, served.bundle.spec
-        query = self.query
-        if query.min_confidence is None:
-            query = replace(query, min_confidence=spec.plan_confidence)
+        query = fitted_plan(spec, self.query)
         require_robot(self.robot, spec)
         if not bundle.has_validity:
             raise InputError("the model has no validity head", remedy="name a model that has one")

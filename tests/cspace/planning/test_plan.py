@@ -1,11 +1,13 @@
 """Plans by bundles: whose doubts decide, what is refused, what is told."""
 
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from cspace.bundle import Bundle
+from cspace.bundle.request import fitted_plan
 from cspace.errors import InputError
 from cspace.planning.query import PlanQuery
 from cspace.planning.scoring import score
@@ -102,3 +104,14 @@ def test_each_piece_has_its_least_and_its_largest_with_its_corners():
     assert one.of_pieces(one.confidence, np.maximum).tolist() == pytest.approx([1.0, 0.8])
     assert one.length_rad == pytest.approx(0.4)
     assert score([], WORLD.space, STEP, believe) == []
+
+
+def test_where_nobody_says_how_sure_a_plan_has_to_be_calibrated_bundles_ask_for_some(bundle, scene):
+    image, problem = scene
+    query = asked(problem)
+    assert fitted_plan(bundle.spec, query).min_confidence == 0.0
+    calibrated = replace(bundle.spec, plan_doubt=(0.0, 1.0))
+    assert fitted_plan(calibrated, query).min_confidence == 0.2
+    for least in (0.0, 0.9):
+        assert fitted_plan(calibrated, replace(query, min_confidence=least)).min_confidence == least
+    assert bundle.plan(bundle.prepare(image), query).status == "solved"
