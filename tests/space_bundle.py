@@ -1,6 +1,9 @@
 """A bundle of an arm in space whose networks are tiny and not trained."""
 
+from collections.abc import Mapping
+from functools import cache
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 
@@ -31,8 +34,9 @@ SPEC = BundleSpec(
 )
 
 
-def space_graphs() -> dict[str, bytes]:
-    """Encoder, generator, novelty, map and validity."""
+@cache
+def space_graphs() -> Mapping[str, bytes]:
+    """Encoder, generator, novelty, map and validity; exported once a process, which takes seconds."""
     sensor, size = WORLD.sensor, network_size(WORLD.sensor)
     with seeded_initialisation(0):
         encoder = make_encoder(VaeConfig(latent_dim=LATENT, width=4), shown_size(sensor))
@@ -40,13 +44,14 @@ def space_graphs() -> dict[str, bytes]:
         decoder = GridVaeDecoder((x, y, z), LATENT, 4)
         generator = TorusGenerator(Sizes(WORLD.space, LATENT, 8, 1), 2)
         head = GridHead.of(HEAD, WORLD).eval()
-    return {
+    graphs = {
         "encoder": encoder_graph(encoder, size),
         "generator": generator_graph(generator, WORLD.dim, LATENT, 2),
         "novelty": novelty_graph(GridNovelty(decoder).eval(), size, LATENT),
         "map": map_graph(head),
         "validity": grid_validity_graph(head, WORLD.dim),
     }
+    return MappingProxyType(graphs)
 
 
 def write_space_bundle(folder: Path) -> Path:

@@ -37,6 +37,7 @@ def test_a_head_exported_anew_answers_as_before_and_tells_where_it_comes_from(so
         assert (tmp_path / "new" / name).read_bytes() == (source / name).read_bytes()
 
 
+@pytest.mark.slow
 def test_what_answers_otherwise_is_not_written(source, graphs, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("training.reexport.read_back", lambda head, graph: None)
     assert main([str(source), str(tmp_path / "new")]) == 1
@@ -78,6 +79,7 @@ def test_a_bundle_of_the_plane_is_refused(tmp_path, capsys):
     assert "cannot be exported anew" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_folder_that_is_there_stays(source, tmp_path, capsys):
     (tmp_path / "new").mkdir()
     (tmp_path / "new" / "kept").write_text("kept")

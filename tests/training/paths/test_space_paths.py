@@ -74,7 +74,10 @@ def test_few_pictures_are_sent_with_the_paths(source, dataset):
     assert found.maps is None
 
 
-@pytest.mark.parametrize("name", NAMES)
+# One that looks at places, with refinements, takes as long as the others together.
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.slow if name == "wgan_lookups" else ()) for name in NAMES]
+)
 def test_every_model_takes_steps_and_its_graph_answers_as_the_network_does(name, stored, source, tmp_path):
     trained = make_path_module(name, TRAIN, stored, 0)
     before = {key: value.clone() for key, value in trained.net.state_dict().items()}
