@@ -173,8 +173,8 @@ def test_three_joints_take_the_same_job_without_the_models_of_a_grid(server, dat
         "data.narrow_share=0",
         "models=[flow, flow_distilled, cvae]",
     )
-    # No grid, no untrained sampler.
-    assert set(made["versions"]) == {"flow", "flow_distilled", "cvae"}
+    # Ways need no grid; the head is the source's.
+    assert set(made["versions"]) == {"flow", "flow_distilled", "cvae", "ways"}
     assert made["model"] == "three-link-path-sampler"
     registry = MlflowRegistry(server)
     for name, number in made["versions"].items():
