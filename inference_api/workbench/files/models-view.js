@@ -13,7 +13,7 @@ import { byId } from "./svg.js";
 const REGISTRY = {
   none: "This server has no model registry; it serves what ships with it.",
   reachable: "The model registry answers.",
-  unreachable: "The model registry does not answer now; what is here is served from what is known.",
+  unreachable: "The model registry does not answer, or was not started; what ships and what is known of it is served.",
 };
 
 /**
