@@ -81,7 +81,12 @@ def create_app(settings: ApiSettings | None = None, registry: ModelRegistry | No
     add_routes(app)
     add_docs_page(app)
     add_guide(app, settings.guide_folder)
-    add_workbench(app, truth=settings.workbench, mlflow_pages=settings.mlflow_pages)
+    add_workbench(
+        app,
+        truth=settings.workbench,
+        mlflow_pages=settings.mlflow_pages,
+        problems_folder=settings.problems_folder,
+    )
     add_problem_handlers(app)
     add_guards(app, settings.protection)
     app.add_middleware(LastResort)

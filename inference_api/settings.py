@@ -18,6 +18,7 @@ METRICS_FOLDER = "PROMETHEUS_MULTIPROC_DIR"
 THREADS = "CSPACE_API_THREADS"
 HOSTS = "CSPACE_API_HOSTS"
 WORKBENCH = "CSPACE_API_WORKBENCH"
+PROBLEMS = "CSPACE_API_MOTIONBENCH"
 DEFAULT_MODEL = "cspace-sampler"
 PRETRAINED_FOLDER = Path(__file__).parent / "pretrained"
 # Where `make docs` of a checkout builds it.
@@ -54,6 +55,7 @@ class ApiSettings:
         guide_folder: the built documentation site, which need not be there.
         workbench: whether the page at ``/`` may ask for the truth of scenes.
         mlflow_pages: where browsers find MLflow's pages, for links; None for no links.
+        problems_folder: of MotionBenchMaker's problems for the workbench; None for those that ship.
     """
 
     registry_uri: str | None
@@ -74,6 +76,7 @@ class ApiSettings:
     guide_folder: Path = GUIDE_FOLDER
     workbench: bool = False
     mlflow_pages: str | None = None
+    problems_folder: Path | None = None
 
     @classmethod
     def from_environment(cls, environment: Mapping[str, str] | None = None) -> "ApiSettings":
@@ -108,6 +111,7 @@ class ApiSettings:
             guide_folder=Path(values.get("CSPACE_API_GUIDE") or GUIDE_FOLDER),
             workbench=_switch(values, WORKBENCH),
             mlflow_pages=_pages(values, "CSPACE_API_MLFLOW_PAGES"),
+            problems_folder=Path(values[PROBLEMS]) if values.get(PROBLEMS) else None,
         )
 
 

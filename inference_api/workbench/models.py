@@ -1,6 +1,7 @@
 """What the workbench tells of models beside ``GET /models``: figures, decisions, lineage, links."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime, timedelta
 from urllib.parse import quote
 
 from pydantic import BaseModel
@@ -15,38 +16,44 @@ from services.registry.references import is_model_name
 # What is told of tags: where a version comes from. Anybody may write others.
 _LINEAGE = ("preset", "seed", "data_digest", "git_commit")
 _MAX_TEXT = 200
+_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
 
-class Decided(BaseModel):
-    """An entry of a version's log of decisions."""
-
-    promoted: bool
-    reasons: list[str]
-    against: int | None
-    created_ms: int
+Rows = list[tuple[str, str]]
 
 
 class ModelStory(BaseModel):
-    """A model's figures and where it comes from.
+    """A model's figures and where it comes from, in words.
 
     Args:
         reference: as in ``GET /models``.
-        created: ISO 8601, or milliseconds since 1970 as text; None where nobody knows.
-        figures: of the last decision, from validation scenarios; of shipped models those of the bundle.
-        decisions: the oldest first.
-        lineage: by name.
+        rows: headline figures, where it comes from, and what was decided about it, the oldest first.
+            Figures are those of the last decision, from validation scenarios; of shipped models those of
+            the bundle.
+        further: figures with a path in their name, which are parts of something larger.
         link: to the version's page in MLflow.
     """
 
     reference: str
-    created: str | None
-    figures: dict[str, float]
-    decisions: list[Decided]
-    lineage: dict[str, str]
+    rows: Rows
+    further: Rows
     link: str | None
 
 
-def stories(store: ModelStore, name: str | None, pages: str | None) -> list[ModelStory]:
+class Stories(BaseModel):
+    """What the page tells of models.
+
+    Args:
+        models: the versions of a model, and the shipped ones.
+        champions: when the alias went to which version and why, the latest first. Of versions that were
+            deleted nothing is known.
+    """
+
+    models: list[ModelStory]
+    champions: Rows
+
+
+def stories(store: ModelStore, name: str | None, pages: str | None) -> Stories:
     """Of the versions of a model, None for the default one, and of the shipped models.
 
     Args:
@@ -55,30 +62,65 @@ def stories(store: ModelStore, name: str | None, pages: str | None) -> list[Mode
         pages: where browsers find MLflow.
     """
     wanted = name if name is not None and is_model_name(name) else store.model_name
-    told = [_version(version, pages) for version in store.versions(wanted)]
-    return told + [_shipped(one.name, one.spec.provenance) for one in store.shipped]
+    versions = store.versions(wanted)
+    told = [_version(version, pages) for version in versions]
+    promoted = [one for version in versions for one in _decisions(version) if one.promoted]
+    latest_first = sorted(promoted, key=lambda one: one.created_ms, reverse=True)
+    return Stories(
+        models=told + [_shipped(one.name, one.spec.provenance) for one in store.shipped],
+        champions=[(_when(one.created_ms), f"version {one.version}{_reasons(one)}") for one in latest_first],
+    )
 
 
 def _version(version: ModelVersion, pages: str | None) -> ModelStory:
     decisions = _decisions(version)
-    lineage = {name: version.tags[name][:_MAX_TEXT] for name in _LINEAGE if name in version.tags}
+    figures = decisions[-1].metrics if decisions else {}
+    tags = {name: version.tags.get(name) for name in _LINEAGE}
     link = f"{pages}/#/models/{quote(version.name, safe='')}/versions/{version.number}" if pages else None
+    judged = [
+        (_when(one.created_ms), f"{'promoted' if one.promoted else 'not promoted'}{_reasons(one)}")
+        for one in decisions
+    ]
+    return _story(str(version), version.created_ms, figures, tags, judged, link)
+
+
+def _story(
+    reference: str,
+    made: int | str | None,
+    figures: Mapping[str, float],
+    lineage: Mapping[str, str | None],
+    judged: Rows,
+    link: str | None,
+) -> ModelStory:
+    told = [(name, (name.replace("_", " "), f"{value:.4g}")) for name, value in figures.items()]
+    comes_from = [(name.replace("_", " "), text[:_MAX_TEXT]) for name, text in lineage.items() if text]
     return ModelStory(
-        reference=str(version),
-        created=str(version.created_ms),
-        figures=dict(decisions[-1].metrics) if decisions else {},
-        decisions=[
-            Decided(
-                promoted=one.promoted,
-                reasons=list(one.reasons),
-                against=one.against,
-                created_ms=one.created_ms,
-            )
-            for one in decisions
-        ],
-        lineage=lineage,
+        reference=reference,
+        rows=[row for name, row in told if "/" not in name]
+        + ([("made", _when(made))] if made else [])
+        + comes_from
+        + judged,
+        further=[row for name, row in told if "/" in name],
         link=link,
     )
+
+
+def _reasons(decision: Decision) -> str:
+    against = f" against version {decision.against}" if decision.against else ""
+    return f"{against}: {'; '.join(decision.reasons)}"
+
+
+def _when(moment: int | str) -> str:
+    """Of milliseconds since 1970, or ISO 8601; what is neither as it is."""
+    try:
+        date = (
+            datetime.fromisoformat(moment)
+            if isinstance(moment, str)
+            else _EPOCH + timedelta(milliseconds=moment)
+        )
+    except (ValueError, OverflowError):
+        return str(moment)
+    return f"{date.astimezone(UTC):%Y-%m-%d %H:%M} UTC"
 
 
 def _decisions(version: ModelVersion) -> Sequence[Decision]:
@@ -92,14 +134,7 @@ def _decisions(version: ModelVersion) -> Sequence[Decision]:
 def _shipped(name: str, provenance: Provenance) -> ModelStory:
     lineage = {
         "command": provenance.command,
-        "data_digest": provenance.data_digest or "",
-        "git_commit": provenance.git_commit or "",
+        "data_digest": provenance.data_digest,
+        "git_commit": provenance.git_commit,
     }
-    return ModelStory(
-        reference=name,
-        created=provenance.created or None,
-        figures=dict(provenance.metrics),
-        decisions=[],
-        lineage={key: text[:_MAX_TEXT] for key, text in lineage.items() if text},
-        link=None,
-    )
+    return _story(name, provenance.created, provenance.metrics, lineage, [], None)

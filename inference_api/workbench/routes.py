@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from functools import partial
 from importlib.util import find_spec
+from pathlib import Path
 from typing import TypeVar
 
 from fastapi import FastAPI, Request
@@ -17,9 +18,11 @@ from inference_api.pages.dependencies import Room, Store, room_of, store_of, tur
 from inference_api.pages.exchange import Question, respond
 from inference_api.pages.validation import validate_fields
 from inference_api.problems import UNSUPPORTED_MEDIA_TYPE, RequestError
-from inference_api.workbench.models import ModelStory, stories
+from inference_api.workbench.models import Stories, stories
 from inference_api.workbench.page import add_page
 from inference_api.workbench.scene_file import FileQuestion, FileRequest
+from inference_api.workbench.search import SearchQuestion
+from inference_api.workbench.search_schemas import SearchRequest
 from inference_api.workbench.space import SpaceQuestion
 from inference_api.workbench.space_schemas import SpaceRequest
 from inference_api.workbench.truth import SceneQuestion, TruthQuestion
@@ -29,7 +32,7 @@ from services.registry.references import ModelReference
 # What compiled checks, drawn scenes and scene files need, as the extra ``workbench`` has it.
 _PACKAGES = ("numba", "scipy", "matplotlib", "jsonschema", "yaml")
 
-Asked = TypeVar("Asked", FileRequest, SceneRequest, SpaceRequest, TruthRequest)
+Asked = TypeVar("Asked", FileRequest, SceneRequest, SearchRequest, SpaceRequest, TruthRequest)
 
 
 class About(BaseModel):
@@ -48,13 +51,16 @@ class About(BaseModel):
     mlflow: str | None
 
 
-def add_workbench(app: FastAPI, *, truth: bool, mlflow_pages: str | None) -> None:
+def add_workbench(
+    app: FastAPI, *, truth: bool, mlflow_pages: str | None, problems_folder: Path | None = None
+) -> None:
     """Serve the page, and what it asks.
 
     Args:
         app: whose.
         truth: whether the truth may be asked for.
         mlflow_pages: where browsers find MLflow.
+        problems_folder: of MotionBenchMaker's problems, where somebody has fetched them.
 
     Raises:
         ConfigError: the truth is wanted, and its packages are not there.
@@ -75,14 +81,18 @@ def add_workbench(app: FastAPI, *, truth: bool, mlflow_pages: str | None) -> Non
         return about
 
     @app.get("/workbench/models", include_in_schema=False)
-    async def models(request: Request, store: Store, room: Room, name: str | None = None) -> list[ModelStory]:
+    async def models(request: Request, store: Store, room: Room, name: str | None = None) -> Stories:
         return await room.run(partial(stories, store, name, mlflow_pages), client_of(request.scope))
 
     if truth:
         app.post("/workbench/scene-file", include_in_schema=False)(_scene_file)
         app.post("/workbench/scene", include_in_schema=False)(_scene)
+        app.post("/workbench/search", include_in_schema=False)(_search)
         app.post("/workbench/truth", include_in_schema=False)(_truth)
-        app.post("/workbench/space", include_in_schema=False)(_space)
+
+        @app.post("/workbench/space", include_in_schema=False)
+        async def space(request: Request) -> Response:
+            return await _ask(request, SpaceRequest, partial(SpaceQuestion, folder=problems_folder))
 
 
 def _is_installed(name: str) -> bool:
@@ -100,12 +110,12 @@ async def _scene_file(request: Request) -> Response:
     return await _ask(request, FileRequest, FileQuestion)
 
 
+async def _search(request: Request) -> Response:
+    return await _ask(request, SearchRequest, SearchQuestion)
+
+
 async def _truth(request: Request) -> Response:
     return await _ask(request, TruthRequest, TruthQuestion)
-
-
-async def _space(request: Request) -> Response:
-    return await _ask(request, SpaceRequest, SpaceQuestion)
 
 
 async def _ask(

@@ -3,6 +3,7 @@
 import base64
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
@@ -17,6 +18,8 @@ from cspace.world import Scene, World
 from cspace.worlds import workshop_of
 from inference_api.models.served import ServedModel
 from inference_api.turns.turns import LONG_ROWS, Turn
+from inference_api.workbench.benchmark import benchmark_families, benchmark_problem
+from inference_api.workbench.space_faces import faces_of
 from inference_api.workbench.space_schemas import SpaceAnswer, SpaceRequest
 from inference_api.workbench.truth import rows_of, telling, way_truth
 from services.registry.references import ModelReference
@@ -28,10 +31,18 @@ _FAR_MM = 2500.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SpaceQuestion:
-    """A scene in space and what is held against it; an :class:`~inference_api.pages.exchange.Question`."""
+    """A scene in space and what is held against it; an :class:`~inference_api.pages.exchange.Question`.
+
+    Args:
+        asked: which scene, and what is held against it.
+        reference: the model whose arm it is.
+        folder: of MotionBenchMaker's problems that do not ship; None without them.
+        require_confirmed: never.
+    """
 
     asked: SpaceRequest
     reference: ModelReference
+    folder: Path | None = None
     require_confirmed: bool = False
 
     def answer(self, served: ServedModel, turn: Turn) -> Response:
@@ -48,9 +59,9 @@ class SpaceQuestion:
         samples, path = (rows_of(rows, world) for rows in (asked.configurations, asked.path))
         turn.spend(LONG_ROWS + 1.0 + len(samples))
         with telling():
-            names = workshop_of(world).families.names
+            names = workshop_of(world).families.names + benchmark_families(world)
             family = asked.family or names[0]
-            problem = _problem(world, family, asked.seed)
+            problem = _problem(world, family, asked.seed, self.folder)
             turn.between()
             scene = _seen(problem.scenario, asked)
             body = _told(scene, problem, family, names, samples, path)
@@ -58,8 +69,10 @@ class SpaceQuestion:
 
 
 @lru_cache(maxsize=8)
-def _problem(world: World, family: str, seed: int) -> Problem:
+def _problem(world: World, family: str, seed: int, folder: Path | None) -> Problem:
     """Asked for again with every turn of a camera."""
+    if family in benchmark_families(world):
+        return benchmark_problem(world, family, seed, folder)
     return workshop_of(world).problem(family, Split.DEMO, seed)
 
 
@@ -88,7 +101,7 @@ def _told(
         image=base64.b64encode(workshop.picture_file(scene)).decode(),
         previews=[base64.b64encode(_preview(one)).decode() for one in found.view().pictures],
         cameras=told["cameras"],
-        obstacles=told["obstacles"],
+        faces=faces_of(told["obstacles"]),
         start=told["state"],
         goal=problem.goal.tolist(),
         family=family,

@@ -8,6 +8,7 @@ from pydantic import BaseModel, Field, Strict
 from cspace.query import MAX_SEED
 from cspace.view_file import MAX_PICTURES
 from inference_api.pages.schemas import RequestFields
+from inference_api.workbench.space_faces import Face
 from inference_api.workbench.truth_schemas import MODEL_EXPECTED, Number, Row, Rows, WayTruth
 
 _PoseRow = Annotated[tuple[Number, Number, Number, Number], Strict(strict=False)]
@@ -43,7 +44,7 @@ class SpaceAnswer(BaseModel):
         image: base64 of the view file, which the API takes as `image`.
         previews: base64 of PNGs, one for each camera: the nearer, the lighter.
         cameras: as `POST /sample` has them, with width and height.
-        obstacles: boxes and cylinders with their poses, m.
+        faces: of boxes and cylinders, to be painted.
         start: rad; where the arm stands in the pictures.
         goal: rad, of the problem.
         family: whose it is.
@@ -55,7 +56,7 @@ class SpaceAnswer(BaseModel):
     image: str
     previews: list[str]
     cameras: list[dict[str, Any]]
-    obstacles: dict[str, Any]
+    faces: list[Face]
     start: list[float]
     goal: list[float]
     family: str

@@ -54,7 +54,7 @@ class SceneQuestion:
         """
         # Draws that are not of the family are drawn again.
         turn.spend(LONG_ROWS + 1.0)
-        world = _planar(served.bundle.spec.world)
+        world = planar(served.bundle.spec.world)
         with telling():
             workshop = workshop_of(world)
             names = workshop.families.names
@@ -89,12 +89,12 @@ class TruthQuestion:
         Raises:
             CspaceError: as the contract's table of errors.
         """
-        asked, world = self.asked, _planar(served.bundle.spec.world)
+        asked, world = self.asked, planar(served.bundle.spec.world)
         samples, path = (rows_of(rows, world) for rows in (asked.configurations, asked.path))
         turn.spend(float(asked.cells**2 + len(samples)))
         began = time.perf_counter()
         with telling():
-            workshop = workshop_of(_among(world, asked.discs))
+            workshop = workshop_of(among(world, asked.discs))
             checker = workshop.checker(workshop.scene(np.random.default_rng(0), Split.TEST, 0))
             free = checker.valid_batch(_grid(world, asked)) if world.dim > 1 else np.ones(0, np.bool_)
             turn.between()
@@ -136,13 +136,18 @@ def telling() -> Iterator[None]:
         ) from error
 
 
-def _planar(world: World) -> World:
+def planar(world: World) -> World:
+    """The world, where it is a planar one.
+
+    Raises:
+        InputError: it is not.
+    """
     if world.kind != _PLANAR:
         raise InputError("the model is of another kind of world", expected=f"a {_PLANAR} one", got=world.kind)
     return world
 
 
-def _among(world: World, discs: tuple[tuple[float, float, float], ...]) -> World:
+def among(world: World, discs: tuple[tuple[float, float, float], ...]) -> World:
     """The same world with these discs as its only scene."""
     given = {"train": [], "held_out": [[list(disc) for disc in discs or (_NOWHERE,)]]}
     return read_world(world.to_dict() | {"scenes": given})

@@ -17,9 +17,10 @@ MAX_SHOWN = 2_000
 Number = Annotated[float, Field(allow_inf_nan=False, ge=-1e6, le=1e6)]
 Row = Annotated[tuple[Number, ...], Field(min_length=1, max_length=64), Strict(strict=False)]
 _Disc = Annotated[tuple[Number, Number, Number], Strict(strict=False)]
-_Discs = Annotated[tuple[_Disc, ...], Field(max_length=MAX_DISCS), Strict(strict=False)]
+Discs = Annotated[tuple[_Disc, ...], Field(max_length=MAX_DISCS), Strict(strict=False)]
 Rows = Annotated[tuple[Row, ...], Field(max_length=MAX_SHOWN), Strict(strict=False)]
 
+DISCS_EXPECTED = f"at most {MAX_DISCS} of x, y and radius in m, the radius above 0"
 MODEL_EXPECTED = "name, name@alias, name/version or pretrained"
 
 
@@ -41,14 +42,14 @@ class TruthRequest(RequestFields):
 
     EXPECTED: ClassVar[Mapping[str, str]] = {
         "model": MODEL_EXPECTED,
-        "discs": f"at most {MAX_DISCS} of x, y and radius in m, the radius above 0",
+        "discs": DISCS_EXPECTED,
         "cells": f"a whole number from 8 to {MAX_CELLS}",
         "at": "an angle in rad for each joint",
         "configurations": f"at most {MAX_SHOWN} arrays of angles in rad",
         "path": f"at most {MAX_SHOWN} arrays of angles in rad",
     }
     model: str = ""
-    discs: _Discs
+    discs: Discs
     cells: Annotated[int, Field(ge=8, le=MAX_CELLS)] = 96
     at: Row | None = None
     configurations: Rows = ()

@@ -145,11 +145,10 @@ def test_a_script_that_is_not_the_pages_own_is_refused(page: Page, address: str)
 def test_texts_that_others_write_are_shown_as_text(page: Page, address: str) -> None:
     wicked = "<img src=x class=intruder onerror='window.intruder = true'>"
     story = {
-        "reference": "pretrained", "created": wicked, "figures": {wicked: 1.0}, "lineage": {wicked: wicked},
-        "decisions": [{"promoted": True, "reasons": [wicked], "against": None, "created_ms": 0}],
-        "link": None,
+        "reference": "pretrained", "rows": [[wicked, wicked]], "further": [[wicked, wicked]], "link": None,
     }  # fmt: skip
-    page.route("**/workbench/models", lambda route: route.fulfill(json=[story]))
+    told = {"models": [story], "champions": [[wicked, wicked]]}
+    page.route("**/workbench/models", lambda route: route.fulfill(json=told))
     open_bench(page, address, "#view=models&model=%3Cimg%20class%3Dintruder%3E")
     expect(page.get_by_role("article").first).to_contain_text(wicked)
     expect(page.locator(".intruder")).to_have_count(0)

@@ -21,6 +21,7 @@ PICTURES = {
     "workbench-light": ("light", 1480, 940, ""),
     "workbench-dark": ("dark", 1480, 940, ""),
     "workbench-phone": ("light", 390, 844, ""),
+    "workbench-trees": ("light", 1480, 940, "#search=RRT,shown,2000"),
     "workbench-space": ("light", 1480, 940, "#view=space&family=table&scene=2"),
 }
 COLOURS = 256
@@ -50,7 +51,7 @@ def _taken(page: Page, address: str, name: str) -> bytes:
     page.emulate_media(color_scheme=scheme, reduced_motion="reduce")  # type: ignore[arg-type]
     page.set_viewport_size({"width": width, "height": height})
     open_bench(page, address, fragment)
-    if fragment:
+    if "view=" in fragment:
         return page.screenshot(full_page=True, animations="disabled")
     page.get_by_role("button", name="Plan a way").click()
     expect(page.locator("#plan-told")).to_contain_text("Checked")

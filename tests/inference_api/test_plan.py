@@ -36,7 +36,7 @@ def test_a_way_comes_back_with_what_is_believed_of_it(api):
     assert 0.0 < told["confidence"] <= min(told["edges"])
     assert told["least_sure"]["confidence"] == pytest.approx(min(told["edges"]), abs=1e-6)
     assert told["unseen"] is None
-    assert (told["ways"], told["seed"]) == (4, 3)
+    assert (told["ways"], told["seed"]) == (4, "3")
     assert told["model"]["robot"] == robot_digest(WORLD)
     assert set(told["timing_ms"]) == {"decode", "encode", "search", "score", "total"}
     lengths = WORLD.space.distance(told["path"][:-1], told["path"][1:])
@@ -48,7 +48,9 @@ def test_a_form_has_the_same_answer_and_a_seed_gives_the_same_way(api):
     by_form = api.post("/plan", files={"image": PNG}, data=data)
     assert by_form.status_code == 200, by_form.text
     assert by_form.json()["path"] == ask(api).json()["path"]
+    assert ask(api, seed="18446744073709551615").json()["seed"] == "18446744073709551615"
     drawn = ask(api, seed=None).json()["seed"]
+    assert isinstance(drawn, str)
     assert ask(api, seed=drawn).json()["seed"] == drawn
 
 

@@ -138,6 +138,9 @@ class Changed(IntoApp):
         ({"alias_confirmed": "yes"}, "alias_confirmed"),
         ({"unseen": [0.5] * 99}, "no whole way"),
         ({"seed": 4}, "another seed"),
+        ({"seed": "4"}, "another seed"),
+        ({"seed": "-3"}, "seed"),
+        ({"seed": "3 "}, "seed"),
         ({"name": "other"}, "another model"),
         ({"digest": "none"}, "digest"),
         ({"joint_space": {"kind": "torus", "dim": 99, "unit": "rad"}}, "joint space"),
@@ -147,6 +150,11 @@ class Changed(IntoApp):
 def test_an_answer_that_can_not_be_is_no_plan(api, changes, words):
     with pytest.raises(SamplerAnswerError, match=words):
         ask("sync", Changed(api, **changes), "plan", PNG, QUERY, CAREFUL)
+
+
+@pytest.mark.parametrize("seed", [3, "3"], ids=repr)
+def test_a_plan_s_seed_is_read_in_decimal_and_as_the_number_of_earlier_servers(api, seed):
+    assert ask("sync", Changed(api, seed=seed), "plan", PNG, QUERY, CAREFUL).seed == 3
 
 
 @pytest.mark.parametrize(

@@ -88,7 +88,7 @@ class PlanQuestion:
             least_sure=_told(found.least),
             alternatives=_alternatives(found) if self.query.alternatives else None,
             next_view=None if view is None else NextViewInfo(camera=dict(view.camera), sees=view.sees),
-            seed=self.query.seed,
+            seed=str(self.query.seed),
             scenario=ScenarioInfo(novelty=prepared.picture.novelty),
             joint_space=joint_space_info(served.bundle.spec.joint_space),
             model=model_info(served),

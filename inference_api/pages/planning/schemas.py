@@ -133,7 +133,7 @@ class PlanAnswer(BaseModel):
         description="Of the surest way; null where it was not asked for, none would see more, or the world "
         "is seen whole."
     )
-    seed: int
+    seed: str = Field(description="The seed that was used, in decimal.", pattern="^[0-9]{1,20}$")
     scenario: ScenarioInfo
     joint_space: AnyJointSpace
     model: ModelInfo

@@ -1,31 +1,34 @@
 // Everything beside the drawings: fields, buttons, figures.
 
-/** @import {Disc, Robot} from "./geometry.js" */
+/** @import {Disc, End, Robot} from "./geometry.js" */
 /** @import {Workbench} from "./main.js" */
 /** @import {Listed} from "./models-view.js" */
 
 import { ask } from "./api.js";
 import { speak } from "./messages.js";
 import { openFile } from "./scene-file.js";
-import { jointRow } from "./space-joints.js";
+import { jointRows } from "./space-joints.js";
 import { MAX_DISCS, clamp, isSeed } from "./state.js";
-import { buttonOf, byId, inputOf, selectOf } from "./svg.js";
+import { ENDS, buttonOf, byId, inputOf, selectOf } from "./svg.js";
 
 /** Fields of numbers: id, name in the state, least, most, whether whole. */
 const NUMBERS = /** @type {const} */ ([
   ["count", "n", 1, 2000, true],
   ["plan-limit", "limit", 0.01, 10, false],
   ["plan-ways", "ways", 1, 64, true],
+  ["plan-budget", "budget", 1, 20000, true],
 ]);
+/** Fields of confidences: empty for the model's own. */
+const CONFIDENCES = /** @type {const} */ ([["confidence", "confidence"], ["plan-sure", "sure"], ["space-sure", "sure"]]);
+const CHOICES = /** @type {const} */ ([["planner", "planner"], ["feed", "feed"]]);
 const SEEDS = /** @type {const} */ ([["seed", "seed"], ["plan-seed", "planSeed"]]);
-const ENDS = /** @type {const} */ (["start", "goal"]);
 
 export class Controls {
   /** @param {Workbench} bench */
   constructor(bench) {
     this.bench = bench;
-    /** @type {Record<"start" | "goal", ((angle: number) => void)[]>} */
-    this.joints = { start: [], goal: [] };
+    /** @type {ReturnType<typeof jointRows>[]} */
+    this.joints = [];
     this.select = selectOf("model");
     this.others = selectOf("beside");
     this.picture = byId("picture", HTMLCanvasElement);
@@ -62,10 +65,15 @@ export class Controls {
         if (isSeed(field.value)) bench.change({ [name]: field.value });
       });
     }
-    const confidence = selectOf("confidence");
-    confidence.addEventListener("change", () => {
-      bench.change({ confidence: confidence.value === "" ? null : Number(confidence.value) });
-    });
+    for (const [id, name] of CONFIDENCES) {
+      const select = selectOf(id);
+      for (const text of ["", "0", "0.2", "0.5", "0.9", "0.99"]) offerConfidence(select, text);
+      select.addEventListener("change", () => bench.change({ [name]: select.value === "" ? null : Number(select.value) }));
+    }
+    for (const [id, name] of CHOICES) {
+      const select = selectOf(id);
+      select.addEventListener("change", () => bench.change({ [name]: select.value }));
+    }
     const ground = selectOf("ground");
     ground.addEventListener("change", () => {
       for (const side of bench.sides()) side.drawn.ground = null;
@@ -122,29 +130,20 @@ export class Controls {
     truth.disabled = !about.truth;
     truth.textContent = about.truth ? "collisions in truth" : "collisions in truth (off on this server)";
     byId("family-form", HTMLFormElement).hidden = !about.truth;
+    byId("planner-label").hidden = !about.truth;
   }
 
   /** @param {Robot} robot */
   makeJoints({ low, high }) {
-    const rows = ENDS.flatMap((end) => {
-      this.joints[end] = [];
-      return low.map((_, joint) => {
-        const { row, show } = jointRow(`${end} ${joint + 1}`, low[joint], high[joint], (angle) => {
-          const configuration = [...this.bench.state[end]];
-          configuration[joint] = angle;
-          this.bench.moveEnd(end, configuration);
-        });
-        this.joints[end].push(show);
-        return row;
-      });
-    });
-    byId("joints").replaceChildren(...rows);
+    const limits = low.map((least, joint) => [least, high[joint]]);
+    this.joints = ENDS.map((end) => jointRows(end, limits, (configuration) => this.bench.moveEnd(end, configuration)));
+    byId("joints").replaceChildren(...this.joints.flatMap(({ rows }) => rows));
   }
 
   /** Fields follow the state. */
   show() {
     const { state, chosen } = this.bench;
-    for (const end of ENDS) this.joints[end].forEach((show, joint) => show(state[end][joint]));
+    this.joints.forEach(({ show }, row) => show(state[ENDS[row]]));
     const disc = state.picture ? undefined : state.discs[chosen];
     byId("disc-told", HTMLOutputElement).textContent = disc
       ? `disc ${chosen + 1}: x ${disc.x.toFixed(2)}, y ${disc.y.toFixed(2)}, r ${disc.r.toFixed(2)} m`
@@ -154,7 +153,16 @@ export class Controls {
     this.radius.disabled = !disc;
     if (disc) this.radius.value = String(disc.r);
     for (const [id, name] of [...NUMBERS, ...SEEDS]) keep(id, String(state[name]));
-    selectOf("confidence").value = state.confidence === null ? "" : String(state.confidence);
+    for (const [id, name] of CONFIDENCES) {
+      const text = String(state[name] ?? "");
+      // That of an address may be another than those that are offered.
+      offerConfidence(selectOf(id), text);
+      selectOf(id).value = text;
+    }
+    for (const [id, name] of CHOICES) selectOf(id).value = state[name];
+    const { grows } = this.bench;
+    byId("believed").hidden = grows;
+    byId("grown").hidden = !grows;
     selectOf("ground").value = state.ground;
     this.select.value = state.model;
     this.others.value = state.beside;
@@ -258,6 +266,12 @@ function offer(select, none, models, chosen) {
   if (chosen && !options.some((option) => option.value === chosen)) options.push(new Option(chosen, chosen));
   select.replaceChildren(new Option(none, ""), ...options);
   select.value = chosen;
+}
+
+/** @param {HTMLSelectElement} select @param {string} text  Empty for none. */
+function offerConfidence(select, text) {
+  if ([...select.options].some((option) => option.value === text)) return;
+  select.append(new Option(text === "0" ? "any" : text || "the model’s own", text));
 }
 
 /** Leave a field alone in which somebody is writing. @param {string} id @param {string} text */

@@ -2,6 +2,7 @@
 
 /**
  * @typedef {number[]} Configuration  An angle in rad for each joint.
+ * @typedef {"start" | "goal"} End  Of a way.
  * @typedef {{x: number, y: number, r: number}} Disc  Centre and radius in m.
  * @typedef {{x: number, y: number}} Point  In m.
  * @typedef {{links: number[], halfWidth: number, low: number[], high: number[], circle: boolean[]}} Robot

@@ -23,7 +23,7 @@ export const MEASURE = "interaction-to-samples";
 
 export class Live {
   /**
-   * @param {() => Asked} asked
+   * @param {() => Promise<Asked>} asked
    * @param {Heard} heard
    */
   constructor(asked, heard) {
@@ -63,7 +63,7 @@ export class Live {
     const since = this.since ?? performance.now();
     this.since = null;
     try {
-      const asked = this.asked();
+      const asked = await this.asked();
       const answer = await ask("sample", asked.sample);
       this.heard.samples(answer, performance.now() - since);
       performance.measure(MEASURE, { start: since });

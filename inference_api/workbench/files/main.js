@@ -1,26 +1,27 @@
 // The page: its state, and what its parts tell each other.
 
-/** @import {Camera, Configuration, Robot} from "./geometry.js" */
+/** @import {Camera, Configuration, End, Robot} from "./geometry.js" */
 /** @import {Listed} from "./models-view.js" */
 /** @import {State} from "./state.js" */
 
-import { ask, hasKey } from "./api.js";
+import { ask } from "./api.js";
 import { Controls } from "./controls.js";
 import { along, bound } from "./geometry.js";
 import { Messages } from "./messages.js";
 import { showModels } from "./models-view.js";
-import { encodePng, fromBase64, render, smallPng, toBase64 } from "./picture.js";
+import { encodePng, fromBase64, render, toBase64 } from "./picture.js";
 import { Planner } from "./planner.js";
 import { Readout } from "./readout.js";
 import { SceneView } from "./scene-view.js";
 import { Side } from "./side.js";
-import { asCurl, asPython, planBody, sampleBody } from "./snippets.js";
 import { Space } from "./space.js";
 import { fromHash, toHash } from "./state.js";
 import { byId } from "./svg.js";
 import { listenToCopies } from "./take.js";
 
 const GHOSTS = 14;
+// Parts of the state that another plan belongs to.
+const PLAN = ["planSeed", "limit", "ways", "sure", "planner", "feed", "budget"];
 
 class Workbench {
   constructor() {
@@ -38,12 +39,10 @@ class Workbench {
     this.listed = null;
     /** @type {Configuration | null} */
     this.peek = null;
-    /** The picture of these discs. @type {{of: object | null, image: string}} */
-    this.rendered = { of: null, image: "" };
+    /** The picture of these discs. @type {{of: object | null, image: Promise<string>}} */
+    this.rendered = { of: null, image: Promise.resolve("") };
     /** @type {Uint8Array<ArrayBuffer> | null} */
     this.png = null;
-    /** What is drawn of the discs, RGBA. */
-    this.pixels = new Uint8ClampedArray(0);
     this.pictureAddress = "";
     /** Which uploaded picture that is the address of. */
     this.seen = "";
@@ -56,10 +55,7 @@ class Workbench {
     this.space = new Space(this);
     this.readout = new Readout(this);
     this.controls = new Controls(this);
-    listenToCopies(this, async (what, form) => {
-      const body = this.state.view === "space" ? this.space.bodies()[what] : await this.bodyOf(what);
-      return this.taken(what, form, body);
-    });
+    listenToCopies(this);
     addEventListener("hashchange", () => this.opened());
   }
 
@@ -80,6 +76,17 @@ class Workbench {
     } catch (error) {
       this.messages.failed(error);
     }
+  }
+
+  /** Whether plans are trees among the discs, not what the model believes. */
+  get grows() {
+    const { state, about } = this;
+    return Boolean(state.planner) && about.truth && !state.picture;
+  }
+
+  /** The discs as requests have them. */
+  discs() {
+    return { discs: this.state.discs.map(({ x, y, r }) => [x, y, r]) };
   }
 
   /** Models whose answers are shown: the one that was chosen, and one beside it. */
@@ -124,7 +131,7 @@ class Workbench {
     this.change({ model, beside: fits ? beside : "", start: bound(this.robot, start), goal: bound(this.robot, goal) });
   }
 
-  /** Show a whole scene. @param {Pick<State, "discs" | "start" | "goal" | "model">} scene */
+  /** Show a whole scene. @param {Pick<State, "discs" | End | "model">} scene */
   showScene(scene) {
     this.chosen = -1;
     this.state = { ...this.state, ...scene, picture: null };
@@ -144,7 +151,7 @@ class Workbench {
     const scene = ["discs", "picture", "start", "goal", "model", "beside"].some((name) => name in changes);
     const sampled = scene || ["n", "seed", "confidence", "ground"].some((name) => name in changes);
     this.state = { ...this.state, ...changes };
-    if (scene || ["planSeed", "limit", "ways"].some((name) => name in changes)) this.planner.forget();
+    if (scene || PLAN.some((name) => name in changes) || (sampled && this.state.feed === "shown")) this.planner.forget();
     this.draw();
     if ((sampled || changes.view === "plane") && this.state.view !== "space") {
       for (const side of this.sides()) side.changed(side.part in changes);
@@ -159,7 +166,7 @@ class Workbench {
     this.later = setTimeout(() => history.replaceState(null, "", toHash(this.state)), 200);
   }
 
-  /** @param {"start" | "goal"} end @param {Configuration} configuration */
+  /** @param {End} end @param {Configuration} configuration */
   moveEnd(end, configuration) {
     if (!this.robot) return;
     this.planner.forget();
@@ -208,24 +215,24 @@ class Workbench {
     const { start, goal } = state;
     this.first.torus?.showEnds({ start, goal, way, moving, ...this.first.doubt });
     this.beside.torus?.showEnds({ start, goal, way: this.beside.way, moving: other, ...this.beside.doubt });
+    for (const side of this.sides()) side.torus?.showTree(side.planned?.answer ?? null);
     this.controls.show();
   }
 
-  /** The picture as it is sent, and shown as it is sent. */
-  pictured() {
+  /** The picture as it is sent, and shown as it is sent: base64 of a PNG. */
+  async pictured() {
     if (!this.robot || !this.camera) throw new Error("there is no robot yet");
-    const { picture } = this.state;
+    const { picture, discs } = this.state;
     if (picture) {
       if (picture !== this.seen) this.see(picture, this.camera.pixels);
       return picture;
     }
     this.seen = "";
-    const { discs } = this.state;
-    if (this.rendered.of === discs) return this.rendered.image;
-    this.pixels = render(this.robot, this.camera, discs);
-    this.controls.showPixels(this.pixels, this.camera.pixels);
-    this.png = encodePng(this.pixels);
-    this.rendered = { of: discs, image: toBase64(this.png) };
+    if (this.rendered.of !== discs) {
+      const pixels = render(this.robot, this.camera, discs);
+      this.controls.showPixels(pixels, this.camera.pixels);
+      this.rendered = { of: discs, image: encodePng(pixels).then((png) => toBase64((this.png = png))) };
+    }
     return this.rendered.image;
   }
 
@@ -239,18 +246,6 @@ class Workbench {
     this.pictureAddress = URL.createObjectURL(file);
     void this.controls.showFile(file, side);
     this.draw();
-  }
-
-  /** The request for what is shown of the plane. @param {"sample" | "plan"} what */
-  async bodyOf(what) {
-    const image = this.state.picture ?? toBase64(await smallPng(this.pixels));
-    return { ...(what === "sample" ? sampleBody : planBody)(this.state, image), ...this.first.model };
-  }
-
-  /** A request for a shell or a script. @param {"sample" | "plan"} what @param {"curl" | "python"} form @param {object} body */
-  taken(what, form, body) {
-    const address = new URL(".", location.href).href.replace(/\/$/, "");
-    return (form === "curl" ? asCurl : asPython)(address, what, body, hasKey());
   }
 }
 

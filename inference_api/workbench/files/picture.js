@@ -74,101 +74,54 @@ export function render(robot, camera, discs) {
   return pixels;
 }
 
-const CRC = Uint32Array.from({ length: 256 }, (_, value) => {
-  let crc = value;
-  for (let bit = 0; bit < 8; bit += 1) crc = crc & 1 ? 0xedb88320 ^ (crc >>> 1) : crc >>> 1;
-  return crc;
-});
-
 /**
- * A PNG of 8 bits a channel without alpha: signature, header, pixels, end, and nothing else. Its pixels are not
- * compressed, which is done at once; what is taken along is, see smallPng.
+ * A PNG of 8 bits a channel without alpha: signature, header, pixels, end, and nothing else.
  * @param {Uint8ClampedArray<ArrayBuffer>} pixels  RGBA of a square.
  */
-export function encodePng(pixels) {
-  return assembled(pixels, stored(linesOf(pixels)));
-}
-
-/** The same, compressed. @param {Uint8ClampedArray<ArrayBuffer>} pixels */
-export async function smallPng(pixels) {
-  const packed = new Blob([linesOf(pixels)]).stream().pipeThrough(new CompressionStream("deflate"));
-  return assembled(pixels, new Uint8Array(await new Response(packed).arrayBuffer()));
-}
-
-/** Lines of red, green and blue, each after a byte that says: no filter. @param {Uint8ClampedArray<ArrayBuffer>} pixels */
-function linesOf(pixels) {
-  const side = Math.sqrt(pixels.length / 4);
-  const lines = new Uint8Array(side * (3 * side + 1));
-  for (let row = 0, to = 0; row < side; row += 1) {
-    to += 1;
-    for (let column = 0; column < side; column += 1) {
-      const from = 4 * (row * side + column);
-      for (let channel = 0; channel < 3; channel += 1) lines[to++] = pixels[from + channel];
-    }
-  }
-  return lines;
-}
-
-/** In zlib's form, as it is. @param {Uint8Array} data */
-function stored(data) {
-  const most = 65535;
-  const blocks = Math.ceil(data.length / most);
-  const bytes = new Uint8Array(2 + data.length + 5 * blocks + 4);
-  const view = new DataView(bytes.buffer);
-  bytes.set([0x78, 0x01]);
-  for (let block = 0; block < blocks; block += 1) {
-    const part = data.subarray(block * most, (block + 1) * most);
-    const at = 2 + block * (most + 5);
-    bytes[at] = block + 1 === blocks ? 1 : 0;
-    view.setUint16(at + 1, part.length, true);
-    view.setUint16(at + 3, ~part.length & 0xffff, true);
-    bytes.set(part, at + 5);
-  }
-  let [low, high] = [1, 0];
-  for (const byte of data) {
-    low = (low + byte) % 65521;
-    high = (high + low) % 65521;
-  }
-  view.setUint32(bytes.length - 4, high * 65536 + low);
-  return bytes;
-}
-
-/** @param {Uint8ClampedArray<ArrayBuffer>} pixels @param {Uint8Array<ArrayBuffer>} packed */
-function assembled(pixels, packed) {
+export async function encodePng(pixels) {
   const side = Math.sqrt(pixels.length / 4);
   const header = new DataView(new ArrayBuffer(13));
   header.setUint32(0, side);
   header.setUint32(4, side);
   header.setUint8(8, 8);
   header.setUint8(9, 2);
+  const packing = new CompressionStream("deflate");
+  const writer = packing.writable.getWriter();
+  void writer.write(linesOf(pixels, side)).then(() => writer.close());
   const parts = [
     Uint8Array.of(137, 80, 78, 71, 13, 10, 26, 10),
     chunk("IHDR", new Uint8Array(header.buffer)),
-    chunk("IDAT", packed),
+    chunk("IDAT", new Uint8Array(await new Response(packing.readable).arrayBuffer())),
     chunk("IEND", new Uint8Array(0)),
   ];
   const bytes = new Uint8Array(parts.reduce((sum, part) => sum + part.length, 0));
-  let at = 0;
-  for (const part of parts) {
-    bytes.set(part, at);
-    at += part.length;
-  }
+  parts.reduce((at, part) => (bytes.set(part, at), at + part.length), 0);
   return bytes;
 }
 
-/**
- * @param {string} name
- * @param {Uint8Array} data
- */
+/** Lines of red, green and blue, each after a byte that says: no filter. @param {Uint8ClampedArray} pixels @param {number} side */
+function linesOf(pixels, side) {
+  const lines = new Uint8Array(side * (3 * side + 1));
+  for (let at = 0; at < side * side; at += 1) {
+    const row = Math.floor(at / side);
+    lines.set(pixels.subarray(4 * at, 4 * at + 3), 3 * at + row + 1);
+  }
+  return lines;
+}
+
+/** @param {string} name @param {Uint8Array} data */
 function chunk(name, data) {
   const bytes = new Uint8Array(12 + data.length);
   const view = new DataView(bytes.buffer);
   view.setUint32(0, data.length);
-  for (let at = 0; at < 4; at += 1) bytes[4 + at] = name.charCodeAt(at);
+  bytes.set(new TextEncoder().encode(name), 4);
   bytes.set(data, 8);
-  let crc = 0xffffffff;
-  for (const byte of bytes.subarray(4, 8 + data.length)) crc = CRC[(crc ^ byte) & 255] ^ (crc >>> 8);
-  view.setUint32(8 + data.length, (crc ^ 0xffffffff) >>> 0);
+  let crc = ~0;
+  for (const byte of bytes.subarray(4, 8 + data.length)) {
+    crc ^= byte;
+    for (let bit = 0; bit < 8; bit += 1) crc = (crc >>> 1) ^ (crc & 1 && 0xedb88320);
+  }
+  view.setUint32(8 + data.length, ~crc >>> 0);
   return bytes;
 }
 

@@ -6,16 +6,20 @@
 import { ask } from "./api.js";
 import { degrees } from "./geometry.js";
 import { Player } from "./player.js";
-import { planBody } from "./snippets.js";
 import { buttonOf, byId } from "./svg.js";
 
 const PLAY_MS = 4000;
+// As many ways as the server grows trees about.
+const MOST_WAYS = 8;
 export const LOOKING = "Looking for a way. The first one after an installation takes up to a minute.";
+const STATUS = { refused: "Refused", timeout: "Out of time", exhausted: "Not solved" };
 
 /**
+ * @typedef {{free: boolean, edges: boolean[]}} Way  What is true of a way.
+ *
  * @typedef {object} Planned
- * @property {any} answer  Of POST /plan.
- * @property {{free: boolean, edges: boolean[]} | null} way  What is true of it; null where nobody knows.
+ * @property {any} answer  Of POST /plan, or of a planner that grew trees.
+ * @property {Way | null} way  Null where nobody knows.
  */
 
 export class Planner {
@@ -51,11 +55,11 @@ export class Planner {
     this.button.disabled = true;
     try {
       for (const side of sides) {
-        const answer = await ask("plan", { ...planBody(bench.state, bench.pictured()), ...side.model });
+        const answer = bench.grows ? await this.grow(side) : await ask("plan", await side.body("plan"));
         if (asking !== this.asking) return;
-        side.planned = { answer, way: null };
+        side.planned = { answer, way: answer.way ?? null };
         this.tell(sides);
-        side.planned.way = await this.check(side);
+        if (!bench.grows) side.planned.way = await this.check(side);
         if (asking !== this.asking) return;
         this.tell(sides);
       }
@@ -72,12 +76,26 @@ export class Planner {
     }
   }
 
+  /** Trees among the discs themselves, fed with what is chosen. @param {Side} side */
+  async grow(side) {
+    const { start, goal, planSeed, limit, budget, planner, feed } = this.bench.state;
+    const body = {
+      ...side.model, ...this.bench.discs(), start, goal, planner, seed: planSeed, max_iterations: budget, time_limit_s: limit,
+    };
+    if (feed === "shown") return ask("workbench/search", { ...body, samples: side.drawn.samples });
+    if (feed === "uniform") return ask("workbench/search", body);
+    // All ways that the model finds, the doubtful ones too: what they are worth the checks tell.
+    const asked = { ...(await side.body("plan")), alternatives: true, min_confidence: 0 };
+    const { alternatives } = await ask("plan", asked);
+    const ways = alternatives.slice(0, MOST_WAYS).map((/** @type {any} */ { path }) => path);
+    return ask("workbench/search", { ...body, ways });
+  }
+
   /** Hold the way against the discs themselves. @param {Side} side */
   async check(side) {
     const { state, about } = this.bench;
     if (!about.truth || state.picture || side.way.length < 2) return null;
-    const discs = state.discs.map((disc) => [disc.x, disc.y, disc.r]);
-    return (await ask("workbench/truth", { ...side.model, discs, cells: 8, path: side.way })).way;
+    return (await ask("workbench/truth", { ...side.model, ...this.bench.discs(), cells: 8, path: side.way })).way;
   }
 
   /** @param {Side[]} sides */
@@ -91,30 +109,37 @@ export class Planner {
     this.bench.draw();
   }
 
-  /** How sure the first model's way is, piece by piece, and where least. */
+  /** How sure the first model's way is, piece by piece, and where least; or what its trees have cost. */
   tellDoubt() {
     const { first } = this.bench;
     const { edges } = first.doubt;
-    const least = first.planned?.answer.least_sure;
+    const answer = first.planned?.answer;
+    const least = answer?.least_sure;
     const told = [];
     if (least) {
       const angles = least.configuration.map(degrees).join(", ");
       told.push(`Least sure, ${least.confidence.toFixed(3)}, after ${Math.round(100 * least.along)} % of it: ${angles}.`);
     }
     if (edges.length) told.push(`On its pieces: ${edges.map((one) => one.toFixed(3)).join(", ")}.`);
+    if (answer?.iterations) {
+      told.push(
+        `${answer.edge_checks} edges and ${answer.state_checks} states checked; ${answer.learned_drawn} of ` +
+          `${answer.iterations} draws were not uniform; ${answer.nodes.length} nodes.`,
+      );
+    }
     byId("plan-doubt").textContent = told.join(" ");
   }
 }
 
 /** @param {Planned} planned @param {boolean} brief  Where a table tells the rest. */
 function wordsOf({ answer, way }, brief) {
-  if (answer.status !== "solved") return `${answer.status === "refused" ? "Refused" : "Out of time"}: ${answer.reason}.`;
+  if (answer.status !== "solved") return `${STATUS[/** @type {keyof STATUS} */ (answer.status)]}: ${answer.reason}.`;
   if (brief) return "solved.";
-  const words =
-    `Solved in ${searchedMs(answer)} ms: ${answer.length_rad.toFixed(2)} rad, ` +
-    `confidence ${answer.confidence.toFixed(3)}, the surest of ${answer.ways} ways.`;
-  if (!way) return words;
-  return `${words} Checked against the discs: ${verdictOf(way)}.`;
+  const rest = answer.nodes
+    ? `${answer.iterations} iterations.`
+    : `confidence ${answer.confidence.toFixed(3)}, the surest of ${answer.ways} ways.`;
+  const words = `Solved in ${searchedMs(answer)} ms: ${answer.length_rad.toFixed(2)} rad, ${rest}`;
+  return way ? `${words} Checked against the discs: ${verdictOf(way)}.` : words;
 }
 
 /** @param {HTMLElement} place @param {string} words @param {boolean} [bad] */
@@ -123,12 +148,12 @@ export function say(place, words, bad = false) {
   place.classList.toggle("bad", bad);
 }
 
-/** @param {{free: boolean, edges: boolean[]}} way */
+/** @param {Way} way */
 export function verdictOf({ free, edges }) {
   return free ? "it is free" : `it collides on ${edges.filter((one) => !one).length} of ${edges.length} pieces`;
 }
 
-/** @param {any} answer  Of POST /plan. */
-export function searchedMs({ timing_ms: took }) {
-  return Math.round(took.search + took.score);
+/** @param {any} answer  Of POST /plan, or of trees, which take less. */
+export function searchedMs({ timing_ms: took, search_ms: grew }) {
+  return took ? Math.round(took.search + took.score) : grew.toFixed(1);
 }

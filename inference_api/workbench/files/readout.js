@@ -56,7 +56,7 @@ export class Readout {
     const rows = sides.map((side) => [
       ...this.figures(side),
       ["sampled in", side.answer ? `${side.answer.timing_ms.total.toFixed(1)} ms` : "–"],
-      ...(sides.some(({ planned }) => planned) ? planFigures(side.planned) : []),
+      ...(sides.some(({ planned }) => planned) ? planFigures(side.planned, this.bench.grows) : []),
     ]);
     const table = byId("compared", HTMLTableElement);
     table.replaceChildren();
@@ -95,16 +95,23 @@ export class Readout {
   }
 }
 
-/** What a model's way is like. @param {import("./planner.js").Planned | null} planned @returns {[string, string][]} */
-function planFigures(planned) {
+/**
+ * What a model's way is like.
+ * @param {import("./planner.js").Planned | null} planned
+ * @param {boolean} grown  By trees.
+ * @returns {[string, string][]}
+ */
+function planFigures(planned, grown) {
   const { answer, way } = planned ?? { answer: null, way: null };
   const found = answer?.path.length > 1;
+  /** @type {[string, string][]} */
+  const own = grown
+    ? [["iterations", `${answer?.iterations ?? "–"}`], ["edges checked", `${answer?.edge_checks ?? "–"}`], ["states checked", `${answer?.state_checks ?? "–"}`]]
+    : [["its confidence", answer?.confidence?.toFixed(3) ?? "–"], ["least sure", answer?.least_sure?.confidence.toFixed(3) ?? "–"], ["ways found", `${answer?.ways ?? "–"}`]];
   return [
     ["plan", answer?.status ?? "–"],
-    ["its confidence", answer?.confidence?.toFixed(3) ?? "–"],
-    ["least sure", answer?.least_sure?.confidence.toFixed(3) ?? "–"],
+    ...own,
     ["length", found ? `${answer.length_rad.toFixed(2)} rad` : "–"],
-    ["ways found", `${answer?.ways ?? "–"}`],
     ["planned in", answer ? `${searchedMs(answer)} ms` : "–"],
     ["free in truth", way ? (way.free ? "yes" : "no") : "–"],
   ];

@@ -44,7 +44,7 @@ function showScene(bench, values) {
   const fitting = [bench.listed, ...planar].find((model) => model && isRobot(model.world.robot, values.robot));
   if (!fitting) {
     const own = JSON.stringify(values.robot);
-    return messages.refuse("No model knows the file’s robot", own, `a robot as ${JSON.stringify(bench.listed?.world.robot)}`);
+    return messages.refuse("No model knows the file’s robot", own, `a robot as ${JSON.stringify(bench.listed?.world.robot)}, or a model of the file’s on this server`);
   }
   const model = fitting === bench.listed ? bench.state.model : fitting.reference;
   const { start = bench.state.start, goal = bench.state.goal } = values;

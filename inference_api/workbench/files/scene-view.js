@@ -1,14 +1,13 @@
 // The plane: discs and arms, which can be dragged and moved by arrow keys.
 
-/** @import {Camera, Configuration, Disc, Point, Robot} from "./geometry.js" */
+/** @import {Camera, Configuration, Disc, End, Point, Robot} from "./geometry.js" */
 
 import { degrees, jointPositions, pointedAt } from "./geometry.js";
-import { arrow, draggable, draw, set } from "./svg.js";
+import { ENDS, SIDE, STEP_RAD, arrow, draggable, draw, set } from "./svg.js";
 
-const SIDE = 480;
 const STEP_M = 0.1;
-const STEP_RAD = Math.PI / 36;
-const ENDS = /** @type {const} */ (["start", "goal"]);
+// The later ones lie over the earlier.
+const ARMS = /** @type {const} */ (["ghost", "peek", "start", "goal", "least", "other", "moving"]);
 
 /**
  * @typedef {object} Shown
@@ -27,7 +26,7 @@ const ENDS = /** @type {const} */ (["start", "goal"]);
  * @property {(at: number, disc: Disc, byKey: boolean) => void} disc
  * @property {(at: number) => void} choose
  * @property {(at: number) => void} remove
- * @property {(end: "start" | "goal", configuration: Configuration) => void} end
+ * @property {(end: End, configuration: Configuration) => void} end
  */
 
 export class SceneView {
@@ -49,10 +48,11 @@ export class SceneView {
     this.picture = draw("image", { width: SIDE, height: SIDE, class: "shown", preserveAspectRatio: "none" });
     this.layers = { discs: draw("g"), arms: draw("g"), handles: draw("g") };
     drawing.replaceChildren(this.ground(), this.picture, ...Object.values(this.layers));
-    this.arms = this.makeArms();
+    const width = Math.max(2.5, 2 * robot.halfWidth * this.scale);
+    this.arms = ARMS.map((kind) => draw("path", { class: `arm ${kind}`, "stroke-width": width, "aria-hidden": "true" }));
     this.handles = ENDS.map((end) => robot.links.map((_, joint) => this.makeHandle(end, joint)));
     const base = this.toDrawing({ x: 0, y: 0 });
-    this.layers.arms.append(draw("circle", { class: "base", cx: base.x, cy: base.y, r: 5 }));
+    this.layers.arms.append(...this.arms, draw("circle", { class: "base", cx: base.x, cy: base.y, r: 5 }));
   }
 
   /** Pixels of the drawing for a metre. */
@@ -74,14 +74,10 @@ export class SceneView {
   show(shown) {
     this.shown = shown;
     this.showDiscs(shown);
-    const { start, goal, moving, other, least, peek } = shown;
-    this.showArm(this.arms.start, start);
-    this.showArm(this.arms.goal, goal);
-    this.showArm(this.arms.moving, moving);
-    this.showArm(this.arms.other, other);
-    this.showArm(this.arms.least, least);
-    this.showArm(this.arms.peek, peek);
-    this.arms.ghosts.setAttribute("d", shown.ghosts.map((one) => this.outline(one)).join(""));
+    ARMS.forEach((kind, row) => {
+      const arms = kind === "ghost" ? shown.ghosts : [shown[kind] ?? []];
+      this.arms[row].setAttribute("d", arms.map((one) => this.outline(one)).join(""));
+    });
     ENDS.forEach((end, row) => {
       const places = jointPositions(this.robot, shown[end]).slice(1).map((place) => this.toDrawing(place));
       this.handles[row].forEach((handle, joint) => {
@@ -103,29 +99,14 @@ export class SceneView {
     return group;
   }
 
-  makeArms() {
-    const width = Math.max(2.5, 2 * this.robot.halfWidth * this.scale);
-    /** @param {string} kind */
-    const arm = (kind) => {
-      const path = draw("path", { class: `arm ${kind}`, "stroke-width": width, "aria-hidden": "true" });
-      this.layers.arms.append(path);
-      return path;
-    };
-    return { ghosts: arm("ghost"), peek: arm("peek"), start: arm("start"), goal: arm("goal"), least: arm("least"), other: arm("other"), moving: arm("moving") };
-  }
-
-  /** @param {SVGPathElement} path @param {Configuration | null} configuration */
-  showArm(path, configuration) {
-    path.setAttribute("d", configuration ? this.outline(configuration) : "");
-  }
-
-  /** @param {Configuration} configuration */
+  /** Nothing for no configuration. @param {Configuration} configuration */
   outline(configuration) {
+    if (!configuration.length) return "";
     const places = jointPositions(this.robot, configuration).map((place) => this.toDrawing(place));
     return `M${places.map((place) => `${place.x.toFixed(1)} ${place.y.toFixed(1)}`).join("L")}`;
   }
 
-  /** @param {"start" | "goal"} end @param {number} joint */
+  /** @param {End} end @param {number} joint */
   makeHandle(end, joint) {
     const handle = draw("circle", { class: `handle ${end}`, r: 7, tabindex: 0, role: "slider" });
     this.layers.handles.append(handle);
@@ -152,9 +133,9 @@ export class SceneView {
     shown.discs.forEach((disc, at) => {
       const { x, y } = this.toDrawing(disc);
       const words = `Disc ${at + 1} at x ${disc.x.toFixed(1)} m, y ${disc.y.toFixed(1)} m, radius ${disc.r.toFixed(2)} m`;
-      set(this.discs[at], { cx: x, cy: y, r: disc.r * this.scale, "aria-label": words });
-      this.discs[at].classList.toggle("chosen", at === shown.chosen);
-      set(this.discs[at], { "aria-pressed": String(at === shown.chosen) });
+      const chosen = at === shown.chosen;
+      set(this.discs[at], { cx: x, cy: y, r: disc.r * this.scale, "aria-label": words, "aria-pressed": String(chosen) });
+      this.discs[at].classList.toggle("chosen", chosen);
     });
   }
 
@@ -199,7 +180,7 @@ export class SceneView {
 
 /**
  * What a handle says of itself.
- * @param {"start" | "goal"} end
+ * @param {End} end
  * @param {number} joint
  * @param {Configuration} configuration
  * @param {Robot} robot

@@ -5,7 +5,6 @@
 /** @import {Planned} from "./planner.js" */
 
 import { Live, believedGround, trueGround } from "./live.js";
-import { sampleBody } from "./snippets.js";
 import { byId } from "./svg.js";
 import { TorusView } from "./torus-view.js";
 
@@ -90,20 +89,31 @@ export class Side {
   }
 
   /** What a round of questions asks. */
-  asked() {
-    const { bench, model } = this;
-    const image = bench.pictured();
-    const { state, about, robot } = bench;
+  async asked() {
+    const { model } = this;
+    const { state, about, robot } = this.bench;
+    const sample = await this.body("sample");
     return {
-      sample: { ...sampleBody(state, image), ...model },
+      sample,
       truth: about.truth && !state.picture
         ? (/** @type {number[][]} */ configurations) => ({
-            ...model, discs: state.discs.map((disc) => [disc.x, disc.y, disc.r]), cells: TRUTH_CELLS, configurations,
+            ...model, ...this.bench.discs(), cells: TRUTH_CELLS, configurations,
             ...(robot && robot.links.length > 2 ? { at: state.start } : {}),
           })
         : null,
-      belief: state.ground === "belief" ? () => ({ ...model, image, configurations: this.grid() }) : null,
+      belief: state.ground === "belief" ? () => ({ ...model, image: sample.image, configurations: this.grid() }) : null,
     };
+  }
+
+  /** The request for the samples or the way that are shown. @param {"sample" | "plan"} page */
+  async body(page) {
+    const { n, seed, confidence, start, goal, planSeed, limit, ways, sure } = this.bench.state;
+    const image = await this.bench.pictured();
+    const fields =
+      page === "sample"
+        ? { n, seed, ...asking(confidence) }
+        : { start, goal, seed: planSeed, time_limit_s: limit, ways, ...asking(sure) };
+    return { image, ...fields, ...this.model };
   }
 
   grid() {
@@ -146,3 +156,6 @@ export class Side {
     this.torus?.show(this.drawn);
   }
 }
+
+/** The confidence that is asked for; nothing where the model knows. @param {number | null} confidence */
+export const asking = (confidence) => (confidence === null ? {} : { min_confidence: confidence });

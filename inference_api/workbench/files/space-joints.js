@@ -1,5 +1,6 @@
 // Sliders of an arm's joints, for its start or its goal.
 
+/** @import {End} from "./geometry.js" */
 /** @import {SerialArm} from "./solid.js" */
 
 import { degrees } from "./geometry.js";
@@ -13,7 +14,7 @@ import { byId, selectOf } from "./svg.js";
  * @param {number} high  rad.
  * @param {(angle: number) => void} moved
  */
-export function jointRow(words, low, high, moved) {
+function jointRow(words, low, high, moved) {
   const row = entry("label", "", "joint");
   const slider = entry("input");
   Object.assign(slider, { type: "range", min: low, max: high, step: 0.01 });
@@ -28,43 +29,51 @@ export function jointRow(words, low, high, moved) {
   return { row, show };
 }
 
+/**
+ * A row for each joint of a configuration.
+ * @param {string} words
+ * @param {number[][]} limits  rad, of each joint.
+ * @param {(configuration: number[]) => void} moved
+ */
+export function jointRows(words, limits, moved) {
+  /** @type {number[]} */
+  let now = [];
+  const made = limits.map(([low, high], joint) =>
+    jointRow(`${words} ${joint + 1}`, low, high, (angle) => moved(now.map((one, at) => (at === joint ? angle : one)))),
+  );
+  const show = (/** @type {number[]} */ configuration) => {
+    now = configuration;
+    made.forEach((row, joint) => row.show(configuration[joint]));
+  };
+  return { rows: made.map(({ row }) => row), show };
+}
+
 export class JointSliders {
-  /** @param {(end: "start" | "goal", configuration: number[]) => void} moved */
+  /** @param {(end: End, configuration: number[]) => void} moved */
   constructor(moved) {
     this.moved = moved;
     this.select = selectOf("space-end");
-    /** @type {((angle: number) => void)[]} */
-    this.rows = [];
-    /** @type {Record<"start" | "goal", number[]>} */
+    this.shown = jointRows("", [], () => {});
+    /** @type {Record<End, number[]>} */
     this.ends = { start: [], goal: [] };
     this.select.addEventListener("change", () => this.show(this.ends));
   }
 
-  /** Whose joints are moved. @returns {"start" | "goal"} */
+  /** Whose joints are moved. @returns {End} */
   get end() {
     return this.select.value === "start" ? "start" : "goal";
   }
 
   /** One row a joint. @param {SerialArm} arm */
   make(arm) {
-    this.rows = [];
-    byId("space-joints").replaceChildren(
-      ...arm.joints.map((joint, at) => {
-        const [low, high] = joint.limits_rad ?? [-Math.PI, Math.PI];
-        const { row, show } = jointRow(`joint ${at + 1}`, low, high, (angle) => {
-          const configuration = [...this.ends[this.end]];
-          configuration[at] = angle;
-          this.moved(this.end, configuration);
-        });
-        this.rows.push(show);
-        return row;
-      }),
-    );
+    const limits = arm.joints.map((joint) => joint.limits_rad ?? [-Math.PI, Math.PI]);
+    this.shown = jointRows("joint", limits, (configuration) => this.moved(this.end, configuration));
+    byId("space-joints").replaceChildren(...this.shown.rows);
   }
 
-  /** @param {Record<"start" | "goal", number[]>} ends */
+  /** @param {Record<End, number[]>} ends */
   show(ends) {
     this.ends = ends;
-    this.rows.forEach((show, joint) => show(ends[this.end][joint]));
+    this.shown.show(ends[this.end]);
   }
 }

@@ -1,5 +1,6 @@
 // The view of an arm in space: its scene, its cameras, samples, and a way.
 
+/** @import {End} from "./geometry.js" */
 /** @import {Workbench} from "./main.js" */
 /** @import {SerialArm} from "./solid.js" */
 
@@ -7,8 +8,9 @@ import { ask } from "./api.js";
 import { offerNames } from "./messages.js";
 import { LOOKING, say, verdictOf } from "./planner.js";
 import { Player } from "./player.js";
+import { asking } from "./side.js";
 import { around, looking } from "./solid.js";
-import { SpaceDrawing, facesOf } from "./space-drawing.js";
+import { SpaceDrawing } from "./space-drawing.js";
 import { JointSliders } from "./space-joints.js";
 import { Previews, showSpaceNumbers } from "./space-readout.js";
 import { byId, inputOf, selectOf } from "./svg.js";
@@ -32,8 +34,6 @@ export class Space {
     this.answer = null;
     /** @type {boolean[] | null} */
     this.free = null;
-    /** @type {import("./space-drawing.js").Face[]} */
-    this.faces = [];
     /** @type {number[][]} */
     this.path = [];
     this.player = new Player("space-play", "space-along", PLAY_MS, () => this.draw());
@@ -70,6 +70,7 @@ export class Space {
       this.changed();
     });
     byId("space-plan").addEventListener("click", () => void this.plan());
+    byId("space-sure").addEventListener("change", () => this.forget());
     this.listenToDrag();
   }
 
@@ -152,10 +153,10 @@ export class Space {
   /** What the samples and the way of what is shown are asked with. */
   bodies() {
     const { model, scene } = this;
-    const { seed } = this.bench.state;
+    const { seed, sure } = this.bench.state;
     return {
       sample: { model, image: scene.image, n: SAMPLES, seed, min_confidence: 0 },
-      plan: { model, image: scene.image, ...this.ends(), seed, time_limit_s: 5 },
+      plan: { model, image: scene.image, ...this.ends(), seed, time_limit_s: 5, ...asking(sure) },
     };
   }
 
@@ -209,7 +210,6 @@ export class Space {
   /** @param {any} scene */
   see(scene) {
     this.scene = scene;
-    this.faces = facesOf(scene.obstacles.boxes, scene.obstacles.cylinders);
     offerNames("space-family", scene.families);
     selectOf("space-family").value = scene.family;
     this.joints.show(this.ends());
@@ -229,7 +229,7 @@ export class Space {
     this.turnView();
   }
 
-  /** @param {"start" | "goal"} end @param {number[]} configuration */
+  /** @param {End} end @param {number[]} configuration */
   moveEnd(end, configuration) {
     this.bench.change(end === "start" ? { from: configuration } : { to: configuration });
     this.forget();
@@ -283,20 +283,16 @@ export class Space {
       if (!arm || !scene || this.bench.state.view !== "space") return;
       const moving = this.moving();
       const samples = moving ? [] : (answer?.samples ?? []);
-      this.drawing.draw(
-        arm,
-        {
-          boxes: scene.obstacles.boxes, cylinders: scene.obstacles.cylinders, cameras: scene.cameras, way: this.path,
-          arms: [
-            { configuration: moving ?? this.ends().start, kind: moving ? "moving" : "start" },
-            { configuration: this.ends().goal, kind: "goal" },
-          ],
-          samples: samples.map((/** @type {number[]} */ configuration, /** @type {number} */ at) => ({
-            configuration, confidence: answer.confidence?.[at] ?? 1, free: this.free ? this.free[at] : null,
-          })),
-        },
-        this.faces,
-      );
+      this.drawing.draw(arm, {
+        faces: scene.faces, cameras: scene.cameras, way: this.path,
+        arms: [
+          { configuration: moving ?? this.ends().start, kind: moving ? "moving" : "start" },
+          { configuration: this.ends().goal, kind: "goal" },
+        ],
+        samples: samples.map((/** @type {number[]} */ configuration, /** @type {number} */ at) => ({
+          configuration, confidence: answer.confidence?.[at] ?? 1, free: this.free ? this.free[at] : null,
+        })),
+      });
     });
   }
 }

@@ -3,6 +3,9 @@
 /** @import {Configuration, Disc} from "./geometry.js" */
 
 /**
+ * @typedef {"" | "RRTConnect" | "RRT"} Planner  Which grows trees among the discs; empty for POST /plan.
+ * @typedef {"uniform" | "shown" | "ways"} Feed  What trees draw: the samples that are shown, or about the model's ways.
+ *
  * @typedef {object} State
  * @property {Disc[]} discs
  * @property {string | null} picture  Base64 of an uploaded PNG that is shown instead of discs.
@@ -16,6 +19,10 @@
  * @property {string} planSeed  As the seed, of plans.
  * @property {number} limit  How long a way is looked for, s.
  * @property {number} ways  How many are looked for.
+ * @property {Planner} planner
+ * @property {Feed} feed
+ * @property {number} budget  Iterations of a planner that grows trees.
+ * @property {number | null} sure  What a way has to score; null for what the server asks of the model.
  * @property {"truth" | "belief" | "none"} ground  What lies under the samples.
  * @property {"plane" | "space" | "models"} view
  * @property {string} family  Of the scene in space; empty for the first.
@@ -49,6 +56,10 @@ export function usual() {
     planSeed: "7",
     limit: 5,
     ways: 4,
+    sure: null,
+    planner: "",
+    feed: "shown",
+    budget: 2000,
     ground: "truth",
     view: "plane",
     family: "",
@@ -60,7 +71,9 @@ export function usual() {
 }
 
 /** @param {State} state */
-const planOf = ({ planSeed, limit, ways }) => `${planSeed},${short(limit)},${ways}`;
+const planOf = ({ planSeed, limit, ways, sure }) => [planSeed, short(limit), ways, ...(sure === null ? [] : [short(sure)])].join();
+/** @param {State} state */
+const searchOf = ({ planner, feed, budget }) => [planner, feed, budget].join();
 
 /** What a seed is. @param {string | null | undefined} text */
 export const isSeed = (text) => /^[0-9]{1,20}$/.test(text ?? "");
@@ -85,6 +98,7 @@ export function toHash(state) {
   if (state.confidence !== null) told.set("confidence", short(state.confidence));
   const plan = planOf(state);
   if (plan !== planOf(usual())) told.set("plan", plan);
+  if (searchOf(state) !== searchOf(usual())) told.set("search", searchOf(state));
   if (state.ground !== "truth") told.set("ground", state.ground);
   if (state.sceneSeed) told.set("scene", String(state.sceneSeed));
   if (state.cameras) told.set("cameras", state.cameras.map(short).join(","));
@@ -113,10 +127,15 @@ export function fromHash(hash) {
   state.n = clamp(told.get("n"), 1, 2000, state.n, true);
   const seed = told.get("seed");
   if (seed && isSeed(seed)) state.seed = seed;
-  const [planSeed, limit, ways] = (told.get("plan") ?? "").split(",");
+  const [planSeed, limit, ways, sure] = (told.get("plan") ?? "").split(",");
   if (isSeed(planSeed)) state.planSeed = planSeed;
   state.limit = clamp(limit, 0.01, 10, state.limit, false);
   state.ways = clamp(ways, 1, 64, state.ways, true);
+  if (sure) state.sure = clamp(sure, 0, 1, 0, false);
+  const [planner, feed, budget] = (told.get("search") ?? "").split(",");
+  if (planner === "RRT" || planner === "RRTConnect") state.planner = planner;
+  if (feed === "uniform" || feed === "ways") state.feed = feed;
+  state.budget = clamp(budget, 1, 20000, state.budget, true);
   if (told.has("confidence")) state.confidence = clamp(told.get("confidence"), 0, 1, 0.5, false);
   const ground = told.get("ground");
   if (ground === "belief" || ground === "none") state.ground = ground;

@@ -1,6 +1,11 @@
 // Small help for drawings.
 
 const SPACE = "http://www.w3.org/2000/svg";
+/** Of both drawings of the plane's arm, in their own units. */
+export const SIDE = 480;
+/** What an arrow key turns a joint by. */
+export const STEP_RAD = Math.PI / 36;
+export const ENDS = /** @type {const} */ (["start", "goal"]);
 
 /**
  * A new element of a drawing.

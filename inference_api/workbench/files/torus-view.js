@@ -1,13 +1,10 @@
 // The joint space: joint 1 across and joint 2 up, with what collides, samples, start, goal and way.
 
-/** @import {Configuration, Robot} from "./geometry.js" */
+/** @import {Configuration, End, Robot} from "./geometry.js" */
 
 import { degrees, difference } from "./geometry.js";
-import { arrow, draggable, draw, placeIn, set } from "./svg.js";
+import { ENDS, SIDE, STEP_RAD, arrow, draggable, draw, placeIn, set } from "./svg.js";
 
-const SIDE = 480;
-const STEP_RAD = Math.PI / 36;
-const ENDS = /** @type {const} */ (["start", "goal"]);
 // Lower ends of the classes of confidence; what is below the first has a class of its own.
 const CLASSES = [0.5, 0.9, 0.99];
 
@@ -30,8 +27,10 @@ const CLASSES = [0.5, 0.9, 0.99];
  * @property {number[]} edges  The least confidence on each piece of the way.
  * @property {Configuration | null} least  Where it is least sure.
  *
+ * @typedef {{nodes?: Configuration[], parents?: number[]}} Planted  The parent of each node; -1 for roots.
+ *
  * @typedef {object} EndChanges
- * @property {(end: "start" | "goal", configuration: Configuration) => void} end
+ * @property {(end: End, configuration: Configuration) => void} end
  * @property {(first: number, second: number) => void} click  Angles in rad.
  * @property {(first: number | null, second: number) => void} peek
  */
@@ -53,13 +52,16 @@ export class TorusView {
     this.grounds = [1, 2, 3].map((level) => draw("path", { class: `ground ground-${level}` }));
     this.dots = [0, 1, 2, 3].map((place) => draw("path", { class: `dots dots-${place}` }));
     this.crosses = draw("path", { class: "crosses" });
+    this.tree = draw("path", { class: "tree" });
+    /** Whose tree that is. @type {Planted | null} */
+    this.planted = null;
     this.way = draw("path", { class: "way" });
     this.doubted = draw("path", { class: "doubted" });
     this.least = draw("circle", { class: "least", r: 8 });
     this.now = draw("circle", { class: "now", r: 5 });
     const plot = draw("rect", { class: "plot", width: SIDE, height: SIDE });
     const inside = draw("g", { "clip-path": `url(#${drawing.id}-clip)`, "aria-hidden": "true" });
-    inside.append(...this.grounds, ...this.dots, this.crosses, this.way, this.doubted, this.least, this.now);
+    inside.append(...this.grounds, ...this.dots, this.crosses, this.tree, this.way, this.doubted, this.least, this.now);
     this.marks = ENDS.map((end) => this.makeMark(end));
     const marks = draw("g");
     marks.append(...this.marks.flatMap(({ mark, letter }) => [mark, letter]));
@@ -105,7 +107,7 @@ export class TorusView {
     return group;
   }
 
-  /** @param {"start" | "goal"} end */
+  /** @param {End} end */
   makeMark(end) {
     /** @type {SVGElement} */
     const mark =
@@ -127,7 +129,7 @@ export class TorusView {
     return { mark, letter };
   }
 
-  /** @param {"start" | "goal"} end @param {[number, number]} angles */
+  /** @param {End} end @param {[number, number]} angles */
   move(end, angles) {
     if (this.ends) this.changes.end(end, [...angles, ...this.ends[end].slice(2)]);
   }
@@ -159,6 +161,15 @@ export class TorusView {
     this.doubted.setAttribute("d", this.line(ends.way, (at) => ends.edges[at] < CLASSES[1]));
     this.place(this.now, ends.moving);
     this.place(this.least, ends.least);
+  }
+
+  /** Branches of what was planned, drawn anew only where it is another. @param {Planted | null} planted */
+  showTree(planted) {
+    if (planted === this.planted) return;
+    this.planted = planted;
+    const { nodes = [], parents = [] } = planted ?? {};
+    const branches = nodes.map((node, at) => (parents[at] < 0 ? "" : this.line([nodes[parents[at]], node])));
+    this.tree.setAttribute("d", branches.join(""));
   }
 
   /** @param {SVGCircleElement} circle @param {Configuration | null} configuration */

@@ -2,18 +2,23 @@
 
 import base64
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from cspace.errors import DatasetError
 from cspace.splits import Split
 from cspace.worlds import workshop_of
+from cspace.worlds.spatial.motionbench.problems import BenchProblem, problems, write_problems
 from cspace.worlds.spatial.seeing.camera import looking
 from cspace.worlds.spatial.seeing.view import read_view
 from inference_api.app import create_app
 from inference_api.settings import PRETRAINED_FOLDER, ApiSettings
+from inference_api.workbench.benchmark import benchmark_problem
+from inference_api.workbench.space_faces import faces_of
 from tests.inference_api.client import ApiClient, running
 
 PANDA = "pretrained-panda"
@@ -53,11 +58,13 @@ def test_a_scene_is_the_demo_s_of_its_family_and_seed_as_its_cameras_see_it(
     problem = workshop.problem(FAMILY, Split.DEMO, SEED)
     found = told(bench)
     assert base64.b64decode(found["image"]) == workshop.picture_file(problem.scenario)
-    assert found["obstacles"] == problem.scenario.obstacles.to_dict()
+    assert found["faces"] == [face.model_dump() for face in faces_of(problem.scenario.obstacles.to_dict())]
     assert np.allclose(found["goal"], problem.goal)
     assert np.allclose(found["start"], problem.start)
     assert len(found["previews"]) == len(found["cameras"]) == len(problem.scenario.cameras)
-    assert found["families"] == list(workshop.families.names)
+    own = len(workshop.families.names)
+    assert found["families"][:own] == list(workshop.families.names)
+    assert len(found["families"]) == own + 7
 
 
 def test_cameras_that_one_places_see_the_scene_from_there(bench: ApiClient, workshop: Any) -> None:
@@ -66,7 +73,7 @@ def test_cameras_that_one_places_see_the_scene_from_there(bench: ApiClient, work
     view = read_view(base64.b64decode(found["image"]), workshop.world.space)
     assert np.allclose([camera.pose for camera in view.cameras], poses)
     assert found["image"] != told(bench)["image"]
-    assert found["obstacles"] == told(bench)["obstacles"]
+    assert found["faces"] == told(bench)["faces"]
 
 
 def test_an_arm_that_is_moved_stands_there_in_the_pictures(bench: ApiClient, workshop: Any) -> None:
@@ -108,3 +115,44 @@ def test_what_does_not_fit_is_refused_with_what_was_expected(
     answer = bench.post(f"/workbench/{page}", json=body)
     assert answer.status_code == 422, answer.text
     assert answer.json()["expected"]
+
+
+CAGE = "motionbench_cage"
+
+
+def shipped_problem(number: int) -> BenchProblem:
+    """A validation problem of the cage."""
+    return problems(Split.VALIDATION, families=["cage"])[number - 1]
+
+
+def test_a_seed_counts_the_benchmark_s_problems_that_ship_and_begins_anew_after_the_last(
+    bench: ApiClient,
+) -> None:
+    found = told(bench, family=CAGE, seed=3)
+    problem = shipped_problem(4)
+    assert np.allclose(found["start"], problem.start)
+    assert np.allclose(found["goal"], problem.goal)
+    assert found["faces"] == [face.model_dump() for face in faces_of(problem.obstacles.to_dict())]
+    assert len(found["cameras"]) == 1
+    assert told(bench, family=CAGE, seed=33) == found
+    # Its cameras are turned, and its arm moved, as those of other scenes.
+    pose = looking((1.2, 0.8, 1.0), (0.4, 0.0, 0.3)).tolist()
+    assert told(bench, family=CAGE, seed=3, cameras=[pose])["image"] != found["image"]
+
+
+def test_fetched_problems_follow_those_that_ship(tmp_path: Path, workshop: Any) -> None:
+    validation = problems(Split.VALIDATION)
+    write_problems(tmp_path, Split.VALIDATION, validation)
+    # As if fetched: the shipped ones under the numbers of the test's.
+    test = [replace(one, number=one.number + 30) for one in validation]
+    test += [replace(one, number=one.number + 60) for one in validation]
+    test += [replace(one, number=one.number + 90) for one in validation if one.number <= 10]
+    write_problems(tmp_path, Split.TEST, test)
+    found = benchmark_problem(workshop.world, CAGE, 33, tmp_path)
+    assert np.allclose(found.goal, shipped_problem(4).goal)
+    assert np.allclose(benchmark_problem(workshop.world, CAGE, 103, tmp_path).goal, found.goal)
+
+
+def test_a_folder_without_the_problems_is_told(tmp_path: Path, workshop: Any) -> None:
+    with pytest.raises(DatasetError, match="cannot be read"):
+        benchmark_problem(workshop.world, CAGE, 0, tmp_path)

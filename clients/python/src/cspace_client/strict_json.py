@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 from collections.abc import Mapping
 from typing import Any, NoReturn, TypeVar
 
@@ -9,6 +10,7 @@ from cspace_client.answer_errors import unusable
 
 Choice = TypeVar("Choice", bound=str)
 _MAX_DIGITS = 21
+_SEED = re.compile("[0-9]{1,20}")
 
 
 def parse_json(data: bytes) -> object:
@@ -68,6 +70,13 @@ class Members:
         """A whole number."""
         value = self._values.get(name)
         return value if type(value) is int else self._wrong(name, "a whole number", value)
+
+    def seed(self, name: str) -> int:
+        """A seed, in decimal; a number in answers of earlier servers."""
+        value = self._values.get(name)
+        if isinstance(value, str) and _SEED.fullmatch(value):
+            return int(value)
+        return self.count(name)
 
     def count(self, name: str) -> int:
         """A whole number that is not negative."""

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from scipy.stats import mannwhitneyu
 
+from cspace.planning.trees import BLOCK, Trees, drawn_states
 from cspace.splits import Split
 from cspace.worlds.planar.arm import PlanarArm
 from cspace.worlds.planar.planning.collision import CollisionChecker
 from cspace.worlds.planar.planning.problems import Family, draw_problem
 from services.planner.search.ompl_planner import PlannerSettings, Reason, solve
-from services.planner.search.sampled_connect import _BLOCK, _Trees, drawn_states
 from services.planner.settings import RRT_CONNECT, SAMPLED_CONNECT
 
 
@@ -57,13 +57,13 @@ def test_the_same_arguments_give_the_same_search(blocked):
 def test_given_samples_are_drawn_in_their_order_and_once_each(blocked):
     space = blocked.scenario.robot.space
     samples = np.random.default_rng(0).uniform(-9.0, 9.0, (40, 2))
-    states, learned = drawn_states(space, samples, 0.5, settings(3))
+    states, learned = drawn_states(space, samples, 0.5, 20_000, np.random.default_rng(3))
     np.testing.assert_allclose(states[learned], space.wrap(samples))
     assert 50 < np.flatnonzero(learned)[-1] < 120
-    states, learned = drawn_states(space, samples, 0.0, settings(3, max_iterations=10))
+    states, learned = drawn_states(space, samples, 0.0, 10, np.random.default_rng(3))
     assert learned.all()
     np.testing.assert_allclose(states, space.wrap(samples[:10]))
-    assert not drawn_states(space, None, 0.0, settings(3))[1].any()
+    assert not drawn_states(space, None, 0.0, 10, np.random.default_rng(3))[1].any()
 
 
 def test_samples_along_the_path_are_all_that_is_needed(blocked):
@@ -76,7 +76,7 @@ def test_samples_along_the_path_are_all_that_is_needed(blocked):
 def test_a_long_search_outgrows_its_first_arrays(disconnected):
     result = solve(disconnected, settings(max_iterations=40_000), keep_tree=True)
     assert result.reason == Reason.ITERATION_LIMIT
-    trees = _Trees(disconnected.start, disconnected.goal, _BLOCK * 9)
+    trees = Trees(disconnected.start, disconnected.goal, BLOCK * 9)
     assert len(result.tree.vertices) > 2 * trees.nodes.shape[1]
     assert len(result.tree.edges) == len(result.tree.vertices) - 2
 

@@ -81,7 +81,7 @@ class PlanReading:
             told = Members(parse_json(body), "plan")
         except ValueError as error:
             raise unusable("is no plan", "the members of a plan", str(error)) from error
-        query, seed = self.question.query, told.whole("seed")
+        query, seed = self.question.query, told.seed("seed")
         if seed != query.seed:
             raise unusable("is for another seed", str(query.seed), str(seed))
         head = self._head(told.inner("model"))

@@ -1,0 +1,115 @@
+"""Trees that grow among a scene's true discs: found ways are free, counts are theirs, and bounds hold."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cspace.problem import Problem
+from cspace.worlds.planar.arm import TWO_LINK
+from cspace.worlds.planar.planning.collision import CollisionChecker
+from cspace.worlds.planar.scene import Disc, Scenario
+from services.planner.search.ompl_planner import solve
+from services.planner.settings import SAMPLED_CONNECT, PlannerSettings
+from tests.inference_api.client import ApiClient
+from tests.inference_api.workbench.conftest import StartBench
+
+DISCS = [[2.5, 0.0, 0.5]]
+SCENE = Scenario(TWO_LINK, (Disc(2.5, 0.0, 0.5),))
+CHECKER = CollisionChecker(SCENE)
+START, GOAL = [1.2, 0.0], [-1.2, 0.0]
+ASKED: dict[str, Any] = {"discs": DISCS, "start": START, "goal": GOAL, "planner": "RRTConnect", "seed": "7"}
+PLANNERS = ("RRT", "RRTConnect")
+
+
+def found(api: ApiClient, **fields: Any) -> dict[str, Any]:
+    answer = api.post("/workbench/search", json={**ASKED, **fields})
+    assert answer.status_code == 200, answer.text
+    told: dict[str, Any] = answer.json()
+    return told
+
+
+@pytest.mark.parametrize("planner", PLANNERS)
+def test_a_way_leads_from_start_to_goal_and_is_free_by_an_independent_check(
+    bench: ApiClient, planner: str
+) -> None:
+    told = found(bench, planner=planner)
+    path = np.array(told["path"])
+    assert (told["status"], told["reason"]) == ("solved", None)
+    np.testing.assert_allclose(path[[0, -1]], [START, GOAL], atol=1e-9)
+    assert CHECKER.edge_batch(path[:-1], path[1:], 0.002).all()
+    assert told["way"]["free"] is True
+    assert told["length_rad"] == pytest.approx(TWO_LINK.space.distance(path[:-1], path[1:]).sum())
+    assert told["state_checks"] > told["edge_checks"] >= told["iterations"] > 0
+
+
+@pytest.mark.parametrize("planner", PLANNERS)
+def test_every_branch_is_free_and_leads_to_a_root(bench: ApiClient, planner: str) -> None:
+    told = found(bench, planner=planner)
+    nodes, parents = np.array(told["nodes"]), np.array(told["parents"])
+    children = np.flatnonzero(parents >= 0)
+    assert len(nodes) - len(children) == {"RRT": 1, "RRTConnect": 2}[planner]
+    assert len(children) > 3
+    # Rounded, a branch may graze what it does not touch.
+    assert CHECKER.edge_batch(nodes[parents[children]], nodes[children], 0.0314).mean() > 0.95
+
+
+def test_the_search_is_that_of_the_planners_command(bench: ApiClient) -> None:
+    samples = np.random.default_rng(0).uniform(-3.0, 3.0, (40, 2))
+    told = found(bench, samples=samples.tolist(), max_iterations=5000)
+    settings = PlannerSettings(planner=SAMPLED_CONNECT, seed=7, max_iterations=5000)
+    own = solve(Problem(SCENE, np.array(START), np.array(GOAL)), settings, samples)
+    assert told["iterations"] == own.iterations
+    assert told["learned_drawn"] == own.learned_drawn > 0
+    np.testing.assert_allclose(told["path"], own.path)
+
+
+@pytest.mark.parametrize("planner", PLANNERS)
+def test_states_about_a_way_that_is_free_are_all_that_is_needed(bench: ApiClient, planner: str) -> None:
+    way = found(bench)["path"]
+    told = found(bench, planner=planner, ways=[way], seed=3, max_iterations=400)
+    assert told["status"] == "solved"
+    assert told["learned_drawn"] > 0.5 * told["iterations"]
+
+
+@pytest.mark.parametrize("planner", PLANNERS)
+def test_the_budget_and_the_time_end_a_search_that_finds_nothing(bench: ApiClient, planner: str) -> None:
+    told = found(bench, planner=planner, max_iterations=2)
+    assert (told["status"], told["iterations"], told["path"]) == ("exhausted", 2, [])
+    assert "within 2 iterations" in told["reason"]
+    # A ring that nothing leads through.
+    wall = [[3.4 * np.cos(at), 3.4 * np.sin(at), 0.7] for at in (0.6, -0.6, 2.5)]
+    told = found(bench, planner=planner, discs=wall, max_iterations=20_000, time_limit_s=0.01)
+    assert told["status"] in ("timeout", "solved")
+    if told["status"] == "timeout":
+        assert "within 0.01 s" in told["reason"]
+
+
+def test_an_end_that_collides_is_named(bench: ApiClient) -> None:
+    told = found(bench, start=[0.0, 0.0])
+    assert (told["status"], told["reason"], told["nodes"]) == ("refused", "the start collides", [])
+    assert found(bench, goal=[0.0, 0.0])["reason"] == "the goal collides"
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"planner": "PRM"},
+        {"start": [0.0]},
+        {"samples": [[0.0]]},
+        {"ways": [[]]},
+        {"ways": [[[0.0, 0.0]] * 2000] * 2},
+        {"max_iterations": 20_001},
+        {"time_limit_s": 11},
+        {"seed": -1},
+    ],
+    ids=str,
+)
+def test_what_is_wrong_is_refused(bench: ApiClient, wrong: dict[str, Any]) -> None:
+    answer = bench.post("/workbench/search", json={**ASKED, **wrong})
+    assert answer.status_code == 422
+    assert answer.json()["type"] == "urn:cspace-sampler:problem:invalid-value"
+
+
+def test_without_the_truth_nobody_searches(start_bench: StartBench) -> None:
+    assert start_bench(truth=False).post("/workbench/search", json=ASKED).status_code == 404
