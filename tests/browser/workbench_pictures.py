@@ -62,11 +62,11 @@ def _taken(page: Page, address: str, name: str) -> bytes:
 
 
 def _write(taken: bytes, path: Path) -> None:
-    """Few colours, for they are few."""
+    """Few colours, for they are few; they are moved to where they are needed, or a dark plane gets blocks."""
     with Image.open(io.BytesIO(taken)) as picture:
-        picture.convert("RGB").quantize(COLOURS, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE).save(
-            path, optimize=True
-        )
+        picture.convert("RGB").quantize(
+            COLOURS, Image.Quantize.MEDIANCUT, kmeans=3, dither=Image.Dither.NONE
+        ).save(path, optimize=True)
 
 
 if __name__ == "__main__":
