@@ -1,8 +1,10 @@
 """Draws of landmarks spread over processes, with the same numbers whatever their number."""
 
 import multiprocessing
+import os
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
+from threading import Thread
 from typing import Self, TypeVar
 
 from cspace.errors import EvaluationError
@@ -12,6 +14,22 @@ Result = TypeVar("Result")
 
 # Work travels in this many parts a process, each with one copy of the points: few copies, even loads.
 PARTS_PER_PROCESS = 4
+
+
+def end_with_parent() -> None:
+    """In a process of a pool: end when the process that made it has ended, in whatever way.
+
+    A pool's processes wait for work, and of a parent that was killed nobody tells them.
+    """
+    parent = multiprocessing.parent_process()
+    if parent is None:
+        return
+
+    def follow() -> None:
+        parent.join()
+        os._exit(1)
+
+    Thread(target=follow, name="parent", daemon=True).start()
 
 
 class ProcessMapper:
@@ -32,7 +50,7 @@ class ProcessMapper:
             raise EvaluationError("a mapper needs processes", expected="1 or more", got=str(processes))
         self.processes = processes
         context = multiprocessing.get_context("spawn")
-        self._pool = ProcessPoolExecutor(processes, mp_context=context)
+        self._pool = ProcessPoolExecutor(processes, context, end_with_parent)
 
     def __call__(self, function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
         """``map(function, items)``; the function and what it holds must pickle.

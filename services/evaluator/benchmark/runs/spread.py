@@ -13,6 +13,7 @@ from services.evaluator.benchmark.runs.measure import measure
 from services.evaluator.benchmark.runs.run import Run
 from services.evaluator.benchmark.runs.setting import Setting, Unit
 from services.evaluator.benchmark.runs.sources import SourceSpec, opened
+from services.evaluator.processes import end_with_parent
 
 Work = TypeVar("Work")
 Work_contra = TypeVar("Work_contra", contravariant=True)
@@ -86,6 +87,7 @@ _here: list[Works[Any, Any] | Exception] = []
 
 
 def _begin(make: Make[Any, Any, Any], setting: Any, specs: Sequence[SourceSpec]) -> None:
+    end_with_parent()
     # An error here would break the pool without its words; the first unit raises it instead.
     try:
         _here[:] = [make(setting, specs)]
