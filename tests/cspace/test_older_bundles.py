@@ -18,7 +18,12 @@ SHIPPED = Path(__file__).parents[2] / "inference_api" / "pretrained"
 LIMITED = PlanarArm(joint_limits_rad=(None, (-1.0, 2.0)))
 
 
-@pytest.mark.parametrize("folder", [FOLDER / "schema_2", SHIPPED], ids=["schema 2", "shipped"])
+# The last is one whose generators' weights are stacked, and whose head reads rows of pixels.
+@pytest.mark.parametrize(
+    "folder",
+    [FOLDER / "schema_2", SHIPPED, FOLDER / "stacked_mixture"],
+    ids=["schema 2", "shipped", "stacked mixture"],
+)
 def test_an_older_bundle_answers_its_golden_request(folder: Path) -> None:
     bundle = Bundle.load(folder)
     case = GoldenCase.from_npz((folder / "golden.npz").read_bytes())

@@ -72,8 +72,7 @@ class _ValidityGraph(nn.Module):
         self.head = head
 
     def forward(self, image: Tensor, configurations: Tensor) -> Tensor:
-        logits: Tensor = self.head(image, configurations.unsqueeze(0))
-        return torch.sigmoid(logits).squeeze(0)
+        return torch.sigmoid(self.head.of_one(image, configurations))
 
 
 def validity_graph(head: ValidityHead, pixels: int, dim: int) -> bytes:

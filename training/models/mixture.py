@@ -1,6 +1,7 @@
 """A gated mixture of torus generators: a gate draws a cell, the cell's generator moves a point of it."""
 
 from collections.abc import Sequence
+from copy import deepcopy
 
 import torch
 from torch import Tensor, nn
@@ -28,33 +29,21 @@ class Experts(nn.Module):
         super().__init__()
         self.noise_dim, self.joints = generators[0].noise_dim, generators[0].joints
         self.register_buffer("clusters", clusters)
-        linear = [
-            [layer for layer in generator.residual if isinstance(layer, nn.Linear)]
-            for generator in generators
-        ]
-        self.weights = nn.ParameterList(
-            torch.stack([layer.weight.detach().T for layer in level]) for level in zip(*linear, strict=True)
-        )
-        self.biases = nn.ParameterList(
-            torch.stack([layer.bias.detach() for layer in level]).unsqueeze(1)
-            for level in zip(*linear, strict=True)
-        )
+        self.networks = nn.ModuleList(deepcopy(generator.residual) for generator in generators)
 
     def forward(
         self, latent: Tensor, base: Tensor, noise: Tensor, seen: Tensor | None, cell: Tensor
     ) -> Tensor:
         """One configuration for each latent, by the generator in charge of its cell."""
-        # All generators answer for every row, in one product a layer: on a processor that is faster than to
-        # gather each row's own weights.
-        values = generator_inputs(self.joints, latent, base, noise, seen).unsqueeze(0)
-        for level, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
-            values = torch.matmul(values, weight) + bias
-            if level + 1 < len(self.weights):
-                values = functional.leaky_relu(values, 0.2)
-        if len(values) == 1:
-            return self.joints.fold(base + values[0])
-        chosen = self.clusters[cell].view(1, -1, 1).expand(1, -1, base.shape[1])
-        return self.joints.fold(base + values.gather(0, chosen)[0])
+        inputs = generator_inputs(self.joints, latent, base, noise, seen)
+        if len(self.networks) == 1:
+            return self.joints.fold(base + self.networks[0](inputs))
+        # Each generator answers for its own rows; these stand behind each other until they are put back.
+        chosen = self.clusters[cell]
+        rows = [torch.nonzero(chosen == index).squeeze(1) for index in range(len(self.networks))]
+        steps = torch.cat([net(inputs[own]) for net, own in zip(self.networks, rows, strict=True)])
+        where = torch.cat(rows).unsqueeze(1).expand(-1, base.shape[1])
+        return self.joints.fold(base + torch.zeros_like(base).scatter(0, where, steps))
 
 
 class GatedSampler(nn.Module):
@@ -93,7 +82,7 @@ class GatedSampler(nn.Module):
         count, size, dim = self.points.shape
         reached = torch.cumsum(functional.softmax(self.gate(latent), dim=1), dim=1)
         # Rounding may leave the last sum below one.
-        chosen = (reached <= cell).sum(dim=1).clamp(max=count - 1)
+        chosen = (reached <= cell).float().sum(dim=1).long().clamp(max=count - 1)
         row = (place.squeeze(1) * size).long().clamp(max=size - 1)
         base = self.points.view(count * size, dim)[chosen * size + row]
         base = self.experts.joints.fold(base + self.spacing[chosen].unsqueeze(1) * jitter)

@@ -29,6 +29,14 @@ class ValidityHead(nn.Module):
         logits: Tensor = self.net(self.lookups(pictures, configurations)).squeeze(-1)
         return logits
 
+    def of_one(self, picture: Tensor, configurations: Tensor) -> Tensor:
+        """The same of one picture (1, 3, P, P) and (n, d), as a served graph computes it: (n,).
+
+        Each layer is one product of two matrices, which onnxruntime computes in one with its bias.
+        """
+        logits: Tensor = self.net(self.lookups(picture, configurations.unsqueeze(0)).squeeze(0)).squeeze(-1)
+        return logits
+
 
 def make_head(config: ValidityConfig, world: World) -> ValidityHead:
     """The head that settings name."""

@@ -84,6 +84,21 @@ def test_every_row_is_answered_by_the_generator_in_charge_of_its_cell():
         torch.testing.assert_close(found[row], own[index][row])
 
 
+def test_a_sample_costs_the_network_of_its_own_cluster_alone():
+    _, mixture = experts()
+    with seeded_initialisation(1):
+        gate = Gate(4, 8, 2, 3)
+    sampler = GatedSampler(gate, CELLS, mixture, None)
+    # The first cell is the first generator's alone, and 0 draws it.
+    feeds = random_inputs(9, lookups=False) | {"cell": torch.zeros(9, 1)}
+    wanted = answer(mixture_graph(sampler, 4, 2, 48), feeds)
+    for part in mixture.networks[1].parameters():
+        torch.nn.init.constant_(part, float("nan"))
+    found = answer(mixture_graph(sampler, 4, 2, 48), feeds)
+    assert np.isfinite(found).all()
+    np.testing.assert_array_equal(found, wanted)
+
+
 @pytest.mark.parametrize("lookups", [False, True])
 @pytest.mark.parametrize("count", [1, 33])
 def test_the_mixtures_graph_answers_as_the_network(count, lookups):
@@ -120,8 +135,9 @@ def test_the_gate_draws_cells_as_often_as_it_says():
     with seeded_initialisation(1):
         gate = Gate(4, 8, 2, 3)
     sampler = GatedSampler(gate, CELLS, experts(1)[1], None)
-    for weight in sampler.experts.weights:
-        torch.nn.init.zeros_(weight)
+    for network in sampler.experts.networks:
+        for part in network.parameters():
+            torch.nn.init.zeros_(part)
     feeds = random_inputs(20_000, lookups=False)
     feeds["latent"] = feeds["latent"][:1].expand(20_000, 4).contiguous()
     with torch.no_grad():

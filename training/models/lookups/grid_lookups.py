@@ -5,6 +5,7 @@ and what a link shows is read once for all configurations that hold it the same 
 stays as it is.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,7 +14,9 @@ import onnx
 from numpy.typing import NDArray
 from onnx import helper, numpy_helper
 
-_LEVERS, _ORIGIN = "lookups.levers", "lookups.origin"
+_LOOKUPS = "lookups."
+_LEVERS, _ORIGIN = "levers", "origin"
+_SIDES = ("_across", "_down")
 CHANNELS = 3
 
 
@@ -25,31 +28,56 @@ class ReadHead:
         levers: (2 d, 2 points), from the cosines and sines of the links' directions to shares of the frame.
         origin: (2 points,).
         weights: (3 points, hidden), of the perceptron's first layer, point after point.
-        product: name of what these give, (1, n, hidden).
+        bias: name of what is added to it, where that is not a step behind it.
+        product: name of what they give, (n, hidden), or without a bias (1, n, hidden).
         rest: the nodes behind it.
     """
 
     levers: NDArray[np.float32]
     origin: NDArray[np.float32]
     weights: NDArray[np.float32]
+    bias: str | None
     product: str
     rest: tuple[onnx.NodeProto, ...]
 
     @classmethod
     def of(cls, head: onnx.ModelProto) -> "ReadHead | None":
-        """Read a head that this project exported; None for any other."""
+        """Read a head that this project exported, in this release or before; None for any other."""
         arrays = {entry.name: entry for entry in head.graph.initializer}
-        named = [[name for name in arrays if name.endswith(end)] for end in (_LEVERS, _ORIGIN)]
-        if [len(names) for names in named] != [1, 1]:
+        places = _places_read(arrays)
+        if places is None:
             return None
-        levers, origin = (numpy_helper.to_array(arrays[names[0]]) for names in named)
+        levers, origin = places
         for number, node in enumerate(head.graph.node):
-            if node.op_type == "MatMul" and node.input[1] in arrays:
+            if node.op_type in ("MatMul", "Gemm") and node.input[1] in arrays:
                 weights = numpy_helper.to_array(arrays[node.input[1]])
+                turned = any(item.name == "transB" and item.i for item in node.attribute)
+                weights = weights.T if turned else weights
                 if len(weights) == CHANNELS * len(origin) // 2:
-                    rest = tuple(head.graph.node[number + 1 :])
-                    return cls(levers, origin, weights, node.output[0], rest)
+                    rest, bias = tuple(head.graph.node[number + 1 :]), [*node.input[2:], None][0]
+                    return cls(levers, origin, weights, bias, node.output[0], rest)
         return None
+
+
+def _places_read(
+    arrays: Mapping[str, onnx.TensorProto],
+) -> tuple[NDArray[np.float32], NDArray[np.float32]] | None:
+    """Levers and origin: of both sides of the picture together or, as is written now, of each apart."""
+
+    def found(name: str) -> NDArray[np.float32] | None:
+        names = [other for other in arrays if f".{other}".endswith(f".{_LOOKUPS}{name}")]
+        return numpy_helper.to_array(arrays[names[0]]) if len(names) == 1 else None
+
+    levers, origin = found(_LEVERS), found(_ORIGIN)
+    if levers is not None and origin is not None:
+        return levers, origin
+    turned, starts = ([found(name + side) for side in _SIDES] for name in (_LEVERS, _ORIGIN))
+    # Where both are equal, as of an arm in the picture's middle, the exporter writes one of them.
+    starts = [start if start is not None else starts[0] for start in starts]
+    parts = [part for part in (*turned, *starts) if part is not None]
+    if len(parts) != 2 * len(_SIDES):
+        return None
+    return np.concatenate(parts[:2]).T, np.concatenate(parts[2:]).ravel()
 
 
 def fast_map(head: onnx.ModelProto, grid: NDArray[np.float32]) -> onnx.ModelProto | None:
@@ -65,8 +93,11 @@ def fast_map(head: onnx.ModelProto, grid: NDArray[np.float32]) -> onnx.ModelProt
     front = _Front(side)
     parts = [front.link(read, grid, link) for link in range(grid.shape[1])]
     whole = front.sum(parts)
-    front.node("Unsqueeze", [whole, front.constant(np.array([0]))], read.product)
-    kept = {name for node in read.rest for name in node.input}
+    if read.bias is None:
+        front.node("Unsqueeze", [whole, front.constant(np.array([0]))], read.product)
+    else:
+        front.node("Add", [whole, read.bias], read.product)
+    kept = {name for node in [*front.nodes, *read.rest] for name in node.input}
     graph = helper.make_graph(
         [*front.nodes, *read.rest],
         "map",

@@ -29,14 +29,25 @@ class ArmLookups(nn.Module):
 
     levers: Tensor
     origin: Tensor
+    levers_across: Tensor
+    levers_down: Tensor
+    origin_across: Tensor
+    origin_down: Tensor
 
     def __init__(self, world: World, points_per_link: int, side_m: float) -> None:
         super().__init__()
         found = world.levers(points_per_link, side_m)
         self.points = len(found.origin) // 2
         self.values = 3 * self.points
-        self.register_buffer("levers", torch.from_numpy(found.levers), persistent=False)
-        self.register_buffer("origin", torch.from_numpy(found.origin), persistent=False)
+        levers, origin = torch.from_numpy(found.levers), torch.from_numpy(found.origin)
+        values = {"levers": levers, "origin": origin}
+        # For each side of the picture apart, a point a row: what a served graph multiplies by.
+        for side, turned, start in zip(
+            ("across", "down"), levers.T.chunk(2), origin.unsqueeze(1).chunk(2), strict=True
+        ):
+            values |= {f"levers_{side}": turned.contiguous(), f"origin_{side}": start.contiguous()}
+        for name, value in values.items():
+            self.register_buffer(name, value, persistent=False)
 
     def forward(self, pictures: Tensor, configurations: Tensor) -> Tensor:
         """Bilinear values of the pictures at each configuration's points; beyond the frame, the edge's."""
@@ -48,18 +59,27 @@ class ArmLookups(nn.Module):
         return values.permute(0, 2, 3, 1).flatten(2)
 
     def _of_one(self, picture: Tensor, configurations: Tensor) -> Tensor:
-        """As a served graph reads: a third of the time that onnxruntime's GridSample takes."""
-        side = picture.shape[-1]
-        first, across, down = self.pixels(configurations, side)
-        # a + b x + c y + d x y between four neighbours, as planes that are read at once; what rolls in at the
-        # border is never read.
+        """As a served graph reads, at a fifth of what onnxruntime's GridSample takes.
+
+        Configurations come last, so that each step goes along long rows, and single values are picked one by
+        one, which costs less than picking rows and turning them (ADR 0035).
+        """
+        count, side = len(picture), picture.shape[-1]
+        directions = _directions(configurations).T
+        column, across = _cell((self.levers_across @ directions + self.origin_across) * side - 0.5, side)
+        row, down = _cell((self.levers_down @ directions + self.origin_down) * side - 0.5, side)
+        first = (row * side + column).long().unsqueeze(1)
+        across, down = across.unsqueeze(1), down.unsqueeze(1)
+        # a + b x + c y + d x y between four neighbours, as tables; what rolls in at the border is never read.
         corner = picture.flatten(1)
         right, below, beyond = (corner.roll(-step, 1) for step in (1, side, side + 1))
-        planes = torch.cat([corner, right - corner, below - corner, beyond - below - right + corner])
-        constant, by_x, by_y, by_both = planes[:, first.flatten()].view(4, len(corner), -1)
-        x, y = across.reshape(1, -1), down.reshape(1, -1)
-        values: Tensor = constant + x * by_x + y * (by_y + x * by_both)
-        return values.T.reshape(-1, len(corner) * self.points)
+        tables = (corner, right - corner, below - corner, beyond - below - right + corner)
+        channels = side * side * torch.arange(count, device=picture.device).view(1, -1, 1)
+        places = (first + channels).flatten()
+        shape = (self.points, count, -1)
+        constant, by_x, by_y, by_both = (table.flatten().gather(0, places).view(shape) for table in tables)
+        values: Tensor = constant + across * by_x + down * (by_y + across * by_both)
+        return values.reshape(count * self.points, -1).T
 
     def pixels(self, configurations: Tensor, side: int) -> tuple[Tensor, Tensor, Tensor]:
         """Where the arm is read in a picture of ``side`` pixels: (..., d) rad to three of (..., points).
@@ -67,10 +87,8 @@ class ArmLookups(nn.Module):
         The number of the upper left of four pixels, int64, and the shares of the way to its right and lower
         neighbours, 0 to 1.
         """
-        place = (self.shares_of_frame(configurations) * side - 0.5).clamp(0.0, side - 1.0)
-        corner = place.detach().floor().clamp(max=side - 2)
-        column, row = corner.chunk(2, dim=-1)
-        across, down = (place - corner).chunk(2, dim=-1)
+        places = (self.shares_of_frame(configurations) * side - 0.5).chunk(2, dim=-1)
+        (column, across), (row, down) = (_cell(place, side) for place in places)
         return (row * side + column).long(), across, down
 
     def shares_of_frame(self, configurations: Tensor) -> Tensor:
@@ -78,10 +96,21 @@ class ArmLookups(nn.Module):
 
         A point of the arm is linear in the cosines and sines of the links' directions.
         """
-        angles = torch.cumsum(configurations, dim=-1)
-        directions = torch.cat([torch.cos(angles), torch.sin(angles)], dim=-1)
-        shares: Tensor = directions @ self.levers + self.origin
+        shares: Tensor = _directions(configurations) @ self.levers + self.origin
         return shares
+
+
+def _directions(configurations: Tensor) -> Tensor:
+    """(..., d) rad to the cosines and sines of the links' directions, (..., 2 d)."""
+    angles = torch.cumsum(configurations, dim=-1)
+    return torch.cat([torch.cos(angles), torch.sin(angles)], dim=-1)
+
+
+def _cell(places: Tensor, side: int) -> tuple[Tensor, Tensor]:
+    """Along one axis the pixel before each place and the share of the way to the next, in the picture."""
+    inside = places.clamp(0.0, side - 1.0)
+    before = inside.detach().floor().clamp(max=side - 2)
+    return before, inside - before
 
 
 class PictureReader(nn.Module):

@@ -1,6 +1,7 @@
 """A head's map by look-ups that are made for the grid, against the head itself."""
 
 import itertools
+from pathlib import Path
 
 import numpy as np
 import onnx
@@ -20,6 +21,7 @@ from training.models.settings import ValidityConfig
 from training.models.validity import make_head
 
 PIXELS = 48
+BUNDLES = Path(__file__).parents[3] / "cspace" / "bundles"
 
 
 def head_of(robot, side_m=0.1) -> bytes:
@@ -44,6 +46,16 @@ def answer(graph, **feeds):
 
 def pictures(count):
     return np.random.default_rng(1).uniform(-1, 1, (count, 1, 3, PIXELS, PIXELS)).astype(np.float32)
+
+
+def test_a_head_that_an_earlier_release_exported_is_read_as_well():
+    head = (BUNDLES / "stacked_mixture" / "validity.onnx").read_bytes()
+    grid = grid_of(TWO_LINK.dim, 24)
+    graph = fast_map(onnx.load_from_string(head), grid)
+    for image in pictures(2):
+        wanted = answer(head, image=image, configurations=grid)
+        assert np.ptp(wanted) > 0.02
+        np.testing.assert_allclose(answer(graph.SerializeToString(), image=image), wanted, atol=1e-5)
 
 
 @pytest.mark.parametrize(

@@ -3,24 +3,23 @@
 import onnx
 import torch
 from onnx import numpy_helper
-from torch import Tensor
+from torch import Tensor, nn
 
 from cspace.errors import BundleError
-from training.models.grids.head import GridHead
 
 _PREFIX = "head."
 # The map's graph is kept as it is; these are of the other one.
 _OF_MAP = "encoder."
 
 
-def read_back(head: GridHead, validity: bytes) -> None:
+def read_back(head: nn.Module, validity: bytes) -> None:
     """Give a head the weights that a validity graph of its kind holds; those of its encoder stay.
 
     Names of parameters are kept by the exporter; what it turned has none. A layer's weight is then found by
     its bias, which is added to its product, or the other way round, and the names of groups by their shape.
 
     Args:
-        head: of the same sizes.
+        head: of the same kind and sizes.
         validity: bytes of the graph.
 
     Raises:

@@ -1,0 +1,1 @@
+"""Networks that a bundle's graphs were exported of, by the weights that these hold."""
