@@ -78,7 +78,7 @@ def sampler_of(spec: BundleSpec, generator: bytes) -> GatedSampler:
     looked_up = values_read(lookups)
     shape = Sizes(spec.world.space, spec.latent_dim, int(sizes["hidden"]), int(sizes["layers"]), looked_up)
     generators = []
-    for weights in _networks(held):
+    for weights in _networks(held | _biases(graph, held)):
         one = TorusGenerator(shape, int(sizes["noise_dim"]))
         one.residual.load_state_dict(weights)
         generators.append(one)
@@ -93,6 +93,19 @@ def sampler_of(spec: BundleSpec, generator: bytes) -> GatedSampler:
 
 def _below(held: Mapping[str, Tensor], prefix: str) -> dict[str, Any]:
     return {name.removeprefix(prefix): value for name, value in held.items() if name.startswith(prefix)}
+
+
+def _biases(graph: onnx.GraphProto, held: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """Biases, by the names that belong to their weights; a bias of zeros is left out by the exporter."""
+    found = {}
+    for node in graph.node:
+        name, _, kind = node.input[1].rpartition(".") if node.op_type == "Gemm" else ("", "", "")
+        if kind == "weight":
+            weight = held[node.input[1]]
+            found[f"{name}.bias"] = (
+                held[node.input[2]] if len(node.input) > 2 else weight.new_zeros(len(weight))
+            )
+    return found
 
 
 def _networks(held: Mapping[str, Tensor]) -> list[dict[str, Any]]:

@@ -74,7 +74,7 @@ def test_samples_along_the_path_are_all_that_is_needed(blocked):
 
 
 def test_a_long_search_outgrows_its_first_arrays(disconnected):
-    result = solve(disconnected, settings(max_iterations=40_000), keep_tree=True)
+    result = solve(disconnected, settings(max_iterations=40_000, time_limit_s=120.0), keep_tree=True)
     assert result.reason == Reason.ITERATION_LIMIT
     trees = Trees(disconnected.start, disconnected.goal, BLOCK * 9)
     assert len(result.tree.vertices) > 2 * trees.nodes.shape[1]
