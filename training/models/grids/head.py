@@ -121,7 +121,8 @@ class GridHead(nn.Module):
         named = self.names.T.unsqueeze(-1).expand(-1, -1, near.shape[1])
         inner = self._inner(torch.cat([features, *told, named]))
         hazards = _through(self.hazard, inner)[0]
-        share = (unseen * self.volumes).sum(dim=0)
+        # The sum of all volumes may be above 1 by rounding.
+        share = (unseen * self.volumes).sum(dim=0).clamp(max=1.0)
         clear = self._clear(inner, hazards, share) + self._past_the_seen(margins)
         shape = (scenes, count)
         return Belief(

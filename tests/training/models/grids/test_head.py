@@ -142,6 +142,20 @@ def believe(head, picture, rows):
         return head(image, head.encode(image), torch.from_numpy(rows)[None])
 
 
+@pytest.mark.parametrize("name", ["panda", "ur5"])
+def test_of_an_arm_that_no_camera_saw_all_is_unseen_and_no_more(name):
+    world = examples()[name]
+    with seeded_initialisation(0):
+        dark = GridHead.of(SMALL, world).eval()
+    rows = torch.from_numpy(world.space.to_float32(world.space.sample_uniform(np.random.default_rng(0), 300)))
+    nothing = torch.full((1, 2, *dark.counts), 0.6)
+    with torch.no_grad():
+        unseen = dark(nothing, dark.encode(nothing), rows.unsqueeze(0)).unseen
+    # The volumes of an arm's spheres may sum to a little more than 1.
+    assert unseen.max() <= 1.0
+    assert unseen.min() > 0.999
+
+
 def test_scenes_do_not_mix_within_a_batch(head, picture, rows):
     other = np.roll(picture, 7, axis=0)
     images = torch.cat([to_network(picture), to_network(other)])
