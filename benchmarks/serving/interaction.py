@@ -13,16 +13,21 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
-import httpx
 import numpy as np
 from playwright.sync_api import Page
 
 from benchmarks.machine import machine
 from tests.browser.chromium import browser_page
-from tests.browser.workbench import Discs, discs_in_address, drag, hash_of, open_bench, wait_for_disc
-from tests.inference_api.server import api_server
+from tests.browser.workbench import (
+    SCENE,
+    bench_server,
+    discs_in_address,
+    drag,
+    hash_of,
+    open_bench,
+    wait_for_disc,
+)
 
-SCENE: Discs = [(2.6, 1.9, 1.0), (-1.9, 2.5, 1.0), (0.5, -3.2, 1.0)]
 MOVED, STEPS = 2, 20
 # Corners of the lower half of the plane, m.
 ENDS = ((1.5, -1.8), (2.5, -2.5), (0.5, -3.2))
@@ -34,11 +39,9 @@ def main() -> int:
     print(machine())
     with (
         tempfile.TemporaryDirectory() as folder,
-        api_server(Path(folder), {"CSPACE_API_WORKBENCH": "1"}) as address,
+        bench_server(Path(folder)) as address,
         browser_page() as page,
     ):
-        body = {"discs": [], "path": [[0, 0], [1, 1]]}
-        httpx.post(f"{address}/workbench/truth", json=body, timeout=60).raise_for_status()
         open_bench(page, address, hash_of(SCENE))
         times = np.concatenate(list(_drags(page, options.drags + 1))[1:])
         page.goto("about:blank")

@@ -7,7 +7,6 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-import httpx
 import numpy as np
 import pytest
 from playwright.sync_api import Page, expect
@@ -21,6 +20,8 @@ from cspace.worlds.planar.seeing.picture import decode_png
 from inference_api.keys import digest_of, make_key
 from tests.browser import workbench
 from tests.browser.workbench import (
+    SCENE,
+    bench_server,
     checker,
     drag,
     hash_of,
@@ -35,15 +36,10 @@ from tests.inference_api.server import api_server
 
 pytestmark = [pytest.mark.browser, pytest.mark.e2e]
 
-SCENE: workbench.Discs = [(2.6, 1.9, 1.0), (-1.9, 2.5, 1.0), (0.5, -3.2, 1.0)]
-
 
 @pytest.fixture(scope="module")
 def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    """A server on the shipped model, with the truth; its checks are compiled."""
-    with api_server(tmp_path_factory.mktemp("bench"), {"CSPACE_API_WORKBENCH": "1"}) as found:
-        body = {"discs": [], "path": [[0, 0], [1, 1]]}
-        httpx.post(f"{found}/workbench/truth", json=body, timeout=60).raise_for_status()
+    with bench_server(tmp_path_factory.mktemp("bench")) as found:
         yield found
 
 

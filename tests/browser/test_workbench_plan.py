@@ -6,27 +6,23 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import httpx
 import numpy as np
 import pytest
 from playwright.sync_api import Page, expect
 
 from tests.browser import workbench
-from tests.browser.workbench import hash_of, is_page, open_bench
+from tests.browser.workbench import SCENE, bench_server, hash_of, is_page, open_bench
 from tests.bundles import write_tiny_bundle
 from tests.inference_api.server import api_server
 
 pytestmark = [pytest.mark.browser, pytest.mark.e2e, pytest.mark.slow]
 
-SCENE: workbench.Discs = [(2.6, 1.9, 1.0), (-1.9, 2.5, 1.0), (0.5, -3.2, 1.0)]
 ENDS = {"start": "0,0.3", "goal": "-2.6,-0.6"}
 
 
 @pytest.fixture(scope="module")
 def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    with api_server(tmp_path_factory.mktemp("bench"), {"CSPACE_API_WORKBENCH": "1"}) as found:
-        body = {"discs": [], "path": [[0, 0], [1, 1]]}
-        httpx.post(f"{found}/workbench/truth", json=body, timeout=60).raise_for_status()
+    with bench_server(tmp_path_factory.mktemp("bench")) as found:
         yield found
 
 

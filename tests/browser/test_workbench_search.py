@@ -11,13 +11,11 @@ import numpy as np
 import pytest
 from playwright.sync_api import Page, expect
 
-from tests.browser import workbench
-from tests.browser.workbench import checker, hash_of, is_page, open_bench
+from tests.browser.workbench import SCENE, checker, hash_of, is_page, open_bench
 from tests.inference_api.server import api_server
 
 pytestmark = [pytest.mark.browser, pytest.mark.e2e, pytest.mark.slow]
 
-SCENE: workbench.Discs = [(2.6, 1.9, 1.0), (-1.9, 2.5, 1.0), (0.5, -3.2, 1.0)]
 ENDS = {"start": "0,0.3", "goal": "-2.6,-0.6"}
 
 

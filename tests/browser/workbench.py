@@ -3,9 +3,12 @@
 import base64
 import json
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
+import httpx
 import numpy as np
 from numpy.typing import NDArray
 from playwright.sync_api import Page, Response, expect
@@ -13,11 +16,24 @@ from playwright.sync_api import Page, Response, expect
 from cspace.worlds.planar.arm import TWO_LINK
 from cspace.worlds.planar.planning.collision import CollisionChecker
 from cspace.worlds.planar.scene import Disc, Scenario
+from tests.inference_api.server import api_server
 
 SIDE = 480.0
 # Half of the plane that the picture shows.
 HALF_M = 5.0
 Discs = list[tuple[float, float, float]]
+
+
+SCENE: Discs = [(2.6, 1.9, 1.0), (-1.9, 2.5, 1.0), (0.5, -3.2, 1.0)]
+
+
+@contextmanager
+def bench_server(folder: Path) -> Iterator[str]:
+    """A server on the shipped model, with the truth; its checks are compiled."""
+    with api_server(folder, {"CSPACE_API_WORKBENCH": "1"}) as address:
+        body = {"discs": [], "path": [[0, 0], [1, 1]]}
+        httpx.post(f"{address}/workbench/truth", json=body, timeout=60).raise_for_status()
+        yield address
 
 
 def hash_of(discs: Discs, **fields: str) -> str:
