@@ -2,6 +2,7 @@
 
     python -m benchmarks.training.clusters --out build/clusters --workers 2
     python -m benchmarks.training.clusters --out build/clusters --table
+    python -m benchmarks.training.clusters --out build/clusters-arm --joints 7 --seeds 3 --workers 2
 
 An arm is a form with or without look-ups. All arms of one number of joints share data, latents and validation
 scenarios, and spend the same generator steps of the same batch on networks of the same width over all their
@@ -22,6 +23,7 @@ from benchmarks.command import arguments
 from benchmarks.lines import append, read
 from benchmarks.training.clusters_report import write_report
 from training.clusters.clustering import cluster, group, points_in_cells
+from training.clusters.stages import uniform_free
 from training.config.clusters import TrainConfig, load_config
 from training.datasets.generate import generate
 from training.models.cells import CellBase
@@ -33,13 +35,19 @@ from training.models.lookups.lookups import make_lookups, make_reader
 from training.models.mixture import Experts, LookupSampler
 from training.models.modules import VaeModule, WganGpModule
 from training.models.networks import Encoder, TorusGenerator
+from training.models.pictures.autoencoders import shown
 from training.trials.arrays import GatedCells, TrainingArrays
 from training.trials.loading import fresh_generator, gated_sampler, make_wgan
 from training.trials.searching.quality import Validation
 
 SCENARIOS = 40
 WIDTH = {"hidden": 64, "critic_hidden": 64, "batch_size": 256}
+# Of the generator and of the critic: along the links of planar arms, at the spheres of the arm in space.
 LOOKUPS = ("{points_per_link: 12, side_m: 0.1}", "{points_per_link: 8, side_m: 0.1}")
+LOOKUPS_IN_SPACE = ("{groups: 32}", "{groups: 32}")
+# Worlds by the number of joints: planar ones, and the arm that sees with depth cameras.
+IN_SPACE = 7
+PRESETS = {2: "quickstart", 3: "three_link", IN_SPACE: "panda_quick"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,8 +91,9 @@ class Task:
         for part in ("local", "global"):
             sets += [f"{part}.{key}={value}" for key, value in WIDTH.items()]
             if self.lookups:
-                sets += [f"{part}.generator_lookups={LOOKUPS[0]}", f"{part}.critic_lookups={LOOKUPS[1]}"]
-        return load_config("quickstart" if self.joints == 2 else "three_link", [*BARE, *sets])
+                generator, critic = LOOKUPS_IN_SPACE if self.joints == IN_SPACE else LOOKUPS
+                sets += [f"{part}.generator_lookups={generator}", f"{part}.critic_lookups={critic}"]
+        return load_config(PRESETS[self.joints], [*BARE, *sets])
 
 
 # The presets' own choices, taken back: here each arm makes its own.
@@ -97,11 +106,11 @@ BARE = [
 
 def prepare(joints: int, out: Path) -> tuple[TrainingArrays, Encoder, torch.Tensor]:
     """Data, encoder and pictures for an arm with so many joints; trained once, kept in ``out``."""
-    config = load_config("quickstart" if joints == 2 else "three_link")
+    config = load_config(PRESETS[joints])
     dataset = generate(config.data, out / "data" / config.data.folder_name)
     images, weights = np.asarray(dataset.images), out / f"encoder-{joints}.safetensors"
     pictures = images if dataset.extra_images is None else np.concatenate([images, dataset.extra_images])
-    pictures = torch.tensor(np.ascontiguousarray(pictures.transpose(0, 3, 1, 2)))
+    pictures = torch.tensor(shown(dataset.world.sensor, pictures))
     with seeded_initialisation(0):
         module = VaeModule(config.vae, pictures, 0)
     if not weights.is_file():
@@ -109,8 +118,7 @@ def prepare(joints: int, out: Path) -> tuple[TrainingArrays, Encoder, torch.Tens
             module.training_step(step, step)
         save_file(module.encoder.state_dict(), weights)
     module.encoder.load_state_dict(load_file(weights))
-    free = np.array(dataset.free)
-    ids = np.repeat(np.arange(dataset.scenario_count), np.diff(dataset.free_offsets))
+    free, ids = uniform_free(dataset)
     empty = np.zeros((0, config.vae.latent_dim), dtype=np.float32)
     labels = np.zeros(len(free), dtype=np.int64)
     arrays = TrainingArrays(free, ids, labels, empty, empty, dataset.world, np.array(images))
@@ -199,8 +207,9 @@ class Trainer:
         return student
 
     def measure(self, sampler: torch.nn.Module | None) -> list[list[float]]:
-        """Precision, coverage and energy distance in every scenario; of uniform samples for None."""
-        return [[row.precision, row.coverage, row.energy] for row in self.validation.rows(sampler)]
+        """Precision, coverage, energy, k-NN recall in every scenario; of uniform samples for None."""
+        rows = self.validation.rows(sampler)
+        return [[row.precision, row.coverage, row.energy, row.knn_recall] for row in rows]
 
 
 def trained_wgan(gan, arrays, cluster_index, seed, critics=None, weight=0.0) -> WganGpModule:
@@ -241,7 +250,7 @@ def main() -> int:
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--steps", type=int, default=640, help="generator steps of an arm in all")
     parser.add_argument("--seeds", type=int, default=5)
-    parser.add_argument("--joints", type=int, nargs="+", default=[2, 3])
+    parser.add_argument("--joints", type=int, nargs="+", default=[2, 3], choices=sorted(PRESETS))
     parser.add_argument("--workers", type=int, default=1, help="trainings at a time, one thread each")
     parser.add_argument("--table", action="store_true", help="only write the report of what is there")
     options = parser.parse_args()
