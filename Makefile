@@ -48,8 +48,8 @@ env: $(INSTALLED) ## print the lines that set a shell up: eval "$(make -s env)"
 clean-state: $(INSTALLED) ## delete runs, models, data and logs (asks; YES=1 does not)
 	@$(LOCAL) clean-state $(if $(YES),--yes)
 
-test: $(INSTALLED) ## the fast tests, 5 to 6 minutes
-	$(PYTEST) -m "$(FAST)" $(SIDE_BY_SIDE)
+test: $(INSTALLED) ## the fast tests, under 5 minutes; the documents' code runs with make check
+	$(PYTEST) -m "$(FAST)" $(SIDE_BY_SIDE) --ignore=docs --ignore=README.md --ignore=tests/docs
 
 test-all: $(INSTALLED) ## all tests that need neither a container engine nor a GPU; wants Chromium
 	$(PYTEST) -m "$(FAST)" $(SIDE_BY_SIDE)
