@@ -56,11 +56,14 @@ class Client:
         self.messages = [self._message(png) for png in new_pictures(PICTURES)]
         self.count = 0
 
+    def number(self) -> int:
+        """Of the next picture: every second one is new as long as there are new ones."""
+        return self.count // 2 if self.count % 2 else 0
+
     async def ask(self) -> int:
         """One request; its status, 0 where the connection failed."""
         self.count += 1
-        # Every second one is new as long as there are new ones.
-        message = self.messages[(self.count // 2 if self.count % 2 else 0) % PICTURES]
+        message = self.messages[self.number() % PICTURES]
         try:
             reader, writer = (
                 self.idle.pop() if self.idle else await asyncio.open_connection("127.0.0.1", self.port)

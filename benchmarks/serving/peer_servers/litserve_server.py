@@ -22,7 +22,10 @@ class Sampler(litserve.LitAPI):
 
 
 if __name__ == "__main__":
-    server = litserve.LitServer(Sampler(api_path="/sample"), accelerator="cpu", workers_per_device=1)
+    # Requests go to the worker by ZeroMQ instead of a queue of a manager's process.
+    server = litserve.LitServer(
+        Sampler(api_path="/sample"), accelerator="cpu", workers_per_device=1, fast_queue=True
+    )
     server.run(
         host="127.0.0.1",
         port=int(os.environ["CSPACE_PEER_PORT"]),
