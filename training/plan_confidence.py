@@ -11,14 +11,12 @@ Exit codes: 0 done, 1 the bundle or the disk is bad, 2 the command is wrong.
 import argparse
 import sys
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
-from cspace.bundle import Bundle, graphs_of, write_bundle
-from cspace.bundle.files import GOLDEN_FILE, VALIDITY_FILE
-from cspace.bundle.golden import GoldenCase
+from cspace.bundle import Bundle
 from cspace.errors import BundleError, ConfigError, CspaceError, InputError
 from services.command_errors import tell_error
+from training.clusters.fitted_anew import require_head, write_fitted
 from training.clusters.plan_doubt import PlanDoubt, fit_plan_doubt, planned
 
 # Fewer say nothing of what a third of them measures.
@@ -31,7 +29,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         source = Bundle.load(options.bundle)
         found = _fitted(source, options.problems)
-        folder = _written(source, options.folder, found)
+        note = {"plan_problems": found.fitted + found.measured}
+        folder = write_fitted(source, options.folder, found.stated_in(source.spec), "plans", note)
     except CspaceError as error:
         return tell_error(error, InputError)
     told = ", ".join(f"{name.removeprefix('plans/')} {value:.3g}" for name, value in found.metrics().items())
@@ -55,8 +54,7 @@ def parser() -> argparse.ArgumentParser:
 def _fitted(source: Bundle, problems: int) -> PlanDoubt:
     if problems < _LEAST:
         raise ConfigError("too few problems to fit anything", expected=f"{_LEAST} or more", got=str(problems))
-    if not source.has_validity:
-        raise BundleError("the bundle has no validity head", expected=VALIDITY_FILE, got=str(source.folder))
+    require_head(source)
     found = fit_plan_doubt(planned(source, source.spec.world, problems))
     if found is None:
         raise BundleError(
@@ -65,15 +63,6 @@ def _fitted(source: Bundle, problems: int) -> PlanDoubt:
             remedy="give more with --problems",
         )
     return found
-
-
-def _written(source: Bundle, folder: Path, found: PlanDoubt) -> Path:
-    note = {"plan_problems": found.fitted + found.measured, "source_digest": source.digest}
-    spec = found.stated_in(source.spec)
-    config = {**spec.provenance.config, "plans_fitted_anew": note}
-    spec = replace(spec, provenance=replace(spec.provenance, config=config))
-    golden = GoldenCase.from_npz((source.folder / GOLDEN_FILE).read_bytes())
-    return write_bundle(folder, spec, graphs_of(source.folder), golden)
 
 
 if __name__ == "__main__":

@@ -13,7 +13,7 @@ value gets ceil(share / K) of them, and the last one's surplus samples are left 
 filters comes by its shares is told in :mod:`cspace.bundle.keeping`; of what it draws, the description's
 ``uniform_share`` is uniform over the joint space instead of generated, by a generator of its own:
 ``SeedSequence(seed, spawn_key=(turn, 1))``, first u uniform in [0, 1) for every sample, uniform where
-u < share, then d angles for each of these.
+u < share, then d angles for each of these. With a share of 1 there is no u, and nothing of 2 and 3.
 """
 
 from collections.abc import Sequence
@@ -57,6 +57,8 @@ class Proposals:
 
     def mixed_with(self, learned: NDArray[np.float32] | None) -> NDArray[np.float32]:
         """All samples (m, d) in their order, from (m - u, d) generated ones; None for none."""
+        if learned is None and len(self.angles) == len(self.uniform):
+            return self.angles
         mixed = np.empty((len(self.uniform), self.angles.shape[1]), dtype=np.float32)
         mixed[self.uniform] = self.angles
         if learned is not None:
@@ -73,12 +75,15 @@ def propose(spec: BundleSpec, counts: Sequence[int], seed: int, turn: int) -> Pr
         seed: unsigned 64 bit.
         turn: 0 for the first.
     """
-    total = sum(counts)
+    total, space = sum(counts), spec.world.space
     if spec.uniform_share == 0.0:
         nothing = np.empty((0, spec.dim), dtype=np.float32)
         return Proposals(list(counts), np.zeros(total, dtype=np.bool_), nothing)
     rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=(turn, 1))))
-    uniform, space = rng.random(total) < spec.uniform_share, spec.world.space
+    if spec.uniform_share == 1.0:
+        angles = space.to_float32(space.sample_uniform(rng, total))
+        return Proposals([0] * len(counts), np.ones(total, dtype=np.bool_), angles)
+    uniform = rng.random(total) < spec.uniform_share
     angles = space.to_float32(space.sample_uniform(rng, int(uniform.sum())))
     by_value = np.split(uniform, np.cumsum(counts)[:-1])
     return Proposals([len(part) - int(part.sum()) for part in by_value], uniform, angles)

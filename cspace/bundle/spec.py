@@ -16,10 +16,10 @@ from cspace.strict_json import json_text, parse_json, read_members, read_object,
 from cspace.world import World
 from cspace.worlds import read_world
 
-SCHEMA_VERSION = 4
+SCHEMA_VERSION = 5
 # Without uniform_share and novelty_quantiles, read as 0 and none; robot and camera of a planar world by
-# themselves, read as that; without plan_doubt, read as none.
-_WITHOUT_SHARE, _WITHOUT_WORLD, _WITHOUT_DOUBT = (1,), (1, 2), (1, 2, 3)
+# themselves, read as that; without plan_doubt, read as none; without passing_share, read as none.
+_WITHOUT_SHARE, _WITHOUT_WORLD, _WITHOUT_DOUBT, _WITHOUT_PASSING = (1,), (1, 2), (1, 2, 3), (1, 2, 3, 4)
 KINDS = ("configuration", "path")
 WAYS = "ways"
 MODEL_KINDS = ("generator", "mixture", WAYS)
@@ -53,7 +53,9 @@ class BundleSpec:
         standardisation: of the angles inside the graph, for information; the graph's output is in rad.
         confidence_threshold: the validity head's threshold that training recommends, None without one.
         uniform_share: of what the validity head is shown when a request filters: uniform over the joint space
-            instead of generated, 0 to below 1; 0 for path models.
+            instead of generated, 0 to 1; 0 for path models.
+        passing_share: of what such a request draws first, that is expected to reach the threshold, above 0 to
+            1; None where nobody measured it.
         novelty_quantiles: for each score of the novelty graph its rising quantiles over known pictures; None
             without one.
         plan_doubt: (a, b), by which a way of doubt D is free with exp(-exp(a + b log D)), b above 0; see
@@ -75,6 +77,7 @@ class BundleSpec:
     standardisation: Standardisation | None = None
     confidence_threshold: float | None = None
     uniform_share: float = 0.0
+    passing_share: float | None = None
     novelty_quantiles: tuple[tuple[float, ...], ...] | None = None
     plan_doubt: tuple[float, float] | None = None
     provenance: Provenance = field(default_factory=Provenance)
@@ -91,7 +94,8 @@ class BundleSpec:
             "pixels" if not MIN_PIXELS <= self.pixels <= MAX_PIXELS else "",
             "random_inputs" if len(set(names)) != len(names) or self._draws_too_much() else "",
             "confidence_threshold" if threshold is not None and not 0.0 <= threshold <= 1.0 else "",
-            "uniform_share" if not 0.0 <= share < 1.0 or (share and self.kind == "path") else "",
+            "uniform_share" if not 0.0 <= share <= 1.0 or (share and self.kind == "path") else "",
+            "passing_share" if self.passing_share is not None and not 0.0 < self.passing_share <= 1.0 else "",
             "novelty_quantiles" if not _rise(self.novelty_quantiles) else "",
             "standardisation" if scale is not None and len(scale.mean) != self.dim else "",
             "plan_doubt" if not _is_doubt(self.plan_doubt) else "",
@@ -102,7 +106,7 @@ class BundleSpec:
                 "the bundle's description does not fit",
                 expected=f"at most {MAX_JOINTS} joints, a latent of 1..{MAX_LATENT}, {MIN_PIXELS}.."
                 f"{MAX_PIXELS} pixels, at most {MAX_PER_LATENT} numbers drawn for a latent and given for it, "
-                "different names, a threshold within 0..1, a share below 1, quantiles and a doubt that rise",
+                "different names, a threshold and shares within 0..1, quantiles and a doubt that rise",
                 got=", ".join(f"{name} = {getattr(self, name)!r}"[:200] for name in wrong if name),
             )
 
@@ -222,6 +226,8 @@ def _members(values: object) -> dict[str, Any]:
     version, keys, absent = _version(values), _KEYS, dict[str, Any]()
     if version in _WITHOUT_WORLD:
         keys = keys - {"world"} | {"robot", "camera"}
+    if version in _WITHOUT_PASSING:
+        absent |= {"passing_share": None}
     if version in _WITHOUT_DOUBT:
         absent |= {"plan_doubt": None}
     if version in _WITHOUT_SHARE:
@@ -235,7 +241,7 @@ def _members(values: object) -> dict[str, Any]:
 
 def _version(values: object) -> int:
     version = values.get("schema_version") if isinstance(values, Mapping) else None
-    known = (*_WITHOUT_DOUBT, SCHEMA_VERSION)
+    known = (*_WITHOUT_PASSING, SCHEMA_VERSION)
     if version not in known or not isinstance(version, int) or version is True:
         raise BundleIntegrityError(
             "the bundle's schema is another",

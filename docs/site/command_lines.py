@@ -39,6 +39,7 @@ COMMANDS = (
     Command("python training/path_train.py", "training.path_train", "COMMAND.main"),
     Command("python -m training.path_sampler", "training.path_sampler"),
     Command("python -m training.plan_confidence", "training.plan_confidence"),
+    Command("python -m training.proposals", "training.proposals"),
     Command("python -m training.reexport", "training.reexport"),
     Command("python training/search.py", "training.search"),
     Command("python training/sweep.py", "training.sweep"),

@@ -162,9 +162,10 @@ def test_without_a_confidence_the_bundles_own_threshold_holds(tmp_path: Path) ->
     assert everything.acceptance == 1.0
 
 
-def test_a_uniform_share_is_shown_to_the_head_where_a_request_filters(tmp_path: Path) -> None:
+@pytest.mark.parametrize("share", [0.5, 1.0])
+def test_a_uniform_share_is_shown_to_the_head_where_a_request_filters(tmp_path: Path, share: float) -> None:
     base = replace(tiny_spec(), confidence_threshold=0.4)
-    spec = replace(base, uniform_share=0.5)
+    spec = replace(base, uniform_share=share, passing_share=0.6)
     graphs = tiny_graphs(spec, validity=True)
     with_share = Bundle.load(write_bundle(tmp_path / "share", spec, graphs))
     without = Bundle.load(write_bundle(tmp_path / "none", base, graphs))

@@ -46,9 +46,9 @@ def test_the_json_has_exactly_the_fields_of_the_schema() -> None:
     assert set(values) == {
         "schema_version", "kind", "world", "joint_space", "image", "latent_dim", "model_kind",
         "samples_per_latent", "random_inputs", "standardisation", "conditions", "confidence_threshold",
-        "uniform_share", "novelty_quantiles", "plan_doubt", "provenance",
+        "uniform_share", "passing_share", "novelty_quantiles", "plan_doubt", "provenance",
     }  # fmt: skip
-    assert values["schema_version"] == 4
+    assert values["schema_version"] == 5
     assert values["joint_space"] == {"kind": "torus", "dim": 3, "unit": "rad"}
     assert values["image"] == {"pixels": 32, "channels": "RGB", "range": [-1, 1]}
     assert values["conditions"] == ["start", "goal"]
@@ -56,7 +56,8 @@ def test_the_json_has_exactly_the_fields_of_the_schema() -> None:
 
 WORLD = full_spec().world.to_dict()
 CHANGES: list[dict[str, Any]] = [
-    {"schema_version": 5},
+    {"schema_version": 6},
+    {"schema_version": 4},
     {"schema_version": 3},
     {"schema_version": 2},
     {"schema_version": 1},
@@ -95,6 +96,8 @@ CHANGES: list[dict[str, Any]] = [
     {"uniform_share": -0.1},
     {"uniform_share": 0.1},
     {"uniform_share": None},
+    {"passing_share": 0.0},
+    {"passing_share": 1.1},
     {"novelty_quantiles": []},
     {"novelty_quantiles": [[0.0]]},
     {"novelty_quantiles": [[0.0, 1.0], [1.0, 0.5]]},
@@ -108,6 +111,8 @@ CHANGES: list[dict[str, Any]] = [
 
 def test_the_schemas_before_are_read_without_what_they_did_not_have() -> None:
     values = tiny_spec().to_dict()
+    del values["passing_share"]
+    assert BundleSpec.from_dict({**values, "schema_version": 4}) == tiny_spec()
     del values["plan_doubt"]
     assert BundleSpec.from_dict({**values, "schema_version": 3}) == tiny_spec()
     world = values.pop("world")
@@ -124,7 +129,9 @@ def test_the_schemas_before_are_read_without_what_they_did_not_have() -> None:
 def test_only_models_of_configurations_have_uniform_proposals() -> None:
     spec = dataclasses.replace(tiny_spec(), uniform_share=0.25)
     assert BundleSpec.from_json(spec.to_json()) == spec
-    for change in ({"uniform_share": 1.0}, {"kind": "path"}):
+    alone = dataclasses.replace(spec, uniform_share=1.0, passing_share=0.5)
+    assert BundleSpec.from_json(alone.to_json()) == alone
+    for change in ({"uniform_share": 1.1}, {"kind": "path"}):
         with pytest.raises(BundleIntegrityError, match="uniform"):
             dataclasses.replace(spec, **change)
 

@@ -14,7 +14,8 @@ from cspace.world import World
 from training.clusters.novelty import known_quantiles
 from training.clusters.plan_doubt import fit_plan_doubt, planned
 from training.clusters.promise import choose_promised, make_promise
-from training.clusters.threshold import choose_threshold, choose_uniform_share, validation_scores
+from training.clusters.proposals import Choice, choose_proposals, proposal_costs, proposal_pools
+from training.clusters.threshold import CANDIDATES, choose_threshold, validation_scores
 from training.config.clusters import HeadConfig, TrainConfig
 from training.jobs.job import TAG_START
 from training.jobs.provenance import command_line, now, source_state
@@ -152,18 +153,33 @@ def _with_threshold(draft: Bundle, config: HeadConfig, spec: BundleSpec) -> Bund
         return spec
     scenarios = THRESHOLD_SCENARIOS if promised is None else promised.scenarios
     learned, uniform = validation_scores(draft, spec.world, scenarios)
-    precision, acceptance = config.target_precision, config.target_acceptance
+    fixed = threshold is not None or promised is not None
     if threshold is None and promised is not None:
         threshold = choose_promised(learned, promised.at_most)
     elif threshold is None:
-        threshold = choose_threshold(learned, precision)
+        threshold = choose_threshold(learned, config.target_precision)
     if promised is not None:
         kinds = {"samples": learned, "uniform": uniform}
         told = [make_promise(scenes, threshold).metrics(kind) for kind, scenes in kinds.items()]
         spec = replace(spec, provenance=replace(spec.provenance, metrics=told[0] | told[1]))
-    if share is None:
-        share = choose_uniform_share(learned, uniform, threshold, precision, acceptance)
-    return replace(spec, confidence_threshold=threshold, uniform_share=share)
+    if share is not None:
+        return replace(spec, confidence_threshold=threshold, uniform_share=share)
+    return fit_proposals(draft, threshold, config.target_acceptance, fixed=fixed).stated_in(spec)
+
+
+def fit_proposals(draft: Bundle, threshold: float, target_acceptance: float, *, fixed: bool) -> Choice:
+    """The mixture of a bundle's proposals, by :mod:`training.clusters.proposals`.
+
+    Args:
+        draft: the bundle.
+        threshold: at which the generator's samples are right.
+        target_acceptance: mean share of all proposals that is to pass.
+        fixed: whether a mixture has to be as right at the same threshold.
+    """
+    rising = [] if fixed else [one for one in CANDIDATES if one > threshold]
+    pools = proposal_pools(draft, draft.spec.world, THRESHOLD_SCENARIOS)
+    costs = proposal_costs(draft, pools[0].scene)
+    return choose_proposals(pools, costs, [threshold, *rising], target_acceptance)
 
 
 def generator_config(config: TrainConfig) -> GanConfig:

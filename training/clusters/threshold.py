@@ -1,4 +1,4 @@
-"""The confidence and the uniform share that a bundle recommends: chosen by rules, on validation scenarios."""
+"""The confidence that a bundle recommends: chosen by a rule, on validation scenarios."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,7 +14,6 @@ from services.evaluator.measures.scenes import Scene, Stage
 # Of a scene's seeds, apart from those that the evaluator's measurements use.
 STREAM = 45
 CANDIDATES = tuple(round(0.5 + 0.05 * step, 2) for step in range(10))
-SHARES = (0.5, 0.25, 0.1, 0.05)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,38 +57,6 @@ def choose_threshold(
         if _precise(passing, target_precision):
             return threshold
     return candidates[-1]
-
-
-def choose_uniform_share(
-    learned: Sequence[Scored],
-    uniform: Sequence[Scored],
-    threshold: float,
-    target_precision: float,
-    target_acceptance: float,
-    candidates: Sequence[float] = SHARES,
-) -> float:
-    """The highest candidate that leaves what passes as precise, and as much passing, as wanted.
-
-    What the generator never draws only uniform proposals can bring; the head keeps the free ones.
-
-    Args:
-        learned: the generator's samples, by scenario.
-        uniform: configurations uniform over the joint space, by scenario.
-        threshold: of the confidence.
-        target_precision: as for :func:`choose_threshold`.
-        target_acceptance: mean share of all proposals that is to pass, 0 to 1.
-        candidates: falling shares.
-
-    Returns:
-        The share; 0 where none is possible.
-    """
-    first, second = (np.array([rows.passing(threshold) for rows in group]) for group in (learned, uniform))
-    for share in candidates:
-        passing = (1.0 - share) * first + share * second
-        enough = passing[:, 0].all() and passing[:, 0].mean() >= target_acceptance
-        if enough and _precise(passing, target_precision):
-            return share
-    return 0.0
 
 
 def _precise(passing: NDArray[np.float64], target: float) -> bool:

@@ -58,9 +58,7 @@ class GeneratorSampler:
             samples = proposals.mixed_with(learned)
             return samples, head.told(picture, samples, between)
 
-        # Of a free-space generator's samples nearly all pass, of uniform ones about every second.
-        expected = 1.0 - spec.uniform_share / 2.0 if spec.kind != "path" else PATHS_PASS
-        kept = gather(proposed, wanted, request.min_confidence, expected, between)
+        kept = gather(proposed, wanted, request.min_confidence, _expected(spec), between)
         return Drawn(kept.samples, kept.confidence, kept.acceptance)
 
     def _generate(
@@ -84,3 +82,13 @@ class GeneratorSampler:
 
         chunk_rows = PATH_CHUNK_ROWS if spec.kind == "path" else CHUNK_ROWS
         return chunked(run, len(draws.latents), between, chunk_rows)[draws.kept]
+
+
+def _expected(spec: BundleSpec) -> float:
+    """Share of a first turn's proposals that is likely to pass."""
+    if spec.kind == "path":
+        return PATHS_PASS
+    if spec.passing_share is not None:
+        return spec.passing_share
+    # Of a free-space generator's samples nearly all pass, of uniform ones about every second.
+    return 1.0 - spec.uniform_share / 2.0
