@@ -1,9 +1,10 @@
-"""Do uniform proposals beside the generator's samples buy coverage, once the validity head has filtered both?
+"""What uniform proposals beside the generator's samples buy and cost, once the head has filtered both.
 
     python -m benchmarks.evaluation.proposals --bundle inference_api/pretrained --scenarios 60
 
-A share of what the head is shown is uniform. What it lets pass at the bundle's threshold is kept until there
-are 1000, on validation scenarios; a share of 1 is the head alone.
+A share of what the head is shown is uniform; a share of 1 is the head alone. What passes is kept until there
+are 500, on validation scenarios: at the threshold that ``--threshold`` names or the bundle has, and at the
+lowest from there on by which it is as precise as the generator alone. Costs are those of this machine.
 """
 
 import sys
@@ -14,55 +15,46 @@ import numpy as np
 from benchmarks.command import arguments
 from benchmarks.machine import machine
 from cspace.bundle import Bundle
-from cspace.splits import Split
 from services.evaluator.evaluation.tables import markdown
-from services.evaluator.measures.scenes import SAMPLES, Scene, Stage
 from services.evaluator.statistics import mean_interval, ratio_of_sums_interval
-
-SHARES = (0.0, 0.05, 0.1, 0.25, 0.5, 1.0)
-# Enough for 1000 to pass where a fifth of the joint space is free.
-DRAWN = 8 * SAMPLES
+from training.clusters.proposals import KEPT, SHARES, Outcome, judged, proposal_costs, proposal_pools
+from training.clusters.threshold import CANDIDATES
 
 
-def kept(bundle: Bundle, scene: Scene, share: float) -> tuple[np.ndarray, float]:
-    """(1000, d) samples that pass, in the order in which they were drawn, and the share that does."""
-    rng = scene.rng(70)
-    image = bundle.prepare(scene.image)
-    learned = bundle.sample(image, DRAWN, scene.sampler_seed(), min_confidence=0.0).samples
-    uniform = scene.space.to_float32(scene.space.sample_uniform(rng, DRAWN))
-    drawn = np.where(rng.random((DRAWN, 1)) < share, uniform, learned)
-    passed = bundle.score(image, drawn) >= np.float32(bundle.spec.confidence_threshold)
-    return drawn[passed][:SAMPLES].astype(np.float64), float(passed.mean())
+def row(found: Outcome, uniform: np.ndarray, share: float, threshold: float) -> list[str]:
+    rng = np.random.default_rng(0)
+    quality = [mean_interval(values, rng) for values in (found.precision, found.coverage)]
+    ratio = ratio_of_sums_interval(found.energy, uniform, rng)
+    cells = [f"{quality[0]:.4f}", f"{quality[1]:.3f}", f"{ratio:.3f}", f"{found.passing.mean():.3f}"]
+    missing = f"{found.missing.mean():.4f}"
+    return [f"{share:g}", f"{threshold:g}", *cells, missing, f"{1e6 * found.cost_s:.2f}"]
 
 
 def main() -> int:
     parser = arguments(__doc__)
     parser.add_argument("--bundle", type=Path, required=True)
     parser.add_argument("--scenarios", type=int, default=60)
+    parser.add_argument("--threshold", type=float, help="instead of the bundle's")
     options = parser.parse_args()
     bundle = Bundle.load(options.bundle)
-    stage = Stage(bundle.spec.world, Split.VALIDATION, 0)
-    scenes = [Scene(stage, index) for index in range(options.scenarios)]
-    real = [scene.free(SAMPLES, scene.rng(0)) for scene in scenes]
-    base = [
-        scene.quality(scene.space.sample_uniform(scene.rng(1), SAMPLES), held_out)
-        for scene, held_out in zip(scenes, real, strict=True)
+    pools = proposal_pools(bundle, bundle.spec.world, options.scenarios)
+    costs = proposal_costs(bundle, pools[0].scene)
+    least = bundle.spec.confidence_threshold if options.threshold is None else options.threshold
+    thresholds = [least, *(one for one in CANDIDATES if one > least)]
+    uniform = np.array([pool.scene.quality(pool.uniform[:KEPT], pool.held_out).energy for pool in pools])
+    alone = judged(pools, costs, 0.0, least)
+    table = [
+        ["uniform share", "threshold", "precision", "coverage", "EDr", "accepted", "missing", "us a sample"]
     ]
-    table = [["uniform share", "precision", "coverage", "EDr", "accepted"]]
     for share in SHARES:
-        drawn = [kept(bundle, scene, share) for scene in scenes]
-        rows = [
-            scene.quality(samples, held_out)
-            for (samples, _), scene, held_out in zip(drawn, scenes, real, strict=True)
-        ]
-        rng = np.random.default_rng(0)
-        found = [
-            mean_interval([getattr(row, name) for row in rows], rng) for name in ("precision", "coverage")
-        ]
-        found.append(ratio_of_sums_interval([row.energy for row in rows], [row.energy for row in base], rng))
-        accepted = np.mean([passed for _, passed in drawn])
-        table.append([f"{share:g}", *(f"{value:.3f}" for value in found), f"{accepted:.3f}"])
-    print(f"{machine()}\n\n{markdown(table)}")
+        as_precise = next(
+            (one for one in thresholds if judged(pools, costs, share, one).as_precise_as(alone)), None
+        )
+        told_at = sorted({least, as_precise or least})
+        table += [row(judged(pools, costs, share, one), uniform, share, one) for one in told_at]
+    told = {"generated": costs.learned_s, "uniform": costs.uniform_s, "scored": costs.head_s}
+    each = ", ".join(f"{name} {1e6 * value:.2f}" for name, value in told.items())
+    print(f"{machine()}\n\n{markdown(table)}\n\nus a configuration: {each}; a turn {1e6 * costs.turn_s:.0f}")
     return 0
 
 
