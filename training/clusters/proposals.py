@@ -257,9 +257,9 @@ def proposal_costs(bundle: Bundle, scene: Scene) -> Costs:
         bundle.sample(picture, ROWS, 0, min_confidence=0.0, tell_confidence=False)
 
     rows = uniform()
-    took = [_median_s(work) for work in (learned, uniform, lambda: bundle.score(picture, rows))]
+    scored_s = _median_s(lambda: bundle.score(picture, rows))
     turn_s = _median_s(lambda: bundle.score(picture, rows[:1]))
-    return Costs(*(seconds / ROWS for seconds in took), turn_s)
+    return Costs(_median_s(learned) / ROWS, _median_s(uniform) / ROWS, scored_s / ROWS, turn_s)
 
 
 def _median_s(work: Callable[[], object]) -> float:
