@@ -15,15 +15,15 @@ import sys
 import time
 from collections.abc import Callable
 
-import numpy as np
 import onnxruntime
 
 from benchmarks.command import arguments
 from benchmarks.machine import machine
 from benchmarks.serving.served import BUNDLE, CLIENT_CORE, SERVER_CORE, Asker, new_pictures, served
 from cspace.bundle import Bundle
+from cspace.bundle.drawing.generated import expected_share
 from cspace.bundle.draws import draw, propose
-from cspace.bundle.keeping import EXTRA
+from cspace.bundle.keeping import gather
 from cspace.worlds.planar.seeing.picture import decode_png
 from services.evaluator.evaluation.tables import markdown
 from services.planner.sources.sampling_client import SamplingClient
@@ -35,24 +35,34 @@ def bare_sessions(pngs: list[bytes], samples: int, core: int, answers) -> None:
     """Milliseconds of the graphs for each picture, by the sessions alone."""
     os.sched_setaffinity(0, {core})
     bundle = Bundle.load(BUNDLE)
-    # As many rows as the server's first turn, which is nearly always the only one.
-    rows = int(np.ceil(samples * (1 + EXTRA) / (1.0 - bundle.spec.uniform_share / 2.0)))
-    proposals = propose(bundle.spec, [rows], 0, 0)
+    spec = bundle.spec
     encoder, generator, head = (session(f"{name}.onnx") for name in ("encoder", "generator", "validity"))
-    known = session("novelty.onnx") if bundle.spec.novelty_quantiles else None
+    known = session("novelty.onnx") if spec.novelty_quantiles else None
     answers.put("ready")
-    for png in pngs:
-        image = bundle.prepare(decode_png(png, bundle.spec.pixels))
-        draws = draw(bundle.spec, image.encoding.mu, image.encoding.sigma, proposals.learned, 0, [0.0])
-        feeds = {"latent": draws.latents, "image": image.pixels, **draws.random_inputs}
-        began = time.perf_counter()
-        _, mu = encoder.run(["sigma", "mu"], {"image": image.pixels})
+    for seed, png in enumerate(pngs):
+        image, took = bundle.prepare(decode_png(png, spec.pixels)), []
+
+        def run(session, names, feeds, took=took):
+            began = time.perf_counter()
+            found = session.run(names, feeds)
+            took.append(1e3 * (time.perf_counter() - began))
+            return found
+
+        def scored(counts, turn, image=image, seed=seed, run=run):
+            proposals, learned = propose(spec, counts, seed, turn), None
+            if any(proposals.learned):
+                encoding = image.encoding
+                draws = draw(spec, encoding.mu, encoding.sigma, proposals.learned, seed, [0.0], turn)
+                feeds = {"latent": draws.latents, "image": image.pixels, **draws.random_inputs}
+                learned = run(generator, ["samples"], feeds)[0][:, 0]
+            shown = proposals.mixed_with(learned)
+            return shown, run(head, ["confidence"], {"image": image.pixels, "configurations": shown})[0]
+
+        mu = run(encoder, ["mu"], {"image": image.pixels})[0]
         if known is not None:
-            known.run(None, {"image": image.pixels, "mu": mu})
-        (found,) = generator.run(["samples"], feeds)
-        shown = proposals.mixed_with(found[:, 0])
-        head.run(["confidence"], {"image": image.pixels, "configurations": shown})
-        answers.put(1e3 * (time.perf_counter() - began))
+            run(known, None, {"image": image.pixels, "mu": mu})
+        gather(scored, [samples], spec.confidence_threshold, expected_share(spec))
+        answers.put(sum(took))
 
 
 def session(name: str) -> onnxruntime.InferenceSession:

@@ -10,15 +10,15 @@ import json
 import sys
 from pathlib import Path
 
-from onnxruntime import InferenceSession
-
 import inference_api.__main__ as command
 from benchmarks.command import arguments
 from benchmarks.serving import spans
-from cspace.bundle import Bundle, loaded
+from cspace.bundle import Bundle
+from cspace.bundle.drawing import generated
 from cspace.bundle.running import graphs
+from cspace.bundle.running.sessions import Session
+from cspace.worlds.planar.world import PlanarWorld
 from inference_api import app
-from inference_api.models import pictures
 from inference_api.pages import sample as routes
 from inference_api.pages import sampling
 from inference_api.turns import turns
@@ -48,35 +48,36 @@ def watch_steps() -> None:
     """Put a watch on the functions that a request goes through."""
     spans.wrap_coroutine(routes, "read_fields", FORM)
     spans.wrap_coroutine(turns.Turns, "run", HAND_OVER)
-    spans.wrap(routes, "answer_request", REST)
+    spans.wrap(turns.Turn, "compute", REST)
     for name in ("parse_fields", "validate_request"):
         spans.wrap(sampling, name, CHECKS)
-    spans.wrap(pictures, "decode_png", DECODE)
+    spans.wrap(PlanarWorld, "read_picture", DECODE)
     for name in ("prepare", "answer"):
         spans.wrap(Bundle, name, AROUND)
     for name in ("draw", "propose"):
-        spans.wrap(loaded, name, RANDOM)
+        spans.wrap(generated, name, RANDOM)
     spans.wrap(sampling, "npy_response", WRITE)
     watch_sessions()
 
 
 def watch_sessions() -> None:
-    """The calls of onnxruntime by the graph's name, which the session itself does not know."""
+    """The runs of each graph by its name, which the session itself does not know."""
     names: dict[int, str] = {}
     opened = graphs.Graph.__init__
 
-    def open_named(graph, name, *arguments):
-        opened(graph, name, *arguments)
-        names[id(graph._session)] = SESSIONS[name]  # noqa: SLF001 - which one it is, no more
+    def open_named(graph, name, *arguments, **named):
+        opened(graph, name, *arguments, **named)
+        names[id(graph._session)] = SESSIONS.get(name, AROUND)  # noqa: SLF001 - which one it is, no more
 
     graphs.Graph.__init__ = open_named
-    run = InferenceSession.run
+    run = Session.run
 
     def run_named(session, *arguments):
-        with spans.step(names[id(session)]):
+        # Before a graph is open its session is tried, for no request.
+        with spans.step(names.get(id(session), AROUND)):
             return run(session, *arguments)
 
-    InferenceSession.run = run_named
+    Session.run = run_named
 
 
 def watch_requests(records: list[dict[str, float]]) -> None:
@@ -98,6 +99,7 @@ def watch_requests(records: list[dict[str, float]]) -> None:
                 records.append(found.own)
                 spans.request.set(None)
 
+        watched.state = inner.state
         return watched
 
     app.create_app = create_watched

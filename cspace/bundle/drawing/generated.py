@@ -58,7 +58,7 @@ class GeneratorSampler:
             samples = proposals.mixed_with(learned)
             return samples, head.told(picture, samples, between)
 
-        kept = gather(proposed, wanted, request.min_confidence, _expected(spec), between)
+        kept = gather(proposed, wanted, request.min_confidence, expected_share(spec), between)
         return Drawn(kept.samples, kept.confidence, kept.acceptance)
 
     def _generate(
@@ -84,7 +84,7 @@ class GeneratorSampler:
         return chunked(run, len(draws.latents), between, chunk_rows)[draws.kept]
 
 
-def _expected(spec: BundleSpec) -> float:
+def expected_share(spec: BundleSpec) -> float:
     """Share of a first turn's proposals that is likely to pass."""
     if spec.kind == "path":
         return PATHS_PASS
