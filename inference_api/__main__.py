@@ -13,6 +13,7 @@ from uvicorn.supervisors import Multiprocess
 
 from cspace.errors import ConfigError, PortTakenError
 from inference_api.connections.config import ApiConfig
+from inference_api.connections.shared_port import SharedPort
 from inference_api.ending import end_in_time
 from inference_api.guards.exposure import check_exposure, is_wildcard
 from inference_api.guards.names import bracketed
@@ -73,7 +74,7 @@ def main(arguments: list[str] | None = None) -> int:
         settings = ApiSettings.from_environment()
         check_exposure(options.host, settings.protection, allowed=options.allow_unauthenticated)
         _prepare(settings, options.host)
-        listener = _listen(options.host, options.port)
+        listener = _listen(options.host, options.port, shared=options.workers > 1)
     except ConfigError as error:
         print(error, file=sys.stderr)
         return 2
@@ -126,9 +127,11 @@ def _prepare(settings: ApiSettings, host: str) -> None:
         signal.signal(number, lambda *_: sys.exit(0))
 
 
-def _listen(host: str, port: int) -> socket.socket:
+def _listen(host: str, port: int, *, shared: bool) -> socket.socket:
     try:
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
+        if shared:
+            return SharedPort.taken(host, port, family)
         return socket.create_server((host, port), family=family)
     except (OSError, OverflowError) as error:
         raise PortTakenError(

@@ -4,7 +4,7 @@ import os
 import signal
 import time
 from collections.abc import Iterator
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from pathlib import Path
 
 import httpx
@@ -66,6 +66,33 @@ def test_all_processes_answer_alike_and_count_together(server: ServerProcess, pn
     assert {answered(server) for _ in range(10)} == {before + REQUESTS}
     assert "cspace_model_info{" in httpx.get(f"{server.address}/metrics").text
     assert len(workers(server)) == 2
+
+
+def test_connections_that_are_kept_are_shared_out(server: ServerProcess) -> None:
+    port = httpx.URL(server.address).port
+    with ExitStack() as kept:
+        for _ in range(REQUESTS):
+            client = kept.enter_context(httpx.Client(base_url=server.address))
+            assert client.get("/health/live").status_code == 200
+        held = {
+            worker: sum(
+                connection.status == psutil.CONN_ESTABLISHED and connection.laddr.port == port
+                for connection in psutil.Process(worker).net_connections()
+            )
+            for worker in workers(server)
+        }
+    # Each gets half on average; fewer than a tenth of them would come about once in a hundred million times.
+    assert sum(held.values()) == REQUESTS
+    assert min(held.values()) >= REQUESTS // 10
+
+
+def test_a_port_that_processes_share_is_taken_for_others(
+    server: ServerProcess, capsys: pytest.CaptureFixture[str]
+) -> None:
+    port = str(httpx.URL(server.address).port)
+    for alone in ([], ["--workers", "2"]):
+        assert main(["--port", port, *alone]) == 1
+        assert f"cannot listen on 127.0.0.1:{port}" in capsys.readouterr().err
 
 
 def test_a_process_that_dies_is_replaced(server: ServerProcess, png: bytes) -> None:

@@ -1,6 +1,8 @@
 """The bundle behind Ray Serve."""
 
 import os
+import signal
+import sys
 import time
 
 import ray
@@ -22,5 +24,11 @@ if __name__ == "__main__":
     ray.init(num_cpus=2, include_dashboard=False, log_to_driver=False)
     serve.start(http_options={"host": "127.0.0.1", "port": int(os.environ["CSPACE_PEER_PORT"])})
     serve.run(Sampler.bind(), name="sampler", route_prefix="/sample")
-    while True:
-        time.sleep(60)
+    # HAProxy is a daemon of its own, which only Serve's own end takes with it.
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
+    try:
+        while True:
+            time.sleep(60)
+    finally:
+        serve.shutdown()
+        ray.shutdown()
