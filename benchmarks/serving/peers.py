@@ -144,12 +144,13 @@ def running(server: Server, environments: Path, model: Path) -> Iterator[int]:
 
 def stop(process: subprocess.Popen) -> None:
     """End a server with all of its processes, of which there are none where it ended by itself."""
-    with suppress(ProcessLookupError):
-        os.killpg(process.pid, signal.SIGTERM)
-    try:
+    # The first one before its group, for it may have to tell others to end.
+    process.terminate()
+    with suppress(subprocess.TimeoutExpired):
         process.wait(30)
-    except subprocess.TimeoutExpired:
+    with suppress(ProcessLookupError):
         os.killpg(process.pid, signal.SIGKILL)
+    process.wait(30)
 
 
 def _wait(process: subprocess.Popen, port: int, server: Server, log) -> None:
