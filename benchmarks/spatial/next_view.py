@@ -48,7 +48,8 @@ def judged(
         return None
     rng = np.random.default_rng([25, 1, *problem.family.encode(), problem.number])
     first = from_both_sides(rng, world, problem.layout(world.body), ends[0], aim)
-    query = PlanQuery(tuple(ends[0]), tuple(ends[1]), 0, 0.0, LIMIT_S, WAYS, next_view=True)
+    cameras = tuple(one.to_dict() for one in first.cameras)
+    query = PlanQuery(tuple(ends[0]), tuple(ends[1]), 0, 0.0, LIMIT_S, WAYS, next_view=True, seen_by=cameras)
     found = planned(bundle, world, first, query)
     if found.next_view is None:
         return None

@@ -81,7 +81,9 @@ def plan(seen: Seen, ends: NDArray[np.float64], query: PlanQuery, between: Betwe
             found = replace(found, alternatives=sure)
         if query.next_view:
             pause = between or (lambda: None)
-            view = best_view(seen.world, seen.picture, best.states, best.doubts, query.views, pause)
+            view = best_view(
+                seen.world, seen.picture, best.states, best.doubts, query.views, pause, query.seen_by
+            )
             found = replace(found, next_view=view)
     else:
         found = Plan("timeout" if ways.late else "refused", np.empty((0, seen.world.dim)))

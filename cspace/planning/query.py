@@ -27,6 +27,7 @@ class PlanQuery:
         ways: that are looked for, 1 or more.
         next_view: whether the camera is wanted that would see most of what the way is doubted for.
         views: cameras to choose it from, as plain values; none for some about the doubt.
+        seen_by: cameras that the picture is from, where they are known: others look from elsewhere.
         alternatives: whether all ways are wanted that are sure enough, for those who can check them.
     """
 
@@ -39,6 +40,7 @@ class PlanQuery:
     next_view: bool = False
     views: tuple[Mapping[str, Any], ...] = ()
     alternatives: bool = False
+    seen_by: tuple[Mapping[str, Any], ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)

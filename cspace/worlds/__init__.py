@@ -2,7 +2,7 @@
 
 import json
 from argparse import ArgumentParser, Namespace
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from hashlib import sha256
@@ -138,8 +138,11 @@ def best_view(
     doubts: NDArray[np.float64],
     given: Sequence[object] = (),
     between: Callable[[], None] = lambda: None,
+    seen_by: Sequence[Mapping[str, Any]] = (),
 ) -> NextView | None:
     """The camera that would see most of the space that a way is doubted for.
+
+    Of those from where nobody has looked yet; of the others where none of these sees any.
 
     Args:
         world: whose.
@@ -148,6 +151,7 @@ def best_view(
         doubts: (n,) of each, 0 or more.
         given: cameras to choose from, as plain values; none for some about the doubt.
         between: called before each camera; may raise to stop, which passes through.
+        seen_by: the cameras that have seen the picture, where they are known.
 
     Returns:
         None where no camera would see any, and in worlds that are seen whole.
@@ -155,7 +159,7 @@ def best_view(
     Raises:
         InputError: one of the given ones is no camera.
     """
-    found = _part(world.kind, "next_view").best_view(world, picture, states, doubts, given, between)
+    found = _part(world.kind, "next_view").best_view(world, picture, states, doubts, given, between, seen_by)
     return cast("NextView | None", found)
 
 

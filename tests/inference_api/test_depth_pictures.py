@@ -12,6 +12,8 @@ from cspace.view_file import pack_view
 from cspace.worlds.spatial.robot.ready import ready_rad
 from cspace.worlds.spatial.seeing.camera import DepthCamera, looking
 from cspace.worlds.spatial.seeing.depth_picture import encode_depth
+from inference_api.bodies.request_body import RawFields
+from inference_api.pages.planning.question import read_plan
 from tests.bundles import picture
 from tests.inference_api.answers import assert_problem
 from tests.inference_api.conftest import api_over, stock
@@ -184,6 +186,13 @@ def test_a_way_is_planned_in_what_depth_pictures_show(api, bundle):
     edges = np.asarray(told["edges"])
     assert (edges <= believed[1:] + 1e-5).all()
     assert (edges <= believed[:-1] + 1e-5).all()
+
+
+def test_the_search_for_a_view_knows_from_where_the_pictures_are():
+    ends = {"start": STATE, "goal": STATE, "model": "panda-sampler"}
+    images = [base64.b64encode(one).decode() for one in IMAGES]
+    body = json.dumps(ends | {"image": images, "camera": CAMERAS}).encode()
+    assert read_plan(None, RawFields(body), began=0.0).query.seen_by == tuple(CAMERAS)
 
 
 def test_a_plan_names_the_view_that_would_see_most_of_its_doubt(api):

@@ -15,7 +15,8 @@ def best_view(
     doubts: NDArray[np.float64],
     given: Sequence[object],
     between: Callable[[], None],
+    seen_by: Sequence[object] = (),
 ) -> NextView | None:
     """See :func:`cspace.worlds.best_view`."""
-    del world, picture, states, doubts, given, between
+    del world, picture, states, doubts, given, between, seen_by
     return None

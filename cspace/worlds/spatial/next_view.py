@@ -1,9 +1,12 @@
 """Which further depth camera would see most of the space that a way is doubted for. NumPy alone.
 
-Space in which a camera read nothing is mostly the sky: another picture would read nothing either.
+Space in which a camera read nothing is mostly the sky: another picture would read nothing either. A way is
+doubted for what hides behind what was seen, and its neighbours hide there, too: a camera beside one that has
+looked sees past what hid that way alone, and so cameras from elsewhere go first.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +28,8 @@ _PLACES = 512
 _STEP_M = 0.02
 # A seen surface is met, and so much unseen space hides what is behind it with 1 - 1/e.
 _SURFACE_M, _HIDING_M = 0.02, 0.3
+# About what is doubted, from a camera that has looked to one from elsewhere, at least.
+_ELSEWHERE_DEG = 45.0
 
 
 def best_view(
@@ -34,20 +39,21 @@ def best_view(
     doubts: NDArray[np.float64],
     given: Sequence[object],
     between: Callable[[], None],
+    seen_by: Sequence[Mapping[str, Any]] = (),
 ) -> NextView | None:
     """See :func:`cspace.worlds.best_view`."""
     places, weights = _doubted(world, picture, states, doubts)
     total = float(doubts.sum())
     if not len(places) or not total > 0.0:
         return None
-    cameras = [_camera(one) for one in given] or hemisphere(
-        world, np.average(places, axis=0, weights=weights)
-    )
+    focus_m = np.average(places, axis=0, weights=weights)
+    cameras = [_camera(one) for one in given] or hemisphere(world, focus_m)
     shares = []
     for camera in cameras:
         between()
         shares.append(float(weights @ seen_shares(world, picture, camera, places)) / total)
-    best = int(np.argmax(shares))
+    chosen = _from_elsewhere(cameras, seen_by, focus_m) & (np.array(shares) > 0.0)
+    best = int(np.argmax(np.where(chosen, shares, 0.0) if chosen.any() else shares))
     return NextView(cameras[best].to_dict(), shares[best]) if shares[best] > 0.0 else None
 
 
@@ -65,6 +71,22 @@ def hemisphere(world: SpatialWorld, focus_m: NDArray[np.float64]) -> list[DepthC
                 field_deg, pose = float(np.mean(views.field_deg)), looking(place, focus_m)
                 found.append(DepthCamera.of_field(views.width, views.height, field_deg, pose))
     return found
+
+
+def _from_elsewhere(
+    cameras: Sequence[DepthCamera], seen_by: Sequence[Mapping[str, Any]], focus_m: NDArray[np.float64]
+) -> NDArray[np.bool_]:
+    """Which cameras (n,) look at a point (3,) m from another side than all that have looked."""
+    if not seen_by:
+        return np.ones(len(cameras), dtype=np.bool_)
+    new = _directions(np.array([one.matrix[:3, 3] for one in cameras]), focus_m)
+    old = _directions(np.array([one["pose"] for one in seen_by], dtype=np.float64)[:, :3, 3], focus_m)
+    return np.asarray((new @ old.T).max(axis=1) <= np.cos(np.radians(_ELSEWHERE_DEG)))
+
+
+def _directions(places: NDArray[np.float64], focus_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    away = places - focus_m
+    return np.asarray(away / np.linalg.norm(away, axis=1, keepdims=True))
 
 
 def away_m(world: SpatialWorld) -> float:

@@ -126,6 +126,7 @@ def read_plan(store: ModelStore, fields: RawFields, *, began: float) -> PlanQues
         request.next_view or bool(request.view),
         request.view,
         request.alternatives,
+        request.camera,
     )
     reference = ModelReference.parse(named)
     picture, confirmed = request.picture(), request.require_confirmed

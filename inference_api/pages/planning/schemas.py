@@ -58,7 +58,8 @@ class PlanRequest(SceneFields):
     view: Views = Field(
         (),
         description="Cameras to choose it from, as `camera` with `width` and `height` in pixels; in a form "
-        "repeat the field. Absent, some about the doubt, from where cameras of the training stood.",
+        "repeat the field. Absent, some about the doubt, from where cameras of the training stood. Those go "
+        "first that look from elsewhere than `camera`, by 45 degrees.",
     )
     robot: Annotated[str, Field(pattern=f"^{DIGEST_PATTERN}$")] | None = Field(
         None, description="As of `POST /sample`."

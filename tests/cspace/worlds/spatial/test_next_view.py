@@ -72,6 +72,28 @@ def test_doubt_of_states_that_are_seen_whole_is_seen_by_nobody(picture, reaching
     assert best_view(WORLD, picture, rows, more, [BACK.to_dict()]) == one
 
 
+def test_cameras_from_elsewhere_go_first(picture, reaching):
+    doubts, beside = np.ones(len(reaching)), camera(1.9, 0.1)
+    given, across = [BACK.to_dict(), beside.to_dict()], camera(0.6, 1.5, 1.2)
+    best = best_view(WORLD, picture, reaching, doubts, given)
+    other = best_view(WORLD, picture, reaching, doubts, [across.to_dict()])
+    assert 0.0 < other.sees < best.sees
+    given.append(across.to_dict())
+    assert best_view(WORLD, picture, reaching, doubts, given) == best
+    told = {"pose": camera(1.8, 0.0).to_dict()["pose"]}
+    assert best_view(WORLD, picture, reaching, doubts, given, seen_by=[told]) == other
+    # Where nobody looks from elsewhere, the best of the others is better than none.
+    assert best_view(WORLD, picture, reaching, doubts, given[:2], seen_by=[told]) == best
+
+
+def test_the_hemisphere_has_another_side(picture, reaching):
+    doubts = np.ones(len(reaching))
+    for side in (1.0, -1.0):
+        told = {"pose": camera(-0.2, side).to_dict()["pose"]}
+        found = best_view(WORLD, picture, reaching, doubts, seen_by=[told])
+        assert side * np.array(found.camera["pose"])[1, 3] < 0.0
+
+
 def test_the_hemisphere_is_about_its_middle_and_not_in_the_arm():
     cameras = hemisphere(WORLD, np.array([0.4, 0.1, 0.3]))
     assert 20 < len(cameras) <= 30
