@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cspace.connecting import connect_trees
+from cspace.planning.less_doubt import route_search
 from cspace.workshop import Checker
 from cspace.worlds import examples, seen_checkers
 
@@ -25,6 +26,7 @@ def load_kernels(checker: Checker, configuration: NDArray[np.float64], step_rad:
     checker.edge_batch(configuration[None], configuration[None], step_rad)
     ends = configuration, configuration
     connect_trees(checker, *ends, configuration[None], range_rad=step_rad, resolution_rad=step_rad)
+    route_search()(np.zeros((1, 1)), 0, 0)
 
 
 def main() -> int:

@@ -7,7 +7,9 @@ one. Edges are checked only where such a way would pass, as Bohlin and Kavraki's
 Using Lazy PRM, ICRA 2000), and there the model is asked about their middles, too.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from importlib import import_module
 
 import numpy as np
 from numpy.typing import NDArray
@@ -136,6 +138,7 @@ class Doubter:
 
     def _through(self, graph: _Graph) -> NDArray[np.float64] | None:
         """The least doubtful way that is free and as it seemed, (k, d) rad; None without one."""
+        cheapest_route = route_search()
         known, asked = (np.zeros(graph.costs.shape, dtype=np.bool_) for _ in range(2))
         ahead = np.arange(graph.own - 1)
         known[ahead, ahead + 1] = known[ahead + 1, ahead] = True
@@ -193,6 +196,17 @@ class Doubter:
         return doubts_of(self._believe(self._space.to_float32(rows))[0])
 
 
+def route_search() -> Callable[[NDArray[np.float64], int, int], NDArray[np.int64] | None]:
+    """:func:`cspace.planning.routes.cheapest_route`, by name: who only reads bundles has no compiler.
+
+    Raises:
+        ImportError: the compiler is not installed.
+    """
+    found: Callable[[NDArray[np.float64], int, int], NDArray[np.int64] | None]
+    found = import_module("cspace.planning.routes").cheapest_route
+    return found
+
+
 def _neighbours(lengths: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Which of (n, n) are among the least of their row, the diagonal not among them."""
     apart = lengths + np.diag(np.full(len(lengths), np.inf))
@@ -201,31 +215,3 @@ def _neighbours(lengths: NDArray[np.float64]) -> NDArray[np.bool_]:
     found = np.zeros(lengths.shape, dtype=np.bool_)
     np.put_along_axis(found, nearest, values=True, axis=1)
     return found
-
-
-def cheapest_route(costs: NDArray[np.float64], start: int, goal: int) -> NDArray[np.int64] | None:
-    """Nodes from start to goal at the least cost; None where there is no way.
-
-    Source: Dijkstra, A Note on Two Problems in Connexion with Graphs, 1959, for few nodes with many edges.
-
-    Args:
-        costs: (n, n) of edges, 0 or more, inf where there is none.
-        start: its number.
-        goal: likewise.
-    """
-    reached = np.full(len(costs), np.inf)
-    before, left = np.full(len(costs), -1, dtype=np.int64), np.zeros(len(costs))
-    reached[start] = 0.0
-    at = start
-    while at != goal:
-        left[at] = np.inf
-        onward = reached[at] + costs[at]
-        shorter = onward < reached
-        reached[shorter], before[shorter] = onward[shorter], at
-        at = int(np.argmin(reached + left))
-        if not np.isfinite(reached[at] + left[at]):
-            return None
-    route = [goal]
-    while route[-1] != start:
-        route.append(int(before[route[-1]]))
-    return np.array(route[::-1], dtype=np.int64)

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from cspace.planning.less_doubt import Doubter, Effort, cheapest_route
+from cspace.planning.less_doubt import Doubter, Effort
+from cspace.planning.routes import cheapest_route
 from cspace.planning.scoring import score
 from cspace.planning.ways import OutOfTimeError
 from cspace.worlds import examples
