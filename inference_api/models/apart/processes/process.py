@@ -36,7 +36,9 @@ class ChildProcess:
                 # Its libraries write the registry's address there.
                 stderr=subprocess.DEVNULL,
                 env=_environment(),
-                start_new_session=True,
+                # For a signal to all of it. Not a session of its own: the kernel shares cores out among
+                # sessions, and beside a busy server on one core such a child got no time at all.
+                process_group=0,
             )
         except OSError as error:
             raise ChildError(f"no process can be started: {error.strerror}", at_work=False) from None

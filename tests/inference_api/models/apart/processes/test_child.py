@@ -221,3 +221,5 @@ def test_a_child_is_held_by_the_kernel_and_knows_no_setting_of_the_api(
     assert process.rlimit(psutil.RLIMIT_FSIZE)[1] <= 2**30
     assert "CSPACE_API_KEYS_FILE" not in process.environ()
     assert os.getpgid(process.pid) == process.pid
+    # The kernel shares cores out among sessions: one of its own could be left without any.
+    assert os.getsid(process.pid) == os.getsid(0)
