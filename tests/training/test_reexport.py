@@ -30,6 +30,7 @@ def source(graphs, tmp_path_factory):
     return write_bundle(tmp_path_factory.mktemp("source") / "bundle", spec, graphs)
 
 
+@pytest.mark.slow
 def test_a_head_exported_anew_answers_as_before_and_tells_where_it_comes_from(source, tmp_path, capsys):
     assert main([str(source), str(tmp_path / "new")]) == 0
     origin, made = Bundle.load(source), Bundle.load(tmp_path / "new")
