@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from services.local.settings import Settings
+from services.names import API_URL
 
 _NO_PROXY = ("127.0.0.1", "localhost")
 # What a user's shell says about other clusters and servers would lead jobs astray; his token is his.
@@ -59,6 +60,7 @@ def shell_lines(settings: Settings) -> list[str]:
     values = {
         "RAY_AUTH_MODE": "token",
         "RAY_ADDRESS": settings.ray_url,
+        API_URL: settings.api_url,
         "MLFLOW_TRACKING_URI": settings.mlflow_url,
         "MLFLOW_DISABLE_TELEMETRY": "true",
         "MLFLOW_ENABLE_ARTIFACTS_PROGRESS_BAR": "false",

@@ -11,7 +11,7 @@ from cspace.query import PLAIN, SampleQuery
 from cspace.world import World
 from cspace.worlds import examples, workshop_of
 from services.planner.drawing.plot import check_figure_path
-from services.planner.planning import DEFAULT_SAMPLES, PAPER_SCHEDULE, SampleRequest
+from services.planner.planning import DEFAULT_SAMPLES, PAPER_SCHEDULE, SampleRequest, usual_api
 from services.planner.search.ompl_planner import DEFAULT_UNIFORM_SHARE
 from services.planner.settings import LEARNED_PLANNERS, RRT, PlannerSettings, check_uniform_share
 from services.planner.sources.sampling_client import DEFAULT_TIMEOUT_S
@@ -125,7 +125,7 @@ def make_parser() -> argparse.ArgumentParser:
         "--robot", choices=sorted(WORLDS), default=next(iter(WORLDS)), help="the arm; default %(default)s"
     )
     samples = parser.add_argument_group("samples")
-    samples.add_argument("--api", metavar="URL", default="http://127.0.0.1:8000", help="default %(default)s")
+    samples.add_argument("--api", metavar="URL", default=usual_api(), help="default %(default)s")
     samples.add_argument("--timeout", type=float, default=DEFAULT_TIMEOUT_S, help="s; default %(default)s")
     samples.add_argument(
         "--model",

@@ -1,5 +1,6 @@
 """A planner and a source of learned samples put together: one batch before the search, none during it."""
 
+import os
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -7,7 +8,7 @@ from cspace.errors import SamplerError, SamplerModelError, SamplerUnavailableErr
 from cspace.problem import Problem
 from cspace.query import SampleQuery
 from cspace.worlds import default_world, picture_file_of, robot_digest
-from services.names import model_name
+from services.names import API_URL, model_name
 from services.planner.plan_result import PlanResult
 from services.planner.search.ompl_planner import DEFAULT_UNIFORM_SHARE, solve
 from services.planner.search.samples.sample_order import order_along
@@ -131,14 +132,13 @@ def plan_with_api(
     return ApiPlan(result, batch, unavailable, uniform_share)
 
 
-def plan_scene(
-    path: str | Path, api: str = "http://127.0.0.1:8000", settings: PlannerSettings | None = None
-) -> ApiPlan:
+def plan_scene(path: str | Path, api: str | None = None, settings: PlannerSettings | None = None) -> ApiPlan:
     """Solve the problem of a scene file with samples from an API, of the robot's own model.
 
     Args:
         path: of the scene file; see :mod:`services.scene_files`.
-        api: address of the inference API; uniform samples where it does not answer or has no such model.
+        api: address of the inference API, None for :func:`usual_api`; uniform samples where it does not
+            answer or has no such model.
         settings: of the planner.
 
     Raises:
@@ -147,8 +147,13 @@ def plan_scene(
     """
     scene, settings = read_scene_file(Path(path)), settings or PlannerSettings()
     request = SampleRequest(SampleQuery(DEFAULT_SAMPLES, settings.seed)).for_scene(scene)
-    with SamplingClient(api) as client:
+    with SamplingClient(api or usual_api()) as client:
         return plan_with_api(scene.problem(), client, settings, request)
+
+
+def usual_api() -> str:
+    """The address that a shell names which `python -m services.local env` has set up, or the usual one."""
+    return os.environ.get(API_URL) or "http://127.0.0.1:8000"
 
 
 def raised_share(uniform_share: float, novelty: float | None) -> float:

@@ -63,6 +63,7 @@ def test_the_shell_lines_do_in_a_shell_what_they_say(settings: Settings) -> None
     assert values["RAY_AUTH_MODE"] == "token"
     assert values["RAY_ADDRESS"] == settings.ray_url
     assert values["MLFLOW_TRACKING_URI"] == settings.mlflow_url
+    assert values["CSPACE_API_URL"] == settings.api_url
     # MLflow prints addresses among the evaluator's results otherwise.
     assert values["MLFLOW_SUPPRESS_PRINTING_URL_TO_STDOUT"] == "true"
     assert values["PATH"] == f"{Path(sys.executable).parent}:/usr/bin:/bin"

@@ -7,7 +7,8 @@ from cspace.errors import SamplerError
 from cspace.query import SampleQuery
 from cspace.worlds.planar.render import render
 from cspace.worlds.planar.seeing.picture import decode_png
-from services.planner.planning import SampleRequest, compare_with_api, plan_with_api, raised_share
+from services.planner.command_line import make_parser
+from services.planner.planning import SampleRequest, compare_with_api, plan_with_api, raised_share, usual_api
 from services.planner.search.ompl_planner import PlannerSettings, solve
 from services.planner.sources.sampling_client import SamplingClient
 from tests.fakes.sample_source import FakeSampleSource
@@ -108,3 +109,11 @@ def test_a_comparison_holds_both_kinds_of_samples_and_rrtconnect_under_one_seed(
         result.tree is not None
         for result in (comparison.learned.result, comparison.uniform, comparison.connect)
     )
+
+
+def test_the_address_is_the_shell_s_or_the_usual_one(monkeypatch):
+    monkeypatch.delenv("CSPACE_API_URL", raising=False)
+    assert usual_api() == "http://127.0.0.1:8000"
+    monkeypatch.setenv("CSPACE_API_URL", "http://127.0.0.1:8100")
+    assert usual_api() == "http://127.0.0.1:8100"
+    assert make_parser().parse_args([]).api == "http://127.0.0.1:8100"
