@@ -127,7 +127,3 @@ def _robot_of(model: str) -> str | None:
     """The robot's name in that of a model; None where it has none."""
     suffix = next((one for one in (_PATH_SUFFIX, _SUFFIX) if model.endswith(one)), None)
     return None if suffix is None else model.removesuffix(suffix)
-
-
-# Where the shell's own inference API is: what the planner asks unless it is told.
-API_URL = "CSPACE_API_URL"

@@ -68,7 +68,7 @@ def plan(seen: Seen, ends: NDArray[np.float64], query: PlanQuery, between: Betwe
         between: called now and then; may raise to stop, which passes through.
 
     Raises:
-        InputError: one of the query's views is no camera.
+        InputError: one of the query's views is no camera, or one that the picture is from has no pose.
         ImportError: the compiler of the checks is not installed.
     """
     least = query.min_confidence or 0.0

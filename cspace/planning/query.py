@@ -27,8 +27,8 @@ class PlanQuery:
         ways: that are looked for, 1 or more.
         next_view: whether the camera is wanted that would see most of what the way is doubted for.
         views: cameras to choose it from, as plain values; none for some about the doubt.
-        seen_by: cameras that the picture is from, where they are known: others look from elsewhere.
         alternatives: whether all ways are wanted that are sure enough, for those who can check them.
+        seen_by: cameras that the picture is from, where they are known: the next view is one from elsewhere.
     """
 
     start: tuple[float, ...]

@@ -157,7 +157,7 @@ def best_view(
         None where no camera would see any, and in worlds that are seen whole.
 
     Raises:
-        InputError: one of the given ones is no camera.
+        InputError: one of the given ones is no camera, or one that has seen the picture has no pose.
     """
     found = _part(world.kind, "next_view").best_view(world, picture, states, doubts, given, between, seen_by)
     return cast("NextView | None", found)

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from services.local.settings import Settings
-from services.names import API_URL
+from services.planner.sources.address import API_URL
 
 _NO_PROXY = ("127.0.0.1", "localhost")
 # What a user's shell says about other clusters and servers would lead jobs astray; his token is his.

@@ -11,9 +11,10 @@ from cspace.query import PLAIN, SampleQuery
 from cspace.world import World
 from cspace.worlds import examples, workshop_of
 from services.planner.drawing.plot import check_figure_path
-from services.planner.planning import DEFAULT_SAMPLES, PAPER_SCHEDULE, SampleRequest, usual_api
+from services.planner.planning import DEFAULT_SAMPLES, PAPER_SCHEDULE, SampleRequest
 from services.planner.search.ompl_planner import DEFAULT_UNIFORM_SHARE
 from services.planner.settings import LEARNED_PLANNERS, RRT, PlannerSettings, check_uniform_share
+from services.planner.sources.address import usual_api
 from services.planner.sources.sampling_client import DEFAULT_TIMEOUT_S
 from services.scene_files import SceneFile, read_scene_file
 

@@ -1,6 +1,5 @@
 """A planner and a source of learned samples put together: one batch before the search, none during it."""
 
-import os
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -8,11 +7,12 @@ from cspace.errors import SamplerError, SamplerModelError, SamplerUnavailableErr
 from cspace.problem import Problem
 from cspace.query import SampleQuery
 from cspace.worlds import default_world, picture_file_of, robot_digest
-from services.names import API_URL, model_name
+from services.names import model_name
 from services.planner.plan_result import PlanResult
 from services.planner.search.ompl_planner import DEFAULT_UNIFORM_SHARE, solve
 from services.planner.search.samples.sample_order import order_along
 from services.planner.settings import RRT_CONNECT, PlannerSettings
+from services.planner.sources.address import usual_api
 from services.planner.sources.samples import SampleBatch, SampleSource
 from services.planner.sources.sampling_client import SamplingClient
 from services.scene_files import SceneFile, read_scene_file
@@ -137,8 +137,8 @@ def plan_scene(path: str | Path, api: str | None = None, settings: PlannerSettin
 
     Args:
         path: of the scene file; see :mod:`services.scene_files`.
-        api: address of the inference API, None for :func:`usual_api`; uniform samples where it does not
-            answer or has no such model.
+        api: address of the inference API, None for the one that the shell means; uniform samples where it
+            does not answer or has no such model.
         settings: of the planner.
 
     Raises:
@@ -149,11 +149,6 @@ def plan_scene(path: str | Path, api: str | None = None, settings: PlannerSettin
     request = SampleRequest(SampleQuery(DEFAULT_SAMPLES, settings.seed)).for_scene(scene)
     with SamplingClient(api or usual_api()) as client:
         return plan_with_api(scene.problem(), client, settings, request)
-
-
-def usual_api() -> str:
-    """The address that a shell names which `python -m services.local env` has set up, or the usual one."""
-    return os.environ.get(API_URL) or "http://127.0.0.1:8000"
 
 
 def raised_share(uniform_share: float, novelty: float | None) -> float:

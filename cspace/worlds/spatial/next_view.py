@@ -6,13 +6,14 @@ looked sees past what hid that way alone, and so cameras from elsewhere go first
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cspace.errors import InputError, ScenarioError
 from cspace.world import NextView
+from cspace.worlds.spatial.poses import Pose, check_pose
 from cspace.worlds.spatial.seeing.camera import DepthCamera, camera_place, looking, read_camera
 from cspace.worlds.spatial.seeing.observed import lookup
 from cspace.worlds.spatial.seeing.sight import FREE, NO_READING
@@ -80,8 +81,15 @@ def _from_elsewhere(
     if not seen_by:
         return np.ones(len(cameras), dtype=np.bool_)
     new = _directions(np.array([one.matrix[:3, 3] for one in cameras]), focus_m)
-    old = _directions(np.array([one["pose"] for one in seen_by], dtype=np.float64)[:, :3, 3], focus_m)
+    old = _directions(np.array([_place(one) for one in seen_by]), focus_m)
     return np.asarray((new @ old.T).max(axis=1) <= np.cos(np.radians(_ELSEWHERE_DEG)))
+
+
+def _place(camera: Mapping[str, Any]) -> NDArray[np.float64]:
+    """Where a camera that has looked stands, (3,) m."""
+    pose = cast("Pose", camera.get("pose"))
+    check_pose(pose, "a camera of the picture", InputError)
+    return np.array(pose, dtype=np.float64)[:3, 3]
 
 
 def _directions(places: NDArray[np.float64], focus_m: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -8,8 +8,9 @@ from cspace.query import SampleQuery
 from cspace.worlds.planar.render import render
 from cspace.worlds.planar.seeing.picture import decode_png
 from services.planner.command_line import make_parser
-from services.planner.planning import SampleRequest, compare_with_api, plan_with_api, raised_share, usual_api
+from services.planner.planning import SampleRequest, compare_with_api, plan_with_api, raised_share
 from services.planner.search.ompl_planner import PlannerSettings, solve
+from services.planner.sources.address import usual_api
 from services.planner.sources.sampling_client import SamplingClient
 from tests.fakes.sample_source import FakeSampleSource
 

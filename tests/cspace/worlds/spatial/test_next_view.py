@@ -109,6 +109,12 @@ def test_what_is_no_camera_is_refused(picture, reaching, view):
         best_view(WORLD, picture, reaching, np.ones(len(reaching)), [view])
 
 
+@pytest.mark.parametrize("told", [{}, {"pose": [[1.0]]}, {"pose": np.full((4, 4), 2.0).tolist()}])
+def test_a_camera_without_a_pose_has_seen_nothing(picture, reaching, told):
+    with pytest.raises(InputError, match="pose"):
+        best_view(WORLD, picture, reaching, np.ones(len(reaching)), [BACK.to_dict()], seen_by=[told])
+
+
 def test_the_plane_is_seen_whole():
     world = examples()["two-link"]
     image = np.zeros(world.sensor.picture_shape, dtype=np.uint8)
