@@ -13,11 +13,8 @@ from cspace.world import World
 from cspace.worlds import FIRST, read_world
 
 SCHEMA_VERSION = 2
-# Told robot and camera of a planar world by themselves; read as that.
-_FIRST = 1
 MANIFEST_FILE = "manifest.json"
 _KEYS = {"schema_version", "world", "counts", "generator", "files", "digest"}
-_FIRST_KEYS = _KEYS - {"world"} | {"robot", "camera"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,15 +89,14 @@ def _read_members(path: Path) -> dict[str, Any]:
     except ValueError as error:
         raise DatasetError(f"{path} is not JSON", expected="a manifest", got=str(error)[:200]) from error
     version = read_mapping(values, str(path), DatasetError).get("schema_version")
-    if version not in (_FIRST, SCHEMA_VERSION):
+    if version != SCHEMA_VERSION:
         raise DatasetError(
             f"{path} is of another schema",
-            expected=f"schema_version {_FIRST} or {SCHEMA_VERSION}",
+            expected=f"schema_version {SCHEMA_VERSION}",
             got=repr(version)[:200],
+            remedy="generate or import the data again with this release",
         )
-    members = read_members(values, _FIRST_KEYS if version == _FIRST else _KEYS, str(path), DatasetError)
-    if version == _FIRST:
-        members["world"] = {name: members.pop(name) for name in ("robot", "camera")}
+    members = read_members(values, _KEYS, str(path), DatasetError)
     del members["schema_version"]
     return members
 

@@ -100,8 +100,7 @@ def check_runs(client: MlflowClient, run_id: str, steps: dict[str, int], every: 
 
 
 def _trial(run: Run) -> str:
-    """Of earlier releases, whose runs have no such tag, the name is the trial's."""
-    return str(run.data.tags.get("trial", run.info.run_name))
+    return str(run.data.tags["trial"])
 
 
 def _check_files(folder: Path, trials: set[str]) -> None:

@@ -19,5 +19,5 @@ def test_the_exit_code_is_that_of_the_errors_kind(error, code, capsys):
 
 
 def test_a_program_tells_its_name(capsys):
-    assert tell_error(ConfigError("no"), program="sweep") == 1
-    assert capsys.readouterr().err == "sweep: no\n"
+    assert tell_error(ConfigError("no"), program="search") == 1
+    assert capsys.readouterr().err == "search: no\n"

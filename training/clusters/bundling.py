@@ -66,9 +66,7 @@ class TrainedParts:
     start_run_id: str | None = None
 
 
-def make_bundle(
-    folder: Path, config: TrainConfig, dataset: Dataset, parts: TrainedParts, command: str | None = None
-) -> Bundle:
+def make_bundle(folder: Path, config: TrainConfig, dataset: Dataset, parts: TrainedParts) -> Bundle:
     """Export the networks, write the bundle, and load it again as any reader would.
 
     Args:
@@ -76,7 +74,6 @@ def make_bundle(
         config: of the training.
         dataset: that it was trained on.
         parts: what the trials left.
-        command: that made it; None for that of this process.
 
     Raises:
         BundleError: the exported graphs do not make a bundle.
@@ -109,7 +106,7 @@ def make_bundle(
         uniform_share=(config.validity.uniform_share or 0.0) if has_head else 0.0,
         novelty_quantiles=known,
         standardisation=scale if gan.generator == "means" else None,
-        provenance=_provenance(config, dataset, command or command_line(), parts.start_run_id),
+        provenance=_provenance(config, dataset, parts.start_run_id),
     )
     if has_head and dataset.generator_seed is not None:
         spec = _with_choices(folder.with_name(folder.name + "-draft"), config.validity, spec, graphs)
@@ -217,7 +214,7 @@ def _sampler_graph(config: TrainConfig, parts: TrainedParts) -> bytes:
     return generator_graph(generators[0], arrays.world.dim, latent_dim, gan.noise_dim)
 
 
-def _provenance(config: TrainConfig, dataset: Dataset, command: str, start_run_id: str | None) -> Provenance:
+def _provenance(config: TrainConfig, dataset: Dataset, start_run_id: str | None) -> Provenance:
     source = source_state()
     started = {} if start_run_id is None else {TAG_START: start_run_id}
     return Provenance(
@@ -227,5 +224,5 @@ def _provenance(config: TrainConfig, dataset: Dataset, command: str, start_run_i
         seeds={"train": config.seed, "data": config.data.seed},
         config=config.to_dict() | started,
         created=now(),
-        command=command,
+        command=command_line(),
     )

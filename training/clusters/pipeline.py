@@ -42,7 +42,7 @@ class TrainResult:
     Args:
         run_id: the parent run.
         model: the registered model's name.
-        version: the new version; None where none was asked for.
+        version: the new version.
         digest: the bundle's digest.
         data_digest: the data set's digest.
         metrics: last metrics of the global trial.
@@ -52,7 +52,7 @@ class TrainResult:
 
     run_id: str
     model: str
-    version: int | None
+    version: int
     digest: str
     data_digest: str
     metrics: Mapping[str, float]
@@ -62,7 +62,7 @@ class TrainResult:
     def rows(self, folder: Path) -> dict[str, str]:
         """The lines of a block for people; the job lies in ``folder``."""
         return {
-            "model": "none was registered" if self.version is None else f"{self.model}/{self.version}",
+            "model": f"{self.model}/{self.version}",
             "run": self.run_id,
             "trials": numbers({name: end - start for name, (start, end) in self.trials.items()}, " s"),
             "last metrics": numbers(self.metrics),
@@ -71,24 +71,13 @@ class TrainResult:
         }
 
 
-def train(
-    config: TrainConfig,
-    environment: Environment,
-    name: str | None = None,
-    *,
-    parent_run_id: str | None = None,
-    register: bool = True,
-    command: str | None = None,
-) -> TrainResult:
+def train(config: TrainConfig, environment: Environment, name: str | None = None) -> TrainResult:
     """Run the whole job, or go on with the one that was submitted under this name before.
 
     Args:
         config: what it trains.
         environment: where it works.
         name: of the job; None always starts a new one.
-        parent_run_id: of the sweep whose point the job is; None for a job of its own.
-        register: whether the bundle becomes a version; it stays in the job's folder in any case.
-        command: that the bundle says it comes from; None for that of this process.
 
     Raises:
         CspaceError: bad data, a failed trial, a registry that does not answer, or a name that belongs to a
@@ -97,8 +86,7 @@ def train(
     """
     connect()
     tags = job_tags(config.preset, config.seed, "training/cluster_train.py")
-    job = Job.start(config, environment, tags, name=name, parent_run_id=parent_run_id)
-    return _run(job, register, command)
+    return _run(Job.start(config, environment, tags, name=name))
 
 
 def resume(run_id: str, environment: Environment) -> TrainResult:
@@ -112,10 +100,10 @@ def resume(run_id: str, environment: Environment) -> TrainResult:
         CspaceError: as for :func:`train`; ConfigError where there is no such job.
     """
     connect()
-    return _run(Job.resume(run_id, environment, TrainConfig), register=True)
+    return _run(Job.resume(run_id, environment, TrainConfig))
 
 
-def _run(job: Job[TrainConfig], register: bool, command: str | None = None) -> TrainResult:
+def _run(job: Job[TrainConfig]) -> TrainResult:
     with job.running() as run:
         dataset = prepare_data(job.config, job.environment.data_folder)
         # The configuration's name for the robot, else that of its data.
@@ -136,10 +124,10 @@ def _run(job: Job[TrainConfig], register: bool, command: str | None = None) -> T
         parts = TrainedParts(encoder, generators, gate_at, head_at, arrays, job.start_run_id)
         bundle = kept_bundle(job.folder / BUNDLE_FOLDER)
         if bundle is None:
-            bundle = make_bundle(job.folder / BUNDLE_FOLDER, config, dataset, parts, command)
+            bundle = make_bundle(job.folder / BUNDLE_FOLDER, config, dataset, parts)
         outcomes = [outcome for outcome in (vae, head, gate, *local, *final) if outcome is not None]
         figures = log_result(run, bundle, dataset, outcomes)
-        version = _register(job, model, dataset, bundle) if register else None
+        version = _register(job, model, dataset, bundle)
     return TrainResult(
         run_id=job.run.run_id,
         model=model,

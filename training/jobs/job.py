@@ -76,7 +76,6 @@ class Job(Generic[Config]):
         tags: Mapping[str, str],
         stage: str = "cluster-train",
         name: str | None = None,
-        parent_run_id: str | None = None,
     ) -> "Job[Config]":
         """A new job with a run of its own, or the one that was submitted under this name before.
 
@@ -86,7 +85,6 @@ class Job(Generic[Config]):
             tags: of the run.
             stage: what its run is of.
             name: of the job: letters, digits, ``-`` and ``_``.
-            parent_run_id: the run under which a new one is shown.
 
         Raises:
             ConfigError: the name is none, or belongs to a job of another configuration; ``start_from`` is
@@ -111,7 +109,7 @@ class Job(Generic[Config]):
         key = None if name is None else f"job/{name}"
         run = patiently(
             "starting the job's run",
-            lambda: tracking.start(EXPERIMENT, title, parent_run_id, tags, key=key),
+            lambda: tracking.start(EXPERIMENT, title, None, tags, key=key),
             environment.patience_s,
         )
         folder = job_folder(environment, run.run_id)

@@ -123,8 +123,8 @@ def bind(
 ) -> Callable[..., None]:
     """A Tune function of a stage's trials that Tune knows by a name which no other job's has.
 
-    Tune finds a function by its name alone among all that one driver's tasks have registered: of a sweep's
-    points, which run side by side, one would otherwise be handed the trials of another.
+    Tune finds a function by its name alone among all that one driver has registered: of two jobs in one
+    driver, one would otherwise be handed the trials of the other.
     """
     bound: Callable[..., None] = tune.with_resources(
         tune.with_parameters(_asked(trainable), requests=requests, **shared),

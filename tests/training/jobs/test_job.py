@@ -208,8 +208,7 @@ def test_the_folder_of_a_job_is_within_the_data_folder(environment):
     assert job_folder(environment, "../../run") == environment.data_folder / "jobs" / "run"
 
 
-def test_a_job_of_a_sweep_is_shown_under_the_sweeps_run(environment, tracking):
-    job = Job.start(SMOKE, environment, {}, name="point", parent_run_id="sweep")
-    assert tracking.runs[job.run.run_id].parent_run_id == "sweep"
+def test_a_job_is_found_by_its_name(environment, tracking):
+    job = Job.start(SMOKE, environment, {}, name="point")
     assert run_of(environment, "point") == job.run.run_id
     assert run_of(environment, "nobody") is None

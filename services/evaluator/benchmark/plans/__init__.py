@@ -2,6 +2,6 @@
 
 ``setting`` says what is compared on which problems, ``record`` what is kept of it, ``planners`` are the
 models that plan; ``measure`` runs a problem; ``unchecked`` and ``checked`` reduce the runs to the two tables,
-``rows``, ``figure``, ``arena`` and ``report`` tell them, ``files`` writes them; ``job`` does all of it,
+``rows``, ``figure`` and ``report`` tell them, ``files`` writes them; ``job`` does all of it,
 ``command`` asks for it.
 """

@@ -1,17 +1,14 @@
-"""What the benchmark of plans leaves behind: table, logs, report and figure in a folder, and all in a run."""
+"""Writes the benchmark of plans: table, report and figure in a folder, and all in a run."""
 
-from collections.abc import Iterator
 from dataclasses import asdict
-from importlib.metadata import version
 
 from cspace.errors import StorageError
-from services.evaluator.benchmark.plans.arena import arena_log
 from services.evaluator.benchmark.plans.checked import ALL
 from services.evaluator.benchmark.plans.figure import safety_figure
 from services.evaluator.benchmark.plans.record import PlanRun
 from services.evaluator.benchmark.plans.report import PlanResults, headline, plan_report
 from services.evaluator.benchmark.runs.store import MANIFEST, RunStore
-from services.evaluator.benchmark.telling.files import FIGURES, PARQUET, REPORT, STAGE, Saved, log_name
+from services.evaluator.benchmark.telling.files import FIGURES, PARQUET, REPORT, STAGE, Saved
 from services.evaluator.benchmark.telling.frame import write_parquet
 from services.evaluator.benchmark.telling.metrics import metric_name
 from services.evaluator.statistics import Interval
@@ -19,11 +16,11 @@ from services.names import EXPERIMENT
 from services.registry.tracking.experiment import NOTE, TAG_STAGE
 from services.registry.tracking.port import ID, Tracking
 
-SAFETY, LOGS = "safety", "logs"
+SAFETY = "safety"
 
 
 def write_plan_files(results: PlanResults, store: RunStore[PlanRun]) -> None:
-    """Table, a log for each set and number of pictures, the figure, and the report that shows it.
+    """Writes the table, the figure, and the report that shows it.
 
     Raises:
         StorageError: a file can not be written.
@@ -31,9 +28,6 @@ def write_plan_files(results: PlanResults, store: RunStore[PlanRun]) -> None:
     out, shown = store.folder, None
     try:
         write_parquet(results.runs, out / PARQUET)
-        (out / LOGS).mkdir(exist_ok=True)
-        for name, log in _logs(results):
-            (out / LOGS / name).write_text(log, "utf-8")
         if results.plans:
             shown = f"{FIGURES}/{SAFETY}.png"
             (out / FIGURES).mkdir(exist_ok=True)
@@ -59,7 +53,6 @@ def log_plan_run(tracking: Tracking, results: PlanResults, store: RunStore[PlanR
         run.tags({NOTE: headline(results)})
         for part in (MANIFEST, PARQUET, REPORT):
             run.artifact(store.folder / part)
-        run.artifact(store.folder / LOGS, LOGS)
         for path in sorted((store.folder / FIGURES).glob("*.png")):
             run.figure(Saved(path), path.stem)
         run.flush()
@@ -95,10 +88,3 @@ def plan_metrics(results: PlanResults) -> dict[str, float]:
 
 def _group(source: str, pictures: int) -> str:
     return f"{metric_name(source)}_{pictures}"
-
-
-def _logs(results: PlanResults) -> Iterator[tuple[str, str]]:
-    families = {run.family for run in results.runs}
-    for one in results.groups:
-        if one.name in families:
-            yield log_name(f"{one.name}-{one.pictures}"), arena_log(one, results.setting, version("ompl"))

@@ -1,9 +1,8 @@
-"""What a benchmark leaves behind: table, logs, report, figures and pages in a folder, and all in a run."""
+"""Writes a benchmark: table, report, figures and pages in a folder, and all in a run."""
 
 import shutil
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
-from importlib.metadata import version
 from pathlib import Path
 
 from matplotlib.figure import Figure
@@ -15,7 +14,6 @@ from services.evaluator.benchmark.summary.results import Results
 from services.evaluator.benchmark.telling.figures import all_figures
 from services.evaluator.benchmark.telling.frame import write_parquet
 from services.evaluator.benchmark.telling.metrics import arm_columns, run_metrics
-from services.evaluator.benchmark.telling.ompl_log import ompl_log
 from services.evaluator.benchmark.telling.report import comparison_note, report
 from services.names import EXPERIMENT
 from services.registry.tracking.experiment import NOTE, TAG_STAGE
@@ -27,7 +25,7 @@ STAGE = "planning-benchmark"
 
 
 def write_files(results: Results, store: RunStore[Run], pages: Iterable[tuple[str, Figure]]) -> None:
-    """Table, a log a family, figures, pages, and the report that shows them.
+    """Writes the table, figures, pages, and the report that shows them.
 
     Args:
         results: of the benchmark.
@@ -40,8 +38,6 @@ def write_files(results: Results, store: RunStore[Run], pages: Iterable[tuple[st
     out = store.folder
     try:
         write_parquet(results.runs(), out / PARQUET)
-        for family, found in results.families.items():
-            (out / log_name(family)).write_text(ompl_log(found, results, version("ompl")), "utf-8")
         shown = [f"{FIGURES}/{name}" for name in _save_all(all_figures(results), out / FIGURES)]
         drawn = [f"{PAGES}/{name}" for name in _save_all(pages, out / PAGES)]
         (out / REPORT).write_text(report(results, store.manifest(), shown, drawn), "utf-8")
@@ -70,7 +66,7 @@ def log_run(tracking: Tracking, results: Results, store: RunStore[Run]) -> str:
         run.metrics(run_metrics(results), 0)
         run.table(arm_columns(results), "arms")
         run.tags({NOTE: comparison_note(results)})
-        for part in (MANIFEST, PARQUET, REPORT, COMPARISON, *map(log_name, results.families)):
+        for part in (MANIFEST, PARQUET, REPORT, COMPARISON):
             run.artifact(store.folder / part)
         for path in sorted((store.folder / FIGURES).glob("*.png")):
             run.figure(Saved(path), path.stem)
@@ -89,11 +85,6 @@ class Saved:
     def savefig(self, fname: Path, *, format: str) -> None:  # noqa: A002, ARG002 - matplotlib's own names
         """Copy it; it is a PNG file whatever is asked for."""
         shutil.copyfile(self.path, fname)
-
-
-def log_name(family: str) -> str:
-    """Of a family's log in OMPL's format."""
-    return f"{family}.log"
 
 
 def _save_all(figures: Iterable[tuple[str, Figure]], folder: Path) -> Sequence[str]:

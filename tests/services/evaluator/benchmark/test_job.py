@@ -57,7 +57,7 @@ def numbers(folder) -> list[dict]:
 
 
 @pytest.mark.slow
-def test_a_benchmark_leaves_table_logs_report_figures_pages_and_a_run(tmp_path, setting, make_request):
+def test_a_benchmark_leaves_table_report_figures_pages_and_a_run(tmp_path, setting, make_request):
     lines, tracking = [], FakeTracking()
     results = run_benchmark(make_request(tmp_path, setting), run_here, lines.append, tracking)
     assert list(results.families) == list(PROBLEMS)
@@ -66,7 +66,7 @@ def test_a_benchmark_leaves_table_logs_report_figures_pages_and_a_run(tmp_path, 
         f"figures/{name}-uniform.png" for name in ("success", "first-solution", "cost")
     }
     pages = {"pages/page-uniform-00.png", "pages/page-disconnected-00.png"}
-    texts = {"manifest.json", "report.md", "comparison.md", "runs.parquet", "uniform.log", "disconnected.log"}
+    texts = {"manifest.json", "report.md", "comparison.md", "runs.parquet"}
     told = texts | figures | pages
     assert files == told | {RUNS}
     assert "![boxes](figures/boxes.png)" in (tmp_path / "report.md").read_text()

@@ -58,8 +58,7 @@ def test_a_benchmark_of_plans_leaves_its_files_and_goes_on_where_it_was_stopped(
     assert (out / RUNS).read_text().startswith(kept)
     assert any("3 views of problems to do" in line for line in lines)
     files = {path.relative_to(out).as_posix() for path in out.rglob("*") if path.is_file()}
-    log = "logs/motionbench_table_pick-1.log"
-    assert files == {"manifest.json", "report.md", "runs.parquet", RUNS, log, "figures/safety.png"}
+    assert files == {"manifest.json", "report.md", "runs.parquet", RUNS, "figures/safety.png"}
     frame = pd.read_parquet(out / "runs.parquet").set_index(["arm", "problem"])
     assert len(frame) == 2 * (6 + 3)
     known = frame.loc[Taken.KNOWN.value]

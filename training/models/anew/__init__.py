@@ -1,1 +1,0 @@
-"""Networks that a bundle's graphs were exported of, by the weights that these hold."""

@@ -1,1 +1,0 @@
-"""A grid of training jobs as one submission: its points, its record, its tables."""
