@@ -38,7 +38,6 @@ class QueryOptions(TypedDict, total=False):
     goal: ArrayLike | None
     min_confidence: float | None
     robot: str | None
-    require_confirmed: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +55,6 @@ class SampleQuery:
             (0 for a bundle without), 0 for all samples as they come.
         robot: whose configurations are wanted, as :func:`cspace.worlds.robot_digest` names it; a model of
             another robot refuses. None takes those of any.
-        require_confirmed: whether a server refuses that cannot confirm what the model's alias stands for.
     """
 
     n: int
@@ -66,7 +64,6 @@ class SampleQuery:
     goal: tuple[float, ...] | None = None
     min_confidence: float | None = None
     robot: str | None = None
-    require_confirmed: bool = False
 
     @classmethod
     def checked(
@@ -78,7 +75,6 @@ class SampleQuery:
         goal: ArrayLike | None = None,
         min_confidence: float | None = None,
         robot: str | None = None,
-        require_confirmed: bool = False,
     ) -> "SampleQuery":
         """The query of values that nobody has judged yet.
 
@@ -97,13 +93,9 @@ class SampleQuery:
             min_confidence = float(min_confidence)
         if robot is not None and not is_digest(robot):
             raise InputError("robot is no digest", expected="64 hexadecimal digits", got=repr(robot)[:200])
-        if not isinstance(require_confirmed, bool):
-            raise InputError(
-                "require_confirmed is wrong", expected="true or false", got=repr(require_confirmed)[:200]
-            )
         ends = _configuration("start", start), _configuration("goal", goal)
         schedule = tuple(float(value) for value in values)
-        return cls(int(n), int(seed), schedule, *ends, min_confidence, robot, require_confirmed)
+        return cls(int(n), int(seed), schedule, *ends, min_confidence, robot)
 
 
 def is_digest(value: object) -> bool:

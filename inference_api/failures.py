@@ -26,10 +26,6 @@ class FieldsError(InputError):
         self.problems = problems
 
 
-class UnconfirmedAliasError(CspaceError):
-    """What an alias stands for is not known for certain, and the request asks for nothing less."""
-
-
 class NoKernelsError(CspaceError):
     """What is asked for needs compiled code that this server has not."""
 

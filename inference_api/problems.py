@@ -20,7 +20,7 @@ from cspace.errors import (
     OtherRobotError,
     RegistryError,
 )
-from inference_api.failures import FieldsError, ModelNotReadyError, NoKernelsError, UnconfirmedAliasError
+from inference_api.failures import FieldsError, ModelNotReadyError, NoKernelsError
 from inference_api.record import note_reason
 
 _LOG = logging.getLogger(__name__)
@@ -73,7 +73,6 @@ NO_PLANNER = ProblemType("no-planner", 501, "This server does not plan")
 OVERLOADED = ProblemType("overloaded", 503, "The server answers too many requests already")
 SHUTTING_DOWN = ProblemType("shutting-down", 503, "The server is shutting down")
 NO_MODEL = ProblemType("no-model", 503, "No model is ready")
-UNCONFIRMED_ALIAS = ProblemType("unconfirmed-alias", 503, "The model registry does not confirm the alias")
 REGISTRY_UNAVAILABLE = ProblemType("registry-unavailable", 503, "The model registry does not answer")
 
 PROBLEMS = tuple(value for value in list(globals().values()) if isinstance(value, ProblemType))
@@ -93,7 +92,6 @@ _BY_ERROR: tuple[tuple[type[CspaceError], ProblemType], ...] = (
     (ModelNotFoundError, UNKNOWN_MODEL),
     (RegistryError, REGISTRY_UNAVAILABLE),
     (ModelNotReadyError, NO_MODEL),
-    (UnconfirmedAliasError, UNCONFIRMED_ALIAS),
 )
 
 

@@ -11,15 +11,12 @@ import numpy as np
 from cspace.bundle.files import LIMITS_BYTES, SPEC_FILE
 from cspace.bundle.parts import Provenance, RandomInput, one_of
 from cspace.errors import BundleIntegrityError, ScenarioError
-from cspace.space import Standardisation, circles
+from cspace.space import Standardisation
 from cspace.strict_json import json_text, parse_json, read_members, read_object, written
 from cspace.world import World
 from cspace.worlds import read_world
 
 SCHEMA_VERSION = 5
-# Without uniform_share and novelty_quantiles, read as 0 and none; robot and camera of a planar world by
-# themselves, read as that; without plan_doubt, read as none; without passing_share, read as none.
-_WITHOUT_SHARE, _WITHOUT_WORLD, _WITHOUT_DOUBT, _WITHOUT_PASSING = (1,), (1, 2), (1, 2, 3), (1, 2, 3, 4)
 KINDS = ("configuration", "path")
 WAYS = "ways"
 MODEL_KINDS = ("generator", "mixture", WAYS)
@@ -185,12 +182,9 @@ class BundleSpec:
             raise BundleIntegrityError(
                 "the bundle's description does not fit", expected=error.expected, got=str(error)[:200]
             ) from error
-        # Written before limits were told of; the robot has them.
-        torus = derived["joint_space"] == circles(spec.dim).to_dict()
-        told = spec.derived | ({"joint_space": derived["joint_space"]} if torus else {})
         for name, value in derived.items():
-            if value != told[name]:
-                expected = json.dumps(told[name])
+            if value != spec.derived[name]:
+                expected = json.dumps(spec.derived[name])
                 raise BundleIntegrityError(
                     f"{SPEC_FILE}: {name} does not fit", expected=expected, got=repr(value)[:200]
                 )
@@ -222,34 +216,18 @@ _KEYS = {item.name for item in fields(BundleSpec)} - set(_LOOKS) | {"schema_vers
 
 
 def _members(values: object) -> dict[str, Any]:
-    """The members of a description of any schema as this one has them, without their version."""
-    version, keys, absent = _version(values), _KEYS, dict[str, Any]()
-    if version in _WITHOUT_WORLD:
-        keys = keys - {"world"} | {"robot", "camera"}
-    if version in _WITHOUT_PASSING:
-        absent |= {"passing_share": None}
-    if version in _WITHOUT_DOUBT:
-        absent |= {"plan_doubt": None}
-    if version in _WITHOUT_SHARE:
-        absent |= {"uniform_share": 0.0, "novelty_quantiles": None}
-    members = read_members(values, keys - set(absent), SPEC_FILE, BundleIntegrityError) | absent
-    del members["schema_version"]
-    if version in _WITHOUT_WORLD:
-        members["world"] = {name: members.pop(name) for name in ("robot", "camera")}
-    return members
-
-
-def _version(values: object) -> int:
+    """The members of a description without the version of its schema."""
     version = values.get("schema_version") if isinstance(values, Mapping) else None
-    known = (*_WITHOUT_PASSING, SCHEMA_VERSION)
-    if version not in known or not isinstance(version, int) or version is True:
+    if version != SCHEMA_VERSION or not isinstance(version, int):
         raise BundleIntegrityError(
             "the bundle's schema is another",
-            expected=f"schema_version {', '.join(map(str, known))}",
+            expected=f"schema_version {SCHEMA_VERSION}",
             got=repr(version)[:200],
             remedy="use the release of cspace-sampler that wrote the bundle, or export it again",
         )
-    return version
+    members = read_members(values, _KEYS, SPEC_FILE, BundleIntegrityError)
+    del members["schema_version"]
+    return members
 
 
 def _is_doubt(values: tuple[float, float] | None) -> bool:

@@ -53,7 +53,7 @@ class Form:
 
 SAMPLE_FORM = Form(get_type_hints(SampleQuery) | _SCENE)
 VALIDITY_FORM = Form(
-    {_CONFIGURATIONS: _CONFIGURATIONS, "robot": str | None, "require_confirmed": bool, **_SCENE},
+    {_CONFIGURATIONS: _CONFIGURATIONS, "robot": str | None, **_SCENE},
     frozenset((_CONFIGURATIONS,)),
     MAX_TENSOR_MARKS,
 )
@@ -69,7 +69,6 @@ PLAN_FORM = Form(
         "next_view": bool,
         "view": _CAMERA,
         "robot": str | None,
-        "require_confirmed": bool,
         **_SCENE,
     }
 )

@@ -33,8 +33,3 @@ class TensorQuestion:
     query: SampleQuery
     binary: bool
     began: float
-
-    @property
-    def require_confirmed(self) -> bool:
-        """See :class:`~inference_api.pages.exchange.Question`."""
-        return self.query.require_confirmed

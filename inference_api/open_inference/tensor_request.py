@@ -15,7 +15,7 @@ MAX_MEMBERS = 1_000
 # Characters of a parameter that is text, as many as bytes of a form's field.
 MAX_TEXT = 64 * 1024
 _ARRAYS = ("epsilon_sigma", "start", "goal")
-_FIELDS = ("n", "seed", "min_confidence", "robot", "require_confirmed", *_ARRAYS)
+_FIELDS = ("n", "seed", "min_confidence", "robot", *_ARRAYS)
 _ALL_BINARY = "binary_data_output"
 
 

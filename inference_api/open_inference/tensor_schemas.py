@@ -42,8 +42,8 @@ class InferenceRequest(BaseModel):
     model_version: str | None = Field(None, description="Not looked at, as `model_name`.")
     parameters: Parameters = Field(
         {},
-        description="`n`, `seed`, `min_confidence`, `robot`, `require_confirmed` and `epsilon_sigma` as in "
-        "`POST /sample`; `start`, `goal` and several `epsilon_sigma` as a JSON array in a string; "
+        description="`n`, `seed`, `min_confidence`, `robot` and `epsilon_sigma` as in `POST /sample`"
+        "; `start`, `goal` and several `epsilon_sigma` as a JSON array in a string; "
         "`binary_data_output`: whether outputs come as bytes.",
     )
     inputs: list[InputTensor] = Field(min_length=1, max_length=16)

@@ -21,7 +21,7 @@ from inference_api.telemetry.observer import Scored
 from inference_api.turns.turns import Turn
 
 CONFIGURATIONS = "configurations"
-_PARAMETERS = ("robot", "require_confirmed")
+_PARAMETERS = ("robot",)
 
 
 def configurations_input(dim: int) -> TensorInput:

@@ -13,7 +13,6 @@ from fastapi import Request
 from fastapi.responses import Response
 
 from inference_api.connections.departure import DEPARTURE
-from inference_api.failures import UnconfirmedAliasError
 from inference_api.guards.rate import client_of
 from inference_api.models.served import ServedModel
 from inference_api.models.store import ModelStore
@@ -28,10 +27,6 @@ class Question(Protocol):
     @property
     def reference(self) -> ModelReference:
         """The model that it names."""
-
-    @property
-    def require_confirmed(self) -> bool:
-        """Whether only a model is wanted that is sure to be that one."""
 
     def answer(self, served: ServedModel, turn: Turn) -> Response:
         """The answer of a model.
@@ -64,25 +59,13 @@ async def respond(
     def first(turn: Turn) -> Response | Question:
         question = ask()
         served = store.resolve_now(question.reference)
-        return question if served is None else _answer(question, served, turn)
+        return question if served is None else question.answer(served, turn)
 
     found = await turns.run(first, client, watch)
     if isinstance(found, Response):
         return found
     served = await room.run(partial(store.resolve, found.reference), client)
-    return await turns.run(partial(_answer, found, served), client, watch)
-
-
-def _answer(question: Question, served: ServedModel, turn: Turn) -> Response:
-    """Nothing is computed by a model that is not sure to be the one that was asked for."""
-    if question.require_confirmed and not served.confirmed:
-        raise UnconfirmedAliasError(
-            f"the model registry does not confirm {question.reference}",
-            expected="an alias that the registry told of lately",
-            got=f"{served.name}/{served.version}, the last that is known",
-            remedy="ask again in some seconds, name the version, or leave require_confirmed out",
-        )
-    return question.answer(served, turn)
+    return await turns.run(partial(found.answer, served), client, watch)
 
 
 def _watch(request: Request, leave: Callable[[], None]) -> Callable[[], None]:

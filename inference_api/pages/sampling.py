@@ -71,11 +71,6 @@ class SampleQuestion:
     npy: bool
     began: float
 
-    @property
-    def require_confirmed(self) -> bool:
-        """See :class:`~inference_api.pages.exchange.Question`."""
-        return self.query.require_confirmed
-
     def answer(self, served: ServedModel, turn: Turn) -> Response:
         """Sample and write.
 

@@ -75,7 +75,6 @@ EXPECTED = {
     "goal": "an array of finite angles in rad",
     "min_confidence": "a finite number from 0 to 1",
     "robot": "64 hexadecimal digits, small letters",
-    "require_confirmed": "true or false",
 }
 
 
@@ -136,10 +135,6 @@ class QueryFields(RequestFields):
         None,
         description="The robot that is planned for, as `model.robot` of an answer has it: a model of another "
         "one refuses with 409. Absent, whichever robot the model is of.",
-    )
-    require_confirmed: bool = Field(
-        default=False,
-        description="Whether 503 is wanted instead of samples where the registry does not confirm the alias.",
     )
 
     def query(self) -> SampleQuery:

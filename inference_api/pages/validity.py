@@ -55,7 +55,6 @@ class ValidityQuestion:
         image: the picture's file.
         configurations: (n, d) rad, not held against the model's robot yet.
         robot: whose they are; None for the model's.
-        require_confirmed: whether only a model is wanted that is sure to be that one.
         npy: whether the client prefers a ``.npy``.
         began: ``time.perf_counter()`` when the request came in, s.
     """
@@ -65,7 +64,6 @@ class ValidityQuestion:
     image: bytes
     configurations: NDArray[np.floating]
     robot: str | None
-    require_confirmed: bool
     npy: bool
     began: float
 
@@ -119,7 +117,6 @@ def read_validity(store: ModelStore, fields: RawFields, *, npy: bool, began: flo
         request.picture(),
         _array_of(request.configurations),
         request.robot,
-        request.require_confirmed,
         npy,
         began,
     )

@@ -20,7 +20,6 @@ VALIDITY_EXPECTED = {
     "configurations": f"1 to {MAX_SAMPLES} arrays of finite angles in rad: JSON, or a .npy file in a form",
     "model": EXPECTED["model"],
     "robot": EXPECTED["robot"],
-    "require_confirmed": EXPECTED["require_confirmed"],
 }
 
 _Row = Annotated[tuple[Angle, ...], Field(min_length=1, max_length=MAX_JOINTS), Strict(strict=False)]
@@ -50,7 +49,6 @@ class ValidityRequest(SceneFields):
     robot: Annotated[str, Field(pattern=f"^{DIGEST_PATTERN}$")] | None = Field(
         None, description="As of `POST /sample`."
     )
-    require_confirmed: bool = Field(default=False, description="As of `POST /sample`.")
 
 
 class ScoreTimingMs(BaseModel):

@@ -37,7 +37,6 @@ class FileQuestion:
 
     asked: FileRequest
     reference: ModelReference
-    require_confirmed: bool = False
 
     def answer(self, served: ServedModel, turn: Turn) -> Response:  # noqa: ARG002 - files are read without a model
         """What the file says, with all that it leaves out, as a scene file in JSON.

@@ -36,7 +36,6 @@ class SearchQuestion:
 
     asked: SearchRequest
     reference: ModelReference
-    require_confirmed: bool = False
 
     def answer(self, served: ServedModel, turn: Turn) -> Response:
         """Search and write.

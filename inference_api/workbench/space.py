@@ -37,13 +37,11 @@ class SpaceQuestion:
         asked: which scene, and what is held against it.
         reference: the model whose arm it is.
         folder: of MotionBenchMaker's problems that do not ship; None without them.
-        require_confirmed: never.
     """
 
     asked: SpaceRequest
     reference: ModelReference
     folder: Path | None = None
-    require_confirmed: bool = False
 
     def answer(self, served: ServedModel, turn: Turn) -> Response:
         """Draw, look and check.

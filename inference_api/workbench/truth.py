@@ -44,7 +44,6 @@ class SceneQuestion:
 
     asked: SceneRequest
     reference: ModelReference
-    require_confirmed: bool = False
 
     def answer(self, served: ServedModel, turn: Turn) -> Response:
         """Draw it.
@@ -81,7 +80,6 @@ class TruthQuestion:
 
     asked: TruthRequest
     reference: ModelReference
-    require_confirmed: bool = False
 
     def answer(self, served: ServedModel, turn: Turn) -> Response:
         """Check and write.

@@ -107,7 +107,7 @@ def test_another_schema_version_is_refused_even_with_right_sums(folder: Path) ->
     values = json.loads((folder / "bundle.json").read_text())
     (folder / "bundle.json").write_text(json.dumps({**values, "schema_version": 6}))
     resign(folder)
-    with pytest.raises(BundleIntegrityError, match="schema_version 1, 2, 3, 4, 5"):
+    with pytest.raises(BundleIntegrityError, match="schema_version 5"):
         Bundle.load(folder)
 
 

@@ -8,8 +8,6 @@ import numpy as np
 import pytest
 
 from cspace.bundle import Bundle, BundleSpec, write_bundle
-from cspace.bundle.files import GOLDEN_FILE, SPEC_FILE, SUMS_FILE, sums_of
-from cspace.bundle.golden import GoldenCase
 from cspace.errors import BundleError, BundleIntegrityError, InputError
 from cspace.space import JointSpace, to_float32
 from cspace.worlds.planar.arm import PlanarArm
@@ -89,48 +87,10 @@ def test_a_joint_space_of_other_limits_than_the_robots_is_refused() -> None:
         BundleSpec.from_dict(values)
 
 
-def as_written_before(folder: Path, robot: PlanarArm, kind: str = "configuration") -> Path:
-    """A bundle of the release that took every arm for a torus, its golden case included."""
-    spec = tiny_spec(robot, kind=kind)
-    unlimited = Bundle.load(write_tiny_bundle(folder.with_name("plain"), kind=kind, validity=True))
-    write_bundle(folder, spec, tiny_graphs(spec, validity=True))
-    told = spec.to_dict() | {"joint_space": {"kind": "torus", "dim": spec.dim, "unit": "rad"}}
-    contents = {
-        path.relative_to(folder).as_posix(): path.read_bytes()
-        for path in folder.rglob("*")
-        if path.is_file() and path.name != SUMS_FILE
-    }
-    contents[SPEC_FILE] = json.dumps(told).encode()
-    contents[GOLDEN_FILE] = (unlimited.folder / GOLDEN_FILE).read_bytes()
-    for name, data in {**contents, SUMS_FILE: sums_of(contents)}.items():
-        (folder / name).write_bytes(data)
-    return folder
-
-
-@pytest.mark.parametrize("kind", ["configuration", "path"])
-@pytest.mark.parametrize("limits", [(-2.0, 2.5), (0.3, 0.8)])
-def test_a_bundle_that_calls_a_limited_arm_a_torus_is_read_and_bounded(
-    tmp_path: Path, kind: str, limits: tuple[float, float]
-) -> None:
-    robot = PlanarArm(joint_limits_rad=(None, limits))
-    folder = as_written_before(tmp_path / "old", robot, kind)
-    golden = GoldenCase.from_npz((folder / GOLDEN_FILE).read_bytes())
-    assert not inside(robot.space, golden.samples)
-    bundle = Bundle.load(folder)
-    middle = [0.0, sum(limits) / 2.0]
-    ends = {} if kind == "configuration" else {"start": middle, "goal": middle}
-    assert inside(robot.space, bundle.sample(picture(), 3000, 1, **ends).samples)
-
-
-def test_what_was_inside_before_is_bit_equal_now(tmp_path: Path) -> None:
-    robot = PlanarArm(joint_limits_rad=(None, (-2.0, 2.5)))
-    bundle = Bundle.load(as_written_before(tmp_path / "old", robot))
-    torus = Bundle.load(tmp_path / "plain").sample(picture(), 3000, 1).samples
-    samples = bundle.sample(picture(), 3000, 1).samples
-    kept = robot.space.contains(torus)
-    np.testing.assert_array_equal(samples[kept], torus[kept])
-    assert 0 < kept.sum() < len(kept)
-    np.testing.assert_array_equal(torus, to_float32(torus))
+def test_a_limited_arm_whose_joint_space_is_called_a_torus_is_refused() -> None:
+    values = tiny_spec(ARMS["mixed"]).to_dict() | {"joint_space": {"kind": "torus", "dim": 2, "unit": "rad"}}
+    with pytest.raises(BundleIntegrityError, match="joint_space"):
+        BundleSpec.from_dict(values)
 
 
 def test_a_sampler_that_forgets_the_limits_is_an_error_not_an_answer(

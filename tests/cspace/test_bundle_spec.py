@@ -109,23 +109,6 @@ CHANGES: list[dict[str, Any]] = [
 ]
 
 
-def test_the_schemas_before_are_read_without_what_they_did_not_have() -> None:
-    values = tiny_spec().to_dict()
-    del values["passing_share"]
-    assert BundleSpec.from_dict({**values, "schema_version": 4}) == tiny_spec()
-    del values["plan_doubt"]
-    assert BundleSpec.from_dict({**values, "schema_version": 3}) == tiny_spec()
-    world = values.pop("world")
-    values |= {"schema_version": 2, "robot": world["robot"], "camera": world["camera"]}
-    assert BundleSpec.from_dict(values) == tiny_spec()
-    with pytest.raises(BundleIntegrityError):
-        BundleSpec.from_dict({**values, "world": world})
-    del values["uniform_share"], values["novelty_quantiles"]
-    assert BundleSpec.from_dict({**values, "schema_version": 1}) == tiny_spec()
-    with pytest.raises(BundleIntegrityError):
-        BundleSpec.from_dict(values)
-
-
 def test_only_models_of_configurations_have_uniform_proposals() -> None:
     spec = dataclasses.replace(tiny_spec(), uniform_share=0.25)
     assert BundleSpec.from_json(spec.to_json()) == spec

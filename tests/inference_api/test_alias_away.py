@@ -1,4 +1,4 @@
-"""An alias whose registry is away: the answer tells so, and a request can insist."""
+"""An alias whose registry is away: the answer tells so."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -9,7 +9,7 @@ import pytest
 from inference_api.app import create_app
 from inference_api.settings import ApiSettings
 from services.names import MODEL_NAME
-from tests.inference_api.answers import IMAGE, PNG, assert_problem
+from tests.inference_api.answers import PNG, assert_problem
 from tests.inference_api.client import ApiClient, running
 from tests.inference_api.conftest import stock
 from tests.inference_api.fake_registry import CountingRegistry
@@ -47,22 +47,15 @@ def test_an_answer_by_an_alias_that_has_moved_while_the_registry_is_away_says_th
     assert (headers["x-model-version"], headers["x-alias-confirmed"]) == ("2", "false")
 
 
-@pytest.mark.parametrize("insists", ["form", "json"])
-def test_a_request_that_insists_is_refused_until_the_registry_is_back(
-    api: ApiClient, registry: CountingRegistry, insists: str
+def test_an_alias_is_confirmed_again_when_the_registry_is_back(
+    api: ApiClient, registry: CountingRegistry
 ) -> None:
-    def insist() -> httpx.Response:
-        if insists == "form":
-            return ask(api, CHALLENGER, require_confirmed="true")
-        return api.post("/sample", json={"image": IMAGE, "model": CHALLENGER, "require_confirmed": True})
-
-    assert insist().json()["model"]["alias_confirmed"] is True
+    ask(api, CHALLENGER)
     registry.set_alias(MODEL_NAME, "challenger", 1)
     registry.away = True
-    problem = assert_problem(insist(), 503, "unconfirmed-alias")
-    assert f"{MODEL_NAME}/2" in problem["got"]
+    assert ask(api, CHALLENGER).json()["model"]["alias_confirmed"] is False
     registry.away = False
-    again = insist().json()["model"]
+    again = ask(api, CHALLENGER).json()["model"]
     assert (again["version"], again["alias_confirmed"]) == (1, True)
 
 
@@ -72,15 +65,14 @@ def test_the_champion_is_unconfirmed_while_the_registry_is_away(
 ) -> None:
     fields = {} if model is None else {"model": model}
 
-    def asked(**more: str) -> httpx.Response:
-        return api.post("/sample", files={"image": PNG}, data={"n": "3", **fields, **more})
+    def asked() -> httpx.Response:
+        return api.post("/sample", files={"image": PNG}, data={"n": "3", **fields})
 
     assert asked().json()["model"]["alias_confirmed"] is True
     registry.away = True
     api.refresh()
     assert asked().json()["model"]["alias_confirmed"] is False
     assert api.get("/health/ready").json()["model"]["alias_confirmed"] is False
-    assert_problem(asked(require_confirmed="true"), 503, "unconfirmed-alias")
 
 
 @pytest.mark.parametrize("model", [f"{MODEL_NAME}/2", "pretrained"])
@@ -90,7 +82,7 @@ def test_a_version_is_what_it_is_wherever_the_registry_is(
     ask(api, model)
     registry.away = True
     api.refresh()
-    assert ask(api, model, require_confirmed="true").json()["model"]["alias_confirmed"] is True
+    assert ask(api, model).json()["model"]["alias_confirmed"] is True
 
 
 def test_a_champion_that_could_not_follow_is_unconfirmed(
@@ -101,12 +93,17 @@ def test_a_champion_that_could_not_follow_is_unconfirmed(
     assert ask(api, MODEL_NAME).json()["model"]["alias_confirmed"] is False
 
 
-def test_the_protocols_parameters_insist_as_well(api: ApiClient, registry: CountingRegistry) -> None:
-    def infer() -> httpx.Response:
-        body = {"inputs": [json_input(IMAGES[:1])], "parameters": {"n": 3, "require_confirmed": True}}
-        return api.post(f"/v2/models/{CHALLENGER}/infer", json=body)
+def test_the_open_inference_protocol_tells_it_as_well(api: ApiClient, registry: CountingRegistry) -> None:
+    def confirmed() -> bool:
+        body = {"inputs": [json_input(IMAGES[:1])], "parameters": {"n": 3}}
+        answer = api.post(f"/v2/models/{CHALLENGER}/infer", json=body)
+        return bool(answer.json()["parameters"]["alias_confirmed"])
 
-    assert infer().json()["parameters"]["alias_confirmed"] is True
+    assert confirmed()
     registry.away = True
-    refused = infer()
-    assert (refused.status_code, "does not confirm" in refused.json()["error"]) == (503, True)
+    assert not confirmed()
+
+
+def test_the_request_field_that_refused_unconfirmed_aliases_is_unknown(api: ApiClient) -> None:
+    problem = assert_problem(ask(api, CHALLENGER, require_confirmed="true"), 422, "invalid-value")
+    assert [error["field"] for error in problem["errors"]] == ["require_confirmed"]

@@ -76,7 +76,7 @@ def test_both_bodies_are_described_with_every_field_and_no_other(
     schema = document["paths"]["/sample"]["post"]["requestBody"]["content"][media_type]["schema"]
     assert set(schema["properties"]) == {
         "image", "camera", "state", "n", "model", "seed", "epsilon_sigma", "start", "goal",
-        "min_confidence", "robot", "require_confirmed",
+        "min_confidence", "robot",
     }  # fmt: skip
     assert schema["required"] == ["image"]
     assert schema["additionalProperties"] is False

@@ -40,7 +40,6 @@ class PlanQuestion:
         image: the picture's file.
         query: start and goal, not held against the model's robot yet, and limits.
         robot: whose they are; None for the model's.
-        require_confirmed: whether only a model is wanted that is sure to be that one.
         began: ``time.perf_counter()`` when the request came in, s.
     """
 
@@ -49,7 +48,6 @@ class PlanQuestion:
     image: bytes
     query: PlanQuery
     robot: str | None
-    require_confirmed: bool
     began: float
 
     def answer(self, served: ServedModel, turn: Turn) -> Response:
@@ -129,8 +127,7 @@ def read_plan(store: ModelStore, fields: RawFields, *, began: float) -> PlanQues
         request.camera,
     )
     reference = ModelReference.parse(named)
-    picture, confirmed = request.picture(), request.require_confirmed
-    return PlanQuestion(store, reference, picture, query, request.robot, confirmed, began)
+    return PlanQuestion(store, reference, request.picture(), query, request.robot, began)
 
 
 def _alternatives(found: Plan) -> list[Alternative]:

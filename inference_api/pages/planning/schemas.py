@@ -21,7 +21,7 @@ PLAN_EXPECTED = {
     "alternatives": "true or false",
     "next_view": "true or false",
     "view": f"at most {MAX_VIEWS} objects of fx, fy, cx, cy, width, height and pose",
-    **{name: EXPECTED[name] for name in ("robot", "require_confirmed")},
+    "robot": EXPECTED["robot"],
 }
 
 
@@ -64,7 +64,6 @@ class PlanRequest(SceneFields):
     robot: Annotated[str, Field(pattern=f"^{DIGEST_PATTERN}$")] | None = Field(
         None, description="As of `POST /sample`."
     )
-    require_confirmed: bool = Field(default=False, description="As of `POST /sample`.")
 
     def drawn_seed(self) -> int:
         """The seed, drawn where it is absent."""

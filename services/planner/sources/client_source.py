@@ -59,7 +59,6 @@ def _judged(query: cspace_client.Wanted) -> SampleQuery:
             query.goal,
             query.min_confidence,
             query.robot,
-            query.require_confirmed,
         )
     except InputError as error:
         raise SamplerError(error.what, expected=error.expected, got=error.got) from error

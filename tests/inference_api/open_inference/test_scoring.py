@@ -64,8 +64,7 @@ def test_parameters_of_samples_do_not_go_with_it(api: ApiClient, parameter: dict
     assert "does not go with the input configurations" in answer.json()["error"]
 
 
-def test_another_robot_and_an_unsure_model_are_refused_as_for_samples(api: ApiClient) -> None:
-    assert ask(api, parameters={"require_confirmed": False}).status_code == 200
+def test_another_robot_is_refused_as_for_samples(api: ApiClient) -> None:
     assert ask(api, parameters={"robot": "0" * 64}).status_code == 409
 
 

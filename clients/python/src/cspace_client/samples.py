@@ -51,10 +51,6 @@ class Wanted(Protocol):
     def robot(self) -> str | None:
         """Whose configurations are wanted."""
 
-    @property
-    def require_confirmed(self) -> bool:
-        """Whether the alias has to be confirmed."""
-
 
 class QueryOptions(TypedDict, total=False):
     """What a call that asks for samples may leave out, as :class:`SampleQuery` has it."""
@@ -64,7 +60,6 @@ class QueryOptions(TypedDict, total=False):
     goal: ArrayLike | None
     min_confidence: float | None
     robot: str | None
-    require_confirmed: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +76,6 @@ class SampleQuery:
         min_confidence: what the validity head has to score, 0 to 1; None for the model's own threshold,
             0 for all samples as they come.
         robot: whose configurations are wanted, the digest that ``GET /models`` tells; None for any.
-        require_confirmed: whether a server refuses that cannot confirm what the model's alias stands for.
     """
 
     n: int
@@ -91,7 +85,6 @@ class SampleQuery:
     goal: tuple[float, ...] | None = None
     min_confidence: float | None = None
     robot: str | None = None
-    require_confirmed: bool = False
 
     @classmethod
     def of(
@@ -103,7 +96,6 @@ class SampleQuery:
         goal: ArrayLike | None = None,
         min_confidence: float | None = None,
         robot: str | None = None,
-        require_confirmed: bool = False,
     ) -> "SampleQuery":
         """The query of numbers and arrays of any kind; without a seed one is drawn.
 
@@ -118,7 +110,6 @@ class SampleQuery:
             None if goal is None else configuration("goal", goal),
             None if min_confidence is None else configuration("min_confidence", [min_confidence])[0],
             robot,
-            bool(require_confirmed),
         )
 
 

@@ -111,12 +111,6 @@ def test_a_server_that_never_knows_the_field_is_not_asked_for_ever():
         client.sample(PNG, 2)
 
 
-def test_who_insists_on_an_alias_says_so():
-    server = Server()
-    batch_of("sync", server, require_confirmed=True)
-    assert server.asked[0]["require_confirmed"] == [b"true"]
-
-
 def test_a_robot_that_is_no_digest_is_refused():
     with pytest.raises(ConfigError, match="digest"):
         SamplingClient("http://test:1", robot="two-link")

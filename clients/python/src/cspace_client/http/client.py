@@ -61,15 +61,15 @@ class HttpClient(ABC, Generic[Transport]):
 
     def _of_samples(self, picture: Picture, query: Wanted, model: str | None) -> SampleQuestion:
         query = self._for_robot(query)
-        given = shown(picture), model, query.robot, query.require_confirmed, self._tells_robot
+        given = shown(picture), model, query.robot, self._tells_robot
         return SampleQuestion(*given, query)
 
     def _of_validity(self, picture: Picture, rows: ArrayLike, model: str | None) -> ValidityQuestion:
-        given = shown(picture), model, self._robot, False, self._tells_robot
+        given = shown(picture), model, self._robot, self._tells_robot
         return ValidityQuestion(*given, rows_of(rows))
 
     def _of_plan(self, picture: Picture, query: PlanWanted, model: str | None) -> PlanQuestion:
-        given = shown(picture), model, self._robot, False, self._tells_robot
+        given = shown(picture), model, self._robot, self._tells_robot
         return PlanQuestion(*given, query)
 
     def _for_robot(self, query: Wanted) -> Wanted:
@@ -84,7 +84,6 @@ class HttpClient(ABC, Generic[Transport]):
             query.goal,
             query.min_confidence,
             self._robot,
-            query.require_confirmed,
         )
 
     def _untold(self, question: Question[Found], found: Failure) -> Question[Found] | None:

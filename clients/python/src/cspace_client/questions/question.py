@@ -38,7 +38,6 @@ class Question(ABC, Generic[Found]):
         shown: the picture, as it is sent.
         model: ``name``, ``name@alias``, ``name/version`` or ``pretrained``; None for the default.
         robot: that is planned for; None for any.
-        require_confirmed: whether only a model is wanted that is sure to be the one that is named.
         tells_robot: whether the robot is sent, which older servers refuse.
     """
 
@@ -48,7 +47,6 @@ class Question(ABC, Generic[Found]):
     shown: Shown
     model: str | None
     robot: str | None
-    require_confirmed: bool
     tells_robot: bool
 
     @property
@@ -57,8 +55,6 @@ class Question(ABC, Generic[Found]):
         fields = {**self.shown.fields, **self.own_fields()}
         if self.robot is not None and self.tells_robot:
             fields["robot"] = self.robot
-        if self.require_confirmed:
-            fields["require_confirmed"] = "true"
         if self.model is not None:
             fields["model"] = self.model
         return fields
