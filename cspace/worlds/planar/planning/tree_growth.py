@@ -49,13 +49,9 @@ def _grow(  # type: ignore[no-untyped-def]
 ):  # fmt: skip
     """One step of a tree towards a configuration: trapped, advanced or reached."""
     dim = target.shape[0]
-    nearest, least = 0, np.inf
-    for node in range(counts[side]):
-        distance = 0.0
-        for joint in range(dim):
-            distance += abs(_gap(nodes[side, node, joint], target[joint], periodic[joint]))
-        if distance < least:
-            nearest, least = node, distance
+    if counts[side] == nodes.shape[1]:
+        return _TRAPPED
+    nearest, least = _nearest(nodes[side], counts[side], target, periodic)
     share = min(1.0, reach / least) if least > 0.0 else 1.0
     new = np.empty(dim)
     for joint in range(dim):
@@ -82,6 +78,19 @@ def _grow(  # type: ignore[no-untyped-def]
     parents[side, counts[side]] = nearest
     counts[side] += 1
     return _REACHED if share == 1.0 else _ADVANCED
+
+
+@njit(cache=True, nogil=True)
+def _nearest(nodes, count, target, periodic):  # type: ignore[no-untyped-def]
+    """The node that is nearest by the sum over the joints, and how far it is."""
+    nearest, least = 0, np.inf
+    for node in range(count):
+        distance = 0.0
+        for joint in range(target.shape[0]):
+            distance += abs(_gap(nodes[node, joint], target[joint], periodic[joint]))
+        if distance < least:
+            nearest, least = node, distance
+    return nearest, least
 
 
 @njit(cache=True, nogil=True)
