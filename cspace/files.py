@@ -16,6 +16,29 @@ from cspace.errors import CspaceError, StorageError
 HALF_PREFIX, HALF_SUFFIX = ".write-", ".tmp"
 
 
+def read_bounded(path: Path, most_bytes: int, error: type[CspaceError]) -> bytes:
+    """What a file, a pipe or a device holds, where it is not too much.
+
+    Args:
+        path: of what somebody else may have written.
+        most_bytes: that are read.
+        error: what is raised.
+
+    Raises:
+        CspaceError: ``error``; it cannot be read, or holds more.
+    """
+    try:
+        with path.open("rb") as file:
+            data = file.read(most_bytes + 1)
+    except (OSError, ValueError) as problem:
+        # A name with a zero byte is no value that a system takes.
+        got = getattr(problem, "strerror", None) or str(problem)
+        raise error(f"{path} cannot be read", expected="a file", got=got) from problem
+    if len(data) > most_bytes:
+        raise error(f"{path} is too large", expected=f"at most {most_bytes} bytes", got="more")
+    return data
+
+
 @contextmanager
 def replacing(path: Path, what: str | None = None) -> Iterator[Path]:
     """A path beside another, for a file or a folder that takes its place when the block ends well.

@@ -3,29 +3,27 @@
 Errors name the file's line. :func:`schema` is a JSON Schema, for editors and for other programs.
 """
 
-from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
-import yaml
 from jsonschema import Draft202012Validator
 from jsonschema.exceptions import ValidationError, best_match
 from numpy.typing import NDArray
 
-from cspace.errors import InputError, ScenarioError
+from cspace.errors import ScenarioError
 from cspace.problem import Problem
 from cspace.world import Scene, World
 from cspace.worlds import FIRST, KINDS
+from cspace.yaml_file import YamlDocument, read_yaml, read_yaml_file
 
-MAX_BYTES, MAX_DEPTH = 2**20, 16
 # Letters of a wrong value in an error.
 MAX_SHOWN = 200
 _NAME = {"type": "string", "pattern": "^[a-z0-9]([a-z0-9-]{0,38}[a-z0-9])?$"}
 _WORDS = {"exclusiveMinimum": "above", "minimum": "at least", "maximum": "at most", "required": "the keys"}
-_Lines = dict[tuple[Hashable, ...], int]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,11 +81,7 @@ def read_scene_file(path: Path) -> SceneFile:
     Raises:
         ScenarioError: it cannot be read, is no YAML, or a value does not fit; the line is named.
     """
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise ScenarioError(f"{path} cannot be read", got=str(error)) from error
-    return read_scene_text(data, path)
+    return _read(path, read_yaml_file(path, ScenarioError))
 
 
 def read_scene_text(data: bytes, path: Path, kinds: Sequence[str] = tuple(KINDS)) -> SceneFile:
@@ -101,16 +95,22 @@ def read_scene_text(data: bytes, path: Path, kinds: Sequence[str] = tuple(KINDS)
     Raises:
         ScenarioError: as :func:`read_scene_file`.
     """
-    values, lines = _parse(path, data)
+    return _read(path, read_yaml(data, str(path), ScenarioError), kinds)
+
+
+def _read(path: Path, document: YamlDocument, kinds: Sequence[str] = tuple(KINDS)) -> SceneFile:
+    values = document.values
     kind = values.get("world", FIRST) if isinstance(values, Mapping) else FIRST
     if kind not in kinds:
-        raise _at(path, lines, ("world",), "the world is unknown", " or ".join(kinds), repr(kind)[:MAX_SHOWN])
+        raise _at(
+            path, document, ("world",), "the world is unknown", " or ".join(kinds), repr(kind)[:MAX_SHOWN]
+        )
     errors = list(Draft202012Validator(schema(kind)).iter_errors(values))
     if errors:
-        raise _unfit(path, lines, next(filter(_unknown, errors), None) or best_match(errors))
-    world = _told(path, lines, "robot", lambda: cast("World", _part(kind).read_world(values)))
+        raise _unfit(path, document, next(filter(_unknown, errors), None) or best_match(errors))
+    world = _told(path, document, "robot", lambda: cast("World", _part(kind).read_world(values)))
     scene = _part(kind).read_scene(world, values) if "obstacles" in values else None
-    ends = [_end(path, lines, world, values, name) for name in ("start", "goal")]
+    ends = [_end(path, document, world, values, name) for name in ("start", "goal")]
     return SceneFile(path, values.get("name"), world, scene, *ends)
 
 
@@ -129,58 +129,19 @@ def given_scenes(world: World, files: Sequence[SceneFile]) -> Any:
 
 
 def _end(
-    path: Path, lines: _Lines, world: World, values: Mapping[str, Any], name: str
+    path: Path, document: YamlDocument, world: World, values: Mapping[str, Any], name: str
 ) -> NDArray[np.float64] | None:
     if name not in values:
         return None
     angles, space = np.array(values[name], dtype=np.float64), world.space
     if angles.shape != (world.dim,):
-        raise _at(path, lines, (name,), f"{name} does not fit", f"{world.dim} angles", f"{angles.size}")
+        raise _at(path, document, (name,), f"{name} does not fit", f"{world.dim} angles", f"{angles.size}")
     if not space.contains(angles):
         limits = f"joints from {space.lower} to {space.upper} rad"
-        raise _at(path, lines, (name,), f"{name} lies outside the robot's limits", limits, str(values[name]))
+        raise _at(
+            path, document, (name,), f"{name} lies outside the robot's limits", limits, str(values[name])
+        )
     return angles
-
-
-def _parse(path: Path, data: bytes) -> tuple[Any, _Lines]:
-    try:
-        if len(data) > MAX_BYTES:
-            raise ScenarioError(f"{path} is too large", expected=f"{MAX_BYTES} bytes", got=str(len(data)))
-        loader = yaml.SafeLoader(data.decode("utf-8"))
-        node = loader.get_single_node()
-        lines = {} if node is None else dict(_lines(node, ()))
-        return (None if node is None else loader.construct_document(node)), lines
-    except ValueError as error:
-        if isinstance(error, InputError):
-            raise
-        raise ScenarioError(f"{path} cannot be read", got=str(error)) from error
-    except yaml.YAMLError as error:
-        mark = getattr(error, "problem_mark", None)
-        line = "" if mark is None else f":{mark.line + 1}"
-        got = getattr(error, "problem", None) or str(error)
-        raise ScenarioError(f"{path}{line} is no YAML", expected="YAML or JSON", got=got) from error
-
-
-def _lines(node: yaml.Node, place: tuple[Hashable, ...]) -> Iterator[tuple[tuple[Hashable, ...], int]]:
-    """The line of every part of a document, from 1; a key's own where there is one."""
-    yield place, node.start_mark.line + 1
-    if len(place) > MAX_DEPTH:
-        raise yaml.constructor.ConstructorError(None, None, "it is nested too deep", node.start_mark)
-    if isinstance(node, yaml.MappingNode):
-        seen = set()
-        for key, value in node.value:
-            if not isinstance(key, yaml.ScalarNode):
-                raise yaml.constructor.ConstructorError(None, None, "a key is no text", key.start_mark)
-            if key.value in seen:
-                raise yaml.constructor.ConstructorError(
-                    None, None, f"the key {key.value} stands twice", key.start_mark
-                )
-            seen.add(key.value)
-            yield from _lines(value, (*place, key.value))
-            yield (*place, key.value), key.start_mark.line + 1
-    elif isinstance(node, yaml.SequenceNode):
-        for index, value in enumerate(node.value):
-            yield from _lines(value, (*place, index))
 
 
 def _unknown(error: ValidationError) -> list[str]:
@@ -195,31 +156,34 @@ def _schema(error: ValidationError) -> dict[str, Any]:
     return cast("dict[str, Any]", error.schema)
 
 
-def _unfit(path: Path, lines: _Lines, error: ValidationError) -> ScenarioError:
+def _unfit(path: Path, document: YamlDocument, error: ValidationError) -> ScenarioError:
     place, unknown = tuple(error.absolute_path), _unknown(error)
     name = ": ".join(map(str, place)) or "the file"
     if unknown:
         known = f"one of {', '.join(sorted(_schema(error)['properties']))}"
-        return _at(path, lines, (*place, unknown[0]), f"{name} has an unknown key", known, unknown[0])
+        return _at(path, document, (*place, unknown[0]), f"{name} has an unknown key", known, unknown[0])
     words = _WORDS.get(str(error.validator), str(error.validator))
     expected = _schema(error).get("description") or f"{words} {error.validator_value}"
     got = error.message if len(error.message) <= MAX_SHOWN else f"{error.message[:MAX_SHOWN]} ..."
-    return _at(path, lines, place, f"{name} does not fit", expected, got)
+    return _at(path, document, place, f"{name} does not fit", expected, got)
 
 
-def _told(path: Path, lines: _Lines, part: str, read: Callable[[], World]) -> World:
+def _told(path: Path, document: YamlDocument, part: str, read: Callable[[], World]) -> World:
     try:
         return read()
     except ScenarioError as error:
-        raise _at(path, lines, (part,), error.what, error.expected, error.got) from error
+        raise _at(path, document, (part,), error.what, error.expected, error.got) from error
 
 
 def _at(
-    path: Path, lines: _Lines, place: tuple[Hashable, ...], what: str, expected: str | None, got: str | None
+    path: Path,
+    document: YamlDocument,
+    place: tuple[Hashable, ...],
+    what: str,
+    expected: str | None,
+    got: str | None,
 ) -> ScenarioError:
-    while place not in lines and place:
-        place = place[:-1]
-    return ScenarioError(f"{path}:{lines.get(place, 1)}: {what}", expected=expected, got=got)
+    return ScenarioError(f"{path}:{document.line(place)}: {what}", expected=expected, got=got)
 
 
 def _part(kind: str) -> Any:

@@ -7,7 +7,7 @@ from typing import Annotated, Any, ClassVar
 from fastapi.responses import JSONResponse, Response
 from pydantic import Field
 
-from cspace.errors import InputError, ScenarioError
+from cspace.errors import InputError
 from inference_api.models.served import ServedModel
 from inference_api.pages.schemas import RequestFields
 from inference_api.turns.turns import LONG_ROWS, Turn
@@ -15,7 +15,7 @@ from inference_api.workbench.truth import telling
 from inference_api.workbench.truth_schemas import MODEL_EXPECTED
 from services.registry.references import ModelReference
 
-MAX_LETTERS, MAX_DEPTH = 2**15, 8
+MAX_LETTERS = 2**15
 # What errors call it, before the line.
 _NAME = Path("the file")
 
@@ -54,7 +54,6 @@ def _told(text: str) -> dict[str, Any]:
     # Brings packages that a server without the truth does not have.
     from services.scene_files import read_scene_text  # noqa: PLC0415
 
-    _bound(text)
     # Arms in space are named, and looked for among files.
     found = read_scene_text(text.encode(errors="surrogatepass"), _NAME, ("planar",))
     if found.scene is None:
@@ -65,24 +64,3 @@ def _told(text: str) -> dict[str, Any]:
     return {"robot": values["robot"], "obstacles": discs} | {
         name: end.tolist() for name, end in ends.items() if end is not None
     }
-
-
-def _bound(text: str) -> None:
-    """Refuse what takes a reader longer than its length says: deep nesting, parts that stand for others."""
-    import yaml  # noqa: PLC0415 - as above
-
-    depth = 0
-    opening: tuple[type[yaml.Token], ...] = (yaml.BlockMappingStartToken, yaml.BlockSequenceStartToken)
-    opening += (yaml.FlowMappingStartToken, yaml.FlowSequenceStartToken)
-    closing = (yaml.BlockEndToken, yaml.FlowMappingEndToken, yaml.FlowSequenceEndToken)
-    try:
-        for token in yaml.scan(text, Loader=yaml.SafeLoader):
-            depth += isinstance(token, opening) - isinstance(token, closing)
-            if isinstance(token, yaml.AliasToken) or depth > MAX_DEPTH:
-                raise ScenarioError(
-                    f"{_NAME}:{token.start_mark.line + 1}: it is nested too deep, or refers to itself",
-                    expected=f"at most {MAX_DEPTH} levels, and no aliases",
-                )
-    except yaml.YAMLError:
-        # Reading it stops at the same place, and tells.
-        return

@@ -86,7 +86,7 @@ def test_the_schema_is_one_and_takes_what_is_read():
         ("goal: [-1.8, -0.5]", "goal: [-1.8, -2.6]", 12, "goal lies outside"),
         ("goal: [-1.8, -0.5]", "goal: [-1.8]", 12, "2 angles"),
         ("goal: [-1.8, -0.5]", "goal: [-1.8, -0.5", 13, "no YAML"),
-        ("goal: [-1.8, -0.5]", "goal: [-1.8, .nan]", 12, "goal"),
+        ("goal: [-1.8, -0.5]", "goal: [-1.8, .nan]", 12, "a finite number"),
         ("robot:\n", "robot:\n  self_collision: 1\n", 3, "self_collision.*true or false"),
         (
             WHOLE[WHOLE.index("  link") : WHOLE.index("camera")],
@@ -110,6 +110,17 @@ def test_what_does_not_fit_is_told_with_its_line(write, old, new, line, words):
 def test_what_is_no_scene_file_is_refused(write, text):
     with pytest.raises(ScenarioError):
         read_scene_file(write(text))
+
+
+def test_the_command_refuses_a_file_of_aliases_before_it_fills_the_memory(write, capsys):
+    levels = ["a0: &a0 [1, 1]", *(f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 10)}]" for n in range(1, 9))]
+    assert main(["plan", str(write("\n".join(levels))), "--api", "http://127.0.0.1:1"]) == 2
+    assert "scene.yaml:6: it holds too many values" in capsys.readouterr().err
+
+
+def test_a_file_without_end_is_refused():
+    with pytest.raises(ScenarioError, match="too large"):
+        read_scene_file(Path("/dev/zero"))
 
 
 def test_a_missing_file_is_named(tmp_path):

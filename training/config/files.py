@@ -4,10 +4,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
-import yaml
 from pydantic import ValidationError
 
 from cspace.errors import ConfigError
+from cspace.yaml_file import read_yaml, read_yaml_file
 from training.section import Section
 
 Whole = TypeVar("Whole", bound=Section)
@@ -67,7 +67,7 @@ def _read(folder: Path, preset: str) -> dict[str, Any]:
         raise ConfigError(
             "the preset is unknown", expected=", ".join(named_presets(folder)), got=repr(preset)
         )
-    values: dict[str, Any] = yaml.safe_load(path.read_text(encoding="utf-8")) or {}
+    values: dict[str, Any] = read_yaml_file(path, ConfigError).values or {}
     base = values.pop("base", None)
     return values if base is None else _merged(_read(folder, base), values)
 
@@ -88,9 +88,4 @@ def _set(values: dict[str, Any], override: str) -> None:
             raise ConfigError(
                 f"{key!r} is no section", expected="a section's name before the dot", got=parent
             )
-    try:
-        values[last] = yaml.safe_load(text)
-    except yaml.YAMLError as error:
-        raise ConfigError(
-            f"the value of {key!r} is not YAML", expected="a scalar or a list", got=text
-        ) from error
+    values[last] = read_yaml(text, f"the value of {key!r}", ConfigError).values

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 
 from cspace.errors import CspaceError, DamagedFileError, DatasetError, ScenarioError
@@ -18,6 +17,7 @@ from cspace.splits import Split
 from cspace.worlds.spatial.motionbench.problems import NUMBERS, BenchProblem, expected_names
 from cspace.worlds.spatial.obstacles.shapes import Box, Cylinder, Obstacles
 from cspace.worlds.spatial.poses import Pose, make_pose, pose_of
+from cspace.yaml_file import read_yaml
 
 PACKAGE, VERSION = "vamp-planner", "0.6.4"
 # Of the archive that the problems were first taken from.
@@ -27,8 +27,6 @@ _NAME = re.compile(r"problems/(\w+)_panda/(scene|request)(\d{4})\.yaml")
 _JOINTS = tuple(f"panda_joint{number}" for number in range(1, 8))
 # Of places, m, angles, rad, and what turns are made of.
 _DIGITS = 6
-# The parser that is a hundred times faster, where PyYAML was built with it.
-_LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 
 def read_archive(archive: Path, sha256: str) -> dict[Split, tuple[BenchProblem, ...]]:
@@ -55,7 +53,7 @@ def read_archive(archive: Path, sha256: str) -> dict[Split, tuple[BenchProblem, 
     try:
         texts = dict(_texts(data))
         read = [_problem(texts, family, number) for family, kind, number in texts if kind == "scene"]
-    except (tarfile.TarError, yaml.YAMLError, zlib.error, OSError, EOFError) as error:
+    except (tarfile.TarError, zlib.error, OSError, EOFError) as error:
         raise _bad(f"{type(error).__name__}: {error}") from error
     result = {}
     for split, numbers in NUMBERS.items():
@@ -83,8 +81,10 @@ def _texts(data: bytes) -> Iterator[tuple[tuple[str, str, int], bytes]]:
 
 def _problem(texts: Mapping[tuple[str, str, int], bytes], family: str, number: int) -> BenchProblem:
     try:
-        scene = yaml.load(texts[family, "scene", number], Loader=_LOADER)  # noqa: S506 # a safe one
-        request = yaml.load(texts[family, "request", number], Loader=_LOADER)  # noqa: S506 # a safe one
+        scene, request = (
+            read_yaml(texts[family, kind, number], f"{kind}{number:04d}.yaml", DatasetError).values
+            for kind in ("scene", "request")
+        )
         state = request["start_state"]["joint_state"]
         start = dict(zip(state["name"], state["position"], strict=True))
         wanted = request["goal_constraints"][0]["joint_constraints"]
