@@ -14,6 +14,8 @@ from cspace.errors import CspaceError, StorageError
 
 # How the names of half-written things begin and end, for those who clear up after killed processes.
 HALF_PREFIX, HALF_SUFFIX = ".write-", ".tmp"
+# What Git and Ray read to leave files out.
+IGNORE_FILE, IGNORE_ALL = ".gitignore", "*\n"
 
 
 def read_bounded(path: Path, most_bytes: int, error: type[CspaceError]) -> bytes:
@@ -104,6 +106,28 @@ def holding(path: Path, busy: CspaceError, wait_s: float = 0.0, look_every_s: fl
                     raise busy from None
                 time.sleep(look_every_s)
         yield
+
+
+def make_output_folder(folder: Path) -> None:
+    """Make a folder for output that ignores itself, with its parents.
+
+    A folder that holds something already is left as it is: it may be the user's own.
+
+    Raises:
+        OSError: it cannot be made or written.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    if not any(folder.iterdir()):
+        ignore(folder)
+
+
+def ignore(folder: Path) -> None:
+    """Write a ``.gitignore`` into a folder so that Git and ``ray job submit --working-dir`` leave it out.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    (folder / IGNORE_FILE).write_text(IGNORE_ALL, encoding="utf-8")
 
 
 def discard(path: Path) -> None:

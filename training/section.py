@@ -1,8 +1,19 @@
 """What every part of a configuration is."""
 
+from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+
+
+def _absolute(path: Path) -> Path:
+    if not path.is_absolute():
+        raise ValueError("the path has to be absolute, for jobs run in another folder than you submit from")
+    return path
+
+
+# On storage that all nodes share.
+AbsolutePath = Annotated[Path, AfterValidator(_absolute)]
 
 # Absent from what is recorded where it is not given.
 RobotName = Annotated[

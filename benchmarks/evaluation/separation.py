@@ -29,6 +29,7 @@ import numpy as np
 
 from benchmarks.command import arguments
 from benchmarks.machine import machine
+from cspace.files import make_output_folder
 from cspace.splits import Split
 from cspace.worlds.planar.arm import TWO_LINK
 from cspace.worlds.planar.planning.collision import CollisionChecker
@@ -193,7 +194,7 @@ def table(summaries: list[dict]) -> str:
 def write(out: Path, setting: dict, rows: list[dict]) -> None:
     summaries = summary(rows)
     content = {"machine": machine(), "setting": setting, "summary": summaries, "rows": rows}
-    out.mkdir(parents=True, exist_ok=True)
+    make_output_folder(out)
     (out / "separation.json").write_text(json.dumps(content, indent=1))
     (out / "separation.md").write_text(table(summaries))
 

@@ -21,6 +21,7 @@ from benchmarks.paper.jobs import Study, train_columns
 from benchmarks.paper.measures import Effort
 from benchmarks.paper.report import judge_columns
 from cspace.errors import CspaceError, InputError
+from cspace.files import make_output_folder
 from services.command_errors import tell_error
 
 
@@ -48,6 +49,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     os.environ.update({"MLFLOW_DISABLE_TELEMETRY": "true", "ORT_DISABLE_TELEMETRY": "1"})
     logging.basicConfig(level=logging.WARNING, format="%(message)s")
     scale = Scale(options.share, options.hidden, options.snapshots, changes=tuple(options.changes))
+    make_output_folder(options.out)
     study = Study(options.out.resolve(), scale, options.at_once)
     columns = [*COLUMNS, *(control for control in CONTROLS if control.name in options.controls)]
     # Ends the jobs that run, too; they go on with the next call.

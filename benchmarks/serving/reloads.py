@@ -21,6 +21,7 @@ from benchmarks.command import arguments
 from benchmarks.machine import machine
 from benchmarks.serving.served import BUNDLE, Asker, new_pictures, served
 from cspace.bundle import Bundle, Provenance, write_bundle
+from cspace.files import make_output_folder
 from services.names import ALIAS_CHAMPION, EXPERIMENT, MODEL_NAME
 from services.registry.models.mlflow_registry import MlflowRegistry
 from services.registry.tracking.mlflow_tracking import MlflowTracking
@@ -81,7 +82,7 @@ def main() -> int:
     parser.add_argument("--clients", type=int, default=2)
     options = parser.parse_args()
     options.out = options.out.resolve()
-    options.out.mkdir(parents=True, exist_ok=True)
+    make_output_folder(options.out)
     folder = Path(tempfile.mkdtemp(dir=options.out.resolve()))
     # MLflow puts the artifacts of a store without a server below the working folder.
     os.chdir(folder)

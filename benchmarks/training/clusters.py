@@ -22,6 +22,7 @@ from safetensors.torch import load_file, save_file
 from benchmarks.command import arguments
 from benchmarks.lines import append, read
 from benchmarks.training.clusters_report import write_report
+from cspace.files import make_output_folder
 from training.clusters.clustering import cluster, group, points_in_cells
 from training.clusters.stages import uniform_free
 from training.config.clusters import TrainConfig, load_config
@@ -254,7 +255,7 @@ def main() -> int:
     parser.add_argument("--workers", type=int, default=1, help="trainings at a time, one thread each")
     parser.add_argument("--table", action="store_true", help="only write the report of what is there")
     options = parser.parse_args()
-    options.out.mkdir(parents=True, exist_ok=True)
+    make_output_folder(options.out)
     results = options.out / "results.jsonl"
     known = {row["key"] for row in read(results)}
     if not options.table:

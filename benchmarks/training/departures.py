@@ -19,6 +19,7 @@ from benchmarks.command import arguments
 from benchmarks.lines import append, read
 from benchmarks.machine import machine
 from benchmarks.training.clusters import BARE, WIDTH, Trainer, trained_wgan
+from cspace.files import make_output_folder
 from services.evaluator.evaluation.tables import markdown
 from services.evaluator.statistics import difference_interval, mean_interval, ratio_of_sums_interval
 from training.config.clusters import load_config
@@ -94,7 +95,7 @@ def main() -> int:
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--workers", type=int, default=1, help="trainings at a time, one thread each")
     options = parser.parse_args()
-    options.out.mkdir(parents=True, exist_ok=True)
+    make_output_folder(options.out)
     results = options.out / "departures.jsonl"
     torch.set_num_threads(1)
     known = {(row["name"], row["seed"], row["steps"]) for row in read(results)}

@@ -24,6 +24,7 @@ from benchmarks.command import arguments
 from benchmarks.lines import spread
 from benchmarks.training.clusters import Trainer
 from benchmarks.training.forgetful import ForgetfulRun, report_nothing
+from cspace.files import make_output_folder
 from training.clusters.stages import partition
 from training.config.clusters import load_config
 from training.models.checkpoint import seeded_initialisation
@@ -163,7 +164,7 @@ def main() -> int:
     parser.add_argument("--steps", type=int, default=40, help="of each timed loop")
     options = parser.parse_args()
     torch.set_num_threads(1)
-    options.out.mkdir(parents=True, exist_ok=True)
+    make_output_folder(options.out)
     trainer = Trainer(2, options.out)
     rates = {"ours": [], "plain": []}
     for turn in range(options.repeats):

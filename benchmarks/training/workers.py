@@ -20,6 +20,7 @@ from benchmarks.command import arguments
 from benchmarks.lines import spread
 from benchmarks.machine import ROOT
 from cspace.bundle import Bundle
+from cspace.files import make_output_folder
 from cspace.splits import Split
 from services.evaluator.evaluation.tables import markdown
 from services.evaluator.measures.scenes import Stage, measure_reconstruction
@@ -98,7 +99,7 @@ def main() -> int:
     parser.add_argument("--steps", type=int, default=400, help="a budget of 1, in generator steps")
     options = parser.parse_args()
     out = options.out.resolve()
-    out.mkdir(parents=True, exist_ok=True)
+    make_output_folder(out)
     first = run(out, "encoder", ("local.steps=2", "gate.steps=2"))
     (encoder,) = (out / "data" / "jobs" / str(first["run_id"])).glob("*/vae/step-*")
     rows: dict[str, list[list[float]]] = {}

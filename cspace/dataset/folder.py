@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from cspace.dataset.checks import TOLD, check_arrays
 from cspace.dataset.manifest import MANIFEST_FILE, Manifest, file_digest
 from cspace.errors import DamagedFileError, DatasetError, StorageError
-from cspace.files import replacing
+from cspace.files import make_output_folder, replacing
 from cspace.space import JointSpace
 from cspace.world import World
 
@@ -228,7 +228,7 @@ def _write(folder: Path, arrays: Arrays, manifest: Manifest) -> None:
         raise StorageError("the data set's folder exists", expected="a new folder", got=str(folder))
     require_room(folder, sum(array.nbytes for array in arrays.values()))
     with replacing(folder, f"the data set {folder}") as beside:
-        beside.mkdir(parents=True)
+        make_output_folder(beside)
         files = {}
         for name, array in arrays.items():
             np.save(beside / f"{name}.npy", array, allow_pickle=False)

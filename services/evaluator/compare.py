@@ -15,7 +15,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 
 from cspace.errors import ConfigError, StorageError
-from cspace.files import replacing
+from cspace.files import make_output_folder, replacing
 from services.evaluator.evaluation.measured import MEASURES as QUALITY
 from services.evaluator.evaluation.measured import RECONSTRUCTION, TEST, VALIDATION, Measured
 from services.evaluator.evaluation.shown import MEASURES
@@ -115,7 +115,7 @@ def write_comparison(compared: Sequence[Compared], folder: Path, *, everything: 
     table = compare_table(compared, everything=everything)
     texts = {"txt": aligned(table), "md": markdown(table), "csv": compare_csv(compared).rstrip("\n")}
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        make_output_folder(folder)
     except OSError as error:
         raise StorageError(f"the folder {folder} can not be made", got=str(error)) from error
     for ending, text in texts.items():

@@ -60,6 +60,7 @@ def shell_lines(settings: Settings) -> list[str]:
     values = {
         "RAY_AUTH_MODE": "token",
         "RAY_ADDRESS": settings.ray_url,
+        "RAY_JOB_SUBMIT_HOOK": "services.local.upload.check_upload",
         API_URL: settings.api_url,
         "MLFLOW_TRACKING_URI": settings.mlflow_url,
         "MLFLOW_DISABLE_TELEMETRY": "true",

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from cspace.errors import ConfigError
-from cspace.files import write_json
+from cspace.files import ignore, write_json
 
 MARKER = ".cspace-sampler.json"
 
@@ -13,8 +13,8 @@ MARKER = ".cspace-sampler.json"
 def claim(home: Path, parts: Sequence[str]) -> None:
     """Mark a folder as this project's, with the names of what it keeps there.
 
-    A new or empty folder is marked; so is what an earlier release made, which holds a registry and nothing
-    but this project's parts.
+    A new or empty folder is marked and ignores itself. So is marked what an earlier release made, which holds
+    a registry and nothing but this project's parts.
 
     Raises:
         ConfigError: it holds something else.
@@ -31,6 +31,8 @@ def claim(home: Path, parts: Sequence[str]) -> None:
                 remedy="set CSPACE_HOME to a folder of its own",
             )
         write_json(home / MARKER, {"made_by": "cspace-sampler", "parts": list(parts)})
+        if not found:
+            ignore(home)
 
 
 def marked(home: Path) -> bool:

@@ -4,6 +4,7 @@ import shutil
 from pathlib import Path
 
 from cspace.errors import StorageError
+from cspace.files import IGNORE_ALL, IGNORE_FILE
 from services.local.marker import MARKER, owned
 from services.local.servers.ray_head import temp_folder
 from services.local.settings import FOLDERS, Settings
@@ -51,6 +52,9 @@ def drop_state(settings: Settings) -> None:
     try:
         for part in parts:
             shutil.rmtree(part)
+        ignored = settings.home / IGNORE_FILE
+        if ignored.is_file() and ignored.read_text(encoding="utf-8", errors="replace") == IGNORE_ALL:
+            ignored.unlink()
         # Last, so that what was interrupted can be repeated.
         (settings.home / MARKER).unlink(missing_ok=True)
         if settings.home.is_dir() and not any(settings.home.iterdir()):

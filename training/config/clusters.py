@@ -18,7 +18,7 @@ from training.config.files import load_values, named_presets, validated
 from training.config.job import JobConfig
 from training.datasets.config import DatasetConfig
 from training.models.settings import GanConfig, GateConfig, GlobalConfig, VaeConfig, ValidityConfig
-from training.section import Section
+from training.section import AbsolutePath, Section
 
 # In a job's folder: centres of its cells, and the cluster of each.
 CLUSTERS_FILE = "clusters.npz"
@@ -28,8 +28,8 @@ PRESET_FOLDER = Path(__file__).parents[1] / "presets"
 class EncoderConfig(VaeConfig):
     """The picture's variational auto-encoder: trained, or taken from an earlier job."""
 
-    checkpoint: Path | None = Field(
-        None, description="a VAE trial's checkpoint whose encoder is taken; none is trained"
+    checkpoint: AbsolutePath | None = Field(
+        None, description="absolute: a VAE trial's checkpoint whose encoder is taken; none is trained"
     )
 
 

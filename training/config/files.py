@@ -49,7 +49,7 @@ def validated(kind: type[Whole], values: dict[str, Any], command: str) -> Whole:
         where = ".".join(str(part) for part in first["loc"]) or repr(values.get("preset"))
         raise ConfigError(
             f"the configuration key {where} does not fit",
-            expected=first["msg"],
+            expected=first["msg"].removeprefix("Value error, "),
             got=repr(first["input"]),
             remedy=f"{command} --help lists presets, --print-config the keys",
         ) from error

@@ -1,6 +1,5 @@
 """What the configurations of all jobs have."""
 
-from pathlib import Path
 from typing import ClassVar
 
 from pydantic import Field
@@ -9,7 +8,7 @@ from cspace.dataset.manifest import Manifest
 from cspace.world import World
 from services.registry.tracking.parameters import flatten
 from training.datasets.config import GeneratedConfig
-from training.section import RobotName, Section
+from training.section import AbsolutePath, RobotName, Section
 
 # Settings that tell which networks there are and what their weights fit, in whatever section they stand.
 _SHAPING = {
@@ -28,7 +27,9 @@ class JobConfig(Section):
     preset: str
     seed: int = Field(0, ge=0)
     data: GeneratedConfig = GeneratedConfig()
-    data_folder: Path | None = Field(None, description="an existing data set in the documented format")
+    data_folder: AbsolutePath | None = Field(
+        None, description="absolute: an existing data set in the documented format"
+    )
     robot_name: RobotName = None
     start_from: str | None = Field(
         None,

@@ -4,8 +4,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
+from services.registry.references import ModelReference
 from training.config.clusters import PRESET_FOLDER, ResourceConfig
 from training.config.files import load_values, named_presets, validated
 from training.config.job import JobConfig
@@ -19,6 +20,7 @@ from training.models.paths.settings import (
     PointConfig,
 )
 from training.models.settings import LookupConfig
+from training.section import AbsolutePath
 
 PATH_PRESET_FOLDER = PRESET_FOLDER / "paths"
 
@@ -32,12 +34,14 @@ class PathTrainConfig(JobConfig):
     preset: str = "paths"
     source: str = Field(
         "cspace-sampler@champion",
-        description="whose encoder and head they see with: a bundle's folder or a registered version",
+        description="a bundle's absolute folder or a registered version: its encoder and head are seen with",
     )
     data: PathDatasetConfig = PathDatasetConfig()
     points: int = Field(64, ge=2, description="of each path")
     models: tuple[PathModel, ...] = ALL_MODELS
-    guides: Path | None = Field(None, description="folder of a cluster-train job whose local critics guide")
+    guides: AbsolutePath | None = Field(
+        None, description="absolute: folder of a cluster-train job whose local critics guide"
+    )
     sweep: int = Field(
         16, ge=1, description="samples from start to goal before the next begin at the start again"
     )
@@ -54,6 +58,15 @@ class PathTrainConfig(JobConfig):
         lookups=LookupConfig(points_per_link=8, side_m=0.1, groups=32),
     )
     resources: ResourceConfig = ResourceConfig(log_every_steps=50, checkpoint_every_steps=500)
+
+    @field_validator("source")
+    @classmethod
+    def _source_is_absolute_or_registered(cls, source: str) -> str:
+        if not Path(source).is_absolute():
+            ModelReference.parse_version(
+                source, "no source", "an absolute path of a bundle's folder, name@alias or name/version"
+            )
+        return source
 
     @model_validator(mode="after")
     def _models_have_what_they_need(self) -> "PathTrainConfig":

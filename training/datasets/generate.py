@@ -11,6 +11,7 @@ from pydantic import ValidationError
 
 from cspace.dataset import Dataset, open_dataset, require_room
 from cspace.errors import DatasetError, StorageError
+from cspace.files import make_output_folder
 from services.evaluator.cluster import spread
 from services.progress import Progress
 from training.datasets.config import DatasetConfig, PathDatasetConfig
@@ -47,7 +48,7 @@ def generate(config: Generated, folder: Path) -> Dataset:
     require_room(folder, 2 * recipe.finished_bytes)
     partial = folder.with_name(f"{folder.name}.{config.key}.partial")
     try:
-        partial.mkdir(parents=True, exist_ok=True)
+        make_output_folder(partial)
     except OSError as error:
         raise StorageError(
             "the data folder cannot be written", expected=str(partial), got=str(error)

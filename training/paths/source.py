@@ -12,7 +12,7 @@ def source_bundle(source: str, registry: ModelRegistry, folder: Path) -> Bundle:
     """A bundle's folder, or a registered version that is fetched.
 
     Args:
-        source: a folder, ``name@alias`` or ``name/version``.
+        source: an absolute path of a folder, ``name@alias`` or ``name/version``.
         registry: where versions are.
         folder: where a version is laid down; what a stopped job has left there is taken.
 
@@ -21,7 +21,7 @@ def source_bundle(source: str, registry: ModelRegistry, folder: Path) -> Bundle:
         ModelNotFoundError: there is no such version.
         BundleError: the bundle is damaged.
     """
-    if Path(source).is_dir():
+    if Path(source).is_absolute():
         return Bundle.load(Path(source))
     if folder.is_dir():
         return Bundle.load(folder)

@@ -3,6 +3,7 @@ from pathlib import Path
 import pytest
 
 from cspace.errors import ConfigError
+from cspace.files import IGNORE_FILE
 from services.local.marker import MARKER
 from services.local.settings import FOLDERS, Settings
 
@@ -62,7 +63,7 @@ def test_a_state_folder_that_is_a_file_is_refused(tmp_path: Path) -> None:
 
 def test_the_state_folder_is_made_for_its_user_alone(settings: Settings) -> None:
     assert settings.home.stat().st_mode & 0o077 == 0
-    assert {path.name for path in settings.home.iterdir()} == {*FOLDERS, MARKER}
+    assert {path.name for path in settings.home.iterdir()} == {*FOLDERS, MARKER, IGNORE_FILE}
 
 
 def test_a_state_folder_that_cannot_be_made_is_a_setting_error(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@ from pathlib import Path
 import pytest
 
 from cspace.errors import ConfigError, StorageError
+from cspace.files import IGNORE_FILE
 from services.local.marker import MARKER
 from services.local.settings import Settings
 from services.local.state import drop_state, size_bytes, size_text
@@ -61,7 +62,9 @@ def test_only_what_the_mark_lists_is_deleted(settings: Settings) -> None:
 def test_a_folder_that_an_earlier_release_made_is_taken_over_if_nothing_else_lies_there(
     settings: Settings,
 ) -> None:
-    (settings.home / MARKER).unlink()
+    # It marked nothing, and left nothing out.
+    for name in (MARKER, IGNORE_FILE):
+        (settings.home / name).unlink()
     (settings.home / "mlflow" / "mlflow.db").touch()
     settings.make_folders()
     assert (settings.home / MARKER).is_file()

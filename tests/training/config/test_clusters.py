@@ -197,3 +197,12 @@ def test_a_robots_name_is_recorded_where_it_is_given_and_changes_no_data_set():
 def test_a_name_of_another_robot_is_refused(overrides):
     with pytest.raises(ConfigError, match="another robot"):
         load_config("smoke", overrides)
+
+
+@pytest.mark.parametrize("key", ["data_folder", "vae.checkpoint"])
+@pytest.mark.parametrize("path", ["build/mine", "./mine", "~/mine"])
+def test_a_path_that_is_not_absolute_is_refused_before_anything_starts(key, path, capsys):
+    assert COMMAND.main(["--set", f"{key}={path}", "--print-config"]) == 2
+    message = capsys.readouterr().err
+    assert f"{key} does not fit; expected the path has to be absolute" in message
+    assert path in message

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from cspace.errors import ConfigError, EvaluationError, StorageError
-from cspace.files import write_json
+from cspace.files import make_output_folder, write_json
 from cspace.worlds import default_world
 from services.evaluator.benchmark.runs.arms import Arm
 from services.evaluator.benchmark.runs.run import Record, Run
@@ -69,7 +69,7 @@ class RunStore(Generic[Kept]):
         told = json.loads(json.dumps(told))
         path = folder / MANIFEST
         try:
-            folder.mkdir(parents=True, exist_ok=True)
+            make_output_folder(folder)
             merged = _merged(json.loads(path.read_text("utf-8")), told) if path.is_file() else told
             # What times depend on, once for every command that ran here.
             merged["sessions"] = [*merged.get("sessions", []), _session()]
