@@ -11,7 +11,6 @@ from fastapi.responses import Response
 from numpy.typing import NDArray
 
 from cspace.connecting import length_rad
-from cspace.errors import InputError
 from cspace.planning.along import NOISE_RAD, AlongWays
 from cspace.planning.trees import GOAL_BIAS, Grown, Growth, drawn_states, grow_connect, grow_rrt
 from cspace.splits import Split
@@ -22,7 +21,7 @@ from inference_api.models.served import ServedModel
 from inference_api.turns.searching import searching
 from inference_api.turns.turns import Turn
 from inference_api.workbench.search_schemas import SearchAnswer, SearchRequest
-from inference_api.workbench.truth import among, planar, rows_of, telling, way_truth
+from inference_api.workbench.truth import among, planar, rows_of, telling, way_truth, wrong_field
 from inference_api.workbench.truth_schemas import MAX_SHOWN
 from services.registry.references import ModelReference
 
@@ -45,7 +44,9 @@ class SearchQuestion:
             ClientDisconnect: the client has gone away.
         """
         asked, world = self.asked, planar(served.bundle.spec.world)
-        ends = world.space.bound(rows_of((asked.start, asked.goal), world))
+        ends = world.space.bound(
+            np.concatenate([rows_of("start", (asked.start,), world), rows_of("goal", (asked.goal,), world)])
+        )
         samples = _given(asked, world)
         with searching(turn) as between, telling():
             workshop = workshop_of(among(world, asked.discs))
@@ -64,10 +65,10 @@ class SearchQuestion:
 def _given(asked: SearchRequest, world: World) -> NDArray[np.float64] | None:
     """What is drawn before uniform states, (n, d) rad: samples as they are, or states about ways."""
     if not asked.ways:
-        return rows_of(asked.samples, world) if asked.samples else None
+        return rows_of("samples", asked.samples, world) if asked.samples else None
     if sum(map(len, asked.ways)) > MAX_SHOWN or not all(asked.ways):
-        raise InputError("the ways are wrong", expected=asked.EXPECTED["ways"], got=f"{len(asked.ways)} ways")
-    ways = [rows_of(way, world) for way in asked.ways]
+        raise wrong_field("ways", asked.EXPECTED["ways"], f"{len(asked.ways)} ways")
+    ways = [rows_of("ways", way, world) for way in asked.ways]
     along = AlongWays(ways, world.space, np.random.default_rng(asked.seed))
     return along.take(min(asked.max_iterations, len(NOISE_RAD) * along.turn_rows))[0]
 

@@ -21,7 +21,7 @@ from inference_api.turns.turns import LONG_ROWS, Turn
 from inference_api.workbench.benchmark import benchmark_families, benchmark_problem
 from inference_api.workbench.space_faces import faces_of
 from inference_api.workbench.space_schemas import SpaceAnswer, SpaceRequest
-from inference_api.workbench.truth import rows_of, telling, way_truth
+from inference_api.workbench.truth import path_of, rows_of, states_on, telling, way_truth
 from services.registry.references import ModelReference
 
 _SPATIAL = "spatial"
@@ -54,8 +54,8 @@ class SpaceQuestion:
             raise InputError(
                 "the model is of another kind of world", expected=f"a {_SPATIAL} one", got=world.kind
             )
-        samples, path = (rows_of(rows, world) for rows in (asked.configurations, asked.path))
-        turn.spend(LONG_ROWS + 1.0 + len(samples))
+        samples, path = rows_of("configurations", asked.configurations, world), path_of(asked.path, world)
+        turn.spend(LONG_ROWS + 1.0 + len(samples) + states_on(path, world))
         with telling():
             names = workshop_of(world).families.names + benchmark_families(world)
             family = asked.family or names[0]
@@ -78,10 +78,11 @@ def _seen(scene: Scene, asked: SpaceRequest) -> Scene:
     """The scene with other cameras and the arm elsewhere, where that is asked for."""
     found: Any = scene
     if asked.state is not None:
-        found = replace(found, state=tuple(rows_of((asked.state,), found.world)[0].tolist()))
+        found = replace(found, state=tuple(rows_of("state", (asked.state,), found.world)[0].tolist()))
     if asked.cameras is not None:
         like = found.cameras[0]
-        found = replace(found, cameras=tuple(replace(like, pose=pose) for pose in asked.cameras))
+        with telling("cameras"):
+            found = replace(found, cameras=tuple(replace(like, pose=pose) for pose in asked.cameras))
     return cast("Scene", found)
 
 

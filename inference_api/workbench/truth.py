@@ -15,7 +15,7 @@ from cspace.splits import Split
 from cspace.workshop import Checker, Workshop
 from cspace.world import World
 from cspace.worlds import read_world, workshop_of
-from inference_api.failures import NoKernelsError
+from inference_api.failures import FieldProblem, FieldsError, NoKernelsError
 from inference_api.models.served import ServedModel
 from inference_api.turns.turns import LONG_ROWS, Turn
 from inference_api.workbench.truth_schemas import (
@@ -34,6 +34,9 @@ _REFERENCES = 800
 _CHUNK = 256
 # Checks of a way for a person's eyes are finer than those of a planner.
 _RESOLUTION_RAD = 0.005
+# Of a path; ten times as long as any that a planner finds.
+MAX_STATES = 100_000
+_ROUNDED_RAD = 1e-4
 # A scene without discs is one whose disc nobody reaches, for worlds of given scenes have one at least.
 _NOWHERE = (1e6, 1e6, 1e-3)
 
@@ -88,8 +91,8 @@ class TruthQuestion:
             CspaceError: as the contract's table of errors.
         """
         asked, world = self.asked, planar(served.bundle.spec.world)
-        samples, path = (rows_of(rows, world) for rows in (asked.configurations, asked.path))
-        turn.spend(float(asked.cells**2 + len(samples)))
+        samples, path = rows_of("configurations", asked.configurations, world), path_of(asked.path, world)
+        turn.spend(float(asked.cells**2 + len(samples)) + states_on(path, world))
         began = time.perf_counter()
         with telling():
             workshop = workshop_of(among(world, asked.discs))
@@ -114,16 +117,21 @@ class TruthQuestion:
 
 
 @contextmanager
-def telling() -> Iterator[None]:
+def telling(field: str | None = None) -> Iterator[None]:
     """Errors of what is asked for in the words of requests.
 
+    Args:
+        field: that they are about; None where it is no single one.
+
     Raises:
-        InputError: the scene cannot be.
+        InputError: the scene cannot be; a FieldsError where the field is known.
         NoKernelsError: the packages of the extra ``workbench`` are not installed.
     """
     try:
         yield
     except ScenarioError as error:
+        if field is not None:
+            raise wrong_field(field, f"{error.what}: {error.expected}", f"{error.got}") from error
         raise InputError(error.what, expected=error.expected, got=error.got, remedy=error.remedy) from error
     except ImportError as error:
         raise NoKernelsError(
@@ -151,21 +159,61 @@ def among(world: World, discs: tuple[tuple[float, float, float], ...]) -> World:
     return read_world(world.to_dict() | {"scenes": given})
 
 
-def rows_of(rows: tuple[tuple[float, ...], ...], world: World) -> NDArray[np.float64]:
-    """Configurations as an array, (n, d) rad.
+def rows_of(field: str, rows: tuple[tuple[float, ...], ...], world: World) -> NDArray[np.float64]:
+    """Configurations as an array, (n, d) rad, within the limits of the joints that have some.
+
+    Args:
+        field: that they stand in.
+        rows: angles in rad; of circles within one turn of zero.
+        world: of the robot.
 
     Raises:
-        InputError: one is of another length.
+        FieldsError: one is of another length, or outside.
     """
     wrong = next((len(row) for row in rows if len(row) != world.dim), None)
     if wrong is not None:
-        raise InputError("a configuration is wrong", expected=f"{world.dim} angles", got=str(wrong))
-    return np.array(rows, dtype=np.float64).reshape(-1, world.dim)
+        raise wrong_field(field, f"{world.dim} angles", str(wrong))
+    values, space = np.array(rows, dtype=np.float64).reshape(-1, world.dim), world.space
+    low, high = (
+        np.where(space.periodic, turn, ends)
+        for turn, ends in ((-2.0 * np.pi, space.lower), (2.0 * np.pi, space.upper))
+    )
+    # Answers are rounded to single precision.
+    outside = (values < low - _ROUNDED_RAD) | (values > high + _ROUNDED_RAD)
+    if outside.any():
+        row, joint = np.argwhere(outside)[0]
+        within = f"angles in rad, of joint {joint + 1} from {low[joint]:.6g} to {high[joint]:.6g}"
+        raise wrong_field(field, within, f"{values[row, joint]:.6g}")
+    return np.clip(values, low, high)
+
+
+def path_of(rows: tuple[tuple[float, ...], ...], world: World) -> NDArray[np.float64]:
+    """The field ``path`` as an array, (n, d) rad, of a bounded length.
+
+    Raises:
+        FieldsError: as :func:`rows_of`, or it is longer.
+    """
+    path = rows_of("path", rows, world)
+    if (states := states_on(path, world)) > MAX_STATES:
+        longest = f"a path of at most {MAX_STATES * _RESOLUTION_RAD:g} rad"
+        raise wrong_field("path", longest, f"{states * _RESOLUTION_RAD:.6g}")
+    return path
+
+
+def states_on(path: NDArray[np.float64], world: World) -> float:
+    """About how many states :func:`way_truth` looks at."""
+    steps = np.abs(world.space.difference(path[:-1], path[1:])).max(axis=1, initial=0.0)
+    return float(steps.sum()) / _RESOLUTION_RAD
+
+
+def wrong_field(field: str, expected: str, got: str) -> FieldsError:
+    """The error for one field of a request."""
+    return FieldsError([FieldProblem(field=field, expected=expected, got=got)])
 
 
 def _grid(world: World, asked: TruthRequest) -> NDArray[np.float64]:
     """Centres of cells over the first two joints, joint 1 the slower axis, (cells^2, d) rad."""
-    at = rows_of((asked.at,), world)[0] if asked.at else np.zeros(world.dim)
+    at = rows_of("at", (asked.at,), world)[0] if asked.at else np.zeros(world.dim)
     low, high = (np.asarray(end[:2]) for end in (world.space.lower, world.space.upper))
     steps = (np.arange(asked.cells) + 0.5) / asked.cells
     first, second = (low[joint] + steps * (high - low)[joint] for joint in (0, 1))

@@ -16,7 +16,8 @@ MAX_SHOWN = 2_000
 
 Number = Annotated[float, Field(allow_inf_nan=False, ge=-1e6, le=1e6)]
 Row = Annotated[tuple[Number, ...], Field(min_length=1, max_length=64), Strict(strict=False)]
-_Disc = Annotated[tuple[Number, Number, Number], Strict(strict=False)]
+_Radius = Annotated[float, Field(allow_inf_nan=False, gt=0.0, le=1e6)]
+_Disc = Annotated[tuple[Number, Number, _Radius], Strict(strict=False)]
 Discs = Annotated[tuple[_Disc, ...], Field(max_length=MAX_DISCS), Strict(strict=False)]
 Rows = Annotated[tuple[Row, ...], Field(max_length=MAX_SHOWN), Strict(strict=False)]
 

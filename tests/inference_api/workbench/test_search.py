@@ -111,5 +111,13 @@ def test_what_is_wrong_is_refused(bench: ApiClient, wrong: dict[str, Any]) -> No
     assert answer.json()["type"] == "urn:cspace-sampler:problem:invalid-value"
 
 
+@pytest.mark.parametrize("field", ["start", "goal", "samples", "ways"])
+def test_angles_beyond_the_limits_are_told_by_their_field(bench: ApiClient, field: str) -> None:
+    row: Any = [0.0, 1e5]
+    body = {**ASKED, field: {"samples": [row], "ways": [[row]]}.get(field, row)}
+    answer = bench.post("/workbench/search", json=body)
+    assert (answer.status_code, answer.json()["errors"][0]["field"]) == (422, field)
+
+
 def test_without_the_truth_nobody_searches(start_bench: StartBench) -> None:
     assert start_bench(truth=False).post("/workbench/search", json=ASKED).status_code == 404

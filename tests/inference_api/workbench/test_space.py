@@ -117,6 +117,24 @@ def test_what_does_not_fit_is_refused_with_what_was_expected(
     assert answer.json()["expected"]
 
 
+ZERO, FAR = [0.0, 0.0, 0.0, -1.5, 0.0, 1.5, 0.0], [0.0, 0.0, 0.0, -1.5, 0.0, 1.5, 1e5]
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("state", FAR),
+        ("configurations", [ZERO, FAR]),
+        ("path", [ZERO, FAR]),
+        ("cameras", [np.ones((4, 4)).tolist()]),
+        ("cameras", [looking((200.0, 0.0, 0.0), (0.0, 0.0, 0.0)).tolist()]),
+    ],
+)
+def test_what_is_beyond_limits_is_told_by_its_field(bench: ApiClient, field: str, value: Any) -> None:
+    answer = bench.post("/workbench/space", json={"model": PANDA, field: value})
+    assert (answer.status_code, answer.json()["errors"][0]["field"]) == (422, field)
+
+
 CAGE = "motionbench_cage"
 
 

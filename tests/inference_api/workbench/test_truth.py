@@ -64,6 +64,11 @@ def test_a_way_is_judged_piece_by_piece(bench: ApiClient) -> None:
     assert away["clearance_m"] > 0.5
 
 
+def test_circles_are_taken_at_any_angle_within_a_turn(bench: ApiClient) -> None:
+    turned = told(bench, configurations=[[2.0 * np.pi, 0.0], [3.0 - 2.0 * np.pi, 0.0]])
+    assert turned["sample_free"] == [False, True]
+
+
 def test_a_scene_without_discs_is_free_everywhere(bench: ApiClient) -> None:
     found = told(bench, discs=[])
     assert set(base64.b64decode(found["free"])) == {255}
@@ -91,6 +96,12 @@ BAD: list[tuple[str, dict[str, Any], str]] = [
     ("truth", {"discs": [[0.0, 0.0, 1.0]] * 65}, "discs"),
     ("truth", {"discs": [], "cells": 1000}, "cells"),
     ("truth", {"discs": [], "colour": "red"}, "colour"),
+    ("truth", {"discs": [[0.0, 0.0, 0.0]]}, "discs"),
+    ("truth", {"discs": [], "configurations": [[0.0]]}, "configurations"),
+    ("truth", {"discs": [], "configurations": [[0.0, 0.0], [0.0, 1e5]]}, "configurations"),
+    ("truth", {"discs": [], "at": [-7.0, 0.0]}, "at"),
+    ("truth", {"discs": [], "path": [[0.0, 0.0], [1e5, 0.0]]}, "path"),
+    ("truth", {"discs": [], "path": [[0.0, 0.0], [3.0, 0.0]] * 1000}, "path"),
     ("scene", {"seed": -1}, "seed"),
 ]
 
