@@ -4,28 +4,34 @@ Looking up and downloading work with ``mlflow-skinny`` alone; registering needs 
 belongs to one of MLflow's logged models, which ties it to its run and, through the run's inputs, to the data.
 """
 
+import os
 import tempfile
 import time
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from urllib.parse import unquote, urlsplit
 
 from mlflow import MlflowClient
 from mlflow.artifacts import download_artifacts
 from mlflow.entities import Metric
 from mlflow.entities.model_registry import ModelVersion as MlflowVersion
 
-from cspace.errors import ModelNotFoundError, StorageError
-from services.names import TAG_DIGEST, world_tags
+from cspace.errors import ModelNotFoundError, RegistryError, StorageError
+from services.names import ARTIFACT_STORE, TAG_DIGEST, world_tags
 from services.registry.mlflow_errors import mapped
 from services.registry.mlflow_health import check_reachable
 from services.registry.models.mlflow_model import BUNDLE_PATH, read_spec
 from services.registry.models.mlflow_registering import create_version, logged_model
 from services.registry.models.port import ModelVersion, Shown
+from services.registry.scrubbing import without_user_info
 
 _PAGE = 100
 # Of a data set's digest, which MLflow keeps no more of.
 MAX_DIGEST = 36
+# A redirect and a presigned address lead wherever the answering server likes. MLflow reads these from the
+# environment only; whoever needs them sets them.
+_FOLLOW_NOTHING = {"MLFLOW_ALLOW_HTTP_REDIRECTS": "false", "MLFLOW_ENABLE_PROXY_MULTIPART_DOWNLOAD": "false"}
 
 
 class MlflowRegistry:
@@ -34,12 +40,17 @@ class MlflowRegistry:
     Args:
         uri: of the tracking server, or ``sqlite:///…`` where the whole of mlflow is installed.
         patience_s: how long the server may take to show that it is there, before each operation.
+        artifact_store: address below which bundles are fetched beside the tracking server's own artifacts;
+            ``CSPACE_ARTIFACT_STORE`` when empty.
     """
 
-    def __init__(self, uri: str, *, patience_s: float = 3.0) -> None:
+    def __init__(self, uri: str, *, patience_s: float = 3.0, artifact_store: str = "") -> None:
+        for name, value in _FOLLOW_NOTHING.items():
+            os.environ.setdefault(name, value)
         with mapped("opening the registry"):
             self._client = MlflowClient(tracking_uri=uri, registry_uri=uri)
         self._uri = uri
+        self._artifact_store = artifact_store or os.environ.get(ARTIFACT_STORE, "")
         self._patience_s = patience_s
 
     def register(
@@ -158,6 +169,7 @@ class MlflowRegistry:
         label = str(version)
         with mapped(f"looking up {label}", lookup=True):
             source = self._client.get_model_version_download_uri(version.name, str(version.number))
+        check_source(label, source, self._uri, self._artifact_store)
         with mapped(f"downloading {label}"):
             folder.parent.mkdir(parents=True, exist_ok=True)
             with tempfile.TemporaryDirectory(prefix=f".{folder.name}-", dir=folder.parent) as beside:
@@ -188,6 +200,37 @@ class MlflowRegistry:
 
     def _ready(self) -> None:
         check_reachable(self._uri, self._patience_s)
+
+
+def check_source(label: str, source: str, tracking_uri: str, artifact_store: str = "") -> None:
+    """Refuse to fetch a version from anywhere but the artifact store.
+
+    The registry names the place, and who may write to the registry names any: a file of this machine, or
+    another server.
+
+    Args:
+        label: of the version, for messages.
+        source: the address that the registry names.
+        tracking_uri: of the registry. The artifacts of one that is no server are files of this machine.
+        artifact_store: address of a further store whose artifacts are fetched; none when empty.
+
+    Raises:
+        RegistryError: the address is outside of both.
+    """
+    found, server, store = urlsplit(source), urlsplit(tracking_uri), artifact_store.rstrip("/")
+    own = ("", server.netloc, server.netloc.rpartition("@")[2])
+    if server.scheme not in ("http", "https"):
+        is_known = found.scheme in ("", "file") and not found.netloc
+    else:
+        is_known = found.scheme == "mlflow-artifacts" and found.netloc in own
+    is_known = is_known or (bool(store) and source.startswith(f"{store}/"))
+    if not is_known or ".." in unquote(source).replace("\\", "/").split("/"):
+        raise RegistryError(
+            f"{label} does not lie in the artifact store",
+            expected="mlflow-artifacts of the tracking server" + (f", or {store}/..." if store else ""),
+            got=without_user_info(source)[:200],
+            remedy=f"set {ARTIFACT_STORE} to the store's address if it is yours",
+        )
 
 
 def _version(found: MlflowVersion) -> ModelVersion:

@@ -11,6 +11,7 @@ from typing import Any
 
 from inference_api.models.apart.processes.pipes import ChildError, receive, send
 from inference_api.models.apart.processes.wire import to_line
+from services.names import ARTIFACT_STORE
 
 _CONFIGURED_S = 1.0
 _EXIT_S = 1.0
@@ -95,6 +96,10 @@ def _descriptor(stream: Any) -> int:
 
 def _environment() -> dict[str, str]:
     """The parent's, without what is the API's alone, and with the same modules in reach from every folder."""
-    kept = {name: value for name, value in os.environ.items() if not name.startswith("CSPACE_")}
+    kept = {
+        name: value
+        for name, value in os.environ.items()
+        if not name.startswith("CSPACE_") or name == ARTIFACT_STORE
+    }
     places = os.pathsep.join(place for place in sys.path if place)
     return {**kept, "PYTHONPATH": places, "PYTHONSAFEPATH": "1"}
