@@ -2,9 +2,10 @@
 
 from pathlib import Path
 
-from fastapi import FastAPI
-from fastapi.responses import RedirectResponse, Response
+from fastapi import FastAPI, Request
+from fastapi.responses import HTMLResponse, RedirectResponse, Response
 from fastapi.staticfiles import StaticFiles
+from starlette.datastructures import Headers
 from starlette.exceptions import HTTPException
 from starlette.types import Scope
 
@@ -17,6 +18,17 @@ POLICY = (
     "connect-src 'self'; base-uri 'none'; form-action 'self'; frame-ancestors 'none'"
 )
 
+_NOT_BUILT = """<!doctype html>
+<html lang="en">
+<title>The documentation is not built yet</title>
+<h1>The documentation is not built yet</h1>
+<p>Run this in the project's folder, then load this page again; the server can stay up:</p>
+<pre>make docs</pre>
+<p>The same texts are in the folder <code>docs</code>; begin with <code>docs/index.md</code>. The server also
+serves a site that was built elsewhere, if <code>CSPACE_API_GUIDE</code> names its folder.</p>
+</html>
+"""
+
 
 def add_guide(app: FastAPI, folder: Path) -> None:
     """Serve ``/guide`` and all below it.
@@ -27,8 +39,9 @@ def add_guide(app: FastAPI, folder: Path) -> None:
     """
 
     @app.get(PAGE, include_in_schema=False)
-    def guide() -> Response:
-        _check_built(folder)
+    def guide(request: Request) -> Response:
+        if not _built(folder):
+            return _how_to_build(request.headers)
         # Relative, for a proxy may have put the API below a path of its own.
         return RedirectResponse("guide/")
 
@@ -53,17 +66,27 @@ class GuideFiles(StaticFiles):
         try:
             answer = await super().get_response(path, scope)
         except HTTPException as error:
-            if error.status_code == NOT_FOUND.status:
-                _check_built(self._folder)
+            if error.status_code == NOT_FOUND.status and not _built(self._folder):
+                return _how_to_build(Headers(scope=scope))
             raise
         answer.headers["Content-Security-Policy"] = POLICY
         return answer
 
 
-def _check_built(folder: Path) -> None:
-    if not (folder / "index.html").is_file():
-        raise RequestError(
-            NOT_FOUND,
-            "the guide is not built here",
-            remedy="run make docs beside the server, or have its CSPACE_API_GUIDE name a built one",
-        )
+def _built(folder: Path) -> bool:
+    return (folder / "index.html").is_file()
+
+
+def _how_to_build(headers: Headers) -> Response:
+    """A page for browsers.
+
+    Raises:
+        RequestError: the client asks for something else than a page.
+    """
+    if "text/html" in headers.get("accept", ""):
+        return HTMLResponse(_NOT_BUILT, NOT_FOUND.status)
+    raise RequestError(
+        NOT_FOUND,
+        "the guide is not built here",
+        remedy="run make docs beside the server, or have its CSPACE_API_GUIDE name a built one",
+    )

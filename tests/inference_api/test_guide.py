@@ -89,6 +89,18 @@ def test_a_server_without_a_built_guide_says_how_to_build_it(tmp_path: Path, pat
     assert str(tmp_path) not in str(problem)
 
 
+@pytest.mark.parametrize("path", ["/guide", "/guide/", "/guide/api.html"])
+def test_a_browser_gets_a_page_that_says_how_to_build_the_guide(tmp_path: Path, path: str) -> None:
+    accept = "text/html,application/xhtml+xml,application/xml;q=0.9,*/*;q=0.8"
+    with api_with(tmp_path, tmp_path / "nothing") as client:
+        answer = client.get(path, headers={"accept": accept})
+    assert answer.status_code == 404
+    assert answer.headers["content-type"].startswith("text/html")
+    assert "<pre>make docs</pre>" in answer.text
+    assert answer.headers["content-security-policy"]
+    assert str(tmp_path) not in answer.text
+
+
 def test_a_guide_that_is_built_while_the_server_runs_is_served(tmp_path: Path, site: Path) -> None:
     later = tmp_path / "later"
     with api_with(tmp_path, later) as client:
