@@ -78,7 +78,12 @@ docs-links: $(INSTALLED) ## follow the documents' links to other sites as well, 
 	$(SITE) -b linkcheck docs build/docs-links
 
 # The last line of pip's output carries its exit code through the pipe; its whole output is kept in a log.
+# Ray starts its processes by a shell that is given their paths without quotes.
 $(INSTALLED): pyproject.toml clients/python/pyproject.toml constraints.txt
+	@case "$$(pwd -P)" in *[]\[[:space:]\"\'\`\$$\&\;\(\)\<\>\|\*\?\#\\\:]*) \
+	  echo "Ray cannot run below the folder '$$(pwd -P)': its path has a space or a character of the shell." >&2; \
+	  echo "Move the project to a path without one, such as ~/cspace-sampler, and run make again there." >&2; \
+	  exit 1;; esac
 	@"$(PYTHON)" -c 'import sys; sys.exit(sys.version_info[:2] != (3, 11))' 2>/dev/null || { \
 	  echo "Python 3.11 is needed and '$(PYTHON)' is not it: install it, or name it with make PYTHON=/path/to/python3.11" >&2; \
 	  exit 1; }

@@ -2,6 +2,7 @@
 
 import hashlib
 import os
+import re
 import shutil
 import tempfile
 from pathlib import Path
@@ -18,6 +19,8 @@ from services.local.settings import HOST, RAY_PORT, Settings
 OBJECT_STORE_BYTES = 500_000_000
 # The path of a Unix socket ends at 103 bytes on macOS (107 on Linux), and Ray appends 64 to its folder.
 MAX_TEMP_PATH = 38
+# Ray starts its processes by a shell that is given their paths without quotes.
+_SHELL = re.compile(r"""[][\s"'`$&;()<>|*?#\\:]""")
 
 
 def ray_head(settings: Settings) -> Service:
@@ -44,8 +47,9 @@ def temp_folder(settings: Settings) -> Path:
     """Ray's folder for sockets and session logs: short, and different for each state folder."""
     name = f"cspace-{os.getuid()}-{hashlib.sha256(os.fsencode(settings.home)).hexdigest()[:8]}"
     preferred = Path(tempfile.gettempdir()) / name
-    # A long TMPDIR is left aside rather than failing on the length of a socket's path.
-    return preferred if len(os.fsencode(preferred)) <= MAX_TEMP_PATH else Path("/tmp") / name  # noqa: S108
+    # Ray fails on the length of a socket's path, and on a space in it.
+    fits = len(os.fsencode(preferred)) <= MAX_TEMP_PATH and not _SHELL.search(str(preferred))
+    return preferred if fits else Path("/tmp") / name  # noqa: S108
 
 
 def _command(settings: Settings) -> tuple[str, ...]:
@@ -73,7 +77,23 @@ def _command(settings: Settings) -> tuple[str, ...]:
     )
 
 
+def require_plain(folder: Path) -> None:
+    """Refuse a path below which Ray cannot run.
+
+    Raises:
+        ServiceStartError: it has a space, or a character that means something to a shell.
+    """
+    if _SHELL.search(str(folder)):
+        raise ServiceStartError(
+            f"Ray cannot run below the folder '{folder}'",
+            expected="a path without spaces and characters of the shell",
+            remedy="move the project, delete its .venv, and run make there",
+        )
+
+
 def _prepare(settings: Settings, environment: dict[str, str]) -> None:
+    for used in (settings.root, binaries()):
+        require_plain(used)
     folder = temp_folder(settings)
     folder.mkdir(mode=0o700, exist_ok=True)
     if folder.is_symlink() or folder.stat().st_uid != os.getuid():

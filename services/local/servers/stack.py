@@ -58,6 +58,7 @@ def up(settings: Settings, wanted: Sequence[Service], report: Report) -> None:
             require_free(service.port, service.title, service.setting)
         for service in absent:
             service.prepare()
+        for service in absent:
             _start(settings, service)
             report(f"{service.title}: starting, log {_log(settings, service)}")
         for service in wanted:

@@ -1,3 +1,4 @@
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -26,6 +27,47 @@ def test_rays_folder_is_short_enough_for_sockets_under_a_long_tmpdir(
 ) -> None:
     monkeypatch.setattr("tempfile.tempdir", "/a/very/long/folder/for/temporary/files/of/somebody")
     assert len(str(temp_folder(settings))) <= MAX_TEMP_PATH
+
+
+@pytest.mark.parametrize("name", ["a b", "R&D", "it's", "50$", "a(1)"])
+def test_a_path_below_which_ray_cannot_run_is_refused_before_anything_starts(
+    tmp_path: Path, name: str
+) -> None:
+    root = tmp_path / name / "checkout"
+    service = ray_head(Settings(home=tmp_path / "state", root=root))
+    with pytest.raises(ServiceStartError, match="move the project"):
+        service.prepare()
+
+
+@pytest.mark.parametrize("name", ["a b", "R&D", "it's", "50$", "a(1)", "tab\t", "a:b"])
+def test_make_refuses_such_a_path_before_it_installs(tmp_path: Path, name: str) -> None:
+    (tmp_path / name).mkdir()
+    assert make_venv(tmp_path / name) == (2, "Ray cannot run below the folder", False)
+
+
+@pytest.mark.parametrize("name", ["plain", "with-._~+@%,=", "Größe"])
+def test_make_takes_every_other_path(tmp_path: Path, name: str) -> None:
+    (tmp_path / name).mkdir()
+    # It goes on to look for Python, which is not there.
+    assert make_venv(tmp_path / name)[1].startswith("Python")
+
+
+def make_venv(folder: Path) -> tuple[int, str, bool]:
+    """``make venv`` without a Python: exit code, start of the message, whether there is a ``.venv``."""
+    for name in ("pyproject.toml", "clients/python/pyproject.toml", "constraints.txt"):
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).touch()
+    makefile = Path(__file__).parents[4] / "Makefile"
+    command = ["make", "-s", "-f", str(makefile), "PYTHON=/not/there", "venv"]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    return done.returncode, done.stderr[: len("Ray cannot run below the folder")], (folder / ".venv").exists()
+
+
+def test_rays_folder_is_elsewhere_under_a_tmpdir_with_a_space(
+    settings: Settings, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("tempfile.tempdir", "/my tmp")
+    assert " " not in str(temp_folder(settings))
 
 
 def test_state_folders_have_different_ray_folders(settings: Settings, tmp_path: Path) -> None:
