@@ -1,9 +1,9 @@
 """``python -m training.path_sampler BUNDLE FOLDER``: a path sampler of a bundle's validity head.
 
-Nothing is trained: the head's map of the joint space, the cheapest way through it and a tube round that make
-the samples (:mod:`training.paths.ways`). What it writes is a bundle of the kind ``path``, which the
-inference API serves as any other; with ``--register`` it becomes a version of ``path-sampler``,
-or of ``<robot>-path-sampler`` for another robot than the default one, as well.
+Nothing is trained: paths are searched for when samples are requested, the head chooses among them, and
+samples are drawn along them. The command writes a bundle of the kind ``path``, which the inference API
+serves like any other; with ``--register`` it becomes a version of ``path-sampler``, or of
+``<robot>-path-sampler`` for a robot other than the default one.
 
 A folder that holds this very path sampler already is taken as it is, so that the command may be given again.
 
@@ -14,7 +14,6 @@ import argparse
 import os
 import sys
 from collections.abc import Sequence
-from dataclasses import fields
 from pathlib import Path
 
 from cspace.bundle import Bundle
@@ -25,19 +24,17 @@ from services.registry.tracking.experiment import TAG_STAGE
 from services.registry.tracking.port import ID
 from training.jobs.labels import world_tag
 from training.paths.untrained import made_or_found
-from training.paths.ways import WaySettings
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Parse, make, print."""
     options = parser().parse_args(arguments)
     try:
-        settings = WaySettings(**{item.name: getattr(options, item.name) for item in fields(WaySettings)})
         uri = None if options.register is None else _registry_uri()
         source = Bundle.load(options.bundle)
         named = options.robot_name or recorded_name(source.spec.provenance.config)
         model = model_name(source.spec.world, named, path=True)
-        bundle = made_or_found(source, options.folder, settings)
+        bundle = made_or_found(source, options.folder)
         print(f"{bundle.folder}\n  digest {bundle.digest}")
         if uri is not None:
             print(f"  registered as {register(bundle, uri, model, options.register)}")
@@ -55,19 +52,6 @@ def parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("bundle", type=Path, help="a bundle with a validity head")
     parser.add_argument("folder", type=Path, help="where the path sampler goes")
-    described = {
-        "cells": "of the map, along each joint",
-        "penalty": "what a rad costs more in collision",
-        "levels": "steps in which a confidence is read",
-        "sweeps": "over the map, and the longest way in cells",
-        "tube_rad": "standard deviation of the first sweep's samples about the way",
-        "widening_rad": "what each further sweep adds to it",
-        "widest_rad": "up to here, and of all samples without an order",
-        "gap_rad": "between samples of one sweep from start to goal; 0 for no order",
-    }
-    for item in fields(WaySettings):
-        kind, text = type(item.default), f"{described[item.name]} (default: %(default)s)"
-        parser.add_argument(f"--{item.name.replace('_', '-')}", type=kind, default=item.default, help=text)
     parser.add_argument(
         "--register",
         choices=(ALIAS_CHALLENGER, ALIAS_CHAMPION),

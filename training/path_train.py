@@ -2,7 +2,7 @@
 """The Ray job: train path models side by side and register them.
 
 ray job submit --working-dir . -- python training/path_train.py
-ray job submit --working-dir . -- python training/path_train.py --set models='[density, flow]' --set seed=1
+ray job submit --working-dir . -- python training/path_train.py --set models='[flow]' --set seed=1
 ray job submit --working-dir . -- python training/path_train.py --resume RUN_ID
 """
 
@@ -24,7 +24,7 @@ COMMAND = JobCommand(
     description=(__doc__ or "").partition("\n")[0],
     presets=path_presets,
     preset="paths",
-    example="density.steps=500",
+    example="flow.steps=500",
     load=load_path_config,
     job=job,
 )

@@ -14,6 +14,7 @@ from cspace.worlds.planar.seeing.picture import decode_png
 from services.registry.models.mlflow_registry import MlflowRegistry
 from tests.contracts.mlflow_server import mlflow_server
 from tests.training.clusters.test_pipeline import GATED, submit
+from training.config.paths import UNGUIDED
 
 pytestmark = [pytest.mark.e2e, pytest.mark.slow, pytest.mark.timeout(600)]
 
@@ -22,7 +23,6 @@ ARMS = {
     "mixed": (PlanarArm(joint_limits_rad=(None, (-2.0, 2.5))), ()),
     "box": (PlanarArm(joint_limits_rad=((-2.9, 4.0), (-1.5, 1.2))), ("clusters.form=mixture", *GATED)),
 }
-PATH_MODELS = {"mixed": ("flow", "flow_distilled", "wgan"), "box": ("density", "cvae", "wgan_lookups")}
 SAMPLES = 10_000
 
 
@@ -96,13 +96,12 @@ def test_a_generator_puts_no_lump_on_the_limits(trained):
 
 def test_no_path_sample_lies_outside(trained, server):
     robot, bundle, folder = trained
-    models = PATH_MODELS[bundle.spec.joint_space["kind"]]
     overrides = (
-        f"source={bundle.folder}", f"models=[{', '.join(models)}]", limits_of(robot),
-        "density.cells=16", "data.narrow_share=0",
+        f"source={bundle.folder}", f"models=[{', '.join(UNGUIDED)}]", limits_of(robot),
+        "data.narrow_share=0",
     )  # fmt: skip
     result = submit(server, folder, "--preset", "smoke", *chosen(overrides), script="path_train.py")
-    assert set(result["versions"]) == {"ways", *models}
+    assert set(result["versions"]) == {"ways", *UNGUIDED}
     registry = MlflowRegistry(server)
     start, goal = robot.space.lower, np.mean([robot.space.lower, robot.space.upper], axis=0)
     for name, number in result["versions"].items():

@@ -26,9 +26,7 @@ _LABELS = {
     "kl": "KL divergence [nat]",
     "gate_divergence": "divergence from the true shares [nat]",
     "distillation_loss": "1 - cos to the mixture's answer",
-    "density_loss": "cross entropy of the density [nat]",
     "flow_loss": "squared error of the velocity [rad^2]",
-    "path_error": "squared error of the embedding",
 }
 
 
@@ -44,7 +42,7 @@ def own_curves(trial: str, history: History) -> Figure:
 
 def path_curves(histories: Mapping[str, History]) -> Figure:
     """What each path model minimises over its steps; WGAN-GPs by their Wasserstein estimate."""
-    names = ("density_loss", "flow_loss", "path_error", "wasserstein_estimate")
+    names = ("flow_loss", "wasserstein_estimate")
     shown = [name for name in names if any(name in history[0] for history in histories.values())]
     return _curves(histories, shown, "step")
 

@@ -4,17 +4,15 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from cspace.bundle import Bundle
-from cspace.bundle.files import VALIDITY_FILE
 from cspace.dataset import Dataset
 from training.config.paths import PathModel, PathTrainConfig
 from training.jobs.job import TAG_START
 from training.models.lookups.lookups import make_lookups
-from training.models.paths.density import DensitySampler
 from training.models.pictures.autoencoders import network_size
-from training.paths.export import PointSampler, density_graph, point_graph
+from training.paths.export import PointSampler, point_graph
 from training.paths.writing import PathGraph, write_path_bundle
 from training.trials.paths.arrays import PathArrays
-from training.trials.paths.trainables import load_density, load_points
+from training.trials.paths.trainables import load_points
 
 
 def path_graph(
@@ -22,10 +20,6 @@ def path_graph(
 ) -> PathGraph:
     """The graph of a trial's network."""
     spec = source.spec
-    if name == "density":
-        sampler = DensitySampler(load_density(train, arrays, checkpoint), train.density, train.sweep)
-        head = (source.folder / VALIDITY_FILE).read_bytes()
-        return density_graph(sampler.eval(), head, spec.world.space, spec.latent_dim)
     config = train.points_of(name)
     net = load_points(name, train, arrays, checkpoint)
     lookups = make_lookups(config.lookups, spec.world)

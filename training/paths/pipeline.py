@@ -25,7 +25,6 @@ from training.models.checkpoint import read_progress
 from training.paths.bundling import trained_bundle
 from training.paths.source import require_source, source_bundle
 from training.paths.untrained import made_or_found
-from training.paths.ways import WaySettings
 from training.trials.launch import connect, run_trials
 from training.trials.outcomes import TrialOutcome
 from training.trials.paths.arrays import PathArrays, path_arrays
@@ -38,8 +37,6 @@ _LOG = logging.getLogger("training")
 JOB_TITLE = "path-train"
 # The sampler that is not trained on paths, registered beside those that are.
 UNTRAINED = "ways"
-# A model that learns from another one of the job, and that one.
-DISTILLED, TEACHER = "flow_distilled", "flow"
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,9 +118,7 @@ def _run(job: Job[PathTrainConfig]) -> PathTrainResult:
         log_configuration(run, config)
         run.dataset(dataset.folder.name, dataset.digest, str(dataset.folder), "training")
         job.tell(world_tag(source.spec.world, named))
-        cells = config.density.cells if "density" in config.models else None
-        penalty = config.density.penalty if config.density.ways else None
-        arrays = path_arrays(source, dataset, config.points, cells, penalty)
+        arrays = path_arrays(source, dataset, config.points)
         outcomes = _train(job, source, arrays)
         histories = {outcome.name: read_progress(outcome.checkpoint).history for outcome in outcomes}
         run.figure(path_curves(histories), "path-losses")
@@ -160,16 +155,7 @@ def _train(job: Job[PathTrainConfig], source: Bundle, arrays: PathArrays) -> lis
         "guides": guides,
         "tracking_uri": job.environment.tracking_uri,
     }
-
-    def run(wanted: list[TrialRequest]) -> dict[str, TrialOutcome]:
-        outcomes = run_trials(path_trial, wanted, shared, config.resources)
-        return {outcome.name: outcome for outcome in outcomes}
-
-    found = run([trial for trial in trials if trial.name != DISTILLED])
-    if DISTILLED in config.models:
-        shared["teacher"] = found[TEACHER].checkpoint
-        found |= run([trial for trial in trials if trial.name == DISTILLED])
-    return [found[name] for name in config.models]
+    return run_trials(path_trial, trials, shared, config.resources)
 
 
 def _bundles(
@@ -182,7 +168,7 @@ def _bundles(
     """The untrained sampler's bundle, where the source has a head for it, and those of all trials."""
     bundles: dict[str, Bundle] = {}
     if source.has_validity:
-        bundles[UNTRAINED] = made_or_found(source, job.folder / "bundles" / UNTRAINED, WaySettings())
+        bundles[UNTRAINED] = made_or_found(source, job.folder / "bundles" / UNTRAINED)
     for name, outcome in zip(job.config.models, outcomes, strict=True):
         _LOG.info("bundle: exporting %s", name)
         folder = job.folder / "bundles" / name

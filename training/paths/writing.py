@@ -19,17 +19,14 @@ class PathGraph:
 
     Args:
         model: ONNX bytes: ``latent`` (m, L), the random inputs, ``start`` and ``goal`` (m, d) rad and, where
-            it looks at them, ``image`` (1, 3, P, P) and ``map`` (k,) to ``samples`` (m, 1, d) rad; None for
-            one that searches for ways.
+            it looks at it, ``image`` (1, 3, P, P) to ``samples`` (m, 1, d) rad; None for a search.
         random_inputs: in the order in which they are drawn.
         looks_at_picture: whether it takes ``image``.
-        map: ONNX bytes: ``image`` (1, 3, P, P) to ``map`` (k,), where the model takes that.
     """
 
     model: bytes | None
     random_inputs: tuple[RandomInput, ...] = ()
     looks_at_picture: bool = False
-    map: bytes | None = None
 
 
 def write_path_bundle(
@@ -61,14 +58,14 @@ def write_path_bundle(
     if not source.head_looks_at_map:
         del found["map"]
     graphs = {name: file.read_bytes() for name, file in found.items() if file.is_file()}
-    graphs |= {name: data for name, data in (("generator", graph.model), ("map", graph.map)) if data}
+    graphs |= {} if graph.model is None else {"generator": graph.model}
     state = source_state()
     spec = replace(
         source.spec,
         kind="path",
         model_kind="generator" if graph.model else WAYS,
         looks_at_picture=graph.looks_at_picture,
-        looks_at_map=graph.map is not None,
+        looks_at_map=False,
         samples_per_latent=1,
         random_inputs=graph.random_inputs,
         standardisation=None,

@@ -32,11 +32,7 @@ OWN_METRICS = frozenset(
         "gate_loss",
         "gate_divergence",
         "distillation_loss",
-        "density_loss",
-        "progress_loss",
-        "offset_loss",
         "flow_loss",
-        "path_error",
         "steps_per_s",
     }
 )

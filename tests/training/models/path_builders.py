@@ -23,13 +23,12 @@ def straight_paths(count: int = 40, seed: int = 0) -> np.ndarray:
     return space.wrap(ways).astype(np.float32)
 
 
-def arrays(count: int = 40, scenarios: int = 4, cells: int | None = 16) -> PathArrays:
+def arrays(count: int = 40, scenarios: int = 4) -> PathArrays:
     """Straight paths in scenarios without an obstacle."""
     images = np.full((scenarios, 48, 48, 3), 255, np.uint8)
     zeros = np.zeros((scenarios, LATENT), np.float32)
-    maps = None if cells is None else np.full((scenarios, cells, cells), 255, np.uint8)
     ids = np.arange(count) % scenarios
-    return PathArrays(PlanarWorld(TWO_LINK, Camera()), straight_paths(count), ids, zeros, zeros, images, maps)
+    return PathArrays(PlanarWorld(TWO_LINK, Camera()), straight_paths(count), ids, zeros, zeros, images)
 
 
 def samples(count: int = 40) -> PathSamples:

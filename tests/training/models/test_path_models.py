@@ -1,39 +1,30 @@
-"""Flow, conditional VAE and WGAN-GP over points of paths: what they learn, and how their graphs answer."""
+"""Flow and WGAN-GP over points of paths: what they learn, and how their graphs answer."""
 
 import numpy as np
 import onnxruntime
 import pytest
 import torch
 
-from cspace.grid_search import ways_to
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK
 from cspace.worlds.planar.seeing.camera import Camera
 from cspace.worlds.planar.world import PlanarWorld
 from tests.training.models.path_builders import LATENT, arrays
-from tests.training.paths.test_ways import walled_head
 from training.config.paths import PathTrainConfig
 from training.models.lookups.lookups import make_lookups
 from training.models.networks import Sizes
 from training.models.paths.condition import Condition, swept
-from training.models.paths.density import DensitySampler
 from training.models.paths.modules import PathGanModule
-from training.models.paths.points import PathFlow, RefiningGenerator, blind
-from training.models.paths.settings import DensityConfig, FlowConfig, PathGanConfig, PathVaeConfig
-from training.models.paths.unet import CellGrid, PathUNet
+from training.models.paths.points import PathFlow, blind
+from training.models.paths.settings import FlowConfig, PathGanConfig
 from training.models.settings import LookupConfig
-from training.models.ways.fields import WayFields, backwards, fields_to_store, stored_fields, way_maps_graph
-from training.paths.export import PointSampler, density_graph, point_graph
+from training.paths.export import PointSampler, point_graph
 from training.trials.paths.trainables import make_path_module
 
 NO_LOOKUPS = LookupConfig()
 FEW = LookupConfig(points_per_link=3, side_m=0.0)
 SMALL = PathTrainConfig(
     flow=FlowConfig(hidden=64, layers=2, steps=600, batch_size=256, place=True, lookups=NO_LOOKUPS),
-    cvae=PathVaeConfig(hidden=64, layers=2, steps=600, batch_size=256, place=True),
     wgan=PathGanConfig(hidden=32, layers=2, critic_hidden=32, critic_layers=2, steps=40, batch_size=64),
-    wgan_lookups=PathGanConfig(
-        hidden=32, layers=2, critic_hidden=32, steps=4, batch_size=32, place=True, refinements=2, lookups=FEW
-    ),
 )
 ROWS = 64
 
@@ -66,11 +57,10 @@ def places_along(module, given, count=ROWS):
     return np.linalg.norm(space.difference(wanted, found), axis=1)
 
 
-@pytest.mark.parametrize("name", ["flow", "cvae"])
-def test_a_model_that_is_asked_for_a_place_learns_the_only_path_there_is(name):
+def test_a_flow_that_is_asked_for_a_place_learns_the_only_path_there_is():
     given = arrays(count=1, scenarios=1)
-    module, _ = trained(name, given=given)
-    # Uniform draws would be 2.4 rad away; six seeds gave 0.12 to 0.16 (flow) and 0.02 to 0.03 (VAE).
+    module, _ = trained("flow", given=given)
+    # Uniform draws would be 2.4 rad away; six seeds gave 0.12 to 0.16.
     assert np.median(places_along(module, given)) < 0.5
 
 
@@ -104,15 +94,6 @@ def test_a_guide_pulls_the_generator_its_way():
     assert found["guided"] > found["alone"] + 0.3
 
 
-def test_a_refining_generators_base_covers_the_torus():
-    net = RefiningGenerator(Sizes(TWO_LINK.space, LATENT, 8, 1), 1, 0, place=False)
-    noise = torch.randn(4000, 3, generator=torch.Generator().manual_seed(0))
-    ends = torch.zeros(4000, 2)
-    points = net(Condition(torch.zeros(4000, LATENT), ends, ends, None), noise, blind)
-    counts = torch.histc(points[:, 0], bins=8, min=-torch.pi, max=torch.pi)
-    assert counts.min() > 400
-
-
 def feeds(names, rows=5, dim=2):
     rng = np.random.default_rng(1)
     shapes = {
@@ -133,13 +114,13 @@ def answer(model, fed, output="samples"):
     return session.run([output], fed)[0]
 
 
-@pytest.mark.parametrize("name", ["flow", "cvae", "wgan", "wgan_lookups"])
-def test_a_graph_answers_as_the_network_does(name):
-    module = make_path_module(name, SMALL, arrays(), 0).eval()
-    config = getattr(SMALL, name)
+@pytest.mark.parametrize(("name", "looks"), [("flow", False), ("flow", True), ("wgan", False)])
+def test_a_graph_answers_as_the_network_does(name, looks):
+    config = getattr(SMALL, name).model_copy(update={"lookups": FEW if looks else NO_LOOKUPS})
+    module = make_path_module(name, SMALL.model_copy(update={name: config}), arrays(), 0).eval()
     lookups = make_lookups(config.lookups, PlanarWorld(TWO_LINK, Camera()))
     graph = point_graph(PointSampler(module.net, lookups, place=config.place, sweep=4), LATENT, 48)
-    assert graph.looks_at_picture == (name == "wgan_lookups")
+    assert graph.looks_at_picture == looks
     names = {item.name: item.shape[0] for item in graph.random_inputs}
     extra = ["image"] if graph.looks_at_picture else []
     fed = feeds(names | dict.fromkeys(["latent", "start", "goal", *extra], 0))
@@ -155,56 +136,6 @@ def test_a_graph_answers_as_the_network_does(name):
     np.testing.assert_allclose(answer(graph.model, fed)[:, 0], wanted, atol=1e-4)
     one = {key: value if key == "image" else value[:1] for key, value in fed.items()}
     assert answer(graph.model, one).shape == (1, 1, 2)
-
-
-@pytest.mark.parametrize("ways", [True, False])
-def test_a_densitys_graph_sees_the_map_of_the_head_that_it_goes_with(ways):
-    config = DensityConfig(cells=16, width=4, ways=ways)
-    torch.manual_seed(0)  # noqa: TID251 - weights that are the same in every run
-    net = PathUNet(CellGrid(TWO_LINK.space, 16), 4, ways=ways).eval()
-    head = walled_head()
-    graph = density_graph(DensitySampler(net, config, sweep=4), head, TWO_LINK.space, LATENT)
-    fed = feeds(dict.fromkeys(["latent", "place", "jitter", "start", "goal", "image"], 0))
-    image = {"image": fed.pop("image")}
-    seen = answer(head, image | {"configurations": net.grid.centres.numpy()}, "confidence")
-    fed["map"] = answer(graph.map, image, "map")
-    np.testing.assert_allclose(fed["map"], seen, atol=1e-5)
-    if ways:
-        maps = onnxruntime.InferenceSession(way_maps_graph(TWO_LINK.space, 16, 20.0).SerializeToString())
-        (seen,) = maps.run(["maps"], {"confidence": seen, "start": fed["start"], "goal": fed["goal"]})
-    with torch.no_grad():
-        parts = [torch.tensor(fed[name]) for name in ("place", "jitter", "start", "goal")]
-        wanted = DensitySampler(net, config, sweep=4)(torch.tensor(seen), *parts)
-    np.testing.assert_allclose(answer(graph.model, fed), wanted, atol=1e-4)
-
-
-def test_the_ways_fields_tell_detours_and_progress_as_dijkstras_ways_do():
-    session = onnxruntime.InferenceSession(walled_head(), providers=["CPUExecutionProvider"])
-    grid = CellGrid(TWO_LINK.space, 48).centres.numpy()
-    image = np.zeros((1, 3, 48, 48), np.float32)
-    (seen,) = session.run(["confidence"], {"image": image, "configurations": grid})
-    confidence = seen.reshape(48, 48).astype(np.float64)
-    start, goal = np.array([0.2, 2.0]), np.array([2.0, -2.5])
-    ways = WayFields(TWO_LINK.space, 48, 20.0)
-    detour, progress = ways.of(confidence, start, goal)
-    weights = 1.0 + 20.0 * (1.0 - confidence)
-    behind, ahead = (ways_to(TWO_LINK.space, weights, end).costs for end in (start, goal))
-    whole = behind + ahead
-    # A cell that looks blocked counts twice there; of free ones both tell the same.
-    near = (whole - whole.min() < 1.5) & (confidence > 0.999)
-    assert near.mean() > 0.02
-    assert np.abs(whole - whole.min() - detour)[near].max() < 0.25
-    assert np.abs(behind / whole - progress)[near].max() < 0.1
-
-
-def test_stored_fields_are_those_that_were_stored_either_way_round():
-    confidence, ends = np.ones((16, 16)), (np.array([-1.0, -1.0]), np.array([1.0, 1.0]))
-    ways = WayFields(TWO_LINK.space, 16, 20.0)
-    fields, other = ways.of(confidence, *ends), ways.of(confidence, *ends[::-1])
-    detour, progress = stored_fields(torch.tensor(fields_to_store(fields))[None])
-    assert np.abs(detour[0, 0].numpy() - fields[0]).max() < 0.006
-    assert np.abs(progress[0, 0].numpy() - fields[1]).max() < 0.003
-    assert np.abs(backwards(detour, progress)[0, 0].numpy() - other[1])[fields[0] < 2.5].max() < 0.01
 
 
 def test_a_flow_takes_any_number_of_joints():

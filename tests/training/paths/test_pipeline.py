@@ -19,7 +19,7 @@ from tests.contracts.mlflow_server import mlflow_server
 from tests.fakes.registry import FakeRegistry
 from tests.space_bundle import WORLD, write_space_bundle
 from tests.training.clusters.test_pipeline import submit
-from training.config.paths import ALL_MODELS, load_path_config
+from training.config.paths import UNGUIDED, load_path_config
 from training.paths.source import source_bundle
 from training.trials.paths.guides import find_guides
 
@@ -53,7 +53,7 @@ def result(server, data_folder):
 @pytest.mark.slow
 @pytest.mark.timeout(400)
 def test_every_model_is_a_version_of_its_own_that_draws_between_start_and_goal(result, server, tmp_path):
-    assert set(result["versions"]) == {"ways", *ALL_MODELS}
+    assert set(result["versions"]) == {"ways", *UNGUIDED}
     assert len(set(result["versions"].values())) == len(result["versions"])
     registry = MlflowRegistry(server)
     for name, number in result["versions"].items():
@@ -68,7 +68,7 @@ def test_every_model_is_a_version_of_its_own_that_draws_between_start_and_goal(r
             assert bundle.spec.provenance.data_digest == result["data_digest"]
             assert bundle.spec.provenance.metrics["training_s"] > 0
     challenger = registry.by_alias(PATH_MODEL_NAME, ALIAS_CHALLENGER)
-    assert challenger.number == result["versions"]["density"]
+    assert challenger.number == result["versions"]["flow"]
 
 
 @pytest.mark.e2e
@@ -80,10 +80,9 @@ def test_the_models_can_be_compared_in_the_tracking_server(result, server):
     runs = client.search_runs([experiment], f"tags.mlflow.parentRunId = '{result['run_id']}'")
     names = {run.data.tags["trial"]: set(run.data.metrics) for run in runs}
     assert {run.info.status for run in runs} == {"FINISHED"}
-    assert set(names) == {"ways", *ALL_MODELS}
-    assert "density_loss" in names["density"]
+    assert set(names) == {"ways", *UNGUIDED}
     assert "flow_loss" in names["flow"]
-    assert {"wasserstein_estimate", "generator_loss"} <= names["wgan"] == names["wgan_lookups"]
+    assert {"wasserstein_estimate", "generator_loss"} <= names["wgan"]
     parent = client.get_run(result["run_id"])
     assert parent.data.params["sweep"] == "16"
     pictures = {Path(entry.path).stem for entry in client.list_artifacts(result["run_id"], "figures")}
@@ -146,7 +145,7 @@ def test_a_source_is_a_folder_or_a_registered_version(tmp_path):
         ("models=[flow, flow]", "models"),
         ("models=[wgan_guided]", "guides"),
         ("models=[unknown]", "models"),
-        ("density.cells=10", "density.cells"),
+        ("flow.evaluations=0", "flow.evaluations"),
         ("nothing=1", "nothing"),
     ],
 )
@@ -163,7 +162,7 @@ def test_every_preset_is_a_configuration():
 @pytest.mark.e2e
 @pytest.mark.slow
 @pytest.mark.timeout(400)
-def test_three_joints_take_the_same_job_without_the_models_of_a_grid(server, data_folder, tmp_path):
+def test_three_joints_take_the_same_job(server, data_folder, tmp_path):
     source = write_tiny_bundle(tmp_path / "source", THREE_LINK, validity=True)
     made = train(
         server,
@@ -171,10 +170,8 @@ def test_three_joints_take_the_same_job_without_the_models_of_a_grid(server, dat
         f"source={source}",
         f"data.robot.link_lengths_m={list(THREE_LINK.link_lengths_m)}",
         "data.narrow_share=0",
-        "models=[flow, flow_distilled, cvae]",
     )
-    # Ways need no grid; the head is the source's.
-    assert set(made["versions"]) == {"flow", "flow_distilled", "cvae", "ways"}
+    assert set(made["versions"]) == {"flow", "wgan", "ways"}
     assert made["model"] == "three-link-path-sampler"
     registry = MlflowRegistry(server)
     for name, number in made["versions"].items():
@@ -186,10 +183,10 @@ def test_three_joints_take_the_same_job_without_the_models_of_a_grid(server, dat
 @pytest.mark.e2e
 @pytest.mark.slow
 @pytest.mark.timeout(600)
-def test_an_arm_in_space_takes_the_same_job_without_the_models_of_a_grid(server, data_folder, tmp_path):
+def test_an_arm_in_space_takes_the_same_job(server, data_folder, tmp_path):
     source = write_space_bundle(tmp_path / "source")
     settings = ("data.robot=panda", "data.scenario_count=2", "data.shard_size=1", "data.narrow_share=0")
-    names = {"flow", "flow_distilled", "cvae", "wgan", "wgan_lookups"}
+    names = {"flow", "wgan"}
     models = f"models=[{', '.join(sorted(names))}]"
     made = train(server, data_folder, f"source={source}", *settings, "flow.evaluations=2", models)
     assert set(made["versions"]) >= names

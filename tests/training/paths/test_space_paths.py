@@ -6,7 +6,6 @@ import torch
 
 from cspace.bundle import Bundle
 from cspace.bundle.golden import scene
-from cspace.errors import ConfigError
 from cspace.splits import Split
 from cspace.worlds import workshop_of
 from cspace.worlds.spatial.obstacles.obstacle_rows import obstacles_of
@@ -20,7 +19,7 @@ from training.datasets.paths import PathRecipe
 from training.models.lookups.lookups import make_lookups, read
 from training.models.mixture import look
 from training.models.paths.condition import Condition, swept
-from training.models.paths.settings import DistillationConfig, FlowConfig, PathGanConfig, PathVaeConfig
+from training.models.paths.settings import FlowConfig, PathGanConfig
 from training.models.pictures.autoencoders import network_size
 from training.models.settings import LookupConfig
 from training.paths.export import PointSampler, point_graph
@@ -36,12 +35,9 @@ SMALL = {"hidden": 16, "layers": 2, "batch_size": 8, "steps": 2, "lookups": Look
 GAN = SMALL | {"critic_hidden": 16, "critic_layers": 2}
 TRAIN = PathTrainConfig(
     flow=FlowConfig(**SMALL, evaluations=2),
-    flow_distilled=DistillationConfig(batch_size=8, steps=2),
-    cvae=PathVaeConfig(**SMALL | {"lookups": LookupConfig()}),
     wgan=PathGanConfig(**GAN | {"lookups": LookupConfig()}),
-    wgan_lookups=PathGanConfig(**GAN, place=True, refinements=2),
 )
-NAMES = ("flow", "cvae", "wgan", "wgan_lookups")
+NAMES = ("flow", "wgan")
 
 
 @pytest.fixture(scope="module")
@@ -59,7 +55,7 @@ def source(tmp_path_factory):
 def stored(source, dataset, monkeypatch):
     """Arrays whose pictures stay on disk."""
     monkeypatch.setattr(module, "HELD_BYTES", 0)
-    return path_arrays(source, dataset, 17, None)
+    return path_arrays(source, dataset, 17)
 
 
 def test_pictures_on_disk_are_read_as_those_in_memory(source, dataset, stored):
@@ -69,15 +65,11 @@ def test_pictures_on_disk_are_read_as_those_in_memory(source, dataset, stored):
 
 
 def test_few_pictures_are_sent_with_the_paths(source, dataset):
-    found = path_arrays(source, dataset, 17, None)
+    found = path_arrays(source, dataset, 17)
     np.testing.assert_array_equal(found.images, dataset.images)
-    assert found.maps is None
 
 
-# One that looks at places, with refinements, takes as long as the others together.
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=pytest.mark.slow if name == "wgan_lookups" else ()) for name in NAMES]
-)
+@pytest.mark.parametrize("name", NAMES)
 def test_every_model_takes_steps_and_its_graph_answers_as_the_network_does(name, stored, source, tmp_path):
     trained = make_path_module(name, TRAIN, stored, 0)
     before = {key: value.clone() for key, value in trained.net.state_dict().items()}
@@ -91,7 +83,7 @@ def test_every_model_takes_steps_and_its_graph_answers_as_the_network_does(name,
     lookups = make_lookups(config.lookups, WORLD)
     sampler = PointSampler(trained.net, lookups, place=config.place, sweep=4)
     graph = point_graph(sampler, LATENT, network_size(WORLD.sensor))
-    assert graph.looks_at_picture == (name in {"flow", "wgan_lookups"})
+    assert graph.looks_at_picture == (name == "flow")
     rng, picture = np.random.default_rng(1), scene(WORLD.sensor.picture_shape)
     ends = {end: np.repeat(WORLD.space.sample_uniform(rng, 1), 5, 0) for end in ("start", "goal")}
     sizes = {item.name: item.shape[0] for item in graph.random_inputs} | {"latent": LATENT}
@@ -116,29 +108,23 @@ def test_every_model_takes_steps_and_its_graph_answers_as_the_network_does(name,
     assert found.confidence.shape == found.unseen.shape == (30,)
 
 
-def test_the_critic_is_told_what_the_picture_shows_at_its_points(stored):
-    trained = make_path_module("wgan_lookups", TRAIN, stored, 0)
+def test_a_flow_is_told_what_the_picture_shows_at_its_points(stored):
+    trained = make_path_module("flow", TRAIN, stored, 0)
     batch = trained.samples.draw(6, trained.rng)
     points = batch.points.clone().requires_grad_()
     seen = read(trained.reader, batch.ids, points)
-    assert seen.shape == (6, make_lookups(TRAIN.wgan_lookups.lookups, WORLD).values)
+    assert seen.shape == (6, make_lookups(TRAIN.flow.lookups, WORLD).values)
     (slope,) = torch.autograd.grad(seen.sum(), points)
     # Every joint but the last moves some group.
     assert (slope[:, :-1].abs().amax(dim=0) > 0.0).all()
 
 
-def test_a_density_of_seven_joints_is_refused(source, dataset):
-    with pytest.raises(ConfigError, match="leave density out"):
-        path_arrays(source, dataset, 17, 16)
-
-
 def test_the_arms_preset_trains_what_needs_no_grid_between_ends_as_problems_have_them():
     config = load_path_config("panda")
-    assert set(config.models) == {"flow", "flow_distilled", "wgan", "wgan_lookups", "cvae"}
+    assert set(config.models) == {"flow", "wgan"}
     assert config.data.world == WORLD
     assert config.data.narrow_count == 0
-    for name in ("flow", "wgan_lookups"):
-        assert make_lookups(config.points_of(name).lookups, WORLD) is not None
+    assert make_lookups(config.flow.lookups, WORLD) is not None
 
 
 def test_paths_run_free_between_ends_that_are_apart(dataset):

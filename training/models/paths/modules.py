@@ -1,4 +1,4 @@
-"""The Lightning shells of the path models that give points: flow matching, conditional VAE, WGAN-GP."""
+"""Lightning modules of the path models: flow matching and WGAN-GP."""
 
 from dataclasses import replace
 
@@ -11,21 +11,14 @@ from training.models.lookups.lookups import Reader, Scenes, make_reader, read, v
 from training.models.modules import AdversarialModule, TrialModule
 from training.models.networks import Critic, Sizes
 from training.models.paths.condition import Condition
-from training.models.paths.points import (
-    Look,
-    PathCritic,
-    PathDecoder,
-    PathFlow,
-    PathRecogniser,
-    RefiningGenerator,
-)
+from training.models.paths.points import Look, PathCritic, PathFlow, PathGenerator
 from training.models.paths.samples import PathBatch, PathSamples
-from training.models.paths.settings import FlowConfig, PathGanConfig, PathVaeConfig, PointConfig
+from training.models.paths.settings import FlowConfig, PathGanConfig, PointConfig
 from training.models.space.joints import Joints
 
 
 class PointModule(TrialModule):
-    """What the three share: the paths, the latents, the look-ups.
+    """What both share: the paths, the latents, the look-ups.
 
     Args:
         config: sizes and budget.
@@ -80,32 +73,6 @@ class FlowModule(PointModule):
         self.latest = {"flow_loss": loss.detach()}
 
 
-class PathVaeModule(PointModule):
-    """The conditional VAE over points of paths."""
-
-    def __init__(
-        self, config: PathVaeConfig, samples: PathSamples, scenes: Scenes | None, seed: int, space: JointSpace
-    ) -> None:
-        super().__init__(config, samples, scenes, seed, space)
-        self.config = config
-        self.net = PathDecoder(self.sizes, config.code_dim, place=config.place)
-        self.recogniser = PathRecogniser(self.sizes, config.code_dim, place=config.place)
-        self.one_cycle(self.parameters(), config.learning_rate, config.steps)
-
-    def training_step(self, step: int, batch_index: int) -> None:
-        """One step of the evidence lower bound."""
-        del step, batch_index
-        batch = self.samples.draw(self.config.batch_size, self.rng)
-        condition = self.condition(batch)
-        mean, log_variance = self.recogniser(condition, batch.points)
-        code = mean + (log_variance / 2.0).exp() * self.normal(*mean.shape)
-        wanted = self.joints.embed(batch.points)
-        error = (self.net.embedded(condition, code) - wanted).square().sum(dim=1).mean()
-        kl = losses.kl_divergence(mean, log_variance).mean()
-        self.descend(error + self.config.kl_weight * kl)
-        self.latest = {"path_error": error.detach(), "kl": kl.detach()}
-
-
 class PathGanModule(PointModule, AdversarialModule):
     """WGAN-GP over points of paths (Algorithm 1 with start and goal beside the latent).
 
@@ -134,7 +101,7 @@ class PathGanModule(PointModule, AdversarialModule):
     ) -> None:
         super().__init__(config, samples, scenes, seed, space)
         self.config = config
-        self.net = make_path_generator(config, self.sizes)
+        self.net = PathGenerator(self.sizes, config.noise_dim, place=config.place)
         critic = replace(self.sizes, hidden=config.critic_hidden, layers=config.critic_layers)
         self.critic = PathCritic(critic, place=config.place)
         self.guides = nn.ModuleList(guides or []).requires_grad_(requires_grad=False)
@@ -183,10 +150,3 @@ class PathGanModule(PointModule, AdversarialModule):
 def point_sizes(config: PointConfig, space: JointSpace, latent_dim: int, looked_up: int) -> Sizes:
     """Sizes of the network that settings name; ``looked_up`` is what its look-ups read of a picture."""
     return Sizes(space, latent_dim, config.hidden, config.layers, looked_up)
-
-
-def make_path_generator(config: PathGanConfig, sizes: Sizes) -> RefiningGenerator | PathDecoder:
-    """The generator that settings name."""
-    if config.refinements == 0:
-        return PathDecoder(sizes, config.noise_dim, place=config.place)
-    return RefiningGenerator(sizes, config.noise_dim, config.refinements, place=config.place)

@@ -1,4 +1,4 @@
-"""Networks that give one point of a path for each row of random numbers: flow, VAE decoder, generator.
+"""Networks that give one point of a path for each row of random numbers: flow and generator.
 
 All of them take a ``Condition``, with a place along the path or without one, and read the picture through a
 ``Look``: a function from configurations (m, d) to what the picture shows there, (m, values), or None without
@@ -10,7 +10,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor, nn
 
-from training.models.networks import Sizes, beside, mlp, near_zero
+from training.models.networks import Sizes, beside, mlp
 from training.models.paths.condition import PLACE_FEATURES, Condition, condition_size, place_features
 from training.models.space.joints import Joints
 
@@ -58,7 +58,7 @@ class PathFlow(nn.Module):
         return self.joints.fold(at)
 
 
-class PathDecoder(nn.Module):
+class PathGenerator(nn.Module):
     """A code to a point, as an embedding: code (m, k), condition to (m, d) rad; it looks nothing up."""
 
     def __init__(self, sizes: Sizes, code_dim: int, *, place: bool) -> None:
@@ -76,49 +76,6 @@ class PathDecoder(nn.Module):
         """Points (m, d) rad; it reads no picture."""
         del look
         return self.joints.unembed(self.embedded(condition, noise))
-
-
-class PathRecogniser(nn.Module):
-    """A point and its condition to mean and log variance of its code, (m, d) rad to (m, k) each."""
-
-    def __init__(self, sizes: Sizes, code_dim: int, *, place: bool) -> None:
-        super().__init__()
-        self.joints = Joints(sizes.space)
-        inputs = condition_size(sizes.latent_dim, self.joints, place=place) + self.joints.features_size
-        self.net = mlp(inputs, sizes.hidden, sizes.layers, 2 * code_dim)
-
-    def forward(self, condition: Condition, points: Tensor) -> tuple[Tensor, Tensor]:
-        """Mean and log variance."""
-        seen = torch.cat([condition.features(self.joints), self.joints.features(points)], dim=1)
-        mean, log_variance = self.net(seen).chunk(2, dim=1)
-        return mean, log_variance.clamp(-8.0, 4.0)
-
-
-class RefiningGenerator(nn.Module):
-    """A point from the noise, moved a few times, each time with a look at the picture where it is.
-
-    Shapes: noise (m, n), the first d of which place the base on the torus, to (m, d) rad.
-    """
-
-    def __init__(self, sizes: Sizes, noise_dim: int, refinements: int, *, place: bool) -> None:
-        super().__init__()
-        self.joints, self.noise_dim = Joints(sizes.space), sizes.space.dim + noise_dim
-        inputs = condition_size(sizes.latent_dim, self.joints, place=place) + self.joints.features_size
-        moves = [sizes.mlp(inputs + noise_dim, sizes.space.dim) for _ in range(refinements)]
-        for move in moves:
-            near_zero(move[-1])
-        self.moves = nn.ModuleList(moves)
-
-    def forward(self, condition: Condition, noise: Tensor, look: Look) -> Tensor:
-        """Points (m, d) rad."""
-        # Standard normal noise, so that all generators draw alike; erf spreads it evenly over the torus.
-        dim = self.joints.dim
-        at = self.joints.from_torus(torch.pi * torch.erf(noise[:, :dim] / 2.0**0.5))
-        rest, features = noise[:, dim:], condition.features(self.joints)
-        for move in self.moves:
-            seen = look(at)
-            at = self.joints.fold(at + move(beside([features, self.joints.features(at), rest], seen)))
-        return at
 
 
 class PathCritic(nn.Module):

@@ -1,1 +1,0 @@
-"""Ways through a map of free cells."""
