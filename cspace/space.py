@@ -5,18 +5,20 @@ those of the torus; :class:`JointSpace` alone knows which joint is a circle and 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cspace.errors import ScenarioError
+from cspace.errors import InputError, ScenarioError
 
 Floats = NDArray[np.floating[Any]]
 _TURN = 2.0 * np.pi
-# A value that lies this little beyond a limit is there by rounding, and stays at that limit.
-_ROUNDED_RAD = 1e-4
+# A value that lies this little beyond a limit is there by rounding, and is taken as that limit.
+LIMIT_TOLERANCE_RAD = 1e-4
+# Farther from 0 than three turns an angle of a circle is more likely in degrees than unwrapped.
+MAX_CIRCLE_RAD = 3.0 * _TURN
 
 # float32(pi) lies above pi; this is the largest float32 below it, so that [-pi, pi) survives the cast.
 FLOAT32_PI_BELOW = np.nextafter(np.float32(np.pi), np.float32(0.0))
@@ -70,11 +72,13 @@ class JointSpace:
         lower: lower end of each joint, rad; -pi where periodic.
         upper: upper end of each joint, rad; pi where periodic.
         periodic: whether the joint is a circle.
+        names: of the joints, for messages; none where they are numbered from 1.
     """
 
     lower: tuple[float, ...]
     upper: tuple[float, ...]
     periodic: tuple[bool, ...]
+    names: tuple[str, ...] = field(default=(), compare=False)
 
     @property
     def dim(self) -> int:
@@ -122,7 +126,7 @@ class JointSpace:
         turned = np.where(values < low, first, last)
         nearer = np.where(first - high <= low + _TURN - first, high, low)
         moved = np.where(first <= high, turned, nearer)
-        inside = np.clip(np.where(beyond <= _ROUNDED_RAD, values, moved), low, high)
+        inside = np.clip(np.where(beyond <= LIMIT_TOLERANCE_RAD, values, moved), low, high)
         return np.where(self.periodic, wrapped, inside)
 
     def to_float32(self, configurations: ArrayLike) -> NDArray[np.float32]:
@@ -163,6 +167,43 @@ class JointSpace:
         configurations = np.asarray(configurations, dtype=np.float64)
         inside = (configurations >= self.lower) & (configurations <= self.upper)
         return np.asarray(np.all(inside | np.asarray(self.periodic), axis=-1))
+
+    def admitted(
+        self, configurations: ArrayLike, what: str, error: type[InputError] = InputError
+    ) -> NDArray[np.float64]:
+        """Configurations that come from outside, checked; every file and request goes through here.
+
+        Limited joints are clamped to their limits where they lie up to ``LIMIT_TOLERANCE_RAD`` beyond, as
+        values in single precision do. Circles stay as they are, within ``MAX_CIRCLE_RAD`` of 0.
+
+        Args:
+            configurations: (d,) or (n, d) rad.
+            what: the clause of the error's message, as "start lies outside the robot's limits".
+            error: its type.
+
+        Returns:
+            The same, clamped.
+
+        Raises:
+            InputError: of the given type; a value is not finite, or farther outside. The joint is named.
+        """
+        values = np.asarray(configurations, dtype=np.float64)
+        low = np.where(self.periodic, -MAX_CIRCLE_RAD, self.lower)
+        high = np.where(self.periodic, MAX_CIRCLE_RAD, self.upper)
+        fits = (values >= low - LIMIT_TOLERANCE_RAD) & (values <= high + LIMIT_TOLERANCE_RAD)
+        if fits.all():
+            return np.clip(values, low, high)
+        *row, joint = np.argwhere(~fits)[0]
+        name = self.names[joint] if self.names else f"joint {joint + 1}"
+        wrong = np.count_nonzero(~fits.all(axis=-1))
+        raise error(
+            what,
+            expected=f"{name} from {low[joint]:.8g} to {high[joint]:.8g} rad"
+            + (", three turns of a circle either way" if self.periodic[joint] else ""),
+            got=(f"{wrong} of {len(fits)} rows outside, the first is row {row[0]}: " if row else "")
+            + f"{name} at {values[(*row, joint)]:.8g} rad",
+            remedy="send angles in rad, not in degrees, as the joints stand",
+        )
 
     def holds(self, configurations: Floats) -> NDArray[np.bool_]:
         """Which values of (..., d) lie in their joint's range, circles in [-pi, pi).

@@ -7,7 +7,7 @@ from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, TypeVar, cast
 
 import numpy as np
 from jsonschema import Draft202012Validator
@@ -24,6 +24,7 @@ from cspace.yaml_file import YamlDocument, read_yaml, read_yaml_file
 MAX_SHOWN = 200
 _NAME = {"type": "string", "pattern": "^[a-z0-9]([a-z0-9-]{0,38}[a-z0-9])?$"}
 _WORDS = {"exclusiveMinimum": "above", "minimum": "at least", "maximum": "at most", "required": "the keys"}
+_T = TypeVar("_T")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -136,12 +137,8 @@ def _end(
     angles, space = np.array(values[name], dtype=np.float64), world.space
     if angles.shape != (world.dim,):
         raise _at(path, document, (name,), f"{name} does not fit", f"{world.dim} angles", f"{angles.size}")
-    if not space.contains(angles):
-        limits = f"joints from {space.lower} to {space.upper} rad"
-        raise _at(
-            path, document, (name,), f"{name} lies outside the robot's limits", limits, str(values[name])
-        )
-    return angles
+    what = f"{name} lies outside the robot's limits"
+    return _told(path, document, name, lambda: space.admitted(angles, what, ScenarioError))
 
 
 def _unknown(error: ValidationError) -> list[str]:
@@ -168,11 +165,11 @@ def _unfit(path: Path, document: YamlDocument, error: ValidationError) -> Scenar
     return _at(path, document, place, f"{name} does not fit", expected, got)
 
 
-def _told(path: Path, document: YamlDocument, part: str, read: Callable[[], World]) -> World:
+def _told(path: Path, document: YamlDocument, part: str, read: Callable[[], _T]) -> _T:
     try:
         return read()
     except ScenarioError as error:
-        raise _at(path, document, (part,), error.what, error.expected, error.got) from error
+        raise _at(path, document, (part,), error.what, error.expected, error.got, error.remedy) from error
 
 
 def _at(
@@ -182,8 +179,10 @@ def _at(
     what: str,
     expected: str | None,
     got: str | None,
+    remedy: str | None = None,
 ) -> ScenarioError:
-    return ScenarioError(f"{path}:{document.line(place)}: {what}", expected=expected, got=got)
+    where = f"{path}:{document.line(place)}"
+    return ScenarioError(f"{where}: {what}", expected=expected, got=got, remedy=remedy)
 
 
 def _part(kind: str) -> Any:

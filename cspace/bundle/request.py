@@ -1,7 +1,6 @@
 """Whether a query fits the bundle that is to answer it."""
 
 import json
-from collections.abc import Sequence
 from dataclasses import fields, replace
 
 import numpy as np
@@ -110,15 +109,8 @@ def fitted_end(spec: BundleSpec, name: str, angles: tuple[float, ...]) -> tuple[
             expected=f"{spec.dim} finite angles in rad",
             got=str(list(angles))[:200],
         )
-    space, configuration = spec.world.space, np.array(angles)
-    if not space.contains(configuration):
-        raise InputError(
-            f"{name} lies outside the limits of the robot's joints",
-            expected=f"each joint from {_listed(space.lower)} to {_listed(space.upper)} rad"
-            + (", circles at any turn" if any(space.periodic) else ""),
-            got=_listed(angles),
-            remedy="send the joints as they stand, not wrapped",
-        )
+    space = spec.world.space
+    configuration = space.admitted(angles, f"{name} lies outside the limits of the robot's joints")
     return tuple(space.to_float32(configuration).tolist())
 
 
@@ -145,21 +137,6 @@ def fitted_configurations(values: ArrayLike, spec: BundleSpec) -> NDArray[np.flo
             expected=f"an array of shape (n, {spec.dim}) in rad, n at least 1",
             got=f"{rows.dtype} of shape {rows.shape}",
         )
-    configurations = rows.astype(np.float64)
-    finite = np.asarray(np.isfinite(configurations).all(axis=1))
-    held = np.where(finite[:, None], configurations, 0.0)
-    outside = np.flatnonzero(~(finite & space.contains(held)))
-    if len(outside):
-        raise InputError(
-            "configurations lie outside the limits of the robot's joints",
-            expected=f"each joint finite, from {_listed(space.lower)} to {_listed(space.upper)} rad"
-            + (", circles at any turn" if any(space.periodic) else ""),
-            got=f"{len(outside)} of {len(rows)}, the first in row {outside[0]}: "
-            f"{_listed(configurations[outside[0]].tolist())}",
-            remedy="what lies outside the limits is never free; leave it out",
-        )
-    return space.to_float32(configurations)
-
-
-def _listed(values: Sequence[float]) -> str:
-    return f"({', '.join(f'{value:.6g}' for value in values)})"
+    return space.to_float32(
+        space.admitted(rows, "configurations lie outside the limits of the robot's joints")
+    )

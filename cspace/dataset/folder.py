@@ -35,8 +35,6 @@ OPTIONAL = (
 )
 # Room that stays free on the disk after a data set has been written.
 RESERVE_BYTES = 256 * 2**20
-# What single precision and the limits may move a configuration by.
-_STORED_RAD = 1e-4
 
 Arrays = Mapping[str, NDArray[Any]]
 
@@ -249,14 +247,8 @@ def _rows(name: str, parts: Sequence[NDArray[Any]], space: JointSpace) -> dict[s
         raise DatasetError(
             f"{name} holds values that are not finite", expected="angles in rad", got="nan or inf"
         )
-    stored = space.to_float32(joined)
-    if np.any(np.abs(space.difference(stored, joined)) > _STORED_RAD):
-        raise DatasetError(
-            f"{name} holds configurations outside the robot's limits",
-            expected=f"joints from {space.lower} to {space.upper} rad",
-            got=str(joined[~space.contains(joined)][0].tolist()),
-        )
-    return {name: stored, f"{name}_offsets": offsets}
+    taken = space.admitted(joined, f"{name} holds configurations outside the robot's limits", DatasetError)
+    return {name: space.to_float32(taken), f"{name}_offsets": offsets}
 
 
 def _load(path: Path) -> NDArray[Any]:

@@ -36,7 +36,6 @@ _CHUNK = 256
 _RESOLUTION_RAD = 0.005
 # Of a path; ten times as long as any that a planner finds.
 MAX_STATES = 100_000
-_ROUNDED_RAD = 1e-4
 # A scene without discs is one whose disc nobody reaches, for worlds of given scenes have one at least.
 _NOWHERE = (1e6, 1e6, 1e-3)
 
@@ -164,7 +163,7 @@ def rows_of(field: str, rows: tuple[tuple[float, ...], ...], world: World) -> ND
 
     Args:
         field: that they stand in.
-        rows: angles in rad; of circles within one turn of zero.
+        rows: angles in rad.
         world: of the robot.
 
     Raises:
@@ -173,18 +172,11 @@ def rows_of(field: str, rows: tuple[tuple[float, ...], ...], world: World) -> ND
     wrong = next((len(row) for row in rows if len(row) != world.dim), None)
     if wrong is not None:
         raise wrong_field(field, f"{world.dim} angles", str(wrong))
-    values, space = np.array(rows, dtype=np.float64).reshape(-1, world.dim), world.space
-    low, high = (
-        np.where(space.periodic, turn, ends)
-        for turn, ends in ((-2.0 * np.pi, space.lower), (2.0 * np.pi, space.upper))
-    )
-    # Answers are rounded to single precision.
-    outside = (values < low - _ROUNDED_RAD) | (values > high + _ROUNDED_RAD)
-    if outside.any():
-        row, joint = np.argwhere(outside)[0]
-        within = f"angles in rad, of joint {joint + 1} from {low[joint]:.6g} to {high[joint]:.6g}"
-        raise wrong_field(field, within, f"{values[row, joint]:.6g}")
-    return np.clip(values, low, high)
+    values = np.array(rows, dtype=np.float64).reshape(-1, world.dim)
+    try:
+        return world.space.admitted(values, f"{field} lies outside the robot's limits")
+    except InputError as error:
+        raise wrong_field(field, error.expected or "", error.got or "") from error
 
 
 def path_of(rows: tuple[tuple[float, ...], ...], world: World) -> NDArray[np.float64]:

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from cspace import space
+from cspace_client import joint_space
 from cspace_client.errors import SamplerAnswerError
 from cspace_client.joint_space import JointSpace
 from cspace_client.questions.model_head import read_space
@@ -78,3 +79,13 @@ def test_the_clients_joint_space_is_the_projects(rows):
         np.testing.assert_array_equal(MIXED.holds(values), SAID.holds(values))
     drawn = [one.sample_uniform(np.random.default_rng(3), 5) for one in (MIXED, SAID)]
     np.testing.assert_array_equal(*drawn)
+
+
+def test_the_client_rounds_to_limits_as_the_service_does():
+    assert joint_space.LIMIT_TOLERANCE_RAD == space.LIMIT_TOLERANCE_RAD
+    assert joint_space.MAX_CIRCLE_RAD == space.MAX_CIRCLE_RAD
+    rows = [[0.0, 1.0 + 1e-10], [0.0, -4.00009], [7.0, 0.5], [0.0, 1.001]]
+    clamped = MIXED.clamp(rows)
+    np.testing.assert_array_equal(clamped, [[0.0, 1.0], [0.0, -4.0], [7.0, 0.5], [0.0, 1.001]])
+    assert MIXED.admits(clamped).tolist() == [True, True, True, False]
+    assert not MIXED.admits([90.0, 0.5])

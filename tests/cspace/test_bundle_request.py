@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cspace.bundle import Bundle
-from cspace.bundle.request import FittedQuery, fitted, fitted_configurations
+from cspace.bundle.request import FittedQuery, fitted, fitted_configurations, fitted_end
 from cspace.errors import InputError
 from cspace.query import SampleQuery
 from cspace.worlds.planar.arm import PlanarArm
@@ -42,7 +42,26 @@ def test_configurations_are_wrapped_where_joints_are_circles_and_held_within_lim
     assert np.allclose(found, [[3.9, 7.0 - 2 * np.pi], [-2.9, -4.0 + 2 * np.pi]])
     with pytest.raises(InputError, match="outside the limits") as refused:
         fitted_configurations([[0.0, 0.0], [4.1, 0.0], [-3.0, 0.0]], spec)
-    assert "2 of 3, the first in row 1: (4.1, 0)" in str(refused.value.got)
+    assert "2 of 3 rows outside, the first is row 1: joint 1 at 4.1 rad" in str(refused.value.got)
     for wrong in ([0.0, 1.0], [[0.0]], np.empty((0, 2)), [["a", "b"]], [[True, False]]):
         with pytest.raises(InputError, match="do not fit the robot"):
             fitted_configurations(wrong, spec)
+
+
+def test_limits_in_single_precision_are_taken_at_every_field(bundle: Bundle) -> None:
+    limits = (-2.8973, 2.8973), (-3.7525, 3.7525)
+    spec = replace(bundle.spec, world=PlanarWorld(PlanarArm(joint_limits_rad=limits)))
+    upper = np.float32([2.8973, 3.7525])
+    assert not spec.world.space.contains(upper)
+    found = fitted_configurations(upper[None], spec)
+    assert spec.world.space.contains(found).all()
+    np.testing.assert_array_equal(fitted_end(spec, "goal", tuple(upper.tolist())), found[0].tolist())
+    with pytest.raises(InputError, match=r"goal lies outside the limits.*joint 2 at 3.7527"):
+        fitted_end(spec, "goal", (0.0, 3.7527))
+
+
+def test_angles_in_degrees_are_refused_although_the_joints_are_circles(bundle: Bundle) -> None:
+    with pytest.raises(InputError, match=r"joint 1 at 47.08 rad; .*degrees"):
+        fitted_configurations([[47.08, -79.14]], bundle.spec)
+    with pytest.raises(InputError, match=r"start lies outside.*joint 2 at -79.14 rad"):
+        fitted_end(bundle.spec, "start", (0.1, -79.14))

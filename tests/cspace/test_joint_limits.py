@@ -8,6 +8,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from cspace.errors import DatasetError, InputError
 from cspace.space import JointSpace, circles, difference, embed, to_float32, wrap
 
 TORUS = circles(2)
@@ -121,3 +122,46 @@ def test_a_space_says_what_it_is():
         "lower": [-pi, -1.0], "upper": [pi, 2.0], "periodic": [True, False],
     }  # fmt: skip
     assert JointSpace((-4.0,), (1.0,), (False,)).to_dict()["kind"] == "box"
+
+
+LIMITED = JointSpace((-2.9671, -pi), (2.8973, pi), (False, True), ("shoulder", "wrist"))
+
+
+@pytest.mark.parametrize(
+    "rows", [np.float32([[2.8973, 0.0]]), [[2.8973 + 1e-10, 0.0]], [[2.8973 + 9e-5, 0.0]]]
+)
+def test_what_rounding_moved_beyond_a_limit_is_taken_as_the_limit(rows):
+    np.testing.assert_array_equal(LIMITED.admitted(rows, "rows lie outside"), [[2.8973, 0.0]])
+
+
+def test_what_is_inside_is_taken_as_it_is():
+    rows = [[-2.9671, 4.0], [0.25, -12.5]]
+    np.testing.assert_array_equal(LIMITED.admitted(rows, "rows lie outside"), rows)
+    assert LIMITED.admitted(np.empty((0, 2)), "rows lie outside").shape == (0, 2)
+
+
+@pytest.mark.parametrize(
+    ("row", "limits", "value"),
+    [
+        ([2.8975, 0.0], "shoulder from -2.9671 to 2.8973 rad", "shoulder at 2.8975 rad"),
+        ([-90.0, 0.0], "shoulder from", "shoulder at -90 rad"),
+        ([0.0, 90.0], "wrist from -18.849556 to 18.849556 rad, three turns", "wrist at 90 rad"),
+        ([np.nan, 0.0], "shoulder from", "shoulder at nan rad"),
+        ([0.0, np.inf], "wrist from", "wrist at inf rad"),
+    ],
+)
+def test_what_lies_outside_is_refused_by_its_joints_name(row, limits, value):
+    with pytest.raises(DatasetError, match="rows lie outside") as refused:
+        LIMITED.admitted([[0.0, 0.0], row], "rows lie outside", DatasetError)
+    assert limits in refused.value.expected
+    assert refused.value.got == f"1 of 2 rows outside, the first is row 1: {value}"
+    assert "not in degrees" in refused.value.remedy
+
+
+@pytest.mark.parametrize("limit", [0.0, 2.8973, 1000.0])
+def test_a_refusal_never_prints_the_limit_as_the_value(limit):
+    space = JointSpace((limit - 5.0,), (limit,), (False,))
+    with pytest.raises(InputError) as refused:
+        space.admitted([limit + 1.01e-4], "the value lies outside")
+    assert f"{limit:.8g} rad" in refused.value.expected
+    assert f"at {limit:.8g} rad" not in refused.value.got

@@ -230,3 +230,14 @@ def test_three_lines_of_python_plan_in_a_file(write):
     plan = plan_scene(write(WHOLE), "http://127.0.0.1:1")
     assert plan.result.solved
     assert plan.unavailable is not None
+
+
+def test_an_end_that_rounding_moved_beyond_a_limit_is_taken_as_the_limit(write):
+    found = read_scene_file(write(WHOLE.replace("start: [0, 0.4]", "start: [0, 2.5000000001]")))
+    assert found.start.tolist() == [0.0, 2.5]
+
+
+def test_an_end_in_degrees_is_refused_with_its_line_and_joint(write):
+    path = write(WHOLE.replace("goal: [-1.8, -0.5]", "goal: [-103, -0.5]"))
+    with pytest.raises(ScenarioError, match=rf"{path}:12: goal lies outside.*joint 1 at -103 rad.*degrees"):
+        read_scene_file(path)

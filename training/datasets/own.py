@@ -103,18 +103,9 @@ def _configurations(path: Path, space: JointSpace) -> NDArray[np.float64]:
             expected=f"numbers of shape (n, {dim})",
             got=f"{array.dtype} of shape {array.shape}",
         )
-    angles = array.astype(np.float64)
-    if not np.isfinite(angles).all():
+    if not np.isfinite(array).all():
         raise DatasetError(f"{path} holds values that are not finite", expected="angles in rad")
-    outside = ~space.contains(angles)
-    if outside.any():
-        raise DatasetError(
-            f"{path} holds configurations outside the robot's limits",
-            expected=f"joints from {space.lower} to {space.upper} rad",
-            got=f"{outside.sum()}, the first {angles[outside][0].tolist()}",
-            remedy="leave them out, or correct the limits",
-        )
-    return angles
+    return space.admitted(array, f"{path} holds configurations outside the robot's limits", DatasetError)
 
 
 def _refuse_strays(source: Path, pictures: list[Path]) -> None:

@@ -82,12 +82,12 @@ def read_scene(world: SpatialWorld, values: Mapping[str, Any]) -> SpatialScene:
         ScenarioError: a camera looks nowhere, or the state is none of the robot's.
     """
     views, state = world.sensor.views, values.get("state", values.get("start"))
-    if state is not None and not (len(state) == world.dim and world.space.contains(np.array(state))):
-        raise ScenarioError(
-            "the state does not fit the robot",
-            expected=f"{world.dim} angles within its limits",
-            got=str(state),
-        )
+    if state is not None:
+        if len(state) != world.dim:
+            raise ScenarioError(
+                "the state does not fit the robot", expected=f"{world.dim} angles", got=str(state)
+            )
+        state = world.space.admitted(state, "the state does not fit the robot", ScenarioError).tolist()
     cameras = [
         DepthCamera.of_field(
             views.width,

@@ -99,7 +99,7 @@ BAD: list[tuple[str, dict[str, Any], str]] = [
     ("truth", {"discs": [[0.0, 0.0, 0.0]]}, "discs"),
     ("truth", {"discs": [], "configurations": [[0.0]]}, "configurations"),
     ("truth", {"discs": [], "configurations": [[0.0, 0.0], [0.0, 1e5]]}, "configurations"),
-    ("truth", {"discs": [], "at": [-7.0, 0.0]}, "at"),
+    ("truth", {"discs": [], "at": [-19.0, 0.0]}, "at"),
     ("truth", {"discs": [], "path": [[0.0, 0.0], [1e5, 0.0]]}, "path"),
     ("truth", {"discs": [], "path": [[0.0, 0.0], [3.0, 0.0]] * 1000}, "path"),
     ("scene", {"seed": -1}, "seed"),

@@ -151,3 +151,24 @@ def test_configurations_outside_the_limits_are_refused_and_not_wrapped(tmp_path)
     np.save(tmp_path / "own" / "a.npy", [[9.0, -3.9]])
     kept = take(tmp_path / "own", tmp_path / "other", robot).free_of(0)
     np.testing.assert_allclose(kept, [[9.0 - 2.0 * np.pi, -3.9]], rtol=1e-6)
+
+
+def test_data_in_degrees_are_refused_and_not_wrapped(tmp_path):
+    fill(tmp_path / "own", collision=False)
+    np.save(tmp_path / "own" / "b.npy", [[0.5, 1.0], [47.08, -79.14]])
+    with pytest.raises(DatasetError, match=r"b\.npy holds configurations outside.*not in degrees") as refused:
+        take(tmp_path / "own", tmp_path / "data")
+    assert "row 1: joint 1 at 47.08 rad" in refused.value.got
+    assert not (tmp_path / "data").exists()
+
+
+def test_a_limit_in_single_precision_is_taken(tmp_path):
+    fill(tmp_path / "own", collision=False)
+    robot = PlanarArm(joint_limits_rad=((-2.8973, 2.8973), (-3.7525, 3.7525)))
+    rows = np.array([[2.8973, 3.7525], [-2.8973, -3.7525]], dtype=np.float32)
+    assert not robot.space.contains(rows).all()
+    for name in "abc":
+        np.save(tmp_path / "own" / f"{name}.npy", rows)
+    stored = take(tmp_path / "own", tmp_path / "data", robot).free_of(0)
+    assert robot.space.contains(stored).all()
+    np.testing.assert_allclose(stored, rows, atol=1e-6)

@@ -9,7 +9,12 @@ from numpy.typing import ArrayLike, NDArray
 MAX_LIMIT_RAD = 1000.0
 """Of a joint, either way; further out single precision tells neighbours no longer apart."""
 
+LIMIT_TOLERANCE_RAD = 1e-4
+"""A value that lies this little beyond a limit is there by rounding, and is taken as that limit."""
+
 _TURN = 2.0 * np.pi
+MAX_CIRCLE_RAD = 3.0 * _TURN
+"""Farther from 0 an angle of a circle is more likely in degrees than unwrapped."""
 
 
 class Joints(Protocol):
@@ -73,11 +78,24 @@ class JointSpace:
         apart = np.asarray(end, dtype=np.float64) - np.asarray(start, dtype=np.float64)
         return np.asarray(np.linalg.norm(self.wrap(apart), axis=-1))
 
+    def clamp(self, configurations: ArrayLike) -> NDArray[np.float64]:
+        """Joints that lie up to ``LIMIT_TOLERANCE_RAD`` beyond a limit brought to it; (..., d) rad."""
+        values = np.asarray(configurations, dtype=np.float64)
+        inside = np.clip(values, self.lower, self.upper)
+        near = ~np.asarray(self.periodic) & (np.abs(values - inside) <= LIMIT_TOLERANCE_RAD)
+        return np.where(near, inside, values)
+
     def contains(self, configurations: ArrayLike) -> NDArray[np.bool_]:
         """Whether each of (..., d) lies within the limits of the joints that have some."""
         values = np.asarray(configurations, dtype=np.float64)
         inside = (values >= self.lower) & (values <= self.upper)
         return np.asarray(np.all(inside | np.asarray(self.periodic), axis=-1))
+
+    def admits(self, configurations: ArrayLike) -> NDArray[np.bool_]:
+        """As :meth:`contains`, and all circles within ``MAX_CIRCLE_RAD`` of 0."""
+        turns = np.abs(np.asarray(configurations, dtype=np.float64)) <= MAX_CIRCLE_RAD
+        near = np.all(turns | ~np.asarray(self.periodic), axis=-1)
+        return np.asarray(self.contains(configurations) & near)
 
     def holds(self, configurations: NDArray[np.floating[Any]]) -> NDArray[np.bool_]:
         """Which values of (..., d) lie in their joint's range, circles in [-pi, pi).

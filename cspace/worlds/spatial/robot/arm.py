@@ -54,14 +54,18 @@ class SerialArm:
         self._check_parts()
         self._check_pairs()
         ready = self.ready_rad
-        if ready is not None and not (len(ready) == self.dim and self.space.contains(np.array(ready))):
-            raise ScenarioError(
-                "the arm cannot wait there", expected=f"{self.dim} angles within its limits", got=str(ready)
-            )
+        if ready is not None:
+            object.__setattr__(self, "ready_rad", self._waiting(ready))
 
     def __hash__(self) -> int:
         # Equal arms have equal ones, and hundreds of spheres are not gone through.
         return hash((self.name, self.joints, self.tool))
+
+    def _waiting(self, ready_rad: tuple[float, ...]) -> tuple[float, ...]:
+        what = "the arm cannot wait there"
+        if len(ready_rad) != self.dim:
+            raise ScenarioError(what, expected=f"{self.dim} angles", got=str(ready_rad))
+        return tuple(self.space.admitted(ready_rad, what, ScenarioError).tolist())
 
     def _check_parts(self) -> None:
         astray = [part.name for part in self.parts if not 0 <= part.link <= self.dim]
@@ -101,6 +105,7 @@ class SerialArm:
             tuple(-np.pi if lim is None else lim[0] for lim in limits),
             tuple(np.pi if lim is None else lim[1] for lim in limits),
             tuple(lim is None for lim in limits),
+            tuple(joint.name for joint in self.joints),
         )
 
     @property

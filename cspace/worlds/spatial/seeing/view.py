@@ -106,17 +106,14 @@ def state_of(values: object, space: JointSpace) -> tuple[float, ...] | None:
         return None
     fits = isinstance(values, list) and len(values) == space.dim
     angles = [float(_number(one, "state")) for one in values] if fits else []  # type: ignore[attr-defined]
-    if not fits or not space.contains(np.array(angles)):
-        limits = ", ".join(
-            f"{low:.4g} to {high:.4g}" for low, high in zip(space.lower, space.upper, strict=True)
-        )
+    if not fits:
         raise ImageError(
             "the state does not fit the robot",
-            expected=f"{space.dim} angles in rad within its limits ({limits})",
+            expected=f"{space.dim} angles in rad within its limits",
             got=repr(values)[:200],
             remedy="send where the arm was when the pictures were taken, or leave it out if it is in none",
         )
-    return tuple(angles)
+    return tuple(space.admitted(angles, "the state does not fit the robot", ImageError).tolist())
 
 
 def _rows(values: object) -> Any:

@@ -77,6 +77,16 @@ def test_a_state_that_the_arm_cannot_have_is_refused(state):
         read_view(data, SPACE)
 
 
+def test_a_state_at_a_limit_in_single_precision_is_taken_and_one_outside_names_its_joint():
+    upper = np.float32(SPACE.upper).tolist()
+    found = read_view(pack_view([encode_depth(picture())], [told()], upper), SPACE)
+    assert SPACE.contains(found.state)
+    np.testing.assert_allclose(found.state, SPACE.upper, atol=1e-6)
+    data = pack_view([encode_depth(picture())], [told()], [*STATE[:3], -135.0, *STATE[4:]])
+    with pytest.raises(ImageError, match=r"panda_joint4 from .* got panda_joint4 at -135 rad; .*degrees"):
+        read_view(data, SPACE)
+
+
 def test_pictures_and_cameras_are_as_many_as_each_other_and_at_most_four():
     for pictures, cameras in ((0, 0), (1, 2), (2, 1), (5, 5)):
         with pytest.raises(ImageError, match=f"{pictures} pictures, {cameras} cameras"):

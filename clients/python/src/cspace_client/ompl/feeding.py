@@ -44,7 +44,7 @@ def feed_samples(
         setup: with start, goal and planner, RRT or RRT*; its state space is a circle (SO2), a real vector
             space, or a product of these.
         samples: (n, d) values in the order of the state space, an array or anything else that gives rows; for
-            circles in rad at any turn.
+            circles in rad within three turns of 0.
         uniform_share: share of uniform states among the others while samples are left, 0 to 1.
         seed: of the choice between them, and of the uniform states.
 
@@ -121,12 +121,13 @@ def _rows(samples: Iterable[ArrayLike], space: JointSpace) -> NDArray[np.float64
             expected=f"finite values of shape (n, {space.dim})",
             got=f"shape {rows.shape}",
         )
-    beyond = len(rows) - int(np.sum(space.contains(space.wrap(rows))))
+    rows = space.clamp(rows)
+    beyond = len(rows) - int(np.sum(space.admits(rows)))
     if beyond:
         raise PlanningError(
             "samples lie outside the bounds of the state space",
             expected=f"{space.lower} to {space.upper}",
             got=f"{beyond} others",
-            remedy="leave them out",
+            remedy="leave them out; angles are in rad",
         )
     return rows

@@ -150,12 +150,14 @@ class LearnedSampler:
     def _end(self, name: str, given: ArrayLike) -> list[float]:
         values = np.asarray(given, dtype=np.float64)
         fits = values.shape == (self.space.dim,) and np.isfinite(values).all()
-        if not (fits and self.space.contains(values)):
+        if fits:
+            values = self.space.clamp(values)
+        if not (fits and self.space.admits(values)):
             raise PlanningError(
                 f"the {name} is no configuration of this robot",
-                expected=f"{self.space.dim} joints within their limits",
+                expected=f"{self.space.dim} joints in rad within their limits",
                 got=str(values)[:200],
-                remedy="name a model of this robot",
+                remedy="send angles in rad, and name a model of this robot",
             )
         values = self.space.wrap(values)
         if not self._is_free(values.copy()):
