@@ -1,15 +1,14 @@
-"""Reading a ``.npy`` that somebody else wrote.
-
-NumPy's own reader evaluates the header as a Python literal, which raises whatever a header likes and takes as
-much memory. Files as NumPy writes them are read, and no others.
-"""
+"""Reading a ``.npy`` that somebody else wrote: bytes of a request or a bundle, or a file that is mapped."""
 
 import math
 import re
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from cspace.errors import CspaceError
 
 _HEADER = re.compile(
     rb"\{'descr': '([<|][a-z][0-9])', 'fortran_order': (True|False), 'shape': \(([0-9, ]{0,40})\), \} *\n"
@@ -19,7 +18,9 @@ _LONGEST_HEADER = 512
 
 
 def read_npy(data: bytes, types: tuple[str, ...], axes: int | tuple[int, ...]) -> NDArray[Any]:
-    """An untrusted ``.npy`` file of version 1.0, whose header is matched and not evaluated.
+    """An untrusted ``.npy`` file of version 1.0, as NumPy writes it.
+
+    The header is matched: NumPy evaluates it as a Python literal, which takes time and memory of a server.
 
     Args:
         data: the file; the array shares its memory.
@@ -43,3 +44,22 @@ def read_npy(data: bytes, types: tuple[str, ...], axes: int | tuple[int, ...]) -
         raise ValueError("an array whose shape does not fit its size")
     found = np.frombuffer(data, dtype=kind, offset=start + length)
     return found.reshape(shape, order="F" if match[2] == b"True" else "C")
+
+
+def map_npy(path: Path, error: type[CspaceError]) -> NDArray[Any]:
+    """A ``.npy`` file as a read-only array that is mapped, so that no shape is larger than its file.
+
+    Args:
+        path: of the file.
+        error: what is raised.
+
+    Raises:
+        CspaceError: ``error``; it cannot be read, holds objects, or is no ``.npy`` file; an ``.npz`` is none.
+    """
+    try:
+        mapped: NDArray[Any] = np.lib.format.open_memmap(path, mode="r")
+    except Exception as problem:
+        # All, for there is no list of what evaluating a header raises.
+        got = str(problem)[:200] or type(problem).__name__
+        raise error(f"{path} is no array", expected="a .npy file of numbers", got=got) from problem
+    return mapped

@@ -14,6 +14,7 @@ from cspace.errors import CspaceError
 Kind = TypeVar("Kind")
 # As seeds are unsigned.
 _LARGEST = 2**64 - 1
+MAX_DEPTH = 64
 _SHOWN = 200
 _NAMES = {str: "a text", bool: "true or false", int: "a whole number", float: "a finite number"}
 
@@ -43,10 +44,10 @@ def parse_json(
         number: reads the others; without it they are finite.
 
     Raises:
-        ValueError: it is not that, or nested too deep for the parser.
+        ValueError: it is not that, or nested deeper than 64 levels.
     """
     try:
-        return json.loads(
+        values = json.loads(
             data.decode("utf-8"),
             parse_constant=_refuse,
             parse_int=whole,
@@ -55,6 +56,10 @@ def parse_json(
         )
     except RecursionError as error:
         raise ValueError(str(error)) from error
+    # What the parser takes may still be too deep for whoever shows or writes it.
+    if data.count(b"[") + data.count(b"{") > MAX_DEPTH:
+        _check_depth(values)
+    return values
 
 
 def json_text(values: object, what: str, open_to: str, error: type[CspaceError]) -> str:
@@ -206,6 +211,20 @@ def _read_scalar(kind: type, value: Any, where: str, error: type[CspaceError]) -
 
 def _wrong(expected: str, got: object, where: str, error: type[CspaceError]) -> CspaceError:
     return error(f"{where} does not fit", expected=expected, got=repr(got)[:_SHOWN])
+
+
+def _check_depth(values: object) -> None:
+    level = [values]
+    for _ in range(MAX_DEPTH):
+        level = [
+            part
+            for one in level
+            for part in (one.values() if isinstance(one, dict) else one if isinstance(one, list) else ())
+            if isinstance(part, dict | list)
+        ]
+        if not level:
+            return
+    raise ValueError(f"it is nested deeper than {MAX_DEPTH} levels")
 
 
 def _refuse(name: str) -> float:

@@ -25,6 +25,7 @@ from cspace.dataset.checks import TOLD, check_arrays
 from cspace.dataset.manifest import MANIFEST_FILE, Manifest, file_digest
 from cspace.errors import DamagedFileError, DatasetError, StorageError
 from cspace.files import make_output_folder, replacing
+from cspace.npy import map_npy
 from cspace.space import JointSpace
 from cspace.world import World
 
@@ -155,7 +156,7 @@ def open_dataset(folder: Path, *, verify: bool = True) -> Dataset:
             raise DamagedFileError(
                 f"{path} is damaged", expected=f"SHA-256 {expected}", got=got, remedy="make or copy it again"
             )
-    arrays = {Path(name).stem: _load(folder / name) for name in manifest.files}
+    arrays = {Path(name).stem: map_npy(folder / name, DamagedFileError) for name in manifest.files}
     check_arrays(arrays, manifest.world, REQUIRED, OPTIONAL)
     return Dataset(folder, manifest, arrays)
 
@@ -249,11 +250,3 @@ def _rows(name: str, parts: Sequence[NDArray[Any]], space: JointSpace) -> dict[s
         )
     taken = space.admitted(joined, f"{name} holds configurations outside the robot's limits", DatasetError)
     return {name: space.to_float32(taken), f"{name}_offsets": offsets}
-
-
-def _load(path: Path) -> NDArray[Any]:
-    try:
-        array: NDArray[Any] = np.load(path, mmap_mode="r", allow_pickle=False)
-    except (OSError, ValueError, EOFError) as error:
-        raise DamagedFileError(f"{path} is no array", expected="a .npy file", got=str(error)) from error
-    return array

@@ -4,16 +4,17 @@ Every move of the champion is a decision in its version's log (:mod:`services.re
 evaluator's are, with the words ``by hand`` among its reasons.
 """
 
-import json
 import tempfile
 import time
 from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 from cspace.bundle import Bundle, BundleSpec
 from cspace.errors import ConfigError, ModelNotFoundError
-from cspace.files import replacing, write_json
+from cspace.files import read_bounded, replacing, write_json
+from cspace.strict_json import parse_json
 from cspace.worlds import robot_digest
 from services.names import (
     ALIAS_CHALLENGER,
@@ -33,6 +34,7 @@ from services.registry.tracking.port import Tracking
 
 BUNDLE_FOLDER, RECORD = "bundle", "version.json"
 BY_HAND, STEP_BACK = "by hand", "rolled back from"
+_MAX_RECORD_BYTES = 2**20
 ROLLED_BACK = f"{BY_HAND}: {STEP_BACK}"
 
 
@@ -158,8 +160,9 @@ def _tags(record: Path) -> Mapping[str, str]:
     """Of the exported version, the decisions about it elsewhere left out: they compare with others."""
     if not record.exists():
         return {}
+    data = read_bounded(record, _MAX_RECORD_BYTES, ConfigError)
     try:
-        values = json.loads(record.read_text(encoding="utf-8"))
+        values: Any = parse_json(data)
         tags = {str(key): str(value) for key, value in values["tags"].items()}
     except (ValueError, LookupError, TypeError, AttributeError) as error:
         raise ConfigError(

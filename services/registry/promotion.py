@@ -55,7 +55,7 @@ class Decision:
         try:
             values = json.loads(text)
             return cls(**{**values, "reasons": tuple(values["reasons"])})
-        except (ValueError, TypeError, KeyError) as error:
+        except (ValueError, TypeError, KeyError, RecursionError) as error:
             raise RegistryError(
                 "an entry of the decision log is not readable",
                 expected="the JSON of a decision",

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import pytest
 
 from cspace.errors import DatasetError, ScenarioError
-from cspace.strict_json import parse_json, read_object, written
+from cspace.strict_json import MAX_DEPTH, parse_json, read_object, written
 
 
 def doubled(value: object) -> int:
@@ -113,3 +113,17 @@ def test_numbers_are_kept_to_the_last_bit() -> None:
     data = b'[18446744073709551615, -18446744073709551615, 0.1, -0.0, {"\xc3\xa9": 5e-324}]'
     found = parse_json(data)
     assert found == [2**64 - 1, 1 - 2**64, 0.1, 0.0, {"é": 5e-324}]
+
+
+@pytest.mark.parametrize(("opening", "closing"), [("[", "]"), ('{"a":', "}")])
+@pytest.mark.parametrize("levels", [MAX_DEPTH + 1, 900, 100_000])
+def test_texts_that_are_nested_deep_are_refused_and_flat_ones_of_many_parts_are_not(
+    opening: str, closing: str, levels: int
+) -> None:
+    def nested(count: int) -> bytes:
+        return (opening * count + "1" + closing * count).encode()
+
+    with pytest.raises(ValueError, match=r"nested|recursion"):
+        parse_json(nested(levels))
+    assert parse_json(nested(MAX_DEPTH))
+    assert parse_json(b"[" + b",".join([nested(2)] * MAX_DEPTH) + b"]")

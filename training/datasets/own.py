@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from cspace.dataset import Dataset, require_room, write_dataset
 from cspace.errors import DatasetError
+from cspace.npy import map_npy
 from cspace.space import JointSpace
 from cspace.world import World
 from training.datasets.own_pictures import found_pictures, read_own_picture
@@ -87,16 +88,13 @@ def _read(picture: Path, world: World) -> OwnScenario:
 
 def _configurations(path: Path, space: JointSpace) -> NDArray[np.float64]:
     dim = space.dim
-    try:
-        array: NDArray[Any] = np.load(path, allow_pickle=False)
-    except FileNotFoundError as error:
+    if not path.is_file():
         raise DatasetError(
             f"{path} is missing",
             expected="free configurations of the picture beside it",
             remedy=f"add it, or move the picture to {EXTRA_FOLDER}/",
-        ) from error
-    except (OSError, ValueError, EOFError) as error:
-        raise DatasetError(f"{path} is no array", expected="a .npy file", got=str(error)) from error
+        )
+    array = map_npy(path, DatasetError)
     if array.ndim != 2 or array.shape[1] != dim or array.dtype.kind not in "fiu":
         raise DatasetError(
             f"{path} does not fit the robot",

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cspace.errors import DatasetError, ImageError
+from cspace.files import read_bounded
 from cspace.strict_json import parse_json, read_members
 from cspace.view_file import MAX_PICTURES, pack_view
 from cspace.world import World
@@ -53,9 +54,10 @@ def _view(path: Path) -> bytes:
 
 
 def _told(path: Path) -> dict[str, Any]:
+    data = _bytes(path)
     try:
-        values = parse_json(_bytes(path))
-    except (ValueError, RecursionError) as error:
+        values = parse_json(data)
+    except ValueError as error:
         raise DatasetError(f"{path} is no JSON", got=str(error)[:200]) from error
     told = {"state": None, **values} if isinstance(values, dict) else values
     members = read_members(told, _KEYS, str(path), DatasetError)
@@ -74,9 +76,4 @@ def _is_name(name: object) -> bool:
 
 
 def _bytes(path: Path) -> bytes:
-    try:
-        if path.stat().st_size > _MAX_BYTES:
-            raise DatasetError(f"{path} is too large", expected="at most 8 MiB")
-        return path.read_bytes()
-    except OSError as error:
-        raise DatasetError(f"{path} cannot be read", got=str(error)) from error
+    return read_bounded(path, _MAX_BYTES, DatasetError)

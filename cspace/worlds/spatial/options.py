@@ -1,12 +1,15 @@
 """The spatial world on a command line: an arm by its name or file."""
 
 import argparse
-import json
 from pathlib import Path
 
-from cspace.errors import ConfigError, ScenarioError
+from cspace.errors import ConfigError
+from cspace.files import read_bounded
+from cspace.strict_json import parse_json
 from cspace.worlds.spatial.robot.arm import SerialArm
 from cspace.worlds.spatial.world import SpatialWorld, shipped, usual
+
+_MAX_BYTES = 2**20
 
 
 def add_options(parser: argparse.ArgumentParser, *, sensor: bool) -> None:
@@ -31,11 +34,11 @@ def described(options: argparse.Namespace) -> SpatialWorld | None:
     path = Path(options.arm)
     if not path.is_file():
         return usual(shipped(options.arm))
+    data = read_bounded(path, _MAX_BYTES, ConfigError)
     try:
-        return usual(SerialArm.from_dict(json.loads(path.read_bytes())))
-    except (OSError, ValueError) as error:
-        if isinstance(error, ScenarioError):
-            raise
+        values = parse_json(data)
+    except ValueError as error:
         raise ConfigError(
             f"{path} holds no robot", expected="JSON of an arm", got=str(error)[:200]
         ) from error
+    return usual(SerialArm.from_dict(values))

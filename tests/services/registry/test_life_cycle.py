@@ -161,9 +161,10 @@ def test_a_bundle_alone_is_imported_and_a_foreign_record_refused(tmp_path: Path)
     folder = tmp_path / "exported"
     folder.mkdir()
     bundle.rename(folder / "bundle")
-    (folder / "version.json").write_text(json.dumps({"tags": ["a"]}))
-    with pytest.raises(ConfigError, match=r"version\.json"):
-        import_version(registry, tracking, folder, "mine")
+    for text in (json.dumps({"tags": ["a"]}), "[" * 100_000, " " * (2**20 + 1)):
+        (folder / "version.json").write_text(text)
+        with pytest.raises(ConfigError, match=r"version\.json"):
+            import_version(registry, tracking, folder, "mine")
 
 
 OWN, OTHER = PlanarArm((1.0, 1.0)), PlanarArm((1.0, 1.1))

@@ -38,7 +38,7 @@ def test_a_decision_survives_its_json() -> None:
     assert Decision.from_json(DECISION.to_json()) == DECISION
 
 
-@pytest.mark.parametrize("text", ["", "[]", "{}", '{"name": "x"}', '{"reasons": 1}'])
+@pytest.mark.parametrize("text", ["", "[]", "{}", '{"name": "x"}', '{"reasons": 1}', "[" * 100_000])
 def test_an_entry_that_somebody_else_wrote_is_named(text: str) -> None:
     with pytest.raises(RegistryError, match="decision log"):
         Decision.from_json(text)

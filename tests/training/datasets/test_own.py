@@ -90,6 +90,23 @@ def no_array(folder):
     (folder / "b.npy").write_text("1.0 2.0")
 
 
+def packed(folder):
+    with (folder / "b.npy").open("wb") as file:
+        np.savez(file, b=np.zeros((3, 2)))
+
+
+def with_header(text):
+    def spoil(folder):
+        header = text.encode().ljust(117) + b"\n"
+        (folder / "b.npy").write_bytes(b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header)
+
+    return spoil
+
+
+def huge(rows):
+    return with_header(f"{{'descr': '<f8', 'fortran_order': False, 'shape': ({rows}, 2), }}")
+
+
 def no_pictures(folder):
     for path in folder.glob("*.png"):
         path.unlink()
@@ -111,6 +128,11 @@ def too_large(folder):
         (spoil_with("a.collision.npy", np.full((3, 2), np.inf)), r"a\.collision\.npy.*finite"),
         (spoil_with("b.npy", np.array([[{}, {}]], dtype=object)), r"b\.npy is no array"),
         (no_array, r"b\.npy is no array"),
+        (packed, r"b\.npy is no array"),
+        (huge(2**40), r"b\.npy is no array"),
+        (huge(2**70), r"b\.npy is no array"),
+        (with_header("{1: 2, 'a': 3, None: 1}"), r"b\.npy is no array"),
+        (with_header("-" * 9000 + "1"), r"b\.npy is no array"),
         (lambda folder: (folder / "b.npy").unlink(), r"b\.npy is missing.*extra/"),
         (spoil_with("d.npy", np.zeros((1, 2))), r"d\.npy belongs to no picture"),
         (spoil_with("d.collision.npy", np.zeros((1, 2))), r"d\.collision\.npy belongs to no picture"),

@@ -106,6 +106,10 @@ def test_an_arm_is_named_or_read_from_its_file(tmp_path):
     assert described().kind == "planar"
     with pytest.raises(ScenarioError, match="one of panda"):
         described("--arm", "kuka")
-    path.write_text("{")
-    with pytest.raises(ConfigError, match="holds no robot"):
+    for text in ("{", "[" * 100_000, '{"a": NaN}', '{"a": 1, "a": 1}'):
+        path.write_text(text)
+        with pytest.raises(ConfigError, match="holds no robot"):
+            described("--arm", str(path))
+    path.write_text(" " * (2**20 + 1))
+    with pytest.raises(ConfigError, match="too large"):
         described("--arm", str(path))
