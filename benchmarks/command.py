@@ -1,7 +1,8 @@
-"""The command line of a benchmark: its own documentation is its help."""
+"""What benchmarks share: a command line whose help is the module's documentation, and spreads of figures."""
 
 import argparse
-from pathlib import Path
+import statistics
+from collections.abc import Iterable
 
 
 def arguments(description: str | None) -> argparse.ArgumentParser:
@@ -11,9 +12,8 @@ def arguments(description: str | None) -> argparse.ArgumentParser:
     )
 
 
-def tracked_arguments(description: str | None) -> argparse.ArgumentParser:
-    """What all benchmarks with a tracking server take."""
-    parser = arguments(description)
-    parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--tracking-uri", required=True)
-    return parser
+def spread(values: Iterable[float], digits: int = 1) -> str:
+    """Median and range."""
+    values = list(values)
+    middle, low, high = statistics.median(values), min(values), max(values)
+    return f"{middle:.{digits}f} ({low:.{digits}f} to {high:.{digits}f})"

@@ -12,8 +12,7 @@ from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
 
-from benchmarks.command import arguments
-from benchmarks.lines import spread
+from benchmarks.command import arguments, spread
 from benchmarks.machine import machine
 from cspace.bundle import Bundle
 from cspace.splits import Split

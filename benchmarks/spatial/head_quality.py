@@ -25,7 +25,7 @@ import numpy as np
 
 from benchmarks.command import arguments
 from benchmarks.machine import machine
-from benchmarks.spatial.spheres_and_meshes import panda
+from benchmarks.spatial.problem_options import panda
 from cspace.bundle.running.graphs import Graph
 from cspace.splits import Split
 from cspace.worlds.spatial.motionbench.problems import BenchProblem, problems

@@ -1,17 +1,25 @@
 """Which problems of MotionBenchMaker a benchmark takes, on its command line, and how it asks for plans."""
 
+import json
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
+import cspace.worlds.spatial
 from benchmarks.command import arguments
-from benchmarks.spatial.spheres_and_meshes import panda
 from cspace.bundle import Bundle
 from cspace.planning.query import DEFAULT_WAYS
 from cspace.splits import Split
 from cspace.worlds.spatial.motionbench.problems import FAMILIES, BenchProblem, problems
+from cspace.worlds.spatial.robot.arm import SerialArm
 from cspace.worlds.spatial.world import SpatialWorld
 
 LOOK_RAD, WAYS, LIMIT_S = 0.01, DEFAULT_WAYS, 2.0
+
+
+def panda() -> SerialArm:
+    """The robot that ships."""
+    path = Path(cspace.worlds.spatial.__file__).with_name("robots") / "panda.json"
+    return SerialArm.from_dict(json.loads(path.read_bytes()))
 
 
 def problem_arguments(description: str | None) -> ArgumentParser:

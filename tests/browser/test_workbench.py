@@ -133,7 +133,6 @@ def test_the_page_measures_from_an_interaction_to_its_samples(page: Page, addres
     x, y, _ = workbench.discs_in_address(page)[2]
     drag(page, (x, y), (1.5, -1.8), steps=20)
     wait_for_disc(page, 2, 1.5, -1.8)
-    # How long it takes is a benchmark's to say: benchmarks/serving/interaction.py.
     told = "() => performance.getEntriesByName('interaction-to-samples').map((one) => one.duration)"
     assert len(page.evaluate(told)) >= 5
 

@@ -1,4 +1,4 @@
-"""The acceptance of GS-C in small; benchmarks/evaluation/separation.py measures it in full."""
+"""The acceptance of GS-C in small."""
 
 import numpy as np
 import pytest

@@ -1,1 +1,0 @@
-"""What planners gain, and what data cost."""

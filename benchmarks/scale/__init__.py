@@ -1,1 +1,0 @@
-"""Many trials, nodes and runs."""
