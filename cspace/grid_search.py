@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from heapq import heappop, heappush
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
+from cspace.kernel_cache import njit
 from cspace.space import JointSpace
 
 

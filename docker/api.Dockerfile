@@ -11,20 +11,21 @@ COPY constraints.txt /tmp/constraints.txt
 RUN pip install --no-cache-dir -c /tmp/constraints.txt -r /tmp/requirements.txt
 
 RUN useradd --uid 1000 --create-home cspace \
- && install -d -o cspace -g cspace /var/lib/cspace/models /var/lib/cspace/kernels
+ && install -d -o cspace -g cspace /var/lib/cspace/models /opt/cspace/kernels
 COPY cspace /app/cspace
 COPY services /app/services
 COPY inference_api /app/inference_api
 
 ENV CSPACE_MODEL_CACHE=/var/lib/cspace/models \
-    NUMBA_CACHE_DIR=/var/lib/cspace/kernels \
+    NUMBA_CACHE_DIR=/opt/cspace/kernels \
     MLFLOW_DISABLE_TELEMETRY=true \
     OMP_NUM_THREADS=1 \
     PYTHONPATH=/app \
     PYTHONUNBUFFERED=1
 USER 1000
 WORKDIR /app
-# A first plan would compile for a minute; a volume that is mounted there begins with this.
+# Compiled for processors like this one, and found where the root file system is read only. On another processor a
+# server compiles when it starts, and is ready after a minute.
 RUN python -m cspace.planning.compiled
 EXPOSE 8000
 CMD ["python", "-m", "inference_api", "--host", "0.0.0.0", "--port", "8000"]

@@ -26,8 +26,9 @@ DESCRIPTION = (
     "CSPACE_LOADED_MODELS, CSPACE_STORED_MODELS, CSPACE_CACHED_PICTURES, CSPACE_API_THREADS, "
     "CSPACE_API_KEYS_FILE, CSPACE_API_MAX_IN_FLIGHT, CSPACE_API_BODY_TIMEOUT_S, CSPACE_API_RATE, "
     "CSPACE_API_BURST, CSPACE_API_HELD_BODIES_MIB, CSPACE_API_MAX_CONNECTIONS, CSPACE_API_HEADER_TIMEOUT_S, "
-    "CSPACE_API_WRITE_TIMEOUT_S, CSPACE_API_GRACE_S, CSPACE_API_HOSTS (names that the server answers to "
-    "beside loopback and --host, * for any), CSPACE_API_ORIGINS (of other sites' pages), "
+    "CSPACE_API_WRITE_TIMEOUT_S, CSPACE_API_GRACE_S, "
+    "CSPACE_API_LOAD_PLANNER (0 leaves that to the first plan), CSPACE_API_HOSTS (names that the server "
+    "answers to beside loopback and --host, * for any), CSPACE_API_ORIGINS (of other sites' pages), "
     "CSPACE_API_TRUSTED_PROXIES (addresses or networks whose X-Forwarded-For is believed), CSPACE_API_GUIDE "
     "(folder of the built documentation site, for /guide), CSPACE_API_WORKBENCH (1 is as --workbench), "
     "CSPACE_API_MLFLOW_PAGES (where browsers find MLflow), CSPACE_API_MOTIONBENCH (folder that "
@@ -84,7 +85,11 @@ def main(arguments: list[str] | None = None) -> int:
     host, port = listener.getsockname()[:2]
     print(f"serving on http://{host}:{port} (documentation at http://{host}:{port}/docs)", flush=True)
     config = ApiConfig(
-        settings.connections, settings.grace_s, options.workers, log_config=log_settings(options.log)
+        settings.connections,
+        settings.grace_s,
+        options.workers,
+        log_config=log_settings(options.log),
+        load_planner=settings.load_planner,
     )
     return _serve(config, listener)
 

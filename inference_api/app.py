@@ -65,6 +65,8 @@ def create_app(settings: ApiSettings | None = None, registry: ModelRegistry | No
         app.state.room = WaitingRoom()
         async with following(store, settings.poll_s, FIRST_LOOK_S):
             settle()
+            if app.state.loads_planner:
+                store.planner.begin()
             yield
         if app.state.traces is not None:
             # Sends what is still waiting.
@@ -94,6 +96,8 @@ def create_app(settings: ApiSettings | None = None, registry: ModelRegistry | No
     metrics = Metrics(partial(_default_model, store), settings.metrics_folder)
     provider = otlp_provider() if settings.traces else None
     app.state.metrics, app.state.traces = metrics, provider
+    # Servers do; an app that is used in another process loads the search with its first plan.
+    app.state.loads_planner = False
     store.observer = metrics if provider is None else TracedObserver(provider, metrics)
     app.add_middleware(Observed, metrics=metrics, names=RouteNames(app.router.routes))
     app.add_middleware(SecurityHeaders)

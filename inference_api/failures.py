@@ -30,5 +30,9 @@ class NoKernelsError(CspaceError):
     """What is asked for needs compiled code that this server has not."""
 
 
+class StartingError(CspaceError):
+    """What is asked for is being loaded since the server was started."""
+
+
 class ModelNotReadyError(CspaceError):
     """There is no model that could answer."""

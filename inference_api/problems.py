@@ -20,7 +20,7 @@ from cspace.errors import (
     OtherRobotError,
     RegistryError,
 )
-from inference_api.failures import FieldsError, ModelNotReadyError, NoKernelsError
+from inference_api.failures import FieldsError, ModelNotReadyError, NoKernelsError, StartingError
 from inference_api.record import note_reason
 
 _LOG = logging.getLogger(__name__)
@@ -72,6 +72,7 @@ INTERNAL_ERROR = ProblemType("internal-error", 500, "The server failed")
 NO_PLANNER = ProblemType("no-planner", 501, "This server does not plan")
 OVERLOADED = ProblemType("overloaded", 503, "The server answers too many requests already")
 SHUTTING_DOWN = ProblemType("shutting-down", 503, "The server is shutting down")
+STARTING = ProblemType("starting", 503, "The server is starting")
 NO_MODEL = ProblemType("no-model", 503, "No model is ready")
 REGISTRY_UNAVAILABLE = ProblemType("registry-unavailable", 503, "The model registry does not answer")
 
@@ -92,6 +93,7 @@ _BY_ERROR: tuple[tuple[type[CspaceError], ProblemType], ...] = (
     (ModelNotFoundError, UNKNOWN_MODEL),
     (RegistryError, REGISTRY_UNAVAILABLE),
     (ModelNotReadyError, NO_MODEL),
+    (StartingError, STARTING),
 )
 
 

@@ -55,6 +55,7 @@ class ApiSettings:
         guide_folder: the built documentation site, which need not be there.
         workbench: whether the page at ``/`` may ask for the truth of scenes.
         mlflow_pages: where browsers find MLflow's pages, for links; None for no links.
+        load_planner: whether the search of plans is loaded before the server is ready.
         problems_folder: of MotionBenchMaker's problems for the workbench; None for those that ship.
     """
 
@@ -77,6 +78,7 @@ class ApiSettings:
     workbench: bool = False
     mlflow_pages: str | None = None
     problems_folder: Path | None = None
+    load_planner: bool = True
 
     @classmethod
     def from_environment(cls, environment: Mapping[str, str] | None = None) -> "ApiSettings":
@@ -112,6 +114,7 @@ class ApiSettings:
             workbench=_switch(values, WORKBENCH),
             mlflow_pages=_pages(values, "CSPACE_API_MLFLOW_PAGES"),
             problems_folder=Path(values[PROBLEMS]) if values.get(PROBLEMS) else None,
+            load_planner=_switch(values, "CSPACE_API_LOAD_PLANNER", "1"),
         )
 
 
@@ -164,8 +167,8 @@ def _number(values: Mapping[str, str], name: str, default: float, low: float) ->
     return number
 
 
-def _switch(values: Mapping[str, str], name: str) -> bool:
-    text = values.get(name) or "0"
+def _switch(values: Mapping[str, str], name: str, default: str = "0") -> bool:
+    text = values.get(name) or default
     if text not in ("0", "1"):
         raise ConfigError(f"the setting {name} is wrong", expected="0 or 1", got=repr(text)[:200])
     return text == "1"

@@ -29,13 +29,18 @@ def load_kernels(checker: Checker, configuration: NDArray[np.float64], step_rad:
     route_search()(np.zeros((1, 1)), 0, 0)
 
 
-def main() -> int:
-    """Compile for every example; returns the exit code."""
-    for name, world in examples().items():
+def load_examples() -> list[str]:
+    """Have the compiled code of the worlds of every kind in this process; returns the examples' names."""
+    for world in examples().values():
         nothing = np.zeros(world.sensor.picture_shape, dtype=np.uint8)
         ends = np.zeros((2, world.dim))
         load_kernels(seen_checkers(world, nothing, ends)[0], ends[0], 0.1)
-        sys.stdout.write(f"compiled for {name}\n")
+    return list(examples())
+
+
+def main() -> int:
+    """Compile for every example; returns the exit code."""
+    sys.stdout.write(f"compiled for {', '.join(load_examples())}\n")
     return 0
 
 

@@ -1,8 +1,9 @@
 """The cheapest route through a small dense graph, compiled."""
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from cspace.kernel_cache import njit
 
 
 def cheapest_route(costs: NDArray[np.float64], start: int, goal: int) -> NDArray[np.int64] | None:

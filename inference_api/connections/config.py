@@ -24,13 +24,20 @@ class ApiConfig(uvicorn.Config):
         grace_s: for requests in flight when the server is told to end, in whole s.
         workers: processes.
         log_config: for :func:`logging.config.dictConfig`.
+        load_planner: whether the search of plans is loaded before the server is ready.
     """
 
     table: ConnectionTable
     metrics: "Metrics"
 
     def __init__(
-        self, limits: ConnectionLimits, grace_s: int, workers: int, log_config: dict[str, object]
+        self,
+        limits: ConnectionLimits,
+        grace_s: int,
+        workers: int,
+        log_config: dict[str, object],
+        *,
+        load_planner: bool,
     ) -> None:
         super().__init__(
             "inference_api.app:create_app",
@@ -49,6 +56,7 @@ class ApiConfig(uvicorn.Config):
         )
         self.limits = limits
         self.grace_s = grace_s
+        self.load_planner = load_planner
 
     def load(self) -> None:
         """Load the app, in the process that serves and after uvicorn has taken the signals."""
@@ -57,5 +65,6 @@ class ApiConfig(uvicorn.Config):
         # the event loop is busy with somebody's small requests.
         sys.setswitchinterval(SWITCH_S)
         self.metrics = self.loaded_app.state.metrics
+        self.loaded_app.state.loads_planner = self.load_planner
         self.table = ConnectionTable(self.limits, self.metrics.connections)
         end_in_time(self.grace_s)

@@ -18,6 +18,7 @@ from inference_api.failures import ModelNotReadyError
 from inference_api.models.apart.processes.child import Child
 from inference_api.models.bundle_cache import BundleCache, NotLoadedYetError
 from inference_api.models.pictures import PictureCache
+from inference_api.models.planner import PlannerStart
 from inference_api.models.registry_view import LOAD_WAIT_S, RegistryView
 from inference_api.models.served import ServedModel
 from inference_api.models.shipped import ShippedModels
@@ -59,6 +60,7 @@ class ModelStore:
         children: Sequence[Child] = (),
     ) -> None:
         self.observer = Observer()
+        self.planner = PlannerStart()
         self.pictures = PictureCache(0) if pictures is None else pictures
         self.model_name = model_name
         self._cache = cache

@@ -11,8 +11,10 @@ def default_model(store: ModelStore, turns: Turns) -> ServedModel:
     """The model that answers requests that name none.
 
     Raises:
+        StartingError: the search of plans is not loaded yet.
         ModelNotReadyError: there is none, or no request comes to its end.
     """
+    store.planner.require()
     served = store.resolve_now(ModelReference(store.model_name))
     if served is None or turns.are_stuck:
         raise ModelNotReadyError(

@@ -30,7 +30,7 @@ from inference_api.pages.planning.question import read_plan
 from inference_api.pages.sampling import model_info, prefers_npy, read_question
 from inference_api.pages.schemas import Live, Ready
 from inference_api.pages.validity import read_validity
-from inference_api.problems import INVALID_VALUE, NO_MODEL, UNAUTHORIZED
+from inference_api.problems import INVALID_VALUE, NO_MODEL, STARTING, UNAUTHORIZED
 from inference_api.telemetry.metrics import CONTENT_TYPE, Metrics
 
 router = APIRouter()
@@ -147,9 +147,11 @@ async def live() -> Live:
 
 
 @router.get(
-    "/health/ready", summary="Whether samples can be asked for", responses=problem_responses(NO_MODEL)
+    "/health/ready",
+    summary="Whether samples can be asked for",
+    responses=problem_responses(NO_MODEL, STARTING),
 )
 async def ready(store: Store, turns: Turn) -> Ready:
-    """The model that answers requests that name none; 503 without one, or while no request ends any more."""
+    """The model that answers requests that name none; 503 at the start, without one, or while none ends."""
     served = default_model(store, turns)
     return Ready(registry=store.registry_state, successor=store.successor, model=model_info(served))

@@ -32,11 +32,11 @@ def test_a_container_is_not_root_and_cannot_write_to_its_root(stack: Stack, serv
 
 
 def test_the_api_plans_without_compiling_first(stack: Stack) -> None:
-    began = stack.compose("exec", "-T", "inference-api", "ls", "-R", "/var/lib/cspace/kernels")
+    began = stack.compose("exec", "-T", "inference-api", "ls", "-R", "/opt/cspace/kernels")
     told = ask_for_plan(stack, model="pretrained").json()
     assert told["status"] in ("solved", "refused"), told
     assert began.count(".nbc") > 10
-    assert stack.compose("exec", "-T", "inference-api", "ls", "-R", "/var/lib/cspace/kernels") == began
+    assert stack.compose("exec", "-T", "inference-api", "ls", "-R", "/opt/cspace/kernels") == began
 
 
 @pytest.mark.parametrize("framework", ["torch", "ray", "lightning", "sklearn"])

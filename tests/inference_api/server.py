@@ -64,6 +64,8 @@ def server_process(
         "PYTHONUNBUFFERED": "1",
         "CSPACE_MODEL_CACHE": str(folder / "cache"),
         "MLFLOW_DISABLE_TELEMETRY": "true",
+        # Two seconds of computing for each server, of which few are asked for plans.
+        "CSPACE_API_LOAD_PLANNER": "0",
         **settings,
     }
     log = folder / "server.log"

@@ -2,6 +2,8 @@
 
 import base64
 import json
+import threading
+import time
 from typing import Any
 
 import numpy as np
@@ -125,3 +127,27 @@ def test_plans_are_counted_by_their_status(api):
     before = solved()
     ask(api)
     assert solved() == before + 1.0
+
+
+def test_a_server_is_not_ready_before_its_search_is_loaded(own_api, monkeypatch):
+    go_on = threading.Event()
+
+    def load():
+        assert go_on.wait(30)
+        return []
+
+    monkeypatch.setattr("inference_api.models.planner.load_examples", load)
+    api = own_api
+    store = api.app.state.store
+    assert api.get("/health/ready").status_code == 200
+    store.planner.begin()
+    problem = assert_problem(api.get("/health/ready"), 503, "starting")
+    assert "ask again" in problem["remedy"]
+    assert_problem(ask(api), 503, "starting")
+    assert api.get("/v2/health/ready").status_code == 503
+    assert api.get("/health/live").status_code == 200
+    go_on.set()
+    until = time.monotonic() + 30
+    while api.get("/health/ready").status_code != 200:
+        assert time.monotonic() < until
+        time.sleep(0.01)

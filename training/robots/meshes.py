@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from cspace.kernel_cache import njit
 from cspace.worlds.spatial.frames import moved
 
 Floats = NDArray[np.float64]

@@ -1,9 +1,9 @@
 """Drawing: scenario -> RGB picture, anti-aliased by exact supersampling where an outline passes."""
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from cspace.kernel_cache import njit
 from cspace.worlds.planar.scene import Scenario
 
 SUBSAMPLES = 8

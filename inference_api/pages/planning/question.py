@@ -57,6 +57,7 @@ class PlanQuestion:
             CspaceError: as the contract's table of errors.
             ClientDisconnect: the client has gone away.
         """
+        self.store.planner.require()
         bundle, spec = served.bundle, served.bundle.spec
         query = fitted_plan(spec, self.query)
         require_robot(self.robot, spec)

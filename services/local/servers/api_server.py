@@ -3,7 +3,7 @@
 import sys
 
 from services.local.environment import service_environment
-from services.local.servers.health import answers
+from services.local.servers.health import answers, problem_at
 from services.local.servers.service import Service
 from services.local.settings import API_PORT, HOST, Settings
 
@@ -32,7 +32,11 @@ def api_server(settings: Settings) -> Service:
             "CSPACE_API_MLFLOW_PAGES": settings.mlflow_url,
         },
         folder=settings.root,
-        ready=lambda: answers(f"{settings.api_url}/health/live"),
+        # Without any model it is not ready either, and stays so until one is trained.
+        ready=lambda: (
+            answers(f"{settings.api_url}/health/live")
+            and not problem_at(f"{settings.api_url}/health/ready").endswith(":starting")
+        ),
         start_limit_s=120.0,
         stop_grace_s=12.0,
     )

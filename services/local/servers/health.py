@@ -1,9 +1,12 @@
 """Whether services answer, and waiting until they do."""
 
 import http.client
+import json
 import time
+import urllib.error
 import urllib.request
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from pathlib import Path
 
 from cspace.errors import ServiceStartError
@@ -29,6 +32,18 @@ def answer_of(url: str, headers: Mapping[str, str] | None = None) -> bytes | Non
             return bytes(response.read()) if response.status == http.client.OK else None
     except (OSError, http.client.HTTPException):
         return None
+
+
+def problem_at(url: str) -> str:
+    """The ``type`` of the problem that an address answers; empty where it answers none."""
+    try:
+        _OPENER.open(url, timeout=PROBE_TIMEOUT_S).close()
+    except urllib.error.HTTPError as error:
+        with error, suppress(ValueError, KeyError, TypeError):
+            return str(json.load(error)["type"])
+    except (OSError, http.client.HTTPException):
+        pass
+    return ""
 
 
 def wait_ready(

@@ -7,8 +7,9 @@ a line that wraps is laid out twice, shifted by half a turn, so that both ways r
 from collections.abc import Sequence
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from cspace.kernel_cache import njit
 
 
 def distance_to_false(

@@ -5,7 +5,8 @@ kernels of their own, which lose no time on it.
 """
 
 import numpy as np
-from numba import njit
+
+from cspace.kernel_cache import njit
 
 TWO_PI = 2.0 * np.pi
 # Sine of the angle up to which two lines count as parallel.

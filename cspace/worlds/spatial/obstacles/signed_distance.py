@@ -1,9 +1,9 @@
 """Signed distance from points and spheres to boxes and cylinders, exact; negative inside."""
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
+from cspace.kernel_cache import njit
 from cspace.worlds.spatial.obstacles.shapes import Obstacles
 
 

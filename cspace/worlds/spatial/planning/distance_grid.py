@@ -3,10 +3,10 @@
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from cspace.errors import ScenarioError
+from cspace.kernel_cache import njit
 
 
 class DistanceGrid(NamedTuple):

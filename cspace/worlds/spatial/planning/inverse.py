@@ -9,10 +9,10 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from cspace.errors import ScenarioError
+from cspace.kernel_cache import njit
 from cspace.worlds.spatial.planning.kernels import gap
 from cspace.worlds.spatial.robot.arm import SerialArm
 from cspace.worlds.spatial.robot.kinematics import link_frames_into

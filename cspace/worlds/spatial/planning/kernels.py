@@ -7,9 +7,9 @@ where the sphere round the part touches something.
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from cspace.kernel_cache import njit
 from cspace.worlds.spatial.obstacles.shapes import Obstacles
 from cspace.worlds.spatial.obstacles.signed_distance import (
     box_distance,

@@ -13,11 +13,11 @@ no clearance is asked for.
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from cspace.connecting import connect_trees, length_rad, spaced
 from cspace.errors import ScenarioError
+from cspace.kernel_cache import njit
 from cspace.worlds.spatial.planning.collision import CollisionChecker
 from cspace.worlds.spatial.planning.kernels import checked_edge, gap, room_of
 

@@ -6,9 +6,9 @@ What is ``_into`` fills arrays that it is given and allocates nothing.
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from cspace.kernel_cache import njit
 from cspace.worlds.spatial.robot.arm import SerialArm
 
 

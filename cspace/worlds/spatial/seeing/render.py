@@ -7,9 +7,9 @@ see it: only surfaces that face the camera are.
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
+from cspace.kernel_cache import njit
 from cspace.worlds.spatial.obstacles.shapes import Obstacles
 from cspace.worlds.spatial.seeing.camera import DepthCamera
 

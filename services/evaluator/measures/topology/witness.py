@@ -11,8 +11,9 @@ from dataclasses import dataclass
 
 import gudhi
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from cspace.kernel_cache import njit
 
 
 @dataclass(frozen=True, slots=True)

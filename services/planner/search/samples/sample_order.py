@@ -5,9 +5,9 @@ tree that takes the samples from the start on can reach nearly each one from the
 """
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
+from cspace.kernel_cache import njit
 from cspace.space import JointSpace
 from cspace.workshop import Checker
 from cspace_client.ompl.sample_mixture import free_first
