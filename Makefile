@@ -1,5 +1,10 @@
-# `make` prints what there is. Nothing is needed but Python 3.11; PYTHON names it where it is not on the path.
-PYTHON ?= $(shell command -v python3.11 || command -v python3 || echo python3.11)
+# `make` prints what there is. Nothing is needed but a supported Python: the first of these, or the one that PYTHON names.
+SUPPORTED := import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))
+PYTHON ?= $(shell for name in python3.11 python3 python3.12 python3.13; do \
+  "$$name" -c '$(SUPPORTED)' 2>/dev/null && { echo "$$name"; break; }; done)
+# PyTorch's index for processors gives a torch that is several GB smaller than the one of the default index. Nothing but
+# torch is taken from there: an index that supplies every package could replace any of them.
+TORCH_INDEX_URL ?=
 
 VENV := .venv
 BIN := $(VENV)/bin
@@ -16,13 +21,13 @@ FAST := not slow and not e2e and not compose and not browser and not gpu
 ALL := not compose and not gpu
 
 .DEFAULT_GOAL := help
-.PHONY: help venv demo quickstart test test-all check format docs docs-links up down status env clean-state
+.PHONY: interpreter help venv demo quickstart test test-all check pins format docs docs-links up down status env clean-state
 
 help: ## print this
 	@echo "make TARGET, with"
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  %-12s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
-	@echo "Settings (environment): CSPACE_HOME, CSPACE_API_PORT, CSPACE_RAY_PORT, CSPACE_MLFLOW_PORT, PYTHON, and"
-	@echo "PYTEST_ADDOPTS for the tests. make ends with 2 whatever failed and prints the command's own code as"
+	@echo "Settings (environment): CSPACE_HOME, CSPACE_API_PORT, CSPACE_RAY_PORT, CSPACE_MLFLOW_PORT, PYTHON,"
+	@echo "TORCH_INDEX_URL, and PYTEST_ADDOPTS for the tests. make ends with 2 whatever failed and prints the command's own code as"
 	@echo "\`Error N\`; \`$(LOCAL) --help\` tells what the codes mean."
 
 venv: $(INSTALLED) ## make .venv with the pinned packages (2-5 minutes the first time)
@@ -64,6 +69,17 @@ check: $(INSTALLED) ## format, lint, types, import rules, images, compose file, 
 	$(BIN)/hadolint docker/*.Dockerfile
 	$(PYTEST) -q -m "$(FAST)" $(SIDE_BY_SIDE) tests/compose $(wildcard README.md docs tests/docs)
 
+# uv goes by each Python's markers, which pip --dry-run does not.
+pins: $(INSTALLED) ## constraints.txt resolves for every supported Python and pins all that is installed; wants the internet
+	@for version in 3.11 3.12 3.13; do \
+	  $(BIN)/uv pip compile --quiet --no-header --no-annotate --only-binary :all: --all-extras -c constraints.txt \
+	    --python-version "$$version" --python-platform x86_64-manylinux_2_28 pyproject.toml docker/mlflow.txt \
+	    > $(VENV)/pins.txt || exit 1; \
+	  ! grep -vxF -e clients/python -f constraints.txt $(VENV)/pins.txt || { \
+	    echo "Python $$version: these are not pinned in constraints.txt" >&2; exit 1; }; \
+	  echo "Python $$version: $$(wc -l < $(VENV)/pins.txt) packages, all pinned"; \
+	done
+
 format: $(INSTALLED) ## mend format and lint where a tool can
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
@@ -77,23 +93,35 @@ docs: $(INSTALLED) ## build the documentation site into build/docs, warnings as 
 docs-links: $(INSTALLED) ## follow the documents' links to other sites as well, which needs the internet
 	$(SITE) -b linkcheck docs build/docs-links
 
+# Without a supported Python nothing else works, and an environment keeps the Python that it was made with.
+interpreter:
+	@"$(PYTHON)" -c '$(SUPPORTED)' 2>/dev/null || { \
+	  echo "Python 3.11, 3.12 or 3.13 is needed and $(if $(PYTHON),'$(PYTHON)' is none of them,none was found): install" \
+	    "one, or name it with make PYTHON=/path/to/python3.12" >&2; exit 1; }
+	@test ! -e $(BIN)/python || $(BIN)/python -c '$(SUPPORTED)' || { \
+	  echo "$(VENV) holds a Python that is not supported: delete the folder and run make again" >&2; exit 1; }
+ifneq ($(origin PYTHON),file)
+	@test ! -e $(BIN)/python || test "$$($(BIN)/python --version)" = "$$("$(PYTHON)" --version)" || { \
+	  echo "$(VENV) was made with $$($(BIN)/python --version) and PYTHON names another: delete the folder, or leave" \
+	    "PYTHON out" >&2; exit 1; }
+endif
+
+PIP := PYTHONUNBUFFERED=1 PIP_DISABLE_PIP_VERSION_CHECK=1 $(BIN)/python -m pip install --progress-bar off \
+  --only-binary :all: -c constraints.txt
+
 # The last line of pip's output carries its exit code through the pipe; its whole output is kept in a log.
 # Ray starts its processes by a shell that is given their paths without quotes.
-$(INSTALLED): pyproject.toml clients/python/pyproject.toml constraints.txt
+$(INSTALLED): pyproject.toml clients/python/pyproject.toml constraints.txt | interpreter
 	@case "$$(pwd -P)" in *[]\[[:space:]\"\'\`\$$\&\;\(\)\<\>\|\*\?\#\\\:]*) \
 	  echo "Ray cannot run below the folder '$$(pwd -P)': its path has a space or a character of the shell." >&2; \
 	  echo "Move the project to a path without one, such as ~/cspace-sampler, and run make again there." >&2; \
 	  exit 1;; esac
-	@"$(PYTHON)" -c 'import sys; sys.exit(sys.version_info[:2] != (3, 11))' 2>/dev/null || { \
-	  echo "Python 3.11 is needed and '$(PYTHON)' is not it: install it, or name it with make PYTHON=/path/to/python3.11" >&2; \
-	  exit 1; }
-	@test ! -e $(BIN)/python || $(BIN)/python -c 'import sys; sys.exit(sys.version_info[:2] != (3, 11))' || { \
-	  echo "$(VENV) holds another Python: delete the folder and run make again" >&2; exit 1; }
 	@test -x $(BIN)/python || { echo "making $(VENV) with $(PYTHON)"; "$(PYTHON)" -m venv $(VENV); } || { \
-	  echo "the environment could not be made (on Debian: apt install python3.11-venv)" >&2; exit 1; }
+	  echo "the environment could not be made (on Debian and Ubuntu: apt install python3-venv)" >&2; exit 1; }
 	@echo "installing the packages of constraints.txt, 2-5 minutes the first time; log $(VENV)/install.log"
-	@{ PYTHONUNBUFFERED=1 PIP_DISABLE_PIP_VERSION_CHECK=1 $(BIN)/python -m pip install --progress-bar off \
-	  -c constraints.txt -e ./clients/python -e '.[dev]' 2>&1; echo "exit $$?"; } | awk ' \
+	@{ $(PIP) pip setuptools 2>&1 \
+	  && $(PIP) $(if $(TORCH_INDEX_URL),--index-url "$(TORCH_INDEX_URL)") --no-deps torch 2>&1 \
+	  && $(PIP) --no-build-isolation -e ./clients/python -e '.[dev]' 2>&1; echo "exit $$?"; } | awk ' \
 	  /^exit [0-9]+$$/ { code = $$2; next } \
 	  { print > "$(VENV)/install.log"; end[NR % 20] = $$0 } \
 	  /^(Collecting|Requirement already satisfied)/ && ++found % 25 == 0 { print "  " found " requirements found"; fflush() } \
