@@ -5,10 +5,10 @@ COPY pyproject.toml docker/requirements.py ./
 RUN python requirements.py api plan tracing > /requirements.txt
 
 FROM python:3.11-slim-bookworm
-ARG PIP_EXTRA_INDEX_URL=""
 COPY --from=requirements /requirements.txt /tmp/requirements.txt
 COPY constraints.txt /tmp/constraints.txt
-RUN pip install --no-cache-dir -c /tmp/constraints.txt -r /tmp/requirements.txt
+RUN pip install --no-cache-dir --only-binary :all: -c /tmp/constraints.txt pip \
+ && pip install --no-cache-dir --only-binary :all: -c /tmp/constraints.txt -r /tmp/requirements.txt
 
 RUN useradd --uid 1000 --create-home cspace \
  && install -d -o cspace -g cspace /var/lib/cspace/models /opt/cspace/kernels

@@ -7,11 +7,15 @@ RUN python requirements.py train > /requirements.txt
 
 FROM python:3.11-slim-bookworm
 # On Linux, torch's default package brings several GB of CUDA libraries; PyTorch's index for processors avoids them.
-ARG PIP_EXTRA_INDEX_URL=""
+# Nothing but torch is taken from there: an index that supplies every package could replace any of them.
+ARG TORCH_INDEX_URL=""
 # The requirements come from a stage of their own: the heavy layer is rebuilt when they change, not when code does.
 COPY --from=requirements /requirements.txt /tmp/requirements.txt
 COPY constraints.txt /tmp/constraints.txt
-RUN pip install --no-cache-dir -c /tmp/constraints.txt -r /tmp/requirements.txt
+RUN pip install --no-cache-dir --only-binary :all: -c /tmp/constraints.txt pip \
+ && pip install --no-cache-dir --only-binary :all: -c /tmp/constraints.txt --no-deps \
+      ${TORCH_INDEX_URL:+--index-url "$TORCH_INDEX_URL"} torch \
+ && pip install --no-cache-dir --only-binary :all: -c /tmp/constraints.txt -r /tmp/requirements.txt
 
 RUN useradd --uid 1000 --create-home cspace \
  && install -d -o cspace -g cspace /var/lib/cspace
