@@ -95,7 +95,7 @@ docs-links: $(INSTALLED) ## follow the documents' links to other sites as well, 
 
 # Without a supported Python nothing else works, and an environment keeps the Python that it was made with.
 interpreter:
-	@"$(PYTHON)" -c '$(SUPPORTED)' 2>/dev/null || { \
+	@test -e $(BIN)/python || "$(PYTHON)" -c '$(SUPPORTED)' 2>/dev/null || { \
 	  echo "Python 3.11, 3.12 or 3.13 is needed and $(if $(PYTHON),'$(PYTHON)' is none of them,none was found): install" \
 	    "one, or name it with make PYTHON=/path/to/python3.12" >&2; exit 1; }
 	@test ! -e $(BIN)/python || $(BIN)/python -c '$(SUPPORTED)' || { \
@@ -109,8 +109,8 @@ endif
 PIP := PYTHONUNBUFFERED=1 PIP_DISABLE_PIP_VERSION_CHECK=1 $(BIN)/python -m pip install --progress-bar off \
   --only-binary :all: -c constraints.txt
 
-# The last line of pip's output carries its exit code through the pipe; its whole output is kept in a log.
 # Ray starts its processes by a shell that is given their paths without quotes.
+# The last line of pip's output carries its exit code through the pipe; its whole output is kept in a log.
 $(INSTALLED): pyproject.toml clients/python/pyproject.toml constraints.txt | interpreter
 	@case "$$(pwd -P)" in *[]\[[:space:]\"\'\`\$$\&\;\(\)\<\>\|\*\?\#\\\:]*) \
 	  echo "Ray cannot run below the folder '$$(pwd -P)': its path has a space or a character of the shell." >&2; \

@@ -21,7 +21,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Parse, call, print; returns the exit code."""
     options = parser().parse_args(arguments)
     try:
-        with downloaded() if options.archive is None else nullcontext(options.archive) as archive:
+        with downloaded(SHA256) if options.archive is None else nullcontext(options.archive) as archive:
             splits = read_archive(archive, SHA256)
         for split, found in splits.items():
             path = write_problems(options.out, split, found)

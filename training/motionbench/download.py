@@ -25,29 +25,38 @@ def prepare_metadata_for_build_wheel(folder, settings=None):
 
 
 @contextmanager
-def downloaded() -> Iterator[Path]:
-    """The archive, in a folder that is there for as long as the block; pip has held it against its index.
+def downloaded(sha256: str) -> Iterator[Path]:
+    """Yield the path of the archive, which is deleted after the block.
+
+    pip checks its SHA-256 sum before it unpacks it.
+
+    Args:
+        sha256: the sum that the archive must have.
 
     Raises:
-        ServiceError: pip is missing, fails, or takes longer than a quarter of an hour.
+        ServiceError: pip is missing, fails, finds another archive under this version, or takes longer
+            than a quarter of an hour.
     """
     with TemporaryDirectory() as temporary:
         backend, out = Path(temporary, "backend", "scikit_build_core"), Path(temporary, "out")
         backend.mkdir(parents=True)
         (backend / "__init__.py").touch()
         (backend / "build.py").write_text(_BACKEND, encoding="utf-8")
-        _run(backend.parent, out)
+        wanted = Path(temporary, "requirements.txt")
+        wanted.write_text(f"{PACKAGE}=={VERSION} --hash=sha256:{sha256}\n", encoding="utf-8")
+        _run(backend.parent, wanted, out)
         found = list(out.glob("*.tar.gz"))
         if len(found) != 1:
             raise _failed(f"{[path.name for path in found]}")
         yield found[0]
 
 
-def _run(backend: Path, out: Path) -> None:
+def _run(backend: Path, wanted: Path, out: Path) -> None:
     before = os.environ.get("PYTHONPATH")
     environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(backend), *([before] if before else [])])}
     command = [sys.executable, "-m", "pip", "download", "--quiet", "--no-input", "--no-deps"]
-    command += ["--no-build-isolation", "--no-binary", PACKAGE, "--dest", str(out), f"{PACKAGE}=={VERSION}"]
+    command += ["--no-build-isolation", "--no-binary", PACKAGE, "--dest", str(out)]
+    command += ["--require-hashes", "--requirement", str(wanted)]
     try:
         done = subprocess.run(
             command, env=environment, capture_output=True, text=True, check=False, timeout=_TIMEOUT_S
