@@ -46,6 +46,11 @@ class PngHeader:
     depth: int
     colour: int
 
+    @property
+    def pixels(self) -> int:
+        """How many there are."""
+        return self.width * self.height
+
 
 def read_header(data: bytes) -> PngHeader:
     """The header of a file, of any size.

@@ -5,7 +5,7 @@ and is all that a server knows. What makes and checks scenes is a :class:`cspace
 worlds are registered in :mod:`cspace.worlds`.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -16,6 +16,8 @@ from cspace.space import JointSpace
 
 Image = NDArray[np.uint8]
 Arrays = Mapping[str, NDArray[Any]]
+# Called between the parts of long work; may raise to stop it, which passes through.
+Between = Callable[[], None]
 
 
 class Sensor(Protocol):
@@ -185,8 +187,19 @@ class World(Protocol):
     def scene_files(self) -> tuple[str, ...]:
         """Names of a data set's arrays that hold scenes, where their geometry is known."""
 
-    def read_picture(self, data: bytes) -> Image:
+    def pixels_of(self, data: bytes) -> int:
+        """How many pixels an untrusted file says that it has, by its headers alone.
+
+        Raises:
+            ImageError: it does not begin as one that is accepted.
+        """
+
+    def read_picture(self, data: bytes, between: Between | None = None) -> Image:
         """An untrusted file as a picture.
+
+        Args:
+            data: the file.
+            between: called between the parts of the work; may raise to stop, which passes through.
 
         Raises:
             ImageError: it is none that is accepted.
@@ -196,8 +209,12 @@ class World(Protocol):
     def tensors(self) -> tuple[TensorInput, ...]:
         """The arrays that :meth:`read_tensors` takes."""
 
-    def read_tensors(self, tensors: Arrays) -> Image:
+    def read_tensors(self, tensors: Arrays, between: Between | None = None) -> Image:
         """Pictures (b, ...) of arrays that follow :attr:`tensors`.
+
+        Args:
+            tensors: by name.
+            between: as of :meth:`read_picture`.
 
         Raises:
             ImageError: their contents are none that are accepted.

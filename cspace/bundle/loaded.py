@@ -149,8 +149,8 @@ class Bundle:
             image: uint8 (P, P, 3), or one that :meth:`prepare` made.
             query: what is asked.
             tell_confidence: whether samples are scored that are not filtered; the samples are the same.
-            between: called between the parts of a large request and between its turns, never for a small one;
-                may raise to stop it, which passes through.
+            between: called between the parts of a request, every few ms; may raise to stop it, which passes
+                through.
 
         Raises:
             InputError: the query does not fit the model.

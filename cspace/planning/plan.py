@@ -105,7 +105,7 @@ def search_ways(
         ends: (2, d) rad.
         count: of ways.
         seed: of all draws.
-        time_limit_s: for the search; without one the ways depend on nothing but the rest.
+        time_limit_s: of computing, for the search; without one the ways depend on nothing but the rest.
         between: called now and then; may raise to stop, which passes through.
 
     Raises:
@@ -115,7 +115,7 @@ def search_ways(
     # Before the time counts.
     load_kernels(checkers[0], ends[0], STEP_RAD)
     began = time.monotonic()
-    until_s = began + time_limit_s
+    until_s = time.thread_time() + time_limit_s
     found = find_ways(checkers, ends[0], ends[1], count, seed, until_s, between=between)
     searched = time.monotonic()
     scored = score(found.ways, seen.world.space, STEP_RAD, seen.believe, seen.plan_doubt)

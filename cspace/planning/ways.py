@@ -85,7 +85,7 @@ def find_ways(
         goal: (d,) rad.
         count: of ways.
         seed: of all draws; each way has draws of its own.
-        until_s: by ``time.monotonic``.
+        until_s: by ``time.thread_time``: what the thread has computed, not what it has waited for others.
         limits: effort for each way.
         between: called now and then; may raise to stop, which passes through.
     """
@@ -114,12 +114,12 @@ def find_ways(
 
 
 def paused(until_s: float, between: Between | None) -> Callable[[], None]:
-    """What calls ``between`` and raises :class:`OutOfTimeError` from a time on, by ``time.monotonic``."""
+    """What calls ``between`` and raises :class:`OutOfTimeError` from a time on, by ``time.thread_time``."""
 
     def pause() -> None:
         if between is not None:
             between()
-        if time.monotonic() > until_s:
+        if time.thread_time() > until_s:
             raise OutOfTimeError
 
     return pause

@@ -86,6 +86,11 @@ class RawFields:
     body: bytes
     boundary: bytes | None = None
 
+    @property
+    def json_bytes(self) -> int:
+        """How much JSON there is to parse; a form's fields are small."""
+        return len(self.body) if self.boundary is None else 0
+
 
 async def read_fields(request: Request) -> RawFields:
     """Read a body whose media type is supported; on the event loop nothing more is done with it.

@@ -154,6 +154,9 @@ class BoundedProtocol(HttpToolsProtocol):
         super().on_message_complete()
         self._bounds.next_part()
         self._head_since = None
+        if not self.pipeline:
+            # uvicorn stops reading while much of a body waits, and would not see that the client leaves.
+            self.flow.resume_reading()
 
     def on_response_complete(self) -> None:
         """Go on with the next request, or say the last word."""

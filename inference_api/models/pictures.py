@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cspace.bundle import Bundle, Picture
+from cspace.world import Between
 
 # A dozen arrays of space, or all the flat pictures that are kept.
 MOST_BYTES = 64 * 2**20
@@ -44,14 +45,34 @@ class PictureCache:
         self._known: OrderedDict[tuple[str, bytes], Picture] = OrderedDict()
         self._lock = Lock()
 
-    def get(self, bundle: Bundle, png: bytes) -> Prepared:
+    def get(
+        self,
+        bundle: Bundle,
+        png: bytes,
+        spend: Callable[[int], None] = lambda _: None,
+        between: Between = lambda: None,
+    ) -> Prepared:
         """A PNG file as a bundle takes it.
+
+        Args:
+            bundle: that takes it.
+            png: the file.
+            spend: told how many pixels have to be read of one that is not known, before they are.
+            between: called between the parts of that; may raise to stop, which passes through.
 
         Raises:
             InputError: not a picture that is accepted.
             BundleError: the encoder fails.
         """
-        return self._get(bundle, b"png" + _digest(png), lambda: bundle.spec.world.read_picture(png))
+        world = bundle.spec.world
+
+        def read() -> NDArray[np.uint8]:
+            spend(world.pixels_of(png))
+            image = world.read_picture(png, between)
+            between()
+            return image
+
+        return self._get(bundle, b"png" + _digest(png), read)
 
     def of_pixels(self, bundle: Bundle, image: NDArray[np.uint8]) -> Prepared:
         """A picture that is decoded already, uint8 (P, P, 3).

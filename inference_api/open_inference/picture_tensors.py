@@ -1,6 +1,7 @@
 """Pictures as tensors: what a model's world takes, told in the metadata, and checked in a request."""
 
 from collections.abc import Iterable, Mapping
+from math import prod
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,8 @@ from cspace.errors import InputError
 from cspace.world import TensorInput, World
 from inference_api.open_inference.tensor_schemas import TensorMetadata
 from inference_api.open_inference.tensors import datatype_named
+from inference_api.turns.costs import rows_of
+from inference_api.turns.turns import Turn
 
 
 def inputs_of(tensors: Iterable[TensorInput]) -> list[TensorMetadata]:
@@ -24,8 +27,13 @@ def inputs_of(tensors: Iterable[TensorInput]) -> list[TensorMetadata]:
     ]
 
 
-def read_pictures(world: World, tensors: Mapping[str, NDArray[Any]]) -> NDArray[np.uint8]:
+def read_pictures(world: World, tensors: Mapping[str, NDArray[Any]], turn: Turn) -> NDArray[np.uint8]:
     """The pictures (b, ...) that a request's inputs tell.
+
+    Args:
+        world: of the model.
+        tensors: the inputs by name.
+        turn: told what reading costs, and asked between its parts.
 
     Raises:
         InputError: an input is missing, unknown, or of another type or shape.
@@ -39,7 +47,9 @@ def read_pictures(world: World, tensors: Mapping[str, NDArray[Any]]) -> NDArray[
     sizes: dict[str, int] = {}
     for name, array in tensors.items():
         require_fitting(taken[name], array, sizes, remedy="POST /sample takes PNG files of any size")
-    return world.read_tensors(tensors)
+    pixels = sum(array.size for array in tensors.values())
+    turn.spend(rows_of(pixels=pixels, values=prod(world.sensor.picture_shape)))
+    return world.read_tensors(tensors, turn.between)
 
 
 def require_fitting(

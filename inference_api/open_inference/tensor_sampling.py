@@ -21,10 +21,11 @@ from inference_api.open_inference.tensor_question import TensorQuestion
 from inference_api.open_inference.tensor_request import read_request, split_parameters
 from inference_api.open_inference.tensor_scoring import CONFIGURATIONS, ScoringQuestion, scoring_query
 from inference_api.open_inference.tensors import read_tensors, split_body
-from inference_api.pages.sampling import paid
 from inference_api.pages.schemas import QueryFields
 from inference_api.pages.validation import validate_fields
 from inference_api.telemetry.observer import Sampled
+from inference_api.turns.costs import rows_of
+from inference_api.turns.searching import paid
 from inference_api.turns.turns import Turn
 from services.registry.references import ModelReference, is_shipped
 
@@ -71,14 +72,15 @@ class InferenceQuestion(TensorQuestion):
         """
         bundle = served.bundle
         query = fitted(self.query, bundle.spec, has_validity=bundle.has_validity)
-        drawn = draw(bundle, read_pictures(bundle.spec.world, self.tensors), query, self.store.pictures, turn)
+        images = read_pictures(bundle.spec.world, self.tensors, turn)
+        drawn = draw(bundle, images, query, self.store.pictures, turn)
         spent_s = time.perf_counter() - self.began
         self.store.observer.sampled(sampled(served, drawn, self.query.n, spent_s))
         return answer_of(served, self.request, output_arrays(drawn), binary=self.binary)
 
 
 def read_inference(
-    store: ModelStore, reference: ModelReference, body: bytes, json_length: str | None
+    store: ModelStore, reference: ModelReference, body: bytes, json_length: str | None, turn: Turn
 ) -> InferenceQuestion | ScoringQuestion:
     """Parse and validate.
 
@@ -87,14 +89,18 @@ def read_inference(
         reference: the model.
         body: of the request.
         json_length: of its JSON object, as the header has it; None for all of the body.
+        turn: told what reading costs, and asked between its parts.
 
     Raises:
         CspaceError: as the contract's table of errors.
     """
     began = time.perf_counter()
     parts = split_body(body, json_length)
+    turn.spend(rows_of(json_bytes=len(parts.head)))
     request = read_request(parts.head)
+    turn.between()
     tensors = read_tensors(request.inputs, parts.tail)
+    turn.between()
     binary, fields = split_parameters(request.parameters)
     if CONFIGURATIONS in tensors:
         query = scoring_query(fields)
@@ -130,8 +136,7 @@ def draw(
     found: list[SampleSet] = []
     with paid(turn, bundle.spec, query, len(images)) as between:
         for image, seed in zip(images, seeds, strict=True):
-            if found:
-                turn.between()
+            turn.between()
             prepared.append(known.of_pixels(bundle, image))
             found.append(bundle.answer(prepared[-1].picture, replace(query, seed=seed), between=between))
     novelties = [one.picture.novelty for one in prepared if one.picture.novelty is not None]

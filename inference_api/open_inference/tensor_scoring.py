@@ -18,6 +18,7 @@ from inference_api.open_inference.tensor_question import TensorQuestion
 from inference_api.pages.schemas import QueryFields
 from inference_api.pages.validation import validate_fields
 from inference_api.telemetry.observer import Scored
+from inference_api.turns.costs import rows_of
 from inference_api.turns.turns import Turn
 
 CONFIGURATIONS = "configurations"
@@ -48,7 +49,7 @@ class ScoringQuestion(TensorQuestion):
         given = pictures.pop(CONFIGURATIONS)
         require_fitting(configurations_input(spec.dim), given)
         configurations = fitted_configurations(given, spec)
-        images = read_pictures(spec.world, pictures)
+        images = read_pictures(spec.world, pictures, turn)
         if len(images) != 1:
             raise InputError(
                 "configurations are asked about in one picture",
@@ -56,7 +57,7 @@ class ScoringQuestion(TensorQuestion):
                 got=f"{len(images)}",
                 remedy="send a request for each picture",
             )
-        turn.spend(float(len(configurations)))
+        turn.spend(rows_of(drawn=len(configurations)))
         picture = self.store.pictures.of_pixels(bundle, images[0]).picture
         confidence, unseen = bundle.believe(picture, configurations, turn.between)
         self.store.observer.scored(

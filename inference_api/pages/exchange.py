@@ -38,7 +38,7 @@ class Question(Protocol):
 
 
 async def respond(
-    request: Request, store: ModelStore, turns: Turns, room: WaitingRoom, ask: Callable[[], Question]
+    request: Request, store: ModelStore, turns: Turns, room: WaitingRoom, ask: Callable[[Turn], Question]
 ) -> Response:
     """The answer to a request.
 
@@ -47,7 +47,7 @@ async def respond(
         store: where the models are.
         turns: in which is computed.
         room: where is waited for models.
-        ask: parses and validates; runs in a thread.
+        ask: parses and validates in its turn; runs in a thread.
 
     Raises:
         CspaceError: as the contract's table of errors.
@@ -57,7 +57,7 @@ async def respond(
     watch = request.scope.get(DEPARTURE) or partial(_watch, request)
 
     def first(turn: Turn) -> Response | Question:
-        question = ask()
+        question = ask(turn)
         served = store.resolve_now(question.reference)
         return question if served is None else question.answer(served, turn)
 

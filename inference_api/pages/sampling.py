@@ -3,33 +3,30 @@
 import io
 import json
 import time
-from collections.abc import Callable
-from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from functools import lru_cache
+from math import prod
 
 import numpy as np
 from fastapi.responses import Response
 
-from cspace.bundle import BundleSpec, SampleSet
-from cspace.bundle.keeping import BUDGET, BUDGET_AT_LEAST
+from cspace.bundle import Bundle, SampleSet
 from cspace.bundle.request import fitted
-from cspace.bundle.spec import WAYS
 from cspace.query import SampleQuery
 from inference_api.bodies.request_body import RawFields, parse_fields
+from inference_api.models.pictures import Prepared
 from inference_api.models.served import ServedModel
 from inference_api.models.store import ModelStore
 from inference_api.pages.model_schemas import ModelInfo, joint_space_info
 from inference_api.pages.schemas import SampleAnswer, ScenarioInfo, TimingMs
 from inference_api.pages.validation import validate_request
 from inference_api.telemetry.observer import Sampled
-from inference_api.turns.searching import searching
+from inference_api.turns.costs import rows_of
+from inference_api.turns.searching import paid
 from inference_api.turns.turns import Turn
 from services.registry.references import ModelReference
 
 NPY = "application/x-npy"
-# What decoding and encoding a further picture costs, in samples that are drawn.
-PICTURE_ROWS = 200
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +83,7 @@ class SampleQuestion:
         bundle = served.bundle
         query = fitted(self.query, bundle.spec, has_validity=bundle.has_validity)
         with paid(turn, bundle.spec, query) as between:
-            prepared = self.store.pictures.get(bundle, self.image)
+            prepared = prepared_picture(self.store, bundle, self.image, turn)
             # A ``.npy`` holds samples alone: nobody would see the scores of those that are not filtered.
             found = bundle.answer(prepared.picture, query, tell_confidence=not self.npy, between=between)
         timing = TimingMs(
@@ -98,44 +95,42 @@ class SampleQuestion:
         return Answer(served, found, prepared.picture.novelty, self.query.seed, timing)
 
 
-def read_question(store: ModelStore, fields: RawFields, *, npy: bool, began: float) -> SampleQuestion:
+def read_question(
+    store: ModelStore, fields: RawFields, turn: Turn, *, npy: bool, began: float
+) -> SampleQuestion:
     """Parse and validate.
 
     Args:
         store: where the models are.
         fields: the body as it was read.
+        turn: told what reading costs.
         npy: as :class:`SampleQuestion` has it.
         began: likewise.
 
     Raises:
         CspaceError: as the contract's table of errors.
     """
+    turn.spend(rows_of(json_bytes=fields.json_bytes))
     request = validate_request(parse_fields(fields))
     named = request.model if "model" in request.model_fields_set else store.model_name
     reference = ModelReference.parse(named)
     return SampleQuestion(store, reference, request.picture(), request.query(), npy, began)
 
 
-def paid(
-    turn: Turn, spec: BundleSpec, query: SampleQuery, pictures: int = 1
-) -> AbstractContextManager[Callable[[], None]]:
-    """The turn of a request for samples, paid for; gives what drawing calls between its parts.
+def prepared_picture(store: ModelStore, bundle: Bundle, image: bytes, turn: Turn) -> Prepared:
+    """A picture as a bundle takes it; one that is not known is paid for, and read in parts.
 
     Raises:
-        NoKernelsError: the model searches, and the compiler of the checks is not installed.
+        InputError: not a picture that is accepted.
+        BundleError: the encoder fails.
         ClientDisconnect: the client has gone away.
     """
-    if spec.model_kind == WAYS:
-        return searching(turn)
-    turn.spend(rows_of(spec, query, pictures))
-    return nullcontext(turn.between)
+    values = prod(bundle.spec.world.sensor.picture_shape)
 
+    def spend(pixels: int) -> None:
+        turn.spend(rows_of(pixels=pixels, values=values))
 
-def rows_of(spec: BundleSpec, query: SampleQuery, pictures: int = 1) -> float:
-    """What a request may cost at most, in samples that are drawn."""
-    threshold = spec.confidence_threshold if query.min_confidence is None else query.min_confidence
-    drawn = max(BUDGET * query.n, BUDGET_AT_LEAST) if threshold else query.n
-    return float(pictures * drawn + (pictures - 1) * PICTURE_ROWS)
+    return store.pictures.get(bundle, image, spend, turn.between)
 
 
 def json_response(answer: Answer) -> Response:

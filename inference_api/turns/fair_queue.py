@@ -36,13 +36,21 @@ class FairQueue(Generic[Item]):
 
         Args:
             client: whose it is.
-            cost: of any unit, above 0.
+            cost: of any unit, 0 or more.
         """
         self._clock = self._start(client, cost)
 
-    def push(self, client: str, cost: float, item: Item) -> None:
-        """Let an item wait."""
-        self._waiting.append((self._start(client, cost), item))
+    def push(self, client: str, cost: float, item: Item, lead: float = 0.0) -> None:
+        """Let an item wait.
+
+        Args:
+            client: whose it is.
+            cost: of any unit, 0 or more.
+            item: that waits.
+            lead: how far before its start it may be next. Its client pays for it all the same, so that its
+                many with a lead are together as far before the others as one of them.
+        """
+        self._waiting.append((self._start(client, cost) - lead, item))
 
     def charge(self, client: str, cost: float) -> None:
         """Account for what begun work costs beyond what was told; what comes later waits longer.

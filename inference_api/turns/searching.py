@@ -1,29 +1,26 @@
-"""A search within a request: what it costs, when others have their turns, and what it needs."""
+"""Requests that search, or draw samples: what they cost, and when others have their turns."""
 
-import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 
+from cspace.bundle.spec import WAYS, BundleSpec
+from cspace.query import SampleQuery
 from inference_api.failures import NoKernelsError
-from inference_api.turns.turns import LONG_ROWS, Turn
-
-# What a stint of a search takes; others have their turns between two of them.
-_STINT_S = 0.02
+from inference_api.turns.costs import drawn_for, rows_of
+from inference_api.turns.turns import Turn
 
 
 @contextmanager
 def searching(turn: Turn) -> Iterator[Callable[[], None]]:
     """The turn of a request that searches; gives what the search calls now and then.
 
-    A search lasts as long as it lasts: it pays stint by stint.
-
     Raises:
         NoKernelsError: the compiler of the checks is not installed.
         ClientDisconnect: the client has gone away.
     """
-    turn.spend(LONG_ROWS + 1.0)
+    turn.spend(rows_of(searches=True))
     try:
-        yield _paced(turn.between)
+        yield turn.between
     except ImportError as error:
         raise NoKernelsError(
             "this server does not plan",
@@ -33,14 +30,16 @@ def searching(turn: Turn) -> Iterator[Callable[[], None]]:
         ) from error
 
 
-def _paced(between: Callable[[], None]) -> Callable[[], None]:
-    """The same, at most once a stint."""
-    last_s = time.monotonic()
+def paid(
+    turn: Turn, spec: BundleSpec, query: SampleQuery, pictures: int = 1
+) -> AbstractContextManager[Callable[[], None]]:
+    """The turn of a request for samples, paid for; gives what drawing calls between its parts.
 
-    def pause() -> None:
-        nonlocal last_s
-        if time.monotonic() - last_s >= _STINT_S:
-            between()
-            last_s = time.monotonic()
-
-    return pause
+    Raises:
+        NoKernelsError: the model searches, and the compiler of the checks is not installed.
+        ClientDisconnect: the client has gone away.
+    """
+    if spec.model_kind == WAYS:
+        return searching(turn)
+    turn.spend(rows_of(drawn=pictures * drawn_for(spec, query)))
+    return nullcontext(turn.between)

@@ -1,8 +1,8 @@
 """Requests are computed in turns: so many at the same time in threads, the others wait, fairly by client.
 
-A long request is cut into stints: between two of them it hands its turn to whoever waits, and ends where its
-client has gone away. Long ones never have all the threads, unless there is but one; few are under way at a
-time.
+A request is cut into stints: between two of them it hands its turn to whoever waits, and ends where its
+client has gone away. Its client pays for the time that it computes. Long ones never have all the threads,
+unless there is but one; of each client few are under way at a time.
 """
 
 import asyncio
@@ -17,16 +17,15 @@ from anyio import CapacityLimiter, to_thread
 from prometheus_client import Gauge
 from starlette.requests import ClientDisconnect
 
+from inference_api.turns.costs import LONG_ROWS, ROWS_A_SECOND, STINT_S, USUAL_ROWS, YOUNG_ROWS
 from inference_api.turns.fair_queue import FairQueue
 
 Result = TypeVar("Result")
 # Takes what is to be called when the client goes away, and returns what ends that; both on the event loop.
 Watch = Callable[[Callable[[], None]], Callable[[], None]]
 
-# In rows, that is samples drawn: what a request costs before more is known of it, what a stint is worth, and
-# above what a request is long.
-USUAL_ROWS, STINT_ROWS, LONG_ROWS = 320.0, 512.0, 4096.0
-# Long requests that have begun and not ended, each with its part of an answer: of one client, in all.
+# Long requests that have begun and not ended, each with its part of an answer: of one client, in all. The
+# first of a client begins whatever the others have under way.
 LONG_OF_CLIENT, LONG_AT_ONCE = 2, 16
 # Computing that has not come to the end of a stint for so long does not work as it should.
 STUCK_S = 20.0
@@ -46,52 +45,66 @@ class Turn:
         self.is_long = False
         # Nobody wants the result any more.
         self.is_abandoned = False
-        # When the present stint began.
-        self.since_s = 0.0
+        # When the present stint began, and what the thread had computed by then.
+        self.since_s, self._computed_s = 0.0, 0.0
         self.called: asyncio.Future[bool] | None = None
         self._turns, self._watch = turns, watch
         self._loop = asyncio.get_running_loop()
         self._began, self._ended = False, False
+        # Expected to cost, and what the client has paid for, of which the first is paid in advance.
+        self._rows, self._paid, self._ahead = 0.0, 0.0, USUAL_ROWS
         self._lock, self._resumed = Lock(), Event()
         self._unwatch: Callable[[], None] | None = None
 
+    @property
+    def is_young(self) -> bool:
+        """Whether it has computed little so far."""
+        return self._paid < YOUNG_ROWS
+
     def spend(self, rows: float) -> None:
-        """Tell what the request costs; from the thread, before the cost arises.
+        """Tell what more the request will cost; from the thread, before the cost arises.
 
         Args:
-            rows: samples that may be drawn, or what costs as much.
+            rows: of :func:`inference_api.turns.costs.rows_of`.
 
         Raises:
             ClientDisconnect: the client has gone away.
         """
-        if rows > LONG_ROWS:
-            # Pays stint by stint.
-            self.is_long = True
-            self._step_aside()
-        elif rows > USUAL_ROWS:
-            self._turns.charge(self.client, rows - USUAL_ROWS)
+        self._rows += rows
+        if self._rows > LONG_ROWS and not self.is_long:
+            self._pay()
+            self._step_aside(becoming_long=True)
 
     def between(self) -> None:
-        """The end of a stint; from the thread. Returns when it is this request's turn again.
+        """A moment at which others may have their turns; from the thread, as often as it likes.
+
+        Does nothing before a stint is over; then it returns when it is this request's turn again.
 
         Raises:
             ClientDisconnect: the client has gone away.
         """
-        if self._turns.anybody_waits:
+        if self._turns.clock() - self._computed_s < STINT_S:
+            self._stop_if_abandoned()
+            return
+        self._pay()
+        if self._paid > LONG_ROWS and not self.is_long:
+            self._step_aside(becoming_long=True)
+        elif self._turns.anybody_waits:
             self._step_aside()
         else:
-            self._turns.charge(self.client, STINT_ROWS)
-        self.since_s = time.monotonic()
-        self._stop_if_abandoned()
+            self._loop.call_soon_threadsafe(self.listen)
+            self._stop_if_abandoned()
 
     def compute(self, work: Callable[["Turn"], Result]) -> Result:
         """The work's result; in the thread."""
         with self._lock:
             self._began = True
+        self._computed_s = self._turns.clock()
         try:
             self._stop_if_abandoned()
             return work(self)
         finally:
+            self._pay()
             with self._lock:
                 self._ended = True
             if self.is_abandoned:
@@ -130,7 +143,17 @@ class Turn:
         if self.called is not None and not self.called.done():
             self.called.set_result(there)
 
-    def _step_aside(self) -> None:
+    def _pay(self) -> None:
+        """Charge the client for the stint that ends here; the next one begins."""
+        computed_s = self._turns.clock()
+        rows = (computed_s - self._computed_s) * ROWS_A_SECOND
+        self.since_s, self._computed_s = time.monotonic(), computed_s
+        self._paid += rows
+        self._turns.charge(self.client, max(0.0, rows - self._ahead))
+        self._ahead = max(0.0, self._ahead - rows)
+
+    def _step_aside(self, *, becoming_long: bool = False) -> None:
+        self.is_long |= becoming_long
         self._resumed.clear()
         self._loop.call_soon_threadsafe(self._turns.hand_over, self)
         self._resumed.wait()
@@ -147,9 +170,11 @@ class Turns:
     Args:
         threads: how much work is done at the same time, at least 1.
         waiting: told how many wait for their turn.
+        clock: how long the thread that asks has computed, s.
     """
 
-    def __init__(self, threads: int, waiting: Gauge) -> None:
+    def __init__(self, threads: int, waiting: Gauge, clock: Callable[[], float] = time.thread_time) -> None:
+        self.clock = clock
         self._places, self._long_places = threads, max(1, threads - 1)
         self._waiting = waiting
         self._queue: FairQueue[Turn] = FairQueue()
@@ -211,7 +236,7 @@ class Turns:
             return
         turn.listen()
         self._running.discard(turn)
-        self._push(turn, STINT_ROWS)
+        self._push(turn, 0.0)
         self._call_next()
 
     def leave(self, turn: Turn) -> None:
@@ -245,7 +270,7 @@ class Turns:
             self._under_way.add(turn)
 
     def _push(self, turn: Turn, rows: float) -> None:
-        self._queue.push(turn.client, rows, turn)
+        self._queue.push(turn.client, rows, turn, YOUNG_ROWS if turn.is_young else 0.0)
         self._waiting.inc()
 
     def _call_next(self) -> None:
@@ -264,4 +289,4 @@ class Turns:
             return False
         of_client = sum(other.client == turn.client for other in self._under_way)
         is_few = of_client < LONG_OF_CLIENT and len(self._under_way) < LONG_AT_ONCE
-        return is_few or turn in self._under_way
+        return is_few or of_client == 0 or turn in self._under_way

@@ -18,6 +18,8 @@ from inference_api.pages.dependencies import Room, Store, room_of, store_of, tur
 from inference_api.pages.exchange import Question, respond
 from inference_api.pages.validation import validate_fields
 from inference_api.problems import UNSUPPORTED_MEDIA_TYPE, RequestError
+from inference_api.turns.costs import rows_of
+from inference_api.turns.turns import Turn
 from inference_api.workbench.models import Stories, stories
 from inference_api.workbench.page import add_page
 from inference_api.workbench.scene_file import FileQuestion, FileRequest
@@ -124,7 +126,8 @@ async def _ask(
     fields = await read_fields(request)
     store = store_of(request)
 
-    def read() -> Question:
+    def read(turn: Turn) -> Question:
+        turn.spend(rows_of(json_bytes=fields.json_bytes))
         asked = validate_fields(kind, parse_json(_json(fields), MAX_TENSOR_MARKS))
         return question(asked, ModelReference.parse(asked.model or store.model_name))
 

@@ -10,7 +10,8 @@ from pydantic import Field
 from cspace.errors import InputError
 from inference_api.models.served import ServedModel
 from inference_api.pages.schemas import RequestFields
-from inference_api.turns.turns import LONG_ROWS, Turn
+from inference_api.turns.costs import rows_of
+from inference_api.turns.turns import Turn
 from inference_api.workbench.truth import telling
 from inference_api.workbench.truth_schemas import MODEL_EXPECTED
 from services.registry.references import ModelReference
@@ -45,7 +46,7 @@ class FileQuestion:
             ScenarioError: it is none, with the line.
             InputError: it is of another world, or holds no obstacles.
         """
-        turn.spend(LONG_ROWS + 1.0)
+        turn.spend(rows_of(searches=True))
         with telling():
             return JSONResponse(_told(self.asked.text))
 

@@ -17,7 +17,8 @@ from cspace.splits import Split
 from cspace.world import Scene, World
 from cspace.worlds import workshop_of
 from inference_api.models.served import ServedModel
-from inference_api.turns.turns import LONG_ROWS, Turn
+from inference_api.turns import costs
+from inference_api.turns.turns import Turn
 from inference_api.workbench.benchmark import benchmark_families, benchmark_problem
 from inference_api.workbench.space_faces import faces_of
 from inference_api.workbench.space_schemas import SpaceAnswer, SpaceRequest
@@ -55,7 +56,7 @@ class SpaceQuestion:
                 "the model is of another kind of world", expected=f"a {_SPATIAL} one", got=world.kind
             )
         samples, path = rows_of("configurations", asked.configurations, world), path_of(asked.path, world)
-        turn.spend(LONG_ROWS + 1.0 + len(samples) + states_on(path, world))
+        turn.spend(costs.rows_of(drawn=len(samples) + states_on(path, world), searches=True))
         with telling():
             names = workshop_of(world).families.names + benchmark_families(world)
             family = asked.family or names[0]

@@ -17,7 +17,8 @@ from cspace.world import World
 from cspace.worlds import read_world, workshop_of
 from inference_api.failures import FieldProblem, FieldsError, NoKernelsError
 from inference_api.models.served import ServedModel
-from inference_api.turns.turns import LONG_ROWS, Turn
+from inference_api.turns import costs
+from inference_api.turns.turns import Turn
 from inference_api.workbench.truth_schemas import (
     SceneAnswer,
     SceneRequest,
@@ -54,7 +55,7 @@ class SceneQuestion:
             CspaceError: as the contract's table of errors.
         """
         # Draws that are not of the family are drawn again.
-        turn.spend(LONG_ROWS + 1.0)
+        turn.spend(costs.rows_of(searches=True))
         world = planar(served.bundle.spec.world)
         with telling():
             workshop = workshop_of(world)
@@ -91,7 +92,7 @@ class TruthQuestion:
         """
         asked, world = self.asked, planar(served.bundle.spec.world)
         samples, path = rows_of("configurations", asked.configurations, world), path_of(asked.path, world)
-        turn.spend(float(asked.cells**2 + len(samples)) + states_on(path, world))
+        turn.spend(costs.rows_of(drawn=asked.cells**2 + len(samples) + states_on(path, world)))
         began = time.perf_counter()
         with telling():
             workshop = workshop_of(among(world, asked.discs))

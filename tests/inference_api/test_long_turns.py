@@ -3,7 +3,9 @@
 import asyncio
 import threading
 import time
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
 
 import anyio
 import pytest
@@ -11,8 +13,8 @@ from anyio import to_thread
 from prometheus_client import CollectorRegistry, Gauge
 from starlette.requests import ClientDisconnect
 
-from inference_api.turns.turns import LONG_OF_CLIENT, Turn, Turns
-from tests.inference_api.turn_work import LONG, PATIENCE_S, leaving, until, value
+from inference_api.turns.turns import LONG_AT_ONCE, LONG_OF_CLIENT, Turn, Turns
+from tests.inference_api.turn_work import LONG, PATIENCE_S, YOUNG_STINTS, leaving, ticking, until, value
 
 
 @pytest.fixture
@@ -32,7 +34,7 @@ def test_a_long_request_whose_client_leaves_ends_at_its_next_pause(waiting: Gaug
             turn.between()
 
     async def scenario() -> None:
-        turns, left = Turns(1, waiting), asyncio.Event()
+        turns, left = Turns(1, waiting, ticking()), asyncio.Event()
         async with anyio.create_task_group() as group:
 
             async def ask() -> None:
@@ -61,7 +63,7 @@ def test_a_short_request_does_not_wait_for_the_end_of_long_ones(waiting: Gauge, 
         return "long"
 
     async def scenario() -> None:
-        turns, found = Turns(threads, waiting), []
+        turns, found = Turns(threads, waiting, ticking()), []
 
         async def ask() -> None:
             found.append(await turns.run(work, "greedy"))
@@ -90,7 +92,7 @@ def test_long_requests_leave_a_thread_to_the_others(waiting: Gauge) -> None:
         at_work.remove(turn)
 
     async def scenario() -> None:
-        turns = Turns(3, waiting)
+        turns = Turns(3, waiting, ticking())
         async with anyio.create_task_group() as group:
             for number in range(6):
                 group.start_soon(turns.run, work, f"client {number}")
@@ -108,7 +110,7 @@ def test_a_free_place_that_long_requests_may_not_take_is_taken_at_once(waiting: 
         assert done.wait(PATIENCE_S)
 
     async def scenario() -> None:
-        turns = Turns(2, waiting)
+        turns = Turns(2, waiting, ticking())
         async with anyio.create_task_group() as group:
             for _ in range(2):
                 group.start_soon(turns.run, work, "greedy")
@@ -135,13 +137,157 @@ def test_few_long_requests_of_a_client_are_under_way_at_once(waiting: Gauge) -> 
         under_way.discard(turn)
 
     async def scenario() -> None:
-        turns = Turns(3, waiting)
+        turns = Turns(3, waiting, ticking())
         async with anyio.create_task_group() as group:
             for number in range(12):
                 group.start_soon(turns.run, work, f"client {number % 2}")
 
     anyio.run(scenario)
     assert max(most) == LONG_OF_CLIENT
+
+
+class Busy:
+    """Long work without an end, of which stints are counted by client."""
+
+    def __init__(self) -> None:
+        self.stints: Counter[str] = Counter()
+        self.done = threading.Event()
+
+    def __call__(self, turn: Turn) -> None:
+        turn.spend(LONG)
+        while not self.done.is_set():
+            self.stints[turn.client] += 1
+            time.sleep(0.0005)
+            turn.between()
+
+
+@asynccontextmanager
+async def busy_with(turns: Turns, busy: Busy, requests: int, clients: int) -> AsyncIterator[None]:
+    """So many requests of so many clients, all of which have begun and are not young any more."""
+    async with anyio.create_task_group() as group:
+        for number in range(requests):
+            group.start_soon(turns.run, busy, f"busy {number % clients}")
+        most = min(requests, LONG_AT_ONCE)
+        await until(lambda: sum(busy.stints.values()) > most * YOUNG_STINTS)
+        with anyio.fail_after(PATIENCE_S):
+            yield
+        busy.done.set()
+
+
+def test_a_client_whose_many_addresses_fill_all_places_of_long_requests_locks_nobody_out(
+    waiting: Gauge,
+) -> None:
+    async def scenario() -> None:
+        turns, busy = Turns(2, waiting, ticking()), Busy()
+        async with busy_with(turns, busy, 2 * LONG_AT_ONCE, LONG_AT_ONCE):
+
+            def work(turn: Turn) -> str:
+                turn.spend(LONG)
+                turn.between()
+                return "long"
+
+            assert await turns.run(work, "other") == "long"
+
+    anyio.run(scenario)
+
+
+def test_a_small_long_request_does_not_wait_for_a_round_of_all_others_at_each_pause(waiting: Gauge) -> None:
+    own, before = 5, Counter[str]()
+
+    async def scenario() -> None:
+        turns, busy = Turns(2, waiting, ticking()), Busy()
+
+        def work(turn: Turn) -> None:
+            turn.spend(LONG)
+            before.update(busy.stints)
+            for _ in range(own):
+                turn.between()
+            before.subtract(busy.stints)
+
+        async with busy_with(turns, busy, LONG_AT_ONCE, LONG_AT_ONCE):
+            await turns.run(work, "other")
+
+    anyio.run(scenario)
+    # A round of all would be 16 for each of its own.
+    assert -sum(before.values()) < 2 * own
+
+
+def test_what_proves_long_without_having_been_announced_leaves_a_place_to_the_others(waiting: Gauge) -> None:
+    stints, done = threading.Semaphore(0), threading.Event()
+
+    def work(turn: Turn) -> None:
+        while not done.is_set():
+            stints.release()
+            time.sleep(0.001)
+            turn.between()
+
+    async def scenario() -> None:
+        turns = Turns(2, waiting, ticking())
+        async with anyio.create_task_group() as group:
+            for _ in range(2):
+                group.start_soon(turns.run, work, "greedy")
+            for _ in range(6 * YOUNG_STINTS):
+                assert await to_thread.run_sync(lambda: stints.acquire(timeout=PATIENCE_S))
+            assert len(turns._running) == 1
+            done.set()
+
+    anyio.run(scenario)
+
+
+def test_a_request_that_waits_for_nobody_ends_at_a_pause_when_its_client_leaves(waiting: Gauge) -> None:
+    begun, stints = threading.Event(), []
+
+    def work(turn: Turn) -> None:
+        for number in range(10_000):
+            begun.set()
+            stints.append(number)
+            time.sleep(0.001)
+            turn.between()
+
+    async def scenario() -> None:
+        turns, left = Turns(2, waiting, ticking()), asyncio.Event()
+        async with anyio.create_task_group() as group:
+
+            async def ask() -> None:
+                with pytest.raises(ClientDisconnect):
+                    await turns.run(work, "gone", leaving(left))
+
+            group.start_soon(ask)
+            assert await to_thread.run_sync(begun.wait, PATIENCE_S)
+            left.set()
+
+    anyio.run(scenario)
+    assert len(stints) < 5000
+
+
+def test_clients_pay_for_the_time_that_they_compute(waiting: Gauge) -> None:
+    computed, ended, gate = iter(range(1000)), [], threading.Event()
+
+    def work(turn: Turn) -> None:
+        if turn.client == "dear":
+            # The clock goes on by a second each time it is looked at.
+            for _ in range(10):
+                turns_of[0].clock()
+        ended.append(turn.client)
+
+    turns_of: list[Turns] = []
+
+    async def scenario() -> None:
+        turns = Turns(1, waiting, lambda: float(next(computed)))
+        turns_of.append(turns)
+        await turns.run(work, "dear")
+        async with anyio.create_task_group() as group:
+            group.start_soon(turns.run, lambda turn: gate.wait(PATIENCE_S), "gate")
+            await until(lambda: len(turns._running) == 1)
+            group.start_soon(turns.run, work, "dear")
+            await until(lambda: value(waiting) == 1)
+            for number in range(3):
+                group.start_soon(turns.run, work, f"cheap {number}")
+            await until(lambda: value(waiting) == 4)
+            gate.set()
+
+    anyio.run(scenario)
+    assert ended[-1] == "dear"
 
 
 def mixed(number: int) -> Callable[[Turn], None]:
@@ -181,7 +327,7 @@ def test_nothing_is_left_behind_by_many_that_come_go_and_fail(waiting: Gauge) ->
         ended.append(await end_of(turns, number))
 
     async def scenario() -> None:
-        turns = Turns(2, waiting)
+        turns = Turns(2, waiting, ticking())
         async with anyio.create_task_group() as group:
             for number in range(400):
                 group.start_soon(ask, turns, number)

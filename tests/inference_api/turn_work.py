@@ -3,15 +3,25 @@
 import asyncio
 import threading
 from collections.abc import Callable
+from itertools import count
 
 import anyio
 from anyio import to_thread
 from prometheus_client import Gauge
 
-from inference_api.turns.turns import LONG_ROWS, Turn, Watch
+from inference_api.turns.costs import LONG_ROWS, ROWS_A_SECOND, STINT_S, YOUNG_ROWS
+from inference_api.turns.turns import Turn, Watch
 
 PATIENCE_S = 20.0
 LONG = 2 * LONG_ROWS
+# So many stints, and a request is not young any more.
+YOUNG_STINTS = int(YOUNG_ROWS / ROWS_A_SECOND / STINT_S) + 1
+
+
+def ticking() -> Callable[[], float]:
+    """A clock by which every pause ends a stint."""
+    ticks = count()
+    return lambda: 1.01 * STINT_S * next(ticks)
 
 
 def value(gauge: Gauge) -> float:

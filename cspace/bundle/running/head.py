@@ -46,7 +46,11 @@ class Head:
             part = configurations[rows]
             if not self.tells_unseen:
                 return scored(part)[CONFIDENCE]
-            parts = [scored(part[first : first + CACHED_ROWS]) for first in range(0, len(part), CACHED_ROWS)]
+            parts = []
+            for first in range(0, len(part), CACHED_ROWS):
+                parts.append(scored(part[first : first + CACHED_ROWS]))
+                if between is not None:
+                    between()
             told = [np.concatenate([one[name] for one in parts]) for name in self._told]
             return np.stack(told, axis=1)
 

@@ -8,10 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cspace.errors import ConfigError, DatasetError, ImageError, ScenarioError
+from cspace.png import read_header
 from cspace.space import JointSpace
 from cspace.strict_json import read_mapping, read_members, read_object
 from cspace.view_file import is_view
-from cspace.world import Arrays, Levers, TensorInput, World
+from cspace.world import Arrays, Between, Levers, TensorInput, World
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK, PlanarArm
 from cspace.worlds.planar.lookups import levers
 from cspace.worlds.planar.scenes import MAX_GIVEN, DiscScenes, GivenScenes, Scenes, read_scenes
@@ -51,7 +52,11 @@ class PlanarWorld:
         """(S, D, 3) x, y, radius in m."""
         return ("discs",)
 
-    def read_picture(self, data: bytes) -> NDArray[np.uint8]:
+    def pixels_of(self, data: bytes) -> int:
+        """See :meth:`cspace.world.World.pixels_of`; a view's are none, for it is refused."""
+        return 0 if is_view(data) else read_header(data).pixels
+
+    def read_picture(self, data: bytes, between: Between | None = None) -> NDArray[np.uint8]:
         """See :func:`cspace.worlds.planar.seeing.picture.decode_png`."""
         if is_view(data):
             raise ImageError(
@@ -59,15 +64,16 @@ class PlanarWorld:
                 expected="a picture alone",
                 remedy="leave camera and state out",
             )
-        return self.sensor.decode(data)
+        return self.sensor.decode(data, between)
 
     @property
     def tensors(self) -> tuple[TensorInput, ...]:
         """Pictures as they are, one for each answer."""
         return (TensorInput(_IMAGE, "uint8", ("b", *self.sensor.picture_shape), MAX_PICTURES),)
 
-    def read_tensors(self, tensors: Arrays) -> NDArray[np.uint8]:
+    def read_tensors(self, tensors: Arrays, between: Between | None = None) -> NDArray[np.uint8]:
         """The only one of them."""
+        del between
         return np.asarray(tensors[_IMAGE], dtype=np.uint8)
 
     def blank_picture(self) -> bytes:

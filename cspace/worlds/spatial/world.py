@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from cspace.errors import ConfigError, DatasetError, ScenarioError
 from cspace.space import JointSpace
 from cspace.strict_json import read_mapping, read_members, read_object
-from cspace.world import Arrays, GridArm, Levers, TensorInput, World
+from cspace.world import Arrays, Between, GridArm, Levers, TensorInput, World
 from cspace.worlds.spatial.obstacles.obstacle_rows import BOX_VALUES, CYLINDER_VALUES
 from cspace.worlds.spatial.obstacles.scenes import SpatialScenes, read_spatial_scenes
 from cspace.worlds.spatial.robot.arm import SerialArm
@@ -24,7 +24,7 @@ from cspace.worlds.spatial.seeing.observed import observe
 from cspace.worlds.spatial.seeing.sensor import DepthSensor
 from cspace.worlds.spatial.seeing.sight import NO_READING, OUT_OF_VIEW
 from cspace.worlds.spatial.seeing.surface_patches import DISTANCE_STEP_M
-from cspace.worlds.spatial.seeing.view import DepthView, read_view, write_view
+from cspace.worlds.spatial.seeing.view import DepthView, pixels_of, read_view, write_view
 from cspace.worlds.spatial.seeing.view_tensors import view_of_tensors, view_tensors
 
 KIND = "spatial"
@@ -60,22 +60,26 @@ class SpatialWorld:
         """(S, any, 15) boxes and (S, any, 14) cylinders, padded with NaN."""
         return ("boxes", "cylinders")
 
-    def read_picture(self, data: bytes) -> NDArray[np.uint8]:
+    def pixels_of(self, data: bytes) -> int:
+        """Of all pictures of a view file."""
+        return pixels_of(data)
+
+    def read_picture(self, data: bytes, between: Between | None = None) -> NDArray[np.uint8]:
         """The array of a view file; see :mod:`cspace.worlds.spatial.seeing.view`."""
-        return self.observed(read_view(data, self.space))
+        return self.observed(read_view(data, self.space, between), between)
 
     @property
     def tensors(self) -> tuple[TensorInput, ...]:
         """Depth pictures of one scene with their cameras; see :func:`view_of_tensors`."""
         return view_tensors(self.dim)
 
-    def read_tensors(self, tensors: Arrays) -> NDArray[np.uint8]:
+    def read_tensors(self, tensors: Arrays, between: Between | None = None) -> NDArray[np.uint8]:
         """(1, X, Y, Z, 2): all pictures are of one scene.
 
         Raises:
             ImageError: a picture, a camera or the state is none.
         """
-        return self.observed(view_of_tensors(tensors, self.space))[None]
+        return self.observed(view_of_tensors(tensors, self.space), between)[None]
 
     def blank_picture(self) -> bytes:
         """One camera before which nothing stands within 4 m, and no arm."""
@@ -83,11 +87,13 @@ class SpatialWorld:
         camera = DepthCamera.of_field(self.sensor.views.width, self.sensor.views.height, 70.0, pose)
         return write_view(DepthView((np.full(camera.picture_shape, _BLANK_MM, np.uint16),), (camera,)))
 
-    def observed(self, view: DepthView) -> NDArray[np.uint8]:
-        """What a view says of the space about the arm, (X, Y, Z, 2)."""
+    def observed(self, view: DepthView, between: Between | None = None) -> NDArray[np.uint8]:
+        """What a view says of the space about the arm, (X, Y, Z, 2); pauses as :meth:`read_picture`."""
         spheres = None if view.state is None else self.spheres_at(view.state)
         sensor = self.sensor
-        return observe(view.pictures, view.cameras, sensor.grid, spheres, arm_hides=sensor.arm_hides)
+        return observe(
+            view.pictures, view.cameras, sensor.grid, spheres, arm_hides=sensor.arm_hides, between=between
+        )
 
     def spheres_at(self, state: tuple[float, ...]) -> NDArray[np.float64]:
         """The arm's spheres at a configuration (d,) rad, (S, 4): place in the base frame and radius, m."""

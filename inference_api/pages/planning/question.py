@@ -21,10 +21,11 @@ from inference_api.pages.planning.schemas import (
     PlanRequest,
     PlanTimingMs,
 )
-from inference_api.pages.sampling import model_info
+from inference_api.pages.sampling import model_info, prepared_picture
 from inference_api.pages.schemas import ScenarioInfo
 from inference_api.pages.validation import validate_fields
 from inference_api.telemetry.observer import Planned
+from inference_api.turns.costs import rows_of
 from inference_api.turns.searching import searching
 from inference_api.turns.turns import Turn
 from services.registry.references import ModelReference
@@ -66,7 +67,7 @@ class PlanQuestion:
         for name, end in (("start", self.query.start), ("goal", self.query.goal)):
             fitted_end(spec, name, end)
         with searching(turn) as between:
-            prepared = self.store.pictures.get(bundle, self.image)
+            prepared = prepared_picture(self.store, bundle, self.image, turn)
             found = bundle.plan(prepared.picture, query, between)
         self.store.observer.planned(
             Planned(f"{served.name}/{served.version}", served.fallback, found.status, self.query.seed)
@@ -102,17 +103,19 @@ class PlanQuestion:
         return Response(body.model_dump_json(), media_type="application/json")
 
 
-def read_plan(store: ModelStore, fields: RawFields, *, began: float) -> PlanQuestion:
+def read_plan(store: ModelStore, fields: RawFields, turn: Turn, *, began: float) -> PlanQuestion:
     """Parse and validate.
 
     Args:
         store: where the models are.
         fields: the body as it was read.
+        turn: told what reading costs.
         began: as :class:`PlanQuestion` has it.
 
     Raises:
         CspaceError: as the contract's table of errors.
     """
+    turn.spend(rows_of(json_bytes=fields.json_bytes))
     request = validate_fields(PlanRequest, parse_fields(fields, PLAN_FORM))
     named = request.model if "model" in request.model_fields_set else store.model_name
     query = PlanQuery(

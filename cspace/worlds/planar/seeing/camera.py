@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from cspace.png import encode_png
 from cspace.strict_json import settle, written
+from cspace.world import Between
 from cspace.worlds.planar.seeing.picture import decode_png, from_network, to_network
 
 
@@ -43,9 +44,9 @@ class Camera:
         """Left, right, bottom and top of the picture."""
         return (self.x_min_m, self.x_max_m, self.y_min_m, self.y_max_m)
 
-    def decode(self, data: bytes) -> NDArray[np.uint8]:
+    def decode(self, data: bytes, between: Between | None = None) -> NDArray[np.uint8]:
         """See :func:`cspace.worlds.planar.seeing.picture.decode_png`."""
-        return decode_png(data, self.pixels)
+        return decode_png(data, self.pixels, between)
 
     def encode(self, image: NDArray[np.uint8]) -> bytes:
         """See :func:`cspace.png.encode_png`."""

@@ -5,7 +5,7 @@ can do without.
 """
 
 import io
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from itertools import pairwise
 from typing import Any
 
@@ -15,6 +15,7 @@ from PIL import Image
 
 from cspace.errors import ImageError
 from cspace.png import PngHeader, canonical_png, damaged, read_header
+from cspace.world import Between
 
 MIN_SIDE = 16
 MAX_SIDE = 2048
@@ -22,7 +23,7 @@ MAX_SIDE = 2048
 _BAND = 128
 
 
-def decode_png(data: bytes, pixels: int = 48) -> NDArray[np.uint8]:
+def decode_png(data: bytes, pixels: int = 48, between: Between | None = None) -> NDArray[np.uint8]:
     """An untrusted PNG as (pixels, pixels, 3) uint8.
 
     RGB as it is, RGBA over white, grey and palette as RGB; resized by area averaging.
@@ -30,6 +31,7 @@ def decode_png(data: bytes, pixels: int = 48) -> NDArray[np.uint8]:
     Args:
         data: the file's bytes.
         pixels: side of the result.
+        between: called between the parts of a large picture; what it raises passes through.
 
     Raises:
         ImageError: not a PNG, 16-bit, animated, not square, below 16 or above 2048 pixels, or damaged.
@@ -37,12 +39,9 @@ def decode_png(data: bytes, pixels: int = 48) -> NDArray[np.uint8]:
     header = read_header(data)
     _check_size(header)
     content = canonical_png(data, header)
-    try:
-        with Image.open(io.BytesIO(content), formats=["PNG"]) as picture:
-            return _to_rgb(picture) if header.width == pixels else _average(picture, pixels)
-    except Exception as error:
-        # All, for there is no list of what a decoder raises for bytes from outside.
-        raise damaged(_reason(error)) from error
+    if header.width == pixels:
+        return next(_decoded(content, header.width))[1]
+    return _average(_decoded(content, _BAND), header.width, pixels, between)
 
 
 def to_network(images: NDArray[np.uint8]) -> NDArray[np.float32]:
@@ -86,22 +85,39 @@ def _to_rgb(picture: Image.Image) -> NDArray[np.uint8]:
     return np.asarray(picture.convert("RGB"), dtype=np.uint8)
 
 
-def _average(picture: Image.Image, pixels: int) -> NDArray[np.uint8]:
+def _decoded(content: bytes, width: int) -> Iterator[tuple[slice, NDArray[np.uint8]]]:
+    """A file's columns and their RGB, about so many at a time.
+
+    Raises:
+        ImageError: it is damaged.
+    """
+    try:
+        with Image.open(io.BytesIO(content), formats=["PNG"]) as picture:
+            for left, right in _bands(picture.width, width):
+                yield slice(left, right), _to_rgb(picture.crop((left, 0, right, picture.height)))
+    except Exception as error:
+        # All, for there is no list of what a decoder raises for bytes from outside.
+        raise damaged(_reason(error)) from error
+
+
+def _average(
+    bands: Iterable[tuple[slice, NDArray[np.uint8]]], side: int, pixels: int, between: Between | None
+) -> NDArray[np.uint8]:
     """Area averaging: every target pixel is the mean of the source area that it covers."""
-    side = picture.width
     weights = _overlap(side, pixels)
     rows = np.empty((pixels, side, 3), dtype=np.float32)
-    for left, right in _bands(side):
-        band = _to_rgb(picture.crop((left, 0, right, side)))
-        rows[:, left:right] = np.tensordot(weights, band.astype(np.float32), axes=(1, 0))
+    for columns, band in bands:
+        rows[:, columns] = np.tensordot(weights, band.astype(np.float32), axes=(1, 0))
+        if between is not None:
+            between()
     both: NDArray[np.float32] = np.tensordot(weights, rows, axes=(1, 1)).transpose(1, 0, 2)
     rounded = np.clip(np.floor(both + np.float32(0.5)), 0, 255)
     return np.asarray(rounded, dtype=np.uint8)
 
 
-def _bands(side: int) -> Iterator[tuple[int, int]]:
+def _bands(side: int, width: int) -> Iterator[tuple[int, int]]:
     """First columns and those behind the last, in widths about equal: a narrow rest might round otherwise."""
-    count = -(-side // _BAND)
+    count = -(-side // width)
     return pairwise(side * index // count for index in range(count + 1))
 
 

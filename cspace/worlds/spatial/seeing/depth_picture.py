@@ -13,6 +13,7 @@ from PIL import Image
 
 from cspace.errors import ImageError
 from cspace.png import PngHeader, canonical_png, damaged, read_header
+from cspace.world import Between
 from cspace.worlds.spatial.seeing.camera import MAX_SIDE, MIN_SIDE
 
 _GREY = 0
@@ -26,8 +27,12 @@ _PASSES = (
 )  # fmt: skip
 
 
-def decode_depth(data: bytes) -> NDArray[np.uint16]:
+def decode_depth(data: bytes, between: Between = lambda: None) -> NDArray[np.uint16]:
     """An untrusted PNG as (H, W) uint16, mm along the optical axis, 0 where there is no reading.
+
+    Args:
+        data: the file's bytes.
+        between: called between the parts of the work; what it raises passes through.
 
     Raises:
         ImageError: not a PNG, not 16-bit grey, animated, below 16 or above 2048 pixels on a side, or damaged.
@@ -36,6 +41,7 @@ def decode_depth(data: bytes) -> NDArray[np.uint16]:
     _check(header)
     content = canonical_png(data, header)
     _check_length(content, header)
+    between()
     try:
         with Image.open(io.BytesIO(content), formats=["PNG"]) as picture:
             depth = np.array(picture)
@@ -92,12 +98,13 @@ def resize_depth(depth: NDArray[np.generic], height: int, width: int) -> NDArray
             expected="a picture and a size of at least 1 x 1",
             got=f"{depth.shape} to {height} x {width}",
         )
-    largest = np.inf if depth.dtype.kind == "f" else np.iinfo(depth.dtype).max  # type: ignore[type-var]
-    filled = np.where(depth > 0, depth, np.asarray(largest, dtype=depth.dtype))  # type: ignore[operator]
+    if depth.dtype.kind == "u":
+        # 0 wraps round to the largest number, and back again: one pass for what was read and what was not.
+        one = np.ones((), dtype=depth.dtype)
+        return np.asarray(_least(_least(depth - one, 0, height), 1, width) + one)
+    filled = np.where(depth > 0, depth, np.asarray(np.inf, dtype=depth.dtype))  # type: ignore[operator]
     least = _least(_least(filled, 0, height), 1, width)
-    unread = _least((~(depth > 0)).astype(np.uint8), 0, height)  # type: ignore[operator]
-    unread = _least(unread, 1, width)
-    return np.where(unread == 1, np.zeros((), dtype=depth.dtype), least)
+    return np.where(np.isinf(least), np.zeros((), dtype=depth.dtype), least)
 
 
 def _least(values: NDArray[np.generic], axis: int, size: int) -> NDArray[np.generic]:

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cspace.errors import ImageError
 from cspace.view_file import MAX_PICTURES
+from cspace.world import Between
 from cspace.worlds.spatial.seeing.camera import MIN_SIDE, DepthCamera
 from cspace.worlds.spatial.seeing.depth_picture import resize_depth, to_m
 from cspace.worlds.spatial.seeing.grid_box import GridBox
@@ -53,6 +54,7 @@ def observe(
     spheres: ArrayLike | None = None,
     *,
     arm_hides: bool = True,
+    between: Between | None = None,
 ) -> NDArray[np.uint8]:
     """Fuse depth pictures of one scene.
 
@@ -63,6 +65,7 @@ def observe(
         spheres: (S, 4) that cover the arm as it stands, x, y, z, radius in m in the base frame; None where
             it is in no picture.
         arm_hides: as :func:`cspace.worlds.spatial.seeing.sight.sight` has it.
+        between: called between parts of some ms; what it raises passes through.
 
     Returns:
         (X, Y, Z, 2) uint8. Channel 0 is the distance from a voxel's centre to the nearest surface seen, see
@@ -79,15 +82,21 @@ def observe(
             got=f"{len(pictures)} pictures, {len(cameras)} cameras",
         )
     found = np.full((*grid.counts, 2), np.iinfo(np.uint8).max, dtype=np.uint8)
+    pause = between or (lambda: None)
     for given, its_camera in zip(pictures, cameras, strict=True):
         check_picture(given, its_camera)
         picture, camera = _reduced(given, its_camera)
-        kept = drop_robot(picture, camera, np.empty((0, 4)) if spheres is None else spheres)
+        pause()
+        kept = drop_robot(picture, camera, np.empty((0, 4)) if spheres is None else spheres, between=pause)
         surface_m = to_m(kept.depth_mm)
-        away = distance_codes(patches(surface_m, camera, grid), grid)
+        shown = patches(surface_m, camera, grid)
+        pause()
+        away = distance_codes(shown, grid, pause)
+        pause()
         known = sight(surface_m, kept.front_m, camera, grid, arm_hides=arm_hides)
         for channel, codes in enumerate((away, known)):
             np.minimum(found[..., channel], codes, out=found[..., channel])
+        pause()
     return found
 
 

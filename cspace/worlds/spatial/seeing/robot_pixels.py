@@ -6,13 +6,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cspace.errors import ImageError
+from cspace.world import Between
 from cspace.worlds.spatial.seeing.camera import DepthCamera
 
 SLACK_M = 0.02
 # Nearer than this a sphere's window is the whole picture.
 _NEAR_M = 0.01
-# Rays that are intersected at once, so that memory is bounded.
-_AT_ONCE = 250_000
+# Rays that are intersected at once, in some ms.
+_AT_ONCE = 60_000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -30,7 +31,11 @@ class WithoutRobot:
 
 
 def drop_robot(
-    depth_mm: NDArray[np.uint16], camera: DepthCamera, spheres: ArrayLike, slack_m: float = SLACK_M
+    depth_mm: NDArray[np.uint16],
+    camera: DepthCamera,
+    spheres: ArrayLike,
+    slack_m: float = SLACK_M,
+    between: Between = lambda: None,
 ) -> WithoutRobot:
     """Take the arm out of a depth picture.
 
@@ -42,12 +47,13 @@ def drop_robot(
         camera: of the picture.
         spheres: (S, 4) that cover the arm as it stands: x, y, z, radius in m in the base frame.
         slack_m: added to every radius.
+        between: called between parts of some ms; what it raises passes through.
 
     Raises:
         ImageError: the picture has another shape than the camera's.
     """
     check_picture(depth_mm, camera)
-    begins = _begins_m(camera, np.asarray(spheres, dtype=np.float64).reshape(-1, 4), slack_m)
+    begins = _begins_m(camera, np.asarray(spheres, dtype=np.float64).reshape(-1, 4), slack_m, between)
     shown = (depth_mm > 0) & (depth_mm * np.float32(1e-3) >= begins)
     return WithoutRobot(np.where(shown, np.uint16(0), depth_mm), np.where(shown, begins, np.float32(np.inf)))
 
@@ -66,7 +72,9 @@ def check_picture(depth_mm: NDArray[np.uint16], camera: DepthCamera) -> None:
         )
 
 
-def _begins_m(camera: DepthCamera, spheres: NDArray[np.float64], slack_m: float) -> NDArray[np.float32]:
+def _begins_m(
+    camera: DepthCamera, spheres: NDArray[np.float64], slack_m: float, between: Between
+) -> NDArray[np.float32]:
     """Depth (H, W) at which the first of the spheres begins, inf beside all; 0 for a camera within one."""
     pose = camera.matrix
     centres = (spheres[:, :3] - pose[:3, 3]) @ pose[:3, :3]
@@ -87,6 +95,7 @@ def _begins_m(camera: DepthCamera, spheres: NDArray[np.float64], slack_m: float)
             (columns - camera.cx) / camera.fx, (rows - camera.cy) / camera.fy, centres[own], radii[own]
         )
         np.minimum.at(found, rows * camera.width + columns, depth.astype(np.float32))
+        between()
     return found.reshape(camera.picture_shape)
 
 

@@ -10,6 +10,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from cspace.world import Between
 from cspace.worlds.spatial.seeing.camera import DepthCamera
 from cspace.worlds.spatial.seeing.grid_box import GridBox
 
@@ -74,15 +75,22 @@ def patches(depth_m: NDArray[np.float32], camera: DepthCamera, grid: GridBox) ->
     return found.chosen(_firsts(found.points, grid.voxel_m / CELL_M, edge))
 
 
-def distance_codes(found: Patches, grid: GridBox) -> NDArray[np.uint8]:
-    """From each voxel's centre to the nearest patch, (X, Y, Z), in :data:`DISTANCE_STEP_M`, rounded."""
+def distance_codes(found: Patches, grid: GridBox, between: Between = lambda: None) -> NDArray[np.uint8]:
+    """From each voxel's centre to the nearest patch, (X, Y, Z), in :data:`DISTANCE_STEP_M`, rounded.
+
+    Args:
+        found: the patches.
+        grid: of the voxels.
+        between: called between parts of some ms; what it raises passes through.
+    """
     codes = np.full(grid.counts, FARTHEST, dtype=np.uint8)
     for first in range(0, found.points.shape[1], _AT_ONCE):
-        np.minimum(codes, _codes(found.chosen(slice(first, first + _AT_ONCE)), grid), out=codes)
+        some = found.chosen(slice(first, first + _AT_ONCE))
+        np.minimum(codes, _codes(some, grid, between), out=codes)
     return codes
 
 
-def _codes(found: Patches, grid: GridBox) -> NDArray[np.uint8]:
+def _codes(found: Patches, grid: GridBox, between: Between) -> NDArray[np.uint8]:
     """The same of so few patches that their numbers have room in a key."""
     codes = np.full(int(np.prod(grid.counts)), FARTHEST, dtype=np.uint8)
     limit = TRUNCATION_M / grid.voxel_m
@@ -90,7 +98,7 @@ def _codes(found: Patches, grid: GridBox) -> NDArray[np.uint8]:
     room = 2 * _pad(limit)
     nearest = np.full([count + 2 * room for count in grid.counts], _NONE)
     scale = np.float32((1 << (32 - _ID_BITS)) - 1) / np.float32((limit + 2.0) ** 2)
-    _spread(nearest, found.points, limit, scale)
+    _spread(nearest, found.points, limit, scale, between)
     inner = tuple(slice(room, -room) for _ in range(3))
     keys = nearest[inner].ravel()
     reached = np.flatnonzero(keys != _NONE)
@@ -192,7 +200,11 @@ def _firsts(points: NDArray[np.float32], cells: float, edge: float) -> NDArray[n
 
 
 def _spread(
-    nearest: NDArray[np.uint32], points: NDArray[np.float32], limit: float, scale: np.float32
+    nearest: NDArray[np.uint32],
+    points: NDArray[np.float32],
+    limit: float,
+    scale: np.float32,
+    between: Between,
 ) -> None:
     """Let every voxel have the least key of the points in the cells that are near to its centre.
 
@@ -216,6 +228,7 @@ def _spread(
         )
         index = start + (np.arange(-reach, reach + 1) + (x * across + y) * up)[:, None]
         np.minimum.at(flat, index.ravel(), key.ravel())
+        between()
 
 
 def _pad(limit: float) -> int:

@@ -7,9 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cspace.errors import ImageError, ScenarioError
+from cspace.png import read_header
 from cspace.space import JointSpace
 from cspace.strict_json import read_members
 from cspace.view_file import check_counts, pack_view, unpack_view
+from cspace.world import Between
 from cspace.worlds.spatial.seeing.camera import DepthCamera
 from cspace.worlds.spatial.seeing.depth_picture import decode_depth, encode_depth
 
@@ -59,21 +61,35 @@ def write_view(view: DepthView) -> bytes:
     return pack_view([encode_depth(picture) for picture in view.pictures], cameras, state)
 
 
-def read_view(data: bytes, space: JointSpace) -> DepthView:
+def pixels_of(data: bytes) -> int:
+    """How many pixels the pictures of an untrusted view file say that they have.
+
+    Raises:
+        ImageError: it is none, or a picture is none.
+    """
+    return sum(read_header(one).pixels for one in unpack_view(data)[0])
+
+
+def read_view(data: bytes, space: JointSpace, between: Between | None = None) -> DepthView:
     """An untrusted view file.
 
     Args:
         data: the file.
         space: of the arm.
+        between: called after each picture; what it raises passes through.
 
     Raises:
         ImageError: it is none, a picture or a camera is none, they do not fit each other, no picture has a
             reading, or the state lies outside of the arm's limits.
     """
     files, cameras, state = unpack_view(data)
-    pictures = tuple(decode_depth(one) for one in files)
+    pause = between or (lambda: None)
+    pictures = []
+    for one in files:
+        pictures.append(decode_depth(one, pause))
+        pause()
     seen_by = [read_pinhole(values, picture.shape) for values, picture in zip(cameras, pictures, strict=True)]
-    return DepthView(pictures, tuple(seen_by), state_of(state, space))
+    return DepthView(tuple(pictures), tuple(seen_by), state_of(state, space))
 
 
 def read_pinhole(values: object, shape: tuple[int, ...]) -> DepthCamera:
