@@ -1,5 +1,6 @@
 """Requests whose clients have gone away, and dear ones beside cheap ones, at a real server."""
 
+import base64
 import json
 import socket
 import time
@@ -10,7 +11,7 @@ import httpx
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
-from tests.inference_api.attacks import png, read_answer, sample
+from tests.inference_api.attacks import png, read_answer, request, sample
 from tests.inference_api.server import ServerProcess, server_process
 
 pytestmark = pytest.mark.e2e
@@ -76,3 +77,16 @@ def test_a_cheap_request_is_answered_before_the_dear_ones_that_came_first(server
     assert metric(server.address, "cspace_samples_requested_total") == 5
     for link in dear:
         link.close()
+
+
+def test_a_client_that_leaves_behind_a_large_body_is_seen_to_go(server: ServerProcess) -> None:
+    rows = [[0.123456789012345, 1.123456789012345]] * 20_000
+    body = json.dumps({"image": base64.b64encode(png(48)).decode(), "configurations": rows}).encode()
+    with connect(server) as link:
+        link.sendall(DEAREST)
+        until(server.address, "cspace_requests_in_flight", 2)
+        with connect(server) as leaving:
+            leaving.sendall(request("/validity", body, "application/json"))
+            until(server.address, "cspace_requests_waiting", 1)
+        until(server.address, "cspace_requests_in_flight", 2)
+        assert reasons(server) == ["client-gone"]

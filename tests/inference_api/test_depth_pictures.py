@@ -2,6 +2,7 @@
 
 import base64
 import json
+from unittest.mock import create_autospec
 
 import numpy as np
 import pytest
@@ -14,10 +15,12 @@ from cspace.worlds.spatial.seeing.camera import DepthCamera, looking
 from cspace.worlds.spatial.seeing.depth_picture import encode_depth
 from inference_api.bodies.request_body import RawFields
 from inference_api.pages.planning.question import read_plan
+from inference_api.turns.turns import Turn
 from tests.bundles import picture
 from tests.inference_api.answers import assert_problem
 from tests.inference_api.conftest import api_over, stock
 from tests.inference_api.fake_registry import CountingRegistry
+from tests.inference_api.turn_work import watched_turns
 from tests.space_bundle import WORLD, write_space_bundle
 
 MODEL = "panda-sampler@champion"
@@ -192,7 +195,7 @@ def test_the_search_for_a_view_knows_from_where_the_pictures_are():
     ends = {"start": STATE, "goal": STATE, "model": "panda-sampler"}
     images = [base64.b64encode(one).decode() for one in IMAGES]
     body = json.dumps(ends | {"image": images, "camera": CAMERAS}).encode()
-    assert read_plan(None, RawFields(body), began=0.0).query.seen_by == tuple(CAMERAS)
+    assert read_plan(None, RawFields(body), create_autospec(Turn), began=0.0).query.seen_by == tuple(CAMERAS)
 
 
 def test_a_plan_names_the_view_that_would_see_most_of_its_doubt(api):
@@ -210,3 +213,21 @@ def test_a_plan_names_the_view_that_would_see_most_of_its_doubt(api):
     assert (refused["status"], refused["next_view"]) == ("refused", around)
     problem = assert_problem(ask(api, **fields, view=[json.dumps({"fx": 1.0})]), 422, "invalid-value")
     assert "a view is no camera" in problem["detail"]
+
+
+@pytest.mark.parametrize(
+    ("page", "fields"),
+    [
+        ("/sample", {"n": "1"}),
+        ("/validity", {"configurations": json.dumps([STATE])}),
+        ("/plan", {"start": json.dumps(STATE), "goal": json.dumps(STATE), "time_limit_s": "0.01"}),
+    ],
+)
+def test_pictures_that_are_not_known_are_read_in_parts_as_long_work(api, monkeypatch, page, fields):
+    wide = [one | {"fx": 8.0, "fy": 8.0, "cx": 31.0 + len(page)} for one in CAMERAS]
+    long, parts = watched_turns(monkeypatch)
+    answer = ask(api, cameras=wide, page=page, state=json.dumps(STATE), **fields)
+    assert answer.status_code == 200, answer.text
+    assert long()
+    # Each picture by runs of the space about its surfaces, whatever its size and focal length.
+    assert parts() > 2 * 60

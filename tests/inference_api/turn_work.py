@@ -6,6 +6,7 @@ from collections.abc import Callable
 from itertools import count
 
 import anyio
+import pytest
 from anyio import to_thread
 from prometheus_client import Gauge
 
@@ -33,6 +34,25 @@ async def until(condition: Callable[[], bool]) -> None:
     with anyio.fail_after(PATIENCE_S):
         while not condition():
             await anyio.sleep(0.005)
+
+
+def watched_turns(monkeypatch: pytest.MonkeyPatch) -> tuple[Callable[[], bool], Callable[[], int]]:
+    """Whether a request was announced as long, and how often others might have had its turn."""
+    rows: list[float] = []
+    parts: list[Turn] = []
+    spend, between = Turn.spend, Turn.between
+
+    def spending(turn: Turn, more: float) -> None:
+        rows.append(more)
+        spend(turn, more)
+
+    def counted(turn: Turn) -> None:
+        parts.append(turn)
+        between(turn)
+
+    monkeypatch.setattr(Turn, "spend", spending)
+    monkeypatch.setattr(Turn, "between", counted)
+    return lambda: sum(rows) > LONG_ROWS, lambda: len(parts)
 
 
 class Gate:

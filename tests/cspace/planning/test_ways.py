@@ -32,14 +32,14 @@ def test_ways_through_a_picture_are_nearly_free_in_the_scene(index):
     truth, picture, problem = planar(index)
     ends = np.stack([problem.start, problem.goal])
     checkers = seen_checkers(PLANAR, picture, ends)
-    found = find_ways(checkers, *ends, 4, 0, time.monotonic() + LATE)
+    found = find_ways(checkers, *ends, 4, 0, time.thread_time() + LATE)
     assert (len(found.ways), found.late) == (4, False)
     assert found.checker in checkers
     for way in found.ways:
         assert np.array_equal(way[[0, -1]], ends)
         # Pixels are 0.2 m wide.
         assert truth.clearance(way).min() > -0.1
-    again = find_ways(checkers, *ends, 4, 0, time.monotonic() + LATE)
+    again = find_ways(checkers, *ends, 4, 0, time.thread_time() + LATE)
     assert all(np.array_equal(one, other) for one, other in zip(found.ways, again.ways, strict=True))
     assert len({way.tobytes() for way in found.ways}) > 1
 
@@ -67,9 +67,23 @@ def test_ends_are_free_whatever_seems_to_stand_there():
 def test_the_time_ends_a_search():
     _, picture, problem = planar(1)
     ends = np.stack([problem.start, problem.goal])
-    found = find_ways(seen_checkers(PLANAR, picture, ends), *ends, 1000, 0, time.monotonic() + 0.05)
+    found = find_ways(seen_checkers(PLANAR, picture, ends), *ends, 1000, 0, time.thread_time() + 0.05)
     assert found.late
     assert len(found.ways) < 1000
+
+
+def test_what_a_search_waits_for_others_is_not_its_own_time():
+    def wait():
+        time.sleep(0.01)
+
+    _, picture, problem = planar(1)
+    ends = np.stack([problem.start, problem.goal])
+    checkers = seen_checkers(PLANAR, picture, ends)
+    find_ways(checkers, *ends, 1, 0, time.thread_time() + LATE)
+    began, limit_s = time.monotonic(), 0.2
+    found = find_ways(checkers, *ends, 40, 0, time.thread_time() + limit_s, between=wait)
+    assert time.monotonic() - began > limit_s
+    assert (len(found.ways), found.late) == (40, False)
 
 
 def test_whoever_calls_can_stop_a_search():
@@ -82,7 +96,7 @@ def test_whoever_calls_can_stop_a_search():
     _, picture, problem = planar(1)
     ends = np.stack([problem.start, problem.goal])
     with pytest.raises(StopError):
-        find_ways(seen_checkers(PLANAR, picture, ends), *ends, 2, 0, time.monotonic() + LATE, between=stop)
+        find_ways(seen_checkers(PLANAR, picture, ends), *ends, 2, 0, time.thread_time() + LATE, between=stop)
 
 
 class Wall:
@@ -103,7 +117,7 @@ class Wall:
 
 def test_no_way_is_found_where_there_is_none():
     wall = Wall()
-    found = find_ways([wall], np.zeros(2), np.ones(2), 3, 0, time.monotonic() + LATE)
+    found = find_ways([wall], np.zeros(2), np.ones(2), 3, 0, time.thread_time() + LATE)
     assert (found.ways, found.late, found.checker) == ([], False, None)
     assert wall.states == sum(SearchLimits().rounds()) == 256 + 1024 + 4096
 
@@ -111,10 +125,12 @@ def test_no_way_is_found_where_there_is_none():
 def test_a_careful_checker_without_a_way_takes_few_states_before_the_next_is_tried():
     wall, (truth, _, problem) = Wall(), planar(2)
     ends = problem.start, problem.goal
-    found = find_ways([wall, truth], *ends, 3, 0, time.monotonic() + LATE)
+    found = find_ways([wall, truth], *ends, 3, 0, time.thread_time() + LATE)
     assert (len(found.ways), found.late, wall.states) == (3, False, 256)
     assert found.checker is truth
-    alone = find_ways([Wall(), truth], *ends, 3, 0, time.monotonic() + LATE, limits=SearchLimits(first=4096))
+    alone = find_ways(
+        [Wall(), truth], *ends, 3, 0, time.thread_time() + LATE, limits=SearchLimits(first=4096)
+    )
     for way, other in zip(found.ways, alone.ways, strict=True):
         np.testing.assert_array_equal(way, other)
 

@@ -182,3 +182,18 @@ def test_the_network_takes_channels_first_from_minus_one_to_one():
     assert (batch[0] == -1.0).all()
     assert (batch[1] == 1.0).all()
     assert batch[2, 1, 5, 7] == pytest.approx(PICTURE[5, 7, 1] / 127.5 - 1.0, abs=1e-6)
+
+
+def test_a_large_picture_is_read_in_parts_between_which_a_caller_may_stop():
+    class StopError(Exception):
+        pass
+
+    parts = []
+    decode_png(png(plain("RGBA", (1, 2, 3, 4), side=1024)), between=lambda: parts.append(1))
+    assert len(parts) == 8
+
+    def stop():
+        raise StopError
+
+    with pytest.raises(StopError):
+        decode_png(png(plain("RGB", (1, 2, 3), side=256)), between=stop)
