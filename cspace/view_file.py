@@ -2,12 +2,14 @@
 
 A view file is a line and the pictures' files behind it, one after the other. The line is the word
 ``cspace-view``, the version 1, and an object in JSON with ``pictures`` (their sizes in bytes), ``cameras``
-(``fx, fy, cx, cy, pose`` each) and ``state`` (rad, or null where the robot is in no picture). Here it is only
-packed and unpacked; what it holds is judged by the world that takes such pictures.
+(``fx, fy, cx, cy, pose`` each), ``state`` (rad, or null where the robot is in no picture) and, where the
+pictures are not in mm, ``depth_scale_m`` (metres per unit). Here it is only packed and unpacked; what it
+holds is judged by the world that takes such pictures.
 """
 
 import json
 from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import accumulate, pairwise
 from typing import Any
 
@@ -17,7 +19,24 @@ from cspace.strict_json import parse_json, read_members
 MAX_PICTURES = 4
 _MAGIC = b"cspace-view 1 "
 _MAX_LINE_BYTES = 16_384
-_KEYS = {"pictures", "cameras", "state"}
+_KEYS = {"pictures", "cameras", "state", "depth_scale_m"}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ViewFile:
+    """What a view file holds; nothing but the counts is judged.
+
+    Args:
+        pictures: one to four files.
+        cameras: plain values of JSON, one for each picture.
+        state: likewise; None where the robot is in no picture.
+        depth_scale_m: likewise, metres per unit of the pictures; None for mm.
+    """
+
+    pictures: list[bytes]
+    cameras: list[object]
+    state: object
+    depth_scale_m: object = None
 
 
 def is_view(data: bytes) -> bool:
@@ -25,19 +44,24 @@ def is_view(data: bytes) -> bool:
     return data.startswith(_MAGIC)
 
 
-def pack_view(pictures: Sequence[bytes], cameras: Sequence[object], state: object) -> bytes:
+def pack_view(
+    pictures: Sequence[bytes], cameras: Sequence[object], state: object, depth_scale_m: object = None
+) -> bytes:
     """A view file of files and plain values.
 
     Args:
         pictures: one to four files.
         cameras: plain values of JSON, one for each picture.
         state: likewise; None where the robot is in no picture.
+        depth_scale_m: likewise, metres per unit of the pictures; None for mm.
 
     Raises:
         ImageError: the counts do not fit.
     """
     check_counts(len(pictures), len(cameras))
     told = {"pictures": [len(one) for one in pictures], "cameras": list(cameras), "state": state}
+    # Readers of files in mm need not know the key.
+    told |= {} if depth_scale_m is None else {"depth_scale_m": depth_scale_m}
     line = json.dumps(told, separators=(",", ":")).encode()
     if len(line) > _MAX_LINE_BYTES:
         raise ImageError(
@@ -46,8 +70,8 @@ def pack_view(pictures: Sequence[bytes], cameras: Sequence[object], state: objec
     return b"".join((_MAGIC, line, b"\n", *pictures))
 
 
-def unpack_view(data: bytes) -> tuple[list[bytes], list[object], object]:
-    """Pictures, cameras and state of an untrusted view file, as :func:`pack_view` takes them.
+def unpack_view(data: bytes) -> ViewFile:
+    """What an untrusted view file holds, as :func:`pack_view` takes it.
 
     Raises:
         ImageError: it is none, or the counts do not fit.
@@ -67,7 +91,8 @@ def unpack_view(data: bytes) -> tuple[list[bytes], list[object], object]:
     if any(type(size) is not int or size < 0 for size in sizes) or sum(sizes) != len(rest):
         raise no_view(f"pictures of {sizes!r} bytes"[:200], f"{len(rest)} bytes")
     ends = accumulate(sizes, initial=0)
-    return [rest[begin:end] for begin, end in pairwise(ends)], cameras, told["state"]
+    files = [rest[begin:end] for begin, end in pairwise(ends)]
+    return ViewFile(files, cameras, told["state"], told["depth_scale_m"])
 
 
 def check_counts(pictures: int, cameras: int) -> None:
@@ -97,4 +122,5 @@ def _line_of(data: bytes) -> tuple[dict[str, Any], bytes]:
         values = parse_json(data[len(_MAGIC) : end])
     except ValueError as error:
         raise no_view("a line in JSON", error) from error
-    return read_members(values, _KEYS, "the view", ImageError), data[end + 1 :]
+    given = {"depth_scale_m": None, **values} if isinstance(values, dict) else values
+    return read_members(given, _KEYS, "the view", ImageError), data[end + 1 :]

@@ -18,6 +18,8 @@ Image = NDArray[np.uint8]
 Arrays = Mapping[str, NDArray[Any]]
 # Called between the parts of long work; may raise to stop it, which passes through.
 Between = Callable[[], None]
+# Codes of findings that servers act on.
+ARM_IN_PICTURE, LITTLE_IN_REACH = "arm-in-picture", "little-in-reach"
 
 
 class Sensor(Protocol):
@@ -87,6 +89,45 @@ class TensorInput:
     shape: tuple[int | str, ...]
     most: int = 1
     optional: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """Something about a picture that makes answers from it worse or wrong; answers carry it as a warning.
+
+    Args:
+        code: a name that never changes.
+        seen: what was found, in words.
+        effect: what it does to the answer.
+        remedy: what to do.
+        pictures: numbers of the pictures that it is about, from 0; none where it is about all.
+    """
+
+    code: str
+    seen: str
+    effect: str
+    remedy: str
+    pictures: tuple[int, ...] = ()
+
+    @property
+    def message(self) -> str:
+        """All of it in a sentence."""
+        return f"{self.seen}: {self.effect}; {self.remedy}"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Examined:
+    """Pictures that were read, and what is to be said of them.
+
+    Args:
+        images: uint8 (b, ...), as :meth:`World.read_tensors` has them.
+        findings: that answers carry.
+        without_state: whether it is not known where the robot stands in them.
+    """
+
+    images: Image
+    findings: tuple[Finding, ...] = ()
+    without_state: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -218,6 +259,38 @@ class World(Protocol):
 
         Raises:
             ImageError: their contents are none that are accepted.
+        """
+
+    def examine_picture(self, data: bytes, between: Between | None = None) -> Examined:
+        """:meth:`read_picture`, one image, with its findings.
+
+        Raises:
+            ImageError: as there.
+        """
+
+    def examine_tensors(self, tensors: Arrays, between: Between | None = None) -> Examined:
+        """:meth:`read_tensors` with its findings.
+
+        Raises:
+            ImageError: as there.
+        """
+
+    def least_novelty(self, image: Image) -> float:
+        """How novel a picture is at least, 0 to 1, whatever a model holds of it: 1 where it shows nothing."""
+
+    def state_findings(
+        self,
+        *,
+        image: Image | None = None,
+        start: ArrayLike | None = None,
+        colliding: float = 0.0,
+    ) -> tuple[Finding, ...]:
+        """What an answer to pictures without the robot's state shows of a state that is missing.
+
+        Args:
+            image: with ``start``.
+            start: (d,) rad, of a plan.
+            colliding: share of many configurations that are held to collide.
         """
 
     def blank_picture(self) -> bytes:

@@ -95,7 +95,7 @@ class Bundle:
         found = self._encoder.run({"image": pixels}, {"mu": size, "sigma": size})
         encoding = Encoding(found["mu"][0], found["sigma"][0])
         return Picture(
-            self.digest, pixels, encoding, self._novelty_of(pixels, found["mu"]), self._map_of(pixels)
+            self.digest, pixels, encoding, self._novelty_of(image, pixels, found["mu"]), self._map_of(pixels)
         )
 
     def _map_of(self, pixels: NDArray[np.float32]) -> NDArray[np.float32] | None:
@@ -103,12 +103,15 @@ class Bundle:
             return None
         return self._map.run({"image": pixels}, {"map": self._map.sizes("map")})["map"]
 
-    def _novelty_of(self, pixels: NDArray[np.float32], mu: NDArray[np.float32]) -> float | None:
+    def _novelty_of(
+        self, image: NDArray[np.uint8], pixels: NDArray[np.float32], mu: NDArray[np.float32]
+    ) -> float | None:
         graph, quantiles = self._novelty, self.spec.novelty_quantiles
         if graph is None or quantiles is None:
             return None
         found = graph.run({"image": pixels, "mu": mu}, {"scores": (len(quantiles),)})
-        return novelty(found["scores"], quantiles)
+        # Scores learned from pictures that show something are low for one that shows nothing.
+        return max(novelty(found["scores"], quantiles), self.spec.world.least_novelty(image))
 
     def sample(
         self,

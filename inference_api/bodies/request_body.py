@@ -25,7 +25,7 @@ _CAMERA = "camera"
 _JSON_MARKS = {_CONFIGURATION: MAX_MARKS, _CAMERA: MAX_MARKS, _CONFIGURATIONS: MAX_TENSOR_MARKS}
 # Of several pictures of a scene each has its own, and of views there may be several.
 _REPEATED = ("image", "camera", "view")
-_SCENE = {"camera": _CAMERA, "state": _CONFIGURATION}
+_SCENE = {"camera": _CAMERA, "state": _CONFIGURATION, "depth_scale_m": float | None}
 _FLAGS = {"true": True, "false": False}
 
 

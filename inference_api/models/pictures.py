@@ -4,14 +4,15 @@ import hashlib
 import time
 from collections import OrderedDict
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from threading import Lock
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cspace.bundle import Bundle, Picture
-from cspace.world import Between
+from cspace.world import Between, Examined, Finding, World
 
 # A dozen arrays of space, or all the flat pictures that are kept.
 MOST_BYTES = 64 * 2**20
@@ -25,11 +26,19 @@ class Prepared:
         picture: decoded and encoded.
         decode_ms: 0 for one that was known.
         encode_ms: 0 for one that was known.
+        findings: what answers say of the picture.
+        without_state: whether it is not known where the robot stands in it.
     """
 
     picture: Picture
     decode_ms: float = 0.0
     encode_ms: float = 0.0
+    findings: tuple[Finding, ...] = ()
+    without_state: bool = False
+
+    def findings_with(self, world: World, **answer: Any) -> tuple[Finding, ...]:
+        """With those that an answer shows, which :meth:`cspace.world.World.state_findings` tells of."""
+        return self.findings + (world.state_findings(**answer) if self.without_state else ())
 
 
 class PictureCache:
@@ -42,7 +51,7 @@ class PictureCache:
 
     def __init__(self, capacity: int, most_bytes: int = MOST_BYTES) -> None:
         self._capacity, self._most_bytes, self._bytes = capacity, most_bytes, 0
-        self._known: OrderedDict[tuple[str, bytes], Picture] = OrderedDict()
+        self._known: OrderedDict[tuple[str, bytes], Prepared] = OrderedDict()
         self._lock = Lock()
 
     def get(
@@ -66,11 +75,11 @@ class PictureCache:
         """
         world = bundle.spec.world
 
-        def read() -> NDArray[np.uint8]:
+        def read() -> Examined:
             spend(world.pixels_of(png))
-            image = world.read_picture(png, between)
+            found = world.examine_picture(png, between)
             between()
-            return image
+            return found
 
         return self._get(bundle, b"png" + _digest(png), read)
 
@@ -81,30 +90,32 @@ class PictureCache:
             InputError: it has another size or type than the bundle takes.
             BundleError: the encoder fails.
         """
-        return self._get(bundle, b"pixels" + _digest(np.ascontiguousarray(image).data), lambda: image)
+        return self._get(
+            bundle, b"pixels" + _digest(np.ascontiguousarray(image).data), lambda: Examined(image[None])
+        )
 
-    def _get(self, bundle: Bundle, content: bytes, decode: Callable[[], NDArray[np.uint8]]) -> Prepared:
+    def _get(self, bundle: Bundle, content: bytes, decode: Callable[[], Examined]) -> Prepared:
         key = (bundle.digest, content)
         with self._lock:
             known = self._known.get(key)
             if known is not None:
                 self._known.move_to_end(key)
-                return Prepared(known)
+                return known
         began = time.perf_counter()
-        image = decode()
+        read = decode()
         decoded = time.perf_counter()
-        picture = bundle.prepare(image)
+        prepared = Prepared(bundle.prepare(read.images[0]), 0.0, 0.0, read.findings, read.without_state)
         encoded = time.perf_counter()
         with self._lock:
-            self._keep(key, picture)
-        return Prepared(picture, 1e3 * (decoded - began), 1e3 * (encoded - decoded))
+            self._keep(key, prepared)
+        return replace(prepared, decode_ms=1e3 * (decoded - began), encode_ms=1e3 * (encoded - decoded))
 
-    def _keep(self, key: tuple[str, bytes], picture: Picture) -> None:
+    def _keep(self, key: tuple[str, bytes], prepared: Prepared) -> None:
         known = self._known.pop(key, None)
-        self._bytes += picture.size_bytes - (0 if known is None else known.size_bytes)
-        self._known[key] = picture
+        self._bytes += prepared.picture.size_bytes - (0 if known is None else known.picture.size_bytes)
+        self._known[key] = prepared
         while self._known and (len(self._known) > self._capacity or self._bytes > self._most_bytes):
-            self._bytes -= self._known.popitem(last=False)[1].size_bytes
+            self._bytes -= self._known.popitem(last=False)[1].picture.size_bytes
 
     def __len__(self) -> int:
         with self._lock:

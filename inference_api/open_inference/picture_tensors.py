@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cspace.errors import InputError
-from cspace.world import TensorInput, World
+from cspace.world import Examined, TensorInput, World
 from inference_api.open_inference.tensor_schemas import TensorMetadata
 from inference_api.open_inference.tensors import datatype_named
 from inference_api.turns.costs import rows_of
@@ -27,8 +27,8 @@ def inputs_of(tensors: Iterable[TensorInput]) -> list[TensorMetadata]:
     ]
 
 
-def read_pictures(world: World, tensors: Mapping[str, NDArray[Any]], turn: Turn) -> NDArray[np.uint8]:
-    """The pictures (b, ...) that a request's inputs tell.
+def read_pictures(world: World, tensors: Mapping[str, NDArray[Any]], turn: Turn) -> Examined:
+    """The pictures (b, ...) that a request's inputs tell, with what is to be said of them.
 
     Args:
         world: of the model.
@@ -49,7 +49,7 @@ def read_pictures(world: World, tensors: Mapping[str, NDArray[Any]], turn: Turn)
         require_fitting(taken[name], array, sizes, remedy="POST /sample takes PNG files of any size")
     pixels = sum(array.size for array in tensors.values())
     turn.spend(rows_of(pixels=pixels, values=prod(world.sensor.picture_shape)))
-    return world.read_tensors(tensors, turn.between)
+    return world.examine_tensors(tensors, turn.between)
 
 
 def require_fitting(

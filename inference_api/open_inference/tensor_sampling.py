@@ -72,11 +72,12 @@ class InferenceQuestion(TensorQuestion):
         """
         bundle = served.bundle
         query = fitted(self.query, bundle.spec, has_validity=bundle.has_validity)
-        images = read_pictures(bundle.spec.world, self.tensors, turn)
-        drawn = draw(bundle, images, query, self.store.pictures, turn)
+        read = read_pictures(bundle.spec.world, self.tensors, turn)
+        drawn = draw(bundle, read.images, query, self.store.pictures, turn)
         spent_s = time.perf_counter() - self.began
         self.store.observer.sampled(sampled(served, drawn, self.query.n, spent_s))
-        return answer_of(served, self.request, output_arrays(drawn), binary=self.binary)
+        arrays = output_arrays(drawn)
+        return answer_of(served, self.request, arrays, binary=self.binary, findings=read.findings)
 
 
 def read_inference(

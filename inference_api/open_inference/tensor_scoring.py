@@ -49,7 +49,8 @@ class ScoringQuestion(TensorQuestion):
         given = pictures.pop(CONFIGURATIONS)
         require_fitting(configurations_input(spec.dim), given)
         configurations = fitted_configurations(given, spec)
-        images = read_pictures(spec.world, pictures, turn)
+        read = read_pictures(spec.world, pictures, turn)
+        images = read.images
         if len(images) != 1:
             raise InputError(
                 "configurations are asked about in one picture",
@@ -67,7 +68,7 @@ class ScoringQuestion(TensorQuestion):
         arrays |= {} if unseen is None else {"unseen": unseen}
         if picture.novelty is not None:
             arrays["novelty"] = np.array([picture.novelty], dtype=np.float32)
-        return answer_of(served, self.request, arrays, binary=self.binary)
+        return answer_of(served, self.request, arrays, binary=self.binary, findings=read.findings)
 
 
 def scoring_query(fields: Mapping[str, object]) -> SampleQuery:

@@ -10,12 +10,15 @@ from cspace.errors import InputError
 from cspace.view_file import MAX_PICTURES, pack_view
 
 MAX_JOINTS = 64
+# What the world of depth cameras takes.
+MIN_SCALE_M, MAX_SCALE_M = 1e-6, 1.0
 # More than any bound, so that too many are told as that.
 _MOST = 16
 PICTURE_EXPECTED = {
     "image": "a PNG: a file in a form, base64 text in JSON; several, each with a camera, for depth cameras",
     "camera": "objects of fx, fy, cx, cy and pose, one for each image",
     "state": "an array of finite angles in rad",
+    "depth_scale_m": f"metres per unit of the depth pictures, {MIN_SCALE_M:g} to {MAX_SCALE_M:g}",
 }
 
 
@@ -82,6 +85,7 @@ Views = Annotated[
     ),
 ]
 Angle = Annotated[float, Field(allow_inf_nan=False)]
+Scale = Annotated[float, Field(ge=MIN_SCALE_M, le=MAX_SCALE_M, allow_inf_nan=False)]
 Configuration = Annotated[tuple[Angle, ...], Field(max_length=MAX_JOINTS), Strict(strict=False)]
 
 CAMERA_TOLD = (
@@ -90,17 +94,30 @@ CAMERA_TOLD = (
     "x right, y down, z forward, m."
 )
 STATE_TOLD = "Where the robot was when the pictures were taken, rad; absent, it is in none of them."
+SCALE_TOLD = (
+    "Metres that one unit of the depth pictures stands for: 0.001 (mm) when absent, 0.0001 for tenths of "
+    "a mm, 0.0002 for TUM RGB-D. Goes with `camera`."
+)
 
 
 def picture_of(
-    images: tuple[bytes, ...], cameras: tuple[dict[str, Any], ...], state: tuple[float, ...] | None
+    images: tuple[bytes, ...],
+    cameras: tuple[dict[str, Any], ...],
+    state: tuple[float, ...] | None,
+    depth_scale_m: float | None = None,
 ) -> bytes:
     """The one file that a world reads as the picture of a scene.
 
     Raises:
         ImageError: there is not a camera for each of several images.
-        InputError: several images come without cameras.
+        InputError: several images come without cameras, or a unit of depths does.
     """
+    if not cameras and depth_scale_m is not None:
+        raise InputError(
+            "depth_scale_m comes without a camera",
+            expected="it beside camera, for depth pictures; a view file has it inside",
+            got=f"{depth_scale_m:g}",
+        )
     if not cameras and state is None:
         if len(images) > 1:
             raise InputError(
@@ -109,4 +126,4 @@ def picture_of(
                 got=f"{len(images)} without cameras",
             )
         return images[0]
-    return pack_view(images, cameras, None if state is None else list(state))
+    return pack_view(images, cameras, None if state is None else list(state), depth_scale_m)

@@ -3,6 +3,7 @@
 import io
 import json
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from math import prod
@@ -18,7 +19,7 @@ from inference_api.models.pictures import Prepared
 from inference_api.models.served import ServedModel
 from inference_api.models.store import ModelStore
 from inference_api.pages.model_schemas import ModelInfo, joint_space_info
-from inference_api.pages.schemas import SampleAnswer, ScenarioInfo, TimingMs
+from inference_api.pages.schemas import PictureWarning, SampleAnswer, ScenarioInfo, TimingMs, warnings_of
 from inference_api.pages.validation import validate_request
 from inference_api.telemetry.observer import Sampled
 from inference_api.turns.costs import rows_of
@@ -27,6 +28,8 @@ from inference_api.turns.turns import Turn
 from services.registry.references import ModelReference
 
 NPY = "application/x-npy"
+# Proxies take 4 KiB of headers.
+MAX_WARNINGS = 2048
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,6 +40,7 @@ class Answer:
         served: the model that answered.
         found: its samples.
         novelty: of the picture; None where the model does not tell.
+        warnings: of the picture.
         seed: the seed that was used.
         timing: where the time went.
     """
@@ -44,6 +48,7 @@ class Answer:
     served: ServedModel
     found: SampleSet
     novelty: float | None
+    warnings: list[PictureWarning]
     seed: int
     timing: TimingMs
 
@@ -92,7 +97,9 @@ class SampleQuestion:
             generate=found.generate_ms,
             total=1e3 * (time.perf_counter() - self.began),
         )
-        return Answer(served, found, prepared.picture.novelty, self.query.seed, timing)
+        # Without a confidence to reach all are taken.
+        warnings = warnings_of(prepared.findings_with(bundle.spec.world, colliding=1.0 - found.acceptance))
+        return Answer(served, found, prepared.picture.novelty, warnings, self.query.seed, timing)
 
 
 def read_question(
@@ -145,6 +152,7 @@ def json_response(answer: Answer) -> Response:
         shortfall=found.shortfall,
         acceptance=found.acceptance,
         scenario=ScenarioInfo(novelty=answer.novelty),
+        warnings=answer.warnings,
         joint_space=joint_space_info(spec.joint_space),
         model=model_info(answer.served),
         seed=str(answer.seed),
@@ -158,7 +166,7 @@ def npy_response(answer: Answer) -> Response:
     samples = np.ascontiguousarray(answer.found.samples, dtype="<f4")
     served = answer.served
     timing = ", ".join(f"{name};dur={value:.3f}" for name, value in answer.timing.model_dump().items())
-    headers = model_headers(served, answer.novelty) | {
+    headers = model_headers(served, answer.novelty, answer.warnings) | {
         "X-Seed": str(answer.seed),
         "X-Shortfall": str(answer.found.shortfall),
         "X-Acceptance": f"{answer.found.acceptance:.6g}",
@@ -167,7 +175,9 @@ def npy_response(answer: Answer) -> Response:
     return Response(npy_head(samples.shape) + samples.tobytes(), headers=headers, media_type=NPY)
 
 
-def model_headers(served: ServedModel, novelty: float | None) -> dict[str, str]:
+def model_headers(
+    served: ServedModel, novelty: float | None, warnings: Sequence[PictureWarning]
+) -> dict[str, str]:
     """What a ``.npy`` cannot hold of the model that answered and of the picture."""
     headers = {
         "X-Model-Name": served.name,
@@ -177,7 +187,18 @@ def model_headers(served: ServedModel, novelty: float | None) -> dict[str, str]:
         "X-Alias-Confirmed": "true" if served.confirmed else "false",
         "X-Joint-Space": json.dumps(served.bundle.spec.joint_space, separators=(",", ":")),
     }
-    return headers if novelty is None else headers | {"X-Novelty": f"{novelty:.6g}"}
+    headers |= {} if novelty is None else {"X-Novelty": f"{novelty:.6g}"}
+    return headers | ({"X-Warnings": warnings_text(warnings)} if warnings else {})
+
+
+def warnings_text(warnings: Sequence[PictureWarning]) -> str:
+    """Warnings as ASCII JSON of at most :data:`MAX_WARNINGS` characters: the last ones lose their words."""
+    told = [one.model_dump() for one in warnings]
+    for one in reversed(told):
+        if len(json.dumps(told)) <= MAX_WARNINGS:
+            break
+        one["message"] = ""
+    return json.dumps(told, separators=(",", ":"))
 
 
 @lru_cache(maxsize=64)

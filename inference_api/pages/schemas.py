@@ -1,7 +1,7 @@
 """Requests and answers of the API as types; the OpenAPI document is made from them."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import fields
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -9,15 +9,18 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, Strict, With
 
 from cspace.query import DIGEST_PATTERN, MAX_EPSILON, MAX_SAMPLES, MAX_SEED, PLAIN, SampleQuery, drawn_seed
 from cspace.view_file import MAX_PICTURES
+from cspace.world import Finding
 from inference_api.failures import FieldProblem
 from inference_api.pages.model_schemas import AnyJointSpace, ModelInfo
 from inference_api.pages.picture_fields import (
     CAMERA_TOLD,
     PICTURE_EXPECTED,
+    SCALE_TOLD,
     STATE_TOLD,
     Cameras,
     Configuration,
     PictureFiles,
+    Scale,
     picture_of,
 )
 
@@ -95,14 +98,16 @@ class SceneFields(RequestFields):
     image: PictureFiles = Field(
         description="The scenario as a square PNG of 16 to 2048 pixels: RGB as it is, RGBA over white, grey "
         "and palette as RGB; 16-bit and animated ones are refused. Resized by area averaging. For models of "
-        f"depth cameras, 1 to {MAX_PICTURES} 16-bit grey PNGs of mm along the optical axis, 0 for no reading."
+        f"depth cameras, 1 to {MAX_PICTURES} 16-bit grey PNGs of mm along the optical axis, 0 for no "
+        "reading, and what is below 20 mm or beyond 10 m as well."
     )
     camera: Cameras = Field((), description=CAMERA_TOLD)
     state: Configuration | None = Field(None, description=STATE_TOLD)
+    depth_scale_m: Scale | None = Field(None, description=SCALE_TOLD)
 
     def picture(self) -> bytes:
         """See :func:`inference_api.pages.picture_fields.picture_of`."""
-        return picture_of(self.image, self.camera, self.state)
+        return picture_of(self.image, self.camera, self.state, self.depth_scale_m)
 
 
 class QueryFields(RequestFields):
@@ -164,6 +169,29 @@ class ScenarioInfo(BaseModel):
     )
 
 
+class PictureWarning(BaseModel):
+    """Something about the pictures that makes the answer worse or wrong."""
+
+    code: str = Field(description="A name that never changes.")
+    message: str = Field(description="What was seen, what it does to the answer, and what to do.")
+    pictures: list[int] = Field(description="Numbers of the images that it is about, from 0; empty for all.")
+
+
+Warnings = Annotated[
+    list[PictureWarning],
+    Field(description="What is wrong, or may be, with the pictures; empty where nothing was found."),
+]
+
+
+def warnings_of(findings: Iterable[Finding]) -> list[PictureWarning]:
+    """Findings as answers carry them, each code once."""
+    once = {one.code: one for one in findings}
+    return [
+        PictureWarning(code=one.code, message=one.message, pictures=list(one.pictures))
+        for one in once.values()
+    ]
+
+
 class TimingMs(BaseModel):
     """Where the time went, in ms."""
 
@@ -193,6 +221,7 @@ class SampleAnswer(BaseModel):
     shortfall: int = Field(description="n minus what was returned.")
     acceptance: float = Field(description="Share of what was drawn that reached the confidence asked for.")
     scenario: ScenarioInfo
+    warnings: Warnings
     joint_space: AnyJointSpace
     model: ModelInfo
     seed: str = Field(description="The seed that was used, in decimal.", pattern="^[0-9]{1,20}$")

@@ -17,7 +17,7 @@ from inference_api.models.served import ServedModel
 from inference_api.models.store import ModelStore
 from inference_api.pages.model_schemas import joint_space_info
 from inference_api.pages.sampling import NPY, model_headers, model_info, npy_head, prepared_picture
-from inference_api.pages.schemas import ScenarioInfo
+from inference_api.pages.schemas import PictureWarning, ScenarioInfo, warnings_of
 from inference_api.pages.validation import validate_fields
 from inference_api.pages.validity_schemas import ScoreTimingMs, ValidityAnswer, ValidityRequest
 from inference_api.telemetry.observer import Scored
@@ -25,6 +25,8 @@ from inference_api.turns.costs import rows_of
 from inference_api.turns.turns import Turn
 from services.registry.references import ModelReference
 
+# Fewer configurations may well all collide.
+MANY_ROWS = 20
 _TYPES = ("<f4", "<f8")
 
 
@@ -37,6 +39,7 @@ class Validity:
         confidence: (n,) float32.
         unseen: (n,) float32, share of the robot that no picture shows; None in worlds that are seen whole.
         novelty: of the picture; None where the model does not tell.
+        warnings: of the picture.
         timing: where the time went.
     """
 
@@ -44,6 +47,7 @@ class Validity:
     confidence: NDArray[np.float32]
     unseen: NDArray[np.float32] | None
     novelty: float | None
+    warnings: list[PictureWarning]
     timing: ScoreTimingMs
 
 
@@ -96,7 +100,9 @@ class ValidityQuestion:
             score=1e3 * (ended - scoring),
             total=1e3 * (ended - self.began),
         )
-        return Validity(served, confidence, unseen, prepared.picture.novelty, timing)
+        colliding = float((confidence < 0.5).mean()) if len(confidence) >= MANY_ROWS else 0.0
+        warnings = warnings_of(prepared.findings_with(bundle.spec.world, colliding=colliding))
+        return Validity(served, confidence, unseen, prepared.picture.novelty, warnings, timing)
 
 
 def read_validity(
@@ -166,6 +172,7 @@ def _json_response(found: Validity) -> Response:
         unseen=None if found.unseen is None else found.unseen.tolist(),
         threshold=spec.confidence_threshold,
         scenario=ScenarioInfo(novelty=found.novelty),
+        warnings=found.warnings,
         joint_space=joint_space_info(spec.joint_space),
         model=model_info(found.served),
         timing_ms=found.timing,
@@ -181,7 +188,7 @@ def _npy_response(found: Validity) -> Response:
     if found.unseen is not None:
         columns[:, 1] = found.unseen
     timing = ", ".join(f"{name};dur={value:.3f}" for name, value in found.timing.model_dump().items())
-    headers = model_headers(served, found.novelty) | {"Server-Timing": timing}
+    headers = model_headers(served, found.novelty, found.warnings) | {"Server-Timing": timing}
     if spec.confidence_threshold is not None:
         headers["X-Threshold"] = f"{spec.confidence_threshold:.6g}"
     return Response(npy_head(columns.shape) + columns.tobytes(), headers=headers, media_type=NPY)

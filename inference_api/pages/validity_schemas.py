@@ -12,6 +12,7 @@ from inference_api.pages.schemas import (
     EXPECTED,
     ScenarioInfo,
     SceneFields,
+    Warnings,
     picture_form,
 )
 
@@ -72,6 +73,7 @@ class ValidityAnswer(BaseModel):
         description="The confidence that training recommends to ask for; null without one."
     )
     scenario: ScenarioInfo
+    warnings: Warnings
     joint_space: AnyJointSpace
     model: ModelInfo
     timing_ms: ScoreTimingMs

@@ -1,10 +1,12 @@
 """The outcome of a comparison as a small table and as JSON."""
 
 import math
+from collections.abc import Iterable
 from dataclasses import asdict
 from typing import Any
 
 from cspace.problem import OWN, Problem
+from cspace_client import PictureWarning
 from services.planner.plan_result import PlanResult
 from services.planner.planning import Comparison
 
@@ -28,9 +30,14 @@ def comparison_table(comparison: Comparison, planner: str) -> str:
         ).rstrip()
         for row in cells
     ]
-    return "\n".join(
-        [f"problem  {problem_line(comparison.problem)}", f"samples  {_samples_line(comparison)}", "", *lines]
-    )
+    batch = comparison.learned.batch
+    head = [f"problem  {problem_line(comparison.problem)}", f"samples  {_samples_line(comparison)}"]
+    return "\n".join([*head, *warning_lines(() if batch is None else batch.warnings), "", *lines])
+
+
+def warning_lines(warnings: Iterable[PictureWarning]) -> list[str]:
+    """What is wrong, or may be, with a problem's pictures, a line each."""
+    return [f"warning  {one.code}: {one.message}" for one in warnings]
 
 
 def comparison_json(comparison: Comparison, planner: str) -> dict[str, Any]:
@@ -45,6 +52,7 @@ def comparison_json(comparison: Comparison, planner: str) -> dict[str, Any]:
             "seed": str(batch.seed),
             "round_trip_s": batch.round_trip_s,
             "novelty": batch.novelty,
+            "warnings": [asdict(one) for one in batch.warnings],
             "uniform_share": comparison.learned.uniform_share,
         }
     return {

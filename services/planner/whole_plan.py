@@ -1,7 +1,7 @@
 """A problem that the inference API plans whole (``POST /plan``), and its way in the scene as it is."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,7 @@ from cspace.planning.query import PlanQuery
 from cspace.problem import Problem
 from cspace.worlds import checker_of, picture_file_of, workshop_of
 from services.planner.plan_result import PlanResult, Reason
-from services.planner.report import problem_line
+from services.planner.report import problem_line, warning_lines
 from services.planner.sources.found_plan import FoundPlan
 from services.planner.sources.sampling_client import SamplingClient
 
@@ -88,6 +88,7 @@ def told(whole: WholePlan) -> str:
     ]
     if found.reason is not None:
         lines.append(f"reason   {found.reason}")
+    lines.extend(warning_lines(model.warnings))
     if len(plan.way):
         unseen = "" if plan.unseen is None else f", up to {plan.unseen.max():.0%} of the robot unseen"
         lines.append(
@@ -113,6 +114,7 @@ def as_json(whole: WholePlan) -> dict[str, Any]:
         "ways": plan.found,
         "seed": str(found.seed),
         "model": {"name": found.model.model_name, "version": found.model.model_version},
+        "warnings": [asdict(one) for one in found.model.warnings],
         "round_trip_s": found.round_trip_s,
         "in_truth": {"free": whole.free, "clearance_m": whole.clearance_m} if len(plan.way) else None,
     }

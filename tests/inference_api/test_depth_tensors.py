@@ -93,6 +93,7 @@ def test_the_metadata_tell_the_inputs_and_what_is_unseen(api):
         "intrinsics": ("FP64", [-1, 4]),
         "poses": ("FP64", [-1, 4, 4]),
         "state": ("FP64", [7]),
+        "depth_scale_m": ("FP64", [1]),
         "configurations": ("FP32", [-1, 7]),
     }
     assert [one["name"] for one in told["outputs"]][:3] == ["samples", "confidence", "unseen"]

@@ -92,11 +92,11 @@ def recordings(folder, count=5):
     folder.mkdir()
     for index in range(count):
         scene = workshop_of(WORLD).scene(scenario_rng(Split.DEMO, 1, index), Split.DEMO, index)
-        pictures, cameras, state = unpack_view(picture_file_of(scene))
-        names = [f"scene-{index}-{number}.png" for number in range(len(pictures))]
-        for name, picture in zip(names, pictures, strict=True):
+        view = unpack_view(picture_file_of(scene))
+        names = [f"scene-{index}-{number}.png" for number in range(len(view.pictures))]
+        for name, picture in zip(names, view.pictures, strict=True):
             (folder / name).write_bytes(picture)
-        told = {"pictures": names, "cameras": cameras, "state": state}
+        told = {"pictures": names, "cameras": view.cameras, "state": view.state}
         (folder / f"scene-{index}.json").write_text(json.dumps(told))
         rows = WORLD.space.sample_uniform(np.random.default_rng(index), 80)
         free = checker_of(scene).valid_batch(rows)

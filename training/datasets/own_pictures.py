@@ -2,7 +2,8 @@
 
     {"pictures": ["left.png", "right.png"], "cameras": [{"fx": ..., "pose": ...}, ...], "state": [0.0, ...]}
 
-``state``, rad, is where the robot was; null or absent where it is in no picture.
+``state``, rad, is where the robot was; null or absent where it is in no picture. ``depth_scale_m`` is how
+many metres one unit of the pictures stands for; null or absent for mm.
 """
 
 from pathlib import Path
@@ -18,7 +19,7 @@ from cspace.view_file import MAX_PICTURES, pack_view
 from cspace.world import World
 
 _MAX_BYTES = 8 * 2**20
-_KEYS = {"pictures", "cameras", "state"}
+_KEYS = {"pictures", "cameras", "state", "depth_scale_m"}
 
 
 def found_pictures(folder: Path) -> list[Path]:
@@ -50,7 +51,7 @@ def _view(path: Path) -> bytes:
     told = _told(path)
     files = [_bytes(path.with_name(name)) for name in told["pictures"]]
     cameras = told["cameras"] if isinstance(told["cameras"], list) else []
-    return pack_view(files, cameras, told["state"])
+    return pack_view(files, cameras, told["state"], told["depth_scale_m"])
 
 
 def _told(path: Path) -> dict[str, Any]:
@@ -59,7 +60,7 @@ def _told(path: Path) -> dict[str, Any]:
         values = parse_json(data)
     except ValueError as error:
         raise DatasetError(f"{path} is no JSON", got=str(error)[:200]) from error
-    told = {"state": None, **values} if isinstance(values, dict) else values
+    told = {"state": None, "depth_scale_m": None, **values} if isinstance(values, dict) else values
     members = read_members(told, _KEYS, str(path), DatasetError)
     names = members["pictures"]
     if not isinstance(names, list) or not 1 <= len(names) <= MAX_PICTURES or not all(map(_is_name, names)):

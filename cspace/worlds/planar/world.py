@@ -12,7 +12,7 @@ from cspace.png import read_header
 from cspace.space import JointSpace
 from cspace.strict_json import read_mapping, read_members, read_object
 from cspace.view_file import is_view
-from cspace.world import Arrays, Between, Levers, TensorInput, World
+from cspace.world import Arrays, Between, Examined, Finding, Levers, TensorInput, World
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK, PlanarArm
 from cspace.worlds.planar.lookups import levers
 from cspace.worlds.planar.scenes import MAX_GIVEN, DiscScenes, GivenScenes, Scenes, read_scenes
@@ -75,6 +75,24 @@ class PlanarWorld:
         """The only one of them."""
         del between
         return np.asarray(tensors[_IMAGE], dtype=np.uint8)
+
+    def examine_picture(self, data: bytes, between: Between | None = None) -> Examined:
+        """Nothing is said of what a camera above the plane sees."""
+        return Examined(self.read_picture(data, between)[None])
+
+    def examine_tensors(self, tensors: Arrays, between: Between | None = None) -> Examined:
+        """Likewise."""
+        return Examined(self.read_tensors(tensors, between))
+
+    def least_novelty(self, image: NDArray[np.uint8]) -> float:
+        """0: pictures show the whole plane."""
+        del image
+        return 0.0
+
+    def state_findings(self, **answer: object) -> tuple[Finding, ...]:
+        """None: no picture of the plane shows the robot elsewhere than it is."""
+        del answer
+        return ()
 
     def blank_picture(self) -> bytes:
         """All white."""

@@ -7,20 +7,35 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from cspace.errors import ConfigError, DatasetError, ScenarioError
 from cspace.space import JointSpace
 from cspace.strict_json import read_mapping, read_members, read_object
-from cspace.world import Arrays, Between, GridArm, Levers, TensorInput, World
+from cspace.world import (
+    Arrays,
+    Between,
+    Examined,
+    Finding,
+    GridArm,
+    Levers,
+    TensorInput,
+    World,
+)
 from cspace.worlds.spatial.obstacles.obstacle_rows import BOX_VALUES, CYLINDER_VALUES
 from cspace.worlds.spatial.obstacles.scenes import SpatialScenes, read_spatial_scenes
 from cspace.worlds.spatial.robot.arm import SerialArm
 from cspace.worlds.spatial.robot.covering import grouped
 from cspace.worlds.spatial.robot.touching import touching_sets
 from cspace.worlds.spatial.seeing.camera import DepthCamera, looking
+from cspace.worlds.spatial.seeing.diagnostics import (
+    colliding_findings,
+    diagnose,
+    least_novelty,
+    start_findings,
+)
 from cspace.worlds.spatial.seeing.grid_box import grid_of
-from cspace.worlds.spatial.seeing.observed import observe
+from cspace.worlds.spatial.seeing.observed import fused, observe_one
 from cspace.worlds.spatial.seeing.sensor import DepthSensor
 from cspace.worlds.spatial.seeing.sight import NO_READING, OUT_OF_VIEW
 from cspace.worlds.spatial.seeing.surface_patches import DISTANCE_STEP_M
@@ -65,8 +80,16 @@ class SpatialWorld:
         return pixels_of(data)
 
     def read_picture(self, data: bytes, between: Between | None = None) -> NDArray[np.uint8]:
-        """The array of a view file; see :mod:`cspace.worlds.spatial.seeing.view`."""
-        return self.observed(read_view(data, self.space, between), between)
+        """The array of a view file; see :mod:`cspace.worlds.spatial.seeing.view`.
+
+        Raises:
+            ImageError: it is none, or its cameras see none of the space that the arm can reach.
+        """
+        return np.asarray(self.examine_picture(data, between).images[0])
+
+    def examine_picture(self, data: bytes, between: Between | None = None) -> Examined:
+        """See :meth:`cspace.world.World.examine_picture`."""
+        return self.examined(read_view(data, self.space, between), between)
 
     @property
     def tensors(self) -> tuple[TensorInput, ...]:
@@ -77,9 +100,31 @@ class SpatialWorld:
         """(1, X, Y, Z, 2): all pictures are of one scene.
 
         Raises:
-            ImageError: a picture, a camera or the state is none.
+            ImageError: a picture, a camera or the state is none, or the cameras see none of the space that
+                the arm can reach.
         """
-        return self.observed(view_of_tensors(tensors, self.space), between)[None]
+        return self.examine_tensors(tensors, between).images
+
+    def examine_tensors(self, tensors: Arrays, between: Between | None = None) -> Examined:
+        """See :meth:`cspace.world.World.examine_tensors`."""
+        return self.examined(view_of_tensors(tensors, self.space), between)
+
+    def least_novelty(self, image: NDArray[np.uint8]) -> float:
+        """See :func:`cspace.worlds.spatial.seeing.diagnostics.least_novelty`."""
+        return least_novelty(self.body, self.sensor.grid, image)
+
+    def state_findings(
+        self,
+        *,
+        image: NDArray[np.uint8] | None = None,
+        start: ArrayLike | None = None,
+        colliding: float = 0.0,
+    ) -> tuple[Finding, ...]:
+        """See :meth:`cspace.world.World.state_findings`."""
+        found = colliding_findings(colliding)
+        if image is not None and start is not None:
+            found += start_findings(self.body, self.sensor.grid, image, start)
+        return found
 
     def blank_picture(self) -> bytes:
         """One camera before which nothing stands within 4 m, and no arm."""
@@ -89,11 +134,27 @@ class SpatialWorld:
 
     def observed(self, view: DepthView, between: Between | None = None) -> NDArray[np.uint8]:
         """What a view says of the space about the arm, (X, Y, Z, 2); pauses as :meth:`read_picture`."""
+        return fused(self._each(view, between))
+
+    def examined(self, view: DepthView, between: Between | None = None) -> Examined:
+        """:meth:`observed`, (1, X, Y, Z, 2), with what is to be said of the view.
+
+        Raises:
+            ImageError: no camera sees any of the space that the arm can reach.
+        """
+        single = self._each(view, between)
+        image = fused(single)
+        findings = diagnose(self.body, self.sensor.grid, view, single, image)
+        return Examined(image[None], findings, without_state=view.state is None)
+
+    def _each(self, view: DepthView, between: Between | None) -> list[NDArray[np.uint8]]:
+        """What each picture of a view says alone."""
         spheres = None if view.state is None else self.spheres_at(view.state)
-        sensor = self.sensor
-        return observe(
-            view.pictures, view.cameras, sensor.grid, spheres, arm_hides=sensor.arm_hides, between=between
-        )
+        grid, hides = self.sensor.grid, self.sensor.arm_hides
+        return [
+            observe_one(picture, camera, grid, spheres, arm_hides=hides, between=between)
+            for picture, camera in zip(view.pictures, view.cameras, strict=True)
+        ]
 
     def spheres_at(self, state: tuple[float, ...]) -> NDArray[np.float64]:
         """The arm's spheres at a configuration (d,) rad, (S, 4): place in the base frame and radius, m."""

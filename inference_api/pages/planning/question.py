@@ -1,13 +1,16 @@
 """A way from start to goal, from field values to the bytes of the answer; runs in a worker thread."""
 
 import time
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 from fastapi.responses import Response
 
+from cspace.bundle import BundleSpec
 from cspace.bundle.request import fitted_end, fitted_plan, require_robot
 from cspace.errors import InputError
 from cspace.planning.query import Doubt, Plan, PlanQuery
+from cspace.world import ARM_IN_PICTURE, LITTLE_IN_REACH, Finding
 from inference_api.bodies.request_body import PLAN_FORM, RawFields, parse_fields
 from inference_api.models.pictures import Prepared
 from inference_api.models.served import ServedModel
@@ -22,13 +25,16 @@ from inference_api.pages.planning.schemas import (
     PlanTimingMs,
 )
 from inference_api.pages.sampling import model_info, prepared_picture
-from inference_api.pages.schemas import ScenarioInfo
+from inference_api.pages.schemas import ScenarioInfo, warnings_of
 from inference_api.pages.validation import validate_fields
 from inference_api.telemetry.observer import Planned
 from inference_api.turns.costs import rows_of
 from inference_api.turns.searching import searching
 from inference_api.turns.turns import Turn
 from services.registry.references import ModelReference
+
+# Findings by which a plan is refused.
+_WHY = (ARM_IN_PICTURE, LITTLE_IN_REACH)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,17 +74,34 @@ class PlanQuestion:
             fitted_end(spec, name, end)
         with searching(turn) as between:
             prepared = prepared_picture(self.store, bundle, self.image, turn)
+            warnings = self._warnings(spec, prepared)
+            if self.query.min_confidence is None and any(one.code == LITTLE_IN_REACH for one in warnings):
+                # By what other scenes were like no path is sure enough, unless somebody asks for less.
+                query = replace(query, min_confidence=1.0)
             found = bundle.plan(prepared.picture, query, between)
         self.store.observer.planned(
             Planned(f"{served.name}/{served.version}", served.fallback, found.status, self.query.seed)
         )
-        return self._response(served, prepared, found, query)
+        return self._response(served, prepared, found, query, warnings)
 
-    def _response(self, served: ServedModel, prepared: Prepared, found: Plan, query: PlanQuery) -> Response:
+    def _warnings(self, spec: BundleSpec, prepared: Prepared) -> tuple[Finding, ...]:
+        if not prepared.without_state:
+            return prepared.findings
+        image = spec.world.sensor.from_network(prepared.picture.pixels)[0]
+        return prepared.findings_with(spec.world, image=image, start=self.query.start)
+
+    def _response(
+        self,
+        served: ServedModel,
+        prepared: Prepared,
+        found: Plan,
+        query: PlanQuery,
+        warnings: tuple[Finding, ...],
+    ) -> Response:
         view = found.next_view
         body = PlanAnswer.model_construct(
             status=found.status,
-            reason=_reason(found, query),
+            reason=_reason(found, query, warnings),
             path=found.way.tolist(),
             confidence=found.confidence,
             edges=found.edges.tolist(),
@@ -90,6 +113,7 @@ class PlanQuestion:
             next_view=None if view is None else NextViewInfo(camera=dict(view.camera), sees=view.sees),
             seed=str(self.query.seed),
             scenario=ScenarioInfo(novelty=prepared.picture.novelty),
+            warnings=warnings_of(warnings),
             joint_space=joint_space_info(served.bundle.spec.joint_space),
             model=model_info(served),
             timing_ms=PlanTimingMs(
@@ -152,9 +176,14 @@ def _told(least: Doubt | None) -> LeastSure | None:
     )
 
 
-def _reason(found: Plan, query: PlanQuery) -> str | None:
+def _reason(found: Plan, query: PlanQuery, warnings: Sequence[Finding]) -> str | None:
     if found.status == "solved":
         return None
+    told = "".join(f"; {one.message}" for one in warnings if one.code in _WHY)
+    return f"{_why(found, query)}{told}"
+
+
+def _why(found: Plan, query: PlanQuery) -> str:
     if found.status == "timeout":
         return f"no way was found within {query.time_limit_s:g} s"
     least = found.least

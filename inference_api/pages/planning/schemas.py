@@ -9,7 +9,7 @@ from cspace.planning.query import DEFAULT_WAYS
 from cspace.query import DIGEST_PATTERN, drawn_seed
 from inference_api.pages.model_schemas import AnyJointSpace, ModelInfo
 from inference_api.pages.picture_fields import MAX_VIEWS, PICTURE_EXPECTED, Configuration, Views
-from inference_api.pages.schemas import EXPECTED, ScenarioInfo, SceneFields, Seed, picture_form
+from inference_api.pages.schemas import EXPECTED, ScenarioInfo, SceneFields, Seed, Warnings, picture_form
 
 MAX_TIME_S, MAX_WAYS = 10.0, 64
 LEAST_TIME_S = 0.01
@@ -135,6 +135,7 @@ class PlanAnswer(BaseModel):
     )
     seed: str = Field(description="The seed that was used, in decimal.", pattern="^[0-9]{1,20}$")
     scenario: ScenarioInfo
+    warnings: Warnings
     joint_space: AnyJointSpace
     model: ModelInfo
     timing_ms: PlanTimingMs

@@ -69,8 +69,9 @@ def _picture(picture: cspace_client.Picture) -> Picture:
     if not isinstance(picture, cspace_client.DepthPictures):
         return picture
     sent = shown(picture)
-    cameras, state = [json.loads(one) for one in sent.fields["camera"]], sent.fields.get("state", "null")
+    cameras = [json.loads(one) for one in sent.fields["camera"]]
+    state, scale = (json.loads(sent.fields.get(name, "null")) for name in ("state", "depth_scale_m"))
     try:
-        return pack_view([data for _, data, _ in sent.files], cameras, json.loads(state))
+        return pack_view([data for _, data, _ in sent.files], cameras, state, scale)
     except ImageError as error:
         raise SamplerError(error.what, expected=error.expected, got=error.got) from error

@@ -7,7 +7,8 @@ from cspace.bundle import Bundle
 from cspace.bundle.request import fitted
 from cspace.errors import BundleError, InputError, SamplerError, SamplerUnavailableError
 from cspace.query import MAX_SAMPLES, SampleQuery
-from cspace_client import JointSpace
+from cspace.world import Examined
+from cspace_client import JointSpace, PictureWarning
 from services.planner.sources.samples import Picture, SampleBatch, SampleSource, SourceTiming, for_robot
 
 PRETRAINED = "pretrained"
@@ -52,9 +53,9 @@ class BundleSampler(SampleSource):
         try:
             query = fitted(query, self.bundle.spec, has_validity=self.bundle.has_validity)
             world = self.bundle.spec.world
-            image = world.read_picture(picture) if isinstance(picture, bytes) else picture
+            read = world.examine_picture(picture) if isinstance(picture, bytes) else Examined(picture[None])
             decoded = time.perf_counter()
-            prepared = self.bundle.prepare(image)
+            prepared = self.bundle.prepare(read.images[0])
             encoded = time.perf_counter()
             found = self.bundle.answer(prepared, query, tell_confidence=False)
         except (InputError, BundleError) as error:
@@ -74,6 +75,7 @@ class BundleSampler(SampleSource):
             robot=self.bundle.robot,
             confidence=found.confidence,
             space=JointSpace(space.lower, space.upper, space.periodic),
+            warnings=tuple(PictureWarning(one.code, one.message, one.pictures) for one in read.findings),
         )
 
 

@@ -17,7 +17,7 @@ from cspace_client.errors import (
 )
 from cspace_client.http.client import DEFAULT_POLICY, DEFAULT_TIMEOUT_S
 from cspace_client.joint_space import JointSpace
-from cspace_client.model import ModelHead
+from cspace_client.model import ModelHead, PictureWarning
 from cspace_client.pictures import DepthPictures, Picture
 from cspace_client.plans import BelievedWay, Doubt, FoundPlan, NextView, Plan, PlanQuery, PlanWanted
 from cspace_client.questions.validity_question import Beliefs
@@ -49,6 +49,7 @@ __all__ = [
     "ModelHead",
     "NextView",
     "Picture",
+    "PictureWarning",
     "Plan",
     "PlanQuery",
     "PlanWanted",

@@ -28,6 +28,8 @@ class DepthPictures:
         pictures: uint16 (h, w), mm along the optical axis and 0 without a reading; or files of such pictures.
         cameras: ``fx``, ``fy``, ``cx``, ``cy`` and ``pose`` of each, as the API has them.
         state: (d,) rad, where the robot was; None where it is in no picture.
+        depth_scale_m: metres per unit of the pictures where that is not mm: 0.0001 for tenths, 0.0002 for TUM
+            RGB-D; None for mm.
 
     Raises:
         SamplerError: there are more or fewer cameras than pictures, or more than four.
@@ -36,6 +38,7 @@ class DepthPictures:
     pictures: Sequence[bytes | NDArray[np.uint16]]
     cameras: Sequence[Mapping[str, Any]]
     state: ArrayLike | None = None
+    depth_scale_m: float | None = None
 
     def __post_init__(self) -> None:
         if not 1 <= len(self.pictures) <= _MAX_PICTURES or len(self.pictures) != len(self.cameras):
@@ -56,7 +59,7 @@ class Shown:
 
     Args:
         files: of the field ``image``, one or more.
-        fields: cameras and the robot's state, where it has any.
+        fields: cameras, the robot's state and the unit, where it has any.
     """
 
     files: tuple[File, ...]
@@ -80,6 +83,8 @@ def _fields(picture: DepthPictures) -> dict[str, Any]:
         fields: dict[str, Any] = {"camera": [_text(dict(camera)) for camera in picture.cameras]}
         if picture.state is not None:
             fields["state"] = _text(picture.state)
+        if picture.depth_scale_m is not None:
+            fields["depth_scale_m"] = repr(float(picture.depth_scale_m))
     except (TypeError, ValueError) as error:
         raise SamplerError(
             "the cameras are no plain values", expected="numbers, lists and arrays", got=str(error)[:200]

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cspace_client.errors import SamplerError
 from cspace_client.joint_space import JointSpace
+from cspace_client.model import PictureWarning
 from cspace_client.pictures import Picture
 
 MAX_SAMPLES = 20_000
@@ -154,6 +155,7 @@ class SampleBatch:
             without one, for samples that were not filtered by it, and over HTTP, whose ``.npy`` has no room
             for it.
         space: the joint space; None where it is not told.
+        warnings: what is wrong, or may be, with the pictures.
     """
 
     samples: NDArray[np.float32]
@@ -171,6 +173,7 @@ class SampleBatch:
     alias_confirmed: bool | None = None
     confidence: NDArray[np.float32] | None = None
     space: JointSpace | None = None
+    warnings: tuple[PictureWarning, ...] = ()
 
 
 class Source(Protocol):

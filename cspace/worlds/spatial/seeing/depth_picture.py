@@ -16,6 +16,11 @@ from cspace.png import PngHeader, canonical_png, damaged, read_header
 from cspace.world import Between
 from cspace.worlds.spatial.seeing.camera import MAX_SIDE, MIN_SIDE
 
+# No depth camera for arms reads nearer or farther. What a file says beyond is no reading: 65535, as many
+# drivers write it, is not a wall 65 m away behind free space.
+NEAREST_MM, FARTHEST_MM = 20, 10_000
+DEPTH_SCALE_M = 0.001
+MIN_SCALE_M, MAX_SCALE_M = 1e-6, 1.0
 _GREY = 0
 _MAX_MM = 65_535
 _HEADER_BYTES = 33
@@ -81,6 +86,34 @@ def to_mm(depth_m: ArrayLike) -> NDArray[np.uint16]:
 def to_m(depth_mm: NDArray[np.uint16]) -> NDArray[np.float32]:
     """Depths (...) uint16 mm as float32 m; 0 stays 0."""
     return np.asarray(depth_mm.astype(np.float32) / np.float32(1000.0))
+
+
+def scaled_mm(units: NDArray[np.uint16], depth_scale_m: float) -> NDArray[np.uint16]:
+    """A depth picture (H, W) of another unit in mm, rounded; at most 65535, and 0 stays 0.
+
+    Args:
+        units: (H, W) uint16.
+        depth_scale_m: metres that one unit stands for.
+
+    Raises:
+        ImageError: the scale is not a finite number from 1e-6 to 1.
+    """
+    if not MIN_SCALE_M <= depth_scale_m <= MAX_SCALE_M:
+        raise ImageError(
+            "depth_scale_m does not fit",
+            expected=f"metres per unit of the depth pictures, {MIN_SCALE_M:g} to {MAX_SCALE_M:g}",
+            got=repr(depth_scale_m)[:100],
+            remedy="send 0.001 for millimetres, 0.0001 for tenths, 0.0002 for TUM RGB-D",
+        )
+    if depth_scale_m == DEPTH_SCALE_M:
+        return units
+    scaled = np.floor(units * (1000.0 * depth_scale_m) + 0.5)
+    return np.asarray(np.minimum(scaled, _MAX_MM), dtype=np.uint16)
+
+
+def in_range(depth_mm: NDArray[np.uint16]) -> NDArray[np.bool_]:
+    """Which pixels (...) hold a distance that a depth camera can read."""
+    return np.asarray((depth_mm >= NEAREST_MM) & (depth_mm <= FARTHEST_MM))
 
 
 def resize_depth(depth: NDArray[np.generic], height: int, width: int) -> NDArray[np.generic]:

@@ -14,7 +14,7 @@ from cspace.errors import ImageError
 from cspace.view_file import MAX_PICTURES
 from cspace.world import Between
 from cspace.worlds.spatial.seeing.camera import MIN_SIDE, DepthCamera
-from cspace.worlds.spatial.seeing.depth_picture import resize_depth, to_m
+from cspace.worlds.spatial.seeing.depth_picture import in_range, resize_depth, to_m
 from cspace.worlds.spatial.seeing.grid_box import GridBox
 from cspace.worlds.spatial.seeing.robot_pixels import check_picture, drop_robot
 from cspace.worlds.spatial.seeing.sight import FREE, OUT_OF_VIEW, sight
@@ -59,7 +59,8 @@ def observe(
     """Fuse depth pictures of one scene.
 
     Args:
-        pictures: one to four, each (H, W) uint16 mm along the optical axis, 0 = no reading.
+        pictures: one to four, each (H, W) uint16 mm along the optical axis; 0, and what no depth camera can
+            read, is no reading (:func:`cspace.worlds.spatial.seeing.depth_picture.in_range`).
         cameras: one each.
         grid: of the array.
         spheres: (S, 4) that cover the arm as it stands, x, y, z, radius in m in the base frame; None where
@@ -81,23 +82,46 @@ def observe(
             expected=f"1 to {MAX_PICTURES} and a camera each",
             got=f"{len(pictures)} pictures, {len(cameras)} cameras",
         )
-    found = np.full((*grid.counts, 2), np.iinfo(np.uint8).max, dtype=np.uint8)
+    return fused(
+        [
+            observe_one(picture, camera, grid, spheres, arm_hides=arm_hides, between=between)
+            for picture, camera in zip(pictures, cameras, strict=True)
+        ]
+    )
+
+
+def observe_one(
+    picture: NDArray[np.uint16],
+    camera: DepthCamera,
+    grid: GridBox,
+    spheres: ArrayLike | None = None,
+    *,
+    arm_hides: bool = True,
+    between: Between | None = None,
+) -> NDArray[np.uint8]:
+    """:func:`observe` of one picture.
+
+    Raises:
+        ImageError: it does not fit its camera.
+    """
     pause = between or (lambda: None)
-    for given, its_camera in zip(pictures, cameras, strict=True):
-        check_picture(given, its_camera)
-        picture, camera = _reduced(given, its_camera)
-        pause()
-        kept = drop_robot(picture, camera, np.empty((0, 4)) if spheres is None else spheres, between=pause)
-        surface_m = to_m(kept.depth_mm)
-        shown = patches(surface_m, camera, grid)
-        pause()
-        away = distance_codes(shown, grid, pause)
-        pause()
-        known = sight(surface_m, kept.front_m, camera, grid, arm_hides=arm_hides)
-        for channel, codes in enumerate((away, known)):
-            np.minimum(found[..., channel], codes, out=found[..., channel])
-        pause()
-    return found
+    check_picture(picture, camera)
+    smaller, camera = _reduced(np.where(in_range(picture), picture, np.uint16(0)), camera)
+    pause()
+    kept = drop_robot(smaller, camera, np.empty((0, 4)) if spheres is None else spheres, between=pause)
+    surface_m = to_m(kept.depth_mm)
+    shown = patches(surface_m, camera, grid)
+    pause()
+    away = distance_codes(shown, grid, pause)
+    pause()
+    known = sight(surface_m, kept.front_m, camera, grid, arm_hides=arm_hides)
+    pause()
+    return np.stack((away, known), axis=-1)
+
+
+def fused(single: Sequence[NDArray[np.uint8]]) -> NDArray[np.uint8]:
+    """What several pictures of one scene say together, each (X, Y, Z, 2)."""
+    return np.asarray(np.minimum.reduce(list(single)))
 
 
 def distances_m(observed: NDArray[np.uint8]) -> NDArray[np.float32]:

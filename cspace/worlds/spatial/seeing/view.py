@@ -13,7 +13,14 @@ from cspace.strict_json import read_members
 from cspace.view_file import check_counts, pack_view, unpack_view
 from cspace.world import Between
 from cspace.worlds.spatial.seeing.camera import DepthCamera
-from cspace.worlds.spatial.seeing.depth_picture import decode_depth, encode_depth
+from cspace.worlds.spatial.seeing.depth_picture import (
+    FARTHEST_MM,
+    NEAREST_MM,
+    decode_depth,
+    encode_depth,
+    in_range,
+    scaled_mm,
+)
 
 _CAMERA_KEYS = {"fx", "fy", "cx", "cy", "pose"}
 
@@ -45,12 +52,13 @@ class DepthView:
                     expected=f"uint16 of {camera.width} x {camera.height} pixels",
                     got=f"{picture.dtype} of shape {picture.shape}",
                 )
-            if not picture.any():
+            if not in_range(picture).any():
+                read = picture[picture > 0]
                 raise ImageError(
                     "a depth picture has no reading",
-                    expected="distances in mm, 0 where there is none",
-                    got="zeros alone",
-                    remedy="leave the picture out, or look at the camera's driver",
+                    expected=f"distances of {NEAREST_MM} to {FARTHEST_MM} mm, 0 where there is none",
+                    got=f"{read.min()} to {read.max()} mm" if read.size else "zeros alone",
+                    remedy=_UNIT if read.size else "leave the picture out, or look at the camera's driver",
                 )
 
 
@@ -67,7 +75,7 @@ def pixels_of(data: bytes) -> int:
     Raises:
         ImageError: it is none, or a picture is none.
     """
-    return sum(read_header(one).pixels for one in unpack_view(data)[0])
+    return sum(read_header(one).pixels for one in unpack_view(data).pictures)
 
 
 def read_view(data: bytes, space: JointSpace, between: Between | None = None) -> DepthView:
@@ -82,14 +90,27 @@ def read_view(data: bytes, space: JointSpace, between: Between | None = None) ->
         ImageError: it is none, a picture or a camera is none, they do not fit each other, no picture has a
             reading, or the state lies outside of the arm's limits.
     """
-    files, cameras, state = unpack_view(data)
+    told = unpack_view(data)
     pause = between or (lambda: None)
     pictures = []
-    for one in files:
-        pictures.append(decode_depth(one, pause))
+    for one in told.pictures:
+        pictures.append(in_mm(decode_depth(one, pause), told.depth_scale_m))
         pause()
-    seen_by = [read_pinhole(values, picture.shape) for values, picture in zip(cameras, pictures, strict=True)]
-    return DepthView(tuple(pictures), tuple(seen_by), state_of(state, space))
+    seen_by = [
+        read_pinhole(values, picture.shape) for values, picture in zip(told.cameras, pictures, strict=True)
+    ]
+    return DepthView(tuple(pictures), tuple(seen_by), state_of(told.state, space))
+
+
+def in_mm(units: NDArray[np.uint16], depth_scale_m: object) -> NDArray[np.uint16]:
+    """A depth picture (H, W) in mm, of plain values; without a scale it is in mm already.
+
+    Raises:
+        ImageError: the scale is none.
+    """
+    if depth_scale_m is None:
+        return units
+    return scaled_mm(units, _number(depth_scale_m, "depth_scale_m"))
 
 
 def read_pinhole(values: object, shape: tuple[int, ...]) -> DepthCamera:
@@ -109,6 +130,10 @@ def read_pinhole(values: object, shape: tuple[int, ...]) -> DepthCamera:
         ) from error
 
 
+_UNIT = (
+    "depths are whole mm: send depth_scale_m for another unit (0.0001 for tenths, 0.0002 for TUM RGB-D), and "
+    "metres times 1000"
+)
 _REMEDY = "send the camera in the base frame: x right, y down, z forward, pixel centres at whole numbers"
 
 

@@ -5,23 +5,24 @@ import numpy as np
 from cspace.space import JointSpace
 from cspace.view_file import MAX_PICTURES
 from cspace.world import Arrays, TensorInput
-from cspace.worlds.spatial.seeing.view import DepthView, read_pinhole, state_of
+from cspace.worlds.spatial.seeing.view import DepthView, in_mm, read_pinhole, state_of
 
-DEPTH, INTRINSICS, POSES, STATE = "depth", "intrinsics", "poses", "state"
+DEPTH, INTRINSICS, POSES, STATE, SCALE = "depth", "intrinsics", "poses", "state", "depth_scale_m"
 _INTRINSICS = ("fx", "fy", "cx", "cy")
 
 
 def view_tensors(dim: int) -> tuple[TensorInput, ...]:
     """Pictures, cameras and the arm's state.
 
-    Pictures of one size, mm; of each camera fx, fy, cx and cy, pixels, and its pose in the base frame, m;
-    where the arm was, rad, absent where it is in no picture.
+    Pictures of one size; of each camera fx, fy, cx and cy, pixels, and its pose in the base frame, m; where
+    the arm was, rad, absent where it is in no picture; metres per unit of the pictures, absent for mm.
     """
     return (
         TensorInput(DEPTH, "uint16", ("c", "h", "w"), MAX_PICTURES),
         TensorInput(INTRINSICS, "float64", ("c", len(_INTRINSICS)), MAX_PICTURES),
         TensorInput(POSES, "float64", ("c", 4, 4), MAX_PICTURES),
         TensorInput(STATE, "float64", (dim,), optional=True),
+        TensorInput(SCALE, "float64", (1,), optional=True),
     )
 
 
@@ -31,7 +32,8 @@ def view_of_tensors(tensors: Arrays, space: JointSpace) -> DepthView:
     Raises:
         ImageError: a picture, a camera or the state is none.
     """
-    pictures = tuple(np.ascontiguousarray(one, dtype=np.uint16) for one in tensors[DEPTH])
+    scale = tensors[SCALE].tolist()[0] if SCALE in tensors else None
+    pictures = tuple(in_mm(np.ascontiguousarray(one, dtype=np.uint16), scale) for one in tensors[DEPTH])
     told = zip(tensors[INTRINSICS].tolist(), tensors[POSES].tolist(), pictures, strict=True)
     cameras = tuple(
         read_pinhole({**dict(zip(_INTRINSICS, numbers, strict=True)), "pose": pose}, picture.shape)

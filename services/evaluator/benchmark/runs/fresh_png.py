@@ -17,8 +17,9 @@ def fresh_picture(file: bytes, note: str) -> bytes:
     """
     if not is_view(file):
         return fresh_png(file, note)
-    pictures, cameras, state = unpack_view(file)
-    return pack_view([fresh_png(pictures[0], note), *pictures[1:]], cameras, state)
+    view = unpack_view(file)
+    pictures = [fresh_png(view.pictures[0], note), *view.pictures[1:]]
+    return pack_view(pictures, view.cameras, view.state, view.depth_scale_m)
 
 
 def fresh_png(png: bytes, note: str) -> bytes:

@@ -4,15 +4,16 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from cspace_client.answer_errors import unusable
+from cspace_client.answer_errors import printable, unusable
 from cspace_client.joint_space import MAX_LIMIT_RAD, JointSpace, circles
-from cspace_client.model import ModelHead
+from cspace_client.model import ModelHead, PictureWarning
 from cspace_client.questions.npy_body import MAX_JOINTS
 from cspace_client.samples import is_digest
-from cspace_client.strict_json import parse_json
+from cspace_client.strict_json import Members, parse_json
 
 _PRETRAINED = "pretrained"
 _MAX_TEXT = 256
+_MAX_WARNINGS, _MAX_MESSAGE = 8192, 1000
 _ENDS = ("lower", "upper", "periodic")
 
 
@@ -49,6 +50,36 @@ def read_model_head(headers: Mapping[str, str], model: str | None, robot: str | 
         space=read_space(headers["x-joint-space"]) if "x-joint-space" in headers else None,
         robot=told,
         alias_confirmed=_flag(headers, "x-alias-confirmed") if "x-alias-confirmed" in headers else None,
+        warnings=read_warnings(headers.get("x-warnings", "[]")),
+    )
+
+
+def read_warnings(header: str) -> tuple[PictureWarning, ...]:
+    """The warnings of an answer's header.
+
+    Raises:
+        SamplerAnswerError: it holds none.
+    """
+    try:
+        said = parse_json(header.encode()) if len(header) <= _MAX_WARNINGS else header
+    except ValueError:
+        said = header
+    return warnings_of(Members({"warnings": said}, "list of warnings"))
+
+
+def warnings_of(told: Members) -> tuple[PictureWarning, ...]:
+    """The member ``warnings`` of an answer.
+
+    Raises:
+        SamplerAnswerError: it holds none.
+    """
+    return tuple(
+        PictureWarning(
+            printable(one.text("code", _MAX_TEXT)),
+            printable(one.text("message"), _MAX_MESSAGE),
+            tuple(int(number) for number in one.row("pictures")),
+        )
+        for one in told.each("warnings")
     )
 
 

@@ -12,7 +12,7 @@ from cspace_client.answer_errors import printable, unusable
 from cspace_client.joint_space import JointSpace
 from cspace_client.model import ModelHead
 from cspace_client.plans import BelievedWay, Doubt, FoundPlan, NextView, Plan, PlanWanted, Status
-from cspace_client.questions.model_head import read_media_type, require_asked, space_of
+from cspace_client.questions.model_head import read_media_type, require_asked, space_of, warnings_of
 from cspace_client.questions.question import Question
 from cspace_client.samples import configuration, is_digest
 from cspace_client.strict_json import Members, parse_json
@@ -91,7 +91,9 @@ class PlanReading:
         plan = _plan(told, space)
         _require_fit(plan, query, space)
         reason = printable(told.text("reason")) if told.told("reason") else None
-        return FoundPlan(plan, reason, seed, replace(head, space=space, novelty=novelty), round_trip_s)
+        warnings = warnings_of(told) if told.has("warnings") else ()
+        head = replace(head, space=space, novelty=novelty, warnings=warnings)
+        return FoundPlan(plan, reason, seed, head, round_trip_s)
 
     def _head(self, model: Members) -> ModelHead:
         name, version, robot = model.text("name", _MAX_NAME), model.count("version"), model.text("robot")

@@ -71,4 +71,5 @@ class SampleReading:
             alias_confirmed=model.alias_confirmed,
             acceptance=head.acceptance,
             space=model.space,
+            warnings=model.warnings,
         )
