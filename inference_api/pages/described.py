@@ -73,7 +73,7 @@ _HEADERS = {
     "X-Acceptance": "Share of what was drawn that reached the confidence asked for.",
     "X-Joint-Space": "`joint_space` of the JSON answer, as JSON.",
     "X-Novelty": "How unlike the training scenarios the picture is, 0 to 1, where the model tells.",
-    "X-Warnings": "`warnings` of the JSON answer, where there are any; of many the last without their words.",
+    "X-Warnings": "`warnings` of the JSON answer, as JSON; of many the last ones have an empty message.",
     "Server-Timing": "decode, encode, generate and total, in ms.",
 }
 

@@ -186,9 +186,9 @@ def model_headers(
         "X-Robot": served.bundle.robot,
         "X-Alias-Confirmed": "true" if served.confirmed else "false",
         "X-Joint-Space": json.dumps(served.bundle.spec.joint_space, separators=(",", ":")),
+        "X-Warnings": warnings_text(warnings),
     }
-    headers |= {} if novelty is None else {"X-Novelty": f"{novelty:.6g}"}
-    return headers | ({"X-Warnings": warnings_text(warnings)} if warnings else {})
+    return headers if novelty is None else headers | {"X-Novelty": f"{novelty:.6g}"}
 
 
 def warnings_text(warnings: Sequence[PictureWarning]) -> str:

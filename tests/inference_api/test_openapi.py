@@ -75,7 +75,7 @@ def test_both_bodies_are_described_with_every_field_and_no_other(
 ) -> None:
     schema = document["paths"]["/sample"]["post"]["requestBody"]["content"][media_type]["schema"]
     assert set(schema["properties"]) == {
-        "image", "camera", "state", "n", "model", "seed", "epsilon_sigma", "start", "goal",
+        "image", "camera", "state", "depth_scale_m", "n", "model", "seed", "epsilon_sigma", "start", "goal",
         "min_confidence", "robot",
     }  # fmt: skip
     assert schema["required"] == ["image"]
