@@ -201,6 +201,7 @@ def test_another_unit_without_a_word_is_told(api: ApiClient) -> None:
     [
         ({"fx": 92.0, "fy": 92.0, "cx": 63.5, "cy": 47.5}, "principal-point"),
         ({"fx": 26.0}, "focal-lengths"),
+        ({"fx": 20.0, "fy": 20.0}, "coarse-picture"),
     ],
 )
 def test_a_camera_of_other_pictures_is_told(api: ApiClient, changes: dict[str, float], code: str) -> None:

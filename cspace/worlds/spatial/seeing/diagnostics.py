@@ -30,6 +30,8 @@ _OFF_CENTRE = 0.15
 # Of focal lengths; square pixels come within 0.02.
 _FOCAL_RATIO = 1.1
 _LOST_SHARE = 0.01
+# What a pixel covers where the arm stands; of training pictures less than 0.025 m.
+_COARSE_M = 0.04
 # Units that other cameras and data sets write, m: tenths of mm, TUM RGB-D, SR300, L515.
 _UNITS_M = (0.0001, 0.000125, 0.0002, 0.00025)
 # Of the spheres that can tell, at least so many and such a share have a surface inside.
@@ -92,7 +94,11 @@ def diagnose(
             remedy="check that pose is the camera in the robot's base with z forward, x right and y down "
             "(OpenGL and Blender have z backwards), and that depths are in mm, or send depth_scale_m",
         )
-    found = [*_of_reach(reach, view, blind, fused), *_of_cameras(view.cameras), *_of_readings(view)]
+    found = [
+        *_of_reach(reach, view, blind, fused),
+        *_of_cameras(view.cameras, np.asarray(arm.joints[0].origin.xyz_m)),
+        *_of_readings(view),
+    ]
     if view.state is None and _base_is_solid(arm, grid, fused):
         found.append(
             Finding(
@@ -157,7 +163,7 @@ def _of_reach(reach: _Reach, view: DepthView, blind: tuple[int, ...], fused: Ima
         )
 
 
-def _of_cameras(cameras: Sequence[DepthCamera]) -> Iterable[Finding]:
+def _of_cameras(cameras: Sequence[DepthCamera], shoulder_m: NDArray[np.float64]) -> Iterable[Finding]:
     off = tuple(number for number, one in enumerate(cameras) if _off_centre(one) > _OFF_CENTRE)
     if off:
         one = cameras[off[0]]
@@ -182,6 +188,17 @@ def _of_cameras(cameras: Sequence[DepthCamera]) -> Iterable[Finding]:
             "if the pixels are square, everything is seen in a wrong place",
             "check fx and fy; ignore this for a picture that was squeezed along one side",
             uneven,
+        )
+
+    wide = [float(np.linalg.norm(one.matrix[:3, 3] - shoulder_m)) / min(one.fx, one.fy) for one in cameras]
+    coarse = tuple(number for number, metres in enumerate(wide) if metres > _COARSE_M)
+    if coarse:
+        yield Finding(
+            "coarse-picture",
+            f"a pixel covers {100 * max(wide):.0f} cm where the arm stands",
+            "what is smaller is missed, and the space about it counts as free",
+            "send the picture in its full size, with the camera's numbers of that size",
+            coarse,
         )
 
 
