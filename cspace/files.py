@@ -18,13 +18,16 @@ HALF_PREFIX, HALF_SUFFIX = ".write-", ".tmp"
 IGNORE_FILE, IGNORE_ALL = ".gitignore", "*\n"
 
 
-def read_bounded(path: Path, most_bytes: int, error: type[CspaceError]) -> bytes:
+def read_bounded(
+    path: Path, most_bytes: int, error: type[CspaceError], *, remedy: str | None = None
+) -> bytes:
     """What a file, a pipe or a device holds, where it is not too much.
 
     Args:
         path: of what somebody else may have written.
         most_bytes: that are read.
         error: what is raised.
+        remedy: what helps where it cannot be read.
 
     Raises:
         CspaceError: ``error``; it cannot be read, or holds more.
@@ -35,7 +38,7 @@ def read_bounded(path: Path, most_bytes: int, error: type[CspaceError]) -> bytes
     except (OSError, ValueError) as problem:
         # A name with a zero byte is no value that a system takes.
         got = getattr(problem, "strerror", None) or str(problem)
-        raise error(f"{path} cannot be read", expected="a file", got=got) from problem
+        raise error(f"{path} cannot be read", expected="a file", got=got, remedy=remedy) from problem
     if len(data) > most_bytes:
         raise error(f"{path} is too large", expected=f"at most {most_bytes} bytes", got="more")
     return data

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cspace.errors import ScenarioError
-from cspace.worlds.spatial.frames import Frame, turn
+from cspace.worlds.spatial.frames import MAX_OFFSET_M, Frame, turn
 from cspace.worlds.spatial.robot.parts import Joint
 from training.robots.urdf import Description, Matrix, Shape, UrdfJoint
 
@@ -124,6 +124,12 @@ def _in_order(description: Description, path: list[str]) -> list[str]:
 
 def _held(joint: UrdfJoint, value: float) -> Matrix:
     result = np.eye(4)
+    if not abs(value) <= MAX_OFFSET_M:
+        raise ScenarioError(
+            f"joint {joint.name} cannot be held there",
+            expected=f"a value within {MAX_OFFSET_M:g} rad or m",
+            got=f"{value:g}",
+        )
     if joint.kind in _TURNING:
         result[:3, :3] = turn(joint.axis, value)
     elif joint.kind == "prismatic":

@@ -32,6 +32,8 @@ _PASSES = 20
 _SEARCHES = 4
 _TRIES = 30
 _CHUNK = 500
+# That are held against all spheres of the grid; thin shapes and fine meshes have many edges.
+_MAX_POINTS = 40_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,17 +45,17 @@ class Allowances:
         excess_m: how far spheres may stick out.
 
     Raises:
-        ScenarioError: one is below a millimetre.
+        ScenarioError: one is below a millimetre or above a metre.
     """
 
     slack_m: float = 0.002
     excess_m: float = 0.010
 
     def __post_init__(self) -> None:
-        if not min(self.slack_m, self.excess_m) >= 0.001:
+        if not all(0.001 <= one <= 1.0 for one in (self.slack_m, self.excess_m)):
             raise ScenarioError(
                 "the allowances do not fit",
-                expected="0.001 m or more",
+                expected="0.001 m or more, and at most 1 m",
                 got=f"{self.slack_m}, {self.excess_m}",
             )
 
@@ -94,6 +96,9 @@ def cover(solid: Sequence[Mesh], allowances: Allowances, rng: np.random.Generato
     inside = np.flatnonzero(depths > 0.0)
     inside = rng.choice(inside, size=min(len(inside), _INSIDE_POINTS), replace=False)
     points = np.concatenate([_surface(solid, _SURFACE_POINTS, rng), centres[inside]])
+    if len(points) > _MAX_POINTS:
+        # The rest are drawn afresh below, where they are missed.
+        points = rng.choice(points, size=_MAX_POINTS, replace=False)
     covered, chosen = _covered(points, grown), np.empty(0, dtype=np.int64)
     for turn in range(_PASSES):
         if not covered.any(axis=1).all():

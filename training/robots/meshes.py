@@ -10,11 +10,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from cspace.errors import ScenarioError
 from cspace.kernel_cache import njit
 from cspace.worlds.spatial.frames import moved
 
 Floats = NDArray[np.float64]
 _FACETS = 48
+_MAX_EDGE_POINTS = 200_000
+_MAX_FILE_BYTES = 64_000_000
+_MAX_M = 100.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,9 +58,11 @@ class Mesh:
         return np.concatenate([drawn, self._edges(spacing_m)])
 
     def _edges(self, spacing_m: float) -> Floats:
-        """Points along all edges, so far apart at most, (N, 3) m."""
+        """Points along all edges, so far apart at most, (N, 3) m; farther where they are very long."""
         starts, ends = self.corners.reshape(-1, 3), np.roll(self.corners, -1, axis=1).reshape(-1, 3)
-        steps = np.ceil(np.linalg.norm(ends - starts, axis=1) / spacing_m).astype(np.int64)
+        lengths = np.linalg.norm(ends - starts, axis=1)
+        spacing_m = max(spacing_m, float(lengths.sum()) / _MAX_EDGE_POINTS)
+        steps = np.ceil(lengths / spacing_m).astype(np.int64)
         edge = np.repeat(np.arange(len(starts)), steps)
         step = np.arange(len(edge)) - np.repeat(np.cumsum(steps) - steps, steps)
         points = starts[edge] + (step / steps[edge])[:, None] * (ends - starts)[edge]
@@ -101,11 +107,26 @@ def file_mesh(path: Path, scale: Floats) -> Mesh:
     """The mesh in a file; coal reads STL, OBJ, DAE and more.
 
     Raises:
-        ScenarioError: coal is not installed, or cannot read the file.
+        ScenarioError: coal is not installed or cannot read the file, or file or mesh are too large.
     """
     from training.robots.mesh_files import load_triangles  # noqa: PLC0415 # primitives need no coal
 
-    return Mesh(load_triangles(path) * scale)
+    size = path.stat().st_size
+    if size > _MAX_FILE_BYTES:
+        raise ScenarioError(
+            "a mesh is too large",
+            expected=f"at most {_MAX_FILE_BYTES // 1_000_000} MB",
+            got=f"{path}: {size}",
+        )
+    mesh = Mesh(load_triangles(path) * scale)
+    reach = float(np.abs(mesh.corners).max())
+    if not (reach <= _MAX_M and mesh.areas_m2.sum() > 0.0):
+        raise ScenarioError(
+            "a mesh does not fit",
+            expected=f"triangles within {_MAX_M:g} m, after they are scaled",
+            got=f"{path} with the scale {scale.tolist()} reaches {reach:g} m",
+        )
+    return mesh
 
 
 @njit(cache=True, nogil=True)

@@ -12,6 +12,9 @@ from cspace.worlds.spatial.frames import Frame
 from training.robots.xml_files import attribute, numbers, read_xml
 
 Matrix = NDArray[np.float64]
+MAX_LINKS = 1000
+# Of what collides: no arm has smaller or larger parts.
+MIN_SIZE_M, MAX_SIZE_M = 1e-4, 10.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,9 +74,15 @@ def read_urdf(path: Path) -> Description:
     """
     robot = read_xml(path, "robot")
     links = {
-        attribute(link, "name", "a link"): tuple(_shape(one) for one in link.iterfind("collision"))
+        attribute(link, "name", "a link"): tuple(
+            _shape(one, link.get("name", "")) for one in link.iterfind("collision")
+        )
         for link in robot.iterfind("link")
     }
+    if len(links) > MAX_LINKS:
+        raise ScenarioError(
+            "the description has too many links", expected=f"at most {MAX_LINKS}", got=str(len(links))
+        )
     joints = [_joint(element) for element in robot.iterfind("joint")]
     by_child = {joint.child: joint for joint in joints}
     unknown = sorted({name for joint in joints for name in (joint.parent, joint.child)} - set(links))
@@ -94,13 +103,13 @@ def _frame(element: Element, where: str) -> Matrix:
     return Frame(tuple(xyz.tolist()), tuple(rpy.tolist())).matrix()
 
 
-def _shape(collision: Element) -> Shape:
-    where = "a collision shape"
+def _shape(collision: Element, link: str) -> Shape:
+    where = f"a collision shape of link {link}"
     geometry = collision.find("geometry")
     shape = None if geometry is None else next(iter(geometry), None)
     frame = _frame(collision, where)
     if shape is not None and shape.tag == "mesh":
-        scale = numbers(shape.get("scale", "1 1 1"), 3, "the scale of a mesh")
+        scale = numbers(shape.get("scale", "1 1 1"), 3, f"the scale of a mesh of link {link}")
         return Shape("mesh", frame, scale, attribute(shape, "filename", where))
     sizes = {"box": (("size", 3),), "cylinder": (("radius", 1), ("length", 1)), "sphere": (("radius", 1),)}
     if shape is None or shape.tag not in sizes:
@@ -111,8 +120,12 @@ def _shape(collision: Element) -> Shape:
         )
     parts = [numbers(attribute(shape, name, where), count, where) for name, count in sizes[shape.tag]]
     size = np.concatenate(parts)
-    if size.min() <= 0.0:
-        raise ScenarioError(f"{where} does not fit", expected="sizes above 0", got=str(dict(shape.attrib)))
+    if not (size.min() >= MIN_SIZE_M and size.max() <= MAX_SIZE_M):
+        raise ScenarioError(
+            f"{where} does not fit",
+            expected=f"a {shape.tag} with sizes from {MIN_SIZE_M:g} to {MAX_SIZE_M:g} m",
+            got=str(dict(shape.attrib))[:200],
+        )
     return Shape(shape.tag, frame, size)
 
 
@@ -127,6 +140,8 @@ def _joint(element: Element) -> UrdfJoint:
         ends.append(attribute(end, "link", where))
     axis, limit = element.find("axis"), element.find("limit")
     direction = numbers("1 0 0" if axis is None else axis.get("xyz", "1 0 0"), 3, f"the axis of {where}")
+    # Its largest part is 1 now, so that no square overflows.
+    direction = direction / (np.abs(direction).max() or 1.0)
     length = float(np.linalg.norm(direction))
     kind = attribute(element, "type", where)
     if kind != "fixed" and not length > 0.0:

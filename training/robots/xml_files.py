@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cspace.errors import ScenarioError
+from cspace.files import read_bounded
 
 MAX_BYTES = 16_000_000
 
@@ -18,15 +19,12 @@ def read_xml(path: Path, root: str) -> Element:
     Raises:
         ScenarioError: there is no such file, it is too large, no XML, has a document type or another root.
     """
-    try:
-        data = path.read_bytes() if path.stat().st_size <= MAX_BYTES else b""
-    except OSError as error:
-        raise ScenarioError(
-            "the description cannot be read",
-            expected="a file",
-            got=f"{path}: {error.strerror}",
-            remedy="give the path of a URDF or SRDF file; xacro makes one of a .xacro file",
-        ) from error
+    data = read_bounded(
+        path,
+        MAX_BYTES,
+        ScenarioError,
+        remedy="give the path of a URDF or SRDF file; xacro makes one of a .xacro file",
+    )
     builder = TreeBuilder()
     parser = expat.ParserCreate()
     parser.StartDoctypeDeclHandler = _refuse

@@ -24,7 +24,17 @@ BOMB = '<!DOCTYPE robot [<!ENTITY a "aaaa"><!ENTITY b "&a;&a;&a;">]><robot name=
         (TWO_LINKS.replace('upper="2"', 'upper="-2"'), "limits of joint shoulder do not fit"),
         (TWO_LINKS.replace('"2 0 0"', '"0 0 0"'), "axis of joint elbow"),
         (TWO_LINKS.replace('"2 0 0"', '"0 0 nan"'), "3 finite numbers"),
-        (TWO_LINKS.replace('"0.12"', '"-1"'), "sizes above 0"),
+        (
+            TWO_LINKS.replace('"2 0 0"', '"0 1e308 1e308"').replace('"0.12"', '"-1"'),
+            "link base.*a sphere with",
+        ),
+        (
+            TWO_LINKS.replace('"0.05" length="0.3"', '"1e-9" length="1e6"'),
+            "link upper.*a cylinder with sizes",
+        ),
+        (TWO_LINKS.replace('"0.04 0.06 0.1"', '"0.1 0.1 1e-300"'), "link lower.*a box with sizes"),
+        (TWO_LINKS.replace('"0.04 0.06 0.1"', '"0.1 0.1 1e308"'), "link lower.*a box with sizes"),
+        (with_more("".join(f'<link name="l{n}"/>' for n in range(1000)) + "</robot>"), "too many links"),
         (TWO_LINKS.replace('child link="upper"', 'child link="missing"'), "unknown links .*missing"),
         (TWO_LINKS.replace('child link="gripper"', 'child link="upper"'), "two parents"),
         (TWO_LINKS.replace('parent link="base"', 'parent link="gripper"'), "no tree of links.*apart"),
@@ -70,9 +80,13 @@ def test_names_that_the_description_does_not_have_are_refused(
         (["two.urdf", "--lock", "elbow"], "--lock does not fit; expected NAME=VALUE"),
         (["two.urdf", "--limit", "elbow=1"], "--limit does not fit; expected a finite number"),
         (["two.urdf", "--slack-mm", "0"], "0.001 m or more"),
+        (["two.urdf", "--slack-mm", "inf"], "at most 1 m"),
+        (["two.urdf", "--excess-mm", "nan"], "0.001 m or more"),
+        (["two.urdf", "--lock", "elbow=1e300"], "elbow cannot be held there"),
+        (["/dev/zero"], "too large"),
         (["two.urdf", "--ready", "0,nan"], "--ready does not fit; expected a finite number"),
-        (["two.urdf", "--ready", "0"], "the arm cannot wait there; expected 2 angles within its limits"),
-        (["two.urdf", "--ready", "2.5,0"], "the arm cannot wait there; expected 2 angles within its limits"),
+        (["two.urdf", "--ready", "0"], "the arm cannot wait there; expected 2 angles"),
+        (["two.urdf", "--ready", "2.5,0"], "the arm cannot wait there; expected shoulder from -2 to 2 rad"),
     ],
 )
 def test_the_command_ends_with_one_line_and_2(
@@ -95,6 +109,7 @@ def test_meshes_are_found_in_packages(tmp_path: Path) -> None:
     mesh = tmp_path / "share" / "arm" / "meshes" / "a.stl"
     mesh.parent.mkdir(parents=True)
     mesh.touch()
+    (tmp_path / "share" / "arm" / "package.xml").touch()
     folder = tmp_path / "share" / "arm" / "urdf"
     assert found_file("package://arm/meshes/a.stl", folder, {}) == mesh
     assert found_file("package://other/meshes/a.stl", folder, {"other": mesh.parents[1]}) == mesh
@@ -102,6 +117,36 @@ def test_meshes_are_found_in_packages(tmp_path: Path) -> None:
     assert found_file(f"file://{mesh}", folder, {}) == mesh
     with pytest.raises(ScenarioError, match=r"a mesh is not found.*--package other=FOLDER"):
         found_file("package://other/meshes/a.stl", folder, {})
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "../secret.stl",
+        "{top}/secret.stl",
+        "file://{top}/secret.stl",
+        "package://arm/../secret.stl",
+        "link.stl",
+    ],
+)
+def test_meshes_outside_the_robots_folder_are_refused(tmp_path: Path, name: str) -> None:
+    folder = tmp_path / "arm"
+    folder.mkdir()
+    (tmp_path / "secret.stl").touch()
+    (folder / "link.stl").symlink_to(tmp_path / "secret.stl")
+    name = name.format(top=tmp_path)
+    with pytest.raises(
+        ScenarioError, match=r"outside the robot's folder.*secret\.stl.*--package NAME=FOLDER"
+    ):
+        found_file(name, folder, {})
+    if not name.startswith("package"):
+        assert found_file(name, folder, {"top": tmp_path}).samefile(tmp_path / "secret.stl")
+
+
+@pytest.mark.parametrize("name", ["package://etc/hostname", "a\0b.stl", "a" * 300 + ".stl"])
+def test_names_that_are_no_mesh_s_are_not_found(tmp_path: Path, name: str) -> None:
+    with pytest.raises(ScenarioError, match="a mesh is not found"):
+        found_file(name, tmp_path, {})
 
 
 def test_meshes_without_their_library_name_the_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -72,6 +72,20 @@ def test_mesh_files_are_scaled(tmp_path: Path) -> None:
     assert mesh.depth_m(np.array([[0.1, 0.1, 0.1]]))[0] == pytest.approx(0.1)
 
 
+@pytest.mark.parametrize("scale", [0.0, 1e-300, 1e300])
+def test_a_scale_that_leaves_no_mesh_is_refused(tmp_path: Path, scale: float) -> None:
+    pytest.importorskip("coal")
+    file = tmp_path / "corner.obj"
+    file.write_text(OBJ, encoding="utf-8")
+    with pytest.raises(ScenarioError, match="a mesh does not fit"):
+        file_mesh(file, np.full(3, scale))
+
+
+def test_a_needle_has_a_bounded_number_of_points() -> None:
+    needle = cylinder_mesh(1e-4, 10.0)
+    assert len(needle.surface(5e-4, np.random.default_rng(0))) < 300_000
+
+
 def test_a_file_that_is_no_mesh_is_refused(tmp_path: Path) -> None:
     pytest.importorskip("coal")
     file = tmp_path / "bad.stl"
