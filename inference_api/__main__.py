@@ -8,6 +8,7 @@ import sys
 import tempfile
 
 import uvicorn
+from prometheus_client.multiprocess import mark_process_dead
 from uvicorn.config import STARTUP_FAILURE
 from uvicorn.supervisors import Multiprocess
 
@@ -103,11 +104,22 @@ def _serve(config: ApiConfig, listener: socket.socket) -> int:
         os.environ[METRICS_FOLDER] = folder
         # The cores are shared out, or the processes would compute against each other.
         os.environ.setdefault(THREADS, str(max(1, usable_cores() // config.workers)))
-        supervisor = Multiprocess(config, [listener])
+        supervisor = _Supervisor(config, [listener])
         # The processes end by themselves in time; this is for what keeps one from even trying.
         end_in_time(config.grace_s + SUPERVISOR_MARGIN_S, lambda: _kill(supervisor))
         supervisor.run()
     return 1 if any(process.exitcode == STARTUP_FAILURE for process in supervisor.processes) else 0
+
+
+class _Supervisor(Multiprocess):
+    """Takes the gauges of processes that have died out of the metrics."""
+
+    def keep_subprocess_alive(self) -> None:
+        before = list(self.processes)
+        super().keep_subprocess_alive()
+        for process in before:
+            if process not in self.processes:
+                mark_process_dead(process.pid)  # type: ignore[no-untyped-call]
 
 
 def _kill(supervisor: Multiprocess) -> None:

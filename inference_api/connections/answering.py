@@ -1,11 +1,10 @@
 """What is done to every answer on its way out, outside of the app."""
 
+import asyncio
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    import asyncio
-
     from uvicorn._types import ASGI3Application, ASGIReceiveCallable, ASGISendCallable, ASGISendEvent, Scope
     from uvicorn.protocols.http.httptools_impl import RequestResponseCycle
 
@@ -13,7 +12,7 @@ if TYPE_CHECKING:
 def closing_where_unread(
     app: "ASGI3Application",
     cycle: "RequestResponseCycle",
-    lingering: "Callable[[], asyncio.Transport]",
+    lingering: Callable[[], asyncio.Transport],
 ) -> "ASGI3Application":
     """An app whose answer ends the connection where it begins before the request has been read to its end.
 
@@ -30,6 +29,11 @@ def closing_where_unread(
                 cycle.transport = lingering()
             await send(message)
 
-        await app(scope, receive, closing)
+        try:
+            await app(scope, receive, closing)
+        except asyncio.CancelledError:
+            # At the server's end; uvicorn would log it as an error, and this task ends here all the same.
+            if not cycle.response_complete:
+                raise
 
     return answer

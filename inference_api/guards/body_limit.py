@@ -8,6 +8,7 @@ from inference_api.guards.shares import Full, Shares
 from inference_api.problems import BODY_TOO_LARGE, OVERLOADED, RequestError, problem_response
 
 MAX_BODY_BYTES = 8 * 1024 * 1024
+_MAX_DIGITS = 30
 _RETRY_AFTER = (b"retry-after", str(RETRY_AFTER_S).encode())
 
 
@@ -35,7 +36,8 @@ class BodyLimit:
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return
-        announced = dict(scope["headers"]).get(b"content-length", b"0")
+        # Without leading zeros, of which there may be more than Python turns into a number.
+        announced = dict(scope["headers"]).get(b"content-length", b"0").lstrip(b"0")[:_MAX_DIGITS]
         if announced.isdigit() and int(announced) > self._limit:
             error = self._error(f"{int(announced)} bytes")
             response = problem_response(

@@ -1,6 +1,7 @@
 """The guards of an app, in order."""
 
 from fastapi import FastAPI
+from fastapi.middleware.cors import CORSMiddleware
 from uvicorn.middleware.proxy_headers import ProxyHeadersMiddleware
 
 from inference_api.guards.authentication import Authentication
@@ -28,6 +29,14 @@ def add_guards(app: FastAPI, protection: Protection) -> None:
     if protection.keys_file is not None:
         app.add_middleware(Authentication, keys=ApiKeys.read(protection.keys_file))
         warn_of_readers(protection.keys_file)
+    if protection.origins:
+        app.add_middleware(
+            CORSMiddleware,
+            allow_origins=protection.origins,
+            allow_methods=["GET", "POST"],
+            allow_headers=["*"],
+            expose_headers=["*"],
+        )
     app.add_middleware(Doors, hosts=protection.hosts, origins=protection.origins)
     if protection.trusted_proxies:
         app.add_middleware(ProxyHeadersMiddleware, trusted_hosts=list(protection.trusted_proxies))

@@ -39,14 +39,14 @@ class LastResort:
             await self._app(scope, receive, seen)
         except asyncio.CancelledError:
             # The server cancels what is in flight when its time to end is up, and does nothing after it.
-            if began:
-                raise
-            await problem_response(
-                SHUTTING_DOWN,
-                "the server was told to end before this request was answered",
-                remedy="ask again: another process may answer by then",
-                headers={"Connection": "close", "Retry-After": "1"},
-            )(scope, receive, send)
+            if not began:
+                await problem_response(
+                    SHUTTING_DOWN,
+                    "the server was told to end before this request was answered",
+                    remedy="ask again: another process may answer by then",
+                    headers={"Connection": "close", "Retry-After": "1"},
+                )(scope, receive, send)
+            raise
         except Exception:
             if began:
                 raise

@@ -37,6 +37,13 @@ def _as_list(value: object) -> object:
     return [value] if isinstance(value, int | float) and not isinstance(value, bool) else value
 
 
+def _without_default(schema: dict[str, Any]) -> None:
+    schema.pop("default", None)
+
+
+# What is absent stands for the server's own, which no schema knows.
+DEFAULT_NAME = ""
+ModelName = Annotated[str, Field(max_length=300, json_schema_extra=_without_default)]
 Seed = Annotated[
     Annotated[int, Field(ge=0, le=MAX_SEED)] | None,
     BeforeValidator(_parse_seed),
@@ -153,10 +160,10 @@ class SampleRequest(QueryFields, SceneFields):
 
     model_config = ConfigDict(json_schema_extra=_in_order)
 
-    model: str = Field(
-        "cspace-sampler",
-        max_length=300,
-        description="`name` (its champion), `name@alias`, `name/version`, or `pretrained` (shipped).",
+    model: ModelName = Field(
+        DEFAULT_NAME,
+        description="`name` (its champion), `name@alias`, `name/version`, or `pretrained` (shipped). Absent, "
+        "the champion of the model that the server was set up for.",
     )
 
 

@@ -9,7 +9,9 @@ from cspace.query import DIGEST_PATTERN, MAX_SAMPLES
 from inference_api.pages.model_schemas import AnyJointSpace, ModelInfo
 from inference_api.pages.picture_fields import MAX_JOINTS, PICTURE_EXPECTED, Angle
 from inference_api.pages.schemas import (
+    DEFAULT_NAME,
     EXPECTED,
+    ModelName,
     ScenarioInfo,
     SceneFields,
     Warnings,
@@ -46,7 +48,7 @@ class ValidityRequest(SceneFields):
         description=f"1 to {MAX_SAMPLES} configurations in rad, circles at any turn, other joints within "
         "their limits. In JSON, or in a form as a `.npy` file: float32 or float64 of shape (n, joints)."
     )
-    model: str = Field("cspace-sampler", max_length=300, description="As of `POST /sample`.")
+    model: ModelName = Field(DEFAULT_NAME, description="As of `POST /sample`.")
     robot: Annotated[str, Field(pattern=f"^{DIGEST_PATTERN}$")] | None = Field(
         None, description="As of `POST /sample`."
     )

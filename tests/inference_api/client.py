@@ -29,6 +29,10 @@ class ApiClient:
             options["content"] = _chunks(content)
         return self._call(partial(self._client.post, path, **options))
 
+    def options(self, path: str, **options: Any) -> httpx.Response:
+        """``OPTIONS path``."""
+        return self._call(partial(self._client.options, path, **options))
+
     def refresh(self) -> None:
         """Let the app look at its registry now instead of when its poll is due."""
         self.app.state.store.refresh()

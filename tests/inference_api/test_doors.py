@@ -171,3 +171,22 @@ def test_lists_of_names_are_read() -> None:
 def test_a_wrong_list_is_an_error_that_names_its_setting(read, text: str, setting: str) -> None:  # type: ignore[no-untyped-def]
     with pytest.raises(ConfigError, match=setting):
         read(text)
+
+
+def test_a_page_of_an_allowed_site_asks_and_reads_the_answer(named: ApiClient) -> None:
+    site = {"host": "localhost:8000", "origin": "https://site.example"}
+    wish = {"access-control-request-method": "POST", "access-control-request-headers": "authorization"}
+    asked = named.options("/sample", headers=site | wish)
+    assert asked.status_code == 200
+    assert "POST" in asked.headers["access-control-allow-methods"]
+    assert asked.headers["access-control-allow-headers"] == "authorization"
+    for answer in (
+        asked,
+        named.post("/sample", files={"image": PNG}, data={"n": "1"}, headers=site),
+        named.post("/sample", headers=site),
+    ):
+        assert answer.headers["access-control-allow-origin"] == "https://site.example"
+    own = {"host": "localhost:8000", "origin": "http://localhost:8000"}
+    assert "access-control-allow-origin" not in named.get("/models", headers=own).headers
+    other = site | wish | {"origin": "https://other.example"}
+    assert_problem(named.options("/sample", headers=other), 403, "foreign-origin")

@@ -8,10 +8,12 @@ from pathlib import Path
 import httpx
 import pytest
 from starlette.responses import PlainTextResponse
-from starlette.types import Receive, Scope, Send
+from starlette.types import Message, Receive, Scope, Send
 
+from inference_api.guards.body_limit import BodyLimit
 from inference_api.guards.concurrency import Concurrency
 from inference_api.guards.headers import SECURITY_HEADERS
+from inference_api.guards.last_resort import LastResort
 from inference_api.guards.protection import Protection
 from inference_api.guards.rate import TokenBuckets, client_of
 from inference_api.keys import digest_of
@@ -249,3 +251,45 @@ def test_the_documentation_may_run_its_own_script_and_no_other(api: ApiClient) -
     changed = sent.content.replace(b"SwaggerUIBundle(", b"alert(")
     assert changed != sent.content
     assert policy(changed) != policy(sent.content)
+
+
+@pytest.mark.parametrize("length", ["0" * 5000, "0" * 5000 + "1", "9" * 5000])
+def test_a_length_of_thousands_of_digits_is_told_as_what_it_is(length: str) -> None:
+    """Below the app: a server's parser may be of any kind."""
+    sent: list[Message] = []
+
+    async def app(scope: Scope, receive: Receive, send: Send) -> None:
+        await PlainTextResponse("in")(scope, receive, send)
+
+    async def send(message: Message) -> None:
+        sent.append(message)
+
+    async def receive() -> Message:
+        return {"type": "http.request"}
+
+    scope = {"type": "http", "headers": [(b"content-length", length.encode())], "client": ("127.0.0.1", 1)}
+    asyncio.run(BodyLimit(app)(scope, receive, send))
+    assert sent[0]["status"] == (413 if "9" in length else 200)
+
+
+def test_a_request_that_is_cancelled_is_answered_and_stays_cancelled() -> None:
+    sent: list[Message] = []
+
+    async def waiting(scope: Scope, receive: Receive, send: Send) -> None:
+        await asyncio.Event().wait()
+
+    async def send(message: Message) -> None:
+        sent.append(message)
+
+    async def receive() -> Message:
+        return {"type": "http.request"}
+
+    async def scenario() -> None:
+        task = asyncio.ensure_future(LastResort(waiting)({"type": "http"}, receive, send))
+        await asyncio.sleep(0)
+        task.cancel()
+        await asyncio.wait([task])
+        assert task.cancelled()
+
+    asyncio.run(scenario())
+    assert sent[0]["status"] == 503

@@ -190,3 +190,21 @@ def test_the_documentation_needs_nothing_from_elsewhere(api: ApiClient) -> None:
         assert asset.status_code == 200
         assert len(asset.content) > 1000
     assert "url: 'openapi.json'" in page.text
+
+
+def test_no_schema_names_a_model_that_is_asked_for_by_default(document) -> None:
+    """The server's settings do."""
+    named = [schema for schema in _properties(document) if schema.get("maxLength") == 300]
+    assert len(named) >= 3
+    assert not any("default" in schema for schema in named)
+
+
+def _properties(value):
+    if isinstance(value, dict):
+        if "model" in value.get("properties", {}):
+            yield value["properties"]["model"]
+        for inner in value.values():
+            yield from _properties(inner)
+    elif isinstance(value, list):
+        for inner in value:
+            yield from _properties(inner)

@@ -95,12 +95,25 @@ def test_a_port_that_processes_share_is_taken_for_others(
         assert f"cannot listen on 127.0.0.1:{port}" in capsys.readouterr().err
 
 
-def test_a_process_that_dies_is_replaced(server: ServerProcess, png: bytes) -> None:
+def open_connections(server: ServerProcess) -> float:
+    lines = httpx.get(f"{server.address}/metrics").text.splitlines()
+    return next(float(line.split()[1]) for line in lines if line.startswith("cspace_connections "))
+
+
+def test_a_process_that_dies_is_replaced_and_its_gauges_go(server: ServerProcess, png: bytes) -> None:
     first = workers(server)
     gone = min(first)
-    os.kill(gone, signal.SIGKILL)
-    until = time.monotonic() + PATIENCE_S
-    while gone in workers(server) or len(workers(server)) < 2:
+    with ExitStack() as kept:
+        for _ in range(REQUESTS):
+            client = kept.enter_context(httpx.Client(base_url=server.address))
+            assert client.get("/health/live").status_code == 200
+        assert open_connections(server) >= REQUESTS
+        os.kill(gone, signal.SIGKILL)
+        until = time.monotonic() + PATIENCE_S
+        while gone in workers(server) or len(workers(server)) < 2:
+            assert time.monotonic() < until
+            time.sleep(0.1)
+    while open_connections(server) > 1:
         assert time.monotonic() < until
         time.sleep(0.1)
     for seed in range(20):

@@ -9,7 +9,16 @@ from cspace.planning.query import DEFAULT_WAYS
 from cspace.query import DIGEST_PATTERN, drawn_seed
 from inference_api.pages.model_schemas import AnyJointSpace, ModelInfo
 from inference_api.pages.picture_fields import MAX_VIEWS, PICTURE_EXPECTED, Configuration, Views
-from inference_api.pages.schemas import EXPECTED, ScenarioInfo, SceneFields, Seed, Warnings, picture_form
+from inference_api.pages.schemas import (
+    DEFAULT_NAME,
+    EXPECTED,
+    ModelName,
+    ScenarioInfo,
+    SceneFields,
+    Seed,
+    Warnings,
+    picture_form,
+)
 
 MAX_TIME_S, MAX_WAYS = 10.0, 64
 LEAST_TIME_S = 0.01
@@ -34,7 +43,7 @@ class PlanRequest(SceneFields):
         description="Where the way begins, rad: circles at any turn, other joints within their limits."
     )
     goal: Configuration = Field(description="Where it ends, as `start`.")
-    model: str = Field("cspace-sampler", max_length=300, description="As of `POST /sample`.")
+    model: ModelName = Field(DEFAULT_NAME, description="As of `POST /sample`.")
     seed: Seed = Field(None, description="As of `POST /sample`: of all draws of the search.")
     min_confidence: Annotated[float, Field(ge=0.0, le=1.0, allow_inf_nan=False)] | None = Field(
         None,
