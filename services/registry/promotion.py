@@ -1,20 +1,22 @@
 """Promotion: what was decided about a version, why, and which version answers from then on.
 
-The log is kept on the versions themselves as numbered tags ``decision.0001`` holding JSON. It is append-only:
-nothing here writes a number twice.
+The log is kept on the versions themselves, one tag ``decision.0001.5f0c2a91`` an entry, holding JSON. It is
+append-only: the last part of a tag is random, because the registry has no "set if absent" that would keep two
+evaluations of one moment from the same number.
 """
 
 import json
+import re
+import secrets
 from collections.abc import Mapping
 from dataclasses import dataclass
-from operator import itemgetter
 
 from cspace.errors import RegistryError
 from services.names import ALIAS_CHAMPION, TAG_ROLLED_BACK
 from services.registry.models.port import ModelRegistry, ModelVersion
 
 PREFIX = "decision."
-ATTEMPTS = 5
+_KEY = re.compile(rf"{re.escape(PREFIX)}(\d+)(?:\.[0-9a-f]+)?", re.ASCII)
 
 
 @dataclass(frozen=True)
@@ -74,22 +76,11 @@ def record_decision(registry: ModelRegistry, decision: Decision) -> None:
 
     Raises:
         ModelNotFoundError: there is no such version.
-        RegistryError: others keep writing to the log at the same time.
     """
-    text = decision.to_json()
-    for _ in range(ATTEMPTS):
-        version = registry.version(decision.name, decision.version)
-        key = _next_key(version)
-        registry.set_tags(decision.name, decision.version, {key: text})
-        # The registry knows no "set if absent"; whoever finds another's entry in his place appends again.
-        if registry.version(decision.name, decision.version).tags.get(key) == text:
-            break
-    else:
-        raise RegistryError(
-            f"the decision log of {decision.name}/{decision.version} could not be appended to",
-            expected="one evaluation of a version at a time",
-            remedy="evaluate the version again when the other evaluation is done",
-        )
+    version = registry.version(decision.name, decision.version)
+    number = max((entry[0] for entry in _entries(version)), default=0) + 1
+    key = f"{PREFIX}{number:04d}.{secrets.token_hex(4)}"
+    registry.set_tags(decision.name, decision.version, {key: decision.to_json()})
     if decision.promoted:
         if TAG_ROLLED_BACK in version.tags:
             registry.remove_tag(decision.name, decision.version, TAG_ROLLED_BACK)
@@ -97,8 +88,9 @@ def record_decision(registry: ModelRegistry, decision: Decision) -> None:
 
 
 def decisions_of(version: ModelVersion) -> tuple[Decision, ...]:
-    """The log of one version, oldest first."""
-    return tuple(Decision.from_json(text) for _, text in _entries(version))
+    """The log of one version, oldest first; entries of one number in the order of their time."""
+    entries = [(number, Decision.from_json(text)) for number, text in _entries(version)]
+    return tuple(decision for _, decision in sorted(entries, key=lambda one: (one[0], one[1].created_ms)))
 
 
 def decisions(registry: ModelRegistry, name: str) -> tuple[Decision, ...]:
@@ -115,12 +107,7 @@ def champions(registry: ModelRegistry, name: str) -> tuple[Decision, ...]:
     return tuple(decision for decision in decisions(registry, name) if decision.promoted)
 
 
-def _next_key(version: ModelVersion) -> str:
-    last = max((number for number, _ in _entries(version)), default=0)
-    return f"{PREFIX}{last + 1:04d}"
-
-
 def _entries(version: ModelVersion) -> list[tuple[int, str]]:
-    """The log's entries with their numbers, by these."""
-    named = ((key.removeprefix(PREFIX), text) for key, text in version.tags.items() if key.startswith(PREFIX))
-    return sorted(((int(number), text) for number, text in named if number.isdecimal()), key=itemgetter(0))
+    """The log's entries with their numbers."""
+    matched = ((_KEY.fullmatch(key), text) for key, text in version.tags.items())
+    return [(int(match[1]), text) for match, text in matched if match is not None]
