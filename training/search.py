@@ -57,6 +57,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 expected="a preset with gate.cells above 0, one trial and one scenario or more",
                 got=f"gate.cells {config.gate.cells}, {options.trials} trials, {options.scenarios} scenarios",
             )
+        # Its trials look along the links: told here, and not after the encoder was trained.
+        config.world.levers(points_per_link=2, side_m=0.0)
         environment = job_environment()
         found = run(config, environment, options.trials, options.scenarios)
     except CspaceError as error:
@@ -75,7 +77,8 @@ def run(config: TrainConfig, environment: Environment, trials: int, scenarios: i
     """
     # Imported here so that a wrong key is told at once, not after the frameworks have loaded.
     from training.clusters.stages import (  # noqa: PLC0415
-        encode_and_cluster,
+        cluster_data,
+        encode_data,
         encoder_checkpoint,
         prepare_data,
         train_gate,
@@ -91,8 +94,9 @@ def run(config: TrainConfig, environment: Environment, trials: int, scenarios: i
     with job.running() as parent:
         dataset = prepare_data(config, environment.data_folder)
         log_configuration(parent, config)
+        data = cluster_data(job, dataset)
         vae, _ = train_on_pictures(job, dataset)
-        arrays, gate = train_gate(job, encode_and_cluster(job, dataset, vae))
+        arrays, gate = train_gate(job, encode_data(job, dataset, vae, data))
         if gate is None:
             raise ConfigError("a search needs a gate", expected="gate.cells above 0", got="0")
         shared = {

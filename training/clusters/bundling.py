@@ -109,7 +109,7 @@ def make_bundle(folder: Path, config: TrainConfig, dataset: Dataset, parts: Trai
         provenance=_provenance(config, dataset, parts.start_run_id),
     )
     if has_head and dataset.generator_seed is not None:
-        spec = _with_choices(folder.with_name(folder.name + "-draft"), config.validity, spec, graphs)
+        spec = with_choices(folder.with_name(folder.name + "-draft"), config.validity, spec, graphs)
     return Bundle.load(write_bundle(folder, spec, graphs))
 
 
@@ -121,13 +121,15 @@ def _head_graphs(config: HeadConfig, world: World, checkpoint: Path) -> dict[str
     return {"map": map_graph(head), "validity": grid_validity_graph(head, world.dim)}
 
 
-def _with_choices(
+def with_choices(
     folder: Path, config: HeadConfig, spec: BundleSpec, graphs: Mapping[str, bytes]
 ) -> BundleSpec:
     """By the rules of ``threshold`` and ``promise``, from a draft of the bundle that is deleted again."""
     chosen = config.threshold is not None and config.uniform_share is not None and config.promise is None
     if chosen and not config.plan_problems:
         return spec
+    # What an attempt left that was killed here.
+    discard(folder)
     try:
         draft = Bundle.load(write_bundle(folder, spec, graphs))
         return _with_plan_doubt(draft, config, _with_threshold(draft, config, spec))
@@ -175,7 +177,7 @@ def fit_proposals(draft: Bundle, threshold: float, target_acceptance: float, *, 
     """
     rising = [] if fixed else [one for one in CANDIDATES if one > threshold]
     pools = proposal_pools(draft, draft.spec.world, THRESHOLD_SCENARIOS)
-    costs = proposal_costs(draft, pools[0].scene)
+    costs = proposal_costs(draft)
     return choose_proposals(pools, costs, [threshold, *rising], target_acceptance)
 
 

@@ -12,6 +12,7 @@ from sklearn.metrics import pairwise_distances_argmin
 from cspace.errors import ConfigError
 from cspace.files import replacing
 from cspace.space import JointSpace
+from cspace.splits import derived_seed
 from training.models.cells import CellPoints
 from training.models.settings import GateConfig
 from training.trials.arrays import GatedCells
@@ -74,9 +75,30 @@ class Partition:
         return GatedCells(points, self.cells.labels, self.clusters)
 
     def save(self, path: Path) -> None:
-        """Keep what another job needs for a partition into the same cells."""
+        """Keep it for a job that goes on, and for another job's data in the same cells."""
         with replacing(path, str(path)) as beside, beside.open("wb") as handle:
-            np.savez(handle, centres=self.cells.centres, clusters=self.clusters)
+            np.savez(handle, centres=self.cells.centres, clusters=self.clusters, cells=self.cells.labels)
+
+    @classmethod
+    def read(cls, path: Path, configurations: NDArray[np.float32], space: JointSpace) -> "Partition | None":
+        """The partition of the same (M, d) configurations that an earlier attempt saved; None without one.
+
+        Raises:
+            ConfigError: it is of other configurations.
+        """
+        try:
+            with np.load(path, allow_pickle=False) as kept:
+                found = cls(Clustering(kept["centres"], kept["cells"], space), kept["clusters"])
+        except (FileNotFoundError, KeyError):
+            return None
+        if len(found.labels) != len(configurations):
+            raise ConfigError(
+                "the data are not those that the job began with",
+                expected=f"{len(found.labels)} configurations",
+                got=str(len(configurations)),
+                remedy="submit the job under another name",
+            )
+        return found
 
     @classmethod
     def load(cls, path: Path, configurations: NDArray[np.float32], space: JointSpace) -> "Partition":
@@ -124,9 +146,9 @@ def cluster(
             got=str(total),
             remedy="lower clusters.count or raise data.free_per_scenario",
         )
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(derived_seed(seed, "rows of k-means"))
     rows = rng.choice(total, size=min(total, fit_samples), replace=False)
-    model = KMeans(count, n_init=4, random_state=seed).fit(space.embed(configurations[rows]))
+    model = KMeans(count, n_init=4, random_state=_state(seed, "cells")).fit(space.embed(configurations[rows]))
     labels = [
         model.predict(space.embed(configurations[start : start + _BLOCK]))
         for start in range(0, total, _BLOCK)
@@ -134,6 +156,11 @@ def cluster(
     return Clustering(
         np.asarray(model.cluster_centers_, dtype=np.float64), np.concatenate(labels).astype(np.int64), space
     )
+
+
+def _state(seed: int, use: str) -> int:
+    """A seed that scikit-learn takes."""
+    return derived_seed(seed, use) % 2**32
 
 
 def group(cells: Clustering, count: int, seed: int) -> NDArray[np.int64]:
@@ -146,7 +173,7 @@ def group(cells: Clustering, count: int, seed: int) -> NDArray[np.int64]:
     """
     if count == len(cells.centres):
         return np.arange(count)
-    model = KMeans(count, n_init=4, random_state=seed)
+    model = KMeans(count, n_init=4, random_state=_state(seed, "clusters of cells"))
     return np.asarray(model.fit(cells.centres, sample_weight=cells.sizes).labels_, dtype=np.int64)
 
 
@@ -161,7 +188,7 @@ def points_in_cells(cells: Clustering, points: int, seed: int) -> CellPoints:
     Raises:
         ConfigError: a cell holds none of the draws.
     """
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(derived_seed(seed, "points in cells"))
     count, space = len(cells.centres), cells.space
     draws = space.sample_uniform(rng, _DRAWS_PER_POINT * points * count)
     labels = cells.label(draws)

@@ -1,4 +1,4 @@
-"""The main job: data, VAE and validity head, clusters, gate, local trials, global trial, bundle, registry."""
+"""The main job: data, clusters, VAE and validity head, gate, local trials, global trial, bundle, registry."""
 
 import logging
 from collections.abc import Mapping
@@ -14,9 +14,11 @@ from services.results import numbers
 from training.clusters.bundling import TrainedParts, make_bundle
 from training.clusters.reporting import log_result, log_start
 from training.clusters.stages import (
-    encode_and_cluster,
+    cluster_data,
+    encode_data,
     encoder_checkpoint,
     prepare_data,
+    require_encoder,
     train_gate,
     train_global,
     train_local,
@@ -113,8 +115,10 @@ def _run(job: Job[TrainConfig]) -> TrainResult:
         model = registered_name(job, dataset.world, config.robot_name, path=False)
         log_start(run, job.config, dataset)
         job.tell(world_tag(dataset.world, config.robot_name))
+        require_encoder(job, dataset)
+        data = cluster_data(job, dataset)
         vae, head = train_on_pictures(job, dataset)
-        arrays, gate = train_gate(job, encode_and_cluster(job, dataset, vae))
+        arrays, gate = train_gate(job, encode_data(job, dataset, vae, data))
         local = train_local(job, arrays)
         final = train_global(job, dataset, arrays, local)
         _LOG.info("bundle: exporting")

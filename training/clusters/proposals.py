@@ -1,33 +1,35 @@
 """The cheapest right way to samples that pass: how many of the proposals are uniform, and at which threshold.
 
 A generator's sample costs its networks and nearly always passes; a uniform configuration costs nothing but
-the head's look at it, and passes as often as the space is free. Which of them is cheaper is the bundle's own
-business, so that it is measured with its graphs. What is chosen has to be as good as the generator alone: as
-precise, as near to the free configurations, and as complete, within what validation scenarios can tell.
+the head's look at it, and passes as often as the space is free. Which of them is cheaper follows from the
+operations of the bundle's own graphs. What is chosen has to be as good as the generator alone: as precise, as
+near to the free configurations, and as complete, within what validation scenarios can tell.
 """
 
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cspace.bundle import Bundle, BundleSpec
+from cspace.bundle import Bundle, BundleSpec, graphs_of
 from cspace.bundle.keeping import BUDGET, EXTRA
 from cspace.splits import Split
 from cspace.world import World
 from services.evaluator.measures.reconstruction import SampleQuality
 from services.evaluator.measures.scenes import Scene, Stage
 from services.evaluator.statistics import mean_interval
+from training.clusters.graph_costs import run_cost
 from training.clusters.threshold import STREAM, Scored
 
 SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)
 # Samples that are kept of a scene, and what may be drawn for them, as a request may.
 KEPT = 500
 DRAWN = BUDGET * KEPT
-# As many as a request draws, and how often each kind is timed.
-ROWS, REPEATS = 300, 15
+# As many as a request draws.
+ROWS = 300
+# A uniform angle, on the core of graph_costs.
+UNIFORM_ANGLE_S = 4.5e-8
 # What saves less than this is no reason to leave the generator.
 _WORTH = 0.95
 # What may be missing beyond what the generator alone misses: one sample in a thousand.
@@ -38,7 +40,7 @@ _FEWEST = 50
 
 @dataclass(frozen=True, slots=True)
 class Costs:
-    """What a configuration costs, s: drawn by the generator, drawn uniformly, and scored by the head.
+    """What a configuration costs, s on a nominal core: drawn by the generator, drawn uniformly, scored.
 
     ``turn_s`` is what a further turn costs, however few it draws.
     """
@@ -160,7 +162,7 @@ class Choice:
 def choose_proposals(
     pools: Sequence[Pool], costs: Costs, thresholds: Sequence[float], target_acceptance: float
 ) -> Choice:
-    """The mixture of the least time among those that are as good as the generator alone.
+    """The mixture of the least cost among those that are as good as the generator alone.
 
     Args:
         pools: proposals in validation scenarios.
@@ -246,27 +248,11 @@ def proposal_pools(bundle: Bundle, world: World, scenarios: int) -> list[Pool]:
     return found
 
 
-def proposal_costs(bundle: Bundle, scene: Scene) -> Costs:
-    """Medians on this machine, of as many configurations as a request draws."""
-    picture, space, rng = bundle.prepare(scene.image), scene.space, np.random.default_rng(0)
-
-    def uniform() -> NDArray[np.float32]:
-        return space.to_float32(space.sample_uniform(rng, ROWS))
-
-    def learned() -> None:
-        bundle.sample(picture, ROWS, 0, min_confidence=0.0, tell_confidence=False)
-
-    rows = uniform()
-    scored_s = _median_s(lambda: bundle.score(picture, rows))
-    turn_s = _median_s(lambda: bundle.score(picture, rows[:1]))
-    return Costs(_median_s(learned) / ROWS, _median_s(uniform) / ROWS, scored_s / ROWS, turn_s)
-
-
-def _median_s(work: Callable[[], object]) -> float:
-    """The first runs warm up."""
-    took = []
-    for _ in range(2 * REPEATS):
-        began = time.perf_counter()
-        work()
-        took.append(time.perf_counter() - began)
-    return float(np.median(took[REPEATS:]))
+def proposal_costs(bundle: Bundle) -> Costs:
+    """By the operations of a bundle's graphs, for as many configurations as a request draws."""
+    graphs, rng = graphs_of(bundle.folder), np.random.default_rng(0)
+    # Which cell a sample starts in decides which network makes it.
+    places = {name: rng.random((ROWS, 1), dtype=np.float32) for name in ("cell", "place")}
+    learned_s, head_s = (run_cost(graphs[name], ROWS, places) / ROWS for name in ("generator", "validity"))
+    turn_s = run_cost(graphs["validity"], 1, {})
+    return Costs(learned_s, UNIFORM_ANGLE_S * bundle.spec.dim, head_s, turn_s)

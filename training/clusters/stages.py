@@ -2,7 +2,7 @@
 
 import logging
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +20,7 @@ from training.jobs.job import Job
 from training.models.encode import Latents, encode, load_encoder
 from training.models.gate import gate_probabilities
 from training.models.pictures.autoencoders import shown
-from training.trials.arrays import TrainingArrays
+from training.trials.arrays import GatedCells, TrainingArrays
 from training.trials.grid_occupancy import GridOccupancy
 from training.trials.launch import run_trials
 from training.trials.loading import load_gate
@@ -83,8 +83,46 @@ def train_on_pictures(
     return outcomes.get(VAE), outcomes.get(VALIDITY)
 
 
-def encode_and_cluster(job: Job[TrainConfig], dataset: Dataset, vae: TrialOutcome | None) -> TrainingArrays:
-    """Stage 4: latents of the scenarios, k-means over the configuration space, and cells for the gate.
+@dataclass(frozen=True, slots=True)
+class ClusteredData:
+    """Free configurations in their clusters.
+
+    Args:
+        free: (M, d) float32 rad.
+        ids: (M,) int64 scenario of each.
+        labels: (M,) int64 cluster of each.
+        cells: of the gate; None without one.
+    """
+
+    free: NDArray[np.float32]
+    ids: NDArray[np.int64]
+    labels: NDArray[np.int64]
+    cells: GatedCells | None
+
+
+def cluster_data(job: Job[TrainConfig], dataset: Dataset) -> ClusteredData:
+    """Stage 2: k-means over the configuration space, and cells for the gate; before anything is trained.
+
+    A job that goes on reads the clusters that it wrote.
+
+    Raises:
+        ConfigError: the data do not fit the clusters that are asked for.
+    """
+    config, path = job.config, job.folder / CLUSTERS_FILE
+    free, ids = uniform_free(dataset)
+    parted = Partition.read(path, free, dataset.world.space)
+    if parted is None:
+        parted = partition(config, free, dataset.world.space, job.start_folder)
+        parted.save(path)
+    sizes = np.bincount(parted.labels, minlength=config.clusters.count)
+    _LOG.info("clusters: sizes %s", ", ".join(map(str, sizes)))
+    return ClusteredData(free, ids, parted.labels, parted.gated(config.gate, config.seed))
+
+
+def encode_data(
+    job: Job[TrainConfig], dataset: Dataset, vae: TrialOutcome | None, data: ClusteredData
+) -> TrainingArrays:
+    """Stage 4: latents of the scenarios beside the clustered configurations.
 
     An encoder that is yet to be trained with the generator leaves the latents at zero.
     """
@@ -95,26 +133,20 @@ def encode_and_cluster(job: Job[TrainConfig], dataset: Dataset, vae: TrialOutcom
         sensor = dataset.world.sensor
         encoder = load_encoder(config.vae, sensor, encoder_checkpoint(job, vae))
         latents = encode(encoder, sensor, images)
-    free, ids = uniform_free(dataset)
-    parted = partition(config, free, dataset.world.space, job.start_folder)
-    parted.save(job.folder / CLUSTERS_FILE)
-    labels, cells = parted.labels, parted.gated(config.gate, config.seed)
-    sizes = np.bincount(labels, minlength=config.clusters.count)
-    _LOG.info("clusters: sizes %s", ", ".join(map(str, sizes)))
     looked_up = any(
         part.points_per_link
         for gan in (config.local, config.global_)
         for part in (gan.generator_lookups, gan.critic_lookups)
     )
     return TrainingArrays(
-        free,
-        ids,
-        labels,
+        data.free,
+        data.ids,
+        data.labels,
         latents.mu,
         latents.sigma,
         dataset.world,
         np.asarray(images) if looked_up else None,
-        cells,
+        data.cells,
     )
 
 
@@ -193,6 +225,28 @@ def encoder_checkpoint(job: Job[TrainConfig], vae: TrialOutcome | None) -> Path:
     if given is None or not given.is_dir():
         raise ConfigError("there is no encoder", expected="a VAE trial's checkpoint", got=str(given))
     return given
+
+
+def require_encoder(job: Job[TrainConfig], dataset: Dataset) -> None:
+    """See that an encoder that the configuration names is there and fits, before anything is trained.
+
+    Raises:
+        ConfigError: it is not, or does not.
+    """
+    config = job.config.vae
+    if config.checkpoint is None:
+        return
+    checkpoint = encoder_checkpoint(job, None)
+    try:
+        load_encoder(config, dataset.world.sensor, checkpoint)
+    except (OSError, RuntimeError) as error:
+        raise ConfigError(
+            "vae.checkpoint does not fit",
+            expected=f"the weights of an encoder with vae.latent_dim={config.latent_dim}, "
+            f"vae.width={config.width} and vae.patches={config.patches} for the data's pictures",
+            got=f"{checkpoint}: {str(error)[:300]}",
+            remedy="name another checkpoint, or set the sizes of its job",
+        ) from error
 
 
 def _shared(job: Job[TrainConfig], arrays: TrainingArrays) -> dict[str, Any]:

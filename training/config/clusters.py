@@ -10,14 +10,21 @@ from typing import Any, Literal
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from cspace.dataset.manifest import Manifest
-from cspace.errors import InputError
+from cspace.errors import ConfigError, InputError
 from cspace.world import World
 from cspace.worlds import default_world, workshop_of
 from services.names import model_name
 from training.config.files import load_values, named_presets, validated
 from training.config.job import JobConfig
 from training.datasets.config import DatasetConfig
-from training.models.settings import GanConfig, GateConfig, GlobalConfig, VaeConfig, ValidityConfig
+from training.models.settings import (
+    GanConfig,
+    GateConfig,
+    GlobalConfig,
+    LookupConfig,
+    VaeConfig,
+    ValidityConfig,
+)
 from training.section import AbsolutePath, Section
 
 # In a job's folder: centres of its cells, and the cluster of each.
@@ -87,7 +94,7 @@ class HeadConfig(ValidityConfig):
 class ResourceConfig(Section):
     """What a trial gets from the cluster and how it survives faults."""
 
-    cpus_per_trial: float = Field(1.0, gt=0)
+    cpus_per_trial: float = Field(1.0, gt=0, description="a trial computes on so many threads, at least one")
     gpus_per_trial: float = Field(0.0, ge=0)
     memory_mb_per_trial: float = Field(
         0.0,
@@ -98,6 +105,11 @@ class ResourceConfig(Section):
     log_every_steps: int = Field(20, ge=1)
     checkpoint_every_steps: int = Field(250, ge=1)
     checkpoints_kept: int = Field(1, ge=1, description="of each trial, the last ones")
+
+    @property
+    def threads(self) -> int:
+        """On which a trial computes."""
+        return max(1, int(self.cpus_per_trial))
 
     def of_a_trial(self) -> dict[str, float]:
         """What a trial claims, in the words of Ray Tune; memory in bytes."""
@@ -153,13 +165,22 @@ class TrainConfig(JobConfig):
         return self
 
     @model_validator(mode="after")
-    def _head_reads_the_worlds_pictures(self) -> "TrainConfig":
-        if self.data_folder is None and self.validity.steps:
-            world, grid = self.data.world, self.validity.grid
-            if grid is None:
-                world.levers(self.validity.points_per_link, self.validity.side_m)
-            else:
-                world.grid_arm(grid.groups)
+    def _networks_read_the_worlds_pictures(self) -> "TrainConfig":
+        try:
+            world = self.world
+        except InputError:
+            # The job tells when it opens or makes the data.
+            return self
+        grid = self.validity.grid
+        if self.validity.steps and grid is None:
+            world.levers(self.validity.points_per_link, self.validity.side_m)
+        elif self.validity.steps and grid is not None:
+            world.grid_arm(grid.groups)
+        for section, gan in (("local", self.local), ("global", self.global_)):
+            for part in ("generator_lookups", "critic_lookups"):
+                _check_lookups(f"{section}.{part}", getattr(gan, part), world)
+        if self.joint and world.sensor.extent_m is None:
+            raise ValueError("global.encoder=joint reads pictures of a plane, not arrays of space")
         return self
 
     @model_validator(mode="after")
@@ -206,6 +227,20 @@ def load_config(preset: str, overrides: Sequence[str] = ()) -> TrainConfig:
         ConfigError: an unknown preset or key, or a value of the wrong type or range.
     """
     return validated(TrainConfig, load_values(PRESET_FOLDER, preset, overrides), "cluster_train.py")
+
+
+def _check_lookups(key: str, lookups: LookupConfig, world: World) -> None:
+    """Refuse look-ups that generators and critics of configurations do not have in a world's pictures."""
+    if lookups.groups:
+        raise ValueError(
+            f"{key}.groups belongs to path models; those of configurations look along the links "
+            "of a planar arm, by points_per_link"
+        )
+    if lookups.points_per_link:
+        try:
+            world.levers(lookups.points_per_link, lookups.side_m)
+        except ConfigError as error:
+            raise ValueError(f"{key}.points_per_link does not fit the robot: {error}") from error
 
 
 def _world(data: DatasetConfig, folder: Path | None) -> World:

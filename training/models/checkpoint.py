@@ -12,6 +12,7 @@ from safetensors.torch import load_file, save_file
 from torch import Tensor, nn
 
 from cspace.files import discard, replacing
+from cspace.splits import derived_seed
 from training.models.modules import TrialModule
 
 Network = TypeVar("Network", bound=nn.Module)
@@ -36,9 +37,12 @@ class Progress:
 
 @contextlib.contextmanager
 def seeded_initialisation(seed: int) -> Iterator[None]:
-    """Initialise networks from ``seed`` and leave the global generator as it was."""
+    """Initialise networks from ``seed`` and leave the global generator as it was.
+
+    The draws of a module's training, which has the same seed, are others.
+    """
     with torch.random.fork_rng(devices=[]):
-        torch.random.manual_seed(seed)
+        torch.random.manual_seed(derived_seed(seed, "initialisation"))
         yield
 
 

@@ -27,8 +27,8 @@ from training.paths.source import require_source, source_bundle
 from training.paths.untrained import made_or_found
 from training.trials.launch import connect, run_trials
 from training.trials.outcomes import TrialOutcome
-from training.trials.paths.arrays import PathArrays, path_arrays
-from training.trials.paths.guides import find_guides
+from training.trials.paths.arrays import PathArrays, path_arrays, require_world
+from training.trials.paths.guides import Guides, find_guides
 from training.trials.paths.trainables import path_trial
 from training.trials.request import TrialRequest
 
@@ -114,12 +114,14 @@ def _run(job: Job[PathTrainConfig]) -> PathTrainResult:
         named = config.robot_name or recorded_name(source.spec.provenance.config)
         model = registered_name(job, source.spec.world, named, path=True)
         require_source(job.start_folder, source)
+        require_world(source, config.world)
+        guides = None if config.guides is None else find_guides(config.guides, source.digest)
         dataset = _data(config, job.environment.data_folder)
         log_configuration(run, config)
         run.dataset(dataset.folder.name, dataset.digest, str(dataset.folder), "training")
         job.tell(world_tag(source.spec.world, named))
         arrays = path_arrays(source, dataset, config.points)
-        outcomes = _train(job, source, arrays)
+        outcomes = _train(job, arrays, guides)
         histories = {outcome.name: read_progress(outcome.checkpoint).history for outcome in outcomes}
         run.figure(path_curves(histories), "path-losses")
         run.flush()
@@ -144,9 +146,8 @@ def _data(config: PathTrainConfig, folder: Path) -> Dataset:
     return generate(config.data, folder / "datasets" / f"paths-{config.data.folder_name}")
 
 
-def _train(job: Job[PathTrainConfig], source: Bundle, arrays: PathArrays) -> list[TrialOutcome]:
+def _train(job: Job[PathTrainConfig], arrays: PathArrays, guides: Guides | None) -> list[TrialOutcome]:
     config = job.config
-    guides = None if config.guides is None else find_guides(config.guides, source.digest)
     trials = [TrialRequest.of(job, "models", name) for name in config.models]
     _LOG.info("path models: %s on %d paths", ", ".join(config.models), len(arrays.ids))
     shared: dict[str, Any] = {

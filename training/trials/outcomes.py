@@ -13,29 +13,9 @@ from training.models.modules import Metrics
 from training.trials.checkpoints import TrialFolder
 from training.trials.request import TrialRequest
 
-# In a trial's reports: whether they are of its last step.
-FINISHED = "finished"
+# In a trial's reports: its own metrics, to which Tune adds others, and whether they are of its last step.
+METRICS, FINISHED = "metrics", "finished"
 RECORD = "outcome.json"
-
-# What trials report of themselves; Tune adds more.
-OWN_METRICS = frozenset(
-    {
-        "vae_loss",
-        "reconstruction_loss",
-        "kl",
-        "validity_loss",
-        "validity_accuracy",
-        "critic_loss",
-        "wasserstein_estimate",
-        "gradient_penalty",
-        "generator_loss",
-        "gate_loss",
-        "gate_divergence",
-        "distillation_loss",
-        "flow_loss",
-        "steps_per_s",
-    }
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,7 +68,7 @@ class Outcomes(tune.Callback):
         if not result.get(FINISHED):
             return
         record = {
-            "metrics": {key: float(value) for key, value in result.items() if key in OWN_METRICS},
+            "metrics": {key: float(value) for key, value in result[METRICS].items() if key != "step"},
             "started_s": float(started_s),
             "ended_s": float(result["timestamp"]),
         }

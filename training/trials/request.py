@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from cspace.splits import derived_seed
 from training.jobs.job import Job
 from training.trials.checkpoints import TrialFolder
 
@@ -30,12 +31,12 @@ class TrialRequest:
 
     @classmethod
     def of(cls, job: Job[Any], stage: str, name: str, cluster: int | None = None) -> "TrialRequest":
-        """A trial of a job, with the run that it has there; clusters have seeds of their own.
+        """A trial of a job, with the run that it has there and a seed of its own.
 
         Raises:
             ConfigError: the folder of the job that it is to start from is gone.
         """
-        seed = job.config.seed + (0 if cluster is None else 1 + cluster)
+        seed = derived_seed(job.config.seed, stage, name)
         earlier = job.start_folder
         start = None if earlier is None else TrialFolder(earlier / stage / name).latest()
         label = f"{job.name or job.run.run_id[:8]}, seed {job.config.seed}"

@@ -18,7 +18,7 @@ from training.models.checkpoint import start_from
 from training.models.modules import Metrics, TrialModule
 from training.trials.checkpoints import TrialFolder
 from training.trials.fit import Rhythm, TrialStopped, fit
-from training.trials.outcomes import FINISHED
+from training.trials.outcomes import FINISHED, METRICS
 from training.trials.request import TrialRequest
 
 _LOG = logging.getLogger("training")
@@ -58,8 +58,8 @@ def fit_tracked(
         tracking_uri: of the tracking server.
         told: further parameters of its run, such as its share of the data.
     """
-    # One thread a process: two torch pools on two cores are slower than one thread each.
-    torch.set_num_threads(1)
+    # No more threads than the trial claims: two pools on the same cores are slower than one thread each.
+    torch.set_num_threads(resources.threads)
     logging.basicConfig(level=logging.WARNING, format="%(message)s", force=True)
     logging.getLogger("training").setLevel(logging.INFO)
     for library in ("lightning.pytorch", "ray.train", "ray.tune"):
@@ -101,4 +101,4 @@ def _show(run: RunLog, parameters: Mapping[str, Any]) -> bool:
 
 
 def _report(metrics: Metrics, *, finished: bool) -> None:
-    tune.report({**metrics, FINISHED: finished})
+    tune.report({METRICS: metrics, FINISHED: finished})

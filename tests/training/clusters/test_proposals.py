@@ -1,15 +1,19 @@
 """The rule by which a bundle's proposals are mixed: the least time among what is as good as the generator."""
 
+import itertools
+import time
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+from onnx import TensorProto, helper, numpy_helper
 
 from cspace.bundle import Bundle
 from tests.bundles import write_tiny_bundle
+from training.clusters.graph_costs import ELEMENT_S, MULTIPLY_ADD_S, NODE_S, run_cost
 from training.clusters.proposals import (
     DRAWN,
-    ROWS,
     Costs,
     choose_proposals,
     first_turn,
@@ -19,6 +23,7 @@ from training.clusters.proposals import (
 )
 from training.clusters.threshold import Scored
 
+PRETRAINED = Path(__file__).parents[3] / "inference_api" / "pretrained"
 THRESHOLDS = (0.5, 0.7)
 # A generator that costs twice what the head costs, as that of the plane does.
 COSTS = Costs(learned_s=5e-6, uniform_s=0.1e-6, head_s=2.5e-6)
@@ -94,8 +99,34 @@ def test_what_gives_fewer_samples_than_the_generator_is_none(drawn):
     assert choose_proposals(few, COSTS, THRESHOLDS, 0.0).share < 1.0
 
 
-def test_costs_are_those_of_the_bundle_s_own_graphs(tmp_path, drawn):
+def test_costs_are_those_of_the_bundle_s_own_graphs_and_of_no_clock(tmp_path, monkeypatch):
     bundle = Bundle.load(write_tiny_bundle(tmp_path / "bundle", validity=True))
-    found = proposal_costs(bundle, drawn[0].scene)
-    assert min(found.learned_s, found.uniform_s, found.head_s) > 0.0
-    assert ROWS * found.of_one(1.0) < ROWS * found.of_one(0.0) + 1.0
+    ticks = itertools.count()
+    for clock in ("perf_counter", "monotonic", "time", "process_time"):
+        # A machine that gets slower from one look to the next.
+        monkeypatch.setattr(time, clock, lambda: float(next(ticks)) ** 2)
+    first, again = proposal_costs(bundle), proposal_costs(bundle)
+    assert first == again
+    assert min(first.learned_s, first.uniform_s, first.head_s, first.turn_s) > 0.0
+
+
+def test_the_shipped_planar_model_is_worth_its_uniform_proposals():
+    """Its head costs half of its generator, as clocks had it when it was calibrated."""
+    costs = proposal_costs(Bundle.load(PRETRAINED))
+    assert costs.learned_s / costs.head_s == pytest.approx(5.095 / 2.653, rel=0.25)
+    assert costs.uniform_s < 0.1 * costs.head_s
+
+
+def test_a_wider_network_costs_more():
+    def matmul(width):
+        weights = numpy_helper.from_array(np.zeros((4, width), dtype=np.float32), "weights")
+        taken = helper.make_tensor_value_info("x", TensorProto.FLOAT, ["rows", 4])
+        given = helper.make_tensor_value_info("y", TensorProto.FLOAT, ["rows", width])
+        nodes = [helper.make_node("MatMul", ["x", "weights"], ["z"]), helper.make_node("Relu", ["z"], ["y"])]
+        graph = helper.make_graph(nodes, "g", [taken], [given], [weights])
+        opsets = [helper.make_opsetid("", 17)]
+        return helper.make_model(graph, opset_imports=opsets, ir_version=8).SerializeToString()
+
+    expected = 10 * 8 * (4 * MULTIPLY_ADD_S + ELEMENT_S) + 2 * NODE_S
+    assert run_cost(matmul(8), 10, {}) == pytest.approx(expected)
+    assert run_cost(matmul(16), 10, {}) > run_cost(matmul(8), 10, {})

@@ -10,6 +10,7 @@ from cspace.worlds import workshop_of
 from cspace.worlds.planar.arm import PlanarArm
 from cspace.worlds.planar.workshop import PlanarWorkshop
 from cspace.worlds.planar.world import PlanarWorld
+from training import search
 from training.cluster_train import COMMAND
 from training.config.clusters import TrainConfig, load_config, presets
 
@@ -206,3 +207,45 @@ def test_a_path_that_is_not_absolute_is_refused_before_anything_starts(key, path
     message = capsys.readouterr().err
     assert f"{key} does not fit; expected the path has to be absolute" in message
     assert path in message
+
+
+@pytest.mark.parametrize("section", ["local", "global"])
+@pytest.mark.parametrize("part", ["generator_lookups", "critic_lookups"])
+@pytest.mark.parametrize(
+    ("preset", "lookups"),
+    [
+        ("panda", "{points_per_link: 12, side_m: 0.1}"),
+        ("panda", "{groups: 64}"),
+        ("quickstart", "{groups: 64}"),
+    ],
+)
+def test_look_ups_that_the_arm_cannot_have_are_refused_before_anything_starts(preset, section, part, lookups):
+    with pytest.raises(ConfigError, match=rf"{section}\.{part}\.(groups|points_per_link)"):
+        load_config(preset, [f"{section}.{part}={lookups}", "clusters.form=mixture"])
+
+
+def test_settings_are_held_against_the_robot_of_a_data_set_too(tmp_path):
+    world = load_config("panda").data.world
+    images = np.zeros((1, *world.sensor.picture_shape), dtype=np.uint8)
+    folder = tmp_path / "panda"
+    write_dataset(folder, world=world, images=images, free=[np.zeros((1, 7))], generator={})
+    with pytest.raises(ConfigError, match=r"local\.critic_lookups\.points_per_link does not fit the robot"):
+        load_config("panda", [f"data_folder={folder}", "local.critic_lookups.points_per_link=4"])
+    with pytest.raises(ConfigError, match="not read along links"):
+        load_config("smoke", [f"data_folder={folder}"])
+
+
+def test_a_joint_encoder_is_refused_where_pictures_are_arrays_of_space():
+    joint = ["clusters.count=1", "clusters.form=guided", "gate.cells=0", "global.local_critic_weight=0"]
+    with pytest.raises(ConfigError, match="pictures of a plane"):
+        load_config("panda", [*joint, "global.encoder=joint", "global.critic_condition=projection"])
+
+
+def test_a_search_over_look_ups_is_refused_for_an_arm_in_space(capsys):
+    assert search.main(["--preset", "panda_quick"]) == 2
+    assert "not read along links" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("cpus", "threads"), [(0.5, 1), (1.0, 1), (2.0, 2), (3.5, 3)])
+def test_a_trial_computes_on_as_many_threads_as_it_claims(cpus, threads):
+    assert load_config("smoke", [f"resources.cpus_per_trial={cpus}"]).resources.threads == threads

@@ -9,7 +9,7 @@ import pytest
 from tests.training.trials.ray_nodes import ray_nodes
 from training.config.clusters import ResourceConfig
 from training.trials.launch import run_trials
-from training.trials.outcomes import FINISHED
+from training.trials.outcomes import FINISHED, METRICS
 from training.trials.request import TrialRequest
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
@@ -38,7 +38,7 @@ def looker():
         ]
         Path(notes, trial.name).write_text("\n".join([f"{began} {time.time()}", *note]))
         (trial.folder / "step-000000001").mkdir(parents=True)
-        tune.report({"steps_per_s": 1.0, FINISHED: True})
+        tune.report({METRICS: {"steps_per_s": 1.0}, FINISHED: True})
 
     return look
 

@@ -55,6 +55,20 @@ class PathArrays:
         return Scenes(self.world, torch.tensor(self.images))
 
 
+def require_world(bundle: Bundle, world: World) -> None:
+    """See that paths are of the world that a bundle sees.
+
+    Raises:
+        ConfigError: the robot, the camera or the scenes are others.
+    """
+    if world != bundle.spec.world:
+        raise ConfigError(
+            "the paths are of another robot or camera than the bundle",
+            expected=str(bundle.spec.world),
+            got=str(world),
+        )
+
+
 def path_arrays(bundle: Bundle, dataset: Dataset, points: int) -> PathArrays:
     """Paths and latents of all scenarios.
 
@@ -67,13 +81,7 @@ def path_arrays(bundle: Bundle, dataset: Dataset, points: int) -> PathArrays:
         ConfigError: the data set is of another robot or camera than the bundle.
         DatasetError: the data set holds no paths.
     """
-    spec = bundle.spec
-    if (dataset.world) != (spec.world):
-        raise ConfigError(
-            "the paths are of another robot or camera than the bundle",
-            expected=str(spec.world),
-            got=str(dataset.world),
-        )
+    require_world(bundle, dataset.world)
     paths, ids = equal_paths(dataset, points)
     images = dataset.images
     latents = []

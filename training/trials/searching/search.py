@@ -10,6 +10,7 @@ from ray.tune.schedulers import ASHAScheduler
 from ray.tune.search.basic_variant import BasicVariantGenerator
 
 from cspace.errors import JobError
+from cspace.splits import derived_seed
 from training.config.clusters import ResourceConfig
 from training.trials.searching.trial import METRIC, search_trial
 
@@ -73,14 +74,15 @@ def search(
     tuner = tune.Tuner(
         tune.with_resources(
             tune.with_parameters(search_trial, **shared),
-            resources.of_a_trial(),
+            # Its networks and its measurements stay on processors.
+            {**resources.of_a_trial(), "gpu": 0.0},
         ),
         param_space={"settings": space()},
         tune_config=tune.TuneConfig(
             metric=METRIC,
             mode="min",
             scheduler=scheduler,
-            search_alg=BasicVariantGenerator(random_state=seed),
+            search_alg=BasicVariantGenerator(random_state=derived_seed(seed, "searched settings") % 2**32),
             num_samples=trials,
             reuse_actors=False,
         ),

@@ -8,6 +8,7 @@ from typing import Any
 import torch
 from ray import tune
 
+from cspace.splits import derived_seed
 from services.names import EXPERIMENT
 from services.registry.tracking.experiment import TAG_STAGE
 from services.registry.tracking.mlflow_tracking import MlflowTracking
@@ -42,13 +43,13 @@ def search_trial(
         looks: how often the quality is measured.
         scenarios: validation scenarios that it is measured on.
     """
-    torch.set_num_threads(1)
+    torch.set_num_threads(train.resources.threads)
     logging.getLogger("ray.tune").setLevel(logging.ERROR)
     settings = dict(config["settings"])
     gan = type(train.local).model_validate(train.local.model_dump() | settings)
     encoder = load_encoder(train.vae, arrays.world.sensor, Path(checkpoints["vae"]))
     validation = Validation.draw(encoder, arrays.world, scenarios)
-    module = make_wgan(gan, arrays, None, train.seed)
+    module = make_wgan(gan, arrays, None, derived_seed(train.seed, "search"))
     gate = load_gate(train, Path(checkpoints["gate"]))
     name = "search " + tune.get_context().get_trial_id()
     run = MlflowTracking(tracking_uri).start(

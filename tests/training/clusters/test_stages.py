@@ -1,0 +1,74 @@
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from cspace.dataset import write_dataset
+from cspace.errors import ConfigError
+from training.clusters.stages import cluster_data, require_encoder
+from training.config.clusters import CLUSTERS_FILE, load_config
+
+COUNT = 400
+
+
+def dataset(folder, count=COUNT):
+    world = load_config("smoke").data.world
+    images = np.zeros((1, *world.sensor.picture_shape), dtype=np.uint8)
+    free = np.random.default_rng(0).uniform(-3.0, 3.0, (count, 2))
+    return write_dataset(folder, world=world, images=images, free=[free], generator={})
+
+
+def job(folder, *overrides):
+    folder.mkdir(exist_ok=True)
+    return SimpleNamespace(config=load_config("smoke", overrides), folder=folder, start_folder=None)
+
+
+def test_a_job_that_goes_on_reads_the_clusters_that_it_wrote(tmp_path):
+    data, going_on = dataset(tmp_path / "data"), job(tmp_path / "job", "gate.cells=6", "gate.points=16")
+    first = cluster_data(going_on, data)
+    path = going_on.folder / CLUSTERS_FILE
+    with np.load(path) as kept:
+        written = dict(kept)
+    # As another machine or release would have cut the same data.
+    written["cells"] = np.arange(COUNT) % 6
+    np.savez(path, **written)
+    again = cluster_data(going_on, data)
+    np.testing.assert_array_equal(again.cells.labels, np.arange(COUNT) % 6)
+    np.testing.assert_array_equal(again.labels, written["clusters"][np.arange(COUNT) % 6])
+    assert not np.array_equal(again.labels, first.labels)
+
+
+def test_what_was_written_is_what_was_clustered(tmp_path):
+    data, going_on = dataset(tmp_path / "data"), job(tmp_path / "job", "gate.cells=6", "gate.points=16")
+    first, again = cluster_data(going_on, data), cluster_data(going_on, data)
+    np.testing.assert_array_equal(first.labels, again.labels)
+    np.testing.assert_array_equal(first.cells.labels, again.cells.labels)
+    np.testing.assert_array_equal(first.cells.points.points, again.cells.points.points)
+
+
+def test_a_job_that_goes_on_with_other_data_is_told(tmp_path):
+    going_on = job(tmp_path / "job")
+    cluster_data(going_on, dataset(tmp_path / "data"))
+    with pytest.raises(ConfigError, match="not those that the job began with"):
+        cluster_data(going_on, dataset(tmp_path / "other", COUNT + 1))
+
+
+def test_an_encoder_that_is_not_there_or_of_other_sizes_is_refused_before_training(tmp_path):
+    from training.models.checkpoint import Progress, save_checkpoint
+    from training.models.modules import VaeModule
+
+    data = dataset(tmp_path / "data")
+    with pytest.raises(ConfigError, match="no encoder"):
+        require_encoder(job(tmp_path, f"vae.checkpoint={tmp_path / 'nothing'}"), data)
+    given = job(tmp_path, "vae.latent_dim=4")
+    module = VaeModule(given.config.vae, dataset_pictures(data), 0)
+    made = save_checkpoint(tmp_path / "step-000000001", module, Progress(1, "run"))
+    require_encoder(job(tmp_path, f"vae.checkpoint={made}", "vae.latent_dim=4"), data)
+    with pytest.raises(ConfigError, match=r"vae\.checkpoint does not fit"):
+        require_encoder(job(tmp_path, f"vae.checkpoint={made}", "vae.latent_dim=6"), data)
+
+
+def dataset_pictures(data):
+    import torch
+
+    return torch.tensor(np.moveaxis(np.asarray(data.images), -1, 1).copy())
