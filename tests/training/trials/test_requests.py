@@ -8,6 +8,7 @@ from training.models.checkpoint import Progress, save_checkpoint, seeded_initial
 from training.trials.checkpoints import TrialFolder
 from training.trials.outcomes import FINISHED, METRICS, Outcomes, read_outcome
 from training.trials.request import TrialRequest
+from training.trials.searching.search import claimed
 
 STAGES = {
     "pictures": ("vae", "validity"),
@@ -34,6 +35,11 @@ def test_no_two_trials_have_one_seed_in_whatever_job(tmp_path: Path) -> None:
     seeds = [request.seed for seed in range(20) for request in requests(seed, tmp_path)]
     assert len(set(seeds)) == len(seeds)
     assert seeds == [request.seed for seed in range(20) for request in requests(seed, tmp_path)]
+
+
+def test_a_trial_of_a_search_claims_no_gpu_that_it_would_not_use() -> None:
+    resources = load_config("smoke", ["resources.gpus_per_trial=1", "resources.cpus_per_trial=2"]).resources
+    assert claimed(resources) == {"cpu": 2.0, "gpu": 0.0}
 
 
 def test_networks_start_from_other_numbers_than_the_training_draws() -> None:

@@ -48,6 +48,11 @@ def space() -> dict[str, Any]:
     }
 
 
+def claimed(resources: ResourceConfig) -> dict[str, float]:
+    """What a trial of a search claims: no GPU, for its networks and its measurements stay on processors."""
+    return {**resources.of_a_trial(), "gpu": 0.0}
+
+
 def search(
     shared: Mapping[str, Any], steps: int, trials: int, seed: int, resources: ResourceConfig, storage: Path
 ) -> list[Tried]:
@@ -74,8 +79,7 @@ def search(
     tuner = tune.Tuner(
         tune.with_resources(
             tune.with_parameters(search_trial, **shared),
-            # Its networks and its measurements stay on processors.
-            {**resources.of_a_trial(), "gpu": 0.0},
+            claimed(resources),
         ),
         param_space={"settings": space()},
         tune_config=tune.TuneConfig(
