@@ -113,6 +113,10 @@ class StorageError(CspaceError):
     """The disk is full or the target cannot be written."""
 
 
+class StorageBusyError(StorageError):
+    """Another process changes the target."""
+
+
 class RegistryError(CspaceError):
     """The model registry refused or failed."""
 

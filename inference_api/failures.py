@@ -34,5 +34,9 @@ class StartingError(CspaceError):
     """What is asked for is being loaded since the server was started."""
 
 
+class NoRoomError(CspaceError):
+    """The process may not take as much memory as is needed."""
+
+
 class ModelNotReadyError(CspaceError):
     """There is no model that could answer."""

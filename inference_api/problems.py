@@ -1,8 +1,10 @@
 """RFC 9457 problem details: one stable type for each way in which a request can fail."""
 
+import errno
 import http
 import json
 import logging
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -19,8 +21,9 @@ from cspace.errors import (
     ModelNotFoundError,
     OtherRobotError,
     RegistryError,
+    StorageError,
 )
-from inference_api.failures import FieldsError, ModelNotReadyError, NoKernelsError, StartingError
+from inference_api.failures import FieldsError, ModelNotReadyError, NoKernelsError, NoRoomError, StartingError
 from inference_api.record import note_reason
 
 _LOG = logging.getLogger(__name__)
@@ -74,15 +77,23 @@ OVERLOADED = ProblemType("overloaded", 503, "The server answers too many request
 SHUTTING_DOWN = ProblemType("shutting-down", 503, "The server is shutting down")
 STARTING = ProblemType("starting", 503, "The server is starting")
 NO_MODEL = ProblemType("no-model", 503, "No model is ready")
+STORAGE_UNAVAILABLE = ProblemType("storage-unavailable", 503, "The server cannot store the model")
+OUT_OF_RESOURCES = ProblemType("out-of-resources", 503, "The server has no memory, threads or files left")
 REGISTRY_UNAVAILABLE = ProblemType("registry-unavailable", 503, "The model registry does not answer")
 
 PROBLEMS = tuple(value for value in list(globals().values()) if isinstance(value, ProblemType))
 # All that a client is told of failures that are not about its request.
 _ABOUT_THE_SERVER = {
     INTERNAL_ERROR: "the server failed; its log says how",
+    STORAGE_UNAVAILABLE: "the model that was asked for cannot be stored: the server's disk is full, or its "
+    "CSPACE_MODEL_CACHE cannot be written or is in use; its log says which",
+    OUT_OF_RESOURCES: "the server has no memory, threads or open files left for this request; ask again in "
+    "some seconds, or for less",
     REGISTRY_UNAVAILABLE: "the model that was asked for is not here, and the model registry does not answer; "
     "ask again in some seconds",
 }
+_NOTHING_LEFT = {errno.ENOMEM, errno.EMFILE, errno.ENFILE, errno.EAGAIN}
+_SAYS_EXHAUSTED = re.compile(r"can't start new thread|allocat|bad_alloc|failed to map segment", re.IGNORECASE)
 _BY_STATUS = {404: NOT_FOUND, 405: METHOD_NOT_ALLOWED, 413: BODY_TOO_LARGE, 415: UNSUPPORTED_MEDIA_TYPE}
 # In this order: the first that fits decides.
 _BY_ERROR: tuple[tuple[type[CspaceError], ProblemType], ...] = (
@@ -94,6 +105,8 @@ _BY_ERROR: tuple[tuple[type[CspaceError], ProblemType], ...] = (
     (RegistryError, REGISTRY_UNAVAILABLE),
     (ModelNotReadyError, NO_MODEL),
     (StartingError, STARTING),
+    (NoRoomError, OUT_OF_RESOURCES),
+    (StorageError, STORAGE_UNAVAILABLE),
 )
 
 
@@ -110,11 +123,31 @@ class RequestError(CspaceError):
         self.problem = problem
 
 
-def problem_of(error: CspaceError) -> ProblemType:
+def problem_of(error: BaseException) -> ProblemType:
     """The problem type under which an error is reported."""
     if isinstance(error, RequestError):
         return error.problem
+    if _is_exhausted(error):
+        return OUT_OF_RESOURCES
     return next((problem for kind, problem in _BY_ERROR if isinstance(error, kind)), INTERNAL_ERROR)
+
+
+def _is_exhausted(error: BaseException) -> bool:
+    """Whether an error, or one that it was raised from, says that nothing is left of the machine."""
+    if isinstance(error, MemoryError):
+        return True
+    if isinstance(error, OSError) and error.errno in _NOTHING_LEFT:
+        return True
+    # The interpreter and libraries in C++ have no type for it; messages of this project may quote a client.
+    if not isinstance(error, CspaceError | ValueError) and _SAYS_EXHAUSTED.search(str(error)):
+        return True
+    return error.__cause__ is not None and _is_exhausted(error.__cause__)
+
+
+def failure_response(error: BaseException) -> Response:
+    """What a client is told of an error that is no answer to its request; the log has the rest."""
+    problem = problem_of(error)
+    return problem_response(problem, _ABOUT_THE_SERVER.get(problem, _ABOUT_THE_SERVER[INTERNAL_ERROR]))
 
 
 def problem_response(
@@ -163,5 +196,5 @@ def add_problem_handlers(app: FastAPI) -> None:
         return problem_response(CLIENT_GONE, "the client went away before its answer")
 
     @app.exception_handler(Exception)
-    def unforeseen(_: Request, __: Exception) -> Response:
-        return problem_response(INTERNAL_ERROR, "an error that the server did not foresee; its log has it")
+    def unforeseen(_: Request, error: Exception) -> Response:
+        return failure_response(error)

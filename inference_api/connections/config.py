@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import uvicorn
 
-from inference_api.connections.limits import ConnectionLimits
+from inference_api.connections.limits import ConnectionLimits, within_open_files
 from inference_api.connections.table import ConnectionTable
 from inference_api.ending import end_in_time
 
@@ -66,5 +66,6 @@ class ApiConfig(uvicorn.Config):
         sys.setswitchinterval(SWITCH_S)
         self.metrics = self.loaded_app.state.metrics
         self.loaded_app.state.loads_planner = self.load_planner
+        self.limits = within_open_files(self.limits)
         self.table = ConnectionTable(self.limits, self.metrics.connections)
         end_in_time(self.grace_s)

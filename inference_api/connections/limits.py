@@ -1,7 +1,12 @@
 """Bounds on connections."""
 
-from dataclasses import dataclass
+import logging
+import resource
+from dataclasses import dataclass, replace
 
+_LOG = logging.getLogger(__name__)
+# Open files beside connections: the log, the event loop, pipes to processes, models that are read.
+OTHER_FILES = 64
 KIB = 1024
 MIB = 1024 * KIB
 
@@ -38,3 +43,20 @@ class ConnectionLimits:
     pipelined: int = 32
     linger_s: float = 1.0
     linger_bytes: int = 9 * MIB
+
+
+def within_open_files(limits: ConnectionLimits) -> ConnectionLimits:
+    """The limits of a process that may open only so many files; its soft limit becomes the hard one.
+
+    Each connection is a file. Without one left nobody could connect, and idle ones would never be cut for it.
+    """
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if soft != hard:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (hard, hard))
+    most = limits.connections if hard == resource.RLIM_INFINITY else max(1, hard - OTHER_FILES)
+    if limits.connections <= most:
+        return limits
+    _LOG.warning(
+        "at most %d connections, not %d: the process may open %d files", most, limits.connections, hard
+    )
+    return replace(limits, connections=most)

@@ -5,7 +5,7 @@ import logging
 
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from inference_api.problems import INTERNAL_ERROR, SHUTTING_DOWN, problem_response
+from inference_api.problems import SHUTTING_DOWN, failure_response, problem_response
 
 _LOG = logging.getLogger(__name__)
 
@@ -47,9 +47,8 @@ class LastResort:
                     headers={"Connection": "close", "Retry-After": "1"},
                 )(scope, receive, send)
             raise
-        except Exception:
+        except Exception as error:
             if began:
                 raise
             _LOG.exception("an error that nobody foresaw")
-            detail = "an error that the server did not foresee; its log has it"
-            await problem_response(INTERNAL_ERROR, detail)(scope, receive, send)
+            await failure_response(error)(scope, receive, send)

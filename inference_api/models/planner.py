@@ -1,15 +1,19 @@
 """The compiled search of plans, loaded in the background when the server starts."""
 
 import logging
+import resource
+from pathlib import Path
 from threading import Thread
 from typing import Literal
 
 from cspace.planning.compiled import load_examples
-from inference_api.failures import StartingError
+from inference_api.failures import NoRoomError, StartingError
 from inference_api.memory import settle
 
 _LOG = logging.getLogger(__name__)
 State = Literal["on demand", "loading", "loaded"]
+# Address space that the compiler takes with all kernels; were it to run out on the way, nothing would work.
+ROOM_BYTES = 512 * 2**20
 
 
 class PlannerStart:
@@ -19,12 +23,21 @@ class PlannerStart:
         self.state: State = "on demand"
 
     def begin(self) -> None:
-        """Start to load; nothing waits for it, and a server without the compiler stays as it is."""
+        """Start to load; nothing waits for it. Without the compiler, or room for it, all stays as it is."""
+        if not _has_room():
+            _LOG.warning("this server does not plan: its limit of address space leaves no room for that")
+            return
         self.state = "loading"
         Thread(target=self._load, name="planner-start", daemon=True).start()
 
     def require(self) -> None:
-        """Raise StartingError while the search is being loaded."""
+        """Raise StartingError while the search is being loaded, NoRoomError where it cannot be."""
+        if self.state == "on demand" and not _has_room():
+            raise NoRoomError(
+                "there is no room for the search of plans",
+                expected=f"{ROOM_BYTES // 2**20} MiB of address space below the limit of the process",
+                remedy="raise the limit, or ask another server",
+            )
         if self.state == "loading":
             raise StartingError(
                 "the search of plans is being loaded",
@@ -42,3 +55,11 @@ class PlannerStart:
         except Exception:  # noqa: BLE001 - samples can be asked for all the same
             _LOG.exception("the search of plans could not be loaded; requests will try again")
         self.state = "loaded"
+
+
+def _has_room() -> bool:
+    most, _ = resource.getrlimit(resource.RLIMIT_AS)
+    if most == resource.RLIM_INFINITY:
+        return True
+    taken = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0]) * resource.getpagesize()
+    return taken + ROOM_BYTES <= most

@@ -22,10 +22,13 @@ from inference_api.problems import (
     NO_MODEL,
     NO_PLANNER,
     OTHER_ROBOT,
+    OUT_OF_RESOURCES,
     OVERLOADED,
     REGISTRY_UNAVAILABLE,
     REQUEST_TIMEOUT,
     SHUTTING_DOWN,
+    STARTING,
+    STORAGE_UNAVAILABLE,
     TOO_MANY_REQUESTS,
     UNAUTHORIZED,
     UNKNOWN_HOST,
@@ -60,6 +63,8 @@ SAMPLE_PROBLEMS = (
     INVALID_VALUE,
     INTERNAL_ERROR,
     NO_MODEL,
+    OUT_OF_RESOURCES,
+    STORAGE_UNAVAILABLE,
     REGISTRY_UNAVAILABLE,
 )
 _HEADERS = {
@@ -130,7 +135,7 @@ def plan_responses() -> dict[int | str, dict[str, Any]]:
         "model": PlanAnswer,
         "headers": _headers({}),
     }
-    return {200: success, **problem_responses(*SAMPLE_PROBLEMS, NO_PLANNER)}
+    return {200: success, **problem_responses(*SAMPLE_PROBLEMS, NO_PLANNER, STARTING)}
 
 
 def _body(form: dict[str, Any], asked: type[BaseModel]) -> dict[str, Any]:

@@ -14,7 +14,8 @@ def default_model(store: ModelStore, turns: Turns) -> ServedModel:
         StartingError: the search of plans is not loaded yet.
         ModelNotReadyError: there is none, or no request comes to its end.
     """
-    store.planner.require()
+    if store.planner.state == "loading":
+        store.planner.require()
     served = store.resolve_now(ModelReference(store.model_name))
     if served is None or turns.are_stuck:
         raise ModelNotReadyError(

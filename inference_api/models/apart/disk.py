@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from cspace.errors import BundleIntegrityError, StorageError
+from cspace.errors import BundleIntegrityError, StorageBusyError, StorageError
 from cspace.files import HALF_PREFIX, holding
 from inference_api.models.version_files import read_version, write_version
 from services.registry.models.port import ModelVersion
@@ -64,6 +64,7 @@ class DiskCache:
 
         Raises:
             RegistryError: it cannot be downloaded.
+            StorageBusyError: another process changes the model for too long.
             StorageError: the cache cannot be written.
         """
         place = self._place(version)
@@ -127,7 +128,7 @@ class DiskCache:
         folder = self.folder / name
         try:
             folder.mkdir(parents=True, exist_ok=True)
-            busy = StorageError(
+            busy = StorageBusyError(
                 "the model cache is in use",
                 expected="one process at a time to change a model's versions",
                 got="another one that takes long",

@@ -1,10 +1,11 @@
 """Downloading and verifying bundles: the port, in this process for tests, and in a child for serving."""
 
+import time
 from typing import Protocol
 
 from cspace.bundle import Bundle
 from cspace.bundle.files import read_files
-from cspace.errors import BundleError, BundleIntegrityError, RegistryUnavailableError
+from cspace.errors import BundleError, BundleIntegrityError, RegistryUnavailableError, StorageBusyError
 from inference_api.models.apart.disk import DiskCache
 from inference_api.models.apart.processes.child import Child
 from inference_api.models.apart.processes.pipes import ChildError
@@ -12,6 +13,8 @@ from inference_api.models.version_files import to_values
 from services.registry.models.port import ModelRegistry, ModelVersion
 
 DOWNLOAD_S = 90.0
+# A child asks again for a folder that another process holds, which may do so for a whole download.
+LOCK_S = 5.0
 VERIFY_S = 30.0
 
 
@@ -71,7 +74,7 @@ class LoaderApart:
     def download(self, version: ModelVersion) -> None:
         """See :meth:`BundleLoader.download`."""
         try:
-            self._child.call("download", {"version": to_values(version)}, self._download_s)
+            self._call_in_turn(version)
         except ChildError as error:
             raise RegistryUnavailableError(
                 f"{version} cannot be downloaded",
@@ -79,6 +82,18 @@ class LoaderApart:
                 got=str(error),
                 remedy="ask again when the registry is well",
             ) from None
+
+    def _call_in_turn(self, version: ModelVersion) -> None:
+        """Download when no other process does, which may take as long as a download may."""
+        until_s = time.monotonic() + self._download_s + LOCK_S
+        while True:
+            try:
+                self._child.call("download", {"version": to_values(version)}, self._download_s)
+            except StorageBusyError:
+                if time.monotonic() > until_s:
+                    raise
+            else:
+                return
 
     def verify(self, version: ModelVersion) -> None:
         """See :meth:`BundleLoader.verify`."""

@@ -4,7 +4,14 @@ from dataclasses import dataclass, field, replace
 
 from cspace.errors import RegistryUnavailableError
 from inference_api.models.apart.disk import DiskCache
-from inference_api.models.apart.loading import DOWNLOAD_S, VERIFY_S, BundleLoader, LoaderApart, LoaderHere
+from inference_api.models.apart.loading import (
+    DOWNLOAD_S,
+    LOCK_S,
+    VERIFY_S,
+    BundleLoader,
+    LoaderApart,
+    LoaderHere,
+)
 from inference_api.models.apart.lookups import LOOKUP_S, RegistryApart
 from inference_api.models.apart.processes.child import Child, ChildLimits
 from services.registry.models.port import ModelLookups, ModelRegistry, ModelVersion
@@ -80,7 +87,7 @@ def parts_apart(disk: DiskCache, uri: str | None, limits: Limits | None = None) 
         "registry_uri": uri,
         "cache_folder": str(disk.folder.absolute()),
         "stored": disk.kept,
-        "lock_s": min(disk.lock_s, limits.download_s / 2),
+        "lock_s": min(disk.lock_s, LOCK_S, limits.download_s / 2),
     }
     asking = Child("lookups", {"registry_uri": uri}, staying)
     near, far = (Child("loading", {**cache, "downloads": far}, limits.child) for far in (False, True))

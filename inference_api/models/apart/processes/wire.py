@@ -12,6 +12,7 @@ from cspace.errors import (
     ModelNotFoundError,
     RegistryError,
     RegistryUnavailableError,
+    StorageBusyError,
     StorageError,
 )
 from services.registry.failures import failure_of
@@ -28,6 +29,7 @@ _KINDS: dict[str, type[CspaceError]] = {
         ModelNotFoundError,
         RegistryError,
         RegistryUnavailableError,
+        StorageBusyError,
         StorageError,
     )
 }
