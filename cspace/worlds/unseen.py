@@ -67,7 +67,7 @@ class PartlySeen(Protocol):
         """How many problems a family has; None where they are drawn without end."""
 
     def problem(self, asked: Asked, family: str, index: int, pictures: int) -> Problem | None:
-        """A problem, seen in so many pictures; None where start or goal collides.
+        """A problem, seen in so many pictures; None where an end collides or nothing in reach is seen.
 
         Raises:
             DatasetError: problems that do not ship are not in the folder.

@@ -9,7 +9,7 @@ from typing import cast
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cspace.errors import ScenarioError
+from cspace.errors import ImageError, ScenarioError
 from cspace.problem import Problem
 from cspace.splits import Split
 from cspace.world import Image, World
@@ -64,6 +64,10 @@ class SpatialPartlySeen:
             return None
         rng = np.random.default_rng([25, pictures, *family.removeprefix(PREFIX).encode(), *number])
         scene = from_both_sides(rng, viewed(self.world, pictures), layout, ends[0], asked.aim)
+        try:
+            self.world.examined(scene.view())
+        except ImageError:
+            return None
         return Problem(scene, ends[0], ends[1], family, seed=asked.seed)
 
     def checkers(self, problem: Problem, image: Image, taken: Taken) -> Sequence[CollisionChecker]:

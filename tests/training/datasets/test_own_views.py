@@ -47,6 +47,14 @@ def test_recordings_become_a_data_set_of_the_arm(tmp_path, capsys):
     assert [len(dataset.collision_of(place)) for place in range(2)] == [0, 4]
 
 
+def test_pictures_of_another_unit_are_read_in_it(tmp_path):
+    source = record(tmp_path / "own", depth_scale_m=0.0005)
+    dataset = import_folder(source, tmp_path / "data", world=WORLD)
+    shelf = WORLD.read_picture(pack_view(IMAGES, CAMERAS, STATE, 0.0005))
+    np.testing.assert_array_equal(dataset.images[1], shelf)
+    assert not np.array_equal(shelf, WORLD.read_picture(pack_view(IMAGES, CAMERAS, STATE)))
+
+
 def test_views_without_configurations_lie_in_extra(tmp_path):
     source = record(tmp_path / "own")
     record(source / "extra")

@@ -17,8 +17,9 @@ from cspace.worlds.spatial.robot.arm import SerialArm
 from cspace.worlds.spatial.seeing.camera import DepthCamera
 from cspace.worlds.spatial.seeing.depth_picture import FARTHEST_MM, NEAREST_MM, in_range
 from cspace.worlds.spatial.seeing.grid_box import GridBox, shoulder_reach_m
-from cspace.worlds.spatial.seeing.observed import distances_m, lookup
+from cspace.worlds.spatial.seeing.observed import lookup
 from cspace.worlds.spatial.seeing.sight import FREE
+from cspace.worlds.spatial.seeing.surface_patches import DISTANCE_STEP_M
 from cspace.worlds.spatial.seeing.view import DepthView
 
 # Of 500 pictures of training scenes, one shows less than this share of the reachable space.
@@ -50,20 +51,24 @@ class _Reach:
     """The part of a grid that an arm can reach.
 
     Args:
-        voxels: (V,) their numbers.
-        voxel_m: side of one.
+        voxels: (X, Y, Z), which ones.
+        surface: codes of the distance below it are of voxels with a surface about their centres.
     """
 
-    voxels: NDArray[np.intp]
-    voxel_m: float
+    voxels: NDArray[np.bool_]
+    surface: np.uint8
 
     def at_surface(self, image: Image) -> NDArray[np.bool_]:
-        """Which voxels of an array (X, Y, Z, 2) have a surface about their centres, (V,)."""
-        return np.asarray(distances_m(image.reshape(-1, 2)[self.voxels]) < 0.5 * self.voxel_m)
+        """Which voxels of an array (X, Y, Z, 2) are in reach and have a surface about their centres."""
+        return np.asarray((image[..., 0] < self.surface) & self.voxels)
 
     def seen(self, image: Image) -> NDArray[np.bool_]:
-        """Which of them are seen, (V,): free, or at a surface."""
-        return np.asarray((image.reshape(-1, 2)[self.voxels, 1] == FREE) | self.at_surface(image))
+        """Which are in reach and seen: free, or at a surface."""
+        return np.asarray(((image[..., 1] == FREE) | (image[..., 0] < self.surface)) & self.voxels)
+
+    def seen_share(self, image: Image) -> float:
+        """Of all that are in reach."""
+        return np.count_nonzero(self.seen(image)) / max(np.count_nonzero(self.voxels), 1)
 
 
 def diagnose(
@@ -114,7 +119,7 @@ def diagnose(
 def least_novelty(arm: SerialArm, grid: GridBox, image: Image) -> float:
     """How novel a picture (X, Y, Z, 2) is at least: 1 where nothing in reach is seen, 0 from a little on."""
     reach = _reach(arm, grid)
-    return float(max(0.0, 1.0 - reach.seen(image).mean() / LITTLE_SEEN))
+    return max(0.0, 1.0 - reach.seen_share(image) / LITTLE_SEEN)
 
 
 def start_findings(arm: SerialArm, grid: GridBox, image: Image, start: ArrayLike) -> tuple[Finding, ...]:
@@ -146,7 +151,7 @@ def _of_reach(reach: _Reach, view: DepthView, blind: tuple[int, ...], fused: Ima
             "check this camera's pose, and the unit of its depths",
             blind,
         )
-    share = float(reach.seen(fused).mean())
+    share = reach.seen_share(fused)
     if share < LITTLE_SEEN:
         yield Finding(
             LITTLE_IN_REACH,
@@ -154,7 +159,7 @@ def _of_reach(reach: _Reach, view: DepthView, blind: tuple[int, ...], fused: Ima
             "nearly all of the answer is what the model has learned of other scenes, and novelty is raised",
             "check the camera's pose and the unit of the depths, or add a picture from elsewhere",
         )
-    if int(reach.at_surface(fused).sum()) < _FEW_VOXELS:
+    if np.count_nonzero(reach.at_surface(fused)) < _FEW_VOXELS:
         yield Finding(
             "no-surface-in-reach",
             "no depth that was read lies in the space that the arm can reach",
@@ -275,4 +280,5 @@ def _are_solid(
 @lru_cache(maxsize=16)
 def _reach(arm: SerialArm, grid: GridBox) -> _Reach:
     away = np.linalg.norm(grid.centres_m() - np.asarray(arm.joints[0].origin.xyz_m), axis=-1)
-    return _Reach(np.flatnonzero(away <= shoulder_reach_m(arm)), grid.voxel_m)
+    surface = np.uint8(np.ceil(0.5 * grid.voxel_m / DISTANCE_STEP_M))
+    return _Reach(away <= shoulder_reach_m(arm), surface)
