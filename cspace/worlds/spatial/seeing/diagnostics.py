@@ -68,7 +68,7 @@ class _Reach:
 
     def seen_share(self, image: Image) -> float:
         """Of all that are in reach."""
-        return np.count_nonzero(self.seen(image)) / max(np.count_nonzero(self.voxels), 1)
+        return float(self.seen(image).sum() / max(int(self.voxels.sum()), 1))
 
 
 def diagnose(
