@@ -95,6 +95,8 @@ def test_the_schema_is_one_and_takes_what_is_read():
             "always collides with itself",
         ),
         ("name: bench-arm", "name: Bench Arm", 1, "name"),
+        ("x_m: -1.5", "x_m: 1e308", 10, "x_m.*at most 1000000"),
+        ("[1.6, 1.4]", "[1.6, 1e200]", 3, "link_lengths_m: 1.*at most 1000000"),
         ("name: bench-arm", "world: hyperbolic", 1, "the world is unknown"),
         ("name: bench-arm", "start: [1, 1]", 11, "start stands twice"),
     ],

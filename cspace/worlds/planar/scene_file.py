@@ -9,8 +9,10 @@ from cspace.worlds.planar.scenes import MAX_DISCS, DiscScenes, GivenScenes
 from cspace.worlds.planar.seeing.camera import Camera
 from cspace.worlds.planar.world import PlanarWorld
 
-_LENGTH = {"type": "number", "exclusiveMinimum": 0}
-_NUMBER = {"type": "number"}
+# Squares of lengths and places are numbers, too.
+_FARTHEST = 1e6
+_LENGTH = {"type": "number", "exclusiveMinimum": 0, "maximum": _FARTHEST}
+_NUMBER = {"type": "number", "minimum": -_FARTHEST, "maximum": _FARTHEST}
 
 
 def _pair(item: dict[str, Any]) -> dict[str, Any]:
