@@ -115,7 +115,7 @@ def _default_model(store: ModelStore) -> ModelInfo | None:
 def _make_store(settings: ApiSettings, registry: ModelRegistry | None) -> ModelStore:
     disk = DiskCache(settings.cache_folder, settings.stored_bundles)
     parts = parts_here(disk, registry) if registry is not None else parts_apart(disk, settings.registry_uri)
-    cache = BundleCache(disk, parts.near, parts.far, settings.loaded_bundles)
+    cache = BundleCache(disk, parts.loader, settings.loaded_bundles)
     return ModelStore(
         parts.registry,
         cache,

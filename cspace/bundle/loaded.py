@@ -41,15 +41,26 @@ class Bundle:
         self.head_looks_at_map = self._validity is not None and self._validity.looks_at_map
 
     @classmethod
-    def load(cls, folder: Path, *, replay: bool = True, run_limit_s: float = RUN_LIMIT_S) -> "Bundle":
+    def load(
+        cls,
+        folder: Path,
+        *,
+        digest: str | None = None,
+        check: bool = True,
+        replay: bool | None = None,
+        run_limit_s: float = RUN_LIMIT_S,
+    ) -> "Bundle":
         """Read a bundle, verify its sums, schema and graphs, and replay its golden case.
 
         Whatever the folder holds, it becomes a bundle or one of these errors. The bytes may come from anybody
-        who can write to a registry, so nothing of them is followed, unpickled or computed without a bound.
+        who can write to a registry, so nothing of them is followed, unpickled or computed without a bound. A
+        bundle of others is verified in a process of its own (:mod:`cspace.bundle.verification`).
 
         Args:
             folder: of the bundle.
-            replay: False where another process of this machine has just replayed the same digest.
+            digest: that the bundle has to have; any when None.
+            check: False where the graphs of this digest were checked, or come with the program.
+            replay: whether the golden case is replayed; as ``check`` when None.
             run_limit_s: how long one run of one graph may take, above 0.
 
         Raises:
@@ -58,10 +69,19 @@ class Bundle:
             BundleError: a graph fails or does not end in time.
         """
         files = read_files(Path(folder))
+        if digest not in (None, files.digest):
+            raise BundleIntegrityError(
+                "the bundle is not the one that was registered", expected=f"digest {digest}", got=files.digest
+            )
         try:
+            if check:
+                # A second and 40 MiB, which a server does without.
+                from cspace.bundle.graph_check import check_graphs  # noqa: PLC0415
+
+                check_graphs(BundleSpec.from_json(files.contents[SPEC_FILE]), files.contents)
             bundle = cls(Path(folder), files, run_limit_s)
             case = GoldenCase.from_npz(files.contents[GOLDEN_FILE])
-            if replay:
+            if check if replay is None else replay:
                 bundle._replay(case)
         except MemoryError as error:
             raise BundleIntegrityError(

@@ -17,7 +17,7 @@ from cspace.bundle import Bundle
 from cspace.errors import BundleError, CspaceError, RegistryError
 from inference_api.models.apart.disk import DiskCache
 from inference_api.models.apart.lanes import Lane
-from inference_api.models.apart.loading import BundleLoader, NotVerifiedError, check_digest
+from inference_api.models.apart.loading import BundleLoader, NotVerifiedError
 from inference_api.models.apart.remembered import Remembered
 from services.registry.models.port import ModelVersion
 
@@ -49,8 +49,7 @@ class BundleCache:
 
     Args:
         disk: where downloaded versions are.
-        near: verifies what is on disk already.
-        far: downloads and verifies the rest.
+        loader: downloads and verifies.
         capacity: bundles kept in memory, the least recently used dropped first.
         clock: seconds, monotonic.
     """
@@ -58,13 +57,12 @@ class BundleCache:
     def __init__(
         self,
         disk: DiskCache,
-        near: BundleLoader,
-        far: BundleLoader,
+        loader: BundleLoader,
         capacity: int,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self.disk = disk
-        self._near, self._far = near, far
+        self._loader = loader
         self._capacity = capacity
         self._loaded: OrderedDict[Key, Bundle] = OrderedDict()
         self._pending: dict[Key, Future[Bundle]] = {}
@@ -175,7 +173,7 @@ class BundleCache:
 
     def _load_near(self, version: ModelVersion) -> Bundle:
         try:
-            return self._open(version, self._near)
+            return self._open(version)
         except BundleError as error:
             # Raises for a version that cannot be in the cache at all.
             self.disk.remove(version)
@@ -190,9 +188,9 @@ class BundleCache:
 
     def _load_far(self, version: ModelVersion) -> Bundle:
         for attempt in range(ATTEMPTS):
-            self._far.download(version)
+            self._loader.download(version)
             try:
-                return self._open(version, self._far)
+                return self._open(version)
             except BundleError:
                 has_vanished = not self.disk.holds(version)
                 if not has_vanished:
@@ -201,12 +199,10 @@ class BundleCache:
                     raise
         raise AssertionError("unreachable")
 
-    def _open(self, version: ModelVersion, loader: BundleLoader) -> Bundle:
+    def _open(self, version: ModelVersion) -> Bundle:
         if self._verified.get(version.digest) is None:
-            loader.verify(version)
-        # Its golden case was replayed elsewhere.
-        bundle = Bundle.load(self.disk.bundle(version), replay=False)
-        check_digest(bundle.digest, version)
+            self._loader.verify(version)
+        bundle = Bundle.load(self.disk.bundle(version), digest=version.digest, check=False)
         self._verified.put(version.digest, version.name, math.inf)
         self.disk.touch(version)
         return bundle

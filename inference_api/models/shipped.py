@@ -130,7 +130,8 @@ class ShippedModels:
         with self._lock:
             found = self.peek(name)
             if found is None:
-                bundle = Bundle.load(self._folders[name])
+                # It comes with the program, or the operator chose it: its graphs are trusted.
+                bundle = Bundle.load(self._folders[name], check=False, replay=True)
                 found = ServedModel(bundle, name, PRETRAINED_VERSION)
                 self._found[name] = Shipped(name, bundle.spec, bundle.digest, found)
             return found

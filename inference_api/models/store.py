@@ -44,7 +44,7 @@ class ModelStore:
         clock: seconds, monotonic.
         pictures: those that were encoded already; none are kept when None.
         wait_s: how long :meth:`resolve` waits for a bundle, at most.
-        children: of the registry, and of the near and the far loader; they start and end with the store.
+        children: that look up and download; they start and end with the store.
     """
 
     def __init__(
@@ -99,12 +99,10 @@ class ModelStore:
 
     def start(self) -> None:
         """Start the children that are needed at once, without waiting for them."""
-        # One asks the registry, another looks at the last champion on disk, or fetches the first one.
+        # Where the last champion is on disk, nothing has to be downloaded yet.
         has_champion = self._cache.disk.last_champion(self.model_name) is not None
-        unneeded = 2 if has_champion else 1
-        for place, child in enumerate(self._children):
-            if place != unneeded:
-                child.start()
+        for child in self._children[: 1 if has_champion else 2]:
+            child.start()
 
     def close(self) -> None:
         """End the children: whoever waits for them gets an error at once."""

@@ -11,7 +11,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from cspace.bundle import Bundle, BundleSpec
+from cspace.bundle.spec import BundleSpec
+from cspace.bundle.verification import verify
 from cspace.errors import ConfigError, ModelNotFoundError
 from cspace.files import read_bounded, replacing, write_json
 from cspace.strict_json import parse_json
@@ -28,6 +29,7 @@ from services.names import (
     model_name,
     names_beside,
 )
+from services.registry.models.mlflow_model import read_spec
 from services.registry.models.port import ModelRegistry, ModelVersion
 from services.registry.promotion import Decision, champions, decisions_of, record_decision
 from services.registry.tracking.port import Tracking
@@ -130,12 +132,13 @@ def import_version(registry: ModelRegistry, tracking: Tracking, folder: Path, na
         BundleError: the bundle is damaged or answers otherwise here.
         ConfigError: the folder holds neither, or the name is another robot's.
     """
-    bundle = Bundle.load(folder / BUNDLE_FOLDER if (folder / BUNDLE_FOLDER).is_dir() else folder)
-    _require_name(registry, name, bundle.spec)
+    bundle = folder / BUNDLE_FOLDER if (folder / BUNDLE_FOLDER).is_dir() else folder
+    digest = verify(bundle)
+    _require_name(registry, name, read_spec(bundle, digest))
     tags = _tags(folder / RECORD)
-    key = f"import/{name}/{bundle.digest}"
-    with tracking.start(EXPERIMENT, f"import {bundle.digest[:8]}", tags={"imported": "true"}, key=key) as run:
-        return registry.register(name, bundle.folder, run.run_id, bundle.digest, tags, alias=ALIAS_CHALLENGER)
+    key = f"import/{name}/{digest}"
+    with tracking.start(EXPERIMENT, f"import {digest[:8]}", tags={"imported": "true"}, key=key) as run:
+        return registry.register(name, bundle, run.run_id, digest, tags, alias=ALIAS_CHALLENGER)
 
 
 def _require_name(registry: ModelRegistry, name: str, spec: BundleSpec) -> None:
@@ -177,7 +180,8 @@ def _tags(record: Path) -> Mapping[str, str]:
 def _by_hand(registry: ModelRegistry, version: ModelVersion, reason: str) -> Decision:
     """The decision that makes a version the champion, after its bundle was read and replayed."""
     with tempfile.TemporaryDirectory(prefix="cspace-promote-") as folder:
-        bundle = Bundle.load(registry.download(version, Path(folder) / BUNDLE_FOLDER))
+        bundle = registry.download(version, Path(folder) / BUNDLE_FOLDER)
+        spec = read_spec(bundle, verify(bundle, version.digest))
     judged = decisions_of(version)
     return Decision(
         version.name,
@@ -187,7 +191,7 @@ def _by_hand(registry: ModelRegistry, version: ModelVersion, reason: str) -> Dec
         metrics=judged[-1].metrics if judged else {},
         against=_champion(registry, version.name),
         created_ms=time.time_ns() // 1_000_000,
-        robot=robot_digest(bundle.spec.world),
+        robot=robot_digest(spec.world),
     )
 
 

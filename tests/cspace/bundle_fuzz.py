@@ -19,7 +19,7 @@ import onnx
 
 from cspace.bundle import Bundle, write_bundle
 from cspace.bundle.golden import endpoints, scene
-from cspace.bundle.onnx.operators import OPERATORS
+from cspace.bundle.graph_check import OPERATORS
 from cspace.errors import BundleError
 from tests.bundles import tiny_graphs, tiny_spec
 from tests.cspace import hostile_graphs as hostile

@@ -152,35 +152,6 @@ def endless_by_condition() -> bytes:
     return model(graph(loop(""), LOOPED))
 
 
-def endless_by_a_computed_number() -> bytes:
-    """A number of turns that the graph computes."""
-    counted = [
-        node("Size", ["image"], ["size"]),
-        node("Mul", ["size", "size"], ["square"]),
-        node("Mul", ["square", "size"], ["turns"]),
-    ]
-    return model(graph([*counted, *loop("turns")], LOOPED))
-
-
-def nested(turns: int = 5_000) -> bytes:
-    """Loops within a loop, each short enough by itself."""
-    inner = loop("turns")[0]
-    within = helper.make_graph(
-        [inner, node("Identity", ["outer_go"], ["outer_on"]), node("Add", ["number", "z"], ["next_z"])],
-        "outer",
-        [value("j", INT64, ()), value("outer_go", BOOL, ()), value("z", FLOAT, (1,))],
-        [value("outer_on", BOOL, ()), value("next_z", FLOAT, (1,))],
-    )
-    nodes = [
-        node("Loop", ["turns", "true", "begin"], ["all"], body=within),
-        node("GlobalAveragePool", ["image"], ["pooled"]),
-        node("Flatten", ["pooled"], ["flat"]),
-        node("MatMul", ["flat", "weights"], ["plain"]),
-        node("Add", ["plain", "all"], ["mu"]),
-    ]
-    return model(graph(nodes, {**LOOPED, "turns": np.int64(turns)}))
-
-
 def endless_in_a_function() -> bytes:
     opsets = [helper.make_opsetid("", 18)]
     function = helper.make_function(
@@ -217,7 +188,7 @@ def branch() -> bytes:
     return model(graph([node("If", ["true"], ["number"], then_branch=arm, else_branch=arm)], LOOPED))
 
 
-def huge(operator: str) -> bytes:
+def huge(operator: str, end: str = "many") -> bytes:
     """2^40 elements that a short graph asks for."""
     shape = np.array([2**20, 2**20])
     nodes = {
@@ -228,7 +199,8 @@ def huge(operator: str) -> bytes:
             node("Tile", ["square", "shape"], ["number"]),
         ],
         "Range": [
-            node("Range", ["none", "many", "step"], ["range"]),
+            node("Identity", ["many"], ["all"]),
+            node("Range", ["none", end, "step"], ["range"]),
             node("Cast", ["range"], ["number"], to=FLOAT),
         ],
     }[operator]
@@ -246,12 +218,65 @@ def slow_to_open(side: int = 1500, products: int = 200) -> bytes:
     return model(graph(nodes, constants))
 
 
-def slow_to_open_in_a_loop() -> bytes:
-    """The same within a loop that is never entered, where no trial would come by."""
-    body = [node("Expand", ["small", "shape"], ["m0"])]
-    body += [node("MatMul", [f"m{index}", "m0"], [f"m{index + 1}"]) for index in range(200)]
-    constants = {**LOOPED, "turns": np.int64(0), "small": np.float32(1e-4), "shape": np.array([1500, 1500])}
-    return model(graph(loop("turns", body), constants))
+SIZED = ("ConstantOfShape", "Expand", "OneHot", "Pad", "Range", "Resize", "Tile")
+
+
+def of_the_picture(operator: str) -> bytes:
+    """One element where the picture is bright, 2^26 where it is dark."""
+    nodes = [
+        node("ReduceMean", ["image"], ["mean"], keepdims=0),
+        node("Less", ["mean", "half"], ["is_dark"]),
+        node("Where", ["is_dark", "many", "begin_size"], ["size"]),
+        node("Squeeze", ["size"], ["count"]),
+        *{
+            "ConstantOfShape": [node("ConstantOfShape", ["size"], ["number"])],
+            "Expand": [node("Expand", ["begin", "size"], ["number"])],
+            "OneHot": [node("OneHot", ["begin_size", "count", "ends"], ["number"])],
+            "Pad": [
+                node("Concat", ["size", "size"], ["pads"], axis=0),
+                node("Pad", ["begin", "pads"], ["number"]),
+            ],
+            "Range": [
+                node("Range", ["none", "count", "step"], ["range"]),
+                node("Cast", ["range"], ["number"], to=FLOAT),
+            ],
+            "Resize": [node("Resize", ["begin", "", "", "size"], ["number"])],
+            "Tile": [node("Tile", ["begin", "size"], ["number"])],
+        }[operator],
+    ]
+    constants = {"half": np.float32(0.5), "many": np.array([2**26]), "begin_size": np.array([1])}
+    constants |= {"none": np.int64(0), "step": np.int64(1), "ends": np.array([0, 1], np.float32)}
+    return model(graph(nodes, {**LOOPED, **constants}))
+
+
+def many_at_once(tensors: int, start: str = "mean") -> bytes:
+    """So many tensors of 16 MiB that are needed at one time, of the picture or of a constant."""
+    nodes = [node("ReduceMean", ["image"], ["mean"], keepdims=0)]
+    for index in range(tensors):
+        nodes += [
+            node("Add", [start, f"c{index}"], [f"s{index}"]),
+            node("Expand", [f"s{index}", "size"], [f"t{index}"]),
+        ]
+    nodes += [node("Max", [f"t{index}" for index in range(tensors)], ["number"])]
+    constants = {f"c{index}": np.float32(index) for index in range(tensors)}
+    return model(graph(nodes, {**LOOPED, **constants, "size": np.array([2**22])}))
+
+
+def chosen_rows() -> bytes:
+    """Pixels that are bright, however many there are, twice in a row."""
+    nodes = [
+        node("Reshape", ["image", "all"], ["flat_image"]),
+        node("Greater", ["flat_image", "half"], ["bright"]),
+        node("NonZero", ["bright"], ["places"]),
+        node("Transpose", ["places"], ["rows"]),
+        node("GatherND", ["flat_image", "rows"], ["values"]),
+        node("Concat", ["values", "values", "half_row"], ["twice"], axis=0),
+        node("Shape", ["twice"], ["length"]),
+        node("Expand", ["half", "length"], ["number_half"]),
+        node("Mul", ["twice", "number_half"], ["number"]),
+    ]
+    constants = {"all": np.array([-1]), "half": np.float32(0.5), "half_row": np.array([0.5], np.float32)}
+    return model(graph(nodes, constants))
 
 
 def dividing(operator: str, divisor: str = "minus") -> bytes:

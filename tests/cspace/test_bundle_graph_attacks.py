@@ -9,12 +9,11 @@ import onnx
 import pytest
 
 from cspace.bundle import Bundle
-from cspace.bundle.onnx.check import check_graph
-from cspace.bundle.onnx.operators import OPERATORS
+from cspace.bundle.graph_check import OPERATORS, check_graph
 from cspace.bundle.running import sessions as opening
 from cspace.bundle.running.graphs import Graph
-from cspace.errors import BundleError, BundleIntegrityError
-from tests.bundles import LATENT, write_tiny_bundle
+from cspace.errors import BundleIntegrityError
+from tests.bundles import LATENT, PIXELS, write_tiny_bundle
 from tests.cspace import hostile_graphs as hostile
 from tests.cspace.hostile_graphs import field
 from tests.cspace.test_bundle_integrity import resign
@@ -28,8 +27,12 @@ OUTSIDE = [
 ]
 
 
-def opened(model: bytes, limit_s: float = 1.0) -> Graph:
-    return Graph("encoder.onnx", model, {"image"}, {"mu", "sigma"}, limit_s)
+SHAPES = {"image": (1, 3, PIXELS, PIXELS)}
+
+
+def opened(model: bytes) -> Graph:
+    check_graph("encoder.onnx", model, SHAPES)
+    return Graph("encoder.onnx", model, {"image"}, {"mu", "sigma"})
 
 
 @pytest.fixture
@@ -41,8 +44,8 @@ def never_opened(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_an_honest_graph_of_the_same_making_is_opened() -> None:
-    assert opened(hostile.plain()).sizes is not None
-    assert opened(hostile.endless(turns=64)) is not None
+    assert opened(hostile.plain()) is not None
+    assert check_graph("encoder.onnx", hostile.plain(), SHAPES) == {"mu": (1, LATENT), "sigma": (1, LATENT)}
 
 
 @pytest.mark.parametrize("build", OUTSIDE, ids=lambda build: build.__name__)
@@ -54,33 +57,40 @@ def test_weights_outside_are_found_wherever_they_stand_and_in_any_order(
     (tmp_path / hostile.BESIDE).write_bytes(np.ones((3, LATENT), np.float32).tobytes())
     resign(folder)
     assert b"\n\x08location\x12" not in build()
-    with pytest.raises(BundleIntegrityError, match=r"weights outside|field (15|25)|operator"):
+    with pytest.raises(BundleIntegrityError, match=r"weights outside|sparse|functions|operator"):
         Bundle.load(folder)
 
 
 REFUSED: dict[str, tuple[Callable[[], bytes], str]] = {
-    "a loop of 2^62 turns": (hostile.endless, "Loop of"),
-    "a loop without a number of turns": (hostile.endless_by_condition, "any number"),
-    "a loop whose turns are computed": (hostile.endless_by_a_computed_number, "any number"),
-    "loops within a loop": (hostile.nested, "nodes a run"),
-    "a loop in a function": (hostile.endless_in_a_function, "field 25"),
-    "functions that call each other": (hostile.recursive, "field 25"),
+    "a loop": (lambda: hostile.endless(turns=2), "operator :Loop"),
+    "a loop without a number of turns": (hostile.endless_by_condition, "operator :Loop"),
+    "deep loops": (hostile.deep, "operator :Loop"),
+    "a branch": (hostile.branch, "operator :If"),
+    "a loop in a function": (hostile.endless_in_a_function, "functions"),
+    "functions that call each other": (hostile.recursive, "functions"),
     "an operator of another domain": (hostile.of_another_domain, "com.microsoft"),
     "a random operator": (hostile.random, "RandomNormal"),
-    "a branch": (hostile.branch, "'If'|:If"),
-    "training": (hostile.trained, "field 20"),
-    "deep loops": (hostile.deep, "deep"),
+    "training": (hostile.trained, "training"),
     "a convolution in no group": (hostile.no_group, "group"),
     "fewer weights than told": (lambda: hostile.wrong_size(LATENT + 1), "shape"),
     "more weights than can be": (lambda: hostile.wrong_size(2**40), "elements"),
     "a negative size": (lambda: hostile.wrong_size(-1), "elements"),
-    "a division by -1": (lambda: hostile.dividing("Div"), "-1"),
-    "a remainder by -1": (lambda: hostile.dividing("Mod"), "-1"),
-    "a division by a computed -1": (lambda: hostile.dividing("Div", "computed"), "-1"),
+    "a division by -1": (lambda: hostile.dividing("Div"), "constant above 0"),
+    "a remainder by -1": (lambda: hostile.dividing("Mod"), "constant above 0"),
+    "a division by a computed -1": (lambda: hostile.dividing("Div", "computed"), "constant above 0"),
     **{
-        f"an absurd {name}": (lambda name=name: hostile.huge(name), f"absurd size by {name}")  # type: ignore[misc]
-        for name in ("ConstantOfShape", "Expand", "Tile", "Range")
+        f"an absurd {name}": (lambda name=name: hostile.huge(name), f"elements.* by {name}")  # type: ignore[misc]
+        for name in ("ConstantOfShape", "Expand", "Range", "Tile")
     },
+    **{
+        f"{name} of a size that follows from the picture": (
+            lambda name=name: hostile.of_the_picture(name),  # type: ignore[misc]
+            f"{name} with a size that depends on data",
+        )
+        for name in hostile.SIZED
+    },
+    "many tensors that live together": (lambda: hostile.many_at_once(64), "MiB of memory"),
+    "many constants that are made of few": (lambda: hostile.many_at_once(64, "begin"), "MiB of memory"),
 }
 
 
@@ -95,46 +105,37 @@ WIRE = {
     "nothing": b"",
     "a torn field": hostile.plain()[:-3],
     "an endless number": b"\x08" + b"\xff" * 11,
-    "a number that is longer than it has to be": b"\x08\x8a\x00" + hostile.plain(),
     "a number of 70 bits": b"\x08" + b"\xff" * 9 + b"\x7f",
     "a group": hostile.plain() + b"\x0b\x0c",
     "an unknown wire type": hostile.plain() + b"\x0f",
     "field number 0": hostile.plain() + b"\x02\x00",
     "an unknown field": hostile.plain() + field(99, b"x"),
     "a length beyond the end": hostile.plain() + b"\x32\xff\xff\xff\xff\x0f",
-    "two graphs, which protobuf would merge": hostile.plain() + field(7, b""),
     "a graph as a number": field(7, 1),
-    "many empty fields": hostile.plain() + field(14, b"") * 600_000,
-    "notes without an end": hostile.plain() + field(6, bytes(5 * 2**20)),
-    "onnxruntime's own format": b"\x08\x0a\x12\x08ORTMORTM" + hostile.plain(),
 }
 
 
 @pytest.mark.usefixtures("never_opened")
 @pytest.mark.parametrize("data", WIRE.values(), ids=WIRE)
-def test_bytes_that_have_more_than_one_reading_are_refused(data: bytes) -> None:
+def test_bytes_that_are_no_graph_of_onnx_are_refused(data: bytes) -> None:
     with pytest.raises(BundleIntegrityError, match=r"encoder\.onnx cannot be opened"):
         opened(data)
 
 
-def test_a_text_in_the_place_of_the_other_formats_name_is_that_format() -> None:
-    # Bytes 4 to 8 of a valid ONNX file, as somebody would write it to pass by the check.
+def test_a_text_in_the_place_of_the_other_formats_name_does_not_choose_the_format() -> None:
+    # Bytes 4 to 8 tell onnxruntime's own format, which no check reads. A valid ONNX file may have them, too.
     made = onnx.load_from_string(hostile.plain())
     made.producer_name = "ORTM"
     data = made.SerializeToString()
     assert data[4:8] == b"ORTM"
-    with pytest.raises(BundleIntegrityError, match="own format"):
-        opened(data)
+    assert opened(data) is not None
+    with pytest.raises(BundleIntegrityError):
+        opened(b"\x08\x0a\x12\x08ORTMORTM")
 
 
-def test_what_is_computed_while_a_graph_is_opened_is_ended_too() -> None:
-    with pytest.raises(BundleError, match="did not end in time"):
-        opened(hostile.slow_to_open(), limit_s=0.3)
-
-
-@pytest.mark.timeout(20)
-def test_what_a_loop_that_is_never_entered_would_compute_is_not_computed() -> None:
-    assert opened(hostile.slow_to_open_in_a_loop()) is not None
+def test_a_size_that_depends_on_data_is_bounded_by_what_it_is_taken_from() -> None:
+    found = check_graph("encoder.onnx", hostile.chosen_rows(), SHAPES)
+    assert found["sigma"] == (1, LATENT)
 
 
 def test_a_refusal_names_the_file_and_no_folder(tmp_path: Path) -> None:
@@ -151,10 +152,10 @@ def test_a_refusal_names_the_file_and_no_folder(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("never_opened")
-@pytest.mark.parametrize("operator", sorted(OPERATORS - {"Loop"}))
+@pytest.mark.parametrize("operator", sorted(OPERATORS))
 @pytest.mark.parametrize("count", [0, 1, 2])
 def test_a_node_with_fewer_inputs_than_its_operator_takes_is_no_surprise(operator: str, count: int) -> None:
     node = hostile.node(operator, ["weights"] * count, ["number"])
     # Whether it can be computed is for onnxruntime to say.
     with contextlib.suppress(BundleIntegrityError):
-        check_graph("encoder.onnx", hostile.model(hostile.graph([node])))
+        check_graph("encoder.onnx", hostile.model(hostile.graph([node])), SHAPES)

@@ -25,10 +25,14 @@ def folder(tmp_path: Path) -> Path:
 
 
 def slow_graph(limit_s: float) -> Graph:
-    """As many turns as a graph may take, each over a large tensor: minutes."""
-    nodes = hostile.loop("turns", [hostile.node("MatMul", ["large", "large"], ["product"])])
-    constants = {**hostile.LOOPED, "turns": np.int64(10_000), "large": np.ones((300, 300), np.float32)}
-    whole = hostile.model(hostile.graph(nodes, constants))
+    """Products of large matrices, one after the other: minutes."""
+    node = hostile.node
+    nodes = [node("ReduceMean", ["image"], ["mean"], keepdims=0), node("Expand", ["mean", "side"], ["m0"])]
+    for index in range(300):
+        nodes += [node("MatMul", [f"m{index}", "m0"], [f"p{index}"])]
+        nodes += [node("Tanh", [f"p{index}"], [f"m{index + 1}"])]
+    nodes += [node("ReduceMax", ["m300"], ["number"], keepdims=0)]
+    whole = hostile.model(hostile.graph(nodes, {"side": np.array([1200, 1200])}))
     return Graph("encoder.onnx", whole, {"image"}, {"mu", "sigma"}, limit_s)
 
 

@@ -9,58 +9,46 @@ from numpy.typing import NDArray
 from onnx import TensorProto, helper, numpy_helper
 
 from cspace.bundle.files import ENCODER_FILE, SUMS_FILE, sums_of
-from cspace.bundle.onnx.loops import MAX_TURNS
 from tests.bundles import tiny_spec, write_tiny_bundle
 
 
-def write_looping_bundle(folder: Path) -> Path:
-    """Its encoder goes round as often as a bundle's may, for minutes; one without end would not be opened."""
-    body = helper.make_graph(
-        [
-            helper.make_node("Identity", ["go"], ["go_on"]),
-            helper.make_node("ReduceMean", ["at"], ["mean"], keepdims=1),
-            helper.make_node("Expand", ["mean", "side"], ["wide"]),
-            helper.make_node("MatMul", ["wide", "wide"], ["product"]),
-            helper.make_node("ReduceMean", ["product"], ["small"], keepdims=1),
-            helper.make_node("Tanh", ["small"], ["smaller"]),
-            helper.make_node("Mul", ["at", "smaller"], ["next"]),
-        ],
-        "body",
-        [
-            helper.make_tensor_value_info("round", TensorProto.INT64, []),
-            helper.make_tensor_value_info("go", TensorProto.BOOL, []),
-            helper.make_tensor_value_info("at", TensorProto.FLOAT, [1, 4]),
-        ],
-        [
-            helper.make_tensor_value_info("go_on", TensorProto.BOOL, []),
-            helper.make_tensor_value_info("next", TensorProto.FLOAT, [1, 4]),
-        ],
-    )
+def write_slow_bundle(folder: Path) -> Path:
+    """Its encoder multiplies matrices for minutes, each product within what a graph may have."""
     nodes = [
         *_flat_picture(),
-        helper.make_node("Loop", ["rounds", "yes", "flat"], ["mu"], body=body),
-        helper.make_node("Sigmoid", ["mu"], ["sigma"]),
+        helper.make_node("ReduceMean", ["flat"], ["at0"], keepdims=0),
+        helper.make_node("Expand", ["at0", "side"], ["wide"]),
     ]
-    weights = {"rounds": np.array(MAX_TURNS), "yes": np.bool_(1), "side": np.array([1024, 1024])}
-    return _write(folder, nodes, weights)
-
-
-def write_hungry_bundle(folder: Path) -> Path:
-    """Its encoder wants 40 GB, by a size that is known when it runs and not before."""
-    nodes = [
-        *_flat_picture(),
-        helper.make_node("Cast", ["flat"], ["whole"], to=TensorProto.INT64),
-        helper.make_node("ReduceSum", ["whole"], ["sum"], keepdims=0),
-        helper.make_node("Mul", ["sum", "zero"], ["nothing"]),
-        helper.make_node("Add", ["nothing", "huge"], ["size"]),
-        helper.make_node(
-            "ConstantOfShape", ["size"], ["heap"], value=numpy_helper.from_array(np.ones(1, "f"))
-        ),
-        helper.make_node("ReduceMax", ["heap"], ["most"], keepdims=0),
+    last = "wide"
+    for index in range(2000):
+        nodes += [
+            helper.make_node("MatMul", [last, "wide"], [f"product{index}"]),
+            helper.make_node("Tanh", [f"product{index}"], [f"small{index}"]),
+        ]
+        last = f"small{index}"
+    nodes += [
+        helper.make_node("ReduceMax", [last], ["most"], keepdims=0),
         helper.make_node("Add", ["flat", "most"], ["mu"]),
         helper.make_node("Sigmoid", ["mu"], ["sigma"]),
     ]
-    weights = {"zero": np.array(0), "huge": np.array([10**10])}
+    return _write(folder, nodes, {"side": np.array([1500, 1500])})
+
+
+def write_hungry_bundle(folder: Path) -> Path:
+    """Its encoder wants 1 GiB while it runs: 16 tensors of 64 MiB that live together."""
+    nodes = [*_flat_picture(), helper.make_node("ReduceMean", ["flat"], ["at"], keepdims=0)]
+    for index in range(16):
+        nodes += [
+            helper.make_node("Add", ["at", f"c{index}"], [f"s{index}"]),
+            helper.make_node("Expand", [f"s{index}", "size"], [f"t{index}"]),
+        ]
+    nodes += [
+        helper.make_node("Max", [f"t{index}" for index in range(16)], ["largest"]),
+        helper.make_node("ReduceMax", ["largest"], ["most"], keepdims=0),
+        helper.make_node("Add", ["flat", "most"], ["mu"]),
+        helper.make_node("Sigmoid", ["mu"], ["sigma"]),
+    ]
+    weights = {"size": np.array([2**24]), **{f"c{index}": np.float32(index) for index in range(16)}}
     return _write(folder, nodes, weights)
 
 
@@ -79,7 +67,7 @@ def _write(folder: Path, nodes: list[onnx.NodeProto], weights: dict[str, NDArray
         nodes,
         "bad",
         [helper.make_tensor_value_info("image", TensorProto.FLOAT, ["b", 3, spec.pixels, spec.pixels])],
-        [helper.make_tensor_value_info(name, TensorProto.FLOAT, None) for name in ("mu", "sigma")],
+        [helper.make_tensor_value_info(name, TensorProto.FLOAT, ["b", 4]) for name in ("mu", "sigma")],
         [numpy_helper.from_array(array, name) for name, array in weights.items()],
     )
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 18)], ir_version=10)

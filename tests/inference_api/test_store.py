@@ -32,7 +32,7 @@ def make_store(
     folder: Path, registry: CountingRegistry, bundles: dict[str, Path], clock: Clock
 ) -> ModelStore:
     loader = LoaderHere(disk := DiskCache(folder / "cache"), registry)
-    cache = BundleCache(disk, loader, loader, 2, clock)
+    cache = BundleCache(disk, loader, 2, clock)
     store = ModelStore(
         registry, cache, ShippedModels({PRETRAINED: bundles["shipped"]}), "cspace-sampler", 2.0, clock
     )
@@ -249,7 +249,7 @@ def test_the_versions_used_last_and_the_champion_stay_on_disk(
 ) -> None:
     disk = DiskCache(tmp_path / "cache", stored=2)
     loader = LoaderHere(disk, registry)
-    cache = BundleCache(disk, loader, loader, 1)
+    cache = BundleCache(disk, loader, 1)
     store = ModelStore(
         registry, cache, ShippedModels({PRETRAINED: bundles["shipped"]}), "cspace-sampler", 0.0
     )

@@ -67,7 +67,7 @@ def store(
     """Of a registry with three versions, the second of which takes long to download."""
     for name in ("plain", "other", "path"):
         registry.add(bundles[name])
-    return store_over(registry, BundleCache(disk, slow, slow, 4, clock), bundles, clock)
+    return store_over(registry, BundleCache(disk, slow, 4, clock), bundles, clock)
 
 
 def store_over(
@@ -178,7 +178,7 @@ def test_a_bundle_that_was_refused_is_not_verified_for_every_request(
 ) -> None:
     registry.add(bundles["plain"], "champion")
     loader = Refusing(disk, registry)
-    store = store_over(registry, BundleCache(disk, loader, loader, 4, clock), bundles, clock)
+    store = store_over(registry, BundleCache(disk, loader, 4, clock), bundles, clock)
     store.refresh()
     assert store.successor == "refused"
     for _ in range(5):

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from cspace.bundle import Bundle, BundleSpec
+from cspace.bundle.verification import load_verified
 from cspace.errors import ConfigError
 from services.registry.models.port import ModelRegistry
 from services.registry.references import ModelReference
@@ -28,7 +29,7 @@ def source_bundle(source: str, registry: ModelRegistry, folder: Path) -> Bundle:
     reference = ModelReference.parse_version(
         source, "the source of the path models is unknown", "a bundle's folder, name@alias or name/version"
     )
-    return Bundle.load(registry.download(reference.look_up(registry), folder))
+    return load_verified(registry.download(reference.look_up(registry), folder))
 
 
 def require_source(start: Path | None, source: Bundle) -> None:

@@ -36,26 +36,26 @@ def open_graphs(spec: BundleSpec, files: BundleFiles, run_limit_s: float) -> Gra
 
     Raises:
         BundleIntegrityError: one does not fit, is missing, or is more than the description says.
-        BundleError: one does not end in time.
     """
 
     def opened(
         name: str,
         inputs: set[str],
         outputs: set[str],
-        shapes: dict[str, tuple[int, ...]] | None = None,
         perhaps: frozenset[str] = frozenset(),
     ) -> Graph | None:
         model = files.contents.get(name)
-        return None if model is None else Graph(name, model, inputs, outputs, run_limit_s, shapes, perhaps)
+        return None if model is None else Graph(name, model, inputs, outputs, run_limit_s, perhaps)
 
     drawn = {item.name for item in spec.random_inputs}
     encoder = Graph(ENCODER_FILE, files.contents[ENCODER_FILE], {"image"}, {"mu", "sigma"}, run_limit_s)
     seen = opened(MAP_FILE, {"image"}, {"map"})
-    shapes = {} if seen is None else {MAP: seen.sizes("map")}
-    generator = opened(GENERATOR_FILE, {"latent", *drawn, *spec.conditions}, {"samples"}, shapes)
+    if seen is not None:
+        seen.sizes("map")
+    perhaps = frozenset[str]() if seen is None else frozenset({MAP})
+    generator = opened(GENERATOR_FILE, {"latent", *drawn, *spec.conditions}, {"samples"})
     _check_whole(GENERATOR_FILE, generator, "a model kind that has one", described=spec.model_kind != WAYS)
-    validity = opened(VALIDITY_FILE, {"image", "configurations"}, {"confidence"}, shapes, frozenset(shapes))
+    validity = opened(VALIDITY_FILE, {"image", "configurations"}, {"confidence"}, perhaps)
     looked_at = spec.looks_at_map or (validity is not None and validity.takes(MAP))
     _check_whole(MAP_FILE, seen, "the condition map", described=looked_at)
     scores = opened(NOVELTY_FILE, {"image", "mu"}, {"scores"})

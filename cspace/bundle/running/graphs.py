@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cspace.bundle.onnx.check import check_graph
 from cspace.bundle.running.deadlines import RUN_LIMIT_S
 from cspace.bundle.running.sessions import Session
 from cspace.errors import BundleError, BundleIntegrityError
@@ -22,16 +21,14 @@ class Graph:
 
     Args:
         name: the file's name, for messages.
-        model: the file's bytes.
+        model: the file's bytes, which have been checked.
         inputs: the names that it must take, no more and no fewer.
         outputs: the names that it must give.
         run_limit_s: how long a run may take.
-        shapes: of those inputs whose shape the graph does not tell.
         perhaps: names of inputs that it may take, too.
 
     Raises:
-        BundleIntegrityError: not a graph, more than a bundle's graph may be, or other names.
-        BundleError: what it computes from constants does not end in time.
+        BundleIntegrityError: not a graph, or other names.
     """
 
     def __init__(
@@ -41,12 +38,10 @@ class Graph:
         inputs: set[str],
         outputs: set[str],
         run_limit_s: float = RUN_LIMIT_S,
-        shapes: Mapping[str, tuple[int, ...]] | None = None,
         perhaps: AbstractSet[str] = frozenset(),
     ) -> None:
         self._name = name
-        folding = check_graph(name, model)
-        self._session = Session(name, model, folding, run_limit_s, shapes or {})
+        self._session = Session(name, model, run_limit_s)
         found_in = {node.name for node in self._session.inputs()}
         found_out = {node.name for node in self._session.outputs()}
         self._inputs, self._outputs = found_in, found_out

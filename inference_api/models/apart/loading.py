@@ -3,9 +3,8 @@
 import time
 from typing import Protocol
 
-from cspace.bundle import Bundle
-from cspace.bundle.files import read_files
-from cspace.errors import BundleError, BundleIntegrityError, RegistryUnavailableError, StorageBusyError
+from cspace.bundle import Bundle, verification
+from cspace.errors import RegistryUnavailableError, ServiceError, StorageBusyError
 from inference_api.models.apart.disk import DiskCache
 from inference_api.models.apart.processes.child import Child
 from inference_api.models.apart.processes.pipes import ChildError
@@ -15,7 +14,6 @@ from services.registry.models.port import ModelRegistry, ModelVersion
 DOWNLOAD_S = 90.0
 # A child asks again for a folder that another process holds, which may do so for a whole download.
 LOCK_S = 5.0
-VERIFY_S = 30.0
 
 
 class BundleLoader(Protocol):
@@ -56,20 +54,27 @@ class LoaderHere:
 
     def verify(self, version: ModelVersion) -> None:
         """See :meth:`BundleLoader.verify`."""
-        verify(self._disk, version)
+        Bundle.load(self._disk.bundle(version), digest=version.digest)
 
 
 class LoaderApart:
-    """The port in a child process.
+    """The port in other processes: a child that downloads, and a worker for each verification.
 
     Args:
+        disk: the cache.
         child: in the role of ``loading``.
         download_s: for a download.
         verify_s: for a verification.
     """
 
-    def __init__(self, child: Child, download_s: float = DOWNLOAD_S, verify_s: float = VERIFY_S) -> None:
-        self._child, self._download_s, self._verify_s = child, download_s, verify_s
+    def __init__(
+        self,
+        disk: DiskCache,
+        child: Child,
+        download_s: float = DOWNLOAD_S,
+        verify_s: float = verification.VERIFY_S,
+    ) -> None:
+        self._disk, self._child, self._download_s, self._verify_s = disk, child, download_s, verify_s
 
     def download(self, version: ModelVersion) -> None:
         """See :meth:`BundleLoader.download`."""
@@ -98,42 +103,12 @@ class LoaderApart:
     def verify(self, version: ModelVersion) -> None:
         """See :meth:`BundleLoader.verify`."""
         try:
-            self._child.call("verify", {"version": to_values(version)}, self._verify_s)
-        except ChildError as error:
-            label = str(version)
-            if not error.at_work:
-                raise NotVerifiedError(
-                    f"{label} cannot be verified", got=str(error), remedy="ask again in some seconds"
-                ) from None
-            raise BundleError(
-                f"the bundle of {label} does not stand its verification",
-                expected=f"its golden case within {self._verify_s:g} s and the memory of a process",
-                got=str(error),
-                remedy="export the bundle again",
+            verification.verify(self._disk.bundle(version), version.digest, self._verify_s)
+        except ServiceError as error:
+            raise NotVerifiedError(
+                f"{version} cannot be verified", got=error.got, remedy="ask again in some seconds"
             ) from None
 
 
 class NotVerifiedError(RegistryUnavailableError):
     """Nobody could look at the bundle, which says nothing about it."""
-
-
-def verify(disk: DiskCache, version: ModelVersion) -> None:
-    """As :meth:`BundleLoader.verify`, in this process."""
-    folder = disk.bundle(version)
-    # Before any of its graphs is opened.
-    check_digest(read_files(folder).digest, version)
-    Bundle.load(folder)
-
-
-def check_digest(digest: str, version: ModelVersion) -> None:
-    """Hold a bundle's digest against the registered one.
-
-    Raises:
-        BundleIntegrityError: it is another one.
-    """
-    if version.digest != digest:
-        raise BundleIntegrityError(
-            f"the bundle of {version} is not the one that was registered",
-            expected=f"digest {version.digest}",
-            got=digest,
-        )

@@ -2,16 +2,10 @@
 
 from dataclasses import dataclass, field, replace
 
+from cspace.bundle.verification import VERIFY_S
 from cspace.errors import RegistryUnavailableError
 from inference_api.models.apart.disk import DiskCache
-from inference_api.models.apart.loading import (
-    DOWNLOAD_S,
-    LOCK_S,
-    VERIFY_S,
-    BundleLoader,
-    LoaderApart,
-    LoaderHere,
-)
+from inference_api.models.apart.loading import DOWNLOAD_S, LOCK_S, BundleLoader, LoaderApart, LoaderHere
 from inference_api.models.apart.lookups import LOOKUP_S, RegistryApart
 from inference_api.models.apart.processes.child import Child, ChildLimits
 from services.registry.models.port import ModelLookups, ModelRegistry, ModelVersion
@@ -40,14 +34,12 @@ class Parts:
 
     Args:
         registry: for lookups; None without one.
-        near: verifies what is on disk.
-        far: downloads and verifies.
-        children: the processes of these, in this order.
+        loader: downloads and verifies.
+        children: the processes that look up and download, in this order.
     """
 
     registry: ModelLookups | None
-    near: BundleLoader
-    far: BundleLoader
+    loader: BundleLoader
     children: tuple[Child, ...] = ()
 
 
@@ -65,8 +57,7 @@ class NoLoader:
 
 def parts_here(disk: DiskCache, registry: ModelRegistry) -> Parts:
     """All in this process, for a registry that is known to behave."""
-    loader = LoaderHere(disk, registry)
-    return Parts(registry, loader, loader)
+    return Parts(registry, LoaderHere(disk, registry))
 
 
 def parts_apart(disk: DiskCache, uri: str | None, limits: Limits | None = None) -> Parts:
@@ -78,7 +69,7 @@ def parts_apart(disk: DiskCache, uri: str | None, limits: Limits | None = None) 
         limits: for the work and the processes.
     """
     if uri is None:
-        return Parts(None, NoLoader(), NoLoader())
+        return Parts(None, NoLoader())
     limits = limits or Limits()
     # It is asked every few seconds, and MLflow takes seconds to import: it stays, and a registry that made
     # one late makes the next one late.
@@ -90,10 +81,9 @@ def parts_apart(disk: DiskCache, uri: str | None, limits: Limits | None = None) 
         "lock_s": min(disk.lock_s, LOCK_S, limits.download_s / 2),
     }
     asking = Child("lookups", {"registry_uri": uri}, staying)
-    near, far = (Child("loading", {**cache, "downloads": far}, limits.child) for far in (False, True))
+    loading = Child("loading", cache, limits.child)
     return Parts(
         RegistryApart(asking, limits.lookup_s),
-        LoaderApart(near, limits.download_s, limits.verify_s),
-        LoaderApart(far, limits.download_s, limits.verify_s),
-        (asking, near, far),
+        LoaderApart(disk, loading, limits.download_s, limits.verify_s),
+        (asking, loading),
     )

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from cspace.bundle import Bundle
+from cspace.bundle.verification import load_verified
 from cspace.dataset import open_dataset
 from cspace.errors import RegistryError, RegistryUnavailableError
 from cspace.world import World
@@ -146,7 +147,7 @@ def _among(world: World, folder: Path) -> World:
 
 
 def _load(registry: ModelRegistry, version: ModelVersion, folder: Path) -> Bundle:
-    return Bundle.load(registry.download(version, folder / "bundle"))
+    return load_verified(registry.download(version, folder / "bundle"))
 
 
 def _measure(

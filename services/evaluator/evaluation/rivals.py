@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from cspace.bundle import Bundle
+from cspace.bundle.verification import load_verified
 from cspace.errors import (
     BundleError,
     ConfigError,
@@ -148,7 +149,7 @@ class _Found:
         told = f"version {number}, {words},"
         try:
             version = self._registry.version(name, number)
-            bundle = Bundle.load(self._registry.download(version, self._folder / str(number)))
+            bundle = load_verified(self._registry.download(version, self._folder / str(number)))
         except RegistryUnavailableError:
             raise
         except (RegistryError, BundleError) as error:

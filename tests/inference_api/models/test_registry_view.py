@@ -34,7 +34,7 @@ def clock() -> Polled:
 def cache(tmp_path: Path, registry: CountingRegistry, clock: Polled) -> BundleCache:
     disk = DiskCache(tmp_path / "cache")
     loader = LoaderHere(disk, registry)
-    return BundleCache(disk, loader, loader, 2, clock)
+    return BundleCache(disk, loader, 2, clock)
 
 
 @pytest.fixture

@@ -4,8 +4,8 @@ import resource
 import signal
 from pathlib import Path
 
-# Beyond what it holds once its libraries are imported.
-MEMORY_BYTES = 2 * 2**30
+# Beyond what it holds with its libraries imported, for lists and downloads. Bundles run elsewhere.
+MEMORY_BYTES = 512 * 2**20
 FILE_BYTES = 600 * 2**20
 OPEN_FILES = 256
 # A child ends itself this much after its parent should have ended it.

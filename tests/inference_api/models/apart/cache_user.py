@@ -36,7 +36,7 @@ def main() -> None:
     sys.stdout.flush()
     for _ in range(rounds):
         version = ModelVersion("m", int(chance.integers(1, 5)), "", digest, (), {}, 0)
-        BundleCache(disk, loader, loader, 1).get(version, 60.0)
+        BundleCache(disk, loader, 1).get(version, 60.0)
         disk.remember_champion(version)
         if chance.random() < 0.2:
             disk.remove(version)

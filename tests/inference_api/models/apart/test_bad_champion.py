@@ -19,7 +19,7 @@ from inference_api.models.store import ModelStore
 from inference_api.telemetry.observer import Observer, Refusal
 from services.registry.models.port import ModelVersion
 from services.registry.references import PRETRAINED, ModelReference
-from tests.inference_api.bad_bundles import write_hungry_bundle, write_looping_bundle
+from tests.inference_api.bad_bundles import write_hungry_bundle, write_slow_bundle
 
 VERIFY_S = 2.0
 DEFAULT = ModelReference("m")
@@ -38,8 +38,8 @@ class Refusals(Observer):
 @pytest.mark.parametrize(
     ("write", "reason"),
     [
-        (write_looping_bundle, "the bundle of m/1 does not stand its verification"),
-        (write_hungry_bundle, "encoder.onnx failed"),
+        (write_slow_bundle, "the bundle does not stand its verification"),
+        (write_hungry_bundle, "encoder.onnx cannot be opened"),
     ],
 )
 def test_it_is_refused_in_time_and_takes_nothing_of_this_process(
@@ -56,7 +56,7 @@ def test_it_is_refused_in_time_and_takes_nothing_of_this_process(
     disk.download(champion, lambda _, folder: Path(shutil.copytree(bundle, folder)))
     disk.remember_champion(champion)
     parts = parts_apart(disk, "http://127.0.0.1:9", Limits(verify_s=VERIFY_S))
-    cache = BundleCache(disk, parts.near, parts.far, 2)
+    cache = BundleCache(disk, parts.loader, 2)
     store = ModelStore(
         parts.registry, cache, ShippedModels({PRETRAINED: bundles["shipped"]}), "m", children=parts.children
     )

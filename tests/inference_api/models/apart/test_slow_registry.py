@@ -48,7 +48,7 @@ def apart(tmp_path: Path) -> Iterator[Apart]:
 
 
 def store_of(parts: Parts, folder: Path, shipped: Path, wait_s: float = 60.0) -> ModelStore:
-    cache = BundleCache(DiskCache(folder / "cache"), parts.near, parts.far, 2)
+    cache = BundleCache(DiskCache(folder / "cache"), parts.loader, 2)
     store = ModelStore(
         parts.registry,
         cache,
@@ -124,7 +124,7 @@ def test_a_download_that_never_ends_is_given_up_and_leaves_nothing(apart: Apart,
     version = ModelVersion("m", 1, "", "a" * 64, (), {}, 0)
     with trickling("body") as place:
         with pytest.raises(RegistryUnavailableError) as caught:
-            apart(place).far.download(version)
+            apart(place).loader.download(version)
         clean(caught.value)
     # What the process that was ended has left goes with the next change.
     with pytest.raises(RegistryError):

@@ -1,4 +1,4 @@
-"""A child that is late, dies, or eats memory is ended, and the next call has another process."""
+"""A child that is late or dies is ended, and the next call has another process."""
 
 import os
 import shutil
@@ -14,18 +14,15 @@ import psutil
 import pytest
 
 from cspace.bundle.files import read_files
-from cspace.errors import BundleError, BundleIntegrityError
 from inference_api.models.apart.disk import DiskCache
-from inference_api.models.apart.loading import LoaderApart, NotVerifiedError
 from inference_api.models.apart.processes.child import Child, ChildLimits
 from inference_api.models.apart.processes.pipes import ChildError
 from inference_api.models.version_files import to_values
 from services.registry.models.port import ModelVersion
-from tests.inference_api.bad_bundles import write_hungry_bundle, write_looping_bundle
+from tests.inference_api.trickling import trickling
 
-VERIFY_S = 2.0
 ROOT = Path(__file__).parents[5]
-Place = Callable[[Path], ModelVersion]
+ABSENT = {"version": to_values(ModelVersion("m", 99, "", "a" * 64, (), {}, 0))}
 
 
 @pytest.fixture
@@ -34,39 +31,30 @@ def disk(tmp_path: Path) -> DiskCache:
 
 
 @pytest.fixture
-def place(disk: DiskCache) -> Place:
-    """Puts a bundle into the cache as the next version."""
-    numbers = iter(range(1, 100))
-
-    def put(bundle: Path) -> ModelVersion:
-        version = ModelVersion("m", next(numbers), "", read_files(bundle).digest, (), {}, 0)
-        disk.download(version, lambda _, folder: Path(shutil.copytree(bundle, folder)))
-        return version
-
-    return put
+def silent() -> Iterator[str]:
+    """A registry that never answers."""
+    with trickling("silent") as place:
+        yield f"http://{place}"
 
 
-def loading(disk: DiskCache, limits: ChildLimits | None = None) -> Child:
-    configuration = {
-        "registry_uri": None,
-        "cache_folder": str(disk.folder),
-        "stored": 20,
-        "lock_s": 1.0,
-        "downloads": False,
-    }
+@pytest.fixture
+def present(disk: DiskCache, bundles: dict[str, Path]) -> dict[str, object]:
+    """The arguments of a job that is done at once: a version that is in the cache."""
+    version = ModelVersion("m", 1, "", read_files(bundles["plain"]).digest, (), {}, 0)
+    disk.download(version, lambda _, folder: Path(shutil.copytree(bundles["plain"], folder)))
+    return {"version": to_values(version)}
+
+
+def loading(disk: DiskCache, uri: str, limits: ChildLimits | None = None) -> Child:
+    configuration = {"registry_uri": uri, "cache_folder": str(disk.folder), "stored": 20, "lock_s": 1.0}
     return Child("loading", configuration, limits)
 
 
 @pytest.fixture
-def child(disk: DiskCache) -> Iterator[Child]:
-    child = loading(disk)
+def child(disk: DiskCache, silent: str) -> Iterator[Child]:
+    child = loading(disk, silent)
     yield child
     child.close()
-
-
-@pytest.fixture
-def loader(child: Child) -> LoaderApart:
-    return LoaderApart(child, verify_s=VERIFY_S)
 
 
 def wait_until(condition: Callable[[], bool], within_s: float = 10.0) -> None:
@@ -77,88 +65,52 @@ def wait_until(condition: Callable[[], bool], within_s: float = 10.0) -> None:
         pause.wait(0.02)
 
 
-def test_sound_bundles_are_verified_by_one_process(
-    child: Child, loader: LoaderApart, place: Place, bundles: dict[str, Path]
+def test_a_job_that_takes_too_long_is_given_up_and_its_process_is_gone(
+    child: Child, present: dict[str, object]
 ) -> None:
-    pids = set()
-    for name in ("plain", "other"):
-        loader.verify(place(bundles[name]))
-        pids.add(child.pid)
-    (pid,) = pids
-    assert pid != os.getpid()
-
-
-def test_a_bundle_that_is_not_the_registered_one_is_told_by_its_own_error(
-    loader: LoaderApart, disk: DiskCache, place: Place, bundles: dict[str, Path]
-) -> None:
-    version = place(bundles["plain"])
-    (disk.bundle(version) / "encoder.onnx").write_bytes(b"torn")
-    with pytest.raises(BundleIntegrityError, match=r"encoder\.onnx: changed"):
-        loader.verify(version)
-
-
-def test_a_graph_that_loops_for_ever_is_refused_in_time_and_its_process_is_gone(
-    child: Child, loader: LoaderApart, place: Place, tmp_path: Path, bundles: dict[str, Path]
-) -> None:
-    loader.verify(place(bundles["plain"]))
+    child.call("download", present, 30.0)
     pid = child.pid
-    assert pid is not None
-    looping = place(write_looping_bundle(tmp_path / "looping"))
+    assert pid not in (None, os.getpid())
     began_s = time.monotonic()
-    with pytest.raises(BundleError, match="takes too long"):
-        loader.verify(looping)
-    assert VERIFY_S <= time.monotonic() - began_s < VERIFY_S + 10.0
-    assert (child.pid, psutil.pid_exists(pid)) == (None, False)
-    loader.verify(place(bundles["other"]))
-
-
-def test_a_graph_that_eats_memory_is_refused_and_takes_none_of_this_process(
-    loader: LoaderApart, place: Place, tmp_path: Path, bundles: dict[str, Path]
-) -> None:
-    hungry = place(write_hungry_bundle(tmp_path / "hungry"))
-    before = psutil.Process().memory_info().rss
-    with pytest.raises(BundleError):
-        loader.verify(hungry)
-    assert psutil.Process().memory_info().rss - before < 20 * 2**20
-    loader.verify(place(bundles["plain"]))
-
-
-def test_a_process_that_is_killed_at_work_is_followed_by_another(
-    child: Child, loader: LoaderApart, place: Place, tmp_path: Path, bundles: dict[str, Path]
-) -> None:
-    loader.verify(place(bundles["plain"]))
-    looping = place(write_looping_bundle(tmp_path / "looping"))
-    pid = child.pid
-    assert pid is not None
-    threading.Timer(0.3, os.kill, (pid, signal.SIGKILL)).start()
-    with pytest.raises(BundleError, match="has ended"):
-        loader.verify(looping)
-    loader.verify(place(bundles["other"]))
+    with pytest.raises(ChildError, match="takes too long"):
+        child.call("download", ABSENT, 0.5)
+    assert time.monotonic() - began_s < 10.0
+    assert (child.pid, psutil.pid_exists(pid or 0)) == (None, False)
+    child.call("download", present, 30.0)
     assert child.pid not in (None, pid)
 
 
-def test_a_child_that_is_closed_ends_the_call_that_waits_for_it(
-    child: Child, loader: LoaderApart, place: Place, tmp_path: Path
+def test_a_process_that_is_killed_at_work_is_followed_by_another(
+    child: Child, present: dict[str, object]
 ) -> None:
-    looping = place(write_looping_bundle(tmp_path / "looping"))
+    child.call("download", present, 30.0)
+    pid = child.pid
+    assert pid is not None
+    threading.Timer(0.3, os.kill, (pid, signal.SIGKILL)).start()
+    with pytest.raises(ChildError, match="has ended"):
+        child.call("download", ABSENT, 30.0)
+    child.call("download", present, 30.0)
+    assert child.pid not in (None, pid)
+
+
+def test_a_child_that_is_closed_ends_the_call_that_waits_for_it(child: Child) -> None:
     child.start()
     threading.Timer(1.0, child.close).start()
     began_s = time.monotonic()
-    with pytest.raises((BundleError, NotVerifiedError)):
-        LoaderApart(child, verify_s=60.0).verify(looping)
+    with pytest.raises(ChildError):
+        child.call("download", ABSENT, 60.0)
     assert time.monotonic() - began_s < 30.0
     assert child.pid is None
     with pytest.raises(ChildError, match="shutting down"):
-        child.call("verify", {"version": to_values(looping)}, 1.0)
+        child.call("download", ABSENT, 1.0)
 
 
 def test_a_child_without_work_leaves_by_itself_and_comes_back(
-    disk: DiskCache, place: Place, bundles: dict[str, Path]
+    disk: DiskCache, silent: str, present: dict[str, object]
 ) -> None:
-    child = loading(disk, ChildLimits(idle_s=0.1))
+    child = loading(disk, silent, ChildLimits(idle_s=0.1))
     try:
-        version = place(bundles["plain"])
-        LoaderApart(child).verify(version)
+        child.call("download", present, 30.0)
         pid = child.pid
         assert pid is not None
 
@@ -168,33 +120,27 @@ def test_a_child_without_work_leaves_by_itself_and_comes_back(
 
         wait_until(is_cleared)
         assert not psutil.pid_exists(pid)
-        LoaderApart(child).verify(version)
+        child.call("download", present, 30.0)
     finally:
         child.close()
 
 
 ORPHAN = """
 import os, sys, threading
-from pathlib import Path
 from inference_api.models.apart.processes.child import Child
-from inference_api.models.version_files import read_version, to_values
-(file,) = Path(sys.argv[1]).glob("m/*/version.json")
-child = Child("loading", {"registry_uri": None, "cache_folder": sys.argv[1], "stored": 1, "lock_s": 1.0,
-                          "downloads": False})
-ended = threading.Timer(2.0, os._exit, (7,))
-ended.start()
+from tests.inference_api.models.apart.processes.test_child import ABSENT
+configuration = {"registry_uri": sys.argv[2], "cache_folder": sys.argv[1], "stored": 1, "lock_s": 1.0}
+child = Child("loading", configuration)
 child.start()
 print(child.pid, flush=True)
-child.call("verify", {"version": to_values(read_version(file))}, 600.0)
+threading.Timer(2.0, os._exit, (7,)).start()
+child.call("download", ABSENT, 600.0)
 """
 
 
-def test_a_child_in_the_middle_of_a_loop_ends_when_its_parent_dies(
-    disk: DiskCache, place: Place, tmp_path: Path
-) -> None:
-    place(write_looping_bundle(tmp_path / "looping"))
+def test_a_child_in_the_middle_of_its_job_ends_when_its_parent_dies(disk: DiskCache, silent: str) -> None:
     done = subprocess.run(
-        [sys.executable, "-c", ORPHAN, str(disk.folder)],
+        [sys.executable, "-c", ORPHAN, str(disk.folder), silent],
         cwd=ROOT,
         capture_output=True,
         text=True,
@@ -205,21 +151,19 @@ def test_a_child_in_the_middle_of_a_loop_ends_when_its_parent_dies(
     wait_until(lambda: not psutil.pid_exists(pid) or psutil.Process(pid).status() == psutil.STATUS_ZOMBIE)
 
 
-def test_a_child_is_held_by_the_kernel_and_knows_no_setting_of_the_api(
-    child: Child,
-    loader: LoaderApart,
-    place: Place,
-    bundles: dict[str, Path],
-    monkeypatch: pytest.MonkeyPatch,
+def test_a_child_is_held_by_the_kernel_and_knows_no_setting_of_the_api_but_the_store(
+    child: Child, present: dict[str, object], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("CSPACE_API_KEYS_FILE", "/somewhere")
-    loader.verify(place(bundles["plain"]))
+    monkeypatch.setenv("CSPACE_ARTIFACT_STORE", "s3://models")
+    child.call("download", present, 30.0)
     process = psutil.Process(child.pid)
     soft, hard = process.rlimit(psutil.RLIMIT_AS)
-    assert soft == hard < process.memory_info().vms + 2.5 * 2**30
+    assert soft == hard < process.memory_info().vms + 2**30
     assert process.rlimit(psutil.RLIMIT_CORE) == (0, 0)
     assert process.rlimit(psutil.RLIMIT_FSIZE)[1] <= 2**30
     assert "CSPACE_API_KEYS_FILE" not in process.environ()
+    assert process.environ()["CSPACE_ARTIFACT_STORE"] == "s3://models"
     assert os.getpgid(process.pid) == process.pid
     # The kernel shares cores out among sessions: one of its own could be left without any.
     assert os.getsid(process.pid) == os.getsid(0)
