@@ -5,6 +5,7 @@ from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
+import psutil
 import pytest
 
 from cspace.bundle import Bundle
@@ -13,12 +14,14 @@ from cspace.worlds import robot_digest
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK, PlanarArm
 from cspace.worlds.planar.world import PlanarWorld
 from services.names import ALIAS_CHALLENGER, ALIAS_CHAMPION, TAG_ROLLED_BACK
+from services.registry import life_cycle
 from services.registry.__main__ import main
 from services.registry.life_cycle import delete, export_version, import_version, promote, roll_back
 from services.registry.models.port import ModelVersion
 from services.registry.promotion import decisions, decisions_of, record_decision
 from tests.bundles import write_tiny_bundle
 from tests.fakes.registry import FakeRegistry, FakeTracking
+from tests.inference_api.bad_bundles import write_hungry_bundle
 
 NAME = "cspace-sampler"
 
@@ -31,6 +34,15 @@ def registry(tmp_path: Path) -> FakeRegistry:
         bundle = Bundle.load(write_tiny_bundle(tmp_path / f"bundle-{number}", scale=number / 4))
         registry.register(NAME, bundle.folder, str(number), bundle.digest, {"preset": f"p{number}"})
     return registry
+
+
+@pytest.fixture(autouse=True)
+def verified_here(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Verify in this process, which is quicker, but in the tests of the worker."""
+    if "worker" not in request.node.name:
+        monkeypatch.setattr(
+            life_cycle, "verify", lambda folder, digest=None: Bundle.load(folder, digest=digest).digest
+        )
 
 
 def champion(registry: FakeRegistry) -> int:
@@ -244,3 +256,14 @@ def test_no_server_is_told_by_the_exit_code(
 ) -> None:
     assert main(["models", "list"], environment) == code
     assert "error: " in capsys.readouterr().err
+
+
+def test_a_worker_verifies_what_is_imported_and_ends_what_takes_memory(
+    registry: FakeRegistry, tmp_path: Path
+) -> None:
+    hungry = write_hungry_bundle(tmp_path / "hungry")
+    before = psutil.Process().memory_info().rss
+    with pytest.raises(BundleError, match="memory"):
+        import_version(registry, FakeTracking(), hungry, NAME)
+    assert psutil.Process().memory_info().rss - before < 20 * 2**20
+    assert len(registry.versions(NAME)) == 3

@@ -80,6 +80,7 @@ def test_a_job_that_takes_too_long_is_given_up_and_its_process_is_gone(
     assert child.pid not in (None, pid)
 
 
+@pytest.mark.slow
 def test_a_process_that_is_killed_at_work_is_followed_by_another(
     child: Child, present: dict[str, object]
 ) -> None:
@@ -93,6 +94,7 @@ def test_a_process_that_is_killed_at_work_is_followed_by_another(
     assert child.pid not in (None, pid)
 
 
+@pytest.mark.slow
 def test_a_child_that_is_closed_ends_the_call_that_waits_for_it(child: Child) -> None:
     child.start()
     threading.Timer(1.0, child.close).start()
@@ -105,6 +107,7 @@ def test_a_child_that_is_closed_ends_the_call_that_waits_for_it(child: Child) ->
         child.call("download", ABSENT, 1.0)
 
 
+@pytest.mark.slow
 def test_a_child_without_work_leaves_by_itself_and_comes_back(
     disk: DiskCache, silent: str, present: dict[str, object]
 ) -> None:
@@ -138,6 +141,7 @@ child.call("download", ABSENT, 600.0)
 """
 
 
+@pytest.mark.slow
 def test_a_child_in_the_middle_of_its_job_ends_when_its_parent_dies(disk: DiskCache, silent: str) -> None:
     done = subprocess.run(
         [sys.executable, "-c", ORPHAN, str(disk.folder), silent],
