@@ -36,7 +36,8 @@ from cspace.png import encode_png
 
 settings = ApiSettings(None, Path({cache!r}), pretrained_folder=Path({bundle!r}))
 with running(create_app(settings)) as api:
-    answer = api.post("/sample", files={{"image": encode_png(np.zeros((48, 48, 3), np.uint8))}}, data={{"n": "3"}})
+    image = encode_png(np.zeros((48, 48, 3), np.uint8))
+    answer = api.post("/sample", files={{"image": image}}, data={{"n": "3"}})
 assert answer.status_code == 200, answer.text
 loaded = sorted({{name.partition(".")[0] for name in sys.modules}} & {{*{blocked!r}, "mlflow"}})
 assert not loaded, loaded
