@@ -1,7 +1,6 @@
 """Versions or runs side by side: ``python -m services.evaluator compare cspace-sampler/1 cspace-sampler/2``.
 
-Each is told by its last evaluation, whose table of estimates is read. Evaluations of earlier releases had no
-table; of them the headline is read from the metrics.
+Each is shown by its last evaluation, whose table of estimates is read.
 """
 
 import argparse
@@ -16,16 +15,14 @@ from pathlib import Path
 
 from cspace.errors import ConfigError, StorageError
 from cspace.files import make_output_folder, replacing
-from services.evaluator.evaluation.measured import MEASURES as QUALITY
 from services.evaluator.evaluation.measured import RECONSTRUCTION, TEST, VALIDATION, Measured
-from services.evaluator.evaluation.shown import MEASURES
+from services.evaluator.evaluation.shown import MEASURES_TABLE
 from services.evaluator.evaluation.tables import Table, aligned, markdown
 from services.registry.models.port import ModelRegistry
 from services.registry.references import ModelReference
 from services.registry.tracking.reading import FoundRun, Runs
 
 _RUN_ID = re.compile(r"[0-9a-f]{32}")
-# As tags and names tell it of this release's evaluations and of earlier ones'.
 _DIGEST = "model_digest"
 _SHOWN = ("precision", "coverage", "edr", "knn_precision", "knn_recall")
 
@@ -139,28 +136,13 @@ def make_parser() -> argparse.ArgumentParser:
 
 def _rows(runs: Runs, run: FoundRun) -> tuple[Measured, ...]:
     with tempfile.TemporaryDirectory(prefix="cspace-compare-") as folder:
-        path = runs.file(run.run_id, f"tables/{MEASURES}.json", Path(folder))
+        path = runs.file(run.run_id, f"tables/{MEASURES_TABLE}.json", Path(folder))
         if path is None:
-            return tuple(_flat_rows(run.metrics))
+            return ()
         table = json.loads(path.read_text(encoding="utf-8"))
     known = {field.name for field in fields(Measured)}
     told = [dict(zip(table["columns"], row, strict=True)) for row in table["data"]]
     return tuple(Measured(**{name: row[name] for name in known}) for row in told)
-
-
-def _flat_rows(metrics: Mapping[str, float]) -> list[Measured]:
-    """Quality in uniform scenes from the flat metrics of earlier releases."""
-    rows = []
-    for split in (VALIDATION, TEST):
-        for sampler in ("sampler", "confident", "uniform", "real"):
-            for measure in QUALITY:
-                name = Measured(RECONSTRUCTION, split, "uniform", sampler, measure, 0.0).flat_name
-                if name in metrics:
-                    limits = (metrics.get(f"{name}_low"), metrics.get(f"{name}_high"))
-                    rows.append(
-                        Measured(RECONSTRUCTION, split, "uniform", sampler, measure, metrics[name], *limits)
-                    )
-    return rows
 
 
 def _key(row: Measured) -> tuple[str, str, str, str, str]:

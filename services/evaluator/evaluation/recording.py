@@ -17,7 +17,7 @@ from services.evaluator.evaluation.report import to_json, to_markdown
 from services.evaluator.evaluation.rivals import JOINTS
 from services.evaluator.evaluation.shown import (
     COMPARISONS,
-    MEASURES,
+    MEASURES_TABLE,
     NOTE,
     comparison_columns,
     comparison_note,
@@ -91,7 +91,7 @@ def log_evaluation(
     run.metrics(run_metrics(evaluation), 0)
     note = comparison_note(evaluation, verdict, title)
     run.tags({"promoted": str(verdict.promoted).lower(), DESCRIPTION: note})
-    run.table(measure_columns(evaluation), MEASURES)
+    run.table(measure_columns(evaluation), MEASURES_TABLE)
     if verdict.bar.comparisons:
         run.table(comparison_columns(verdict.bar.comparisons), COMPARISONS)
     with tempfile.TemporaryDirectory(prefix="cspace-report-") as folder:

@@ -15,7 +15,7 @@ from services.evaluator.evaluation.units import Evaluation
 from services.registry.models.port import Shown
 
 Columns = Mapping[str, Sequence[Any]]
-MEASURES, COMPARISONS, NOTE = "measures", "comparisons", "comparison.md"
+MEASURES_TABLE, COMPARISONS, NOTE = "measures", "comparisons", "comparison.md"
 
 
 def measure_columns(evaluation: Evaluation) -> Columns:

@@ -11,14 +11,14 @@ from services.evaluator.statistics import CensoredSummary, Interval
 
 Table = Sequence[Sequence[str]]
 
-MEASURES = ("precision", "coverage", "EDr", "k-NN precision", "k-NN recall")
+TITLES = ("precision", "coverage", "EDr", "k-NN precision", "k-NN recall")
 
 
 def reconstruction_table(split: SplitResult) -> Table:
     """Sampler, uniform and real samples, one row each; empty for path models."""
     if split.reconstruction is None:
         return []
-    rows = [["samples", *MEASURES, "precision p10", "precision min"]]
+    rows = [["samples", *TITLES, "precision p10", "precision min"]]
     for name, one in _samplers(split.reconstruction):
         low = (f"{one.precision_p10:.3f}", f"{one.precision_minimum:.3f}")
         rows.append([name, *_measures(one), *low])
@@ -29,7 +29,7 @@ def scene_family_table(split: SplitResult) -> Table:
     """The same by family of scenarios; empty where only the uniform ones were measured."""
     if not split.families:
         return []
-    rows = [["family", "scenarios", "samples", *MEASURES]]
+    rows = [["family", "scenarios", "samples", *TITLES]]
     for family, summary in _by_family(split):
         count = str(summary.sampler.precision.count)
         rows += [[family, count, name, *_measures(one)] for name, one in _samplers(summary)]

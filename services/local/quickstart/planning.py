@@ -8,8 +8,8 @@ from pathlib import Path
 from cspace.errors import PlanningError
 from services.local.quickstart.tours import Tour
 
-SEED = 7
-LIMIT_S = 120.0
+PLANNING_SEED = 7
+PLANNING_LIMIT_S = 120.0
 # What the command ends with when the planner found no path: an outcome, which it has printed and drawn.
 NOT_SOLVED = 1
 
@@ -44,7 +44,7 @@ def plan_and_draw(
     for family, picture in zip(tour.families, pictures, strict=True):
         picture.unlink(missing_ok=True)
         # A process of its own: OMPL seeds its generator once a process.
-        arguments = ["--api", url, *named, "--family", family, "--seed", str(SEED), "--plot", str(picture)]
+        arguments = ["--api", url, *named, "--family", family, "--seed", str(PLANNING_SEED), "--plot", str(picture)]
         show(f"$ python -m services.planner {' '.join(arguments)}")
         outcome = subprocess.run(
             [sys.executable, "-m", "services.planner", *arguments],
@@ -53,7 +53,7 @@ def plan_and_draw(
             capture_output=True,
             text=True,
             check=False,
-            timeout=LIMIT_S,
+            timeout=PLANNING_LIMIT_S,
         )
         for line in outcome.stdout.splitlines():
             show(line)

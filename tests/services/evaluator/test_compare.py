@@ -37,7 +37,7 @@ def registered(tracking, registry, folder, scale=1.0):
 
 
 def judged(tracking, version, rows=(), **metrics):
-    """An evaluation of a version: with a table, or with flat metrics as earlier releases had them."""
+    """An evaluation of a version."""
     with tracking.start(
         "cspace-sampler",
         "evaluation",
@@ -79,16 +79,6 @@ def test_a_run_is_compared_by_its_own_evaluation_or_its_job_s(tracking, registry
     run_id = judged(tracking, version, ROWS)
     runs = FakeRuns(tracking)
     assert {find(one, runs, registry).run.run_id for one in (run_id, version.run_id)} == {run_id}
-
-
-def test_an_evaluation_of_an_earlier_release_is_read_by_its_flat_metrics(tracking, registry, tmp_path):
-    version = registered(tracking, registry, tmp_path / "a")
-    judged(tracking, version, precision=0.9, precision_low=0.8, precision_high=0.95, test_confident_edr=0.1)
-    rows = find("m/1", FakeRuns(tracking), registry).rows
-    assert [(row.split, row.sampler, row.measure, row.value, row.low, row.high) for row in rows] == [
-        ("validation", "sampler", "precision", 0.9, 0.8, 0.95),
-        ("test", "confident", "edr", 0.1, None, None),
-    ]
 
 
 def test_what_was_never_evaluated_is_told_with_what_to_do(tracking, registry, tmp_path):

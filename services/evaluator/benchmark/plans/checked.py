@@ -148,7 +148,7 @@ class Checked:
         return ratio_of_sums_interval(mine[both], base[both], rng) if both.any() else None
 
 
-def gather(runs: Sequence[PlanRun], pictures: Sequence[int], hard: Sequence[str]) -> list[Checked]:
+def gather_checked(runs: Sequence[PlanRun], pictures: Sequence[int], hard: Sequence[str]) -> list[Checked]:
     """By pictures: all of a source together, the hard ones, and every family."""
     groups: dict[str, list[PlanRun]] = {}
     for source in dict.fromkeys(run.source for run in runs):

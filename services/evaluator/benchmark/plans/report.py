@@ -8,7 +8,7 @@ import numpy as np
 
 from cspace.worlds.unseen import Taken
 from services.evaluator.benchmark.plans.checked import ArmChecks, Checked
-from services.evaluator.benchmark.plans.checked import gather as gather_checked
+from services.evaluator.benchmark.plans.checked import gather_checked
 from services.evaluator.benchmark.plans.record import PlanRun
 from services.evaluator.benchmark.plans.rows import (
     checks_table,
@@ -20,7 +20,7 @@ from services.evaluator.benchmark.plans.rows import (
 )
 from services.evaluator.benchmark.plans.setting import PlanSetting
 from services.evaluator.benchmark.plans.unchecked import ArmPlans, Plans
-from services.evaluator.benchmark.plans.unchecked import gather as gather_plans
+from services.evaluator.benchmark.plans.unchecked import gather_plans
 from services.evaluator.evaluation.tables import Table, aligned, markdown
 
 READING = (

@@ -196,7 +196,7 @@ def _times(runs: Sequence[PlanRun], column: str) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def gather(runs: Sequence[PlanRun], pictures: Sequence[int]) -> list[Plans]:
+def gather_plans(runs: Sequence[PlanRun], pictures: Sequence[int]) -> list[Plans]:
     """Of every source and number of pictures, without those that have no problems."""
     sources: Mapping[str, None] = dict.fromkeys(run.source for run in runs)
     found = [Plans(runs, source, seen_by) for source in sources for seen_by in pictures]

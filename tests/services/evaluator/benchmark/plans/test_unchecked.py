@@ -6,7 +6,7 @@ import pytest
 from cspace.worlds.unseen import Taken
 from services.evaluator.benchmark.plans.record import NO_PROBLEM
 from services.evaluator.benchmark.plans.rows import plans_table, sureness_table
-from services.evaluator.benchmark.plans.unchecked import Plans, gather
+from services.evaluator.benchmark.plans.unchecked import Plans, gather_plans
 
 FREE, KNOWN = Taken.FREE.value, Taken.KNOWN.value
 RNG = np.random.default_rng(0)
@@ -70,7 +70,7 @@ def test_problems_are_those_that_all_arms_have_run_and_whose_ends_are_free(four,
     half = [make_plan("model", 5, 0.01, confidence=0.5)]
     plans = Plans([*four, *bad, *half], "sets", 1)
     assert (plans.count, plans.left_out) == (4, 1)
-    assert gather([*four, *bad], (1, 2))[0].pictures == 1
+    assert gather_plans([*four, *bad], (1, 2))[0].pictures == 1
 
 
 def test_ways_are_told_by_family_and_by_what_is_unseen_along_them(four):
