@@ -16,10 +16,9 @@ from benchmarks.command import arguments, spread
 from benchmarks.machine import machine
 from cspace.bundle import Bundle
 from cspace.splits import Split
-from services.evaluator.evaluation.tables import markdown
+from services.evaluator.evaluation.measured import markdown
 from services.evaluator.measures.reconstruction import SceneQuality, summarise
-from services.evaluator.measures.samplers import bundle_sampler
-from services.evaluator.measures.scenes import SAMPLES, Scene, Stage, reconstruct, summary_rng
+from services.evaluator.measures.scenes import SAMPLES, Scene, Stage, bundle_sampler, reconstruct, summary_rng
 
 TIMED = (300, 1000)
 

@@ -10,9 +10,8 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from cspace.errors import EvaluationError
-from services.evaluator.evaluation.gallery import COLLISION_COLOUR, FREE_COLOUR, SHOWN_SAMPLES, free_map
-from services.evaluator.measures.samplers import unfiltered
-from services.evaluator.measures.scenes import Scene, Stage
+from services.evaluator.evaluation.report import COLLISION_COLOUR, FREE_COLOUR, SHOWN_SAMPLES, free_map
+from services.evaluator.measures.scenes import Scene, Stage, unfiltered
 from services.evaluator.measures.topology_scenes import scene_topology
 from services.planner.sources.samples import SampleSource
 

@@ -17,9 +17,9 @@ from cspace.bundle import Bundle
 from cspace.dataset import Dataset, open_dataset
 from cspace.errors import EvaluationError
 from cspace.splits import Split
-from services.evaluator.evaluation.tables import Table
+from services.evaluator.evaluation.measured import Table
 from services.evaluator.measures.scenes import Scene, Stage, measure_reconstruction, summary_rng
-from services.evaluator.measures.topology.geometry_score import POINTS
+from services.evaluator.measures.topology import POINTS
 from services.evaluator.measures.topology_scenes import scene_topology, summarise_topology
 from services.evaluator.statistics import Interval
 from services.planner.sources.local_sampler import BundleSampler

@@ -22,7 +22,7 @@ import numpy as np
 from benchmarks.command import arguments
 from benchmarks.machine import ROOT, machine
 from benchmarks.serving.served import Asker, Served, new_pictures, served
-from services.evaluator.evaluation.tables import markdown
+from services.evaluator.evaluation.measured import markdown
 from tests.inference_api.attacks import ATTACKS
 
 SAMPLES, PAUSE_S, WARM_UP_S = 300, 0.02, 3.0

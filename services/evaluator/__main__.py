@@ -16,13 +16,10 @@ from cspace.errors import ConfigError, CspaceError, InputError, ModelNotFoundErr
 from services.command_errors import tell_error
 from services.evaluator import compare
 from services.evaluator.benchmark.__main__ import main as planning_benchmark
-from services.evaluator.evaluation.budget import BUDGETS
 from services.evaluator.evaluation.job import Outcome, evaluate_version, executor
-from services.evaluator.evaluation.metrics import flat_metrics
-from services.evaluator.evaluation.recording import REPORT_FOLDER
-from services.evaluator.evaluation.report import judged_on, terminal_table
-from services.evaluator.evaluation.request import make_request
-from services.evaluator.evaluation.tables import aligned
+from services.evaluator.evaluation.measured import aligned, flat_metrics
+from services.evaluator.evaluation.report import REPORT_FOLDER, judged_on, terminal_table
+from services.evaluator.evaluation.units import BUDGETS, make_request
 from services.registry.models.mlflow_registry import MlflowRegistry
 from services.registry.tracking.mlflow_tracking import MlflowTracking
 from services.registry.tracking.reading import MlflowRuns

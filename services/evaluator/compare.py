@@ -9,15 +9,20 @@ import io
 import json
 import re
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 
 from cspace.errors import ConfigError, StorageError
 from cspace.files import make_output_folder, replacing
-from services.evaluator.evaluation.measured import RECONSTRUCTION, TEST, VALIDATION, Measured
-from services.evaluator.evaluation.shown import MEASURES_TABLE
-from services.evaluator.evaluation.tables import Table, aligned, markdown
+from services.evaluator.evaluation.measured import (
+    RECONSTRUCTION,
+    Measured,
+    Table,
+    aligned,
+    markdown,
+)
+from services.evaluator.evaluation.report import MEASURES_TABLE
 from services.registry.models.port import ModelRegistry
 from services.registry.references import ModelReference
 from services.registry.tracking.reading import FoundRun, Runs

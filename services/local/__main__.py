@@ -7,8 +7,7 @@ from collections.abc import Sequence
 
 from cspace.errors import ConfigError, CspaceError, PortTakenError
 from services.local.commands import COMMANDS
-from services.local.environment import without_proxy
-from services.local.settings import Settings
+from services.local.settings import Settings, without_proxy
 
 EXIT_CODES = (
     "Exit codes: 0 done, 1 failed, 2 wrong usage or setting, 3 a port is taken, 4 services do not run."

@@ -1,18 +1,60 @@
-"""The commands of ``python -m services.local``, each with its options and its exit code."""
+"""The commands of ``python -m services.local``, each with its options, texts and exit code."""
 
 import argparse
+import os
 import sys
-from collections.abc import Callable
+import webbrowser
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 from cspace.errors import ConfigError
-from services.local.demo import demo
-from services.local.environment import shell_lines
-from services.local.quickstart.tours import TOURS, USUAL
-from services.local.servers.stack import down, require_down, services, status, up
-from services.local.settings import Settings
-from services.local.state import drop_state, size_text, state_parts
-from services.local.texts import addresses, aligned, shell_help, status_table
+from services.local.quickstart import TOURS, USUAL
+from services.local.settings import Settings, drop_state, shell_lines, size_text, state_parts
+from services.local.stack import (
+    addresses,
+    aligned,
+    api_server,
+    down,
+    require_down,
+    services,
+    shell_help,
+    status,
+    status_table,
+    up,
+)
+
+# Of a desktop, or what somebody set for the purpose; browsers of a terminal would take it over.
+_SCREENS = ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER")
+
+
+def demo(
+    settings: Settings,
+    say: Callable[[str], None],
+    *,
+    browser: bool,
+    environment: Mapping[str, str] = os.environ,
+    open_page: Callable[[str], object] = webbrowser.open,
+) -> None:
+    """Start the API where it does not run, print the page's address, and open it.
+
+    Args:
+        settings: of the services.
+        say: takes lines for people.
+        browser: whether a browser is wanted.
+        environment: that tells whether there is a screen.
+        open_page: opens an address.
+
+    Raises:
+        PortTakenError: a stranger listens on the API's port.
+        ServiceError: the API belongs to another checkout.
+        ServiceStartError: it did not come up.
+    """
+    up(settings, (api_server(settings),), say)
+    page = f"{settings.api_url}/"
+    say(f"\nthe workbench   {page}\n\nIt stays up; `make down` ends it.")
+    if browser and any(environment.get(name) for name in _SCREENS):
+        open_page(page)
+
 
 NOT_RUNNING = 4
 
@@ -82,7 +124,7 @@ def _confirmed(question: str) -> bool:
 
 def _quickstart(settings: Settings, options: argparse.Namespace) -> int:
     # Imported here: it brings the evaluator's and the planner's libraries, which no other command needs.
-    from services.local.quickstart.tour import quickstart  # noqa: PLC0415
+    from services.local.quickstart import quickstart  # noqa: PLC0415
 
     tour = TOURS[options.world]
     train, evaluate = options.train or tour.train, options.evaluate or tour.evaluate

@@ -10,7 +10,7 @@ from cspace.splits import Split
 from cspace.worlds.planar.arm import TWO_LINK
 from cspace.worlds.planar.render import render
 from cspace.worlds.planar.scene import random_scenarios
-from services.local.quickstart.serving import wait_served
+from services.local.quickstart import wait_served
 from tests.compose.stack import Stack
 
 

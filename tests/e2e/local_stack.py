@@ -11,11 +11,9 @@ from pathlib import Path
 
 import psutil
 
-from services.local.servers.ports import free_ports
-from services.local.servers.processes import family
-from services.local.servers.ray_head import temp_folder
-from services.local.servers.records import read_record
+from services.local.processes import family, free_ports, read_record
 from services.local.settings import Settings
+from services.local.stack import temp_folder
 
 ROOT = Path(__file__).parents[2]
 NAMES = ("mlflow", "ray", "api")

@@ -12,11 +12,10 @@ from pathlib import Path
 import psutil
 import pytest
 
-from services.local.quickstart.jobs import RayJobs, follow
-from services.local.quickstart.results import training_result
-from services.local.servers.health import answers
-from services.local.servers.ray_jobs import jobs_under_way
-from services.local.servers.ray_token import read_token, token_headers
+from services.local.jobs import RayJobs, follow, training_result
+from services.local.processes import answers
+from services.local.settings import read_token, token_headers
+from services.local.stack import jobs_under_way
 from tests.e2e.local_stack import NAMES, LocalStack
 
 pytestmark = [pytest.mark.e2e, pytest.mark.timeout(900)]

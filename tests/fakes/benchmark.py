@@ -2,10 +2,10 @@
 
 from collections.abc import Iterator, Sequence
 
-from services.evaluator.benchmark.runs.measure import measure
-from services.evaluator.benchmark.runs.run import Run
-from services.evaluator.benchmark.runs.setting import Setting, Unit
-from services.evaluator.benchmark.runs.sources import SourceSpec, opened
+from services.evaluator.benchmark.arms import Setting, Unit
+from services.evaluator.benchmark.measure import measure
+from services.evaluator.benchmark.sources import SourceSpec, opened
+from services.evaluator.benchmark.store import Run
 
 
 def run_here(work: Sequence[Unit], setting: Setting, specs: Sequence[SourceSpec]) -> Iterator[list[Run]]:

@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 from cspace.bundle import Bundle
 from cspace.dataset import Dataset
 from cspace.splits import Split
-from services.evaluator.evaluation.gallery import gallery
+from services.evaluator.evaluation.report import gallery
 from services.evaluator.measures.scenes import Scene, Stage
 from services.planner.sources.local_sampler import BundleSampler
 from services.registry.tracking.port import RunLog

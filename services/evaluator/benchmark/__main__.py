@@ -6,16 +6,14 @@ from collections.abc import Mapping, Sequence
 
 from cspace.errors import ConfigError, CspaceError
 from services.command_errors import tell_error
-from services.evaluator.benchmark.command import chosen_arms, make_request, parser
-from services.evaluator.benchmark.job import run_benchmark
-from services.evaluator.benchmark.plans.command import make_plan_request, refuse_others
-from services.evaluator.benchmark.plans.job import run_plans
+from services.evaluator.benchmark.arms import Protocol
+from services.evaluator.benchmark.execution import executor, executor_of
+from services.evaluator.benchmark.files import REPORT
+from services.evaluator.benchmark.job import chosen_arms, make_request, parser, run_benchmark
+from services.evaluator.benchmark.plans.job import make_plan_request, refuse_others, run_plans
 from services.evaluator.benchmark.plans.measure import PlanWorker
 from services.evaluator.benchmark.plans.report import plan_terminal
-from services.evaluator.benchmark.runs.cluster import executor, executor_of
-from services.evaluator.benchmark.runs.setting import Protocol
-from services.evaluator.benchmark.telling.files import REPORT
-from services.evaluator.benchmark.telling.report import terminal_tables
+from services.evaluator.benchmark.report import terminal_tables
 from services.registry.tracking.port import Tracking
 
 

@@ -1,19 +1,190 @@
-"""The gate: may a version become the champion?
+"""The gate: whether a version may become the champion, from paired comparisons with its rivals."""
 
-A version must beat uniform samples beyond the interval, on five scenes or more, and cover most of what real
-samples cover; a path model must save a planner edge checks beyond the interval in the problems that tell
-most, and solve no fewer problems. Beside every rival, measured on the same scenes, it must be worse in no
-gated measure beyond the interval, and better in one. A champion that was not measured again is compared by
-its recorded metrics, each with a fixed margin; as the best of them counts, many small steps down can not add
-up.
-"""
-
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
+from cspace.errors import EvaluationError
+from cspace.problem import UNIFORM
 from cspace.workshop import Measures
-from services.evaluator.evaluation.comparison import Comparison
-from services.evaluator.statistics import Interval
+from services.evaluator.evaluation.units import Row
+from services.evaluator.measures.planning import PlanningTrial, RunOutcome
+from services.evaluator.measures.reconstruction import SampleQuality, SceneQuality
+from services.evaluator.statistics import Interval, Statistic, bootstrap_interval, censored_as_largest
+
+SERVED = " as served"
+
+
+@dataclass(frozen=True, slots=True)
+class Gain:
+    """One measure of both.
+
+    Args:
+        name: of the measure.
+        ours: the candidate's value.
+        theirs: the rival's.
+        gain: above 0 where the candidate is better, with the limits of the paired difference.
+    """
+
+    name: str
+    ours: float
+    theirs: float
+    gain: Interval
+
+    @property
+    def better(self) -> bool:
+        """Whether the candidate is better beyond the interval."""
+        return self.gain.low > 0.0
+
+    @property
+    def worse(self) -> bool:
+        """Whether it is worse beyond the interval."""
+        return self.gain.high < 0.0
+
+    def __str__(self) -> str:
+        return f"{self.name} {self.ours:.4f} against {self.theirs:.4f} (gain {self.gain:+.4f})"
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """All gated measures of a candidate beside those of a rival, which is named in words."""
+
+    rival: str
+    gains: tuple[Gain, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class _Pair:
+    """Both on one scene, and uniform samples there."""
+
+    ours: SampleQuality
+    theirs: SampleQuality
+    uniform: SampleQuality
+
+
+def compare_samplers(
+    rival: str, ours: Sequence[Row], theirs: Sequence[Row], rng: np.random.Generator
+) -> Comparison:
+    """Precision, coverage, EDr and planning success, as drawn and as served.
+
+    Args:
+        rival: in words.
+        ours: rows of the candidate.
+        theirs: of the rival; scenes and problems count that both have, and of scenes the uniform ones alone.
+        rng: of the bootstrap.
+
+    Raises:
+        EvaluationError: they have no scenes in common.
+    """
+    scenes, problems = _scenes(ours, theirs), _problems(ours, theirs)
+    if not scenes:
+        raise EvaluationError("two models are compared on the same scenes", got=f"none with {rival}")
+    gains = _quality([_Pair(a.sampler, b.sampler, a.uniform) for a, b in scenes], "", rng)
+    gains += _success([(a.learned, b.learned, a) for a, b in problems], "", rng)
+    if any(scene.occupancy for pair in scenes for scene in pair):
+        served = [(_served(a), _served(b), a.uniform) for a, b in scenes]
+        full = [(float(a is not None), float(b is not None)) for a, b, _ in served]
+        gains.append(_difference("share of scenes with enough samples" + SERVED, full, rng))
+        both = [_Pair(a, b, uniform) for a, b, uniform in served if a is not None and b is not None]
+        gains += _quality(both, SERVED, rng) if both else []
+        runs = [(a.confident or a.learned, b.confident or b.learned, a) for a, b in problems]
+        gains += _success(runs, SERVED, rng)
+    return Comparison(rival, tuple(gains))
+
+
+def compare_paths(
+    rival: str, ours: Sequence[Row], theirs: Sequence[Row], telling: str, rng: np.random.Generator
+) -> Comparison:
+    """Planning success, and edge checks in the family that tells most; the rest as above."""
+    runs = [(a.learned, b.learned, a) for a, b in _problems(ours, theirs)]
+    checks = [(a, b) for a, b, trial in runs if trial.family == telling]
+    return Comparison(rival, (*_success(runs, "", rng), _edge_checks(checks, telling, rng)))
+
+
+def _scenes(ours: Sequence[Row], theirs: Sequence[Row]) -> list[tuple[SceneQuality, SceneQuality]]:
+    first, second = (
+        {row.index: row for row in rows if isinstance(row, SceneQuality) and row.family == UNIFORM}
+        for rows in (ours, theirs)
+    )
+    return [(first[index], second[index]) for index in sorted(first.keys() & second.keys())]
+
+
+def _problems(ours: Sequence[Row], theirs: Sequence[Row]) -> list[tuple[PlanningTrial, PlanningTrial]]:
+    first, second = (
+        {(row.family, row.index, row.seed): row for row in rows if isinstance(row, PlanningTrial)}
+        for rows in (ours, theirs)
+    )
+    return [(first[key], second[key]) for key in sorted(first.keys() & second.keys())]
+
+
+def _served(scene: SceneQuality) -> SampleQuality | None:
+    """What the model's users get; None where its head lets too few samples pass."""
+    return scene.sampler if scene.occupancy is None else scene.confident
+
+
+def _quality(pairs: Sequence[_Pair], suffix: str, rng: np.random.Generator) -> list[Gain]:
+    gains = [
+        _difference(name + suffix, [(getattr(p.ours, name), getattr(p.theirs, name)) for p in pairs], rng)
+        for name in ("precision", "coverage")
+    ]
+    energies = np.array([(p.ours.energy, p.theirs.energy, p.uniform.energy) for p in pairs])
+    ours, theirs, uniform = energies.sum(axis=0)
+    both = np.array([ours, theirs]) / uniform
+    return [*gains, _gain(f"EDr{suffix}", energies, _energy_gain, both, rng)]
+
+
+def _energy_gain(rows: NDArray[np.float64]) -> NDArray[np.float64]:
+    ours, theirs, uniform = np.moveaxis(rows.sum(axis=-2), -1, 0)
+    return np.asarray((theirs - ours) / uniform)
+
+
+def _success(
+    runs: Sequence[tuple[RunOutcome, RunOutcome, PlanningTrial]], suffix: str, rng: np.random.Generator
+) -> list[Gain]:
+    """Repeats of a problem are one row; nothing where no problem was planned."""
+    by_problem: dict[tuple[str, int], list[tuple[bool, bool]]] = defaultdict(list)
+    for ours, theirs, trial in runs:
+        by_problem[trial.family, trial.index].append((ours.success, theirs.success))
+    rows = [np.mean(repeats, axis=0) for repeats in by_problem.values()]
+    return [_difference(f"planning success{suffix}", rows, rng)] if rows else []
+
+
+def _edge_checks(
+    runs: Sequence[tuple[RunOutcome, RunOutcome]], telling: str, rng: np.random.Generator
+) -> Gain:
+    flat = [run for pair in runs for run in pair]
+    counts = censored_as_largest([run.edge_checks for run in flat], [not run.success for run in flat])
+    # One check keeps the ratio finite where a path is found without any.
+    table = np.maximum(counts, 1.0).reshape(-1, 2)
+
+    def saved(rows: NDArray[np.float64]) -> NDArray[np.float64]:
+        ours, theirs = np.moveaxis(np.median(rows, axis=-2), -1, 0)
+        return np.asarray(1.0 - ours / theirs)
+
+    return _gain(f"median edge checks in {telling} problems", table, saved, np.median(table, axis=0), rng)
+
+
+def _difference(name: str, pairs: Sequence[Sequence[float]], rng: np.random.Generator) -> Gain:
+    table = np.asarray(pairs, dtype=np.float64).reshape(-1, 2)
+
+    def difference(rows: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.asarray((rows[..., 0] - rows[..., 1]).mean(axis=-1))
+
+    return _gain(name, table, difference, table.mean(axis=0), rng)
+
+
+def _gain(
+    name: str,
+    table: NDArray[np.float64],
+    statistic: Statistic,
+    both: NDArray[np.float64],
+    rng: np.random.Generator,
+) -> Gain:
+    return Gain(name, float(both[0]), float(both[1]), bootstrap_interval(table, statistic, rng))
+
 
 # What an interval over fewer says of scenes that nobody has seen is nothing.
 FEWEST_SCENES = 5

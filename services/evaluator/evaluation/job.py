@@ -1,8 +1,9 @@
-"""The evaluation of a registered version: download, measure, judge, record."""
+"""The evaluation of a registered version: download, measure, decide, record."""
 
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, cast
 
@@ -13,22 +14,53 @@ from cspace.errors import RegistryError, RegistryUnavailableError
 from cspace.world import World
 from cspace.worlds import workshop_of
 from services.evaluator.cluster import on_cluster, spread
-from services.evaluator.evaluation.budget import Unit, deciding, units
-from services.evaluator.evaluation.comparison import Comparison, compare_paths, compare_samplers
-from services.evaluator.evaluation.execution import Execute, run_here, run_packed
-from services.evaluator.evaluation.gate import Bar, Verdict
-from services.evaluator.evaluation.recording import decide, log_evaluation, record
-from services.evaluator.evaluation.report import judged_on
-from services.evaluator.evaluation.request import Request
+from services.evaluator.evaluation.gate import Bar, Comparison, Verdict, compare_paths, compare_samplers
+from services.evaluator.evaluation.report import (
+    comparison_note,
+    decide,
+    judged_on,
+    log_evaluation,
+    record,
+    shown_of,
+)
 from services.evaluator.evaluation.rivals import Rival, find_rivals
-from services.evaluator.evaluation.shown import comparison_note, shown_of
-from services.evaluator.evaluation.units import Evaluation, Row, Setting, UnitResult, assemble
-from services.evaluator.measures.samplers import PackedBundle, bundle_sampler
-from services.evaluator.measures.scenes import summary_rng
+from services.evaluator.evaluation.units import (
+    Evaluation,
+    Request,
+    Row,
+    Setting,
+    Unit,
+    UnitResult,
+    assemble,
+    deciding,
+    run_unit,
+    units,
+)
+from services.evaluator.measures.scenes import PackedBundle, bundle_sampler, summary_rng
 from services.names import EXPERIMENT, recorded_name, shown_name
+from services.planner.sources.samples import SampleSource
 from services.registry.models.port import ModelRegistry, ModelVersion
 from services.registry.tracking.experiment import TAG_MODEL, TAG_PRESET, TAG_STAGE, TAG_WORLD
 from services.registry.tracking.port import ID, Tracking
+
+Execute = Callable[[Sequence[Unit], Setting, PackedBundle], Iterator[UnitResult]]
+
+
+def run_here(work: Sequence[Unit], setting: Setting, packed: PackedBundle) -> Iterator[UnitResult]:
+    """Results in the order of the work."""
+    for unit in work:
+        yield run_packed(unit, setting, packed)
+
+
+def run_packed(unit: Unit, setting: Setting, packed: PackedBundle) -> UnitResult:
+    """One unit with a bundle that came as bytes; a worker process loads and verifies it once."""
+    return run_unit(unit, setting, _sampler(packed))
+
+
+@lru_cache(maxsize=1)
+def _sampler(packed: PackedBundle) -> SampleSource:
+    return bundle_sampler(packed.load())
+
 
 STAGE = "evaluation"
 Progress = Callable[[str], None]

@@ -1,13 +1,15 @@
-"""Everything that an evaluation measured, one row an estimate; what is told of it is chosen from these."""
+"""Everything that an evaluation measured, one row per estimate, and the tables and metrics made of it."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from cspace.problem import UNIFORM
+from cspace.worlds import workshop_of
+from services.evaluator.evaluation.gate import Comparison
 from services.evaluator.evaluation.units import Evaluation, SplitResult
-from services.evaluator.measures.planning_summary import COSTS, ArmSummary, FamilySummary
+from services.evaluator.measures.planning import COSTS, ArmSummary, FamilySummary
 from services.evaluator.measures.reconstruction import ReconstructionSummary, SamplerSummary
-from services.evaluator.statistics import Interval
+from services.evaluator.statistics import CensoredSummary, Interval
 
 SAMPLERS = ("sampler", "confident", "uniform", "real")
 MEASURES = ("precision", "coverage", "edr", "precision_p10", "knn_precision", "knn_recall")
@@ -127,3 +129,213 @@ def _planning_rows(found: FamilySummary, split: str) -> Iterator[Measured]:
 
 def _interval(task: str, split: str, family: str, sampler: str, measure: str, one: Interval) -> Measured:
     return Measured(task, split, family, sampler, measure, one.estimate, one.low, one.high, one.count)
+
+
+MAX_HEADLINE, MAX_METRICS = 12, 60
+
+# What is told of uniform scenarios in a headline, and of every family of scenarios and problems in a run, by
+# task, whose it is, and measure.
+_HEADLINE = {
+    (RECONSTRUCTION, "sampler", "precision"): "precision",
+    (RECONSTRUCTION, "confident", "precision"): "served_precision",
+    (RECONSTRUCTION, "sampler", "coverage"): "coverage",
+    (RECONSTRUCTION, "confident", "coverage"): "served_coverage",
+    (RECONSTRUCTION, "sampler", "edr"): "edr",
+    (PLANNING, "", "planning_success"): "planning_success",
+}
+_OVERALL = _HEADLINE | {
+    (RECONSTRUCTION, "confident", "edr"): "served_edr",
+    (RECONSTRUCTION, "uniform", "precision"): "uniform_precision",
+    (HEAD, "", "accuracy"): "head_accuracy",
+}
+_BY_FAMILY = {
+    (RECONSTRUCTION, "sampler", "precision"): "precision",
+    (RECONSTRUCTION, "confident", "precision"): "served_precision",
+    (PLANNING, "learned", "success"): "success",
+    (PLANNING, "", "iterations_ratio"): "iterations_saved",
+    (PLANNING, "", "edge_checks_ratio"): "edge_checks_saved",
+}
+
+
+def flat_metrics(evaluation: Evaluation) -> dict[str, float]:
+    """All estimates with their limits by flat name, ``_low`` and ``_high`` behind it, for programs.
+
+    See :attr:`services.evaluator.evaluation.measured.Measured.flat_name`.
+    """
+    metrics: dict[str, float] = {}
+    for row in measured(evaluation):
+        metrics[row.flat_name] = row.value
+        if row.low is not None and row.high is not None:
+            metrics |= {f"{row.flat_name}_low": row.low, f"{row.flat_name}_high": row.high}
+    return metrics | {"evaluation_cpu_seconds": evaluation.cpu_seconds}
+
+
+def headline(evaluation: Evaluation) -> dict[str, float]:
+    """What versions are chosen by, at most :data:`MAX_HEADLINE`: ``validation/precision``, ``test/...``.
+
+    Of samplers the uniform scenarios and all problems; of path models, whose scenarios nobody measures, all
+    problems and the work that is saved in the family that tells most.
+    """
+    rows = measured(evaluation)
+    found = _named(rows, _HEADLINE)
+    if evaluation.validation.reconstruction is None:
+        telling = workshop_of(evaluation.setting.world).families.telling
+        found |= _named_by_family([row for row in rows if row.family == telling])
+    return found
+
+
+def run_metrics(evaluation: Evaluation) -> dict[str, float]:
+    """What an evaluation's page shows, at most :data:`MAX_METRICS`, grouped by what stands before ``/``."""
+    rows = measured(evaluation)
+    scores = {
+        f"{row.split}/topology/{row.measure}": row.value
+        for row in rows
+        if row.task == TOPOLOGY and row.low is not None and not row.measure.endswith("_floor")
+    }
+    found = _named(rows, _OVERALL) | _named_by_family(rows) | scores
+    return found | {"cost/cpu_s": evaluation.cpu_seconds}
+
+
+def _named(rows: Sequence[Measured], names: Mapping[tuple[str, str, str], str]) -> dict[str, float]:
+    return {
+        f"{row.split}/{names[key]}": row.value
+        for row in rows
+        if (key := (row.task, row.sampler, row.measure)) in names
+        and row.family == ("" if row.task == PLANNING else UNIFORM)
+    }
+
+
+def _named_by_family(rows: Sequence[Measured]) -> dict[str, float]:
+    return {
+        f"{row.split}/{row.family}/{_BY_FAMILY[key]}": row.value
+        for row in rows
+        if (key := (row.task, row.sampler, row.measure)) in _BY_FAMILY
+        and row.family not in (("",) if row.task == PLANNING else ("", UNIFORM))
+    }
+
+
+Table = Sequence[Sequence[str]]
+
+TITLES = ("precision", "coverage", "EDr", "k-NN precision", "k-NN recall")
+
+
+def reconstruction_table(split: SplitResult) -> Table:
+    """Sampler, uniform and real samples, one row each; empty for path models."""
+    if split.reconstruction is None:
+        return []
+    rows = [["samples", *TITLES, "precision p10", "precision min"]]
+    for name, one in _samplers(split.reconstruction):
+        low = (f"{one.precision_p10:.3f}", f"{one.precision_minimum:.3f}")
+        rows.append([name, *_measures(one), *low])
+    return rows
+
+
+def scene_family_table(split: SplitResult) -> Table:
+    """The same by family of scenarios; empty where only the uniform ones were measured."""
+    if not split.families:
+        return []
+    rows = [["family", "scenarios", "samples", *TITLES]]
+    for family, summary in _by_family(split):
+        count = str(summary.sampler.precision.count)
+        rows += [[family, count, name, *_measures(one)] for name, one in _samplers(summary)]
+    return rows
+
+
+def occupancy_table(split: SplitResult, near_contact_m: float) -> Table:
+    """The validity head by family: how often right, how honest, what it lets pass; empty without one."""
+    near_contact = f"within {near_contact_m} m of contact"
+    rows = [["family", "accuracy", near_contact, "calibration error", "accepted"]]
+    for family, summary in _by_family(split):
+        head = summary.occupancy
+        if head is None:
+            return []
+        near = "-" if head.near_accuracy is None else f"{head.near_accuracy:.3f}"
+        cells = (f"{head.accuracy:.4f}", near, f"{head.calibration_error:.4f}", f"{head.acceptance:.3f}")
+        rows.append([family, *cells])
+    return rows if len(rows) > 1 else []
+
+
+def planning_table(families: Sequence[FamilySummary]) -> Table:
+    """Per family the success rates, medians and what the learned samples save."""
+    rows = [["family", "samples", "success", "iterations", "edge checks", "time [ms]", "censored"]]
+    for family in families:
+        arms = {"uniform": family.uniform, "learned": family.learned, "confident": family.confident}
+        present = {name: arm for name, arm in arms.items() if arm is not None}
+        rows += [[family.family, name, *_arm_cells(arm)] for name, arm in present.items()]
+        saved = (family.iterations_ratio, family.edge_checks_ratio, family.solve_time_ratio)
+        rows.append([family.family, "saved factor", "", *(f"{ratio:.2f}" for ratio in saved), ""])
+        if family.filter_ratio is not None:
+            rows.append([family.family, "filter factor", "", f"{family.filter_ratio:.2f}", "", "", ""])
+    return rows
+
+
+def comparison_table(comparison: Comparison) -> Table:
+    """Every gated measure of the version beside a rival's, and what is gained."""
+    words = {(True, False): "better", (False, True): "worse", (False, False): "within the interval"}
+    rows = [["measure", "version", "rival", "gain", ""]]
+    for one in comparison.gains:
+        cells = (f"{one.ours:.4f}", f"{one.theirs:.4f}", f"{one.gain:+.4f}", words[one.better, one.worse])
+        rows.append([one.name, *cells])
+    return rows
+
+
+def topology_table(evaluation: Evaluation) -> Table:
+    """Every score beside its floor, times 1e4."""
+    rows = [["score x 1e4", "sampler", "noise floor", "scenarios"]]
+    for name, summary in evaluation.topology.items():
+        cells = [_scaled(interval, 1e4) for interval in (summary.score, summary.floor)]
+        rows.append([name, *cells, str(summary.score.count)])
+    return rows
+
+
+def markdown(table: Table) -> str:
+    """A table in Markdown."""
+    header, *rows = ["| " + " | ".join(row) + " |" for row in table]
+    return "\n".join([header, "|" + " --- |" * len(table[0]), *rows])
+
+
+def aligned(table: Table) -> str:
+    """A table for terminals: columns as wide as their widest cell."""
+    widths = [max(len(row[column]) for row in table) for column in range(len(table[0]))]
+    lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)) for row in table]
+    return "\n".join(line.rstrip() for line in lines)
+
+
+def _by_family(split: SplitResult) -> list[tuple[str, ReconstructionSummary]]:
+    others = [(family, summary) for family, summary in split.families.items()]
+    uniform = [] if split.reconstruction is None else [(UNIFORM, split.reconstruction)]
+    return [*uniform, *others]
+
+
+def _samplers(summary: ReconstructionSummary) -> list[tuple[str, SamplerSummary]]:
+    rows = (
+        ("sampler", summary.sampler),
+        ("confident", summary.confident),
+        ("uniform", summary.uniform),
+        ("real", summary.real),
+    )
+    return [(name, one) for name, one in rows if one is not None]
+
+
+def _measures(one: SamplerSummary) -> list[str]:
+    intervals = (one.precision, one.coverage, one.edr, one.knn_precision, one.knn_recall)
+    return [f"{interval:.3f}" for interval in intervals]
+
+
+def _arm_cells(arm: ArmSummary) -> list[str]:
+    scales = {"iterations": 1.0, "edge_checks": 1.0, "solve_time_s": 1e3}
+    costs = [_quantiles(getattr(arm, cost), scales[cost]) for cost in COSTS]
+    return [f"{arm.success:.2f}", *costs, f"{arm.iterations.censored} of {arm.iterations.count}"]
+
+
+def _quantiles(summary: CensoredSummary, scale: float) -> str:
+    """Median and 90th percentile, each with > where it is only a lower bound."""
+    median, p90 = (
+        f"{'>' if bound else ''}{value * scale:.4g}"
+        for value, bound in ((summary.median, summary.median_is_bound), (summary.p90, summary.p90_is_bound))
+    )
+    return f"{median} ({p90})"
+
+
+def _scaled(interval: Interval, factor: float) -> str:
+    return f"{interval.estimate * factor:.2f} [{interval.low * factor:.2f}, {interval.high * factor:.2f}]"

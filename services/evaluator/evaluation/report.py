@@ -1,24 +1,197 @@
-"""An evaluation for readers: Markdown, JSON with every row, and a table for terminals."""
+"""What an evaluation records: the tracking run with report and pictures, and the decision on the version."""
 
 import json
-from collections.abc import Sequence
-from dataclasses import asdict
+import tempfile
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, fields, replace
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
 
-from cspace.worlds import robot_digest, workshop_of
-from services.evaluator.evaluation.budget import JUDGED, planned
-from services.evaluator.evaluation.comparison import Comparison
-from services.evaluator.evaluation.tables import (
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from numpy.typing import NDArray
+
+from cspace.errors import EvaluationError
+from cspace.problem import UNIFORM, Problem
+from cspace.splits import Split
+from cspace.worlds import picture_of, robot_digest, workshop_of
+from services.evaluator.evaluation.gate import (
+    Bar,
+    Candidate,
+    Comparison,
+    PathCandidate,
+    Verdict,
+    judge,
+    judge_paths,
+)
+from services.evaluator.evaluation.measured import (
+    Measured,
     aligned,
     comparison_table,
+    flat_metrics,
+    headline,
     markdown,
+    measured,
     occupancy_table,
     planning_table,
     reconstruction_table,
+    run_metrics,
     scene_family_table,
     topology_table,
 )
-from services.evaluator.evaluation.units import Evaluation, Setting, planner_of
-from services.evaluator.measures.nearest import NEIGHBOURS
+from services.evaluator.evaluation.rivals import JOINTS
+from services.evaluator.evaluation.units import (
+    JUDGED,
+    Evaluation,
+    Setting,
+    SplitResult,
+    planned,
+    planner_of,
+    planner_seed,
+)
+from services.evaluator.measures.occupancy import reliability_diagram
+from services.evaluator.measures.planning import UNIFORM_SHARE, learned_samples
+from services.evaluator.measures.reconstruction import NEIGHBOURS, covered
+from services.evaluator.measures.scenes import Scene, Stage, unfiltered
+from services.planner.drawing.plot import draw_plan
+from services.planner.search.ompl_planner import solve
+from services.planner.sources.samples import SampleSource
+from services.registry.models.port import ModelRegistry, ModelVersion, Shown
+from services.registry.promotion import Decision, record_decision
+from services.registry.tracking.experiment import NOTE as DESCRIPTION
+from services.registry.tracking.port import RunLog
+
+GRID = 160
+SHOWN_SAMPLES = 1000
+FREE_COLOUR, COLLISION_COLOUR, MISSED_COLOUR = "#1f77b4", "#d62728", "#ff9f1c"
+END_COLOUR = "#2ca02c"
+POINTS = (
+    ("sample", FREE_COLOUR, "o", 3),
+    ("sample in collision", COLLISION_COLOUR, "o", 4),
+    ("free, no sample within {} rad", MISSED_COLOUR, "s", 4),
+    ("start and goal of the family's problem", END_COLOUR, "X", 7),
+)
+
+
+def gallery(
+    scenes: Sequence[Scene], sampler: SampleSource, title: str, notes: Sequence[str] | None = None
+) -> Figure:
+    """One row a scenario: the picture, the true free space, the samples with both kinds of mistakes marked.
+
+    A mistake is a sample in collision, or a free configuration that no sample is near. Of more than two
+    joints the first two are shown, without the second kind, which a projection would hide.
+
+    Args:
+        scenes: what is shown.
+        sampler: whose samples.
+        title: of the whole.
+        notes: words beside each scenario's name.
+    """
+    figure = Figure(figsize=(9.0, 0.7 + 2.9 * len(scenes)), dpi=110, layout="constrained")
+    FigureCanvasAgg(figure)
+    panels = figure.subplots(len(scenes), 3, squeeze=False)
+    for row, scene, note in zip(panels, scenes, notes or [""] * len(scenes), strict=True):
+        _picture(row[0], scene, note)
+        _truth(row[1], scene)
+        _samples(row[2], scene, sampler)
+    figure.suptitle(title)
+    radius_rad = scenes[0].measures.coverage_radius_rad
+    handles = [
+        Line2D([], [], color=colour, marker=marker, markersize=size, ls="", label=label.format(radius_rad))
+        for label, colour, marker, size in POINTS
+    ]
+    figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), fontsize=8, frameon=False)
+    return figure
+
+
+def _picture(axes: Axes, scene: Scene, note: str) -> None:
+    workshop_of(scene.stage.world).draw_picture(axes, scene.image)
+    family = "" if scene.family == UNIFORM else f"{scene.family} "
+    name = f"{scene.stage.split}, {family}scenario {scene.index}"
+    axes.set_title(f"{name}\n{note}" if note else name, fontsize=9)
+
+
+def _truth(axes: Axes, scene: Scene) -> None:
+    if scene.space.dim == 2:
+        free_map(axes, scene)
+        axes.set_title(f"truth: grey is in collision{_passage(scene)}", fontsize=9)
+    else:
+        real = scene.free(SHOWN_SAMPLES, scene.rng(7))
+        axes.scatter(*_plane(real), s=2, color=FREE_COLOUR, linewidths=0)
+        shown = ", joints 1 and 2" if scene.space.dim > 1 else ""
+        axes.set_title(f"free configurations{shown}", fontsize=9)
+    if scene.problem is not None:
+        ends = np.stack([scene.problem.start, scene.problem.goal])
+        axes.scatter(
+            *_plane(ends),
+            s=50,
+            marker="X",
+            color=END_COLOUR,
+            edgecolors="white",
+            clip_on=False,
+            zorder=3,
+        )
+    _joint_axes(axes, scene)
+
+
+def _passage(scene: Scene) -> str:
+    if scene.problem is None:
+        return ""
+    bottleneck_rad = scene.problem.bottleneck_rad
+    return f"\nbottleneck {bottleneck_rad:.3f} rad" if bottleneck_rad > 0.0 else "\nno path"
+
+
+def _samples(axes: Axes, scene: Scene, sampler: SampleSource) -> None:
+    drawn = unfiltered(sampler, scene.image, SHOWN_SAMPLES, scene.sampler_seed())
+    free = scene.checker.valid_batch(drawn)
+    held_out = scene.free(SHOWN_SAMPLES, scene.rng(0))
+    reached = covered(held_out, drawn, scene.space, scene.measures.coverage_radius_rad)
+    if scene.space.dim == 2:
+        free_map(axes, scene)
+        missed = held_out[~reached]
+        axes.scatter(missed[:, 0], missed[:, 1], s=9, marker="s", color=MISSED_COLOUR, linewidths=0)
+    for mask, colour, size in ((free, FREE_COLOUR, 2), (~free, COLLISION_COLOUR, 5)):
+        axes.scatter(*_plane(drawn[mask]), s=size, color=colour, linewidths=0)
+    shares = f"{free.mean():.1%} free, {reached.mean():.1%} covered"
+    axes.set_title(f"{len(drawn)} samples\n{shares}", fontsize=9)
+    _joint_axes(axes, scene)
+
+
+def _plane(configurations: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
+    """The first two joints of (n, d), (n,) each; a single one lies on a line."""
+    first = configurations[:, 0]
+    return first, configurations[:, 1] if configurations.shape[1] > 1 else np.zeros_like(first)
+
+
+def free_map(axes: Axes, scene: Scene) -> None:
+    """White where free, grey in collision."""
+    first, second = (
+        np.linspace(low, high, GRID) for low, high in zip(scene.space.lower, scene.space.upper, strict=True)
+    )
+    grid: NDArray[np.float64] = np.stack(np.meshgrid(first, second), axis=-1).reshape(-1, 2)
+    free = scene.checker.valid_batch(grid).reshape(GRID, GRID)
+    extent = (first[0], first[-1], second[0], second[-1])
+    axes.imshow(free, extent=extent, origin="lower", cmap="gray", vmin=-2.0, vmax=1.0, aspect="auto")
+
+
+def _joint_axes(axes: Axes, scene: Scene) -> None:
+    space = scene.space
+    for joint, axis in enumerate((axes.xaxis, axes.yaxis)[: space.dim]):
+        if space.periodic[joint]:
+            axis.set_ticks([-np.pi, 0.0, np.pi], labels=["-\u03c0", "0", "\u03c0"])
+        axis.set_label_text(f"theta{joint + 1} [rad]")
+    axes.set_box_aspect(1.0)
+    axes.set_xlim(space.lower[0], space.upper[0])
+    if space.dim > 1:
+        axes.set_ylim(space.lower[1], space.upper[1])
+    else:
+        axes.yaxis.set_ticks([])
+
 
 RECONSTRUCTION_NOTE = (
     "Precision is the exact collision-free share. k-NN precision and recall (Kynkaanniemi et al. 2019) are "
@@ -137,3 +310,178 @@ def terminal_table(evaluation: Evaluation, comparisons: Sequence[Comparison] = (
         tables.append(("topology, test", topology_table(evaluation)))
     tables += [(f"beside {one.rival}, validation", comparison_table(one)) for one in comparisons]
     return "\n\n".join(f"{name}\n{aligned(table)}" for name, table in tables if table)
+
+
+Columns = Mapping[str, Sequence[Any]]
+MEASURES_TABLE, COMPARISONS, NOTE = "measures", "comparisons", "comparison.md"
+
+
+def measure_columns(evaluation: Evaluation) -> Columns:
+    """Every estimate, one row each.
+
+    ``estimate`` and ``shown`` come first, by which the UI sets runs side by side; then the columns of
+    :class:`services.evaluator.evaluation.measured.Measured`.
+    """
+    rows = measured(evaluation)
+    told = {"estimate": [row.title for row in rows], "shown": [str(row) for row in rows]}
+    return told | {field.name: [getattr(row, field.name) for row in rows] for field in fields(Measured)}
+
+
+def comparison_columns(comparisons: Sequence[Comparison]) -> Columns:
+    """Every gated measure beside each rival, with the limits of what is gained."""
+    rows = [
+        (one.rival, gain.name, gain.ours, gain.theirs, gain.gain.estimate, gain.gain.low, gain.gain.high)
+        for one in comparisons
+        for gain in one.gains
+    ]
+    names = ("rival", "measure", "version", "theirs", "gain", "low", "high")
+    return {name: [row[place] for row in rows] for place, name in enumerate(names)}
+
+
+def comparison_note(evaluation: Evaluation, verdict: Verdict, title: str) -> str:
+    """In Markdown what the gate decided and why, and the version beside its rivals."""
+    decided = "promoted" if verdict.promoted else "not promoted"
+    parts = [f"## {title}: {decided}", "\n".join(f"- {reason}" for reason in verdict.reasons)]
+    for one in verdict.bar.comparisons:
+        parts += [f"### Beside {one.rival}", markdown(comparison_table(one))]
+    if verdict.bar.comparisons:
+        parts.append(COMPARISON_NOTE)
+    scenes = judged_on(evaluation.setting)
+    return "\n\n".join([*parts, f"{scenes[0].upper()}{scenes[1:]}."]) + "\n"
+
+
+def shown_of(evaluation: Evaluation, note: str) -> Shown:
+    """What a version's page shows, its run and its logged model."""
+    setting = evaluation.setting
+    words = judged_on(setting)
+    return Shown(
+        headline(evaluation),
+        note,
+        f"{setting.world.kind} scenes, seed {setting.seed}",
+        sha256(words.encode()).hexdigest(),
+    )
+
+
+# The first scenarios of the uniform family; with the least precise one of every family they make a gallery.
+GALLERY_SCENARIOS = 2
+REPORT_FOLDER = "report"
+
+
+def decide(evaluation: Evaluation, bar: Bar) -> Verdict:
+    """The gate's verdict."""
+    measures = workshop_of(evaluation.setting.world).measures
+    found = evaluation.validation.reconstruction
+    if found is None:
+        return judge_paths(_path_candidate(evaluation), bar, measures)
+    candidate = Candidate(found.precision_gain, found.real.coverage.estimate, _gated(evaluation))
+    return judge(candidate, bar, measures)
+
+
+def _path_candidate(evaluation: Evaluation) -> PathCandidate:
+    planning, trials = evaluation.validation.planning, evaluation.validation.trials
+    telling = workshop_of(evaluation.setting.world).families.telling
+    found = next((family for family in planning if family.family == telling), None)
+    if found is None:
+        raise EvaluationError(
+            f"path models are judged on {telling} problems", expected="one or more", got="none"
+        )
+    solved = sum(trial.uniform.success for trial in trials) / len(trials)
+    return PathCandidate(telling, found.edge_checks_ratio, solved, _gated(evaluation))
+
+
+def record(
+    registry: ModelRegistry, version: ModelVersion, evaluation: Evaluation, verdict: Verdict
+) -> Decision:
+    """Append the decision to the version's log and move the alias if it is a promotion."""
+    metrics = {**_gated(evaluation), JOINTS: float(evaluation.setting.world.dim)}
+    now_ms = time.time_ns() // 1_000_000
+    decision = Decision(
+        version.name,
+        version.number,
+        verdict.promoted,
+        verdict.reasons,
+        metrics,
+        verdict.bar.against,
+        now_ms,
+        robot_digest(evaluation.setting.world),
+    )
+    record_decision(registry, decision)
+    return decision
+
+
+def log_evaluation(
+    run: RunLog, evaluation: Evaluation, verdict: Verdict, sampler: SampleSource, title: str
+) -> tuple[str, ...]:
+    """Metrics, settings, report and pictures into a run; returns the pictures' names."""
+    setting = evaluation.setting
+    run.params({"seed": setting.seed, **asdict(setting.budget)})
+    run.metrics(run_metrics(evaluation), 0)
+    note = comparison_note(evaluation, verdict, title)
+    run.tags({"promoted": str(verdict.promoted).lower(), DESCRIPTION: note})
+    run.table(measure_columns(evaluation), MEASURES_TABLE)
+    if verdict.bar.comparisons:
+        run.table(comparison_columns(verdict.bar.comparisons), COMPARISONS)
+    with tempfile.TemporaryDirectory(prefix="cspace-report-") as folder:
+        texts = {
+            "evaluation.md": to_markdown(evaluation, title, verdict.reasons, verdict.bar.comparisons),
+            "evaluation.json": to_json(evaluation),
+            NOTE: note,
+        }
+        for name, text in texts.items():
+            (Path(folder) / name).write_text(text, encoding="utf-8")
+        run.artifact(Path(folder), REPORT_FOLDER)
+        run.flush()
+    if sampler.with_ends:
+        return _plans(run, evaluation, sampler, title)
+    names = []
+    for split, result in ((Split.VALIDATION, evaluation.validation), (Split.TEST, evaluation.test)):
+        stage = Stage(setting.world, split, setting.seed)
+        shown = exhibits(stage, result)
+        names.append(f"gallery-{split}")
+        run.figure(gallery([*shown], sampler, title, [*shown.values()]), names[-1])
+    summary = evaluation.test.reconstruction
+    if summary is not None and summary.occupancy is not None:
+        names.append("reliability")
+        run.figure(reliability_diagram(summary.occupancy, title), names[-1])
+    return tuple(names)
+
+
+def _plans(run: RunLog, evaluation: Evaluation, sampler: SampleSource, title: str) -> tuple[str, ...]:
+    """The first test problem of each family, solved with the model's samples."""
+    names, setting = [], evaluation.setting
+    for summary in evaluation.test.planning:
+        family = summary.family
+        problem = _first(evaluation.test.problems, family)
+        seed = planner_seed(setting.seed, 0, 0)
+        image = picture_of(problem.scenario)
+        samples = learned_samples(problem, image, seed, sampler)
+        plan = solve(
+            problem, replace(planner_of(setting.world), seed=seed), samples, UNIFORM_SHARE, keep_tree=True
+        )
+        names.append(f"plan-{family}")
+        run.figure(draw_plan(problem, plan, samples, f"{title}, {family}"), names[-1])
+    return tuple(names)
+
+
+def _first(problems: Mapping[tuple[str, int], Problem], family: str) -> Problem:
+    return problems[min(key for key in problems if key[0] == family)]
+
+
+def exhibits(stage: Stage, measured: SplitResult) -> dict[Scene, str]:
+    """The scenarios of a gallery with a note on each: some as they come, then the least precise by family."""
+    shown: dict[Scene, str] = {}
+    for family in workshop_of(stage.world).families.names:
+        mine = [row for row in measured.scenes if row.family == family]
+        worst = min(mine, key=lambda row: row.sampler.precision, default=None)
+        if family == UNIFORM:
+            shown |= {Scene(stage, row.index): "" for row in mine[:GALLERY_SCENARIOS]}
+        if worst is not None:
+            drawn = measured.problems.get((family, worst.index))
+            shown[Scene(stage, worst.index, family, drawn)] = f"least precise of {len(mine)}"
+    return shown
+
+
+def _gated(evaluation: Evaluation) -> dict[str, float]:
+    metrics, measures = flat_metrics(evaluation), workshop_of(evaluation.setting.world).measures
+    names = measures.path_margins if evaluation.validation.reconstruction is None else measures.margins
+    return {name: metrics[name] for name in names if name in metrics}

@@ -22,7 +22,7 @@ from cspace.errors import (
 from cspace.world import World
 from cspace.worlds import robot_digest, workshop_of
 from services.evaluator.evaluation.gate import SMALLER_IS_BETTER, Champion
-from services.evaluator.measures.samplers import PackedBundle
+from services.evaluator.measures.scenes import PackedBundle
 from services.names import ALIAS_CHAMPION, TAG_ROLLED_BACK
 from services.registry.models.port import ModelRegistry, ModelVersion
 from services.registry.promotion import Decision, champions

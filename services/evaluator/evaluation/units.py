@@ -1,22 +1,30 @@
-"""One evaluation: units of work measured one by one, then put together into tables with intervals."""
+"""Units of work of an evaluation: cut by a budget, measured one by one, and put together with intervals."""
 
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+from pathlib import Path
 
 import numpy as np
 
-from cspace.errors import EvaluationError, ScenarioError
+from cspace.errors import ConfigError, EvaluationError, ScenarioError
 from cspace.problem import UNIFORM, Problem
 from cspace.splits import Split
+from cspace.workshop import Families
 from cspace.world import World
 from cspace.worlds import workshop_of
-from services.evaluator.evaluation.budget import Budget, Kind, Unit, planned
-from services.evaluator.measures.planning import PlanningTrial, plan_trial
-from services.evaluator.measures.planning_summary import FamilySummary, success_rate, summarise_family
+from services.evaluator.measures.planning import (
+    FamilySummary,
+    PlanningTrial,
+    plan_trial,
+    success_rate,
+    summarise_family,
+)
 from services.evaluator.measures.reconstruction import ReconstructionSummary, SceneQuality, summarise
 from services.evaluator.measures.scenes import Scene, Stage, reconstruct, summary_rng
+from services.evaluator.measures.topology import POINTS
 from services.evaluator.measures.topology_scenes import (
     SceneTopology,
     ScoreSummary,
@@ -26,6 +34,189 @@ from services.evaluator.measures.topology_scenes import (
 from services.evaluator.statistics import Interval
 from services.planner.search.ompl_planner import PlannerSettings
 from services.planner.sources.samples import SampleSource
+from services.registry.references import ModelReference
+
+JUDGED = (Split.VALIDATION, Split.TEST)
+
+
+class Kind(StrEnum):
+    """What a unit of work measures."""
+
+    RECONSTRUCTION = "reconstruction"
+    TOPOLOGY = "topology"
+    PLANNING = "planning"
+
+
+@dataclass(frozen=True, slots=True)
+class Budget:
+    """How much is evaluated.
+
+    Args:
+        scenarios: per split, for reconstruction; they alone decide.
+        samples: per scenario and sampler.
+        validation_problems: planning problems per family that decide.
+        test_problems: planning problems per family that are only reported.
+        planner_seeds: runs per problem.
+        topology_scenarios: of the test split, for GS and GS-C, which decide nothing.
+        draws: of landmarks per cloud and turn.
+        narrow_scenarios: per split, for reconstruction; those of the first planning problems of the family
+            that tells most, as drawing one takes long, so no more than there are.
+        disconnected_scenarios: per split, for reconstruction, of each family without a solution.
+        topology_samples: points per cloud for GS and GS-C.
+    """
+
+    scenarios: int
+    samples: int
+    validation_problems: int
+    test_problems: int
+    planner_seeds: int
+    topology_scenarios: int
+    draws: int
+    narrow_scenarios: int = 0
+    disconnected_scenarios: int = 0
+    topology_samples: int = POINTS
+
+
+QUICK = Budget(60, 1000, 30, 10, 1, 3, 50, narrow_scenarios=10, disconnected_scenarios=5)
+FULL = Budget(500, 1000, 200, 200, 3, 50, 200, narrow_scenarios=100, disconnected_scenarios=100)
+BUDGETS = {"quick": QUICK, "full": FULL}
+
+
+@dataclass(frozen=True, slots=True)
+class Unit:
+    """A run of neighbouring scenarios or problems.
+
+    Args:
+        kind: what is measured.
+        split: of the scenarios.
+        first: first index within the split or family.
+        count: how many.
+        family: of the problems; None for scenarios as they are drawn for training.
+    """
+
+    kind: Kind
+    split: Split
+    first: int
+    count: int
+    family: str | None = None
+
+
+def units(
+    budget: Budget,
+    families: Families,
+    *,
+    paths: bool = False,
+    there: Callable[[Split], int | None] = lambda split: None,  # noqa: ARG005
+) -> list[Unit]:
+    """All units of an evaluation, the long ones first, so that workers end together.
+
+    Path models are judged by planning alone. Of scenes that were given, no more are taken than ``there`` are.
+    """
+
+    def at_most(count: int, split: Split) -> int:
+        known = there(split)
+        return count if known is None else min(count, known)
+
+    problems = {Split.VALIDATION: budget.validation_problems, Split.TEST: budget.test_problems}
+    work: list[Unit] = []
+    for family in planned(families):
+        for split in JUDGED:
+            work += [Unit(Kind.PLANNING, split, *part, family) for part in _parts(problems[split], 5)]
+    if paths:
+        return work
+    for family in families.unsolvable:
+        for split in JUDGED:
+            parts = _parts(budget.disconnected_scenarios, 5)
+            work += [Unit(Kind.RECONSTRUCTION, split, *part, family) for part in parts]
+    work += [
+        Unit(Kind.TOPOLOGY, Split.TEST, *part)
+        for part in _parts(at_most(budget.topology_scenarios, Split.TEST), 1)
+    ]
+    for split in JUDGED:
+        work += [
+            Unit(Kind.RECONSTRUCTION, split, *part) for part in _parts(at_most(budget.scenarios, split), 15)
+        ]
+    return work
+
+
+def deciding(work: Iterable[Unit]) -> list[Unit]:
+    """The units that decide: those that a rival is measured by as well."""
+    return [
+        unit
+        for unit in work
+        if unit.split is Split.VALIDATION and (unit.kind is Kind.PLANNING or unit.family is None)
+    ]
+
+
+def planned(families: Families) -> tuple[str, ...]:
+    """The families that a planner is asked to solve, the one that tells most first."""
+    return tuple(dict.fromkeys((families.telling, *families.solvable)))
+
+
+def _parts(count: int, size: int) -> Iterator[tuple[int, int]]:
+    for first in range(0, count, size):
+        yield first, min(size, count - first)
+
+
+MAX_SEED = 2**63 - 1
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """One evaluation.
+
+    Args:
+        model: the version under test.
+        budget: how much is evaluated.
+        seed: of scenarios, samples and problems.
+        promote: whether the decision is recorded and the alias moved.
+        data: a data set whose held-out scenes it is judged on; None for those of the version's own data.
+        shipped: folder of the shipped model, which the version is compared with; None leaves that out.
+    """
+
+    model: ModelReference
+    budget: Budget
+    seed: int = 0
+    promote: bool = True
+    data: Path | None = None
+    shipped: Path | None = None
+
+
+def make_request(
+    model: str,
+    *,
+    budget: str = "quick",
+    scenarios: int | None = None,
+    seed: int = 0,
+    promote: bool = True,
+    data: Path | None = None,
+    shipped: Path | None = None,
+) -> Request:
+    """A request from texts and numbers of the command line.
+
+    Args:
+        model: ``name@alias`` or ``name/version``.
+        budget: ``quick`` or ``full``.
+        scenarios: per split, instead of the budget's.
+        seed: 0 to 2^63 - 1.
+        promote: see :class:`Request`.
+        data: likewise.
+        shipped: likewise.
+
+    Raises:
+        ConfigError: a value is out of range.
+    """
+    if budget not in BUDGETS:
+        raise ConfigError("the budget is unknown", expected=" or ".join(BUDGETS), got=repr(budget))
+    if not 0 <= seed <= MAX_SEED:
+        raise ConfigError("the seed is out of range", expected=f"0 to {MAX_SEED}", got=str(seed))
+    if scenarios is not None and scenarios < 1:
+        raise ConfigError("there are too few scenarios", expected="at least 1", got=str(scenarios))
+    chosen = BUDGETS[budget]
+    if scenarios is not None:
+        chosen = replace(chosen, scenarios=scenarios)
+    reference = ModelReference.parse_version(model, "the model reference is unknown")
+    return Request(reference, chosen, seed, promote, data, shipped)
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,20 +11,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from services.evaluator.measures.samplers import unfiltered
-from services.evaluator.measures.scenes import Scene
-from services.evaluator.measures.topology.complement import sample_complement
-from services.evaluator.measures.topology.complement_score import (
-    TurnedTimes,
-    complement_score,
-    turned_living_times,
-)
-from services.evaluator.measures.topology.geometry_score import (
+from services.evaluator.measures.scenes import Scene, unfiltered
+from services.evaluator.measures.topology import (
     LANDMARKS,
     POINTS,
     Mapper,
+    TurnedTimes,
+    complement_score,
     geometry_score,
     mean_living_times,
+    sample_complement,
+    turned_living_times,
 )
 from services.evaluator.statistics import Interval, mean_interval
 from services.planner.sources.samples import SampleSource

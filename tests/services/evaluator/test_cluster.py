@@ -10,12 +10,10 @@ from cspace.worlds.planar.planning.problems import Family
 from cspace.worlds.planar.seeing.camera import Camera
 from cspace.worlds.planar.world import PlanarWorld
 from services.evaluator.cluster import join
-from services.evaluator.evaluation.budget import QUICK, Kind, Unit
-from services.evaluator.evaluation.execution import run_here
-from services.evaluator.evaluation.job import run_on_ray
-from services.evaluator.evaluation.metrics import flat_metrics
-from services.evaluator.evaluation.units import Setting, assemble
-from services.evaluator.measures.samplers import PackedBundle
+from services.evaluator.evaluation.job import run_here, run_on_ray
+from services.evaluator.evaluation.measured import flat_metrics
+from services.evaluator.evaluation.units import QUICK, Kind, Setting, Unit, assemble
+from services.evaluator.measures.scenes import PackedBundle
 from tests.bundles import write_tiny_bundle
 
 ROOT = Path(__file__).resolve().parents[3]

@@ -9,12 +9,10 @@ from cspace.splits import Split
 from cspace.worlds import workshop_of
 from cspace.worlds.planar.workshop import PlanarWorkshop
 from cspace.worlds.planar.world import PlanarWorld
-from services.evaluator.benchmark.command import make_request, parser
-from services.evaluator.evaluation.budget import Budget, Kind, Unit
-from services.evaluator.evaluation.gallery import gallery
-from services.evaluator.evaluation.metrics import flat_metrics
-from services.evaluator.evaluation.report import to_json, to_markdown
-from services.evaluator.evaluation.units import Setting, assemble, run_unit
+from services.evaluator.benchmark.job import make_request, parser
+from services.evaluator.evaluation.measured import flat_metrics
+from services.evaluator.evaluation.report import gallery, to_json, to_markdown
+from services.evaluator.evaluation.units import Budget, Kind, Setting, Unit, assemble, run_unit
 from services.evaluator.measures.scenes import Scene, Stage
 from tests.fakes.uniform_sampler import UniformSampler
 

@@ -15,12 +15,19 @@ from cspace.worlds.planar.planning.problems import Family, draw_problem
 from cspace.worlds.planar.seeing.camera import Camera
 from cspace.worlds.planar.world import PlanarWorld
 from inference_api.settings import PRETRAINED_FOLDER
-from services.evaluator.evaluation.budget import Budget, Kind, Unit, units
 from services.evaluator.evaluation.job import evaluate_version
-from services.evaluator.evaluation.request import make_request
-from services.evaluator.evaluation.units import Setting, planner_of, run_unit
+from services.evaluator.evaluation.units import (
+    Budget,
+    Kind,
+    Setting,
+    Unit,
+    make_request,
+    planner_of,
+    run_unit,
+    units,
+)
 from services.evaluator.measures.planning import LEARNED_SAMPLES, learned_samples, plan_trial
-from services.evaluator.measures.samplers import bundle_sampler
+from services.evaluator.measures.scenes import bundle_sampler
 from services.planner.search.ompl_planner import solve
 from services.planner.sources.local_sampler import BundleSampler
 from services.registry.promotion import decisions

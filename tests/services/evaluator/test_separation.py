@@ -8,8 +8,12 @@ from cspace.worlds.planar.arm import TWO_LINK
 from cspace.worlds.planar.seeing.camera import Camera
 from cspace.worlds.planar.world import PlanarWorld
 from services.evaluator.measures.scenes import Scene, Stage
-from services.evaluator.measures.topology.complement import POINTS_PER_CELL, sample_complement
-from services.evaluator.measures.topology.complement_score import complement_score, turned_living_times
+from services.evaluator.measures.topology import (
+    POINTS_PER_CELL,
+    complement_score,
+    sample_complement,
+    turned_living_times,
+)
 from services.evaluator.statistics import mean_interval
 
 SPACE = TWO_LINK.space

@@ -5,8 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from services.local.servers.processes import start_detached, stop
-from services.local.servers.records import Record
+from services.local.processes import Record, start_detached, stop
 from services.local.settings import Settings
 
 SLEEPER = "import time; print('up', flush=True); time.sleep(300)"

@@ -13,7 +13,7 @@ from cspace.errors import (
 )
 from services.local.__main__ import exit_code, main
 from services.local.commands import COMMANDS
-from services.local.servers.ports import free_ports
+from services.local.processes import free_ports
 from services.local.settings import Settings
 
 

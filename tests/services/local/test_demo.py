@@ -7,11 +7,10 @@ from pathlib import Path
 import httpx
 import pytest
 
-from services.local import demo as demo_module
+from services.local import commands
 from services.local.__main__ import main
-from services.local.demo import demo
-from services.local.servers.ports import free_ports
-from services.local.servers.service import Service
+from services.local.commands import demo
+from services.local.processes import Service, free_ports
 from services.local.settings import Settings
 
 
@@ -34,7 +33,7 @@ def started(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     def up(settings: Settings, wanted: tuple[Service, ...], say: object) -> None:
         found.extend(service.name for service in wanted)
 
-    monkeypatch.setattr(demo_module, "up", up)
+    monkeypatch.setattr(commands, "up", up)
     return found
 
 

@@ -4,8 +4,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from services.local.environment import service_environment, shell_lines, without_proxy
-from services.local.settings import Settings
+from services.local.settings import Settings, service_environment, shell_lines, without_proxy
 
 BASE = {
     "HOME": "/home/anna",

@@ -4,8 +4,7 @@ import pytest
 
 from cspace.errors import ConfigError
 from cspace.files import IGNORE_FILE
-from services.local.marker import MARKER
-from services.local.settings import FOLDERS, Settings
+from services.local.settings import FOLDERS, MARKER, Settings
 
 ROOT = Path("/somewhere/checkout")
 

@@ -4,9 +4,7 @@ import pytest
 
 from cspace.errors import ConfigError, StorageError
 from cspace.files import IGNORE_FILE
-from services.local.marker import MARKER
-from services.local.settings import Settings
-from services.local.state import drop_state, size_bytes, size_text
+from services.local.settings import MARKER, Settings, drop_state, size_bytes, size_text
 
 
 def test_the_size_is_the_sum_over_all_files(tmp_path: Path) -> None:
@@ -44,7 +42,7 @@ def test_state_that_cannot_be_deleted_is_a_storage_error(
     def refuse(path: Path) -> None:
         raise PermissionError(path)
 
-    monkeypatch.setattr("services.local.state.shutil.rmtree", refuse)
+    monkeypatch.setattr("services.local.settings.shutil.rmtree", refuse)
     with pytest.raises(StorageError):
         drop_state(settings)
 

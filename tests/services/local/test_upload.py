@@ -6,8 +6,7 @@ import pytest
 from cspace.dataset import write_dataset
 from cspace.errors import ConfigError
 from cspace.worlds import default_world
-from services.local.environment import shell_lines
-from services.local.settings import Settings
+from services.local.settings import Settings, shell_lines
 from services.local.upload import check_upload, require_uploadable, uploaded_bytes
 
 MIB = 2**20

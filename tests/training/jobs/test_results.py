@@ -3,7 +3,7 @@
 import json
 import sys
 
-from services.local.quickstart.results import training_result
+from services.local.jobs import training_result
 from services.results import RESULT_FILE, tell_result
 from training.clusters.pipeline import TrainResult
 

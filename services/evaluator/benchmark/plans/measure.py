@@ -18,11 +18,18 @@ from cspace.problem import Problem
 from cspace.workshop import Checker
 from cspace.worlds import checker_of, picture_file_of, workshop_of
 from cspace.worlds.unseen import Judge, Taken
+from services.evaluator.benchmark.measure import state_check_s
 from services.evaluator.benchmark.plans.planners import Answer, Planner, opened_planners, plan_query
-from services.evaluator.benchmark.plans.record import NO_PROBLEM, PlanRun
-from services.evaluator.benchmark.plans.setting import BASE, PlanArm, PlanSetting, PlanUnit, Table
-from services.evaluator.benchmark.runs.check_cost import state_check_s
-from services.evaluator.benchmark.runs.sources import SourceSpec
+from services.evaluator.benchmark.plans.setting import (
+    BASE,
+    NO_PROBLEM,
+    PlanArm,
+    PlanRun,
+    PlanSetting,
+    PlanUnit,
+    Table,
+)
+from services.evaluator.benchmark.sources import SourceSpec
 from services.planner.search.ompl_planner import solve
 from services.planner.search.ways_first import solve_with_ways
 

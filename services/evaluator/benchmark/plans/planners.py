@@ -15,7 +15,7 @@ from cspace.problem import UNIFORM, Problem
 from cspace.splits import Split
 from cspace.world import World
 from cspace.worlds import picture_file_of, robot_digest, workshop_of
-from services.evaluator.benchmark.runs.sources import SourceSpec, bundled
+from services.evaluator.benchmark.sources import SourceSpec, bundled
 from services.planner.sources.sampling_client import RetryPolicy, SamplingClient
 
 # A server's first plan may have to wait for its compiler.

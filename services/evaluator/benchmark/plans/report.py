@@ -1,27 +1,195 @@
-"""The benchmark of plans for readers: the safety of plans first, then both tables."""
+"""The report of the benchmark of plans: tables, the safety figure, and the files that hold them."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
+from matplotlib import rc_context
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
 
+from cspace.errors import StorageError
 from cspace.worlds.unseen import Taken
-from services.evaluator.benchmark.plans.checked import ArmChecks, Checked
-from services.evaluator.benchmark.plans.checked import gather_checked
-from services.evaluator.benchmark.plans.record import PlanRun
-from services.evaluator.benchmark.plans.rows import (
-    checks_table,
-    plans_table,
-    price_table,
-    prices_us,
-    share_table,
-    sureness_table,
+from services.evaluator.benchmark.figures import STYLE
+from services.evaluator.benchmark.files import FIGURES, PARQUET, REPORT, STAGE, Saved, metric_name
+from services.evaluator.benchmark.plans.setting import PlanRun, PlanSetting
+from services.evaluator.benchmark.plans.summary import (
+    ALL,
+    ArmChecks,
+    ArmPlans,
+    Checked,
+    Plans,
+    Sureness,
+    gather_checked,
+    gather_plans,
+    hits,
 )
-from services.evaluator.benchmark.plans.setting import PlanSetting
-from services.evaluator.benchmark.plans.unchecked import ArmPlans, Plans
-from services.evaluator.benchmark.plans.unchecked import gather_plans
-from services.evaluator.evaluation.tables import Table, aligned, markdown
+from services.evaluator.benchmark.report import quantiles, table_of
+from services.evaluator.benchmark.store import MANIFEST, RunStore, write_parquet
+from services.evaluator.benchmark.summary import in_words
+from services.evaluator.evaluation.measured import Table, aligned, markdown
+from services.evaluator.statistics import Interval
+from services.names import EXPERIMENT
+from services.registry.tracking.experiment import NOTE, TAG_STAGE
+from services.registry.tracking.port import ID, Tracking
+
+SHARES = (0.2, 0.4, 0.6, 0.8, 1.0)
+NOT_LOOKED_AT = "not looked at"
+
+
+def plans_table(summaries: Sequence[ArmPlans]) -> Table:
+    """Solved and collided, of every arm."""
+    return table_of(
+        [
+            {
+                "arm": one.arm,
+                "solved": f"{one.solved:.2f}",
+                "refused": f"{one.refused.estimate:.2f}",
+                "collide": _interval(one.collide),
+                "deeper than 1 cm": _interval(one.deep),
+                "by meshes": _interval(one.meshes, NOT_LOOKED_AT if one.collide else "-"),
+                "more than with unseen free": _interval(one.more),
+                "search, ms: p50, p95": "{:.0f}, {:.0f}".format(*one.search_ms),
+                "scoring, ms": "{:.0f}, {:.0f}".format(*one.score_ms) if any(one.score_ms) else "-",
+            }
+            for one in summaries
+        ]
+    )
+
+
+def share_table(heading: str, shares: Mapping[str, Mapping[str, Interval | None]]) -> Table:
+    """Of the ways of each arm the share that collides, a row a group; how many ways in brackets."""
+    return table_of(
+        [
+            {heading: group}
+            | {
+                arm: "-" if one is None else f"{one.estimate:.2f} ({one.count})"
+                for arm, one in by_arm.items()
+            }
+            for group, by_arm in shares.items()
+        ]
+    )
+
+
+def sureness_table(found: Sequence[Sureness]) -> Table:
+    """What collides if only so many of the problems are answered, by the surest ways."""
+    rows = []
+    for one in found:
+        for share in SHARES:
+            # Up to rounding of k / n.
+            taken = int((one.share <= share + 1e-9).sum())
+            if taken:
+                rows.append(
+                    {
+                        "model": one.model,
+                        "answered, at most": f"{share:.1f}",
+                        "answered": f"{one.share[taken - 1]:.2f}",
+                        "min_confidence": f"{one.least[taken - 1]:.3f}",
+                        "collide": f"{one.collide[taken - 1]:.3f}",
+                    }
+                )
+    return table_of(rows)
+
+
+def checks_table(groups: Mapping[str, Sequence[ArmChecks]]) -> Table:
+    """Checks until the first path, of every group and arm."""
+    return table_of(
+        [
+            {
+                "problems": f"{group} ({one.counts['state_checks'].count})",
+                "arm": one.arm,
+                "solved": f"{one.solved:.2f}",
+                "free as it was": "-" if one.as_is is None else f"{one.as_is:.2f}",
+                "states": quantiles(one.counts["state_checks"]),
+                "of uniform's median": _interval(None if one.ratios is None else one.ratios[0]),
+                "of its p90": _interval(None if one.ratios is None else one.ratios[1]),
+                "edges": quantiles(one.counts["edge_checks"]),
+                "iterations": quantiles(one.counts["iterations"]),
+                "length of uniform's": _interval(one.length),
+            }
+            for group, summaries in groups.items()
+            for one in summaries
+        ]
+    )
+
+
+def price_table(groups: Mapping[str, Sequence[ArmChecks]]) -> Table:
+    """Times until the first path, by what a look at a state costs."""
+    return table_of(
+        [
+            {
+                "problems": group,
+                "arm": one.arm,
+                "ways, ms": f"{one.request_ms:.1f}",
+                "search with checks, ms": f"{one.solve_ms:.1f}",
+                "all, spheres, ms": f"{one.spheres_ms:.1f}",
+                "all, meshes, ms": NOT_LOOKED_AT if one.meshes_ms is None else f"{one.meshes_ms:.1f}",
+                "faster than uniform if a look costs": "-" if one.worth is None else in_words(one.worth),
+            }
+            for group, summaries in groups.items()
+            for one in summaries
+        ]
+    )
+
+
+def prices_us(runs: Sequence[object]) -> tuple[float | None, float | None]:
+    """Median price of a look at a state, by spheres and by meshes, in us; None where none was measured."""
+    found = []
+    for column in ("state_check_s", "mesh_check_s"):
+        told = [value for run in runs if (value := getattr(run, column)) is not None]
+        found.append(1e6 * float(np.median(told)) if told else None)
+    return found[0], found[1]
+
+
+def _interval(one: Interval | None, nothing: str = "-") -> str:
+    return nothing if one is None else f"{one:.2f}"
+
+
+_MARKS = "osD^v<>P"
+
+
+def safety_figure(found: Sequence[Plans]) -> Figure:
+    """A panel for each source and number of pictures: a curve a model, a mark for every other arm."""
+    sources = list(dict.fromkeys(one.source for one in found))
+    columns = max(sum(one.source == source for one in found) for source in sources)
+    with rc_context(STYLE):
+        figure = Figure(
+            figsize=(4.2 * columns + 0.6, 3.9 * len(sources) + 0.7), dpi=110, layout="constrained"
+        )
+        FigureCanvasAgg(figure)
+        grid = figure.subplots(len(sources), columns, squeeze=False, sharex=True, sharey=True)
+        for row, source in zip(grid, sources, strict=True):
+            mine = [one for one in found if one.source == source]
+            for axes in row[len(mine) :]:
+                axes.set_visible(False)
+            for axes, one in zip(row, mine, strict=False):
+                _panel(axes, one)
+            row[0].set_ylabel("share of the ways that collide")
+        for axes in grid[-1]:
+            axes.set_xlabel("share of the problems that are answered")
+        handles, labels = grid[0, 0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside lower center", ncols=4, frameon=False)
+    return figure
+
+
+def _panel(axes: Any, one: Plans) -> None:
+    for model in one.models:
+        if (sure := one.sureness(model)) is not None:
+            axes.plot(sure.share, sure.collide, label=f"{model}, by min_confidence", linewidth=1.8)
+    others = [arm for arm in one.arms if arm not in one.models]
+    for number, arm in enumerate(others):
+        runs = one.arms[arm]
+        ways = [run for run in runs if run.solved]
+        share = sum(map(hits, ways)) / len(ways) if ways else float("nan")
+        mark, colour = _MARKS[number % len(_MARKS)], f"C{len(one.models) + number}"
+        at = len(ways) / len(runs)
+        axes.plot([at], [share], mark, color=colour, label=arm, markersize=7, clip_on=False, zorder=3)
+    axes.set_xlim(0.0, 1.0)
+    axes.set_ylim(0.0, 1.0)
+    pictures = "one picture" if one.pictures == 1 else f"{one.pictures} pictures"
+    axes.set_title(f"{one.source}, {pictures}\n{one.count} problem{'s' * (one.count > 1)}", fontsize=10)
+
 
 READING = (
     "All arms search alike, with the same draws; they differ in what they take the space to be that no "
@@ -188,3 +356,77 @@ def _tables(results: PlanResults) -> list[tuple[str, str, Table]]:
         found.append((f"## With exact checks: {name}", CHECKS, checks_table(groups)))
         found.append((f"### Time and price of a check: {name}", PRICE, price_table(groups)))
     return [one for one in found if len(one[2]) > 1]
+
+
+SAFETY = "safety"
+
+
+def write_plan_files(results: PlanResults, store: RunStore[PlanRun]) -> None:
+    """Writes the table, the figure, and the report that shows it.
+
+    Raises:
+        StorageError: a file can not be written.
+    """
+    out, shown = store.folder, None
+    try:
+        write_parquet(results.runs, out / PARQUET)
+        if results.plans:
+            shown = f"{FIGURES}/{SAFETY}.png"
+            (out / FIGURES).mkdir(exist_ok=True)
+            safety_figure(results.plans).savefig(out / shown)
+        (out / REPORT).write_text(plan_report(results, store.manifest(), shown), "utf-8")
+    except OSError as error:
+        raise StorageError(f"the folder {out} can not be written", got=str(error)) from error
+
+
+def log_plan_run(tracking: Tracking, results: PlanResults, store: RunStore[PlanRun]) -> str:
+    """Settings, metrics and files as a tracking run; its id.
+
+    Raises:
+        RegistryError: the server refuses or does not answer.
+    """
+    setting = results.setting
+    name = f"planning, {setting.protocol}, {setting.split}, seed {setting.seed}, {ID}"
+    tags = {"protocol": setting.protocol, TAG_STAGE: STAGE}
+    with tracking.start(EXPERIMENT, name, tags=tags) as run:
+        samplers = {name: one["digest"] for name, one in store.manifest()["samplers"].items()}
+        run.params({"setting": asdict(setting), "samplers": samplers})
+        run.metrics(plan_metrics(results), 0)
+        run.tags({NOTE: headline(results)})
+        for part in (MANIFEST, PARQUET, REPORT):
+            run.artifact(store.folder / part)
+        for path in sorted((store.folder / FIGURES).glob("*.png")):
+            run.figure(Saved(path), path.stem)
+        run.flush()
+        return run.run_id
+
+
+def plan_metrics(results: PlanResults) -> dict[str, float]:
+    """By source, pictures and arm: solved, collide, and states with ways over uniform ones."""
+    found: dict[str, float] = {}
+    for plans, summaries in zip(results.plans, results.summaries, strict=True):
+        for one in summaries:
+            place = f"{_group(plans.source, plans.pictures)}/{metric_name(one.arm)}"
+            told: dict[str, Interval | None] = {
+                "solved": one.solved,
+                "collide": one.collide,
+                "more": one.more,
+            }
+            found |= {f"{place}/{name}": part.estimate for name, part in told.items() if part is not None}
+        for model in plans.models:
+            if (sure := plans.sureness(model)) is not None:
+                place = f"{_group(plans.source, plans.pictures)}/{metric_name(model)}"
+                found[f"{place}/calibration_error"] = sure.calibration_error
+                found[f"{place}/surer_half_collide"] = sure.surer_half.estimate
+    for group, checks in zip(results.groups, results.checks, strict=True):
+        for one_check in checks if group.name.endswith(f", {ALL}") else ():
+            if one_check.ratios is not None:
+                name = _group(group.name.removesuffix(f", {ALL}"), group.pictures)
+                place = f"{name}/{metric_name(one_check.arm)}"
+                found[f"{place}/states_ratio_median"] = one_check.ratios[0].estimate
+                found[f"{place}/states_ratio_p90"] = one_check.ratios[1].estimate
+    return found
+
+
+def _group(source: str, pictures: int) -> str:
+    return f"{metric_name(source)}_{pictures}"

@@ -8,8 +8,8 @@ import pytest
 from cspace.bundle import Bundle
 from cspace.splits import Split
 from inference_api.settings import PRETRAINED_FOLDER
-from services.evaluator.benchmark.runs.run import Run
-from services.evaluator.benchmark.runs.setting import Protocol, Setting
+from services.evaluator.benchmark.arms import Protocol, Setting
+from services.evaluator.benchmark.store import Run
 from training.paths.untrained import make_path_bundle
 
 EXAMPLE = Run(

@@ -1,8 +1,8 @@
 from pathlib import Path
 
-from services.evaluator.benchmark.plans.record import PlanRun
-from services.evaluator.benchmark.runs.arms import Group
-from services.evaluator.benchmark.runs.run import DESCRIPTIONS, descriptions
+from services.evaluator.benchmark.arms import Group
+from services.evaluator.benchmark.plans.setting import PlanRun
+from services.evaluator.benchmark.store import DESCRIPTIONS, descriptions
 
 TEXT = (Path(__file__).parents[4] / "docs" / "benchmark.md").read_text("utf-8")
 

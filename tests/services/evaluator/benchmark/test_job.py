@@ -11,12 +11,12 @@ from cspace.errors import ConfigError, EvaluationError, JobError
 from cspace.worlds.planar.planning.problems import Family
 from services.evaluator import __main__ as evaluator
 from services.evaluator.benchmark import __main__ as command
+from services.evaluator.benchmark.arms import pick, table
+from services.evaluator.benchmark.execution import processes
 from services.evaluator.benchmark.job import Request, run_benchmark
-from services.evaluator.benchmark.runs.arms import pick, table
-from services.evaluator.benchmark.runs.sources import bundled
-from services.evaluator.benchmark.runs.spread import processes
-from services.evaluator.benchmark.runs.store import RUNS
-from services.evaluator.benchmark.telling.report import terminal_tables
+from services.evaluator.benchmark.report import terminal_tables
+from services.evaluator.benchmark.sources import bundled
+from services.evaluator.benchmark.store import RUNS
 from tests.fakes.benchmark import run_here
 from tests.fakes.registry import FakeTracking
 
@@ -47,7 +47,7 @@ def make_request(path_folder):
 @pytest.fixture
 def undrawn(monkeypatch):
     """No figures, which take longer than all runs."""
-    monkeypatch.setattr("services.evaluator.benchmark.telling.files.all_figures", lambda results: ())
+    monkeypatch.setattr("services.evaluator.benchmark.files.all_figures", lambda results: ())
 
 
 def numbers(folder) -> list[dict]:
@@ -228,7 +228,7 @@ def test_the_arms_are_listed(tmp_path, capsys):
 def test_a_process_that_dies_is_told_with_its_remedy(setting, monkeypatch):
     from concurrent.futures.process import BrokenProcessPool
 
-    from services.evaluator.benchmark.runs import spread
+    from services.evaluator.benchmark import execution
 
     class Dying:
         def __init__(self, *given):
@@ -240,6 +240,6 @@ def test_a_process_that_dies_is_told_with_its_remedy(setting, monkeypatch):
         def shutdown(self, **given):
             pass
 
-    monkeypatch.setattr(spread, "ProcessPoolExecutor", Dying)
+    monkeypatch.setattr(execution, "ProcessPoolExecutor", Dying)
     with pytest.raises(JobError, match="goes on from the runs that it has"):
         list(processes(1)([None], setting, []))

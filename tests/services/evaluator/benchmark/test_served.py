@@ -10,10 +10,9 @@ from cspace.errors import SamplerError, SamplerUnavailableError
 from cspace.worlds import default_world
 from cspace.worlds.planar.planning.problems import Family
 from services.evaluator.benchmark import __main__ as command
-from services.evaluator.benchmark.runs.arms import pick, table
-from services.evaluator.benchmark.runs.cluster import executor, run_on_ray
-from services.evaluator.benchmark.runs.setting import Unit
-from services.evaluator.benchmark.runs.sources import bundled, served
+from services.evaluator.benchmark.arms import Unit, pick, table
+from services.evaluator.benchmark.execution import executor, run_on_ray
+from services.evaluator.benchmark.sources import bundled, served
 from tests.bundles import write_tiny_bundle
 from tests.fakes.benchmark import run_here
 from tests.inference_api.server import api_server

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cspace.errors import EvaluationError
-from services.evaluator.evaluation.comparison import compare_paths, compare_samplers
+from services.evaluator.evaluation.gate import compare_paths, compare_samplers
 from services.evaluator.measures.occupancy import SceneOccupancy
 from services.evaluator.measures.planning import PlanningTrial, RunOutcome
 from services.evaluator.measures.reconstruction import SampleQuality, SceneQuality

@@ -8,8 +8,7 @@ from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK, PlanarArm
 from cspace.worlds.planar.planning.problems import Family
 from cspace.worlds.planar.seeing.camera import Camera
 from cspace.worlds.planar.world import PlanarWorld
-from services.evaluator.evaluation.gallery import MISSED_COLOUR, SHOWN_SAMPLES, gallery
-from services.evaluator.evaluation.recording import exhibits
+from services.evaluator.evaluation.report import MISSED_COLOUR, SHOWN_SAMPLES, exhibits, gallery
 from services.evaluator.evaluation.units import SplitResult
 from services.evaluator.measures.reconstruction import SampleQuality, SceneQuality
 from services.evaluator.measures.scenes import Scene, Stage

@@ -4,8 +4,16 @@ import pytest
 
 from cspace.worlds import workshop_of
 from cspace.worlds.planar.world import PlanarWorld
-from services.evaluator.evaluation.comparison import Comparison, Gain
-from services.evaluator.evaluation.gate import Bar, Candidate, Champion, PathCandidate, judge, judge_paths
+from services.evaluator.evaluation.gate import (
+    Bar,
+    Candidate,
+    Champion,
+    Comparison,
+    Gain,
+    PathCandidate,
+    judge,
+    judge_paths,
+)
 from services.evaluator.statistics import Interval
 
 PLANAR = workshop_of(PlanarWorld()).measures

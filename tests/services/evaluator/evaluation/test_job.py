@@ -8,11 +8,9 @@ from cspace.worlds import workshop_of
 from cspace.worlds.planar.arm import THREE_LINK
 from cspace.worlds.planar.world import PlanarWorld
 from services.evaluator import __main__ as command
-from services.evaluator.evaluation.budget import Budget, Kind, units
-from services.evaluator.evaluation.execution import run_here
-from services.evaluator.evaluation.job import evaluate_version, executor, run_on_ray
-from services.evaluator.evaluation.metrics import MAX_HEADLINE, MAX_METRICS, flat_metrics
-from services.evaluator.evaluation.request import make_request
+from services.evaluator.evaluation.job import evaluate_version, executor, run_here, run_on_ray
+from services.evaluator.evaluation.measured import MAX_HEADLINE, MAX_METRICS, flat_metrics
+from services.evaluator.evaluation.units import Budget, Kind, make_request, units
 from services.names import ALIAS_CHALLENGER, ALIAS_CHAMPION, MODEL_NAME
 from services.registry.promotion import decisions
 from tests.bundles import write_tiny_bundle
@@ -54,10 +52,10 @@ def registry(tmp_path, tracking):
 
 def passing(monkeypatch):
     """Let the gate pass: the tiny model is no better than uniform, and the decision is not the point here."""
-    from services.evaluator.evaluation import recording
+    from services.evaluator.evaluation import report
 
-    judge = recording.judge
-    monkeypatch.setattr(recording, "judge", lambda *given: replace(judge(*given), promoted=True))
+    judge = report.judge
+    monkeypatch.setattr(report, "judge", lambda *given: replace(judge(*given), promoted=True))
 
 
 def test_an_evaluation_is_a_child_of_the_training_with_metrics_report_and_pictures(tracking, registry):

@@ -6,9 +6,8 @@ import pytest
 
 from cspace.bundle import Bundle
 from inference_api.settings import PRETRAINED_FOLDER
-from services.evaluator.evaluation.budget import Budget
 from services.evaluator.evaluation.job import evaluate_version
-from services.evaluator.evaluation.request import make_request
+from services.evaluator.evaluation.units import Budget, make_request
 from services.names import ALIAS_CHAMPION, MODEL_NAME
 from tests.fakes.registry import FakeRegistry, FakeTracking
 from tests.worsened import copy_of_shipped

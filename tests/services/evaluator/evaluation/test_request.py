@@ -3,8 +3,7 @@ import pytest
 from cspace.errors import ConfigError
 from cspace.worlds import workshop_of
 from cspace.worlds.planar.world import PlanarWorld
-from services.evaluator.evaluation.budget import FULL, QUICK, units
-from services.evaluator.evaluation.request import make_request
+from services.evaluator.evaluation.units import FULL, QUICK, make_request, units
 
 
 @pytest.mark.parametrize("text", ["", "cspace-sampler", "a/0", "a/x", "a@", "@b", "a@b/1", "../a/1", "a/1\n"])

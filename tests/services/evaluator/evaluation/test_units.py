@@ -13,9 +13,8 @@ from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK
 from cspace.worlds.planar.planning.problems import Family
 from cspace.worlds.planar.seeing.camera import Camera
 from cspace.worlds.planar.world import PlanarWorld
-from services.evaluator.evaluation.budget import QUICK, Budget, Kind, Unit, units
-from services.evaluator.evaluation.execution import run_here
-from services.evaluator.evaluation.metrics import (
+from services.evaluator.evaluation.job import run_here
+from services.evaluator.evaluation.measured import (
     MAX_HEADLINE,
     MAX_METRICS,
     flat_metrics,
@@ -23,10 +22,19 @@ from services.evaluator.evaluation.metrics import (
     run_metrics,
 )
 from services.evaluator.evaluation.report import terminal_table, to_json, to_markdown
-from services.evaluator.evaluation.units import Setting, assemble, planner_seed, run_unit
+from services.evaluator.evaluation.units import (
+    QUICK,
+    Budget,
+    Kind,
+    Setting,
+    Unit,
+    assemble,
+    planner_seed,
+    run_unit,
+    units,
+)
 from services.evaluator.measures.planning import PlanningTrial
-from services.evaluator.measures.samplers import PackedBundle
-from services.evaluator.measures.scenes import Scene, Stage, reconstruct
+from services.evaluator.measures.scenes import PackedBundle, Scene, Stage, reconstruct
 from tests.bundles import write_tiny_bundle
 from tests.fakes.uniform_sampler import UniformSampler
 

@@ -7,10 +7,9 @@ from cspace.space import JointSpace, circles
 from cspace.splits import Split
 from cspace.worlds.planar.arm import PlanarArm
 from cspace.worlds.planar.world import PlanarWorld
-from services.evaluator.measures.nearest import coverage
-from services.evaluator.measures.reconstruction import energy_distance
+from services.evaluator.measures.reconstruction import coverage, energy_distance
 from services.evaluator.measures.scenes import Scene, Stage, reconstruct
-from services.evaluator.measures.topology.complement import occupancy, sample_complement
+from services.evaluator.measures.topology import occupancy, sample_complement
 from tests.fakes.uniform_sampler import UniformSampler
 
 SEAM = JointSpace((-3.1, -np.pi), (3.1, np.pi), (False, True))

@@ -13,15 +13,11 @@ from cspace.worlds.planar.planning.collision import CollisionChecker
 from cspace.worlds.planar.planning.problems import Family
 from cspace.worlds.planar.seeing.camera import Camera
 from cspace.worlds.planar.world import PlanarWorld
-from services.evaluator.evaluation.budget import JUDGED, Budget, Kind, Unit
-from services.evaluator.evaluation.metrics import flat_metrics
-from services.evaluator.evaluation.tables import occupancy_table
-from services.evaluator.evaluation.units import Setting, assemble, run_unit
-from services.evaluator.measures.occupancy import scene_occupancy, summarise_occupancy
+from services.evaluator.evaluation.measured import flat_metrics, occupancy_table
+from services.evaluator.evaluation.units import JUDGED, Budget, Kind, Setting, Unit, assemble, run_unit
+from services.evaluator.measures.occupancy import reliability_diagram, scene_occupancy, summarise_occupancy
 from services.evaluator.measures.reconstruction import summarise
-from services.evaluator.measures.reliability import reliability_diagram
-from services.evaluator.measures.samplers import ScoredBundleSampler, bundle_sampler
-from services.evaluator.measures.scenes import Scene, Stage, reconstruct
+from services.evaluator.measures.scenes import Scene, ScoredBundleSampler, Stage, bundle_sampler, reconstruct
 from services.planner.sources.local_sampler import BundleSampler
 from tests.bundles import tiny_graphs, tiny_spec, write_tiny_bundle
 from tests.fakes.uniform_sampler import UniformSampler

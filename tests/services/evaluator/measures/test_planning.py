@@ -8,9 +8,14 @@ from cspace.problem import Problem
 from cspace.worlds.planar.arm import TWO_LINK
 from cspace.worlds.planar.planning.problems import Family
 from cspace.worlds.planar.scene import Disc, Scenario
-from services.evaluator.evaluation.tables import planning_table
-from services.evaluator.measures.planning import PlanningTrial, RunOutcome, plan_trial
-from services.evaluator.measures.planning_summary import success_rate, summarise_family
+from services.evaluator.evaluation.measured import planning_table
+from services.evaluator.measures.planning import (
+    PlanningTrial,
+    RunOutcome,
+    plan_trial,
+    success_rate,
+    summarise_family,
+)
 from services.planner.search.ompl_planner import PlannerSettings, PlanResult
 from tests.fakes.uniform_sampler import UniformSampler
 

@@ -3,7 +3,7 @@ import pytest
 
 from cspace.bundle import Bundle
 from cspace.errors import BundleIntegrityError
-from services.evaluator.measures.samplers import PackedBundle, unfiltered
+from services.evaluator.measures.scenes import PackedBundle, unfiltered
 from services.planner.sources.local_sampler import BundleSampler
 from tests.bundles import picture, write_tiny_bundle
 

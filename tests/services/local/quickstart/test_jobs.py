@@ -1,8 +1,8 @@
 import pytest
 
 from cspace.errors import JobError
-from services.local.quickstart.jobs import LAST_LINES, LOOKS, RayJobs, follow
-from services.local.servers.ports import free_ports
+from services.local.jobs import LAST_LINES, LOOKS, RayJobs, follow
+from services.local.processes import free_ports
 from services.local.settings import Settings
 from tests.fakes.jobs import FakeJobs
 

@@ -4,7 +4,7 @@ import httpx
 import pytest
 
 from cspace.errors import RegistryError
-from services.local.quickstart.pictures import fetch_pictures
+from services.local.jobs import fetch_pictures
 
 
 def server(request: httpx.Request) -> httpx.Response:

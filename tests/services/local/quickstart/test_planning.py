@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 from cspace.errors import PlanningError
-from services.local.quickstart import planning
-from services.local.quickstart.tours import TOURS
+from services.local import quickstart
+from services.local.quickstart import TOURS
 
 
 def command(folder: Path, script: str) -> str:
@@ -19,10 +19,10 @@ def command(folder: Path, script: str) -> str:
 
 
 def plan(folder: Path, script: str, monkeypatch: pytest.MonkeyPatch) -> tuple[list[Path], list[str]]:
-    monkeypatch.setattr(planning.sys, "executable", command(folder, script))
+    monkeypatch.setattr(quickstart.sys, "executable", command(folder, script))
     lines: list[str] = []
     tour = TOURS["planar"]
-    pictures = planning.plan_and_draw(
+    pictures = quickstart.plan_and_draw(
         "http://127.0.0.1:1", folder, folder / "out", os.environ, lines.append, tour
     )
     return pictures, lines
@@ -51,8 +51,8 @@ def test_an_older_picture_does_not_hide_a_crash(tmp_path: Path, monkeypatch: pyt
 def test_a_model_that_is_not_the_apis_default_is_named_with_its_robot(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(planning.sys, "executable", command(tmp_path, 'echo "$*" >&2; exit 2'))
+    monkeypatch.setattr(quickstart.sys, "executable", command(tmp_path, 'echo "$*" >&2; exit 2'))
     with pytest.raises(PlanningError, match=r"--robot panda --model panda-sampler/3 --family uniform"):
-        planning.plan_and_draw(
+        quickstart.plan_and_draw(
             "http://127.0.0.1:1", tmp_path, tmp_path, os.environ, print, TOURS["panda"], "panda-sampler/3"
         )

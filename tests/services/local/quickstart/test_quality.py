@@ -7,11 +7,10 @@ from dataclasses import replace
 import pytest
 
 from cspace.worlds import default_world, robot_digest, workshop_of
+from services.local import quickstart
 from services.local.commands import COMMANDS
-from services.local.quickstart import quality
-from services.local.quickstart.results import EvaluationResult, TrainingResult
-from services.local.quickstart.summary import summary
-from services.local.quickstart.tours import TOURS
+from services.local.jobs import EvaluationResult, TrainingResult
+from services.local.quickstart import TOURS
 from services.planner.sources.samples import SampleSource
 from services.registry.references import SHIPPED
 from tests.fakes.uniform_sampler import UniformSampler
@@ -44,13 +43,13 @@ def api(monkeypatch):
         assert robot == robot_digest(default_world())
         yield fake
 
-    monkeypatch.setattr(quality, "SamplingClient", client)
-    monkeypatch.setattr(quality, "SAMPLES", 60)
+    monkeypatch.setattr(quickstart, "SamplingClient", client)
+    monkeypatch.setattr(quickstart, "SAMPLES", 60)
     return fake
 
 
 def test_both_models_are_asked_on_the_same_scenarios_with_the_same_seeds_with_and_without_filter(api):
-    found = quality.served_quality("http://api", MODELS, TOUR)
+    found = quickstart.served_quality("http://api", MODELS, TOUR)
     assert list(found) == list(MODELS)
     assert [asked[:2] for asked in api.asked] == 2 * [(m, least) for m in MODELS for least in (0.0, None)]
     assert [len({seed for _, _, seed in api.asked[first : first + 4]}) for first in (0, 4)] == [1, 1]
@@ -61,9 +60,9 @@ def test_both_models_are_asked_on_the_same_scenarios_with_the_same_seeds_with_an
 
 def test_the_summary_shows_both_models_side_by_side_and_why_the_shipped_one_was_left_out(api):
     api.short = MODELS[0]
-    found = quality.served_quality("http://api", MODELS, TOUR)
+    found = quickstart.served_quality("http://api", MODELS, TOUR)
     note = "not compared with the shipped model, as was asked for"
-    text = summary(
+    text = quickstart.summary(
         TrainingResult("run", "cspace-sampler", 1, "digest", ()),
         EvaluationResult("run", 1, promoted=True, reasons=(note,), metrics={}, figures=()),
         found,

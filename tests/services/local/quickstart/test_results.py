@@ -3,7 +3,7 @@ import json
 import pytest
 
 from cspace.errors import JobError
-from services.local.quickstart.results import evaluation_result, training_result
+from services.local.jobs import evaluation_result, training_result
 
 TRAINING = {
     "run_id": "r1",

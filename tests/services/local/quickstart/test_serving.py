@@ -2,7 +2,7 @@ import httpx
 import pytest
 
 from cspace.errors import ServiceStartError
-from services.local.quickstart.serving import wait_served
+from services.local.quickstart import wait_served
 
 ONE = {"reference": "cspace-sampler/1", "default": True}
 TWO = {"reference": "cspace-sampler/2", "default": False}

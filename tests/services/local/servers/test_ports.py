@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import pytest
 
 from cspace.errors import PortTakenError
-from services.local.servers.ports import free_ports, holder, is_free, require_free
+from services.local.processes import free_ports, holder, is_free, require_free
 
 
 @pytest.fixture

@@ -9,8 +9,9 @@ import psutil
 import pytest
 
 from cspace.errors import ServiceStartError
-from services.local.servers.processes import (
+from services.local.processes import (
     MARKER,
+    Record,
     family,
     find,
     is_alive,
@@ -18,7 +19,6 @@ from services.local.servers.processes import (
     stop,
     with_children,
 )
-from services.local.servers.records import Record
 
 StartPython = Callable[..., Record]
 

@@ -4,9 +4,15 @@ from pathlib import Path
 import pytest
 
 from cspace.errors import ServiceStartError
-from services.local.servers.ray_head import MAX_TEMP_PATH, ray_head, temp_folder
-from services.local.servers.ray_token import ensure_token, read_token, token_headers
-from services.local.settings import Settings
+from services.local.settings import (
+    MAX_TEMP_PATH,
+    Settings,
+    ensure_token,
+    read_token,
+    temp_folder,
+    token_headers,
+)
+from services.local.stack import ray_head
 
 
 def test_the_head_listens_on_loopback_and_asks_for_the_token(settings: Settings) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from services.local.servers.ray_jobs import jobs_under_way
+from services.local.stack import jobs_under_way
 
 JOB = {
     "submission_id": "raysubmit_1",

@@ -4,7 +4,7 @@ from pathlib import Path
 import pytest
 
 from cspace.errors import ServiceError
-from services.local.servers.records import ProcessId, Record, drop_record, read_record, write_record
+from services.local.processes import ProcessId, Record, drop_record, read_record, write_record
 
 RECORD = Record(
     "ray",

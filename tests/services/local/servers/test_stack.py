@@ -11,13 +11,9 @@ import psutil
 import pytest
 
 from cspace.errors import PortTakenError, ServiceError, ServiceStartError
-from services.local.servers.health import answers
-from services.local.servers.lock import exclusive
-from services.local.servers.ports import free_ports
-from services.local.servers.records import read_record
-from services.local.servers.service import Service
-from services.local.servers.stack import down, require_down, status, up
+from services.local.processes import Service, answers, exclusive, free_ports, read_record
 from services.local.settings import Settings
+from services.local.stack import down, require_down, status, up
 
 SERVER = """
 import http.server, sys

@@ -3,8 +3,7 @@
 import pytest
 
 from cspace.worlds.unseen import Taken
-from services.evaluator.benchmark.plans.record import PlanRun
-from services.evaluator.benchmark.plans.setting import Table
+from services.evaluator.benchmark.plans.setting import PlanRun, Table
 
 EMPTY = dict.fromkeys(
     (

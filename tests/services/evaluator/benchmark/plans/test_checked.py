@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from services.evaluator.benchmark.plans.checked import ALL, HARD, Checked, gather
 from services.evaluator.benchmark.plans.setting import BASE
+from services.evaluator.benchmark.plans.summary import ALL, HARD, Checked, gather_checked
 
 WAYS = "RRT-Connect, ways of model"
 RNG = np.random.default_rng(0)
@@ -74,6 +74,6 @@ def test_of_the_runs_of_a_problem_the_median_counts_and_missing_ones_are_waited_
 
 def test_groups_are_all_the_hard_ones_and_every_family(searches, make_search):
     others = [make_search(arm, 0, 10, family="table") for arm in (BASE.name, WAYS)]
-    found = gather([*searches, *others], (1,), ("box",))
+    found = gather_checked([*searches, *others], (1,), ("box",))
     counts = [(one.name, one.count) for one in found]
     assert counts == [(f"sets, {ALL}", 4), (f"sets, {HARD}", 3), ("box", 3), ("table", 1)]

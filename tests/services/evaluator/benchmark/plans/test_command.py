@@ -5,8 +5,8 @@ import pytest
 from cspace.errors import ConfigError, DatasetError
 from inference_api.settings import PRETRAINED_FOLDER
 from services.evaluator.benchmark import __main__ as command
-from services.evaluator.benchmark.command import parser
-from services.evaluator.benchmark.plans.command import make_plan_request, refuse_others
+from services.evaluator.benchmark.job import parser
+from services.evaluator.benchmark.plans.job import make_plan_request, refuse_others
 from services.evaluator.benchmark.plans.setting import arms_of, plan_units
 from tests.space_bundle import write_space_bundle
 

@@ -11,16 +11,13 @@ from cspace.errors import SamplerError
 from cspace.planning.query import Plan
 from cspace.worlds.unseen import Taken
 from services.evaluator.benchmark import __main__ as command
-from services.evaluator.benchmark.command import parser
-from services.evaluator.benchmark.plans.command import make_plan_request
-from services.evaluator.benchmark.plans.job import run_plans
+from services.evaluator.benchmark.job import parser
+from services.evaluator.benchmark.plans.job import make_plan_request, run_plans
 from services.evaluator.benchmark.plans.measure import PlanWorker
 from services.evaluator.benchmark.plans.planners import ServedPlanner
-from services.evaluator.benchmark.plans.record import PlanRun
-from services.evaluator.benchmark.plans.setting import BASE, TRUE_WAYS
-from services.evaluator.benchmark.runs.run import descriptions
-from services.evaluator.benchmark.runs.sources import SourceSpec
-from services.evaluator.benchmark.runs.store import RUNS
+from services.evaluator.benchmark.plans.setting import BASE, TRUE_WAYS, PlanRun
+from services.evaluator.benchmark.sources import SourceSpec
+from services.evaluator.benchmark.store import RUNS, descriptions
 from tests.fakes.registry import FakeTracking
 from tests.inference_api.server import api_server
 from tests.space_bundle import write_space_bundle
@@ -32,7 +29,7 @@ GIVEN = ("--protocol", "plans", "--robot", "panda", "--family", "motionbench_tab
 @pytest.fixture(autouse=True)
 def patient(monkeypatch):
     """Searches that a busy machine does not cut off."""
-    monkeypatch.setattr("services.evaluator.benchmark.plans.command.PLAN_LIMIT_S", 10.0)
+    monkeypatch.setattr("services.evaluator.benchmark.plans.job.PLAN_LIMIT_S", 10.0)
 
 
 def work_here(work, setting, specs):

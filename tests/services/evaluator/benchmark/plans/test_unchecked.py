@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from cspace.worlds.unseen import Taken
-from services.evaluator.benchmark.plans.record import NO_PROBLEM
-from services.evaluator.benchmark.plans.rows import plans_table, sureness_table
-from services.evaluator.benchmark.plans.unchecked import Plans, gather_plans
+from services.evaluator.benchmark.plans.report import plans_table, sureness_table
+from services.evaluator.benchmark.plans.setting import NO_PROBLEM
+from services.evaluator.benchmark.plans.summary import Plans, gather_plans
 
 FREE, KNOWN = Taken.FREE.value, Taken.KNOWN.value
 RNG = np.random.default_rng(0)

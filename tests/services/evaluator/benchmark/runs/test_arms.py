@@ -1,7 +1,7 @@
 import pytest
 
 from cspace.errors import ConfigError
-from services.evaluator.benchmark.runs.arms import MIN_CONFIDENCE, SAMPLES, Group, Taken, pick, table
+from services.evaluator.benchmark.arms import MIN_CONFIDENCE, SAMPLES, Group, Taken, pick, table
 from services.planner.planning import PAPER_SCHEDULE
 from services.planner.settings import LEARNED_PLANNERS, PLANNERS, RRT
 

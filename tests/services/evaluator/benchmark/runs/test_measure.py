@@ -15,12 +15,17 @@ from cspace.splits import Split
 from cspace.worlds import default_world, examples
 from cspace.worlds.planar.planning.problems import Family, draw_problem
 from cspace.worlds.planar.seeing.picture import decode_png
-from services.evaluator.benchmark.runs.arms import pick, table
-from services.evaluator.benchmark.runs.check_cost import state_check_s
-from services.evaluator.benchmark.runs.fresh_png import fresh_picture, fresh_png
-from services.evaluator.benchmark.runs.measure import drawn_samples, known_problem, measure
-from services.evaluator.benchmark.runs.setting import Unit
-from services.evaluator.benchmark.runs.sources import ask, bundled, mixed, opened, parse_named
+from services.evaluator.benchmark.arms import Unit, pick, table
+from services.evaluator.benchmark.measure import drawn_samples, known_problem, measure, state_check_s
+from services.evaluator.benchmark.sources import (
+    ask,
+    bundled,
+    fresh_picture,
+    fresh_png,
+    mixed,
+    opened,
+    parse_named,
+)
 from services.planner.plan_result import Reason
 from services.planner.search.samples.sample_order import order_along
 from tests.bundles import picture, write_tiny_bundle
@@ -125,7 +130,7 @@ def test_where_there_is_no_path_nothing_succeeds_and_the_limit_ends_it(setting, 
 
 def test_a_path_that_the_independent_check_refuses_is_no_success(setting, spec, sources, monkeypatch):
     monkeypatch.setattr(
-        "services.evaluator.benchmark.runs.measure.judge_path", lambda *given: Reason.REJECTED, raising=True
+        "services.evaluator.benchmark.measure.judge_path", lambda *given: Reason.REJECTED, raising=True
     )
     for one in run(ARMS, Family.UNIFORM, setting, spec, sources).values():
         assert (one.solved, one.length_rad, one.cost_s) == (False, None, ())
@@ -142,7 +147,7 @@ def test_perturbed_samples_are_mixed_unless_the_papers_order_is_wanted(setting, 
     problem = known_problem(setting.world, Family.UNIFORM, setting.split, 0, 0)
     ends = {"start": problem.start.tolist(), "goal": problem.goal.tolist()}
     batch = sources["way"].sample(
-        encode_png(picture(pixels=48)), 40, seed=3, epsilon_sigma=(0.0, 1.0), min_confidence=0.0, **ends
+        encode_png(np.full((48, 48, 3), 255, np.uint8)), 40, seed=3, epsilon_sigma=(0.0, 1.0), min_confidence=0.0, **ends
     )
     in_order = drawn_samples(by_name["RRT, way, schedule in order"], batch, problem)
     shuffled = drawn_samples(by_name["RRT, way, schedule"], batch, problem)
@@ -152,10 +157,12 @@ def test_perturbed_samples_are_mixed_unless_the_papers_order_is_wanted(setting, 
     assert np.array_equal(np.sort(shuffled, axis=0), np.sort(batch.samples, axis=0))
 
 
-def test_checked_arms_take_all_that_others_take_and_count_what_they_check(setting, spec, sources):
+def test_checked_arms_take_all_that_others_take_and_count_what_they_check(setting, tmp_path):
     wanted = [f"RRT, way, 100 %{rest}" for rest in ("", ", colliding last")]
     short = replace(setting, max_iterations=400)
-    found = run(pick(table(["way"], 1.0), wanted), Family.DISCONNECTED, short, spec, sources)
+    plain_model = bundled("way", write_tiny_bundle(tmp_path / "bundle"))
+    with opened([plain_model], default_world()) as sources:
+        found = run(pick(table(["way"], 1.0), wanted), Family.DISCONNECTED, short, plain_model, sources)
     plain, checked = (found[name] for name in wanted)
     assert plain.learned_drawn == checked.learned_drawn == 300
     assert plain.samples_got == checked.samples_got == 300
@@ -168,7 +175,7 @@ def test_ordered_samples_are_the_same_ones_along_the_way(setting, spec, sources)
     by_name = {arm.name: arm for arm in table(["way"], 1.0)}
     problem = known_problem(setting.world, Family.UNIFORM, setting.split, 0, 0)
     ends = {"start": problem.start.tolist(), "goal": problem.goal.tolist()}
-    batch = sources["way"].sample(encode_png(picture(pixels=48)), 40, seed=3, min_confidence=0.0, **ends)
+    batch = sources["way"].sample(encode_png(np.full((48, 48, 3), 255, np.uint8)), 40, seed=3, min_confidence=0.0, **ends)
     ordered = drawn_samples(by_name["RRT, way, 70 %, ordered"], batch, problem)
     order = order_along(batch.samples, problem.start, problem.goal, problem.scenario.robot.space)
     assert np.array_equal(ordered, batch.samples[order])

@@ -7,12 +7,17 @@ from cspace.errors import ConfigError, EvaluationError, StorageError
 from cspace.worlds import workshop_of
 from cspace.worlds.planar.planning.problems import Family
 from cspace.worlds.planar.world import PlanarWorld
-from services.evaluator.benchmark.runs.arms import pick, table
-from services.evaluator.benchmark.runs.run import DESCRIPTIONS, Run, finite
-from services.evaluator.benchmark.runs.setting import units
-from services.evaluator.benchmark.runs.sources import SourceSpec
-from services.evaluator.benchmark.runs.store import RUNS, RunStore, complete
-from services.evaluator.benchmark.telling.frame import write_parquet
+from services.evaluator.benchmark.arms import pick, table, units
+from services.evaluator.benchmark.sources import SourceSpec
+from services.evaluator.benchmark.store import (
+    DESCRIPTIONS,
+    RUNS,
+    Run,
+    RunStore,
+    complete,
+    finite,
+    write_parquet,
+)
 
 ARMS = pick(table(["way"], 1.0), ["RRT, way, 70 %"])
 WAY = SourceSpec("way", "a" * 64, with_ends=True, model="path-sampler/3", url="http://127.0.0.1:1")

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cspace.errors import EvaluationError
-from services.evaluator.benchmark.summary.break_even import (
+from services.evaluator.benchmark.summary import (
     NEVER,
     BreakEven,
     Spent,

@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
 
-from services.evaluator.benchmark.runs.arms import pick, table
-from services.evaluator.benchmark.summary.convergence import best_known, converge, until_close
-from services.evaluator.benchmark.summary.paired import PairedRuns
-from services.evaluator.benchmark.telling.figures import cost_at
+from services.evaluator.benchmark.arms import pick, table
+from services.evaluator.benchmark.figures import cost_at
+from services.evaluator.benchmark.results import best_known, converge, until_close
+from services.evaluator.benchmark.summary import PairedRuns
 
 UNIFORM, LEARNED, OTHER = "RRT*, uniform, optimising", "RRT*, way, 70 %, optimising", "RRT, uniform"
 

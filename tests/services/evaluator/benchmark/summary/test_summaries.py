@@ -2,9 +2,8 @@ import numpy as np
 import pytest
 
 from cspace.errors import EvaluationError
-from services.evaluator.benchmark.runs.arms import Arm, Group, pick, table
-from services.evaluator.benchmark.summary.paired import PairedRuns
-from services.evaluator.benchmark.summary.summaries import length_ratio, ratios, spent, summarise
+from services.evaluator.benchmark.arms import Arm, Group, pick, table
+from services.evaluator.benchmark.summary import PairedRuns, length_ratio, ratios, spent, summarise
 
 LEARNED, UNIFORM, SHORT = "RRT, way, 70 %", "RRT, uniform", "RRT, uniform, range 0.5"
 

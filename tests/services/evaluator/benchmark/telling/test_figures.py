@@ -2,13 +2,10 @@ import numpy as np
 import pytest
 
 from cspace.worlds.planar.planning.problems import Family
-from services.evaluator.benchmark.runs.arms import pick, table
-from services.evaluator.benchmark.runs.setting import Protocol, Setting
-from services.evaluator.benchmark.summary.results import Results
-from services.evaluator.benchmark.telling.curves import looks, panel_of, share_until
-from services.evaluator.benchmark.telling.figures import all_figures
-from services.evaluator.benchmark.telling.pages import page_arms
-from services.evaluator.benchmark.telling.report import report
+from services.evaluator.benchmark.arms import Protocol, Setting, pick, table
+from services.evaluator.benchmark.figures import all_figures, looks, page_arms, panel_of, share_until
+from services.evaluator.benchmark.report import report
+from services.evaluator.benchmark.results import Results
 
 ARMS = pick(
     table(["way", "flow"], 1.0), ["RRT, way, 70 %", "RRT, way, 70 %, 10 samples", "RRT*, uniform, optimising"]

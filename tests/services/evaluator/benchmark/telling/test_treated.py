@@ -2,9 +2,9 @@
 
 import pytest
 
-from services.evaluator.benchmark.runs.arms import Group, table
-from services.evaluator.benchmark.summary.paired import PairedRuns
-from services.evaluator.benchmark.telling.treated import plain_arm, treated_table
+from services.evaluator.benchmark.arms import Group, table
+from services.evaluator.benchmark.report import plain_arm, treated_table
+from services.evaluator.benchmark.summary import PairedRuns
 
 ARMS = table(["way", "other"], 1.0)
 BY_NAME = {arm.name: arm for arm in ARMS}

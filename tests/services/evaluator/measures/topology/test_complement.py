@@ -3,14 +3,19 @@ import pytest
 
 from cspace.errors import EvaluationError
 from cspace.space import JointSpace
-from services.evaluator.measures.topology.complement import boundary_cells, occupancy, sample_complement
-from services.evaluator.measures.topology.complement_score import (
+from services.evaluator.measures.topology import (
+    boundary_cells,
     complement_score,
+    enlarged_turns,
+    geometry_score,
     largest_score,
+    mean_living_times,
+    occupancy,
+    quarter_turn,
+    sample_complement,
+    square_to_disk,
     turned_living_times,
 )
-from services.evaluator.measures.topology.disk import enlarged_turns, quarter_turn, square_to_disk
-from services.evaluator.measures.topology.geometry_score import geometry_score, mean_living_times
 
 TORUS = JointSpace((-np.pi, -np.pi), (np.pi, np.pi), (True, True))
 LIMITED = JointSpace((-1.0, -2.0), (1.0, 2.0), (False, False))

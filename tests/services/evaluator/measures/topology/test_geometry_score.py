@@ -7,13 +7,13 @@ import pytest
 from scipy.spatial.distance import cdist
 
 from cspace.errors import EvaluationError
-from services.evaluator.measures.topology.geometry_score import (
+from services.evaluator.measures.topology import (
     geometry_score,
     living_times,
     mean_living_times,
     relative_living_times,
+    witness_complex,
 )
-from services.evaluator.measures.topology.witness import witness_complex
 from services.evaluator.processes import ProcessMapper
 
 CASES = Path(__file__).with_name("living_times.npz")

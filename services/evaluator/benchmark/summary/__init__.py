@@ -1,1 +1,0 @@
-"""Runs reduced to numbers with intervals."""

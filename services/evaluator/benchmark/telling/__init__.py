@@ -1,1 +1,0 @@
-"""What a benchmark tells: tables, figures, files, metrics."""

@@ -1,1 +1,0 @@
-"""Topology of point clouds: the geometry score and its twin of the complement."""

@@ -1,0 +1,267 @@
+"""Jobs on the Ray head: submit, follow the log, read the result and copy the pictures."""
+
+import json
+import re
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+
+import httpx
+
+from cspace.errors import JobError, RegistryError
+from services.local.settings import Settings, token_headers
+from services.results import PREFIX
+
+
+@dataclass(frozen=True, slots=True)
+class TrainingResult:
+    """The new version of a training job.
+
+    Args:
+        run_id: its run in the tracking server.
+        model: the registered model.
+        version: the new version's number.
+        digest: of the bundle.
+        figures: names of the pictures in the run.
+    """
+
+    run_id: str
+    model: str
+    version: int
+    digest: str
+    figures: tuple[str, ...]
+
+    @property
+    def reference(self) -> str:
+        """``name/version``, as the API and the evaluator take it."""
+        return f"{self.model}/{self.version}"
+
+
+@dataclass(frozen=True, slots=True)
+class EvaluationResult:
+    """The verdict of an evaluation job.
+
+    Args:
+        run_id: its run in the tracking server.
+        version: that was judged.
+        promoted: whether it is the champion now.
+        reasons: for the verdict.
+        metrics: all numbers by name.
+        figures: names of the pictures in the run.
+    """
+
+    run_id: str
+    version: int
+    promoted: bool
+    reasons: tuple[str, ...]
+    metrics: Mapping[str, float]
+    figures: tuple[str, ...]
+
+
+def training_result(log: str) -> TrainingResult:
+    """Read the last result of a training job's log.
+
+    Raises:
+        JobError: there is none, or it lacks something.
+    """
+    with _last_result(log) as fields:
+        return TrainingResult(
+            run_id=str(fields["run_id"]),
+            model=str(fields["model"]),
+            version=int(fields["version"]),
+            digest=str(fields["digest"]),
+            figures=tuple(map(str, fields.get("figures", ()))),
+        )
+
+
+def evaluation_result(log: str) -> EvaluationResult:
+    """Read the last result of an evaluation job's log.
+
+    Raises:
+        JobError: there is none, or it lacks something.
+    """
+    with _last_result(log) as fields:
+        return EvaluationResult(
+            run_id=str(fields["run_id"]),
+            version=int(fields["version"]),
+            promoted=fields["promoted"] is True,
+            reasons=tuple(map(str, fields["reasons"])),
+            metrics={str(name): float(value) for name, value in fields["metrics"].items()},
+            figures=tuple(map(str, fields.get("figures", ()))),
+        )
+
+
+@contextmanager
+def _last_result(log: str) -> Iterator[dict[str, Any]]:
+    """The fields of the last result; what cannot be read of them in the block is a JobError."""
+    lines = [line for line in log.splitlines() if line.startswith(PREFIX)]
+    if not lines:
+        raise JobError("the job left no result", expected=f"a last line `{PREFIX}{{...}}`")
+    try:
+        fields = json.loads(lines[-1].removeprefix(PREFIX))
+    except ValueError as error:
+        raise JobError("the job's result is not JSON", got=lines[-1][:200]) from error
+    if not isinstance(fields, dict):
+        raise JobError("the job's result is not an object", got=lines[-1][:200])
+    try:
+        yield fields
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise JobError("the job's result lacks something", got=f"{error!r} in {sorted(fields)}") from error
+
+
+# Where the tracking adapter puts figures within a run.
+RUN_FOLDER = "figures"
+
+
+def fetch_pictures(
+    url: str, run_id: str, names: Sequence[str], folder: Path, transport: httpx.BaseTransport | None = None
+) -> list[Path]:
+    """Copy a run's figures by name; the files.
+
+    Args:
+        url: of the tracking server.
+        run_id: whose figures.
+        names: with or without ``.png``.
+        folder: that the files go to; made if it is not there.
+        transport: of httpx; None for the network.
+
+    Raises:
+        RegistryError: a figure is not there, or the server does not answer.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    found = []
+    with httpx.Client(base_url=url, timeout=30.0, trust_env=False, transport=transport) as client:
+        for name in names:
+            # A name is a run's word, not a path of this machine.
+            file = f"{Path(name).name.removesuffix('.png')}.png"
+            found.append(folder / file)
+            found[-1].write_bytes(_download(client, run_id, f"{RUN_FOLDER}/{file}"))
+    return found
+
+
+def _download(client: httpx.Client, run_id: str, path: str) -> bytes:
+    try:
+        answer = client.get("/get-artifact", params={"run_uuid": run_id, "path": path}).raise_for_status()
+    except httpx.HTTPError as error:
+        raise RegistryError(f"the figure {path} of run {run_id} cannot be fetched", got=str(error)) from error
+    return answer.content
+
+
+if TYPE_CHECKING:
+    from ray.job_submission import JobSubmissionClient
+
+POLL_S = 1.0
+LOOKS = 5
+LAST_LINES = 30
+SUCCEEDED = "SUCCEEDED"
+ENDED = (SUCCEEDED, "FAILED", "STOPPED")
+_COLOUR = re.compile(r"\x1b\[[0-9;]*m")
+
+
+class Jobs(Protocol):
+    """What is needed of a jobs API."""
+
+    def submit(self, entrypoint: str) -> str:
+        """Submit a job; its id."""
+        ...
+
+    def state(self, job: str) -> str:
+        """PENDING, RUNNING, SUCCEEDED, FAILED or STOPPED."""
+        ...
+
+    def log(self, job: str) -> str:
+        """All that the job has written so far."""
+        ...
+
+
+class RayJobs:
+    """The jobs API of the Ray head of ``make up``, over one client that is made when it is first needed."""
+
+    def __init__(self, settings: Settings) -> None:
+        self.settings = settings
+        self._client: JobSubmissionClient | None = None
+
+    def submit(self, entrypoint: str) -> str:
+        """Submit a job that runs in the head's own folder.
+
+        It asks for no resources of its own: on a small machine it would wait for those that its trials hold.
+
+        Raises:
+            JobError: the head refused it or does not answer.
+        """
+        return self._ask(lambda client: client.submit_job(entrypoint=entrypoint))
+
+    def state(self, job: str) -> str:
+        """See :class:`Jobs`.
+
+        Raises:
+            JobError: the head does not answer.
+        """
+        return self._ask(lambda client: str(client.get_job_status(job).value))
+
+    def log(self, job: str) -> str:
+        """See :class:`Jobs`.
+
+        Raises:
+            JobError: the head does not answer.
+        """
+        return self._ask(lambda client: str(client.get_job_logs(job)))
+
+    def _ask(self, question: "Callable[[JobSubmissionClient], str]") -> str:
+        try:
+            self._client = self._client or _connect(self.settings)
+            return question(self._client)
+        except (RuntimeError, ConnectionError, OSError) as error:
+            raise JobError(
+                "Ray's jobs API does not answer as it should",
+                got=str(error)[:500],
+                remedy=f"see {self.settings.logs_folder / 'ray.log'} and `make status`",
+            ) from error
+
+
+def follow(
+    jobs: Jobs, job: str, show: Callable[[str], None], pause: Callable[[float], None] = time.sleep
+) -> str:
+    """Show a job's lines as they come until it ends; its whole log, without colours.
+
+    Raises:
+        JobError: the job failed or was stopped, and the last lines of its log are told; or the head is gone.
+    """
+    shown = 0
+    while True:
+        state, log = _look(jobs, job, pause)
+        complete = log if state in ENDED else log[: log.rfind("\n") + 1]
+        for line in complete[shown:].splitlines():
+            show(line)
+        shown = max(shown, len(complete))
+        if state in ENDED:
+            break
+        pause(POLL_S)
+    if state != SUCCEEDED:
+        last = "\n".join(log.splitlines()[-LAST_LINES:])
+        raise JobError(
+            f"the job {job} ended as {state}; the last lines of its log:\n{last}",
+            remedy=f"the rest: `ray job logs {job}` in a shell set up by `python -m services.local env`",
+        )
+    return log
+
+
+def _look(jobs: Jobs, job: str, pause: Callable[[float], None]) -> tuple[str, str]:
+    """A job's state and what it had written then or a little later."""
+    for _ in range(LOOKS - 1):
+        # A head whose machine is busy with trials may miss a question; the job goes on all the same.
+        with suppress(JobError):
+            return jobs.state(job), _COLOUR.sub("", jobs.log(job))
+        pause(POLL_S)
+    return jobs.state(job), _COLOUR.sub("", jobs.log(job))
+
+
+def _connect(settings: Settings) -> "JobSubmissionClient":
+    # Imported here: Ray takes a second, and the commands that submit nothing need not wait for it.
+    from ray.job_submission import JobSubmissionClient  # noqa: PLC0415
+
+    # The token goes with the request, so that this process needs no Ray settings in its environment.
+    return JobSubmissionClient(settings.ray_url, headers=token_headers())

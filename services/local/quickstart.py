@@ -1,0 +1,400 @@
+"""The guided run: services, training, evaluation, serving, quality over HTTP, planning, summary."""
+
+import json
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import httpx
+import numpy as np
+
+from cspace.errors import PlanningError, ServiceStartError
+from cspace.query import SampleQuery
+from cspace.splits import Split
+from cspace.world import World
+from cspace.worlds import examples, picture_file_of, robot_digest
+from services.evaluator.measures.reconstruction import (
+    ReconstructionSummary,
+    SamplerSummary,
+    SceneQuality,
+    summarise,
+)
+from services.evaluator.measures.scenes import Scene, Stage
+from services.evaluator.statistics import Interval
+from services.local.jobs import (
+    EvaluationResult,
+    Jobs,
+    RayJobs,
+    TrainingResult,
+    evaluation_result,
+    fetch_pictures,
+    follow,
+    training_result,
+)
+from services.local.settings import Settings, service_environment
+from services.local.stack import addresses, aligned, services, shell_help, up
+from services.names import MODEL_NAME
+from services.planner.sources.samples import SampleSource
+from services.planner.sources.sampling_client import SamplingClient
+from services.registry.references import PRETRAINED, is_shipped
+from services.results import PREFIX
+
+EVALUATE = "python -m services.evaluator --model {model} --without-shipped"
+
+
+@dataclass(frozen=True, slots=True)
+class Tour:
+    """The main job of one robot.
+
+    Args:
+        robot: name of the example.
+        shipped: the model that comes with the server.
+        train: entry point of the training job.
+        evaluate: of the evaluation job, with ``{model}`` where the version goes.
+        scenarios: on which served samples are judged.
+        families: of the problems that are planned and drawn.
+    """
+
+    robot: str
+    shipped: str
+    train: str
+    evaluate: str
+    scenarios: int
+    families: tuple[str, ...]
+
+    @property
+    def world(self) -> World:
+        """The robot's."""
+        return examples()[self.robot]
+
+
+TOURS = {
+    "planar": Tour(
+        robot="two-link",
+        shipped=PRETRAINED,
+        train="python training/cluster_train.py --preset quickstart",
+        evaluate=EVALUATE,
+        scenarios=100,
+        families=("uniform", "narrow"),
+    ),
+    "panda": Tour(
+        robot="panda",
+        shipped=f"{PRETRAINED}-panda",
+        train="python training/cluster_train.py --preset panda_quick",
+        evaluate=f"{EVALUATE} --scenarios 20",
+        scenarios=20,
+        families=("uniform", "shelf"),
+    ),
+}
+USUAL = "planar"
+
+
+POLL_S = 0.5
+LIMIT_S = 60.0
+
+
+def wait_served(
+    url: str,
+    reference: str,
+    *,
+    default: bool,
+    limit_s: float = LIMIT_S,
+    transport: httpx.BaseTransport | None = None,
+    pause: Callable[[float], None] = time.sleep,
+) -> None:
+    """Wait until ``GET /models`` lists a version.
+
+    Args:
+        url: of the API.
+        reference: ``name/version``.
+        default: whether it must also be what requests get that name no model.
+        limit_s: when to give up.
+        transport: of httpx; None for the network.
+        pause: between two looks.
+
+    Raises:
+        ServiceStartError: the time is up.
+    """
+    until = time.monotonic() + limit_s
+    with httpx.Client(base_url=url, timeout=5.0, trust_env=False, transport=transport) as client:
+        while True:
+            seen = _models(client, reference.partition("/")[0])
+            if any(ref == reference and (chosen or not default) for ref, chosen in seen.items()):
+                return
+            if time.monotonic() > until:
+                break
+            pause(POLL_S)
+    raise ServiceStartError(
+        f"the inference API does not serve {reference}{' by default' if default else ''}",
+        got=f"{sorted(seen)} after {limit_s:.0f} s",
+        remedy="see its log, api.log in the logs folder",
+    )
+
+
+def listed_models(url: str, name: str) -> frozenset[str]:
+    """What requests may name of a model and of what is shipped; empty while the API does not answer."""
+    with httpx.Client(base_url=url, timeout=5.0, trust_env=False) as client:
+        return frozenset(_models(client, name))
+
+
+def _models(client: httpx.Client, name: str) -> dict[str, bool]:
+    """References of a model with whether each is the default; empty while the API does not answer."""
+    try:
+        listed = client.get("/models", params={"name": name}).raise_for_status().json()["models"]
+        return {str(one["reference"]): one["default"] is True for one in listed}
+    except (httpx.HTTPError, json.JSONDecodeError, KeyError, TypeError):
+        return {}
+
+
+SAMPLES = 1000
+# Other scenarios than those of the evaluation job, whose seed is 0.
+SEED = 1
+
+
+def served_quality(url: str, references: Sequence[str], tour: Tour) -> Mapping[str, ReconstructionSummary]:
+    """Ask for versions, without their validity filter and with it, and judge all on the same scenarios.
+
+    Args:
+        url: of the inference API.
+        references: the versions, as the API takes them.
+        tour: whose scenarios, and how many.
+
+    Returns:
+        By reference the summary over all scenarios of ``SAMPLES`` samples each; ``confident`` is as
+        served, and None where too few samples came in some scenario.
+
+    Raises:
+        SamplerUnavailableError: the API does not answer.
+        SamplerError: it refused a request.
+    """
+    stage = Stage(tour.world, Split.TEST, SEED)
+    with SamplingClient(url, robot=robot_digest(stage.world)) as client:
+        rows = [_rows(Scene(stage, index), client, references) for index in range(tour.scenarios)]
+    return {one: summarise([row[one] for row in rows], np.random.default_rng(SEED)) for one in references}
+
+
+def _rows(scene: Scene, client: SampleSource, references: Sequence[str]) -> dict[str, SceneQuality]:
+    held_out = scene.free(SAMPLES, scene.rng(0))
+    uniform = scene.quality(scene.space.sample_uniform(scene.rng(1), SAMPLES), held_out)
+    real = scene.quality(scene.free(SAMPLES, scene.rng(2)), held_out)
+
+    picture = picture_file_of(scene.scenario)
+
+    def judged(reference: str) -> SceneQuality:
+        queries = (SampleQuery(SAMPLES, scene.sampler_seed(), min_confidence=least) for least in (0.0, None))
+        drawn, served = (client.answer(picture, query, reference).samples for query in queries)
+        as_served = scene.quality(served.astype(np.float64), held_out) if len(served) == SAMPLES else None
+        return SceneQuality(
+            scene.index, scene.quality(drawn.astype(np.float64), held_out), uniform, real, as_served
+        )
+
+    return {reference: judged(reference) for reference in references}
+
+
+PLANNING_SEED = 7
+PLANNING_LIMIT_S = 120.0
+# What the command ends with when the planner found no path: an outcome, which it has printed and drawn.
+NOT_SOLVED = 1
+
+
+def plan_and_draw(
+    url: str,
+    root: Path,
+    folder: Path,
+    environment: Mapping[str, str],
+    show: Callable[[str], None],
+    tour: Tour,
+    model: str | None = None,
+) -> list[Path]:
+    """Plan one problem of each family and draw it; the pictures.
+
+    Args:
+        url: of the inference API.
+        root: the project's root.
+        folder: for the pictures; made if it is not there.
+        environment: of the command.
+        show: takes the command's lines.
+        tour: whose problems.
+        model: that is asked; None for the API's default.
+
+    Raises:
+        PlanningError: the command failed.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    pictures = [folder / f"plan-{family}.png" for family in tour.families]
+    # The default robot and the default model need no words.
+    named = [] if model is None else ["--robot", tour.robot, "--model", model]
+    for family, picture in zip(tour.families, pictures, strict=True):
+        picture.unlink(missing_ok=True)
+        # A process of its own: OMPL seeds its generator once a process.
+        arguments = [
+            "--api",
+            url,
+            *named,
+            "--family",
+            family,
+            "--seed",
+            str(PLANNING_SEED),
+            "--plot",
+            str(picture),
+        ]
+        show(f"$ python -m services.planner {' '.join(arguments)}")
+        outcome = subprocess.run(
+            [sys.executable, "-m", "services.planner", *arguments],
+            cwd=root,
+            env=dict(environment),
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=PLANNING_LIMIT_S,
+        )
+        for line in outcome.stdout.splitlines():
+            show(line)
+        # A crash ends with the same code, but draws nothing.
+        if outcome.returncode not in (0, NOT_SOLVED) or not picture.is_file():
+            raise PlanningError(
+                f"the planner failed on the family {family}",
+                got=f"exit code {outcome.returncode}: {outcome.stderr[-1000:] or outcome.stdout[-1000:]}",
+            )
+    return pictures
+
+
+def summary(
+    training: TrainingResult,
+    evaluation: EvaluationResult,
+    quality: Mapping[str, ReconstructionSummary],
+    scenarios: int,
+    pictures: Sequence[Path],
+    elapsed_s: float,
+) -> str:
+    """What the main job did and how good its version is."""
+    verdict = "champion now" if evaluation.promoted else "not promoted, the champion stays"
+    head = aligned(
+        [
+            ("version", f"{training.reference}, {verdict}"),
+            ("run", training.run_id),
+            ("digest", training.digest),
+            ("time", f"{elapsed_s:.0f} s"),
+        ]
+    )
+    reasons = "\n".join(f"  {reason}" for reason in evaluation.reasons)
+    drawn = "\n".join(f"  {path}" for path in pictures)
+    return (
+        f"{head}\nwhy\n{reasons}\n\n"
+        f"{scenarios} unseen scenarios over HTTP, {SAMPLES} samples each, "
+        f"drawn without the validity filter and as served; 95 % intervals over scenarios\n"
+        f"{quality_table(quality)}\n\npictures\n{drawn}"
+    )
+
+
+def quality_table(quality: Mapping[str, ReconstructionSummary]) -> str:
+    """Precision, coverage and energy ratio of models by reference, beside uniform and real samples."""
+    rows: list[tuple[str, ...]] = [("sampler", "precision", "coverage", "EDr")]
+    for reference, summary in quality.items():
+        name = f"{reference} (shipped)" if is_shipped(reference) else reference
+        rows.append((name, *_cells(summary.sampler)))
+        if summary.confident is not None:
+            rows.append((f"{name}, as served", *_cells(summary.confident)))
+    any_of_them = next(iter(quality.values()))
+    rows += [("uniform", *_cells(any_of_them.uniform)), ("real samples", *_cells(any_of_them.real))]
+    return aligned(rows)
+
+
+def _cells(one: SamplerSummary) -> tuple[str, str, str]:
+    return (_text(one.precision), _text(one.coverage), _text(one.edr))
+
+
+def _text(interval: Interval) -> str:
+    return f"{interval.estimate:.3f} [{interval.low:.3f}, {interval.high:.3f}]"
+
+
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """Lines for people with the time since the beginning.
+
+    Args:
+        say: takes a line.
+        began: monotonic time in s.
+    """
+
+    say: Callable[[str], None]
+    began: float = field(default_factory=time.monotonic)
+
+    @property
+    def elapsed_s(self) -> float:
+        """Since the beginning."""
+        return time.monotonic() - self.began
+
+    def stage(self, text: str) -> None:
+        """A new stage begins."""
+        self.say(f"\n[{self.elapsed_s:5.1f} s] {text}")
+
+    def line(self, text: str) -> None:
+        """Something within a stage."""
+        self.say(f"[{self.elapsed_s:5.1f} s]   {text}")
+
+
+def quickstart(settings: Settings, tour: Tour, say: Callable[[str], None]) -> None:
+    """Run the main job and print its summary.
+
+    Args:
+        settings: of the services.
+        tour: what is done.
+        say: takes lines for people.
+
+    Raises:
+        JobError: a job failed.
+        CspaceError: another stage failed.
+    """
+    progress = Progress(say)
+    progress.stage("starting the services")
+    up(settings, services(settings), progress.line)
+    jobs = RayJobs(settings)
+    training = training_result(_run(jobs, tour.train, progress))
+    evaluation = evaluation_result(_run(jobs, tour.evaluate.replace("{model}", training.reference), progress))
+    progress.stage(f"waiting until the inference API serves {training.reference}")
+    # The API's default is one robot's; a model of another one is asked for by its name.
+    default = evaluation.promoted and training.model == MODEL_NAME
+    wait_served(settings.api_url, training.reference, default=default)
+    told = listed_models(settings.api_url, training.model)
+    both = tuple(name for name in (training.reference, tour.shipped) if name in told)
+    progress.stage(f"quality of {' and '.join(both)} over HTTP, on scenarios that nobody was trained on")
+    quality = served_quality(settings.api_url, both, tour)
+    progress.stage("planning with samples from POST /sample")
+    pictures = _pictures(settings, tour, training, evaluation, progress)
+    progress.stage("done")
+    say(f"\n{summary(training, evaluation, quality, tour.scenarios, pictures, progress.elapsed_s)}")
+    say(f"\n{addresses(settings)}\n\n{shell_help(settings)}\n\nThe services stay up; `make down` ends them.")
+    say(f"\nLook at what was trained: {settings.api_url}/")
+
+
+def _run(jobs: Jobs, entrypoint: str, progress: Progress) -> str:
+    progress.stage(f"job: {entrypoint}")
+    job = jobs.submit(entrypoint)
+    progress.line(f"submitted as {job}; its first line comes when Ray's workers are up")
+
+    def show(line: str) -> None:
+        # The result is for this program; the summary tells it.
+        if line.strip() and not line.startswith(PREFIX):
+            progress.line(line)
+
+    return follow(jobs, job, show)
+
+
+def _pictures(
+    settings: Settings,
+    tour: Tour,
+    training: TrainingResult,
+    evaluation: EvaluationResult,
+    progress: Progress,
+) -> list[Path]:
+    folder = settings.figures_folder / f"{training.model}-{training.version}"
+    environment = service_environment(settings)
+    model = None if training.model == MODEL_NAME else training.reference
+    pictures = plan_and_draw(settings.api_url, settings.root, folder, environment, progress.line, tour, model)
+    for run_id, names in ((training.run_id, training.figures), (evaluation.run_id, evaluation.figures)):
+        pictures += fetch_pictures(settings.mlflow_url, run_id, names, folder)
+    return pictures

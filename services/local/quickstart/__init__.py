@@ -1,1 +1,0 @@
-"""The guided run: start, train, evaluate, promote, serve, plan."""

@@ -1,1 +1,0 @@
-"""Processes of this machine: started, watched and ended by process id."""
