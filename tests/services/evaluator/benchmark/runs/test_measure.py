@@ -147,7 +147,12 @@ def test_perturbed_samples_are_mixed_unless_the_papers_order_is_wanted(setting, 
     problem = known_problem(setting.world, Family.UNIFORM, setting.split, 0, 0)
     ends = {"start": problem.start.tolist(), "goal": problem.goal.tolist()}
     batch = sources["way"].sample(
-        encode_png(np.full((48, 48, 3), 255, np.uint8)), 40, seed=3, epsilon_sigma=(0.0, 1.0), min_confidence=0.0, **ends
+        encode_png(np.full((48, 48, 3), 255, np.uint8)),
+        40,
+        seed=3,
+        epsilon_sigma=(0.0, 1.0),
+        min_confidence=0.0,
+        **ends,
     )
     in_order = drawn_samples(by_name["RRT, way, schedule in order"], batch, problem)
     shuffled = drawn_samples(by_name["RRT, way, schedule"], batch, problem)
@@ -175,7 +180,9 @@ def test_ordered_samples_are_the_same_ones_along_the_way(setting, spec, sources)
     by_name = {arm.name: arm for arm in table(["way"], 1.0)}
     problem = known_problem(setting.world, Family.UNIFORM, setting.split, 0, 0)
     ends = {"start": problem.start.tolist(), "goal": problem.goal.tolist()}
-    batch = sources["way"].sample(encode_png(np.full((48, 48, 3), 255, np.uint8)), 40, seed=3, min_confidence=0.0, **ends)
+    batch = sources["way"].sample(
+        encode_png(np.full((48, 48, 3), 255, np.uint8)), 40, seed=3, min_confidence=0.0, **ends
+    )
     ordered = drawn_samples(by_name["RRT, way, 70 %, ordered"], batch, problem)
     order = order_along(batch.samples, problem.start, problem.goal, problem.scenario.robot.space)
     assert np.array_equal(ordered, batch.samples[order])
