@@ -40,10 +40,8 @@ def originals(folder: Path) -> Path:
     """One bundle with every file that a bundle can have."""
     spec = replace(tiny_spec(kind="path"), looks_at_map=True, novelty_quantiles=((0.0, 1.0), (0.0, 1.0)))
     graphs = tiny_graphs(spec, validity=True)
-    # One with a loop and integers, as the search for ways has them.
-    body = [hostile.node("Add", ["x", "begin"], ["sum"])]
-    looped = hostile.graph(hostile.loop("turns", body), {**hostile.LOOPED, "turns": hostile.np.int64(8)})
-    return write_bundle(folder, spec, graphs | {"encoder": hostile.model(looped)})
+    # One with integers and sizes that depend on data.
+    return write_bundle(folder, spec, graphs | {"encoder": hostile.chosen_rows()})
 
 
 def change_bytes(rng: random.Random, folder: Path) -> None:
