@@ -168,6 +168,12 @@ class JointSpace:
         inside = (configurations >= self.lower) & (configurations <= self.upper)
         return np.asarray(np.all(inside | np.asarray(self.periodic), axis=-1))
 
+    def keeps_pose(self, configurations: ArrayLike) -> NDArray[np.bool_]:
+        """Whether :meth:`bound` leaves each of (..., d) in its pose but for rounding, (...,)."""
+        values = np.asarray(configurations, dtype=np.float64)
+        moved = np.abs(difference(values, self.bound(values))) > LIMIT_TOLERANCE_RAD
+        return np.asarray(~np.any(moved & ~np.asarray(self.periodic), axis=-1))
+
     def admitted(
         self, configurations: ArrayLike, what: str, error: type[InputError] = InputError
     ) -> NDArray[np.float64]:

@@ -19,7 +19,7 @@ import numpy as np
 
 from benchmarks.command import arguments
 from benchmarks.machine import machine
-from benchmarks.spatial.problem_options import LIMIT_S, LOOK_RAD, WAYS, panda_world
+from benchmarks.spatial.problem_options import LIMIT_S, LOOK_RAD, WAYS, benchmark_bundle, panda_world
 from cspace.bundle import Bundle
 from cspace.connecting import spaced
 from cspace.planning.query import PlanQuery
@@ -172,7 +172,7 @@ def main() -> int:
     parser.add_argument("bundle", type=Path)
     parser.add_argument("--each", type=int, default=0, help="problems of each family; 0 for all")
     options = parser.parse_args()
-    bundle = Bundle.load(options.bundle)
+    bundle = benchmark_bundle(options.bundle)
     world = viewed(panda_world(bundle), 1)
     print(machine())
     print(f"{'':<20}plans: collide; confidence, above what is free; novelty, share above {NEW:g}", flush=True)

@@ -19,6 +19,7 @@ from benchmarks.spatial.problem_options import (
     LIMIT_S,
     LOOK_RAD,
     WAYS,
+    benchmark_bundle,
     chosen_problems,
     panda_world,
     problem_arguments,
@@ -78,7 +79,7 @@ def seen_too(scene: SpatialScene, camera: DepthCamera) -> SpatialScene:
 def main() -> int:
     parser = problem_arguments(__doc__)
     options = parser.parse_args()
-    bundle = Bundle.load(options.bundle)
+    bundle = benchmark_bundle(options.bundle)
     world = viewed(panda_world(bundle), 1)
     rows = [judged(bundle, world, problem, options.aim) for problem in chosen_problems(options)]
     told = np.array([row for row in rows if row is not None])

@@ -1,25 +1,23 @@
 """Which problems of MotionBenchMaker a benchmark takes, on its command line, and how it asks for plans."""
 
-import json
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
-import cspace.worlds.spatial
 from benchmarks.command import arguments
 from cspace.bundle import Bundle
 from cspace.planning.query import DEFAULT_WAYS
 from cspace.splits import Split
-from cspace.worlds.spatial.motionbench.problems import FAMILIES, BenchProblem, problems
+from cspace.worlds.spatial.motionbench.problems import FAMILIES, LIMITS_RAD, BenchProblem, problems
+from cspace.worlds.spatial.partly_seen import is_benchmarked, with_benchmark_limits
 from cspace.worlds.spatial.robot.arm import SerialArm
-from cspace.worlds.spatial.world import SpatialWorld
+from cspace.worlds.spatial.world import SpatialWorld, shipped
 
 LOOK_RAD, WAYS, LIMIT_S = 0.01, DEFAULT_WAYS, 2.0
 
 
 def panda() -> SerialArm:
-    """The robot that ships."""
-    path = Path(cspace.worlds.spatial.__file__).with_name("robots") / "panda.json"
-    return SerialArm.from_dict(json.loads(path.read_bytes()))
+    """The robot that ships, with the limits of the benchmark's problems."""
+    return shipped("panda").with_limits(LIMITS_RAD)
 
 
 def problem_arguments(description: str | None) -> ArgumentParser:
@@ -43,8 +41,14 @@ def chosen_problems(options: Namespace) -> list[BenchProblem]:
 
 
 def panda_world(bundle: Bundle) -> SpatialWorld:
-    """The bundle's world, whose robot is the Panda."""
+    """The bundle's world, whose robot is the Panda, with the limits of the benchmark."""
     world = bundle.spec.world
-    if not isinstance(world, SpatialWorld) or world.body != panda():
+    if not isinstance(world, SpatialWorld) or not is_benchmarked(world.body):
         raise SystemExit("the problems are those of the Panda: name a bundle of its world")
-    return world
+    return with_benchmark_limits(world)
+
+
+def benchmark_bundle(folder: Path) -> Bundle:
+    """The bundle of a folder with the limits of the benchmark."""
+    bundle = Bundle.load(folder)
+    return bundle.within(panda_world(bundle))

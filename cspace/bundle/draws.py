@@ -2,8 +2,8 @@
 
 The order is part of the bundle's contract, for it decides what a seed means:
 
-1. ``rng = Generator(PCG64(SeedSequence(seed)))``; for a further turn of a request that filters, which draws
-   what the ones before left missing, ``SeedSequence(seed, spawn_key=(turn,))`` with turn = 1, 2, ...
+1. ``rng = Generator(PCG64(SeedSequence(seed)))``; for a further turn, which draws what the ones before left
+   missing or put outside the robot's limits, ``SeedSequence(seed, spawn_key=(turn,))`` with turn = 1, 2, ...
 2. eta, standard normal float32 (m, L), for all m latents of the request at once.
 3. Every random input of the description in its order there, float32 (m, *shape), for all latents at once:
    standard normal, or low + (high - low) * u with u uniform in [0, 1).

@@ -1,8 +1,10 @@
 """The deployable artefact: load it, verify it, sample from it. onnxruntime and numpy, no torch, no pickle."""
 
 import time
+from copy import copy
+from dataclasses import replace
 from pathlib import Path
-from typing import Unpack
+from typing import Any, Unpack, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +24,7 @@ from cspace.errors import BundleIntegrityError, InputError
 from cspace.planning.plan import plan
 from cspace.planning.query import Plan, PlanQuery
 from cspace.query import QueryOptions, SampleQuery
+from cspace.world import World
 from cspace.worlds import robot_digest
 
 
@@ -36,7 +39,8 @@ class Bundle:
         graphs = open_graphs(self.spec, files, run_limit_s)
         self._encoder, self._novelty, self._map = graphs.encoder, graphs.novelty, graphs.map
         self._validity = None if graphs.validity is None else Head(graphs.validity)
-        self._sampler = sampler_of(self.spec, graphs.generator, self._validity)
+        self._generator = graphs.generator
+        self._sampler = sampler_of(self.spec, self._generator, self._validity)
         self.tells_unseen = self._validity is not None and self._validity.tells_unseen
         self.head_looks_at_map = self._validity is not None and self._validity.looks_at_map
 
@@ -88,6 +92,28 @@ class Bundle:
                 "the bundle does not fit into the memory", expected="a model that this machine can hold"
             ) from error
         return bundle
+
+    def within(self, world: World) -> "Bundle":
+        """The same model for its robot with the joint limits of another world's; graphs are shared.
+
+        Args:
+            world: with the same robot but for the limits. Beyond those that the graphs were trained for they
+                know nothing.
+
+        Raises:
+            InputError: its robot has another number of joints.
+        """
+        if world.dim != self.spec.dim:
+            raise InputError(
+                "the model is of another robot", expected=f"{self.spec.dim} joints", got=str(world.dim)
+            )
+        found = copy(self)
+        found.spec = replace(self.spec, world=replace(cast("Any", self.spec.world), body=world.body))
+        found.robot = robot_digest(found.spec.world)
+        found._sampler = sampler_of(  # noqa: SLF001 - its own
+            found.spec, self._generator, self._validity
+        )
+        return found
 
     @property
     def has_validity(self) -> bool:

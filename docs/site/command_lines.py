@@ -38,6 +38,7 @@ COMMANDS = (
     Command("python training/cluster_train.py", "training.cluster_train", "COMMAND.main"),
     Command("python training/path_train.py", "training.path_train", "COMMAND.main"),
     Command("python -m training.path_sampler", "training.path_sampler"),
+    Command("python -m training.limits", "training.limits"),
     Command("python -m training.plan_confidence", "training.plan_confidence"),
     Command("python -m training.proposals", "training.proposals"),
     Command("python training/search.py", "training.search"),

@@ -1,6 +1,8 @@
 """MotionBenchMaker's problems for the page: those that ship, and those that somebody has fetched."""
 
+from dataclasses import replace
 from pathlib import Path
+from typing import Any, cast
 
 from cspace.errors import InputError
 from cspace.problem import Problem
@@ -29,7 +31,8 @@ def benchmark_problem(world: World, family: str, at: int, folder: Path | None) -
         folder: that ``python -m training.motionbench fetch`` filled; None for those that ship.
 
     Raises:
-        InputError: an end of the problem touches something, as the robot's spheres have it.
+        InputError: an end of the problem touches something, as the robot's spheres have it, or lies outside
+            the limits of the world's robot.
         DatasetError: the folder holds no such problems.
     """
     seen = partly_seen(world)
@@ -44,4 +47,11 @@ def benchmark_problem(world: World, family: str, at: int, folder: Path | None) -
             expected="a problem whose ends are free",
             remedy="take another seed",
         )
-    return found
+    if not world.space.contains([found.start, found.goal]).all():
+        raise InputError(
+            f"an end of problem {at} of {family} needs the benchmark's limits",
+            expected="a problem within the limits of the model's arm",
+            remedy="take another seed",
+        )
+    # The problem is looked at and solved as any other, with the limits that the model is served with.
+    return replace(found, scenario=replace(cast("Any", found.scenario), world=world))

@@ -98,5 +98,34 @@ def test_a_sampler_that_forgets_the_limits_is_an_error_not_an_answer(
 ) -> None:
     bundle = Bundle.load(write_tiny_bundle(tmp_path / "bundle", ARMS["mixed"]))
     monkeypatch.setattr(JointSpace, "to_float32", lambda _, values: to_float32(values))
+    monkeypatch.setattr(JointSpace, "keeps_pose", lambda _, values: np.ones(len(values), dtype=bool))
     with pytest.raises(BundleError, match="outside the limits"):
         bundle.sample(picture(), 500, 1)
+
+
+@pytest.mark.parametrize("least", [0.0, 0.1])
+def test_samples_beyond_narrower_limits_are_rejected_and_none_is_moved_to_a_limit(
+    tmp_path: Path, least: float
+) -> None:
+    spec = tiny_spec(PlanarArm(joint_limits_rad=((-3.2, 3.2), (-3.2, 3.2))))
+    graphs = tiny_graphs(spec, validity=True)
+    wide = Bundle.load(write_bundle(tmp_path / "bundle", spec, graphs))
+    found = wide.sample(picture(), 1000, 1, min_confidence=0.0).samples
+    low, high = np.quantile(found[:, 0].astype(np.float64), [0.2, 0.9])
+    arm = PlanarArm(joint_limits_rad=((float(low), float(high)), (-3.2, 3.2)))
+    narrow = wide.within(replace(wide.spec.world, body=arm))
+    samples = narrow.sample(picture(), 1000, 1, min_confidence=least).samples
+    assert len(samples) == 1000
+    assert inside(arm.space, samples)
+    assert not np.isin(samples[:, 0], np.float32([low, high])).any()
+    kept = (found[:, 0] > low) & (found[:, 0] < high)
+    if not least:
+        np.testing.assert_array_equal(samples[kept], found[kept])
+    assert narrow.sample(picture(), 1000, 1, min_confidence=least).samples.tobytes() == samples.tobytes()
+    assert wide.sample(picture(), 1000, 1, min_confidence=0.0).samples.tobytes() == found.tobytes()
+
+
+def test_a_bundle_is_not_within_another_robots_limits(tmp_path: Path) -> None:
+    bundle = Bundle.load(write_tiny_bundle(tmp_path / "bundle", ARMS["box"]))
+    with pytest.raises(InputError, match="another robot"):
+        bundle.within(replace(bundle.spec.world, body=PlanarArm((1.0, 1.0, 1.0))))

@@ -14,7 +14,7 @@ from cspace.problem import Problem
 from cspace.splits import Split
 from cspace.world import Image, World
 from cspace.worlds.spatial.motionbench.problems import FAMILIES as BENCH_FAMILIES
-from cspace.worlds.spatial.motionbench.problems import NUMBERS, BenchProblem, problems
+from cspace.worlds.spatial.motionbench.problems import LIMITS_RAD, NUMBERS, BenchProblem, problems
 from cspace.worlds.spatial.obstacles.layout import Layout
 from cspace.worlds.spatial.obstacles.scenes import FAMILIES
 from cspace.worlds.spatial.obstacles.shapes import Box, Cylinder, Obstacles
@@ -45,7 +45,7 @@ class SpatialPartlySeen:
     def sources(self) -> dict[str, tuple[str, ...]]:
         """MotionBenchMaker's sets, of the Panda alone, and the world's own families."""
         bench = {"MotionBenchMaker": tuple(PREFIX + family for family in BENCH_FAMILIES)}
-        return (bench if self.world.body == shipped("panda") else {}) | {"own families": FAMILIES}
+        return (bench if is_benchmarked(self.world.body) else {}) | {"own families": FAMILIES}
 
     @property
     def hard(self) -> tuple[str, ...]:
@@ -57,32 +57,37 @@ class SpatialPartlySeen:
         return len(NUMBERS[split]) if family.startswith(PREFIX) else None
 
     def problem(self, asked: Asked, family: str, index: int, pictures: int) -> Problem | None:
-        """See :func:`from_both_sides`; the arm waits at the start."""
-        layout, start, goal, number = _found(self.world, asked, family, index)
+        """See :func:`from_both_sides`; the arm waits at the start.
+
+        That of MotionBenchMaker's problems has the wider limits of the benchmark.
+        """
+        world = with_benchmark_limits(self.world) if family.startswith(PREFIX) else self.world
+        layout, start, goal, number = _found(world, asked, family, index)
         ends = np.array([start, goal])
-        if not CollisionChecker(self.world.body, layout.obstacles).valid_batch(ends).all():
+        if not CollisionChecker(world.body, layout.obstacles).valid_batch(ends).all():
             return None
         rng = np.random.default_rng([25, pictures, *family.removeprefix(PREFIX).encode(), *number])
-        scene = from_both_sides(rng, viewed(self.world, pictures), layout, ends[0], asked.aim)
+        scene = from_both_sides(rng, viewed(world, pictures), layout, ends[0], asked.aim)
         try:
-            self.world.examined(scene.view())
+            world.examined(scene.view())
         except ImageError:
             return None
         return Problem(scene, ends[0], ends[1], family, seed=asked.seed)
 
     def checkers(self, problem: Problem, image: Image, taken: Taken) -> Sequence[CollisionChecker]:
         """Where unseen space is occupied, room is made for the arm at the start, where it stands."""
-        obstacles = cast("SpatialScene", problem.scenario).obstacles
+        scene = cast("SpatialScene", problem.scenario)
+        world, obstacles = scene.world, scene.obstacles
         if taken is Taken.KNOWN:
-            return [CollisionChecker(self.world.body, obstacles)]
+            return [CollisionChecker(world.body, obstacles)]
         ends = np.array([problem.start, problem.goal])
         if taken is Taken.TRUE:
-            return seen_checkers(self.world, image, ends, obstacles)
+            return seen_checkers(world, image, ends, obstacles)
         if taken is Taken.FREE:
-            return seen_checkers(self.world, image, ends)
+            return seen_checkers(world, image, ends)
         occupied = image.copy()
         occupied[image[..., 1] != FREE, 0] = 0
-        return seen_checkers(self.world, occupied, ends if taken is Taken.CLEARED else ends[:1])
+        return seen_checkers(world, occupied, ends if taken is Taken.CLEARED else ends[:1])
 
     def unseen(self, image: Image, configurations: ArrayLike) -> NDArray[np.float64]:
         """By the centres of the spheres that move."""
@@ -93,13 +98,27 @@ class SpatialPartlySeen:
 
     def judge(self, problem: Problem) -> MeshJudge | None:
         """By convex hulls of the Panda's meshes; None for other arms as well."""
-        meshes = _meshes(self.world.body)
-        return None if meshes is None else meshes.among(cast("SpatialScene", problem.scenario).obstacles)
+        scene = cast("SpatialScene", problem.scenario)
+        meshes = _meshes(scene.world.body)
+        return None if meshes is None else meshes.among(scene.obstacles)
 
 
 def open_partly_seen(world: World) -> SpatialPartlySeen:
     """Of a world of this kind."""
     return SpatialPartlySeen(cast("SpatialWorld", world))
+
+
+def is_benchmarked(arm: SerialArm) -> bool:
+    """Whether it is MotionBenchMaker's Panda, whatever it is called and whichever limits its joints have."""
+    if arm.dim != len(LIMITS_RAD):
+        return False
+    mine, panda = (replace(one, name="", ready_rad=None) for one in (arm, shipped("panda")))
+    return mine.with_limits(LIMITS_RAD) == panda.with_limits(LIMITS_RAD)
+
+
+def with_benchmark_limits(world: SpatialWorld) -> SpatialWorld:
+    """The Panda's world with the limits of MotionBenchMaker's problems."""
+    return replace(world, body=world.body.with_limits(LIMITS_RAD))
 
 
 def viewed(world: SpatialWorld, pictures: int) -> SpatialWorld:
@@ -176,10 +195,10 @@ def _bench(split: Split, folder: Path | None, family: str) -> tuple[BenchProblem
     return problems(split, folder, (family,))
 
 
-@lru_cache(maxsize=1)
+@lru_cache(maxsize=2)
 def _meshes(arm: SerialArm) -> RobotMeshes | None:
     urdf = panda_urdf()
-    if urdf is None or arm != shipped("panda"):
+    if urdf is None or not is_benchmarked(arm):
         return None
     held = dict.fromkeys(("panda_finger_joint1", "panda_finger_joint2"), FINGERS_M)
     try:

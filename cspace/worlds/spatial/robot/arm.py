@@ -1,6 +1,7 @@
 """The robot: a serial arm of revolute joints, whose parts are covered by spheres. Numpy alone."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -107,6 +108,19 @@ class SerialArm:
             tuple(lim is None for lim in limits),
             tuple(joint.name for joint in self.joints),
         )
+
+    def with_limits(self, limits_rad: Sequence[tuple[float, float] | None]) -> "SerialArm":
+        """The same arm with other limits, one pair for each joint, None for a circle.
+
+        Raises:
+            ScenarioError: there are not as many as joints, or no joint can have one of them.
+        """
+        if len(limits_rad) != self.dim:
+            raise ScenarioError(
+                "the joint limits do not fit", expected=f"{self.dim} pairs", got=str(len(limits_rad))
+            )
+        pairs = zip(self.joints, limits_rad, strict=True)
+        return replace(self, joints=tuple(replace(joint, limits_rad=one) for joint, one in pairs))
 
     @property
     def sphere_count(self) -> int:

@@ -92,7 +92,8 @@ def measure(unit: PlanUnit, setting: PlanSetting, planners: Mapping[str, Planner
         told = {"status": NO_PROBLEM, "solved": False}
         return [_record(unit, setting, arm, run, told) for arm, runs in unit.runs for run in runs]
     picture = picture_file_of(problem.scenario)
-    image, judge = setting.world.read_picture(picture), seen.judge(problem)
+    world = problem.scenario.world
+    image, judge = world.read_picture(picture), seen.judge(problem)
     truth = checker_of(problem.scenario)
 
     # Arms of one model, or of one belief, share its ways.
@@ -100,7 +101,7 @@ def measure(unit: PlanUnit, setting: PlanSetting, planners: Mapping[str, Planner
     def found(sampler: str | None, taken: Taken | None) -> Ways:
         if sampler is not None:
             query = plan_query(problem, setting.seed, setting.plan_limit_s, setting.ways)
-            return planned(planners[sampler].plan(picture, query))
+            return planned(planners[sampler].plan(picture, query, world))
         return NONE if taken is None else searched(seen.checkers(problem, image, taken), problem, setting)
 
     @cache

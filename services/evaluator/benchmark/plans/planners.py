@@ -8,10 +8,13 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Protocol
 
+import numpy as np
+
 from cspace.bundle import Bundle
 from cspace.errors import ConfigError, SamplerError
 from cspace.planning.query import Plan, PlanQuery
 from cspace.problem import UNIFORM, Problem
+from cspace.space import JointSpace
 from cspace.splits import Split
 from cspace.world import World
 from cspace.worlds import picture_file_of, robot_digest, workshop_of
@@ -33,8 +36,13 @@ class Answer:
 class Planner(Protocol):
     """Plans in a scene's picture."""
 
-    def plan(self, picture: bytes, query: PlanQuery) -> Answer:
+    def plan(self, picture: bytes, query: PlanQuery, world: World) -> Answer:
         """The answer to a picture's file.
+
+        Args:
+            picture: of the scene.
+            query: start and goal.
+            world: the scene's, whose robot may have other limits than the model is served with.
 
         Raises:
             SamplerError: there is none.
@@ -47,11 +55,12 @@ class BundlePlanner:
 
     bundle: Bundle
 
-    def plan(self, picture: bytes, query: PlanQuery) -> Answer:
-        """See :class:`Planner`."""
+    def plan(self, picture: bytes, query: PlanQuery, world: World) -> Answer:
+        """See :class:`Planner`; the limits are those of the scene's robot."""
+        bundle = self.bundle.within(world)
         began = time.perf_counter()
-        prepared = self.bundle.prepare(self.bundle.spec.world.read_picture(picture))
-        return Answer(self.bundle.plan(prepared, query), time.perf_counter() - began)
+        prepared = bundle.prepare(world.read_picture(picture))
+        return Answer(bundle.plan(prepared, query), time.perf_counter() - began)
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,9 +69,13 @@ class ServedPlanner:
 
     client: SamplingClient
     spec: SourceSpec
+    space: JointSpace
 
-    def plan(self, picture: bytes, query: PlanQuery) -> Answer:
-        """See :class:`Planner`."""
+    def plan(self, picture: bytes, query: PlanQuery, world: World) -> Answer:
+        """See :class:`Planner`; what needs wider limits than the model is served with counts as refused."""
+        del world
+        if not self.space.contains([query.start, query.goal]).all():
+            return Answer(Plan("refused", np.empty((0, self.space.dim))), 0.0)
         found = self.client.plan(picture, query, self.spec.model)
         if found.model.digest != self.spec.digest:
             raise SamplerError(
@@ -121,7 +134,7 @@ def opened_planners(specs: Sequence[SourceSpec], world: World) -> Iterator[Mappi
         found = {spec.name: _opened(spec, world, stack) for spec in specs}
         for planner in found.values():
             problem = _example(world)
-            planner.plan(picture_file_of(problem.scenario), plan_query(problem))
+            planner.plan(picture_file_of(problem.scenario), plan_query(problem), world)
         yield found
 
 
@@ -130,7 +143,7 @@ def _opened(spec: SourceSpec, world: World, stack: ExitStack) -> Planner:
         with TemporaryDirectory(prefix="cspace-bundle-") as folder:
             return BundlePlanner(Bundle.load(spec.packed.unpack(Path(folder))))
     client = stack.enter_context(_client(spec.url or "", world))
-    return ServedPlanner(client, spec)
+    return ServedPlanner(client, spec, world.space)
 
 
 def _client(url: str, world: World) -> SamplingClient:

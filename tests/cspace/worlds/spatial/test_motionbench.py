@@ -11,6 +11,7 @@ from cspace.errors import DatasetError, ScenarioError
 from cspace.splits import Split
 from cspace.worlds.spatial.motionbench.problems import (
     FAMILIES,
+    LIMITS_RAD,
     SHIPPED,
     BenchProblem,
     problems,
@@ -47,7 +48,7 @@ def test_thirty_problems_of_seven_families_ship() -> None:
 
 
 def test_starts_and_goals_that_ship_are_free_but_for_two_tight_ones() -> None:
-    found, arrays, space = problems(Split.VALIDATION), arm_arrays(PANDA), PANDA.space
+    found, arrays, space = problems(Split.VALIDATION), arm_arrays(PANDA), PANDA.with_limits(LIMITS_RAD).space
     ends = np.array([(one.start, one.goal) for one in found])
     assert (ends >= space.lower).all()
     assert (ends <= space.upper).all()

@@ -8,6 +8,7 @@ import pytest
 from cspace.errors import ScenarioError
 from cspace.splits import Split
 from cspace.worlds import default_world, examples, partly_seen, picture_of
+from cspace.worlds.spatial.motionbench.problems import LIMITS_RAD
 from cspace.worlds.spatial.obstacles.shapes import Box, Obstacles
 from cspace.worlds.spatial.partly_seen import middle
 from cspace.worlds.spatial.poses import make_pose, pose_of
@@ -86,3 +87,11 @@ def test_the_middle_is_that_of_the_box_round_everything():
     flat = pose_of(make_pose(np.eye(3), (-1.0, 0.0, 2.0)))
     boxes = (Box(turned, (0.5, 0.1, 0.1)), Box(flat, (0.2, 0.2, 0.2)))
     np.testing.assert_allclose(middle(Obstacles(boxes, ())), (-0.05, 0.0, 1.05), atol=1e-9)
+
+
+def test_the_benchmarks_problems_have_its_limits_and_own_ones_the_makers(problem):
+    assert problem.space.upper == tuple(high for _, high in LIMITS_RAD)
+    own = SETS.problem(ASKED, "table", 0, 1)
+    assert own.space.upper == examples()["panda"].space.upper == SETS.world.space.upper
+    checkers = SETS.checkers(problem, picture_of(problem.scenario), Taken.KNOWN)
+    assert {checker.space for checker in checkers} == {problem.space}

@@ -1,17 +1,26 @@
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 import cspace.worlds.spatial
+from cspace.worlds.spatial.motionbench.problems import LIMITS_RAD
+from cspace.worlds.spatial.partly_seen import is_benchmarked
 from cspace.worlds.spatial.robot.arm import SerialArm
 from cspace.worlds.spatial.robot.kinematics import arm_arrays, self_distance_batch
+from cspace.worlds.spatial.robot.ready import ready_rad
 
 ROBOTS = Path(cspace.worlds.spatial.__file__).with_name("robots")
 PANDA = SerialArm.from_dict(json.loads((ROBOTS / "panda.json").read_bytes()))
 # Of KavrakiLab/vamp, Apache-2.0.
 VAMP = SerialArm.from_dict(json.loads(Path(__file__).with_name("vamp_panda.json").read_bytes()))
 UR5 = SerialArm.from_dict(json.loads((ROBOTS / "ur5.json").read_bytes()))
+# https://frankaemika.github.io/docs/control_parameters.html, and its description in example-robot-data.
+MAKERS_RAD = (
+    *((-2.8973, 2.8973), (-1.7628, 1.7628), (-2.8973, 2.8973), (-3.0718, -0.0698)),
+    *((-2.8973, 2.8973), (-0.0175, 3.7525), (-2.8973, 2.8973)),
+)
 READY = [[0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785]]
 
 
@@ -19,7 +28,7 @@ def test_the_panda_moves_as_another_description_of_it_does() -> None:
     q = np.random.default_rng(0).uniform(VAMP.space.lower, VAMP.space.upper, (100, 7))
     np.testing.assert_allclose(PANDA.link_frames(q), VAMP.link_frames(q), atol=1e-9)
     np.testing.assert_allclose(PANDA.tool_frames(q), VAMP.tool_frames(q), atol=1e-9)
-    assert PANDA.space == VAMP.space
+    assert PANDA.with_limits(LIMITS_RAD).space == VAMP.space
 
 
 def test_the_pandas_spheres_hold_those_of_a_model_that_lies_inside_it() -> None:
@@ -47,5 +56,19 @@ def test_the_ur5_has_the_geometry_of_its_makers_table() -> None:
 
 
 def test_an_arm_says_where_it_waits_only_if_it_was_told() -> None:
-    assert "ready_rad" not in PANDA.to_dict()
+    assert "ready_rad" not in VAMP.to_dict()
     assert SerialArm.from_dict(UR5.to_dict()) == UR5
+
+
+def test_the_pandas_limits_are_its_makers() -> None:
+    assert tuple(joint.limits_rad for joint in PANDA.joints) == MAKERS_RAD
+
+
+def test_a_name_is_a_label_and_decides_nothing() -> None:
+    joints = tuple(replace(joint, limits_rad=(-1.0, 2.0)) for joint in PANDA.joints[:3])
+    arm = SerialArm("panda", joints)
+    np.testing.assert_array_equal(ready_rad(arm), [0.5, 0.5, 0.5])
+    assert not is_benchmarked(arm)
+    renamed = replace(PANDA, name="left_arm")
+    np.testing.assert_array_equal(ready_rad(renamed), READY[0])
+    assert is_benchmarked(renamed)

@@ -8,7 +8,9 @@ import pandas as pd
 import pytest
 
 from cspace.errors import SamplerError
-from cspace.planning.query import Plan
+from cspace.planning.query import Plan, PlanQuery
+from cspace.worlds import examples
+from cspace.worlds.spatial.robot.ready import ready_rad
 from cspace.worlds.unseen import Taken
 from services.evaluator.benchmark import __main__ as command
 from services.evaluator.benchmark.job import parser
@@ -104,9 +106,13 @@ def test_another_model_than_the_pinned_one_is_refused():
             found = Plan("refused", np.empty((0, 7)))
             return type("Found", (), {"model": head, "plan": found, "round_trip_s": 0.1})
 
-    planner = ServedPlanner(Client(), SourceSpec("m", "a" * 64, with_ends=True))
+    world = examples()["panda"]
+    planner = ServedPlanner(Client(), SourceSpec("m", "a" * 64, with_ends=True), world.space)
+    ready = tuple(ready_rad(world.body).tolist())
     with pytest.raises(SamplerError, match="another model answers for m"):
-        planner.plan(b"", None)
+        planner.plan(b"", PlanQuery(ready, ready), world)
+    beyond = (*ready[:3], -3.1, *ready[4:])
+    assert planner.plan(b"", PlanQuery(ready, beyond), world).plan.status == "refused"
 
 
 def test_every_column_says_what_it_holds():
