@@ -108,7 +108,7 @@ class Stack:
         return found
 
     def disconnect(self, service: str) -> None:
-        """Take a service's only container off the network."""
+        """Take a service's only container off the cluster's network."""
         engine("network", "disconnect", self._network, self.container(service))
 
     def connect(self, service: str) -> None:
@@ -117,7 +117,7 @@ class Stack:
 
     @property
     def _network(self) -> str:
-        return f"{self.environment['COMPOSE_PROJECT_NAME']}_default"
+        return f"{self.environment['COMPOSE_PROJECT_NAME']}_cluster"
 
     def started_at(self, service: str) -> str:
         """When a service's only container was started last."""

@@ -139,8 +139,8 @@ def test_settings_are_those_that_the_compose_file_gives(services: Mapping[str, A
         given = {setting["name"]: setting.get("value") for setting in container["env"]}
         for name, value in services[kind]["environment"].items():
             # The operator hands Ray its token; the address of MLflow is printed where nobody looks.
-            # The API is known by other names.
-            if not name.startswith(("RAY_AUTH", "MLFLOW_SUPPRESS", "CSPACE_API_HOSTS")):
+            # The API has names, keys and neighbours of its own there.
+            if not name.startswith(("RAY_AUTH", "MLFLOW_SUPPRESS", "CSPACE_API_", "MLFLOW_TRACKING_URI")):
                 assert given[name] == value
 
 
@@ -155,6 +155,43 @@ def test_no_pod_runs_as_root_or_writes_to_its_root() -> None:
             "capabilities": {"drop": ["ALL"]},
         }
         assert container["resources"]["limits"]["memory"]
+
+
+def test_no_pod_holds_a_token_of_the_cluster() -> None:
+    assert [pod["spec"]["automountServiceAccountToken"] for pod in pods()] == [False] * 3
+
+
+def policies() -> Iterator[Mapping[str, Any]]:
+    return (manifest["spec"] for _, manifest in MANIFESTS if manifest["kind"] == "NetworkPolicy")
+
+
+def test_every_pod_has_a_policy_of_the_network() -> None:
+    selected = [policy["podSelector"]["matchLabels"] for policy in policies()]
+    for pod in pods():
+        labels = pod["metadata"]["labels"]
+        assert [wanted.items() <= labels.items() for wanted in selected].count(True) == 1
+
+
+def test_pods_reach_their_own_kind_names_and_the_tracking_server_alone() -> None:
+    for policy in policies():
+        assert set(policy["policyTypes"]) == {"Ingress", "Egress"}
+        ports = {one["port"] for rule in policy["egress"] for one in rule.get("ports", [])}
+        assert ports == {53, 5000}
+        for rule in policy["egress"]:
+            assert rule.get("ports") or rule["to"] == [{"podSelector": policy["podSelector"]}]
+
+
+def test_rays_ports_are_open_to_its_nodes_and_the_jobs_api_to_submitter_and_operator(
+    job: Mapping[str, Any],
+) -> None:
+    (ray,) = (
+        policy for policy in policies() if policy["podSelector"]["matchLabels"] == {"app": "cspace-ray"}
+    )
+    among, jobs = ray["ingress"]
+    assert among == {"from": [{"podSelector": ray["podSelector"]}]}
+    assert [one["port"] for one in jobs["ports"]] == [8265]
+    assert jobs["from"][0] == {"podSelector": {"matchLabels": {"job-name": job["metadata"]["name"]}}}
+    assert all("podSelector" in one for one in jobs["from"])
 
 
 def test_every_mount_has_its_volume() -> None:

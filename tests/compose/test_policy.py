@@ -1,6 +1,8 @@
 """What the project asks of its compose file and images beyond the specification."""
 
+import os
 import re
+import subprocess
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
@@ -10,7 +12,7 @@ import pytest
 import yaml
 
 OWN_IMAGE = "cspace-sampler/"
-SETTING = re.compile(r"\$\{(?P<name>\w+)(?::-(?P<default>[^}]*))?\}")
+SETTING = re.compile(r"\$\{(?P<name>\w+)(?::-(?P<default>[^}]*))?(?::\+[^}]*)?\}")
 DOCKERFILES = sorted((Path(__file__).parents[2] / "docker").glob("*.Dockerfile"))
 
 
@@ -26,19 +28,94 @@ def memory_mib(service: Mapping[str, Any]) -> int:
 def test_the_stack_is_the_documented_one(
     services: Mapping[str, Any], long_running: Mapping[str, Any], one_shot: set[str]
 ) -> None:
-    assert one_shot == {"mlflow-migrate"}
-    assert set(long_running) == {"postgres", "mlflow", "ray-head", "ray-worker", "inference-api"}
+    assert one_shot == {"exposure-check", "mlflow-migrate"}
+    apart = {"edge", "inference-api", "mlflow-reader"}
+    assert set(long_running) == {"postgres", "mlflow", "ray-head", "ray-worker", *apart}
     assert {name for name, service in services.items() if service.get("profiles") == ["jobs"]} == {
         "train",
         "evaluate",
     }
 
 
-def test_every_published_port_is_on_loopback_and_can_be_changed(services: Mapping[str, Any]) -> None:
-    published = [port for service in services.values() for port in service.get("ports", [])]
-    assert len(published) == 3
-    for port in published:
-        assert re.fullmatch(r"127\.0\.0\.1:\$\{CSPACE_\w+_PORT:-\d+\}:\d+", port)
+def test_ports_are_published_on_loopback_and_the_edges_alone_elsewhere_if_asked(
+    services: Mapping[str, Any],
+) -> None:
+    published = {name: service["ports"] for name, service in services.items() if "ports" in service}
+    assert set(published) == {"edge", "mlflow", "ray-head"}
+    for name, (port,) in published.items():
+        address = r"\$\{CSPACE_BIND_ADDRESS:-127\.0\.0\.1\}" if name == "edge" else r"127\.0\.0\.1"
+        assert re.fullmatch(address + r":\$\{CSPACE_\w+_PORT:-\d+\}:\d+", port)
+
+
+OWN = {"POSTGRES_PASSWORD": "own", "RAY_TOKEN": "own", "KEYS_FILE": "/keys"}
+
+
+@pytest.mark.parametrize(
+    ("changed", "refused"),
+    [
+        ({}, None),
+        ({"POSTGRES_PASSWORD": ""}, "CSPACE_POSTGRES_PASSWORD"),
+        ({"RAY_TOKEN": ""}, "CSPACE_RAY_TOKEN"),
+        ({"KEYS_FILE": ""}, "CSPACE_API_KEYS_FILE"),
+    ],
+)
+@pytest.mark.parametrize("address", ["", "127.0.0.2", "[::1]", "192.0.2.7", "[::]", "1127.0.0.1"])
+def test_secrets_that_everybody_knows_are_refused_beyond_loopback(
+    services: Mapping[str, Any], address: str, changed: Mapping[str, str], refused: str | None
+) -> None:
+    check = services["exposure-check"]
+    given = {"BIND_ADDRESS": address, **OWN, **changed}
+    # As Compose fills the settings in: an empty one gets the default.
+    environment = {
+        name: given[name] or SETTING.fullmatch(written)["default"]  # type: ignore[index]
+        for name, written in check["environment"].items()
+    }
+    (script,) = check["command"]
+    outcome = subprocess.run(
+        [*check["entrypoint"], script.replace("$$", "$")],
+        env={"PATH": os.environ["PATH"], **environment},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=30,
+    )
+    private = address in {"", "127.0.0.2", "[::1]"}
+    assert outcome.returncode == (0 if private or refused is None else 1)
+    assert outcome.stderr == "" if private or refused is None else f"set {refused} to" in outcome.stderr
+
+
+def test_nothing_starts_before_that_check(services: Mapping[str, Any]) -> None:
+    for name in services:
+        waited, before = {name}, set[str]()
+        while waited != before:
+            before = waited
+            waited = waited | {other for one in waited for other in services[one].get("depends_on", {})}
+        assert "exposure-check" in waited
+
+
+def test_a_container_reaches_its_neighbours_alone(
+    compose_file: Mapping[str, Any], services: Mapping[str, Any]
+) -> None:
+    networks = {name: set(service.get("networks", [])) for name, service in services.items()}
+    assert networks.pop("exposure-check") == set()
+    assert all(networks.values())
+
+    def neighbours(name: str) -> set[str]:
+        return {other for other, joined in networks.items() if other != name and joined & networks[name]}
+
+    assert neighbours("inference-api") == {"edge", "mlflow-reader"}
+    assert neighbours("postgres") == {"mlflow", "mlflow-migrate"}
+    assert neighbours("ray-worker") == {"ray-head", "mlflow", "train", "evaluate"}
+    published = set().union(*(networks[name] for name, service in services.items() if "ports" in service))
+    for name, network in compose_file["networks"].items():
+        assert (network or {}).get("internal", False) is (name in {"api", "tracking", "database"})
+    assert published >= {"door", "cluster"}
+    # The API's has no way out.
+    assert networks["inference-api"] == {"api"}
+
+
+def test_no_container_starts_processes_without_end(services: Mapping[str, Any]) -> None:
+    assert all(0 < service["pids_limit"] <= 4096 for service in services.values())
 
 
 def test_a_service_that_is_scaled_publishes_nothing_and_has_no_fixed_name(
@@ -72,8 +149,8 @@ def test_the_database_is_migrated_before_the_tracking_server_starts(services: Ma
     assert "mlflow-migrate" in services["mlflow"]["depends_on"]
 
 
-def test_the_api_is_healthy_when_it_is_live(services: Mapping[str, Any]) -> None:
-    assert "/health/live" in " ".join(services["inference-api"]["healthcheck"]["test"])
+def test_the_api_is_healthy_when_it_is_ready(services: Mapping[str, Any]) -> None:
+    assert "/health/ready" in " ".join(services["inference-api"]["healthcheck"]["test"])
 
 
 def test_no_service_gains_rights_or_writes_to_its_root(services: Mapping[str, Any]) -> None:
@@ -88,9 +165,10 @@ def test_no_service_gains_rights_or_writes_to_its_root(services: Mapping[str, An
 def test_all_that_runs_at_the_same_time_fits_into_8_gib(
     services: Mapping[str, Any], long_running: Mapping[str, Any], one_shot: set[str]
 ) -> None:
+    # The one-shot services end before MLflow starts, which all that is larger waits for.
     jobs = [memory_mib(service) for service in services.values() if "profiles" in service]
-    migration = sum(memory_mib(services[name]) for name in one_shot)
-    assert sum(map(memory_mib, long_running.values())) + max(jobs) + migration <= 8 * 1024
+    assert sum(map(memory_mib, long_running.values())) + max(jobs) <= 8 * 1024
+    assert sum(memory_mib(services[name]) for name in one_shot) <= memory_mib(services["mlflow"])
 
 
 def test_the_tracking_server_has_no_processes_for_jobs_of_its_own(root: Path) -> None:
@@ -134,7 +212,11 @@ def test_ray_asks_for_a_token_wherever_it_runs(services: Mapping[str, Any]) -> N
 
 def test_the_example_settings_are_the_file_s_settings_with_its_defaults(root: Path) -> None:
     text = (root / "docker-compose.yml").read_text(encoding="utf-8")
-    used = {match["name"]: match["default"] or "" for match in SETTING.finditer(text)}
+    # In order of the default, for a file of keys that is not there is mounted as an empty one.
+    found = sorted(
+        ((match["name"], match["default"] or "") for match in SETTING.finditer(text)), reverse=True
+    )
+    used = dict(found)
     lines = (root / ".env.example").read_text(encoding="utf-8").splitlines()
     documented = dict(line.split("=", 1) for line in lines if line and not line.startswith("#"))
     assert documented == used
@@ -144,9 +226,19 @@ def test_the_example_settings_are_the_file_s_settings_with_its_defaults(root: Pa
 def test_dockerfiles_build_on_a_pinned_base_and_end_without_root(dockerfile: Path) -> None:
     text = dockerfile.read_text(encoding="utf-8")
     assert "# syntax" not in text
-    assert set(re.findall(r"^FROM (\S+)", text, re.MULTILINE)) == {"python:3.11-slim-bookworm"}
+    base = "debian:bookworm-slim" if dockerfile.stem == "nginx" else "python:3.11-slim-bookworm"
+    assert set(re.findall(r"^FROM (\S+)", text, re.MULTILINE)) == {base}
     assert re.findall(r"^USER (\S+)", text, re.MULTILINE)[-1] == "1000"
-    assert "-c /tmp/constraints.txt" in text
+
+
+@pytest.mark.parametrize("dockerfile", DOCKERFILES, ids=lambda path: path.name)
+def test_images_take_pinned_wheels_and_torch_alone_from_another_index(dockerfile: Path) -> None:
+    text = dockerfile.read_text(encoding="utf-8").replace("\\\n", "")
+    installs = [line.strip() for line in re.split(r"\n| && ", text) if "pip install" in line]
+    assert all("--only-binary :all: -c /tmp/constraints.txt" in line for line in installs)
+    assert "EXTRA_INDEX" not in text
+    for line in installs:
+        assert "--index-url" not in line or ("--no-deps" in line and line.split()[-1] == "torch")
 
 
 def test_the_api_image_holds_no_training(root: Path) -> None:

@@ -24,7 +24,10 @@ def test_the_cluster_takes_no_job_from_a_stranger(stack: Stack) -> None:
     assert httpx.get(f"{stack.url('RAY')}/api/jobs/", timeout=30).status_code == 401
 
 
-@pytest.mark.parametrize("service", ["postgres", "mlflow", "ray-head", "ray-worker", "inference-api"])
+SERVICES = ("postgres", "mlflow", "ray-head", "ray-worker", "inference-api", "edge", "mlflow-reader")
+
+
+@pytest.mark.parametrize("service", SERVICES)
 def test_a_container_is_not_root_and_cannot_write_to_its_root(stack: Stack, service: str) -> None:
     assert stack.compose("exec", "-T", service, "id", "-u").strip() != "0"
     with pytest.raises(AssertionError, match="Read-only file system"):
@@ -37,6 +40,48 @@ def test_the_api_plans_without_compiling_first(stack: Stack) -> None:
     assert told["status"] in ("solved", "refused"), told
     assert began.count(".nbc") > 10
     assert stack.compose("exec", "-T", "inference-api", "ls", "-R", "/opt/cspace/kernels") == began
+
+
+CONNECT = "import socket, sys; socket.create_connection((sys.argv[1], int(sys.argv[2])), 5)"
+ASK = """
+import sys, urllib.error, urllib.request
+data = sys.argv[3].encode() if len(sys.argv) > 3 else None
+asked = urllib.request.Request("http://mlflow-reader:5000" + sys.argv[2], data, method=sys.argv[1])
+try:
+    print(urllib.request.urlopen(asked, timeout=30).status)
+except urllib.error.HTTPError as refused:
+    print(refused.code)
+"""
+
+
+@pytest.mark.parametrize(
+    ("name", "port"), [("postgres", 5432), ("mlflow", 5000), ("ray-head", 8265), ("1.1.1.1", 443)]
+)
+def test_the_apis_container_reaches_neither_the_rest_of_the_stack_nor_the_internet(
+    stack: Stack, name: str, port: int
+) -> None:
+    with pytest.raises(AssertionError, match=r"gaierror|OSError|TimeoutError"):
+        stack.compose("exec", "-T", "inference-api", "python", "-c", CONNECT, name, str(port))
+
+
+@pytest.mark.parametrize(
+    ("method", "path", "status"),
+    [
+        ("GET", "/api/2.0/mlflow/registered-models/search", 200),
+        ("POST", "/api/2.0/mlflow/registered-models/create", 403),
+        ("POST", "/api/2.0/mlflow/registered-models/alias", 403),
+        ("PUT", "/api/2.0/mlflow-artifacts/artifacts/1/model", 403),
+        ("DELETE", "/api/2.0/mlflow/registered-models/delete", 403),
+        ("POST", "/graphql", 403),
+        ("GET", "/", 403),
+    ],
+)
+def test_the_apis_container_reads_the_registry_and_changes_nothing(
+    stack: Stack, method: str, path: str, status: int
+) -> None:
+    data = () if method == "GET" else ('{"name": "written", "alias": "champion", "version": "1"}',)
+    said = stack.compose("exec", "-T", "inference-api", "python", "-c", ASK, method, path, *data)
+    assert said.strip() == str(status)
 
 
 @pytest.mark.parametrize("framework", ["torch", "ray", "lightning", "sklearn"])

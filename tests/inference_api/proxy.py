@@ -4,7 +4,7 @@ import shutil
 import socket
 import ssl
 import subprocess
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -66,7 +66,7 @@ def program(name: str) -> str:
 
 @contextmanager
 def nginx_before(api: str, folder: Path) -> Iterator[Proxy]:
-    """Run docker/nginx.conf before an API.
+    """Run docker/nginx/tls.conf before an API.
 
     Args:
         api: its address.
@@ -74,16 +74,54 @@ def nginx_before(api: str, folder: Path) -> Iterator[Proxy]:
     """
     port = _free_port()
     _certificate(folder)
-    _configuration(folder, api, port)
-    command = [program("nginx"), "-p", str(folder), "-c", "nginx.conf", "-e", "stderr"]
+    temporary = "".join(f"  {kind}_temp_path {kind};\n" for kind in TEMPORARY)
+    own = {
+        "http {\n": f"http {{\n  access_log off;\n{temporary}",
+        "worker_processes auto;": "worker_processes 1; pid nginx.pid;",
+        "listen 443 ": f"listen 127.0.0.1:{port} ",
+        "server 127.0.0.1:8000;": f"server {urlsplit(api).netloc};",
+        "/etc/ssl/certs/api.example.pem": str(folder / "certificate.pem"),
+        "/etc/ssl/private/api.example.key": str(folder / "key.pem"),
+    }
+    with _nginx("tls.conf", folder, port, own):
+        trust = ssl.create_default_context(cafile=str(folder / "certificate.pem"))
+        yield Proxy(port, trust)
+
+
+@contextmanager
+def nginx_of_the_stack(file: str, upstream: tuple[str, str], folder: Path) -> Iterator[str]:
+    """Run one of the two proxies of docker-compose.yml; its address.
+
+    Args:
+        file: in docker/nginx.
+        upstream: the address that it passes on to in the stack, and the one here.
+        folder: for configuration and temporary files.
+    """
+    port = _free_port()
+    listens = {"edge.conf": "listen 8080;", "mlflow-reader.conf": "listen 5000;"}[file]
+    own = {listens: f"listen 127.0.0.1:{port};", upstream[0]: upstream[1], "/tmp/": f"{folder}/"}  # noqa: S108
+    with _nginx(file, folder, port, own):
+        yield f"http://127.0.0.1:{port}"
+
+
+@contextmanager
+def _nginx(file: str, folder: Path, port: int, own: Mapping[str, str]) -> Iterator[None]:
+    """Run a documented file with what a test needs otherwise, until the block ends."""
+    for path in (ROOT / "docker" / "nginx").iterdir():
+        text = path.read_text(encoding="utf-8")
+        if path.name == file:
+            for documented, replaced in own.items():
+                assert documented in text
+                text = text.replace(documented, replaced)
+        (folder / path.name).write_text(text, encoding="utf-8")
+    command = [program("nginx"), "-p", str(folder), "-c", file, "-e", "stderr", "-g", "daemon off;"]
     log = folder / "nginx.log"
     with log.open("wb") as out:
-        process = subprocess.Popen([*command, "-g", "daemon off; pid nginx.pid;"], stdout=out, stderr=out)
+        process = subprocess.Popen(command, stdout=out, stderr=out)
     try:
         until(lambda: process.poll() is not None or _listens(port))
         assert process.poll() is None, log.read_text()
-        trust = ssl.create_default_context(cafile=str(folder / "certificate.pem"))
-        yield Proxy(port, trust)
+        yield
     finally:
         process.terminate()
         process.wait(PATIENCE_S)
@@ -95,22 +133,6 @@ def _certificate(folder: Path) -> None:
     curve = ("-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes", "-days", "2")
     command = [program("openssl"), "req", "-x509", *curve, *made, *subject]
     subprocess.run(command, check=True, capture_output=True)
-
-
-def _configuration(folder: Path, api: str, port: int) -> None:
-    text = (ROOT / "docker" / "nginx.conf").read_text(encoding="utf-8")
-    temporary = "".join(f"  {kind}_temp_path {kind};\n" for kind in TEMPORARY)
-    for documented, own in (
-        ("http {\n", f"http {{\n  access_log off;\n{temporary}"),
-        ("worker_processes auto;", "worker_processes 1;"),
-        ("listen 443 ", f"listen 127.0.0.1:{port} "),
-        ("server 127.0.0.1:8000;", f"server {urlsplit(api).netloc};"),
-        ("/etc/ssl/certs/api.example.pem", str(folder / "certificate.pem")),
-        ("/etc/ssl/private/api.example.key", str(folder / "key.pem")),
-    ):
-        assert documented in text
-        text = text.replace(documented, own)
-    (folder / "nginx.conf").write_text(text, encoding="utf-8")
 
 
 def _free_port() -> int:

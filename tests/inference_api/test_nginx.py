@@ -1,9 +1,12 @@
 """The documented proxy before a real API: what it lets through, and what it keeps from it."""
 
 import json
+import socket
 import ssl
+import threading
 from collections.abc import Iterator
 from contextlib import ExitStack
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 import httpx
@@ -11,8 +14,8 @@ import pytest
 
 from inference_api.guards.body_limit import MAX_BODY_BYTES
 from tests.inference_api.answers import IMAGE, PNG
-from tests.inference_api.proxy import NAME, Proxy, nginx_before
-from tests.inference_api.raw import head, metric, one_answer
+from tests.inference_api.proxy import NAME, Proxy, nginx_before, nginx_of_the_stack
+from tests.inference_api.raw import PATIENCE_S, head, metric, one_answer
 from tests.inference_api.server import api_server
 
 pytestmark = [pytest.mark.e2e, pytest.mark.slow]
@@ -129,3 +132,70 @@ def test_a_forged_address_does_not_change_the_bucket(tmp_path: Path, bundles: di
         assert answers[-1].json()["type"] == "urn:cspace-sampler:problem:too-many-requests"
         with proxy.client("127.0.0.2") as client:
             assert proxy.ask(client, "GET", "/models").status_code == 200
+
+
+def test_the_stacks_edge_passes_samples_and_pages_on_with_the_name_and_port_that_were_asked_for(
+    api: str, tmp_path: Path
+) -> None:
+    with nginx_of_the_stack("edge.conf", ("http://inference-api:8000", api), tmp_path) as edge:
+        own = {"origin": edge}
+        answer = httpx.post(f"{edge}/sample", files={"image": PNG}, data={"n": "3"}, headers=own, timeout=30)
+        assert answer.status_code == 200
+        assert httpx.get(f"{edge}/").status_code == 200
+        assert httpx.get(f"{edge}/metrics").status_code == 404
+        assert httpx.get(f"{edge}/models", headers={"host": "evil.example"}).status_code == 421
+        with socket.create_connection(("127.0.0.1", int(edge.rpartition(":")[2])), PATIENCE_S) as link:
+            link.sendall(head("POST", "/sample", f"Content-Length: {MAX_BODY_BYTES + 1}"))
+            assert one_answer(link).startswith(b"HTTP/1.1 413 ")
+
+
+class Mlflow(BaseHTTPRequestHandler):
+    """A tracking server that says what it was asked."""
+
+    def do_GET(self) -> None:
+        said = f"{self.command} {self.path} {self.headers['Host']}".encode()
+        self.send_response(200)
+        self.send_header("Content-Length", str(len(said)))
+        self.end_headers()
+        self.wfile.write(said)
+
+    do_POST = do_PUT = do_DELETE = do_PATCH = do_GET  # noqa: N815
+
+    def log_message(self, *arguments: object) -> None:
+        """Nothing is written."""
+
+
+@pytest.fixture
+def reader(tmp_path: Path) -> Iterator[str]:
+    with ThreadingHTTPServer(("127.0.0.1", 0), Mlflow) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        here = f"http://127.0.0.1:{server.server_port}"
+        with nginx_of_the_stack("mlflow-reader.conf", ("http://mlflow:5000", here), tmp_path) as found:
+            yield found
+        server.shutdown()
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "/api/2.0/mlflow/registered-models/alias?name=a&alias=champion",
+        "/api/2.0/mlflow/model-versions/search?filter=name%3D%27a%27",
+        "/api/2.0/mlflow-artifacts/artifacts?path=1%2Fmodels",
+        "/api/2.0/mlflow-artifacts/artifacts/1/models/m-1/artifacts/bundle/spec.json",
+    ],
+)
+def test_the_apis_view_of_mlflow_reads(reader: str, path: str) -> None:
+    assert httpx.get(reader + path).text == f"GET {path} mlflow:5000"
+
+
+@pytest.mark.parametrize("method", ["POST", "PUT", "PATCH", "DELETE"])
+@pytest.mark.parametrize(
+    "path", ["/api/2.0/mlflow/registered-models/alias", "/api/2.0/mlflow-artifacts/artifacts/1", "/health"]
+)
+def test_the_apis_view_of_mlflow_writes_nothing(reader: str, method: str, path: str) -> None:
+    assert httpx.request(method, reader + path).status_code == 403
+
+
+@pytest.mark.parametrize("path", ["/", "/graphql", "/ajax-api/2.0/mlflow/runs/get", "/api/3.0/mlflow/traces"])
+def test_the_apis_view_of_mlflow_has_no_pages(reader: str, path: str) -> None:
+    assert httpx.get(reader + path).status_code == 403
