@@ -12,6 +12,7 @@ import pytest
 
 from cspace.bundle import Bundle
 from cspace.errors import BundleError, StorageBusyError
+from inference_api.models.apart.disk import DiskCache
 from inference_api.models.apart.loading import LoaderApart
 from services.registry.models.port import ModelVersion
 from tests.inference_api.answers import assert_answers, assert_problem
@@ -77,12 +78,13 @@ class OtherDownloads:
 VERSION = ModelVersion("m", 1, "run", "a" * 64, (), {}, 0)
 
 
-def test_a_download_waits_for_another_process_s_as_long_as_that_may_take():
+def test_a_download_waits_for_another_process_s_as_long_as_that_may_take(tmp_path):
+    disk = DiskCache(tmp_path)
     child = OtherDownloads(3)
-    LoaderApart(child, download_s=60.0).download(VERSION)
+    LoaderApart(disk, child, download_s=60.0).download(VERSION)
     assert child.calls == 4
     with pytest.raises(StorageBusyError):
-        LoaderApart(OtherDownloads(10_000), download_s=-4.9).download(VERSION)
+        LoaderApart(disk, OtherDownloads(10_000), download_s=-4.9).download(VERSION)
 
 
 def limited(folder: Path, limit: str) -> str:
