@@ -6,14 +6,17 @@ Each attack is a function of the port and of when to stop. Refusals and closed c
 for: the attacker connects again and goes on. Only servers on this machine are attacked.
 """
 
+import base64
 import json
 import socket
 import struct
 import sys
+import threading
 import time
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
+from typing import Any
 
 import numpy as np
 
@@ -59,25 +62,35 @@ def request(
     return "\r\n".join([*lines, f"Content-Length: {size}", *further, "", ""]).encode() + body
 
 
+def form(path: str, pictures: Sequence[bytes], **fields: str | Sequence[str]) -> bytes:
+    """A form; a field of several texts is repeated."""
+    texts = [
+        (name, text)
+        for name, given in fields.items()
+        for text in ([given] if isinstance(given, str) else given)
+    ]
+    parts = [
+        f'--edge\r\nContent-Disposition: form-data; name="{name}"\r\n\r\n{text}\r\n'.encode()
+        for name, text in texts
+    ]
+    file = b'--edge\r\nContent-Disposition: form-data; name="image"; filename="a.png"\r\n\r\n'
+    parts += [file + picture + b"\r\n" for picture in pictures]
+    return request(path, b"".join(parts) + b"--edge--\r\n", "multipart/form-data; boundary=edge")
+
+
 def sample(picture: bytes, **fields: str) -> bytes:
     """A form for ``POST /sample``."""
-    parts = [
-        f'--edge\r\nContent-Disposition: form-data; name="{name}"\r\n\r\n{text}\r\n'
-        for name, text in fields.items()
-    ]
-    file = '--edge\r\nContent-Disposition: form-data; name="image"; filename="a.png"\r\n\r\n'
-    body = "".join([*parts, file]).encode() + picture + b"\r\n--edge--\r\n"
-    return request("/sample", body, "multipart/form-data; boundary=edge")
+    return form("/sample", [picture], **fields)
 
 
-def connect(port: int, timeout_s: float = PATIENCE_S) -> socket.socket:
+def connect(port: int, timeout_s: float = PATIENCE_S, source: str = SOURCE[0]) -> socket.socket:
     """A connection of the attacker's."""
-    return socket.create_connection((HOST, port), timeout=timeout_s, source_address=SOURCE)
+    return socket.create_connection((HOST, port), timeout=timeout_s, source_address=(source, 0))
 
 
-def exchange(port: int, data: bytes) -> bytes:
+def exchange(port: int, data: bytes, timeout_s: float = PATIENCE_S, source: str = SOURCE[0]) -> bytes:
     """Send, and read until the answer is there or the server closes; what came."""
-    with connect(port) as link:
+    with connect(port, timeout_s, source) as link:
         with suppress(OSError):
             link.sendall(data)
         return read_answer(link)
@@ -181,12 +194,146 @@ def dispositions(count: int) -> bytes:
 def many_pictures(turn: int) -> bytes:
     """As many pictures as a request may hold, none seen before."""
     images = np.random.default_rng(turn).integers(0, 256, (256, 48, 48, 3), dtype=np.uint8)
-    tensor = {"name": "image", "datatype": "UINT8", "shape": list(images.shape)}
+    tensor: dict[str, Any] = {"name": "image", "datatype": "UINT8", "shape": list(images.shape)}
     tensor["parameters"] = {"binary_data_size": images.nbytes}
     head = json.dumps({"inputs": [tensor], "parameters": {"n": 70, "min_confidence": 1.0}}).encode()
     length = f"Inference-Header-Content-Length: {len(head)}"
     path = "/v2/models/cspace-sampler/infer"
     return request(path, head + images.tobytes(), "application/octet-stream", length)
+
+
+# Of a depth camera whose pixels are as wide as a hand.
+PANDA, SIDE, POSE = "pretrained-panda", 160, [[0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0.4], [0, 0, 0, 1]]
+# Where the arm of the model stands, and a camera that looks at it from the side.
+READY = [0, -0.785, 0, -2.356, 0, 1.571, 0.785]
+_ASIDE = [
+    [-0.7071, -0.3714, -0.6018, 1.3],
+    [-0.7071, 0.3714, 0.6018, -0.8],
+    [0, 0.851, -0.5252, 1],
+    [0, 0, 0, 1],
+]
+
+
+def depth_png(side: int, mm: int = 300, block_mm: int = 0) -> bytes:
+    """A depth picture of one distance, with a block in the middle where one is told."""
+    pixels = np.full((side, side), mm, dtype=">u2")
+    if block_mm:
+        pixels[side // 3 : side // 2, side // 3 : side // 2] = block_mm
+    rows = np.concatenate([np.zeros((side, 1), np.uint8), pixels.view(np.uint8).reshape(side, -1)], axis=1)
+    header = chunk(b"IHDR", struct.pack(">IIBBBBB", side, side, 16, 0, 0, 0, 0))
+    return b"\x89PNG\r\n\x1a\n" + header + chunk(b"IDAT", zlib.compress(rows.tobytes())) + chunk(b"IEND", b"")
+
+
+def pinholes(turn: int, side: int = SIDE) -> list[dict[str, Any]]:
+    """Cameras of four pictures; another turn's are others, so that nothing is known of what they show."""
+    focal = 0.134 * side
+    middles = (side / 2 + 0.001 * (4 * turn + number) for number in range(4))
+    return [{"fx": focal, "fy": focal, "cx": cx, "cy": side / 2, "pose": POSE} for cx in middles]
+
+
+def depth_pictures(page: str, side: int = SIDE, **fields: str) -> Callable[[int], bytes]:
+    """Depth pictures that are never known."""
+    pictures = [depth_png(side)] * 4
+
+    def data(turn: int) -> bytes:
+        cameras = [json.dumps(one) for one in pinholes(turn, side)]
+        return form(page, pictures, model=PANDA, camera=cameras, **fields)
+
+    return data
+
+
+def depth_tensors(turn: int) -> bytes:
+    """The same as tensors."""
+    cameras = pinholes(turn)
+    arrays = {
+        "depth": np.full((4, SIDE, SIDE), 300, "<u2"),
+        "intrinsics": np.array([[one[name] for name in ("fx", "fy", "cx", "cy")] for one in cameras]),
+        "poses": np.array([POSE] * 4, dtype="<f8"),
+    }
+    inputs = [
+        {
+            "name": name,
+            "datatype": "UINT16" if name == "depth" else "FP64",
+            "shape": list(array.shape),
+            "parameters": {"binary_data_size": array.nbytes},
+        }
+        for name, array in arrays.items()
+    ]
+    head = json.dumps({"inputs": inputs, "parameters": {"n": 1, "min_confidence": 0.0}}).encode()
+    body = head + b"".join(array.tobytes() for array in arrays.values())
+    length = f"Inference-Header-Content-Length: {len(head)}"
+    return request(f"/v2/models/{PANDA}/infer", body, "application/octet-stream", length)
+
+
+def configurations() -> bytes:
+    """As many configurations as a request may ask about, in JSON."""
+    rows = np.random.default_rng(0).uniform(-3.0, 3.0, (20_000, 2)).tolist()
+    body = {"image": base64.b64encode(png(48)).decode(), "configurations": rows}
+    return request("/validity", json.dumps(body).encode(), "application/json")
+
+
+def plan(seed: int, **fields: str | Sequence[str]) -> bytes:
+    """A plan from where the arm stands to somewhere near, past a block."""
+    goal = (np.array(READY) + np.random.default_rng(seed).uniform(-0.5, 0.5, 7)).tolist()
+    camera = {"fx": 114.25, "fy": 114.25, "cx": 79.5, "cy": 79.5, "pose": _ASIDE}
+    given: dict[str, str | Sequence[str]] = {
+        "start": json.dumps(READY),
+        "goal": json.dumps(goal),
+        "camera": json.dumps(camera),
+        **fields,
+    }
+    return form("/plan", [depth_png(SIDE, 1800, 900)], model=PANDA, **given)
+
+
+def next_views(turn: int) -> bytes:
+    """Plans with as many cameras to choose the next view from as there may be."""
+    camera = {"fx": 114.25, "fy": 114.25, "cy": 59.5, "width": 160, "height": 120, "pose": _ASIDE}
+    views = [json.dumps(camera | {"cx": 79.5 + 0.1 * number}) for number in range(64)]
+    return plan(turn % 64, view=views, ways="1", min_confidence="0")
+
+
+def left_soon(data: bytes) -> Attack:
+    """Requests whose client goes away after 20 ms."""
+
+    def attack(port: int, until: float) -> None:
+        while time.monotonic() < until:
+            with suppress(OSError), connect(port) as link:
+                link.sendall(data)
+                time.sleep(0.02)
+
+    return attack
+
+
+def at_once(attack: Attack, connections: int) -> Attack:
+    """The same attack on several connections."""
+
+    def attacking(port: int, until: float) -> None:
+        links = [threading.Thread(target=attack, args=(port, until)) for _ in range(connections)]
+        for link in links:
+            link.start()
+        for link in links:
+            link.join()
+
+    return attacking
+
+
+def plans_of_addresses(port: int, until: float) -> None:
+    """Two plans of the longest time from each of 16 addresses."""
+
+    def attack(number: int) -> None:
+        turn = number
+        while time.monotonic() < until:
+            left_s = until - time.monotonic()
+            data = plan(turn, ways="64", time_limit_s="10")
+            with suppress(OSError):
+                exchange(port, data, max(0.1, left_s), f"127.0.3.{1 + number // 2}")
+            turn += 32
+
+    links = [threading.Thread(target=attack, args=(number,)) for number in range(32)]
+    for link in links:
+        link.start()
+    for link in links:
+        link.join()
 
 
 _PUNYCODE = "multipart/form-data; boundary=edge; charset=punycode"
@@ -199,6 +346,20 @@ _UPGRADE = (
 )
 
 ATTACKS: dict[str, Attack] = {
+    "fresh depth pictures": at_once(again(depth_pictures("/sample", n="1", min_confidence="0")), 4),
+    "fresh depth pictures, 2048 pixels a side": at_once(again(depth_pictures("/sample", 2048, n="1")), 4),
+    "fresh depth pictures for scores": at_once(
+        again(depth_pictures("/validity", configurations=json.dumps([READY]))), 4
+    ),
+    "fresh depth pictures for plans": at_once(
+        again(depth_pictures("/plan", start=json.dumps(READY), goal=json.dumps(READY), time_limit_s="0.01")),
+        4,
+    ),
+    "fresh depth pictures for v2": at_once(again(depth_tensors), 4),
+    "20,000 rows to score in JSON": at_once(always(configurations()), 4),
+    "the same, left after 20 ms": at_once(left_soon(configurations()), 4),
+    "64 cameras for a next view": at_once(again(next_views), 4),
+    "plans from 16 addresses": plans_of_addresses,
     "two headers in a picture": again(lambda turn: sample(png(64, twice=9400 - turn % 2), n="1")),
     "largest pictures": again(lambda turn: sample(png(2048, 6, seed=turn % 3), n="1")),
     "headers without end": endless_headers,
