@@ -92,9 +92,9 @@ def stretch(api: Served, seconds: float, attack: str | None = None) -> tuple[lis
     if attack is not None:
         sent = ["-m", "tests.inference_api.attacks", attack, str(api.port)]
         program = ["-c", _BUSY] if attack == CONTROL else sent
-        attacker = subprocess.Popen([sys.executable, *program, str(seconds + 2)], cwd=ROOT)
-        # Python and the first bodies take a second to come up.
-        time.sleep(1.5)
+        attacker = subprocess.Popen([sys.executable, *program, str(seconds + 60)], cwd=ROOT)
+        # Python and the first bodies take some seconds to come up.
+        time.sleep(3)
     context = multiprocessing.get_context("spawn")
     queues = [context.Queue(), context.Queue()]
     clients = [
@@ -107,6 +107,8 @@ def stretch(api: Served, seconds: float, attack: str | None = None) -> tuple[lis
     for client in clients:
         client.join()
     if attacker is not None:
+        # Not before: on a busy machine clients take as long to come up as an attack would last.
+        attacker.terminate()
         attacker.wait(60)
     watch.over.set()
     watch.join()
