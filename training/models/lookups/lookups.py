@@ -62,7 +62,7 @@ class ArmLookups(nn.Module):
         """As a served graph reads, at a fifth of what onnxruntime's GridSample takes.
 
         Configurations come last, so that each step goes along long rows, and single values are picked one by
-        one, which costs less than picking rows and turning them (ADR 0035).
+        one, which costs less than picking rows and turning them (ADR 0010).
         """
         count, side = len(picture), picture.shape[-1]
         directions = _directions(configurations).T
