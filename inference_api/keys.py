@@ -16,9 +16,12 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from cspace.errors import ConfigError
+from cspace.files import read_bounded
 
 PREFIX = "csk_"
 KEY_BYTES = 32
+# Some thousand keys.
+MAX_FILE_BYTES = 2**20
 _LOG = logging.getLogger(__name__)
 _OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
 _NAME = re.compile(r"[A-Za-z0-9._-]{1,64}", re.ASCII)
@@ -40,17 +43,19 @@ class ApiKeys:
         """Read a file of lines ``name:sha256``; empty lines and those with ``#`` first do not count.
 
         Raises:
-            ConfigError: the file cannot be read, may be written by others than its owner, holds no key, or a
-                line is wrong.
+            ConfigError: the file cannot be read or is larger than 1 MiB, may be written by others than its
+                owner, holds no key, or a line is wrong.
         """
+        remedy = "name another one in CSPACE_API_KEYS_FILE"
+        data = read_bounded(path, MAX_FILE_BYTES, ConfigError, remedy=remedy)
         try:
             mode = path.stat().st_mode
-            lines = path.read_text(encoding="utf-8").splitlines()
+            lines = data.decode("utf-8").splitlines()
         except (OSError, ValueError) as error:
             raise ConfigError(
                 f"the file of API keys {path} cannot be read",
                 got=str(error),
-                remedy="name another one in CSPACE_API_KEYS_FILE",
+                remedy=remedy,
             ) from error
         if mode & _OTHERS_WRITE:
             # Whoever writes a digest into it has a key.

@@ -1,5 +1,7 @@
 """How a command ends that fails: a line for people, an exit code for programs."""
 
+import argparse
+import math
 import sys
 
 from cspace.errors import CspaceError
@@ -15,3 +17,18 @@ def tell_error(error: CspaceError, *wrong: type[CspaceError], program: str = "er
     """
     sys.stderr.write(f"{program}: {error}\n")
     return 2 if isinstance(error, wrong) else 1
+
+
+def finite(text: str) -> float:
+    """The type of an option that is a finite number; ``float`` would take ``inf`` and ``nan``.
+
+    Raises:
+        argparse.ArgumentTypeError: it is none, which the parser tells as a wrong use.
+    """
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise argparse.ArgumentTypeError(f"expected a finite number, got {text[:80]!r}")
+    return value

@@ -13,6 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from cspace.bundle import Bundle, graphs_of, write_bundle
+from cspace.bundle.verification import load_verified
 from cspace.errors import BundleError, CspaceError, InputError
 from cspace.world import World
 from cspace.worlds import add_world_options, described_world
@@ -23,7 +24,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Parse, write, print."""
     options = parser().parse_args(arguments)
     try:
-        folder = write_limited(Bundle.load(options.bundle), options.folder, described_world(options))
+        folder = write_limited(load_verified(options.bundle), options.folder, described_world(options))
     except CspaceError as error:
         return tell_error(error, InputError)
     sys.stdout.write(f"written to {folder}\n")

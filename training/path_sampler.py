@@ -17,6 +17,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from cspace.bundle import Bundle
+from cspace.bundle.verification import load_verified
 from cspace.errors import ConfigError, CspaceError, InputError
 from services.command_errors import tell_error
 from services.names import ALIAS_CHALLENGER, ALIAS_CHAMPION, EXPERIMENT, model_name, recorded_name
@@ -31,7 +32,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser().parse_args(arguments)
     try:
         uri = None if options.register is None else _registry_uri()
-        source = Bundle.load(options.bundle)
+        source = load_verified(options.bundle)
         named = options.robot_name or recorded_name(source.spec.provenance.config)
         model = model_name(source.spec.world, named, path=True)
         bundle = made_or_found(source, options.folder)

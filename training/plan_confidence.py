@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from cspace.bundle import Bundle
+from cspace.bundle.verification import load_verified
 from cspace.errors import BundleError, ConfigError, CspaceError, InputError
 from services.command_errors import tell_error
 from training.clusters.fitted_anew import require_head, write_fitted
@@ -27,7 +28,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Parse, plan, fit, write."""
     options = parser().parse_args(arguments)
     try:
-        source = Bundle.load(options.bundle)
+        source = load_verified(options.bundle)
         found = _fitted(source, options.problems)
         note = {"plan_problems": found.fitted + found.measured}
         folder = write_fitted(source, options.folder, found.stated_in(source.spec), "plans", note)

@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from cspace.bundle import Bundle
+from cspace.bundle.verification import load_verified
 from cspace.errors import BundleError, CspaceError, InputError
 from services.command_errors import tell_error
 from training.clusters.bundling import THRESHOLD_SCENARIOS, fit_proposals
@@ -26,7 +27,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Parse, draw, choose, write."""
     options = parser().parse_args(arguments)
     try:
-        source = Bundle.load(options.bundle)
+        source = load_verified(options.bundle)
         found = _fitted(source)
         note = {"scenarios": THRESHOLD_SCENARIOS}
         folder = write_fitted(source, options.folder, found.stated_in(source.spec), "proposals", note)

@@ -2,7 +2,10 @@
 
 The bytes come from whoever may write to the registry. A graph passes if it is whole, uses operators of ONNX's
 standard set that compute tensors from tensors, and has a size for every tensor that follows from the sizes of
-its inputs. The sizes bound the memory of a run before there is one; nothing is computed here.
+its inputs. The sizes bound the memory of a run before there is one; nothing is computed here. Shapes are
+inferred one node at a time, so that no node is looked at before the sizes of its inputs are known to be small
+enough. ``onnx`` follows the values of sizes through a few small nodes only: it writes out a dimension for
+each element of every one-dimensional tensor that it meets on the way.
 
 ``onnx`` takes about a second to import, so servers check bundles in a process of their own
 (:mod:`cspace.bundle.verification`) and never import this module.
@@ -10,9 +13,8 @@ its inputs. The sizes bound the memory of a run before there is one; nothing is 
 
 import math
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 import onnx
@@ -28,7 +30,7 @@ from cspace.errors import BundleIntegrityError
 # Of the tensors that a run holds at one time; the shipped models need up to 30 MiB.
 MAX_RUN_BYTES = 256 * 2**20
 # Of one tensor, and of a graph.
-MAX_ELEMENTS, MAX_RANGE, MAX_RANK, MAX_NODES = 2**26, 2**20, 8, 10_000
+MAX_ELEMENTS, MAX_RANK, MAX_NODES = 2**26, 8, 10_000
 OLDEST_OPSET, NEWEST_OPSET = 11, 26
 # Local functions of the project are inlined; the name of their domain stays among the imports.
 DOMAINS = ("", "ai.onnx", "cspace")
@@ -61,8 +63,13 @@ _DIVISORS = frozenset(
     {"blocksize", "dilations", "group", "kernel_shape", "num_groups", "num_outputs", "size", "strides"}
 )
 _LARGEST_DIVISOR = 2**16
-# Sizes that are computed come from small tensors; shape inference needs no others.
-_SMALL = 1024
+# Through these, ``onnx`` follows the values of sizes.
+_SIZING = frozenset(
+    {"Add", "Cast", "Concat", "Gather", "Mul", "Shape", "Size", "Slice", "Squeeze", "Sub", "Unsqueeze"}
+)
+# Elements of a tensor that sizes are computed from, and nodes that compute sizes, counted once for each node
+# that takes these; the shipped models have up to 15 a graph.
+_SMALL, _MAX_SIZING = 64, 10_000
 
 Shape = tuple[int, ...]
 
@@ -152,8 +159,10 @@ class _Check:
         kinds: value to its type by ONNX's number.
         sizes: value to its shape, where a size that depends on data is a name.
         bounds: that name to the largest size.
-        weights: names of constants outside of nodes.
-        constants: small constants by name.
+        weights: names of constants.
+        tensors: small constants by name.
+        makers: output to the index of its node, where ``onnx`` may follow values through that.
+        followed: nodes through which values were followed, each time.
     """
 
     name: str
@@ -162,7 +171,9 @@ class _Check:
     sizes: dict[str, tuple[int | str, ...]] = field(default_factory=dict)
     bounds: dict[str, int] = field(default_factory=dict)
     weights: set[str] = field(default_factory=set)
-    constants: dict[str, Any] = field(default_factory=dict)
+    tensors: dict[str, onnx.TensorProto] = field(default_factory=dict)
+    makers: dict[str, int] = field(default_factory=dict)
+    followed: int = 0
 
     def run(self, shapes: Mapping[str, Shape]) -> dict[str, Shape]:
         graph = self.model.graph
@@ -172,21 +183,19 @@ class _Check:
             if value.name not in self.weights:
                 self._feed(value, shapes)
         checker.check_model(self.model)
-        for node in graph.node:
-            self._check_range(node)
-        # What the file claims of sizes is not believed.
-        del graph.value_info[:]
-        for value in graph.output:
-            value.type.tensor_type.ClearField("shape")
-        found = shape_inference.infer_shapes(
-            self.model, check_type=True, strict_mode=True, data_prop=True
-        ).graph
-        for value in (*found.value_info, *found.output):
-            self._learn(value)
-        for node in graph.node:
+        nodes = [node for node in graph.node if node.op_type != "Constant"]
+        for index, node in enumerate(nodes):
+            self._infer(node, nodes)
             self._bound(node)
             self._check_division(node)
-        self._check_memory(graph)
+            if self._is_followed(node):
+                self.makers[node.output[0]] = index
+        for value in graph.output:
+            if self.kinds.get(value.name) != value.type.tensor_type.elem_type:
+                raise self._refuse(
+                    f"an output {value.name[:100]!r} of another type", "the type that is computed"
+                )
+        self._check_memory(graph, nodes)
         return {value.name: tuple(map(self._size, self.sizes[value.name])) for value in graph.output}
 
     def _check_parts(self, graph: onnx.GraphProto) -> None:
@@ -203,6 +212,10 @@ class _Check:
                     raise self._refuse(
                         f"an attribute {attribute.name[:100]!r} of another kind", "numbers or texts"
                     )
+                values = max(len(attribute.ints), len(attribute.floats), len(attribute.s))
+                if values > _SMALL and node.op_type != "Constant":
+                    got = f"an attribute {attribute.name[:100]!r} of {values} values"
+                    raise self._refuse(got, f"at most {_SMALL}")
                 numbers = attribute.ints or [attribute.i]
                 if attribute.name in _DIVISORS and not all(1 <= one <= _LARGEST_DIVISOR for one in numbers):
                     got = f"{attribute.name} = {list(numbers)}"[:100]
@@ -225,29 +238,22 @@ class _Check:
             )
 
     def _take_constants(self, graph: onnx.GraphProto) -> None:
-        """Replace large initializers by inputs of their shapes, which shape inference then does not copy."""
-        small = []
-        for tensor in graph.initializer:
+        """Replace large initializers by inputs of their shapes, which the checker then does not copy."""
+        made = [_constant(node) for node in graph.node if node.op_type == "Constant"]
+        for tensor in made:
+            self._check_tensor(tensor)
+        for tensor in (*graph.initializer, *made):
             self.weights.add(tensor.name)
             self._set(tensor.name, tensor.data_type, tuple(tensor.dims))
             if math.prod(tensor.dims) <= _SMALL:
-                small.append(tensor)
-                self.constants[tensor.name] = numpy_helper.to_array(tensor)
-            else:
-                graph.input.append(helper.make_tensor_value_info(tensor.name, tensor.data_type, tensor.dims))
-        kept = [onnx.TensorProto.FromString(tensor.SerializeToString()) for tensor in small]
+                self.tensors[tensor.name] = onnx.TensorProto.FromString(tensor.SerializeToString())
+        large = [tensor for tensor in graph.initializer if tensor.name not in self.tensors]
+        graph.input.extend(
+            helper.make_tensor_value_info(tensor.name, tensor.data_type, tensor.dims) for tensor in large
+        )
+        kept = [self.tensors[tensor.name] for tensor in graph.initializer if tensor.name in self.tensors]
         del graph.initializer[:]
         graph.initializer.extend(kept)
-        for node in graph.node:
-            if node.op_type == "Constant":
-                value = node.attribute[0] if node.attribute else None
-                if value is not None and len(node.output) == 1:
-                    held = (
-                        numpy_helper.to_array(value.t)
-                        if value.HasField("t")
-                        else helper.get_attribute_value(value)
-                    )
-                    self.constants[node.output[0]] = np.asarray(held)
 
     def _feed(self, value: onnx.ValueInfoProto, shapes: Mapping[str, Shape]) -> None:
         tensor = value.type.tensor_type
@@ -263,21 +269,73 @@ class _Check:
         value.CopyFrom(helper.make_tensor_value_info(value.name, tensor.elem_type, shape))
         self._set(value.name, tensor.elem_type, shape)
 
-    def _check_range(self, node: onnx.NodeProto) -> None:
-        """Bound a range of constants, which shape inference writes out."""
-        if node.op_type == "Range" and all(name in self.constants for name in node.input):
-            start, limit, delta = (self.constants[name].item() for name in node.input)
-            if not delta or (limit - start) / delta > MAX_RANGE:
-                raise self._refuse(
-                    f"{(limit - start)} elements by Range"[:100], f"at most {MAX_RANGE} elements"
-                )
+    def _infer(self, node: onnx.NodeProto, nodes: Sequence[onnx.NodeProto]) -> None:
+        """Learn types and shapes of a node's outputs."""
+        outputs = list(filter(None, node.output))
+        found = self._inferred([node])
+        told = [size for _, sizes in found.values() for size in sizes]
+        # A size that is not known may follow from computed values; else it depends on data.
+        unknown = len(found) < len(outputs) or not all(map(self._is_known, told))
+        if unknown and (node.op_type not in _SIZING or self._is_followed(node)):
+            found = self._inferred([*self._sizing(node, nodes), node], data_prop=True)
+        for output, (kind, sizes) in found.items():
+            self._set(
+                output,
+                kind,
+                tuple(size if self._is_known(size) else f"{size} of {outputs[0]}" for size in sizes),
+            )
 
-    def _learn(self, value: onnx.ValueInfoProto) -> None:
-        tensor = value.type.tensor_type
-        if tensor.HasField("shape"):
-            axes = tensor.shape.dim
-            sizes = tuple(one.dim_value if one.HasField("dim_value") else one.dim_param for one in axes)
-            self._set(value.name, tensor.elem_type, sizes)
+    def _is_known(self, size: int | str) -> bool:
+        return isinstance(size, int) or size in self.bounds
+
+    def _is_followed(self, node: onnx.NodeProto) -> bool:
+        """Whether ``onnx`` may follow values through a node, for it has small tensors."""
+        if node.op_type in ("Shape", "Size"):
+            return True
+        sizes = [self.sizes[name] for name in node.input if name]
+        few = all(len(size) != 1 or self._size(size[0]) <= _SMALL for size in sizes)
+        return node.op_type in _SIZING and few and len(sizes) <= _SMALL
+
+    def _sizing(self, node: onnx.NodeProto, nodes: Sequence[onnx.NodeProto]) -> list[onnx.NodeProto]:
+        """The nodes that compute what a node takes as sizes, in their order."""
+        found: set[int] = set()
+        waiting = list(node.input)
+        while waiting:
+            index = self.makers.get(waiting.pop())
+            if index is not None and index not in found:
+                found.add(index)
+                waiting += () if nodes[index].op_type in ("Shape", "Size") else nodes[index].input
+        self.followed += len(found)
+        if self.followed > _MAX_SIZING:
+            raise self._refuse("more work for sizes", f"at most {_MAX_SIZING} nodes that compute sizes")
+        return [nodes[index] for index in sorted(found)]
+
+    def _inferred(
+        self, nodes: list[onnx.NodeProto], *, data_prop: bool = False
+    ) -> dict[str, tuple[int, tuple[int | str, ...]]]:
+        """Types and shapes of the outputs of the last of some nodes."""
+        made = {output for node in nodes for output in node.output}
+        given = {name for node in nodes for name in node.input if name} - made
+        inputs = [
+            helper.make_tensor_value_info(name, self.kinds[name], self.sizes[name])
+            for name in given - self.tensors.keys()
+        ]
+        tensors = [self.tensors[name] for name in given & self.tensors.keys()]
+        part = helper.make_model(
+            helper.make_graph(nodes, "part", inputs, [], tensors), opset_imports=self.model.opset_import
+        )
+        inferred = shape_inference.infer_shapes(part, check_type=True, strict_mode=True, data_prop=data_prop)
+        return {
+            value.name: (
+                value.type.tensor_type.elem_type,
+                tuple(
+                    one.dim_value if one.HasField("dim_value") else one.dim_param
+                    for one in value.type.tensor_type.shape.dim
+                ),
+            )
+            for value in inferred.graph.value_info
+            if value.name in nodes[-1].output and value.type.tensor_type.HasField("shape")
+        }
 
     def _set(self, name: str, kind: int, sizes: tuple[int | str, ...]) -> None:
         self.kinds[name], self.sizes[name] = kind, sizes
@@ -310,21 +368,21 @@ class _Check:
         """Integers that are divided by -1 or 0 may end the process, so a divisor is a constant of others."""
         if node.op_type not in ("Div", "Mod") or self.kinds.get(node.input[0]) not in _INTEGERS:
             return
-        divisor = self.constants.get(node.input[1])
-        if divisor is None or not np.all(divisor > 0):
+        divisor = self.tensors.get(node.input[1])
+        if divisor is None or not np.all(numpy_helper.to_array(divisor) > 0):
             raise self._refuse(f"{node.op_type} of integers by what is not known", "a constant above 0")
 
-    def _check_memory(self, graph: onnx.GraphProto) -> None:
+    def _check_memory(self, graph: onnx.GraphProto, nodes: Sequence[onnx.NodeProto]) -> None:
         """Bound the bytes that live together while nodes are computed in their order.
 
         Inputs and constants stay, and so does what follows from constants: onnxruntime computes that once.
         """
-        uses = Counter(name for node in graph.node for name in node.input)
+        uses = Counter(name for node in nodes for name in node.input)
         uses.update(value.name for value in graph.output)
         constant = set(self.weights)
         stays = constant | {value.name for value in graph.input}
         alive = most = sum(map(self._bytes, stays))
-        for node in graph.node:
+        for node in nodes:
             inputs, outputs = list(filter(None, node.input)), set(filter(None, node.output))
             if constant.issuperset(inputs):
                 constant |= outputs
@@ -361,6 +419,18 @@ class _Check:
 
     def _refuse(self, got: str, expected: str) -> BundleIntegrityError:
         return _refusal(self.name, got, expected)
+
+
+def _constant(node: onnx.NodeProto) -> onnx.TensorProto:
+    value = node.attribute[0] if len(node.attribute) == len(node.output) == 1 else onnx.AttributeProto()
+    tensor = onnx.TensorProto()
+    if value.HasField("t"):
+        tensor.CopyFrom(value.t)
+    else:
+        kind = np.int64 if value.name in ("value_int", "value_ints") else np.float32
+        tensor = numpy_helper.from_array(np.asarray(helper.get_attribute_value(value), kind))
+    tensor.name = node.output[0]
+    return tensor
 
 
 def _itemsize(kind: int) -> int:

@@ -8,12 +8,15 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from cspace.errors import DamagedFileError, DatasetError, ScenarioError
+from cspace.files import read_bounded
 from cspace.strict_json import json_text, parse_json, read_mapping, read_members, read_object, written
 from cspace.world import World
 from cspace.worlds import FIRST, read_world
 
 SCHEMA_VERSION = 2
 MANIFEST_FILE = "manifest.json"
+# Of a data set with some hundred files it has some 100 KiB.
+MAX_MANIFEST_BYTES = 16 * 2**20
 _KEYS = {"schema_version", "world", "counts", "generator", "files", "digest"}
 
 
@@ -77,15 +80,10 @@ class Manifest:
 
 def _read_members(path: Path) -> dict[str, Any]:
     """The members of the manifest's JSON as this schema has them, without their version."""
+    remedy = "see docs/data.md for the format, python -m training.datasets import for own data"
+    data = read_bounded(path, MAX_MANIFEST_BYTES, DatasetError, remedy=remedy)
     try:
-        values = parse_json(path.read_bytes(), whole=int)
-    except OSError as error:
-        raise DatasetError(
-            "the folder is no data set",
-            expected=f"{MANIFEST_FILE} in {path.parent}",
-            got=str(error),
-            remedy="see docs/data.md for the format, python -m training.datasets import for own data",
-        ) from error
+        values = parse_json(data, whole=int)
     except ValueError as error:
         raise DatasetError(f"{path} is not JSON", expected="a manifest", got=str(error)[:200]) from error
     version = read_mapping(values, str(path), DatasetError).get("schema_version")

@@ -13,8 +13,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 
-from cspace.errors import ConfigError, StorageError
-from cspace.files import make_output_folder, replacing
+from cspace.errors import ConfigError, RegistryError, StorageError
+from cspace.files import make_output_folder, read_bounded, replacing
 from services.evaluator.evaluation.measured import (
     RECONSTRUCTION,
     Measured,
@@ -29,6 +29,8 @@ from services.registry.tracking.reading import FoundRun, Runs
 
 _RUN_ID = re.compile(r"[0-9a-f]{32}")
 _DIGEST = "model_digest"
+# A table of an evaluation has some 100 KiB.
+MAX_TABLE_BYTES = 16 * 2**20
 _SHOWN = ("precision", "coverage", "edr", "knn_precision", "knn_recall")
 
 
@@ -58,7 +60,7 @@ def find(text: str, runs: Runs, registry: ModelRegistry) -> Compared:
     Raises:
         ConfigError: it was never evaluated.
         ModelNotFoundError: there is no such version.
-        RegistryError: there is no such run.
+        RegistryError: there is no such run, or its table is damaged or too large.
     """
     if _RUN_ID.fullmatch(text):
         run = runs.run(text)
@@ -144,10 +146,19 @@ def _rows(runs: Runs, run: FoundRun) -> tuple[Measured, ...]:
         path = runs.file(run.run_id, f"tables/{MEASURES_TABLE}.json", Path(folder))
         if path is None:
             return ()
-        table = json.loads(path.read_text(encoding="utf-8"))
+        data = read_bounded(path, MAX_TABLE_BYTES, RegistryError)
     known = {field.name for field in fields(Measured)}
-    told = [dict(zip(table["columns"], row, strict=True)) for row in table["data"]]
-    return tuple(Measured(**{name: row[name] for name in known}) for row in told)
+    try:
+        table = json.loads(data)
+        told = [dict(zip(table["columns"], row, strict=True)) for row in table["data"]]
+        return tuple(Measured(**{name: row[name] for name in known}) for row in told)
+    except (ValueError, TypeError, LookupError, RecursionError) as error:
+        raise RegistryError(
+            f"the evaluation {run.run_id} has a damaged table",
+            expected=f"{MEASURES_TABLE} as the evaluator writes it",
+            got=repr(error)[:200],
+            remedy="evaluate the version again",
+        ) from error
 
 
 def _key(row: Measured) -> tuple[str, str, str, str, str]:

@@ -10,6 +10,7 @@ from cspace.planning.query import DEFAULT_WAYS
 from cspace.query import PLAIN, SampleQuery
 from cspace.world import World
 from cspace.worlds import examples, workshop_of
+from services.command_errors import finite
 from services.planner.drawing.plot import check_figure_path
 from services.planner.planning import DEFAULT_SAMPLES, PAPER_SCHEDULE, SampleRequest
 from services.planner.search.ompl_planner import DEFAULT_UNIFORM_SHARE
@@ -127,7 +128,7 @@ def make_parser() -> argparse.ArgumentParser:
     )
     samples = parser.add_argument_group("samples")
     samples.add_argument("--api", metavar="URL", default=usual_api(), help="default %(default)s")
-    samples.add_argument("--timeout", type=float, default=DEFAULT_TIMEOUT_S, help="s; default %(default)s")
+    samples.add_argument("--timeout", type=finite, default=DEFAULT_TIMEOUT_S, help="s; default %(default)s")
     samples.add_argument(
         "--model",
         help="name, name@alias, name/version or pretrained; default the API's, with a scene file its robot's",
@@ -135,7 +136,7 @@ def make_parser() -> argparse.ArgumentParser:
     samples.add_argument("--n", type=_count, default=DEFAULT_SAMPLES, help="default %(default)s")
     samples.add_argument(
         "--epsilon-sigma",
-        type=float,
+        type=finite,
         nargs="+",
         default=PLAIN,
         metavar="E",
@@ -143,7 +144,7 @@ def make_parser() -> argparse.ArgumentParser:
         f"schedule of algorithm 3, for example {' '.join(f'{value:g}' for value in PAPER_SCHEDULE)}",
     )
     samples.add_argument(
-        "--min-confidence", type=float, help="of the model's validity head (default: the model's own)"
+        "--min-confidence", type=finite, help="of the model's validity head (default: the model's own)"
     )
     samples.add_argument("--path-model", action="store_true", help="send start and goal as well")
     samples.add_argument(
@@ -168,13 +169,13 @@ def make_parser() -> argparse.ArgumentParser:
     search.add_argument("--planner", choices=LEARNED_PLANNERS, default=RRT, help="default %(default)s")
     search.add_argument(
         "--uniform-share",
-        type=float,
+        type=finite,
         default=DEFAULT_UNIFORM_SHARE,
         help="of uniform samples mixed in; default %(default)s",
     )
-    search.add_argument("--range", type=float, help="rad; default the robot's, of two and three links 1")
+    search.add_argument("--range", type=finite, help="rad; default the robot's, of two and three links 1")
     search.add_argument("--max-iterations", type=int, default=defaults.max_iterations, help="%(default)s")
-    search.add_argument("--time-limit", type=float, default=defaults.time_limit_s, help="s; %(default)s")
+    search.add_argument("--time-limit", type=finite, default=defaults.time_limit_s, help="s; %(default)s")
     search.add_argument("--planner-seed", type=_count, help="of planner and samples; default --seed")
     output = parser.add_argument_group("output")
     output.add_argument("--plot", type=Path, metavar="FILE", help="draw the outcome (.png, .pdf or .svg)")

@@ -209,6 +209,24 @@ def huge(operator: str, end: str = "many") -> bytes:
     return model(graph(nodes, constants))
 
 
+def long_vector(count: int) -> bytes:
+    """A vector of so many elements that is joined to itself."""
+    nodes = [
+        node("Expand", ["begin", "size"], ["vector"]),
+        node("Concat", ["vector", "vector"], ["joined"], axis=0),
+        node("ReduceMax", ["joined"], ["number"], keepdims=0),
+    ]
+    return model(graph(nodes, {**LOOPED, "size": np.array([count])}))
+
+
+def computed_sizes(steps: int, nodes: int) -> bytes:
+    """One size that takes many steps, which many nodes take."""
+    steady = [node("Mul", [f"size{index}", "size0"], [f"size{index + 1}"]) for index in range(steps)]
+    made = [node("Expand", ["begin", f"size{steps}"], [f"made{index}"]) for index in range(nodes)]
+    end = node("Identity", ["begin"], ["number"])
+    return model(graph([*steady, *made, end], {**LOOPED, "size0": np.array([1])}))
+
+
 def slow_to_open(side: int = 1500, products: int = 200) -> bytes:
     """Products of constants, which onnxruntime computes while it opens a graph."""
     nodes = [node("Expand", ["begin", "shape"], ["m0"])]

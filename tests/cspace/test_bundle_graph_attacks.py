@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import onnx
+import psutil
 import pytest
 
 from cspace.bundle import Bundle
@@ -89,6 +90,9 @@ REFUSED: dict[str, tuple[Callable[[], bytes], str]] = {
         )
         for name in hostile.SIZED
     },
+    "a computed range": (lambda: hostile.huge("Range", "all"), "Range with a size that depends on data"),
+    "a vector that inference would write out": (lambda: hostile.long_vector(2**40), "elements.* by Expand"),
+    "many nodes of a size with many steps": (lambda: hostile.computed_sizes(200, 200), "more work for sizes"),
     "many tensors that live together": (lambda: hostile.many_at_once(64), "MiB of memory"),
     "many constants that are made of few": (lambda: hostile.many_at_once(64, "begin"), "MiB of memory"),
 }
@@ -136,6 +140,16 @@ def test_a_text_in_the_place_of_the_other_formats_name_does_not_choose_the_forma
 def test_a_size_that_depends_on_data_is_bounded_by_what_it_is_taken_from() -> None:
     found = check_graph("encoder.onnx", hostile.chosen_rows(), SHAPES)
     assert found["sigma"] == (1, LATENT)
+
+
+def test_a_vector_takes_no_memory_for_each_of_its_elements() -> None:
+    before = psutil.Process().memory_info().rss
+    assert check_graph("encoder.onnx", hostile.long_vector(2**22), SHAPES)["mu"] == (1, LATENT)
+    assert psutil.Process().memory_info().rss - before < 20 * 2**20
+
+
+def test_a_size_may_be_computed_in_steps() -> None:
+    assert check_graph("encoder.onnx", hostile.computed_sizes(20, 20), SHAPES)["mu"] == (1, LATENT)
 
 
 def test_a_refusal_names_the_file_and_no_folder(tmp_path: Path) -> None:

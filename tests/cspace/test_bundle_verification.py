@@ -3,6 +3,7 @@
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import psutil
@@ -12,11 +13,19 @@ from cspace.bundle import Bundle, verification
 from cspace.bundle.files import read_files
 from cspace.bundle.running.runtime import container_bytes
 from cspace.bundle.verification import load_verified, memory_bytes, verify
-from cspace.errors import BundleError, BundleIntegrityError, GoldenMismatchError, ServiceError
+from cspace.errors import (
+    BundleError,
+    BundleIntegrityError,
+    CspaceError,
+    GoldenMismatchError,
+    ServiceError,
+)
+from services.evaluator.benchmark.sources import bundled
+from services.planner.sources.local_sampler import LocalSampler
 from tests.bundles import write_tiny_bundle
-from tests.cspace import hostile_graphs as hostile
 from tests.cspace.test_bundle_integrity import golden_of, resign
 from tests.inference_api.bad_bundles import write_hungry_bundle, write_slow_bundle
+from training.paths.source import source_bundle
 
 ROOT = Path(__file__).parents[2]
 
@@ -56,14 +65,6 @@ def test_a_bundle_that_takes_memory_takes_none_of_this_process(tmp_path: Path) -
     with pytest.raises(BundleError, match="MiB of memory"):
         verify(hungry)
     assert psutil.Process().memory_info().rss - before < 20 * 2**20
-
-
-@pytest.mark.slow
-def test_constants_that_only_a_check_would_write_out_take_no_memory_either(folder: Path) -> None:
-    (folder / "encoder.onnx").write_bytes(hostile.huge("Range", "all"))
-    resign(folder)
-    with pytest.raises(BundleError):
-        verify(folder)
 
 
 PARENT = """
@@ -108,6 +109,24 @@ def test_a_worker_that_does_not_start_says_nothing_of_the_bundle(
     monkeypatch.setattr(sys, "executable", "/bin/false")
     with pytest.raises(ServiceError, match="cannot be verified"):
         verify(folder)
+
+
+@pytest.mark.parametrize(
+    "open_folder",
+    [
+        LocalSampler,
+        lambda folder: bundled("mine", folder),
+        lambda folder: source_bundle(str(folder), None, folder / "none"),  # type: ignore[arg-type] # not asked
+    ],
+    ids=["planner", "benchmark", "training"],
+)
+def test_a_folder_of_others_is_opened_by_its_path_after_the_worker_alone(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, open_folder: Callable[[Path], object]
+) -> None:
+    assert open_folder(folder) is not None
+    monkeypatch.setattr(sys, "executable", "/bin/false")
+    with pytest.raises(CspaceError, match="cannot be verified"):
+        open_folder(folder)
 
 
 def test_a_worker_takes_no_more_than_a_share_of_its_container(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,6 +1,7 @@
 """API keys: made, written down, read, compared; and who may start a server without them."""
 
 import hashlib
+import os
 from pathlib import Path
 
 import pytest
@@ -78,6 +79,14 @@ def test_a_file_that_is_not_there_or_no_text_is_an_error(tmp_path: Path) -> None
     for name in ("nothing", "bytes"):
         with pytest.raises(ConfigError, match="CSPACE_API_KEYS_FILE"):
             ApiKeys.read(tmp_path / name)
+
+
+def test_a_file_that_is_far_too_large_is_an_error_before_it_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "keys"
+    path.touch(0o600)
+    os.truncate(path, 2**40)
+    with pytest.raises(ConfigError, match="too large"):
+        ApiKeys.read(path)
 
 
 @pytest.mark.parametrize("mode", [0o620, 0o602, 0o666])

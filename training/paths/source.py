@@ -21,9 +21,10 @@ def source_bundle(source: str, registry: ModelRegistry, folder: Path) -> Bundle:
         ConfigError: it is neither.
         ModelNotFoundError: there is no such version.
         BundleError: the bundle is damaged.
+        ServiceError: the worker process that verifies it does not start.
     """
     if Path(source).is_absolute():
-        return Bundle.load(Path(source))
+        return load_verified(Path(source))
     if folder.is_dir():
         return Bundle.load(folder)
     reference = ModelReference.parse_version(

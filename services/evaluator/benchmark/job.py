@@ -10,6 +10,7 @@ from cspace.errors import ConfigError, ScenarioError
 from cspace.query import MAX_SAMPLES
 from cspace.splits import Split
 from cspace.worlds import examples, partly_seen, workshop_of
+from services.command_errors import finite
 from services.evaluator.benchmark.arms import (
     LEARNED_SHARES,
     LIMITS,
@@ -151,7 +152,7 @@ def parser() -> argparse.ArgumentParser:
     what.add_argument("--planners", nargs="+", default=[], metavar="PLANNER", help=", ".join(PLANNERS))
     what.add_argument(
         "--min-confidence",
-        type=float,
+        type=finite,
         default=MIN_CONFIDENCE,
         help="of the filtered and the ordered arms; 0: none is dropped",
     )
@@ -160,14 +161,14 @@ def parser() -> argparse.ArgumentParser:
         help="learned ones for a run, but in arms that name a number (default: %(default)s)",
     )  # fmt: skip
     what.add_argument(
-        "--shares", type=float, nargs="+", default=LEARNED_SHARES, metavar="SHARE",
+        "--shares", type=finite, nargs="+", default=LEARNED_SHARES, metavar="SHARE",
         help="of learned samples, 0 to 1; of each there is an arm (default: 0.7 1)",
     )  # fmt: skip
     what.add_argument("--iterations", type=int, help="after which a search ends (default: 20000)")
     what.add_argument(
         "--optimising-iterations", type=int, help="the same, of optimising arms (default: 2000)"
     )
-    what.add_argument("--time-limit", type=float, metavar="S", help="default: 10, of the paper's protocol 1")
+    what.add_argument("--time-limit", type=finite, metavar="S", help="default: 10, of the paper's protocol 1")
     add_options(parser)
     how = parser.add_argument_group("how")
     how.add_argument(

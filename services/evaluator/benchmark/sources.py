@@ -11,7 +11,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from numpy.typing import NDArray
 
-from cspace.bundle import Bundle
+from cspace.bundle.verification import load_verified
 from cspace.errors import ConfigError, SamplerError, SamplerUnavailableError
 from cspace.problem import UNIFORM, Problem
 from cspace.query import SampleQuery
@@ -107,7 +107,7 @@ def bundled(name: str, folder: Path) -> SourceSpec:
     Raises:
         BundleError: it is damaged.
     """
-    bundle = Bundle.load(folder)
+    bundle = load_verified(folder)
     return SourceSpec(name, bundle.digest, bundle.spec.kind == "path", packed=PackedBundle.pack(bundle))
 
 

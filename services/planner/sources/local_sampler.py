@@ -5,7 +5,8 @@ from pathlib import Path
 
 from cspace.bundle import Bundle
 from cspace.bundle.request import fitted
-from cspace.errors import BundleError, InputError, SamplerError, SamplerUnavailableError
+from cspace.bundle.verification import load_verified
+from cspace.errors import BundleError, InputError, SamplerError, SamplerUnavailableError, ServiceError
 from cspace.query import MAX_SAMPLES, SampleQuery
 from cspace.world import Examined
 from cspace_client import JointSpace, PictureWarning
@@ -80,7 +81,7 @@ class BundleSampler(SampleSource):
 
 
 class LocalSampler(BundleSampler):
-    """Answers from a bundle's folder.
+    """Answers from a bundle's folder, which a worker process verifies first.
 
     Args:
         bundle_folder: a bundle.
@@ -96,8 +97,8 @@ class LocalSampler(BundleSampler):
         self, bundle_folder: Path, *, name: str = PRETRAINED, version: int = 0, robot: str | None = None
     ) -> None:
         try:
-            bundle = Bundle.load(Path(bundle_folder))
-        except BundleError as error:
+            bundle = load_verified(Path(bundle_folder))
+        except (BundleError, ServiceError) as error:
             raise SamplerUnavailableError(
                 f"the bundle {bundle_folder} can not be used", got=str(error)
             ) from error

@@ -1,4 +1,5 @@
 import json
+import os
 from pathlib import Path
 
 import numpy as np
@@ -44,6 +45,12 @@ def test_a_changed_byte_is_found_and_its_file_named(folder, name):
     data[-1] ^= 1
     (folder / name).write_bytes(data)
     with pytest.raises(DamagedFileError, match=f"{name} is damaged.*SHA-256"):
+        open_dataset(folder)
+
+
+def test_a_manifest_that_is_far_too_large_is_refused_before_it_is_read(folder):
+    os.truncate(folder / MANIFEST_FILE, 2**40)
+    with pytest.raises(DatasetError, match="too large"):
         open_dataset(folder)
 
 

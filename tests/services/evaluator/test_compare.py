@@ -91,6 +91,27 @@ def test_what_was_never_evaluated_is_told_with_what_to_do(tracking, registry, tm
         find("0" * 32, FakeRuns(tracking), registry)
 
 
+def test_a_table_that_is_none_is_an_error_of_the_registry(tracking, registry, tmp_path):
+    version = registered(tracking, registry, tmp_path / "a")
+    judged(tracking, version, ROWS)
+    for text in ("[" * 10_000, "{}", '{"columns": ["split"], "data": [[1, 2]]}'):
+        with pytest.raises(RegistryError, match="damaged table"):
+            find("m/1", Damaged(tracking, text), registry)
+
+
+class Damaged(FakeRuns):
+    """Runs whose tables hold another text."""
+
+    def __init__(self, tracking, text):
+        super().__init__(tracking)
+        self._text = text
+
+    def file(self, run_id, path, folder):
+        found = super().file(run_id, path, folder)
+        found.write_text(self._text)
+        return found
+
+
 def test_it_is_kept_as_text_as_markdown_and_as_csv(tracking, registry, tmp_path):
     version = registered(tracking, registry, tmp_path / "a")
     run_id = judged(tracking, version, ROWS)

@@ -88,7 +88,11 @@ def test_a_wrong_value_returns_2_and_is_named(arguments, capsys):
 
 @pytest.mark.parametrize(
     "arguments",
-    [["--family", "wide"], ["--planner", "RRTConnect"], ["--seed", "-1"], ["--n", "many"], ["--what"]],
+    [
+        *(["--family", "wide"], ["--planner", "RRTConnect"], ["--seed", "-1"], ["--n", "many"], ["--what"]),
+        *(["--timeout", "inf"], ["--time-limit", "inf"], ["--range", "nan"], ["--uniform-share", "half"]),
+        ["--epsilon-sigma", "1", "inf"],
+    ],
     ids=" ".join,
 )
 def test_wrong_usage_leaves_with_2(arguments, capsys):

@@ -9,7 +9,7 @@ from typing import Any, NoReturn, TypeVar
 from cspace_client.answer_errors import unusable
 
 Choice = TypeVar("Choice", bound=str)
-_MAX_DIGITS = 21
+_MAX_DIGITS, _MAX_DEPTH = 21, 64
 _SEED = re.compile("[0-9]{1,20}")
 
 
@@ -17,10 +17,10 @@ def parse_json(data: bytes) -> object:
     """The values of a text in UTF-8 without NaN, infinity, endless numbers, or a key twice in one object.
 
     Raises:
-        ValueError: it is not that, or nested too deep for the parser.
+        ValueError: it is not that, or nested deeper than 64 levels.
     """
     try:
-        return json.loads(
+        values = json.loads(
             data.decode("utf-8"),
             parse_constant=_refuse,
             parse_int=_whole,
@@ -29,6 +29,16 @@ def parse_json(data: bytes) -> object:
         )
     except RecursionError as error:
         raise ValueError(str(error)) from error
+    # What the parser takes may still be too deep for whoever shows it.
+    level = [values]
+    for _ in range(_MAX_DEPTH + 1):
+        held = [
+            one.values() if isinstance(one, dict) else one for one in level if isinstance(one, dict | list)
+        ]
+        level = [part for one in held for part in one]
+        if not level:
+            return values
+    raise ValueError(f"it is nested deeper than {_MAX_DEPTH} levels")
 
 
 class Members:

@@ -11,6 +11,7 @@ from typing import Protocol
 import numpy as np
 
 from cspace.bundle import Bundle
+from cspace.bundle.verification import load_verified
 from cspace.errors import ConfigError, SamplerError
 from cspace.planning.query import Plan, PlanQuery
 from cspace.problem import UNIFORM, Problem
@@ -93,7 +94,7 @@ def bundled_planner(name: str, folder: Path, world: World) -> SourceSpec:
         BundleError: it is damaged.
         ConfigError: it is another robot's, or has no validity head.
     """
-    bundle = Bundle.load(folder)
+    bundle = load_verified(folder)
     if bundle.robot != robot_digest(world) or not bundle.has_validity:
         raise ConfigError(
             f"the bundle {name} does not plan for this robot",

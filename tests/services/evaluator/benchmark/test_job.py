@@ -243,3 +243,11 @@ def test_a_process_that_dies_is_told_with_its_remedy(setting, monkeypatch):
     monkeypatch.setattr(execution, "ProcessPoolExecutor", Dying)
     with pytest.raises(JobError, match="goes on from the runs that it has"):
         list(processes(1)([None], setting, []))
+
+
+@pytest.mark.parametrize("value", ["inf", "nan", "long"])
+def test_an_option_that_is_no_finite_number_is_wrong_use(tmp_path, capsys, value):
+    with pytest.raises(SystemExit) as left:
+        command.main(["--out", str(tmp_path), "--list-arms", "--time-limit", value], {})
+    assert left.value.code == 2
+    assert "expected a finite number" in capsys.readouterr().err
