@@ -3,10 +3,10 @@
     python -m benchmarks.serving.memory --seconds 120
 
 Twenty clients, each with an address of its own, ask at the same time for what is dear: new depth pictures of
-all sizes, 20,000 samples or confidences, plans of 10 s for the arm and in the plane, large flat pictures, and
-bodies that are no request; a tenth of them is left at once. The memory of the server and its children is read
-from ``/proc`` ten times a second: resident, and of that what is no mapped file and so cannot be taken back by
-the system.
+all sizes, as files and as tensors, 20,000 samples or confidences, plans of 10 s for the arm and in the plane,
+large flat pictures, and bodies that are no request; a tenth of them is left at once. The memory of the server
+and its children is read from ``/proc`` ten times a second: resident, and of that what is no mapped file and so
+cannot be taken back by the system.
 """
 
 import http.client
@@ -20,6 +20,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from functools import cache
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
@@ -39,15 +40,17 @@ POSE = [
     [0.0, 0.8510, -0.5252, 1.0],
     [0, 0, 0, 1],
 ]
-Ask = tuple[str, str, bytes]
+Ask = tuple[str, dict[str, str], bytes]
 
 
-def form(files: list[bytes], fields: list[tuple[str, object]]) -> tuple[str, bytes]:
-    """Media type and body."""
-    part = '--B\r\nContent-Disposition: form-data; name="%s"%s\r\n\r\n'
-    body = b"".join((part % ("image", '; filename="a"')).encode() + one + b"\r\n" for one in files)
-    body += b"".join((part % (name, "")).encode() + str(value).encode() + b"\r\n" for name, value in fields)
-    return "multipart/form-data; boundary=B", body + b"--B--\r\n"
+def form(files: list[bytes], fields: list[tuple[str, object]]) -> tuple[dict[str, str], bytes]:
+    """Headers and body: pictures, then fields, those of bytes as files."""
+    body = b""
+    for name, value in [*(("image", one) for one in files), *fields]:
+        of_file = '; filename="a"' if isinstance(value, bytes) else ""
+        body += f'--B\r\nContent-Disposition: form-data; name="{name}"{of_file}\r\n\r\n'.encode()
+        body += (value if isinstance(value, bytes) else str(value).encode()) + b"\r\n"
+    return {"Content-Type": "multipart/form-data; boundary=B"}, body + b"--B--\r\n"
 
 
 def depth(side: int, rng: np.random.Generator, *, rough: bool) -> bytes:
@@ -106,8 +109,9 @@ def flat_picture(seed: int) -> bytes:
 
 def confidences(rng: np.random.Generator) -> Ask:
     files, fields = seen(rng, 160, 1)
-    rows = (np.array(REST) + rng.uniform(-0.1, 0.1, (20000, 7))).round(3).tolist()
-    return ("/validity", *form(files, [*fields, ("configurations", json.dumps(rows))]))
+    rows = BytesIO()
+    np.save(rows, np.array(REST) + rng.uniform(-0.1, 0.1, (20000, 7)))
+    return ("/validity", *form(files, [*fields, ("configurations", rows.getvalue())]))
 
 
 def arm_plan(rng: np.random.Generator) -> Ask:
@@ -131,11 +135,36 @@ def flat_plan(rng: np.random.Generator) -> Ask:
 
 
 def noise(_: np.random.Generator) -> Ask:
-    return ("/sample", "application/json", b"[" + b"[]," * 2_000_000 + b"1]")
+    return ("/sample", {"Content-Type": "application/json"}, b"[" + b"[]," * 2_000_000 + b"1]")
+
+
+def tensors(rng: np.random.Generator) -> Ask:
+    """Depth pictures by the Open Inference Protocol, as bytes behind the JSON object."""
+    side = 1024
+    depths = rng.integers(800, 1800, (2, side, side)).astype("<u2")
+    lens = np.array([[0.7 * side, 0.7 * side, side / 2 + rng.random(), side / 2]] * 2)
+    inputs = (
+        ("depth", "UINT16", depths),
+        ("intrinsics", "FP64", lens),
+        ("poses", "FP64", np.array([POSE] * 2)),
+    )
+    told = [
+        {
+            "name": name,
+            "datatype": kind,
+            "shape": array.shape,
+            "parameters": {"binary_data_size": array.nbytes},
+        }
+        for name, kind, array in inputs
+    ]
+    head = json.dumps({"inputs": told, "parameters": {"n": 1, "min_confidence": 0}}).encode()
+    headers = {"Inference-Header-Content-Length": str(len(head))}
+    return f"/v2/models/{ARM}/infer", headers, head + b"".join(array.tobytes() for *_, array in inputs)
 
 
 KINDS: dict[str, Callable[[np.random.Generator], Ask]] = {
     "depth pictures": pictures,
+    "depth pictures as tensors": tensors,
     "samples of the arm": many_samples,
     "samples of flat pictures": flat_samples,
     "confidences": confidences,
@@ -145,25 +174,27 @@ KINDS: dict[str, Callable[[np.random.Generator], Ask]] = {
 }
 
 
-def ask(port: int, number: int, kinds: list[str], until: float, answers: Counter[tuple[str, int]]) -> None:
+def ask(port: int, number: int, kinds: list[str], until: float, answers: Counter[tuple[str, str]]) -> None:
     """One client: one request after the other, now and then one that it leaves."""
     rng, turn = np.random.default_rng(number), number
     while time.monotonic() < until:
         kind = kinds[turn % len(kinds)]
         turn += 1
-        path, media_type, body = KINDS[kind](rng)
+        path, headers, body = KINDS[kind](rng)
         link = http.client.HTTPConnection(
             "127.0.0.1", port, timeout=120, source_address=(f"127.0.4.{number + 1}", 0)
         )
+        outcome = "no answer"
         with suppress(OSError, http.client.HTTPException):
-            link.request("POST", path, body, {"Content-Type": media_type})
+            link.request("POST", path, body, headers)
             if rng.random() < 0.1:
                 time.sleep(0.05)
-                answers[kind, 0] += 1
+                outcome = "left"
             else:
                 answer = link.getresponse()
                 answer.read()
-                answers[kind, answer.status] += 1
+                outcome = str(answer.status)
+        answers[kind, outcome] += 1
         link.close()
 
 
@@ -211,7 +242,7 @@ def main() -> int:
     settings = {"MLFLOW_TRACKING_URI": options.registry} if options.registry else {}
     if options.threads:
         settings["CSPACE_API_THREADS"] = str(options.threads)
-    answers: Counter[tuple[str, int]] = Counter()
+    answers: Counter[tuple[str, str]] = Counter()
     with served(settings, core=None) as api:
         time.sleep(5.0)
         print(f"at rest: {told(memory_mib(api))}", flush=True)
@@ -236,9 +267,9 @@ def main() -> int:
         print(f"most: {told(most)}")
         print(f"afterwards: {told(memory_mib(api))}")
     print(machine())
-    for (kind, status), count in sorted(answers.items()):
-        print(f"{kind}: {count} x {status or 'left'}")
-    return 1 if any(status >= 500 and status != 503 for _, status in answers) else 0
+    for (kind, outcome), count in sorted(answers.items()):
+        print(f"{kind}: {count} x {outcome}")
+    return 1 if any(outcome.startswith("5") and outcome != "503" for _, outcome in answers) else 0
 
 
 if __name__ == "__main__":
