@@ -11,7 +11,7 @@ from fastapi import FastAPI
 from inference_api.guards.headers import SecurityHeaders
 from inference_api.guards.install import add_guards
 from inference_api.guards.last_resort import LastResort
-from inference_api.memory import few_arenas, settle
+from inference_api.memory import few_arenas, settle, trimmed
 from inference_api.models.apart.disk import DiskCache
 from inference_api.models.apart.parts import parts_apart, parts_here
 from inference_api.models.bundle_cache import BundleCache
@@ -63,7 +63,7 @@ def create_app(settings: ApiSettings | None = None, registry: ModelRegistry | No
         app.state.store = store
         app.state.turns = Turns(settings.threads, app.state.metrics.waiting)
         app.state.room = WaitingRoom()
-        async with following(store, settings.poll_s, FIRST_LOOK_S):
+        async with trimmed(), following(store, settings.poll_s, FIRST_LOOK_S):
             settle()
             if app.state.loads_planner:
                 store.planner.begin()

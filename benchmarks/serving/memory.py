@@ -5,8 +5,8 @@
 Twenty clients, each with an address of its own, ask at the same time for what is dear: new depth pictures of
 all sizes, as files and as tensors, 20,000 samples or confidences, plans of 10 s for the arm and in the plane,
 large flat pictures, and bodies that are no request; a tenth of them is left at once. The memory of the server
-and its children is read from ``/proc`` ten times a second: resident, and of that what is no mapped file and so
-cannot be taken back by the system.
+and its children is read from ``/proc`` ten times a second: resident, and of that what is in no mapped file
+and cannot be taken back.
 """
 
 import http.client
