@@ -11,7 +11,7 @@ from anyio import to_thread
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD, _M_ARENA_MAX = -1, -3, -8
 # One for the event loop, one for the threads that compute and load.
 ARENAS = 2
-# By itself glibc raises both to twice these. With half of these, reading a depth picture takes 40 % more time.
+# By itself glibc raises both to twice these. With half of these, reading a depth picture takes 40 % longer.
 MMAP_BYTES, TRIM_BYTES = 16 * 2**20, 32 * 2**20
 TRIM_S = 1.0
 
