@@ -55,16 +55,20 @@ def _telling(told: int, before: Handler) -> Callable[[int, FrameType | None], No
 
 
 def _watch(heard: int, grace_s: float, first: Callable[[], None] | None) -> None:
+    # A thread that hangs may hold the log, so another one writes the line. It is started here, because Python 3.12
+    # starts none once the interpreter waits for the last threads.
+    late = threading.Event()
+    telling = threading.Thread(target=_tell, args=(grace_s, late), name="ending-log", daemon=True)
+    telling.start()
     os.read(heard, 1)
     time.sleep(grace_s + MARGIN_S)
-    # A thread that hangs may hold the log.
-    telling = threading.Thread(target=_tell, args=(grace_s,), daemon=True)
-    telling.start()
+    late.set()
     telling.join(LOG_PATIENCE_S)
     if first is not None:
         first()
     os._exit(FORCED)
 
 
-def _tell(grace_s: float) -> None:
+def _tell(grace_s: float, late: threading.Event) -> None:
+    late.wait()
     _LOG.error("the process did not end within %g s of being told to, and is ended", grace_s + MARGIN_S)
