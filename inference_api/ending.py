@@ -55,8 +55,8 @@ def _telling(told: int, before: Handler) -> Callable[[int, FrameType | None], No
 
 
 def _watch(heard: int, grace_s: float, first: Callable[[], None] | None) -> None:
-    # A thread that hangs may hold the log, so another one writes the line. It is started here: Python 3.12 starts
-    # none once the interpreter waits for the last threads.
+    # A thread that hangs may hold the log, so another one writes the line. It is started here, as Python 3.12
+    # starts none once the interpreter waits for the last threads.
     late = threading.Event()
     telling = threading.Thread(target=_tell, args=(grace_s, late), name="ending-log", daemon=True)
     telling.start()

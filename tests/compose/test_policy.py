@@ -149,8 +149,8 @@ def test_the_database_is_migrated_before_the_tracking_server_starts(services: Ma
     assert "mlflow-migrate" in services["mlflow"]["depends_on"]
 
 
-def test_the_api_is_healthy_when_it_is_ready(services: Mapping[str, Any]) -> None:
-    assert "/health/ready" in " ".join(services["inference-api"]["healthcheck"]["test"])
+def test_the_api_is_healthy_when_it_is_live(services: Mapping[str, Any]) -> None:
+    assert "/health/live" in " ".join(services["inference-api"]["healthcheck"]["test"])
 
 
 def test_no_service_gains_rights_or_writes_to_its_root(services: Mapping[str, Any]) -> None:
