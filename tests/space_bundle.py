@@ -9,15 +9,14 @@ import numpy as np
 
 from cspace.bundle import BundleSpec, RandomInput, write_bundle
 from cspace.worlds import examples
+from training.models.autoencoders import GridVaeDecoder, make_encoder, network_size, shown_size
 from training.models.checkpoint import seeded_initialisation
-from training.models.encode import GridNovelty
 from training.models.export import encoder_graph, generator_graph, novelty_graph
-from training.models.grids.export import grid_validity_graph, map_graph
-from training.models.grids.head import GridHead
+from training.models.grid_head import GridHead
+from training.models.grid_training import grid_validity_graph, map_graph
 from training.models.networks import Sizes, TorusGenerator
-from training.models.pictures.autoencoders import make_encoder, network_size, shown_size
-from training.models.pictures.space_autoencoder import GridVaeDecoder
 from training.models.settings import GridConfig, VaeConfig, ValidityConfig
+from training.trials.arrays import GridNovelty
 
 WORLD = examples()["panda"]
 LATENT = 5

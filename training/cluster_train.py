@@ -10,7 +10,7 @@ ray job submit --working-dir . -- python training/cluster_train.py --resume RUN_
 import sys
 
 from training.command import JobCommand, Resume, Train
-from training.config.clusters import load_config, presets
+from training.config import load_config, presets
 
 
 def job() -> tuple[Train, Resume]:

@@ -12,8 +12,7 @@ from typing import Any
 from cspace.errors import CspaceError, InputError
 from services.command_errors import tell_error
 from services.results import tell_result
-from training.jobs.environment import Environment, job_environment
-from training.jobs.folders import job_folder
+from training.jobs.environment import Environment, job_environment, job_folder
 from training.section import Section
 
 # The exit code of a job that was asked to stop.

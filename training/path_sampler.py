@@ -23,8 +23,8 @@ from services.command_errors import tell_error
 from services.names import ALIAS_CHALLENGER, ALIAS_CHAMPION, EXPERIMENT, model_name, recorded_name
 from services.registry.tracking.experiment import TAG_STAGE
 from services.registry.tracking.port import ID
-from training.jobs.labels import world_tag
-from training.paths.untrained import made_or_found
+from training.jobs.job import world_tag
+from training.paths.writing import made_or_found
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -9,7 +9,7 @@ ray job submit --working-dir . -- python training/path_train.py --resume RUN_ID
 import sys
 
 from training.command import JobCommand, Resume, Train
-from training.config.paths import load_path_config, path_presets
+from training.config import load_path_config, path_presets
 
 
 def job() -> tuple[Train, Resume]:

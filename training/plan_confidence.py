@@ -17,8 +17,7 @@ from cspace.bundle import Bundle
 from cspace.bundle.verification import load_verified
 from cspace.errors import BundleError, ConfigError, CspaceError, InputError
 from services.command_errors import tell_error
-from training.clusters.fitted_anew import require_head, write_fitted
-from training.clusters.plan_doubt import PlanDoubt, fit_plan_doubt, planned
+from training.clusters.calibration import PlanDoubt, fit_plan_doubt, planned, require_head, write_fitted
 
 # Fewer say nothing of what a third of them measures.
 _LEAST = 6

@@ -18,9 +18,9 @@ from cspace.bundle.verification import load_verified
 from cspace.errors import BundleError, CspaceError, InputError
 from services.command_errors import tell_error
 from training.clusters.bundling import THRESHOLD_SCENARIOS, fit_proposals
-from training.clusters.fitted_anew import require_head, write_fitted
+from training.clusters.calibration import require_head, write_fitted
 from training.clusters.proposals import Choice
-from training.config.clusters import HeadConfig
+from training.config import HeadConfig
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

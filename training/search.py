@@ -21,9 +21,8 @@ import numpy as np
 from cspace.errors import ConfigError, CspaceError, InputError
 from services.command_errors import tell_error
 from services.results import tell_result
-from training.config.clusters import TrainConfig, load_config, presets
-from training.jobs.environment import Environment, job_environment
-from training.jobs.folders import job_folder
+from training.config import TrainConfig, load_config, presets
+from training.jobs.environment import Environment, job_environment, job_folder
 
 _LOG = logging.getLogger("training")
 LOOKS = 9
@@ -76,7 +75,7 @@ def run(config: TrainConfig, environment: Environment, trials: int, scenarios: i
         CspaceError: bad data, or no trial that came to an end.
     """
     # Imported here so that a wrong key is told at once, not after the frameworks have loaded.
-    from training.clusters.stages import (  # noqa: PLC0415
+    from training.clusters.pipeline import (  # noqa: PLC0415
         cluster_data,
         encode_data,
         encoder_checkpoint,
@@ -84,10 +83,9 @@ def run(config: TrainConfig, environment: Environment, trials: int, scenarios: i
         train_gate,
         train_on_pictures,
     )
-    from training.jobs.job import Job  # noqa: PLC0415
-    from training.jobs.labels import log_configuration  # noqa: PLC0415
+    from training.jobs.job import Job, log_configuration  # noqa: PLC0415
     from training.trials.launch import connect  # noqa: PLC0415
-    from training.trials.searching.search import search  # noqa: PLC0415
+    from training.trials.search import search  # noqa: PLC0415
 
     connect()
     job = Job.start(config, environment, {"preset": config.preset, "search": "asha"}, stage="search")

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from training.config.clusters import TrainConfig, load_config
+from training.config import TrainConfig, load_config
 
 BASE = "single"
 

@@ -17,7 +17,7 @@ import torch
 from benchmarks.machine import ROOT
 from benchmarks.paper.columns import BASE, Column, Scale
 from cspace.errors import JobError
-from training.config.clusters import TrainConfig
+from training.config import TrainConfig
 from training.models.checkpoint import read_progress
 from training.trials.launch import QUIET
 

@@ -24,10 +24,9 @@ from services.evaluator.measures.topology_scenes import scene_topology, summaris
 from services.evaluator.statistics import Interval
 from services.planner.sources.local_sampler import BundleSampler
 from training.clusters.bundling import TrainedParts, make_bundle
-from training.config.clusters import TrainConfig
+from training.config import TrainConfig
 from training.models.checkpoint import read_progress
-from training.models.encode import Latents
-from training.trials.arrays import TrainingArrays
+from training.trials.arrays import Latents, TrainingArrays
 
 Measured = dict[str, Any]
 MEASURES = ("precision", "coverage", "edr")

@@ -10,8 +10,7 @@ from markdown_table import code, table
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from training.config.clusters import PRESET_FOLDER, TrainConfig
-from training.config.paths import PATH_PRESET_FOLDER, PathTrainConfig
+from training.config import PATH_PRESET_FOLDER, PRESET_FOLDER, PathTrainConfig, TrainConfig
 
 INTRODUCTION = """\
 # Configuration

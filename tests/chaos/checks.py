@@ -12,7 +12,7 @@ from cspace.bundle import Bundle
 from services.names import EXPERIMENT, MODEL_NAME
 from services.registry.models.mlflow_registry import MlflowRegistry
 from training.models.checkpoint import WEIGHTS
-from training.trials.checkpoints import TrialFolder
+from training.trials.launch import TrialFolder
 
 STAGES = {
     "vae": "pictures",

@@ -11,7 +11,7 @@ import kubernetes_validate
 import pytest
 import yaml
 
-from training.config.clusters import presets
+from training.config import presets
 
 # An older one and one of today.
 KUBERNETES = ("1.29", "1.36")

@@ -99,7 +99,7 @@ def test_a_job_knows_rays_id_of_it_and_is_told_while_it_runs(
     assert token is not None
     monkeypatch.setenv("RAY_AUTH_TOKEN", token)
     jobs = RayJobs(stack.settings)
-    says = "from training.jobs.submission import submission_id; print(submission_id(), flush=True)"
+    says = "from training.jobs.environment import submission_id; print(submission_id(), flush=True)"
     job = jobs.submit(f"{sys.executable} -c '{says}; import time; time.sleep(300)'")
     wait_for(lambda: job in jobs.log(job).split())
     told = jobs_under_way(stack.settings.ray_url, token_headers())

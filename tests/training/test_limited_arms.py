@@ -14,7 +14,7 @@ from cspace.worlds.planar.seeing.picture import decode_png
 from services.registry.models.mlflow_registry import MlflowRegistry
 from tests.contracts.mlflow_server import mlflow_server
 from tests.training.clusters.test_pipeline import GATED, submit
-from training.config.paths import UNGUIDED
+from training.config import UNGUIDED
 
 pytestmark = [pytest.mark.e2e, pytest.mark.slow, pytest.mark.timeout(600)]
 

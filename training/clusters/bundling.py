@@ -11,16 +11,22 @@ from cspace.dataset import Dataset
 from cspace.files import discard
 from cspace.space import Standardisation
 from cspace.world import World
-from training.clusters.novelty import known_quantiles
-from training.clusters.plan_doubt import fit_plan_doubt, planned
-from training.clusters.promise import choose_promised, make_promise
+from training.clusters.calibration import (
+    CANDIDATES,
+    choose_promised,
+    choose_threshold,
+    fit_plan_doubt,
+    known_quantiles,
+    make_promise,
+    planned,
+    validation_scores,
+)
 from training.clusters.proposals import Choice, choose_proposals, proposal_costs, proposal_pools
-from training.clusters.threshold import CANDIDATES, choose_threshold, validation_scores
-from training.config.clusters import HeadConfig, TrainConfig
+from training.config import HeadConfig, TrainConfig
+from training.jobs.environment import command_line, now, source_state
 from training.jobs.job import TAG_START
-from training.jobs.provenance import command_line, now, source_state
+from training.models.autoencoders import network_size
 from training.models.checkpoint import trained
-from training.models.encode import load_encoder, load_scores
 from training.models.export import (
     encoder_graph,
     generator_graph,
@@ -29,15 +35,14 @@ from training.models.export import (
     novelty_graph,
     validity_graph,
 )
-from training.models.grids.export import grid_validity_graph, map_graph
-from training.models.grids.head import GridHead
-from training.models.lookups.lookups import make_lookups
+from training.models.grid_head import GridHead
+from training.models.grid_training import grid_validity_graph, map_graph
+from training.models.lookups import make_lookups
 from training.models.mixture import LookupSampler
-from training.models.pictures.autoencoders import network_size
 from training.models.settings import GanConfig
 from training.models.validity import make_head
-from training.trials.arrays import TrainingArrays
-from training.trials.loading import gated_sampler, load_gate, load_generator, torus_generator
+from training.trials.arrays import TrainingArrays, load_encoder, load_scores
+from training.trials.trainables import gated_sampler, load_gate, load_generator, torus_generator
 
 _LOG = logging.getLogger("training")
 THRESHOLD_SCENARIOS = 40
@@ -138,7 +143,7 @@ def with_choices(
 
 
 def _with_plan_doubt(draft: Bundle, config: HeadConfig, spec: BundleSpec) -> BundleSpec:
-    """By :mod:`training.clusters.plan_doubt`, where that is wanted."""
+    """By :mod:`training.clusters.calibration`, where that is wanted."""
     if not config.plan_problems:
         return spec
     _LOG.info("plans: %d problems", config.plan_problems)

@@ -1,7 +1,12 @@
-"""What a job reads from the environment."""
+"""What a job reads from its environment, and where its model comes from: commit, command, time."""
 
+import json
 import os
+import subprocess
+import sys
+from collections.abc import Mapping
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 
 from cspace.errors import ConfigError
@@ -47,3 +52,145 @@ def job_environment() -> Environment:
         raise ConfigError(
             "CSPACE_TRACKING_PATIENCE_S does not fit", expected="seconds", got=repr(patience)
         ) from error
+
+
+# A job's configuration, child runs, name and what it starts from.
+RECORD = "job.json"
+
+
+def job_folder(environment: Environment, run_id: str) -> Path:
+    """Where the job of a run keeps its trials."""
+    return environment.data_folder / "jobs" / Path(run_id).name
+
+
+def pointer(environment: Environment, name: str) -> Path:
+    """The file that tells the run of the job of a name."""
+    return environment.data_folder / "jobs" / "names" / f"{name}.json"
+
+
+def run_of(environment: Environment, name: str) -> str | None:
+    """The run of the job of this name; None where none was submitted under it."""
+    try:
+        return str(json.loads(pointer(environment, name).read_text(encoding="utf-8"))["run_id"])
+    except FileNotFoundError:
+        return None
+
+
+UNKNOWN = "unknown"
+
+
+@dataclass(frozen=True, slots=True)
+class SourceState:
+    """The state of the source tree.
+
+    Args:
+        commit: the commit's name, or "unknown" outside a checkout.
+        dirty: whether tracked files differ from it; None outside a checkout.
+    """
+
+    commit: str
+    dirty: bool | None
+
+
+def source_state() -> SourceState:
+    """The state of the sources that this code runs from.
+
+    A submitted job may run from an uploaded copy without history. Where ``CSPACE_GIT_DIR`` names the history
+    that it was copied from, the copy is compared with that; else ``CSPACE_GIT_COMMIT`` names the commit.
+    """
+    folder = Path(__file__).resolve().parents[2]
+    return (
+        _checkout(("-C", str(folder)))
+        or _copy(os.environ.get("CSPACE_GIT_DIR"), folder)
+        or SourceState(os.environ.get("CSPACE_GIT_COMMIT", UNKNOWN), None)
+    )
+
+
+def job_tags(preset: str, seed: int, script: str) -> dict[str, str]:
+    """What a job's run is found by, and what MLflow's UI shows as its source.
+
+    Args:
+        preset: of its configuration.
+        seed: likewise.
+        script: in the project's folder.
+    """
+    source = source_state()
+    return {
+        "preset": preset,
+        "seed": str(seed),
+        "git.commit": source.commit,
+        "git.dirty": str(source.dirty),
+        "mlflow.source.git.commit": source.commit,
+        "mlflow.source.name": script,
+        "mlflow.source.type": "JOB",
+    }
+
+
+def _checkout(where: tuple[str, ...]) -> SourceState | None:
+    commit = _git(*where, "rev-parse", "HEAD")
+    changes = _git(*where, "status", "--porcelain", "--untracked-files=no")
+    return None if commit is None or changes is None else SourceState(commit, bool(changes))
+
+
+def _copy(history: str | None, folder: Path) -> SourceState | None:
+    if not history:
+        return None
+    where = ("--no-optional-locks", f"--git-dir={history}", f"--work-tree={folder}")
+    commit = _git(*where, "rev-parse", "HEAD")
+    # What was not uploaded is missing from the copy and no change.
+    changes = _git(*where, "diff", "--name-only", "--diff-filter=M", "HEAD")
+    return None if commit is None or changes is None else SourceState(commit, bool(changes))
+
+
+def command_line() -> str:
+    """The command as a reader can type it again in the project's folder, whatever folder that was here."""
+    spec = getattr(sys.modules["__main__"], "__spec__", None)
+    if spec is not None:
+        program = ["-m", spec.name.removesuffix(".__main__")]
+    else:
+        script, project = Path(sys.argv[0]), Path(__file__).resolve().parents[2]
+        inside = script.is_absolute() and script.is_relative_to(project)
+        program = [str(script.relative_to(project) if inside else script)]
+    return " ".join(["python", *program, *sys.argv[1:]])
+
+
+def now() -> str:
+    """The time in UTC, ISO 8601."""
+    return datetime.now(UTC).isoformat(timespec="seconds")
+
+
+def _git(*arguments: str) -> str | None:
+    try:
+        done = subprocess.run(
+            ["git", *arguments],  # noqa: S607 - git is found where the user has it
+            capture_output=True,
+            text=True,
+            check=True,
+            timeout=20,
+        )
+    except (OSError, subprocess.SubprocessError):
+        return None
+    return done.stdout.strip()
+
+
+# How Ray hands a submitted job its metadata.
+_VARIABLE = "RAY_JOB_CONFIG_JSON_ENV_VAR"
+
+
+def submission_id(environment: Mapping[str, str] = os.environ) -> str | None:
+    """Ray's id of the submission; None where the process was started in another way."""
+    try:
+        return str(json.loads(environment[_VARIABLE])["metadata"]["job_submission_id"])
+    except (LookupError, TypeError, ValueError):
+        return None
+
+
+def explanation(submission: str | None) -> tuple[str, ...]:
+    """What whoever follows the job's log should know of it, in lines; none without a submission."""
+    if submission is None:
+        return ()
+    return (
+        f"submission: {submission}. Ctrl-C, or closing the terminal, ends this log and not the job.",
+        f"  to stop the job:         ray job stop {submission}",
+        f"  to follow its log again: ray job logs --follow {submission}",
+    )

@@ -1,8 +1,9 @@
-"""One training job: its configuration, its runs and its folder, so that a stopped one can go on."""
+"""One training job: its configuration, name, labels, runs and folder, so that a stopped one resumes."""
 
 import json
 import logging
 import re
+import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
@@ -16,18 +17,71 @@ from cspace.bundle import Bundle
 from cspace.dataset import require_room
 from cspace.errors import BundleError, ConfigError, JobError, StorageError
 from cspace.files import HALF_SUFFIX, discard, holding, write_json
-from services.names import EXPERIMENT
+from cspace.world import World
+from cspace.worlds import robot_digest
+from services.names import EXPERIMENT, TAG_ROBOT, model_name, robot_name
+from services.registry.models.mlflow_registry import MlflowRegistry
+from services.registry.tracking.experiment import TAG_JOB, TAG_PRESET, TAG_STAGE, TAG_WORLD
 from services.registry.tracking.mlflow_tracking import MlflowTracking
 from services.registry.tracking.parameters import flatten
 from services.registry.tracking.port import ID, RunLog, Tracking
-from training.config.job import JobConfig
-from training.jobs.environment import Environment
-from training.jobs.folders import RECORD, job_folder, pointer, run_of
-from training.jobs.labels import job_label, shown_tags
+from training.config import JobConfig
+from training.jobs.environment import (
+    RECORD,
+    Environment,
+    explanation,
+    job_folder,
+    pointer,
+    run_of,
+    submission_id,
+)
 from training.jobs.patience import PatientRun, patiently
 from training.jobs.starting import earlier_job, require_folder
-from training.jobs.submission import explanation, submission_id
 from training.section import Section
+
+LONGEST = 100
+"""Characters of a parameter."""
+
+
+def job_label(config: JobConfig, name: str | None) -> str:
+    """A job in a run's name: its own name, or its preset's, and its seed."""
+    return f"{name or config.preset}, seed {config.seed}"
+
+
+def shown_tags(config: JobConfig, name: str | None, stage: str) -> dict[str, str]:
+    """Tags of a job's run, or of a trial's.
+
+    Args:
+        config: of the job.
+        name: of the job; None for one that only its run names.
+        stage: what the run is of: ``cluster-train``, ``local``.
+    """
+    return {TAG_STAGE: stage, TAG_JOB: name or "", TAG_PRESET: config.preset}
+
+
+def world_tag(world: World, given: str | None) -> dict[str, str]:
+    """The tag of the world and the robot that a job is for.
+
+    Args:
+        world: of its data.
+        given: the robot's name, as :func:`services.names.robot_name` takes it.
+    """
+    return {TAG_WORLD: f"{world.kind}, {robot_name(world, given)}"}
+
+
+def log_configuration(run: RunLog, config: JobConfig) -> None:
+    """The settings as parameters, one each, and the whole of them as ``configuration.json``.
+
+    Those that are longer than a column of a table are left to the file, and those that are not set.
+    """
+    values = config.to_dict()
+    short = {key: text for key, text in flatten(values).items() if text != "None" and len(text) <= LONGEST}
+    run.params(short)
+    with tempfile.TemporaryDirectory(prefix="cspace-configuration-") as folder:
+        path = Path(folder) / "configuration.json"
+        path.write_text(json.dumps(values, indent=1), encoding="utf-8")
+        run.artifact(path)
+
 
 # On a run and a version: the run of the job whose weights it started from.
 TAG_START = "start_from.run_id"
@@ -283,3 +337,33 @@ def _record(
 ) -> None:
     record = {"config": config.to_dict(), "children": dict(children), "name": name}
     write_json(folder / RECORD, record | ({"start": start} if start else {}), indent=2)
+
+
+def registered_name(job: Job[Config], world: World, given: str | None, *, path: bool) -> str:
+    """The name under which a job registers; to be asked before the long work.
+
+    Args:
+        job: under way.
+        world: whose robot it trains for.
+        given: the robot's name in its configuration.
+        path: whether the model is one of paths.
+
+    Raises:
+        ConfigError: the name is another robot's, or the registry has versions of another robot under it.
+        RegistryUnavailableError: the registry stayed away.
+    """
+    digest, name = robot_digest(world), model_name(world, given, path=path)
+    if given is None:
+        return name
+    registry = MlflowRegistry(job.environment.tracking_uri)
+    for model in {model_name(world, given, path=kind) for kind in (False, True)}:
+        versions = job.patiently(f"looking at {model}", partial(registry.versions, model))
+        other = next((one for one in versions if one.tags.get(TAG_ROBOT, digest) != digest), None)
+        if other is not None:
+            raise ConfigError(
+                "robot_name is another robot's",
+                expected=f"a name whose models are of robot {digest[:8]}",
+                got=f"{given}, and {other} is of robot {other.tags[TAG_ROBOT][:8]}",
+                remedy="set robot_name to another name",
+            )
+    return name

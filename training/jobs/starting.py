@@ -10,9 +10,8 @@ from cspace.bundle import BundleSpec
 from cspace.errors import BundleError, ConfigError
 from services.registry.models.mlflow_registry import MlflowRegistry
 from services.registry.references import ModelReference
-from training.config.job import JobConfig
-from training.jobs.environment import Environment
-from training.jobs.folders import RECORD, job_folder
+from training.config import JobConfig
+from training.jobs.environment import RECORD, Environment, job_folder
 from training.jobs.patience import patiently
 
 _RUN_ID = re.compile(r"[0-9a-f]{32}")

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from cspace.space import JointSpace
-from training.models.space.joints import Joints
+from training.models.joints import Joints
 
 
 @dataclass(frozen=True, slots=True)

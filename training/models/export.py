@@ -10,9 +10,9 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from training.models.joints import Joints
 from training.models.mixture import GatedSampler, LookupSampler
 from training.models.networks import MeansGenerator, TorusGenerator
-from training.models.space.joints import Joints
 from training.models.validity import ValidityHead
 
 OPSET = 18

@@ -12,13 +12,13 @@ from torch.optim.lr_scheduler import LambdaLR, OneCycleLR
 
 from cspace.space import JointSpace
 from training.models import losses
+from training.models.autoencoders import make_decoder, make_encoder
 from training.models.cells import Base, UniformBase
 from training.models.data import Batch, Held, ScenarioSamples
-from training.models.lookups.lookups import Scenes, make_reader, read, values_read
+from training.models.joints import Joints
+from training.models.lookups import Scenes, make_reader, read, values_read
 from training.models.networks import Critic, MeansGenerator, Sizes, TorusGenerator
-from training.models.pictures.autoencoders import make_decoder, make_encoder
 from training.models.settings import GanConfig, VaeConfig
-from training.models.space.joints import Joints
 
 Metrics = dict[str, float]
 

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor, nn
 
 from cspace.space import JointSpace
-from training.models.space.joints import Joints
+from training.models.joints import Joints
 
 
 def mlp(inputs: int, hidden: int, layers: int, outputs: int) -> nn.Sequential:

@@ -8,7 +8,7 @@ from torch.nn import functional
 
 from cspace.world import World
 from training.models.data import Held
-from training.models.lookups.lookups import ArmLookups
+from training.models.lookups import ArmLookups
 from training.models.modules import TrialModule
 from training.models.networks import mlp
 from training.models.settings import ValidityConfig

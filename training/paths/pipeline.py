@@ -13,24 +13,16 @@ from services.names import ALIAS_CHALLENGER, recorded_name
 from services.registry.models.mlflow_registry import MlflowRegistry
 from services.registry.tracking.experiment import TAG_MODEL
 from services.results import numbers
-from training.config.paths import PathTrainConfig
+from training.config import PathTrainConfig
 from training.datasets.generate import generate
-from training.jobs.environment import Environment
+from training.jobs.environment import Environment, job_tags
 from training.jobs.figures import path_curves
-from training.jobs.job import TAG_START, Job, kept_bundle
-from training.jobs.labels import log_configuration, world_tag
-from training.jobs.naming import registered_name
-from training.jobs.provenance import job_tags
+from training.jobs.job import TAG_START, Job, kept_bundle, log_configuration, registered_name, world_tag
 from training.models.checkpoint import read_progress
 from training.paths.bundling import trained_bundle
-from training.paths.source import require_source, source_bundle
-from training.paths.untrained import made_or_found
-from training.trials.launch import connect, run_trials
-from training.trials.outcomes import TrialOutcome
-from training.trials.paths.arrays import PathArrays, path_arrays, require_world
-from training.trials.paths.guides import Guides, find_guides
-from training.trials.paths.trainables import path_trial
-from training.trials.request import TrialRequest
+from training.paths.writing import made_or_found, require_source, source_bundle
+from training.trials.launch import TrialOutcome, TrialRequest, connect, run_trials
+from training.trials.paths import Guides, PathArrays, find_guides, path_arrays, path_trial, require_world
 
 _LOG = logging.getLogger("training")
 

@@ -1,14 +1,60 @@
-"""A path sampler's graph as a bundle that sees with the source's encoder and validity head; no torch."""
+"""Path samplers as bundles that see with a source's encoder and validity head; no torch."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from cspace.bundle import Bundle, Provenance, RandomInput, write_bundle
+from cspace.bundle import Bundle, BundleSpec, Provenance, RandomInput, write_bundle
 from cspace.bundle.files import ENCODER_FILE, MAP_FILE, NOVELTY_FILE, VALIDITY_FILE
 from cspace.bundle.spec import WAYS
-from training.jobs.provenance import command_line, now, source_state
+from cspace.bundle.verification import load_verified
+from cspace.errors import BundleError, ConfigError
+from services.registry.models.port import ModelRegistry
+from services.registry.references import ModelReference
+from training.jobs.environment import command_line, now, source_state
+
+
+def source_bundle(source: str, registry: ModelRegistry, folder: Path) -> Bundle:
+    """A bundle's folder, or a registered version that is fetched.
+
+    Args:
+        source: an absolute path of a folder, ``name@alias`` or ``name/version``.
+        registry: where versions are.
+        folder: where a version is laid down; what a stopped job has left there is taken.
+
+    Raises:
+        ConfigError: it is neither.
+        ModelNotFoundError: there is no such version.
+        BundleError: the bundle is damaged.
+        ServiceError: the worker process that verifies it does not start.
+    """
+    if Path(source).is_absolute():
+        return load_verified(Path(source))
+    if folder.is_dir():
+        return Bundle.load(folder)
+    reference = ModelReference.parse_version(
+        source, "the source of the path models is unknown", "a bundle's folder, name@alias or name/version"
+    )
+    return load_verified(registry.download(reference.look_up(registry), folder))
+
+
+def require_source(start: Path | None, source: Bundle) -> None:
+    """See that the job whose weights path models start from saw with the same encoder and head.
+
+    Raises:
+        ConfigError: it saw with others.
+    """
+    for made in () if start is None else start.glob("bundles/*/bundle.json"):
+        seen_with = BundleSpec.from_json(made.read_bytes()).provenance.config.get("source_digest")
+        if seen_with != source.digest:
+            raise ConfigError(
+                "source is not that of start_from",
+                expected=f"the bundle {seen_with}",
+                got=source.digest,
+                remedy="set source to the version that those path models see with",
+            )
+
 
 _TAKEN = {"encoder": ENCODER_FILE, "validity": VALIDITY_FILE, "novelty": NOVELTY_FILE, "map": MAP_FILE}
 
@@ -84,3 +130,39 @@ def write_path_bundle(
         ),
     )
     return Bundle.load(write_bundle(folder, spec, graphs))
+
+
+def make_path_bundle(source: Bundle, folder: Path) -> Bundle:
+    """Write a path sampler that sees with another bundle's head, encodes as it does, and knows its novelty.
+
+    Args:
+        source: a bundle with a validity head.
+        folder: where the path sampler is to be; must not exist.
+
+    Raises:
+        BundleError: the source has no validity head.
+        StorageError: the folder exists or cannot be written.
+    """
+    if not source.has_validity:
+        raise BundleError("the bundle has no validity head", expected=VALIDITY_FILE, got=str(source.folder))
+    origin = source.spec.provenance
+    return write_path_bundle(
+        folder, source, PathGraph(None), origin.data_digest, origin.seeds, _recipe(source)
+    )
+
+
+def made_or_found(source: Bundle, folder: Path) -> Bundle:
+    """The path sampler that the folder holds already, or one that is made there.
+
+    Raises:
+        CspaceError: as :func:`make_path_bundle`; what the folder holds was made of something else.
+    """
+    if folder.is_dir():
+        found = Bundle.load(folder)
+        if found.spec.provenance.config == _recipe(source):
+            return found
+    return make_path_bundle(source, folder)
+
+
+def _recipe(source: Bundle) -> dict[str, object]:
+    return {"ways": "searched", "source_digest": source.digest}

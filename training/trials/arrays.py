@@ -1,15 +1,75 @@
-"""The arrays that every trial on configurations reads, shared through the object store."""
+"""The arrays that trials read, shared through the object store."""
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import nn
 
-from cspace.world import World
+from cspace.dataset import Dataset, open_dataset
+from cspace.errors import JobError
+from cspace.world import Sensor, World
+from cspace.worlds import workshop_of
+from training.models.autoencoders import (
+    GridNovelty,
+    GridVaeDecoder,
+    GridVaeEncoder,
+    NoveltyScores,
+    blocks,
+    make_decoder,
+    make_encoder,
+    shown_size,
+)
 from training.models.cells import Base, CellBase, CellPoints
+from training.models.checkpoint import trained
 from training.models.data import ScenarioSamples
-from training.models.lookups.lookups import Scenes
+from training.models.grid_training import GridHeadModule, GridSamples
+from training.models.lookups import Scenes
+from training.models.modules import TrialModule
+from training.models.networks import Encoder
+from training.models.settings import GridConfig, VaeConfig, ValidityConfig
+from training.models.validity import OccupancySamples, ValidityModule
+
+
+@dataclass(frozen=True, slots=True)
+class Latents:
+    """Mean and standard deviation of each picture's latent, (S, L) each."""
+
+    mu: NDArray[np.float32]
+    sigma: NDArray[np.float32]
+
+    @classmethod
+    def none(cls, scenarios: int, latent_dim: int) -> "Latents":
+        """Zeros for ``scenarios`` pictures whose encoder does not exist yet."""
+        empty = np.zeros((scenarios, latent_dim), dtype=np.float32)
+        return cls(empty, empty)
+
+
+def load_encoder(config: VaeConfig, sensor: Sensor, checkpoint: Path) -> Encoder | GridVaeEncoder:
+    """The encoder of a VAE trial's checkpoint, ready to be asked."""
+    return trained(lambda: make_encoder(config, shown_size(sensor)), checkpoint, "encoder")
+
+
+def load_scores(config: VaeConfig, sensor: Sensor, checkpoint: Path) -> nn.Module:
+    """The novelty scores by the decoder of a VAE trial's checkpoint."""
+    decoder = trained(lambda: make_decoder(config, shown_size(sensor)), checkpoint, "decoder")
+    if isinstance(decoder, GridVaeDecoder):
+        return GridNovelty(decoder).eval()
+    return NoveltyScores(decoder, sensor.pixels).eval()
+
+
+def encode(encoder: nn.Module, sensor: Sensor, images: NDArray[np.uint8]) -> Latents:
+    """Latents of (S, ...) pictures of a sensor."""
+    means, deviations = [], []
+    with torch.inference_mode():
+        for rows in blocks(sensor, len(images)):
+            mu, log_variance = encoder(torch.from_numpy(sensor.to_network(np.asarray(images[rows]))))
+            means.append(mu.numpy())
+            deviations.append((log_variance / 2.0).exp().numpy())
+    return Latents(np.concatenate(means), np.concatenate(deviations))
+
 
 # Keeps a row of probabilities from vanishing where the gate gives a scenario none of a cluster's cells.
 _LEAST_PROBABILITY = 1e-8
@@ -100,3 +160,104 @@ class TrainingArrays:
         counts = np.zeros((len(self.mu), len(self.cells.clusters)), dtype=np.float32)
         np.add.at(counts, (self.ids, self.cells.labels), 1.0)
         return torch.tensor(counts / np.maximum(counts.sum(axis=1, keepdims=True), 1.0))
+
+
+@dataclass(frozen=True, slots=True)
+class OccupancyArrays:
+    """Free and colliding configurations by scenario, with what the look-ups need to know.
+
+    Args:
+        world: robot and sensor.
+        free: (M, d) float32 rad.
+        free_offsets: (S + 1,) int64.
+        collision: (N, d) float32 rad.
+        collision_offsets: (S + 1,) int64.
+    """
+
+    world: World
+    free: NDArray[np.float32]
+    free_offsets: NDArray[np.int64]
+    collision: NDArray[np.float32]
+    collision_offsets: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, dataset: Dataset) -> "OccupancyArrays | None":
+        """The data set's configurations; None unless some scenario has both kinds."""
+        if dataset.collision is None or dataset.collision_offsets is None:
+            return None
+        found = cls(
+            dataset.world,
+            np.asarray(dataset.free),
+            np.asarray(dataset.free_offsets),
+            np.asarray(dataset.collision),
+            np.asarray(dataset.collision_offsets),
+        )
+        return found if len(found.scenarios) else None
+
+    @property
+    def scenarios(self) -> NDArray[np.int64]:
+        """Indices of the scenarios that have configurations of both kinds."""
+        return np.flatnonzero((np.diff(self.free_offsets) > 0) & (np.diff(self.collision_offsets) > 0))
+
+    def module(self, config: ValidityConfig, images: torch.Tensor, seed: int) -> TrialModule:
+        """The head's training; arguments as of :meth:`samples`."""
+        return ValidityModule(config, self.samples(images), self.world, seed)
+
+    def samples(self, images: torch.Tensor) -> OccupancySamples:
+        """Tensors for the module; copied, for the shared arrays are read-only.
+
+        Args:
+            images: (S, 3, P, P) uint8, and further ones behind them that have no configurations.
+        """
+        rest = (self.free, self.free_offsets, self.collision, self.collision_offsets, self.scenarios)
+        return OccupancySamples(images[: len(self.free_offsets) - 1], *(torch.tensor(part) for part in rest))
+
+
+@dataclass(frozen=True, slots=True)
+class GridOccupancy:
+    """A data set's folder, which every node can read."""
+
+    folder: Path
+
+    @classmethod
+    def of(cls, dataset: Dataset) -> "GridOccupancy | None":
+        """The data set's; None without configurations in collision."""
+        return None if dataset.collision is None else cls(dataset.folder.absolute())
+
+    def module(self, config: ValidityConfig, images: torch.Tensor, seed: int) -> TrialModule:
+        """The head's training; pictures are read where they lie.
+
+        Raises:
+            JobError: the settings are of another head.
+        """
+        del images
+        if config.grid is None:
+            raise JobError("a head of arrays of space needs its sizes", expected="validity.grid", got="none")
+        dataset = open_dataset(self.folder, verify=False)
+        return GridHeadModule(config, grid_samples(dataset, config.grid), dataset.world, seed)
+
+
+def grid_samples(dataset: Dataset, config: GridConfig) -> GridSamples:
+    """Pictures as they lie on disk; labelled configurations, and what they hit where obstacles are known."""
+    rows, free, hits = [], [], []
+    for scenario in range(dataset.scenario_count):
+        sides = (np.asarray(dataset.free_of(scenario)), np.asarray(dataset.collision_of(scenario)))
+        rows.append(np.concatenate(sides))
+        free.append(np.repeat([True, False], [len(side) for side in sides]))
+        hits.append(_hits(dataset, scenario, rows[-1], config.groups))
+    offsets = np.cumsum([0, *(len(one) for one in rows)], dtype=np.int64)
+    return GridSamples(
+        dataset.images,
+        torch.from_numpy(np.concatenate(rows)),
+        torch.from_numpy(np.concatenate(free)),
+        torch.from_numpy(np.concatenate(hits)),
+        torch.from_numpy(offsets),
+    )
+
+
+def _hits(dataset: Dataset, scenario: int, rows: NDArray[np.float32], groups: int) -> NDArray[np.bool_]:
+    names = dataset.world.scene_files
+    if not set(names) <= set(dataset.arrays):
+        return np.zeros((len(rows), 0), dtype=np.bool_)
+    scene = {name: np.asarray(dataset.arrays[name][scenario]) for name in names}
+    return workshop_of(dataset.world).group_hits(scene, rows, groups)

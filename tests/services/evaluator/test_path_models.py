@@ -34,7 +34,7 @@ from services.registry.promotion import decisions
 from tests.bundles import picture, write_tiny_bundle
 from tests.fakes.registry import FakeRegistry, FakeTracking
 from tests.fakes.uniform_sampler import UniformSampler
-from training.paths.untrained import make_path_bundle
+from training.paths.writing import make_path_bundle
 
 MODEL = "path-sampler"
 FEW = Budget(

@@ -4,7 +4,7 @@ from cspace.bundle import Bundle, graphs_of
 from tests.bundles import write_tiny_bundle
 from training.clusters import bundling
 from training.clusters.bundling import with_choices
-from training.config.clusters import load_config
+from training.config import load_config
 
 
 def test_a_job_that_was_killed_while_it_calibrated_can_be_submitted_again(tmp_path, monkeypatch):

@@ -13,11 +13,11 @@ from cspace.worlds.planar.render import render
 from cspace.worlds.planar.scene import Disc, random_scenarios
 from cspace.worlds.planar.seeing.picture import to_network
 from tests.dataset_content import content
-from training.clusters.novelty import KNOWN_PICTURES, known_pictures, known_quantiles
+from training.clusters.calibration import KNOWN_PICTURES, known_pictures, known_quantiles
 from training.models.checkpoint import Progress, save_checkpoint, seeded_initialisation
-from training.models.encode import load_encoder, load_scores
 from training.models.modules import VaeModule
 from training.models.settings import VaeConfig
+from training.trials.arrays import load_encoder, load_scores
 
 CONFIG = VaeConfig(latent_dim=16, width=8, steps=1)
 

@@ -18,7 +18,7 @@ from services.registry.models.mlflow_registry import MlflowRegistry
 from tests.contracts.mlflow_server import mlflow_server
 from tests.inference_api.client import running
 from tests.own_ray import run_alone
-from training.config.clusters import CLUSTERS_FILE
+from training.config import CLUSTERS_FILE
 from training.datasets.config import DatasetConfig
 from training.datasets.configurations import ConfigurationRecipe
 from training.datasets.merge import merge

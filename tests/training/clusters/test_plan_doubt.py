@@ -7,7 +7,7 @@ from cspace.bundle import Bundle
 from cspace.planning.scoring import free_of_doubt
 from cspace.worlds import examples
 from tests.bundles import write_tiny_bundle
-from training.clusters.plan_doubt import Planned, fit_plan_doubt, planned
+from training.clusters.calibration import Planned, fit_plan_doubt, planned
 
 
 def drawn(parameters, count, seed=0):

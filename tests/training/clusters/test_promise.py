@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from training.clusters.promise import FINE, choose_promised, make_promise
-from training.clusters.threshold import Scored
+from training.clusters.calibration import FINE, Scored, choose_promised, make_promise
 
 
 def drawn(rng: np.random.Generator, size: int = 400) -> Scored:

@@ -11,17 +11,20 @@ from onnx import TensorProto, helper, numpy_helper
 
 from cspace.bundle import Bundle
 from tests.bundles import write_tiny_bundle
-from training.clusters.graph_costs import ELEMENT_S, MULTIPLY_ADD_S, NODE_S, run_cost
+from training.clusters.calibration import Scored
 from training.clusters.proposals import (
     DRAWN,
+    ELEMENT_S,
+    MULTIPLY_ADD_S,
+    NODE_S,
     Costs,
     choose_proposals,
     first_turn,
     judged,
     proposal_costs,
     proposal_pools,
+    run_cost,
 )
-from training.clusters.threshold import Scored
 
 PRETRAINED = Path(__file__).parents[3] / "inference_api" / "pretrained"
 THRESHOLDS = (0.5, 0.7)

@@ -5,8 +5,8 @@ import pytest
 
 from cspace.dataset import write_dataset
 from cspace.errors import ConfigError
-from training.clusters.stages import cluster_data, require_encoder
-from training.config.clusters import CLUSTERS_FILE, load_config
+from training.clusters.pipeline import cluster_data, require_encoder
+from training.config import CLUSTERS_FILE, load_config
 
 COUNT = 400
 

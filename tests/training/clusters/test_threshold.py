@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from training.clusters.threshold import Scored, choose_threshold
+from training.clusters.calibration import Scored, choose_threshold
 
 
 def scene(confident_right=900, doubtful_wrong=100, confident_wrong=0):

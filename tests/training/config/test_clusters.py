@@ -12,7 +12,7 @@ from cspace.worlds.planar.workshop import PlanarWorkshop
 from cspace.worlds.planar.world import PlanarWorld
 from training import search
 from training.cluster_train import COMMAND
-from training.config.clusters import TrainConfig, load_config, presets
+from training.config import TrainConfig, load_config, presets
 
 
 @pytest.mark.parametrize("preset", presets())

@@ -1,6 +1,6 @@
 import pytest
 
-from training.config.paths import load_path_config
+from training.config import load_path_config
 from training.path_train import COMMAND
 
 

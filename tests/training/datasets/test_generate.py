@@ -14,7 +14,7 @@ from cspace.worlds.planar.planning.collision import CollisionChecker
 from cspace.worlds.planar.scene import Disc, Scenario
 from cspace.worlds.spatial.obstacles.obstacle_rows import obstacles_of
 from cspace.worlds.spatial.scene import SpatialScene
-from training.clusters.stages import uniform_free
+from training.clusters.pipeline import uniform_free
 from training.datasets import generate as module
 from training.datasets.config import DatasetConfig
 from training.datasets.configurations import ConfigurationRecipe
@@ -22,7 +22,7 @@ from training.datasets.generate import generate
 from training.datasets.merge import merge
 from training.datasets.shards import save_shard
 from training.models.settings import GridConfig
-from training.trials.grid_occupancy import grid_samples
+from training.trials.arrays import grid_samples
 
 SMALL = DatasetConfig(
     seed=3,

@@ -6,7 +6,7 @@ import pytest
 from cspace.dataset import open_dataset
 from cspace.errors import DatasetError
 from cspace.worlds.planar.arm import THREE_LINK
-from training.config.clusters import load_config
+from training.config import load_config
 from training.datasets.__main__ import main
 from training.datasets.config import DatasetConfig, PathDatasetConfig
 from training.datasets.configurations import ConfigurationRecipe

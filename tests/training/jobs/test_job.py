@@ -6,11 +6,9 @@ import pytest
 from cspace.errors import ConfigError, JobError, RegistryUnavailableError, StorageError
 from services.names import TAG_KEY
 from tests.fakes.registry import FakeTracking
-from training.config.clusters import TrainConfig, load_config
-from training.jobs.environment import Environment, job_environment
-from training.jobs.folders import RECORD, job_folder, run_of
+from training.config import TrainConfig, load_config
+from training.jobs.environment import RECORD, Environment, job_environment, job_folder, run_of, submission_id
 from training.jobs.job import Job, kept_bundle
-from training.jobs.submission import submission_id
 
 SMOKE = load_config("smoke", ["seed=4"])
 

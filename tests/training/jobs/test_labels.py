@@ -6,8 +6,8 @@ import pytest
 
 from cspace.worlds import default_world
 from tests.fakes.registry import FakeTracking
-from training.config.clusters import TrainConfig
-from training.jobs.labels import LONGEST, job_label, log_configuration, shown_tags, world_tag
+from training.config import TrainConfig
+from training.jobs.job import LONGEST, job_label, log_configuration, shown_tags, world_tag
 
 
 @pytest.fixture

@@ -9,7 +9,7 @@ from cspace.worlds.planar.arm import PlanarArm
 from cspace.worlds.planar.world import PlanarWorld
 from tests.bundles import write_tiny_bundle
 from tests.fakes.registry import FakeRegistry
-from training.jobs import naming
+from training.jobs import job
 
 OWN = PlanarWorld(PlanarArm((1.0, 1.0)))
 
@@ -26,7 +26,7 @@ class StubJob:
 @pytest.fixture
 def registry(tmp_path, monkeypatch):
     found = FakeRegistry(tmp_path / "registry")
-    monkeypatch.setattr(naming, "MlflowRegistry", lambda _: found)
+    monkeypatch.setattr(job, "MlflowRegistry", lambda _: found)
     return found
 
 
@@ -36,15 +36,15 @@ def add(registry, name, bundle):
 
 def test_an_example_and_a_robot_without_a_name_need_no_registry(registry):
     registry.away = True
-    assert naming.registered_name(StubJob(), default_world(), None, path=False) == "cspace-sampler"
-    assert naming.registered_name(StubJob(), OWN, None, path=True).endswith("-path-sampler")
+    assert job.registered_name(StubJob(), default_world(), None, path=False) == "cspace-sampler"
+    assert job.registered_name(StubJob(), OWN, None, path=True).endswith("-path-sampler")
 
 
 def test_a_name_that_the_registry_has_for_another_robot_is_refused(registry, tmp_path):
-    assert naming.registered_name(StubJob(), OWN, "arm-7", path=False) == "arm-7-sampler"
+    assert job.registered_name(StubJob(), OWN, "arm-7", path=False) == "arm-7-sampler"
     add(registry, "arm-7-sampler", write_tiny_bundle(tmp_path / "own", OWN.body))
-    assert naming.registered_name(StubJob(), OWN, "arm-7", path=True) == "arm-7-path-sampler"
+    assert job.registered_name(StubJob(), OWN, "arm-7", path=True) == "arm-7-path-sampler"
     other = PlanarWorld(PlanarArm((1.0, 1.1)))
     for path in (False, True):
         with pytest.raises(ConfigError, match="arm-7-sampler/1 is of robot"):
-            naming.registered_name(StubJob(), other, "arm-7", path=path)
+            job.registered_name(StubJob(), other, "arm-7", path=path)

@@ -11,13 +11,11 @@ from inference_api.settings import PRETRAINED_FOLDER
 from services.registry.models.port import ModelVersion
 from tests.fakes.registry import FakeTracking
 from tests.training.models.builders import tiny_module
-from training.config.clusters import CLUSTERS_FILE, TrainConfig, load_config
-from training.config.paths import load_path_config
-from training.jobs.environment import Environment
-from training.jobs.folders import RECORD, job_folder
+from training.config import CLUSTERS_FILE, TrainConfig, load_config, load_path_config
+from training.jobs.environment import RECORD, Environment, job_folder
 from training.jobs.job import TAG_START, Job
 from training.models.checkpoint import Progress, save_checkpoint, start_from
-from training.trials.request import TrialRequest
+from training.trials.launch import TrialRequest
 
 EARLIER, CHILD = "a" * 32, "c" * 32
 SMOKE = load_config("smoke")

@@ -6,8 +6,8 @@ import torch
 from cspace.worlds.planar.arm import TWO_LINK
 from cspace.worlds.planar.seeing.camera import Camera
 from cspace.worlds.planar.world import PlanarWorld
-from training.models.paths.samples import PathSamples
-from training.trials.paths.arrays import PathArrays
+from training.models.paths import PathSamples
+from training.trials.paths import PathArrays
 
 LATENT = 3
 POINTS = 17

@@ -9,9 +9,9 @@ from cspace.space import circles
 from cspace.worlds.planar.arm import TWO_LINK
 from cspace.worlds.planar.seeing.camera import Camera
 from cspace.worlds.planar.world import PlanarWorld
+from training.models.autoencoders import NoveltyScores
 from training.models.export import encoder_graph, generator_graph, novelty_graph, validity_graph
 from training.models.networks import Decoder, Encoder, MeansGenerator, Sizes, TorusGenerator
-from training.models.pictures.novelty import NoveltyScores
 from training.models.settings import ValidityConfig
 from training.models.validity import make_head
 

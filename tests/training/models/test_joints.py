@@ -5,9 +5,8 @@ import torch
 from cspace.space import JointSpace, circles
 from training.models import losses
 from training.models.cells import CellBase, CellPoints, UniformBase
+from training.models.joints import Joints, harmonics, on_torus, torus_features
 from training.models.networks import MeansGenerator, Sizes, TorusGenerator
-from training.models.space.features import harmonics, on_torus, torus_features
-from training.models.space.joints import Joints
 
 TORUS = Joints(circles(3))
 # A circle between two joints with limits, one of them beyond half a turn and one wider than a turn.

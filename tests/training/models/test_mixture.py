@@ -12,11 +12,17 @@ from cspace.worlds.planar.world import PlanarWorld
 from tests.training.models.builders import TINY, ring_samples
 from training.models.cells import CellBase, CellPoints, UniformBase
 from training.models.checkpoint import seeded_initialisation
-from training.models.distillation import DistillationModule
 from training.models.export import lookup_graph, mixture_graph
-from training.models.gate import Gate, GateModule, gate_probabilities
-from training.models.lookups.lookups import ArmLookups
-from training.models.mixture import Experts, GatedSampler, LookupSampler
+from training.models.lookups import ArmLookups
+from training.models.mixture import (
+    DistillationModule,
+    Experts,
+    Gate,
+    GatedSampler,
+    GateModule,
+    LookupSampler,
+    gate_probabilities,
+)
 from training.models.networks import Sizes, TorusGenerator
 from training.models.settings import GanConfig, GateConfig
 

@@ -4,6 +4,7 @@ import pytest
 import torch
 
 from cspace.space import circles
+from training.models.joints import harmonics, torus_features
 from training.models.networks import (
     Critic,
     Decoder,
@@ -12,7 +13,6 @@ from training.models.networks import (
     Sizes,
     TorusGenerator,
 )
-from training.models.space.features import harmonics, torus_features
 
 SCALE = (torch.zeros(3), torch.ones(3))
 SIZES = Sizes(circles(3), 5, 16, 2)

@@ -9,16 +9,13 @@ from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK
 from cspace.worlds.planar.seeing.camera import Camera
 from cspace.worlds.planar.world import PlanarWorld
 from tests.training.models.path_builders import LATENT, arrays
-from training.config.paths import PathTrainConfig
-from training.models.lookups.lookups import make_lookups
+from training.config import PathTrainConfig
+from training.models.lookups import make_lookups
 from training.models.networks import Sizes
-from training.models.paths.condition import Condition, swept
-from training.models.paths.modules import PathGanModule
-from training.models.paths.points import PathFlow, blind
-from training.models.paths.settings import FlowConfig, PathGanConfig
-from training.models.settings import LookupConfig
-from training.paths.export import PointSampler, point_graph
-from training.trials.paths.trainables import make_path_module
+from training.models.paths import Condition, PathFlow, PathGanModule, blind, swept
+from training.models.settings import FlowConfig, LookupConfig, PathGanConfig
+from training.paths.bundling import PointSampler, point_graph
+from training.trials.paths import make_path_module
 
 NO_LOOKUPS = LookupConfig()
 FEW = LookupConfig(points_per_link=3, side_m=0.0)

@@ -19,9 +19,9 @@ from tests.contracts.mlflow_server import mlflow_server
 from tests.fakes.registry import FakeRegistry
 from tests.space_bundle import WORLD, write_space_bundle
 from tests.training.clusters.test_pipeline import submit
-from training.config.paths import UNGUIDED, load_path_config
-from training.paths.source import source_bundle
-from training.trials.paths.guides import find_guides
+from training.config import UNGUIDED, load_path_config
+from training.paths.writing import source_bundle
+from training.trials.paths import find_guides
 
 JOB = "path_train.py"
 START, GOAL = (0.5, 0.5), (-0.5, -1.0)

@@ -7,7 +7,7 @@ import pytest
 from cspace.bundle import Bundle
 from cspace.errors import ConfigError
 from inference_api.settings import PRETRAINED_FOLDER
-from training.paths.source import require_source
+from training.paths.writing import require_source
 
 
 def made(start, source_digest):

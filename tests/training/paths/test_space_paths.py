@@ -13,20 +13,18 @@ from cspace.worlds.spatial.planning.collision import CollisionChecker
 from cspace.worlds.spatial.planning.problems import reaches_into
 from tests.space_bundle import LATENT, WORLD, write_space_bundle
 from tests.training.models.test_path_models import answer
-from training.config.paths import PathTrainConfig, load_path_config
+from training.config import PathTrainConfig, load_path_config
 from training.datasets.config import PathDatasetConfig
 from training.datasets.paths import PathRecipe
-from training.models.lookups.lookups import make_lookups, read
+from training.models.autoencoders import network_size
+from training.models.lookups import make_lookups, read
 from training.models.mixture import look
-from training.models.paths.condition import Condition, swept
-from training.models.paths.settings import FlowConfig, PathGanConfig
-from training.models.pictures.autoencoders import network_size
-from training.models.settings import LookupConfig
-from training.paths.export import PointSampler, point_graph
+from training.models.paths import Condition, swept
+from training.models.settings import FlowConfig, LookupConfig, PathGanConfig
+from training.paths.bundling import PointSampler, point_graph
 from training.paths.writing import write_path_bundle
-from training.trials.paths import arrays as module
-from training.trials.paths.arrays import path_arrays
-from training.trials.paths.trainables import make_path_module
+from training.trials import paths as module
+from training.trials.paths import make_path_module, path_arrays
 
 DATA = PathDatasetConfig(
     robot="panda", scenario_count=2, narrow_share=0.0, pairs_per_scenario=3, points_per_path=17, shard_size=1

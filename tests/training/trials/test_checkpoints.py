@@ -8,7 +8,7 @@ from cspace.errors import JobError
 from cspace.files import replacing
 from tests.training.models.builders import tiny_module
 from training.models.checkpoint import Progress, read_progress
-from training.trials.checkpoints import TrialFolder
+from training.trials.launch import TrialFolder
 
 
 def save(folder, *steps):

@@ -4,8 +4,8 @@ import torch
 from tests.fakes.run_log import RecordingRun
 from tests.training.models.builders import tiny_module
 from training.models.checkpoint import read_progress
-from training.trials.checkpoints import TrialFolder
 from training.trials.fit import Rhythm, TrialStopped, fit
+from training.trials.launch import TrialFolder
 
 
 class Reports:

@@ -2,9 +2,8 @@
 
 from ray.tune.experiment import Experiment
 
-from training.config.clusters import ResourceConfig
-from training.trials.launch import bind
-from training.trials.request import TrialRequest
+from training.config import ResourceConfig
+from training.trials.launch import TrialRequest, bind
 
 
 def known_as(folder):

@@ -8,7 +8,7 @@ from cspace.dataset import write_dataset
 from cspace.worlds.planar.arm import TWO_LINK
 from cspace.worlds.planar.seeing.camera import Camera
 from cspace.worlds.planar.world import PlanarWorld
-from training.trials.occupancy import OccupancyArrays
+from training.trials.arrays import OccupancyArrays
 
 FREE = [np.full((3, 2), 0.5, dtype=np.float32), np.full((2, 2), 1.0, dtype=np.float32)]
 

@@ -7,10 +7,8 @@ import numpy as np
 import pytest
 
 from tests.training.trials.ray_nodes import ray_nodes
-from training.config.clusters import ResourceConfig
-from training.trials.launch import run_trials
-from training.trials.outcomes import FINISHED, METRICS
-from training.trials.request import TrialRequest
+from training.config import ResourceConfig
+from training.trials.launch import FINISHED, METRICS, TrialRequest, run_trials
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 

@@ -3,12 +3,10 @@ from types import SimpleNamespace
 
 import torch
 
-from training.config.clusters import load_config
+from training.config import load_config
 from training.models.checkpoint import Progress, save_checkpoint, seeded_initialisation
-from training.trials.checkpoints import TrialFolder
-from training.trials.outcomes import FINISHED, METRICS, Outcomes, read_outcome
-from training.trials.request import TrialRequest
-from training.trials.searching.search import claimed
+from training.trials.launch import FINISHED, METRICS, Outcomes, TrialFolder, TrialRequest, read_outcome
+from training.trials.search import claimed
 
 STAGES = {
     "pictures": ("vae", "validity"),

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import pytest
 from ray.tune.experiment import Trial
 
-from training.trials import stopping
-from training.trials.stopping import Stop
+from training.trials import launch
+from training.trials.launch import Stop
 
 
 @dataclass
@@ -25,7 +25,7 @@ RUNNING, WAITING, ENDED = Shown(Trial.RUNNING), Shown(Trial.PENDING), Shown(Tria
 def sent(monkeypatch):
     """Signals that would end Tune's loop."""
     sent = []
-    monkeypatch.setattr(stopping.os, "kill", lambda pid, number: sent.append((pid, number)))
+    monkeypatch.setattr(launch.os, "kill", lambda pid, number: sent.append((pid, number)))
     return sent
 
 

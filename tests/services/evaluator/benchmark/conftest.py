@@ -10,7 +10,7 @@ from cspace.splits import Split
 from inference_api.settings import PRETRAINED_FOLDER
 from services.evaluator.benchmark.arms import Protocol, Setting
 from services.evaluator.benchmark.store import Run
-from training.paths.untrained import make_path_bundle
+from training.paths.writing import make_path_bundle
 
 EXAMPLE = Run(
     protocol="families",

@@ -5,10 +5,9 @@ from torch import Tensor
 from torch.nn import functional
 
 from cspace.world import GridArm
-from training.models.grids.encoder import STRIDE
-from training.models.grids.head import GridHead
-from training.models.space.arm import ArmPoints, buffer
-from training.models.space.reading import Points
+from training.models.grid_head import STRIDE, GridHead
+from training.models.joints import Points
+from training.models.kinematics import ArmPoints, buffer
 
 
 def plain_answers(head: GridHead, arm: GridArm, picture: Tensor, rows: Tensor) -> tuple[Tensor, Tensor]:

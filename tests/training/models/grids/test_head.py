@@ -16,11 +16,17 @@ from cspace.worlds.spatial.robot.covering import grouped
 from cspace.worlds.spatial.seeing.observed import lookup, unseen_share
 from tests.training.models.grids.plain_head import plain_answers
 from training.models.checkpoint import seeded_initialisation
-from training.models.grids.export import grid_validity_graph, map_graph
-from training.models.grids.head import GridHead
-from training.models.grids.training import GridBatch, GridHeadModule, GridSamples, head_losses
+from training.models.grid_head import GridHead
+from training.models.grid_training import (
+    GridBatch,
+    GridHeadModule,
+    GridSamples,
+    grid_validity_graph,
+    head_losses,
+    map_graph,
+)
+from training.models.kinematics import ArmFrames, ArmPoints, SelfGap
 from training.models.settings import GridConfig, ValidityConfig
-from training.models.space.arm import ArmFrames, ArmPoints, SelfGap
 
 WORLD = examples()["panda"]
 ARM, GRID = WORLD.body, WORLD.sensor.grid

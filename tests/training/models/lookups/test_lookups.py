@@ -7,7 +7,7 @@ import torch
 from cspace.worlds.planar.arm import TWO_LINK, PlanarArm
 from cspace.worlds.planar.seeing.camera import Camera
 from cspace.worlds.planar.world import PlanarWorld
-from training.models.lookups.lookups import ArmLookups, PictureReader
+from training.models.lookups import ArmLookups, PictureReader
 
 THREE_LINK = PlanarArm((1.6, 1.4, 1.0), 0.1)
 

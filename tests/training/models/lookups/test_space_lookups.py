@@ -9,8 +9,7 @@ from cspace.worlds import examples
 from cspace.worlds.planar.arm import TWO_LINK
 from cspace.worlds.planar.seeing.camera import Camera
 from cspace.worlds.planar.world import PlanarWorld
-from training.models.lookups.lookups import Scenes, make_lookups, make_reader
-from training.models.lookups.space_lookups import SpaceLookups, SpaceReader
+from training.models.lookups import Scenes, SpaceLookups, SpaceReader, make_lookups, make_reader
 from training.models.settings import LookupConfig
 
 WORLD = examples()["panda"]

@@ -11,10 +11,8 @@ from cspace.worlds.planar.arm import TWO_LINK
 from cspace.worlds.planar.seeing.camera import Camera
 from cspace.worlds.planar.world import PlanarWorld
 from tests.training.models.path_builders import POINTS, generator, samples
-from training.models.paths.condition import Condition, condition_size, place_features, swept
-from training.models.paths.samples import equal_paths
-from training.models.space.features import on_torus
-from training.models.space.joints import Joints
+from training.models.joints import Joints, on_torus
+from training.models.paths import Condition, condition_size, equal_paths, place_features, swept
 
 
 def test_a_point_lies_at_its_place_between_the_ends_that_come_with_it():

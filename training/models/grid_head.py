@@ -1,12 +1,4 @@
-"""The head of a serial arm: P(free | array of space, configuration), and how much of the arm is unseen.
-
-What is seen bounds the answer: distances to the surface seen are read at all spheres, and touching the arm
-itself is told exactly. What is not seen is learned: features of the scene are read where groups of spheres
-would be, each group's hazard is told, and pooled to the whole arm's.
-
-What is computed in between has the configurations last, (..., n), so that rows are long: a graph of it takes
-about half of the time.
-"""
+"""The validity head of a serial arm: P(free | array of space, configuration), and the unseen share."""
 
 from dataclasses import dataclass
 
@@ -16,12 +8,133 @@ from torch.nn import functional
 
 from cspace.errors import ConfigError
 from cspace.world import GridArm, World
-from training.models.grids.encoder import STRIDE, GridEncoder
-from training.models.grids.voxels import Corners, nearest_value
+from training.models.joints import table_of
+from training.models.kinematics import ArmFrames, SelfGap, buffer, frame_rows
 from training.models.networks import mlp
 from training.models.settings import GridConfig, ValidityConfig
-from training.models.space.arm import ArmFrames, SelfGap, buffer, frame_rows
-from training.models.space.reading import table_of
+
+Counts = tuple[int, int, int]
+
+
+class Corners:
+    """The eight voxels round each point, and its place between them.
+
+    Args:
+        places: (3, k, n) in voxels from the lowest corner.
+        counts: X, Y, Z of the grid.
+        rows: (n,) where in a table each configuration's scene begins; one number for all.
+    """
+
+    def __init__(self, places: Tensor, counts: Counts, rows: Tensor | int) -> None:
+        last = torch.tensor(counts, dtype=places.dtype, device=places.device).reshape(3, 1, 1) - 1.001
+        middle = torch.minimum((places - 0.5).clamp(min=0.0), last)
+        first = middle.floor()
+        self.start = _numbers(first, counts, rows)
+        self.shares = (middle - first).unbind(dim=0)
+        self.steps = (counts[1] * counts[2], counts[2], 1)
+
+    def of_values(self, table: Tensor) -> Tensor:
+        """Trilinear between single values, (k, n), of a table (m,)."""
+        x, y, z = self.steps
+        steps = torch.tensor([a + b + c for c in (0, z) for b in (0, y) for a in (0, x)])
+        at = self.start + steps.to(self.start.device).reshape(-1, 1, 1)
+        # Picked one by one, which a graph does in a seventh of the time of reading rows of a single value.
+        found = torch.gather(table, 0, at.reshape(-1)).reshape(at.shape)
+        for share, count in zip(self.shares[::-1], (4, 2, 1), strict=True):
+            low, high = found[:count], found[count:]
+            found = low + share * (high - low)
+        return found[0]
+
+    def of_rows(self, table: Tensor) -> Tensor:
+        """Trilinear between rows, (k n, C), of a table (m, C)."""
+        start = self.start.reshape(-1)
+        # As wide as the rows by a product, for a graph multiplies what is as large far quicker.
+        wide = table.new_ones(1, table.shape[1])
+        shares = [share.reshape(-1, 1) @ wide for share in self.shares]
+
+        def along(axis: int, at: Tensor) -> Tensor:
+            if axis == len(shares):
+                return functional.embedding(at, table)
+            low = along(axis + 1, at)
+            return low + shares[axis] * (along(axis + 1, at + self.steps[axis]) - low)
+
+        return along(0, start)
+
+
+def nearest_value(table: Tensor, places: Tensor, counts: Counts, rows: Tensor | int) -> Tensor:
+    """The value of the voxel that each point lies in, or of the nearest one, (k, n), of a table (m,)."""
+    last = torch.tensor(counts, dtype=places.dtype, device=places.device).reshape(3, 1, 1) - 1.0
+    at = _numbers(torch.minimum(places.clamp(min=0.0), last).floor(), counts, rows)
+    return torch.gather(table, 0, at.reshape(-1)).reshape(at.shape)
+
+
+def _numbers(voxels: Tensor, counts: Counts, rows: Tensor | int) -> Tensor:
+    """Whole places (3, k, n) to rows of a table, (k, n): below 2^24, so that floats tell them exactly."""
+    at = ((voxels[0] * counts[1] + voxels[1]) * counts[2] + voxels[2]).long()
+    return at if isinstance(rows, int) and rows == 0 else at + rows
+
+
+# What a voxel of 5 cm says: nearest surface; seen free, no reading, out of view, hidden; how far behind.
+CHANNELS = 6
+# Voxels of the picture along a side of a voxel of features.
+STRIDE = 4
+_HALF = 0.5 / 255.0
+
+
+class _Residual(nn.Module):
+    def __init__(self, width: int) -> None:
+        super().__init__()
+        self.first, self.second = (nn.Conv3d(width, width, 3, padding=1) for _ in range(2))
+        self.norm = nn.GroupNorm(4, width)
+
+    def forward(self, features: Tensor) -> Tensor:
+        inner = functional.relu(self.norm(self.first(functional.relu(features))))
+        found: Tensor = features + self.second(inner)
+        return found
+
+
+class GridEncoder(nn.Module):
+    """Pictures (p, 2, X, Y, Z) in [0, 1] to features (p, C, X / 4, Y / 4, Z / 4), and pooled ones (p, L).
+
+    A U-net of three scales: each sees more of the scene than the one before.
+    """
+
+    def __init__(self, arm: GridArm, width: int, middle: int, deep: int) -> None:
+        super().__init__()
+        self.no_reading = arm.no_reading / 255.0
+        self.into = nn.Conv3d(CHANNELS, width, 2, stride=2)
+        self.where = nn.Conv3d(3, width, 1)
+        self.fine, self.fine_again = _Residual(width), _Residual(width)
+        self.down, self.up = nn.Conv3d(width, middle, 2, stride=2), nn.Conv3d(middle, width, 1)
+        self.middle, self.middle_again = _Residual(middle), _Residual(middle)
+        self.deeper, self.out_of_deep = nn.Conv3d(middle, deep, 2, stride=2), nn.Conv3d(deep, middle, 1)
+        self.deep = _Residual(deep)
+
+    def forward(self, pictures: Tensor) -> tuple[Tensor, Tensor]:
+        """Features, and what the deepest scale says on the whole."""
+        told = self._channels(pictures)
+        axes = [torch.linspace(-1.0, 1.0, size // 2) for size in told.shape[2:]]
+        places = torch.stack(torch.meshgrid(*axes, indexing="ij")).to(told.device).unsqueeze(0)
+        fine = self.fine(self.into(told) + self.where(places))
+        middle = self.middle(self.down(functional.relu(fine)))
+        deep = self.deep(self.deeper(functional.relu(middle)))
+        middle = self.middle_again(middle + _doubled(self.out_of_deep(functional.relu(deep))))
+        fine = self.fine_again(fine + _doubled(self.up(functional.relu(middle))))
+        return functional.relu(fine), deep.mean(dim=(2, 3, 4))
+
+    def _channels(self, pictures: Tensor) -> Tensor:
+        near, code = pictures[:, :1], pictures[:, 1:]
+        free, out = (code < _HALF).float(), (code > 1.0 - _HALF).float()
+        unread = ((code - self.no_reading).abs() < _HALF).float()
+        hidden = 1.0 - free - out - unread
+        told = functional.avg_pool3d(torch.cat([free, unread, out, hidden, hidden * code], dim=1), 2)
+        return torch.cat([-functional.max_pool3d(-near, 2), told], dim=1)
+
+
+def _doubled(features: Tensor) -> Tensor:
+    doubled: Tensor = functional.interpolate(features, scale_factor=2.0, mode="nearest")
+    return doubled
+
 
 _NAMES = 8
 # Of a picture: distance to what is seen, and what is known.

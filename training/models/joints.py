@@ -1,17 +1,42 @@
-"""A joint space as networks have it: what they see of a joint, where they start, how they stay in its limits.
+"""The joint space as networks see it: features, limits, wrapped differences, and reading grids at points."""
 
-A limited joint is seen as a circle is, for so it moves the arm, and by its place within its range besides.
-What is moved beyond a limit is folded back: that is continuous, keeps a gradient everywhere and heaps nothing
-up at the limits, as clipping would, and what is inside stays where it is, as by a smooth bound it would not.
-Without limits all of it is the torus, number for number.
-"""
+from collections.abc import Callable
+from itertools import combinations
 
 import torch
 from torch import Tensor, nn
+from torch.nn import functional
 
 from cspace.space import JointSpace
 from training.models import losses
-from training.models.space.features import HARMONICS, harmonics, on_torus, torus_features
+
+HARMONICS = 3
+
+
+def harmonics(angles: Tensor) -> Tensor:
+    """Cos and sin of k theta for k up to 3: (..., d) to (..., 6 d)."""
+    multiples = torch.cat([angles * k for k in range(1, HARMONICS + 1)], dim=-1)
+    return torch.cat([torch.cos(multiples), torch.sin(multiples)], dim=-1)
+
+
+def torus_features(angles: Tensor) -> Tensor:
+    """Harmonics of every joint, and of the sum and difference of every pair.
+
+    Shapes: (..., d) to (..., 6 d + 2 d (d - 1)).
+    """
+    pairs = list(combinations(range(angles.shape[-1]), 2))
+    if not pairs:
+        return harmonics(angles)
+    first = torch.stack([angles[..., i] for i, _ in pairs], dim=-1)
+    second = torch.stack([angles[..., j] for _, j in pairs], dim=-1)
+    mixed = torch.cat([first + second, first - second], dim=-1)
+    return torch.cat([harmonics(angles), torch.cos(mixed), torch.sin(mixed)], dim=-1)
+
+
+def on_torus(embedded: Tensor) -> Tensor:
+    """Angles of an embedding: (m, 2 d) cosines, then sines, of any length above 0, to (m, d) rad."""
+    cosines, sines = embedded.chunk(2, dim=-1)
+    return torch.atan2(sines, cosines)
 
 
 class Joints(nn.Module):
@@ -126,3 +151,76 @@ class Joints(nn.Module):
             return seen
         places = 2.0 * (angles - self.lower) / self.width - 1.0
         return torch.cat([seen, places[..., self.columns]], dim=-1)
+
+
+class Points:
+    """Points of several scenes in one grid.
+
+    Args:
+        places: (p, 3, n) in voxels from the lowest corner.
+        counts: X, Y, Z of the grid.
+        channels: that lie one behind the other in each scene's part of a table, as a picture (p, C, X, Y, Z)
+            that is only reshaped has them.
+        scenes: (p,) their numbers in the table; None for all in their order.
+    """
+
+    def __init__(
+        self,
+        places: Tensor,
+        counts: tuple[int, int, int],
+        channels: int = 1,
+        scenes: Tensor | None = None,
+    ) -> None:
+        self.places, self.counts = places, counts
+        self.voxels = counts[0] * counts[1] * counts[2]
+        numbers = torch.arange(places.shape[0], device=places.device) if scenes is None else scenes
+        self.rows = numbers[:, None] * (channels * self.voxels)
+
+    @property
+    def inside(self) -> Tensor:
+        """(p, n): which lie in the grid."""
+        low = self.places.amin(dim=1) >= 0.0
+        sides = [self.places[:, axis] < float(self.counts[axis]) for axis in range(3)]
+        return low & sides[0] & sides[1] & sides[2]
+
+    def nearest(self, channel: int = 0) -> Tensor:
+        """(p, n): rows of a channel for the voxels that they lie in, or for the nearest ones."""
+        x, y, z = (self.places[:, axis].clamp(0.0, float(self.counts[axis] - 1)).long() for axis in range(3))
+        return self._number(x, y, z) + channel * self.voxels
+
+    def between(
+        self, table: Tensor, channel: int = 0, told: Callable[[Tensor], Tensor] | None = None
+    ) -> Tensor:
+        """Trilinear between voxels, (p, n, C), of a table (p X Y Z, C) or of one of its channels.
+
+        Args:
+            table: rows of all voxels.
+            channel: which, where several lie one behind the other.
+            told: what becomes of rows (p, n, C) before they are mixed; None for themselves.
+        """
+        firsts, shares = [], []
+        for axis in range(3):
+            middle = (self.places[:, axis] - 0.5).clamp(0.0, self.counts[axis] - 1.001)
+            first = middle.long()
+            firsts.append(first)
+            shares.append((middle - first).unsqueeze(-1))
+        start = self._number(firsts[0], firsts[1], firsts[2])
+        start = start + channel * self.voxels if channel else start
+        steps = (self.counts[1] * self.counts[2], self.counts[2], 1)
+
+        def along(axis: int, at: Tensor) -> Tensor:
+            if axis == 3:
+                rows = functional.embedding(at, table)
+                return rows if told is None else told(rows)
+            low = along(axis + 1, at)
+            return low + shares[axis] * (along(axis + 1, at + steps[axis]) - low)
+
+        return along(0, start)
+
+    def _number(self, x: Tensor, y: Tensor, z: Tensor) -> Tensor:
+        return (x * self.counts[1] + y) * self.counts[2] + z + self.rows
+
+
+def table_of(features: Tensor) -> Tensor:
+    """Features (p, C, X, Y, Z) as the rows (p X Y Z, C) that :class:`Points` reads."""
+    return features.permute(0, 2, 3, 4, 1).reshape(-1, features.shape[1])

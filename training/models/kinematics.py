@@ -1,4 +1,4 @@
-"""Forward kinematics of a serial arm to the spheres that cover it, and whether these touch each other."""
+"""Forward kinematics of a serial arm to its spheres in torch, and whether these touch each other."""
 
 import numpy as np
 import torch

@@ -1,4 +1,4 @@
-"""Training of the head of a serial arm."""
+"""Training and export of the validity head of a serial arm."""
 
 from dataclasses import dataclass, replace
 from typing import Self
@@ -6,12 +6,13 @@ from typing import Self
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
+from torch import Tensor, nn
 from torch.nn import functional
 
 from cspace.world import GridArm, World
 from training.models.data import Held
-from training.models.grids.head import Belief, GridHead
+from training.models.export import exported
+from training.models.grid_head import Belief, GridHead
 from training.models.modules import TrialModule
 from training.models.settings import GridConfig, ValidityConfig
 
@@ -135,3 +136,38 @@ def _turns_upright(arm: GridArm, counts: tuple[int, int, int]) -> bool:
     middle = arm.low_m + 0.5 * arm.voxel_m * np.asarray(counts)
     upright = np.allclose(arm.origins[0, :3, :3] @ arm.axes[0], (0.0, 0.0, 1.0))
     return bool(upright and np.allclose(middle[:2], arm.origins[0, :2, 3]) and counts[0] == counts[1])
+
+
+class _MapGraph(nn.Module):
+    def __init__(self, head: GridHead) -> None:
+        super().__init__()
+        self.head = head
+
+    def forward(self, image: Tensor) -> Tensor:
+        return self.head.encode(image)
+
+
+class _ValidityGraph(nn.Module):
+    def __init__(self, head: GridHead) -> None:
+        super().__init__()
+        self.head = head
+
+    def forward(self, image: Tensor, map_: Tensor, configurations: Tensor) -> tuple[Tensor, Tensor]:
+        belief = self.head(image, map_, configurations.unsqueeze(0))
+        return belief.free.squeeze(0), belief.unseen.squeeze(0)
+
+
+def map_graph(head: GridHead) -> bytes:
+    """ONNX bytes: ``image`` (1, 2, X, Y, Z) to ``map`` (X Y Z / 64, C), what the scene is taken to be."""
+    return exported(_MapGraph(head), (torch.zeros(1, 2, *head.counts),), ["image"], ["map"], ({},))
+
+
+def grid_validity_graph(head: GridHead, dim: int) -> bytes:
+    """ONNX bytes: ``image``, ``map``, ``configurations`` (n, d) to ``confidence`` and ``unseen`` (n,)."""
+    image = torch.zeros(1, 2, *head.counts)
+    with torch.no_grad():
+        seen = head.encode(image)
+    rows = {0: torch.export.Dim("configurations", min=1)}
+    inputs = (image, seen, torch.zeros(2, dim))
+    names, outputs = ["image", "map", "configurations"], ["confidence", "unseen"]
+    return exported(_ValidityGraph(head), inputs, names, outputs, ({}, {}, rows))

@@ -1,35 +1,165 @@
-"""The typed configuration of a training job: defaults here, presets only override them.
-
-Unknown keys are errors, values are validated once, and nothing changes afterwards.
-"""
+"""The typed configurations of the jobs: defaults here, presets and overrides on top, checked once."""
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal, TypeVar
 
-from pydantic import Field, ValidationInfo, field_validator, model_validator
+from pydantic import Field, ValidationError, ValidationInfo, field_validator, model_validator
 
 from cspace.dataset.manifest import Manifest
 from cspace.errors import ConfigError, InputError
 from cspace.world import World
 from cspace.worlds import default_world, workshop_of
+from cspace.yaml_file import read_yaml, read_yaml_file
 from services.names import model_name
-from training.config.files import load_values, named_presets, validated
-from training.config.job import JobConfig
-from training.datasets.config import DatasetConfig
+from services.registry.references import ModelReference
+from services.registry.tracking.parameters import flatten
+from training.datasets.config import DatasetConfig, GeneratedConfig, PathDatasetConfig
 from training.models.settings import (
+    FlowConfig,
     GanConfig,
     GateConfig,
     GlobalConfig,
     LookupConfig,
+    PathGanConfig,
+    PointConfig,
     VaeConfig,
     ValidityConfig,
 )
-from training.section import AbsolutePath, Section
+from training.section import AbsolutePath, RobotName, Section
+
+Whole = TypeVar("Whole", bound=Section)
+
+
+def load_values(folder: Path, preset: str, overrides: Sequence[str] = ()) -> dict[str, Any]:
+    """A preset's values with ``key.sub=value`` overrides, and the preset's name.
+
+    Args:
+        folder: of the presets.
+        preset: name of a file there without its ending.
+        overrides: YAML scalars by dotted key, such as ``global.steps=200``.
+
+    Raises:
+        ConfigError: an unknown preset, or an override that is none.
+    """
+    values = _read(folder, preset)
+    values["preset"] = preset
+    for override in overrides:
+        _set(values, override)
+    return values
+
+
+def validated(kind: type[Whole], values: dict[str, Any], command: str) -> Whole:
+    """The configuration of plain values.
+
+    Args:
+        kind: of configuration.
+        values: by key.
+        command: where its keys can be looked up, for the message.
+
+    Raises:
+        ConfigError: an unknown key, or a value of the wrong type or range.
+    """
+    try:
+        return kind.model_validate(values)
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(str(part) for part in first["loc"]) or repr(values.get("preset"))
+        raise ConfigError(
+            f"the configuration key {where} does not fit",
+            expected=first["msg"].removeprefix("Value error, "),
+            got=repr(first["input"]),
+            remedy=f"{command} --help lists presets, --print-config the keys",
+        ) from error
+
+
+def named_presets(folder: Path) -> list[str]:
+    """Names of the presets in a folder."""
+    return sorted(path.stem for path in folder.glob("*.yaml"))
+
+
+def _read(folder: Path, preset: str) -> dict[str, Any]:
+    """A preset's values, on top of those of the preset that it names as its ``base``."""
+    path = folder / f"{preset}.yaml"
+    if not path.is_file() or path.parent != folder:
+        raise ConfigError(
+            "the preset is unknown", expected=", ".join(named_presets(folder)), got=repr(preset)
+        )
+    values: dict[str, Any] = read_yaml_file(path, ConfigError).values or {}
+    base = values.pop("base", None)
+    return values if base is None else _merged(_read(folder, base), values)
+
+
+def _merged(base: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
+    both = {key: _merged(base[key], changes[key]) for key in base if isinstance(changes.get(key), dict)}
+    return base | changes | both
+
+
+def _set(values: dict[str, Any], override: str) -> None:
+    key, separator, text = override.partition("=")
+    if not separator or not key:
+        raise ConfigError("an override does not fit", expected="key.sub=value", got=repr(override))
+    *parents, last = key.split(".")
+    for parent in parents:
+        values = values.setdefault(parent, {})
+        if not isinstance(values, dict):
+            raise ConfigError(
+                f"{key!r} is no section", expected="a section's name before the dot", got=parent
+            )
+    values[last] = read_yaml(text, f"the value of {key!r}", ConfigError).values
+
+
+# Settings that tell which networks there are and what their weights fit, in whatever section they stand.
+_SHAPING = {
+    *("latent_dim", "width", "patches", "checkpoint", "count", "form", "cells", "hidden", "layers"),
+    *("noise_dim", "means", "generator", "critic_condition", "critic_features", "critic_hidden"),
+    *("critic_layers", "points_per_link", "side_m", "encoder", "place", "code_dim", "refinements", "ways"),
+}
+
+
+class JobConfig(Section):
+    """What fixes any training job."""
+
+    # Files of a job's folder without which no other job can start from it.
+    KEPT: ClassVar[tuple[str, ...]] = ()
+
+    preset: str
+    seed: int = Field(0, ge=0)
+    data: GeneratedConfig = GeneratedConfig()
+    data_folder: AbsolutePath | None = Field(
+        None, description="absolute: an existing data set in the documented format"
+    )
+    robot_name: RobotName = None
+    start_from: str | None = Field(
+        None,
+        min_length=1,
+        exclude_if=lambda start: start is None,
+        description="name@alias, name/version or a run's id: trials start from the weights of the job that "
+        "made it",
+    )
+
+    @property
+    def world(self) -> World:
+        """Robot and sensor of the data.
+
+        Raises:
+            InputError: the data do not fit.
+        """
+        return self.data.world if self.data_folder is None else Manifest.read(self.data_folder).world
+
+    @property
+    def shapes(self) -> dict[str, str]:
+        """The settings that the networks' shapes follow from, as text by key."""
+        return {
+            key: value
+            for key, value in flatten(self.to_dict()).items()
+            if key.rpartition(".")[2] in _SHAPING and not key.startswith("data.")
+        }
+
 
 # In a job's folder: centres of its cells, and the cluster of each.
 CLUSTERS_FILE = "clusters.npz"
-PRESET_FOLDER = Path(__file__).parents[1] / "presets"
+PRESET_FOLDER = Path(__file__).parent / "presets"
 
 
 class EncoderConfig(VaeConfig):
@@ -254,3 +384,69 @@ def _world(data: DatasetConfig, folder: Path | None) -> World:
 def presets() -> list[str]:
     """Names of the presets that ship."""
     return named_presets(PRESET_FOLDER)
+
+
+PATH_PRESET_FOLDER = PRESET_FOLDER / "paths"
+
+PathModel = Literal["flow", "wgan", "wgan_guided"]
+UNGUIDED: tuple[PathModel, ...] = ("flow", "wgan")
+
+
+class PathTrainConfig(JobConfig):
+    """Everything that fixes a job that trains path models."""
+
+    preset: str = "paths"
+    source: str = Field(
+        "cspace-sampler@champion",
+        description="a bundle's absolute folder or a registered version: its encoder and head are seen with",
+    )
+    data: PathDatasetConfig = PathDatasetConfig()
+    points: int = Field(64, ge=2, description="of each path")
+    models: tuple[PathModel, ...] = UNGUIDED
+    guides: AbsolutePath | None = Field(
+        None, description="absolute: folder of a cluster-train job whose local critics guide"
+    )
+    sweep: int = Field(
+        16, ge=1, description="samples from start to goal before the next begin at the start again"
+    )
+    flow: FlowConfig = FlowConfig()
+    wgan: PathGanConfig = PathGanConfig()
+    wgan_guided: PathGanConfig = PathGanConfig(guide_weight=0.1)
+    resources: ResourceConfig = ResourceConfig(log_every_steps=50, checkpoint_every_steps=500)
+
+    @field_validator("source")
+    @classmethod
+    def _source_is_absolute_or_registered(cls, source: str) -> str:
+        if not Path(source).is_absolute():
+            ModelReference.parse_version(
+                source, "no source", "an absolute path of a bundle's folder, name@alias or name/version"
+            )
+        return source
+
+    @model_validator(mode="after")
+    def _models_have_what_they_need(self) -> "PathTrainConfig":
+        if not self.models or len(set(self.models)) != len(self.models):
+            raise ValueError("models names one or more, each once")
+        if "wgan_guided" in self.models and self.guides is None:
+            raise ValueError("wgan_guided needs guides: the folder of a job with local critics")
+        return self
+
+    def points_of(self, name: PathModel) -> PointConfig:
+        """Sizes and look-ups of a model that gives points."""
+        found: PointConfig = getattr(self, name)
+        return found
+
+
+def load_path_config(preset: str, overrides: Sequence[str] = ()) -> PathTrainConfig:
+    """A preset with ``key.sub=value`` overrides, validated.
+
+    Raises:
+        ConfigError: an unknown preset or key, or a value of the wrong type or range.
+    """
+    values = load_values(PATH_PRESET_FOLDER, preset, overrides)
+    return validated(PathTrainConfig, values, "path_train.py")
+
+
+def path_presets() -> list[str]:
+    """Names of the presets that ship."""
+    return named_presets(PATH_PRESET_FOLDER)

@@ -1,0 +1,345 @@
+"""What a bundle states of itself, fitted to validation scenes: threshold, conformal bound, plans, novelty."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+from torch import nn
+
+from cspace.bundle import Bundle, BundleSpec, graphs_of, write_bundle
+from cspace.bundle.files import GOLDEN_FILE, VALIDITY_FILE
+from cspace.bundle.golden import GoldenCase
+from cspace.bundle.novelty import quantiles_of
+from cspace.connecting import spaced
+from cspace.dataset import Dataset
+from cspace.errors import BundleError
+from cspace.planning.query import PlanQuery
+from cspace.planning.scoring import calibration_error, free_of_doubt
+from cspace.splits import Split
+from cspace.world import World
+from cspace.worlds import checker_of, picture_of, workshop_of
+from services.evaluator.measures.scenes import Scene, Stage
+from training.models.autoencoders import blocks
+from training.models.settings import VaeConfig
+from training.trials.arrays import load_encoder
+
+
+def require_head(source: Bundle) -> None:
+    """Refuse a bundle that scores nothing.
+
+    Raises:
+        BundleError: it has no validity head.
+    """
+    if not source.has_validity:
+        raise BundleError("the bundle has no validity head", expected=VALIDITY_FILE, got=str(source.folder))
+
+
+def write_fitted(source: Bundle, folder: Path, spec: BundleSpec, name: str, note: Mapping[str, Any]) -> Path:
+    """Write a bundle's networks and golden case with a description of which something was fitted anew.
+
+    Args:
+        source: whose networks.
+        folder: where the new one goes; must not exist.
+        spec: of the source, with what was fitted.
+        name: of what its making is told of beside that of the source, ``*_fitted_anew``.
+        note: what is told; the digest of the source comes with it.
+
+    Raises:
+        BundleError: the parts do not make a bundle; nothing is left behind.
+        StorageError: the folder exists or cannot be written.
+    """
+    told = {f"{name}_fitted_anew": {**note, "source_digest": source.digest}}
+    provenance = replace(spec.provenance, config={**spec.provenance.config, **told})
+    golden = GoldenCase.from_npz((source.folder / GOLDEN_FILE).read_bytes())
+    return write_bundle(folder, replace(spec, provenance=provenance), graphs_of(source.folder), golden)
+
+
+KNOWN_PICTURES = 400
+
+
+def known_quantiles(
+    config: VaeConfig, checkpoint: Path, scores: nn.Module, dataset: Dataset
+) -> tuple[tuple[float, ...], ...]:
+    """Quantiles of both scores over pictures of the kind that the VAE was trained on.
+
+    Where the scenarios were generated these are validation scenarios; with data of one's own, of which
+    there are no others, they are the pictures of the data set, and the percentiles a little too high.
+    """
+    images, sensor = known_pictures(dataset), dataset.world.sensor
+    encoder = load_encoder(config, sensor, checkpoint)
+    found = []
+    with torch.inference_mode():
+        for rows in blocks(sensor, len(images)):
+            pictures = torch.from_numpy(sensor.to_network(images[rows]))
+            found.append(scores(pictures, encoder(pictures)[0]).numpy())
+    return quantiles_of(np.concatenate(found))
+
+
+def known_pictures(dataset: Dataset) -> NDArray[np.uint8]:
+    """At most 400 pictures (n, P, P, 3)."""
+    workshop = workshop_of(dataset.world)
+    if dataset.generator_seed is None or workshop.count(Split.VALIDATION) is not None:
+        rows = np.linspace(0, dataset.scenario_count - 1, min(KNOWN_PICTURES, dataset.scenario_count))
+        return np.array(dataset.images[rows.astype(np.int64)])
+    scenes = workshop.scenes(Split.VALIDATION, 0, KNOWN_PICTURES)
+    return np.stack([workshop.render(scene) for scene in scenes])
+
+
+# Of a scene's seeds, apart from those that the evaluator's measurements use.
+STREAM = 45
+CANDIDATES = tuple(round(0.5 + 0.05 * step, 2) for step in range(10))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scored:
+    """Configurations in one scenario.
+
+    Args:
+        confidence: (n,) by the validity head.
+        free: (n,) whether each is.
+    """
+
+    confidence: NDArray[np.floating]
+    free: NDArray[np.bool_]
+
+    def passing(self, threshold: float) -> tuple[float, float]:
+        """Shares of all: what reaches the threshold, and what reaches it and is free."""
+        passes = self.confidence >= threshold
+        return float(np.mean(passes)), float(np.mean(passes & self.free))
+
+
+def choose_threshold(
+    learned: Sequence[Scored], target_precision: float, candidates: Sequence[float] = CANDIDATES
+) -> float:
+    """The lowest candidate at which the samples that pass are as precise as wanted.
+
+    Both the mean over scenarios and their 10th percentile count, for a sampler that is right on average may
+    fail one scenario in ten; the percentile may miss as much again as the mean.
+
+    Args:
+        learned: the generator's samples, by scenario.
+        target_precision: of the mean, 0 to 1.
+        candidates: rising thresholds.
+
+    Returns:
+        The threshold; the highest candidate where none is enough.
+    """
+    for threshold in candidates:
+        passing = np.array([rows.passing(threshold) for rows in learned])
+        if not passing[:, 0].all():
+            break
+        if _precise(passing, target_precision):
+            return threshold
+    return candidates[-1]
+
+
+def _precise(passing: NDArray[np.float64], target: float) -> bool:
+    precisions = passing[:, 1] / passing[:, 0]
+    low = 1.0 - 2.0 * (1.0 - target)
+    return bool(precisions.mean() >= target and np.quantile(precisions, 0.1) >= low)
+
+
+def validation_scores(
+    bundle: Bundle, world: World, scenarios: int, samples: int = 1000
+) -> tuple[list[Scored], list[Scored]]:
+    """A bundle's samples and uniform ones in validation scenarios, as its head scores them."""
+    stage = Stage(world, Split.VALIDATION, 0)
+    learned: list[Scored] = []
+    uniform: list[Scored] = []
+    for scene in (Scene(stage, index) for index in range(scenarios)):
+        picture = bundle.prepare(scene.image)
+        drawn = bundle.sample(picture, samples, scene.sampler_seed(STREAM), min_confidence=0.0).samples
+        anywhere = scene.space.to_float32(scene.space.sample_uniform(scene.rng(STREAM), samples))
+        for group, rows in ((learned, drawn), (uniform, anywhere)):
+            group.append(Scored(bundle.score(picture, rows), scene.checker.valid_batch(rows)))
+    return learned, uniform
+
+
+FINE = (*CANDIDATES, 0.96, 0.97, 0.98, 0.99)
+# Of scenes, whose risk the second statement bounds.
+MOST = 0.9
+
+
+@dataclass(frozen=True, slots=True)
+class Promise:
+    """What is promised of one kind of configurations, and what came of it in scenes that had no part in it.
+
+    Args:
+        at_most: bound on the expected share of what passes that collides.
+        in_most: bound on that share in nine scenes of ten.
+        scenes: that it was made on.
+        measured: mean share that collided in the other scenes.
+        violations: share of the other scenes in which more than ``in_most`` did.
+        others: how many these were.
+    """
+
+    at_most: float
+    in_most: float
+    scenes: int
+    measured: float
+    violations: float
+    others: int
+
+    def metrics(self, kind: str) -> dict[str, float]:
+        """As a bundle's provenance holds it."""
+        told = {
+            "at_most": self.at_most,
+            "at_most_in_nine_of_ten_scenes": self.in_most,
+            "scenes": float(self.scenes),
+            "measured": self.measured,
+            "measured_violations": self.violations,
+            "measured_scenes": float(self.others),
+        }
+        return {f"promise/{kind}_collide/{name}": value for name, value in told.items()}
+
+
+def choose_promised(scenes: Sequence[Scored], at_most: float) -> float:
+    """The lowest threshold that would promise as little as is wanted, by the scenes that choose.
+
+    Args:
+        scenes: all of them, samples of the bundle.
+        at_most: the bound that is wanted.
+
+    Returns:
+        The highest threshold where none is low enough.
+    """
+    choosing = scenes[::3]
+    return next((one for one in FINE if _bound(_risks(choosing, one)) <= at_most), FINE[-1])
+
+
+def make_promise(scenes: Sequence[Scored], threshold: float) -> Promise:
+    """What holds at a threshold that the other scenes decided nothing of."""
+    made, others = np.sort(_risks(scenes[1::3], threshold)), _risks(scenes[2::3], threshold)
+    place = math.ceil((len(made) + 1) * MOST)
+    in_most = float(made[place - 1]) if place <= len(made) else 1.0
+    return Promise(
+        at_most=_bound(made),
+        in_most=in_most,
+        scenes=len(made),
+        measured=float(others.mean()),
+        violations=float(np.mean(others > in_most)),
+        others=len(others),
+    )
+
+
+def _bound(risks: NDArray[np.float64]) -> float:
+    return (float(risks.sum()) + 1.0) / (len(risks) + 1)
+
+
+def _risks(scenes: Sequence[Scored], threshold: float) -> NDArray[np.float64]:
+    """(scenes,): shares of what passes that collide; 0 where nothing passes."""
+    shares = [one.passing(threshold) for one in scenes]
+    return np.array([1.0 - free / passing if passing else 0.0 for passing, free in shares])
+
+
+# Of problems, apart from those that the evaluator draws.
+SEED = 46
+# A way is judged at half of what planners look at.
+_FINER = 0.5
+# How hard (a, b) is pulled to (0, 1), in plans.
+_PULL = 4.0
+_LEAST = 1e-6
+
+
+@dataclass(frozen=True, slots=True)
+class Planned:
+    """The surest ways of validation problems.
+
+    Args:
+        doubt: (n,) of each, see :mod:`cspace.planning.scoring`.
+        free: (n,) whether it is, in truth.
+    """
+
+    doubt: NDArray[np.float64]
+    free: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class PlanDoubt:
+    """What was fitted, and how it did with plans that had no part in it.
+
+    Args:
+        parameters: (a, b).
+        fitted: plans that it was fitted to.
+        measured: other plans.
+        collide: share of these that collide.
+        error: calibration error of their confidence, ten bins.
+        plain_error: the same of exp(-D).
+    """
+
+    parameters: tuple[float, float]
+    fitted: int
+    measured: int
+    collide: float
+    error: float
+    plain_error: float
+
+    def metrics(self) -> dict[str, float]:
+        """As a bundle's provenance holds it."""
+        told = {
+            "fitted": float(self.fitted),
+            "measured": float(self.measured),
+            "measured_collide": self.collide,
+            "measured_calibration_error": self.error,
+            "measured_calibration_error_of_exp_minus_doubt": self.plain_error,
+        }
+        return {f"plans/{name}": value for name, value in told.items()}
+
+    def stated_in(self, spec: BundleSpec) -> BundleSpec:
+        """A bundle's description with what was fitted."""
+        provenance = replace(spec.provenance, metrics={**spec.provenance.metrics, **self.metrics()})
+        return replace(spec, plan_doubt=self.parameters, provenance=provenance)
+
+
+def planned(bundle: Bundle, world: World, problems: int) -> Planned:
+    """Plan in so many validation problems, of all solvable families in turn, and judge what comes of it.
+
+    Searches end by their own effort and not by a clock, so that the same seed gives the same bundle.
+    """
+    shop = workshop_of(world)
+    families, measures = shop.families.solvable, shop.measures
+    doubts, free = [], []
+    for number in range(problems):
+        family, index = families[number % len(families)], number // len(families)
+        problem = shop.problem(family, Split.VALIDATION, SEED, index)
+        start, goal = (tuple(float(angle) for angle in end) for end in (problem.start, problem.goal))
+        query = PlanQuery(start, goal, number, 0.0, math.inf)
+        found = bundle.plan(bundle.prepare(picture_of(problem.scenario)), query)
+        if not len(found.way):
+            continue
+        states = spaced(found.way, world.space, _FINER * measures.resolution_rad)
+        doubts.append(found.doubt)
+        free.append(bool(checker_of(problem.scenario).valid_batch(states).all()))
+    return Planned(np.array(doubts, dtype=np.float64), np.array(free, dtype=np.bool_))
+
+
+def fit_plan_doubt(plans: Planned) -> PlanDoubt | None:
+    """Fit, and measure; None where there are too few plans to say anything."""
+    fits = np.arange(len(plans.doubt)) % 3 < 2
+    if not fits.any() or fits.all():
+        return None
+    doubt, free = np.maximum(plans.doubt, _LEAST), plans.free
+
+    def loss(parameters: NDArray[np.float64]) -> float:
+        sure = free_of_doubt(doubt[fits], (parameters[0], parameters[1]))
+        sure = np.clip(sure, _LEAST, 1.0 - _LEAST)
+        pull = _PULL * (parameters[0] ** 2 + (parameters[1] - 1.0) ** 2)
+        return float(pull - np.where(free[fits], np.log(sure), np.log1p(-sure)).sum())
+
+    found = minimize(loss, np.array([0.0, 1.0]), method="L-BFGS-B", bounds=[(-10.0, 10.0), (0.05, 10.0)])
+    parameters = (float(found.x[0]), float(found.x[1]))
+    others, in_truth = doubt[~fits], free[~fits]
+    return PlanDoubt(
+        parameters=parameters,
+        fitted=int(fits.sum()),
+        measured=len(others),
+        collide=float(1.0 - in_truth.mean()),
+        error=calibration_error(free_of_doubt(others, parameters), in_truth),
+        plain_error=calibration_error(np.exp(-others), in_truth),
+    )

@@ -1,1 +1,0 @@
-"""What a job is told, from presets and files; checked once."""

@@ -1,1 +1,0 @@
-"""Networks that read arrays of space where a serial arm would be."""

@@ -1,1 +1,0 @@
-"""Models of samples between a start and a goal."""

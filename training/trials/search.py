@@ -1,0 +1,241 @@
+"""The hyperparameter search: Tune's ASHA over settings of the generators, on validation scenarios."""
+
+import logging
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from ray import tune
+from ray.tune.schedulers import ASHAScheduler
+from ray.tune.search.basic_variant import BasicVariantGenerator
+from torch import nn
+
+from cspace.errors import JobError
+from cspace.splits import Split, derived_seed
+from cspace.world import World
+from services.evaluator.measures.reconstruction import SampleQuality
+from services.evaluator.measures.scenes import Scene, Stage
+from services.names import EXPERIMENT
+from services.registry.tracking.experiment import TAG_STAGE
+from services.registry.tracking.mlflow_tracking import MlflowTracking
+from training.config import ResourceConfig, TrainConfig
+from training.models.cells import UniformBase
+from training.models.mixture import GatedSampler, LookupSampler
+from training.models.networks import TorusGenerator
+from training.trials.arrays import TrainingArrays, load_encoder
+from training.trials.trainables import gated_sampler, load_gate, make_wgan
+
+SAMPLES = 1000
+
+TorchSampler = GatedSampler | LookupSampler | TorusGenerator
+
+
+@dataclass(frozen=True)
+class Validation:
+    """Validation scenarios with their truth, drawn once.
+
+    Args:
+        encoder: of the pictures.
+        scenes: the scenarios.
+        held_out: free configurations of each, (n, d) rad.
+        uniform_energy: summed energy distance of uniform samples.
+    """
+
+    encoder: nn.Module
+    scenes: Sequence[Scene]
+    held_out: Sequence[NDArray[np.float64]]
+    uniform_energy: float
+
+    @classmethod
+    def draw(cls, encoder: nn.Module, world: World, scenarios: int) -> "Validation":
+        """The first scenarios of the validation split."""
+        stage = Stage(world, Split.VALIDATION, 0)
+        scenes = [Scene(stage, index) for index in range(scenarios)]
+        held_out = [scene.free(SAMPLES, scene.rng(0)) for scene in scenes]
+        stood = cls(encoder.eval(), scenes, held_out, 1.0)
+        return replace(stood, uniform_energy=float(sum(row.energy for row in stood.rows(None))))
+
+    def rows(self, sampler: TorchSampler | None) -> list[SampleQuality]:
+        """A sampler in every scenario; uniform samples for None."""
+        return [
+            scene.quality(self._sample(sampler, scene), real)
+            for scene, real in zip(self.scenes, self.held_out, strict=True)
+        ]
+
+    def measure(self, sampler: TorchSampler) -> dict[str, float]:
+        """Means of precision and coverage, and the energy ratio, as ``validation_*``."""
+        rows = self.rows(sampler)
+        return {
+            "validation_precision": float(np.mean([row.precision for row in rows])),
+            "validation_coverage": float(np.mean([row.coverage for row in rows])),
+            "validation_edr": float(np.sum([row.energy for row in rows])) / self.uniform_energy,
+        }
+
+    def _sample(self, sampler: TorchSampler | None, scene: Scene) -> NDArray[np.float64]:
+        if sampler is None:
+            return scene.space.sample_uniform(scene.rng(1), SAMPLES)
+        rng = torch.Generator().manual_seed(scene.sampler_seed())
+        image = torch.from_numpy(scene.stage.world.sensor.to_network(scene.image[None]))
+        dim = scene.space.dim
+        with torch.inference_mode():
+            mu, log_variance = self.encoder(image)
+            latent = mu + (log_variance / 2.0).exp() * torch.randn(SAMPLES, mu.shape[1], generator=rng)
+            if isinstance(sampler, GatedSampler):
+                cell, place, jitter = (torch.rand(SAMPLES, size, generator=rng) for size in (1, 1, dim))
+                start = [cell, place, jitter - 0.5]
+            else:
+                start = [UniformBase(scene.space).draw(torch.zeros(SAMPLES), rng)]
+            noise = torch.randn(SAMPLES, sampler.noise_dim, generator=rng)
+            seen = [image] if getattr(sampler, "lookups", None) is not None else []
+            samples: torch.Tensor = sampler(latent, *start, noise, *seen)
+        return scene.space.to_float32(samples.squeeze(1).numpy()).astype(np.float64)
+
+
+METRIC = "validation_edr"
+
+
+def search_trial(
+    config: Mapping[str, Any],
+    train: TrainConfig,
+    arrays: TrainingArrays,
+    checkpoints: Mapping[str, str],
+    parent_run_id: str,
+    tracking_uri: str,
+    looks: int,
+    scenarios: int,
+) -> None:
+    """Train with one choice of settings, and report the quality ``looks`` times.
+
+    Args:
+        config: ``settings``, keys of ``local`` to values.
+        train: everything else.
+        arrays: data, latents and cells with the gate's probabilities.
+        checkpoints: of ``vae`` and ``gate``.
+        parent_run_id: the search's run.
+        tracking_uri: of the tracking server.
+        looks: how often the quality is measured.
+        scenarios: validation scenarios that it is measured on.
+    """
+    torch.set_num_threads(train.resources.threads)
+    logging.getLogger("ray.tune").setLevel(logging.ERROR)
+    settings = dict(config["settings"])
+    gan = type(train.local).model_validate(train.local.model_dump() | settings)
+    encoder = load_encoder(train.vae, arrays.world.sensor, Path(checkpoints["vae"]))
+    validation = Validation.draw(encoder, arrays.world, scenarios)
+    module = make_wgan(gan, arrays, None, derived_seed(train.seed, "search"))
+    gate = load_gate(train, Path(checkpoints["gate"]))
+    name = "search " + tune.get_context().get_trial_id()
+    run = MlflowTracking(tracking_uri).start(
+        EXPERIMENT, name, parent_run_id=parent_run_id, tags={TAG_STAGE: "search-trial"}
+    )
+    with run:
+        run.params({key: str(value) for key, value in settings.items()})
+        every = -(-gan.steps // looks)
+        for step in range(1, gan.steps + 1):
+            module.training_step(step, step)
+            if step % every == 0 or step == gan.steps:
+                sampler = gated_sampler(gate, arrays, [module.generator], gan.generator_lookups)
+                found = validation.measure(sampler)
+                run.metrics(module.metrics() | found, step)
+                # Tune ends a trial that falls behind inside of report, so the run must be whole by then.
+                run.flush()
+                tune.report(found | {"step": step})
+
+
+REDUCTION = 3
+MEASURES = ("validation_precision", "validation_coverage", METRIC)
+
+
+@dataclass(frozen=True, slots=True)
+class Tried:
+    """One trial of a search.
+
+    Args:
+        settings: keys of ``local`` to the values that it tried.
+        step: how far it came before it ended or was ended.
+        metrics: its last quality on validation scenarios.
+    """
+
+    settings: Mapping[str, Any]
+    step: int
+    metrics: Mapping[str, float]
+
+
+def space() -> dict[str, Any]:
+    """What is searched: keys of the section ``local`` to distributions."""
+    points = [{"points_per_link": count, "side_m": 0.1} for count in (6, 12)]
+    return {
+        "hidden": tune.choice([64, 128, 192]),
+        "critic_hidden": tune.choice([64, 128, 192]),
+        "critic_steps": tune.choice([2, 4]),
+        "noise_dim": tune.choice([2, 4]),
+        "generator_learning_rate": tune.loguniform(3e-4, 3e-3),
+        "critic_learning_rate": tune.loguniform(5e-4, 4e-3),
+        "generator_lookups": tune.choice(points),
+        "critic_lookups": tune.choice(points),
+    }
+
+
+def claimed(resources: ResourceConfig) -> dict[str, float]:
+    """What a trial of a search claims: no GPU, for its networks and its measurements stay on processors."""
+    return {**resources.of_a_trial(), "gpu": 0.0}
+
+
+def search(
+    shared: Mapping[str, Any], steps: int, trials: int, seed: int, resources: ResourceConfig, storage: Path
+) -> list[Tried]:
+    """Asynchronous successive halving (Li et al. 2020) on the validation energy ratio, best first.
+
+    Args:
+        shared: what every trial gets, put into the object store once.
+        steps: generator steps of a trial that is never ended early.
+        trials: how many settings are tried.
+        seed: of the settings.
+        resources: of each trial.
+        storage: folder for Tune's own files.
+
+    Raises:
+        JobError: no trial reported anything.
+    """
+    # Two cuts. Tune kills what it ends, so neither a third cut nor max_t may fall on a trial's last step.
+    scheduler = ASHAScheduler(
+        time_attr="step",
+        max_t=steps + 1,
+        grace_period=steps // REDUCTION**2 + 1,
+        reduction_factor=REDUCTION,
+    )
+    tuner = tune.Tuner(
+        tune.with_resources(
+            tune.with_parameters(search_trial, **shared),
+            claimed(resources),
+        ),
+        param_space={"settings": space()},
+        tune_config=tune.TuneConfig(
+            metric=METRIC,
+            mode="min",
+            scheduler=scheduler,
+            search_alg=BasicVariantGenerator(random_state=derived_seed(seed, "searched settings") % 2**32),
+            num_samples=trials,
+            reuse_actors=False,
+        ),
+        run_config=tune.RunConfig(name=storage.name, storage_path=str(storage.parent), verbose=0),
+    )
+    grid = tuner.fit()
+    tried = [
+        _tried(result)
+        for result in map(grid.__getitem__, range(len(grid)))
+        if METRIC in (result.metrics or {})
+    ]
+    if not tried:
+        raise JobError("the search found nothing", got="; ".join(map(str, grid.errors)) or "no reports")
+    # A trial that went further was better at every cut before; among equals the lower ratio counts.
+    return sorted(tried, key=lambda one: (-one.step, one.metrics[METRIC]))
+
+
+def _tried(result: Any) -> Tried:
+    metrics = {name: float(result.metrics[name]) for name in MEASURES}
+    return Tried(result.config["settings"], int(result.metrics["step"]), metrics)
