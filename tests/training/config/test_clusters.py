@@ -228,7 +228,8 @@ def test_settings_are_held_against_the_robot_of_a_data_set_too(tmp_path):
     world = load_config("panda").data.world
     images = np.zeros((1, *world.sensor.picture_shape), dtype=np.uint8)
     folder = tmp_path / "panda"
-    write_dataset(folder, world=world, images=images, free=[np.zeros((1, 7))], generator={})
+    free = [world.space.sample_uniform(np.random.default_rng(0), 1)]
+    write_dataset(folder, world=world, images=images, free=free, generator={})
     with pytest.raises(ConfigError, match=r"local\.critic_lookups\.points_per_link does not fit the robot"):
         load_config("panda", [f"data_folder={folder}", "local.critic_lookups.points_per_link=4"])
     with pytest.raises(ConfigError, match="not read along links"):

@@ -40,7 +40,7 @@ def checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def run_from(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(environment, "__file__", str(root / "training" / "jobs" / "provenance.py"))
+    monkeypatch.setattr(environment, "__file__", str(root / "training" / "jobs" / "environment.py"))
 
 
 @pytest.fixture
@@ -65,7 +65,7 @@ def test_an_uploaded_copy_is_compared_with_the_history_it_came_from(
     monkeypatch.setenv("CSPACE_GIT_DIR", str(checkout / ".git"))
     commit = git(checkout, "rev-parse", "HEAD")
     assert source_state() == SourceState(commit, dirty=False)
-    (copy / "training" / "jobs" / "provenance.py").write_text("changed\n")
+    (copy / "training" / "jobs" / "environment.py").write_text("changed\n")
     assert source_state() == SourceState(commit, dirty=True)
     assert git(checkout, "status", "--porcelain") == ""
 
