@@ -44,7 +44,7 @@ def test_the_answer_has_exactly_the_contracts_members(
     body = ask(own_api, png).json()
     assert set(body) == {
         "samples", "confidence", "unseen", "shortfall", "acceptance", "scenario", "joint_space", "model",
-        "seed", "timing_ms", "ways",
+        "seed", "timing_ms", "warnings", "ways",
     }  # fmt: skip
     assert body["scenario"] == {"novelty": None}
     assert body["joint_space"] == {"kind": "torus", "dim": 2, "unit": "rad"}
