@@ -21,7 +21,7 @@ FAST := not slow and not e2e and not compose and not browser and not gpu
 ALL := not compose and not gpu
 
 .DEFAULT_GOAL := help
-.PHONY: interpreter help venv demo quickstart test test-all check pins format docs docs-links up down status env clean-state
+.PHONY: interpreter location help venv demo quickstart test test-all check pins format docs docs-links up down status env clean-state
 
 help: ## print this
 	@echo "make TARGET, with"
@@ -93,6 +93,13 @@ docs: $(INSTALLED) ## build the documentation site into build/docs, warnings as 
 docs-links: $(INSTALLED) ## follow the documents' links to other sites as well, which needs the internet
 	$(SITE) -b linkcheck docs build/docs-links
 
+# Ray starts its processes by a shell that is given their paths without quotes.
+location:
+	@case "$$(pwd -P)" in *[]\[[:space:]\"\'\`\$$\&\;\(\)\<\>\|\*\?\#\\\:]*) \
+	  echo "Ray cannot run below the folder '$$(pwd -P)': its path has a space or a character of the shell." >&2; \
+	  echo "Move the project to a path without one, such as ~/cspace-sampler, and run make again there." >&2; \
+	  exit 1;; esac
+
 # Without a supported Python nothing else works, and an environment keeps the Python that it was made with.
 interpreter:
 	@test -e $(BIN)/python || "$(PYTHON)" -c '$(SUPPORTED)' 2>/dev/null || { \
@@ -109,13 +116,8 @@ endif
 PIP := PYTHONUNBUFFERED=1 PIP_DISABLE_PIP_VERSION_CHECK=1 $(BIN)/python -m pip install --progress-bar off \
   --only-binary :all: -c constraints.txt
 
-# Ray starts its processes by a shell that is given their paths without quotes.
 # The last line of pip's output carries its exit code through the pipe; its whole output is kept in a log.
-$(INSTALLED): pyproject.toml clients/python/pyproject.toml constraints.txt | interpreter
-	@case "$$(pwd -P)" in *[]\[[:space:]\"\'\`\$$\&\;\(\)\<\>\|\*\?\#\\\:]*) \
-	  echo "Ray cannot run below the folder '$$(pwd -P)': its path has a space or a character of the shell." >&2; \
-	  echo "Move the project to a path without one, such as ~/cspace-sampler, and run make again there." >&2; \
-	  exit 1;; esac
+$(INSTALLED): pyproject.toml clients/python/pyproject.toml constraints.txt | location interpreter
 	@test -x $(BIN)/python || { echo "making $(VENV) with $(PYTHON)"; "$(PYTHON)" -m venv $(VENV); } || { \
 	  echo "the environment could not be made (on Debian and Ubuntu: apt install python3-venv)" >&2; exit 1; }
 	@echo "installing the packages of constraints.txt, 2-5 minutes the first time; log $(VENV)/install.log"

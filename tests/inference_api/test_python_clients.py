@@ -61,7 +61,8 @@ def test_a_way_comes_as_the_api_tells_it(api, kind):
     assert np.allclose(found.plan.way[[0, -1]], [START, GOAL], atol=1e-6)
     assert len(found.plan.edges) == len(found.plan.way) - 1
     assert found.plan.least.confidence == pytest.approx(float(found.plan.edges.min()), abs=1e-6)
-    assert asdict(found.model.space) == asdict(WORLD.space)
+    expected = {name: value for name, value in asdict(WORLD.space).items() if name != "names"}
+    assert asdict(found.model.space) == expected
 
 
 @pytest.mark.parametrize("kind", KINDS)
