@@ -25,7 +25,7 @@ from services.planner.sources.local_sampler import LocalSampler
 from tests.bundles import write_tiny_bundle
 from tests.cspace.test_bundle_integrity import golden_of, resign
 from tests.inference_api.bad_bundles import write_hungry_bundle, write_slow_bundle
-from training.paths.source import source_bundle
+from training.paths.writing import source_bundle
 
 ROOT = Path(__file__).parents[2]
 
