@@ -21,9 +21,9 @@ import numpy as np
 
 from benchmarks.command import arguments
 from benchmarks.machine import ROOT, machine
+from benchmarks.serving.attack_requests import ATTACKS
 from benchmarks.serving.served import Asker, Served, new_pictures, served
 from services.evaluator.evaluation.measured import markdown
-from tests.inference_api.attacks import ATTACKS
 
 SAMPLES, PAUSE_S, WARM_UP_S = 300, 0.02, 3.0
 # What sharing the processors with an attacker costs by itself.
@@ -90,7 +90,7 @@ def stretch(api: Served, seconds: float, attack: str | None = None) -> tuple[lis
     watch.start()
     attacker = None
     if attack is not None:
-        sent = ["-m", "tests.inference_api.attacks", attack, str(api.port)]
+        sent = ["-m", "benchmarks.serving.attack_requests", attack, str(api.port)]
         program = ["-c", _BUSY] if attack == CONTROL else sent
         attacker = subprocess.Popen([sys.executable, *program, str(seconds + 60)], cwd=ROOT)
         # Python and the first bodies take some seconds to come up.

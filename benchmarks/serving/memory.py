@@ -27,9 +27,9 @@ import numpy as np
 
 from benchmarks.command import arguments
 from benchmarks.machine import machine
+from benchmarks.serving.attack_requests import chunk, png
 from benchmarks.serving.served import Served, served
 from cspace.png import encode_png
-from tests.inference_api.attacks import chunk, png
 
 CLIENTS = 20
 ARM = "pretrained-panda"

@@ -11,7 +11,7 @@ import httpx
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
-from tests.inference_api.attacks import png, read_answer, request, sample
+from benchmarks.serving.attack_requests import png, read_answer, request, sample
 from tests.inference_api.server import ServerProcess, server_process
 
 pytestmark = pytest.mark.e2e

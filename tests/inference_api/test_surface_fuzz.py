@@ -16,8 +16,8 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks.serving.attack_requests import png, read_answer, sample
 from tests.inference_api import body_fuzz, http_fuzz
-from tests.inference_api.attacks import png, read_answer, sample
 from tests.inference_api.server import ServerProcess, server_process
 
 SAMPLE_S, WHOLE_S = 20.0, 600.0

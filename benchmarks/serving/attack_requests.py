@@ -1,6 +1,6 @@
 """What one hostile client without a key does to a server, over and over, on one connection at a time.
 
-    python -m tests.inference_api.attacks NAME PORT SECONDS
+    python -m benchmarks.serving.attack_requests NAME PORT SECONDS
 
 Each attack is a function of the port and of when to stop. Refusals and closed connections are what is hoped
 for: the attacker connects again and goes on. Only servers on this machine are attacked.
