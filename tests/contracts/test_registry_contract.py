@@ -287,9 +287,9 @@ def test_lookups_and_loading_in_child_processes_keep_the_contract(
             assert apart.versions(name) == ()
         with pytest.raises(ModelNotFoundError):
             apart.version(model_name, 7)
-        check_loading(parts.far, here.version(model_name, 1), tmp_path / "cache")
-        parts.far.download(second)
-        parts.near.verify(second)
+        check_loading(parts.loader, here.version(model_name, 1), tmp_path / "cache")
+        parts.loader.download(second)
+        parts.loader.verify(second)
     finally:
         for child in parts.children:
             child.close()
