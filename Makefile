@@ -54,7 +54,7 @@ clean-state: $(INSTALLED) ## delete runs, models, data and logs (asks; YES=1 doe
 	@$(LOCAL) clean-state $(if $(YES),--yes)
 
 test: $(INSTALLED) ## the fast tests, under 5 minutes; the documents' code runs with make check
-	$(PYTEST) -m "$(FAST)" $(SIDE_BY_SIDE) --ignore=docs --ignore=README.md --ignore=tests/docs
+	$(PYTEST) -m "$(FAST)" $(SIDE_BY_SIDE) tests --ignore=tests/docs
 
 test-all: $(INSTALLED) ## all tests that need neither a container engine nor a GPU; wants Chromium
 	$(PYTEST) -m "$(FAST)" $(SIDE_BY_SIDE)

@@ -1,11 +1,14 @@
 """A bundle of an arm in space whose networks are tiny and not trained."""
 
+import os
+import tempfile
 from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
+from filelock import FileLock
 
 from cspace.bundle import BundleSpec, RandomInput, write_bundle
 from cspace.worlds import examples
@@ -35,7 +38,21 @@ SPEC = BundleSpec(
 
 @cache
 def space_graphs() -> Mapping[str, bytes]:
-    """Encoder, generator, novelty, map and validity; exported once a process, which takes seconds."""
+    """Encoder, generator, novelty, map and validity; exported once a test run, which takes 20 s."""
+    run = os.environ.get("PYTEST_XDIST_TESTRUNUID")
+    if run is None:
+        return MappingProxyType(_exported())
+    folder = Path(tempfile.gettempdir()) / f"space-graphs-{run}"
+    with FileLock(f"{folder}.lock"):
+        if not folder.exists():
+            graphs = _exported()
+            folder.mkdir()
+            for name, graph in graphs.items():
+                (folder / f"{name}.onnx").write_bytes(graph)
+    return MappingProxyType({file.stem: file.read_bytes() for file in folder.iterdir()})
+
+
+def _exported() -> dict[str, bytes]:
     sensor, size = WORLD.sensor, network_size(WORLD.sensor)
     with seeded_initialisation(0):
         encoder = make_encoder(VaeConfig(latent_dim=LATENT, width=4), shown_size(sensor))
@@ -43,14 +60,13 @@ def space_graphs() -> Mapping[str, bytes]:
         decoder = GridVaeDecoder((x, y, z), LATENT, 4)
         generator = TorusGenerator(Sizes(WORLD.space, LATENT, 8, 1), 2)
         head = GridHead.of(HEAD, WORLD).eval()
-    graphs = {
+    return {
         "encoder": encoder_graph(encoder, size),
         "generator": generator_graph(generator, WORLD.dim, LATENT, 2),
         "novelty": novelty_graph(GridNovelty(decoder).eval(), size, LATENT),
         "map": map_graph(head),
         "validity": grid_validity_graph(head, WORLD.dim),
     }
-    return MappingProxyType(graphs)
 
 
 def write_space_bundle(folder: Path) -> Path:

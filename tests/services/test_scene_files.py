@@ -159,6 +159,7 @@ def test_the_command_plans_in_a_file(write, tmp_path, capsys):
     assert figure.stat().st_size > 10_000
 
 
+@pytest.mark.slow
 def test_a_plan_of_an_arm_that_collides_with_itself_never_crosses_it(write):
     robot = "robot: {{link_lengths_m: [2, 1, 2], half_width_m: 0.1{}}}\n"
     ends = "obstacles: []\nstart: [0, 1.2, 2.0]\ngoal: [0, 1.2, -2.0]\n"

@@ -68,6 +68,7 @@ def test_ways_of_a_limited_arm_end_at_its_limits_and_do_not_go_round(
     assert found.min() > 0
 
 
+@pytest.mark.slow
 def test_the_shipped_head_makes_a_sampler_that_a_planner_gains_by(tmp_path: Path) -> None:
     make_path_bundle(Bundle.load(PRETRAINED_FOLDER), tmp_path / "paths")
     sampler = LocalSampler(tmp_path / "paths")
@@ -114,6 +115,7 @@ for mark in MLFLOW_WARNINGS:
     test_a_registered_path_sampler_is_served_by_name = mark(test_a_registered_path_sampler_is_served_by_name)
 
 
+@pytest.mark.slow
 def test_the_command_may_be_given_again_and_names_no_machine(source: Path, tmp_path: Path) -> None:
     command = [sys.executable, "-m", "training.path_sampler", str(source), "paths"]
     root = Path(__file__).parents[2]

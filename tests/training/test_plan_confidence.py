@@ -12,6 +12,7 @@ def source(tmp_path_factory):
     return write_tiny_bundle(tmp_path_factory.mktemp("source") / "bundle", validity=True)
 
 
+@pytest.mark.slow
 def test_the_new_bundle_states_what_was_fitted_and_has_the_same_networks(source, tmp_path, capsys):
     assert main([str(source), str(tmp_path / "new"), "--problems", "9"]) == 0
     before, after = Bundle.load(source).spec, Bundle.load(tmp_path / "new").spec

@@ -16,6 +16,7 @@ def source(tmp_path_factory):
     return write_bundle(folder, spec, tiny_graphs(spec, validity=True))
 
 
+@pytest.mark.slow
 def test_the_new_bundle_states_what_was_chosen_and_has_the_same_networks(source, tmp_path, capsys):
     assert main([str(source), str(tmp_path / "new")]) == 0
     before, after = Bundle.load(source), Bundle.load(tmp_path / "new")

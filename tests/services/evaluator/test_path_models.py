@@ -65,6 +65,7 @@ def evaluated(tmp_path: Path, bundle: Bundle, lines: list[str]):
     return outcome, tracking.runs[outcome.run_id], registry
 
 
+@pytest.mark.slow
 def test_the_shipped_heads_path_sampler_is_promoted_for_what_it_saves(made, tmp_path):
     lines = []
     outcome, run, registry = evaluated(tmp_path, made, lines)
@@ -87,6 +88,7 @@ def test_the_shipped_heads_path_sampler_is_promoted_for_what_it_saves(made, tmp_
     assert "precision" not in run.history
 
 
+@pytest.mark.slow
 def test_a_path_model_that_knows_nothing_is_refused(tmp_path):
     bundle = Bundle.load(write_tiny_bundle(tmp_path / "bundle", kind="path"))
     outcome, _, registry = evaluated(tmp_path, bundle, [])

@@ -10,6 +10,7 @@ def test_cases_are_the_same_for_the_same_seed() -> None:
     assert damaged(3, 5) == damaged(3, 5) != damaged(3, 6)
 
 
+@pytest.mark.slow
 @kinds
 def test_damaged_answers_give_a_sound_batch_or_an_error_of_the_tree(kind: str) -> None:
     found = fuzz(kind, seed=1, count=300)

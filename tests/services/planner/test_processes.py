@@ -72,6 +72,7 @@ def run_program(program, *arguments):
     return done.stdout.splitlines()
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_results_in_any_process_and_after_any_search(blocked, capsys):
     first, second = run_program(OUTCOMES), run_program(OUTCOMES)
     assert first == second

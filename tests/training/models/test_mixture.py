@@ -90,6 +90,7 @@ def test_every_row_is_answered_by_the_generator_in_charge_of_its_cell():
         torch.testing.assert_close(found[row], own[index][row])
 
 
+@pytest.mark.slow
 def test_a_sample_costs_the_network_of_its_own_cluster_alone():
     _, mixture = experts()
     with seeded_initialisation(1):

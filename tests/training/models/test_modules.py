@@ -32,6 +32,7 @@ def test_training_leaves_the_global_generator_alone():
     assert torch.equal(before, torch.random.get_rng_state())
 
 
+@pytest.mark.slow
 def test_training_moves_samples_towards_the_data():
     def distance(module):
         batch = ring_samples().draw(256, torch.Generator().manual_seed(5))

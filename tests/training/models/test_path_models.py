@@ -111,6 +111,7 @@ def answer(model, fed, output="samples"):
     return session.run([output], fed)[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "looks"), [("flow", False), ("flow", True), ("wgan", False)])
 def test_a_graph_answers_as_the_network_does(name, looks):
     config = getattr(SMALL, name).model_copy(update={"lookups": FEW if looks else NO_LOOKUPS})

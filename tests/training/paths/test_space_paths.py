@@ -67,6 +67,7 @@ def test_few_pictures_are_sent_with_the_paths(source, dataset):
     np.testing.assert_array_equal(found.images, dataset.images)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_every_model_takes_steps_and_its_graph_answers_as_the_network_does(name, stored, source, tmp_path):
     trained = make_path_module(name, TRAIN, stored, 0)

@@ -56,6 +56,7 @@ def test_allowances_below_a_millimetre_are_refused() -> None:
         Allowances(excess_m=0.0)
 
 
+@pytest.mark.slow
 def test_a_ball_needs_one_sphere() -> None:
     spheres = cover([sphere_mesh(0.01)], Allowances(), np.random.default_rng(0))
     assert len(spheres) == 1

@@ -71,6 +71,7 @@ def hold(folder, held, done):
         done.wait(60)
 
 
+@pytest.mark.slow
 def test_a_trial_is_trained_by_one_process_at_a_time(tmp_path):
     context = multiprocessing.get_context("spawn")
     held, done = context.Event(), context.Event()

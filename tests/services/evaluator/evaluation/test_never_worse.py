@@ -41,6 +41,7 @@ def words(outcome, beginning):
     return found
 
 
+@pytest.mark.slow
 def test_a_first_version_that_serves_worse_than_the_shipped_model_is_refused(judged, tmp_path):
     # The case: more precise than uniform samples by far, and less than what is served without it.
     lines = []
@@ -52,6 +53,7 @@ def test_a_first_version_that_serves_worse_than_the_shipped_model_is_refused(jud
     assert "measuring the shipped model, on the same scenes" in lines
 
 
+@pytest.mark.slow
 def test_noise_is_found_in_what_is_drawn_although_the_head_hides_it_from_what_is_served(judged, tmp_path):
     outcome = judged(copy_of_shipped(tmp_path / "bundle", noise=0.1))
     assert not outcome.verdict.promoted

@@ -85,6 +85,7 @@ def test_samples_along_a_path_save_draws():
     assert np.median(learned) < 0.5 * np.median(uniform)
 
 
+@pytest.mark.slow
 def test_uniform_draws_are_no_better_or_worse_than_ompl_s_own_valid_states(monkeypatch):
     problem = draw_problem(Family.NARROW, Split.DEMO, 31, 0)
     ours = [solve(problem, settings(seed)).edge_checks for seed in range(60)]

@@ -174,6 +174,7 @@ def test_scenes_do_not_mix_within_a_batch(head, picture, rows):
         np.testing.assert_allclose(found.hazards[at], alone.hazards[0], atol=1e-4)
 
 
+@pytest.mark.slow
 def test_the_graphs_answer_as_the_network(head, picture, rows):
     image = {"image": to_network(picture).numpy()}
     seen = run(map_graph(head), image)[0]

@@ -134,6 +134,7 @@ def test_draws_are_seeded_and_do_not_depend_on_the_mapper():
     assert not np.array_equal(serial.values, other.values)
 
 
+@pytest.mark.slow
 def test_one_two_and_three_processes_give_identical_numbers():
     cloud = circle(300, np.random.default_rng(5))
     serial = mean_living_times(cloud, np.random.default_rng(6), draws=13)
