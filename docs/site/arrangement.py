@@ -81,7 +81,7 @@ ARRANGEMENT: Mapping[str, Sequence[Section]] = {
                 f"results/{name}"
                 for name in (
                     *("quality", "clusters", "topology", "planning", "path-models", "paper", "serving"),
-                    *("attacks", "scale", "faults", "spatial", "measurements"),
+                    *("attacks", "scale", "spatial", "measurements"),
                 )
             ),
         ),
