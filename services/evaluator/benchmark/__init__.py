@@ -1,6 +1,5 @@
-"""The planning benchmark: many ways to solve the same problems with the same seeds, measured run by run.
+"""The planning benchmark: arms solve the same problems with the same seeds, measured run by run.
 
-In the order of a benchmark: ``runs`` says what is compared, measures and keeps it; ``summary`` reduces the
-runs to numbers with intervals; ``telling`` writes tables, figures and files; ``job`` does all three,
-``command`` asks for it.
+``samples`` and ``plans`` measure, ``runs`` keeps a long table, ``summary`` reduces it to figures with
+intervals, ``report`` and ``figures`` present them, ``job`` does all three.
 """

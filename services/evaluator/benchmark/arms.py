@@ -1,9 +1,10 @@
-"""The arms of the benchmark (every way in which a problem is solved) and the limits of its runs."""
+"""The arms of the benchmark (each is one way to solve a problem), its settings and its units of work."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from itertools import product
+from pathlib import Path
+from typing import Any
 
 from cspace.errors import ConfigError
 from cspace.query import SampleQuery
@@ -11,6 +12,7 @@ from cspace.splits import Split
 from cspace.workshop import Families
 from cspace.world import World
 from cspace.worlds import default_world, workshop_of
+from cspace.worlds.unseen import Taken as Unseen
 from services.evaluator.evaluation.units import planner_seed
 from services.planner.planning import PAPER_SCHEDULE
 from services.planner.settings import (
@@ -27,7 +29,7 @@ from services.planner.settings import (
     PlannerSettings,
 )
 
-# Of the world's range, at which uniform RRT is measured as well, so that its own best one is known.
+# Uniform RRT also runs with these multiples of the world's range, so that its own best range is known.
 OTHER_RANGES = (0.5, 2.0)
 LEARNED_SHARES = (0.7, 1.0)
 DEFAULT_SHARE = 0.7
@@ -44,8 +46,20 @@ NAMES = {
 _UNIFORM = (RRT, RRT_CONNECT, SAMPLED_CONNECT, RRT_STAR, INFORMED_RRT_STAR, BIT_STAR, PRM)
 
 
+class Protocol(StrEnum):
+    """What the benchmark runs.
+
+    ``families``: many problems of every family, once each, up to a number of iterations. ``paper``: few
+    problems, many times each, up to a wall time. ``plans``: paths through scenes that pictures show in part.
+    """
+
+    FAMILIES = "families"
+    PAPER = "paper"
+    PLANS = "plans"
+
+
 class Group(StrEnum):
-    """What an arm is there for."""
+    """Purpose of an arm."""
 
     UNIFORM = "uniform"
     LEARNED = "learned"
@@ -59,23 +73,23 @@ class Group(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Arm:
-    """One way to solve a problem.
+    """One planner with one source of samples.
 
     Args:
         name: unique.
-        group: what it is there for.
+        group: its purpose.
         planner: by its name in :mod:`services.planner.settings`.
         base: name of the arm that it is compared with: the same planner with uniform samples.
         sampler: name of the learned sampler; None for uniform samples.
-        learned_share: of learned samples among the drawn ones while there are any, 0 to 1.
-        samples: how many learned samples are asked for.
-        epsilon_sigma: what the encoder's standard deviation is raised by, in equal shares.
-        in_order: whether the samples of several values are drawn one value after the other, as algorithm 3 of
-            the paper has it, instead of mixed.
-        ordered: whether the planner takes the samples along the way through them, from the start on.
-        min_confidence: what the sampler's validity head has to score; 0 for the samples as they come.
+        learned_share: share of learned samples among the drawn ones while there are any, 0 to 1.
+        samples: number of learned samples that are requested.
+        epsilon_sigma: increments of the encoder's standard deviation, in equal shares.
+        in_order: whether the samples of several increments are drawn one increment after the other, as
+            algorithm 3 of the paper does, instead of mixed.
+        ordered: whether the planner takes the samples along the path through them.
+        min_confidence: threshold of the sampler's validity head; 0 for all samples.
         colliding_last: whether the planner takes samples that collide after all others.
-        range_rad: of the planner, in OMPL's metric; one rad until :func:`table` knows the world's.
+        range_rad: range of the planner in OMPL's metric.
         stop_at_first: whether the search ends with its first solution.
     """
 
@@ -95,8 +109,13 @@ class Arm:
     stop_at_first: bool = True
 
     def query(self, seed: int) -> SampleQuery:
-        """What is asked of the learned sampler for the run of a seed, start and goal apart."""
+        """The request to the learned sampler, without start and goal."""
         return SampleQuery(self.samples, seed, self.epsilon_sigma, min_confidence=self.min_confidence)
+
+    @property
+    def treated(self) -> bool:
+        """Whether the samples are filtered, ordered or checked before the planner draws them."""
+        return self.min_confidence > 0.0 or self.ordered or self.colliding_last
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,8 +124,8 @@ class Taken:
 
     Args:
         min_confidence: of the filtered and the ordered arms.
-        samples: how many an arm asks for that does not say so in its name.
-        shares: of learned samples among the drawn ones, 0 to 1 each; of every one there is an arm.
+        samples: number that an arm requests unless its name states one.
+        shares: of learned samples among the drawn ones, above 0 to 1; one arm for each.
     """
 
     min_confidence: float = MIN_CONFIDENCE
@@ -114,28 +133,65 @@ class Taken:
     shares: tuple[float, ...] = LEARNED_SHARES
 
 
-_AS_USUAL = Taken()
-
-
-def table(samplers: Sequence[str], range_rad: float, taken: Taken = _AS_USUAL) -> tuple[Arm, ...]:
-    """All arms that there are.
+def table(samplers: Sequence[str], range_rad: float, taken: Taken | None = None) -> tuple[Arm, ...]:
+    """All arms of the protocols ``families`` and ``paper``.
 
     Args:
         samplers: names of the learned samplers.
-        range_rad: that planners have in this world.
+        range_rad: range of the planners in this world.
         taken: how the arms take their samples.
     """
-    arms = [*_uniform_arms(range_rad), *_optimising_arms(None, taken)]
+    arms = [Arm(_uniform(planner), Group.UNIFORM, planner, _uniform(planner)) for planner in _UNIFORM]
+    for factor in OTHER_RANGES:
+        name = f"{_uniform(RRT)}, range {factor * range_rad:g}"
+        arms.append(Arm(name, Group.UNIFORM, RRT, _uniform(RRT), range_rad=factor))
+    for planner in OPTIMISING_PLANNERS:
+        name = f"{_uniform(planner)}, optimising"
+        arms.append(Arm(name, Group.OPTIMISING, planner, _OPTIMISING_BASE, stop_at_first=False))
     for sampler in samplers:
-        arms += [*_learned_arms(sampler, taken), *_filtered_arms(sampler, taken)]
-        arms += [*_ordered_arms(sampler, taken), *_checked_arms(sampler, taken)]
-        arms += [*_schedule_arms(sampler, taken.samples)]
-        arms += [*_optimising_arms(sampler, taken), *_count_arms(sampler)]
+        arms += _learned_arms(sampler, taken or Taken())
     return tuple(replace(arm, range_rad=range_rad * arm.range_rad) for arm in arms)
 
 
+def _learned_arms(sampler: str, taken: Taken) -> Iterator[Arm]:
+    def arm(planner: str, group: Group, share: float, what: str = "", **changes: Any) -> Arm:
+        parts = (NAMES.get(planner, planner), sampler, f"{100.0 * share:g} %", what)
+        name = ", ".join(filter(None, parts))
+        plain = Arm(name, group, planner, _uniform(planner), sampler, share, taken.samples)
+        return replace(plain, **changes)
+
+    least = taken.min_confidence
+    for share in taken.shares:
+        for planner in LEARNED_PLANNERS:
+            yield arm(planner, Group.LEARNED, share)
+        if least > 0.0:
+            yield arm(RRT, Group.FILTERED, share, "filtered", min_confidence=least)
+        for planner in (RRT, SAMPLED_CONNECT):
+            yield arm(planner, Group.ORDERED, share, "ordered", min_confidence=least, ordered=True)
+            yield arm(planner, Group.CHECKED, share, "colliding last", colliding_last=True)
+            yield arm(
+                planner, Group.CHECKED, share, "ordered, colliding last", ordered=True, colliding_last=True
+            )
+        yield arm(RRT_STAR, Group.OPTIMISING, share, "optimising", base=_OPTIMISING_BASE, stop_at_first=False)
+    # Perturbed samples, mixed and in the paper's order, and as many unperturbed ones among uniform ones.
+    perturbed = arm(RRT, Group.SCHEDULE, 1.0, name=f"RRT, {sampler}, schedule", epsilon_sigma=PAPER_SCHEDULE)
+    yield perturbed
+    yield replace(perturbed, name=f"{perturbed.name} in order", in_order=True)
+    few = round(taken.samples / len(PAPER_SCHEDULE))
+    yield arm(RRT, Group.SCHEDULE, 1.0 / len(PAPER_SCHEDULE), f"{few} samples", samples=few)
+    for count in SAMPLE_COUNTS:
+        yield arm(RRT, Group.COUNTS, DEFAULT_SHARE, f"{count} samples", samples=count)
+
+
+def _uniform(planner: str) -> str:
+    return f"{NAMES.get(planner, planner)}, uniform"
+
+
+_OPTIMISING_BASE = f"{_uniform(RRT_STAR)}, optimising"
+
+
 def pick(arms: Sequence[Arm], wanted: Sequence[str], planners: Sequence[str] = ()) -> tuple[Arm, ...]:
-    """The arms of some names or groups, with the bases that they need.
+    """The arms of some names or groups, and their bases.
 
     Args:
         arms: to choose from.
@@ -143,7 +199,7 @@ def pick(arms: Sequence[Arm], wanted: Sequence[str], planners: Sequence[str] = (
         planners: only arms of these planners; empty for all.
 
     Raises:
-        ConfigError: a name is no arm's and no group's, a planner is none, or nothing is left.
+        ConfigError: a name is unknown, or nothing is left.
     """
     known = {arm.name for arm in arms} | {group.value for group in Group}
     for name in wanted:
@@ -163,122 +219,79 @@ def pick(arms: Sequence[Arm], wanted: Sequence[str], planners: Sequence[str] = (
     return tuple(arm for arm in arms if arm.name in chosen)
 
 
-def _label(planner: str) -> str:
-    return NAMES.get(planner, planner)
+def plain_arm(arm: Arm, arms: Sequence[Arm]) -> Arm | None:
+    """The arm that takes the samples as they come and is otherwise the same; None if there is none."""
+
+    def planning(one: Arm) -> tuple[object, ...]:
+        return one.planner, one.sampler, one.learned_share, one.samples, one.epsilon_sigma, one.stop_at_first
+
+    plain = (one for one in arms if one.group is Group.LEARNED)
+    return next((one for one in plain if planning(one) == planning(arm)), None) if arm.treated else None
 
 
-def _uniform(planner: str) -> str:
-    return f"{_label(planner)}, uniform"
+@dataclass(frozen=True, slots=True)
+class PlanArm:
+    """One way to plan through a scene that pictures show in part.
 
-
-def _percent(share: float) -> str:
-    return f"{100.0 * share:g} %"
-
-
-def _uniform_arms(range_rad: float) -> Iterator[Arm]:
-    for planner in _UNIFORM:
-        yield Arm(_uniform(planner), Group.UNIFORM, planner, _uniform(planner))
-    for factor in OTHER_RANGES:
-        name = f"{_uniform(RRT)}, range {factor * range_rad:g}"
-        yield Arm(name, Group.UNIFORM, RRT, _uniform(RRT), range_rad=factor)
-
-
-def _learned_arms(sampler: str, taken: Taken) -> Iterator[Arm]:
-    for planner in LEARNED_PLANNERS:
-        for share in taken.shares:
-            yield _with(sampler, planner, Group.LEARNED, share, _percent(share), taken.samples)
-
-
-def _filtered_arms(sampler: str, taken: Taken) -> Iterator[Arm]:
-    """None where the confidence drops nothing: they would be the learned arms under another name."""
-    least = taken.min_confidence
-    for share in taken.shares if least > 0.0 else ():
-        name = f"{_percent(share)}, filtered"
-        arm = _with(sampler, RRT, Group.FILTERED, share, name, taken.samples)
-        yield replace(arm, min_confidence=least)
-
-
-def _ordered_arms(sampler: str, taken: Taken) -> Iterator[Arm]:
-    """Samples that the planner takes along the way through them, filtered where a confidence is asked for."""
-    for planner in (RRT, SAMPLED_CONNECT):
-        for share in taken.shares:
-            name = f"{_percent(share)}, ordered"
-            arm = _with(sampler, planner, Group.ORDERED, share, name, taken.samples)
-            yield replace(arm, min_confidence=taken.min_confidence, ordered=True)
-
-
-def _checked_arms(sampler: str, taken: Taken) -> Iterator[Arm]:
-    """Samples of which the planner takes those that collide last, as they come and along the way."""
-    for planner in (RRT, SAMPLED_CONNECT):
-        for share in taken.shares:
-            name = f"{_percent(share)}, colliding last"
-            arm = _with(sampler, planner, Group.CHECKED, share, name, taken.samples)
-            yield replace(arm, colliding_last=True)
-            name = f"{_label(planner)}, {sampler}, {_percent(share)}, ordered, colliding last"
-            yield replace(arm, name=name, ordered=True, colliding_last=True)
-
-
-def _schedule_arms(sampler: str, samples: int) -> Iterator[Arm]:
-    """Perturbed samples, mixed and in the paper's order, against uniform ones beside as many unperturbed."""
-    perturbed = _with(sampler, RRT, Group.SCHEDULE, 1.0, "schedule", samples)
-    perturbed = replace(perturbed, epsilon_sigma=PAPER_SCHEDULE)
-    yield perturbed
-    yield replace(perturbed, name=f"{perturbed.name} in order", in_order=True)
-    least = 1.0 / len(PAPER_SCHEDULE)
-    few = round(samples * least)
-    yield _with(sampler, RRT, Group.SCHEDULE, least, f"{_percent(least)}, {few} samples", few)
-
-
-def _optimising_arms(sampler: str | None, taken: Taken) -> Iterator[Arm]:
-    base = f"{_label(RRT_STAR)}, uniform, optimising"
-    if sampler is None:
-        for planner in OPTIMISING_PLANNERS:
-            name = f"{_uniform(planner)}, optimising"
-            yield Arm(name, Group.OPTIMISING, planner, base, stop_at_first=False)
-        return
-    for share in taken.shares:
-        name = f"{_percent(share)}, optimising"
-        arm = _with(sampler, RRT_STAR, Group.OPTIMISING, share, name, taken.samples)
-        yield replace(arm, base=base, stop_at_first=False)
-
-
-def _count_arms(sampler: str) -> Iterator[Arm]:
-    for count in SAMPLE_COUNTS:
-        name = f"{_percent(DEFAULT_SHARE)}, {count} samples"
-        yield _with(sampler, RRT, Group.COUNTS, DEFAULT_SHARE, name, count)
-
-
-def _with(sampler: str, planner: str, group: Group, share: float, name: str, samples: int) -> Arm:
-    whole_name = f"{_label(planner)}, {sampler}, {name}"
-    return Arm(whole_name, group, planner, _uniform(planner), sampler, share, samples)
-
-
-class Protocol(StrEnum):
-    """How much is run on what.
-
-    ``families``: many problems of every family, once each, to a limit of iterations. ``paper``: few problems,
-    many times each, to a limit of wall time. ``plans``: ways through scenes that pictures show in part; see
-    :mod:`services.evaluator.benchmark.plans`.
+    Args:
+        name: unique.
+        checked: whether a planner with exact checks goes on from the paths; False: the paths are judged.
+        sampler: name of the model that plans; None for none.
+        unseen: what unseen space counts as where no model plans; None for no paths at all.
     """
 
-    FAMILIES = "families"
-    PAPER = "paper"
-    PLANS = "plans"
+    name: str
+    checked: bool
+    sampler: str | None = None
+    unseen: Unseen | None = None
+
+    @property
+    def pictured(self) -> bool:
+        """Whether the result depends on the pictures."""
+        return self.sampler is not None or self.unseen not in (None, Unseen.KNOWN)
+
+
+CONNECT = PlanArm("RRT-Connect, uniform", checked=True)
+TRUE_PATHS = PlanArm("RRT-Connect, paths of the truth", checked=True, unseen=Unseen.KNOWN)
+
+
+def plan_arms(models: Sequence[str]) -> tuple[PlanArm, ...]:
+    """All arms of the protocol ``plans``, in the order of the report."""
+    return (
+        *(PlanArm(name, checked=False, sampler=name) for name in models),
+        *(PlanArm(unseen.value, checked=False, unseen=unseen) for unseen in Unseen),
+        CONNECT,
+        *(PlanArm(f"RRT-Connect, paths of {name}", checked=True, sampler=name) for name in models),
+        TRUE_PATHS,
+    )
+
+
+# Seconds in which a model or a search without exact checks looks for paths.
+PLAN_LIMIT_S = 2.0
+LIMITS: Mapping[Protocol, Mapping[str, float]] = {
+    Protocol.FAMILIES: {"max_iterations": 20_000, "optimising_iterations": 2000, "time_limit_s": 10.0},
+    # The paper stops by the clock alone; no planner here makes so many iterations in a second.
+    Protocol.PAPER: {"max_iterations": 200_000, "optimising_iterations": 200_000, "time_limit_s": 1.0},
+    Protocol.PLANS: {"max_iterations": 200_000, "optimising_iterations": 2000, "time_limit_s": 20.0},
+}
+RUNS = {Protocol.FAMILIES: 1, Protocol.PAPER: 100, Protocol.PLANS: 3}
+PICTURES = (1, 2, 3)
+AIMS = ("goal", "scene")
 
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """What all runs of a benchmark have in common; runs of another setting are never mixed with them.
+    """What all runs of a folder have in common.
 
     Args:
-        protocol: how much is run on what.
-        split: of the scenarios.
+        protocol: what is run.
+        split: of the problems.
         seed: of problems, planners and samplers.
         max_iterations: states drawn after which a search ends without a path.
         optimising_iterations: the same for a search that goes on after its first solution.
         time_limit_s: wall time after which a search ends.
-        resolution_rad: largest distance between checked states of an edge in any joint, rad.
-        goal_bias: of planners that have one.
+        aim: what cameras look at, ``goal`` or ``scene``.
+        plan_limit_s: time in which paths are planned without exact checks.
         world: robot and sensor.
     """
 
@@ -288,8 +301,8 @@ class Setting:
     max_iterations: int
     optimising_iterations: int
     time_limit_s: float
-    resolution_rad: float
-    goal_bias: float = 0.05
+    aim: str = AIMS[0]
+    plan_limit_s: float = PLAN_LIMIT_S
     world: World = field(default_factory=default_world)
 
     @property
@@ -297,76 +310,57 @@ class Setting:
         """Of the world's problems."""
         return workshop_of(self.world).families
 
-    def planner(self, arm: Arm, index: int, run: int) -> PlannerSettings:
-        """The settings of one run; the seed is the same for every arm."""
+    @property
+    def resolution_rad(self) -> float:
+        """Largest distance between checked states of an edge in any joint."""
+        return workshop_of(self.world).measures.resolution_rad
+
+    @property
+    def range_rad(self) -> float:
+        """Range of the planners in this world, in OMPL's metric."""
+        return workshop_of(self.world).measures.range_rad
+
+    def planner(self, arm: Arm | None, index: int, run: int) -> PlannerSettings:
+        """The settings of one run; the seed is the same for every arm, None stands for plain RRT-Connect."""
+        stop_at_first = arm is None or arm.stop_at_first
         return PlannerSettings(
-            planner=arm.planner,
-            range_rad=arm.range_rad,
+            planner=SAMPLED_CONNECT if arm is None else arm.planner,
+            range_rad=self.range_rad if arm is None else arm.range_rad,
             resolution_rad=self.resolution_rad,
-            goal_bias=self.goal_bias,
             time_limit_s=self.time_limit_s,
-            max_iterations=self.max_iterations if arm.stop_at_first else self.optimising_iterations,
+            max_iterations=self.max_iterations if stop_at_first else self.optimising_iterations,
             seed=planner_seed(self.seed, index, run),
-            stop_at_first=arm.stop_at_first,
-            colliding_last=arm.colliding_last,
+            stop_at_first=stop_at_first,
+            colliding_last=arm is not None and arm.colliding_last,
         )
 
 
-LIMITS: Mapping[Protocol, Mapping[str, float]] = {
-    Protocol.FAMILIES: {"max_iterations": 20_000, "optimising_iterations": 2000, "time_limit_s": 10.0},
-    # The paper stops by the clock alone; so many iterations no planner here makes in a second.
-    Protocol.PAPER: {"max_iterations": 200_000, "optimising_iterations": 200_000, "time_limit_s": 1.0},
-}
-RUNS = {Protocol.FAMILIES: 1, Protocol.PAPER: 100}
-
-Key = tuple[str, int, int, str]
-
-
-def problems_of(protocol: Protocol, families: Families) -> dict[str, int]:
-    """How many problems of each family a protocol has, in the order in which they are run.
-
-    A problem without a path takes every arm to its limit, about a minute in all.
-    """
-    if protocol is Protocol.PAPER:
-        return dict.fromkeys(families.solvable, 10)
-    solvable = dict.fromkeys((families.telling, *families.solvable), 300)
-    return solvable | dict.fromkeys(families.unsolvable, 30)
+Key = tuple[str, int, int, int, str]
 
 
 @dataclass(frozen=True, slots=True)
 class Unit:
-    """One run of one problem with some arms: what one process does at a time.
+    """One problem with the runs that one process does at a time.
 
     Args:
         family: of the problem.
         index: of the problem within its family.
-        run: its number.
-        arms: that are still to be run.
+        todo: arms and the numbers of their runs.
+        pictures: by which the scene is seen; 0 where the runs do not depend on them.
+        folder: of problems that do not ship.
     """
 
     family: str
     index: int
-    run: int
-    arms: tuple[Arm, ...]
+    todo: tuple[tuple[Any, int], ...]
+    pictures: int = 0
+    folder: Path | None = None
 
+    def run_keys(self) -> list[Key]:
+        """Family, problem, pictures, run and arm of every run."""
+        return [(self.family, self.index, self.pictures, run, arm.name) for arm, run in self.todo]
 
-def units(
-    problems: Mapping[str, int], runs: int, arms: Sequence[Arm], done: set[Key], families: Families
-) -> Iterator[Unit]:
-    """What is still to be done, problem by problem.
-
-    Without a path there is none to shorten, so problems that have none have no optimising arms.
-
-    Args:
-        problems: how many of each family.
-        runs: of each problem.
-        arms: for each run.
-        done: family, problem, run and arm of the runs that there are.
-        families: of the world.
-    """
-    for family, count in problems.items():
-        mine = [arm for arm in arms if arm.stop_at_first or family in families.solvable]
-        for index, run in product(range(count), range(runs)):
-            missing = tuple(arm for arm in mine if (family, index, run, arm.name) not in done)
-            if missing:
-                yield Unit(family, index, run, missing)
+    def without(self, done: set[Key]) -> "Unit":
+        """The unit with the runs that are still missing."""
+        todo = zip(self.run_keys(), self.todo, strict=True)
+        return replace(self, todo=tuple(one for key, one in todo if key not in done))

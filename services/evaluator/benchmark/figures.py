@@ -1,10 +1,10 @@
 """Figures of the benchmark, and a page for each of the first problems."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+import pandas as pd
 from matplotlib import rc_context
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -12,18 +12,24 @@ from matplotlib.lines import Line2D
 
 from cspace.problem import Problem
 from cspace.worlds import picture_of, workshop_of
-from services.evaluator.benchmark.arms import DEFAULT_SHARE, NAMES, Arm, Group, Setting
-from services.evaluator.benchmark.measure import known_problem
-from services.evaluator.benchmark.report import WITHIN_COUNTS
-from services.evaluator.benchmark.results import FamilyResult, Results, best_known
+from services.evaluator.benchmark.arms import DEFAULT_SHARE, NAMES, Arm, Group, PlanArm, Setting
+from services.evaluator.benchmark.samples import known_problem
 from services.evaluator.benchmark.sources import SourceSpec, ask, opened
-from services.evaluator.benchmark.summary import Flags, Floats, PairedRuns
-from services.evaluator.evaluation.units import planner_seed
+from services.evaluator.benchmark.summary import (
+    WITHIN_COUNTS,
+    Flags,
+    Floats,
+    Paired,
+    best_known,
+    confidence_curve,
+    plan_groups,
+)
 from services.evaluator.statistics import clopper_pearson
 from services.planner.drawing import palette
 from services.planner.drawing.configuration_panel import draw_configurations
 from services.planner.drawing.workspace_panel import draw_workspace
-from services.planner.search.ompl_planner import PlanResult, solve
+from services.planner.plan_result import PlanResult
+from services.planner.search.ompl_planner import solve
 from services.planner.settings import (
     BIT_STAR,
     INFORMED_RRT_STAR,
@@ -37,6 +43,7 @@ from services.planner.sources.samples import SampleBatch
 # Told apart by most eyes, and in print by their lightness (after Okabe and Ito).
 _COLOURS = ("#d55e00", "#0072b2", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
 _UNIFORM_LINES = {SAMPLED_CONNECT: "--", INFORMED_RRT_STAR: "--", BIT_STAR: ":"}
+_MARKS = "osD^v<>P"
 STYLE: dict[Any, Any] = {
     "font.size": 9,
     "axes.titlesize": 10,
@@ -51,28 +58,46 @@ STYLE: dict[Any, Any] = {
     "xtick.color": palette.MUTED,
     "ytick.color": palette.MUTED,
 }
+_POINTS = 200
+TALLEST = 1.8
 
 
-@dataclass(frozen=True, slots=True)
-class Look:
-    """Of an arm in every figure."""
+class Axis(NamedTuple):
+    """How a column is shown; ``least`` is the smallest value on its logarithmic axis."""
 
-    colour: str
-    line: str
+    column: str
+    scale: float
+    label: str
+    least: float
 
 
-def looks(arms: Sequence[Arm]) -> Mapping[str, Look]:
-    """By name of the arm; uniform ones are grey."""
+_ITERATIONS = Axis("iterations", 1.0, "iterations", 1.0)
+_CHECKS = Axis("edge_checks", 1.0, "edge checks", 1.0)
+_SOLVE = Axis("solve_s", 1e3, "search alone (ms)", 1e-3)
+_TOTAL = Axis("total_s", 1e3, "request and search (ms)", 1e-3)
+_COSTS = (
+    ("cost_iterations", "iterations", 1.0, "iterations"),
+    ("cost_s", "solve_s", 1e3, "time of the search (ms)"),
+)
+
+
+def looks(arms: Sequence[Arm]) -> Mapping[str, tuple[str, str]]:
+    """Colour and line of each arm in every figure; uniform ones are grey."""
     samplers = list(dict.fromkeys(arm.sampler for arm in arms if arm.sampler is not None))
-    colours = {name: _COLOURS[index % len(_COLOURS)] for index, name in enumerate(samplers)}
     ranges_rad = {arm.name: arm.range_rad for arm in arms}
-    return {
-        arm.name: Look(
-            palette.INK if arm.sampler is None else colours[arm.sampler],
-            _line(arm, ranges_rad.get(arm.base, arm.range_rad)),
-        )
-        for arm in arms
-    }
+
+    def line(arm: Arm) -> str:
+        if arm.sampler is not None:
+            return "-" if arm.learned_share == DEFAULT_SHARE else "--"
+        usual_rad = ranges_rad.get(arm.base, arm.range_rad)
+        if arm.range_rad != usual_rad:
+            return ":" if arm.range_rad < usual_rad else "-."
+        return _UNIFORM_LINES.get(arm.planner, "-")
+
+    def colour(arm: Arm) -> str:
+        return palette.INK if arm.sampler is None else _COLOURS[samplers.index(arm.sampler) % len(_COLOURS)]
+
+    return {arm.name: (colour(arm), line(arm)) for arm in arms}
 
 
 def panel_of(arm: Arm) -> str:
@@ -98,147 +123,185 @@ def share_until(values: Floats, solved: Flags) -> tuple[Floats, Floats]:
     return np.concatenate([first, taken]), shares
 
 
-def _line(arm: Arm, usual_rad: float) -> str:
-    if arm.sampler is not None:
-        return "-" if arm.learned_share == DEFAULT_SHARE else "--"
-    if arm.range_rad != usual_rad:
-        return ":" if arm.range_rad < usual_rad else "-."
-    return _UNIFORM_LINES.get(arm.planner, "-")
+def sample_figures(
+    runs: pd.DataFrame, families: Sequence[str], arms: Sequence[Arm], setting: Setting
+) -> Iterator[tuple[str, Figure]]:
+    """Every figure of the protocols ``families`` and ``paper`` with its name."""
+    paired = {family: Paired(runs[runs["family"] == family]) for family in families}
+    plain = [arm for arm in arms if arm.group is not Group.COUNTS]
+    for family in (one for one in families if one in setting.families.solvable):
+        found = paired[family]
+        first = [arm for arm in plain if arm.stop_at_first and arm.name in found.arms]
+        basic = [arm for arm in first if arm.group in (Group.UNIFORM, Group.LEARNED)]
+        if basic:
+            yield f"success-{family}", success_figure(family, found, basic)
+        if first:
+            title = f"Time to the first solution, {family}; at the right the share without one"
+            yield f"first-solution-{family}", box_figure(title, {family: found}, (_SOLVE, _TOTAL), first)
+        optimising = [arm for arm in plain if not arm.stop_at_first and arm.name in found.arms]
+        if optimising:
+            yield f"cost-{family}", cost_figure(family, found, optimising)
+        counts = [arm for arm in arms if arm.group is Group.COUNTS and arm.name in found.arms]
+        if counts:
+            yield f"samples-{family}", count_figure(family, found, counts)
+    everywhere = [arm for arm in plain if arm.stop_at_first]
+    if everywhere:
+        title = "Boxes: quartiles and median; whiskers: 5 % and 95 %; at the right the share unsolved"
+        unsolvable = [family for family in families if family not in setting.families.solvable]
+        yield "boxes", box_figure(title, paired, (_ITERATIONS, _TOTAL), everywhere, unsolvable)
 
 
-def count_figure(runs: PairedRuns, arms: Sequence[Arm]) -> Figure:
-    """Share solved within some numbers of iterations, a panel each, with exact 95 % limits.
+def _figure(width: float, height: float, dpi: int = 110) -> Figure:
+    figure = Figure(figsize=(width, height), dpi=dpi, layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def success_figure(family: str, paired: Paired, arms: Sequence[Arm]) -> Figure:
+    """Share solved against iterations, edge checks and whole time, a row for each planner."""
+    panels, look = list(dict.fromkeys(panel_of(arm) for arm in arms)), looks(arms)
+    axes_of = (_ITERATIONS, _CHECKS, _TOTAL)
+    with rc_context(STYLE):
+        figure = _figure(12.5, 0.6 + 2.7 * len(panels))
+        grid = figure.subplots(len(panels), len(axes_of), squeeze=False, sharex="col", sharey=True)
+        for row, panel in zip(grid, panels, strict=True):
+            for axes, shown in zip(row, axes_of, strict=True):
+                for arm in (one for one in arms if panel_of(one) == panel):
+                    values = shown.scale * paired.values(arm.name, shown.column).ravel()
+                    taken, shares = share_until(values, paired.solved(arm.name).ravel())
+                    colour, line = look[arm.name]
+                    axes.plot(
+                        np.maximum(taken, shown.least), shares, line, color=colour, drawstyle="steps-post",
+                        linewidth=1.4, label=arm.name,
+                    )  # fmt: skip
+                axes.set_ylim(-0.02, 1.02)
+                axes.set_xscale("log")
+                axes.set_xlabel(shown.label)
+            row[0].set_ylabel(f"{panel}\nshare solved")
+            row[-1].legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), frameon=False, fontsize=8)
+        figure.suptitle(f"Share of {family} problems solved")
+    return figure
+
+
+def box_figure(
+    title: str,
+    families: Mapping[str, Paired],
+    shown: Sequence[Axis],
+    arms: Sequence[Arm],
+    unsolvable: Sequence[str] = (),
+) -> Figure:
+    """Every successful run a point, with boxes; a row for each axis, a column for each family.
 
     Args:
-        runs: of one family.
-        arms: that differ in how many samples they ask for; one line a sampler.
+        title: of the figure.
+        families: their runs.
+        shown: the axes.
+        arms: from top to bottom.
+        unsolvable: families without paths, of which all runs are shown.
     """
-    samplers = list(dict.fromkeys(arm.sampler for arm in arms))
     look = looks(arms)
     with rc_context(STYLE):
-        figure = Figure(figsize=(11.5, 3.9), dpi=110, layout="constrained")
-        FigureCanvasAgg(figure)
+        figure = _figure(3.4 + 4.2 * len(families), 1.2 + 0.34 * len(arms) * len(shown))
+        grid = figure.subplots(len(shown), len(families), squeeze=False, sharey=True)
+        for row, axis in zip(grid, shown, strict=True):
+            for axes, (family, paired) in zip(row, families.items(), strict=True):
+                for height, arm in enumerate(arms):
+                    _draw_boxes(axes, paired, arm, axis, height, look[arm.name][0], family in unsolvable)
+                axes.set_xscale("log")
+                axes.set_xlabel(axis.label)
+                axes.set_yticks(range(len(arms)), [arm.name for arm in arms])
+                axes.set_ylim(len(arms) - 0.5, -0.5)
+                axes.set_title(f"{family} (until given up)" if family in unsolvable else family)
+        figure.suptitle(title)
+    return figure
+
+
+def _draw_boxes(
+    axes: Any, paired: Paired, arm: Arm, axis: Axis, height: int, colour: str, everything: bool
+) -> None:
+    solved = paired.solved(arm.name).ravel()
+    values = axis.scale * paired.values(arm.name, axis.column).ravel()
+    shown = np.maximum(values if everything else values[solved], axis.least)
+    if len(shown):
+        jitter = np.random.default_rng(height).uniform(-0.28, 0.28, len(shown))
+        axes.scatter(shown, height + jitter, s=6, color=colour, alpha=0.35, linewidths=0)
+        axes.boxplot(
+            shown, positions=[height], orientation="horizontal", widths=0.55, whis=(5, 95),
+            showfliers=False, medianprops={"color": colour, "linewidth": 2.0},
+            boxprops={"color": colour}, whiskerprops={"color": colour}, capprops={"color": colour},
+        )  # fmt: skip
+    if not solved.all():
+        text = f"{100.0 * (1.0 - solved.mean()):.3g} %"
+        axes.text(1.01, height, text, transform=axes.get_yaxis_transform(), va="center", fontsize=7)
+
+
+def count_figure(family: str, paired: Paired, arms: Sequence[Arm]) -> Figure:
+    """Share solved within some iterations against the samples requested, with exact 95 % limits."""
+    look = looks(arms)
+    with rc_context(STYLE):
+        figure = _figure(11.5, 3.9)
         grid = figure.subplots(1, len(WITHIN_COUNTS), sharey=True)
         for axes, within in zip(grid, WITHIN_COUNTS, strict=True):
-            for sampler in samplers:
+            for sampler in dict.fromkeys(arm.sampler for arm in arms):
                 mine = sorted((arm for arm in arms if arm.sampler == sampler), key=lambda arm: arm.samples)
-                shares = [_share(runs, arm, within) for arm in mine]
-                middle, low, high = np.transpose(shares)
+                shares = []
+                for arm in mine:
+                    solved = paired.solved(arm.name) & (paired.values(arm.name, "iterations") <= within)
+                    shares.append(clopper_pearson(int(solved.sum()), solved.size))
+                middle, low, high = np.transpose([(one.estimate, one.low, one.high) for one in shares])
                 axes.errorbar(
                     [arm.samples for arm in mine], middle, [middle - low, high - middle],
-                    color=look[mine[0].name].colour, marker="o", markersize=4, capsize=3, label=sampler,
+                    color=look[mine[0].name][0], marker="o", markersize=4, capsize=3, label=sampler,
                 )  # fmt: skip
             axes.set_xscale("log")
-            axes.set_xlabel("samples asked for")
+            axes.set_xlabel("samples requested")
             axes.set_title(f"within {within} iterations")
             axes.set_ylim(-0.02, 1.02)
         grid[0].set_ylabel("share solved")
         grid[-1].legend(loc="lower right", frameon=False, fontsize=8)
-        figure.suptitle(f"RRT on {runs.family} problems against the number of learned samples")
+        figure.suptitle(f"RRT on {family} problems against the number of learned samples")
     return figure
 
 
-def _share(runs: PairedRuns, arm: Arm, within: int) -> tuple[float, float, float]:
-    solved = runs.solved(arm.name) & (runs.values(arm.name, "iterations") <= within)
-    found = clopper_pearson(int(solved.sum()), solved.size)
-    return found.estimate, found.low, found.high
-
-
-# What a column is shown as: its name, a factor, words, and the least that a logarithmic axis shows.
-Axis = tuple[str, float, str, float]
-_ITERATIONS: Axis = ("iterations", 1.0, "iterations", 1.0)
-_TOTAL: Axis = ("total_s", 1e3, "request and search (ms)", 1e-3)
-SUCCESS_AXES = (_ITERATIONS, ("edge_checks", 1.0, "edge checks", 1.0), _TOTAL)
-TIME_AXES = (("solve_s", 1e3, "search alone (ms)", 1e-3), _TOTAL)
-BOX_AXES = (_ITERATIONS, _TOTAL)
-COST_AXES = (("cost_iterations", 1.0, "iterations"), ("cost_s", 1e3, "time of the search (ms)"))
-_POINTS = 200
-TALLEST = 1.8
-
-
-def all_figures(results: Results) -> Iterator[tuple[str, Figure]]:
-    """Every figure with its name."""
-    solvable = [found for found in results.families.values() if found.solvable]
-    for found in solvable:
-        arms = _present(results.arms, found.runs, stop_at_first=True)
-        plain = [arm for arm in arms if arm.group in (Group.UNIFORM, Group.LEARNED)]
-        if plain:
-            yield f"success-{found.family}", success_figure(found, plain)
-        if arms:
-            yield f"first-solution-{found.family}", first_solution_figure(found, arms)
-        optimising = _present(results.arms, found.runs, stop_at_first=False)
-        if optimising:
-            yield f"cost-{found.family}", cost_figure(found, optimising)
-        counts = [arm for arm in results.arms if arm.group is Group.COUNTS]
-        if counts:
-            yield f"samples-{found.family}", count_figure(found.runs, counts)
-    everywhere = [arm for arm in results.arms if arm.stop_at_first and arm.group is not Group.COUNTS]
-    if everywhere:
-        yield "boxes", box_figure(list(results.families.values()), everywhere)
-
-
-def success_figure(found: FamilyResult, arms: Sequence[Arm]) -> Figure:
-    """Share solved against iterations, edge checks and whole time, a row a planner."""
-    panels = list(dict.fromkeys(panel_of(arm) for arm in arms))
-    look = looks(arms)
-    with rc_context(STYLE):
-        figure = _figure(12.5, 0.6 + 2.7 * len(panels))
-        grid = figure.subplots(len(panels), len(SUCCESS_AXES), squeeze=False, sharex="col", sharey=True)
-        for row, panel in zip(grid, panels, strict=True):
-            mine = [arm for arm in arms if panel_of(arm) == panel]
-            for axes, shown in zip(row, SUCCESS_AXES, strict=True):
-                for arm in mine:
-                    _draw_share(axes, found.runs, arm, shown, look[arm.name])
-                axes.set_xscale("log")
-                axes.set_xlabel(shown[2])
-            row[0].set_ylabel(f"{panel}\nshare solved")
-            row[-1].legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), frameon=False, fontsize=8)
-        figure.suptitle(f"Share of {found.family} problems solved")
-    return figure
-
-
-def first_solution_figure(found: FamilyResult, arms: Sequence[Arm]) -> Figure:
-    """Times to the first solution: every run a point, boxes over those that succeeded."""
-    with rc_context(STYLE):
-        figure = _figure(11.5, 1.2 + 0.34 * len(arms))
-        grid = figure.subplots(1, len(TIME_AXES), sharey=True)
-        for axes, shown in zip(grid, TIME_AXES, strict=True):
-            _draw_boxes(axes, found.runs, arms, shown)
-        figure.suptitle(f"Time to the first solution, {found.family}; at the right the share without one")
-    return figure
-
-
-def box_figure(families: Sequence[FamilyResult], arms: Sequence[Arm]) -> Figure:
-    """Iterations and whole time of every arm, a column a family."""
-    with rc_context(STYLE):
-        figure = _figure(3.4 + 4.2 * len(families), 1.2 + 0.34 * len(arms) * len(BOX_AXES))
-        grid = figure.subplots(len(BOX_AXES), len(families), squeeze=False, sharey=True)
-        for row, shown in zip(grid, BOX_AXES, strict=True):
-            for axes, found in zip(row, families, strict=True):
-                _draw_boxes(axes, found.runs, arms, shown, everything=not found.solvable)
-                axes.set_title(found.family if found.solvable else f"{found.family} (until given up)")
-        figure.suptitle(
-            "Boxes: quartiles and median; whiskers: 5 % and 95 %; at the right the share unsolved"
-        )
-    return figure
-
-
-def cost_figure(found: FamilyResult, arms: Sequence[Arm]) -> Figure:
+def cost_figure(family: str, paired: Paired, arms: Sequence[Arm]) -> Figure:
     """Length of the best path over the best known, against iterations and time: median and quartiles."""
-    best, look = best_known(found.runs), looks(arms)
+    best, look = np.repeat(best_known(paired), paired.repeats), looks(arms)
     with rc_context(STYLE):
         figure = _figure(11.5, 4.6)
-        grid = figure.subplots(1, len(COST_AXES), sharey=True)
-        for axes, (column, scale, label) in zip(grid, COST_AXES, strict=True):
+        grid = figure.subplots(1, len(_COSTS), sharey=True)
+        for axes, (column, end, scale, label) in zip(grid, _COSTS, strict=True):
             for arm in arms:
-                _draw_cost(axes, found.runs, arm, best, column, scale, look[arm.name])
+                own = paired.of(arm.name)
+                series = [
+                    (scale * np.asarray(at, dtype=float), np.asarray(lengths, dtype=float) / one)
+                    for at, lengths, one in zip(own[column], own["cost_length_rad"], best, strict=True)
+                    if np.isfinite(one)
+                ]
+                last = scale * float(own[end].median())
+                _draw_cost(axes, arm.name, series, last, look[arm.name])
             axes.set_xscale("log")
             axes.set_xlabel(label)
         grid[0].set_ylabel("length over the best known")
         grid[0].set_ylim(0.98, TALLEST)
         grid[-1].legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), frameon=False, fontsize=8)
-        figure.suptitle(f"Optimising planners, {found.family}: median over all runs, quartiles shaded")
+        figure.suptitle(f"Optimising planners, {family}: median over all runs, quartiles shaded")
     return figure
+
+
+def _draw_cost(
+    axes: Any, name: str, series: Sequence[tuple[Floats, Floats]], last: float, look: tuple[str, str]
+) -> None:
+    places = [value for steps, _ in series for value in steps if value > 0.0]
+    if not places:
+        return
+    at = np.geomspace(min(places), max(last, *places), _POINTS)
+    low, middle, high = np.quantile(cost_at(series, at), [0.25, 0.5, 0.75], axis=0, method="higher")
+    colour, line = look
+    held = np.isfinite(middle)
+    axes.plot(at, np.where(held, middle, np.nan), line, color=colour, linewidth=1.6, label=name)
+    axes.fill_between(
+        at[held], low[held], np.minimum(high, TALLEST)[held], color=colour, alpha=0.08, linewidth=0
+    )
 
 
 def cost_at(series: Sequence[tuple[Floats, Floats]], at: Floats) -> Floats:
@@ -255,79 +318,52 @@ def cost_at(series: Sequence[tuple[Floats, Floats]], at: Floats) -> Floats:
     return np.array(rows)
 
 
-def _figure(width: float, height: float) -> Figure:
-    figure = Figure(figsize=(width, height), dpi=110, layout="constrained")
-    FigureCanvasAgg(figure)
+def safety_figure(
+    runs: pd.DataFrame, pictures: Sequence[int], arms: Sequence[PlanArm], setting: Setting
+) -> Figure:
+    """Share of colliding paths against answered problems: a curve for each model, a mark for every other arm.
+
+    One panel for each source of problems and number of pictures.
+    """
+    sources = list(dict.fromkeys(runs["source"]))
+    groups = plan_groups(runs[~runs["checked"]], pictures, setting)
+    with rc_context(STYLE):
+        figure = _figure(4.2 * len(pictures) + 0.6, 3.9 * len(sources) + 0.7)
+        grid = figure.subplots(len(sources), len(pictures), squeeze=False, sharex=True, sharey=True)
+        for row, source in zip(grid, sources, strict=True):
+            for axes, count in zip(row, pictures, strict=True):
+                group = groups.get(f"{source}, {count}")
+                if group is None:
+                    axes.set_visible(False)
+                    continue
+                paired = Paired(group)
+                _draw_safety(axes, paired, [arm for arm in arms if arm.name in paired.arms])
+                shown = "one picture" if count == 1 else f"{count} pictures"
+                number = f"{paired.problems} problem{'s' * (paired.problems > 1)}"
+                axes.set_title(f"{source}, {shown}\n{number}", fontsize=10)
+            row[0].set_ylabel("share of the paths that collide")
+        for axes in grid[-1]:
+            axes.set_xlabel("share of the problems that are answered")
+        handles, labels = grid[0, 0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside lower center", ncols=4, frameon=False)
     return figure
 
 
-def _present(arms: Sequence[Arm], runs: PairedRuns, *, stop_at_first: bool) -> list[Arm]:
-    wanted = (arm for arm in arms if arm.name in runs.arms and arm.group is not Group.COUNTS)
-    return [arm for arm in wanted if arm.stop_at_first is stop_at_first]
-
-
-def _draw_share(axes: Any, runs: PairedRuns, arm: Arm, shown: Axis, look: Look) -> None:
-    column, scale, _, least = shown
-    taken, shares = share_until(scale * runs.values(arm.name, column).ravel(), runs.solved(arm.name).ravel())
-    axes.plot(
-        np.maximum(taken, least), shares, look.line, color=look.colour, drawstyle="steps-post",
-        linewidth=1.4, label=arm.name,
-    )  # fmt: skip
-    axes.set_ylim(-0.02, 1.02)
-
-
-def _draw_boxes(
-    axes: Any, runs: PairedRuns, arms: Sequence[Arm], shown: Axis, *, everything: bool = False
-) -> None:
-    look, (column, scale, label, least) = looks(arms), shown
-    for height, arm in enumerate(arms):
-        solved = runs.solved(arm.name).ravel()
-        values = scale * runs.values(arm.name, column).ravel()
-        drawn = np.maximum(values if everything else values[solved], least)
-        colour = look[arm.name].colour
-        if len(drawn):
-            jitter = np.random.default_rng(height).uniform(-0.28, 0.28, len(drawn))
-            axes.scatter(drawn, height + jitter, s=6, color=colour, alpha=0.35, linewidths=0)
-            axes.boxplot(
-                drawn, positions=[height], orientation="horizontal", widths=0.55, whis=(5, 95),
-                showfliers=False, medianprops={"color": colour, "linewidth": 2.0},
-                boxprops={"color": colour}, whiskerprops={"color": colour}, capprops={"color": colour},
-            )  # fmt: skip
-        if not solved.all():
-            text = f"{100.0 * (1.0 - solved.mean()):.3g} %"
-            axes.text(1.01, height, text, transform=axes.get_yaxis_transform(), va="center", fontsize=7)
-    axes.set_xscale("log")
-    axes.set_xlabel(label)
-    axes.set_yticks(range(len(arms)), [arm.name for arm in arms])
-    axes.set_ylim(len(arms) - 0.5, -0.5)
-
-
-def _draw_cost(
-    axes: Any, runs: PairedRuns, arm: Arm, best: Floats, column: str, scale: float, look: Look
-) -> None:
-    mine, columns = runs.runs(arm.name), len(runs.numbers)
-    series = [
-        (scale * np.array(getattr(run, column), dtype=float), np.array(run.cost_length_rad) / one)
-        for run, one in zip(mine, np.repeat(best, columns), strict=True)
-        if np.isfinite(one)
-    ]
-    places = [value for steps, _ in series for value in steps if value > 0.0]
-    if not places:
-        return
-    ends = {"cost_iterations": "iterations", "cost_s": "solve_s"}
-    last = scale * float(np.median(runs.values(arm.name, ends[column])))
-    at = np.geomspace(min(places), max(last, *places), _POINTS)
-    low, middle, high = np.quantile(cost_at(series, at), [0.25, 0.5, 0.75], axis=0, method="higher")
-    axes.plot(at, _shown(middle), look.line, color=look.colour, linewidth=1.6, label=arm.name)
-    held = np.isfinite(middle)
-    axes.fill_between(
-        at[held], low[held], np.minimum(high, TALLEST)[held], color=look.colour, alpha=0.08, linewidth=0
-    )
-
-
-def _shown(values: Floats) -> Floats:
-    # What is not there yet is left out.
-    return np.where(np.isfinite(values), values, np.nan)
+def _draw_safety(axes: Any, paired: Paired, arms: Sequence[PlanArm]) -> None:
+    for number, arm in enumerate(sorted(arms, key=lambda arm: arm.sampler is None)):
+        own = paired.of(arm.name)
+        if arm.sampler is not None:
+            curve, label = confidence_curve(own), f"{arm.name}, by min_confidence"
+            axes.plot(curve["answered"], curve["collide"], color=f"C{number}", label=label, linewidth=1.8)
+            continue
+        collide = (own.loc[own["solved"], "clearance_m"] <= 0.0).mean()
+        mark = _MARKS[number % len(_MARKS)]
+        axes.plot(
+            [own["solved"].mean()], [collide], mark, color=f"C{number}", label=arm.name, markersize=7,
+            clip_on=False, zorder=3,
+        )  # fmt: skip
+    axes.set_xlim(0.0, 1.0)
+    axes.set_ylim(0.0, 1.0)
 
 
 # More would not fit on a page.
@@ -336,13 +372,9 @@ SAMPLERS = 3
 
 def page_arms(arms: Sequence[Arm]) -> list[Arm]:
     """RRT with uniform samples, and with those of up to three samplers at the usual share."""
-    plain = [arm for arm in arms if arm.planner == RRT and arm.name == arm.base]
-    learned = [
-        arm
-        for arm in arms
-        if arm.planner == RRT and arm.group is Group.LEARNED and arm.learned_share == DEFAULT_SHARE
-    ]
-    return plain[:1] + learned[:SAMPLERS]
+    own = [arm for arm in arms if arm.planner == RRT]
+    learned = [arm for arm in own if arm.group is Group.LEARNED and arm.learned_share == DEFAULT_SHARE]
+    return [arm for arm in own if arm.name == arm.base][:1] + learned[:SAMPLERS]
 
 
 def pages(
@@ -351,7 +383,7 @@ def pages(
     """The first problems of every family, each with its name.
 
     Args:
-        problems: how many pages a family.
+        problems: number of pages for each family.
         arms: of which :func:`page_arms` are shown.
         setting: of the runs.
         specs: the samplers.
@@ -360,18 +392,20 @@ def pages(
         SamplerError: a sampler does not answer.
     """
     shown, by_name = page_arms(arms), {spec.name: spec for spec in specs}
+    if not any(problems.values()):
+        return
     with opened(specs, setting.world) as sources:
-        for family, count in problems.items():
-            for index in range(count):
-                problem = known_problem(setting.world, family, setting.split, setting.seed, index)
-                seed = planner_seed(setting.seed, index, 0)
-                panels = []
-                for arm in shown:
-                    batch = None
-                    if arm.sampler is not None:
-                        batch = ask(sources[arm.sampler], by_name[arm.sampler], problem, arm.query(seed))
-                    panels.append((arm, _solved(problem, arm, setting, index, batch), batch))
-                yield f"page-{family}-{index:02d}", page(problem, panels, f"{family}, problem {index}")
+        for family, index in ((name, index) for name, count in problems.items() for index in range(count)):
+            problem, panels = known_problem(setting.world, family, setting.split, setting.seed, index), []
+            for arm in shown:
+                settings, batch = setting.planner(arm, index, 0), None
+                if arm.sampler is not None:
+                    spec = by_name[arm.sampler]
+                    batch = ask(sources[arm.sampler], spec, problem, arm.query(settings.seed))
+                samples = None if batch is None else batch.samples
+                result = solve(problem, settings, samples, 1.0 - arm.learned_share, keep_tree=True)
+                panels.append((arm, result, batch))
+            yield f"page-{family}-{index:02d}", page(problem, panels, f"{family}, problem {index}")
 
 
 def page(
@@ -384,52 +418,32 @@ def page(
         panels: arms with result and samples; the last one's path is shown in the workspace.
         title: of the page.
     """
-    figure = Figure(figsize=(4.3 * (2 + len(panels)), 5.2), dpi=100, layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = _figure(4.3 * (2 + len(panels)), 5.2, 100)
     axes = figure.subplots(1, 2 + len(panels))
-    _draw_picture(axes[0], problem)
+    workshop_of(problem.scenario.world).draw_picture(axes[0], np.asarray(picture_of(problem.scenario)))
+    axes[0].set_title("the picture that the sampler sees\n", fontsize=10)
     arm, result, _ = panels[-1]
     draw_workspace(axes[1], problem, result.path)
     axes[1].set_title(f"workspace, path of\n{arm.name}" if result.solved else "workspace\n", fontsize=10)
     for one, (arm, result, batch) in zip(axes[2:], panels, strict=True):
         draw_configurations(one, problem, result, None if batch is None else batch.samples, (0, 1))
-        one.set_title(f"{arm.name}\n{_outcome(result)}", fontsize=10)
+        outcome = f"{result.reason} ({result.iterations})"
+        if result.solved:
+            checks = f"{result.iterations} iterations, {result.edge_checks} edges"
+            outcome = f"{checks}, {result.length_rad:.2f} rad"
+        one.set_title(f"{arm.name}\n{outcome}", fontsize=10)
     gap = "none" if problem.bottleneck_rad == 0.0 else f"{problem.bottleneck_rad:.3f} rad"
     figure.suptitle(f"{title}, bottleneck {gap}")
-    figure.legend(handles=_handles(), loc="outside lower center", ncols=6, frameon=False)
-    return figure
-
-
-def _solved(
-    problem: Problem, arm: Arm, setting: Setting, index: int, batch: SampleBatch | None
-) -> PlanResult:
-    samples = None if batch is None else batch.samples
-    settings = setting.planner(arm, index, 0)
-    return solve(problem, settings, samples, 1.0 - arm.learned_share, keep_tree=True)
-
-
-def _outcome(result: PlanResult) -> str:
-    if not result.solved:
-        return f"{result.reason} ({result.iterations})"
-    return f"{result.iterations} iterations, {result.edge_checks} edges, {result.length_rad:.2f} rad"
-
-
-def _draw_picture(axes: Any, problem: Problem) -> None:
-    workshop_of(problem.scenario.world).draw_picture(axes, np.asarray(picture_of(problem.scenario)))
-    axes.set_title("the picture that the sampler sees\n", fontsize=10)
-
-
-def _handles() -> list[Line2D]:
-    marks = (
-        ("start", palette.START, "o"),
-        ("goal", palette.GOAL, "D"),
-        ("learned samples", palette.LEARNED, "."),
-    )
-    lines = (("search tree", palette.TREE, 1.0), ("path", palette.PATH, 2.4))
-    return [
-        *(
-            Line2D([], [], linestyle="", marker=mark, color=colour, label=name)
-            for name, colour, mark in marks
-        ),
-        *(Line2D([], [], color=colour, linewidth=width, label=name) for name, colour, width in lines),
+    marks = [
+        Line2D([], [], linestyle="", marker=mark, color=colour, label=name)
+        for name, colour, mark in (
+            ("start", palette.START, "o"), ("goal", palette.GOAL, "D"),
+            ("learned samples", palette.LEARNED, "."),
+        )
+    ]  # fmt: skip
+    lines = [
+        Line2D([], [], color=colour, linewidth=width, label=name)
+        for name, colour, width in (("search tree", palette.TREE, 1.0), ("path", palette.PATH, 2.4))
     ]
+    figure.legend(handles=[*marks, *lines], loc="outside lower center", ncols=6, frameon=False)
+    return figure

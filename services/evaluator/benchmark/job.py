@@ -1,82 +1,133 @@
-"""The planning benchmark: its command line, and the job that runs what is missing and writes the files."""
+"""The job of a benchmark: run what is missing, summarise, write table, report and figures, log them."""
 
-import argparse
-import os
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+import math
+import shutil
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
-from cspace.errors import ConfigError, ScenarioError
-from cspace.query import MAX_SAMPLES
-from cspace.splits import Split
-from cspace.worlds import examples, partly_seen, workshop_of
-from services.command_errors import finite
-from services.evaluator.benchmark.arms import (
-    LEARNED_SHARES,
-    LIMITS,
-    MIN_CONFIDENCE,
-    RUNS,
-    SAMPLES,
-    Arm,
-    Group,
-    Protocol,
-    Setting,
-    Taken,
-    pick,
-    problems_of,
-    table,
-    units,
-)
+import pandas as pd
+from matplotlib.figure import Figure
+
+from cspace.errors import StorageError
+from services.evaluator.benchmark import report
+from services.evaluator.benchmark.arms import Protocol, Setting, Unit
 from services.evaluator.benchmark.execution import Execute
-from services.evaluator.benchmark.figures import pages
-from services.evaluator.benchmark.files import log_run, write_files
-from services.evaluator.benchmark.plans.job import add_options
-from services.evaluator.benchmark.results import Results
-from services.evaluator.benchmark.sources import SourceSpec, bundled, parse_named, served
-from services.evaluator.benchmark.store import Run, RunStore
-from services.evaluator.evaluation.units import MAX_SEED
-from services.planner.settings import PLANNERS
+from services.evaluator.benchmark.figures import pages, safety_figure, sample_figures
+from services.evaluator.benchmark.plans import plan_units
+from services.evaluator.benchmark.runs import MANIFEST, RunStore
+from services.evaluator.benchmark.samples import sample_units
+from services.evaluator.benchmark.sources import SourceSpec
+from services.evaluator.benchmark.summary import metric_name, metrics, summarise_plans, summarise_samples
+from services.names import EXPERIMENT
 from services.progress import Progress
-from services.registry.tracking.port import Tracking
+from services.registry.tracking.experiment import NOTE, TAG_STAGE
+from services.registry.tracking.port import ID, RunLog, Tracking
 
 Show = Callable[[str], None]
+PARQUET, REPORT, COMPARISON = "runs.parquet", "report.md", "comparison.md"
+FIGURES, PAGES = "figures", "pages"
+STAGE = "planning-benchmark"
+# The measures that become metrics of the tracking run; the table of arms holds all of them.
+METRICS = (
+    "solved", "iterations_median", "close_iterations_median", "edge_checks_median",
+    "close_edge_checks_median", "iterations_ratio_median", "close_iterations_ratio_median", "collide", "more",
+    "calibration_error", "surer_half_collide", "states_ratio_median", "states_ratio_p90",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Request:
-    """What a benchmark is asked for.
+    """What a benchmark runs.
 
     Args:
         out: folder of runs and report.
-        setting: the limits.
-        problems: how many of each family.
-        repeats: runs of each problem.
+        setting: of all runs.
+        problems: number of each family.
+        repeats: runs of each problem; of protocol ``plans`` those with exact checks.
         arms: that are compared.
-        specs: the learned samplers of the arms.
-        pages: of single problems that are drawn, of each family.
+        specs: the models of the arms.
+        pages: number of single problems that are plotted, of each family.
+        pictures: of protocol ``plans``, by which each problem is seen.
+        folder: of problems that do not ship.
     """
 
     out: Path
     setting: Setting
     problems: Mapping[str, int]
     repeats: int
-    arms: tuple[Arm, ...]
+    arms: tuple[Any, ...]
     specs: tuple[SourceSpec, ...]
     pages: int = 3
+    pictures: tuple[int, ...] = ()
+    folder: Path | None = None
 
-    def covers(self, run: Run) -> bool:
-        """Whether a run is among those asked for; the folder may hold others of the same setting."""
-        return (
-            run.arm in {arm.name for arm in self.arms}
-            and run.problem < self.problems.get(run.family, 0)
-            and run.run < self.repeats
-        )
+    def units(self) -> Iterable[Unit]:
+        """Everything that is run."""
+        if self.setting.protocol is Protocol.PLANS:
+            return plan_units(self.problems, self.pictures, self.repeats, self.arms, self.folder)
+        return sample_units(self.setting, self.problems, self.repeats, self.arms)
+
+
+@dataclass(frozen=True)
+class Results:
+    """A finished benchmark.
+
+    Args:
+        request: what was run.
+        runs: the long table, one row for each problem, arm and run.
+        summary: one row for each group of problems, arm and measure.
+        headline: the first line of the report.
+        sections: the report's tables.
+    """
+
+    request: Request
+    runs: pd.DataFrame
+    summary: pd.DataFrame
+    headline: str
+    sections: tuple[report.Section, ...]
+
+    @classmethod
+    def of(cls, request: Request, runs: pd.DataFrame) -> "Results":
+        """Summarise the runs.
+
+        Raises:
+            EvaluationError: no problem was run by all arms.
+        """
+        setting, arms = request.setting, request.arms
+        if setting.protocol is Protocol.PLANS:
+            summary = summarise_plans(runs, request.pictures, arms, setting)
+            headline = report.collision_line(summary, request.pictures, arms, setting)
+            sections = report.plan_sections(summary, runs, request.pictures, arms, setting)
+        else:
+            summary = summarise_samples(runs, request.problems, arms, setting)
+            headline = report.break_even_line(summary, arms, setting)
+            sections = report.sample_sections(summary, arms, setting)
+        return cls(request, runs, summary, headline, tuple(sections))
+
+    @property
+    def note(self) -> str:
+        """The short form: the headline, and the tables of work."""
+        work = [report.markdown(table) for heading, _, table in self.sections if heading.startswith("Work")]
+        return "\n\n".join([self.headline, *work]) + "\n"
+
+    def figures(self) -> Iterable[tuple[str, Figure]]:
+        """Every figure with its name."""
+        setting, arms = self.request.setting, self.request.arms
+        if setting.protocol is Protocol.PLANS:
+            return [("safety", safety_figure(self.runs, self.request.pictures, arms, setting))]
+        return sample_figures(self.runs, list(self.request.problems), arms, setting)
+
+    def terminal(self) -> str:
+        """The tables for a terminal."""
+        return report.terminal(self.headline, self.sections)
 
 
 def run_benchmark(
     request: Request, execute: Execute, show: Show, tracking: Tracking | None = None
 ) -> Results:
-    """Run what is missing, then tell of all that was asked for.
+    """Run what is missing, then report on all that was asked for.
 
     Args:
         request: what is asked for.
@@ -86,198 +137,100 @@ def run_benchmark(
 
     Raises:
         ConfigError: the folder holds runs of another setting.
+        EvaluationError: no problem was run by all arms.
         CspaceError: a run failed; those before it are kept.
     """
-    store = RunStore.open(request.out, request.setting, request.arms, request.specs)
-    work = list(
-        units(request.problems, request.repeats, request.arms, store.done(), request.setting.families)
-    )
-    show(f"{len(request.arms)} arms; {len(work)} runs of problems to do")
+    store = RunStore(request.out, request.setting, request.arms, request.specs)
+    units = list(request.units())
+    done = store.keys()
+    work = [left for unit in units if (left := unit.without(done)).todo]
+    what = "views of problems" if request.pictures else "runs of problems"
+    show(f"{len(request.arms)} arms; {len(work)} {what} to do")
     with Progress("planning", len(work), show) as progress:
         for found in execute(work, request.setting, request.specs) if work else ():
             store.append(found)
             progress.advance()
-    runs = [run for run in store.runs() if request.covers(run)]
-    results = Results.gather(runs, list(request.problems), request.arms, request.setting)
-    shown = {family: min(request.pages, count) for family, count in request.problems.items()}
-    write_files(results, store, pages(shown, request.arms, request.setting, request.specs))
+    results = Results.of(request, store.frame(key for unit in units for key in unit.run_keys()))
+    _write(results, store)
     if tracking is not None:
-        show(f"logged as run {log_run(tracking, results, store)}")
+        show(f"logged as run {_log(tracking, results, store)}")
     return results
 
 
-GROUPS = (Group.UNIFORM, Group.LEARNED, Group.OPTIMISING)
-WORLDS = examples()
-SPLITS = (Split.VALIDATION, Split.TEST)
-
-
-def parser() -> argparse.ArgumentParser:
-    """The options."""
-    parser = argparse.ArgumentParser(
-        prog="python -m services.evaluator planning",
-        description="Solve the same problems with the same seeds by uniform planners and by planners with "
-        "learned samples; tell from which cost of a collision check on the learned ones are worth it.",
-        epilog="Given again, the command goes on from the runs that --out holds. Reads RAY_ADDRESS and "
-        "MLFLOW_TRACKING_URI. Exit codes: 0 done, 1 a run failed, 2 wrong request.",
-    )
-    parser.add_argument("--out", type=Path, required=True, help="folder of runs, report and figures")
-    parser.add_argument("--protocol", type=Protocol, choices=list(Protocol), default=Protocol.FAMILIES)
-    learned = parser.add_argument_group("learned samplers, each option any number of times")
-    learned.add_argument("--api", help="of the models, for example http://127.0.0.1:8000")
-    learned.add_argument(
-        "--model", action="append", default=[], metavar="[NAME=]REFERENCE", help="as path-sampler@champion"
-    )
-    learned.add_argument(
-        "--bundle", action="append", default=[], metavar="NAME=FOLDER", help="in the planner's process"
-    )
-    what = parser.add_argument_group("what is run")
-    what.add_argument(
-        "--robot", choices=list(WORLDS), default=next(iter(WORLDS)), help="default: %(default)s"
-    )
-    what.add_argument("--family", choices=_families(), action="append", help="default: all")
-    what.add_argument("--split", type=Split, choices=SPLITS, default=Split.VALIDATION)
-    what.add_argument(
-        "--problems",
-        type=int,
-        help="of each family (default: 300, disconnected 30; of the paper's protocol 10)",
-    )
-    what.add_argument(
-        "--runs", type=int, help="of each problem (default: 1, of the paper's protocol 100, of plans 3)"
-    )
-    what.add_argument("--seed", type=int, default=0, help="of problems, planners and samplers")
-    what.add_argument(
-        "--arms", nargs="+", default=[group.value for group in GROUPS],
-        help=f"names of arms, or groups: {', '.join(Group)} (default: %(default)s)",
-    )  # fmt: skip
-    what.add_argument("--planners", nargs="+", default=[], metavar="PLANNER", help=", ".join(PLANNERS))
-    what.add_argument(
-        "--min-confidence",
-        type=finite,
-        default=MIN_CONFIDENCE,
-        help="of the filtered and the ordered arms; 0: none is dropped",
-    )
-    what.add_argument(
-        "--samples", type=int, default=SAMPLES,
-        help="learned ones for a run, but in arms that name a number (default: %(default)s)",
-    )  # fmt: skip
-    what.add_argument(
-        "--shares", type=finite, nargs="+", default=LEARNED_SHARES, metavar="SHARE",
-        help="of learned samples, 0 to 1; of each there is an arm (default: 0.7 1)",
-    )  # fmt: skip
-    what.add_argument("--iterations", type=int, help="after which a search ends (default: 20000)")
-    what.add_argument(
-        "--optimising-iterations", type=int, help="the same, of optimising arms (default: 2000)"
-    )
-    what.add_argument("--time-limit", type=finite, metavar="S", help="default: 10, of the paper's protocol 1")
-    add_options(parser)
-    how = parser.add_argument_group("how")
-    how.add_argument(
-        "--processes", type=int, default=os.cpu_count() or 1,
-        help="on this machine; one gives the truest times (default: one a core)",
-    )  # fmt: skip
-    how.add_argument("--pages", type=int, default=3, help="problems of each family that get a page")
-    how.add_argument("--no-mlflow", action="store_true", help="log no run")
-    how.add_argument("--list-arms", action="store_true", help="print the arms and end")
-    return parser
-
-
-def _families() -> list[str]:
-    found: list[str] = []
-    for world in WORLDS.values():
-        found += workshop_of(world).families.names
-        try:
-            found += [name for names in partly_seen(world).sources.values() for name in names]
-        except ScenarioError:
-            continue
-    return list(dict.fromkeys(found))
-
-
-def chosen_arms(options: argparse.Namespace) -> tuple[Arm, ...]:
-    """The arms that the options name.
-
-    Raises:
-        ConfigError: a name is unknown, or two samplers share one.
-    """
-    names = [parse_named(text)[0] for text in (*options.model, *options.bundle)]
-    if len(set(names)) < len(names):
-        raise ConfigError("samplers share a name", expected="NAME=REFERENCE with other names", got=str(names))
-    if not 0.0 <= options.min_confidence <= 1.0:
-        raise ConfigError(
-            "the confidence is out of range", expected="0 to 1", got=str(options.min_confidence)
+def _write(results: Results, store: RunStore) -> None:
+    """Write the table, figures, pages, and the report that shows them."""
+    out, request = store.folder, results.request
+    plotted = {family: min(request.pages, count) for family, count in request.problems.items()}
+    try:
+        results.runs.to_parquet(out / PARQUET, index=False)
+        shown = _save(results.figures(), out, FIGURES)
+        drawn = []
+        if request.setting.protocol is not Protocol.PLANS:
+            drawn = _save(pages(plotted, request.arms, request.setting, request.specs), out, PAGES)
+            (out / COMPARISON).write_text(results.note, "utf-8")
+        facts = report.about(results.runs, request.setting, store.manifest)
+        text = report.report(
+            results.headline, facts, results.sections, request.setting.protocol, shown, drawn
         )
-    if not 1 <= options.samples <= MAX_SAMPLES:
-        raise ConfigError(
-            "the samples are out of range", expected=f"1 to {MAX_SAMPLES}", got=str(options.samples)
-        )
-    shares = tuple(dict.fromkeys(options.shares))
-    if not all(0.0 < share <= 1.0 for share in shares):
-        raise ConfigError("a share is out of range", expected="above 0 to 1", got=str(options.shares))
-    taken = Taken(options.min_confidence, options.samples, shares)
-    range_rad = workshop_of(WORLDS[options.robot]).measures.range_rad
-    return pick(table(names, range_rad, taken), options.arms, options.planners)
+        (out / REPORT).write_text(text, "utf-8")
+    except OSError as error:
+        raise StorageError(f"the folder {out} can not be written", got=str(error)) from error
 
 
-def make_request(options: argparse.Namespace) -> Request:
-    """What the options ask for; models are asked once, bundles loaded.
-
-    Raises:
-        ConfigError: a value is out of range.
-        SamplerError: the API refuses a model, or does not answer.
-        BundleError: a bundle is damaged.
-    """
-    arms = chosen_arms(options)
-    protocol: Protocol = options.protocol
-    setting = _setting(options)
-    counts_by_family = problems_of(protocol, setting.families)
-    wanted = dict.fromkeys(options.family or counts_by_family)
-    if not set(wanted) <= set(setting.families.names):
-        raise ConfigError(
-            f"the arm {options.robot} has no such family of problems",
-            expected=", ".join(setting.families.names),
-            got=", ".join(wanted),
-        )
-    problems = {family: options.problems or counts_by_family.get(family, 10) for family in wanted}
-    repeats = RUNS[protocol] if options.runs is None else options.runs
-    counts = {"problems": options.problems, "runs": repeats, "processes": options.processes}
-    if options.pages < 0:
-        raise ConfigError("there are too few pages", expected="0 or more", got=str(options.pages))
-    for name, count in counts.items():
-        if count is not None and count < 1:
-            raise ConfigError(f"there are too few {name}", expected="at least 1", got=str(count))
-    used = {arm.sampler for arm in arms}
-    specs = [spec for spec in _specs(options) if spec.name in used]
-    return Request(options.out, setting, problems, repeats, arms, tuple(specs), options.pages)
+def _save(figures: Iterable[tuple[str, Figure]], out: Path, folder: str) -> list[str]:
+    names = []
+    for name, figure in figures:
+        (out / folder).mkdir(exist_ok=True)
+        names.append(f"{folder}/{name}.png")
+        figure.savefig(out / names[-1])
+    return names
 
 
-def _setting(options: argparse.Namespace) -> Setting:
-    if not 0 <= options.seed <= MAX_SEED:
-        raise ConfigError("the seed is out of range", expected=f"0 to {MAX_SEED}", got=str(options.seed))
-    limits = dict(LIMITS[options.protocol])
-    given = {
-        "max_iterations": options.iterations,
-        "optimising_iterations": options.optimising_iterations,
-        "time_limit_s": options.time_limit,
+def _log(tracking: Tracking, results: Results, store: RunStore) -> str:
+    """Settings, metrics and files as a tracking run; its id."""
+    setting, families = results.request.setting, ", ".join(results.request.problems)
+    what = setting.split if setting.protocol is Protocol.PLANS else families
+    name = f"planning, {setting.protocol}, {what}, seed {setting.seed}, {ID}"
+    with tracking.start(EXPERIMENT, name, tags={"protocol": setting.protocol.value, TAG_STAGE: STAGE}) as run:
+        samplers = {name: one["digest"] for name, one in store.manifest["samplers"].items()}
+        run.params({"setting": asdict(setting), "samplers": samplers})
+        run.metrics(metrics(results.summary, METRICS), 0)
+        run.table(_columns(results.summary), "arms")
+        run.tags({NOTE: results.note if setting.protocol is not Protocol.PLANS else results.headline})
+        _log_files(run, store.folder)
+        run.flush()
+        return run.run_id
+
+
+def _log_files(run: RunLog, folder: Path) -> None:
+    for part in (MANIFEST, PARQUET, REPORT, COMPARISON):
+        if (folder / part).is_file():
+            run.artifact(folder / part)
+    for path in sorted((folder / FIGURES).glob("*.png")):
+        run.figure(_Saved(path), path.stem)
+    if (folder / PAGES).is_dir():
+        run.artifact(folder / PAGES, PAGES)
+
+
+def _columns(summary: pd.DataFrame) -> dict[str, Sequence[Any]]:
+    """The summary for the tracking run: finite numbers, metric names."""
+    found = summary[summary["value"].map(math.isfinite)]
+    columns: dict[str, Sequence[Any]] = {
+        name: found[name].tolist() for name in ("family", "measure", "count")
     }
-    limits |= {name: value for name, value in given.items() if value is not None}
-    for name, value in limits.items():
-        if not value > 0:
-            raise ConfigError(f"{name} is out of range", expected="above 0", got=str(value))
-    world = WORLDS[options.robot]
-    return Setting(
-        options.protocol,
-        options.split,
-        options.seed,
-        int(limits["max_iterations"]),
-        int(limits["optimising_iterations"]),
-        float(limits["time_limit_s"]),
-        workshop_of(world).measures.resolution_rad,
-        world=world,
-    )
+    columns["arm"] = found["arm"].map(metric_name).tolist()
+    columns["value"] = found["value"].astype(float).tolist()
+    for limit in ("low", "high"):
+        columns[limit] = [one if math.isfinite(one) else None for one in found[limit]]
+    return columns
 
 
-def _specs(options: argparse.Namespace) -> Sequence[SourceSpec]:
-    if options.model and not options.api:
-        raise ConfigError("models are behind an API", remedy="name it with --api")
-    world = WORLDS[options.robot]
-    models = [served(*parse_named(text), options.api, world) for text in options.model]
-    return [*models, *(bundled(name, Path(at)) for name, at in map(parse_named, options.bundle))]
+@dataclass(frozen=True, slots=True)
+class _Saved:
+    """A picture that is a PNG file already."""
+
+    path: Path
+
+    def savefig(self, fname: Path, *, format: str) -> None:  # noqa: A002, ARG002 - matplotlib's own names
+        """Copy it."""
+        shutil.copyfile(self.path, fname)

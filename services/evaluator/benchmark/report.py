@@ -1,369 +1,488 @@
-"""The benchmark's report: break-even first, then the tables of every arm."""
+"""The benchmark's report: a headline, then tables that are made from the summary."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
-from services.evaluator.benchmark.arms import DEFAULT_SHARE, Arm, Group, Protocol
-from services.evaluator.benchmark.results import Convergence, FamilyResult, Results
+from cspace.worlds import partly_seen
+from cspace.worlds.unseen import Taken as Unseen
+from services.evaluator.benchmark.arms import (
+    DEFAULT_SHARE,
+    Arm,
+    Group,
+    PlanArm,
+    Protocol,
+    Setting,
+    plain_arm,
+)
+from services.evaluator.benchmark.plans import NO_PROBLEM
 from services.evaluator.benchmark.summary import (
+    UNSEEN_EDGES,
     WITHIN,
-    ArmSummary,
-    Flags,
-    PairedRuns,
-    Ratios,
-    costs_in_words,
-    in_words,
+    WITHIN_COUNTS,
+    Paired,
+    confidence_curve,
+    plan_groups,
 )
-from services.evaluator.evaluation.measured import Table, aligned, markdown
-from services.evaluator.statistics import (
-    CensoredSummary,
-    Interval,
-    clopper_pearson,
-    difference_interval,
-    mean_interval,
-    quantile_interval,
-    ratio_of_sums_interval,
-)
+from services.evaluator.statistics import Interval
+
+SHARES = (0.2, 0.4, 0.6, 0.8, 1.0)
+Figures = Mapping[str, Interval]
+Cell = Callable[[Figures], str]
+# Heading, note and rows.
+Section = tuple[str, str, pd.DataFrame]
 
 
-def table_of(rows: Sequence[Mapping[str, str]]) -> Table:
-    """The table of rows whose cells are named by their headings, the same in each; empty without rows."""
-    return [list(rows[0]), *(list(row.values()) for row in rows)] if rows else []
+def markdown(table: pd.DataFrame) -> str:
+    """A table of texts in Markdown."""
+    lines = [table.columns, ["---"] * len(table.columns), *table.to_numpy()]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
-def arm_table(summaries: Sequence[ArmSummary]) -> Table:
-    """Iterations, checks, success and length of every arm."""
-    return table_of(
-        [
-            {
-                "arm": one.arm.name,
-                f"solved within {WITHIN}": f"{one.within:.4f}",
-                "paths rejected": str(one.rejected),
-                "iterations": quantiles(one.iterations),
-                **_pair("of uniform's median", "of its p90", one.iteration_ratios),
-                **_pair("of its best's median", "of its best's p90", one.own_best_ratios),
-                "edge checks": quantiles(one.edge_checks),
-                **_pair("checks of uniform's median", "checks of its p90", one.check_ratios),
-                "length of uniform's": _interval(one.length_ratio),
-            }
-            for one in summaries
-        ]
-    )
+def figures_of(summary: pd.DataFrame) -> dict[tuple[str, str], dict[str, Interval]]:
+    """The summary by group and arm: estimates by measure."""
+    found: dict[tuple[str, str], dict[str, Interval]] = {}
+    for row in summary.itertuples(index=False):
+        one = Interval(row.value, row.low, row.high, row.count)
+        found.setdefault((row.family, row.arm), {})[row.measure] = one
+    return found
 
 
-def time_table(summaries: Sequence[ArmSummary]) -> Table:
-    """Request, solve and whole time of every arm; in brackets the 90th percentile."""
-    rows = []
-    for one in summaries:
-        parts = {name: f"{median:.2f} ({p90:.2f})" for name, (median, p90) in one.parts_ms.items()}
-        request = dict.fromkeys(parts, "-") if one.arm.sampler is None else parts
-        rows.append(
-            {
-                "arm": one.arm.name,
-                "request, ms": request["request"],
-                "of it server": request["server"],
-                "of it transport": request["transport"],
-                "solve, ms": quantiles(one.solve_ms, ".2f"),
-                "of it checks": parts["check"],
-                "whole, ms": quantiles(one.total_ms, ".2f"),
-            }
-        )
-    return table_of(rows)
+def interval(name: str, form: str = ".2f", missing: str = "-") -> Cell:
+    """``0.86 [0.84, 0.87]``."""
+    return lambda found: f"{found[name]:{form}}" if name in found else missing
 
 
-def worth_table(summaries: Sequence[ArmSummary]) -> Table:
-    """From which cost of a check on learned samples save wall time."""
-    return table_of(
-        [
-            {
-                "arm": one.arm.name,
-                "edge, over uniform": in_words(one.worth.edge_base),
-                "edge, over the best uniform": in_words(one.worth.edge_best),
-                "state, over uniform": in_words(one.worth.state_base),
-                "state, over the best uniform": in_words(one.worth.state_best),
-                "medians: edge, over uniform": costs_in_words(one.worth.edge_base.typical),
-            }
-            for one in summaries
-            if one.worth is not None
-        ]
-    )
+def number(name: str, form: str = ".0f", missing: str = "-") -> Cell:
+    """A value without its limits."""
+    return lambda found: f"{found[name].estimate:{form}}" if name in found else missing
 
 
-def convergence_table(found: Sequence[Convergence]) -> Table:
-    """How soon optimising planners come within 5 % of the best known length."""
-    rows = []
-    for one in found:
-        time_ms = replace(one.time_s, median=1e3 * one.time_s.median, p90=1e3 * one.time_s.p90)
-        rows.append(
-            {
-                "arm": one.arm.name,
-                "came within 5 %": f"{one.close:.3f}",
-                "iterations until then": quantiles(one.iterations),
-                **_pair("of RRT*'s median", "of its p90", one.iteration_ratios),
-                "edge checks": quantiles(one.edge_checks),
-                "time, ms": quantiles(time_ms, ".1f"),
-                "first length of RRT*'s": _interval(one.first_length),
-                "last length of the best known": f"{one.final_excess:.3f}",
-            }
-        )
-    return table_of(rows)
-
-
-def give_up_table(runs: PairedRuns, arms: Sequence[Arm]) -> Table:
-    """Of problems without a path: false successes, and what it takes until a limit ends the search."""
-    rows = [["arm", "false successes", "iterations", "edge checks", "time to give up, ms"]]
-    for arm in arms:
-        solved = runs.solved(arm.name)
-        # Every run is cut off here, and where is the very thing that is measured.
-        spent = [runs.values(arm.name, name) for name in ("iterations", "edge_checks", "total_s")]
-        cells = [
-            f"{scale * np.median(values):.0f} ({scale * np.quantile(values, 0.9):.0f})"
-            for values, scale in zip(spent, (1.0, 1.0, 1e3), strict=True)
-        ]
-        rows.append([arm.name, f"{int(solved.sum())} of {solved.size}", *cells])
-    return rows
-
-
-def quantiles(summary: CensoredSummary, form: str = ".0f") -> str:
+def quantiles(name: str, form: str = ".0f", high: str = "p90") -> Cell:
     """Median and 90th percentile, each with > where it is only a lower bound."""
-    median, p90 = (
-        f"{'>' if bound else ''}{value:{form}}"
-        for value, bound in ((summary.median, summary.median_is_bound), (summary.p90, summary.p90_is_bound))
+
+    def cell(found: Figures) -> str:
+        texts = [
+            f"{'>' if math.isinf(one.high) else ''}{one.estimate:{form}}"
+            for one in (found[f"{name}_median"], found[f"{name}_{high}"])
+        ]
+        return "{} ({})".format(*texts)
+
+    return cell
+
+
+def worth(name: str) -> Cell:
+    """``above 21 us [17, 26]``, ``always``, ``never``, or what else there is."""
+
+    def cell(found: Figures) -> str:
+        if f"{name}_from_us" not in found:
+            return "-"
+        start, until = found[f"{name}_from_us"], found[f"{name}_until_us"]
+        words = costs_in_words(start.estimate, until.estimate)
+        if (words == "always" and start.high == 0.0) or (words == "never" and math.isinf(start.low)):
+            return words
+        edge = until if start.estimate == 0.0 and not math.isinf(until.estimate) else start
+        return f"{words} [{_us(edge.low)}, {_us(edge.high)}]"
+
+    return cell
+
+
+def costs_in_words(from_us: float, until_us: float) -> str:
+    """Between which costs of a check, in us, something is worth it."""
+    if from_us >= until_us:
+        return "never"
+    if math.isinf(until_us):
+        return "always" if from_us == 0.0 else f"above {_us(from_us)} us"
+    if from_us == 0.0:
+        return f"below {_us(until_us)} us"
+    return f"between {_us(from_us)} and {_us(until_us)} us"
+
+
+def _us(value: float) -> str:
+    if math.isinf(value):
+        return "never"
+    return f"{value:.3g}" if value < 1e3 else f"{value:.0f}"
+
+
+def _typical(found: Figures) -> str:
+    names = (f"break_even_edge_base_typical_{name}" for name in ("from_us", "until_us"))
+    return costs_in_words(*(found[name].estimate for name in names))
+
+
+def _ratio_cells(name: str, of_median: str, of_p90: str) -> dict[str, Cell]:
+    return {of_median: interval(f"{name}_median"), of_p90: interval(f"{name}_p90")}
+
+
+WORTH: dict[str, Cell] = {
+    "edge, over uniform": worth("break_even_edge_base"),
+    "edge, over the best uniform": worth("break_even_edge_best"),
+    "state, over uniform": worth("break_even_state_base"),
+    "state, over the best uniform": worth("break_even_state_best"),
+    "medians: edge, over uniform": _typical,
+}
+PAPER: dict[str, Cell] = {
+    "path length mean, rad": interval("length_rad_mean"),
+    "running time mean, ms": interval("solve_ms_mean"),
+    "with the request, ms": interval("total_ms_mean"),
+    "success": interval("solved", ".4f"),
+    "scenarios always solved": interval("always_solved"),
+}
+WORK: dict[str, Cell] = {
+    f"solved within {WITHIN}": interval(f"within_{WITHIN}", ".4f"),
+    "paths rejected": number("rejected"),
+    "iterations": quantiles("iterations"),
+    **_ratio_cells("iterations_ratio", "of uniform's median", "of its p90"),
+    **_ratio_cells("iterations_ratio_own_best", "of its best's median", "of its best's p90"),
+    "edge checks": quantiles("edge_checks"),
+    **_ratio_cells("edge_checks_ratio", "checks of uniform's median", "checks of its p90"),
+    "length of uniform's": interval("length_ratio"),
+}
+TIME: dict[str, Cell] = {
+    "request, ms": quantiles("request_ms", ".2f"),
+    "server part": quantiles("server_ms", ".2f"),
+    "transport part": quantiles("transport_ms", ".2f"),
+    "solve, ms": quantiles("solve_ms", ".2f"),
+    "check part": quantiles("check_ms", ".2f"),
+    "total, ms": quantiles("total_ms", ".2f"),
+}
+OPTIMISING: dict[str, Cell] = {
+    "came within 5 %": number("close", ".3f"),
+    "iterations until then": quantiles("close_iterations"),
+    **_ratio_cells("close_iterations_ratio", "of RRT*'s median", "of its p90"),
+    "edge checks": quantiles("close_edge_checks"),
+    "time, ms": quantiles("close_ms", ".1f"),
+    "first length of RRT*'s": interval("first_length_ratio"),
+    "last length of the best known": number("final_excess", ".3f"),
+}
+COUNTS: dict[str, Cell] = {
+    **{f"within {count} iterations": interval(f"within_{count}", ".3f") for count in WITHIN_COUNTS},
+    "solved": interval("solved", ".4f"),
+    "iterations: a problem's mean": interval("iterations_mean_median", ".0f"),
+}
+GIVING_UP: dict[str, Cell] = {
+    "false successes": lambda found: "{:.0f} of {}".format(
+        found["solved"].estimate * found["solved"].count, found["solved"].count
+    ),
+    "iterations": quantiles("end_iterations"),
+    "edge checks": quantiles("end_edge_checks"),
+    "time to give up, ms": quantiles("end_total_ms"),
+}
+SAFETY: dict[str, Cell] = {
+    "solved": interval("solved"),
+    "refused": number("refused", ".2f"),
+    "collide": interval("collide"),
+    "deeper than 1 cm": interval("deep"),
+    "by meshes": lambda found: interval("meshes", ".2f", "not checked" if "collide" in found else "-")(found),
+    "more than with unseen free": interval("more"),
+    "search, ms: p50 (p95)": quantiles("search_ms", ".0f", "p95"),
+    "scoring, ms": quantiles("score_ms", ".0f", "p95"),
+}
+CHECKS: dict[str, Cell] = {
+    "solved": number("solved", ".2f"),
+    "free as it was": number("as_is", ".2f"),
+    "states": quantiles("state_checks"),
+    **_ratio_cells("states_ratio", "of uniform's median", "of its p90"),
+    "edges": quantiles("edge_checks"),
+    "iterations": quantiles("iterations"),
+    "length of uniform's": interval("length_ratio"),
+}
+PRICE: dict[str, Cell] = {
+    "paths, ms": number("request_ms_median", ".1f"),
+    "search with checks, ms": number("solve_ms_median", ".1f"),
+    "total by spheres, ms": number("spheres_ms", ".1f"),
+    "total by meshes, ms": number("meshes_ms", ".1f", "not checked"),
+    "faster than uniform if a check costs": worth("break_even_state_base"),
+}
+
+
+def rows_of(found: Iterable[tuple[Mapping[str, str], Figures]], cells: Mapping[str, Cell]) -> pd.DataFrame:
+    """A table with one row for each set of figures, which begins with its names."""
+    return pd.DataFrame(
+        [{**names, **{head: cell(one) for head, cell in cells.items()}} for names, one in found]
     )
-    return f"{median} ({p90})"
-
-
-def _pair(of_median: str, of_p90: str, ratios: Ratios | None) -> dict[str, str]:
-    median, p90 = (None, None) if ratios is None else (ratios.median, ratios.p90)
-    return {of_median: _interval(median), of_p90: _interval(p90)}
-
-
-def _interval(interval: Interval | None) -> str:
-    return "-" if interval is None else f"{interval:.2f}"
-
-
-def treated_table(runs: PairedRuns, arms: Sequence[Arm], rng: np.random.Generator) -> Table:
-    """What a treatment of the samples does to success, run by run on the same problem under the same seed.
-
-    The interval of the difference is over problems, whose runs stay together.
-
-    Args:
-        runs: of one family.
-        arms: that were run.
-        rng: source of the resampling.
-    """
-    rows = []
-    for arm in arms:
-        plain = plain_arm(arm, arms)
-        if plain is None:
-            continue
-        mine, others = (_within(runs, one.name) for one in (arm, plain))
-        difference = difference_interval(mine.mean(axis=1), others.mean(axis=1), rng)
-        rows.append(
-            {
-                "arm": arm.name,
-                "beside": plain.name,
-                f"solved within {WITHIN}": f"{mine.mean():.4f}, {others.mean():.4f}",
-                "its runs lost": f"{int((others & ~mine).sum())} of {mine.size}",
-                "won": str(int((mine & ~others).sum())),
-                "difference": f"{difference:.4f}",
-            }
-        )
-    return table_of(rows)
-
-
-def plain_arm(arm: Arm, arms: Sequence[Arm]) -> Arm | None:
-    """The arm that takes the samples as they come and is else the same; None if there is none."""
-    if not _treated(arm):
-        return None
-    plain = (one for one in arms if one.group is Group.LEARNED and not _treated(one))
-    return next((one for one in plain if _planning(one) == _planning(arm)), None)
-
-
-def _treated(arm: Arm) -> bool:
-    return arm.min_confidence > 0.0 or arm.ordered or arm.colliding_last
-
-
-def _planning(arm: Arm) -> tuple[object, ...]:
-    return (arm.planner, arm.sampler, arm.learned_share, arm.samples, arm.epsilon_sigma, arm.stop_at_first)
-
-
-def _within(runs: PairedRuns, arm: str) -> Flags:
-    return runs.solved(arm) & (runs.values(arm, "iterations") <= WITHIN)
-
-
-WITHIN_COUNTS = (100, 300, 1000)
-
-
-def paper_table(runs: PairedRuns, arms: Sequence[Arm], rng: np.random.Generator) -> Table:
-    """Path length, running time and success of every arm over all scenarios.
-
-    Lengths are means over the runs with a path. The time is that of the search and, beside it, with the
-    request; its means are over all runs, one without a path counted up to its limit. Intervals are over
-    scenarios, for success exact over runs.
-    """
-    rows = []
-    for arm in arms:
-        solved = runs.solved(arm.name)
-        lengths = np.where(solved, np.nan_to_num(runs.values(arm.name, "length_rad")), 0.0).sum(axis=1)
-        found = solved.sum(axis=1)
-        some = found > 0
-        mean_length = "-"
-        if some.any():
-            mean_length = f"{ratio_of_sums_interval(lengths[some], found[some], rng):.2f}"
-        search_ms, whole_ms = (
-            mean_interval(1e3 * runs.values(arm.name, name).mean(axis=1), rng)
-            for name in ("solve_s", "total_s")
-        )
-        rows.append(
-            {
-                "arm": arm.name,
-                "path length mean, rad": mean_length,
-                "running time mean, ms": f"{search_ms:.2f}",
-                "with the request, ms": f"{whole_ms:.2f}",
-                "success": f"{clopper_pearson(int(solved.sum()), solved.size):.4f}",
-                "scenarios always solved": f"{int(solved.all(axis=1).sum())} of {len(solved)}",
-            }
-        )
-    return table_of(rows)
-
-
-def counts_table(runs: PairedRuns, arms: Sequence[Arm], rng: np.random.Generator) -> Table:
-    """Success and iterations against the number of samples asked for; empty without such arms.
-
-    Iterations are means over the runs of a problem, of which the median is told; a run without success counts
-    as much as the longest.
-    """
-    swept = sorted(
-        (arm for arm in arms if arm.group is Group.COUNTS), key=lambda arm: (arm.sampler, arm.samples)
-    )
-    rows = []
-    for arm in swept:
-        solved, iterations = runs.solved(arm.name), runs.values(arm.name, "iterations")
-        within = {
-            count: clopper_pearson(int((solved & (iterations <= count)).sum()), solved.size)
-            for count in WITHIN_COUNTS
-        }
-        ranked = np.where(solved, iterations, iterations.max()).mean(axis=1)
-        rows.append(
-            {
-                "arm": arm.name,
-                "samples": str(arm.samples),
-                **{f"within {count} iterations": f"{share:.3f}" for count, share in within.items()},
-                "solved": f"{clopper_pearson(int(solved.sum()), solved.size):.4f}",
-                "iterations: a problem's mean": f"{quantile_interval(ranked, 0.5, rng):.0f}",
-            }
-        )
-    return table_of(rows)
 
 
 READING = (
-    "Values are medians with the 90th percentile in round brackets and 95 % limits in square ones: exact "
+    "Values are medians; the 90th percentile stands in round brackets, 95 % limits in square ones: exact "
     "(Clopper-Pearson) for shares, by bootstrap over problems for the rest. A run without success ranks "
-    "behind all others and is never dropped; > marks a value that is only a lower bound. *Paths rejected*:"
-    " by the independent check at ten times the planner's resolution, which makes a run one without "
-    "success. Ratios are to the same planner with uniform samples at the same range; *best* is the uniform"
-    f" arm of that planner with the lowest median, over ranges and programs. *Within {WITHIN}* counts "
-    "iterations. The filtered arms take samples that the validity head lets pass."
+    "behind all others; > marks a lower bound. *Paths rejected*: the independent check at ten times the "
+    "planner's resolution rejected the path, so the run counts as one without success. Ratios are to the "
+    "same planner with uniform samples at the same range; *best* is the uniform arm of that planner with the "
+    f"lowest median, over ranges and programs. *Within {WITHIN}* counts iterations."
 )
-WORTH = (
-    "With checks that cost c a piece, all runs of an arm take (requests + the planner's own work) + checks"
-    " x c. The table says for which c the arm with learned samples takes less time than the one with "
-    "uniform samples, and less than each uniform arm; c is the cost of an edge, or of a look at one state."
-    " *never* as a limit: in some of the resampled problem sets it never does. A run without success "
-    "counts up to where it ended, which favours the arm that has more of them. The last column takes "
-    "medians over problems instead of sums."
+WORTH_NOTE = (
+    "If a check costs c, all runs of an arm take (requests + the planner's own work) + checks x c. The table "
+    "says for which c the arm with learned samples takes less time than the one with uniform samples, and "
+    "less than each uniform arm; c is the cost of an edge check or of a state check. *never* as a limit: "
+    "some resampled problem sets never pay. A run without success counts up to its end, which favours the "
+    "arm with more of them. The last column takes medians over problems instead of sums."
 )
-TIME = (
-    "Checks are counted and multiplied by what one takes in a compiled loop on the same problem; *server* "
-    "is what the sampler tells of its own time (decoding, encoding, generating), *transport* the rest of "
-    "the request. Every request sends a picture that the server does not know yet. Arms that ask for the "
-    "same samples share one request, and each counts it."
+TIME_NOTE = (
+    "Check time is the number of checks times the cost of one in a compiled loop on the same problem. "
+    "*Server* is the time that the sampler reports (decoding, encoding, generating), *transport* the rest of "
+    "the request. Every request sends a picture that is new to the server. Arms with the same request share "
+    "it, and each counts its time."
+)
+OPTIMISING_NOTE = (
+    "The best known length of a problem is the shortest path of all arms and runs. An iteration of BIT* is a "
+    "drawn state, of which it draws many before it checks an edge: compare it by checks and time."
+)
+GIVING_UP_NOTE = (
+    "These problems have no path, so a success would be false. The effort is until a limit ends the search."
+)
+TREATED_NOTE = (
+    "Beside the same planner with the same samples as they come, run by run under the same seeds: the "
+    "other's runs that the arm does not solve, and the runs that only the arm solves."
+)
+PAPER_NOTE = (
+    "Lengths are means over the runs with a path. Times are means over all runs; one without a path counts "
+    "up to its limit. Intervals are over scenarios, for success over runs."
+)
+SAFETY_NOTE = (
+    "All arms search alike, with the same draws; they differ in how they treat unseen space. Models refine "
+    "their paths and choose the one of the highest confidence instead of the shortest. A path collides where "
+    "its true clearance, by the arm's spheres every 0.01 rad, is not above 0; by meshes where convex hulls "
+    "of its parts touch. *Solved* and *refused* are shares of the problems; the others ran out of time. "
+    "*Collide* is a share of the paths. *More than with unseen free* is the paired difference over problems "
+    "that both solve. *Truth where unseen* keeps to the pictures and the truth: what a perfect guess of "
+    "unseen space would reach. Square brackets are 95 % limits, exact for shares, by bootstrap over problems "
+    "for the rest."
+)
+CONFIDENCE_NOTE = (
+    "From one run at `min_confidence` 0, paths sorted by confidence: only those of the highest confidence "
+    "are answers, for at most this share of the problems; all others are refused."
+)
+VIEWS_NOTE = (
+    "1.1 to 1.3 m away, 30 to 60 degrees to the side of the line to the robot, 20 to 40 degrees up, with "
+    "noise, the arm in the picture."
+)
+UNSEEN_NOTE = "Share of the arm that no picture shows, mean along the path."
+CHECKS_NOTE = (
+    "States and edges are checked in the true scene until the first path, by the project's own RRT-Connect: "
+    "with uniform configurations, or with paths that are checked first, and configurations about them where "
+    "none is free. *Paths of the truth* are searched for in the true scene: what a perfect picture would "
+    "give. Of each problem the median over its runs counts; of these the table shows median and 90th "
+    "percentile, where an unsolved problem ranks behind all others (> marks a lower bound)."
+)
+PRICE_NOTE = (
+    "If a state check costs c, a problem takes (reading the picture, paths, the planner's own work) + states "
+    "x c. The last column says for which c the paths save time over uniform samples, in sums over the "
+    "problems; the two before it are medians at the prices of spheres and meshes."
+)
+VAMP = (
+    "For comparison: vamp's RRT-Connect solves MotionBenchMaker's Panda problems in 35 us at the median "
+    "(Thomason, Kingston and Kavraki 2024), with the whole scene known. No learned sampler is faster there."
 )
 
-OPTIMISING = (
-    "The best known length of a problem is the shortest that any arm found in any run of it. An iteration "
-    "of BIT* is a drawn state, of which it draws many before it looks at an edge: compare it by checks and"
-    " time."
-)
-GIVING_UP = (
-    "There is no path, so a success would be false; what is told is the effort until a limit ends the search."
-)
-TREATED = (
-    "Beside the same planner with the same sampler's samples as they come, run by run under the same seeds: "
-    "how many of the other's runs the arm does not solve, and how many it solves that the other does not."
-)
-PAPER = (
-    "Lengths are means over the runs with a path. Times are means over all runs, one without a path "
-    "counted up to its limit. Intervals are over scenarios, for success over runs."
-)
+
+def sample_sections(summary: pd.DataFrame, arms: Sequence[Arm], setting: Setting) -> list[Section]:
+    """The tables of the protocols ``families`` and ``paper``, without the empty ones."""
+    figures, sections = figures_of(summary), list[Section]()
+    for family in dict.fromkeys(summary["family"]):
+        own = [(arm, figures[family, arm.name]) for arm in arms if (family, arm.name) in figures]
+        first = [(arm, found) for arm, found in own if arm.stop_at_first]
+
+        def add(
+            heading: str, note: str, cells: Mapping[str, Cell], rows: Sequence[tuple[Arm, Figures]],
+            family: str = family,
+        ) -> None:  # fmt: skip
+            if rows:
+                table = rows_of([({"arm": arm.name}, found) for arm, found in rows], cells)
+                sections.append((f"{heading}, {family}", note, table))
+
+        if family not in setting.families.solvable:
+            add("Giving up", GIVING_UP_NOTE, GIVING_UP, first)
+            continue
+        learned = [(arm, found) for arm, found in first if arm.sampler is not None]
+        add("Break-even costs of a check", WORTH_NOTE, WORTH, learned)
+        if setting.protocol is Protocol.PAPER:
+            add("The paper's columns", PAPER_NOTE, PAPER, first)
+        add("Work", "", WORK, first)
+        treated = [(arm, found) for arm, found in first if "treated_difference" in found]
+        if treated:
+            table = _treated(treated, [arm for arm, _ in first], figures, family)
+            sections.append((f"Samples filtered, ordered, checked, {family}", TREATED_NOTE, table))
+        add("Time", TIME_NOTE, TIME, first)
+        add("Optimising", OPTIMISING_NOTE, OPTIMISING, [one for one in own if not one[0].stop_at_first])
+        counts = sorted(
+            (one for one in first if one[0].group is Group.COUNTS),
+            key=lambda one: (one[0].sampler or "", one[0].samples),
+        )
+        add("Samples requested", "", COUNTS, counts)
+    return sections
 
 
-def comparison_note(results: Results) -> str:
-    """The short form: what a check must cost for samples to pay, and a table of the arms by family."""
-    parts = [break_even_line(results)]
-    for name, found in results.families.items():
-        parts += [f"### {name}", markdown(arm_table(found.summaries))]
-    return "\n\n".join(parts) + "\n"
+def _treated(
+    treated: Sequence[tuple[Arm, Figures]],
+    arms: Sequence[Arm],
+    figures: Mapping[tuple[str, str], Figures],
+    family: str,
+) -> pd.DataFrame:
+    rows, within = [], f"within_{WITHIN}"
+    for arm, found in treated:
+        plain = plain_arm(arm, arms)
+        beside = "" if plain is None else plain.name
+        shares = (one[within].estimate for one in (found, figures[family, beside]))
+        rows.append(
+            {
+                "arm": arm.name,
+                "beside": beside,
+                f"solved within {WITHIN}": "{:.4f}, {:.4f}".format(*shares),
+                "its runs lost": f"{found['treated_lost'].estimate:.0f} of {found[within].count}",
+                "won": f"{found['treated_won'].estimate:.0f}",
+                "difference": f"{found['treated_difference']:.4f}",
+            }
+        )
+    return pd.DataFrame(rows)
 
 
-def report(
-    results: Results, manifest: Mapping[str, Any], figures: Sequence[str] = (), pages: Sequence[str] = ()
-) -> str:
-    """The whole report; its first line is the break-even cost of a check.
+def plan_sections(
+    summary: pd.DataFrame,
+    runs: pd.DataFrame,
+    pictures: Sequence[int],
+    arms: Sequence[PlanArm],
+    setting: Setting,
+) -> list[Section]:
+    """The tables of the protocol ``plans``, without the empty ones."""
+    figures, groups = figures_of(summary), plan_groups(runs, pictures, setting)
+    sections: list[Section] = []
+    unchecked = [arm for arm in arms if not arm.checked]
+    for source, count in _sources(summary, pictures, setting):
+        group, name = f"{source}, {count}", f"{source}, {_pictures(count)}"
+        found = [(arm, figures[group, arm.name]) for arm in unchecked if (group, arm.name) in figures]
+        problems = max(one["solved"].count for _, one in found)
+        table = rows_of([({"arm": arm.name}, one) for arm, one in found], SAFETY)
+        heading = f"Without exact checks: {name}, {problems} problem{'s' * (problems > 1)}"
+        sections.append((heading, SAFETY_NOTE, table))
+        models = [(arm.name, one) for arm, one in found if "calibration_error" in one]
+        halves = "; ".join(
+            f"{model}: calibration error {one['calibration_error'].estimate:.3f}, "
+            f"{one['surer_half_collide']:.2f} of the half with the higher confidence collide"
+            for model, one in models
+        )
+        own = groups[group]
+        paired = Paired(own[~own["checked"]])
+        rows = [row for model, _ in models for row in _confidence_rows(paired.of(model), model)]
+        sections.append((f"By min_confidence: {name}", f"{CONFIDENCE_NOTE} {halves}.", pd.DataFrame(rows)))
+        families = {family: f"{family}, {count}" for family in dict.fromkeys(own["family"])}
+        rows = [
+            {"family": family, **{arm.name: _collide(figures.get((place, arm.name), {})) for arm, _ in found}}
+            for family, place in families.items()
+        ]
+        sections.append((f"Collisions by family: {name}", "", pd.DataFrame(rows)))
+        rows = []
+        for low, high in pairwise(UNSEEN_EDGES):
+            measure = f"collide_unseen_{low:.2f}_{high:.2f}"
+            if any(measure in one for _, one in found):
+                shares = {arm.name: _collide(one, measure) for arm, one in found}
+                rows.append({"unseen": f"{low:.2f} to {high:.2f}", **shares})
+        sections.append((f"Collisions by unseen share: {name}", UNSEEN_NOTE, pd.DataFrame(rows)))
+    checked = [arm for arm in arms if arm.checked]
+    for count in pictures:
+        found_checks = [
+            ({"problems": f"{name} ({one['state_checks_median'].count})", "arm": arm.name}, one)
+            for group in groups
+            if group.endswith(f", {count}")
+            for arm in checked
+            if (one := figures.get((group, arm.name))) and (name := group.removesuffix(f", {count}"))
+        ]
+        for heading, note, cells in (
+            ("With exact checks", CHECKS_NOTE, CHECKS),
+            ("Time and price of a check", PRICE_NOTE, PRICE),
+        ):
+            sections.append((f"{heading}: {_pictures(count)}", note, rows_of(found_checks, cells)))
+    return [one for one in sections if len(one[2])]
 
-    Args:
-        results: of the benchmark.
-        manifest: of its folder.
-        figures: paths of the figures, as seen from the report.
-        pages: likewise, of the pages of single problems.
-    """
-    title = f"# Planning benchmark, protocol `{results.setting.protocol}`"
-    parts = [break_even_line(results), title, _about(results, manifest), READING]
-    for found in results.families.values():
-        parts += _family(found, results)
-    for heading, paths in (("## Figures", figures), ("## Problems", pages)):
-        parts += [heading, *(f"![{Path(path).stem}]({path})" for path in paths)] if paths else []
-    return "\n\n".join(parts) + "\n"
+
+def _sources(summary: pd.DataFrame, pictures: Sequence[int], setting: Setting) -> list[tuple[str, int]]:
+    """Sources of problems and numbers of pictures that have figures without exact checks."""
+    known = set(summary.loc[summary["measure"] == "refused", "family"])
+    pairs = [(source, count) for source in partly_seen(setting.world).sources for count in pictures]
+    return [(source, count) for source, count in pairs if f"{source}, {count}" in known]
 
 
-def break_even_line(results: Results) -> str:
+def _pictures(count: int) -> str:
+    return f"{count} picture{'s' * (count > 1)}"
+
+
+def _collide(found: Figures, measure: str = "collide") -> str:
+    return f"{found[measure].estimate:.2f} ({found[measure].count})" if measure in found else "-"
+
+
+def _confidence_rows(runs: pd.DataFrame, model: str) -> list[dict[str, str]]:
+    curve, rows = confidence_curve(runs), []
+    for share in SHARES:
+        # Up to rounding of k / n.
+        taken = curve[curve["answered"] <= share + 1e-9]
+        if len(taken):
+            last = taken.iloc[-1]
+            rows.append(
+                {
+                    "model": model,
+                    "answered, at most": f"{share:.1f}",
+                    "answered": f"{last['answered']:.2f}",
+                    "min_confidence": f"{last['confidence']:.3f}",
+                    "collide": f"{last['collide']:.3f}",
+                }
+            )
+    return rows
+
+
+def break_even_line(summary: pd.DataFrame, arms: Sequence[Arm], setting: Setting) -> str:
     """From which cost of an edge check on learned samples are worth their time, by family and planner."""
-    clauses = []
-    for found in results.families.values():
-        for one in found.summaries if found.solvable else ():
-            wanted = one.arm.group is Group.LEARNED and one.arm.learned_share == DEFAULT_SHARE
-            if wanted and one.worth is not None:
-                same, best = in_words(one.worth.edge_base), in_words(one.worth.edge_best)
-                clauses.append(f"{found.family}, {one.arm.name}: {same} / {best}")
-    told = "; ".join(clauses) or "no learned sampler was measured"
+    clauses, figures = [], figures_of(summary)
+    for family in dict.fromkeys(summary["family"]):
+        for arm in arms if family in setting.families.solvable else ():
+            found = figures.get((family, arm.name), {})
+            wanted = arm.group is Group.LEARNED and arm.learned_share == DEFAULT_SHARE
+            if wanted and "break_even_edge_base_from_us" in found:
+                words = " / ".join(worth(f"break_even_edge_{name}")(found) for name in ("base", "best"))
+                clauses.append(f"{family}, {arm.name}: {words}")
     return (
         "Break-even cost of an edge check, from which learned samples save wall time over the same planner "
-        f"with uniform samples / over the best uniform planner: {told}."
+        "with uniform samples / over the best uniform planner: "
+        f"{'; '.join(clauses) or 'no learned sampler was measured'}."
     )
 
 
-def terminal_tables(results: Results) -> str:
-    """The same tables, aligned."""
-    parts = [break_even_line(results)]
-    for found in results.families.values():
-        parts += [f"{found.family}: {name}\n{aligned(table)}" for name, table, _ in _tables(found, results)]
-    return "\n\n".join(parts) + "\n"
+def collision_line(
+    summary: pd.DataFrame, pictures: Sequence[int], arms: Sequence[PlanArm], setting: Setting
+) -> str:
+    """The share of paths that collide, by source and pictures: with unseen space free, and of each model."""
+    figures, clauses = figures_of(summary), []
+    shown = [arm.name for arm in arms if not arm.checked and arm.unseen in (None, Unseen.FREE)]
+    for source, count in _sources(summary, pictures, setting):
+        found = {arm: figures.get((f"{source}, {count}", arm), {}) for arm in shown}
+        shares = "; ".join(f"{arm} {one['collide']:.2f}" for arm, one in found.items() if "collide" in one)
+        clauses.append(f"{source}, {_pictures(count)}: {shares or 'no paths'}")
+    return f"Share of the paths planned without exact checks that collide. {'. '.join(clauses)}."
 
 
-def _about(results: Results, manifest: Mapping[str, Any]) -> str:
-    setting = results.setting
-    limits = (
-        f"- {setting.split} problems, seed {setting.seed}; at most {setting.max_iterations} iterations and "
-        f"{setting.time_limit_s:g} s a run, {setting.optimising_iterations} iterations where the search goes "
-        f"on after its first solution; resolution {setting.resolution_rad} rad a joint, goal bias "
-        f"{setting.goal_bias}; ranges as named, else 1 rad."
-    )
-    lines, used = [limits], {arm.sampler for arm in results.arms}
+def about(runs: pd.DataFrame, setting: Setting, manifest: Mapping[str, Any]) -> str:
+    """Limits, prices and models in a list."""
+    lines = [f"- {setting.split} problems, seed {setting.seed}."]
+    search = f"{setting.max_iterations} iterations or {setting.time_limit_s:g} s"
+    if setting.protocol is Protocol.PLANS:
+        prices = [1e6 * runs[name].median() for name in ("state_check_s", "mesh_check_s")]
+        spheres, meshes = ("not measured" if np.isnan(one) else f"{one:.1f} us" for one in prices)
+        out = len(runs[runs["status"] == NO_PROBLEM][["family", "problem"]].drop_duplicates())
+        lines += [
+            f"- Cameras look at the {setting.aim}, from {VIEWS_NOTE}",
+            f"- Paths are searched for {setting.plan_limit_s:g} s; exact checks end after {search}.",
+            f"- {out} problems are left out, because their start or goal collides.",
+            f"- A state check, median: spheres {spheres}, convex meshes {meshes}.",
+        ]
+    else:
+        lines += [
+            f"- A run ends after {search}; after {setting.optimising_iterations} iterations if it optimises.",
+            f"- Resolution {setting.resolution_rad} rad a joint, range {setting.range_rad:g} rad.",
+        ]
+    used = set(runs["sampler"].dropna())
     for name, one in manifest["samplers"].items():
         if name in used:
             what = one["model"] or "bundle"
@@ -371,28 +490,37 @@ def _about(results: Results, manifest: Mapping[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def _family(found: FamilyResult, results: Results) -> list[str]:
-    counts = f"{len(found.runs.problems)} problems, {len(found.runs.numbers)} runs each"
-    parts = [f"## {found.family}: {counts}"]
-    for name, table, note in _tables(found, results):
-        parts += [f"### {name}, {found.family}", *([note] if note else []), markdown(table)]
-    return parts
+def report(
+    headline: str,
+    facts: str,
+    sections: Sequence[Section],
+    protocol: Protocol,
+    figures: Sequence[str] = (),
+    pages: Sequence[str] = (),
+) -> str:
+    """The whole report in Markdown; its first line is the headline.
+
+    Args:
+        headline: of the benchmark.
+        facts: of :func:`about`.
+        sections: the tables.
+        protocol: of the runs.
+        figures: paths as seen from the report.
+        pages: likewise, of single problems.
+    """
+    parts = [headline, f"# Planning benchmark, protocol `{protocol}`", facts]
+    parts.append(VAMP if protocol is Protocol.PLANS else READING)
+    shown: set[str] = set()
+    for heading, note, table in sections:
+        # Each note stands once.
+        parts += [f"## {heading}", *([note] if note and note not in shown else []), markdown(table)]
+        shown.add(note)
+    for heading, paths in (("## Figures", figures), ("## Problems", pages)):
+        parts += [heading, *(f"![{Path(path).stem}]({path})" for path in paths)] if paths else []
+    return "\n\n".join(parts) + "\n"
 
 
-def _tables(found: FamilyResult, results: Results) -> list[tuple[str, Table, str]]:
-    """Name, rows and note of the tables of a family, without the empty ones."""
-    arms = [one.arm for one in found.summaries]
-    if not found.solvable:
-        return [("Giving up", give_up_table(found.runs, arms), GIVING_UP)]
-    rng = np.random.default_rng(results.setting.seed)
-    paper = paper_table(found.runs, arms, rng) if results.setting.protocol is Protocol.PAPER else []
-    tables = [
-        ("Break-even costs of a check", worth_table(found.summaries), WORTH),
-        ("The paper's columns", paper, PAPER),
-        ("Work", arm_table(found.summaries), ""),
-        ("Samples filtered, ordered, checked", treated_table(found.runs, arms, rng), TREATED),
-        ("Time", time_table(found.summaries), TIME),
-        ("Optimising", convergence_table(found.convergence), OPTIMISING),
-        ("Samples asked for", counts_table(found.runs, arms, rng), ""),
-    ]
-    return [one for one in tables if len(one[1]) > 1]
+def terminal(headline: str, sections: Sequence[Section]) -> str:
+    """The same tables for a terminal."""
+    tables = [f"{heading}\n{table.to_string(index=False)}" for heading, _, table in sections]
+    return "\n\n".join([headline, *tables]) + "\n"

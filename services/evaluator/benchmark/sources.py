@@ -1,6 +1,7 @@
-"""The learned samplers of a benchmark: models behind an API, or bundles in the process; each one pinned."""
+"""The models of a benchmark: behind an API, or bundles in this process; each one pinned by its digest."""
 
 import struct
+import time
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
@@ -9,12 +10,14 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cspace.bundle import Bundle
 from cspace.bundle.verification import load_verified
 from cspace.errors import ConfigError, SamplerError, SamplerUnavailableError
+from cspace.planning.query import Plan, PlanQuery
 from cspace.problem import UNIFORM, Problem
 from cspace.query import SampleQuery
+from cspace.space import JointSpace
 from cspace.splits import Split
 from cspace.view_file import is_view, pack_view, unpack_view
 from cspace.world import World
@@ -23,41 +26,34 @@ from services.evaluator.measures.scenes import PackedBundle
 from services.planner.planning import between_ends
 from services.planner.sources.local_sampler import LocalSampler
 from services.planner.sources.samples import SampleBatch, SampleSource
-from services.planner.sources.sampling_client import SamplingClient
+from services.planner.sources.sampling_client import RetryPolicy, SamplingClient
 
 _END = struct.pack(">I", 0) + b"IEND" + struct.pack(">I", zlib.crc32(b"IEND"))
+# A server's first plan may wait for its compiler.
+_PATIENCE_S = 60.0
 
 
 def fresh_picture(file: bytes, note: str) -> bytes:
-    """:func:`fresh_png` of a PNG file, or of the first picture of a view.
+    """A picture's file with a comment in its first PNG: another file with the same pixels.
 
     Raises:
-        ValueError: a picture does not end as a PNG file does.
-        ImageError: the view is none.
+        ValueError: the PNG does not end with an empty IEND chunk.
+        ImageError: the view can not be read.
     """
-    if not is_view(file):
-        return fresh_png(file, note)
-    view = unpack_view(file)
-    pictures = [fresh_png(view.pictures[0], note), *view.pictures[1:]]
-    return pack_view(pictures, view.cameras, view.state, view.depth_scale_m)
-
-
-def fresh_png(png: bytes, note: str) -> bytes:
-    """A PNG file with a note in front of its end; the pixels stay the same.
-
-    Raises:
-        ValueError: the bytes do not end as a PNG file does.
-    """
-    if not png.endswith(_END):
+    if is_view(file):
+        view = unpack_view(file)
+        pictures = [fresh_picture(view.pictures[0], note), *view.pictures[1:]]
+        return pack_view(pictures, view.cameras, view.state, view.depth_scale_m)
+    if not file.endswith(_END):
         raise ValueError("a PNG file ends with an empty IEND chunk")
     content = b"tEXtComment\0" + note.encode("latin-1")
     chunk = struct.pack(">I", len(content) - 4) + content + struct.pack(">I", zlib.crc32(content))
-    return png.removesuffix(_END) + chunk + _END
+    return file.removesuffix(_END) + chunk + _END
 
 
 @dataclass(frozen=True, slots=True)
 class SourceSpec:
-    """Where samples come from, with all that a worker process needs to ask for them.
+    """All that a worker process needs to ask a model.
 
     Args:
         name: in the names of arms.
@@ -81,78 +77,16 @@ class SourceSpec:
         over = "HTTP" if self.url is not None else "none: a bundle in the planner's process"
         return {"model": self.model, "digest": self.digest, "with_ends": self.with_ends, "transport": over}
 
+    def check(self, digest: str) -> None:
+        """Refuse the answer of another model.
 
-def served(name: str, model: str, url: str, world: World) -> SourceSpec:
-    """A model behind an API, pinned to the version that answers now.
-
-    Args:
-        name: in the names of arms.
-        model: a reference.
-        url: of the API.
-        world: whose robot is planned for.
-
-    Raises:
-        SamplerError: the API refuses, or does not answer.
-    """
-    with SamplingClient(url) as client:
-        with_ends, batch = _first_answer(client, model, world)
-    # The shipped model has no number in a registry.
-    pinned = f"{batch.model_name}/{batch.model_version}" if batch.model_version else batch.model_name
-    return SourceSpec(name, batch.digest, with_ends, pinned, url)
-
-
-def bundled(name: str, folder: Path) -> SourceSpec:
-    """A bundle that answers in the planner's own process.
-
-    Raises:
-        BundleError: it is damaged.
-    """
-    bundle = load_verified(folder)
-    return SourceSpec(name, bundle.digest, bundle.spec.kind == "path", packed=PackedBundle.pack(bundle))
-
-
-@contextmanager
-def opened(specs: Sequence[SourceSpec], world: World) -> Iterator[Mapping[str, SampleSource]]:
-    """The sources by name, each of them asked once, so that no first run pays for what only a first one has.
-
-    Args:
-        specs: the samplers.
-        world: whose robot is planned for.
-
-    Raises:
-        SamplerError: one of them does not answer.
-        BundleError: a bundle is damaged.
-    """
-    with ExitStack() as stack:
-        found: dict[str, SampleSource] = {}
-        for spec in specs:
-            found[spec.name] = _opened(spec, stack)
-            ask(found[spec.name], spec, _example(world), SampleQuery(10, 1, min_confidence=0.0))
-        yield found
-
-
-def ask(source: SampleSource, spec: SourceSpec, problem: Problem, query: SampleQuery) -> SampleBatch:
-    """One batch for a problem's picture, as for a picture that was never sent before.
-
-    Raises:
-        SamplerUnavailableError: the source does not answer.
-        SamplerError: it refused, for it is of another robot or for another reason, or another model answered
-            than the one that is measured.
-    """
-    query = replace(query, robot=robot_digest(problem.scenario.world))
-    note = f"{query.seed} {query.n} {query.epsilon_sigma} {query.min_confidence}"
-    picture = fresh_picture(picture_file_of(problem.scenario), note)
-    batch = source.answer(picture, between_ends(query, problem) if spec.with_ends else query, spec.model)
-    if batch.digest != spec.digest:
-        raise SamplerError(
-            f"another model answers for {spec.name}", expected=spec.digest[:12], got=batch.digest[:12]
-        )
-    return batch
-
-
-def mixed(samples: NDArray[np.float32], seed: int) -> NDArray[np.float32]:
-    """Samples (n, d) in an order of chance, the same one for the same seed."""
-    return np.random.default_rng([seed, 3]).permutation(samples)
+        Raises:
+            SamplerError: the digest is not this model's.
+        """
+        if digest != self.digest:
+            raise SamplerError(
+                f"another model answers for {self.name}", expected=self.digest[:12], got=digest[:12]
+            )
 
 
 def parse_named(text: str) -> tuple[str, str]:
@@ -171,26 +105,175 @@ def parse_named(text: str) -> tuple[str, str]:
     return name, value
 
 
-def _first_answer(client: SamplingClient, model: str, world: World) -> tuple[bool, SampleBatch]:
-    """Whether a model wants start and goal is told only by its answers."""
+def bundled(name: str, folder: Path) -> SourceSpec:
+    """A bundle that answers in the planner's own process.
+
+    Raises:
+        BundleError: it is damaged.
+    """
+    bundle = load_verified(folder)
+    return SourceSpec(name, bundle.digest, bundle.spec.kind == "path", packed=PackedBundle.pack(bundle))
+
+
+def served(name: str, model: str, url: str, world: World) -> SourceSpec:
+    """A sampler behind an API, pinned to the version that answers now.
+
+    Args:
+        name: in the names of arms.
+        model: a reference.
+        url: of the API.
+        world: whose robot is planned for.
+
+    Raises:
+        SamplerError: the API refuses, or does not answer.
+    """
     problem, query = _example(world), SampleQuery(10, 1, min_confidence=0.0, robot=robot_digest(world))
-    png = picture_file_of(problem.scenario)
-    try:
-        return True, client.answer(png, between_ends(query, problem), model)
-    except SamplerUnavailableError:
-        raise
-    except SamplerError:
-        return False, client.answer(png, query, model)
+    picture, with_ends = picture_file_of(problem.scenario), True
+    with SamplingClient(url) as client:
+        # Only its answers show whether a model takes start and goal.
+        try:
+            batch = client.answer(picture, between_ends(query, problem), model)
+        except SamplerUnavailableError:
+            raise
+        except SamplerError:
+            with_ends, batch = False, client.answer(picture, query, model)
+    return SourceSpec(name, batch.digest, with_ends, _pinned(batch.model_name, batch.model_version), url)
 
 
-def _opened(spec: SourceSpec, stack: ExitStack) -> SampleSource:
-    if spec.packed is not None:
-        # The sampler keeps what it needs in memory, and a worker that is ended would leave the folder behind.
-        with TemporaryDirectory(prefix="cspace-bundle-") as folder:
-            return LocalSampler(spec.packed.unpack(Path(folder)), name=spec.name)
-    if spec.url is None:
-        raise ConfigError("the sampler is neither a model nor a bundle", got=spec.name)
-    return stack.enter_context(SamplingClient(spec.url))
+def _pinned(name: str, version: int | None) -> str:
+    # The shipped model has no number in a registry.
+    return f"{name}/{version}" if version else name
+
+
+@contextmanager
+def opened(specs: Sequence[SourceSpec], world: World) -> Iterator[Mapping[str, SampleSource]]:
+    """The samplers by name, each asked once, so that no run pays for a first request.
+
+    Raises:
+        SamplerError: one of them does not answer.
+        BundleError: a bundle is damaged.
+    """
+    with ExitStack() as stack:
+        found: dict[str, SampleSource] = {}
+        for spec in specs:
+            if spec.packed is not None:
+                # The sampler keeps what it needs in memory; an ended worker would leave the folder behind.
+                with TemporaryDirectory(prefix="cspace-bundle-") as folder:
+                    found[spec.name] = LocalSampler(spec.packed.unpack(Path(folder)), name=spec.name)
+            else:
+                found[spec.name] = stack.enter_context(SamplingClient(spec.url or ""))
+            ask(found[spec.name], spec, _example(world), SampleQuery(10, 1, min_confidence=0.0))
+        yield found
+
+
+def ask(source: SampleSource, spec: SourceSpec, problem: Problem, query: SampleQuery) -> SampleBatch:
+    """One batch for a problem's picture, as for a picture that was never sent before.
+
+    Raises:
+        SamplerUnavailableError: the source does not answer.
+        SamplerError: it refused, or another model answered.
+    """
+    query = replace(query, robot=robot_digest(problem.scenario.world))
+    note = f"{query.seed} {query.n} {query.epsilon_sigma} {query.min_confidence}"
+    picture = fresh_picture(picture_file_of(problem.scenario), note)
+    batch = source.answer(picture, between_ends(query, problem) if spec.with_ends else query, spec.model)
+    spec.check(batch.digest)
+    return batch
+
+
+@dataclass(frozen=True, slots=True)
+class PlanModel:
+    """A model that plans, as a bundle in this process or behind an API."""
+
+    spec: SourceSpec
+    engine: Bundle | SamplingClient
+    space: JointSpace
+
+    def plan(self, picture: bytes, query: PlanQuery, world: World) -> tuple[Plan, float]:
+        """The plan in a picture's file, and the time from the file to the answer, s.
+
+        A problem that needs wider limits than those of a served model counts as refused.
+
+        Args:
+            picture: of the scene.
+            query: start and goal.
+            world: the scene's, whose robot may have other limits than the model was trained with.
+
+        Raises:
+            SamplerError: the API does not answer, or another model does.
+        """
+        if isinstance(self.engine, Bundle):
+            bundle, began = self.engine.within(world), time.perf_counter()
+            plan = bundle.plan(bundle.prepare(world.read_picture(picture)), query)
+            return plan, time.perf_counter() - began
+        if not self.space.contains([query.start, query.goal]).all():
+            return Plan("refused", np.empty((0, self.space.dim))), 0.0
+        found = self.engine.plan(picture, query, self.spec.model)
+        self.spec.check(found.model.digest)
+        return found.plan, found.round_trip_s
+
+
+def bundled_planner(name: str, folder: Path, world: World) -> SourceSpec:
+    """A bundle that plans in this process.
+
+    Raises:
+        BundleError: it is damaged.
+        ConfigError: it is another robot's, or has no validity head.
+    """
+    bundle = load_verified(folder)
+    if bundle.robot != robot_digest(world) or not bundle.has_validity:
+        raise ConfigError(
+            f"the bundle {name} does not plan for this robot",
+            expected="a validity head, and the robot of --robot",
+            got=f"{'one' if bundle.has_validity else 'none'}, robot {bundle.robot[:12]}",
+        )
+    return bundled(name, folder)
+
+
+def served_planner(name: str, model: str, url: str, world: World) -> SourceSpec:
+    """A model behind an API, pinned to the version that answers now.
+
+    Raises:
+        SamplerError: the API refuses, or does not answer.
+    """
+    problem = _example(world)
+    with _plan_client(url, world) as client:
+        answering = client.plan(picture_file_of(problem.scenario), plan_query(problem), model).model
+    pinned = _pinned(answering.model_name, answering.model_version)
+    return SourceSpec(name, answering.digest, with_ends=True, model=pinned, url=url)
+
+
+def plan_query(problem: Problem, seed: int = 0, time_limit_s: float = 1.0, paths: int = 1) -> PlanQuery:
+    """For the path of the highest confidence and all others, at any confidence."""
+    start, goal = (tuple(float(angle) for angle in end) for end in (problem.start, problem.goal))
+    return PlanQuery(start, goal, seed, 0.0, time_limit_s, paths, alternatives=True)
+
+
+@contextmanager
+def opened_planners(specs: Sequence[SourceSpec], world: World) -> Iterator[Mapping[str, PlanModel]]:
+    """The planners by name, each asked once, so that no run pays for a first request.
+
+    Raises:
+        SamplerError: one of them does not answer.
+        BundleError: a bundle is damaged.
+    """
+    problem = _example(world)
+    with ExitStack() as stack:
+        found = {}
+        for spec in specs:
+            engine = (
+                stack.enter_context(_plan_client(spec.url or "", world))
+                if spec.packed is None
+                else spec.packed.load()
+            )
+            found[spec.name] = PlanModel(spec, engine, world.space)
+            found[spec.name].plan(picture_file_of(problem.scenario), plan_query(problem), world)
+        yield found
+
+
+def _plan_client(url: str, world: World) -> SamplingClient:
+    policy = RetryPolicy(deadline_s=2.0 * _PATIENCE_S)
+    return SamplingClient(url, _PATIENCE_S, policy=policy, robot=robot_digest(world))
 
 
 def _example(world: World) -> Problem:

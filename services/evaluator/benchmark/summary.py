@@ -1,23 +1,36 @@
-"""Runs reduced to numbers with intervals: censored quantiles, paired ratios, break-even costs."""
+"""Runs reduced to a long table of figures with intervals: a row for each group of problems, arm and measure.
+
+Intervals are 95 % limits: exact (Clopper-Pearson) for shares, by bootstrap over problems for the rest. A run
+without success ranks behind all others; a quantile among such runs is a lower bound, and its upper limit is
+infinite.
+"""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from itertools import pairwise
+from typing import Any
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
 from cspace.errors import EvaluationError
-from services.evaluator.benchmark.arms import Arm, Group
-from services.evaluator.benchmark.store import Run
+from cspace.planning.scoring import calibration_error
+from cspace.worlds import partly_seen
+from cspace.worlds.unseen import Taken as Unseen
+from services.evaluator.benchmark.arms import CONNECT, Arm, Group, PlanArm, Setting, plain_arm
+from services.evaluator.benchmark.plans import NO_PROBLEM
 from services.evaluator.statistics import (
     CONFIDENCE,
-    RESAMPLES,
     CensoredSummary,
     Interval,
     bootstrap_interval,
     censored_as_largest,
     clopper_pearson,
+    difference_interval,
+    mean_interval,
+    quantile_interval,
     ratio_of_sums_interval,
     summarise_censored,
 )
@@ -26,442 +39,524 @@ from services.planner.settings import RRT_CONNECT, SAMPLED_CONNECT
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
+# A measure's name and its estimate; a plain number has no limits.
+Measure = tuple[str, Interval | float | None]
+
+COLUMNS = ("family", "arm", "measure", "value", "low", "high", "count")
+WITHIN_COUNTS = (100, 300, 1000)
+WITHIN = WITHIN_COUNTS[-1]
+PARTS = ("request", "server", "transport", "check")
+RESAMPLES = 2000
+# A path is as good as the best one where it is at most this much longer.
+CLOSE = 1.05
+DEEP_M = 0.01
+# Bins of the unseen share along a path; most paths have nearly all of the arm there.
+UNSEEN_EDGES = (0.0, 0.5, 0.8, 0.95, 0.99, 1.0)
+HARD = "the hard ones"
+# Two programs of one algorithm.
+_SAME = {SAMPLED_CONNECT: RRT_CONNECT}
 
 
-class PairedRuns:
-    """Runs of one family, every arm on the same problems as often.
+class Paired:
+    """Runs of a group of problems, with every arm on the same problems equally often.
+
+    Problems that an arm has not run are left out, as are those with fewer runs than others.
 
     Args:
-        runs: of one family, complete.
+        runs: a table of runs, one row each.
 
     Raises:
-        EvaluationError: none, of several families, or an arm lacks a run.
+        EvaluationError: no problem was run by all arms.
     """
 
-    def __init__(self, runs: Sequence[Run]) -> None:
-        families = sorted({run.family for run in runs})
-        if len(families) != 1:
-            raise EvaluationError("runs are paired within one family", expected="one", got=str(families))
-        self.family = families[0]
-        self.problems = tuple(sorted({run.problem for run in runs}))
-        self.numbers = tuple(sorted({run.run for run in runs}))
-        self._by_arm: dict[str, dict[tuple[int, int], Run]] = {}
-        for run in runs:
-            self._by_arm.setdefault(run.arm, {})[run.problem, run.run] = run
-        pairs = {(problem, number) for problem in self.problems for number in self.numbers}
-        for arm, mine in self._by_arm.items():
-            if set(mine) != pairs:
-                raise EvaluationError(
-                    f"the arm {arm} lacks runs", expected=str(len(pairs)), got=str(len(mine))
-                )
+    def __init__(self, runs: pd.DataFrame) -> None:
+        arms = runs.groupby(["family", "problem", "run"])["arm"].nunique()
+        shared = arms[arms == runs["arm"].nunique()]
+        each = shared.groupby(level=["family", "problem"]).transform("size")
+        kept = shared[each == each.max()].index
+        if kept.empty:
+            raise EvaluationError("no problem was run by all arms", expected="one or more", got="none")
+        self.runs = runs.set_index(kept.names).loc[kept].reset_index()
+        self.arms = list(dict.fromkeys(self.runs["arm"]))
+        self.repeats = int(each.max())
+        self.problems = len(kept) // self.repeats
+        self._by_arm = {str(arm): own for arm, own in self.runs.groupby("arm")}
 
-    @property
-    def arms(self) -> tuple[str, ...]:
-        """Names of the arms."""
-        return tuple(self._by_arm)
-
-    def runs(self, arm: str) -> list[Run]:
-        """All runs of an arm, problem by problem.
+    def of(self, arm: str) -> pd.DataFrame:
+        """The runs of an arm, problem by problem.
 
         Raises:
             EvaluationError: there is no such arm.
         """
         if arm not in self._by_arm:
-            raise EvaluationError("there is no such arm", expected=", ".join(self._by_arm), got=arm)
-        mine = self._by_arm[arm]
-        return [mine[problem, number] for problem in self.problems for number in self.numbers]
+            raise EvaluationError("there is no such arm", expected=", ".join(self.arms), got=arm)
+        return self._by_arm[arm]
 
     def values(self, arm: str, column: str) -> Floats:
         """(P, R) values of a column; nan where a run has none."""
-        found = [getattr(run, column) for run in self.runs(arm)]
-        numbers = [np.nan if value is None else float(value) for value in found]
-        return np.array(numbers).reshape(len(self.problems), len(self.numbers))
+        found: Floats = self.of(arm)[column].to_numpy(dtype=np.float64, na_value=np.nan)
+        return found.reshape(self.problems, self.repeats)
 
     def solved(self, arm: str) -> Flags:
         """(P, R) whether a run succeeded."""
         return self.values(arm, "solved").astype(bool)
 
 
-@dataclass(frozen=True, slots=True)
-class TimeLine:
-    """The time of some runs as a function of what a check costs.
-
-    Args:
-        fixed_s: that does not depend on it.
-        checks: how many.
-    """
-
-    fixed_s: float
-    checks: float
-
-    def total_s(self, check_s: float) -> float:
-        """The time at a cost of a check, in s."""
-        return self.fixed_s + self.checks * check_s
+def summary_table(figures: Iterable[tuple[str, str, Measure]]) -> pd.DataFrame:
+    """The long table of groups, arms and measures, without those that have no value."""
+    rows = []
+    for family, arm, (name, value) in figures:
+        if isinstance(value, Interval):
+            rows.append((family, arm, name, value.estimate, value.low, value.high, value.count))
+        elif value is not None:
+            rows.append((family, arm, name, value, math.nan, math.nan, 0))
+    return pd.DataFrame(rows, columns=list(COLUMNS))
 
 
-@dataclass(frozen=True, slots=True)
-class WinningCosts:
-    """The costs of a check, in s, between which one planner takes less time than others.
-
-    Args:
-        low_s: 0 where it wins with free checks.
-        high_s: infinite where it wins however dear they are.
-    """
-
-    low_s: float
-    high_s: float
-
-    @property
-    def never(self) -> bool:
-        """Whether there are none."""
-        return self.low_s >= self.high_s
-
-    @property
-    def always(self) -> bool:
-        """Whether it wins at any cost."""
-        return self.low_s == 0.0 and math.isinf(self.high_s)
+def metric_name(name: str) -> str:
+    """A name as a part of a metric's."""
+    return re.sub(r"[^A-Za-z0-9.-]+", "_", name.replace("*", "star")).strip("_")
 
 
-NEVER = WinningCosts(math.inf, math.inf)
+def metrics(summary: pd.DataFrame, measures: Sequence[str]) -> dict[str, float]:
+    """Finite values of some measures as metrics, as in ``narrow/RRT_path_70/iterations_ratio_median``."""
+    found = summary[summary["measure"].isin(measures) & np.isfinite(summary["value"])]
+    names = found["family"].map(metric_name) + "/" + found["arm"].map(metric_name) + "/" + found["measure"]
+    return dict(zip(names, found["value"].astype(float), strict=True))
 
 
-def winning_costs(learned: TimeLine, others: Sequence[TimeLine]) -> WinningCosts:
-    """Where a planner takes less time than each of the others.
-
-    Raises:
-        EvaluationError: there are no others.
-    """
-    if not others:
-        raise EvaluationError("there is nothing to compare with", expected="one or more", got="none")
-    low_s, high_s = 0.0, math.inf
-    for other in others:
-        dearer_s, fewer = learned.fixed_s - other.fixed_s, other.checks - learned.checks
-        if fewer > 0.0:
-            low_s = max(low_s, dearer_s / fewer)
-        elif dearer_s >= 0.0:
-            return NEVER
-        elif fewer < 0.0:
-            high_s = min(high_s, dearer_s / fewer)
-    return WinningCosts(low_s, high_s) if low_s < high_s else NEVER
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Spent:
-    """What an arm took, problem by problem.
-
-    Args:
-        fixed_s: (P,) request and the planner's own work, in s; sums over the runs of a problem.
-        checks: (P,) edge checks, likewise.
-    """
-
-    fixed_s: Floats
-    checks: Floats
-
-    def total(self) -> TimeLine:
-        """The line of the sums over all problems."""
-        return TimeLine(float(self.fixed_s.sum()), float(self.checks.sum()))
-
-    def totals(self, rows: NDArray[np.intp]) -> list[TimeLine]:
-        """The lines of the sums over so many sets of problems, (sets, P) their numbers."""
-        sums = zip(
-            self.fixed_s[rows].sum(axis=1).tolist(), self.checks[rows].sum(axis=1).tolist(), strict=True
-        )
-        return [TimeLine(fixed_s, checks) for fixed_s, checks in sums]
-
-    def typical(self) -> TimeLine:
-        """The line of the medians."""
-        return TimeLine(float(np.median(self.fixed_s)), float(np.median(self.checks)))
-
-
-@dataclass(frozen=True, slots=True)
-class BreakEven:
-    """The costs at which a learned sampler wins, with their uncertainty over problems.
-
-    Args:
-        costs: from the sums over all problems.
-        low_s: 95 % limits of ``costs.low_s``; infinite where it never wins.
-        high_s: 95 % limits of ``costs.high_s``.
-        typical: the same from medians instead of sums.
-        never_share: of the resampled problem sets, in which it never wins.
-    """
-
-    costs: WinningCosts
-    low_s: tuple[float, float]
-    high_s: tuple[float, float]
-    typical: WinningCosts
-    never_share: float
-
-
-def break_even(
-    learned: Spent, others: Sequence[Spent], rng: np.random.Generator, resamples: int = RESAMPLES
-) -> BreakEven:
-    """Where a learned sampler beats each of some uniform planners, by bootstrap over problems.
-
-    Args:
-        learned: the arm with learned samples.
-        others: the uniform ones, on the same problems.
-        rng: source of the resampling.
-        resamples: number of resampled problem sets.
-
-    Raises:
-        EvaluationError: no problems, or arms on other problems.
-    """
-    count = len(learned.checks)
-    if not count or any(len(other.checks) != count for other in others):
-        raise EvaluationError("arms are compared on the same problems", got=f"{count} and others")
-    rows = rng.integers(0, count, size=(resamples, count))
-    against = zip(*(other.totals(rows) for other in others), strict=True)
-    found = [winning_costs(mine, theirs) for mine, theirs in zip(learned.totals(rows), against, strict=True)]
-    return BreakEven(
-        winning_costs(learned.total(), [other.total() for other in others]),
-        _limits([one.low_s for one in found]),
-        _limits([one.high_s for one in found]),
-        winning_costs(learned.typical(), [other.typical() for other in others]),
-        float(np.mean([one.never for one in found])),
-    )
-
-
-def _limits(values: Sequence[float]) -> tuple[float, float]:
-    tail = (1.0 - CONFIDENCE) / 2.0
-    # One of the values, never between two: halfway to infinity is no number.
-    low, high = np.quantile(values, [tail, 1.0 - tail], method="inverted_cdf")
-    return float(low), float(high)
-
-
-def in_words(found: BreakEven) -> str:
-    """``above 21 us [17, 26]``, ``always``, ``never``, or what else there is."""
-    costs, words = found.costs, costs_in_words(found.costs)
-    if costs.always and found.low_s[1] == 0.0:
-        return words
-    if costs.never and math.isinf(found.low_s[0]):
-        return words
-    edge = found.high_s if costs.low_s == 0.0 and not math.isinf(costs.high_s) else found.low_s
-    return f"{words} [{_us(edge[0])}, {_us(edge[1])}]"
-
-
-def costs_in_words(costs: WinningCosts) -> str:
-    """The same without limits."""
-    if costs.never or costs.always:
-        return "never" if costs.never else "always"
-    if math.isinf(costs.high_s):
-        return f"above {_us(costs.low_s)} us"
-    if costs.low_s == 0.0:
-        return f"below {_us(costs.high_s)} us"
-    return f"between {_us(costs.low_s)} and {_us(costs.high_s)} us"
-
-
-def _us(seconds: float) -> str:
-    if math.isinf(seconds):
-        return "never"
-    return f"{1e6 * seconds:.3g}" if seconds < 1e-3 else f"{1e6 * seconds:.0f}"
-
-
-WITHIN = 1000
-PARTS = ("request", "server", "transport", "check")
-QUANTILES = (0.5, 0.9)
-RESAMPLES = 2000
-# Two programs of one algorithm.
-_SAME = {SAMPLED_CONNECT: RRT_CONNECT}
-
-
-@dataclass(frozen=True, slots=True)
-class Ratios:
-    """Median and 90th percentile over those of another arm."""
-
-    median: Interval
-    p90: Interval
-
-
-@dataclass(frozen=True, slots=True)
-class Worth:
-    """From which cost of a check on learned samples save wall time.
-
-    Args:
-        edge_base: cost of an edge check, over the same planner with uniform samples.
-        edge_best: likewise, over every uniform planner.
-        state_base: cost of a look at one state, over the same planner with uniform samples.
-        state_best: likewise, over every uniform planner.
-    """
-
-    edge_base: BreakEven
-    edge_best: BreakEven
-    state_base: BreakEven
-    state_best: BreakEven
-
-
-@dataclass(frozen=True, slots=True)
-class ArmSummary:
-    """One arm on one family.
-
-    Args:
-        arm: what was run.
-        solved: share that was solved at all.
-        rejected: runs whose path the independent check refused; they are not solved.
-        within: share that was solved within ``WITHIN`` iterations.
-        iterations: quantiles; runs without success rank last.
-        edge_checks: likewise.
-        iteration_ratios: to the base; None for a base.
-        check_ratios: likewise.
-        own_best: name of the best uniform arm of the same planner, over ranges and programs.
-        own_best_ratios: iterations to that of ``own_best``; None where it is the base.
-        length_ratio: first solutions' lengths over the base's, where both succeeded; None where none did.
-        length_rad: mean length of the paths found, None where there are none.
-        parts_ms: median and 90th percentile of the request, of what of it the server and the transport took,
-            and of the checks.
-        solve_ms: likewise, of the search; runs without success rank last.
-        total_ms: likewise, of both.
-        worth: break-even costs of a check; None for uniform arms.
-    """
-
-    arm: Arm
-    solved: Interval
-    rejected: int
-    within: Interval
-    iterations: CensoredSummary
-    edge_checks: CensoredSummary
-    iteration_ratios: Ratios | None
-    check_ratios: Ratios | None
-    own_best: str
-    own_best_ratios: Ratios | None
-    length_ratio: Interval | None
-    length_rad: float | None
-    parts_ms: Mapping[str, tuple[float, float]]
-    solve_ms: CensoredSummary
-    total_ms: CensoredSummary
-    worth: Worth | None
-
-
-def summarise(runs: PairedRuns, arms: Sequence[Arm], rng: np.random.Generator) -> list[ArmSummary]:
-    """All arms that end with their first solution, in the order given.
-
-    Args:
-        runs: of one family.
-        arms: that were run; those that optimise are for
-            :mod:`services.evaluator.benchmark.results`.
-        rng: source of the resampling.
-
-    Raises:
-        EvaluationError: an arm has no runs.
-    """
-    present = [arm for arm in arms if arm.stop_at_first and arm.name in runs.arms]
-    uniform = [arm for arm in present if arm.group is Group.UNIFORM]
-    return [_arm(runs, arm, uniform, rng) for arm in present]
-
-
-def spent(runs: PairedRuns, arm: str, checks: str = "edge_checks") -> Spent:
-    """What an arm took apart from its checks, and how many those were, by problem.
-
-    Args:
-        runs: of one family.
-        arm: its name.
-        checks: the column that counts them: ``edge_checks`` or ``state_checks``.
-    """
-    request_s, solve_s = runs.values(arm, "request_s"), runs.values(arm, "solve_s")
-    fixed_s = request_s + solve_s - runs.values(arm, "check_s")
-    return Spent(fixed_s.sum(axis=1), runs.values(arm, checks).sum(axis=1))
+def _quantiles(name: str, found: CensoredSummary, scale: float = 1.0) -> Iterator[Measure]:
+    """Median and 90th percentile; one that is only a lower bound has no upper limit."""
+    for what, value, is_bound in (
+        ("median", found.median, found.median_is_bound),
+        ("p90", found.p90, found.p90_is_bound),
+    ):
+        scaled = scale * value
+        yield f"{name}_{what}", Interval(scaled, scaled, math.inf if is_bound else scaled, found.count)
 
 
 def ratios(
-    values: Floats, failed: Flags, base: Floats, base_failed: Flags, rng: np.random.Generator
-) -> Ratios:
+    name: str, values: Floats, failed: Flags, base: Floats, base_failed: Flags, rng: np.random.Generator
+) -> Iterator[Measure]:
     """Quantiles over those of a base, over all runs; the interval is over problems.
 
     Args:
+        name: of the measure.
         values: (P, R) of the arm.
         failed: (P, R) whether a run was cut off; it ranks behind all runs of both.
         base: (P, R) of the base, on the same problems.
         base_failed: likewise.
         rng: source of the resampling.
     """
-    both = np.stack([values, base], axis=-1)
-    cut = np.stack([failed, base_failed], axis=-1)
-    ranked = censored_as_largest(both.ravel(), cut.ravel()).reshape(both.shape)
+    both, cut = np.stack([values, base], axis=-1), np.stack([failed, base_failed], axis=-1)
     # A direct connection takes no iteration to speak of; one unit keeps the ratio finite.
-    ranked = np.maximum(ranked, 1.0)
-    table = ranked.reshape(len(values), -1)
-    median, p90 = (
-        bootstrap_interval(table, _quotient(quantile), rng, resamples=RESAMPLES) for quantile in QUANTILES
-    )
-    return Ratios(median, p90)
+    ranked = np.maximum(censored_as_largest(both.ravel(), cut.ravel()), 1.0)
+    rows = ranked.reshape(len(values), -1)
+    for what, quantile in (("median", 0.5), ("p90", 0.9)):
+        yield f"{name}_{what}", bootstrap_interval(rows, _quotient(quantile), rng, resamples=RESAMPLES)
 
 
 def _quotient(quantile: float) -> Callable[[Floats], Floats]:
     def statistic(rows: Floats) -> Floats:
         # (..., P, 2 R): a problem's runs of both arms, pair by pair.
-        flat = rows.reshape(*rows.shape[:-2], -1, 2)
-        both = np.quantile(flat, quantile, axis=-2)
+        both = np.quantile(rows.reshape(*rows.shape[:-2], -1, 2), quantile, axis=-2)
         return np.asarray(both[..., 0] / both[..., 1])
 
     return statistic
 
 
-def _arm(runs: PairedRuns, arm: Arm, uniform: Sequence[Arm], rng: np.random.Generator) -> ArmSummary:
-    solved = runs.solved(arm.name)
-    iterations, checks = (runs.values(arm.name, name) for name in ("iterations", "edge_checks"))
-    own_best = _own_best(runs, arm, uniform)
-    is_base = arm.name == arm.base
-    lengths = runs.values(arm.name, "length_rad")
-    times = {name: 1e3 * runs.values(arm.name, name) for name in ("solve_s", "total_s")}
-    return ArmSummary(
-        arm=arm,
-        solved=clopper_pearson(int(solved.sum()), solved.size),
-        rejected=sum(run.reason == Reason.REJECTED for run in runs.runs(arm.name)),
-        within=clopper_pearson(int((solved & (iterations <= WITHIN)).sum()), solved.size),
-        iterations=summarise_censored(iterations.ravel(), ~solved.ravel()),
-        edge_checks=summarise_censored(checks.ravel(), ~solved.ravel()),
-        iteration_ratios=None if is_base else _ratios(runs, arm.name, arm.base, "iterations", rng),
-        check_ratios=None if is_base else _ratios(runs, arm.name, arm.base, "edge_checks", rng),
-        own_best=own_best,
-        own_best_ratios=(
-            None if own_best in (arm.base, arm.name) else _ratios(runs, arm.name, own_best, "iterations", rng)
-        ),
-        length_ratio=None if is_base else length_ratio(runs, arm.name, arm.base, rng),
-        length_rad=float(np.nanmean(lengths)) if solved.any() else None,
-        parts_ms={name: _median_p90(1e3 * runs.values(arm.name, f"{name}_s")) for name in PARTS},
-        solve_ms=summarise_censored(times["solve_s"].ravel(), ~solved.ravel()),
-        total_ms=summarise_censored(times["total_s"].ravel(), ~solved.ravel()),
-        worth=None if arm.sampler is None else _worth(runs, arm, uniform, rng),
+def _arm_ratios(
+    name: str, paired: Paired, arm: str, base: str, column: str, rng: np.random.Generator
+) -> Iterator[Measure]:
+    failed, base_failed = (~paired.solved(one) for one in (arm, base))
+    return ratios(name, paired.values(arm, column), failed, paired.values(base, column), base_failed, rng)
+
+
+def length_ratio(
+    paired: Paired, arm: str, base: str, column: str, rng: np.random.Generator
+) -> Interval | None:
+    """Summed length over the base's, where both runs of a pair succeeded; None where none did."""
+    both = paired.solved(arm) & paired.solved(base)
+    mine, other = (
+        np.where(both, np.nan_to_num(paired.values(name, column)), 0.0).sum(axis=1) for name in (arm, base)
     )
+    some = both.any(axis=1)
+    return ratio_of_sums_interval(mine[some], other[some], rng) if some.any() else None
 
 
-def _median_p90(values: Floats) -> tuple[float, float]:
-    return float(np.median(values)), float(np.quantile(values, 0.9))
+def winning_costs(
+    fixed_s: Floats, checks: Floats, others_s: Floats, others_checks: Floats
+) -> tuple[Floats, Floats]:
+    """Between which costs of a check, in s, a planner takes less time than each of some others.
+
+    Its time is ``fixed + checks x cost``.
+
+    Args:
+        fixed_s: (...) time without the checks.
+        checks: (...) number of checks.
+        others_s: (..., K) of the others.
+        others_checks: (..., K) likewise.
+
+    Returns:
+        Least and largest cost, (...) each; 0 and infinity where it always wins, infinity twice where never.
+    """
+    dearer_s, fewer = fixed_s[..., None] - others_s, others_checks - checks[..., None]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        equal_s = dearer_s / fewer
+    low_s = np.where(fewer > 0.0, equal_s, 0.0).max(axis=-1, initial=0.0)
+    high_s = np.where((fewer < 0.0) & (dearer_s < 0.0), equal_s, np.inf).min(axis=-1, initial=np.inf)
+    never = ((fewer <= 0.0) & (dearer_s >= 0.0)).any(axis=-1) | (low_s >= high_s)
+    return np.where(never, np.inf, low_s), np.where(never, np.inf, high_s)
 
 
-def _own_best(runs: PairedRuns, arm: Arm, uniform: Sequence[Arm]) -> str:
+def spent(paired: Paired, arm: str, checks: str = "edge_checks") -> Floats:
+    """(P, 2) time of an arm without its checks, in s, and number of checks, summed over a problem's runs.
+
+    Args:
+        paired: runs with ``request_s``, ``solve_s`` and ``check_s``.
+        arm: its name.
+        checks: column that counts them.
+    """
+    fixed_s = sum(paired.values(arm, name) for name in ("request_s", "solve_s")) - paired.values(
+        arm, "check_s"
+    )
+    return np.stack([fixed_s.sum(axis=1), paired.values(arm, checks).sum(axis=1)], axis=1)
+
+
+def break_even(
+    name: str, learned: Floats, others: Sequence[Floats], rng: np.random.Generator
+) -> Iterator[Measure]:
+    """The costs of a check in us from which and until which an arm beats each of some others.
+
+    Values are from sums over problems, limits by bootstrap over problems; ``typical`` ones from medians.
+
+    Args:
+        name: of the measure.
+        learned: (P, 2) of :func:`spent`.
+        others: likewise, on the same problems.
+        rng: source of the resampling.
+
+    Raises:
+        EvaluationError: no problems, no others, or others on other problems.
+    """
+    if not len(learned) or not others or any(len(other) != len(learned) for other in others):
+        raise EvaluationError("arms are compared on the same problems, and with one or more others")
+    table = np.stack([learned, *others], axis=1)
+    # How often a bootstrap sample has each problem: (resamples, P).
+    weights = rng.multinomial(len(table), np.full(len(table), 1.0 / len(table)), size=RESAMPLES)
+    sums, totals, medians = np.tensordot(weights, table, axes=1), table.sum(axis=0), np.median(table, axis=0)
+
+    def costs_us(of: Floats) -> tuple[Floats, Floats]:
+        low_s, high_s = winning_costs(of[..., 0, 0], of[..., 0, 1], of[..., 1:, 0], of[..., 1:, 1])
+        return 1e6 * low_s, 1e6 * high_s
+
+    tail = (1.0 - CONFIDENCE) / 2.0
+    for what, value, sampled, typical in zip(
+        ("from_us", "until_us"), costs_us(totals), costs_us(sums), costs_us(medians), strict=True
+    ):
+        # One of the values, never between two: halfway to infinity is no number.
+        low, high = np.quantile(sampled, [tail, 1.0 - tail], method="inverted_cdf")
+        yield f"{name}_{what}", Interval(float(value), float(low), float(high), len(table))
+        yield f"{name}_typical_{what}", float(typical)
+
+
+def summarise_samples(
+    runs: pd.DataFrame, families: Iterable[str], arms: Sequence[Arm], setting: Setting
+) -> pd.DataFrame:
+    """The figures of every arm on every family.
+
+    Args:
+        runs: of the protocols ``families`` or ``paper``.
+        families: in the order of the report.
+        arms: that were run.
+        setting: of the runs.
+
+    Raises:
+        EvaluationError: a family has no problem that all of its arms have run.
+    """
+    figures: list[tuple[str, str, Measure]] = []
+    for family in families:
+        paired = Paired(runs[runs["family"] == family])
+        # A generator for each family: its intervals do not depend on the others.
+        rng = np.random.default_rng([setting.seed, setting.families.names.index(family)])
+        present = [arm for arm in arms if arm.name in paired.arms]
+        first = [arm for arm in present if arm.stop_at_first]
+        for arm in first:
+            found = [*_first_solution(paired, arm, first, rng), *_effort(paired, arm, rng)]
+            figures += [(family, arm.name, one) for one in found]
+        if family in setting.families.solvable:
+            optimising, best = [arm for arm in present if not arm.stop_at_first], best_known(paired)
+            for arm in optimising:
+                figures += [(family, arm.name, one) for one in converge(paired, arm, best, rng)]
+    return summary_table(figures)
+
+
+def _first_solution(
+    paired: Paired, arm: Arm, arms: Sequence[Arm], rng: np.random.Generator
+) -> Iterator[Measure]:
+    """Success, work, and both against uniform samples and against the same samples untreated."""
+    solved, iterations = paired.solved(arm.name), paired.values(arm.name, "iterations")
+    within = {count: solved & (iterations <= count) for count in WITHIN_COUNTS}
+    yield "solved", _share(solved)
+    yield from ((f"within_{count}", _share(found)) for count, found in within.items())
+    yield "rejected", float((paired.of(arm.name)["reason"] == Reason.REJECTED).sum())
+    for column in ("iterations", "edge_checks"):
+        values = paired.values(arm.name, column)
+        yield from _quantiles(column, summarise_censored(values.ravel(), ~solved.ravel()))
+    if arm.name != arm.base:
+        yield from _arm_ratios("iterations_ratio", paired, arm.name, arm.base, "iterations", rng)
+        yield from _arm_ratios("edge_checks_ratio", paired, arm.name, arm.base, "edge_checks", rng)
+        yield "length_ratio", length_ratio(paired, arm.name, arm.base, "first_length_rad", rng)
+    uniform = [one for one in arms if one.group is Group.UNIFORM]
     kind = _SAME.get(arm.planner, arm.planner)
     peers = [one.name for one in uniform if _SAME.get(one.planner, one.planner) == kind]
-    return min(peers or [arm.base], key=lambda name: _median(runs, name))
+    own_best = min(peers or [arm.base], key=lambda name: _median_iterations(paired, name))
+    if own_best not in (arm.base, arm.name):
+        yield from _arm_ratios("iterations_ratio_own_best", paired, arm.name, own_best, "iterations", rng)
+    if arm.sampler is not None:
+        every = [one.name for one in uniform] or [arm.base]
+        for checks, others in ((c, o) for c in ("edge", "state") for o in ("base", "best")):
+            column = f"{checks}_checks"
+            names = [arm.base] if others == "base" else every
+            measured = [spent(paired, name, column) for name in names]
+            name = f"break_even_{checks}_{others}"
+            yield from break_even(name, spent(paired, arm.name, column), measured, rng)
+    if (plain := plain_arm(arm, arms)) is not None:
+        plain_solved, plain_iterations = paired.solved(plain.name), paired.values(plain.name, "iterations")
+        beside, mine = plain_solved & (plain_iterations <= WITHIN), within[WITHIN]
+        yield "treated_lost", float((beside & ~mine).sum())
+        yield "treated_won", float((mine & ~beside).sum())
+        yield "treated_difference", difference_interval(mine.mean(axis=1), beside.mean(axis=1), rng)
 
 
-def _median(runs: PairedRuns, arm: str) -> float:
-    iterations, failed = runs.values(arm, "iterations"), ~runs.solved(arm)
-    return float(np.median(np.where(failed, np.inf, iterations)))
+def _effort(paired: Paired, arm: Arm, rng: np.random.Generator) -> Iterator[Measure]:
+    """Times, the paper's means, and what a search takes until it ends, with or without success."""
+    solved, iterations = paired.solved(arm.name), paired.values(arm.name, "iterations")
+    for column in ("solve", "total"):
+        values = 1e3 * paired.values(arm.name, f"{column}_s")
+        yield from _quantiles(f"{column}_ms", summarise_censored(values.ravel(), ~solved.ravel()))
+        yield f"{column}_ms_mean", mean_interval(values.mean(axis=1), rng)
+        yield from _plain_quantiles(f"end_{column}_ms", values)
+    for part in PARTS:
+        yield from _plain_quantiles(f"{part}_ms", 1e3 * paired.values(arm.name, f"{part}_s"))
+    for column in ("iterations", "edge_checks"):
+        yield from _plain_quantiles(f"end_{column}", paired.values(arm.name, column))
+    lengths = np.where(solved, np.nan_to_num(paired.values(arm.name, "length_rad")), 0.0).sum(axis=1)
+    some = solved.any(axis=1)
+    if some.any():
+        yield "length_rad_mean", ratio_of_sums_interval(lengths[some], solved.sum(axis=1)[some], rng)
+    yield "always_solved", _share(solved.all(axis=1))
+    ranked = np.where(solved, iterations, iterations.max()).mean(axis=1)
+    yield "iterations_mean_median", quantile_interval(ranked, 0.5, rng)
 
 
-def _ratios(runs: PairedRuns, arm: str, base: str, column: str, rng: np.random.Generator) -> Ratios:
-    failed = [~runs.solved(name) for name in (arm, base)]
-    return ratios(runs.values(arm, column), failed[0], runs.values(base, column), failed[1], rng)
+def _plain_quantiles(name: str, values: Floats) -> Iterator[Measure]:
+    yield f"{name}_median", float(np.median(values))
+    yield f"{name}_p90", float(np.quantile(values, 0.9))
 
 
-def length_ratio(runs: PairedRuns, arm: str, base: str, rng: np.random.Generator) -> Interval | None:
-    """Summed length of the first solutions over the base's, where both runs of a pair succeeded."""
-    both = runs.solved(arm) & runs.solved(base)
-    sums = [
-        np.where(both, np.nan_to_num(runs.values(name, "first_length_rad")), 0.0).sum(axis=1)
-        for name in (arm, base)
+def _share(flags: Any) -> Interval:
+    return clopper_pearson(int(flags.sum()), flags.size)
+
+
+def _median_iterations(paired: Paired, arm: str) -> float:
+    return float(np.median(np.where(paired.solved(arm), paired.values(arm, "iterations"), np.inf)))
+
+
+def best_known(paired: Paired) -> Floats:
+    """(P,) length of the shortest accepted path of any arm, rad; infinite where there is none."""
+    lengths = np.concatenate([paired.values(arm, "length_rad") for arm in paired.arms], axis=1)
+    return np.asarray(np.min(np.where(np.isnan(lengths), np.inf, lengths), axis=1))
+
+
+def converge(paired: Paired, arm: Arm, best: Floats, rng: np.random.Generator) -> Iterator[Measure]:
+    """How soon an optimising arm comes within 5 % of the best known length.
+
+    Args:
+        paired: runs of one family.
+        arm: an optimising one.
+        best: (P,) of :func:`best_known`.
+        rng: source of the resampling.
+    """
+    reached, missed = until_close(paired, arm.name, best)
+    yield "close", _share(~missed)
+    for name, scale in (("iterations", 1.0), ("edge_checks", 1.0), ("ms", 1e3)):
+        found = summarise_censored(reached[name].ravel(), missed.ravel())
+        yield from _quantiles(f"close_{name}", found, scale)
+    if arm.name != arm.base and arm.base in paired.arms:
+        base, base_missed = until_close(paired, arm.base, best)
+        values = (reached["iterations"], missed, base["iterations"], base_missed)
+        yield from ratios("close_iterations_ratio", *values, rng)
+        yield "first_length_ratio", length_ratio(paired, arm.name, arm.base, "first_length_rad", rng)
+    lengths = paired.values(arm.name, "length_rad") / best[:, None]
+    yield "final_excess", float(np.median(np.where(np.isnan(lengths), np.inf, lengths)))
+
+
+def until_close(paired: Paired, arm: str, best: Floats) -> tuple[Mapping[str, Floats], Flags]:
+    """Effort until a path was within 5 % of the best known, or until the run ended.
+
+    Returns:
+        (P, R) iterations, edge checks and time in s under the name ``ms``, and (P, R) whether the path never
+        came so close.
+    """
+    own, shape = paired.of(arm), (paired.problems, paired.repeats)
+    columns = {
+        "iterations": ("cost_iterations", "iterations"),
+        "edge_checks": ("cost_edge_checks", "edge_checks"),
+        "ms": ("cost_s", "solve_s"),
+    }
+    limits = CLOSE * np.repeat(best, paired.repeats)
+    at = [
+        next((step for step, length in enumerate(lengths) if length <= limit), None)
+        for lengths, limit in zip(own["cost_length_rad"], limits, strict=True)
     ]
-    some = both.any(axis=1)
-    return ratio_of_sums_interval(sums[0][some], sums[1][some], rng) if some.any() else None
+    found = {
+        name: np.array(
+            [
+                float(end if step is None else series[step])
+                for step, series, end in zip(at, own[cost], own[last], strict=True)
+            ]
+        ).reshape(shape)
+        for name, (cost, last) in columns.items()
+    }
+    return found, np.array([step is None for step in at]).reshape(shape)
 
 
-def _worth(runs: PairedRuns, arm: Arm, uniform: Sequence[Arm], rng: np.random.Generator) -> Worth:
-    every = [one.name for one in uniform] or [arm.base]
-    found = [
-        break_even(
-            spent(runs, arm.name, checks), [spent(runs, one, checks) for one in others], rng, RESAMPLES
+def summarise_plans(
+    runs: pd.DataFrame, pictures: Sequence[int], arms: Sequence[PlanArm], setting: Setting
+) -> pd.DataFrame:
+    """The figures of the protocol ``plans``.
+
+    Groups are a source of problems, its hard ones, and every family, each with the number of pictures, as in
+    ``MotionBenchMaker, 1``.
+
+    Args:
+        runs: of the protocol.
+        pictures: numbers by which problems are seen.
+        arms: that were run.
+        setting: of the runs.
+
+    Raises:
+        EvaluationError: no problem was run by all arms.
+    """
+    rng, figures = np.random.default_rng(setting.seed), list[tuple[str, str, Measure]]()
+    for group, own in plan_groups(runs, pictures, setting).items():
+        for checked in (False, True):
+            part = own[own["checked"] == checked]
+            try:
+                paired = Paired(part)
+            except EvaluationError:
+                continue
+            for arm in (one for one in arms if one.name in paired.arms):
+                measures = _checks(paired, arm, rng) if checked else _safety(paired, arm, rng)
+                figures += [(group, arm.name, one) for one in measures]
+    if not figures:
+        raise EvaluationError("no problem was run by all arms", expected="one or more", got="none")
+    return summary_table(figures)
+
+
+def plan_groups(runs: pd.DataFrame, pictures: Sequence[int], setting: Setting) -> dict[str, pd.DataFrame]:
+    """Runs by group of problems and number of pictures; problems whose ends collide are left out."""
+    runs, seen = runs[runs["status"] != NO_PROBLEM], partly_seen(setting.world)
+    found = {}
+    for count in pictures:
+        own = runs[runs["pictures"].isin((0, count))]
+        for source in (name for name in seen.sources if (own["source"] == name).any()):
+            mine = own[own["source"] == source]
+            found[f"{source}, {count}"] = mine
+            if (hard := mine[mine["family"].isin(seen.hard)]).size:
+                found[f"{source}, {HARD}, {count}"] = hard
+        for family in dict.fromkeys(own["family"]):
+            found[f"{family}, {count}"] = own[own["family"] == family]
+    return found
+
+
+def _safety(paired: Paired, arm: PlanArm, rng: np.random.Generator) -> Iterator[Measure]:
+    """How often paths without exact checks exist and collide."""
+    own = paired.of(arm.name)
+    paths = own[own["solved"]]
+    collides = paths["clearance_m"] <= 0.0
+    yield "solved", clopper_pearson(len(paths), len(own))
+    yield "refused", clopper_pearson(int((own["status"] == "refused").sum()), len(own))
+    if len(paths):
+        yield "collide", _share(collides.to_numpy())
+        yield "deep", _share((paths["clearance_m"] <= -DEEP_M).to_numpy())
+        for low, high in pairwise(UNSEEN_EDGES):
+            # The last bin holds its upper end.
+            within = paths["unseen"].between(low, high if high < 1.0 else np.inf, inclusive="left")
+            if within.any():
+                yield f"collide_unseen_{low:.2f}_{high:.2f}", _share(collides[within].to_numpy())
+    if (looked := paths["meshes_free"].dropna()).size:
+        yield "meshes", _share(~looked.to_numpy(dtype=bool))
+    if arm.name != Unseen.FREE and Unseen.FREE.value in paired.arms:
+        free = paired.of(Unseen.FREE.value)
+        both = (own["solved"].to_numpy() & free["solved"].to_numpy()).astype(bool)
+        if both.any():
+            mine, theirs = ((one["clearance_m"] <= 0.0).to_numpy()[both] for one in (own, free))
+            yield "more", difference_interval(mine, theirs, rng)
+    for column in ("search", "score"):
+        for what, quantile in (("median", 0.5), ("p95", 0.95)):
+            yield f"{column}_ms_{what}", float(1e3 * own[f"{column}_s"].quantile(quantile))
+    curve = confidence_curve(own)
+    if len(curve):
+        half = max(1, len(curve) // 2)
+        yield "surer_half_collide", _share(curve["collides"].to_numpy()[:half])
+        yield (
+            "calibration_error",
+            calibration_error(curve["confidence"].to_numpy(), ~curve["collides"].to_numpy()),
         )
-        for checks in ("edge_checks", "state_checks")
-        for others in ([arm.base], every)
-    ]
-    return Worth(*found)
+
+
+def confidence_curve(runs: pd.DataFrame) -> pd.DataFrame:
+    """What collides if only the paths of the highest confidence are answers.
+
+    Args:
+        runs: of one model, on all problems.
+
+    Returns:
+        One row for each path by falling confidence: ``confidence``, ``collides``, the ``answered`` share of
+        the problems down to here, and the share of these that collides, ``collide``.
+    """
+    found = runs[runs["confidence"].notna()].sort_values("confidence", ascending=False, kind="stable")
+    curve = pd.DataFrame(
+        {"confidence": found["confidence"], "collides": found["clearance_m"] <= 0.0}
+    ).reset_index(drop=True)
+    curve["answered"] = np.arange(1, len(curve) + 1) / max(1, len(runs))
+    curve["collide"] = curve["collides"].expanding().mean()
+    return curve
+
+
+def _checks(paired: Paired, arm: PlanArm, rng: np.random.Generator) -> Iterator[Measure]:
+    """Exact checks until the first path; of each problem the median over its runs counts."""
+    if CONNECT.name not in paired.arms:
+        return
+    runs, by_run = paired.runs.copy(), ["family", "problem", "run"]
+    # One price of a check for all arms on a problem.
+    prices = paired.of(CONNECT.name).set_index(by_run)[["state_check_s", "mesh_check_s"]]
+    priced = prices.reindex(pd.MultiIndex.from_frame(runs[by_run]))
+    runs["check_s"] = np.minimum(runs["state_checks"] * priced["state_check_s"].to_numpy(), runs["solve_s"])
+    own_s = runs["request_s"] + runs["solve_s"] - runs["check_s"]
+    for name, price in (("spheres", "state_check_s"), ("meshes", "mesh_check_s")):
+        runs[f"{name}_ms"] = 1e3 * (own_s + runs["state_checks"] * priced[price].to_numpy())
+    numbers = ["state_checks", "edge_checks", "iterations", "length_rad", "request_s", "solve_s", "solved",
+               "spheres_ms", "meshes_ms"]  # fmt: skip
+    values = runs[["family", "problem", "arm"]].join(runs[numbers].astype(np.float64))
+    typical = values.groupby(["family", "problem", "arm"], as_index=False).median()
+    typical["solved"], typical["run"] = typical["solved"] == 1.0, 0
+    each = Paired(typical)
+    yield "solved", _share(paired.solved(arm.name))
+    failed = ~each.solved(arm.name).ravel()
+    for column in ("state_checks", "edge_checks", "iterations"):
+        yield from _quantiles(column, summarise_censored(each.values(arm.name, column).ravel(), failed))
+    for column in ("request", "solve"):
+        yield f"{column}_ms_median", 1e3 * float(np.median(paired.values(arm.name, f"{column}_s")))
+    for name in ("spheres_ms", "meshes_ms"):
+        value = float(np.median(each.values(arm.name, name)))
+        yield name, None if math.isnan(value) else value
+    if arm.name != CONNECT.name:
+        yield "as_is", float(paired.values(arm.name, "as_is").mean())
+        yield from _arm_ratios("states_ratio", each, arm.name, CONNECT.name, "state_checks", rng)
+        yield "length_ratio", length_ratio(each, arm.name, CONNECT.name, "length_rad", rng)
+        whole = Paired(runs)
+        mine, base = (spent(whole, name, "state_checks") for name in (arm.name, CONNECT.name))
+        yield from break_even("break_even_state_base", mine, [base], rng)

@@ -9,7 +9,7 @@ from cspace.splits import Split
 from cspace.worlds import workshop_of
 from cspace.worlds.planar.workshop import PlanarWorkshop
 from cspace.worlds.planar.world import PlanarWorld
-from services.evaluator.benchmark.job import make_request, parser
+from services.evaluator.benchmark.__main__ import make_request, parser
 from services.evaluator.evaluation.measured import flat_metrics
 from services.evaluator.evaluation.report import gallery, to_json, to_markdown
 from services.evaluator.evaluation.units import Budget, Kind, Setting, Unit, assemble, run_unit

@@ -10,14 +10,17 @@ from cspace.errors import SamplerError, SamplerUnavailableError
 from cspace.worlds import default_world
 from cspace.worlds.planar.planning.problems import Family
 from services.evaluator.benchmark import __main__ as command
-from services.evaluator.benchmark.arms import Unit, pick, table
+from services.evaluator.benchmark.arms import pick, table
 from services.evaluator.benchmark.execution import executor, run_on_ray
+from services.evaluator.benchmark.runs import key_of
+from services.evaluator.benchmark.samples import sample_units
 from services.evaluator.benchmark.sources import bundled, served
 from tests.bundles import write_tiny_bundle
 from tests.fakes.benchmark import run_here
 from tests.inference_api.server import api_server
 
 ROOT = Path(__file__).resolve().parents[4]
+NUMBERS = ("solved", "iterations", "edge_checks", "length_rad")
 NAMES = ("RRT, way, 70 %", "RRT, way, 100 %", "RRT, way, 70 %, filtered")
 
 
@@ -83,7 +86,7 @@ def test_a_cluster_gives_the_same_runs_as_this_process(path_folder, setting, mon
     )
     try:
         arms = pick(table(["way"], 1.0), NAMES)
-        work = [Unit(Family.UNIFORM, index, 0, arms) for index in range(3)]
+        work = list(sample_units(setting, {Family.UNIFORM: 3}, 1, arms))
         specs = [bundled("way", path_folder)]
         there = [run for found in run_on_ray(work, setting, specs) for run in found]
     finally:
@@ -91,7 +94,7 @@ def test_a_cluster_gives_the_same_runs_as_this_process(path_folder, setting, mon
     here = [run for found in run_here(work, setting, specs) for run in found]
 
     def numbers(runs):
-        found = [(run.key, run.solved, run.iterations, run.edge_checks, run.length_rad) for run in runs]
+        found = [(key_of(run), *(run[name] for name in NUMBERS)) for run in runs]
         return sorted(found, key=lambda one: one[0])
 
     assert numbers(there) == numbers(here)

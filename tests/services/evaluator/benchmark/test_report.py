@@ -3,9 +3,10 @@ import pytest
 
 from cspace.worlds.planar.planning.problems import Family
 from services.evaluator.benchmark.arms import Protocol, Setting, pick, table
-from services.evaluator.benchmark.figures import all_figures, looks, page_arms, panel_of, share_until
-from services.evaluator.benchmark.report import report
-from services.evaluator.benchmark.results import Results
+from services.evaluator.benchmark.figures import looks, page_arms, panel_of, share_until
+from services.evaluator.benchmark.job import Request, Results
+from services.evaluator.benchmark.report import about, report
+from services.evaluator.benchmark.runs import frame_of
 
 ARMS = pick(
     table(["way", "flow"], 1.0), ["RRT, way, 70 %", "RRT, way, 70 %, 10 samples", "RRT*, uniform, optimising"]
@@ -19,24 +20,26 @@ MANIFEST = {
 
 
 @pytest.fixture
-def results(make_run, setting):
-    runs = []
+def results(tmp_path, make_run, setting):
+    rows = []
     for problem in range(3):
         for arm in ARMS:
-            cost = (
-                {}
-                if arm.stop_at_first
-                else {"cost_s": (0.1,), "cost_iterations": (9,), "cost_length_rad": (4.0,)}
-            )
-            cost |= {} if arm.stop_at_first else {"cost_edge_checks": (9,)}
-            runs.append(
+            cost = {
+                "cost_s": [0.1],
+                "cost_iterations": [9],
+                "cost_edge_checks": [9],
+                "cost_length_rad": [4.0],
+            }
+            rows.append(
                 make_run(
                     arm=arm.name, group=arm.group.value, planner=arm.planner, sampler=arm.sampler,
-                    stop_at_first=arm.stop_at_first, problem=problem, solved=problem < 2, **cost,
+                    stop_at_first=arm.stop_at_first, problem=problem, solved=problem < 2,
+                    **({} if arm.stop_at_first else cost),
                 )
             )  # fmt: skip
-    paper = Setting(Protocol.PAPER, setting.split, 0, 1000, 1000, 1.0, 0.0314)
-    return Results.gather(runs, [Family.NARROW], ARMS, paper)
+    paper = Setting(Protocol.PAPER, setting.split, 0, 1000, 1000, 1.0)
+    request = Request(tmp_path, paper, {Family.NARROW: 3}, 1, ARMS, ())
+    return Results.of(request, frame_of(rows, Protocol.PAPER))
 
 
 def test_the_share_solved_rises_with_what_a_run_may_take():
@@ -49,7 +52,7 @@ def test_the_share_solved_rises_with_what_a_run_may_take():
 
 
 def test_every_figure_shows_what_its_name_says(results):
-    found = dict(all_figures(results))
+    found = dict(results.figures())
     named = {f"{name}-narrow" for name in ("success", "first-solution", "cost", "samples")}
     assert set(found) == named | {"boxes"}
     for figure in found.values():
@@ -64,7 +67,7 @@ def test_every_figure_shows_what_its_name_says(results):
 
 
 def test_success_against_the_samples_asked_for_has_its_limits(results):
-    axes = dict(all_figures(results))["samples-narrow"].axes[2]
+    axes = dict(results.figures())["samples-narrow"].axes[2]
     ((line, _, (bars,)),) = axes.containers
     assert line.get_xydata().tolist() == [[10.0, pytest.approx(2 / 3)]]
     low, high = bars.get_segments()[0][:, 1]
@@ -76,9 +79,9 @@ def test_samplers_have_colours_of_their_own_and_planners_panels():
     arms = {arm.name: arm for arm in table(["way", "flow"], 1.0)}
     shown = looks(list(arms.values()))
     way, flow, uniform = (shown[f"RRT, {name}"] for name in ("way, 70 %", "flow, 70 %", "uniform"))
-    assert len({way.colour, flow.colour, uniform.colour}) == 3
-    assert way.colour == shown["PRM, way, 100 %"].colour
-    assert way.line != shown["RRT, way, 100 %"].line
+    assert len({way[0], flow[0], uniform[0]}) == 3
+    assert way[0] == shown["PRM, way, 100 %"][0]
+    assert way[1] != shown["RRT, way, 100 %"][1]
     assert panel_of(arms["RRT-Connect, uniform"]) == panel_of(arms["own RRT-Connect, way, 70 %"])
     assert (
         panel_of(arms["BIT*, uniform"]) == panel_of(arms["RRT*, uniform"]) != panel_of(arms["RRT, uniform"])
@@ -91,11 +94,12 @@ def test_a_page_shows_uniform_rrt_beside_each_sampler():
 
 
 def test_the_papers_report_has_its_columns_and_success_against_the_samples_asked_for(results):
-    text = report(results, MANIFEST, ["figures/boxes.png"])
+    facts = about(results.runs, results.request.setting, MANIFEST)
+    text = report(results.headline, facts, results.sections, Protocol.PAPER, ["figures/boxes.png"])
     assert text.startswith("Break-even cost of an edge check")
     assert "| RRT, way, 70 % | 4.00 [4.00, 4.00] | 3.00 [3.00, 3.00] | 3.00 [3.00, 3.00] | 0.6667" in text
-    assert "| 2 of 3 |" in text
-    assert "| RRT, way, 70 %, 10 samples | 10 | 0.667" in text
+    assert "| 0.67 [0.09, 0.99] |" in text
+    assert "| RRT, way, 70 %, 10 samples | 0.667" in text
     assert "- way: path-sampler/3, digest aaaaaaaaaaaa, transport HTTP." in text
     # A sampler of the folder that was not asked for now.
     assert "- flow" not in text

@@ -2,6 +2,7 @@
 
 from collections import Counter
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,16 +17,8 @@ from cspace.worlds import default_world, examples
 from cspace.worlds.planar.planning.problems import Family, draw_problem
 from cspace.worlds.planar.seeing.picture import decode_png
 from services.evaluator.benchmark.arms import Unit, pick, table
-from services.evaluator.benchmark.measure import drawn_samples, known_problem, measure, state_check_s
-from services.evaluator.benchmark.sources import (
-    ask,
-    bundled,
-    fresh_picture,
-    fresh_png,
-    mixed,
-    opened,
-    parse_named,
-)
+from services.evaluator.benchmark.samples import SampleWorker, drawn_samples, known_problem, state_check_s
+from services.evaluator.benchmark.sources import ask, bundled, fresh_picture, opened, parse_named
 from services.planner.plan_result import Reason
 from services.planner.search.samples.sample_order import order_along
 from tests.bundles import picture, write_tiny_bundle
@@ -67,8 +60,10 @@ class Counting:
 
 
 def run(arms, family, setting, spec, sources, index=0):
-    found = measure(Unit(family, index, 0, tuple(arms)), setting, {"way": spec}, sources)
-    return {one.arm: one for one in found}
+    worker = SampleWorker(setting, [])
+    worker.sources, worker.specs = sources, {"way": spec}
+    found = worker.run(Unit(family, index, tuple((arm, 0) for arm in arms)))
+    return {one["arm"]: SimpleNamespace(**one) for one in found}
 
 
 def test_every_arm_solves_the_same_problem_with_the_same_seed(setting, spec, sources):
@@ -107,7 +102,7 @@ def test_an_optimising_run_tells_how_the_length_fell(setting, spec, sources):
     one = run(ARMS, Family.NARROW, setting, spec, sources)["RRT*, way, 70 %, optimising"]
     assert one.iterations == setting.optimising_iterations
     assert len(one.cost_s) == len(one.cost_iterations) == len(one.cost_edge_checks) >= 2
-    assert list(one.cost_length_rad) == sorted(one.cost_length_rad, reverse=True)
+    assert one.cost_length_rad == sorted(one.cost_length_rad, reverse=True)
     assert (one.first_length_rad, one.first_iterations) == (one.cost_length_rad[0], one.cost_iterations[0])
     assert one.length_rad <= one.first_length_rad + 1e-9
 
@@ -115,7 +110,7 @@ def test_an_optimising_run_tells_how_the_length_fell(setting, spec, sources):
 def test_the_first_solution_of_other_runs_is_their_end(setting, spec, sources):
     one = run(ARMS, Family.NARROW, setting, spec, sources)["RRT, uniform"]
     assert (one.first_iterations, one.first_length_rad) == (one.iterations, one.length_rad)
-    assert one.cost_s == ()
+    assert one.cost_s == []
 
 
 def test_where_there_is_no_path_nothing_succeeds_and_the_limit_ends_it(setting, spec, sources):
@@ -130,10 +125,10 @@ def test_where_there_is_no_path_nothing_succeeds_and_the_limit_ends_it(setting, 
 
 def test_a_path_that_the_independent_check_refuses_is_no_success(setting, spec, sources, monkeypatch):
     monkeypatch.setattr(
-        "services.evaluator.benchmark.measure.judge_path", lambda *given: Reason.REJECTED, raising=True
+        "services.evaluator.benchmark.samples.judge_path", lambda *given: Reason.REJECTED, raising=True
     )
     for one in run(ARMS, Family.UNIFORM, setting, spec, sources).values():
-        assert (one.solved, one.length_rad, one.cost_s) == (False, None, ())
+        assert (one.solved, one.length_rad, one.cost_s) == (False, None, [])
         assert one.reason == Reason.REJECTED
 
 
@@ -158,7 +153,7 @@ def test_perturbed_samples_are_mixed_unless_the_papers_order_is_wanted(setting, 
     shuffled = drawn_samples(by_name["RRT, way, schedule"], batch, problem)
     assert np.array_equal(in_order, batch.samples)
     assert not np.array_equal(shuffled, batch.samples)
-    assert np.array_equal(shuffled, mixed(batch.samples, 3))
+    assert np.array_equal(shuffled, drawn_samples(by_name["RRT, way, schedule"], batch, problem))
     assert np.array_equal(np.sort(shuffled, axis=0), np.sort(batch.samples, axis=0))
 
 
@@ -199,7 +194,7 @@ def test_a_model_of_configurations_is_asked_without_start_and_goal(setting, tmp_
 
 def test_a_fresh_png_is_another_file_of_the_same_picture(tmp_path):
     png = encode_png(picture())
-    first, second = fresh_png(png, "1"), fresh_png(png, "2")
+    first, second = fresh_picture(png, "1"), fresh_picture(png, "2")
     assert len({png, first, second}) == 3
     for data in (first, second):
         assert np.array_equal(decode_png(data), picture())
@@ -209,7 +204,7 @@ def test_a_fresh_png_is_another_file_of_the_same_picture(tmp_path):
         opened_picture.load()
         assert opened_picture.info["Comment"] == "2"
     with pytest.raises(ValueError, match="IEND"):
-        fresh_png(png[:-1], "1")
+        fresh_picture(png[:-1], "1")
 
 
 def test_a_fresh_view_is_another_file_of_the_same_scene():
