@@ -317,7 +317,13 @@ def test_a_benchmark_of_plans_leaves_its_files_and_goes_on_where_it_was_stopped(
     assert (out / RUNS).read_text().startswith(kept)
     assert any("3 views of problems to do" in line for line in lines)
     files = {path.relative_to(out).as_posix() for path in out.rglob("*") if path.is_file()}
-    assert files - {".gitignore"} == {"manifest.json", "report.md", "runs.parquet", RUNS, "figures/safety.png"}
+    assert files - {".gitignore"} == {
+        "manifest.json",
+        "report.md",
+        "runs.parquet",
+        RUNS,
+        "figures/safety.png",
+    }
     frame = pd.read_parquet(out / "runs.parquet").set_index(["arm", "problem"])
     assert len(frame) == 2 * (6 + 3)
     known = frame.loc[Taken.KNOWN.value]
