@@ -1,8 +1,8 @@
 """What a world is: a robot, how it is seen, and the scenes that it stands in.
 
 A :class:`World` is a value: it stands in ``bundle.json`` and in a data set's manifest, needs numpy alone,
-and is all that a server knows. What makes and checks scenes is a :class:`cspace.workshop.Workshop`. Kinds of
-worlds are registered in :mod:`cspace.worlds`.
+and is all that a server knows. What makes and checks scenes is a :class:`cspace.simulator.Simulator`. Kinds
+of worlds are registered in :mod:`cspace.worlds`.
 """
 
 from collections.abc import Callable, Mapping

@@ -26,6 +26,6 @@ USER 1000
 WORKDIR /app
 # Compiled for processors like this one, and found where the root file system is read only. On another processor a
 # server compiles when it starts, and is ready after a minute.
-RUN python -m cspace.planning.compiled
+RUN python -m cspace.plan
 EXPOSE 8000
 CMD ["python", "-m", "inference_api", "--host", "0.0.0.0", "--port", "8000"]

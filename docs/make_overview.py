@@ -15,10 +15,9 @@ from numpy.typing import NDArray
 from cspace.bundle import Bundle, SampleSet
 from cspace.errors import CspaceError
 from cspace.png import encode_png
-from cspace.problem import Problem
-from cspace.splits import Split
-from cspace.worlds.planar.planning.collision import CollisionChecker
-from cspace.worlds.planar.planning.problems import Family, draw_problem
+from cspace.simulator import Problem, Split
+from cspace.worlds.planar.checks import CollisionChecker
+from cspace.worlds.planar.problems import Family, draw_problem
 from cspace.worlds.planar.render import render
 from services.planner.drawing.configuration_panel import draw_configurations
 from services.planner.drawing.palette import GOAL

@@ -15,11 +15,10 @@ from numpy.typing import NDArray
 
 from cspace.bundle import Bundle
 from cspace.errors import CspaceError
-from cspace.problem import Problem
-from cspace.splits import Split
-from cspace.worlds import checker_of, picture_file_of, workshop_of
-from cspace.worlds.spatial.drawing import draw_arm, draw_obstacles, draw_seen
-from cspace.worlds.spatial.seeing.view import DepthView, read_view
+from cspace.simulator import Problem, Split
+from cspace.worlds import checker_of, picture_file_of, simulator_of
+from cspace.worlds.spatial.simulator import draw_arm, draw_obstacles, draw_seen
+from cspace.worlds.spatial.view import DepthView, read_view
 from services.planner.drawing.palette import GOAL, PATH, START
 
 ROOT = Path(__file__).parents[1]
@@ -40,7 +39,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         bundle = Bundle.load(options.bundle)
         world = bundle.spec.world
-        problem = workshop_of(world).problem(FAMILY, Split.DEMO, SEED)
+        problem = simulator_of(world).problem(FAMILY, Split.DEMO, SEED)
         view = read_view(picture_file_of(problem.scenario), world.space)
         seen = world.read_picture(picture_file_of(problem.scenario))
         rows = about(problem, np.random.default_rng(SEED))

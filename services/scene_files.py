@@ -15,7 +15,7 @@ from jsonschema.exceptions import ValidationError, best_match
 from numpy.typing import NDArray
 
 from cspace.errors import ScenarioError
-from cspace.problem import Problem
+from cspace.simulator import Problem
 from cspace.world import Scene, World
 from cspace.worlds import FIRST, KINDS
 from cspace.yaml_file import YamlDocument, read_yaml, read_yaml_file

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from cspace.worlds.planar.arm import TWO_LINK, PlanarArm
-from cspace.worlds.planar.seeing.camera import Camera
+from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.world import PlanarWorld
 
 CAMERA = Camera(pixels=16)

@@ -6,10 +6,10 @@ from typing import Any, ClassVar, Literal, TypeVar
 
 from pydantic import Field, ValidationError, ValidationInfo, field_validator, model_validator
 
-from cspace.dataset.manifest import Manifest
+from cspace.dataset import Manifest
 from cspace.errors import ConfigError, InputError
 from cspace.world import World
-from cspace.worlds import default_world, workshop_of
+from cspace.worlds import default_world, simulator_of
 from cspace.yaml_file import read_yaml, read_yaml_file
 from services.names import model_name
 from services.registry.references import ModelReference
@@ -271,7 +271,7 @@ class TrainConfig(JobConfig):
         # Data that did not fit are told on their own.
         known = {"data", "data_folder"} <= before.data.keys()
         world = _world(before.data["data"], before.data["data_folder"]) if known else default_world()
-        return {**head, "free_share": workshop_of(world).measures.free_share}
+        return {**head, "free_share": simulator_of(world).measures.free_share}
 
     @model_validator(mode="after")
     def _parts_fit(self) -> "TrainConfig":

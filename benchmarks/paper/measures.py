@@ -16,7 +16,7 @@ from benchmarks.paper.jobs import Study
 from cspace.bundle import Bundle
 from cspace.dataset import Dataset, open_dataset
 from cspace.errors import EvaluationError
-from cspace.splits import Split
+from cspace.simulator import Split
 from services.evaluator.evaluation.measured import Table
 from services.evaluator.measures.scenes import Scene, Stage, measure_reconstruction, summary_rng
 from services.evaluator.measures.topology import POINTS

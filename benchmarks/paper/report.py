@@ -21,7 +21,7 @@ from benchmarks.paper.measures import (
 )
 from cspace.bundle import Bundle
 from cspace.errors import EvaluationError
-from cspace.splits import Split
+from cspace.simulator import Split
 from services.evaluator.evaluation.measured import markdown
 from services.evaluator.measures.scenes import Stage, measure_reconstruction
 from services.planner.sources.local_sampler import BundleSampler

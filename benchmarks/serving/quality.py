@@ -15,7 +15,7 @@ from benchmarks.machine import machine
 from benchmarks.serving.served import BUNDLE, served
 from cspace.bundle import Bundle
 from cspace.query import SampleQuery
-from cspace.splits import Split
+from cspace.simulator import Split
 from services.evaluator.evaluation.measured import markdown
 from services.evaluator.measures.reconstruction import SceneQuality, summarise
 from services.evaluator.measures.scenes import SAMPLES, Scene, Stage, reconstruct, summary_rng

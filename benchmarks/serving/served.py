@@ -11,9 +11,9 @@ from pathlib import Path
 
 from benchmarks.machine import ROOT
 from cspace.png import encode_png
-from cspace.splits import Split
+from cspace.simulator import Split
 from cspace.worlds.planar.render import render
-from cspace.worlds.planar.scene import random_scenarios
+from cspace.worlds.planar.world import random_scenarios
 
 BUNDLE = ROOT / "inference_api" / "pretrained"
 SERVER_CORE, CLIENT_CORE = 0, 1

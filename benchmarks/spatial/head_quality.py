@@ -27,17 +27,16 @@ from benchmarks.command import arguments
 from benchmarks.machine import machine
 from benchmarks.spatial.problem_options import panda
 from cspace.bundle.running.graphs import Graph
-from cspace.splits import Split
-from cspace.worlds.spatial.motionbench.problems import BenchProblem, problems
-from cspace.worlds.spatial.obstacles.layout import Layout
-from cspace.worlds.spatial.obstacles.scenes import FAMILIES, SpatialScenes
-from cspace.worlds.spatial.obstacles.shapes import Obstacles
-from cspace.worlds.spatial.obstacles.signed_distance import clearance_m
-from cspace.worlds.spatial.planning.collision import CollisionChecker
-from cspace.worlds.spatial.planning.problems import SpatialProblem, draw_problem
-from cspace.worlds.spatial.robot.arm import SerialArm
-from cspace.worlds.spatial.scene import seen
-from cspace.worlds.spatial.seeing.observed import lookup
+from cspace.simulator import Split
+from cspace.worlds.spatial.arm import SerialArm
+from cspace.worlds.spatial.benchmark import BenchProblem, problems
+from cspace.worlds.spatial.checks import CollisionChecker
+from cspace.worlds.spatial.distances import clearance_m
+from cspace.worlds.spatial.furniture import FAMILIES, Layout, SpatialScenes
+from cspace.worlds.spatial.obstacles import Obstacles
+from cspace.worlds.spatial.problems import SpatialProblem, draw_problem
+from cspace.worlds.spatial.scenes import seen
+from cspace.worlds.spatial.visibility import lookup
 from cspace.worlds.spatial.world import SpatialWorld, usual
 from services.evaluator.statistics import bootstrap_interval, mean_interval, ratio_of_sums_interval
 

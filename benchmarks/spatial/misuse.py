@@ -21,16 +21,15 @@ from benchmarks.command import arguments
 from benchmarks.machine import machine
 from benchmarks.spatial.problem_options import LIMIT_S, LOOK_RAD, WAYS, benchmark_bundle, panda_world
 from cspace.bundle import Bundle
-from cspace.connecting import spaced
-from cspace.planning.query import PlanQuery
-from cspace.splits import Split
-from cspace.worlds.spatial.motionbench.problems import FAMILIES, BenchProblem, problems
-from cspace.worlds.spatial.obstacles.shapes import Box, Cylinder, Obstacles
-from cspace.worlds.spatial.partly_seen import from_both_sides, viewed
-from cspace.worlds.spatial.planning.collision import CollisionChecker
+from cspace.planning.paths import spaced
+from cspace.query import PlanQuery
+from cspace.simulator import Split
+from cspace.worlds.spatial.benchmark import BENCH_FAMILIES, BenchProblem, from_both_sides, problems, viewed
+from cspace.worlds.spatial.checks import CollisionChecker
+from cspace.worlds.spatial.obstacles import Box, Cylinder, Obstacles
 from cspace.worlds.spatial.poses import make_pose, pose_of
-from cspace.worlds.spatial.scene import SpatialScene
-from cspace.worlds.spatial.seeing.view import DepthView
+from cspace.worlds.spatial.scenes import SpatialScene
+from cspace.worlds.spatial.view import DepthView
 from cspace.worlds.spatial.world import SpatialWorld
 from services.evaluator.statistics import mean_interval
 
@@ -178,7 +177,7 @@ def main() -> int:
     print(f"{'':<20}plans: collide; confidence, above what is free; novelty, share above {NEW:g}", flush=True)
     chosen = [
         one
-        for family in FAMILIES
+        for family in BENCH_FAMILIES
         for one in problems(Split.VALIDATION, families=(family,))[: options.each or None]
     ]
     for name, misuse in MISUSES.items():

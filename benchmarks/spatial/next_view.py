@@ -25,14 +25,13 @@ from benchmarks.spatial.problem_options import (
     problem_arguments,
 )
 from cspace.bundle import Bundle
-from cspace.connecting import spaced
-from cspace.planning.query import Plan, PlanQuery
-from cspace.worlds.spatial.motionbench.problems import BenchProblem
+from cspace.planning.paths import spaced
+from cspace.query import Plan, PlanQuery
+from cspace.worlds.spatial.benchmark import BenchProblem, from_both_sides, viewed
+from cspace.worlds.spatial.camera import DepthCamera, read_camera
+from cspace.worlds.spatial.checks import CollisionChecker
 from cspace.worlds.spatial.next_view import away_m, hemisphere
-from cspace.worlds.spatial.partly_seen import from_both_sides, viewed
-from cspace.worlds.spatial.planning.collision import CollisionChecker
-from cspace.worlds.spatial.scene import SpatialScene
-from cspace.worlds.spatial.seeing.camera import DepthCamera, read_camera
+from cspace.worlds.spatial.scenes import SpatialScene
 from cspace.worlds.spatial.world import SpatialWorld
 from services.evaluator.statistics import difference_interval, mean_interval
 

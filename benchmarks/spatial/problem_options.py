@@ -5,11 +5,17 @@ from pathlib import Path
 
 from benchmarks.command import arguments
 from cspace.bundle import Bundle
-from cspace.planning.query import DEFAULT_WAYS
-from cspace.splits import Split
-from cspace.worlds.spatial.motionbench.problems import FAMILIES, LIMITS_RAD, BenchProblem, problems
-from cspace.worlds.spatial.partly_seen import is_benchmarked, with_benchmark_limits
-from cspace.worlds.spatial.robot.arm import SerialArm
+from cspace.query import DEFAULT_WAYS
+from cspace.simulator import Split
+from cspace.worlds.spatial.arm import SerialArm
+from cspace.worlds.spatial.benchmark import (
+    BENCH_FAMILIES,
+    LIMITS_RAD,
+    BenchProblem,
+    is_benchmarked,
+    problems,
+    with_benchmark_limits,
+)
 from cspace.worlds.spatial.world import SpatialWorld, shipped
 
 LOOK_RAD, WAYS, LIMIT_S = 0.01, DEFAULT_WAYS, 2.0
@@ -34,7 +40,7 @@ def problem_arguments(description: str | None) -> ArgumentParser:
 def chosen_problems(options: Namespace) -> list[BenchProblem]:
     """Those that the options name, family after family."""
     chosen: list[BenchProblem] = []
-    for family in FAMILIES:
+    for family in BENCH_FAMILIES:
         of_family = problems(Split(options.split), options.problems, families=(family,))
         chosen += of_family[: options.each or None]
     return chosen

@@ -20,8 +20,8 @@ import psutil
 
 from benchmarks.command import arguments
 from benchmarks.machine import machine
-from cspace.splits import Split, scenario_rng
-from cspace.worlds import examples, workshop_of
+from cspace.simulator import Split, scenario_rng
+from cspace.worlds import examples, simulator_of
 from services.evaluator.statistics import mean_interval
 
 COUNT, CONFIGURATIONS, WARM = 300, 1000, 5
@@ -33,7 +33,7 @@ class Asked:
     def __init__(self, index: int) -> None:
         world = examples()["panda"]
         views = replace(world.sensor.views, count=(1, 1))
-        shop = workshop_of(replace(world, sensor=replace(world.sensor, views=views)))
+        shop = simulator_of(replace(world, sensor=replace(world.sensor, views=views)))
         rng = scenario_rng(Split.DEMO, 0, index)
         scene = shop.scene(rng, Split.DEMO, index)
         view, file = shop.picture_file(scene), io.BytesIO()

@@ -21,9 +21,8 @@ from cspace.bundle.running.head import Head
 from cspace.bundle.samples import Encoding, Picture, SampleSet, require_inside
 from cspace.bundle.spec import WAYS, BundleSpec
 from cspace.errors import BundleIntegrityError, InputError
-from cspace.planning.plan import plan
-from cspace.planning.query import Plan, PlanQuery
-from cspace.query import QueryOptions, SampleQuery
+from cspace.plan import plan
+from cspace.query import Plan, PlanQuery, QueryOptions, SampleQuery
 from cspace.world import World
 from cspace.worlds import robot_digest
 

@@ -10,7 +10,7 @@ from typing import Any
 from numpy.typing import NDArray
 
 from cspace.errors import BundleIntegrityError
-from cspace.npy import read_npy
+from cspace.files import read_npy
 
 # Of one archive, unpacked; a picture of 2048 pixels has 12.6 MB.
 MAX_BYTES = 32 * 2**20

@@ -8,8 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cspace.bundle.spec import BundleSpec
 from cspace.errors import InputError, OtherRobotError
-from cspace.planning.query import PlanQuery
-from cspace.query import SampleQuery
+from cspace.query import PlanQuery, SampleQuery
 from cspace.worlds import robot_digest
 
 

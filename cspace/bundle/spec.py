@@ -56,7 +56,7 @@ class BundleSpec:
         novelty_quantiles: for each score of the novelty graph its rising quantiles over known pictures; None
             without one.
         plan_doubt: (a, b), by which a way of doubt D is free with exp(-exp(a + b log D)), b above 0; see
-            :mod:`cspace.planning.scoring`. None for (0, 1).
+            :mod:`cspace.planning.cost`. None for (0, 1).
         provenance: how the bundle was made.
 
     Raises:

@@ -13,15 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cspace.errors import ScenarioError
+from cspace.simulator import Checker, PartlySeen, Simulator
 from cspace.strict_json import read_mapping
-from cspace.workshop import Checker, Workshop
 from cspace.world import Body, Image, NextView, Scene, World
-from cspace.worlds.unseen import PartlySeen
 
-# Each folder has ``world`` (numpy alone) with ``read`` and ``EXAMPLES`` (worlds by name); ``options`` with
-# ``add_options`` and ``described``, which gives None where none of its options was used and the kind is not
-# the first; ``workshop`` with ``open_workshop``; ``seen_checks`` with ``seen_checkers``; ``next_view`` (numpy
-# alone) with ``best_view``. One that no picture shows whole has ``partly_seen`` with ``open_partly_seen``.
+# Each folder has ``world`` (NumPy alone) with ``read``, ``EXAMPLES`` (worlds by name), ``add_options`` and
+# ``described``, which gives None where none of its options was used and the kind is not the first;
+# ``simulator`` with ``open_simulator``; ``checks`` with ``seen_checkers``. One that no picture shows whole
+# has ``benchmark`` with ``open_partly_seen`` and ``next_view`` (NumPy alone) with ``best_view``.
 KINDS = ("planar", "spatial")
 _PARTLY_SEEN = ("spatial",)
 # What files are of that do not name their kind: older than kinds are.
@@ -80,7 +79,7 @@ def usual_world(robot: Body, **parts: Any) -> World:
 def add_world_options(parser: ArgumentParser, *, sensor: bool) -> None:
     """Add the options by which a command line describes a robot and, where asked for, how it is seen."""
     for kind in KINDS:
-        _part(kind, "options").add_options(parser, sensor=sensor)
+        _part(kind, "world").add_options(parser, sensor=sensor)
 
 
 def described_world(options: Namespace) -> World:
@@ -90,14 +89,14 @@ def described_world(options: Namespace) -> World:
         ConfigError: an option does not fit.
         ScenarioError: the world cannot be.
     """
-    worlds = (_part(kind, "options").described(options) for kind in reversed(KINDS))
+    worlds = (_part(kind, "world").described(options) for kind in reversed(KINDS))
     return cast("World", next(world for world in worlds if world is not None))
 
 
 @lru_cache(maxsize=16)
-def workshop_of(world: World) -> Workshop:
-    """The workshop of a world; its kernels are loaded at the first call."""
-    return cast("Workshop", _part(world.kind, "workshop").open_workshop(world))
+def simulator_of(world: World) -> Simulator:
+    """The simulator of a world; its kernels are loaded at the first call."""
+    return cast("Simulator", _part(world.kind, "simulator").open_simulator(world))
 
 
 def partly_seen(world: World) -> PartlySeen:
@@ -112,7 +111,7 @@ def partly_seen(world: World) -> PartlySeen:
             expected=f"a world of the kind {', '.join(_PARTLY_SEEN)}",
             got=world.kind,
         )
-    return cast("PartlySeen", _part(world.kind, "partly_seen").open_partly_seen(world))
+    return cast("PartlySeen", _part(world.kind, "benchmark").open_partly_seen(world))
 
 
 def seen_checkers(world: World, picture: Image, ends: NDArray[np.float64]) -> Sequence[Checker]:
@@ -128,7 +127,7 @@ def seen_checkers(world: World, picture: Image, ends: NDArray[np.float64]) -> Se
     Raises:
         ImportError: the compiler of the checks is not installed.
     """
-    return cast("Sequence[Checker]", _part(world.kind, "seen_checks").seen_checkers(world, picture, ends))
+    return cast("Sequence[Checker]", _part(world.kind, "checks").seen_checkers(world, picture, ends))
 
 
 def best_view(
@@ -159,6 +158,8 @@ def best_view(
     Raises:
         InputError: one of the given ones is no camera, or one that has seen the picture has no pose.
     """
+    if world.kind not in _PARTLY_SEEN:
+        return None
     found = _part(world.kind, "next_view").best_view(world, picture, states, doubts, given, between, seen_by)
     return cast("NextView | None", found)
 
@@ -177,17 +178,17 @@ def _digest(kind: str, body: Body) -> str:
 
 def checker_of(scene: Scene) -> Checker:
     """The collision checks of a scene."""
-    return workshop_of(scene.world).checker(scene)
+    return simulator_of(scene.world).checker(scene)
 
 
 def picture_of(scene: Scene) -> Image:
     """The picture of a scene."""
-    return workshop_of(scene.world).render(scene)
+    return simulator_of(scene.world).render(scene)
 
 
 def picture_file_of(scene: Scene) -> bytes:
     """The same as a file."""
-    return workshop_of(scene.world).picture_file(scene)
+    return simulator_of(scene.world).picture_file(scene)
 
 
 def _part(kind: str, name: str) -> Any:

@@ -13,9 +13,9 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from cspace.bundle import Bundle
-from cspace.splits import Split
-from cspace.worlds.planar.planning.collision import CollisionChecker
-from cspace.worlds.planar.planning.problems import Family, draw_problem
+from cspace.simulator import Split
+from cspace.worlds.planar.checks import CollisionChecker
+from cspace.worlds.planar.problems import Family, draw_problem
 from cspace.worlds.planar.render import render
 from inference_api.settings import PRETRAINED_FOLDER
 

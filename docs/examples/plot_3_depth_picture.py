@@ -13,14 +13,14 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from cspace.bundle import Bundle
-from cspace.splits import Split
-from cspace.worlds import checker_of, picture_file_of, workshop_of
-from cspace.worlds.spatial.seeing.view import read_view
+from cspace.simulator import Split
+from cspace.worlds import checker_of, picture_file_of, simulator_of
+from cspace.worlds.spatial.view import read_view
 from inference_api.settings import PRETRAINED_FOLDER
 
 bundle = Bundle.load(PRETRAINED_FOLDER.with_name("pretrained_panda"))
 world = bundle.spec.world
-problem = workshop_of(world).problem("shelf", Split.DEMO, 12)
+problem = simulator_of(world).problem("shelf", Split.DEMO, 12)
 file = picture_file_of(problem.scenario)
 depth_mm = read_view(file, world.space).pictures[0]
 

@@ -16,8 +16,8 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 
 from cspace.png import encode_png
-from cspace.splits import Split
-from cspace.worlds.planar.planning.problems import Family, draw_problem
+from cspace.simulator import Split
+from cspace.worlds.planar.problems import Family, draw_problem
 from cspace.worlds.planar.render import render
 from inference_api.settings import PRETRAINED_FOLDER
 from services.planner.drawing.configuration_panel import draw_configurations

@@ -6,7 +6,7 @@ from pathlib import Path
 from threading import Thread
 from typing import Literal
 
-from cspace.planning.compiled import load_examples
+from cspace.plan import load_examples
 from inference_api.failures import NoRoomError, StartingError
 from inference_api.memory import settle
 

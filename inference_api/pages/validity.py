@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from cspace.bundle.request import fitted_configurations, require_robot
 from cspace.errors import InputError
-from cspace.npy import read_npy
+from cspace.files import read_npy
 from cspace.query import MAX_SAMPLES
 from inference_api.bodies.request_body import VALIDITY_FORM, RawFields, parse_fields
 from inference_api.models.served import ServedModel

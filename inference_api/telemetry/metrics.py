@@ -15,7 +15,7 @@ from prometheus_client.multiprocess import MultiProcessCollector
 from prometheus_client.process_collector import ProcessCollector
 from prometheus_client.registry import Collector
 
-from cspace.planning.query import Status
+from cspace.query import Status
 from inference_api.problems import PROBLEMS
 from inference_api.record import RequestRecord, current
 from inference_api.telemetry.observer import REFUSALS, Observer, Planned, Refusal, Sampled, Scored

@@ -5,11 +5,9 @@ from pathlib import Path
 from typing import Any, cast
 
 from cspace.errors import InputError
-from cspace.problem import Problem
-from cspace.splits import Split
+from cspace.simulator import Asked, Problem, Split
 from cspace.world import World
 from cspace.worlds import partly_seen
-from cspace.worlds.unseen import Asked
 
 SOURCE = "MotionBenchMaker"
 # One hides most, which is what the view is for; the page asks for more.

@@ -10,13 +10,11 @@ import numpy as np
 from fastapi.responses import Response
 from numpy.typing import NDArray
 
-from cspace.connecting import length_rad
-from cspace.planning.along import NOISE_RAD, AlongWays
-from cspace.planning.trees import GOAL_BIAS, Grown, Growth, drawn_states, grow_connect, grow_rrt
-from cspace.splits import Split
-from cspace.workshop import Checker
+from cspace.planning.paths import NOISE_RAD, AlongPaths, length_rad
+from cspace.planning.rrt_connect import GOAL_BIAS, Grown, Growth, drawn_states, grow_connect, grow_rrt
+from cspace.simulator import Checker, Split
 from cspace.world import World
-from cspace.worlds import workshop_of
+from cspace.worlds import simulator_of
 from inference_api.models.served import ServedModel
 from inference_api.turns.searching import searching
 from inference_api.turns.turns import Turn
@@ -49,14 +47,14 @@ class SearchQuestion:
         )
         samples = _given(asked, world)
         with searching(turn) as between, telling():
-            workshop = workshop_of(among(world, asked.discs))
-            checker = workshop.checker(workshop.scene(np.random.default_rng(0), Split.TEST, 0))
+            simulator = simulator_of(among(world, asked.discs))
+            checker = simulator.checker(simulator.scene(np.random.default_rng(0), Split.TEST, 0))
             free = checker.valid_batch(ends)
             if not free.all():
                 reason = f"the {'goal' if free[0] else 'start'} collides"
                 body = SearchAnswer(status="refused", reason=reason)
             else:
-                measures = workshop.measures
+                measures = simulator.measures
                 growth = Growth(measures.range_rad, measures.resolution_rad, asked.time_limit_s, between)
                 body = _searched(asked, checker, ends, samples, growth)
         return Response(body.model_dump_json(), media_type="application/json")
@@ -69,7 +67,7 @@ def _given(asked: SearchRequest, world: World) -> NDArray[np.float64] | None:
     if sum(map(len, asked.ways)) > MAX_SHOWN or not all(asked.ways):
         raise wrong_field("ways", asked.EXPECTED["ways"], f"{len(asked.ways)} ways")
     ways = [rows_of("ways", way, world) for way in asked.ways]
-    along = AlongWays(ways, world.space, np.random.default_rng(asked.seed))
+    along = AlongPaths(ways, world.space, np.random.default_rng(asked.seed))
     return along.take(min(asked.max_iterations, len(NOISE_RAD) * along.turn_rows))[0]
 
 

@@ -12,10 +12,9 @@ from numpy.typing import NDArray
 
 from cspace.errors import InputError
 from cspace.png import encode_png
-from cspace.problem import Problem
-from cspace.splits import Split
+from cspace.simulator import Problem, Split
 from cspace.world import Scene, World
-from cspace.worlds import workshop_of
+from cspace.worlds import simulator_of
 from inference_api.models.served import ServedModel
 from inference_api.turns import costs
 from inference_api.turns.turns import Turn
@@ -58,7 +57,7 @@ class SpaceQuestion:
         samples, path = rows_of("configurations", asked.configurations, world), path_of(asked.path, world)
         turn.spend(costs.rows_of(drawn=len(samples) + states_on(path, world), searches=True))
         with telling():
-            names = workshop_of(world).families.names + benchmark_families(world)
+            names = simulator_of(world).families.names + benchmark_families(world)
             family = asked.family or names[0]
             problem = _problem(world, family, asked.seed, self.folder)
             turn.between()
@@ -72,7 +71,7 @@ def _problem(world: World, family: str, seed: int, folder: Path | None) -> Probl
     """Asked for again with every turn of a camera."""
     if family in benchmark_families(world):
         return benchmark_problem(world, family, seed, folder)
-    return workshop_of(world).problem(family, Split.DEMO, seed)
+    return simulator_of(world).problem(family, Split.DEMO, seed)
 
 
 def _seen(scene: Scene, asked: SpaceRequest) -> Scene:
@@ -95,10 +94,10 @@ def _told(
     samples: NDArray[np.float64],
     path: NDArray[np.float64],
 ) -> SpaceAnswer:
-    workshop, found = workshop_of(scene.world), cast("Any", scene)
-    checker, told = workshop.checker(scene), scene.to_dict()
+    simulator, found = simulator_of(scene.world), cast("Any", scene)
+    checker, told = simulator.checker(scene), scene.to_dict()
     return SpaceAnswer(
-        image=base64.b64encode(workshop.picture_file(scene)).decode(),
+        image=base64.b64encode(simulator.picture_file(scene)).decode(),
         previews=[base64.b64encode(_preview(one)).decode() for one in found.view().pictures],
         cameras=told["cameras"],
         faces=faces_of(told["obstacles"]),

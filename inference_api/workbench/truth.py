@@ -11,10 +11,9 @@ from fastapi.responses import Response
 from numpy.typing import NDArray
 
 from cspace.errors import InputError, ScenarioError
-from cspace.splits import Split
-from cspace.workshop import Checker, Workshop
+from cspace.simulator import Checker, Simulator, Split
 from cspace.world import World
-from cspace.worlds import read_world, workshop_of
+from cspace.worlds import read_world, simulator_of
 from inference_api.failures import FieldProblem, FieldsError, NoKernelsError
 from inference_api.models.served import ServedModel
 from inference_api.turns import costs
@@ -58,12 +57,12 @@ class SceneQuestion:
         turn.spend(costs.rows_of(searches=True))
         world = planar(served.bundle.spec.world)
         with telling():
-            workshop = workshop_of(world)
-            names = workshop.families.names
+            simulator = simulator_of(world)
+            names = simulator.families.names
             family = self.asked.family or names[0]
             # Nothing of these scenes is used to train or to judge, so playing with them gives nothing away.
-            problem = workshop.problem(family, Split.DEMO, self.asked.seed)
-            rows = workshop.arrays_of(problem.scenario)["discs"]
+            problem = simulator.problem(family, Split.DEMO, self.asked.seed)
+            rows = simulator.arrays_of(problem.scenario)["discs"]
         # Scenes with fewer discs than the most repeat their last one.
         discs = list(dict.fromkeys(tuple(row) for row in rows.tolist()))
         body = SceneAnswer(
@@ -95,12 +94,12 @@ class TruthQuestion:
         turn.spend(costs.rows_of(drawn=asked.cells**2 + len(samples) + states_on(path, world)))
         began = time.perf_counter()
         with telling():
-            workshop = workshop_of(among(world, asked.discs))
-            checker = workshop.checker(workshop.scene(np.random.default_rng(0), Split.TEST, 0))
+            simulator = simulator_of(among(world, asked.discs))
+            checker = simulator.checker(simulator.scene(np.random.default_rng(0), Split.TEST, 0))
             free = checker.valid_batch(_grid(world, asked)) if world.dim > 1 else np.ones(0, np.bool_)
             turn.between()
             good = checker.valid_batch(samples) if len(samples) else np.zeros(0, dtype=np.bool_)
-            covered = _coverage(workshop, checker, samples[good]) if len(samples) else None
+            covered = _coverage(simulator, checker, samples[good]) if len(samples) else None
             way = way_truth(checker, path) if len(path) > 1 else None
         body = TruthAnswer(
             cells=asked.cells,
@@ -108,9 +107,9 @@ class TruthQuestion:
             sample_free=good.tolist(),
             precision=float(np.mean(good)) if len(good) else None,
             coverage=covered,
-            radius_rad=workshop.measures.coverage_radius_rad,
+            radius_rad=simulator.measures.coverage_radius_rad,
             way=way,
-            families=list(workshop.families.names),
+            families=list(simulator.families.names),
             timing_ms={"total": 1e3 * (time.perf_counter() - began)},
         )
         return Response(body.model_dump_json(), media_type="application/json")
@@ -215,7 +214,7 @@ def _grid(world: World, asked: TruthRequest) -> NDArray[np.float64]:
     return grid
 
 
-def _coverage(workshop: Workshop, checker: Checker, samples: NDArray[np.float64]) -> float | None:
+def _coverage(simulator: Simulator, checker: Checker, samples: NDArray[np.float64]) -> float | None:
     """Share of free configurations with a sample nearby; the evaluator's measure, on fewer of them."""
     space = checker.space
     anywhere = space.sample_uniform(np.random.default_rng(0), _REFERENCES)
@@ -224,7 +223,7 @@ def _coverage(workshop: Workshop, checker: Checker, samples: NDArray[np.float64]
         return None
     if not len(samples):
         return 0.0
-    radius = workshop.measures.coverage_radius_rad
+    radius = simulator.measures.coverage_radius_rad
     covered = np.zeros(len(free), dtype=np.bool_)
     for chunk in np.array_split(samples, -(-len(samples) // _CHUNK)):
         covered |= np.any(space.distance(chunk[None], free[:, None]) <= radius, axis=1)

@@ -13,7 +13,7 @@ import numpy as np
 
 from cspace.errors import PlanningError, ServiceStartError
 from cspace.query import SampleQuery
-from cspace.splits import Split
+from cspace.simulator import Split
 from cspace.world import World
 from cspace.worlds import examples, picture_file_of, robot_digest
 from services.evaluator.measures.reconstruction import (

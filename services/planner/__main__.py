@@ -12,10 +12,9 @@ import sys
 from collections.abc import Sequence
 
 from cspace.errors import CspaceError
-from cspace.planning.query import PlanQuery
-from cspace.problem import Problem
-from cspace.splits import Split
-from cspace.worlds import workshop_of
+from cspace.query import PlanQuery
+from cspace.simulator import Problem, Split
+from cspace.worlds import simulator_of
 from services.command_errors import tell_error
 from services.planner.command_line import Command, parse_command
 from services.planner.drawing.plot import draw_plan, save_figure
@@ -30,7 +29,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         command = parse_command(arguments)
         problem = _problem(command)
-        obstruction = workshop_of(command.world).obstruction(problem) if command.scene else None
+        obstruction = simulator_of(command.world).obstruction(problem) if command.scene else None
         if obstruction is not None:
             print(f"there is no path: {obstruction}", file=sys.stderr)
             return 1
@@ -47,8 +46,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _problem(command: Command) -> Problem:
     if command.scene is not None:
         return command.scene.problem()
-    workshop = workshop_of(command.world)
-    return workshop.problem(command.family, Split.DEMO, command.seed, command.index)
+    simulator = simulator_of(command.world)
+    return simulator.problem(command.family, Split.DEMO, command.seed, command.index)
 
 
 def _plan_whole(command: Command, problem: Problem) -> int:

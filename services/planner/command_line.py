@@ -6,10 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from cspace.planning.query import DEFAULT_WAYS
-from cspace.query import PLAIN, SampleQuery
+from cspace.query import DEFAULT_WAYS, PLAIN, SampleQuery
 from cspace.world import World
-from cspace.worlds import examples, workshop_of
+from cspace.worlds import examples, simulator_of
 from services.command_errors import finite
 from services.planner.drawing.plot import check_figure_path
 from services.planner.planning import DEFAULT_SAMPLES, PAPER_SCHEDULE, SampleRequest
@@ -73,7 +72,7 @@ def parse_command(arguments: Sequence[str] | None = None) -> Command:
         check_figure_path(options.plot)
     check_uniform_share(options.uniform_share)
     world = WORLDS[options.robot] if scene is None else scene.world
-    measures = workshop_of(world).measures
+    measures = simulator_of(world).measures
     settings = PlannerSettings(
         planner=options.planner,
         range_rad=measures.range_rad if options.range is None else options.range,
@@ -118,7 +117,7 @@ def make_parser() -> argparse.ArgumentParser:
         "An API that does not answer is reported, and the problem is solved with uniform samples.",
     )
     problem = parser.add_argument_group("problem")
-    families = dict.fromkeys(name for world in WORLDS.values() for name in workshop_of(world).families.names)
+    families = dict.fromkeys(name for world in WORLDS.values() for name in simulator_of(world).families.names)
     problem.add_argument("--scene", type=Path, metavar="FILE", help="of your own, instead of a family's")
     problem.add_argument("--family", choices=list(families), default="narrow", help="default %(default)s")
     problem.add_argument("--seed", type=_count, default=0, help="of the problem; default %(default)s")

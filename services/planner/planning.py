@@ -4,8 +4,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from cspace.errors import SamplerError, SamplerModelError, SamplerUnavailableError
-from cspace.problem import Problem
 from cspace.query import SampleQuery
+from cspace.simulator import Problem
 from cspace.worlds import default_world, picture_file_of, robot_digest
 from services.names import model_name
 from services.planner.plan_result import PlanResult

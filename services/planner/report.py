@@ -5,7 +5,7 @@ from collections.abc import Iterable
 from dataclasses import asdict
 from typing import Any
 
-from cspace.problem import OWN, Problem
+from cspace.simulator import OWN, Problem
 from cspace_client import PictureWarning
 from services.planner.plan_result import PlanResult
 from services.planner.planning import Comparison

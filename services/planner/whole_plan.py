@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from cspace.connecting import spaced
-from cspace.planning.query import PlanQuery
-from cspace.problem import Problem
-from cspace.worlds import checker_of, picture_file_of, workshop_of
+from cspace.planning.paths import spaced
+from cspace.query import PlanQuery
+from cspace.simulator import Problem
+from cspace.worlds import checker_of, picture_file_of, simulator_of
 from services.planner.plan_result import PlanResult, Reason
 from services.planner.report import problem_line, warning_lines
 from services.planner.sources.found_plan import FoundPlan
@@ -72,7 +72,7 @@ def ask_for_plan(
     found = client.plan(picture_file_of(problem.scenario), query, model)
     clearance_m = math.nan
     if len(found.plan.way):
-        measures = workshop_of(problem.scenario.world).measures
+        measures = simulator_of(problem.scenario.world).measures
         states = spaced(found.plan.way, problem.space, _FINER * measures.resolution_rad)
         clearance_m = float(np.min(checker_of(problem.scenario).clearance(states)))
     return WholePlan(problem, found, clearance_m)

@@ -12,9 +12,9 @@ from benchmarks.paper.figures import convergence, reconstruction, typical
 from benchmarks.paper.jobs import Pace, Study, steps_of
 from benchmarks.paper.measures import Effort, final_quality, learning_curve, table
 from cspace.bundle import Bundle
-from cspace.splits import Split
+from cspace.simulator import Split
 from cspace.worlds.planar.arm import TWO_LINK
-from cspace.worlds.planar.seeing.camera import Camera
+from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.world import PlanarWorld
 from services.evaluator.measures.scenes import Scene, Stage
 from services.planner.sources.local_sampler import BundleSampler

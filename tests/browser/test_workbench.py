@@ -13,10 +13,10 @@ from playwright.sync_api import Page, expect
 
 from cspace.png import encode_png
 from cspace.worlds.planar.arm import PlanarArm
-from cspace.worlds.planar.planning.collision import CollisionChecker
+from cspace.worlds.planar.camera import decode_png
+from cspace.worlds.planar.checks import CollisionChecker
 from cspace.worlds.planar.render import render
-from cspace.worlds.planar.scene import Disc, Scenario
-from cspace.worlds.planar.seeing.picture import decode_png
+from cspace.worlds.planar.world import Disc, Scenario
 from inference_api.keys import digest_of, make_key
 from tests.browser import workbench
 from tests.browser.workbench import (

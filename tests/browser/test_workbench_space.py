@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 from playwright.sync_api import Page, expect
 
-from cspace.splits import Split
-from cspace.worlds import examples, workshop_of
+from cspace.simulator import Split
+from cspace.worlds import examples, simulator_of
 from tests.browser.workbench import is_page
 from tests.inference_api.server import api_server
 
@@ -54,7 +54,7 @@ def test_turning_a_camera_moves_the_doubt(page: Page, address: str) -> None:
     before = open_space(page, address)
     shown = numbers(page)
     pictures = page.get_by_role("img", name=re.compile("^Depth picture"))
-    expect(pictures).to_have_count(len(workshop().problem(FAMILY, Split.DEMO, SEED).scenario.cameras))
+    expect(pictures).to_have_count(len(simulator().problem(FAMILY, Split.DEMO, SEED).scenario.cameras))
     with page.expect_response(is_page("sample")) as samples:
         page.get_by_role("slider", name="side").press("ArrowRight")
     settle(page)
@@ -68,7 +68,7 @@ def test_turning_a_camera_moves_the_doubt(page: Page, address: str) -> None:
 
 def test_the_figures_are_those_of_the_samples_and_of_the_scene_s_checks(page: Page, address: str) -> None:
     answer = open_space(page, address)
-    checker = workshop().checker(workshop().problem(FAMILY, Split.DEMO, SEED).scenario)
+    checker = simulator().checker(simulator().problem(FAMILY, Split.DEMO, SEED).scenario)
     free = checker.valid_batch(np.array(answer["samples"]))
     assert numbers(page) == {
         "believed free": f"{100 * np.mean(answer['confidence']):.0f} %",
@@ -84,7 +84,7 @@ def test_a_way_is_planned_checked_and_played(page: Page, address: str) -> None:
     answer = planned.value.json()
     assert answer["status"] == "solved", answer["reason"]
     way = np.array(answer["path"])
-    checker = workshop().checker(workshop().problem(FAMILY, Split.DEMO, SEED).scenario)
+    checker = simulator().checker(simulator().problem(FAMILY, Split.DEMO, SEED).scenario)
     free = checker.edge_batch(way[:-1], way[1:], 0.005)
     verdict = "it is free" if free.all() else f"it collides on {(~free).sum()} of {len(free)} pieces"
     expect(page.locator("#space-told")).to_contain_text(f"Checked against the obstacles: {verdict}.")
@@ -104,7 +104,7 @@ def test_the_arm_that_the_cameras_see_stands_at_the_start_and_the_address_keeps_
         page.get_by_role("slider", name="joint 1").press("ArrowRight")
     settle(page)
     start = moved.value.json()["start"]
-    problem = workshop().problem(FAMILY, Split.DEMO, SEED)
+    problem = simulator().problem(FAMILY, Split.DEMO, SEED)
     assert start[0] > problem.start[0]
     assert np.allclose(start[1:], problem.start[1:])
     page.wait_for_url(re.compile(f"from={start[0]:.3f}"[:-1]))
@@ -149,5 +149,5 @@ def test_a_server_without_the_truth_says_what_the_view_needs(
         page.goto("about:blank")
 
 
-def workshop() -> Any:
-    return workshop_of(examples()["panda"])
+def simulator() -> Any:
+    return simulator_of(examples()["panda"])

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from cspace.worlds.planar.arm import TWO_LINK
-from cspace.worlds.planar.planning.collision import CollisionChecker
-from cspace.worlds.planar.scene import Disc, Scenario
+from cspace.worlds.planar.checks import CollisionChecker
+from cspace.worlds.planar.world import Disc, Scenario
 from inference_api.settings import PRETRAINED_FOLDER
 from tests.inference_api.server import ROOT, api_server
 

@@ -8,7 +8,7 @@ import pytest
 from PIL import Image
 
 from cspace.png import canonical_png, read_header
-from cspace.worlds.planar.seeing.picture import decode_png
+from cspace.worlds.planar.camera import decode_png
 from cspace_client import DepthPictures, SamplerError
 from cspace_client.pictures import encode_png, shown
 from tests.bundles import picture

@@ -6,10 +6,10 @@ from typing import Any
 import httpx
 
 from cspace.png import encode_png
-from cspace.splits import Split
+from cspace.simulator import Split
 from cspace.worlds.planar.arm import TWO_LINK
 from cspace.worlds.planar.render import render
-from cspace.worlds.planar.scene import random_scenarios
+from cspace.worlds.planar.world import random_scenarios
 from services.local.quickstart import wait_served
 from tests.compose.stack import Stack
 

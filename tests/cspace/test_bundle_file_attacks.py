@@ -17,7 +17,7 @@ import pytest
 from cspace.bundle import Bundle, files
 from cspace.bundle.golden import GoldenCase
 from cspace.errors import BundleIntegrityError, StorageError
-from cspace.worlds.planar.seeing.camera import Camera
+from cspace.worlds.planar.camera import Camera
 from tests.bundles import write_tiny_bundle
 from tests.cspace.test_bundle_integrity import resign
 

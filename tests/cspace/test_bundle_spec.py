@@ -10,7 +10,7 @@ from cspace.bundle import BundleSpec, Provenance, RandomInput
 from cspace.errors import BundleIntegrityError
 from cspace.space import Standardisation
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK
-from cspace.worlds.planar.seeing.camera import Camera
+from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.world import PlanarWorld
 from tests.bundles import tiny_spec
 

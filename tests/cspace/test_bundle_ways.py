@@ -9,14 +9,14 @@ import pytest
 from cspace.bundle import Bundle, write_bundle
 from cspace.bundle.files import SPEC_FILE, SUMS_FILE, sums_of
 from cspace.errors import BundleIntegrityError, GoldenMismatchError, InputError
-from cspace.planning.along import STEP_RAD
-from cspace.planning.ways import FoundWays
-from cspace.splits import Split
-from cspace.worlds import examples, seen_checkers, workshop_of
+from cspace.planning.paths import STEP_RAD
+from cspace.planning.search import FoundPaths
+from cspace.simulator import Split
+from cspace.worlds import examples, seen_checkers, simulator_of
 from tests.bundles import picture, tiny_graphs, tiny_spec, write_tiny_bundle
 
 WORLD = examples()["two-link"]
-SHOP = workshop_of(WORLD)
+SHOP = simulator_of(WORLD)
 
 
 @pytest.fixture(scope="module")
@@ -89,9 +89,9 @@ def test_unscored_samples_are_the_same(bundle, problem):
 
 def test_where_no_way_is_found_there_are_no_samples(bundle, problem, monkeypatch):
     def nothing(*args, **kwargs):
-        return FoundWays([], late=False, checker=None)
+        return FoundPaths([], late=False, checker=None)
 
-    monkeypatch.setattr("cspace.planning.plan.find_ways", nothing)
+    monkeypatch.setattr("cspace.plan.find_paths", nothing)
     found = bundle.sample(picture(1), 30, 7, **ends(problem))
     assert (found.samples.shape, found.shortfall, found.ways.shape) == ((0, 2), 30, (0,))
 
@@ -102,7 +102,7 @@ def test_both_ends_are_needed(bundle, problem):
 
 
 def test_it_is_loaded_and_scores_where_nothing_compiles(folder, monkeypatch):
-    for name in ("numba", "cspace.worlds.planar.seen_checks"):
+    for name in ("numba", "cspace.worlds.planar.checks"):
         monkeypatch.setitem(sys.modules, name, None)
     bundle = Bundle.load(folder)
     rows = np.zeros((3, 2), dtype=np.float32)

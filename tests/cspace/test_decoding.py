@@ -14,7 +14,7 @@ from PIL import Image
 
 from cspace.errors import ImageError
 from cspace.png import encode_png
-from cspace.worlds.planar.seeing.picture import decode_png
+from cspace.worlds.planar.camera import decode_png
 from tests.cspace.png_files import (
     GREY,
     KINDS,
@@ -89,7 +89,7 @@ def test_large_pictures_are_averaged_and_rounded(side: int) -> None:
 MEMORY = """
 import numpy as np
 from cspace.png import encode_png
-from cspace.worlds.planar.seeing.picture import decode_png
+from cspace.worlds.planar.camera import decode_png
 from tests.cspace.png_files import RGBA, chunk, file, header, pixels
 
 def kib(key):

@@ -8,9 +8,9 @@ from hypothesis.extra.numpy import arrays
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
-from cspace.grid_search import cell_of, centres, spacing, ways_to
 from cspace.space import JointSpace
 from cspace.worlds.planar.arm import TWO_LINK
+from cspace.worlds.planar.free_grid import cell_of, centres, paths_to, spacing
 
 SPACE = TWO_LINK.space
 LIMITED = JointSpace((-1.0, -np.pi), (2.0, np.pi), (False, True))
@@ -49,7 +49,7 @@ def by_scipy(space, weights, goal):
 def test_costs_are_those_of_another_program(weights, space):
     goal = centres(space, weights.shape)[17]
     weights[cell_of(space, weights.shape, goal)] = 1.0
-    found = ways_to(space, weights, goal).costs
+    found = paths_to(space, weights, goal).costs
     np.testing.assert_allclose(found, by_scipy(space, weights, goal), rtol=1e-12)
 
 
@@ -58,7 +58,7 @@ def test_a_way_leads_from_cell_to_neighbouring_cell_and_costs_what_the_tree_says
     rng = np.random.default_rng(3)
     weights = 1.0 + rng.random((20, 30)) * 5.0
     start, goal = centres(space, weights.shape)[[45, 555]]
-    tree = ways_to(space, weights, goal)
+    tree = paths_to(space, weights, goal)
     way = tree.way(start)
     np.testing.assert_allclose(way[[0, -1]], [start, goal])
     steps = np.abs(space.difference(way[:-1], way[1:]))
@@ -72,7 +72,7 @@ def test_a_circle_is_gone_round_the_shorter_side_and_a_limit_is_not_crossed():
     ends = np.array([[0.0, -3.0], [0.0, 3.0]])
     limited = JointSpace((-np.pi, -np.pi), (np.pi, np.pi), (True, False))
     for space, length in ((SPACE, 2.0 * np.pi - 6.0), (limited, 6.0)):
-        cost = ways_to(space, np.ones((16, 64)), ends[1]).costs[cell_of(space, (16, 64), ends[0])]
+        cost = paths_to(space, np.ones((16, 64)), ends[1]).costs[cell_of(space, (16, 64), ends[0])]
         assert cost == pytest.approx(length, abs=0.1)
 
 
@@ -80,15 +80,15 @@ def test_where_no_way_leads_there_is_none():
     weights = np.ones((8, 8))
     weights[2], weights[6] = np.inf, np.inf
     inside, outside = centres(SPACE, (8, 8))[[4 * 8, 0]]
-    tree = ways_to(SPACE, weights, inside)
+    tree = paths_to(SPACE, weights, inside)
     assert tree.way(outside) is None
     assert tree.way(inside).shape == (1, 2)
-    assert np.isinf(ways_to(SPACE, weights, centres(SPACE, (8, 8))[2 * 8]).costs).all()
+    assert np.isinf(paths_to(SPACE, weights, centres(SPACE, (8, 8))[2 * 8]).costs).all()
 
 
 def test_three_joints_are_searched_alike():
     space = JointSpace((-np.pi,) * 3, (np.pi,) * 3, (True,) * 3)
-    tree = ways_to(space, np.ones((12, 12, 12)), (3.0, 3.0, 3.0))
+    tree = paths_to(space, np.ones((12, 12, 12)), (3.0, 3.0, 3.0))
     way = tree.way((-3.0, -3.0, -3.0))
     # One step across all three seams at once.
     assert len(way) == 2

@@ -11,7 +11,7 @@ from PIL import Image, PngImagePlugin
 
 from cspace.errors import ImageError
 from cspace.png import MAX_CHUNKS, canonical_png, read_header
-from cspace.worlds.planar.seeing.picture import decode_png
+from cspace.worlds.planar.camera import decode_png
 from tests.cspace.png_files import (
     GREY,
     GREY_ALPHA,

@@ -4,7 +4,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from cspace.worlds.planar.seeing.picture import decode_png
+from cspace.worlds.planar.camera import decode_png
 from tests.bundles import write_tiny_bundle
 from tests.docs.blocks import ROOT
 from tests.space_bundle import write_space_bundle

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from cspace.splits import Split
-from cspace.worlds import examples, picture_file_of, workshop_of
-from cspace.worlds.spatial.seeing.view import read_view
+from cspace.simulator import Split
+from cspace.worlds import examples, picture_file_of, simulator_of
+from cspace.worlds.spatial.view import read_view
 from inference_api.settings import PRETRAINED_FOLDER
 from tests.docs.blocks import ROOT, Kind, blocks
 from tests.inference_api.server import api_server
@@ -98,7 +98,7 @@ def test_a_depth_picture_and_a_goal_become_a_trajectory_of_seven_joints(
     page: dict[str, Any], space_api: str
 ) -> None:
     world = examples()["panda"]
-    problem = workshop_of(world).problem("shelf", Split.DEMO, 12)
+    problem = simulator_of(world).problem("shelf", Split.DEMO, 12)
     taken = read_view(picture_file_of(problem.scenario), world.space)
     told = taken.cameras[0].to_dict()
     k = [told["fx"], 0.0, told["cx"], 0.0, told["fy"], told["cy"], 0.0, 0.0, 1.0]

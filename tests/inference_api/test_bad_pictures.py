@@ -12,8 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from cspace.view_file import pack_view
-from cspace.worlds.spatial.seeing.camera import DepthCamera, looking
-from cspace.worlds.spatial.seeing.depth_picture import encode_depth
+from cspace.worlds.spatial.camera import DepthCamera, encode_depth, looking
 from cspace_client import DepthPictures, PlanQuery, SamplingClient
 from inference_api.app import create_app
 from inference_api.settings import PRETRAINED_FOLDER, ApiSettings

@@ -10,9 +10,8 @@ import pytest
 from cspace.bundle import Bundle
 from cspace.png import encode_png
 from cspace.view_file import pack_view
-from cspace.worlds.spatial.robot.ready import ready_rad
-from cspace.worlds.spatial.seeing.camera import DepthCamera, looking
-from cspace.worlds.spatial.seeing.depth_picture import encode_depth
+from cspace.worlds.spatial.arm import ready_rad
+from cspace.worlds.spatial.camera import DepthCamera, encode_depth, looking
 from inference_api.bodies.request_body import RawFields
 from inference_api.pages.planning.question import read_plan
 from inference_api.turns.turns import Turn

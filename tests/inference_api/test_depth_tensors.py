@@ -8,7 +8,7 @@ import pytest
 
 from cspace.bundle import Bundle
 from cspace.view_file import pack_view
-from cspace.worlds.spatial.seeing.depth_picture import decode_depth
+from cspace.worlds.spatial.camera import decode_depth
 from tests.inference_api.conftest import api_over, stock
 from tests.inference_api.fake_registry import CountingRegistry
 from tests.inference_api.tensor_client import INFER, LENGTH, outputs_of

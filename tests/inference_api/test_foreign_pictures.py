@@ -6,10 +6,10 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
 from cspace.bundle import Bundle
-from cspace.splits import Split
-from cspace.worlds.planar.planning.collision import CollisionChecker
+from cspace.simulator import Split
+from cspace.worlds.planar.checks import CollisionChecker
 from cspace.worlds.planar.render import render
-from cspace.worlds.planar.scene import Scenario, random_scenarios
+from cspace.worlds.planar.world import Scenario, random_scenarios
 from inference_api.settings import PRETRAINED_FOLDER
 
 FINER = 8

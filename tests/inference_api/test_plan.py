@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 
 from cspace.png import encode_png
-from cspace.splits import Split
-from cspace.worlds import examples, robot_digest, workshop_of
+from cspace.simulator import Split
+from cspace.worlds import examples, robot_digest, simulator_of
 from tests.inference_api.answers import assert_answers, assert_problem
 from tests.inference_api.client import ApiClient
 
 CAREFUL = "cspace-sampler@careful"
 WORLD = examples()["two-link"]
-PROBLEM = workshop_of(WORLD).problem("uniform", Split.VALIDATION, 0, 0)
-PNG = encode_png(workshop_of(WORLD).render(PROBLEM.scenario))
+PROBLEM = simulator_of(WORLD).problem("uniform", Split.VALIDATION, 0, 0)
+PNG = encode_png(simulator_of(WORLD).render(PROBLEM.scenario))
 ENDS = {"start": list(PROBLEM.start), "goal": list(PROBLEM.goal)}
 QUESTION: dict[str, Any] = {**ENDS, "model": CAREFUL, "seed": 3, "time_limit_s": 10.0}
 
@@ -113,7 +113,7 @@ def test_a_server_without_compiled_code_says_so(api, monkeypatch):
     def missing(*asked):
         raise ModuleNotFoundError("No module named 'numba'", name="numba")
 
-    monkeypatch.setattr("cspace.planning.plan.seen_checkers", missing)
+    monkeypatch.setattr("cspace.plan.seen_checkers", missing)
     problem = assert_problem(ask(api), 501, "no-planner")
     assert "numba" in problem["detail"]
 

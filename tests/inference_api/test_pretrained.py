@@ -9,12 +9,12 @@ import pytest
 from cspace.bundle import Bundle
 from cspace.bundle.request import fitted_configurations, fitted_end
 from cspace.errors import InputError
-from cspace.splits import Split, scenario_rng
-from cspace.worlds import checker_of, examples, picture_of, workshop_of
+from cspace.simulator import Split, scenario_rng
+from cspace.worlds import checker_of, examples, picture_of, simulator_of
 from cspace.worlds.planar.arm import TWO_LINK
-from cspace.worlds.planar.planning.collision import CollisionChecker
+from cspace.worlds.planar.checks import CollisionChecker
 from cspace.worlds.planar.render import render
-from cspace.worlds.planar.scene import random_scenarios
+from cspace.worlds.planar.world import random_scenarios
 from inference_api.settings import PRETRAINED_FOLDER, further_folders
 
 FOLDERS = (PRETRAINED_FOLDER, *further_folders().values())
@@ -130,10 +130,10 @@ def test_a_question_beyond_the_makers_limits_names_the_joint(panda: Bundle) -> N
 
 
 def test_its_samples_are_free_in_space_more_often_than_uniform_ones(panda: Bundle) -> None:
-    workshop, space = workshop_of(panda.spec.world), panda.spec.world.space
+    simulator, space = simulator_of(panda.spec.world), panda.spec.world.space
     served, uniform = [], []
     for index in range(6):
-        scene = workshop.scene(scenario_rng(Split.DEMO, 21, index), Split.DEMO, index)
+        scene = simulator.scene(scenario_rng(Split.DEMO, 21, index), Split.DEMO, index)
         checker = checker_of(scene)
         found = panda.sample(picture_of(scene), 200, index)
         served.append(checker.valid_batch(found.samples).mean())

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from cspace.errors import SamplerAnswerError, SamplerError, SamplerUnavailableError
-from cspace.planning.query import PlanQuery
 from cspace.png import encode_png
-from cspace.splits import Split
-from cspace.worlds import examples, robot_digest, workshop_of
+from cspace.query import PlanQuery
+from cspace.simulator import Split
+from cspace.worlds import examples, robot_digest, simulator_of
 from services.planner.sources.async_sampling_client import AsyncSamplingClient
 from services.planner.sources.sampling_client import SamplingClient
 from tests.bundles import picture
@@ -22,8 +22,8 @@ from tests.services.planner.clients import KINDS
 
 CAREFUL = "cspace-sampler@careful"
 WORLD = examples()["two-link"]
-PROBLEM = workshop_of(WORLD).problem("uniform", Split.VALIDATION, 0, 0)
-PNG = encode_png(workshop_of(WORLD).render(PROBLEM.scenario))
+PROBLEM = simulator_of(WORLD).problem("uniform", Split.VALIDATION, 0, 0)
+PNG = encode_png(simulator_of(WORLD).render(PROBLEM.scenario))
 ROWS = np.array([[0.1, 0.2], [3.0, -3.0], [-1.5, 1.0]])
 START, GOAL = (tuple(float(angle) for angle in end) for end in (PROBLEM.start, PROBLEM.goal))
 QUERY = PlanQuery(START, GOAL, seed=3, time_limit_s=10.0)

@@ -64,7 +64,7 @@ def test_the_kernels_of_the_image_are_found_on_a_read_only_root(tmp_path: Path) 
         "TMPDIR": str(tmp_path / "tmp"),
     }
     # As the image is built.
-    subprocess.run([sys.executable, "-m", "cspace.planning.compiled"], env=environment, cwd=ROOT, check=True)
+    subprocess.run([sys.executable, "-m", "cspace.plan"], env=environment, cwd=ROOT, check=True)
     command = [*UNSHARE, "bash", "-c", START]
     with subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True) as server:
         try:

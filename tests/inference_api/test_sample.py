@@ -16,7 +16,7 @@ from PIL import Image
 from cspace.bundle import Bundle
 from cspace.png import encode_png
 from cspace.worlds import robot_digest
-from cspace.worlds.planar.seeing.picture import decode_png
+from cspace.worlds.planar.camera import decode_png
 from cspace.worlds.planar.world import PlanarWorld
 from inference_api.pages.sampling import prefers_npy
 from tests.bundles import picture

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from cspace.bundle import Bundle
-from cspace.worlds.planar.seeing.picture import decode_png
+from cspace.worlds.planar.camera import decode_png
 from inference_api.guards.body_limit import MAX_BODY_BYTES
 from tests.inference_api.server import ROOT, api_server
 

@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 
 from cspace.png import encode_png
-from cspace.splits import Split
-from cspace.worlds import examples, workshop_of
+from cspace.simulator import Split
+from cspace.worlds import examples, simulator_of
 from inference_api.turns import turns
 from tests.bundles import write_tiny_bundle
 from tests.inference_api.answers import assert_answers, assert_problem
 from tests.inference_api.conftest import CountingRegistry, api_over, stock
 
 WORLD = examples()["two-link"]
-PROBLEM = workshop_of(WORLD).problem("uniform", Split.VALIDATION, 0, 0)
-PNG = encode_png(workshop_of(WORLD).render(PROBLEM.scenario))
+PROBLEM = simulator_of(WORLD).problem("uniform", Split.VALIDATION, 0, 0)
+PNG = encode_png(simulator_of(WORLD).render(PROBLEM.scenario))
 MODEL = "path-sampler@champion"
 FIELDS = {
     "start": json.dumps(list(PROBLEM.start)),
@@ -64,7 +64,7 @@ def test_without_the_compiler_it_says_so_and_goes_on(api, monkeypatch):
     def none(*args, **kwargs):
         raise ImportError("no kernels", name="numba")
 
-    monkeypatch.setattr("cspace.planning.plan.seen_checkers", none)
+    monkeypatch.setattr("cspace.plan.seen_checkers", none)
     assert_problem(ask(api), 501, "no-planner")
     monkeypatch.undo()
     assert_answers(api)

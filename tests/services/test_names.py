@@ -3,7 +3,7 @@ import pytest
 from cspace.errors import ConfigError
 from cspace.worlds import examples, robot_digest
 from cspace.worlds.planar.arm import PlanarArm
-from cspace.worlds.planar.seeing.camera import Camera
+from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.world import PlanarWorld
 from services.names import (
     MAX_WORLD,

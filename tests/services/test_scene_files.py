@@ -9,13 +9,12 @@ import pytest
 from jsonschema import Draft202012Validator
 
 from cspace.errors import SamplerModelError, ScenarioError
-from cspace.problem import OWN
 from cspace.query import SampleQuery
+from cspace.simulator import OWN
 from cspace.worlds.planar.arm import PlanarArm
-from cspace.worlds.planar.scene import Disc, Scenario
+from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.scenes import DiscScenes, GivenScenes
-from cspace.worlds.planar.seeing.camera import Camera
-from cspace.worlds.planar.world import PlanarWorld
+from cspace.worlds.planar.world import Disc, PlanarWorld, Scenario
 from services.planner.__main__ import main
 from services.planner.planning import SampleRequest, plan_scene, plan_with_api
 from services.planner.settings import PlannerSettings

@@ -7,9 +7,9 @@ import pytest
 
 from cspace.bundle import Bundle
 from cspace.dataset import open_dataset
-from cspace.splits import Split, scenario_rng
+from cspace.simulator import Split, scenario_rng
 from cspace.view_file import unpack_view
-from cspace.worlds import checker_of, examples, picture_file_of, workshop_of
+from cspace.worlds import checker_of, examples, picture_file_of, simulator_of
 from services.registry.models.mlflow_registry import MlflowRegistry
 from tests.contracts.mlflow_server import mlflow_server
 from tests.training.clusters.test_pipeline import submit
@@ -78,8 +78,8 @@ def test_its_data_are_labelled_configurations_of_arrays_of_space(trained):
 
 def test_samples_lie_within_the_limits_and_tell_what_no_camera_saw(trained):
     bundle = trained[1]
-    scene = workshop_of(WORLD).scene(scenario_rng(Split.DEMO, 0, 0), Split.DEMO, 0)
-    picture = bundle.prepare(WORLD.read_picture(workshop_of(WORLD).picture_file(scene)))
+    scene = simulator_of(WORLD).scene(scenario_rng(Split.DEMO, 0, 0), Split.DEMO, 0)
+    picture = bundle.prepare(WORLD.read_picture(simulator_of(WORLD).picture_file(scene)))
     found = bundle.sample(picture, 300, 1, min_confidence=0.0)
     assert WORLD.space.contains(found.samples).all()
     assert found.confidence.shape == found.unseen.shape == (300,)
@@ -91,7 +91,7 @@ def recordings(folder, count=5):
     """Scenes as somebody records them: pictures, cameras, where the arm was, what was free and what not."""
     folder.mkdir()
     for index in range(count):
-        scene = workshop_of(WORLD).scene(scenario_rng(Split.DEMO, 1, index), Split.DEMO, index)
+        scene = simulator_of(WORLD).scene(scenario_rng(Split.DEMO, 1, index), Split.DEMO, index)
         view = unpack_view(picture_file_of(scene))
         names = [f"scene-{index}-{number}.png" for number in range(len(view.pictures))]
         for name, picture in zip(names, view.pictures, strict=True):

@@ -6,11 +6,11 @@ import pytest
 from cspace.bundle import Bundle
 from cspace.dataset import open_dataset
 from cspace.png import encode_png
-from cspace.splits import Split
+from cspace.simulator import Split
 from cspace.worlds.planar.arm import PlanarArm
+from cspace.worlds.planar.camera import decode_png
 from cspace.worlds.planar.render import render
-from cspace.worlds.planar.scene import random_scenarios
-from cspace.worlds.planar.seeing.picture import decode_png
+from cspace.worlds.planar.world import random_scenarios
 from services.registry.models.mlflow_registry import MlflowRegistry
 from tests.contracts.mlflow_server import mlflow_server
 from tests.training.clusters.test_pipeline import GATED, submit

@@ -8,8 +8,8 @@ import pytest
 
 from cspace.bundle import Bundle, write_bundle
 from cspace.worlds.planar.arm import PlanarArm
-from cspace.worlds.spatial.motionbench.problems import LIMITS_RAD
-from cspace.worlds.spatial.robot.arm import SerialArm
+from cspace.worlds.spatial.arm import SerialArm
+from cspace.worlds.spatial.benchmark import LIMITS_RAD
 from cspace.worlds.spatial.world import shipped
 from tests.bundles import picture, tiny_graphs, tiny_spec
 from training.limits import main

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from cspace.bundle import Bundle
 from cspace.errors import DatasetError, ScenarioError
-from cspace.splits import Split
-from cspace.worlds import read_world, workshop_of
+from cspace.simulator import Split
+from cspace.worlds import read_world, simulator_of
 from cspace.worlds.planar.scenes import DiscScenes
 from services.planner.search.ompl_planner import solve
 from services.planner.settings import PlannerSettings
@@ -63,10 +63,10 @@ def test_any_robot_has_scenes_pictures_data_and_plans_or_a_reason(tmp_path, valu
         assert f"{path}:" in str(error)  # noqa: PT017 - one of two good ends
         return
     assert read_world(json.loads(json.dumps(world.to_dict()))) == world
-    workshop, rng = workshop_of(world), np.random.default_rng(seed)
-    scene = workshop.scene(rng, Split.TRAIN, 0)
-    assert workshop.render(scene).shape == world.sensor.picture_shape
-    checker = workshop.checker(scene)
+    simulator, rng = simulator_of(world), np.random.default_rng(seed)
+    scene = simulator.scene(rng, Split.TRAIN, 0)
+    assert simulator.render(scene).shape == world.sensor.picture_shape
+    checker = simulator.checker(scene)
     try:
         free = draw_configurations(checker, 20, rng, free=True)
     except DatasetError as error:
@@ -76,7 +76,7 @@ def test_any_robot_has_scenes_pictures_data_and_plans_or_a_reason(tmp_path, valu
     assert checker.valid_batch(free).all()
     problem = SceneFile(path, None, world, scene, free[0], free[1]).problem()
     result = solve(problem, PlannerSettings(max_iterations=2000, time_limit_s=2.0))
-    if workshop.obstruction(problem) is not None:
+    if simulator.obstruction(problem) is not None:
         assert not result.solved
     if result.solved:
         assert checker.valid_batch(result.path).all()

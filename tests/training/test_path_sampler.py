@@ -11,10 +11,10 @@ import pytest
 from cspace.bundle import Bundle
 from cspace.errors import BundleError, InputError
 from cspace.query import SampleQuery
-from cspace.splits import Split
-from cspace.worlds import workshop_of
+from cspace.simulator import Split
+from cspace.worlds import simulator_of
 from cspace.worlds.planar.arm import THREE_LINK, JointLimits, PlanarArm
-from cspace.worlds.planar.planning.problems import Family, draw_problem
+from cspace.worlds.planar.problems import Family, draw_problem
 from inference_api.settings import PRETRAINED_FOLDER
 from services.planner.planning import SampleRequest, plan_with_api
 from services.planner.search.ompl_planner import PlannerSettings
@@ -144,7 +144,7 @@ def test_with_three_joints_ways_are_searched_for(tmp_path: Path) -> None:
     three = Bundle.load(write_tiny_bundle(tmp_path / "three", THREE_LINK, validity=True))
     made = make_path_bundle(three, tmp_path / "paths")
     assert (made.spec.model_kind, made.spec.conditions) == ("ways", ("start", "goal"))
-    image = workshop_of(made.spec.world).render(draw_problem(Family.UNIFORM, Split.DEMO, 21, 0).scenario)
+    image = simulator_of(made.spec.world).render(draw_problem(Family.UNIFORM, Split.DEMO, 21, 0).scenario)
     found = made.sample(image, 30, 7, start=(0.5, 0.5, 0.0), goal=(-0.5, -1.0, 1.0))
     assert len(found.samples) == len(found.ways) == 30
 
@@ -156,7 +156,7 @@ def test_samples_along_ways_of_the_arm_in_space_lead_to_a_path(tmp_path: Path) -
     assert made.spec.plan_doubt == source.spec.plan_doubt
     sampler = LocalSampler(made.folder)
     for index in range(3):
-        problem = workshop_of(made.spec.world).problem("uniform", Split.DEMO, 21, index)
+        problem = simulator_of(made.spec.world).problem("uniform", Split.DEMO, 21, index)
         request = SampleRequest(SampleQuery(200, 1, min_confidence=0.0), with_ends=True)
         settings = PlannerSettings(planner="SampledRRTConnect", seed=1, range_rad=2.0, resolution_rad=0.02)
         found = plan_with_api(problem, sampler, settings, request, 0.3)

@@ -16,14 +16,14 @@ from cspace.bundle import Bundle, BundleSpec, graphs_of, write_bundle
 from cspace.bundle.files import GOLDEN_FILE, VALIDITY_FILE
 from cspace.bundle.golden import GoldenCase
 from cspace.bundle.novelty import quantiles_of
-from cspace.connecting import spaced
 from cspace.dataset import Dataset
 from cspace.errors import BundleError
-from cspace.planning.query import PlanQuery
-from cspace.planning.scoring import calibration_error, free_of_doubt
-from cspace.splits import Split
+from cspace.planning.cost import calibration_error, confidence_of_cost
+from cspace.planning.paths import spaced
+from cspace.query import PlanQuery
+from cspace.simulator import Split
 from cspace.world import World
-from cspace.worlds import checker_of, picture_of, workshop_of
+from cspace.worlds import checker_of, picture_of, simulator_of
 from services.evaluator.measures.scenes import Scene, Stage
 from training.models.autoencoders import blocks
 from training.models.settings import VaeConfig
@@ -83,12 +83,12 @@ def known_quantiles(
 
 def known_pictures(dataset: Dataset) -> NDArray[np.uint8]:
     """At most 400 pictures (n, P, P, 3)."""
-    workshop = workshop_of(dataset.world)
-    if dataset.generator_seed is None or workshop.count(Split.VALIDATION) is not None:
+    simulator = simulator_of(dataset.world)
+    if dataset.generator_seed is None or simulator.count(Split.VALIDATION) is not None:
         rows = np.linspace(0, dataset.scenario_count - 1, min(KNOWN_PICTURES, dataset.scenario_count))
         return np.array(dataset.images[rows.astype(np.int64)])
-    scenes = workshop.scenes(Split.VALIDATION, 0, KNOWN_PICTURES)
-    return np.stack([workshop.render(scene) for scene in scenes])
+    scenes = simulator.scenes(Split.VALIDATION, 0, KNOWN_PICTURES)
+    return np.stack([simulator.render(scene) for scene in scenes])
 
 
 # Of a scene's seeds, apart from those that the evaluator's measurements use.
@@ -252,7 +252,7 @@ class Planned:
     """The surest ways of validation problems.
 
     Args:
-        doubt: (n,) of each, see :mod:`cspace.planning.scoring`.
+        doubt: (n,) of each, see :mod:`cspace.planning.cost`.
         free: (n,) whether it is, in truth.
     """
 
@@ -302,7 +302,7 @@ def planned(bundle: Bundle, world: World, problems: int) -> Planned:
 
     Searches end by their own effort and not by a clock, so that the same seed gives the same bundle.
     """
-    shop = workshop_of(world)
+    shop = simulator_of(world)
     families, measures = shop.families.solvable, shop.measures
     doubts, free = [], []
     for number in range(problems):
@@ -327,7 +327,7 @@ def fit_plan_doubt(plans: Planned) -> PlanDoubt | None:
     doubt, free = np.maximum(plans.doubt, _LEAST), plans.free
 
     def loss(parameters: NDArray[np.float64]) -> float:
-        sure = free_of_doubt(doubt[fits], (parameters[0], parameters[1]))
+        sure = confidence_of_cost(doubt[fits], (parameters[0], parameters[1]))
         sure = np.clip(sure, _LEAST, 1.0 - _LEAST)
         pull = _PULL * (parameters[0] ** 2 + (parameters[1] - 1.0) ** 2)
         return float(pull - np.where(free[fits], np.log(sure), np.log1p(-sure)).sum())
@@ -340,6 +340,6 @@ def fit_plan_doubt(plans: Planned) -> PlanDoubt | None:
         fitted=int(fits.sum()),
         measured=len(others),
         collide=float(1.0 - in_truth.mean()),
-        error=calibration_error(free_of_doubt(others, parameters), in_truth),
+        error=calibration_error(confidence_of_cost(others, parameters), in_truth),
         plain_error=calibration_error(np.exp(-others), in_truth),
     )

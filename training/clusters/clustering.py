@@ -11,8 +11,8 @@ from sklearn.metrics import pairwise_distances_argmin
 
 from cspace.errors import ConfigError
 from cspace.files import replacing
+from cspace.simulator import derived_seed
 from cspace.space import JointSpace
-from cspace.splits import derived_seed
 from training.models.cells import CellPoints
 from training.models.settings import GateConfig
 from training.trials.arrays import GatedCells

@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 from cspace.bundle import Bundle
 from cspace.dataset import Dataset, open_dataset
 from cspace.errors import ConfigError
+from cspace.simulator import ORIGINS, Split
 from cspace.space import JointSpace
-from cspace.splits import Split
-from cspace.workshop import ORIGINS
 from services.evaluator.evaluation.report import gallery
 from services.evaluator.measures.scenes import Scene, Stage
 from services.names import ALIAS_CHALLENGER, recorded_name

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from cspace.bundle import Bundle, BundleSpec, graphs_of
 from cspace.bundle.keeping import BUDGET, EXTRA
 from cspace.bundle.running.runtime import onnx_runtime
-from cspace.splits import Split
+from cspace.simulator import Split
 from cspace.world import World
 from services.evaluator.measures.reconstruction import SampleQuality
 from services.evaluator.measures.scenes import Scene, Stage

@@ -11,10 +11,9 @@ from numpy.typing import NDArray
 
 from cspace.dataset import TOLD, Dataset, write_dataset
 from cspace.errors import DatasetError
-from cspace.splits import Split, scenario_rng
-from cspace.workshop import Checker, Proposals
+from cspace.simulator import Checker, Proposals, Split, scenario_rng
 from cspace.world import Arrays
-from cspace.worlds import workshop_of
+from cspace.worlds import simulator_of
 from training.datasets.config import DatasetConfig
 from training.datasets.shards import Pictures, Shard
 
@@ -60,17 +59,17 @@ class ConfigurationRecipe:
     def _row(self, index: int, extra: bool) -> dict[str, NDArray[Any]]:
         """One scenario; of a family another one is drawn where hardly anything collides, or all of it."""
         config, split = self.config, Split(self.config.split)
-        workshop, rng = workshop_of(config.world), scenario_rng(split, config.seed, index)
-        for _ in range(1 if workshop.count(split) else MAX_DRAWS):
-            scene = workshop.scene(rng, split, index)
+        simulator, rng = simulator_of(config.world), scenario_rng(split, config.seed, index)
+        for _ in range(1 if simulator.count(split) else MAX_DRAWS):
+            scene = simulator.scene(rng, split, index)
             if extra:
-                return {"images": workshop.render(scene)}
-            checker = workshop.checker(scene)
+                return {"images": simulator.render(scene)}
+            checker = simulator.checker(scene)
             if config.proposals_per_scenario:
                 return {
-                    "images": workshop.render(scene),
-                    **workshop.arrays_of(scene),
-                    **label(checker, workshop.proposals(scene, rng, config.proposals_per_scenario)),
+                    "images": simulator.render(scene),
+                    **simulator.arrays_of(scene),
+                    **label(checker, simulator.proposals(scene, rng, config.proposals_per_scenario)),
                 }
             try:
                 free = draw_configurations(checker, config.free_per_scenario, rng, free=True)
@@ -79,8 +78,8 @@ class ConfigurationRecipe:
                 problem = error
                 continue
             return {
-                "images": workshop.render(scene),
-                **workshop.arrays_of(scene),
+                "images": simulator.render(scene),
+                **simulator.arrays_of(scene),
                 "free": free,
                 "collision": collision,
             }

@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from cspace.dataset import Dataset, require_room, write_dataset
 from cspace.errors import DatasetError, ImageError
-from cspace.files import read_bounded
-from cspace.npy import map_npy
+from cspace.files import map_npy, read_bounded
 from cspace.space import JointSpace
 from cspace.strict_json import parse_json, read_members
 from cspace.view_file import MAX_PICTURES, pack_view

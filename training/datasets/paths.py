@@ -16,12 +16,10 @@ from numpy.typing import NDArray
 
 from cspace.dataset import Dataset, write_dataset
 from cspace.errors import DatasetError
-from cspace.path_points import spread_points
-from cspace.problem import NARROW, UNIFORM, Problem
-from cspace.splits import Split, scenario_rng
-from cspace.workshop import PathSearch, Workshop
+from cspace.planning.paths import spread_points
+from cspace.simulator import NARROW, UNIFORM, PathSearch, Problem, Simulator, Split, scenario_rng
 from cspace.world import Arrays, Scene
-from cspace.worlds import workshop_of
+from cspace.worlds import simulator_of
 from services.planner.search.ompl_planner import solve
 from services.planner.settings import RRT_STAR, PlannerSettings
 from training.datasets.config import PathDatasetConfig
@@ -54,7 +52,7 @@ class PathRecipe:
             ScenarioError: narrow passages are asked for, and the robot has none that can be told.
         """
         if self.config.narrow_count:
-            workshop_of(self.config.world).require(NARROW)
+            simulator_of(self.config.world).require(NARROW)
         total, size = self.config.scenario_count, self.config.shard_size
         return [Shard(first, min(size, total - first), extra=False) for first in range(0, total, size)]
 
@@ -90,20 +88,20 @@ class PathRecipe:
 def _scenario_with_paths(config: PathDatasetConfig, index: int) -> dict[str, NDArray[Any]]:
     """The first scenario of the index's own stream in which enough paths are found."""
     rng = scenario_rng(Split(config.split), config.seed, index)
-    workshop = workshop_of(config.world)
+    simulator = simulator_of(config.world)
     for _ in range(MAX_DRAWS):
-        scene = workshop.scene(rng, Split(config.split), index)
+        scene = simulator.scene(rng, Split(config.split), index)
         proposals = config.world.space.sample_uniform(rng, _PROPOSALS)
-        free = proposals[workshop.checker(scene).valid_batch(proposals)]
+        free = proposals[simulator.checker(scene).valid_batch(proposals)]
         if len(free) < max(2, config.free_per_scenario):
             continue
-        ends = _ends(config, workshop, scene, free, rng, narrow=index < config.narrow_count)
-        search = workshop.path_search(scene) if config.source == "grid" else _asymptotic(config, scene, rng)
+        ends = _ends(config, simulator, scene, free, rng, narrow=index < config.narrow_count)
+        search = simulator.path_search(scene) if config.source == "grid" else _asymptotic(config, scene, rng)
         paths = _paths(config, search, ends)
         if len(paths) == config.pairs_per_scenario:
             return {
-                "images": workshop.render(scene),
-                **workshop.arrays_of(scene),
+                "images": simulator.render(scene),
+                **simulator.arrays_of(scene),
                 "free": free[: config.free_per_scenario],
                 "paths": np.stack(paths),
             }
@@ -117,7 +115,7 @@ def _scenario_with_paths(config: PathDatasetConfig, index: int) -> dict[str, NDA
 
 def _ends(
     config: PathDatasetConfig,
-    workshop: Workshop,
+    simulator: Simulator,
     scene: Scene,
     free: NDArray[np.float64],
     rng: np.random.Generator,
@@ -127,8 +125,8 @@ def _ends(
     """Starts and goals (2, d) rad, more than are wanted."""
     count = _TRIES_PER_PAIR * config.pairs_per_scenario
     if not narrow:
-        return workshop.ends(scene, free, rng, count)
-    pairs = workshop.narrow_pairs(scene, free)
+        return simulator.ends(scene, free, rng, count)
+    pairs = simulator.narrow_pairs(scene, free)
     return free[pairs[rng.integers(len(pairs), size=count)] if len(pairs) else pairs]
 
 

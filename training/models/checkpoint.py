@@ -12,7 +12,7 @@ from safetensors.torch import load_file, save_file
 from torch import Tensor, nn
 
 from cspace.files import discard, replacing
-from cspace.splits import derived_seed
+from cspace.simulator import derived_seed
 from training.models.modules import TrialModule
 
 Network = TypeVar("Network", bound=nn.Module)

@@ -11,7 +11,7 @@ from torch import Tensor, nn
 
 from cspace.dataset import Dataset
 from cspace.errors import DatasetError
-from cspace.path_points import spread_points
+from cspace.planning.paths import spread_points
 from cspace.space import JointSpace
 from training.models import losses
 from training.models.data import Held

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from cspace.errors import CspaceError, InputError
 from cspace.files import replacing
-from cspace.worlds.spatial.motionbench.problems import LIMITS_RAD, write_problems
+from cspace.worlds.spatial.benchmark import LIMITS_RAD, write_problems
 from cspace.worlds.spatial.world import shipped
 from services.command_errors import tell_error
 from training.motionbench.archive import SHA256, read_archive

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cspace.errors import CspaceError, DamagedFileError, DatasetError, ScenarioError
-from cspace.splits import Split
-from cspace.worlds.spatial.motionbench.problems import NUMBERS, BenchProblem, expected_names
-from cspace.worlds.spatial.obstacles.shapes import Box, Cylinder, Obstacles
+from cspace.simulator import Split
+from cspace.worlds.spatial.benchmark import NUMBERS, BenchProblem, expected_names
+from cspace.worlds.spatial.obstacles import Box, Cylinder, Obstacles
 from cspace.worlds.spatial.poses import Pose, make_pose, pose_of
 from cspace.yaml_file import read_yaml
 

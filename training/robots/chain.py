@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cspace.errors import ScenarioError
-from cspace.worlds.spatial.frames import MAX_OFFSET_M, Frame, turn
-from cspace.worlds.spatial.robot.parts import Joint
+from cspace.worlds.spatial.arm import Joint
+from cspace.worlds.spatial.poses import MAX_OFFSET_M, Frame, turn
 from training.robots.urdf import Description, Matrix, Shape, UrdfJoint
 
 _TURNING = {"revolute", "continuous"}

@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from cspace.errors import ScenarioError
-from cspace.worlds.spatial.robot.arm import SerialArm
-from cspace.worlds.spatial.robot.parts import Part
+from cspace.worlds.spatial.arm import Part, SerialArm
 from training.robots.chain import Piece, read_chain
 from training.robots.covering import Allowances, Fit, cover, measure
 from training.robots.solids import solid_of

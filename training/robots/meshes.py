@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from cspace.errors import ScenarioError
 from cspace.kernel_cache import njit
-from cspace.worlds.spatial.frames import moved
+from cspace.worlds.spatial.poses import moved
 
 Floats = NDArray[np.float64]
 _FACETS = 48

@@ -5,8 +5,8 @@ from itertools import combinations
 
 import numpy as np
 
-from cspace.worlds.spatial.robot.arm import SerialArm
-from cspace.worlds.spatial.robot.kinematics import arm_arrays, self_distance_batch
+from cspace.worlds.spatial.arm import SerialArm
+from cspace.worlds.spatial.kinematics import arm_arrays, self_distance_batch
 
 Pairs = frozenset[frozenset[str]]
 # As MoveIt's setup assistant counts a pair that always collides.

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cspace.errors import ScenarioError
-from cspace.worlds.spatial.frames import Frame
+from cspace.worlds.spatial.poses import Frame
 from training.robots.xml_files import attribute, numbers, read_xml
 
 Matrix = NDArray[np.float64]

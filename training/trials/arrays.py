@@ -11,7 +11,7 @@ from torch import nn
 from cspace.dataset import Dataset, open_dataset
 from cspace.errors import JobError
 from cspace.world import Sensor, World
-from cspace.worlds import workshop_of
+from cspace.worlds import simulator_of
 from training.models.autoencoders import (
     GridNovelty,
     GridVaeDecoder,
@@ -260,4 +260,4 @@ def _hits(dataset: Dataset, scenario: int, rows: NDArray[np.float32], groups: in
     if not set(names) <= set(dataset.arrays):
         return np.zeros((len(rows), 0), dtype=np.bool_)
     scene = {name: np.asarray(dataset.arrays[name][scenario]) for name in names}
-    return workshop_of(dataset.world).group_hits(scene, rows, groups)
+    return simulator_of(dataset.world).group_hits(scene, rows, groups)

@@ -18,7 +18,7 @@ from ray.tune.experiment import Trial
 
 from cspace.errors import JobError
 from cspace.files import HALF_SUFFIX, discard, holding, write_json
-from cspace.splits import derived_seed
+from cspace.simulator import derived_seed
 from services.evaluator.cluster import join
 from training.config import ResourceConfig
 from training.jobs.job import Job

@@ -15,7 +15,7 @@ from ray.tune.search.basic_variant import BasicVariantGenerator
 from torch import nn
 
 from cspace.errors import JobError
-from cspace.splits import Split, derived_seed
+from cspace.simulator import Split, derived_seed
 from cspace.world import World
 from services.evaluator.measures.reconstruction import SampleQuality
 from services.evaluator.measures.scenes import Scene, Stage

@@ -1,7 +1,7 @@
 """Samples along ways from start to goal that are searched for through what a picture shows.
 
 Nothing is trained on paths: of several ways the validity head says which it doubts least, and configurations
-are drawn along them in order (:mod:`cspace.planning.along`), with a confidence to reach those alone that
+are drawn along them in order (:mod:`cspace.planning.paths`), with a confidence to reach those alone that
 reach it. The latent is not looked at, and neither is ``epsilon_sigma``. A picture through which no way is
 found gives no samples.
 """
@@ -18,9 +18,9 @@ from cspace.bundle.running.chunks import Between
 from cspace.bundle.running.head import Head
 from cspace.bundle.samples import Drawn, Picture
 from cspace.bundle.spec import BundleSpec
-from cspace.planning.along import AlongWays
-from cspace.planning.plan import search_ways
-from cspace.planning.query import DEFAULT_WAYS
+from cspace.plan import search_paths
+from cspace.planning.paths import AlongPaths
+from cspace.query import DEFAULT_WAYS
 
 # On a way that the head doubts least most are sure enough, about it fewer.
 _PASS = 0.75
@@ -43,14 +43,14 @@ class WaySampler:
         """See the class; no time ends the search, its effort does."""
         spec, head, space = self._spec, self._head, self._spec.world.space
         ends = fitted_ends(spec, request.start or (), request.goal or ())
-        found = search_ways(
+        found = search_paths(
             head.seen(spec, picture, between), ends, DEFAULT_WAYS, request.seed, between=between
         )
         if not found.ways:
             nothing = np.empty(0, dtype=np.float32)
             told = np.empty((0, 2), dtype=np.float32) if head.tells_unseen else nothing
             return Drawn(space.to_float32(np.empty((0, space.dim))), told, ways=nothing.astype(np.int64))
-        along = AlongWays([one.way for one in found.ways], space, np.random.default_rng([request.seed, 1]))
+        along = AlongPaths([one.way for one in found.ways], space, np.random.default_rng([request.seed, 1]))
 
         def drawn(counts: Sequence[int], turn: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
             del turn

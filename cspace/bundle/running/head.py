@@ -10,7 +10,7 @@ from cspace.bundle.running.graphs import Graph
 from cspace.bundle.samples import Picture
 from cspace.bundle.spec import MAP, BundleSpec
 from cspace.errors import BundleError
-from cspace.planning.plan import Seen
+from cspace.plan import Seen
 
 CONFIDENCE, UNSEEN = "confidence", "unseen"
 # A head that reads arrays of space at hundreds of spheres a configuration is quickest while what it computes

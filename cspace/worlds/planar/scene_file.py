@@ -4,10 +4,9 @@ from collections.abc import Mapping
 from typing import Any
 
 from cspace.worlds.planar.arm import PlanarArm
-from cspace.worlds.planar.scene import DISC_RADIUS_M, Disc, Scenario
+from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.scenes import MAX_DISCS, DiscScenes, GivenScenes
-from cspace.worlds.planar.seeing.camera import Camera
-from cspace.worlds.planar.world import PlanarWorld
+from cspace.worlds.planar.world import DISC_RADIUS_M, Disc, PlanarWorld, Scenario
 
 # Squares of lengths and places are numbers, too.
 _FARTHEST = 1e6

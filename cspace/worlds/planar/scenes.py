@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cspace.errors import ScenarioError
-from cspace.splits import Split
+from cspace.simulator import Split
 from cspace.strict_json import read_object, settle, written
 
 MAX_DISCS, MAX_GIVEN = 64, 1000

@@ -1,6 +1,7 @@
-"""The planar world as a value: an arm, and the camera above it."""
+"""The planar world as a value: an arm, the camera above it, and scenes of discs."""
 
-from collections.abc import Mapping
+import argparse
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, NoReturn
 
@@ -9,14 +10,14 @@ from numpy.typing import NDArray
 
 from cspace.errors import ConfigError, DatasetError, ImageError, ScenarioError
 from cspace.png import read_header
+from cspace.simulator import Split, scenario_rng
 from cspace.space import JointSpace
-from cspace.strict_json import read_mapping, read_members, read_object
+from cspace.strict_json import read_mapping, read_members, read_object, settle
 from cspace.view_file import is_view
 from cspace.world import Arrays, Between, Examined, Finding, Levers, TensorInput, World
-from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK, PlanarArm
-from cspace.worlds.planar.lookups import levers
+from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK, JointLimits, PlanarArm, levers
+from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.scenes import MAX_GIVEN, DiscScenes, GivenScenes, Scenes, read_scenes
-from cspace.worlds.planar.seeing.camera import Camera
 
 KIND = "planar"
 _IMAGE = "image"
@@ -57,7 +58,7 @@ class PlanarWorld:
         return 0 if is_view(data) else read_header(data).pixels
 
     def read_picture(self, data: bytes, between: Between | None = None) -> NDArray[np.uint8]:
-        """See :func:`cspace.worlds.planar.seeing.picture.decode_png`."""
+        """See :func:`cspace.worlds.planar.camera.decode_png`."""
         if is_view(data):
             raise ImageError(
                 "the picture comes with a camera",
@@ -99,7 +100,7 @@ class PlanarWorld:
         return self.sensor.encode(np.full(self.sensor.picture_shape, 255, np.uint8))
 
     def levers(self, points_per_link: int, side_m: float) -> Levers:
-        """See :func:`cspace.worlds.planar.lookups.levers`."""
+        """See :func:`cspace.worlds.planar.arm.levers`."""
         return levers(self.body, self.sensor, points_per_link, side_m)
 
     def grid_arm(self, groups: int) -> NoReturn:
@@ -176,3 +177,129 @@ def read(values: Mapping[str, Any]) -> PlanarWorld:
     parts = read_members(members, {"robot", "camera"}, "the world", ScenarioError)
     camera = read_object(Camera, parts["camera"], "the camera", ScenarioError)
     return PlanarWorld(PlanarArm.from_dict(parts["robot"]), camera, scenes)
+
+
+DISC_RADIUS_M = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Disc:
+    """A round obstacle, in m."""
+
+    x_m: float
+    y_m: float
+    radius_m: float = DISC_RADIUS_M
+
+    def __post_init__(self) -> None:
+        settle(self)
+
+
+@dataclass(frozen=True, slots=True)
+class Scenario:
+    """A robot among discs, seen by a camera."""
+
+    robot: PlanarArm
+    discs: tuple[Disc, ...]
+    camera: Camera = field(default_factory=Camera)
+
+    @property
+    def world(self) -> PlanarWorld:
+        """Arm and camera."""
+        return PlanarWorld(self.robot, self.camera)
+
+    @property
+    def disc_array(self) -> NDArray[np.float64]:
+        """(D, 3): x, y, radius in m."""
+        return np.array([(d.x_m, d.y_m, d.radius_m) for d in self.discs], dtype=np.float64).reshape(-1, 3)
+
+    @classmethod
+    def from_array(cls, robot: PlanarArm, discs: NDArray[Any], camera: Camera | None = None) -> "Scenario":
+        """A scenario from (D, 3) discs: x, y, radius in m."""
+        return cls(robot, tuple(Disc(float(x), float(y), float(r)) for x, y, r in discs), camera or Camera())
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values for JSON."""
+        return {
+            "robot": self.robot.to_dict(),
+            "discs": self.disc_array.tolist(),
+            "camera": self.camera.to_dict(),
+        }
+
+
+def random_scenario(
+    rng: np.random.Generator,
+    robot: PlanarArm = TWO_LINK,
+    scenes: Scenes = DiscScenes(),  # noqa: B008 - a frozen value
+    split: Split = Split.TRAIN,
+    index: int | None = None,
+) -> Scenario:
+    """A scenario of a family, or a given one; see :mod:`cspace.worlds.planar.scenes`."""
+    return Scenario.from_array(robot, scenes.draw(rng, split, index))
+
+
+def random_scenarios(
+    split: Split,
+    seed: int,
+    count: int,
+    robot: PlanarArm = TWO_LINK,
+    scenes: Scenes = DiscScenes(),  # noqa: B008 - a frozen value
+) -> list[Scenario]:
+    """The first ``count`` scenarios of a split under a seed; a longer list starts with the shorter one."""
+    return [
+        random_scenario(scenario_rng(split, seed, index), robot, scenes, split, index)
+        for index in range(count)
+    ]
+
+
+def add_options(parser: argparse.ArgumentParser, *, sensor: bool) -> None:
+    """See :func:`cspace.worlds.add_world_options`."""
+    arm, camera = PlanarArm(), Camera()
+    parser.set_defaults(pixels=camera.pixels, view=camera.extent_m)
+    if sensor:
+        parser.add_argument("--pixels", type=int, help="side of the data set's pictures")
+        parser.add_argument("--view", type=float, nargs=4, metavar=("XMIN", "XMAX", "YMIN", "YMAX"))
+    parser.add_argument(
+        "--links", type=float, nargs="+", metavar="M", default=arm.link_lengths_m, help="link lengths, m"
+    )
+    parser.add_argument(
+        "--half-width", type=float, metavar="M", default=arm.half_width_m, help="half the links' width, m"
+    )
+    parser.add_argument(
+        "--limit",
+        nargs=3,
+        action="append",
+        type=float,
+        metavar=("JOINT", "LOW", "HIGH"),
+        help="limits of one joint (1 is the first), rad; repeatable; other joints are circles",
+    )
+
+
+def described(options: argparse.Namespace) -> PlanarWorld:
+    """The planar world of parsed options.
+
+    Raises:
+        ConfigError: a limit is of no joint, or the camera cannot be.
+        ScenarioError: the arm cannot be.
+    """
+    x_min_m, x_max_m, y_min_m, y_max_m = options.view
+    if options.pixels < 1 or not (x_min_m < x_max_m and y_min_m < y_max_m):
+        raise ConfigError(
+            "the camera does not fit",
+            expected="--pixels above 0, --view with minimum below maximum",
+            got=f"{options.pixels} pixels, {options.view}",
+        )
+    arm = PlanarArm(tuple(options.links), options.half_width, _limits(options.limit, len(options.links)))
+    return PlanarWorld(arm, Camera(x_min_m, x_max_m, y_min_m, y_max_m, options.pixels))
+
+
+def _limits(entries: Sequence[tuple[float, float, float]] | None, dim: int) -> JointLimits | None:
+    if not entries:
+        return None
+    limits: list[tuple[float, float] | None] = [None] * dim
+    for joint, low, high in entries:
+        if joint not in range(1, dim + 1):
+            raise ConfigError(
+                "the joint limits do not fit", expected=f"joints 1 to {dim}", got=f"joint {joint:g}"
+            )
+        limits[int(joint) - 1] = (low, high)
+    return tuple(limits)

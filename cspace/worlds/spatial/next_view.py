@@ -13,11 +13,10 @@ from numpy.typing import NDArray
 
 from cspace.errors import InputError, ScenarioError
 from cspace.world import NextView
+from cspace.worlds.spatial.camera import DepthCamera, camera_place, looking, read_camera
 from cspace.worlds.spatial.poses import Pose, check_pose
-from cspace.worlds.spatial.seeing.camera import DepthCamera, camera_place, looking, read_camera
-from cspace.worlds.spatial.seeing.observed import lookup
-from cspace.worlds.spatial.seeing.sight import FREE, NO_READING
-from cspace.worlds.spatial.seeing.surface_patches import DISTANCE_STEP_M
+from cspace.worlds.spatial.sensor import DISTANCE_STEP_M, FREE, NO_READING
+from cspace.worlds.spatial.visibility import lookup
 from cspace.worlds.spatial.world import SpatialWorld
 
 # Cameras about the doubted space: so many to each side, and so many heights.

@@ -7,11 +7,11 @@ import numpy as np
 
 from cspace.errors import ScenarioError
 from cspace.view_file import MAX_PICTURES
-from cspace.worlds.spatial.obstacles.shapes import MAX_OBSTACLES, Box, Cylinder, Obstacles
+from cspace.worlds.spatial.arm import SerialArm
+from cspace.worlds.spatial.camera import MAX_FIELD_DEG, MIN_FIELD_DEG, DepthCamera, looking
+from cspace.worlds.spatial.obstacles import MAX_OBSTACLES, Box, Cylinder, Obstacles
 from cspace.worlds.spatial.poses import Pose, make_pose, pose_of, turned
-from cspace.worlds.spatial.robot.arm import SerialArm
-from cspace.worlds.spatial.scene import SpatialScene
-from cspace.worlds.spatial.seeing.camera import MAX_FIELD_DEG, MIN_FIELD_DEG, DepthCamera, looking
+from cspace.worlds.spatial.scenes import SpatialScene
 from cspace.worlds.spatial.world import SpatialWorld, shipped, usual
 
 _LENGTH = {"type": "number", "exclusiveMinimum": 0}

@@ -1,5 +1,6 @@
 """The spatial world as a value: a serial arm, depth cameras about it, and the families of its scenes."""
 
+import argparse
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -10,8 +11,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cspace.errors import ConfigError, DatasetError, ScenarioError
+from cspace.files import read_bounded
 from cspace.space import JointSpace
-from cspace.strict_json import read_mapping, read_members, read_object
+from cspace.strict_json import parse_json, read_mapping, read_members, read_object
 from cspace.world import (
     Arrays,
     Between,
@@ -22,25 +24,26 @@ from cspace.world import (
     TensorInput,
     World,
 )
-from cspace.worlds.spatial.obstacles.obstacle_rows import BOX_VALUES, CYLINDER_VALUES
-from cspace.worlds.spatial.obstacles.scenes import SpatialScenes, read_spatial_scenes
-from cspace.worlds.spatial.robot.arm import SerialArm
-from cspace.worlds.spatial.robot.covering import grouped
-from cspace.worlds.spatial.robot.touching import touching_sets
-from cspace.worlds.spatial.seeing.camera import DepthCamera, looking
-from cspace.worlds.spatial.seeing.diagnostics import (
+from cspace.worlds.spatial.arm import SerialArm, grouped, touching_sets
+from cspace.worlds.spatial.camera import DepthCamera, looking
+from cspace.worlds.spatial.diagnostics import (
     colliding_findings,
     diagnose,
     least_novelty,
     start_findings,
 )
-from cspace.worlds.spatial.seeing.grid_box import grid_of
-from cspace.worlds.spatial.seeing.observed import fused, observe_one
-from cspace.worlds.spatial.seeing.sensor import DepthSensor
-from cspace.worlds.spatial.seeing.sight import NO_READING, OUT_OF_VIEW
-from cspace.worlds.spatial.seeing.surface_patches import DISTANCE_STEP_M
-from cspace.worlds.spatial.seeing.view import DepthView, pixels_of, read_view, write_view
-from cspace.worlds.spatial.seeing.view_tensors import view_of_tensors, view_tensors
+from cspace.worlds.spatial.furniture import SpatialScenes, read_spatial_scenes
+from cspace.worlds.spatial.obstacles import BOX_VALUES, CYLINDER_VALUES
+from cspace.worlds.spatial.sensor import DISTANCE_STEP_M, NO_READING, OUT_OF_VIEW, DepthSensor, grid_of
+from cspace.worlds.spatial.view import (
+    DepthView,
+    pixels_of,
+    read_view,
+    view_of_tensors,
+    view_tensors,
+    write_view,
+)
+from cspace.worlds.spatial.visibility import fused, observe_one
 
 KIND = "spatial"
 _ROBOTS = Path(__file__).with_name("robots")
@@ -80,7 +83,7 @@ class SpatialWorld:
         return pixels_of(data)
 
     def read_picture(self, data: bytes, between: Between | None = None) -> NDArray[np.uint8]:
-        """The array of a view file; see :mod:`cspace.worlds.spatial.seeing.view`.
+        """The array of a view file; see :mod:`cspace.worlds.spatial.view`.
 
         Raises:
             ImageError: it is none, or its cameras see none of the space that the arm can reach.
@@ -110,7 +113,7 @@ class SpatialWorld:
         return self.examined(view_of_tensors(tensors, self.space), between)
 
     def least_novelty(self, image: NDArray[np.uint8]) -> float:
-        """See :func:`cspace.worlds.spatial.seeing.diagnostics.least_novelty`."""
+        """See :func:`cspace.worlds.spatial.diagnostics.least_novelty`."""
         return least_novelty(self.body, self.sensor.grid, image)
 
     def state_findings(
@@ -274,3 +277,38 @@ def read(values: Mapping[str, Any]) -> SpatialWorld:
     sensor = read_object(DepthSensor, cameras, "the cameras", ScenarioError)
     scenes = None if parts["scenes"] is None else read_spatial_scenes(parts["scenes"])
     return SpatialWorld(SerialArm.from_dict(parts["robot"]), sensor, scenes)
+
+
+_MAX_BYTES = 2**20
+
+
+def add_options(parser: argparse.ArgumentParser, *, sensor: bool) -> None:
+    """See :func:`cspace.worlds.add_world_options`."""
+    del sensor
+    parser.add_argument(
+        "--arm",
+        metavar="NAME|FILE",
+        help="a serial arm in space, seen by depth cameras: panda, or what python -m training.robots wrote",
+    )
+
+
+def described(options: argparse.Namespace) -> SpatialWorld | None:
+    """The spatial world of parsed options; None where they name no such arm.
+
+    Raises:
+        ConfigError: the file cannot be read.
+        ScenarioError: there is no such arm, or it cannot be.
+    """
+    if options.arm is None:
+        return None
+    path = Path(options.arm)
+    if not path.is_file():
+        return usual(shipped(options.arm))
+    data = read_bounded(path, _MAX_BYTES, ConfigError)
+    try:
+        values = parse_json(data)
+    except ValueError as error:
+        raise ConfigError(
+            f"{path} holds no robot", expected="JSON of an arm", got=str(error)[:200]
+        ) from error
+    return usual(SerialArm.from_dict(values))

@@ -9,7 +9,7 @@ from fastapi.responses import Response
 from cspace.bundle import BundleSpec
 from cspace.bundle.request import fitted_end, fitted_plan, require_robot
 from cspace.errors import InputError
-from cspace.planning.query import Doubt, Plan, PlanQuery
+from cspace.query import Doubt, Plan, PlanQuery
 from cspace.world import ARM_IN_PICTURE, LITTLE_IN_REACH, Finding
 from inference_api.bodies.request_body import PLAN_FORM, RawFields, parse_fields
 from inference_api.models.pictures import Prepared

@@ -5,8 +5,7 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import BaseModel, Field
 
-from cspace.planning.query import DEFAULT_WAYS
-from cspace.query import DIGEST_PATTERN, drawn_seed
+from cspace.query import DEFAULT_WAYS, DIGEST_PATTERN, drawn_seed
 from inference_api.pages.model_schemas import AnyJointSpace, ModelInfo
 from inference_api.pages.picture_fields import MAX_VIEWS, PICTURE_EXPECTED, Configuration, Views
 from inference_api.pages.schemas import (

@@ -8,9 +8,8 @@ from pathlib import Path
 
 from cspace.errors import ConfigError, CspaceError, ScenarioError
 from cspace.query import MAX_SAMPLES
-from cspace.splits import Split
-from cspace.worlds import examples, partly_seen, workshop_of
-from cspace.worlds.unseen import Asked
+from cspace.simulator import Asked, Split
+from cspace.worlds import examples, partly_seen, simulator_of
 from services.command_errors import finite, tell_error
 from services.evaluator.benchmark.arms import (
     AIMS,
@@ -170,7 +169,7 @@ def parser() -> argparse.ArgumentParser:
 def _families() -> list[str]:
     found: list[str] = []
     for world in WORLDS.values():
-        found += workshop_of(world).families.names
+        found += simulator_of(world).families.names
         try:
             found += [name for names in partly_seen(world).sources.values() for name in names]
         except ScenarioError:
@@ -203,7 +202,7 @@ def chosen_arms(options: argparse.Namespace) -> tuple[Arm, ...]:
     _require(1 <= options.samples <= MAX_SAMPLES, "samples", f"1 to {MAX_SAMPLES}", options.samples)
     _require(all(0.0 < one <= 1.0 for one in options.shares), "shares", "above 0 to 1", options.shares)
     taken = Taken(options.min_confidence, options.samples, tuple(dict.fromkeys(options.shares)))
-    range_rad = workshop_of(WORLDS[options.robot]).measures.range_rad
+    range_rad = simulator_of(WORLDS[options.robot]).measures.range_rad
     return pick(table(_names(options), range_rad, taken), options.arms, options.planners)
 
 

@@ -8,11 +8,10 @@ from typing import Any
 
 from cspace.errors import ConfigError
 from cspace.query import SampleQuery
-from cspace.splits import Split
-from cspace.workshop import Families
+from cspace.simulator import Families, Split
+from cspace.simulator import Taken as Unseen
 from cspace.world import World
-from cspace.worlds import default_world, workshop_of
-from cspace.worlds.unseen import Taken as Unseen
+from cspace.worlds import default_world, simulator_of
 from services.evaluator.evaluation.units import planner_seed
 from services.planner.planning import PAPER_SCHEDULE
 from services.planner.settings import (
@@ -308,17 +307,17 @@ class Setting:
     @property
     def families(self) -> Families:
         """Of the world's problems."""
-        return workshop_of(self.world).families
+        return simulator_of(self.world).families
 
     @property
     def resolution_rad(self) -> float:
         """Largest distance between checked states of an edge in any joint."""
-        return workshop_of(self.world).measures.resolution_rad
+        return simulator_of(self.world).measures.resolution_rad
 
     @property
     def range_rad(self) -> float:
         """Range of the planners in this world, in OMPL's metric."""
-        return workshop_of(self.world).measures.range_rad
+        return simulator_of(self.world).measures.range_rad
 
     def planner(self, arm: Arm | None, index: int, run: int) -> PlannerSettings:
         """The settings of one run; the seed is the same for every arm, None stands for plain RRT-Connect."""

@@ -10,8 +10,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from cspace.problem import Problem
-from cspace.worlds import picture_of, workshop_of
+from cspace.simulator import Problem
+from cspace.worlds import picture_of, simulator_of
 from services.evaluator.benchmark.arms import DEFAULT_SHARE, NAMES, Arm, Group, PlanArm, Setting
 from services.evaluator.benchmark.samples import known_problem
 from services.evaluator.benchmark.sources import SourceSpec, ask, opened
@@ -420,7 +420,7 @@ def page(
     """
     figure = _figure(4.3 * (2 + len(panels)), 5.2, 100)
     axes = figure.subplots(1, 2 + len(panels))
-    workshop_of(problem.scenario.world).draw_picture(axes[0], np.asarray(picture_of(problem.scenario)))
+    simulator_of(problem.scenario.world).draw_picture(axes[0], np.asarray(picture_of(problem.scenario)))
     axes[0].set_title("the picture that the sampler sees\n", fontsize=10)
     arm, result, _ = panels[-1]
     draw_workspace(axes[1], problem, result.path)

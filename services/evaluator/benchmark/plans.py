@@ -11,15 +11,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from cspace.connecting import length_rad, spaced
-from cspace.planning.compiled import load_kernels
-from cspace.planning.query import DEFAULT_WAYS, BelievedWay
-from cspace.planning.ways import find_ways
-from cspace.problem import Problem
-from cspace.workshop import Checker
+from cspace.plan import load_kernels
+from cspace.planning.paths import length_rad, spaced
+from cspace.planning.search import find_paths
+from cspace.query import DEFAULT_WAYS, BelievedWay
+from cspace.simulator import Asked, Checker, Judge, Problem
+from cspace.simulator import Taken as Unseen
 from cspace.worlds import checker_of, partly_seen, picture_file_of
-from cspace.worlds.unseen import Asked, Judge
-from cspace.worlds.unseen import Taken as Unseen
 from services.evaluator.benchmark.arms import CONNECT, PlanArm, Setting, Unit
 from services.evaluator.benchmark.runs import PLAN_COLUMNS, Row
 from services.evaluator.benchmark.samples import state_check_s
@@ -164,7 +162,7 @@ def _searched(checkers: Sequence[Checker], problem: Problem, setting: Setting) -
     space = problem.space
     load_kernels(checkers[0], problem.start, UNSEEN_RAD)
     began, until_s = time.perf_counter(), time.thread_time() + setting.plan_limit_s
-    found = find_ways(checkers, problem.start, problem.goal, DEFAULT_WAYS, setting.seed, until_s)
+    found = find_paths(checkers, problem.start, problem.goal, DEFAULT_WAYS, setting.seed, until_s)
     spent_s = time.perf_counter() - began
     paths = sorted(found.ways, key=lambda path: length_rad(path, space))
     sure = tuple(BelievedWay(path, 1.0, np.ones(len(path) - 1, dtype=np.float32)) for path in paths)

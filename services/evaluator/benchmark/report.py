@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from cspace.simulator import Taken as Unseen
 from cspace.worlds import partly_seen
-from cspace.worlds.unseen import Taken as Unseen
 from services.evaluator.benchmark.arms import (
     DEFAULT_SHARE,
     Arm,

@@ -11,11 +11,10 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from cspace.problem import Problem
 from cspace.query import SampleQuery
-from cspace.splits import Split
+from cspace.simulator import Problem, Split
 from cspace.world import World
-from cspace.worlds import checker_of, workshop_of
+from cspace.worlds import checker_of, simulator_of
 from services.evaluator.benchmark.arms import Arm, Setting, Unit
 from services.evaluator.benchmark.runs import Row
 from services.evaluator.benchmark.sources import SourceSpec, ask, opened
@@ -169,7 +168,7 @@ def drawn_samples(arm: Arm, batch: SampleBatch, problem: Problem) -> NDArray[np.
 @lru_cache(maxsize=4)
 def known_problem(world: World, family: str, split: Split, seed: int, index: int) -> Problem:
     """A problem, kept for the next run on it: a narrow one takes half a second to find."""
-    return workshop_of(world).problem(family, split, seed, index)
+    return simulator_of(world).problem(family, split, seed, index)
 
 
 def state_check_s(problem: Problem, range_rad: float, resolution_rad: float) -> float:

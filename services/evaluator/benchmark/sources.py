@@ -14,14 +14,12 @@ import numpy as np
 from cspace.bundle import Bundle
 from cspace.bundle.verification import load_verified
 from cspace.errors import ConfigError, SamplerError, SamplerUnavailableError
-from cspace.planning.query import Plan, PlanQuery
-from cspace.problem import UNIFORM, Problem
-from cspace.query import SampleQuery
+from cspace.query import Plan, PlanQuery, SampleQuery
+from cspace.simulator import UNIFORM, Problem, Split
 from cspace.space import JointSpace
-from cspace.splits import Split
 from cspace.view_file import is_view, pack_view, unpack_view
 from cspace.world import World
-from cspace.worlds import picture_file_of, robot_digest, workshop_of
+from cspace.worlds import picture_file_of, robot_digest, simulator_of
 from services.evaluator.measures.scenes import PackedBundle
 from services.planner.planning import between_ends
 from services.planner.sources.local_sampler import LocalSampler
@@ -277,4 +275,4 @@ def _plan_client(url: str, world: World) -> SamplingClient:
 
 
 def _example(world: World) -> Problem:
-    return workshop_of(world).problem(UNIFORM, Split.DEMO, 0)
+    return simulator_of(world).problem(UNIFORM, Split.DEMO, 0)

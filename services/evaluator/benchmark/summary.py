@@ -16,9 +16,9 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from cspace.errors import EvaluationError
-from cspace.planning.scoring import calibration_error
+from cspace.planning.cost import calibration_error
+from cspace.simulator import Taken as Unseen
 from cspace.worlds import partly_seen
-from cspace.worlds.unseen import Taken as Unseen
 from services.evaluator.benchmark.arms import CONNECT, Arm, Group, PlanArm, Setting, plain_arm
 from services.evaluator.benchmark.plans import NO_PROBLEM
 from services.evaluator.statistics import (

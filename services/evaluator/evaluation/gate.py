@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cspace.errors import EvaluationError
-from cspace.problem import UNIFORM
-from cspace.workshop import Measures
+from cspace.simulator import UNIFORM, Measures
 from services.evaluator.evaluation.units import Row
 from services.evaluator.measures.planning import PlanningTrial, RunOutcome
 from services.evaluator.measures.reconstruction import SampleQuality, SceneQuality

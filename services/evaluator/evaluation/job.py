@@ -12,7 +12,7 @@ from cspace.bundle.verification import load_verified
 from cspace.dataset import open_dataset
 from cspace.errors import RegistryError, RegistryUnavailableError
 from cspace.world import World
-from cspace.worlds import workshop_of
+from cspace.worlds import simulator_of
 from services.evaluator.cluster import on_cluster, spread
 from services.evaluator.evaluation.gate import Bar, Comparison, Verdict, compare_paths, compare_samplers
 from services.evaluator.evaluation.report import (
@@ -124,7 +124,7 @@ def evaluate_version(
             progress(f"evaluating {version}, digest {bundle.digest[:12]}")
             progress(judged_on(setting))
             field = find_rivals(registry, version, bundle, request.shipped, Path(folder) / "rivals")
-            shop = workshop_of(world)
+            shop = simulator_of(world)
             work = units(request.budget, shop.families, paths=setting.paths, there=shop.count)
             results = _measure(execute, work, setting, PackedBundle.pack(bundle), progress)
             evaluation = assemble(results, setting)
@@ -207,5 +207,5 @@ def _beside(
     theirs = [row for one in results for row in one.rows]
     rng = summary_rng(setting.seed)
     if setting.paths:
-        return compare_paths(rival.name, ours, theirs, workshop_of(world).families.telling, rng)
+        return compare_paths(rival.name, ours, theirs, simulator_of(world).families.telling, rng)
     return compare_samplers(rival.name, ours, theirs, rng)

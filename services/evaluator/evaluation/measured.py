@@ -3,8 +3,8 @@
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
-from cspace.problem import UNIFORM
-from cspace.worlds import workshop_of
+from cspace.simulator import UNIFORM
+from cspace.worlds import simulator_of
 from services.evaluator.evaluation.gate import Comparison
 from services.evaluator.evaluation.units import Evaluation, SplitResult
 from services.evaluator.measures.planning import COSTS, ArmSummary, FamilySummary
@@ -179,7 +179,7 @@ def headline(evaluation: Evaluation) -> dict[str, float]:
     rows = measured(evaluation)
     found = _named(rows, _HEADLINE)
     if evaluation.validation.reconstruction is None:
-        telling = workshop_of(evaluation.setting.world).families.telling
+        telling = simulator_of(evaluation.setting.world).families.telling
         found |= _named_by_family([row for row in rows if row.family == telling])
     return found
 

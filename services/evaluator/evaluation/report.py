@@ -17,9 +17,8 @@ from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from cspace.errors import EvaluationError
-from cspace.problem import UNIFORM, Problem
-from cspace.splits import Split
-from cspace.worlds import picture_of, robot_digest, workshop_of
+from cspace.simulator import UNIFORM, Problem, Split
+from cspace.worlds import picture_of, robot_digest, simulator_of
 from services.evaluator.evaluation.gate import (
     Bar,
     Candidate,
@@ -110,7 +109,7 @@ def gallery(
 
 
 def _picture(axes: Axes, scene: Scene, note: str) -> None:
-    workshop_of(scene.stage.world).draw_picture(axes, scene.image)
+    simulator_of(scene.stage.world).draw_picture(axes, scene.image)
     family = "" if scene.family == UNIFORM else f"{scene.family} "
     name = f"{scene.stage.split}, {family}scenario {scene.index}"
     axes.set_title(f"{name}\n{note}" if note else name, fontsize=9)
@@ -237,11 +236,11 @@ def to_json(evaluation: Evaluation) -> str:
 def judged_on(setting: Setting) -> str:
     """In one line the scenes by which a version is judged: world, families, how many, seed."""
     world, budget = setting.world, setting.budget
-    there = [workshop_of(world).count(split) or budget.scenarios for split in JUDGED]
+    there = [simulator_of(world).count(split) or budget.scenarios for split in JUDGED]
     validation, test = (min(budget.scenarios, count) for count in there)
     uniform = f"{validation} validation and {test} test scenes of the family uniform, "
     problems = f"{budget.validation_problems} validation and {budget.test_problems} test problems"
-    known = workshop_of(world).families
+    known = simulator_of(world).families
     return (
         f"judged on scenes of the {world.kind} world with {known.drawn} (robot {robot_digest(world)[:12]}, "
         f"{world.dim} joints): {'' if setting.paths else uniform}{problems} of each family "
@@ -254,7 +253,7 @@ def to_markdown(
 ) -> str:
     """The report: scenes, decision, comparisons, reconstruction, planning, topology."""
     budget, world = evaluation.setting.budget, evaluation.setting.world
-    workshop = workshop_of(world)
+    simulator = simulator_of(world)
     scenes = judged_on(evaluation.setting)
     parts = [f"# {title}", f"{scenes[0].upper()}{scenes[1:]}.", "## Decision"]
     parts.append("\n".join(f"- {reason}" for reason in reasons))
@@ -275,9 +274,9 @@ def to_markdown(
             parts += [
                 heading,
                 markdown(scene_family_table(split)),
-                FAMILY_NOTE.format(workshop.families.note),
+                FAMILY_NOTE.format(simulator.families.note),
             ]
-        if head := occupancy_table(split, workshop.measures.near_contact_m):
+        if head := occupancy_table(split, simulator.measures.near_contact_m):
             parts += [f"## Validity head, {name}", markdown(head), OCCUPANCY_NOTE]
         if split.planning:
             parts += [
@@ -300,7 +299,7 @@ def to_markdown(
 def terminal_table(evaluation: Evaluation, comparisons: Sequence[Comparison] = ()) -> str:
     """The deciding numbers as aligned text."""
     splits = (("validation", evaluation.validation), ("test", evaluation.test))
-    near_contact_m = workshop_of(evaluation.setting.world).measures.near_contact_m
+    near_contact_m = simulator_of(evaluation.setting.world).measures.near_contact_m
     tables = [(name, reconstruction_table(split)) for name, split in splits]
     tables += [(f"by family, {name}", scene_family_table(split)) for name, split in splits]
     tables += [(f"validity head, {name}", occupancy_table(split, near_contact_m)) for name, split in splits]
@@ -369,7 +368,7 @@ REPORT_FOLDER = "report"
 
 def decide(evaluation: Evaluation, bar: Bar) -> Verdict:
     """The gate's verdict."""
-    measures = workshop_of(evaluation.setting.world).measures
+    measures = simulator_of(evaluation.setting.world).measures
     found = evaluation.validation.reconstruction
     if found is None:
         return judge_paths(_path_candidate(evaluation), bar, measures)
@@ -379,7 +378,7 @@ def decide(evaluation: Evaluation, bar: Bar) -> Verdict:
 
 def _path_candidate(evaluation: Evaluation) -> PathCandidate:
     planning, trials = evaluation.validation.planning, evaluation.validation.trials
-    telling = workshop_of(evaluation.setting.world).families.telling
+    telling = simulator_of(evaluation.setting.world).families.telling
     found = next((family for family in planning if family.family == telling), None)
     if found is None:
         raise EvaluationError(
@@ -470,7 +469,7 @@ def _first(problems: Mapping[tuple[str, int], Problem], family: str) -> Problem:
 def exhibits(stage: Stage, measured: SplitResult) -> dict[Scene, str]:
     """The scenarios of a gallery with a note on each: some as they come, then the least precise by family."""
     shown: dict[Scene, str] = {}
-    for family in workshop_of(stage.world).families.names:
+    for family in simulator_of(stage.world).families.names:
         mine = [row for row in measured.scenes if row.family == family]
         worst = min(mine, key=lambda row: row.sampler.precision, default=None)
         if family == UNIFORM:
@@ -482,6 +481,6 @@ def exhibits(stage: Stage, measured: SplitResult) -> dict[Scene, str]:
 
 
 def _gated(evaluation: Evaluation) -> dict[str, float]:
-    metrics, measures = flat_metrics(evaluation), workshop_of(evaluation.setting.world).measures
+    metrics, measures = flat_metrics(evaluation), simulator_of(evaluation.setting.world).measures
     names = measures.path_margins if evaluation.validation.reconstruction is None else measures.margins
     return {name: metrics[name] for name in names if name in metrics}

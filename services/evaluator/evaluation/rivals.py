@@ -20,7 +20,7 @@ from cspace.errors import (
     RegistryUnavailableError,
 )
 from cspace.world import World
-from cspace.worlds import robot_digest, workshop_of
+from cspace.worlds import robot_digest, simulator_of
 from services.evaluator.evaluation.gate import SMALLER_IS_BETTER, Champion
 from services.evaluator.measures.scenes import PackedBundle
 from services.names import ALIAS_CHAMPION, TAG_ROLLED_BACK
@@ -124,7 +124,7 @@ def _rolled_back(registry: ModelRegistry, name: str) -> list[tuple[int, str]]:
 
 def _best_first(champions: Iterable[Champion], bundle: Bundle) -> list[Champion]:
     """By their recorded metrics, each counted in the world's margins; those that lack some come last."""
-    measures = workshop_of(bundle.spec.world).measures
+    measures = simulator_of(bundle.spec.world).measures
     margins = measures.path_margins if bundle.spec.endpoints else measures.margins
 
     def rank(champion: Champion) -> tuple[int, float]:

@@ -10,11 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from cspace.errors import ConfigError, EvaluationError, ScenarioError
-from cspace.problem import UNIFORM, Problem
-from cspace.splits import Split
-from cspace.workshop import Families
+from cspace.simulator import UNIFORM, Families, Problem, Split
 from cspace.world import World
-from cspace.worlds import workshop_of
+from cspace.worlds import simulator_of
 from services.evaluator.measures.planning import (
     FamilySummary,
     PlanningTrial,
@@ -315,7 +313,7 @@ def assemble(results: Iterable[UnitResult], setting: Setting) -> Evaluation:
 
 
 def _split_result(rows: Sequence[Row], rng: np.random.Generator, setting: Setting) -> SplitResult:
-    families = workshop_of(setting.world).families
+    families = simulator_of(setting.world).families
     scenes = tuple(row for row in rows if isinstance(row, SceneQuality))
     trials = tuple(row for row in rows if isinstance(row, PlanningTrial))
     present = {trial.family for trial in trials}
@@ -371,10 +369,10 @@ def _planning_rows(unit: Unit, setting: Setting, sampler: SampleSource) -> list[
     if unit.family is None:
         raise EvaluationError("a unit of planning names no family", got=str(unit))
     rows: list[Row] = []
-    workshop, planner = workshop_of(setting.world), planner_of(setting.world)
+    simulator, planner = simulator_of(setting.world), planner_of(setting.world)
     for index in range(unit.first, unit.first + unit.count):
         try:
-            problem = workshop.problem(unit.family, unit.split, setting.seed, index)
+            problem = simulator.problem(unit.family, unit.split, setting.seed, index)
         except ScenarioError:
             if unit.family == UNIFORM:
                 raise
@@ -384,7 +382,7 @@ def _planning_rows(unit: Unit, setting: Setting, sampler: SampleSource) -> list[
             seed = planner_seed(setting.seed, index, repeat)
             rows.append(plan_trial(problem, index, seed, sampler, planner))
         wanted = (
-            unit.family == workshop.families.telling != UNIFORM and index < setting.budget.narrow_scenarios
+            unit.family == simulator.families.telling != UNIFORM and index < setting.budget.narrow_scenarios
         )
         if wanted and not sampler.with_ends:
             scene = Scene(_stage(unit, setting), index, unit.family, problem)
@@ -397,7 +395,7 @@ def planner_of(world: World) -> PlannerSettings:
 
     A limit in iterations makes a run independent of the machine's load, which the limit in time only guards.
     """
-    measures = workshop_of(world).measures
+    measures = simulator_of(world).measures
     return PlannerSettings(
         planner="RRT",
         range_rad=measures.range_rad,

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cspace.errors import EvaluationError
-from cspace.problem import Problem
 from cspace.query import SampleQuery
+from cspace.simulator import Problem
 from cspace.worlds import picture_of
 from services.evaluator.measures.scenes import ScoredSampler
 from services.evaluator.statistics import (

@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist, pdist
 
 from cspace.errors import EvaluationError
-from cspace.problem import UNIFORM
+from cspace.simulator import UNIFORM
 from cspace.space import JointSpace
 from services.evaluator.measures.occupancy import OccupancySummary, SceneOccupancy, summarise_occupancy
 from services.evaluator.statistics import (

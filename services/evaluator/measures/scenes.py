@@ -12,14 +12,12 @@ from numpy.typing import NDArray
 
 from cspace.bundle import Bundle
 from cspace.errors import EvaluationError
-from cspace.problem import UNIFORM, Problem
 from cspace.query import SampleQuery
+from cspace.simulator import UNIFORM, Checker, Measures, Problem, Split, scenario_rng
 from cspace.space import JointSpace
-from cspace.splits import Split, scenario_rng
-from cspace.workshop import Checker, Measures
 from cspace.world import Scene as WorldScene
 from cspace.world import World
-from cspace.worlds import checker_of, picture_of, workshop_of
+from cspace.worlds import checker_of, picture_of, simulator_of
 from services.evaluator.measures.occupancy import SceneOccupancy, scene_occupancy
 from services.evaluator.measures.reconstruction import (
     ReconstructionSummary,
@@ -165,13 +163,13 @@ class Scene:
         if self.family == UNIFORM or self.drawn is not None:
             return self.drawn
         stage = self.stage
-        return workshop_of(stage.world).problem(self.family, stage.split, stage.seed, self.index)
+        return simulator_of(stage.world).problem(self.family, stage.split, stage.seed, self.index)
 
     @cached_property
     def scenario(self) -> WorldScene:
         """The scenario, seen by the evaluation's camera."""
         if self.problem is None:
-            return workshop_of(self.stage.world).scene(self._scenario_rng(), self.stage.split, self.index)
+            return simulator_of(self.stage.world).scene(self._scenario_rng(), self.stage.split, self.index)
         return self.problem.scenario
 
     @cached_property
@@ -192,7 +190,7 @@ class Scene:
     @property
     def measures(self) -> Measures:
         """Numbers that fit the world."""
-        return workshop_of(self.stage.world).measures
+        return simulator_of(self.stage.world).measures
 
     def quality(self, samples: NDArray[np.floating[Any]], held_out: NDArray[np.float64]) -> SampleQuality:
         """All metrics of (N, d) samples against (M, d) held-out free configurations.
@@ -207,7 +205,7 @@ class Scene:
         """One of the scenario's own streams; independent of the one that drew it."""
         root = self._scenario_rng()
         if self.family != UNIFORM:
-            names = workshop_of(self.stage.world).families.names
+            names = simulator_of(self.stage.world).families.names
             root = _child(root, FAMILY_STREAM + names.index(self.family))
         return _child(root, stream)
 

@@ -7,7 +7,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.colors import LinearSegmentedColormap
 from numpy.typing import NDArray
 
-from cspace.problem import Problem
+from cspace.simulator import Problem
 from cspace.space import JointSpace
 from cspace.worlds import checker_of
 from services.planner.drawing import palette

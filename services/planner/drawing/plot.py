@@ -11,7 +11,7 @@ from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
 from cspace.errors import ConfigError, StorageError
-from cspace.problem import OWN, Problem
+from cspace.simulator import OWN, Problem
 from services.planner.drawing import palette
 from services.planner.drawing.configuration_panel import draw_configurations
 from services.planner.drawing.workspace_panel import draw_workspace

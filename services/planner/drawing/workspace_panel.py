@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cspace.problem import Problem
-from cspace.worlds import workshop_of
+from cspace.simulator import Problem
+from cspace.worlds import simulator_of
 from services.planner.drawing import palette
 from services.planner.drawing.wrapping import poses_along
 
@@ -22,18 +22,18 @@ def draw_workspace(axes: Any, problem: Problem, path: NDArray[np.float64]) -> No
         problem: scenario, start and goal.
         path: (k, d) rad; (0, d) for none.
     """
-    workshop = workshop_of(problem.scenario.world)
-    body = workshop.world.body
-    workshop.draw_scene(axes, problem.scenario, palette.OBSTACLE)
+    simulator = simulator_of(problem.scenario.world)
+    body = simulator.world.body
+    simulator.draw_scene(axes, problem.scenario, palette.OBSTACLE)
     if len(path) > 1:
         shares = np.linspace(0.0, 1.0, POSES + 2)[1:-1]
         poses = poses_along(problem.space, path, POSES + 2)[1:-1]
         for share, configuration in zip(shares, poses, strict=True):
-            workshop.draw_robot(axes, configuration, palette.between(share, 0.72), 2)
+            simulator.draw_robot(axes, configuration, palette.between(share, 0.72), 2)
         tips = body.joint_positions_m(poses_along(problem.space, path, _TRACE_POINTS))[:, -1]
         axes.plot(*tips.T, color=palette.PATH, linewidth=1.8, zorder=3)
     for configuration, colour in ((problem.start, palette.START), (problem.goal, palette.GOAL)):
-        workshop.draw_robot(axes, configuration, colour, 4)
+        simulator.draw_robot(axes, configuration, colour, 4)
         axes.plot(
             *body.joint_positions_m(configuration)[0][1:-1].T, "o", markersize=3, color="white", zorder=5
         )

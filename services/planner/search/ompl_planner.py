@@ -16,8 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from ompl import base as ob
 
 from cspace.errors import PlanningError
-from cspace.problem import Problem
-from cspace.workshop import Checker
+from cspace.simulator import Checker, Problem
 from cspace.worlds import checker_of
 from cspace_client.ompl.feeding import DEFAULT_UNIFORM_SHARE
 from cspace_client.ompl.sample_mixture import GoalOnly, SampleMixture, StateDraws

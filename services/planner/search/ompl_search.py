@@ -9,8 +9,7 @@ from ompl import base as ob
 from ompl import geometric as og
 from ompl import util as ou
 
-from cspace.problem import Problem
-from cspace.workshop import Checker
+from cspace.simulator import Checker, Problem
 from cspace_client.ompl.goal_region import DrawnGoal
 from cspace_client.ompl.sample_mixture import SampleMixture, StateDraws
 from cspace_client.ompl.state_space import StateAccess, make_state_space

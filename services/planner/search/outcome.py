@@ -5,7 +5,7 @@ from dataclasses import asdict, dataclass, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from cspace.problem import Problem
+from cspace.simulator import Problem
 from services.planner.plan_result import CostPoint, PlanResult, Reason, SearchTree
 from services.planner.search.path_check import judge_path, path_length_rad
 from services.planner.settings import PlannerSettings

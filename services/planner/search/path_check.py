@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from cspace.problem import Problem
+from cspace.simulator import Problem
 from cspace.worlds import checker_of
 from services.planner.plan_result import Reason
 

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
+from cspace.simulator import Checker
 from cspace.space import JointSpace
-from cspace.workshop import Checker
 from services.planner.plan_result import SearchTree
 from services.planner.search.validity import EdgeValidator
 

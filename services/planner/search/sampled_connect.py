@@ -1,12 +1,12 @@
-"""RRT-Connect that draws from an array of samples, which OMPL's can not; see :mod:`cspace.planning.trees`."""
+"""RRT-Connect that draws from an array of samples, which OMPL cannot do."""
 
 import time
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cspace.planning.trees import Growth, drawn_states, grow_connect
-from cspace.problem import Problem
+from cspace.planning.rrt_connect import Growth, drawn_states, grow_connect
+from cspace.simulator import Problem
 from cspace.worlds import checker_of
 from services.planner.plan_result import PlanResult, Reason, SearchTree
 from services.planner.search.outcome import Counts, outcome

@@ -19,8 +19,7 @@ from typing import Any
 import numpy as np
 from ompl import base as ob
 
-from cspace.problem import Problem
-from cspace.workshop import Checker
+from cspace.simulator import Checker, Problem
 from cspace_client.ompl.sample_mixture import StateDraws
 from cspace_client.ompl.state_space import StateAccess
 from services.planner.plan_result import PlanResult, Reason

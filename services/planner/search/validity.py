@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from ompl import base as ob
 
-from cspace.workshop import Checker
+from cspace.simulator import Checker
 from cspace_client.ompl.state_space import StateAccess
 
 

@@ -12,11 +12,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from cspace.planning.along import NOISE_RAD, AlongWays
-from cspace.planning.query import BelievedWay
-from cspace.problem import Problem
+from cspace.planning.paths import NOISE_RAD, AlongPaths
+from cspace.query import BelievedWay
+from cspace.simulator import EdgeTest, Problem
 from cspace.space import JointSpace
-from cspace.workshop import EdgeTest
 from cspace.worlds import checker_of
 from services.planner.plan_result import PlanResult, Reason
 from services.planner.search.outcome import Counts, after, outcome
@@ -62,7 +61,7 @@ def drawn_about(
     """Configurations about ways, (n, d) rad within the limits, in the order in which they are drawn."""
     if not ways:
         return None
-    along = AlongWays(ways, space, rng)
+    along = AlongPaths(ways, space, rng)
     return along.take(len(NOISE_RAD) * along.turn_rows)[0]
 
 

@@ -7,8 +7,7 @@ import httpx
 from numpy.typing import ArrayLike
 
 import cspace_client
-from cspace.planning.query import PlanQuery
-from cspace.query import SampleQuery
+from cspace.query import PlanQuery, SampleQuery
 from services.planner.sources.client_errors import mapped
 from services.planner.sources.found_plan import FoundPlan, found_plan
 from services.planner.sources.samples import Answering, Picture, SampleBatch, SampleSource

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import cspace_client
-from cspace.planning.query import BelievedWay, Doubt, Plan
+from cspace.query import BelievedWay, Doubt, Plan
 from cspace.world import NextView
 
 

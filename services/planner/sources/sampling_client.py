@@ -6,8 +6,7 @@ import httpx
 from numpy.typing import ArrayLike
 
 import cspace_client
-from cspace.planning.query import PlanQuery
-from cspace.query import SampleQuery
+from cspace.query import PlanQuery, SampleQuery
 from cspace_client import DEFAULT_TIMEOUT_S, Beliefs, RetryPolicy
 from services.planner.sources.client_errors import mapped
 from services.planner.sources.client_source import ClientSource

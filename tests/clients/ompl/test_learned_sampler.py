@@ -11,8 +11,8 @@ from ompl import util as ou
 from cspace.png import encode_png
 from cspace.worlds import picture_file_of
 from cspace.worlds.planar.arm import TWO_LINK
-from cspace.worlds.planar.planning.collision import CollisionChecker
-from cspace.worlds.planar.scene import Disc, Scenario
+from cspace.worlds.planar.checks import CollisionChecker
+from cspace.worlds.planar.world import Disc, Scenario
 from cspace_client import ConfigError, JointSpace, PlanningError, SampleBatch
 from cspace_client.local import LocalClient
 from cspace_client.ompl import LearnedSampler, Problem, learned_sampler

@@ -5,11 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cspace.dataset import open_dataset, write_dataset
-from cspace.dataset.manifest import MANIFEST_FILE, Manifest, file_digest
+from cspace.dataset import MANIFEST_FILE, Manifest, file_digest, open_dataset, write_dataset
 from cspace.errors import DamagedFileError, DatasetError
 from cspace.worlds.planar.arm import TWO_LINK
-from cspace.worlds.planar.seeing.camera import Camera
+from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.world import PlanarWorld
 from tests.dataset_content import CAMERA, content
 

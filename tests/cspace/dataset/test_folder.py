@@ -3,8 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cspace.dataset import open_dataset, write_dataset
-from cspace.dataset.manifest import MANIFEST_FILE, Manifest
+from cspace.dataset import MANIFEST_FILE, Manifest, open_dataset, write_dataset
 from cspace.errors import DatasetError
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK, PlanarArm
 from cspace.worlds.planar.world import PlanarWorld

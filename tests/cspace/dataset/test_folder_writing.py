@@ -17,7 +17,7 @@ class DiskUsage(NamedTuple):
 
 
 def test_a_full_disk_is_told_before_anything_is_written(tmp_path, monkeypatch):
-    monkeypatch.setattr("cspace.dataset.folder.shutil.disk_usage", lambda path: DiskUsage(2**40, 2**40, 1000))
+    monkeypatch.setattr("cspace.dataset.shutil.disk_usage", lambda path: DiskUsage(2**40, 2**40, 1000))
     with pytest.raises(StorageError, match=r"too full.*MiB.*another folder"):
         write_dataset(tmp_path / "data", **content())
     assert list(tmp_path.iterdir()) == []
@@ -33,7 +33,7 @@ def test_an_interrupted_write_leaves_nothing(tmp_path, monkeypatch, failure):
             raise failure
         save(path, array, **options)
 
-    monkeypatch.setattr("cspace.dataset.folder.np.save", fail_on_the_third)
+    monkeypatch.setattr("cspace.dataset.np.save", fail_on_the_third)
     with pytest.raises(StorageError if isinstance(failure, OSError) else KeyboardInterrupt):
         write_dataset(tmp_path / "data", **content())
     assert len(calls) == 3

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from cspace.connecting import spaced
-from cspace.planning.along import NOISE_RAD, STEP_RAD, AlongWays
+from cspace.planning.paths import NOISE_RAD, STEP_RAD, AlongPaths, spaced
 from cspace.space import JointSpace
 
 SPACE = JointSpace((-2.0, -2.0), (2.0, 2.0), (False, False))
@@ -12,7 +11,7 @@ WAYS = [np.array([[0.0, 0.0], [1.5, 0.0], [1.5, 1.0]]), np.array([[0.0, 0.0], [1
 
 
 def stream(seed=0):
-    return AlongWays(WAYS, SPACE, np.random.default_rng(seed))
+    return AlongPaths(WAYS, SPACE, np.random.default_rng(seed))
 
 
 def test_the_first_turn_lies_on_the_ways_one_after_the_other():
@@ -33,7 +32,7 @@ def test_what_is_taken_does_not_depend_on_how_many_are_taken_at_a_time():
 
 def test_later_turns_are_noisier_up_to_the_last_and_stay_within_limits():
     line = np.concatenate([spaced(way, SPACE, STEP_RAD) for way in WAYS])
-    wide = AlongWays(WAYS, JointSpace((-9.0, -9.0), (9.0, 9.0), (False, False)), np.random.default_rng(1))
+    wide = AlongPaths(WAYS, JointSpace((-9.0, -9.0), (9.0, 9.0), (False, False)), np.random.default_rng(1))
     turns = wide.take((len(NOISE_RAD) + 2) * len(line))[0].reshape(-1, *line.shape)
     spread = (turns - line).std(axis=(1, 2))
     assert spread == pytest.approx((*NOISE_RAD, NOISE_RAD[-1], NOISE_RAD[-1]), rel=0.35)

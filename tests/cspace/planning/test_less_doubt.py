@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from cspace.planning.less_doubt import Doubter, Effort
-from cspace.planning.routes import cheapest_route
-from cspace.planning.scoring import score
-from cspace.planning.ways import OutOfTimeError
+from cspace.planning.cost import score
+from cspace.planning.kernels import cheapest_route
+from cspace.planning.refine import Effort, PathRefiner
+from cspace.planning.search import OutOfTimeError
 from cspace.worlds import examples
 
 SPACE = examples()["two-link"].space
@@ -43,23 +43,23 @@ def scored(way, believe=hill):
 
 def doubter(checker=None, believe=hill, pause=lambda: None, **effort):
     limits = Effort(step_rad=0.1, **effort)
-    return Doubter(checker or Open(), believe, PLAIN, limits, pause)
+    return PathRefiner(checker or Open(), believe, PLAIN, limits, pause)
 
 
 def test_a_way_is_led_round_what_the_model_doubts():
     before = scored(WAY)
-    after = doubter().less_doubtful(before, np.random.default_rng(0))
+    after = doubter().refine(before, np.random.default_rng(0))
     assert np.array_equal(after.way[[0, -1]], WAY)
     assert after.doubt < 0.3 * before.doubt
     assert after.length_rad < 1.6 * before.length_rad
-    again = doubter().less_doubtful(before, np.random.default_rng(0))
+    again = doubter().refine(before, np.random.default_rng(0))
     assert np.array_equal(again.way, after.way)
 
 
 def test_what_the_picture_shows_is_kept_to():
     # The model would like to pass above, where the picture has a wall.
     wall = Open(lambda rows: (np.abs(rows[:, 0]) < 0.2) & (rows[:, 1] > 0.15))
-    after = doubter(wall).less_doubtful(scored(WAY), np.random.default_rng(1))
+    after = doubter(wall).refine(scored(WAY), np.random.default_rng(1))
     assert wall.edge_batch(after.way[:-1], after.way[1:], 0.01).all()
     assert after.states[np.abs(after.states[:, 0]) < 0.2, 1].max() <= 0.15
     assert after.doubt < scored(WAY).doubt
@@ -71,7 +71,7 @@ def test_a_way_is_never_doubted_more_than_before(seed):
         return (0.6 + 0.4 * np.sin(37.0 * rows.sum(axis=1)) ** 2).astype(np.float32), None
 
     before = scored(WAY, noisy)
-    after = doubter(believe=noisy).less_doubtful(before, np.random.default_rng(seed))
+    after = doubter(believe=noisy).refine(before, np.random.default_rng(seed))
     assert after.doubt <= before.doubt
 
 
@@ -82,8 +82,8 @@ def test_a_ridge_between_two_states_is_seen_before_a_way_crosses_it():
     # Neighbours 0.3 rad apart at either side of it look sure.
     before = score([WAY], SPACE, 0.3, ridge)[0]
     shut = Open(lambda rows: np.abs(rows[:, 1]) > 0.6)
-    one = Doubter(shut, ridge, PLAIN, Effort(step_rad=0.05), lambda: None)
-    after = one.less_doubtful(scored(before.way, ridge), np.random.default_rng(0))
+    one = PathRefiner(shut, ridge, PLAIN, Effort(step_rad=0.05), lambda: None)
+    after = one.refine(scored(before.way, ridge), np.random.default_rng(0))
     assert after.confidence.min() == np.float32(0.05)
 
 
@@ -92,7 +92,7 @@ def test_what_is_sure_enough_is_left_alone_and_asks_nothing():
         raise AssertionError
 
     sure = scored(WAY, lambda rows: (np.ones(len(rows), np.float32), None))
-    assert doubter(believe=never).less_doubtful(sure, np.random.default_rng(0)) is sure
+    assert doubter(believe=never).refine(sure, np.random.default_rng(0)) is sure
 
 
 def test_the_time_ends_it_with_the_best_so_far():
@@ -103,7 +103,7 @@ def test_the_time_ends_it_with_the_best_so_far():
             raise OutOfTimeError
 
     before = scored(WAY)
-    after = doubter(pause=late, enough=0.0).less_doubtful(before, np.random.default_rng(0))
+    after = doubter(pause=late, enough=0.0).refine(before, np.random.default_rng(0))
     assert next(turns) == 3
     assert after.doubt < before.doubt
 
@@ -116,7 +116,7 @@ def test_whoever_calls_can_stop_it():
         raise StopError
 
     with pytest.raises(StopError):
-        doubter(pause=stop).less_doubtful(scored(WAY), np.random.default_rng(0))
+        doubter(pause=stop).refine(scored(WAY), np.random.default_rng(0))
 
 
 def test_the_cheapest_route_is_that_of_all_routes():

@@ -9,11 +9,11 @@ import pytest
 from cspace.bundle import Bundle
 from cspace.bundle.request import fitted_plan
 from cspace.errors import InputError
-from cspace.planning.query import PlanQuery
-from cspace.planning.scoring import score
-from cspace.planning.ways import find_ways
-from cspace.splits import Split
-from cspace.worlds import examples, seen_checkers, workshop_of
+from cspace.planning.cost import score
+from cspace.planning.search import find_paths
+from cspace.query import PlanQuery
+from cspace.simulator import Split
+from cspace.worlds import examples, seen_checkers, simulator_of
 from tests.bundles import write_tiny_bundle
 
 WORLD = examples()["two-link"]
@@ -27,9 +27,9 @@ def bundle(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def scene():
-    workshop = workshop_of(WORLD)
-    problem = workshop.problem("uniform", Split.VALIDATION, 0, 0)
-    return workshop.render(problem.scenario), problem
+    simulator = simulator_of(WORLD)
+    problem = simulator.problem("uniform", Split.VALIDATION, 0, 0)
+    return simulator.render(problem.scenario), problem
 
 
 def asked(problem, **fields):
@@ -57,7 +57,7 @@ def test_a_plan_is_at_least_as_sure_as_the_surest_way_that_was_found(bundle, sce
     image, problem = scene
     picture = bundle.prepare(image)
     ends = np.array([problem.start, problem.goal])
-    found = find_ways(seen_checkers(WORLD, image, ends), *ends, ways, 0, time.thread_time() + 60.0)
+    found = find_paths(seen_checkers(WORLD, image, ends), *ends, ways, 0, time.thread_time() + 60.0)
     assert len(found.ways) == ways
     scored = score(found.ways, WORLD.space, 0.15, lambda rows: bundle.believe(picture, rows))
     assert bundle.plan(picture, asked(problem, ways=ways)).confidence >= max(one.whole for one in scored)

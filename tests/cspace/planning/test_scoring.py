@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cspace.planning.scoring import calibration_error
+from cspace.planning.cost import calibration_error
 
 
 def test_the_calibration_error_is_the_distance_of_confidence_and_truth():

@@ -5,26 +5,26 @@ import time
 import numpy as np
 import pytest
 
-from cspace.connecting import length_rad
-from cspace.planning.ways import SearchLimits, cut_short, find_ways
-from cspace.splits import Split
-from cspace.worlds import examples, seen_checkers, workshop_of
+from cspace.planning.paths import length_rad, shortcut
+from cspace.planning.search import SearchLimits, find_paths
+from cspace.simulator import Split
+from cspace.worlds import examples, seen_checkers, simulator_of
 from cspace.worlds.planar.render import render
-from cspace.worlds.planar.scene import Disc, Scenario
-from cspace.worlds.spatial.obstacles.objects import block
-from cspace.worlds.spatial.obstacles.shapes import Obstacles
-from cspace.worlds.spatial.obstacles.signed_distance import distance_m
-from cspace.worlds.spatial.planning.collision import CollisionChecker
-from cspace.worlds.spatial.robot.ready import ready_rad
+from cspace.worlds.planar.world import Disc, Scenario
+from cspace.worlds.spatial.arm import ready_rad
+from cspace.worlds.spatial.checks import CollisionChecker
+from cspace.worlds.spatial.distances import distance_m
+from cspace.worlds.spatial.furniture import block
+from cspace.worlds.spatial.obstacles import Obstacles
 
 PLANAR, PANDA = (examples()[name] for name in ("two-link", "panda"))
 LATE = 1e9
 
 
 def planar(index):
-    workshop = workshop_of(PLANAR)
-    problem = workshop.problem("uniform", Split.VALIDATION, 0, index)
-    return workshop.checker(problem.scenario), workshop.render(problem.scenario), problem
+    simulator = simulator_of(PLANAR)
+    problem = simulator.problem("uniform", Split.VALIDATION, 0, index)
+    return simulator.checker(problem.scenario), simulator.render(problem.scenario), problem
 
 
 @pytest.mark.parametrize("index", range(6))
@@ -32,14 +32,14 @@ def test_ways_through_a_picture_are_nearly_free_in_the_scene(index):
     truth, picture, problem = planar(index)
     ends = np.stack([problem.start, problem.goal])
     checkers = seen_checkers(PLANAR, picture, ends)
-    found = find_ways(checkers, *ends, 4, 0, time.thread_time() + LATE)
+    found = find_paths(checkers, *ends, 4, 0, time.thread_time() + LATE)
     assert (len(found.ways), found.late) == (4, False)
     assert found.checker in checkers
     for way in found.ways:
         assert np.array_equal(way[[0, -1]], ends)
         # Pixels are 0.2 m wide.
         assert truth.clearance(way).min() > -0.1
-    again = find_ways(checkers, *ends, 4, 0, time.thread_time() + LATE)
+    again = find_paths(checkers, *ends, 4, 0, time.thread_time() + LATE)
     assert all(np.array_equal(one, other) for one, other in zip(found.ways, again.ways, strict=True))
     assert len({way.tobytes() for way in found.ways}) > 1
 
@@ -59,7 +59,7 @@ def test_the_more_careful_checks_know_more_obstacles():
 def test_ends_are_free_whatever_seems_to_stand_there():
     scene = Scenario(PLANAR.body, (Disc(2.0, 0.0),), PLANAR.sensor)
     ends = np.array([[0.0, 0.0], [2.0, 0.5]])
-    assert not workshop_of(PLANAR).checker(scene).valid(ends[0])
+    assert not simulator_of(PLANAR).checker(scene).valid(ends[0])
     for checker in seen_checkers(PLANAR, render(scene), ends):
         assert checker.valid_batch(ends).all()
 
@@ -67,7 +67,7 @@ def test_ends_are_free_whatever_seems_to_stand_there():
 def test_the_time_ends_a_search():
     _, picture, problem = planar(1)
     ends = np.stack([problem.start, problem.goal])
-    found = find_ways(seen_checkers(PLANAR, picture, ends), *ends, 1000, 0, time.thread_time() + 0.05)
+    found = find_paths(seen_checkers(PLANAR, picture, ends), *ends, 1000, 0, time.thread_time() + 0.05)
     assert found.late
     assert len(found.ways) < 1000
 
@@ -79,9 +79,9 @@ def test_what_a_search_waits_for_others_is_not_its_own_time():
     _, picture, problem = planar(1)
     ends = np.stack([problem.start, problem.goal])
     checkers = seen_checkers(PLANAR, picture, ends)
-    find_ways(checkers, *ends, 1, 0, time.thread_time() + LATE)
+    find_paths(checkers, *ends, 1, 0, time.thread_time() + LATE)
     began, limit_s = time.monotonic(), 0.2
-    found = find_ways(checkers, *ends, 40, 0, time.thread_time() + limit_s, between=wait)
+    found = find_paths(checkers, *ends, 40, 0, time.thread_time() + limit_s, between=wait)
     assert time.monotonic() - began > limit_s
     assert (len(found.ways), found.late) == (40, False)
 
@@ -96,7 +96,7 @@ def test_whoever_calls_can_stop_a_search():
     _, picture, problem = planar(1)
     ends = np.stack([problem.start, problem.goal])
     with pytest.raises(StopError):
-        find_ways(seen_checkers(PLANAR, picture, ends), *ends, 2, 0, time.thread_time() + LATE, between=stop)
+        find_paths(seen_checkers(PLANAR, picture, ends), *ends, 2, 0, time.thread_time() + LATE, between=stop)
 
 
 class Wall:
@@ -117,7 +117,7 @@ class Wall:
 
 def test_no_way_is_found_where_there_is_none():
     wall = Wall()
-    found = find_ways([wall], np.zeros(2), np.ones(2), 3, 0, time.thread_time() + LATE)
+    found = find_paths([wall], np.zeros(2), np.ones(2), 3, 0, time.thread_time() + LATE)
     assert (found.ways, found.late, found.checker) == ([], False, None)
     assert wall.states == sum(SearchLimits().rounds()) == 256 + 1024 + 4096
 
@@ -125,10 +125,10 @@ def test_no_way_is_found_where_there_is_none():
 def test_a_careful_checker_without_a_way_takes_few_states_before_the_next_is_tried():
     wall, (truth, _, problem) = Wall(), planar(2)
     ends = problem.start, problem.goal
-    found = find_ways([wall, truth], *ends, 3, 0, time.thread_time() + LATE)
+    found = find_paths([wall, truth], *ends, 3, 0, time.thread_time() + LATE)
     assert (len(found.ways), found.late, wall.states) == (3, False, 256)
     assert found.checker is truth
-    alone = find_ways(
+    alone = find_paths(
         [Wall(), truth], *ends, 3, 0, time.thread_time() + LATE, limits=SearchLimits(first=4096)
     )
     for way, other in zip(found.ways, alone.ways, strict=True):
@@ -154,7 +154,7 @@ def test_cutting_short_keeps_ends_and_never_lengthens():
         def edge_batch(self, starts, ends, resolution):
             return np.ones(len(starts), dtype=bool)
 
-    short = cut_short(Open(), way, rng, 64, 0.05)
+    short = shortcut(Open(), way, rng, 64, 0.05)
     assert np.array_equal(short[[0, -1]], way[[0, -1]])
     assert length_rad(short, truth.space) < length_rad(way, truth.space)
 
@@ -162,7 +162,7 @@ def test_cutting_short_keeps_ends_and_never_lengthens():
         def edge_batch(self, starts, ends, resolution):
             return np.zeros(len(starts), dtype=bool)
 
-    assert np.array_equal(cut_short(Shut(), way, rng, 64, 0.05), way)
+    assert np.array_equal(shortcut(Shut(), way, rng, 64, 0.05), way)
 
 
 def test_what_depth_pictures_show_is_known_to_a_voxel():

@@ -11,7 +11,7 @@ from pydantic import ValidationError
 from cspace import worlds
 from cspace.errors import ConfigError, ScenarioError
 from cspace.worlds.planar.arm import TWO_LINK, PlanarArm
-from cspace.worlds.planar.seeing.camera import Camera
+from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.world import PlanarWorld
 from training.datasets.config import GeneratedConfig
 
@@ -75,12 +75,12 @@ class Yard:
 
 @pytest.fixture
 def two_kinds(monkeypatch):
-    world, options = ModuleType("cspace.worlds.yard.world"), ModuleType("cspace.worlds.yard.options")
+    world = ModuleType("cspace.worlds.yard.world")
     world.PARTS = {"body": (Crane,), "sensor": (), "scenes": ()}
     world.EXAMPLES = {"crane": Yard(Crane(9.0), "from the side")}
-    options.add_options = lambda parser, sensor: parser.add_argument("--crane", type=float)
-    options.described = lambda given: None if given.crane is None else Yard(Crane(given.crane))
-    for module in (ModuleType("cspace.worlds.yard"), world, options):
+    world.add_options = lambda parser, sensor: parser.add_argument("--crane", type=float)
+    world.described = lambda given: None if given.crane is None else Yard(Crane(given.crane))
+    for module in (ModuleType("cspace.worlds.yard"), world):
         monkeypatch.setitem(sys.modules, module.__name__, module)
     monkeypatch.setattr(worlds, "KINDS", ("planar", "yard"))
 

@@ -5,10 +5,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cspace.problem import Problem
+from cspace.simulator import Problem
 from cspace.worlds.planar.arm import TWO_LINK
-from cspace.worlds.planar.planning.collision import CollisionChecker
-from cspace.worlds.planar.scene import Disc, Scenario
+from cspace.worlds.planar.checks import CollisionChecker
+from cspace.worlds.planar.world import Disc, Scenario
 from services.planner.search.ompl_planner import solve
 from services.planner.settings import SAMPLED_CONNECT, PlannerSettings
 from tests.inference_api.client import ApiClient

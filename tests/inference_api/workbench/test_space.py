@@ -1,4 +1,4 @@
-"""Scenes in space as the workbench is told of them, held against the world's own workshop."""
+"""Scenes in space as the workbench is told of them, held against the world's own simulator."""
 
 import base64
 from collections.abc import Iterator
@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from cspace.errors import DatasetError
-from cspace.splits import Split
-from cspace.worlds import workshop_of
-from cspace.worlds.spatial.motionbench.problems import BenchProblem, problems, write_problems
-from cspace.worlds.spatial.seeing.camera import looking
-from cspace.worlds.spatial.seeing.view import read_view
+from cspace.simulator import Split
+from cspace.worlds import simulator_of
+from cspace.worlds.spatial.benchmark import BenchProblem, problems, write_problems
+from cspace.worlds.spatial.camera import looking
+from cspace.worlds.spatial.view import read_view
 from inference_api.app import create_app
 from inference_api.settings import PRETRAINED_FOLDER, ApiSettings
 from inference_api.workbench.benchmark import benchmark_problem
@@ -39,9 +39,9 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ApiClient]:
 
 
 @pytest.fixture(scope="module")
-def workshop(bench: ApiClient) -> Any:
+def simulator(bench: ApiClient) -> Any:
     shipped = bench.app.state.store.shipped
-    return workshop_of(next(one.spec.world for one in shipped if one.name == PANDA))
+    return simulator_of(next(one.spec.world for one in shipped if one.name == PANDA))
 
 
 def told(bench: ApiClient, **fields: Any) -> dict[str, Any]:
@@ -53,41 +53,41 @@ def told(bench: ApiClient, **fields: Any) -> dict[str, Any]:
 
 
 def test_a_scene_is_the_demo_s_of_its_family_and_seed_as_its_cameras_see_it(
-    bench: ApiClient, workshop: Any
+    bench: ApiClient, simulator: Any
 ) -> None:
-    problem = workshop.problem(FAMILY, Split.DEMO, SEED)
+    problem = simulator.problem(FAMILY, Split.DEMO, SEED)
     found = told(bench)
-    assert base64.b64decode(found["image"]) == workshop.picture_file(problem.scenario)
+    assert base64.b64decode(found["image"]) == simulator.picture_file(problem.scenario)
     assert found["faces"] == [face.model_dump() for face in faces_of(problem.scenario.obstacles.to_dict())]
     assert np.allclose(found["goal"], problem.goal)
     assert np.allclose(found["start"], problem.start)
     assert len(found["previews"]) == len(found["cameras"]) == len(problem.scenario.cameras)
-    own = len(workshop.families.names)
-    assert found["families"][:own] == list(workshop.families.names)
+    own = len(simulator.families.names)
+    assert found["families"][:own] == list(simulator.families.names)
     assert len(found["families"]) == own + 7
 
 
-def test_cameras_that_one_places_see_the_scene_from_there(bench: ApiClient, workshop: Any) -> None:
+def test_cameras_that_one_places_see_the_scene_from_there(bench: ApiClient, simulator: Any) -> None:
     poses = [looking((1.2, y, 1.0), (0.4, 0.0, 0.3)) for y in (-0.8, 0.8)]
     found = told(bench, cameras=[pose.tolist() for pose in poses])
-    view = read_view(base64.b64decode(found["image"]), workshop.world.space)
+    view = read_view(base64.b64decode(found["image"]), simulator.world.space)
     assert np.allclose([camera.pose for camera in view.cameras], poses)
     assert found["image"] != told(bench)["image"]
     assert found["faces"] == told(bench)["faces"]
 
 
-def test_an_arm_that_is_moved_stands_there_in_the_pictures(bench: ApiClient, workshop: Any) -> None:
-    state = workshop.problem(FAMILY, Split.DEMO, SEED).goal.tolist()
+def test_an_arm_that_is_moved_stands_there_in_the_pictures(bench: ApiClient, simulator: Any) -> None:
+    state = simulator.problem(FAMILY, Split.DEMO, SEED).goal.tolist()
     found = told(bench, state=state)
     assert found["start"] == state
-    view = read_view(base64.b64decode(found["image"]), workshop.world.space)
+    view = read_view(base64.b64decode(found["image"]), simulator.world.space)
     assert view.state == pytest.approx(state)
 
 
-def test_samples_and_ways_are_judged_by_the_scene_s_checks(bench: ApiClient, workshop: Any) -> None:
-    problem = workshop.problem(FAMILY, Split.DEMO, SEED)
-    checker = workshop.checker(problem.scenario)
-    rows = workshop.world.space.sample_uniform(np.random.default_rng(0), 40)
+def test_samples_and_ways_are_judged_by_the_scene_s_checks(bench: ApiClient, simulator: Any) -> None:
+    problem = simulator.problem(FAMILY, Split.DEMO, SEED)
+    checker = simulator.checker(problem.scenario)
+    rows = simulator.world.space.sample_uniform(np.random.default_rng(0), 40)
     free = checker.valid_batch(rows)
     assert 0 < free.sum() < len(free)
     straight = [problem.start.tolist(), problem.goal.tolist()]
@@ -158,7 +158,7 @@ def test_a_seed_counts_the_benchmark_s_problems_that_ship_and_begins_anew_after_
     assert told(bench, family=CAGE, seed=3, cameras=[pose])["image"] != found["image"]
 
 
-def test_fetched_problems_follow_those_that_ship(tmp_path: Path, workshop: Any) -> None:
+def test_fetched_problems_follow_those_that_ship(tmp_path: Path, simulator: Any) -> None:
     validation = problems(Split.VALIDATION)
     write_problems(tmp_path, Split.VALIDATION, validation)
     # As if fetched: the shipped ones under the numbers of the test's.
@@ -166,11 +166,11 @@ def test_fetched_problems_follow_those_that_ship(tmp_path: Path, workshop: Any) 
     test += [replace(one, number=one.number + 60) for one in validation]
     test += [replace(one, number=one.number + 90) for one in validation if one.number <= 10]
     write_problems(tmp_path, Split.TEST, test)
-    found = benchmark_problem(workshop.world, CAGE, 33, tmp_path)
+    found = benchmark_problem(simulator.world, CAGE, 33, tmp_path)
     assert np.allclose(found.goal, shipped_problem(4).goal)
-    assert np.allclose(benchmark_problem(workshop.world, CAGE, 103, tmp_path).goal, found.goal)
+    assert np.allclose(benchmark_problem(simulator.world, CAGE, 103, tmp_path).goal, found.goal)
 
 
-def test_a_folder_without_the_problems_is_told(tmp_path: Path, workshop: Any) -> None:
+def test_a_folder_without_the_problems_is_told(tmp_path: Path, simulator: Any) -> None:
     with pytest.raises(DatasetError, match="cannot be read"):
-        benchmark_problem(workshop.world, CAGE, 0, tmp_path)
+        benchmark_problem(simulator.world, CAGE, 0, tmp_path)

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from cspace.worlds.planar.arm import TWO_LINK
-from cspace.worlds.planar.planning.collision import CollisionChecker
-from cspace.worlds.planar.scene import Disc, Scenario
+from cspace.worlds.planar.checks import CollisionChecker
+from cspace.worlds.planar.world import Disc, Scenario
 from tests.inference_api.client import ApiClient
 from tests.inference_api.workbench.conftest import StartBench
 

@@ -4,10 +4,10 @@ import pytest
 
 from cspace.bundle import Bundle
 from cspace.errors import EvaluationError
-from cspace.splits import Split
+from cspace.simulator import Split
 from cspace.worlds.planar.arm import TWO_LINK
-from cspace.worlds.planar.planning.problems import Family
-from cspace.worlds.planar.seeing.camera import Camera
+from cspace.worlds.planar.camera import Camera
+from cspace.worlds.planar.problems import Family
 from cspace.worlds.planar.world import PlanarWorld
 from services.evaluator.cluster import join
 from services.evaluator.evaluation.job import run_here, run_on_ray

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cspace.splits import Split
-from cspace.worlds import workshop_of
-from cspace.worlds.planar.workshop import PlanarWorkshop
+from cspace.simulator import Split
+from cspace.worlds import simulator_of
+from cspace.worlds.planar.simulator import PlanarSimulator
 from cspace.worlds.planar.world import PlanarWorld
 from services.evaluator.benchmark.__main__ import make_request, parser
 from services.evaluator.evaluation.measured import flat_metrics
@@ -16,7 +16,7 @@ from services.evaluator.evaluation.units import Budget, Kind, Setting, Unit, ass
 from services.evaluator.measures.scenes import Scene, Stage
 from tests.fakes.uniform_sampler import UniformSampler
 
-PLANAR = workshop_of(PlanarWorld()).measures
+PLANAR = simulator_of(PlanarWorld()).measures
 OTHER = replace(PLANAR, coverage_radius_rad=0.7, near_contact_m=0.3, range_rad=0.4, resolution_rad=0.02)
 SCENE = Scene(Stage(PlanarWorld(), Split.VALIDATION, 5), 0)
 UNIFORM = UniformSampler(PlanarWorld().space)
@@ -24,7 +24,7 @@ UNIFORM = UniformSampler(PlanarWorld().space)
 
 @pytest.fixture
 def other(monkeypatch):
-    monkeypatch.setattr(PlanarWorkshop, "measures", property(lambda _: OTHER))
+    monkeypatch.setattr(PlanarSimulator, "measures", property(lambda _: OTHER))
 
 
 def evaluation():

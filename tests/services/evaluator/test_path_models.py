@@ -8,11 +8,11 @@ import pytest
 
 from cspace.bundle import Bundle
 from cspace.errors import EvaluationError
-from cspace.splits import Split
-from cspace.worlds import workshop_of
+from cspace.simulator import Split
+from cspace.worlds import simulator_of
 from cspace.worlds.planar.arm import TWO_LINK
-from cspace.worlds.planar.planning.problems import Family, draw_problem
-from cspace.worlds.planar.seeing.camera import Camera
+from cspace.worlds.planar.camera import Camera
+from cspace.worlds.planar.problems import Family, draw_problem
 from cspace.worlds.planar.world import PlanarWorld
 from inference_api.settings import PRETRAINED_FOLDER
 from services.evaluator.evaluation.job import evaluate_version
@@ -126,7 +126,7 @@ def test_a_filter_is_asked_for_only_where_there_is_a_head(tmp_path):
 
 
 def test_path_models_have_planning_units_alone(made):
-    assert {unit.kind for unit in units(FEW, workshop_of(PlanarWorld()).families, paths=True)} == {
+    assert {unit.kind for unit in units(FEW, simulator_of(PlanarWorld()).families, paths=True)} == {
         Kind.PLANNING
     }
     setting = Setting(PlanarWorld(TWO_LINK, Camera()), 0, FEW, paths=True)

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from cspace.splits import Split
+from cspace.simulator import Split
 from cspace.worlds.planar.arm import TWO_LINK
-from cspace.worlds.planar.seeing.camera import Camera
+from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.world import PlanarWorld
 from services.evaluator.measures.scenes import Scene, Stage
 from services.evaluator.measures.topology import (

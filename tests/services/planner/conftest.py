@@ -3,10 +3,10 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from cspace.problem import Problem
+from cspace.simulator import Problem
 from cspace.worlds.planar.arm import TWO_LINK, PlanarArm
-from cspace.worlds.planar.planning.problems import Family
-from cspace.worlds.planar.scene import Disc, Scenario
+from cspace.worlds.planar.problems import Family
+from cspace.worlds.planar.world import Disc, Scenario
 
 MakeProblem = Callable[..., Problem]
 

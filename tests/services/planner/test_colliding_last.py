@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cspace.splits import Split
-from cspace.worlds.planar.planning.collision import CollisionChecker
-from cspace.worlds.planar.planning.problems import Family, draw_problem
+from cspace.simulator import Split
+from cspace.worlds.planar.checks import CollisionChecker
+from cspace.worlds.planar.problems import Family, draw_problem
 from services.planner.search.ompl_planner import PlannerSettings, solve
 from services.planner.search.samples.sample_order import colliding_last
 from services.planner.settings import LEARNED_PLANNERS

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from ompl import base as ob
 
-from cspace.splits import Split
+from cspace.simulator import Split
 from cspace.worlds.planar.arm import THREE_LINK, PlanarArm
-from cspace.worlds.planar.planning.problems import Family, draw_problem
+from cspace.worlds.planar.problems import Family, draw_problem
 from cspace_client.ompl.state_space import StateAccess, make_state_space
 from services.planner.plan_result import CostPoint
 from services.planner.search.cost_record import CostRecord

@@ -5,8 +5,8 @@ import pytest
 
 from cspace.errors import SamplerError
 from cspace.query import SampleQuery
+from cspace.worlds.planar.camera import decode_png
 from cspace.worlds.planar.render import render
-from cspace.worlds.planar.seeing.picture import decode_png
 from services.planner.command_line import make_parser
 from services.planner.planning import SampleRequest, compare_with_api, plan_with_api, raised_share
 from services.planner.search.ompl_planner import PlannerSettings, solve

@@ -14,10 +14,10 @@ from services.planner.settings import LEARNED_PLANNERS, PLANNERS
 ROOT = Path(__file__).parents[3]
 SETTING = """
 import numpy as np
-from cspace.problem import Problem
-from cspace.worlds.planar.planning.problems import Family
+from cspace.simulator import Problem
+from cspace.worlds.planar.problems import Family
 from cspace.worlds.planar.arm import TWO_LINK
-from cspace.worlds.planar.scene import Disc, Scenario
+from cspace.worlds.planar.world import Disc, Scenario
 from services.planner.search.ompl_planner import PlannerSettings, solve
 from services.planner.settings import LEARNED_PLANNERS, PLANNERS
 

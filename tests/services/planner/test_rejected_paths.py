@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from cspace.splits import Split
-from cspace.worlds.planar.planning.problems import Family, draw_problem
+from cspace.simulator import Split
+from cspace.worlds.planar.problems import Family, draw_problem
 from services.planner.search import outcome as outcome_module
 from services.planner.search.ompl_planner import PlannerSettings, Reason, solve
 from services.planner.settings import PRM, RRT, SAMPLED_CONNECT

@@ -8,10 +8,10 @@ import torch
 
 from cspace.bundle.novelty import novelty
 from cspace.dataset import open_dataset, write_dataset
-from cspace.splits import Split
+from cspace.simulator import Split
+from cspace.worlds.planar.camera import to_network
 from cspace.worlds.planar.render import render
-from cspace.worlds.planar.scene import Disc, random_scenarios
-from cspace.worlds.planar.seeing.picture import to_network
+from cspace.worlds.planar.world import Disc, random_scenarios
 from tests.dataset_content import content
 from training.clusters.calibration import KNOWN_PICTURES, known_pictures, known_quantiles
 from training.models.checkpoint import Progress, save_checkpoint, seeded_initialisation

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cspace.bundle import Bundle
-from cspace.planning.scoring import free_of_doubt
+from cspace.planning.cost import confidence_of_cost
 from cspace.worlds import examples
 from tests.bundles import write_tiny_bundle
 from training.clusters.calibration import Planned, fit_plan_doubt, planned
@@ -13,7 +13,7 @@ from training.clusters.calibration import Planned, fit_plan_doubt, planned
 def drawn(parameters, count, seed=0):
     rng = np.random.default_rng(seed)
     doubt = np.exp(rng.normal(-1.0, 1.5, count))
-    return Planned(doubt, rng.random(count) < free_of_doubt(doubt, parameters))
+    return Planned(doubt, rng.random(count) < confidence_of_cost(doubt, parameters))
 
 
 @pytest.mark.parametrize("parameters", [(0.0, 1.0), (0.8, 0.5), (-1.0, 1.3)])
@@ -38,11 +38,11 @@ def test_few_plans_change_little_and_none_nothing():
 def test_ways_without_doubt_are_free_and_more_doubt_is_never_surer():
     doubts = np.array([0.0, 1e-3, 0.1, 1.0, 10.0, 1e9])
     for parameters in ((0.0, 1.0), (0.8, 0.5), (-5.0, 5.0)):
-        sure = free_of_doubt(doubts, parameters)
+        sure = confidence_of_cost(doubts, parameters)
         assert sure[0] == 1.0
         assert (np.diff(sure) <= 0.0).all()
         assert sure[-1] < 1e-6
-    np.testing.assert_allclose(free_of_doubt(doubts, (0.0, 1.0)), np.exp(-doubts), atol=1e-12)
+    np.testing.assert_allclose(confidence_of_cost(doubts, (0.0, 1.0)), np.exp(-doubts), atol=1e-12)
 
 
 def test_plans_of_validation_problems_are_judged_in_truth(tmp_path):

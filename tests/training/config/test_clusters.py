@@ -6,9 +6,9 @@ import pytest
 
 from cspace.dataset import write_dataset
 from cspace.errors import ConfigError
-from cspace.worlds import workshop_of
+from cspace.worlds import simulator_of
 from cspace.worlds.planar.arm import PlanarArm
-from cspace.worlds.planar.workshop import PlanarWorkshop
+from cspace.worlds.planar.simulator import PlanarSimulator
 from cspace.worlds.planar.world import PlanarWorld
 from training import search
 from training.cluster_train import COMMAND
@@ -117,8 +117,8 @@ def test_the_free_share_is_the_worlds_unless_it_is_given(monkeypatch, tmp_path):
     # As the jobs that are on disk have it: by it they are known again.
     assert load_config("quickstart").to_dict()["validity"]["free_share"] == 0.69
     assert TrainConfig() == TrainConfig(validity={})
-    other = replace(workshop_of(PlanarWorld()).measures, free_share=0.25)
-    monkeypatch.setattr(PlanarWorkshop, "measures", property(lambda _: other))
+    other = replace(simulator_of(PlanarWorld()).measures, free_share=0.25)
+    monkeypatch.setattr(PlanarSimulator, "measures", property(lambda _: other))
     assert load_config("quickstart").validity.free_share == 0.25
     given = load_config("quickstart", ["validity.free_share=0.5"])
     assert given.validity.free_share == 0.5
@@ -134,9 +134,9 @@ def test_the_free_share_of_own_data_is_that_of_their_world(monkeypatch, tmp_path
     arm = PlanarWorld(PlanarArm((1.0, 1.0, 1.0)))
     pictures, free = np.zeros((1, 48, 48, 3), np.uint8), [np.zeros((2, 3))]
     folder = write_dataset(tmp_path / "own", world=arm, images=pictures, free=free, generator={}).folder
-    planar = workshop_of(arm).measures
+    planar = simulator_of(arm).measures
     shares = property(lambda one: replace(planar, free_share=0.1 * one.world.dim))
-    monkeypatch.setattr(PlanarWorkshop, "measures", shares)
+    monkeypatch.setattr(PlanarSimulator, "measures", shares)
     assert load_config("smoke").validity.free_share == pytest.approx(0.2)
     own = load_config("smoke", [f"data_folder={folder}"])
     assert own.validity.free_share == pytest.approx(0.3)

@@ -8,12 +8,12 @@ import ray
 
 from cspace.dataset import TOLD, open_dataset
 from cspace.errors import DamagedFileError, DatasetError, StorageError
-from cspace.worlds import workshop_of
+from cspace.worlds import simulator_of
 from cspace.worlds.planar.arm import PlanarArm
-from cspace.worlds.planar.planning.collision import CollisionChecker
-from cspace.worlds.planar.scene import Disc, Scenario
-from cspace.worlds.spatial.obstacles.obstacle_rows import obstacles_of
-from cspace.worlds.spatial.scene import SpatialScene
+from cspace.worlds.planar.checks import CollisionChecker
+from cspace.worlds.planar.world import Disc, Scenario
+from cspace.worlds.spatial.obstacles import obstacles_of
+from cspace.worlds.spatial.scenes import SpatialScene
 from training.clusters.pipeline import uniform_free
 from training.datasets import generate as module
 from training.datasets.config import DatasetConfig
@@ -140,9 +140,7 @@ class DiskUsage(NamedTuple):
 
 def test_a_full_disk_is_told_before_the_first_shard(tmp_path, monkeypatch):
     here = HereInsteadOfRay(monkeypatch)
-    monkeypatch.setattr(
-        "cspace.dataset.folder.shutil.disk_usage", lambda path: DiskUsage(2**40, 2**40, 2**20)
-    )
+    monkeypatch.setattr("cspace.dataset.shutil.disk_usage", lambda path: DiskUsage(2**40, 2**40, 2**20))
     with pytest.raises(StorageError, match="too full"):
         generate(SMALL, tmp_path / "data")
     assert here.made == []
@@ -280,7 +278,7 @@ def test_data_of_an_arm_in_space_hold_arrays_of_space_and_every_kind_of_configur
     free = samples.free.numpy()
     assert not (hit & free).any()
     assert 0 < hit.sum() <= (~free).sum()
-    again = workshop_of(dataset.world).checker(
+    again = simulator_of(dataset.world).checker(
         SpatialScene(
             dataset.world, obstacles_of(*(dataset.arrays[name][1] for name in ("boxes", "cylinders"))), ()
         )

@@ -4,12 +4,11 @@ from PIL import Image
 
 from cspace.dataset import open_dataset
 from cspace.errors import DatasetError, StorageError
-from cspace.splits import Split
+from cspace.simulator import Split
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK, PlanarArm
+from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.render import render
-from cspace.worlds.planar.scene import random_scenarios
-from cspace.worlds.planar.seeing.camera import Camera
-from cspace.worlds.planar.world import PlanarWorld
+from cspace.worlds.planar.world import PlanarWorld, random_scenarios
 from training.datasets.own import import_folder
 
 

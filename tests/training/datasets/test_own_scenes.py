@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from cspace.dataset import open_dataset
-from cspace.splits import Split
-from cspace.worlds import workshop_of
-from cspace.worlds.planar.planning.collision import CollisionChecker
-from cspace.worlds.planar.scene import Scenario
+from cspace.simulator import Split
+from cspace.worlds import simulator_of
+from cspace.worlds.planar.checks import CollisionChecker
 from cspace.worlds.planar.scenes import DiscScenes, GivenScenes
+from cspace.worlds.planar.world import Scenario
 
 pytestmark = [pytest.mark.e2e, pytest.mark.slow]
 
@@ -67,11 +67,11 @@ def test_given_scenes_are_taken_once_each_and_some_are_held_out(robot: Path, tmp
     assert isinstance(given, GivenScenes)
     assert (len(data.images), len(given.train), len(given.held_out)) == (6, 6, 1)
     assert sorted(data.arrays["discs"][:, 0, 0]) == [1.0, 1.25, 1.5, 1.75, 2.25, 2.5]
-    (held_out,) = workshop_of(data.world).scenes(Split.TEST, 0, 10)
+    (held_out,) = simulator_of(data.world).scenes(Split.TEST, 0, 10)
     assert held_out.to_dict()["discs"] == [[2.0, 1.5, 0.3]]
     pictures = {picture.tobytes() for picture in np.asarray(data.images)}
     assert len(pictures) == 6
-    assert workshop_of(data.world).render(held_out).tobytes() not in pictures
+    assert simulator_of(data.world).render(held_out).tobytes() not in pictures
 
 
 @pytest.mark.parametrize(

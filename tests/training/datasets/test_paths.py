@@ -6,10 +6,10 @@ import pytest
 from cspace.dataset import open_dataset
 from cspace.errors import DatasetError, ScenarioError
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK
-from cspace.worlds.planar.planning.collision import CollisionChecker
-from cspace.worlds.planar.planning.problems import NARROW_RAD, bottleneck_rad
+from cspace.worlds.planar.checks import CollisionChecker
+from cspace.worlds.planar.problems import NARROW_RAD, bottleneck_rad
 from cspace.worlds.planar.render import render
-from cspace.worlds.planar.scene import Disc, Scenario
+from cspace.worlds.planar.world import Disc, Scenario
 from training.datasets import generate as module
 from training.datasets.config import DatasetConfig, PathDatasetConfig
 from training.datasets.generate import generate
@@ -110,7 +110,7 @@ def test_the_papers_source_gives_paths_that_are_about_as_short(tmp_path):
 
 def test_no_paths_at_all_are_an_error_that_says_so(monkeypatch):
     monkeypatch.setattr("training.datasets.paths.MAX_DRAWS", 1)
-    monkeypatch.setattr("cspace.worlds.planar.workshop.narrow_pairs", lambda *_: None)
+    monkeypatch.setattr("cspace.worlds.planar.simulator.narrow_pairs", lambda *_: None)
     recipe = PathRecipe(SMALL)
     with pytest.raises(DatasetError, match="enough paths"):
         recipe.make(recipe.plan()[0])

@@ -2,11 +2,11 @@ import numpy as np
 import pytest
 
 from cspace.errors import DatasetError, StorageError
-from cspace.splits import Split
+from cspace.simulator import Split
 from cspace.worlds.planar.arm import THREE_LINK, PlanarArm
-from cspace.worlds.planar.planning.collision import CollisionChecker
+from cspace.worlds.planar.checks import CollisionChecker
 from cspace.worlds.planar.render import render
-from cspace.worlds.planar.scene import Scenario, random_scenarios
+from cspace.worlds.planar.world import Scenario, random_scenarios
 from tests.capsules import self_clearance_by_hand
 from training.datasets.config import DatasetConfig, PathDatasetConfig
 from training.datasets.configurations import ConfigurationRecipe, draw_configurations

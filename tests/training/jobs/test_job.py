@@ -178,7 +178,7 @@ def test_a_folder_that_can_not_be_written_is_told_before_the_work(tmp_path, trac
 
 
 def test_a_disk_without_room_is_told_before_the_work(environment, tracking, monkeypatch):
-    monkeypatch.setattr("cspace.dataset.folder.RESERVE_BYTES", 2**62)
+    monkeypatch.setattr("cspace.dataset.RESERVE_BYTES", 2**62)
     with pytest.raises(StorageError, match="too full"):
         Job.start(SMOKE, environment, {})
     assert tracking.runs == {}

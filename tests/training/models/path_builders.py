@@ -4,7 +4,7 @@ import numpy as np
 import torch
 
 from cspace.worlds.planar.arm import TWO_LINK
-from cspace.worlds.planar.seeing.camera import Camera
+from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.world import PlanarWorld
 from training.models.paths import PathSamples
 from training.trials.paths import PathArrays

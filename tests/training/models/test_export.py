@@ -7,7 +7,7 @@ import torch
 
 from cspace.space import circles
 from cspace.worlds.planar.arm import TWO_LINK
-from cspace.worlds.planar.seeing.camera import Camera
+from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.world import PlanarWorld
 from training.models.autoencoders import NoveltyScores
 from training.models.export import encoder_graph, generator_graph, novelty_graph, validity_graph

@@ -7,7 +7,7 @@ import torch
 
 from cspace.space import circles
 from cspace.worlds.planar.arm import TWO_LINK
-from cspace.worlds.planar.seeing.camera import Camera
+from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.world import PlanarWorld
 from tests.training.models.builders import TINY, ring_samples
 from training.models.cells import CellBase, CellPoints, UniformBase

@@ -4,13 +4,12 @@ import numpy as np
 import pytest
 import torch
 
-from cspace.splits import Split
+from cspace.simulator import Split
 from cspace.worlds.planar.arm import TWO_LINK
-from cspace.worlds.planar.planning.collision import CollisionChecker
+from cspace.worlds.planar.camera import Camera
+from cspace.worlds.planar.checks import CollisionChecker
 from cspace.worlds.planar.render import render
-from cspace.worlds.planar.scene import random_scenarios
-from cspace.worlds.planar.seeing.camera import Camera
-from cspace.worlds.planar.world import PlanarWorld
+from cspace.worlds.planar.world import PlanarWorld, random_scenarios
 from training.models.checkpoint import seeded_initialisation
 from training.models.settings import ValidityConfig
 from training.models.validity import OccupancySamples, ValidityModule

@@ -9,8 +9,8 @@ import pytest
 import yaml
 
 from cspace.errors import DamagedFileError, DatasetError, ServiceError
-from cspace.splits import Split
-from cspace.worlds.spatial.motionbench.problems import FAMILIES, problems
+from cspace.simulator import Split
+from cspace.worlds.spatial.benchmark import BENCH_FAMILIES, problems
 from training.motionbench import __main__ as command
 from training.motionbench import archive, download
 
@@ -74,7 +74,7 @@ def made(
     folder: Path, changes: dict[str, bytes | None] | None = None, inside: str = INSIDE
 ) -> tuple[Path, str]:
     files: dict[str, bytes | None] = {"problems/notes.txt": b"no problem"}
-    for family in FAMILIES:
+    for family in BENCH_FAMILIES:
         for number, (first, second) in enumerate(texts(), 1):
             files[f"problems/{family}_panda/scene{number:04}.yaml"] = first
             files[f"problems/{family}_panda/request{number:04}.yaml"] = second

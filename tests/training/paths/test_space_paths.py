@@ -6,11 +6,11 @@ import torch
 
 from cspace.bundle import Bundle
 from cspace.bundle.golden import scene
-from cspace.splits import Split
-from cspace.worlds import workshop_of
-from cspace.worlds.spatial.obstacles.obstacle_rows import obstacles_of
-from cspace.worlds.spatial.planning.collision import CollisionChecker
-from cspace.worlds.spatial.planning.problems import reaches_into
+from cspace.simulator import Split
+from cspace.worlds import simulator_of
+from cspace.worlds.spatial.checks import CollisionChecker
+from cspace.worlds.spatial.obstacles import obstacles_of
+from cspace.worlds.spatial.problems import reaches_into
 from tests.space_bundle import LATENT, WORLD, write_space_bundle
 from tests.training.models.test_path_models import answer
 from training.config import PathTrainConfig, load_path_config
@@ -141,11 +141,11 @@ def test_paths_run_free_between_ends_that_are_apart(dataset):
 
 
 def test_ends_reach_into_regions_and_the_arm_sets_out_where_it_waits():
-    workshop = workshop_of(WORLD)
-    scene = workshop.scene(np.random.default_rng(3), Split.TRAIN, 0)
-    pairs = list(workshop.ends(scene, np.empty((0, 7)), np.random.default_rng(0), 12))
+    simulator = simulator_of(WORLD)
+    scene = simulator.scene(np.random.default_rng(3), Split.TRAIN, 0)
+    pairs = list(simulator.ends(scene, np.empty((0, 7)), np.random.default_rng(0), 12))
     assert 3 <= len(pairs) <= 12
-    checker = workshop.checker(scene)
+    checker = simulator.checker(scene)
     reached = np.zeros((len(pairs), 2), np.bool_)
     for number, pair in enumerate(pairs):
         assert checker.valid_batch(pair).all()

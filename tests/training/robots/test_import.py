@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cspace.worlds.spatial.robot.arm import SerialArm
+from cspace.worlds.spatial.arm import SerialArm
 from tests.training.robots.descriptions import FINGER, TWO_LINKS, described, with_more
 from training.robots import covering
 from training.robots.__main__ import main

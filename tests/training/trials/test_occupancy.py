@@ -6,7 +6,7 @@ import torch
 
 from cspace.dataset import write_dataset
 from cspace.worlds.planar.arm import TWO_LINK
-from cspace.worlds.planar.seeing.camera import Camera
+from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.world import PlanarWorld
 from training.trials.arrays import OccupancyArrays
 

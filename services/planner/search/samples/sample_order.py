@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cspace.kernel_cache import njit
+from cspace.simulator import Checker
 from cspace.space import JointSpace
-from cspace.workshop import Checker
 from cspace_client.ompl.sample_mixture import free_first
 
 SWEEP = 24

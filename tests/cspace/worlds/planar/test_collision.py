@@ -7,9 +7,8 @@ from hypothesis import strategies as st
 
 from cspace.errors import ScenarioError
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK, PlanarArm
-from cspace.worlds.planar.planning.collision import CollisionChecker
-from cspace.worlds.planar.planning.kernels import arm_is_free, edge_is_free
-from cspace.worlds.planar.scene import Disc, Scenario
+from cspace.worlds.planar.checks import CollisionChecker, arm_is_free, edge_is_free
+from cspace.worlds.planar.world import Disc, Scenario
 
 LIMITED = PlanarArm(joint_limits_rad=(None, (-2.0, 2.5)))
 ROBOTS = st.sampled_from([TWO_LINK, THREE_LINK, LIMITED])

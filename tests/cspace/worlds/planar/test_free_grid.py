@@ -7,10 +7,9 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK, PlanarArm
-from cspace.worlds.planar.planning.collision import CollisionChecker
-from cspace.worlds.planar.planning.distance import distance_to_false
-from cspace.worlds.planar.planning.free_grid import FreeGrid, cells_per_joint
-from cspace.worlds.planar.scene import Disc, Scenario
+from cspace.worlds.planar.checks import CollisionChecker
+from cspace.worlds.planar.free_grid import FreeGrid, cells_per_joint, distance_to_false
+from cspace.worlds.planar.world import Disc, Scenario
 
 ONE_LINK = PlanarArm(link_lengths_m=(2.0,))
 # One disc above the base: the link collides while sin(angle) > (2^2 + 3^2 - 1.1^2) / (2 * 2 * 3).

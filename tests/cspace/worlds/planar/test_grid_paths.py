@@ -4,14 +4,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cspace.errors import ScenarioError
-from cspace.path_points import points_along, spread_points
+from cspace.planning.paths import points_along, spread_points
+from cspace.simulator import Split
 from cspace.space import torus_distance
-from cspace.splits import Split
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK
-from cspace.worlds.planar.planning.collision import CollisionChecker
-from cspace.worlds.planar.planning.grid_paths import RESOLUTION_RAD, PathFinder, clearance_weights, shortcut
-from cspace.worlds.planar.planning.problems import Family, draw_problem
-from cspace.worlds.planar.scene import Disc, Scenario
+from cspace.worlds.planar.checks import CollisionChecker
+from cspace.worlds.planar.free_grid import RESOLUTION_RAD, PathFinder, clearance_weights, shortcut
+from cspace.worlds.planar.problems import Family, draw_problem
+from cspace.worlds.planar.world import Disc, Scenario
 
 SPACE = TWO_LINK.space
 

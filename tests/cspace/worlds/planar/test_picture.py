@@ -10,7 +10,7 @@ from PIL import Image
 
 from cspace.errors import ImageError
 from cspace.png import encode_png
-from cspace.worlds.planar.seeing.picture import decode_png, to_network
+from cspace.worlds.planar.camera import decode_png, to_network
 
 SIGNATURE = b"\x89PNG\r\n\x1a\n"
 PICTURE = np.random.default_rng(0).integers(0, 256, (48, 48, 3), dtype=np.uint8)

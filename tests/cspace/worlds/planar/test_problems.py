@@ -5,12 +5,12 @@ import pytest
 from scipy import ndimage
 
 from cspace.errors import ScenarioError
+from cspace.simulator import Split
 from cspace.space import torus_distance
-from cspace.splits import Split
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK, PlanarArm
-from cspace.worlds.planar.planning.collision import CollisionChecker
-from cspace.worlds.planar.planning.problems import NARROW_RAD, Family, bottleneck_rad, connected, draw_problem
-from cspace.worlds.planar.scene import Disc, Scenario
+from cspace.worlds.planar.checks import CollisionChecker
+from cspace.worlds.planar.problems import NARROW_RAD, Family, bottleneck_rad, connected, draw_problem
+from cspace.worlds.planar.world import Disc, Scenario
 
 CELLS = 512
 STEP_RAD = 2 * np.pi / CELLS
@@ -159,7 +159,7 @@ def test_three_links_have_uniform_and_no_narrow_problems():
 
 
 def test_a_family_that_cannot_be_found_is_an_error(monkeypatch):
-    monkeypatch.setattr("cspace.worlds.planar.planning.problems.MAX_DRAWS", 3)
+    monkeypatch.setattr("cspace.worlds.planar.problems.MAX_DRAWS", 3)
     # Short links never reach a disc, so that nothing is ever disconnected.
     tiny = PlanarArm(link_lengths_m=(0.05, 0.05), half_width_m=0.01)
     with pytest.raises(ScenarioError, match="disconnected problem was found"):

@@ -2,11 +2,11 @@ import numpy as np
 import pytest
 from PIL import Image, ImageDraw
 
-from cspace.splits import Split
+from cspace.simulator import Split
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK
+from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.render import render
-from cspace.worlds.planar.scene import Disc, Scenario, random_scenarios
-from cspace.worlds.planar.seeing.camera import Camera
+from cspace.worlds.planar.world import Disc, Scenario, random_scenarios
 
 WHITE, RED, BLUE = (255, 255, 255), (255, 0, 0), (0, 0, 255)
 FINE = 16

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from cspace.errors import ScenarioError
-from cspace.splits import Split, scenario_rng
+from cspace.simulator import Split, scenario_rng
 from cspace.worlds import read_world
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK
-from cspace.worlds.planar.planning.collision import CollisionChecker
-from cspace.worlds.planar.scene import Disc, Scenario, random_scenarios
-from cspace.worlds.planar.seeing.camera import Camera
+from cspace.worlds.planar.camera import Camera
+from cspace.worlds.planar.checks import CollisionChecker
+from cspace.worlds.planar.world import Disc, Scenario, random_scenarios
 
 COUNT = 1500
 PINNED = (2.091881118312129, -1.5918146715586463)

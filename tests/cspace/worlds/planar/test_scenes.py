@@ -7,13 +7,12 @@ import pytest
 
 from cspace.dataset import write_dataset
 from cspace.errors import ScenarioError
-from cspace.splits import Split, scenario_rng
-from cspace.worlds import read_world, workshop_of
+from cspace.simulator import Split, scenario_rng
+from cspace.worlds import read_world, simulator_of
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK, PlanarArm
-from cspace.worlds.planar.scene import Disc
+from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.scenes import DiscScenes, GivenScenes, read_scenes
-from cspace.worlds.planar.seeing.camera import Camera
-from cspace.worlds.planar.world import PlanarWorld
+from cspace.worlds.planar.world import Disc, PlanarWorld
 
 SCENES = tuple(((float(number), 2.0, 0.4), (-2.0, 2.0, 0.4)) for number in range(1, 12))
 
@@ -88,20 +87,20 @@ def test_a_world_tells_its_scenes_and_is_read_again():
         read_scenes({"count": [3, 3]})
 
 
-def test_a_workshop_makes_given_scenes_one_by_one():
-    workshop = workshop_of(PlanarWorld(TWO_LINK, scenes=GivenScenes.of(SCENES)))
-    made = [workshop.scene(np.random.default_rng(0), Split.TRAIN, index) for index in range(9)]
+def test_a_simulator_makes_given_scenes_one_by_one():
+    simulator = simulator_of(PlanarWorld(TWO_LINK, scenes=GivenScenes.of(SCENES)))
+    made = [simulator.scene(np.random.default_rng(0), Split.TRAIN, index) for index in range(9)]
     assert len({scene.discs for scene in made}) == 9
-    assert workshop.count(Split.TEST) == 1
-    assert len(workshop.scenes(Split.TEST, 0, 50)) == 1
-    problem = workshop.problem("uniform", Split.TEST, 0)
+    assert simulator.count(Split.TEST) == 1
+    assert len(simulator.scenes(Split.TEST, 0, 50)) == 1
+    problem = simulator.problem("uniform", Split.TEST, 0)
     assert problem.scenario.disc_array.tolist() == [list(disc) for disc in SCENES[9]]
 
 
 def test_scenes_of_different_length_fill_one_array():
-    workshop = workshop_of(PlanarWorld(TWO_LINK, scenes=DiscScenes((1, 4), (0.4, 0.4))))
-    scenes = workshop.scenes(Split.TRAIN, 0, 20)
-    rows = [workshop.arrays_of(scene)["discs"] for scene in scenes]
+    simulator = simulator_of(PlanarWorld(TWO_LINK, scenes=DiscScenes((1, 4), (0.4, 0.4))))
+    scenes = simulator.scenes(Split.TRAIN, 0, 20)
+    rows = [simulator.arrays_of(scene)["discs"] for scene in scenes]
     assert {len(scene.discs) for scene in scenes} == {1, 2, 3, 4}
     assert {row.shape for row in rows} == {(4, 3)}
     for scene, row in zip(scenes, rows, strict=True):
@@ -109,9 +108,9 @@ def test_scenes_of_different_length_fill_one_array():
 
 
 def test_scenes_that_nobody_knows_are_not_made_up():
-    workshop = workshop_of(PlanarWorld(TWO_LINK, scenes=None))
+    simulator = simulator_of(PlanarWorld(TWO_LINK, scenes=None))
     with pytest.raises(ScenarioError, match="nobody knows"):
-        workshop.scenes(Split.TEST, 0, 1)
+        simulator.scenes(Split.TEST, 0, 1)
 
 
 def test_a_world_among_the_scenes_of_data():

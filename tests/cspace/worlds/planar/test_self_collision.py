@@ -9,15 +9,13 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from cspace.errors import ScenarioError
-from cspace.problem import Problem
+from cspace.simulator import Problem
 from cspace.worlds import robot_digest
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK, PlanarArm
-from cspace.worlds.planar.planning.collision import CollisionChecker
-from cspace.worlds.planar.planning.free_grid import FreeGrid
-from cspace.worlds.planar.planning.kernels import segment_gap
-from cspace.worlds.planar.planning.problems import obstruction
-from cspace.worlds.planar.scene import Disc, Scenario
-from cspace.worlds.planar.world import PlanarWorld
+from cspace.worlds.planar.checks import CollisionChecker, segment_gap
+from cspace.worlds.planar.free_grid import FreeGrid
+from cspace.worlds.planar.problems import obstruction
+from cspace.worlds.planar.world import Disc, PlanarWorld, Scenario
 from services.planner.search.ompl_planner import solve
 from services.planner.settings import RRT_CONNECT, SAMPLED_CONNECT, PlannerSettings
 from tests.capsules import gap_by_hand, self_clearance_by_hand

@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 from cspace.errors import ScenarioError
-from cspace.worlds.spatial.frames import Frame
-from cspace.worlds.spatial.robot.arm import MAX_JOINTS, SerialArm
-from cspace.worlds.spatial.robot.parts import Joint, Part
+from cspace.worlds.spatial.arm import MAX_JOINTS, Joint, Part, SerialArm
+from cspace.worlds.spatial.poses import Frame
 
 TEXT = Path(__file__).with_name("vamp_panda.json").read_text(encoding="utf-8")
 PANDA = SerialArm.from_dict(json.loads(TEXT))

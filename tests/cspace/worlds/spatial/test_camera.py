@@ -6,8 +6,8 @@ import pytest
 
 from cspace.errors import ImageError, ScenarioError
 from cspace.strict_json import parse_json
+from cspace.worlds.spatial.camera import DepthCamera, looking, read_camera
 from cspace.worlds.spatial.poses import HERE, pose_of
-from cspace.worlds.spatial.seeing.camera import DepthCamera, looking, read_camera
 
 POSE = looking((1.0, -0.8, 1.1), (0.4, 0.1, 0.3), 0.2)
 CAMERA = DepthCamera(120.0, 110.0, 30.2, 21.7, 64, 48, pose_of(POSE))

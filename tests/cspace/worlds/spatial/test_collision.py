@@ -4,16 +4,15 @@ import numpy as np
 import pytest
 
 from cspace.errors import ScenarioError
-from cspace.splits import Split
-from cspace.worlds.spatial.obstacles.families import draw_layout
-from cspace.worlds.spatial.obstacles.scenes import SpatialScenes
-from cspace.worlds.spatial.obstacles.shapes import Box, Obstacles
-from cspace.worlds.spatial.obstacles.signed_distance import clearance_m
-from cspace.worlds.spatial.planning.collision import CollisionChecker
+from cspace.simulator import Split
+from cspace.worlds.spatial.arm import Joint, Part, SerialArm
+from cspace.worlds.spatial.checks import CollisionChecker
+from cspace.worlds.spatial.distances import clearance_m
+from cspace.worlds.spatial.furniture import SpatialScenes
+from cspace.worlds.spatial.kinematics import arm_arrays, self_distance_batch
+from cspace.worlds.spatial.obstacles import Box, Obstacles
 from cspace.worlds.spatial.poses import make_pose, pose_of
-from cspace.worlds.spatial.robot.arm import SerialArm
-from cspace.worlds.spatial.robot.kinematics import arm_arrays, self_distance_batch
-from cspace.worlds.spatial.robot.parts import Joint, Part
+from cspace.worlds.spatial.scenes import draw_layout
 from tests.cspace.worlds.spatial.test_robots import PANDA, READY
 
 RESOLUTION_RAD = 0.05

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cspace.errors import ScenarioError
-from cspace.worlds.spatial.robot.covering import grouped
+from cspace.worlds.spatial.arm import grouped
 from tests.cspace.worlds.spatial.test_robots import PANDA
 
 

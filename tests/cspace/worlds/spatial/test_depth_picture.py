@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cspace.errors import ImageError
-from cspace.worlds.spatial.seeing.depth_picture import decode_depth, encode_depth, resize_depth, to_m, to_mm
+from cspace.worlds.spatial.camera import decode_depth, encode_depth, resize_depth, to_m, to_mm
 from tests.cspace.png_files import GREY, GREY_ALPHA, PALETTE, RGB, RGBA, chunk, file, header, pixels
 
 RNG = np.random.default_rng(2)

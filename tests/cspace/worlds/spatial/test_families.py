@@ -5,15 +5,24 @@ import numpy as np
 import pytest
 
 from cspace.errors import ScenarioError
-from cspace.splits import Split
+from cspace.simulator import Split
 from cspace.strict_json import parse_json
-from cspace.worlds.spatial.obstacles.families import base_clearance_m, draw_layout
-from cspace.worlds.spatial.obstacles.furniture import Bins, Cages, Shelves, Tables
-from cspace.worlds.spatial.obstacles.layout import GoalRegion, Piece, read_layout
-from cspace.worlds.spatial.obstacles.scenes import FAMILIES, SpatialScenes, read_spatial_scenes
-from cspace.worlds.spatial.obstacles.shapes import Box, Cylinder, Obstacles
-from cspace.worlds.spatial.obstacles.signed_distance import distance_m
+from cspace.worlds.spatial.distances import distance_m
+from cspace.worlds.spatial.furniture import (
+    FAMILIES,
+    Bins,
+    Cages,
+    GoalRegion,
+    Piece,
+    Shelves,
+    SpatialScenes,
+    Tables,
+    read_layout,
+    read_spatial_scenes,
+)
+from cspace.worlds.spatial.obstacles import Box, Cylinder, Obstacles
 from cspace.worlds.spatial.poses import HERE, make_pose, pose_of, turned
+from cspace.worlds.spatial.scenes import base_clearance_m, draw_layout
 
 SCENES = SpatialScenes()
 

@@ -8,10 +8,9 @@ import pytest
 import cspace.worlds.spatial
 from cspace.errors import ScenarioError
 from cspace.strict_json import parse_json
-from cspace.worlds.spatial.frames import Frame
-from cspace.worlds.spatial.robot.arm import SerialArm
-from cspace.worlds.spatial.robot.parts import Joint, Part
-from cspace.worlds.spatial.seeing.grid_box import GridBox, grid_of, read_grid_box, shoulder_reach_m
+from cspace.worlds.spatial.arm import Joint, Part, SerialArm
+from cspace.worlds.spatial.poses import Frame
+from cspace.worlds.spatial.sensor import GridBox, grid_of, read_grid_box, shoulder_reach_m
 
 ROBOTS = Path(cspace.worlds.spatial.__file__).with_name("robots")
 PANDA = SerialArm.from_dict(json.loads((ROBOTS / "panda.json").read_bytes()))

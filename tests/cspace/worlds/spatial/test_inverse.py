@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 
 from cspace.errors import ScenarioError
-from cspace.worlds.spatial.frames import Frame
-from cspace.worlds.spatial.planning.inverse import Solving, solve_pose
-from cspace.worlds.spatial.robot.arm import SerialArm
-from cspace.worlds.spatial.robot.parts import Joint
+from cspace.worlds.spatial.arm import Joint, SerialArm
+from cspace.worlds.spatial.kinematics import Solving, solve_pose
+from cspace.worlds.spatial.poses import Frame
 from tests.cspace.worlds.spatial.test_robots import PANDA
 
 PLACE_M, TURN_RAD = 1e-3, np.radians(1.0)

@@ -9,14 +9,12 @@ import pytest
 
 import cspace.worlds.spatial
 from cspace.errors import ScenarioError
-from cspace.splits import Split
-from cspace.worlds.spatial.frames import Frame
-from cspace.worlds.spatial.motionbench.problems import problems
-from cspace.worlds.spatial.obstacles.shapes import Box, Cylinder, Obstacles
-from cspace.worlds.spatial.planning.judge import Description, RobotMeshes
-from cspace.worlds.spatial.poses import pose_of
-from cspace.worlds.spatial.robot.arm import SerialArm
-from cspace.worlds.spatial.robot.parts import Joint, Part
+from cspace.simulator import Split
+from cspace.worlds.spatial.arm import Joint, Part, SerialArm
+from cspace.worlds.spatial.benchmark import problems
+from cspace.worlds.spatial.mesh_checker import Description, RobotMeshes
+from cspace.worlds.spatial.obstacles import Box, Cylinder, Obstacles
+from cspace.worlds.spatial.poses import Frame, pose_of
 from tests.training.robots.descriptions import FINGER, TWO_LINKS, described, with_more
 
 PANDA = SerialArm.from_dict(

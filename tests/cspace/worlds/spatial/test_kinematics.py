@@ -5,15 +5,14 @@ from pathlib import Path
 
 import numpy as np
 
-from cspace.worlds.spatial.frames import Frame
-from cspace.worlds.spatial.robot.arm import SerialArm
-from cspace.worlds.spatial.robot.kinematics import (
+from cspace.worlds.spatial.arm import Joint, Part, SerialArm
+from cspace.worlds.spatial.kinematics import (
     arm_arrays,
     link_frames_batch,
     self_distance_batch,
     sphere_centres_batch,
 )
-from cspace.worlds.spatial.robot.parts import Joint, Part
+from cspace.worlds.spatial.poses import Frame
 
 PANDA = SerialArm.from_dict(json.loads(Path(__file__).with_name("vamp_panda.json").read_bytes()))
 SLANTED = SerialArm(

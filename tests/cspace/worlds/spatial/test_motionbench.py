@@ -8,9 +8,10 @@ import pytest
 
 import cspace.worlds.spatial
 from cspace.errors import DatasetError, ScenarioError
-from cspace.splits import Split
-from cspace.worlds.spatial.motionbench.problems import (
-    FAMILIES,
+from cspace.simulator import Split
+from cspace.worlds.spatial.arm import SerialArm
+from cspace.worlds.spatial.benchmark import (
+    BENCH_FAMILIES,
     LIMITS_RAD,
     SHIPPED,
     BenchProblem,
@@ -18,10 +19,9 @@ from cspace.worlds.spatial.motionbench.problems import (
     read_problems,
     write_problems,
 )
-from cspace.worlds.spatial.obstacles.shapes import Obstacles
-from cspace.worlds.spatial.obstacles.signed_distance import clearance_m
-from cspace.worlds.spatial.robot.arm import SerialArm
-from cspace.worlds.spatial.robot.kinematics import arm_arrays, self_distance_batch
+from cspace.worlds.spatial.distances import clearance_m
+from cspace.worlds.spatial.kinematics import arm_arrays, self_distance_batch
+from cspace.worlds.spatial.obstacles import Obstacles
 
 PANDA = SerialArm.from_dict(
     json.loads(Path(cspace.worlds.spatial.__file__).with_name("robots").joinpath("panda.json").read_bytes())
@@ -32,7 +32,7 @@ TIGHT_GOALS = {("bookshelf_small", 9): -0.7, ("bookshelf_small", 29): -2.5}
 
 def test_thirty_problems_of_seven_families_ship() -> None:
     found = problems(Split.VALIDATION)
-    assert Counter(one.family for one in found) == dict.fromkeys(FAMILIES, 30)
+    assert Counter(one.family for one in found) == dict.fromkeys(BENCH_FAMILIES, 30)
     assert [one.number for one in found] == [*range(1, 31)] * 7
     assert {one.split for one in found} == {Split.VALIDATION}
     first = found[0]

@@ -7,13 +7,12 @@ import pytest
 
 from cspace.errors import InputError
 from cspace.worlds import best_view, examples
+from cspace.worlds.spatial.camera import DepthCamera, looking, to_mm
+from cspace.worlds.spatial.furniture import block
 from cspace.worlds.spatial.next_view import hemisphere, seen_shares
-from cspace.worlds.spatial.obstacles.objects import block
-from cspace.worlds.spatial.obstacles.shapes import Obstacles
-from cspace.worlds.spatial.seeing.camera import DepthCamera, looking
-from cspace.worlds.spatial.seeing.depth_picture import to_mm
-from cspace.worlds.spatial.seeing.observed import observe
-from cspace.worlds.spatial.seeing.render import render_depth
+from cspace.worlds.spatial.obstacles import Obstacles
+from cspace.worlds.spatial.rendering import render_depth
+from cspace.worlds.spatial.visibility import observe
 
 WORLD = examples()["panda"]
 # A board across, 60 cm before the base, seen from the front.

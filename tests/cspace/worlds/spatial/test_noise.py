@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from cspace.errors import ScenarioError
-from cspace.worlds.spatial.obstacles.shapes import Box, Obstacles
+from cspace.worlds.spatial.camera import DepthCamera, looking
+from cspace.worlds.spatial.obstacles import Box, Obstacles
 from cspace.worlds.spatial.poses import make_pose, pose_of, turned
-from cspace.worlds.spatial.seeing.camera import DepthCamera, looking
-from cspace.worlds.spatial.seeing.noise import (
+from cspace.worlds.spatial.rendering import (
     Disparity,
     DropOut,
     Stereo,
@@ -17,8 +17,8 @@ from cspace.worlds.spatial.seeing.noise import (
     holed,
     incidence_rad,
     lateral_sigma_px,
+    render_depth,
 )
-from cspace.worlds.spatial.seeing.render import render_depth
 
 SIDE = 200
 CAMERA = DepthCamera.of_field(SIDE, SIDE, 60.0, looking((0, 0, 0), (1, 0, 0)))

@@ -6,31 +6,36 @@ import pytest
 
 import cspace.worlds.spatial
 from cspace.errors import ImageError
-from cspace.splits import Split
-from cspace.worlds.spatial.obstacles.families import draw_layout
-from cspace.worlds.spatial.obstacles.scenes import FAMILIES, SpatialScenes
-from cspace.worlds.spatial.obstacles.shapes import Box, Cylinder, Obstacles
-from cspace.worlds.spatial.obstacles.signed_distance import distance_m
+from cspace.simulator import Split
+from cspace.worlds.spatial import distance_field
+from cspace.worlds.spatial.arm import SerialArm
+from cspace.worlds.spatial.camera import DepthCamera, looking, to_mm
+from cspace.worlds.spatial.distance_field import TRUNCATION_M
+from cspace.worlds.spatial.distances import distance_m
+from cspace.worlds.spatial.furniture import FAMILIES, SpatialScenes
+from cspace.worlds.spatial.obstacles import Box, Cylinder, Obstacles
 from cspace.worlds.spatial.poses import make_pose, pose_of, turned
-from cspace.worlds.spatial.robot.arm import SerialArm
-from cspace.worlds.spatial.seeing import surface_patches
-from cspace.worlds.spatial.seeing.camera import DepthCamera, looking
-from cspace.worlds.spatial.seeing.depth_picture import to_mm
-from cspace.worlds.spatial.seeing.grid_box import GridBox, grid_of
-from cspace.worlds.spatial.seeing.observed import distances_m, lookup, observe, unseen_share
-from cspace.worlds.spatial.seeing.placing import draw_cameras
-from cspace.worlds.spatial.seeing.render import render_depth
-from cspace.worlds.spatial.seeing.robot_pixels import SLACK_M
-from cspace.worlds.spatial.seeing.sight import (
+from cspace.worlds.spatial.rendering import render_depth
+from cspace.worlds.spatial.scenes import draw_cameras, draw_layout
+from cspace.worlds.spatial.sensor import (
     BEHIND_STEP_M,
+    DISTANCE_STEP_M,
     FREE,
-    FREE_MARGIN_M,
     MOST_BEHIND,
     NO_READING,
     OUT_OF_VIEW,
+    CameraViews,
+    GridBox,
+    grid_of,
 )
-from cspace.worlds.spatial.seeing.surface_patches import DISTANCE_STEP_M, TRUNCATION_M
-from cspace.worlds.spatial.seeing.views import CameraViews
+from cspace.worlds.spatial.visibility import (
+    FREE_MARGIN_M,
+    SLACK_M,
+    distances_m,
+    lookup,
+    observe,
+    unseen_share,
+)
 
 ROBOTS = Path(cspace.worlds.spatial.__file__).with_name("robots")
 PANDA = SerialArm.from_dict(json.loads((ROBOTS / "panda.json").read_bytes()))
@@ -199,7 +204,7 @@ def test_distances_to_pixels_that_stand_alone_are_those_to_their_points(seed):
 
 def test_patches_in_turns_are_as_near(monkeypatch):
     at_once = seen(slab(PLANE_M, (0.2, 0.2)), ABOVE)
-    monkeypatch.setattr(surface_patches, "_AT_ONCE", 100)
+    monkeypatch.setattr(distance_field, "_AT_ONCE", 100)
     in_turns = seen(slab(PLANE_M, (0.2, 0.2)), ABOVE)
     assert np.abs(distances_m(at_once) - distances_m(in_turns)).max() < 0.001
 

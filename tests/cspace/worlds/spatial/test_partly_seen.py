@@ -6,13 +6,11 @@ import numpy as np
 import pytest
 
 from cspace.errors import ScenarioError
-from cspace.splits import Split
+from cspace.simulator import Asked, Split, Taken
 from cspace.worlds import default_world, examples, partly_seen, picture_of
-from cspace.worlds.spatial.motionbench.problems import LIMITS_RAD
-from cspace.worlds.spatial.obstacles.shapes import Box, Obstacles
-from cspace.worlds.spatial.partly_seen import middle
+from cspace.worlds.spatial.benchmark import LIMITS_RAD, middle
+from cspace.worlds.spatial.obstacles import Box, Obstacles
 from cspace.worlds.spatial.poses import make_pose, pose_of
-from cspace.worlds.unseen import Asked, Taken
 
 ASKED = Asked(Split.VALIDATION)
 SETS = partly_seen(examples()["panda"])

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 from cspace.errors import ScenarioError
-from cspace.splits import Split
-from cspace.worlds.spatial.obstacles.families import draw_layout
-from cspace.worlds.spatial.obstacles.scenes import FAMILIES, SpatialScenes
-from cspace.worlds.spatial.planning import problems
-from cspace.worlds.spatial.planning.collision import CollisionChecker
-from cspace.worlds.spatial.planning.problems import KINDS, draw_problem, reaches_into
-from cspace.worlds.spatial.planning.ways import WayLimits
-from cspace.worlds.spatial.robot.ready import ready_rad
+from cspace.simulator import Split
+from cspace.worlds.spatial import problems
+from cspace.worlds.spatial.arm import ready_rad
+from cspace.worlds.spatial.checks import CollisionChecker
+from cspace.worlds.spatial.furniture import FAMILIES, SpatialScenes
+from cspace.worlds.spatial.paths import PathLimits
+from cspace.worlds.spatial.problems import KINDS, draw_problem, reaches_into
+from cspace.worlds.spatial.scenes import draw_layout
 from tests.cspace.worlds.spatial.test_robots import PANDA, READY, UR5
 from tests.cspace.worlds.spatial.test_ways import TWO_LINKS
 
@@ -19,7 +19,7 @@ from tests.cspace.worlds.spatial.test_ways import TWO_LINKS
 pytestmark = pytest.mark.slow
 
 SCENES = SpatialScenes()
-QUICK = WayLimits(tries=1)
+QUICK = PathLimits(tries=1)
 
 
 def _reaches(problem, configuration):

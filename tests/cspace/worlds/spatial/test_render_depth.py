@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from cspace.worlds.spatial.obstacles.shapes import Box, Cylinder, Obstacles
-from cspace.worlds.spatial.obstacles.signed_distance import distance_m
+from cspace.worlds.spatial.camera import DepthCamera, looking
+from cspace.worlds.spatial.distances import distance_m
+from cspace.worlds.spatial.obstacles import Box, Cylinder, Obstacles
 from cspace.worlds.spatial.poses import HERE, make_pose, pose_of, turned
-from cspace.worlds.spatial.seeing.camera import DepthCamera, looking
-from cspace.worlds.spatial.seeing.render import render_depth
+from cspace.worlds.spatial.rendering import render_depth
 
 SIDE, FAR_M = 24, 3.0
 

@@ -2,14 +2,12 @@ import numpy as np
 import pytest
 
 from cspace.errors import ImageError
-from cspace.worlds.spatial.obstacles.shapes import Box, Obstacles
+from cspace.worlds.spatial import visibility
+from cspace.worlds.spatial.camera import DepthCamera, looking, to_mm
+from cspace.worlds.spatial.obstacles import Box, Obstacles
 from cspace.worlds.spatial.poses import make_pose, pose_of
-from cspace.worlds.spatial.seeing import robot_pixels
-from cspace.worlds.spatial.seeing.camera import DepthCamera, looking
-from cspace.worlds.spatial.seeing.depth_picture import to_mm
-from cspace.worlds.spatial.seeing.noise import Disparity, Stereo, StructuredLight
-from cspace.worlds.spatial.seeing.render import render_depth
-from cspace.worlds.spatial.seeing.robot_pixels import SLACK_M, drop_robot
+from cspace.worlds.spatial.rendering import Disparity, Stereo, StructuredLight, render_depth
+from cspace.worlds.spatial.visibility import SLACK_M, self_filter
 
 CAMERA = DepthCamera.of_field(40, 32, 70.0, looking((1.0, 0.4, 0.8), (0.0, 0.0, 0.4), 0.2))
 WALL = Obstacles((Box(pose_of(make_pose(np.eye(3), (-0.7, 0, 0))), (0.1, 3.0, 3.0)),))
@@ -38,7 +36,7 @@ def test_the_arms_pixels_are_those_whose_rays_meet_it_before_their_reading():
     begins = brute_begins_m(CAMERA, arm, 0.03)
     depth_mm = rng.integers(200, 2500, CAMERA.picture_shape).astype(np.uint16)
     depth_mm[rng.random(depth_mm.shape) < 0.1] = 0
-    kept = drop_robot(depth_mm, CAMERA, arm, 0.03)
+    kept = self_filter(depth_mm, CAMERA, arm, 0.03)
     sure = np.abs(depth_mm * 1e-3 - begins) > 0.005
     shown = (depth_mm > 0) & (depth_mm * 1e-3 >= begins)
     told = np.isfinite(kept.front_m)
@@ -53,7 +51,7 @@ def test_the_arms_pixels_are_those_whose_rays_meet_it_before_their_reading():
 def test_no_pixel_of_the_arm_remains():
     arm = spheres(np.random.default_rng(1))
     view = render_depth(WALL, CAMERA, arm)
-    kept = drop_robot(to_mm(view.depth_m), CAMERA, arm)
+    kept = self_filter(to_mm(view.depth_m), CAMERA, arm)
     assert view.robot.any()
     assert not (kept.depth_mm[view.robot] > 0).any()
     assert (kept.depth_mm > 0).mean() > 0.3
@@ -66,7 +64,7 @@ def test_few_readings_of_the_arm_remain_with_noise(noise):
     camera, arm = CAMERA.resized(120, 96), spheres(rng)
     view = render_depth(WALL, camera, arm)
     picture = to_mm(noise.apply(rng, view.depth_m, camera))
-    kept = drop_robot(picture, camera, arm)
+    kept = self_filter(picture, camera, arm)
     points = camera.points_m(kept.depth_mm * 1e-3)[kept.depth_mm > 0]
     gaps = (np.linalg.norm(points[:, None] - arm[:, :3], axis=-1) - arm[:, 3]).min(axis=1)
     assert gaps.min() > SLACK_M - 0.001
@@ -76,7 +74,7 @@ def test_few_readings_of_the_arm_remain_with_noise(noise):
 def test_what_stands_before_the_arm_remains():
     arm = np.array([[0.0, 0.0, 0.4, 0.1]])
     depth_mm = np.full(CAMERA.picture_shape, 600, dtype=np.uint16)
-    kept = drop_robot(depth_mm, CAMERA, arm)
+    kept = self_filter(depth_mm, CAMERA, arm)
     np.testing.assert_array_equal(kept.depth_mm, depth_mm)
     assert np.isinf(kept.front_m).all()
 
@@ -85,21 +83,21 @@ def test_work_in_turns_finds_the_same(monkeypatch):
     rng = np.random.default_rng(2)
     arm = spheres(rng)
     depth_mm = to_mm(render_depth(WALL, CAMERA, arm).depth_m)
-    at_once = drop_robot(depth_mm, CAMERA, arm)
-    monkeypatch.setattr(robot_pixels, "_AT_ONCE", 100)
-    in_turns = drop_robot(depth_mm, CAMERA, arm)
+    at_once = self_filter(depth_mm, CAMERA, arm)
+    monkeypatch.setattr(visibility, "_AT_ONCE", 100)
+    in_turns = self_filter(depth_mm, CAMERA, arm)
     np.testing.assert_array_equal(at_once.front_m, in_turns.front_m)
 
 
 def test_a_camera_amid_the_arm_sees_nothing_else_and_balls_behind_it_are_not_seen():
     place, ahead = CAMERA.matrix[:3, 3], CAMERA.matrix[:3, 2]
     depth_mm = np.full(CAMERA.picture_shape, 600, dtype=np.uint16)
-    assert not drop_robot(depth_mm, CAMERA, [[*place, 0.05]]).depth_mm.any()
-    assert drop_robot(depth_mm, CAMERA, [[*(place - 0.2 * ahead), 0.05]]).depth_mm.all()
-    assert drop_robot(depth_mm, CAMERA, np.empty((0, 4))).depth_mm.all()
+    assert not self_filter(depth_mm, CAMERA, [[*place, 0.05]]).depth_mm.any()
+    assert self_filter(depth_mm, CAMERA, [[*(place - 0.2 * ahead), 0.05]]).depth_mm.all()
+    assert self_filter(depth_mm, CAMERA, np.empty((0, 4))).depth_mm.all()
 
 
 @pytest.mark.parametrize("picture", [np.ones((40, 32), np.uint16), np.ones((32, 40), np.float32)])
 def test_other_pictures_are_refused(picture):
     with pytest.raises(ImageError):
-        drop_robot(picture, CAMERA, np.empty((0, 4)))
+        self_filter(picture, CAMERA, np.empty((0, 4)))

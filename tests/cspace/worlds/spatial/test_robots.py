@@ -5,11 +5,9 @@ from pathlib import Path
 import numpy as np
 
 import cspace.worlds.spatial
-from cspace.worlds.spatial.motionbench.problems import LIMITS_RAD
-from cspace.worlds.spatial.partly_seen import is_benchmarked
-from cspace.worlds.spatial.robot.arm import SerialArm
-from cspace.worlds.spatial.robot.kinematics import arm_arrays, self_distance_batch
-from cspace.worlds.spatial.robot.ready import ready_rad
+from cspace.worlds.spatial.arm import SerialArm, ready_rad
+from cspace.worlds.spatial.benchmark import LIMITS_RAD, is_benchmarked
+from cspace.worlds.spatial.kinematics import arm_arrays, self_distance_batch
 
 ROBOTS = Path(cspace.worlds.spatial.__file__).with_name("robots")
 PANDA = SerialArm.from_dict(json.loads((ROBOTS / "panda.json").read_bytes()))

@@ -9,8 +9,8 @@ import yaml
 
 from cspace.errors import ConfigError, ScenarioError
 from cspace.worlds import add_world_options, described_world, examples
-from cspace.worlds.spatial.obstacles.shapes import Box, Cylinder
-from cspace.worlds.spatial.robot.ready import ready_rad
+from cspace.worlds.spatial.arm import ready_rad
+from cspace.worlds.spatial.obstacles import Box, Cylinder
 from services.scene_files import given_scenes, read_scene_file
 
 PANDA = examples()["panda"]

@@ -5,7 +5,7 @@ import pytest
 
 from cspace.errors import ScenarioError
 from cspace.strict_json import parse_json
-from cspace.worlds.spatial.obstacles.shapes import MAX_OBSTACLES, Box, Cylinder, Obstacles, read_obstacles
+from cspace.worlds.spatial.obstacles import MAX_OBSTACLES, Box, Cylinder, Obstacles, read_obstacles
 from cspace.worlds.spatial.poses import HERE, check_pose, make_pose, pose_of, turned
 
 TURNED = pose_of(make_pose(turned(0.3, -0.8, 1.1), (0.5, -0.2, 0.7)))

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from cspace.worlds.spatial.obstacles.shapes import Box, Cylinder, Obstacles
-from cspace.worlds.spatial.obstacles.signed_distance import clearance_m, distance_m, sets_are_free
+from cspace.worlds.spatial.distances import clearance_m, distance_m, sets_are_free
+from cspace.worlds.spatial.obstacles import Box, Cylinder, Obstacles
 from cspace.worlds.spatial.poses import HERE, make_pose, pose_of, turned
 
 TURN = make_pose(turned(0.7, -0.5, 0.3), (0.4, -0.1, 0.5))

@@ -7,9 +7,8 @@ import pytest
 
 from cspace.errors import ImageError
 from cspace.view_file import pack_view
-from cspace.worlds.spatial.seeing.camera import DepthCamera, looking
-from cspace.worlds.spatial.seeing.depth_picture import encode_depth
-from cspace.worlds.spatial.seeing.view import DepthView, read_view, write_view
+from cspace.worlds.spatial.camera import DepthCamera, encode_depth, looking
+from cspace.worlds.spatial.view import DepthView, read_view, write_view
 from tests.cspace.worlds.spatial.test_robots import PANDA, READY
 
 SPACE = PANDA.space

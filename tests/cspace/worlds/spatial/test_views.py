@@ -5,15 +5,14 @@ import numpy as np
 import pytest
 
 from cspace.errors import ScenarioError
-from cspace.splits import Split
+from cspace.simulator import Split
 from cspace.strict_json import parse_json
-from cspace.worlds.spatial.obstacles.families import draw_layout
-from cspace.worlds.spatial.obstacles.scenes import SpatialScenes
-from cspace.worlds.spatial.obstacles.signed_distance import distance_m
-from cspace.worlds.spatial.seeing.camera import camera_place
-from cspace.worlds.spatial.seeing.placing import draw_cameras
-from cspace.worlds.spatial.seeing.render import render_depth
-from cspace.worlds.spatial.seeing.views import CameraViews, read_camera_views
+from cspace.worlds.spatial.camera import camera_place
+from cspace.worlds.spatial.distances import distance_m
+from cspace.worlds.spatial.furniture import SpatialScenes
+from cspace.worlds.spatial.rendering import render_depth
+from cspace.worlds.spatial.scenes import draw_cameras, draw_layout
+from cspace.worlds.spatial.sensor import CameraViews, read_camera_views
 
 VIEWS = CameraViews()
 LAYOUTS = [draw_layout(SpatialScenes(), Split.TRAIN, 11, index) for index in range(40)]

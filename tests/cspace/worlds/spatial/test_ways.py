@@ -5,22 +5,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cspace.connecting import connect_trees, length_rad, spaced
 from cspace.errors import ScenarioError
+from cspace.planning.paths import length_rad, spaced
+from cspace.planning.rrt_connect import connect_trees
+from cspace.simulator import Split
 from cspace.space import circles
-from cspace.splits import Split
-from cspace.worlds.spatial.frames import Frame
-from cspace.worlds.spatial.obstacles.families import draw_layout
-from cspace.worlds.spatial.obstacles.objects import block
-from cspace.worlds.spatial.obstacles.scenes import SpatialScenes
-from cspace.worlds.spatial.obstacles.shapes import Obstacles
-from cspace.worlds.spatial.planning.collision import CollisionChecker
-from cspace.worlds.spatial.planning.ways import WayLimits, find_way, is_free, shorten
-from cspace.worlds.spatial.robot.arm import SerialArm
-from cspace.worlds.spatial.robot.parts import Joint, Part
+from cspace.worlds.spatial.arm import Joint, Part, SerialArm
+from cspace.worlds.spatial.checks import CollisionChecker
+from cspace.worlds.spatial.furniture import SpatialScenes, block
+from cspace.worlds.spatial.obstacles import Obstacles
+from cspace.worlds.spatial.paths import PathLimits, find_path, is_free, shorten
+from cspace.worlds.spatial.poses import Frame
+from cspace.worlds.spatial.scenes import draw_layout
 from tests.cspace.worlds.spatial.test_robots import PANDA, READY
 
-LIMITS = WayLimits(tries=2)
+LIMITS = PathLimits(tries=2)
 # Two links of 0.5 m in the plane z = 0, of balls.
 _LINK = tuple((x, 0.0, 0.0, 0.04) for x in np.linspace(0.0, 0.5, 11))
 TWO_LINKS = SerialArm(
@@ -59,7 +58,7 @@ def raw_way(checker, start, goal, seed):
 def test_a_way_leads_from_start_to_goal_and_every_step_of_it_is_free(ends):
     checker, start, goals = ends
     for goal in goals[:2]:
-        way = find_way(checker, start, goal, np.random.default_rng(0), LIMITS)
+        way = find_path(checker, start, goal, np.random.default_rng(0), LIMITS)
         assert way is not None
         assert np.array_equal(way[0], start)
         assert np.array_equal(way[-1], goal)
@@ -73,7 +72,7 @@ def test_a_way_of_many_tries_is_no_longer_than_the_first_search_finds(ends):
     checker, start, goals = ends
     for goal in goals[:2]:
         raw = raw_way(checker, start, goal, 0)
-        way = find_way(checker, start, goal, np.random.default_rng(0), LIMITS)
+        way = find_path(checker, start, goal, np.random.default_rng(0), LIMITS)
         assert length_rad(way, PANDA.space) < length_rad(raw, PANDA.space)
         assert length_rad(way, PANDA.space) > np.linalg.norm(goal - start)
 
@@ -96,7 +95,7 @@ def test_shortening_never_lengthens_and_keeps_a_way_free_and_its_ends(ends):
 def test_the_arm_is_drawn_out_of_a_door():
     checker = CollisionChecker(TWO_LINKS, DOOR)
     assert not checker.edge(THROUGH, ASIDE, 0.01)
-    way = find_way(checker, THROUGH, ASIDE, np.random.default_rng(0))
+    way = find_path(checker, THROUGH, ASIDE, np.random.default_rng(0))
     assert way is not None
     assert np.allclose(way[[0, -1]], [THROUGH, ASIDE])
     assert is_free(checker, way, 0.01)
@@ -108,28 +107,28 @@ def test_the_arm_is_drawn_out_of_a_door():
 def test_without_a_door_no_way_is_found():
     checker = CollisionChecker(TWO_LINKS, Obstacles.of([block((0.58, 0.62), (-0.3, 0.3), (0.03, 0.5))]))
     assert not checker.valid(THROUGH)
-    assert find_way(checker, THROUGH, ASIDE, np.random.default_rng(0)) is None
+    assert find_path(checker, THROUGH, ASIDE, np.random.default_rng(0)) is None
     jamb = [block((0.58, 0.62), (low, low + 0.1), (-0.5, 0.5)) for low in (-0.15, 0.05)]
     shut = CollisionChecker(TWO_LINKS, Obstacles.of(jamb))
     assert shut.valid(THROUGH)
     assert shut.valid(ASIDE)
-    assert find_way(shut, THROUGH, ASIDE, np.random.default_rng(0), replace(LIMITS, states=2000)) is None
+    assert find_path(shut, THROUGH, ASIDE, np.random.default_rng(0), replace(LIMITS, states=2000)) is None
 
 
 def test_the_straight_way_is_taken_where_it_is_free():
     checker = CollisionChecker(PANDA, Obstacles())
     start, goal = np.asarray(READY[0]), np.asarray(READY[0]) + 0.3
-    way = find_way(checker, start, goal, np.random.default_rng(0), LIMITS)
+    way = find_path(checker, start, goal, np.random.default_rng(0), LIMITS)
     assert length_rad(way, PANDA.space) == pytest.approx(0.3 * np.sqrt(7))
     steps = np.linalg.norm(np.diff(way, axis=0), axis=1)
     assert np.allclose(steps, steps[0])
     assert len(way) == 9
-    assert len(find_way(checker, start, start, np.random.default_rng(0))) == 2
+    assert len(find_path(checker, start, start, np.random.default_rng(0))) == 2
 
 
 def test_a_way_goes_round_the_shorter_side_of_a_circle():
     checker = CollisionChecker(TWO_LINKS, Obstacles())
-    way = find_way(checker, np.array([3.0, 0.0]), np.array([-3.0, 0.0]), np.random.default_rng(0))
+    way = find_path(checker, np.array([3.0, 0.0]), np.array([-3.0, 0.0]), np.random.default_rng(0))
     assert length_rad(way, circles(2)) == pytest.approx(2.0 * np.pi - 6.0)
     bent = np.array([[3.0, 0.0], [3.1, 0.5], [-3.0, 0.0]])
     short = shorten(checker, bent, np.random.default_rng(0), 200, 0.01)
@@ -147,7 +146,7 @@ def test_even_steps_keep_the_corners():
 
 def test_a_seed_gives_the_same_way(ends):
     checker, start, goals = ends
-    first, second = (find_way(checker, start, goals[0], np.random.default_rng(5), LIMITS) for _ in range(2))
+    first, second = (find_path(checker, start, goals[0], np.random.default_rng(5), LIMITS) for _ in range(2))
     assert np.array_equal(first, second)
 
 
@@ -155,10 +154,10 @@ def test_what_does_not_fit_is_refused():
     checker = CollisionChecker(PANDA, Obstacles())
     rng = np.random.default_rng(0)
     with pytest.raises(ScenarioError, match="do not fit the robot"):
-        find_way(checker, READY[0], np.zeros(6), rng)
+        find_path(checker, READY[0], np.zeros(6), rng)
     for way, resolution in ((np.zeros((1, 7)), 0.01), (np.zeros((3, 6)), 0.01), (np.zeros((3, 7)), 0.0)):
         with pytest.raises(ScenarioError, match="way does not fit"):
             shorten(checker, way, rng, 10, resolution)
     for wrong in ({"tries": -1}, {"final_rad": 0.0}, {"range_rad": float("nan")}):
         with pytest.raises(ScenarioError, match="limits of a search"):
-            WayLimits(**wrong)
+            PathLimits(**wrong)

@@ -8,21 +8,18 @@ import pytest
 from matplotlib.figure import Figure
 
 from cspace.errors import ConfigError, DatasetError, ImageError, ScenarioError
-from cspace.problem import UNIFORM
-from cspace.splits import Split
+from cspace.simulator import UNIFORM, Simulator, Split
 from cspace.strict_json import parse_json
-from cspace.workshop import Workshop
 from cspace.world import World
 from cspace.worlds.planar.world import PlanarWorld
-from cspace.worlds.spatial.obstacles.obstacle_rows import obstacles_of, rows_of
-from cspace.worlds.spatial.obstacles.scenes import SpatialScenes
-from cspace.worlds.spatial.seeing.sensor import DepthSensor
-from cspace.worlds.spatial.seeing.views import CameraViews
-from cspace.worlds.spatial.workshop import open_workshop
+from cspace.worlds.spatial.furniture import SpatialScenes
+from cspace.worlds.spatial.obstacles import obstacles_of, rows_of
+from cspace.worlds.spatial.sensor import CameraViews, DepthSensor
+from cspace.worlds.spatial.simulator import open_simulator
 from cspace.worlds.spatial.world import SpatialWorld, read, shipped, usual
 
 WORLD: SpatialWorld = usual(shipped("panda"))
-SHOP: Workshop = open_workshop(WORLD)
+SHOP: Simulator = open_simulator(WORLD)
 
 
 @pytest.fixture(scope="module")
@@ -157,7 +154,7 @@ def test_a_problem_is_seen_from_where_the_arm_starts():
 
 def test_where_nobody_knows_the_scenes_none_are_drawn():
     with pytest.raises(ScenarioError, match="nobody knows"):
-        open_workshop(replace(WORLD, scenes=None)).scenes(Split.TEST, 0, 1)
+        open_simulator(replace(WORLD, scenes=None)).scenes(Split.TEST, 0, 1)
 
 
 def test_another_data_set_lends_its_scenes():

@@ -19,13 +19,13 @@ from numpy.typing import NDArray
 from cspace.bundle import Bundle
 from cspace.bundle.request import fitted_configurations
 from cspace.errors import InputError
-from cspace.splits import Split
-from cspace.worlds import workshop_of
-from cspace.worlds.spatial.robot.arm import SerialArm
-from cspace.worlds.spatial.seeing.camera import looking
-from cspace.worlds.spatial.seeing.grid_box import grid_of
-from cspace.worlds.spatial.seeing.observed import unseen_share
-from cspace.worlds.spatial.seeing.view import DepthView, write_view
+from cspace.simulator import Split
+from cspace.worlds import simulator_of
+from cspace.worlds.spatial.arm import SerialArm
+from cspace.worlds.spatial.camera import looking
+from cspace.worlds.spatial.sensor import grid_of
+from cspace.worlds.spatial.view import DepthView, write_view
+from cspace.worlds.spatial.visibility import unseen_share
 from cspace.worlds.spatial.world import SpatialWorld
 from inference_api.settings import PRETRAINED_FOLDER
 
@@ -69,7 +69,7 @@ class Subject:
         self.fine: SpatialWorld = self.bundle.spec.world  # type: ignore[assignment]
         self.arm: SerialArm = self.fine.body
         self.coarse = replace(self.fine, sensor=replace(self.fine.sensor, grid=grid_of(self.arm, COARSE_M)))
-        shop: Any = workshop_of(self.fine)
+        shop: Any = simulator_of(self.fine)
         self.views = [self._smaller(scene.view()) for scene in shop.scenes(Split.DEMO, 11, scenes)]
         rows = self.fine.space.sample_uniform(np.random.default_rng(0), 96)
         self.rows = rows.astype(np.float32)

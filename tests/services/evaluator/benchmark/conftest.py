@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from cspace.bundle import Bundle
-from cspace.splits import Split
+from cspace.simulator import Split
 from inference_api.settings import PRETRAINED_FOLDER
 from services.evaluator.benchmark.arms import Protocol, Setting
 from services.evaluator.benchmark.runs import frame_of

@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 
 from cspace.errors import ConfigError, EvaluationError, JobError
-from cspace.worlds.planar.planning.problems import Family
+from cspace.worlds.planar.problems import Family
 from services.evaluator import __main__ as evaluator
 from services.evaluator.benchmark import __main__ as command
 from services.evaluator.benchmark.arms import pick, table

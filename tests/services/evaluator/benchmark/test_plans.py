@@ -7,11 +7,10 @@ import pandas as pd
 import pytest
 
 from cspace.errors import ConfigError, DatasetError, EvaluationError, SamplerError
-from cspace.planning.query import Plan, PlanQuery
-from cspace.splits import Split
+from cspace.query import Plan, PlanQuery
+from cspace.simulator import Split, Taken
 from cspace.worlds import examples
-from cspace.worlds.spatial.robot.ready import ready_rad
-from cspace.worlds.unseen import Taken
+from cspace.worlds.spatial.arm import ready_rad
 from inference_api.settings import PRETRAINED_FOLDER
 from services.evaluator.benchmark import __main__ as command
 from services.evaluator.benchmark.__main__ import make_request, parser, refuse_others

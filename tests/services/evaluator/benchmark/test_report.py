@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from cspace.worlds.planar.planning.problems import Family
+from cspace.worlds.planar.problems import Family
 from services.evaluator.benchmark.arms import Protocol, Setting, pick, table
 from services.evaluator.benchmark.figures import looks, page_arms, panel_of, share_until
 from services.evaluator.benchmark.job import Request, Results

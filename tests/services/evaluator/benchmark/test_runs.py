@@ -4,7 +4,7 @@ import pandas as pd
 import pytest
 
 from cspace.errors import ConfigError, EvaluationError, StorageError
-from cspace.worlds.planar.planning.problems import Family
+from cspace.worlds.planar.problems import Family
 from services.evaluator.benchmark.arms import Protocol, pick, table
 from services.evaluator.benchmark.runs import RUNS, SAMPLE_COLUMNS, RunStore, frame_of, key_of
 from services.evaluator.benchmark.samples import sample_units

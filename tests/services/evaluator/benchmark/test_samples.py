@@ -12,10 +12,10 @@ from cspace.bundle import Bundle
 from cspace.errors import ConfigError, SamplerError
 from cspace.png import encode_png
 from cspace.query import SampleQuery
-from cspace.splits import Split
+from cspace.simulator import Split
 from cspace.worlds import default_world, examples
-from cspace.worlds.planar.planning.problems import Family, draw_problem
-from cspace.worlds.planar.seeing.picture import decode_png
+from cspace.worlds.planar.camera import decode_png
+from cspace.worlds.planar.problems import Family, draw_problem
 from services.evaluator.benchmark.arms import Unit, pick, table
 from services.evaluator.benchmark.samples import SampleWorker, drawn_samples, known_problem, state_check_s
 from services.evaluator.benchmark.sources import ask, bundled, fresh_picture, opened, parse_named

@@ -8,7 +8,7 @@ import pytest
 
 from cspace.errors import SamplerError, SamplerUnavailableError
 from cspace.worlds import default_world
-from cspace.worlds.planar.planning.problems import Family
+from cspace.worlds.planar.problems import Family
 from services.evaluator.benchmark import __main__ as command
 from services.evaluator.benchmark.arms import pick, table
 from services.evaluator.benchmark.execution import executor, run_on_ray

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from cspace.worlds.planar.planning.problems import Family
+from cspace.worlds.planar.problems import Family
 from services.evaluator.benchmark.arms import Group, Protocol, pick, plain_arm, table
 from services.evaluator.benchmark.figures import cost_at
 from services.evaluator.benchmark.report import sample_sections

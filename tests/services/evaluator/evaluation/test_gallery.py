@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from cspace.splits import Split
+from cspace.simulator import Split
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK, PlanarArm
-from cspace.worlds.planar.planning.problems import Family
-from cspace.worlds.planar.seeing.camera import Camera
+from cspace.worlds.planar.camera import Camera
+from cspace.worlds.planar.problems import Family
 from cspace.worlds.planar.world import PlanarWorld
 from services.evaluator.evaluation.report import MISSED_COLOUR, SHOWN_SAMPLES, exhibits, gallery
 from services.evaluator.evaluation.units import SplitResult

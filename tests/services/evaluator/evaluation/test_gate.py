@@ -2,7 +2,7 @@ from dataclasses import replace
 
 import pytest
 
-from cspace.worlds import workshop_of
+from cspace.worlds import simulator_of
 from cspace.worlds.planar.world import PlanarWorld
 from services.evaluator.evaluation.gate import (
     Bar,
@@ -16,7 +16,7 @@ from services.evaluator.evaluation.gate import (
 )
 from services.evaluator.statistics import Interval
 
-PLANAR = workshop_of(PlanarWorld()).measures
+PLANAR = simulator_of(PlanarWorld()).measures
 GOOD = {"precision": 0.86, "coverage": 0.9, "edr": 0.2, "planning_success": 0.95}
 
 

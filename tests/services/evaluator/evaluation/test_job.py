@@ -4,7 +4,7 @@ from dataclasses import replace
 import pytest
 
 from cspace.errors import EvaluationError, ModelNotFoundError, RegistryError
-from cspace.worlds import workshop_of
+from cspace.worlds import simulator_of
 from cspace.worlds.planar.arm import THREE_LINK
 from cspace.worlds.planar.world import PlanarWorld
 from services.evaluator import __main__ as command
@@ -16,7 +16,7 @@ from services.registry.promotion import decisions
 from tests.bundles import write_tiny_bundle
 from tests.fakes.registry import FakeRegistry, FakeTracking
 
-PROBLEMS = workshop_of(PlanarWorld()).families
+PROBLEMS = simulator_of(PlanarWorld()).families
 TINY = Budget(
     scenarios=2,
     samples=150,

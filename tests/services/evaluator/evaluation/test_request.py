@@ -1,7 +1,7 @@
 import pytest
 
 from cspace.errors import ConfigError
-from cspace.worlds import workshop_of
+from cspace.worlds import simulator_of
 from cspace.worlds.planar.world import PlanarWorld
 from services.evaluator.evaluation.units import FULL, QUICK, make_request, units
 
@@ -26,7 +26,7 @@ def test_values_out_of_range_are_errors(changes):
 
 
 def test_units_cover_every_scenario_and_problem_once():
-    work = units(QUICK, workshop_of(PlanarWorld()).families)
+    work = units(QUICK, simulator_of(PlanarWorld()).families)
     seen = [
         (unit.kind, unit.split, unit.family, index)
         for unit in work

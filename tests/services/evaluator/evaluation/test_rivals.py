@@ -6,7 +6,7 @@ from cspace.bundle import Bundle
 from cspace.errors import ConfigError, ModelNotFoundError, RegistryUnavailableError
 from cspace.worlds import robot_digest
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK, PlanarArm
-from cspace.worlds.planar.seeing.camera import Camera
+from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.world import PlanarWorld
 from inference_api.settings import PRETRAINED_FOLDER
 from services.evaluator.evaluation.rivals import find_rivals, is_of

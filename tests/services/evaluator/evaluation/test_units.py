@@ -7,11 +7,11 @@ import pytest
 
 from cspace.bundle import Bundle
 from cspace.errors import EvaluationError
-from cspace.splits import Split
-from cspace.worlds import workshop_of
+from cspace.simulator import Split
+from cspace.worlds import simulator_of
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK
-from cspace.worlds.planar.planning.problems import Family
-from cspace.worlds.planar.seeing.camera import Camera
+from cspace.worlds.planar.camera import Camera
+from cspace.worlds.planar.problems import Family
 from cspace.worlds.planar.world import PlanarWorld
 from services.evaluator.evaluation.job import run_here
 from services.evaluator.evaluation.measured import (
@@ -51,7 +51,7 @@ TINY = Budget(
     topology_samples=200,
 )
 FAMILIES = ["narrow", "disconnected"]
-PROBLEMS, PROBLEMS_OF_THREE = (workshop_of(PlanarWorld(arm)).families for arm in (TWO_LINK, THREE_LINK))
+PROBLEMS, PROBLEMS_OF_THREE = (simulator_of(PlanarWorld(arm)).families for arm in (TWO_LINK, THREE_LINK))
 
 
 def setting(robot=TWO_LINK, budget=TINY):

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from cspace.simulator import Split
 from cspace.space import JointSpace, circles
-from cspace.splits import Split
 from cspace.worlds.planar.arm import PlanarArm
 from cspace.worlds.planar.world import PlanarWorld
 from services.evaluator.measures.reconstruction import coverage, energy_distance

@@ -7,11 +7,11 @@ import pytest
 
 from cspace.bundle import Bundle, write_bundle
 from cspace.errors import EvaluationError
-from cspace.splits import Split
+from cspace.simulator import Split
 from cspace.worlds.planar.arm import TWO_LINK
-from cspace.worlds.planar.planning.collision import CollisionChecker
-from cspace.worlds.planar.planning.problems import Family
-from cspace.worlds.planar.seeing.camera import Camera
+from cspace.worlds.planar.camera import Camera
+from cspace.worlds.planar.checks import CollisionChecker
+from cspace.worlds.planar.problems import Family
 from cspace.worlds.planar.world import PlanarWorld
 from services.evaluator.evaluation.measured import flat_metrics, occupancy_table
 from services.evaluator.evaluation.units import JUDGED, Budget, Kind, Setting, Unit, assemble, run_unit

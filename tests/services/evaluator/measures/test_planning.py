@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from cspace.errors import EvaluationError
-from cspace.problem import Problem
+from cspace.simulator import Problem
 from cspace.worlds.planar.arm import TWO_LINK
-from cspace.worlds.planar.planning.problems import Family
-from cspace.worlds.planar.scene import Disc, Scenario
+from cspace.worlds.planar.problems import Family
+from cspace.worlds.planar.world import Disc, Scenario
 from services.evaluator.evaluation.measured import planning_table
 from services.evaluator.measures.planning import (
     PlanningTrial,

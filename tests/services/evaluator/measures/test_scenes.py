@@ -4,13 +4,12 @@ import numpy as np
 import pytest
 
 from cspace.errors import EvaluationError
-from cspace.splits import Split
-from cspace.worlds import workshop_of
+from cspace.simulator import Split
+from cspace.worlds import simulator_of
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK
-from cspace.worlds.planar.planning.problems import Family, draw_problem
-from cspace.worlds.planar.scene import Disc, Scenario, random_scenarios
-from cspace.worlds.planar.seeing.camera import Camera
-from cspace.worlds.planar.world import PlanarWorld
+from cspace.worlds.planar.camera import Camera
+from cspace.worlds.planar.problems import Family, draw_problem
+from cspace.worlds.planar.world import Disc, PlanarWorld, Scenario, random_scenarios
 from services.evaluator.measures.scenes import (
     CONFIDENT_STREAM,
     FAMILY_STREAM,
@@ -46,7 +45,7 @@ def test_scenes_of_a_family_are_those_of_its_problems_seen_by_the_evaluation_s_c
 
 
 def test_families_have_streams_of_their_own():
-    scenes = [Scene(STAGE, 1, family) for family in workshop_of(STAGE.world).families.names]
+    scenes = [Scene(STAGE, 1, family) for family in simulator_of(STAGE.world).families.names]
     numbers = {scene.rng(stream).random() for scene in scenes for stream in range(5)}
     assert len(numbers) == 15
     assert FAMILY_STREAM + 1 > 10 + CONFIDENT_STREAM

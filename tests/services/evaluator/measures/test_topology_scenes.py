@@ -1,9 +1,9 @@
 import pytest
 
 from cspace.errors import EvaluationError
-from cspace.splits import Split
+from cspace.simulator import Split
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK
-from cspace.worlds.planar.seeing.camera import Camera
+from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.world import PlanarWorld
 from services.evaluator.measures.scenes import Scene, Stage
 from services.evaluator.measures.topology_scenes import (

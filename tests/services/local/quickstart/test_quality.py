@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from cspace.worlds import default_world, robot_digest, workshop_of
+from cspace.worlds import default_world, robot_digest, simulator_of
 from services.local import quickstart
 from services.local.commands import COMMANDS
 from services.local.jobs import EvaluationResult, TrainingResult
@@ -79,7 +79,7 @@ def test_the_summary_shows_both_models_side_by_side_and_why_the_shipped_one_was_
 def test_every_tour_asks_for_the_gate_without_the_shipped_model_and_knows_its_robot():
     for name, tour in TOURS.items():
         assert "--model {model} --without-shipped" in tour.evaluate
-        assert set(tour.families) <= set(workshop_of(tour.world).families.names)
+        assert set(tour.families) <= set(simulator_of(tour.world).families.names)
         assert tour.shipped in SHIPPED
         assert (name == "planar") == (tour.world == default_world())
 

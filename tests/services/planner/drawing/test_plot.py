@@ -7,7 +7,7 @@ from PIL import Image
 
 from cspace.errors import ConfigError, StorageError
 from cspace.worlds.planar.arm import THREE_LINK
-from cspace.worlds.planar.drawing import capsule_outline
+from cspace.worlds.planar.render import capsule_outline
 from services.planner.drawing.configuration_panel import collision_share
 from services.planner.drawing.plot import check_figure_path, draw_plan, outcome_title, save_figure
 from services.planner.search.ompl_planner import PlannerSettings, solve

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from cspace.problem import Problem
+from cspace.simulator import Problem
 from cspace.worlds.planar.arm import PlanarArm
-from cspace.worlds.planar.planning.collision import CollisionChecker
-from cspace.worlds.planar.planning.grid_paths import PathFinder
-from cspace.worlds.planar.planning.problems import Family, bottleneck_rad, connected
-from cspace.worlds.planar.scene import Scenario
+from cspace.worlds.planar.checks import CollisionChecker
+from cspace.worlds.planar.free_grid import PathFinder
+from cspace.worlds.planar.problems import Family, bottleneck_rad, connected
+from cspace.worlds.planar.world import Scenario
 from services.planner.plan_result import Reason
 from services.planner.search.ompl_planner import solve
 from services.planner.search.path_check import judge_path

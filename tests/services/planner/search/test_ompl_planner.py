@@ -3,9 +3,9 @@ import pytest
 from scipy.stats import mannwhitneyu
 
 from cspace.errors import ConfigError, PlanningError
+from cspace.worlds.planar import checks
 from cspace.worlds.planar.arm import THREE_LINK, PlanarArm
-from cspace.worlds.planar.planning import collision
-from cspace.worlds.planar.planning.collision import CollisionChecker
+from cspace.worlds.planar.checks import CollisionChecker
 from services.planner.search import validity
 from services.planner.search.ompl_planner import PlannerSettings, Reason, solve
 from services.planner.settings import LEARNED_PLANNERS, PLANNERS, RRT, RRT_STAR, SAMPLED_CONNECT
@@ -115,14 +115,14 @@ def test_all_that_a_planner_holds_is_learned_samples_and_the_ends(disconnected, 
 @pytest.mark.parametrize("planner", PLANNERS)
 def test_states_are_counted_beside_the_edges_they_lie_on(disconnected, planner, monkeypatch):
     looks = []
-    checked = collision.checked_edge
+    checked = checks.checked_edge
 
     def noted(*arguments):
         found = checked(*arguments)
         looks.append(found[1])
         return found
 
-    monkeypatch.setattr(collision, "checked_edge", noted)
+    monkeypatch.setattr(checks, "checked_edge", noted)
     result = solve(disconnected, PlannerSettings(planner, max_iterations=200, resolution_rad=0.05))
     assert result.resolution_rad == 0.05
     if planner != SAMPLED_CONNECT:
@@ -198,7 +198,7 @@ def test_the_time_limit_ends_a_search(disconnected):
 
 
 def test_a_path_that_the_planner_believes_in_is_still_checked(disconnected, monkeypatch):
-    monkeypatch.setattr(collision, "checked_edge", lambda *_: (True, 1))
+    monkeypatch.setattr(checks, "checked_edge", lambda *_: (True, 1))
     result = solve(disconnected, SETTINGS)
     assert not result.solved
     assert result.reason == Reason.REJECTED
@@ -280,7 +280,7 @@ def test_an_empty_batch_is_as_good_as_none(blocked):
 
 def test_an_error_in_a_callback_reaches_the_caller_and_the_next_solve_works(blocked, monkeypatch):
     with monkeypatch.context() as patch:
-        patch.setattr(collision, "checked_edge", lambda *_: 1 / 0)
+        patch.setattr(checks, "checked_edge", lambda *_: 1 / 0)
         with pytest.raises(ZeroDivisionError):
             solve(blocked, SETTINGS)
     assert solve(blocked, SETTINGS).solved

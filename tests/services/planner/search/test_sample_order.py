@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cspace.worlds.planar.arm import TWO_LINK, PlanarArm
-from cspace.worlds.planar.planning.collision import CollisionChecker
+from cspace.worlds.planar.checks import CollisionChecker
 from services.planner.search.samples.sample_order import colliding_last, order_along
 
 SPACE = TWO_LINK.space

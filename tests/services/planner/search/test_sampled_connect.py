@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from scipy.stats import mannwhitneyu
 
-from cspace.planning.trees import BLOCK, Trees, drawn_states
-from cspace.splits import Split
+from cspace.planning.rrt_connect import BLOCK, Trees, drawn_states
+from cspace.simulator import Split
 from cspace.worlds.planar.arm import PlanarArm
-from cspace.worlds.planar.planning.collision import CollisionChecker
-from cspace.worlds.planar.planning.problems import Family, draw_problem
+from cspace.worlds.planar.checks import CollisionChecker
+from cspace.worlds.planar.problems import Family, draw_problem
 from services.planner.search.ompl_planner import PlannerSettings, Reason, solve
 from services.planner.settings import RRT_CONNECT, SAMPLED_CONNECT
 

@@ -7,9 +7,9 @@ import pytest
 from ompl import base as ob
 from scipy.stats import mannwhitneyu
 
-from cspace.splits import Split
-from cspace.worlds.planar.planning.collision import CollisionChecker
-from cspace.worlds.planar.planning.problems import Family, draw_problem
+from cspace.simulator import Split
+from cspace.worlds.planar.checks import CollisionChecker
+from cspace.worlds.planar.problems import Family, draw_problem
 from services.planner.search import sampled_prm
 from services.planner.search.ompl_planner import PlannerSettings, Reason, solve
 from services.planner.settings import PRM

@@ -3,11 +3,10 @@
 import numpy as np
 import pytest
 
-from cspace.connecting import spaced
-from cspace.planning.along import NOISE_RAD, STEP_RAD
-from cspace.planning.query import BelievedWay
-from cspace.splits import Split
-from cspace.worlds import checker_of, examples, workshop_of
+from cspace.planning.paths import NOISE_RAD, STEP_RAD, spaced
+from cspace.query import BelievedWay
+from cspace.simulator import Split
+from cspace.worlds import checker_of, examples, simulator_of
 from services.planner.plan_result import Reason
 from services.planner.search import ways_first
 from services.planner.search.ompl_planner import solve
@@ -15,7 +14,7 @@ from services.planner.search.ways_first import drawn_about, solve_with_ways
 from services.planner.settings import SAMPLED_CONNECT, PlannerSettings
 
 WORLD = examples()["two-link"]
-SHOP = workshop_of(WORLD)
+SHOP = simulator_of(WORLD)
 SETTINGS = PlannerSettings(planner=SAMPLED_CONNECT, max_iterations=20_000, seed=3)
 
 

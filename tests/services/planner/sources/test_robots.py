@@ -7,9 +7,9 @@ import pytest
 from cspace.bundle import request as judging
 from cspace.errors import ConfigError, SamplerAnswerError, SamplerError, SamplerUnavailableError
 from cspace.query import SampleQuery
-from cspace.splits import Split
+from cspace.simulator import Split
 from cspace.worlds import default_world, examples, robot_digest
-from cspace.worlds.planar.planning.problems import Family, draw_problem
+from cspace.worlds.planar.problems import Family, draw_problem
 from services.planner.planning import SampleRequest, plan_with_api
 from services.planner.settings import PlannerSettings
 from services.planner.sources.local_sampler import LocalSampler

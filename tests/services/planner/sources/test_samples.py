@@ -1,7 +1,7 @@
 import numpy as np
 
 from cspace.query import SampleQuery
-from cspace.worlds.planar.seeing.picture import decode_png
+from cspace.worlds.planar.camera import decode_png
 from services.planner.sources.samples import PinnedSource
 from tests.bundles import picture
 from tests.fakes.sample_source import FakeSampleSource

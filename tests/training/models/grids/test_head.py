@@ -10,10 +10,10 @@ import torch
 
 from cspace.errors import ConfigError
 from cspace.worlds import default_world, examples
-from cspace.worlds.spatial.obstacles.shapes import Obstacles
-from cspace.worlds.spatial.planning.collision import CollisionChecker
-from cspace.worlds.spatial.robot.covering import grouped
-from cspace.worlds.spatial.seeing.observed import lookup, unseen_share
+from cspace.worlds.spatial.arm import grouped
+from cspace.worlds.spatial.checks import CollisionChecker
+from cspace.worlds.spatial.obstacles import Obstacles
+from cspace.worlds.spatial.visibility import lookup, unseen_share
 from tests.training.models.grids.plain_head import plain_answers
 from training.models.checkpoint import seeded_initialisation
 from training.models.grid_head import GridHead

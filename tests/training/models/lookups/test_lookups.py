@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from cspace.worlds.planar.arm import TWO_LINK, PlanarArm
-from cspace.worlds.planar.seeing.camera import Camera
+from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.world import PlanarWorld
 from training.models.lookups import ArmLookups, PictureReader
 

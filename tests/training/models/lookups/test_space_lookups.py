@@ -7,7 +7,7 @@ import torch
 from cspace.errors import ConfigError
 from cspace.worlds import examples
 from cspace.worlds.planar.arm import TWO_LINK
-from cspace.worlds.planar.seeing.camera import Camera
+from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.world import PlanarWorld
 from training.models.lookups import Scenes, SpaceLookups, SpaceReader, make_lookups, make_reader
 from training.models.settings import LookupConfig

@@ -8,7 +8,7 @@ from cspace.dataset import write_dataset
 from cspace.errors import DatasetError
 from cspace.space import circles
 from cspace.worlds.planar.arm import TWO_LINK
-from cspace.worlds.planar.seeing.camera import Camera
+from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.world import PlanarWorld
 from tests.training.models.path_builders import POINTS, generator, samples
 from training.models.joints import Joints, on_torus

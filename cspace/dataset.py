@@ -1,0 +1,458 @@
+"""Data sets: a folder of arrays with a manifest, written whole or not at all."""
+
+import hashlib
+import json
+import shutil
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cspace.errors import DamagedFileError, DatasetError, ScenarioError, StorageError
+from cspace.files import make_output_folder, map_npy, read_bounded, replacing
+from cspace.simulator import ORIGINS
+from cspace.space import JointSpace, circles
+from cspace.strict_json import json_text, parse_json, read_mapping, read_members, read_object, written
+from cspace.world import World
+from cspace.worlds import FIRST, read_world
+
+_BLOCK = 1_000_000
+# Of each configuration, free or in collision: how far it is from contact, and how it was drawn.
+TOLD: dict[str, type] = {
+    f"{name}_{what}": dtype
+    for name in ("free", "collision")
+    for what, dtype in (("clearance", np.float32), ("origin", np.uint8))
+}
+
+
+def check_arrays(
+    arrays: Mapping[str, NDArray[Any]],
+    world: World,
+    required: Sequence[str],
+    optional: Sequence[str],
+) -> None:
+    """Check names, shapes, types, offsets and angles.
+
+    Raises:
+        DatasetError: something does not fit; says which file, what was expected and what came.
+    """
+    optional = (*optional, *world.scene_files)
+    missing, unknown = set(required) - set(arrays), set(arrays) - set(required) - set(optional)
+    if missing or unknown:
+        raise DatasetError(
+            "the data set's files do not fit",
+            expected=f"{', '.join(required)} and optionally {', '.join(optional)}",
+            got=f"without {sorted(missing)}, with {sorted(unknown)}",
+        )
+    picture = world.sensor.picture_shape
+    scenarios = len(arrays["images"])
+    _must("images.npy", arrays["images"], np.uint8, (None, *picture))
+    if scenarios == 0:
+        raise DatasetError("images.npy is empty", expected="at least one scenario", got="none")
+    if "extra_images" in arrays:
+        _must("extra_images.npy", arrays["extra_images"], np.uint8, (None, *picture))
+    world.check_scenes(arrays, scenarios)
+    _must_own("free", arrays, world.space, scenarios)
+    if "collision" in arrays or "collision_offsets" in arrays:
+        _must_own("collision", arrays, world.space, scenarios)
+    for name in set(TOLD) & set(arrays):
+        _must_tell(name, arrays)
+    if {"paths", "path_offsets", "path_scenario"} & set(arrays):
+        _must_hold_paths(arrays, world.space, scenarios)
+
+
+def _must(file: str, array: NDArray[Any], dtype: type, shape: tuple[int | None, ...]) -> None:
+    fits = array.ndim == len(shape) and all(
+        want in (None, have) for want, have in zip(shape, array.shape, strict=True)
+    )
+    if array.dtype != dtype or not fits:
+        wanted = ", ".join("any" if size is None else str(size) for size in shape)
+        raise DatasetError(
+            f"{file} does not fit",
+            expected=f"{np.dtype(dtype)} of shape ({wanted})",
+            got=f"{array.dtype} of shape {array.shape}",
+        )
+
+
+def _must_own(name: str, arrays: Mapping[str, NDArray[Any]], space: JointSpace, scenarios: int) -> None:
+    if name not in arrays or f"{name}_offsets" not in arrays:
+        raise DatasetError(f"{name}.npy and {name}_offsets.npy belong together", got="only one of them")
+    _must_be_angles(f"{name}.npy", arrays[name], space)
+    _must_be_offsets(f"{name}_offsets.npy", arrays[f"{name}_offsets"], scenarios, len(arrays[name]))
+
+
+def _must_tell(name: str, arrays: Mapping[str, NDArray[Any]]) -> None:
+    rows, what = name.split("_")
+    if rows not in arrays:
+        raise DatasetError(f"{name}.npy belongs to {rows}.npy", got="the first alone")
+    _must(f"{name}.npy", arrays[name], TOLD[name], (len(arrays[rows]),))
+    values = arrays[name]
+    fits = values < len(ORIGINS) if what == "origin" else (values > 0.0 if rows == "free" else values <= 0.0)
+    if not fits.all():
+        raise DatasetError(
+            f"{name}.npy does not fit",
+            expected=f"below {len(ORIGINS)}" if what == "origin" else "m, above 0 where free, else not",
+            got=str(values[~fits][0]),
+        )
+
+
+def _must_hold_paths(arrays: Mapping[str, NDArray[Any]], space: JointSpace, scenarios: int) -> None:
+    if not {"paths", "path_offsets", "path_scenario"} <= set(arrays):
+        raise DatasetError(
+            "paths.npy, path_offsets.npy and path_scenario.npy belong together", got="some of them"
+        )
+    _must_be_angles("paths.npy", arrays["paths"], space)
+    owner = arrays["path_scenario"]
+    _must("path_scenario.npy", owner, np.int64, (None,))
+    _must_be_offsets("path_offsets.npy", arrays["path_offsets"], len(owner), len(arrays["paths"]))
+    if len(owner) and not (owner.min() >= 0 and owner.max() < scenarios):
+        raise DatasetError(
+            "path_scenario.npy does not fit",
+            expected=f"0 to {scenarios - 1}",
+            got=f"{owner.min()} to {owner.max()}",
+        )
+
+
+def _must_be_angles(file: str, array: NDArray[Any], space: JointSpace) -> None:
+    _must(file, array, np.float32, (None, space.dim))
+    for start in range(0, len(array), _BLOCK):
+        block = array[start : start + _BLOCK]
+        inside = space.holds(block)
+        if not inside.all():
+            # Data sets of before limits were kept hold wrapped angles outside of them.
+            inside |= circles(space.dim).holds(block)
+        if not inside.all():
+            raise DatasetError(
+                f"{file} holds values that are no angles",
+                expected="finite rad, in [-pi, pi) or within the joint's limits",
+                got=str(block[~inside][0]),
+                remedy="bring them there with JointSpace.to_float32 of cspace.space",
+            )
+
+
+def _must_be_offsets(file: str, offsets: NDArray[Any], parts: int, rows: int) -> None:
+    _must(file, offsets, np.int64, (parts + 1,))
+    if offsets[0] != 0 or offsets[-1] != rows or (np.diff(offsets) < 0).any():
+        raise DatasetError(
+            f"{file} does not fit",
+            expected=f"rising from 0 to {rows}",
+            got=f"from {offsets[0]} to {offsets[-1]}",
+        )
+
+
+SCHEMA_VERSION = 2
+MANIFEST_FILE = "manifest.json"
+# Of a data set with some hundred files it has some 100 KiB.
+MAX_MANIFEST_BYTES = 16 * 2**20
+_KEYS = {"schema_version", "world", "counts", "generator", "files", "digest"}
+
+
+@dataclass(frozen=True, slots=True)
+class Manifest:
+    """A data set's description.
+
+    Args:
+        world: robot and sensor.
+        counts: scenarios, configurations and so on, for people.
+        generator: how the data were made; any JSON values.
+        files: SHA-256 of each file by its name.
+    """
+
+    world: Annotated[World, read_world]
+    counts: Mapping[str, int]
+    generator: Mapping[str, Any]
+    files: Mapping[str, str]
+
+    @property
+    def digest(self) -> str:
+        """One SHA-256 over the world and all files; two data sets with equal content share it."""
+        content = {**self._world(), "files": dict(self.files)}
+        return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+
+    def to_json(self) -> str:
+        """The text of ``manifest.json``.
+
+        Raises:
+            DatasetError: the generator holds something that JSON does not.
+        """
+        content = written(self) | {"schema_version": SCHEMA_VERSION, "digest": self.digest}
+        return json_text(content, MANIFEST_FILE, "generator", DatasetError)
+
+    @classmethod
+    def read(cls, folder: Path) -> "Manifest":
+        """Read and check a folder's manifest.
+
+        Raises:
+            DatasetError: none there, not JSON, another schema, or keys that do not fit.
+            DamagedFileError: its digest is not that of its content.
+        """
+        path = folder / MANIFEST_FILE
+        members = _read_members(path)
+        digest = members.pop("digest")
+        try:
+            manifest = read_object(cls, members, str(path), DatasetError)
+        except ScenarioError as error:
+            raise DatasetError(
+                f"{path}: {error.what}", expected=error.expected, got=error.got, remedy=error.remedy
+            ) from error
+        if manifest.digest != digest:
+            raise DamagedFileError(f"{path} is damaged", expected=str(digest)[:200], got=manifest.digest)
+        return manifest
+
+    def _world(self) -> dict[str, Any]:
+        # A world of the first kind without its name, so that the digests of older data sets stay.
+        told = self.world.to_dict()
+        return {key: value for key, value in told.items() if key != "kind"} if told["kind"] == FIRST else told
+
+
+def _read_members(path: Path) -> dict[str, Any]:
+    """The members of the manifest's JSON as this schema has them, without their version."""
+    remedy = "see docs/data.md for the format, python -m training.datasets import for own data"
+    data = read_bounded(path, MAX_MANIFEST_BYTES, DatasetError, remedy=remedy)
+    try:
+        values = parse_json(data, whole=int)
+    except ValueError as error:
+        raise DatasetError(f"{path} is not JSON", expected="a manifest", got=str(error)[:200]) from error
+    version = read_mapping(values, str(path), DatasetError).get("schema_version")
+    if version != SCHEMA_VERSION:
+        raise DatasetError(
+            f"{path} is of another schema",
+            expected=f"schema_version {SCHEMA_VERSION}",
+            got=repr(version)[:200],
+            remedy="generate or import the data again with this release",
+        )
+    members = read_members(values, _KEYS, str(path), DatasetError)
+    del members["schema_version"]
+    return members
+
+
+def file_digest(path: Path) -> str:
+    """SHA-256 of a file, read in blocks."""
+    with path.open("rb") as handle:
+        return hashlib.file_digest(handle, "sha256").hexdigest()
+
+
+REQUIRED = ("images", "free", "free_offsets")
+OPTIONAL = (
+    *("collision", "collision_offsets", "paths", "path_offsets", "path_scenario", "extra_images"),
+    *TOLD,
+)
+# Room that stays free on the disk after a data set has been written.
+RESERVE_BYTES = 256 * 2**20
+
+Arrays = Mapping[str, NDArray[Any]]
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """An opened data set; its arrays are memory-mapped and read-only.
+
+    Args:
+        folder: where it lies.
+        manifest: its description.
+        arrays: by file name without ending.
+    """
+
+    folder: Path
+    manifest: Manifest
+    arrays: Arrays
+
+    @property
+    def world(self) -> World:
+        """Robot and sensor."""
+        return self.manifest.world
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 over the content."""
+        return self.manifest.digest
+
+    @property
+    def dim(self) -> int:
+        """Number of joints."""
+        return self.world.dim
+
+    @property
+    def scenario_count(self) -> int:
+        """S."""
+        return len(self.images)
+
+    @property
+    def images(self) -> NDArray[np.uint8]:
+        """(S, P, P, 3)."""
+        return self.arrays["images"]
+
+    @property
+    def free(self) -> NDArray[np.float32]:
+        """(M, d) rad."""
+        return self.arrays["free"]
+
+    @property
+    def free_offsets(self) -> NDArray[np.int64]:
+        """(S + 1,)."""
+        return self.arrays["free_offsets"]
+
+    @property
+    def collision(self) -> NDArray[np.float32] | None:
+        """(M', d) rad."""
+        return self.arrays.get("collision")
+
+    @property
+    def collision_offsets(self) -> NDArray[np.int64] | None:
+        """(S + 1,)."""
+        return self.arrays.get("collision_offsets")
+
+    @property
+    def extra_images(self) -> NDArray[np.uint8] | None:
+        """(E, P, P, 3)."""
+        return self.arrays.get("extra_images")
+
+    @property
+    def generator_seed(self) -> int | None:
+        """The seed of generated scenarios, None for somebody's own data."""
+        seed = self.manifest.generator.get("seed")
+        return seed if isinstance(seed, int) else None
+
+    def free_of(self, scenario: int) -> NDArray[np.float32]:
+        """Free configurations of one scenario, (n, d) rad."""
+        return self.free[self.free_offsets[scenario] : self.free_offsets[scenario + 1]]
+
+    def collision_of(self, scenario: int) -> NDArray[np.float32]:
+        """Configurations in collision of one scenario, (n, d) rad.
+
+        Raises:
+            DatasetError: the data set holds none.
+        """
+        if self.collision is None or self.collision_offsets is None:
+            raise DatasetError("the data set holds no configurations in collision", got=str(self.folder))
+        return self.collision[self.collision_offsets[scenario] : self.collision_offsets[scenario + 1]]
+
+    @property
+    def told(self) -> tuple[str, ...]:
+        """Names of the arrays that tell more of each configuration."""
+        return tuple(name for name in TOLD if name in self.arrays)
+
+    def told_of(self, name: str, scenario: int) -> NDArray[Any]:
+        """One of :attr:`told` for one scenario's configurations, (n,)."""
+        offsets = self.arrays[f"{name.partition('_')[0]}_offsets"]
+        return self.arrays[name][offsets[scenario] : offsets[scenario + 1]]
+
+
+def open_dataset(folder: Path, *, verify: bool = True) -> Dataset:
+    """Open a data-set folder.
+
+    Args:
+        folder: generated, imported or written by hand to the format.
+        verify: whether every file's digest is computed and compared.
+
+    Raises:
+        DatasetError: the folder does not follow the format.
+        DamagedFileError: a file's digest is not the manifest's; the file is named.
+    """
+    folder = Path(folder)
+    manifest = Manifest.read(folder)
+    for name, expected in manifest.files.items():
+        path = folder / name
+        if Path(name).name != name or not path.is_file():
+            raise DamagedFileError(f"{path} is missing", expected="a file of the data set")
+        if verify and (got := file_digest(path)) != expected:
+            raise DamagedFileError(
+                f"{path} is damaged", expected=f"SHA-256 {expected}", got=got, remedy="make or copy it again"
+            )
+    arrays = {Path(name).stem: map_npy(folder / name, DamagedFileError) for name in manifest.files}
+    check_arrays(arrays, manifest.world, REQUIRED, OPTIONAL)
+    return Dataset(folder, manifest, arrays)
+
+
+def write_dataset(
+    folder: Path,
+    *,
+    world: World,
+    images: NDArray[np.uint8],
+    free: Sequence[NDArray[Any]],
+    collision: Sequence[NDArray[Any]] | None = None,
+    told: Mapping[str, Sequence[NDArray[Any]]] | None = None,
+    paths: Sequence[tuple[int, NDArray[Any]]] | None = None,
+    scenes: Arrays | None = None,
+    extra_images: NDArray[np.uint8] | None = None,
+    generator: Mapping[str, Any],
+) -> Dataset:
+    """Write a data set beside its place and rename it, so that it appears whole or not at all.
+
+    Args:
+        folder: must not exist.
+        world: robot and sensor.
+        images: (S, P, P, 3).
+        free: one (n_i, d) rad array a scenario.
+        collision: the same for configurations in collision.
+        told: what is told of each configuration, one (n_i,) array a scenario, by the file's name.
+        paths: (scenario, waypoints (t, d) rad) each.
+        scenes: the geometry of all scenarios, where it is known, as the world's arrays.
+        extra_images: (E, P, P, 3).
+        generator: how the data were made; JSON values.
+
+    Raises:
+        DatasetError: the arrays do not fit each other or the robot.
+        StorageError: the folder exists, the disk is too full, or it cannot be written.
+    """
+    arrays: dict[str, NDArray[Any]] = {"images": images, **_rows("free", free, world.space)}
+    if collision is not None:
+        arrays |= _rows("collision", collision, world.space)
+    arrays |= {name: np.concatenate(parts).astype(TOLD[name]) for name, parts in (told or {}).items()}
+    if paths is not None:
+        waypoints = _rows("paths", [path for _, path in paths], world.space)
+        arrays |= {"paths": waypoints["paths"], "path_offsets": waypoints["paths_offsets"]}
+        arrays["path_scenario"] = np.array([scenario for scenario, _ in paths], dtype=np.int64)
+    arrays |= {name: np.asarray(array, dtype=np.float64) for name, array in (scenes or {}).items()}
+    arrays |= {} if extra_images is None else {"extra_images": extra_images}
+    check_arrays(arrays, world, REQUIRED, OPTIONAL)
+    counted = (name for name in arrays if not name.endswith("_offsets") and name not in TOLD)
+    counts = {name: len(arrays[name]) for name in counted}
+    _write(Path(folder), arrays, Manifest(world, counts, generator, {}))
+    return open_dataset(folder, verify=False)
+
+
+def require_room(folder: Path, needed_bytes: int) -> None:
+    """Raise StorageError unless the disk of ``folder`` has room for ``needed_bytes`` and a reserve."""
+    existing = next(parent for parent in (folder, *folder.parents) if parent.exists())
+    available = shutil.disk_usage(existing).free
+    if available < needed_bytes + RESERVE_BYTES:
+        raise StorageError(
+            f"the disk of {folder} is too full",
+            expected=f"{(needed_bytes + RESERVE_BYTES) / 2**20:.0f} MiB",
+            got=f"{available / 2**20:.0f} MiB",
+            remedy="free some room, or name another folder",
+        )
+
+
+def _write(folder: Path, arrays: Arrays, manifest: Manifest) -> None:
+    if folder.exists():
+        raise StorageError("the data set's folder exists", expected="a new folder", got=str(folder))
+    require_room(folder, sum(array.nbytes for array in arrays.values()))
+    with replacing(folder, f"the data set {folder}") as beside:
+        make_output_folder(beside)
+        files = {}
+        for name, array in arrays.items():
+            np.save(beside / f"{name}.npy", array, allow_pickle=False)
+            files[f"{name}.npy"] = file_digest(beside / f"{name}.npy")
+        whole = Manifest(manifest.world, manifest.counts, manifest.generator, files)
+        (beside / MANIFEST_FILE).write_text(whole.to_json(), encoding="utf-8")
+
+
+def _rows(name: str, parts: Sequence[NDArray[Any]], space: JointSpace) -> dict[str, NDArray[Any]]:
+    """Parts of different length as one array and its offsets."""
+    arrays, dim = [np.asarray(part) for part in parts], space.dim
+    wrong = [array.shape for array in arrays if array.ndim != 2 or array.shape[1] != dim]
+    if wrong:
+        raise DatasetError(f"{name} does not fit the robot", expected=f"arrays (n, {dim})", got=str(wrong[0]))
+    offsets = np.cumsum([0, *(len(array) for array in arrays)], dtype=np.int64)
+    joined = np.concatenate(arrays) if arrays else np.empty((0, dim))
+    if not np.isfinite(joined).all():
+        raise DatasetError(
+            f"{name} holds values that are not finite", expected="angles in rad", got="nan or inf"
+        )
+    taken = space.admitted(joined, f"{name} holds configurations outside the robot's limits", DatasetError)
+    return {name: space.to_float32(taken), f"{name}_offsets": offsets}

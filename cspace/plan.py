@@ -1,0 +1,190 @@
+"""Plans a path from start to goal through what a picture shows, by what a model predicts of the rest."""
+
+import math
+import sys
+import time
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cspace.planning.cost import Believe, ScoredPath, score
+from cspace.planning.refine import Effort, PathRefiner, route_search
+from cspace.planning.rrt_connect import Between, connect_trees
+from cspace.planning.search import find_paths, paused
+from cspace.query import Plan, PlanQuery
+from cspace.simulator import Checker
+from cspace.world import Image, World
+from cspace.worlds import best_view, examples, seen_checkers
+
+
+def load_kernels(checker: Checker, configuration: NDArray[np.float64], step_rad: float) -> None:
+    """Have a checker's compiled code in this process: a first call loads it, or compiles it.
+
+    Args:
+        checker: of any scene.
+        configuration: (d,) rad.
+        step_rad: above 0.
+    """
+    checker.valid_batch(configuration[None])
+    checker.edge_batch(configuration[None], configuration[None], step_rad)
+    ends = configuration, configuration
+    connect_trees(checker, *ends, configuration[None], range_rad=step_rad, resolution_rad=step_rad)
+    route_search()(np.zeros((1, 1)), 0, 0)
+
+
+def load_examples() -> list[str]:
+    """Have the compiled code of the worlds of every kind in this process; returns the examples' names."""
+    for world in examples().values():
+        nothing = np.zeros(world.sensor.picture_shape, dtype=np.uint8)
+        ends = np.zeros((2, world.dim))
+        load_kernels(seen_checkers(world, nothing, ends)[0], ends[0], 0.1)
+    return list(examples())
+
+
+def main() -> int:
+    """Compile for every example; returns the exit code."""
+    sys.stdout.write(f"compiled for {', '.join(load_examples())}\n")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
+
+
+# Between states that the model is asked about.
+STEP_RAD = 0.15
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Seen:
+    """A scene as a model knows it.
+
+    Args:
+        world: the robot and how it is seen.
+        picture: of the scene.
+        believe: what the model says of configurations in it.
+        plan_doubt: (a, b), see :mod:`cspace.planning.cost`.
+    """
+
+    world: World
+    picture: Image
+    believe: Believe
+    plan_doubt: tuple[float, float] = (0.0, 1.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Searched:
+    """Ways through what a picture shows.
+
+    Args:
+        ways: the least doubtful first.
+        late: whether the time was over before there were as many as were wanted.
+        search_ms: looking for them.
+        score_ms: asking the model about them, and changing them until it doubts them less.
+    """
+
+    ways: list[ScoredPath]
+    late: bool
+    search_ms: float
+    score_ms: float
+
+
+def plan(seen: Seen, ends: NDArray[np.float64], query: PlanQuery, between: Between | None = None) -> Plan:
+    """Plan.
+
+    Args:
+        seen: the scene.
+        ends: (2, d) rad, the query's start and goal as the model takes them.
+        query: the problem; without ``min_confidence`` every way is sure enough.
+        between: called now and then; may raise to stop, which passes through.
+
+    Raises:
+        InputError: one of the query's views is no camera, or one that the picture is from has no pose.
+        ImportError: the compiler of the checks is not installed.
+    """
+    least = query.min_confidence or 0.0
+    ways = search_paths(seen, ends, query.ways, query.seed, query.time_limit_s, between)
+    if ways.ways:
+        best = ways.ways[0]
+        found = _answer(best, len(ways.ways), least)
+        if query.alternatives:
+            sure = tuple(one.believed() for one in ways.ways if one.whole >= least)
+            found = replace(found, alternatives=sure)
+        if query.next_view:
+            pause = between or (lambda: None)
+            view = best_view(
+                seen.world, seen.picture, best.states, best.doubts, query.views, pause, query.seen_by
+            )
+            found = replace(found, next_view=view)
+    else:
+        found = Plan("timeout" if ways.late else "refused", np.empty((0, seen.world.dim)))
+    return replace(found, search_ms=ways.search_ms, score_ms=ways.score_ms)
+
+
+def search_paths(
+    seen: Seen,
+    ends: NDArray[np.float64],
+    count: int,
+    seed: int,
+    time_limit_s: float = math.inf,
+    between: Between | None = None,
+) -> Searched:
+    """Up to so many ways from ``ends[0]`` to ``ends[1]``, scored.
+
+    Args:
+        seen: the scene.
+        ends: (2, d) rad.
+        count: of ways.
+        seed: of all draws.
+        time_limit_s: of computing, for the search; without one the ways depend on nothing but the rest.
+        between: called now and then; may raise to stop, which passes through.
+
+    Raises:
+        ImportError: the compiler of the checks is not installed.
+    """
+    checkers = seen_checkers(seen.world, seen.picture, ends)
+    # Before the time counts.
+    load_kernels(checkers[0], ends[0], STEP_RAD)
+    began = time.monotonic()
+    until_s = time.thread_time() + time_limit_s
+    found = find_paths(checkers, ends[0], ends[1], count, seed, until_s, between=between)
+    searched = time.monotonic()
+    scored = score(found.ways, seen.world.space, STEP_RAD, seen.believe, seen.plan_doubt)
+    ranked = sorted(scored, key=_by_doubt)
+    if found.checker is not None:
+        pause = paused(until_s, between)
+        doubter = PathRefiner(found.checker, seen.believe, seen.plan_doubt, Effort(step_rad=STEP_RAD), pause)
+        ranked = _less_doubtful(ranked, doubter, seed)
+    return Searched(ranked, found.late, 1e3 * (searched - began), 1e3 * (time.monotonic() - searched))
+
+
+def _less_doubtful(ranked: list[ScoredPath], doubter: PathRefiner, seed: int) -> list[ScoredPath]:
+    """The ways, the first of them changed."""
+    changed = ranked[: doubter.effort.ways]
+    found = [
+        doubter.refine(way, np.random.default_rng([seed, number, 1])) for number, way in enumerate(changed)
+    ]
+    return sorted([*found, *ranked[len(changed) :]], key=_by_doubt)
+
+
+def _by_doubt(way: ScoredPath) -> float:
+    return way.doubt
+
+
+def _answer(best: ScoredPath, found: int, min_confidence: float) -> Plan:
+    least, sure = best.least(), best.whole
+    if sure < min_confidence:
+        nothing = np.empty((0, best.way.shape[1]))
+        return Plan("refused", nothing, confidence=sure, doubt=best.doubt, found=found, least=least)
+    return Plan(
+        "solved",
+        best.way,
+        confidence=sure,
+        doubt=best.doubt,
+        edges=best.of_pieces(best.confidence, np.minimum),
+        unseen=None if best.unseen is None else best.of_pieces(best.unseen, np.maximum),
+        length_rad=best.length_rad,
+        found=found,
+        least=least,
+    )

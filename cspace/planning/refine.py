@@ -1,0 +1,211 @@
+"""Refines paths until a model gives them less cost."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib import import_module
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cspace.planning.cost import Believe, ScoredPath, costs_of, score
+from cspace.planning.paths import shortcut
+from cspace.planning.rrt_connect import Between
+from cspace.planning.search import OutOfTimeError
+from cspace.simulator import Checker
+
+# That a rad costs beside its doubt: of two ways of one doubt the shorter is taken.
+_PER_RAD = 0.02
+# Of the draws about a way, each joint, rad.
+_SPREADS_RAD = (0.1, 0.3)
+# Neighbours of each configuration that are joined to it, and how far away they may be, Euclidean.
+_NEIGHBOURS, _REACH_RAD = 12, 1.0
+# Draws for each that is wanted, for some are no configurations that the picture leaves free.
+_SPARE = 1.4
+# Ways that may turn out to be blocked or more doubtful than they seemed, in each round.
+_TRIES = 12
+# More doubt at an edge's middle than its ends have, times its length, for which another way is looked for.
+_SURPRISE = 0.01
+# Times that so many shortcuts are tried in the end.
+_SHORTER, _SHORTCUTS = 2, 16
+
+
+@dataclass(frozen=True, slots=True)
+class Effort:
+    """How much is done for less doubt.
+
+    Args:
+        ways: the least doubtful that are changed.
+        rounds: for each of them.
+        states: drawn about it in each round.
+        step_rad: between states that the model is asked about.
+        check_rad: between states that are checked by the picture, the largest over the joints.
+        enough: doubt at which a way is left as it is.
+    """
+
+    ways: int = 4
+    rounds: int = 4
+    states: int = 75
+    step_rad: float = 0.15
+    check_rad: float = 0.03
+    enough: float = 0.02
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Graph:
+    """Configurations about a way.
+
+    Args:
+        nodes: (n, d) rad, the first of them the way's.
+        doubts: (n,) of each.
+        lengths: (n, n) between them, rad.
+        costs: (n, n) of going straight, inf where that is none of the ways; changed by what is found out.
+        own: how many are the way's.
+    """
+
+    nodes: NDArray[np.float64]
+    doubts: NDArray[np.float64]
+    lengths: NDArray[np.float64]
+    costs: NDArray[np.float64]
+    own: int
+
+
+class PathRefiner:
+    """Makes ways less doubtful in one scene.
+
+    Args:
+        checker: of what the picture shows.
+        believe: what the model says of configurations.
+        plan_doubt: see :mod:`cspace.planning.cost`.
+        effort: how much is done.
+        pause: called now and then; may raise to stop, which passes through.
+    """
+
+    def __init__(
+        self,
+        checker: Checker,
+        believe: Believe,
+        plan_doubt: tuple[float, float],
+        effort: Effort,
+        pause: Between,
+    ) -> None:
+        self._checker, self._space, self._believe = checker, checker.space, believe
+        self._plan_doubt, self._pause, self.effort = plan_doubt, pause, effort
+
+    def refine(self, way: ScoredPath, rng: np.random.Generator) -> ScoredPath:
+        """A way with the same ends that is doubted no more; as far as it came where the time is over."""
+        try:
+            for _ in range(self.effort.rounds):
+                if way.doubt <= self.effort.enough:
+                    return way
+                self._pause()
+                way = self._better(way, self._through(self._graph(way, rng)))
+            for _ in range(_SHORTER):
+                way = self._better(way, self._shorter(way, rng))
+        except OutOfTimeError:
+            pass
+        return way
+
+    def _shorter(self, way: ScoredPath, rng: np.random.Generator) -> NDArray[np.float64]:
+        return shortcut(self._checker, way.way, rng, _SHORTCUTS, self.effort.check_rad)
+
+    def _better(self, way: ScoredPath, other: NDArray[np.float64] | None) -> ScoredPath:
+        if other is None:
+            return way
+        (scored,) = score([other], self._space, self.effort.step_rad, self._believe, self._plan_doubt)
+        return min(way, scored, key=lambda one: one.doubt)
+
+    def _graph(self, way: ScoredPath, rng: np.random.Generator) -> _Graph:
+        count = int(_SPARE * self.effort.states)
+        about = way.states[rng.integers(len(way.states), size=count)]
+        spread = rng.choice(_SPREADS_RAD, size=(count, 1))
+        drawn = self._space.bound(about + spread * rng.normal(size=about.shape))
+        drawn = drawn[self._checker.valid_batch(drawn)][: self.effort.states]
+        nodes = np.concatenate([way.states, drawn])
+        doubts = np.concatenate([way.doubts, self._doubts(drawn)])
+        lengths = self._space.distance(nodes[:, None], nodes[None])
+        joined = _neighbours(lengths) & (lengths <= _REACH_RAD)
+        own = len(way.states)
+        joined[np.arange(own - 1), np.arange(1, own)] = True
+        joined |= joined.T
+        each = lengths * (0.5 * (doubts[:, None] + doubts[None]) + _PER_RAD)
+        return _Graph(nodes, doubts, lengths, np.where(joined, each, np.inf), own)
+
+    def _through(self, graph: _Graph) -> NDArray[np.float64] | None:
+        """The least doubtful way that is free and as it seemed, (k, d) rad; None without one."""
+        cheapest_route = route_search()
+        known, asked = (np.zeros(graph.costs.shape, dtype=np.bool_) for _ in range(2))
+        ahead = np.arange(graph.own - 1)
+        known[ahead, ahead + 1] = known[ahead + 1, ahead] = True
+        asked |= known | (graph.lengths <= self.effort.step_rad)
+        for _ in range(_TRIES):
+            route = cheapest_route(graph.costs, 0, graph.own - 1)
+            if route is None:
+                return None
+            first, second = route[:-1], route[1:]
+            if self._blocked(graph, first, second, known) or self._surprised(graph, first, second, asked):
+                continue
+            return graph.nodes[route]
+        return None
+
+    def _blocked(
+        self,
+        graph: _Graph,
+        first: NDArray[np.int64],
+        second: NDArray[np.int64],
+        known: NDArray[np.bool_],
+    ) -> bool:
+        """Check what is not known of edges; whether one of them is not free."""
+        new = ~known[first, second]
+        i, j = first[new], second[new]
+        if not len(i):
+            return False
+        free = self._checker.edge_batch(graph.nodes[i], graph.nodes[j], self.effort.check_rad)
+        known[i[free], j[free]] = known[j[free], i[free]] = True
+        graph.costs[i[~free], j[~free]] = graph.costs[j[~free], i[~free]] = np.inf
+        return not free.all()
+
+    def _surprised(
+        self,
+        graph: _Graph,
+        first: NDArray[np.int64],
+        second: NDArray[np.int64],
+        asked: NDArray[np.bool_],
+    ) -> bool:
+        """Ask about the middles of edges; whether one is so much more doubtful than its ends."""
+        new = ~asked[first, second]
+        i, j = first[new], second[new]
+        if not len(i):
+            return False
+        step = self._space.difference(graph.nodes[i], graph.nodes[j])
+        middles = self._doubts(self._space.wrap(graph.nodes[i] + 0.5 * step))
+        more = graph.lengths[i, j] * np.maximum(0.0, middles - 0.5 * (graph.doubts[i] + graph.doubts[j]))
+        asked[i, j] = asked[j, i] = True
+        graph.costs[i, j] += more
+        graph.costs[j, i] = graph.costs[i, j]
+        return bool(more.max() > _SURPRISE)
+
+    def _doubts(self, rows: NDArray[np.float64]) -> NDArray[np.float64]:
+        if not len(rows):
+            return np.empty(0)
+        return costs_of(self._believe(self._space.to_float32(rows))[0])
+
+
+def route_search() -> Callable[[NDArray[np.float64], int, int], NDArray[np.int64] | None]:
+    """:func:`cspace.planning.kernels.cheapest_route`, by name: who only reads bundles has no compiler.
+
+    Raises:
+        ImportError: the compiler is not installed.
+    """
+    found: Callable[[NDArray[np.float64], int, int], NDArray[np.int64] | None]
+    found = import_module("cspace.planning.kernels").cheapest_route
+    return found
+
+
+def _neighbours(lengths: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Which of (n, n) are among the least of their row, the diagonal not among them."""
+    apart = lengths + np.diag(np.full(len(lengths), np.inf))
+    count = min(_NEIGHBOURS, len(lengths) - 1)
+    nearest = np.argpartition(apart, count - 1, axis=1)[:, :count]
+    found = np.zeros(lengths.shape, dtype=np.bool_)
+    np.put_along_axis(found, nearest, values=True, axis=1)
+    return found

@@ -1,0 +1,275 @@
+"""RRT-Connect, compiled with the checks of any simulator, and RRT, fed with given states."""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cspace.simulator import Checker
+from cspace.space import JointSpace
+
+# States between two looks at whether there is room for more.
+_BLOCK = 64
+
+Between = Callable[[], None]
+
+
+def connect_trees(
+    checker: Checker,
+    start: NDArray[np.float64],
+    goal: NDArray[np.float64],
+    states: NDArray[np.float64],
+    *,
+    range_rad: float,
+    resolution_rad: float,
+    between: Between | None = None,
+) -> NDArray[np.float64] | None:
+    """The way that RRT-Connect finds between two free configurations, (k, d) rad; None without one.
+
+    Args:
+        checker: of the scene.
+        start: (d,) rad.
+        goal: (d,) rad.
+        states: (n, d) rad that trees grow towards, in order.
+        range_rad: longest step of a tree, the sum over the joints.
+        resolution_rad: between states that are looked at, the largest over the joints.
+        between: called between blocks of states; may raise to stop, which passes through.
+    """
+    space = checker.space
+    nodes, parents = np.empty((2, 16 * _BLOCK, space.dim)), np.full((2, 16 * _BLOCK), -1, dtype=np.int64)
+    nodes[0, 0], nodes[1, 0] = space.wrap(start), space.wrap(goal)
+    counts, checks = np.ones(2, dtype=np.int64), np.zeros(2, dtype=np.int64)
+    side = 0
+    for begin in range(0, len(states), _BLOCK):
+        block = states[begin : begin + _BLOCK]
+        _, side, *joint = checker.grow_trees(
+            nodes, parents, counts, checks, block, side, range_rad, resolution_rad
+        )
+        if joint[0] >= 0:
+            halves = [nodes[tree, _to_root(parents[tree], joint[tree])] for tree in (0, 1)]
+            return np.concatenate([halves[0][::-1], halves[1][1:]])
+        # A tree without room grows no more until it has some.
+        if 2 * counts.max() > nodes.shape[1]:
+            nodes = np.concatenate([nodes, np.empty_like(nodes)], axis=1)
+            parents = np.concatenate([parents, np.full_like(parents, -1)], axis=1)
+        if between is not None:
+            between()
+    return None
+
+
+def _to_root(parents: NDArray[np.int64], node: int) -> list[int]:
+    numbers = [node]
+    while parents[numbers[-1]] >= 0:
+        numbers.append(int(parents[numbers[-1]]))
+    return numbers
+
+
+# Iterations between two looks at the clock, or pauses.
+BLOCK = 64
+# Share of the goal among the states that RRT draws.
+GOAL_BIAS = 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class Growth:
+    """How trees grow.
+
+    Args:
+        range_rad: longest step, the sum over the joints.
+        resolution_rad: largest distance between states that are looked at in any joint.
+        time_limit_s: of computing, after which the search ends; waiting for others does not count.
+        between: called between blocks of states; may raise to stop, which passes through.
+    """
+
+    range_rad: float
+    resolution_rad: float
+    time_limit_s: float
+    between: Callable[[], None] = lambda: None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Grown:
+    """What a search has found and taken.
+
+    Args:
+        path: (k, d) rad from start to goal; None without one.
+        nodes: (V, d) rad, of both trees one after the other.
+        parents: (V,) the node from which each was reached, -1 for roots.
+        iterations: states that were drawn.
+        edge_checks: motions that were checked.
+        state_checks: states within them.
+        time_s: wall time of the search alone.
+        timed_out: whether the time ended it.
+    """
+
+    path: NDArray[np.float64] | None
+    nodes: NDArray[np.float64]
+    parents: NDArray[np.int64]
+    iterations: int
+    edge_checks: int
+    state_checks: int
+    time_s: float
+    timed_out: bool
+
+
+class Trees:
+    """The tree of the start and that of the goal, in arrays that grow.
+
+    Args:
+        start: (d,) rad.
+        goal: (d,) rad.
+        block: what a block of iterations adds at most to one tree.
+    """
+
+    def __init__(self, start: NDArray[np.float64], goal: NDArray[np.float64], block: int) -> None:
+        self._block = block
+        self.nodes = np.empty((2, 4 * block, len(start)))
+        self.parents = np.full((2, 4 * block), -1, dtype=np.int64)
+        self.counts = np.ones(2, dtype=np.int64)
+        self.nodes[0, 0], self.nodes[1, 0] = start, goal
+
+    def make_room(self) -> None:
+        """Room for one more block."""
+        if self.counts.max() + self._block > self.nodes.shape[1]:
+            self.nodes = np.concatenate([self.nodes, np.empty_like(self.nodes)], axis=1)
+            self.parents = np.concatenate([self.parents, np.full_like(self.parents, -1)], axis=1)
+
+    def path(self, joint: tuple[int, int]) -> NDArray[np.float64]:
+        """From the start over the node that both trees share to the goal, (k, d)."""
+        halves = [self.nodes[side, to_root(self.parents[side].tolist(), joint[side])] for side in (0, 1)]
+        return np.concatenate([halves[0][::-1], halves[1][1:]])
+
+    def forest(self) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+        """Nodes (V, d) rad and parents (V,) of both."""
+        first, second = (int(count) for count in self.counts)
+        later = self.parents[1, :second].copy()
+        later[later >= 0] += first
+        nodes = np.concatenate([self.nodes[0, :first], self.nodes[1, :second]])
+        return nodes, np.concatenate([self.parents[0, :first], later])
+
+
+def grow_connect(
+    checker: Checker,
+    start: NDArray[np.float64],
+    goal: NDArray[np.float64],
+    states: NDArray[np.float64],
+    growth: Growth,
+) -> Grown:
+    """Grow a tree from either end, until they meet or there are no more states.
+
+    Args:
+        checker: of the scene.
+        start: (d,) rad, free.
+        goal: (d,) rad, free.
+        states: (n, d) rad that are drawn, in order.
+        growth: how.
+    """
+    space = checker.space
+    ranges = np.where(space.periodic, np.pi, np.subtract(space.upper, space.lower))
+    farthest = int(np.ceil(ranges.sum() / growth.range_rad)) + 2
+    trees = Trees(space.wrap(start), space.wrap(goal), BLOCK * farthest)
+    fixed = (growth.range_rad, growth.resolution_rad)
+    checks = np.zeros(2, dtype=np.int64)
+    # A process's first call loads the compiled kernel, which is no part of a search.
+    checker.grow_trees(trees.nodes, trees.parents, trees.counts, checks, states[:0], 0, *fixed)
+    iterations, side, joint, timed_out = 0, 0, (-1, -1), False
+    began, until_s = time.perf_counter(), time.thread_time() + growth.time_limit_s
+    while iterations < len(states) and joint[0] < 0:
+        timed_out = time.thread_time() >= until_s
+        if timed_out:
+            break
+        trees.make_room()
+        block = states[iterations : iterations + BLOCK]
+        done, side, first, second = checker.grow_trees(
+            trees.nodes, trees.parents, trees.counts, checks, block, side, *fixed
+        )
+        iterations, joint = iterations + done, (first, second)
+        growth.between()
+    time_s = time.perf_counter() - began
+    path = trees.path(joint) if joint[0] >= 0 else None
+    return Grown(path, *trees.forest(), iterations, int(checks[0]), int(checks[1]), time_s, timed_out)
+
+
+def grow_rrt(
+    checker: Checker,
+    start: NDArray[np.float64],
+    goal: NDArray[np.float64],
+    states: NDArray[np.float64],
+    towards_goal: NDArray[np.bool_],
+    growth: Growth,
+) -> Grown:
+    """Grow a tree from the start, until it reaches the goal or there are no more states.
+
+    Args:
+        checker: of the scene.
+        start: (d,) rad, free.
+        goal: (d,) rad, free.
+        states: (n, d) rad that are drawn, in order.
+        towards_goal: (n,) where the goal is drawn in a state's stead.
+        growth: how.
+    """
+    space, test = checker.space, checker.edge_test(growth.resolution_rad)
+    ends, drawn = space.wrap(np.stack([start, goal])), space.wrap(states)
+    nodes, parents = np.empty((len(drawn) + 1, space.dim)), np.full(len(drawn) + 1, -1, dtype=np.int64)
+    nodes[0], count, looked_at, reached = ends[0], 1, 0, False
+    # The first call loads the compiled check.
+    test(ends[0], ends[0])
+    began, until_s = time.perf_counter(), time.thread_time() + growth.time_limit_s
+    iterations, timed_out = 0, False
+    while iterations < len(drawn) and not reached:
+        timed_out = time.thread_time() >= until_s
+        if timed_out:
+            break
+        target = ends[1] if towards_goal[iterations] else drawn[iterations]
+        steps = space.difference(nodes[:count], target)
+        gaps = np.abs(steps).sum(axis=1)
+        nearest = int(np.argmin(gaps))
+        share = min(1.0, growth.range_rad / max(gaps[nearest], growth.range_rad))
+        node = target if share == 1.0 else space.wrap(nodes[nearest] + share * steps[nearest])
+        free, states_in_it = test(nodes[nearest], node)
+        looked_at, iterations = looked_at + states_in_it, iterations + 1
+        if free:
+            nodes[count], parents[count], count = node, nearest, count + 1
+            reached = bool(towards_goal[iterations - 1]) and share == 1.0
+        if iterations % BLOCK == 0:
+            growth.between()
+    time_s = time.perf_counter() - began
+    path = nodes[to_root(parents.tolist(), count - 1)[::-1]] if reached else None
+    tree = (nodes[:count].copy(), parents[:count].copy())
+    return Grown(path, *tree, iterations, iterations, looked_at, time_s, timed_out)
+
+
+def drawn_states(
+    space: JointSpace,
+    samples: NDArray[np.float64] | None,
+    uniform_share: float,
+    count: int,
+    rng: np.random.Generator,
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """All states that a search may draw, (count, d) rad, and which of them are learned.
+
+    Args:
+        space: the joint space.
+        samples: (n, d) learned ones in rad, in this order and once each; None for uniform ones alone.
+        uniform_share: of uniform ones while learned ones are left, 0 to 1.
+        count: how many.
+        rng: of all draws.
+    """
+    states = space.sample_uniform(rng, count)
+    learned = rng.random(len(states)) >= uniform_share
+    if samples is None:
+        learned[:] = False
+        return states, learned
+    learned[np.flatnonzero(learned)[len(samples) :]] = False
+    states[learned] = space.wrap(samples)[: int(learned.sum())]
+    return states, learned
+
+
+def to_root(parents: list[int], node: int) -> list[int]:
+    """Numbers of the nodes from one to its root."""
+    numbers = [node]
+    while parents[numbers[-1]] >= 0:
+        numbers.append(parents[numbers[-1]])
+    return numbers

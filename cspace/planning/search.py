@@ -1,0 +1,144 @@
+"""Several paths through what a picture shows: RRT-Connect and shortcuts, each from draws of its own."""
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cspace.planning.paths import shortcut
+from cspace.planning.rrt_connect import Between, connect_trees
+from cspace.simulator import Checker
+
+
+class OutOfTimeError(Exception):
+    """The time for the search is over."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FoundPaths:
+    """What a search for ways came to.
+
+    Args:
+        ways: (k, d) rad each.
+        late: whether the time was over before there were as many as were wanted.
+        checker: by which they are free; None without ways.
+    """
+
+    ways: list[NDArray[np.float64]]
+    late: bool
+    checker: Checker | None
+
+
+@dataclass(frozen=True, slots=True)
+class SearchLimits:
+    """Effort for each way.
+
+    Args:
+        states: uniform ones that trees grow towards, most.
+        first: of them in the first round over all checkers; each next round has four times as many.
+        range_rad: longest step of a tree, the sum over the joints.
+        search_rad: between states that trees look at, the largest over the joints.
+        shortcuts: proposed for each way.
+        shortcut_rad: the same as ``search_rad`` for shortcuts.
+    """
+
+    states: int = 4096
+    first: int = 256
+    range_rad: float = 2.0
+    search_rad: float = 0.05
+    shortcuts: int = 64
+    shortcut_rad: float = 0.03
+
+    def rounds(self) -> list[int]:
+        """States of each round, to the most."""
+        found = [min(self.first, self.states)]
+        while found[-1] < self.states:
+            found.append(min(4 * found[-1], self.states))
+        return found
+
+
+def find_paths(
+    checkers: Sequence[Checker],
+    start: NDArray[np.float64],
+    goal: NDArray[np.float64],
+    count: int,
+    seed: int,
+    until_s: float,
+    *,
+    limits: SearchLimits = SearchLimits(),
+    between: Between | None = None,
+) -> FoundPaths:
+    """Up to so many ways.
+
+    The most careful checker in which a way is found with as few states as any gives all of them: all are
+    tried in turn, with few states at first, for a careful one without a way would take all the time.
+
+    Args:
+        checkers: the most careful first.
+        start: (d,) rad.
+        goal: (d,) rad.
+        count: of ways.
+        seed: of all draws; each way has draws of its own.
+        until_s: by ``time.thread_time``: what the thread has computed, not what it has waited for others.
+        limits: effort for each way.
+        between: called now and then; may raise to stop, which passes through.
+    """
+    pause = paused(until_s, between)
+    found: list[NDArray[np.float64]] = []
+    ends = np.stack([start, goal])
+    possible = [level for level, checker in enumerate(checkers) if checker.valid_batch(ends).all()]
+    checker = None
+    try:
+        for states in limits.rounds():
+            for level in possible:
+                for number in range(count):
+                    rng = np.random.default_rng([seed, level, number])
+                    most = states if number == 0 else limits.states
+                    way = _way(checkers[level], start, goal, rng, limits, most, pause)
+                    if way is None:
+                        break
+                    found.append(way)
+                    checker = checkers[level]
+                    pause()
+                if found:
+                    return FoundPaths(found, late=False, checker=checker)
+    except OutOfTimeError:
+        return FoundPaths(found, late=True, checker=checker)
+    return FoundPaths(found, late=False, checker=checker)
+
+
+def paused(until_s: float, between: Between | None) -> Callable[[], None]:
+    """What calls ``between`` and raises :class:`OutOfTimeError` from a time on, by ``time.thread_time``."""
+
+    def pause() -> None:
+        if between is not None:
+            between()
+        if time.thread_time() > until_s:
+            raise OutOfTimeError
+
+    return pause
+
+
+def _way(
+    checker: Checker,
+    start: NDArray[np.float64],
+    goal: NDArray[np.float64],
+    rng: np.random.Generator,
+    limits: SearchLimits,
+    most: int,
+    pause: Between,
+) -> NDArray[np.float64] | None:
+    # All are drawn, so that what follows does not depend on how many are used.
+    states = checker.space.sample_uniform(rng, limits.states)[:most]
+    raw = connect_trees(
+        checker,
+        start,
+        goal,
+        states,
+        range_rad=limits.range_rad,
+        resolution_rad=limits.search_rad,
+        between=pause,
+    )
+    return None if raw is None else shortcut(checker, raw, rng, limits.shortcuts, limits.shortcut_rad)

@@ -1,0 +1,397 @@
+"""What a simulator does: scenes of a world, their pictures, collision checks and planning problems."""
+
+import hashlib
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cspace.space import JointSpace
+from cspace.world import Image, Scene, World
+
+UNIFORM = "uniform"
+"""The family that every world has: ends anywhere in a scene like those of training."""
+NARROW = "narrow"
+"""The family whose ends a narrow passage joins and nothing wider; not every robot has it."""
+
+
+OWN = "own"
+"""What a problem is called that somebody made by hand."""
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """A planning problem.
+
+    Args:
+        scenario: the robot among its obstacles.
+        start: (d,) rad.
+        goal: (d,) rad.
+        family: what it is like.
+        bottleneck_rad: largest clearance at which start and goal stay connected; 0 without a path, NaN where
+            nobody looked.
+        seed: that it was drawn from.
+        rejected: draws before it that were not of the family.
+    """
+
+    scenario: Scene
+    start: NDArray[np.float64]
+    goal: NDArray[np.float64]
+    family: str = OWN
+    bottleneck_rad: float = math.nan
+    seed: int = 0
+    rejected: int = 0
+
+    @property
+    def space(self) -> JointSpace:
+        """The robot's joint space."""
+        return self.scenario.world.space
+
+
+class Split(StrEnum):
+    """What a scenario may be used for."""
+
+    TRAIN = "train"
+    VALIDATION = "validation"
+    TEST = "test"
+    DEMO = "demo"
+
+
+_SPLIT_KEYS = {Split.TRAIN: 1, Split.VALIDATION: 2, Split.TEST: 3, Split.DEMO: 4}
+
+
+def scenario_rng(split: Split, seed: int, index: int) -> np.random.Generator:
+    """The random generator of one scenario; independent over splits, seeds and indices."""
+    return np.random.default_rng(
+        np.random.SeedSequence(entropy=seed, spawn_key=(_SPLIT_KEYS[Split(split)], index))
+    )
+
+
+def derived_seed(seed: int, *use: str) -> int:
+    """A seed of 63 bits for one use of a seed; independent over seeds and uses.
+
+    Args:
+        seed: that a user gave.
+        use: names of what it is for.
+    """
+    key = np.frombuffer(hashlib.sha256("/".join(use).encode()).digest()[:16], dtype=np.uint32)
+    sequence = np.random.SeedSequence(entropy=seed, spawn_key=tuple(int(word) for word in key))
+    return int(sequence.generate_state(1, np.uint64)[0] >> np.uint64(1))
+
+
+StateTest = Callable[[NDArray[np.float64]], bool]
+EdgeTest = Callable[[NDArray[np.float64], NDArray[np.float64]], tuple[bool, int]]
+# A free path (k, d) rad between two free configurations (d,) rad, or None where none is found.
+PathSearch = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64] | None]
+
+
+class Checker(Protocol):
+    """Collision checks of one scene. All ways are straight, and round the shorter side of a circle."""
+
+    @property
+    def space(self) -> JointSpace:
+        """The robot's joint space."""
+
+    def valid(self, configuration: ArrayLike) -> bool:
+        """Whether one configuration (d,) rad is free."""
+
+    def valid_batch(self, configurations: ArrayLike) -> NDArray[np.bool_]:
+        """Which of (N, d) rad are free, (N,)."""
+
+    def clearance(self, configurations: ArrayLike) -> NDArray[np.float64]:
+        """Distance to what the robot collides with for each of (N, d) rad, (N,) m; negative in collision."""
+
+    def edge_batch(self, starts: ArrayLike, ends: ArrayLike, resolution_rad: float) -> NDArray[np.bool_]:
+        """Which of the ways between (N, d) and (N, d) are free, both ends included, (N,)."""
+
+    def state_test(self) -> StateTest:
+        """For callbacks: whether a configuration (d,) float64 is free."""
+
+    def edge_test(self, resolution_rad: float) -> EdgeTest:
+        """For callbacks: whether a way is free, and how many states were looked at."""
+
+    def grow_trees(
+        self,
+        nodes: NDArray[np.float64],
+        parents: NDArray[np.int64],
+        counts: NDArray[np.int64],
+        checks: NDArray[np.int64],
+        states: NDArray[np.float64],
+        side: int,
+        range_rad: float,
+        resolution_rad: float,
+    ) -> tuple[int, int, int, int]:
+        """Grow RRT-Connect's trees by a block of states (n, d), compiled.
+
+        Args:
+            nodes: (2, m, d) rad, the start's tree and the goal's; grown in place, and so the rest.
+            parents: (2, m), -1 for the roots.
+            counts: (2,) nodes in use.
+            checks: (2,) counts on: edges, and states within them and alone.
+            states: drawn, in order.
+            side: whose turn it is.
+            range_rad: longest step, the sum over the joints.
+            resolution_rad: largest distance between checked states in any joint.
+
+        Returns:
+            Iterations done, whose turn it is, and the node that both trees share, -1 twice without one.
+        """
+
+
+@dataclass(frozen=True, slots=True)
+class Families:
+    """The families of planning problems that a world has.
+
+    Args:
+        names: all, that of training first.
+        solvable: those whose problems have a solution.
+        telling: the one of them that tells samplers apart.
+        note: for readers, what scenes have that are not of the uniform family.
+        drawn: for readers, what stands in scenes of the uniform family.
+    """
+
+    names: tuple[str, ...]
+    solvable: tuple[str, ...]
+    telling: str
+    note: str
+    drawn: str
+
+    @property
+    def unsolvable(self) -> tuple[str, ...]:
+        """Those whose problems have none."""
+        return tuple(name for name in self.names if name not in self.solvable)
+
+
+@dataclass(frozen=True, slots=True)
+class Measures:
+    """Numbers that fit one world: how samples and plans are measured there, and what its training assumes.
+
+    Args:
+        coverage_radius_rad: how near a sample has to be to a free configuration that counts as covered.
+        near_contact_m: clearance, on either side, up to which a configuration is near contact.
+        range_rad: longest step of a planner's tree, the sum over the joints; it decides how strong the
+            uniform baseline is.
+        resolution_rad: largest distance between checked states in any joint.
+        coverage_share: of what as many real samples cover; a sampler of configurations that covers less is
+            not promoted. None where samples cover nothing that could be told by balls.
+        margins: the metrics by which a version is compared with champions that were not measured beside it,
+            and how much worse than the best of them it may be.
+        path_margins: the same for path models.
+        free_share: of the joint space, on average over scenes of training.
+    """
+
+    coverage_radius_rad: float
+    near_contact_m: float
+    range_rad: float
+    resolution_rad: float
+    coverage_share: float | None
+    margins: Mapping[str, float]
+    path_margins: Mapping[str, float]
+    free_share: float
+
+
+# What a proposal is: anywhere; near contact; about a start or a goal; along a way between the two; along one
+# that is free of some obstacles alone.
+ORIGINS = ("uniform", "near contact", "about ends", "along ways", "along mistaken ways")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Proposals:
+    """Configurations of a scene that are worth labelling, free ones and others.
+
+    Args:
+        configurations: (n, d) rad, within the limits.
+        origins: (n,) uint8, places in :data:`ORIGINS`.
+    """
+
+    configurations: NDArray[np.float64]
+    origins: NDArray[np.uint8]
+
+
+def near_contact(
+    checker: Checker, rng: np.random.Generator, count: int, within_m: float, sigma_rad: float
+) -> NDArray[np.float64]:
+    """Configurations near to touching something: uniform ones that are, and some way off, (count, d) rad.
+
+    Args:
+        checker: of the scene.
+        rng: of all draws.
+        count: how many.
+        within_m: clearance on either side.
+        sigma_rad: of what is added in each joint.
+    """
+    space = checker.space
+    anywhere = space.sample_uniform(rng, max(256, 8 * count))
+    near = anywhere[np.abs(checker.clearance(anywhere)) <= within_m]
+    chosen = near if len(near) else anywhere
+    rows = chosen[rng.integers(len(chosen), size=count)]
+    return space.bound(rows + rng.normal(size=rows.shape) * sigma_rad)
+
+
+class Simulator(Protocol):
+    """Makes scenes of a world, shows and checks them."""
+
+    @property
+    def world(self) -> World:
+        """Whose."""
+
+    @property
+    def families(self) -> Families:
+        """Of its planning problems."""
+
+    @property
+    def measures(self) -> Measures:
+        """What fits it."""
+
+    def scene(self, rng: np.random.Generator, split: Split, index: int) -> Scene:
+        """A scene of a split; where scenes are given, the index-th of them."""
+
+    def scenes(self, split: Split, seed: int, count: int) -> Sequence[Scene]:
+        """The first ``count`` of a split under a seed; a longer list starts with the shorter one."""
+
+    def arrays_of(self, scene: Scene) -> dict[str, NDArray[Any]]:
+        """A scene's geometry as rows of a data set's arrays, by their names."""
+
+    def render(self, scene: Scene) -> Image:
+        """Its picture."""
+
+    def picture_file(self, scene: Scene) -> bytes:
+        """The file that :meth:`cspace.world.World.read_picture` reads as its picture."""
+
+    def checker(self, scene: Scene) -> Checker:
+        """Its collision checks."""
+
+    def proposals(self, scene: Scene, rng: np.random.Generator, count: int) -> Proposals:
+        """So many configurations of a scene that a head learns from, uniform ones first."""
+
+    def group_hits(
+        self, arrays: Mapping[str, NDArray[Any]], configurations: ArrayLike, groups: int
+    ) -> NDArray[np.bool_]:
+        """Which groups of the robot's spheres touch an obstacle, (N, G); see :meth:`World.grid_arm`.
+
+        Args:
+            arrays: a scene as a row of a data set's arrays, by their names.
+            configurations: (N, d) rad.
+            groups: of all spheres.
+
+        Raises:
+            ConfigError: the robot has no spheres.
+        """
+
+    def require(self, family: str) -> None:
+        """Refuse a family that the robot has no problems of.
+
+        Raises:
+            ScenarioError: there is no such family, or its problems cannot be told here.
+        """
+
+    def narrow_pairs(self, scene: Scene, configurations: NDArray[np.float64]) -> NDArray[np.int64]:
+        """Pairs of free configurations (n, d) rad that a narrow passage joins and nothing wider, (k, 2)."""
+
+    def ends(
+        self, scene: Scene, free: NDArray[np.float64], rng: np.random.Generator, count: int
+    ) -> Iterable[NDArray[np.float64]]:
+        """Starts and goals as problems of a scene have them, at most so many, each (2, d) rad and free.
+
+        Args:
+            scene: as it is.
+            free: (n, d) rad, uniform ones that are free.
+            rng: of all draws.
+            count: how many are tried.
+        """
+
+    def path_search(self, scene: Scene) -> PathSearch:
+        """Near-optimal paths of a scene that is known in full."""
+
+    def problem(self, family: str, split: Split, seed: int, index: int = 0) -> Problem:
+        """A planning problem.
+
+        Raises:
+            ScenarioError: there is no such family, or none of its problems was found.
+        """
+
+    def obstruction(self, problem: Problem) -> str | None:
+        """Why a problem has no solution, in words; None where that is not known."""
+
+    def count(self, split: Split) -> int | None:
+        """How many scenes a split has; None where they are drawn without end."""
+
+    def draw_picture(self, axes: Any, picture: Image) -> None:
+        """What a picture shows, on axes of matplotlib, with their labels."""
+
+    def draw_scene(self, axes: Any, scene: Scene, colour: str) -> None:
+        """Obstacles and frame, on axes of matplotlib."""
+
+    def draw_robot(self, axes: Any, configuration: ArrayLike, colour: str, order: int) -> None:
+        """The robot at a configuration (d,) rad."""
+
+
+class Taken(StrEnum):
+    """What a planner takes the space to be that no picture shows; what is seen stays as it is seen."""
+
+    FREE = "unseen is free"
+    OCCUPIED = "unseen is occupied"
+    CLEARED = "unseen is occupied, goal cleared"
+    TRUE = "truth where unseen"
+    KNOWN = "truth everywhere"
+
+
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """Which problems are asked for, and how they are seen.
+
+    Args:
+        split: of the problems.
+        seed: of those that are drawn.
+        aim: what cameras look at: ``goal``, or ``scene`` for the middle of all obstacles.
+        folder: of problems that do not ship; None where none are needed.
+    """
+
+    split: Split
+    seed: int = 0
+    aim: str = "goal"
+    folder: Path | None = None
+
+
+class Judge(Protocol):
+    """Verdicts beside those of a checker."""
+
+    def valid_batch(self, configurations: ArrayLike) -> NDArray[np.bool_]:
+        """Which of (N, d) rad are free, (N,)."""
+
+
+class PartlySeen(Protocol):
+    """See this module."""
+
+    @property
+    def sources(self) -> dict[str, tuple[str, ...]]:
+        """Families of problems by where they come from."""
+
+    @property
+    def hard(self) -> tuple[str, ...]:
+        """The families that planners find hard although all is known; none where nobody looked."""
+
+    def count(self, family: str, split: Split) -> int | None:
+        """How many problems a family has; None where they are drawn without end."""
+
+    def problem(self, asked: Asked, family: str, index: int, pictures: int) -> Problem | None:
+        """A problem, seen in so many pictures; None where an end collides or nothing in reach is seen.
+
+        Raises:
+            DatasetError: problems that do not ship are not in the folder.
+            ScenarioError: there is no such family, or none of its problems was found.
+        """
+
+    def checkers(self, problem: Problem, image: Image, taken: Taken) -> Sequence[Checker]:
+        """Checks by what a picture shows and what the rest is taken to be, the most careful first."""
+
+    def unseen(self, image: Image, configurations: ArrayLike) -> NDArray[np.float64]:
+        """Share of the robot that a picture does not show to be free, at (N, d) rad, (N,)."""
+
+    def judge(self, problem: Problem) -> Judge | None:
+        """Verdicts by the robot's meshes; None where they or what judges by them are not installed."""

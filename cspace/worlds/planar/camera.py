@@ -1,0 +1,177 @@
+"""The camera above the plane: untrusted PNG bytes to RGB arrays, and these to network input."""
+
+import io
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from cspace.errors import ImageError
+from cspace.png import PngHeader, canonical_png, damaged, encode_png, read_header
+from cspace.strict_json import settle, written
+from cspace.world import Between
+
+MIN_SIDE = 16
+MAX_SIDE = 2048
+# Columns that are averaged at a time: a whole picture as floats would take 50 MB.
+_BAND = 128
+
+
+def decode_png(data: bytes, pixels: int = 48, between: Between | None = None) -> NDArray[np.uint8]:
+    """An untrusted PNG as (pixels, pixels, 3) uint8.
+
+    RGB as it is, RGBA over white, grey and palette as RGB; resized by area averaging.
+
+    Args:
+        data: the file's bytes.
+        pixels: side of the result.
+        between: called between the parts of a large picture; what it raises passes through.
+
+    Raises:
+        ImageError: not a PNG, 16-bit, animated, not square, below 16 or above 2048 pixels, or damaged.
+    """
+    header = read_header(data)
+    _check_size(header)
+    content = canonical_png(data, header)
+    if header.width == pixels:
+        return next(_decoded(content, header.width))[1]
+    return _average(_decoded(content, _BAND), header.width, pixels, between)
+
+
+def to_network(images: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """(..., H, W, 3) uint8 to (..., 3, H, W) float32 in [-1, 1]."""
+    scaled = images.astype(np.float32) / np.float32(127.5) - np.float32(1.0)
+    return np.ascontiguousarray(np.moveaxis(scaled, -1, -3))
+
+
+def from_network(pixels: NDArray[np.float32]) -> NDArray[np.uint8]:
+    """The inverse of :func:`to_network`."""
+    found = np.rint((np.moveaxis(pixels, -3, -1) + np.float32(1.0)) * np.float32(127.5))
+    return np.ascontiguousarray(found.astype(np.uint8))
+
+
+def _check_size(header: PngHeader) -> None:
+    """By the header alone, so that no bomb is ever decoded."""
+    size = f"{header.width} x {header.height}"
+    if header.width != header.height:
+        raise ImageError("the picture is not square", expected="width = height", got=size)
+    if not MIN_SIDE <= header.width <= MAX_SIDE:
+        raise ImageError(
+            "the picture's size is out of range",
+            expected=f"{MIN_SIDE} to {MAX_SIDE} pixels a side",
+            got=size,
+        )
+    if header.depth == 16:
+        raise ImageError("the picture has 16 bits a channel", expected="at most 8", got="16")
+
+
+def _reason(error: Exception) -> str:
+    # Some messages of Pillow hold an object's address, which is nobody's business.
+    text = str(error)
+    return type(error).__name__ if not text or "0x" in text else text[:200]
+
+
+def _to_rgb(picture: Image.Image) -> NDArray[np.uint8]:
+    if picture.mode in ("RGBA", "LA") or "transparency" in picture.info:
+        rgba = picture.convert("RGBA")
+        ground = Image.new("RGBA", rgba.size, (255, 255, 255, 255))
+        picture = Image.alpha_composite(ground, rgba)
+    return np.asarray(picture.convert("RGB"), dtype=np.uint8)
+
+
+def _decoded(content: bytes, width: int) -> Iterator[tuple[slice, NDArray[np.uint8]]]:
+    """A file's columns and their RGB, about so many at a time.
+
+    Raises:
+        ImageError: it is damaged.
+    """
+    try:
+        with Image.open(io.BytesIO(content), formats=["PNG"]) as picture:
+            for left, right in _bands(picture.width, width):
+                yield slice(left, right), _to_rgb(picture.crop((left, 0, right, picture.height)))
+    except Exception as error:
+        # All, for there is no list of what a decoder raises for bytes from outside.
+        raise damaged(_reason(error)) from error
+
+
+def _average(
+    bands: Iterable[tuple[slice, NDArray[np.uint8]]], side: int, pixels: int, between: Between | None
+) -> NDArray[np.uint8]:
+    """Area averaging: every target pixel is the mean of the source area that it covers."""
+    weights = _overlap(side, pixels)
+    rows = np.empty((pixels, side, 3), dtype=np.float32)
+    for columns, band in bands:
+        rows[:, columns] = np.tensordot(weights, band.astype(np.float32), axes=(1, 0))
+        if between is not None:
+            between()
+    both: NDArray[np.float32] = np.tensordot(weights, rows, axes=(1, 1)).transpose(1, 0, 2)
+    rounded = np.clip(np.floor(both + np.float32(0.5)), 0, 255)
+    return np.asarray(rounded, dtype=np.uint8)
+
+
+def _bands(side: int, width: int) -> Iterator[tuple[int, int]]:
+    """First columns and those behind the last, in widths about equal: a narrow rest might round otherwise."""
+    count = -(-side // width)
+    return pairwise(side * index // count for index in range(count + 1))
+
+
+def _overlap(source: int, target: int) -> NDArray[Any]:
+    """(target, source) shares: how much of each source pixel a target pixel covers, rows summing to one."""
+    edges = np.arange(target + 1) * (source / target)
+    left, right = edges[:-1, None], edges[1:, None]
+    cells = np.arange(source)[None, :]
+    shares = np.clip(np.minimum(right, cells + 1) - np.maximum(left, cells), 0.0, None)
+    return np.asarray(shares * (target / source), dtype=np.float32)
+
+
+@dataclass(frozen=True, slots=True)
+class Camera:
+    """The part of the plane that the picture shows, y up, and its size in pixels (square)."""
+
+    x_min_m: float = -5.0
+    x_max_m: float = 5.0
+    y_min_m: float = -5.0
+    y_max_m: float = 5.0
+    pixels: int = 48
+
+    def __post_init__(self) -> None:
+        settle(self)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values for JSON."""
+        return written(self)
+
+    @property
+    def picture_shape(self) -> tuple[int, ...]:
+        """(P, P, 3): RGB."""
+        return (self.pixels, self.pixels, 3)
+
+    @property
+    def convention(self) -> dict[str, Any]:
+        """What a bundle says of its pictures."""
+        return {"pixels": self.pixels, "channels": "RGB", "range": [-1, 1]}
+
+    @property
+    def extent_m(self) -> tuple[float, float, float, float]:
+        """Left, right, bottom and top of the picture."""
+        return (self.x_min_m, self.x_max_m, self.y_min_m, self.y_max_m)
+
+    def decode(self, data: bytes, between: Between | None = None) -> NDArray[np.uint8]:
+        """See :func:`cspace.worlds.planar.camera.decode_png`."""
+        return decode_png(data, self.pixels, between)
+
+    def encode(self, image: NDArray[np.uint8]) -> bytes:
+        """See :func:`cspace.png.encode_png`."""
+        return encode_png(image)
+
+    def to_network(self, images: NDArray[np.uint8]) -> NDArray[np.float32]:
+        """See :func:`cspace.worlds.planar.camera.to_network`."""
+        return to_network(images)
+
+    def from_network(self, pixels: NDArray[np.float32]) -> NDArray[np.uint8]:
+        """See :func:`cspace.worlds.planar.camera.from_network`."""
+        return from_network(pixels)

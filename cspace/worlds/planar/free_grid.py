@@ -1,0 +1,409 @@
+"""The free space on a grid: connectivity, clearance and near-optimal paths; circles are closed."""
+
+import itertools
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from heapq import heappop, heappush
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import ndimage
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from cspace.errors import ScenarioError
+from cspace.kernel_cache import njit
+from cspace.simulator import PathSearch
+from cspace.space import JointSpace
+from cspace.worlds.planar.checks import CollisionChecker
+from cspace.worlds.planar.world import Scenario
+
+
+def distance_to_false(
+    inside: NDArray[np.bool_], spacing: Sequence[float] | NDArray[np.float64], wraps: Sequence[bool]
+) -> NDArray[np.float64]:
+    """Distance of each cell's centre to that of the nearest False cell; inf where there is none.
+
+    Args:
+        inside: any shape.
+        spacing: size of a cell along each axis.
+        wraps: whether the axis is a circle.
+    """
+    squared = np.where(inside, np.inf, 0.0)
+    for axis, (step, circle) in enumerate(zip(spacing, wraps, strict=True)):
+        outer, size = int(np.prod(inside.shape[:axis])), inside.shape[axis]
+        _pass(squared.reshape(outer, size, -1), float(step) ** 2, bool(circle))
+    return np.asarray(np.sqrt(squared))
+
+
+@njit(cache=True, nogil=True)
+def _pass(values, weight, wraps):  # type: ignore[no-untyped-def]
+    """One pass of the squared transform along the middle axis, in place."""
+    outer, size, inner = values.shape
+    line, hull, breaks = np.empty(2 * size), np.empty(2 * size, dtype=np.int64), np.empty(2 * size)
+    shift = size // 2 if wraps else 0
+    length = 2 * size if wraps else size
+    for first in range(outer):
+        for last in range(inner):
+            for at in range(length):
+                line[at] = values[first, (at - shift) % size, last]
+            parts = _envelope(line[:length], weight, hull, breaks)
+            if parts > 0:
+                _evaluate(values[first, :, last], shift, line, weight, hull, breaks, parts)
+
+
+@njit(cache=True, nogil=True)
+def _envelope(line, weight, hull, breaks):  # type: ignore[no-untyped-def]
+    """Which of the parabolas line[j] + weight (i - j)^2 are lowest somewhere, and from where; how many."""
+    parts = 0
+    for at in range(line.shape[0]):
+        if line[at] == np.inf:
+            continue
+        start = -np.inf
+        while parts > 0:
+            last = hull[parts - 1]
+            start = (line[at] - line[last] + weight * (at * at - last * last)) / (2.0 * weight * (at - last))
+            if start > breaks[parts - 1]:
+                break
+            parts -= 1
+        hull[parts] = at
+        breaks[parts] = start if parts > 0 else -np.inf
+        parts += 1
+    return parts
+
+
+@njit(cache=True, nogil=True)
+def _evaluate(values, shift, line, weight, hull, breaks, parts):  # type: ignore[no-untyped-def]
+    part = 0
+    for cell in range(values.shape[0]):
+        at = cell + shift
+        while part + 1 < parts and breaks[part + 1] < at:
+            part += 1
+        gap = at - hull[part]
+        values[cell] = line[hull[part]] + weight * gap * gap
+
+
+@dataclass(frozen=True, eq=False)
+class PathTree:
+    """The cheapest way from every cell to the goal's.
+
+    Args:
+        space: the joint space, cut into cells of equal size.
+        costs: (cells, ...) of the way from each cell, rad times weight; inf where there is none.
+        parents: (cells, ...) number of the next cell on the way; -1 at the goal and where there is none.
+    """
+
+    space: JointSpace
+    costs: NDArray[np.float64]
+    parents: NDArray[np.int64]
+
+    def way(self, start: ArrayLike) -> NDArray[np.float64] | None:
+        """Centres of the cells from that of ``start`` (d,) to the goal's, (k, d) rad; None without a way."""
+        at = int(np.ravel_multi_index(cell_of(self.space, self.costs.shape, start), self.costs.shape))
+        if not np.isfinite(self.costs.flat[at]):
+            return None
+        numbers = [at]
+        parents = self.parents.ravel()
+        while parents[numbers[-1]] >= 0:
+            numbers.append(int(parents[numbers[-1]]))
+        cells = np.stack(np.unravel_index(numbers, self.costs.shape), axis=-1)
+        return np.asarray(
+            np.asarray(self.space.lower) + (cells + 0.5) * spacing(self.space, self.costs.shape)
+        )
+
+
+def spacing(space: JointSpace, cells: tuple[int, ...]) -> NDArray[np.float64]:
+    """Size of a cell along each joint, (d,) rad."""
+    return np.asarray(np.subtract(space.upper, space.lower) / cells, dtype=np.float64)
+
+
+def centres(space: JointSpace, cells: tuple[int, ...]) -> NDArray[np.float64]:
+    """The centres of all cells in their order, (n, d) rad."""
+    index = np.stack(np.meshgrid(*map(np.arange, cells), indexing="ij"), axis=-1).reshape(-1, len(cells))
+    return np.asarray(np.asarray(space.lower) + (index + 0.5) * spacing(space, cells))
+
+
+def cells_of(
+    space: JointSpace, cells: tuple[int, ...], configurations: ArrayLike
+) -> tuple[NDArray[np.int64], ...]:
+    """The cells that hold configurations (..., d) rad, or are nearest, as an index: d arrays (...)."""
+    offset = (space.wrap(configurations) - np.asarray(space.lower)) / spacing(space, cells)
+    found: NDArray[np.int64] = np.clip(np.floor(offset).astype(np.int64), 0, np.asarray(cells) - 1)
+    return tuple(np.moveaxis(found, -1, 0))
+
+
+def cell_of(space: JointSpace, cells: tuple[int, ...], configuration: ArrayLike) -> tuple[int, ...]:
+    """The cell that holds a configuration (d,) rad; for one outside the limits the nearest."""
+    return tuple(int(index) for index in cells_of(space, cells, configuration))
+
+
+def paths_to(space: JointSpace, weights: NDArray[np.float64], goal: ArrayLike) -> PathTree:
+    """The tree of all ways to a goal.
+
+    Args:
+        space: the joint space.
+        weights: (cells, ...) cost of a rad in each cell, above 0; inf where no way may pass.
+        goal: (d,) rad; a goal in a cell where no way may pass has none.
+    """
+    shape = weights.shape
+    steps = np.array([step for step in itertools.product((-1, 0, 1), repeat=len(shape)) if any(step)])
+    lengths = np.linalg.norm(steps * spacing(space, shape), axis=1)
+    source = int(np.ravel_multi_index(cell_of(space, shape, goal), shape))
+    costs, parents = _grow(
+        np.ascontiguousarray(weights, dtype=np.float64).ravel(),
+        np.array(shape, dtype=np.int64),
+        np.array(space.periodic, dtype=np.bool_),
+        steps.astype(np.int64),
+        lengths,
+        source,
+    )
+    return PathTree(space, costs.reshape(shape), parents.reshape(shape))
+
+
+@njit(cache=True, nogil=True)
+def _grow(weights, shape, wraps, steps, lengths, source):  # type: ignore[no-untyped-def]
+    dim = shape.shape[0]
+    costs = np.full(weights.shape[0], np.inf)
+    parents = np.full(weights.shape[0], -1, dtype=np.int64)
+    if weights[source] == np.inf:
+        return costs, parents
+    costs[source] = 0.0
+    heap = [(0.0, source)]
+    place = np.empty(dim, dtype=np.int64)
+    while len(heap) > 0:
+        cost, cell = heappop(heap)
+        if cost > costs[cell]:
+            continue
+        rest = cell
+        for axis in range(dim - 1, -1, -1):
+            place[axis] = rest % shape[axis]
+            rest //= shape[axis]
+        for step in range(steps.shape[0]):
+            neighbour, inside = 0, True
+            for axis in range(dim):
+                at = place[axis] + steps[step, axis]
+                if at < 0 or at >= shape[axis]:
+                    inside = inside and wraps[axis]
+                    at %= shape[axis]
+                neighbour = neighbour * shape[axis] + at
+            if not inside or weights[neighbour] == np.inf:
+                continue
+            through = cost + lengths[step] * 0.5 * (weights[cell] + weights[neighbour])
+            if through < costs[neighbour]:
+                costs[neighbour] = through
+                parents[neighbour] = cell
+                heappush(heap, (through, neighbour))
+    return costs, parents
+
+
+# Cells a joint for two joints; more joints get as many cells in all.
+FINE_CELLS = 512
+_BISECTIONS = 24
+
+
+def cells_per_joint(dim: int, fine: int = FINE_CELLS) -> int:
+    """Cells along each joint of a grid that has ``fine`` squared cells in all."""
+    return int(np.round(fine ** (2.0 / dim)))
+
+
+@dataclass(frozen=True)
+class FreeGrid:
+    """A scenario's joint space cut into equal cells, each judged at its centre.
+
+    Args:
+        scenario: whose free space.
+        cells: along each joint.
+    """
+
+    scenario: Scenario
+    cells: int
+
+    @cached_property
+    def spacing_rad(self) -> NDArray[np.float64]:
+        """Size of a cell along each joint, (d,)."""
+        return spacing(self.scenario.robot.space, self._shape)
+
+    @cached_property
+    def free(self) -> NDArray[np.bool_]:
+        """Which cells are free, (cells,) * d."""
+        points = centres(self.scenario.robot.space, self._shape)
+        return np.reshape(CollisionChecker(self.scenario).valid_batch(points), self._shape)
+
+    @cached_property
+    def touching(self) -> NDArray[np.int64]:
+        """Component of each free cell, those that touch in a corner connected; 0 for the others."""
+        return self.components(diagonal=True)
+
+    @cached_property
+    def clearance_rad(self) -> NDArray[np.float64]:
+        """Torus distance from each cell to the nearest colliding one; inf where nothing collides."""
+        return distance_to_false(self.free, self.spacing_rad, self.scenario.robot.space.periodic)
+
+    def cells_of(self, configurations: ArrayLike) -> tuple[NDArray[np.int64], ...]:
+        """The cells that hold configurations (..., d) rad, as an index: d arrays (...)."""
+        return cells_of(self.scenario.robot.space, self._shape, configurations)
+
+    def cell_of(self, configuration: ArrayLike) -> tuple[int, ...]:
+        """The cell that holds a configuration (d,) rad."""
+        return tuple(int(index) for index in self.cells_of(configuration))
+
+    def components(self, above_rad: float = 0.0, *, diagonal: bool = False) -> NDArray[np.int64]:
+        """Component of each cell whose clearance is above ``above_rad``; 0 for the other cells.
+
+        Args:
+            above_rad: 0 for the free space itself.
+            diagonal: whether cells that touch in a corner are connected.
+        """
+        inside = self.free if above_rad <= 0.0 else self.clearance_rad > above_rad
+        dim = inside.ndim
+        structure = ndimage.generate_binary_structure(dim, dim if diagonal else 1)
+        labels, count = ndimage.label(inside, structure)
+        return self._close_seams(np.asarray(labels, dtype=np.int64), int(count), diagonal=diagonal)
+
+    def joined(
+        self, start: ArrayLike, goal: ArrayLike, above_rad: float = 0.0, *, diagonal: bool = False
+    ) -> bool:
+        """Whether two configurations lie in one component; False when either's cell is outside."""
+        labels = self.components(above_rad, diagonal=diagonal)
+        first, second = labels[self.cell_of(start)], labels[self.cell_of(goal)]
+        return bool(first == second and first > 0)
+
+    def bottleneck_rad(self, start: ArrayLike, goal: ArrayLike) -> float:
+        """Largest clearance at which start and goal stay connected; 0 when they never are.
+
+        Found by bisection to far below the size of a cell.
+        """
+        if not self.joined(start, goal):
+            return 0.0
+        low, high = 0.0, float(min(self.clearance_rad[self.cell_of(q)] for q in (start, goal)))
+        if math.isinf(high) or self.joined(start, goal, high * (1.0 - 1e-9)):
+            return high
+        for _ in range(_BISECTIONS):
+            middle = (low + high) / 2.0
+            low, high = (middle, high) if self.joined(start, goal, middle) else (low, middle)
+        return low
+
+    @property
+    def _shape(self) -> tuple[int, ...]:
+        return (self.cells,) * self.scenario.robot.dim
+
+    def _close_seams(self, labels: NDArray[np.int64], count: int, *, diagonal: bool) -> NDArray[np.int64]:
+        pairs = [np.empty((2, 0), dtype=np.int64)]
+        for axis, wraps in enumerate(self.scenario.robot.space.periodic):
+            if not wraps:
+                continue
+            first, last = np.take(labels, 0, axis), np.take(labels, -1, axis)
+            for shifted in _shifts(last) if diagonal else [last]:
+                both = (first > 0) & (shifted > 0)
+                pairs.append(np.stack([first[both], shifted[both]]))
+        left, right = np.concatenate(pairs, axis=1)
+        graph = coo_array((np.ones(len(left)), (left, right)), shape=(count + 1, count + 1))
+        merged = np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)
+        # The ground, label 0, keeps 0 for itself; every other component moves up by one.
+        names = np.where(merged == merged[0], 0, merged + 1)
+        return names[labels]
+
+
+def _shifts(face: NDArray[np.int64]) -> list[NDArray[np.int64]]:
+    """A face and its neighbours by one cell along its axes (corners wrap as well)."""
+    result = [face]
+    for axis in range(face.ndim):
+        result += [np.roll(part, step, axis) for part in tuple(result) for step in (-1, 1)]
+    return result
+
+
+# Cells a joint for two joints; more joints get as many in all.
+PATH_CELLS = 256
+# A way keeps off obstacles up to here, where it costs up to twice as much.
+MARGIN_RAD = 0.12
+RESOLUTION_RAD = 0.00314
+
+EdgeCheck = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.bool_]]
+
+
+def clearance_weights(
+    clearance_rad: NDArray[np.float64], margin_rad: float = MARGIN_RAD
+) -> NDArray[np.float64]:
+    """Cost of a rad by its clearance: 1 beyond the margin, up to 2 at contact, inf in collision.
+
+    Args:
+        clearance_rad: distance of each cell to the nearest colliding one, 0 in collision.
+        margin_rad: above 0.
+    """
+    near = 1.0 + np.maximum(0.0, 1.0 - clearance_rad / margin_rad)
+    return np.where(clearance_rad > 0.0, near, np.inf)
+
+
+class PathFinder:
+    """Near-optimal paths to one goal of a scenario.
+
+    Args:
+        scenario: known in full.
+        goal: (d,) rad.
+        cells: of the grid, as for two joints; of no meaning where the grid is given.
+        resolution_rad: largest distance in any joint between the states of a path that are checked.
+        grid: the scenario's, where further goals have been asked of it before.
+
+    Raises:
+        ScenarioError: the goal is in collision.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        goal: ArrayLike,
+        cells: int = PATH_CELLS,
+        resolution_rad: float = RESOLUTION_RAD,
+        grid: FreeGrid | None = None,
+    ) -> None:
+        self._space, self._checker = scenario.robot.space, CollisionChecker(scenario)
+        self._goal = self._space.wrap(goal)
+        self._resolution_rad = resolution_rad
+        if not self._checker.valid(self._goal):
+            raise ScenarioError("the goal is in collision", expected="a free configuration", got=str(goal))
+        grid = grid or FreeGrid(scenario, cells_per_joint(scenario.robot.dim, cells))
+        self._tree: PathTree = paths_to(self._space, clearance_weights(grid.clearance_rad), self._goal)
+
+    def path_from(self, start: ArrayLike) -> NDArray[np.float64] | None:
+        """A free path (k, d) rad from ``start`` (d,) to the goal; None where the grid has none.
+
+        Every edge is free at the resolution. A way of the grid whose cells are free and whose edges are not
+        is no path, so that a passage finer than a cell may be missed; one that is found is always free.
+        """
+        way = self._tree.way(start)
+        if way is None:
+            return None
+        corners = np.concatenate([[self._space.wrap(start)], way[1:-1], [self._goal]])
+        return shortcut(corners, self._edges_free)
+
+    def _edges_free(self, starts: NDArray[np.float64], ends: NDArray[np.float64]) -> NDArray[np.bool_]:
+        return self._checker.edge_batch(starts, ends, self._resolution_rad)
+
+
+def path_search(scenario: Scenario) -> PathSearch:
+    """Paths between any free ends of a scenario, found on one grid."""
+    grid = FreeGrid(scenario, cells_per_joint(scenario.robot.dim, PATH_CELLS))
+    return lambda start, goal: PathFinder(scenario, goal, grid=grid).path_from(start)
+
+
+def shortcut(path: NDArray[np.float64], edges_free: EdgeCheck) -> NDArray[np.float64] | None:
+    """The path without the corners that are not needed, from the start on always to the farthest in sight.
+
+    Args:
+        path: (k, d) rad.
+        edges_free: (n, d) and (n, d) to which edges are free, (n,).
+
+    Returns:
+        (k', d) rad, every edge of which is free; None where a corner has no free edge to any after it.
+    """
+    kept, at = [0], 0
+    while at < len(path) - 1:
+        ahead = path[at + 1 :]
+        free = edges_free(np.broadcast_to(path[at], ahead.shape), ahead)
+        if not free.any():
+            return None
+        at += 1 + int(np.flatnonzero(free)[-1])
+        kept.append(at)
+    return path[kept]

@@ -1,1 +1,0 @@
-"""Checks, grids of free cells, ways through them and problems of an arm among discs."""

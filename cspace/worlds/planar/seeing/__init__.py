@@ -1,1 +1,0 @@
-"""The camera above, and its pictures: from untrusted bytes to network input."""

@@ -1,0 +1,403 @@
+"""The robot: a serial arm of revolute joints, whose parts are covered by spheres. NumPy alone."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cspace.errors import ScenarioError
+from cspace.space import MAX_LIMIT_RAD, JointSpace
+from cspace.strict_json import read_mapping, read_object, settle, written
+from cspace.worlds.spatial.poses import MAX_OFFSET_M, SAME, Frame, moved, turn
+
+# Of limits, for single precision to tell the angles between them apart.
+MIN_RANGE_RAD = 1e-3
+_UNIT = 1e-9
+Sphere = tuple[float, float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Joint:
+    """A revolute joint.
+
+    Args:
+        name: of the joint.
+        origin: its frame, in that of the link before it, where its angle is zero.
+        axis: what it turns about, a unit vector of its own frame.
+        limits_rad: (low, high); None where it is a circle.
+
+    Raises:
+        ScenarioError: it has no name, the axis is no unit vector, or the limits are no range.
+    """
+
+    name: str
+    origin: Frame = SAME
+    axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    limits_rad: tuple[float, float] | None = None
+
+    def __post_init__(self) -> None:
+        settle(self)
+        _check_name(self.name, "joint")
+        length = float(np.linalg.norm(self.axis))
+        if np.shape(self.axis) != (3,) or not abs(length - 1.0) <= _UNIT:
+            raise ScenarioError(
+                f"the axis of joint {self.name} does not fit",
+                expected="x, y, z of a unit vector",
+                got=str(self.axis),
+            )
+        limits = self.limits_rad
+        if limits is None:
+            return
+        if np.shape(limits) != (2,) or not _is_range(*limits):
+            raise ScenarioError(
+                f"the limits of joint {self.name} do not fit",
+                expected=f"None, or low < high by {MIN_RANGE_RAD} rad or more, within {MAX_LIMIT_RAD:.0f}",
+                got=str(limits),
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """A rigid piece of the arm.
+
+    Args:
+        name: its own; that of the link of the description that it comes from.
+        link: what it is fixed to: 0 for the base, k for what joint k moves.
+        spheres_m: x, y, z in the link's frame and radius; together they cover the part.
+
+    Raises:
+        ScenarioError: it has no name or no spheres, or one of these is none.
+    """
+
+    name: str
+    link: int
+    spheres_m: tuple[Sphere, ...]
+
+    def __post_init__(self) -> None:
+        settle(self)
+        _check_name(self.name, "part")
+        try:
+            numbers = np.asarray(self.spheres_m, dtype=np.float64)
+        except ValueError:
+            numbers = np.empty(0)
+        if numbers.ndim != 2 or numbers.shape[1] != 4 or not np.isfinite(numbers).all():
+            fits = False
+        else:
+            fits = bool(np.abs(numbers).max() <= MAX_OFFSET_M and numbers[:, 3].min() > 0.0)
+        if not fits:
+            raise ScenarioError(
+                f"the spheres of part {self.name} do not fit",
+                expected=f"one or more of x, y, z and a radius above 0, within {MAX_OFFSET_M:.0f} m",
+                got=str(self.spheres_m)[:200],
+            )
+
+
+def _check_name(name: str, what: str) -> None:
+    if not name:
+        raise ScenarioError(f"a {what} has no name", expected="a text", got=repr(name)[:200])
+
+
+def _is_range(low: float, high: float) -> bool:
+    return -MAX_LIMIT_RAD <= low < high <= MAX_LIMIT_RAD and high - low >= MIN_RANGE_RAD
+
+
+KIND = "serial_arm"
+MAX_JOINTS = 10
+MAX_SPHERES = 2000
+
+
+@dataclass(frozen=True, slots=True)
+class SerialArm:
+    """A serial arm with its base at the origin, x forward and z up.
+
+    Args:
+        name: of the robot.
+        joints: from the base to the tip, at most ten.
+        parts: rigid pieces, each fixed to the base or to what one of the joints moves.
+        touching: pairs of names of the parts that can touch each other and are held apart.
+        tool: the frame of the tool, in that of the last link.
+        ready_rad: (d,) where it waits, in scenes that are drawn; None for the middle of its limits.
+
+    Raises:
+        ScenarioError: there is no joint or there are too many, names come twice, a part is fixed to no link,
+            a pair names no two parts that move against each other, or it waits outside its limits.
+    """
+
+    name: str
+    joints: tuple[Joint, ...]
+    parts: tuple[Part, ...] = ()
+    touching: tuple[tuple[str, str], ...] = ()
+    tool: Frame = SAME
+    ready_rad: tuple[float, ...] | None = None
+
+    def __post_init__(self) -> None:
+        settle(self)
+        if not 1 <= len(self.joints) <= MAX_JOINTS:
+            raise ScenarioError(
+                "the arm's joints do not fit", expected=f"1 to {MAX_JOINTS}", got=str(len(self.joints))
+            )
+        for what, named in (("joints", self.joints), ("parts", self.parts)):
+            names = [one.name for one in named]
+            if len(set(names)) != len(names):
+                raise ScenarioError(f"the arm's {what} do not fit", expected="a name each", got=str(names))
+        self._check_parts()
+        self._check_pairs()
+        ready = self.ready_rad
+        if ready is not None:
+            object.__setattr__(self, "ready_rad", self._waiting(ready))
+
+    def __hash__(self) -> int:
+        # Equal arms have equal ones, and hundreds of spheres are not gone through.
+        return hash((self.name, self.joints, self.tool))
+
+    def _waiting(self, ready_rad: tuple[float, ...]) -> tuple[float, ...]:
+        what = "the arm cannot wait there"
+        if len(ready_rad) != self.dim:
+            raise ScenarioError(what, expected=f"{self.dim} angles", got=str(ready_rad))
+        return tuple(self.space.admitted(ready_rad, what, ScenarioError).tolist())
+
+    def _check_parts(self) -> None:
+        astray = [part.name for part in self.parts if not 0 <= part.link <= self.dim]
+        count = sum(len(part.spheres_m) for part in self.parts)
+        if astray or count > MAX_SPHERES:
+            raise ScenarioError(
+                "the arm's parts do not fit",
+                expected=f"links 0 to {self.dim}, and at most {MAX_SPHERES} spheres",
+                got=f"{count} spheres; on no link: {astray}",
+            )
+
+    def _check_pairs(self) -> None:
+        links = {part.name: part.link for part in self.parts}
+        pairs = [tuple(sorted(pair)) for pair in self.touching]
+        wrong = [
+            pair
+            for pair in pairs
+            if len(pair) != 2 or not set(pair) <= set(links) or links[pair[0]] == links[pair[1]]
+        ]
+        if wrong or len(set(pairs)) != len(pairs):
+            raise ScenarioError(
+                "the pairs of parts that can touch do not fit",
+                expected="names of two parts of different links, each pair once",
+                got=str(wrong or pairs)[:200],
+            )
+
+    @property
+    def dim(self) -> int:
+        """d, number of joints; links are counted from 0, the base, to d."""
+        return len(self.joints)
+
+    @property
+    def space(self) -> JointSpace:
+        """The arm's joint space."""
+        limits = [joint.limits_rad for joint in self.joints]
+        return JointSpace(
+            tuple(-np.pi if lim is None else lim[0] for lim in limits),
+            tuple(np.pi if lim is None else lim[1] for lim in limits),
+            tuple(lim is None for lim in limits),
+            tuple(joint.name for joint in self.joints),
+        )
+
+    def with_limits(self, limits_rad: Sequence[tuple[float, float] | None]) -> "SerialArm":
+        """The same arm with other limits, one pair for each joint, None for a circle.
+
+        Raises:
+            ScenarioError: there are not as many as joints, or no joint can have one of them.
+        """
+        if len(limits_rad) != self.dim:
+            raise ScenarioError(
+                "the joint limits do not fit", expected=f"{self.dim} pairs", got=str(len(limits_rad))
+            )
+        pairs = zip(self.joints, limits_rad, strict=True)
+        return replace(self, joints=tuple(replace(joint, limits_rad=one) for joint, one in pairs))
+
+    @property
+    def sphere_count(self) -> int:
+        """S, spheres of all parts."""
+        return sum(len(part.spheres_m) for part in self.parts)
+
+    @property
+    def reach_m(self) -> float:
+        """No less than the distance from the base to any point of the arm."""
+        steps = np.cumsum([0.0, *(np.linalg.norm(joint.origin.xyz_m) for joint in self.joints)])
+        tips = [steps[-1] + np.linalg.norm(self.tool.xyz_m)]
+        for part in self.parts:
+            spheres = np.asarray(part.spheres_m)
+            tips.append(steps[part.link] + (np.linalg.norm(spheres[:, :3], axis=1) + spheres[:, 3]).max())
+        return float(max(tips))
+
+    def link_frames(self, configurations: ArrayLike) -> NDArray[np.float64]:
+        """Forward kinematics: (N, d) rad to the links' frames in the base's, (N, d + 1, 4, 4), m.
+
+        Raises:
+            ScenarioError: the configurations are of another shape.
+        """
+        rows = np.asarray(configurations, dtype=np.float64)
+        if rows.ndim != 2 or rows.shape[1] != self.dim:
+            raise ScenarioError(
+                "the configurations do not fit the robot",
+                expected=f"shape (N, {self.dim})",
+                got=str(rows.shape),
+            )
+        frames = np.empty((len(rows), self.dim + 1, 4, 4))
+        frames[:, 0] = np.eye(4)
+        for index, joint in enumerate(self.joints):
+            own = np.zeros((len(rows), 4, 4))
+            own[:, :3, :3] = turn(joint.axis, rows[:, index])
+            own[:, 3, 3] = 1.0
+            frames[:, index + 1] = frames[:, index] @ joint.origin.matrix() @ own
+        return frames
+
+    def tool_frames(self, configurations: ArrayLike) -> NDArray[np.float64]:
+        """Forward kinematics: (N, d) rad to the tool's frame in the base's, (N, 4, 4), m."""
+        return np.asarray(self.link_frames(configurations)[:, -1] @ self.tool.matrix())
+
+    def joint_positions_m(self, configurations: ArrayLike) -> NDArray[np.float64]:
+        """Forward kinematics: (N, d) rad to (N, d + 2, 3) m: the base, every joint, the tool."""
+        frames = self.link_frames(np.atleast_2d(np.asarray(configurations, dtype=np.float64)))
+        tips = frames[:, -1] @ self.tool.matrix()
+        return np.concatenate([frames[:, :, :3, 3], tips[:, None, :3, 3]], axis=1)
+
+    def sphere_links(self) -> NDArray[np.int64]:
+        """The link that each sphere is fixed to, (S,), in the order of the parts."""
+        return np.repeat(
+            np.asarray([part.link for part in self.parts], dtype=np.int64),
+            [len(part.spheres_m) for part in self.parts],
+        )
+
+    def spheres_m(self) -> NDArray[np.float64]:
+        """Centre in its link's frame and radius of every sphere, (S, 4), in the order of the parts."""
+        return np.concatenate([np.empty((0, 4)), *(np.asarray(part.spheres_m) for part in self.parts)])
+
+    def sphere_centres_m(self, configurations: ArrayLike) -> NDArray[np.float64]:
+        """Forward kinematics: (N, d) rad to the spheres' centres in the base's frame, (N, S, 3)."""
+        return moved(self.link_frames(configurations)[:, self.sphere_links()], self.spheres_m()[:, :3])
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values for JSON."""
+        told = written(self)
+        if self.ready_rad is None:
+            # Arms that were written before it could be told stay the same.
+            del told["ready_rad"]
+        return {"kind": KIND, **told}
+
+    @classmethod
+    def from_dict(cls, values: object) -> "SerialArm":
+        """The inverse of :meth:`to_dict`.
+
+        Raises:
+            ScenarioError: a key is missing or unknown, or a value is of the wrong type.
+        """
+        members = {"kind": KIND, "ready_rad": None} | read_mapping(values, "the robot", ScenarioError)
+        if (kind := members.pop("kind")) != KIND:
+            raise ScenarioError("the robot is unknown", expected=KIND, got=repr(kind)[:200])
+        return read_object(cls, members, "the robot", ScenarioError)
+
+
+def ready_rad(arm: SerialArm) -> NDArray[np.float64]:
+    """(d,) rad: the pose that an arm waits in; where nobody said, the middle of its joints' limits."""
+    if arm.ready_rad is not None:
+        return np.asarray(arm.ready_rad, dtype=np.float64)
+    space = arm.space
+    return np.where(space.periodic, 0.0, (np.asarray(space.lower) + np.asarray(space.upper)) / 2.0)
+
+
+Sets = tuple[tuple[NDArray[np.int64], NDArray[np.int64]], ...]
+
+
+def touching_sets(arm: SerialArm) -> Sets:
+    """Pairs of sets of spheres, each of numbers (a,) and (b,), all of whose pairs can touch.
+
+    Parts that can touch the same others are in one set, so that each pair of spheres is in one pair of sets.
+    """
+    ends = np.cumsum([len(part.spheres_m) for part in arm.parts])
+    own = {
+        part.name: np.arange(end - len(part.spheres_m), end)
+        for part, end in zip(arm.parts, ends, strict=True)
+    }
+    partners = {name: tuple(sorted(b for a, b in arm.touching if a == name)) for name in own}
+    alike: dict[tuple[str, ...], list[str]] = {}
+    for name, others in partners.items():
+        if others:
+            alike.setdefault(others, []).append(name)
+    return tuple(
+        (np.concatenate([own[one] for one in names]), np.concatenate([own[one] for one in others]))
+        for others, names in alike.items()
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Grouping:
+    """Groups of an arm's S spheres, G of them, in the order of the parts.
+
+    Attributes:
+        links: (G,) the link of each group.
+        spheres_m: (G, 4) centre in the link's frame and radius of a sphere that holds the group.
+        groups: (S,) the group of each of the arm's spheres.
+        weights: (G,) share of the volume of all spheres.
+    """
+
+    links: NDArray[np.int64]
+    spheres_m: NDArray[np.float64]
+    groups: NDArray[np.int64]
+    weights: NDArray[np.float64]
+
+    @property
+    def members(self) -> NDArray[np.int64]:
+        """(G, most) numbers of the spheres in each group, the first of them repeated behind the last."""
+        held = [np.flatnonzero(self.groups == number) for number in range(len(self.links))]
+        most = max(len(one) for one in held)
+        return np.stack([np.append(one, np.full(most - len(one), one[0])) for one in held])
+
+
+def grouped(arm: SerialArm, count: int) -> Grouping:
+    """The spheres of an arm in groups of one part each: the largest is halved until there are enough.
+
+    Args:
+        arm: with spheres.
+        count: of groups; no fewer than parts, no more than spheres.
+
+    Raises:
+        ScenarioError: no such number of groups is possible.
+    """
+    if not len(arm.parts) <= count <= arm.sphere_count or not arm.parts:
+        raise ScenarioError(
+            "the arm's spheres cannot be grouped so",
+            expected=f"{len(arm.parts)} to {arm.sphere_count} groups",
+            got=str(count),
+        )
+    spheres, ends = arm.spheres_m(), np.cumsum([len(part.spheres_m) for part in arm.parts])
+    members = np.split(np.arange(len(spheres)), ends[:-1])
+    held = [_holding(spheres[one]) for one in members]
+    while len(members) < count:
+        sizes = [sphere[3] if len(one) > 1 else -1.0 for one, sphere in zip(members, held, strict=True)]
+        at = int(np.argmax(sizes))
+        halves = _halves(spheres, members[at])
+        members[at : at + 1] = halves
+        held[at : at + 1] = [_holding(spheres[one]) for one in halves]
+    groups = np.empty(len(spheres), dtype=np.int64)
+    for number, one in enumerate(members):
+        groups[one] = number
+    volumes = np.bincount(groups, spheres[:, 3] ** 3)
+    links = arm.sphere_links()[[one[0] for one in members]]
+    return Grouping(links, np.stack(held), groups, volumes / volumes.sum())
+
+
+def _holding(spheres: NDArray[np.float64]) -> NDArray[np.float64]:
+    """A sphere (4,) round spheres (n, 4): from the middle of their box, moved while it shrinks."""
+    centres, radii = spheres[:, :3], spheres[:, 3]
+    middle = ((centres - radii[:, None]).min(axis=0) + (centres + radii[:, None]).max(axis=0)) / 2.0
+    # Towards what sticks out the most, by less and less (Badoiu and Clarkson's core sets).
+    for step in range(1, 200):
+        reach = np.linalg.norm(centres - middle, axis=1) + radii
+        middle = middle + (centres[int(np.argmax(reach))] - middle) / (step + 1.0) ** 1.5
+    return np.append(middle, (np.linalg.norm(centres - middle, axis=1) + radii).max())
+
+
+def _halves(spheres: NDArray[np.float64], members: NDArray[np.int64]) -> list[NDArray[np.int64]]:
+    centres = spheres[members, :3]
+    spread = centres - centres.mean(axis=0)
+    along = spread @ np.linalg.svd(spread, full_matrices=False)[2][0]
+    order = members[np.argsort(along, kind="stable")]
+    return [np.sort(order[: len(order) // 2]), np.sort(order[len(order) // 2 :])]

@@ -1,0 +1,388 @@
+"""Problems of an arm that depth cameras see in part: MotionBenchMaker's of the Panda, and the world's own."""
+
+import gzip
+import json
+import zlib
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cspace.errors import DatasetError, ImageError, ScenarioError
+from cspace.files import replacing
+from cspace.simulator import Asked, Problem, Split, Taken
+from cspace.strict_json import parse_json, read_members, read_object, settle, written
+from cspace.world import Image, World
+from cspace.worlds.spatial.arm import SerialArm
+from cspace.worlds.spatial.checks import CollisionChecker, seen_checkers
+from cspace.worlds.spatial.furniture import FAMILIES, GoalRegion, Layout
+from cspace.worlds.spatial.kinematics import arm_arrays, sphere_centres_batch
+from cspace.worlds.spatial.mesh_checker import Description, MeshChecker, RobotMeshes, panda_urdf
+from cspace.worlds.spatial.obstacles import Box, Cylinder, Obstacles
+from cspace.worlds.spatial.poses import Vector, pose_of
+from cspace.worlds.spatial.problems import draw_problem
+from cspace.worlds.spatial.scenes import SpatialScene, scenes_of, seen
+from cspace.worlds.spatial.sensor import FREE
+from cspace.worlds.spatial.visibility import lookup
+from cspace.worlds.spatial.world import SpatialWorld, shipped
+
+BENCH_FAMILIES = (
+    "bookshelf_small",
+    "bookshelf_tall",
+    "bookshelf_thin",
+    "box",
+    "cage",
+    "table_pick",
+    "table_under_pick",
+)
+# Of the hundred in each family.
+NUMBERS = {Split.VALIDATION: range(1, 31), Split.TEST: range(31, 101)}
+SHIPPED = Path(__file__).with_name("motionbench")
+# Of the Panda's joints in the benchmark, wider than its maker's; some starts and goals need them.
+LIMITS_RAD = (
+    (-2.9671, 2.9671),
+    (-1.8326, 1.8326),
+    (-2.9671, 2.9671),
+    (-3.1416, 0.0873),
+    (-2.9671, 2.9671),
+    (-0.0873, 3.8223),
+    (-2.9671, 2.9671),
+)
+# Half the size of the region that a goal stands for, m.
+_GOAL_HALF_M = 0.01
+
+
+@dataclass(frozen=True, slots=True)
+class BenchProblem:
+    """A problem of the Panda.
+
+    Args:
+        family: one of ``BENCH_FAMILIES``.
+        number: in its family, from 1 to 100.
+        obstacles: in the base frame.
+        start: (d,) rad.
+        goal: (d,) rad.
+
+    Raises:
+        ScenarioError: the family is unknown, the number is out of range, or start and goal do not fit.
+    """
+
+    family: str
+    number: int
+    obstacles: Obstacles
+    start: tuple[float, ...]
+    goal: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        settle(self)
+        if self.family not in BENCH_FAMILIES or not 1 <= self.number <= 100:
+            raise ScenarioError(
+                "a benchmark's problem is unknown",
+                expected=f"1 to 100 of {', '.join(BENCH_FAMILIES)}",
+                got=f"{self.number} of {self.family!r}"[:200],
+            )
+        if not self.start or len(self.start) != len(self.goal):
+            raise ScenarioError(
+                "start and goal do not fit",
+                expected="as many joints of both",
+                got=f"{len(self.start)} and {len(self.goal)}",
+            )
+
+    @property
+    def split(self) -> Split:
+        """What the problem may be used for."""
+        return Split.VALIDATION if self.number in NUMBERS[Split.VALIDATION] else Split.TEST
+
+    def layout(self, arm: SerialArm) -> Layout:
+        """The scene, whose one region and whose cameras' focus are where the goal's tool is.
+
+        Raises:
+            ScenarioError: the arm has another number of joints.
+        """
+        tool = arm.tool_frames([self.goal])[0]
+        box = Box(pose_of(tool), (_GOAL_HALF_M, _GOAL_HALF_M, _GOAL_HALF_M))
+        region = GoalRegion(box, _vector(tool[:3, 2] / np.linalg.norm(tool[:3, 2])))
+        return Layout(self.family, self.obstacles, (region,), _vector(tool[:3, 3]))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values for JSON."""
+        return written(self)
+
+
+def problems(
+    split: Split, folder: Path | None = None, families: Iterable[str] = BENCH_FAMILIES
+) -> tuple[BenchProblem, ...]:
+    """The problems of a split, by family, then by number.
+
+    Args:
+        split: validation, numbers 1 to 30, or test, 31 to 100, which nothing is ever tuned on.
+        folder: that ``python -m training.motionbench fetch`` filled; validation problems are read from where
+            they ship unless it is given.
+        families: some of ``BENCH_FAMILIES``.
+
+    Raises:
+        DatasetError: the split has none, a file is missing, is damaged or holds other problems.
+        ScenarioError: a family is unknown.
+    """
+    if split not in NUMBERS:
+        raise DatasetError("the benchmark has no such split", expected="validation or test", got=str(split))
+    wanted = tuple(families)
+    if unknown := sorted(set(wanted) - set(BENCH_FAMILIES)):
+        raise ScenarioError(
+            "families are unknown", expected=f"some of {', '.join(BENCH_FAMILIES)}", got=str(unknown)[:200]
+        )
+    if folder is None and split is Split.TEST:
+        raise DatasetError(
+            "the benchmark's test problems do not ship",
+            expected="a folder that holds them",
+            got="none",
+            remedy="python -m training.motionbench fetch --out FOLDER",
+        )
+    found = read_problems(_file(SHIPPED if folder is None else folder, split))
+    if {(one.family, one.number) for one in found} != expected_names(split):
+        raise DatasetError(
+            "the benchmark's file holds other problems",
+            expected=f"numbers {NUMBERS[split][0]} to {NUMBERS[split][-1]} of each family",
+            got=f"{len(found)} problems",
+        )
+    return tuple(one for one in found if one.family in wanted)
+
+
+def expected_names(split: Split) -> set[tuple[str, int]]:
+    """Family and number of each problem of a split."""
+    return {(family, number) for family in BENCH_FAMILIES for number in NUMBERS[split]}
+
+
+def read_problems(path: Path) -> tuple[BenchProblem, ...]:
+    """What :func:`write_problems` wrote.
+
+    Raises:
+        DatasetError: there is no such file, or it holds something else.
+    """
+    try:
+        values = parse_json(gzip.decompress(path.read_bytes()))
+    except (OSError, EOFError, zlib.error, ValueError) as error:
+        raise _bad(path, str(error)) from error
+    try:
+        listed = read_members(values, {"problems"}, "the benchmark", DatasetError)["problems"]
+        if not isinstance(listed, list):
+            raise _bad(path, "no list of problems")
+        found = tuple(read_object(BenchProblem, one, "a problem", DatasetError) for one in listed)
+    except ScenarioError as error:
+        raise _bad(path, str(error)) from error
+    if len({(one.family, one.number) for one in found}) != len(found):
+        raise _bad(path, "a problem twice")
+    return tuple(sorted(found, key=lambda one: (BENCH_FAMILIES.index(one.family), one.number)))
+
+
+def write_problems(folder: Path, split: Split, found: Iterable[BenchProblem]) -> Path:
+    """Write a split's problems where :func:`problems` reads them.
+
+    Raises:
+        StorageError: the file cannot be written.
+    """
+    text = json.dumps({"problems": [one.to_dict() for one in found]}, separators=(",", ":"), allow_nan=False)
+    path = _file(folder, split)
+    with replacing(path, "the benchmark") as beside:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        beside.write_bytes(gzip.compress(text.encode("utf-8"), mtime=0))
+    return path
+
+
+def _file(folder: Path, split: Split) -> Path:
+    return folder / f"{split.value}.json.gz"
+
+
+def _vector(values: Any) -> Vector:
+    x, y, z = (float(value) for value in values)
+    return (x, y, z)
+
+
+def _bad(path: Path, got: str) -> DatasetError:
+    return DatasetError(
+        "the benchmark's problems cannot be read",
+        expected="the file that python -m training.motionbench fetch writes",
+        got=f"{path}: {got}"[:300],
+        remedy="python -m training.motionbench fetch --out FOLDER",
+    )
+
+
+PREFIX = "motionbench_"
+# Of MotionBenchMaker's Panda, m.
+FINGERS_M = 0.065
+
+
+@dataclass(frozen=True, slots=True)
+class SpatialPartlySeen:
+    """See :class:`cspace.simulator.PartlySeen`."""
+
+    world: SpatialWorld
+
+    @property
+    def sources(self) -> dict[str, tuple[str, ...]]:
+        """MotionBenchMaker's sets, of the Panda alone, and the world's own families."""
+        bench = {"MotionBenchMaker": tuple(PREFIX + family for family in BENCH_FAMILIES)}
+        return (bench if is_benchmarked(self.world.body) else {}) | {"own families": FAMILIES}
+
+    @property
+    def hard(self) -> tuple[str, ...]:
+        """Thin and tall shelves, the cage and the bin."""
+        return tuple(PREFIX + family for family in ("bookshelf_thin", "bookshelf_tall", "cage", "box"))
+
+    def count(self, family: str, split: Split) -> int | None:
+        """Of MotionBenchMaker's sets."""
+        return len(NUMBERS[split]) if family.startswith(PREFIX) else None
+
+    def problem(self, asked: Asked, family: str, index: int, pictures: int) -> Problem | None:
+        """See :func:`from_both_sides`; the arm waits at the start.
+
+        That of MotionBenchMaker's problems has the wider limits of the benchmark.
+        """
+        world = with_benchmark_limits(self.world) if family.startswith(PREFIX) else self.world
+        layout, start, goal, number = _found(world, asked, family, index)
+        ends = np.array([start, goal])
+        if not CollisionChecker(world.body, layout.obstacles).valid_batch(ends).all():
+            return None
+        rng = np.random.default_rng([25, pictures, *family.removeprefix(PREFIX).encode(), *number])
+        scene = from_both_sides(rng, viewed(world, pictures), layout, ends[0], asked.aim)
+        try:
+            world.examined(scene.view())
+        except ImageError:
+            return None
+        return Problem(scene, ends[0], ends[1], family, seed=asked.seed)
+
+    def checkers(self, problem: Problem, image: Image, taken: Taken) -> Sequence[CollisionChecker]:
+        """Where unseen space is occupied, room is made for the arm at the start, where it stands."""
+        scene = cast("SpatialScene", problem.scenario)
+        world, obstacles = scene.world, scene.obstacles
+        if taken is Taken.KNOWN:
+            return [CollisionChecker(world.body, obstacles)]
+        ends = np.array([problem.start, problem.goal])
+        if taken is Taken.TRUE:
+            return seen_checkers(world, image, ends, obstacles)
+        if taken is Taken.FREE:
+            return seen_checkers(world, image, ends)
+        occupied = image.copy()
+        occupied[image[..., 1] != FREE, 0] = 0
+        return seen_checkers(world, occupied, ends if taken is Taken.CLEARED else ends[:1])
+
+    def unseen(self, image: Image, configurations: ArrayLike) -> NDArray[np.float64]:
+        """By the centres of the spheres that move."""
+        arrays = arm_arrays(self.world.body)
+        rows = np.ascontiguousarray(configurations, dtype=np.float64)
+        centres = sphere_centres_batch(rows, arrays)[:, arrays.links > 0]
+        return np.asarray(lookup(image, self.world.sensor.grid, centres).unseen.mean(axis=1))
+
+    def judge(self, problem: Problem) -> MeshChecker | None:
+        """By convex hulls of the Panda's meshes; None for other arms as well."""
+        scene = cast("SpatialScene", problem.scenario)
+        meshes = _meshes(scene.world.body)
+        return None if meshes is None else meshes.among(scene.obstacles)
+
+
+def open_partly_seen(world: World) -> SpatialPartlySeen:
+    """Of a world of this kind."""
+    return SpatialPartlySeen(cast("SpatialWorld", world))
+
+
+def is_benchmarked(arm: SerialArm) -> bool:
+    """Whether it is MotionBenchMaker's Panda, whatever it is called and whichever limits its joints have."""
+    if arm.dim != len(LIMITS_RAD):
+        return False
+    mine, panda = (replace(one, name="", ready_rad=None) for one in (arm, shipped("panda")))
+    return mine.with_limits(LIMITS_RAD) == panda.with_limits(LIMITS_RAD)
+
+
+def with_benchmark_limits(world: SpatialWorld) -> SpatialWorld:
+    """The Panda's world with the limits of MotionBenchMaker's problems."""
+    return replace(world, body=world.body.with_limits(LIMITS_RAD))
+
+
+def viewed(world: SpatialWorld, pictures: int) -> SpatialWorld:
+    """The world with so many cameras 1.1 to 1.3 m away and 30 to 60 degrees to a side."""
+    views = replace(
+        world.sensor.views,
+        count=(pictures, pictures),
+        side_deg=(30.0, 60.0),
+        up_deg=(20.0, 40.0),
+        distance_m=(1.1, 1.3),
+        field_deg=(70.0, 70.0),
+    )
+    return replace(world, sensor=replace(world.sensor, views=views, holes=0.0))
+
+
+def from_both_sides(
+    rng: np.random.Generator, world: SpatialWorld, layout: Layout, state: NDArray[np.float64], aim: str
+) -> SpatialScene:
+    """A layout as cameras see it that do not all stand on the same side of the line to what they look at.
+
+    Args:
+        rng: of all draws.
+        world: with as many cameras as there are to be.
+        layout: the scene, which cameras look at as it says.
+        state: (d,) rad, of the arm.
+        aim: ``scene`` has them look at the middle of all obstacles instead.
+
+    Raises:
+        ScenarioError: no camera has room.
+    """
+    if aim == "scene":
+        layout = replace(layout, focus=middle(layout.obstacles))
+    focus = np.asarray(layout.focus)[:2]
+    while True:
+        scene = seen(rng, world, layout, state)
+        places = [np.array(camera.pose)[:2, 3] - focus for camera in scene.cameras]
+        sides = {float(np.sign(x * focus[1] - y * focus[0])) for x, y in places}
+        if len(places) == 1 or len(sides) > 1:
+            return scene
+
+
+def middle(obstacles: Obstacles) -> tuple[float, float, float]:
+    """Of the box round all that stands there, m."""
+    shapes: tuple[Box | Cylinder, ...] = (*obstacles.boxes, *obstacles.cylinders)
+    solid = [
+        (np.array(one.pose), np.array(one.half_m))
+        if isinstance(one, Box)
+        else (np.array(one.pose), np.array([one.radius_m, one.radius_m, one.half_length_m]))
+        for one in shapes
+    ]
+    reach = [(pose[:3, 3], np.abs(pose[:3, :3]) @ half) for pose, half in solid]
+    low = np.min([centre - half for centre, half in reach], axis=0)
+    high = np.max([centre + half for centre, half in reach], axis=0)
+    x, y, z = ((low + high) / 2.0).tolist()
+    return x, y, z
+
+
+_Found = tuple[Layout, tuple[float, ...], tuple[float, ...], tuple[int, ...]]
+
+
+@lru_cache(maxsize=4)
+def _found(world: SpatialWorld, asked: Asked, family: str, index: int) -> _Found:
+    """Scene, start, goal and what pictures of the problem are seeded with."""
+    if family.startswith(PREFIX):
+        one = _bench(asked.split, asked.folder, family.removeprefix(PREFIX))[index]
+        return one.layout(world.body), one.start, one.goal, (one.number,)
+    drawn = draw_problem(world.body, scenes_of(world), asked.split, asked.seed, index, family)
+    start, goal = (tuple(float(angle) for angle in end) for end in (drawn.start, drawn.goal))
+    return drawn.layout, start, goal, (*asked.split.encode(), asked.seed, index)
+
+
+@lru_cache(maxsize=16)
+def _bench(split: Split, folder: Path | None, family: str) -> tuple[BenchProblem, ...]:
+    return problems(split, folder, (family,))
+
+
+@lru_cache(maxsize=2)
+def _meshes(arm: SerialArm) -> RobotMeshes | None:
+    urdf = panda_urdf()
+    if urdf is None or not is_benchmarked(arm):
+        return None
+    held = dict.fromkeys(("panda_finger_joint1", "panda_finger_joint2"), FINGERS_M)
+    try:
+        return RobotMeshes(arm, Description(urdf, held))
+    except ScenarioError:
+        return None

@@ -1,0 +1,396 @@
+"""The depth camera: pinhole model, and its pictures from untrusted PNG bytes to mm. NumPy alone."""
+
+import io
+import struct
+import zlib
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from PIL import Image
+
+from cspace.errors import ImageError, ScenarioError
+from cspace.png import PngHeader, canonical_png, damaged, read_header
+from cspace.strict_json import read_object, settle, written
+from cspace.world import Between
+from cspace.worlds.spatial.poses import HERE, Pose, check_pose, make_pose, pose_of
+
+MIN_SIDE, MAX_SIDE = 16, 2048
+MIN_FIELD_DEG, MAX_FIELD_DEG = 1.0, 170.0
+
+
+@dataclass(frozen=True, slots=True)
+class DepthCamera:
+    """A pinhole camera without distortion.
+
+    Args:
+        fx: focal length along a row, pixels.
+        fy: focal length along a column, pixels.
+        cx: column of the principal point, pixels.
+        cy: row of the principal point, pixels.
+        width: of the picture, pixels.
+        height: of the picture, pixels.
+        pose: of the camera's optical frame in the base frame, rows of a 4 x 4 matrix, m.
+
+    Raises:
+        ScenarioError: the pose is none, or no camera has such a size, focal length or principal point.
+    """
+
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    width: int
+    height: int
+    pose: Pose = HERE
+
+    def __post_init__(self) -> None:
+        settle(self)
+        check_pose(self.pose, "the camera")
+        _check_pinhole(self)
+
+    @classmethod
+    def of_field(cls, width: int, height: int, field_deg: float, pose: ArrayLike) -> "DepthCamera":
+        """A camera of square pixels, ``field_deg`` wide, with the principal point in the middle."""
+        if not MIN_FIELD_DEG <= field_deg <= MAX_FIELD_DEG:
+            raise _no_focal(f"{field_deg} degrees")
+        focal = width / (2.0 * np.tan(np.radians(field_deg) / 2.0))
+        return cls(
+            float(focal), float(focal), (width - 1) / 2.0, (height - 1) / 2.0, width, height, pose_of(pose)
+        )
+
+    @property
+    def matrix(self) -> NDArray[np.float64]:
+        """(4, 4): the pose."""
+        return np.array(self.pose, dtype=np.float64)
+
+    @property
+    def picture_shape(self) -> tuple[int, int]:
+        """(H, W) of its pictures."""
+        return (self.height, self.width)
+
+    def rays(self) -> NDArray[np.float64]:
+        """(H, W, 3): through each pixel's centre, in the camera frame, with z = 1."""
+        x = (np.arange(self.width) - self.cx) / self.fx
+        y = (np.arange(self.height) - self.cy) / self.fy
+        rays = np.ones((self.height, self.width, 3))
+        rays[..., 0], rays[..., 1] = x[None, :], y[:, None]
+        return rays
+
+    def points_m(self, depth_m: ArrayLike) -> NDArray[np.float64]:
+        """Back-projection: a depth picture (H, W) m to points (H, W, 3) m in the base frame.
+
+        NaN where there is no reading, which is where the depth is not a finite number above 0.
+
+        Raises:
+            ImageError: the picture has another shape than the camera's.
+        """
+        depth = np.asarray(depth_m, dtype=np.float64)
+        if depth.shape != self.picture_shape:
+            raise ImageError(
+                "the depth picture does not fit the camera",
+                expected=f"{self.width} x {self.height} pixels",
+                got=f"an array of shape {depth.shape}",
+            )
+        seen = np.where(np.isfinite(depth) & (depth > 0.0), depth, np.nan)
+        pose = self.matrix
+        return np.asarray((self.rays() * seen[..., None]) @ pose[:3, :3].T + pose[:3, 3])
+
+    def project(self, points_m: ArrayLike) -> NDArray[np.float64]:
+        """Points (..., 3) m in the base frame to (..., 3): column, row in pixels, depth in m.
+
+        Column and row are NaN behind the camera; they may lie beside the picture, see :meth:`shows`.
+        """
+        pose = self.matrix
+        seen = (np.asarray(points_m, dtype=np.float64) - pose[:3, 3]) @ pose[:3, :3]
+        depth = seen[..., 2]
+        ahead = np.where(depth > 0.0, depth, np.nan)
+        columns = self.fx * seen[..., 0] / ahead + self.cx
+        rows = self.fy * seen[..., 1] / ahead + self.cy
+        return np.stack((columns, rows, depth), axis=-1)
+
+    def shows(self, projected: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Which of the projected points (..., 3) lie within the picture, to the outer edges of its pixels."""
+        column, row = projected[..., 0], projected[..., 1]
+        within = (column >= -0.5) & (column < self.width - 0.5) & (row >= -0.5) & (row < self.height - 0.5)
+        return np.asarray(within & (projected[..., 2] > 0.0))
+
+    def resized(self, width: int, height: int) -> "DepthCamera":
+        """The camera of the same pictures in another size.
+
+        Raises:
+            ScenarioError: the size is out of range.
+        """
+        across, down = width / self.width, height / self.height
+        return replace(
+            self,
+            fx=self.fx * across,
+            fy=self.fy * down,
+            cx=(self.cx + 0.5) * across - 0.5,
+            cy=(self.cy + 0.5) * down - 0.5,
+            width=width,
+            height=height,
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values for JSON."""
+        return written(self)
+
+
+def read_camera(values: object) -> DepthCamera:
+    """The inverse of ``to_dict``.
+
+    Raises:
+        ScenarioError: a key or a value does not fit.
+    """
+    return read_object(DepthCamera, values, "the camera", ScenarioError)
+
+
+def looking(from_m: ArrayLike, at_m: ArrayLike, roll_rad: float = 0.0) -> NDArray[np.float64]:
+    """(4, 4): the optical frame of a camera at one point that looks at another.
+
+    Args:
+        from_m: (3,) m in the base frame.
+        at_m: (3,) m.
+        roll_rad: about the optical axis; with 0 the picture's rows are level.
+
+    Raises:
+        ScenarioError: the points are one.
+    """
+    place = np.asarray(from_m, dtype=np.float64)
+    ahead = np.asarray(at_m, dtype=np.float64) - place
+    length = np.linalg.norm(ahead)
+    if not length > 0.0:
+        raise ScenarioError("a camera looks at its own place", expected="two points", got=str(place.tolist()))
+    ahead = ahead / length
+    # Straight up or down no direction is level, and the base's y will do.
+    right = np.array([ahead[1], -ahead[0], 0.0])
+    right = np.array([0.0, -1.0, 0.0]) if np.linalg.norm(right) < 1e-9 else right / np.linalg.norm(right)
+    down = np.cross(ahead, right)
+    across = np.cos(roll_rad) * right + np.sin(roll_rad) * down
+    return make_pose(np.stack((across, np.cross(ahead, across), ahead), axis=1), place)
+
+
+def camera_place(focus_m: ArrayLike, side_rad: float, up_rad: float, away_m: float) -> NDArray[np.float64]:
+    """Where a camera is, (3,) m in the base frame.
+
+    Args:
+        focus_m: (3,) what it looks at.
+        side_rad: angle on the ground from the line to the base to the line to the camera, left of it above 0.
+        up_rad: above the focus's level.
+        away_m: from the focus.
+    """
+    focus = np.asarray(focus_m, dtype=np.float64)
+    bearing = np.arctan2(-focus[1], -focus[0]) + side_rad
+    level = np.cos(up_rad)
+    return np.asarray(
+        focus + away_m * np.array([level * np.cos(bearing), level * np.sin(bearing), np.sin(up_rad)])
+    )
+
+
+def _check_pinhole(camera: DepthCamera) -> None:
+    for name, side in (("width", camera.width), ("height", camera.height)):
+        if type(side) is not int or not MIN_SIDE <= side <= MAX_SIDE:
+            raise ScenarioError(
+                f"the camera's {name} is out of range",
+                expected=f"{MIN_SIDE} to {MAX_SIDE} pixels",
+                got=repr(side)[:200],
+            )
+    for focal, side in ((camera.fx, camera.width), (camera.fy, camera.height)):
+        least, most = (side / (2.0 * np.tan(np.radians(deg) / 2.0)) for deg in (MAX_FIELD_DEG, MIN_FIELD_DEG))
+        if type(focal) is not float or not least * (1 - 1e-9) <= focal <= most * (1 + 1e-9):
+            raise _no_focal(f"{focal!r} pixels for {side} pixels"[:200])
+    # Of a picture that was cut out of a larger one it may lie beside it.
+    for centre, side in ((camera.cx, camera.width), (camera.cy, camera.height)):
+        if type(centre) is not float or not -side <= centre <= 2 * side:
+            raise ScenarioError(
+                "the camera's principal point cannot be",
+                expected=f"{-side} to {2 * side} pixels",
+                got=repr(centre)[:200],
+            )
+
+
+def _no_focal(got: str) -> ScenarioError:
+    return ScenarioError(
+        "the camera's focal length cannot be",
+        expected=f"a field of view of {MIN_FIELD_DEG:g} to {MAX_FIELD_DEG:g} degrees",
+        got=got,
+    )
+
+
+# No depth camera for arms reads nearer or farther. What a file says beyond is no reading: 65535, as many
+# drivers write it, is not a wall 65 m away behind free space.
+NEAREST_MM, FARTHEST_MM = 20, 10_000
+DEPTH_SCALE_M = 0.001
+MIN_SCALE_M, MAX_SCALE_M = 1e-6, 1.0
+_GREY = 0
+_MAX_MM = 65_535
+_HEADER_BYTES = 33
+_INTERLACE_AT = 28
+# First row, first column, row step and column step of each pass of a file, and of one that is interlaced.
+_WHOLE = ((0, 0, 1, 1),)
+_PASSES = (
+    (0, 0, 8, 8), (0, 4, 8, 8), (4, 0, 8, 4), (0, 2, 4, 4), (2, 0, 4, 2), (0, 1, 2, 2), (1, 0, 2, 1),
+)  # fmt: skip
+
+
+def decode_depth(data: bytes, between: Between = lambda: None) -> NDArray[np.uint16]:
+    """An untrusted PNG as (H, W) uint16, mm along the optical axis, 0 where there is no reading.
+
+    Args:
+        data: the file's bytes.
+        between: called between the parts of the work; what it raises passes through.
+
+    Raises:
+        ImageError: not a PNG, not 16-bit grey, animated, below 16 or above 2048 pixels on a side, or damaged.
+    """
+    header = read_header(data)
+    _check(header)
+    content = canonical_png(data, header)
+    _check_length(content, header)
+    between()
+    try:
+        with Image.open(io.BytesIO(content), formats=["PNG"]) as picture:
+            depth = np.array(picture)
+    except Exception as error:
+        # All, for there is no list of what a decoder raises for bytes from outside.
+        raise damaged(_reason(error)) from error
+    if depth.shape != (header.height, header.width):
+        raise damaged(f"pixels of shape {depth.shape}")
+    return depth.astype(np.uint16)
+
+
+def encode_depth(depth_mm: NDArray[np.uint16]) -> bytes:
+    """A depth picture (H, W) uint16 mm as PNG bytes.
+
+    Raises:
+        ImageError: it is no such array.
+    """
+    depth = np.asarray(depth_mm)
+    if depth.ndim != 2 or depth.dtype != np.uint16 or not depth.size:
+        raise ImageError(
+            "the depth picture is none", expected="(H, W) uint16", got=f"{depth.shape} {depth.dtype}"
+        )
+    buffer = io.BytesIO()
+    Image.fromarray(np.ascontiguousarray(depth, dtype="<u2")).save(buffer, format="PNG")
+    return buffer.getvalue()
+
+
+def to_mm(depth_m: ArrayLike) -> NDArray[np.uint16]:
+    """Depths (...) m as uint16 mm, rounded; 0 where that is no whole number from 1 to 65535."""
+    depth = np.asarray(depth_m, dtype=np.float64)
+    with np.errstate(invalid="ignore", over="ignore"):
+        rounded = np.floor(depth * 1000.0 + 0.5)
+        held = (rounded >= 1.0) & (rounded <= _MAX_MM)
+    return np.where(held, rounded, 0.0).astype(np.uint16)
+
+
+def to_m(depth_mm: NDArray[np.uint16]) -> NDArray[np.float32]:
+    """Depths (...) uint16 mm as float32 m; 0 stays 0."""
+    return np.asarray(depth_mm.astype(np.float32) / np.float32(1000.0))
+
+
+def scaled_mm(units: NDArray[np.uint16], depth_scale_m: float) -> NDArray[np.uint16]:
+    """A depth picture (H, W) of another unit in mm, rounded; at most 65535, and 0 stays 0.
+
+    Args:
+        units: (H, W) uint16.
+        depth_scale_m: metres that one unit stands for.
+
+    Raises:
+        ImageError: the scale is not a finite number from 1e-6 to 1.
+    """
+    if not MIN_SCALE_M <= depth_scale_m <= MAX_SCALE_M:
+        raise ImageError(
+            "depth_scale_m does not fit",
+            expected=f"metres per unit of the depth pictures, {MIN_SCALE_M:g} to {MAX_SCALE_M:g}",
+            got=repr(depth_scale_m)[:100],
+            remedy="send 0.001 for millimetres, 0.0001 for tenths, 0.0002 for TUM RGB-D",
+        )
+    if depth_scale_m == DEPTH_SCALE_M:
+        return units
+    scaled = np.floor(units * (1000.0 * depth_scale_m) + 0.5)
+    return np.asarray(np.minimum(scaled, _MAX_MM), dtype=np.uint16)
+
+
+def in_range(depth_mm: NDArray[np.uint16]) -> NDArray[np.bool_]:
+    """Which pixels (...) hold a distance that a depth camera can read."""
+    return np.asarray((depth_mm >= NEAREST_MM) & (depth_mm <= FARTHEST_MM))
+
+
+def resize_depth(depth: NDArray[np.generic], height: int, width: int) -> NDArray[np.generic]:
+    """A depth picture (H, W) in another size, (height, width), of the same type.
+
+    Every pixel is the nearest surface read in the cell that it covers, 0 where nothing is read in it; along
+    an axis that grows, pixels are repeated. The camera of the result is :meth:`DepthCamera.resized`.
+
+    Raises:
+        ImageError: a side is below 1, or the picture is empty.
+    """
+    if depth.ndim != 2 or not depth.size or height < 1 or width < 1:
+        raise ImageError(
+            "the depth picture cannot be resized",
+            expected="a picture and a size of at least 1 x 1",
+            got=f"{depth.shape} to {height} x {width}",
+        )
+    if depth.dtype.kind == "u":
+        # 0 wraps round to the largest number, and back again: one pass for what was read and what was not.
+        one = np.ones((), dtype=depth.dtype)
+        return np.asarray(_least(_least(depth - one, 0, height), 1, width) + one)
+    filled = np.where(depth > 0, depth, np.asarray(np.inf, dtype=depth.dtype))  # type: ignore[operator]
+    least = _least(_least(filled, 0, height), 1, width)
+    return np.where(np.isinf(least), np.zeros((), dtype=depth.dtype), least)
+
+
+def _least(values: NDArray[np.generic], axis: int, size: int) -> NDArray[np.generic]:
+    """The least value of each of ``size`` cells along an axis; the nearest value where there are more."""
+    source = values.shape[axis]
+    if size >= source:
+        return np.asarray(np.take(values, (2 * np.arange(size) + 1) * source // (2 * size), axis=axis))
+    return np.asarray(np.minimum.reduceat(values, np.arange(size) * source // size, axis=axis))
+
+
+def _check(header: PngHeader) -> None:
+    """By the header alone, so that no bomb is ever decoded."""
+    if not (MIN_SIDE <= header.width <= MAX_SIDE and MIN_SIDE <= header.height <= MAX_SIDE):
+        raise ImageError(
+            "the depth picture's size is out of range",
+            expected=f"{MIN_SIDE} to {MAX_SIDE} pixels a side",
+            got=f"{header.width} x {header.height}",
+        )
+    if header.colour != _GREY or header.depth != 16:
+        kinds = {0: "grey", 2: "RGB", 3: "palette", 4: "grey with alpha", 6: "RGBA"}
+        raise ImageError(
+            "the picture is no depth picture",
+            expected="16-bit grey, mm along the optical axis, 0 = no reading",
+            got=f"{header.depth}-bit {kinds[header.colour]}",
+        )
+
+
+def _check_length(content: bytes, header: PngHeader) -> None:
+    """Refuse pixels that end early: a decoder would take the rest for no reading, and say nothing."""
+    passes = _PASSES if content[_INTERLACE_AT] else _WHOLE
+    shapes = (
+        (-(-(header.height - top) // down), -(-(header.width - left) // right))
+        for top, left, down, right in passes
+    )
+    length = sum(rows * (1 + 2 * columns) for rows, columns in shapes)
+    parts, at = [], _HEADER_BYTES
+    while at < len(content):
+        size, kind = struct.unpack_from(">I4s", content, at)
+        if kind == b"IDAT":
+            parts.append(memoryview(content)[at + 8 : at + 8 + size])
+        at += 12 + size
+    try:
+        found = len(zlib.decompressobj().decompress(b"".join(parts), length))
+    except zlib.error as error:
+        raise damaged(_reason(error)) from error
+    if found < length:
+        raise damaged("pixels that end early")
+
+
+def _reason(error: Exception) -> str:
+    # Some messages of Pillow hold an object's address, which is nobody's business.
+    text = str(error)
+    return type(error).__name__ if not text or "0x" in text else text[:200]

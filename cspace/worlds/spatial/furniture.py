@@ -1,0 +1,530 @@
+"""Furniture by chance, what stands on it, and the settings by which scenes are drawn. NumPy alone."""
+
+from dataclasses import dataclass, field, fields
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cspace.errors import ScenarioError
+from cspace.strict_json import read_object, settle, written
+from cspace.worlds.spatial.obstacles import MAX_OBSTACLES, Box, Cylinder, Obstacles
+from cspace.worlds.spatial.poses import MAX_PLACE_M, Vector, make_pose, pose_of, turned
+
+
+@dataclass(frozen=True, slots=True)
+class GoalRegion:
+    """Where goals of the hand are: places within a box, and the way in.
+
+    Args:
+        box: of the places, in the base frame; objects may stand in it.
+        approach: unit vector in the base frame along which a hand comes in.
+
+    Raises:
+        ScenarioError: the approach has another length.
+    """
+
+    box: Box
+    approach: Vector
+
+    def __post_init__(self) -> None:
+        settle(self)
+        if not abs(np.linalg.norm(self.approach) - 1.0) < 1e-6:
+            raise ScenarioError("an approach that is none", expected="a unit vector", got=str(self.approach))
+
+    def draw(self, rng: np.random.Generator, count: int) -> NDArray[np.float64]:
+        """Uniform places in the box, (count, 3) m in the base frame."""
+        pose, half = np.array(self.box.pose), np.array(self.box.half_m)
+        return np.asarray(rng.uniform(-half, half, (count, 3)) @ pose[:3, :3].T + pose[:3, 3])
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """A scene of a family.
+
+    Args:
+        family: its name.
+        obstacles: in the base frame.
+        regions: where goals make sense, at least one.
+        focus: what cameras look at, m.
+    """
+
+    family: str
+    obstacles: Obstacles
+    regions: tuple[GoalRegion, ...]
+    focus: Vector
+
+    def __post_init__(self) -> None:
+        settle(self)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values for JSON."""
+        return written(self)
+
+
+def read_layout(values: object) -> Layout:
+    """The inverse of ``to_dict``.
+
+    Raises:
+        ScenarioError: a key or a value does not fit.
+    """
+    return read_object(Layout, values, "the scene", ScenarioError)
+
+
+@dataclass(frozen=True, slots=True)
+class Piece:
+    """A piece of furniture with what stands on it, in any frame.
+
+    Args:
+        shapes: boxes and cylinders.
+        regions: where goals make sense.
+    """
+
+    shapes: tuple[Box | Cylinder, ...]
+    regions: tuple[GoalRegion, ...]
+
+    def moved(self, pose: ArrayLike) -> "Piece":
+        """The same in another frame, by the pose (4, 4) of this frame in that one."""
+        by = np.asarray(pose, dtype=np.float64)
+        regions = tuple(
+            GoalRegion(_moved_box(one.box, by), _vector(by[:3, :3] @ one.approach)) for one in self.regions
+        )
+        return Piece(tuple(_moved(shape, by) for shape in self.shapes), regions)
+
+    def __add__(self, other: "Piece") -> "Piece":
+        return Piece(self.shapes + other.shapes, self.regions + other.regions)
+
+
+def _moved(shape: Box | Cylinder, by: NDArray[np.float64]) -> Box | Cylinder:
+    if isinstance(shape, Box):
+        return _moved_box(shape, by)
+    return Cylinder(pose_of(by @ np.array(shape.pose)), shape.radius_m, shape.half_length_m)
+
+
+def _moved_box(box: Box, by: NDArray[np.float64]) -> Box:
+    return Box(pose_of(by @ np.array(box.pose)), box.half_m)
+
+
+def _vector(values: NDArray[np.float64]) -> Vector:
+    return (float(values[0]), float(values[1]), float(values[2]))
+
+
+Range = tuple[float, float]
+_THINNEST_M = 0.004
+_LONGEST_M = 10.0
+_HEIGHTS = ("lowest_m", "height_m", "high_m")
+
+
+def block(*spans: Range, pose: NDArray[np.float64] | None = None) -> Box:
+    """A box by its extents along x, y, z of a frame, m, at least 4 mm thick; ``pose``: of that frame."""
+    ends = np.array(spans, dtype=np.float64)
+    placed = make_pose(np.eye(3), ends.mean(axis=1))
+    half = np.maximum((ends[:, 1] - ends[:, 0]) / 2, _THINNEST_M / 2)
+    return Box(
+        pose_of(placed if pose is None else pose @ placed), (float(half[0]), float(half[1]), float(half[2]))
+    )
+
+
+def within(span: Range, margin: float) -> Range:
+    """An extent without a margin at either end; its middle where nothing would remain."""
+    middle = (span[0] + span[1]) / 2
+    return min(span[0] + margin, middle), max(span[1] - margin, middle)
+
+
+def standing(
+    rng: np.random.Generator, count: int, x: Range, y: Range, ground_m: float, tallest_m: float
+) -> tuple[Box | Cylinder, ...]:
+    """Upright boxes, plates and cylinders whose centres are within a rectangle, on its ground.
+
+    Args:
+        rng: draws them.
+        count: how many.
+        x: extent of the rectangle, m.
+        y: extent of the rectangle, m.
+        ground_m: height of what they stand on.
+        tallest_m: above the ground; with less than 5 cm nothing stands there.
+    """
+    found: list[Box | Cylinder] = []
+    for _ in range(count if tallest_m >= 0.05 else 0):
+        high = rng.uniform(0.04, min(tallest_m, 0.45))
+        place = make_pose(
+            turned(rng.uniform(-np.pi, np.pi)), (rng.uniform(*x), rng.uniform(*y), ground_m + high / 2)
+        )
+        if rng.random() < 0.5:
+            found.append(Cylinder(pose_of(place), float(rng.uniform(0.02, 0.08)), high / 2))
+        else:
+            thin = rng.random() < 0.3
+            half = (
+                float(rng.uniform(0.02, 0.13)),
+                float(rng.uniform(0.005, 0.02 if thin else 0.13)),
+                high / 2,
+            )
+            found.append(Box(pose_of(place), half))
+    return tuple(found)
+
+
+def floating(
+    rng: np.random.Generator, count: int, reach_m: Range, bearing_rad: float
+) -> tuple[Box | Cylinder, ...]:
+    """Boxes and cylinders of any size and turn, anywhere to either side of the robot; some are long and thin.
+
+    Args:
+        rng: draws them.
+        count: how many.
+        reach_m: least and largest distance of their centres to the base's axis.
+        bearing_rad: largest angle to the front.
+    """
+    found: list[Box | Cylinder] = []
+    for _ in range(count):
+        bearing, away = rng.uniform(-bearing_rad, bearing_rad), rng.uniform(*reach_m)
+        turn = turned(
+            *rng.uniform(-np.pi, np.pi, 3) * ((1.0, 0.5, 0.5) if rng.random() < 0.5 else (1.0, 0.0, 0.0))
+        )
+        place = (away * np.cos(bearing), away * np.sin(bearing), rng.uniform(-0.3, 1.1))
+        pose = pose_of(make_pose(turn, place))
+        half = np.exp(rng.uniform(np.log(0.015), np.log(0.2), 3))
+        if rng.random() < 0.2:
+            half[2] = rng.uniform(0.3, 0.8)
+            half[:2] = np.minimum(half[:2], 0.05)
+        if rng.random() < 0.4:
+            found.append(Cylinder(pose, float(half[0]), float(half[2])))
+        else:
+            found.append(Box(pose, (float(half[0]), float(half[1]), float(half[2]))))
+    return tuple(found)
+
+
+def check_ranges(settings: Any) -> None:
+    """Refuse settings of furniture that cannot be.
+
+    Pairs of numbers are ranges: of counts, of heights, which may be below the base, and of sizes above 0.
+    Other numbers are shares.
+
+    Raises:
+        ScenarioError: a range is not in order or out of bounds, or a share is none.
+    """
+    for item in fields(settings):
+        value = getattr(settings, item.name)
+        if not (_is_range(item.name, *value) if isinstance(value, tuple) else 0.0 <= value <= 1.0):
+            raise ScenarioError(
+                f"the setting {item.name} of {type(settings).__name__.lower()} does not fit",
+                expected="a range from low to high, or a share",
+                got=repr(value)[:200],
+            )
+
+
+def _is_range(name: str, low: float, high: float) -> bool:
+    if isinstance(low, int):
+        return 0 <= low <= high <= MAX_OBSTACLES
+    least = -_LONGEST_M if name in _HEIGHTS else _THINNEST_M
+    return least <= low <= high <= _LONGEST_M
+
+
+# What a hand needs beside a board.
+_MARGIN_M = 0.04
+_LEVEL = np.eye(3)
+
+
+@dataclass(frozen=True, slots=True)
+class Shelves:
+    """Boards above each other, with or without sides, back and divider; lengths in m, chances as shares."""
+
+    width_m: Range = (0.45, 1.3)
+    depth_m: Range = (0.2, 1.25)
+    gap_m: Range = (0.2, 0.45)
+    boards: tuple[int, int] = (2, 6)
+    lowest_m: Range = (-0.5, 0.45)
+    thickness_m: Range = (0.008, 0.05)
+    back: float = 0.5
+    walls: float = 0.6
+    divider: float = 0.3
+    objects: tuple[int, int] = (0, 4)
+
+    def __post_init__(self) -> None:
+        settle(self)
+        check_ranges(self)
+        if self.boards[0] < 2:
+            raise ScenarioError("a shelf has too few boards", expected="2 or more", got=str(self.boards[0]))
+
+    def draw(self, rng: np.random.Generator) -> Piece:
+        """A shelf."""
+        width, depth, thick = (rng.uniform(*one) for one in (self.width_m, self.depth_m, self.thickness_m))
+        gaps = rng.uniform(*self.gap_m, int(rng.integers(*self.boards, endpoint=True)) - 1)
+        heights = rng.uniform(*self.lowest_m) + np.concatenate(([0.0], np.cumsum(gaps)))
+        low, high = heights[0] - rng.uniform(0.0, 0.6) * (rng.random() < 0.5), heights[-1] + thick
+        shapes: list[Box | Cylinder] = [
+            block((0.0, depth), (-width / 2, width / 2), (z - thick / 2, z + thick / 2)) for z in heights
+        ]
+        shapes += self._frame(rng, (width, depth, thick), (low, high))
+        regions = []
+        for below, above in pairwise(heights):
+            room = (below + thick / 2, above - thick / 2)
+            inside = ((0.02, depth - 0.02), (-width / 2 + 0.02, width / 2 - 0.02))
+            count = int(rng.integers(*self.objects, endpoint=True))
+            shapes += standing(rng, count, *inside, room[0], room[1] - room[0] - 0.03)
+            reached = ((-0.02, min(depth, 0.6) - _MARGIN_M), within(inside[1], _MARGIN_M))
+            regions.append(GoalRegion(block(*reached, within(room, _MARGIN_M)), (1.0, 0.0, 0.0)))
+        return Piece(tuple(shapes), tuple(regions))
+
+    def _frame(
+        self, rng: np.random.Generator, size: tuple[float, float, float], tall: Range
+    ) -> list[Box | Cylinder]:
+        (width, depth, thick), half = size, size[0] / 2
+        found: list[Box | Cylinder] = []
+        if rng.random() < self.walls:
+            found += [block((0.0, depth), (y - thick / 2, y + thick / 2), tall) for y in (-half, half)]
+        else:
+            post = rng.uniform(0.02, 0.06)
+            found += [
+                block((x - post / 2, x + post / 2), (y - post / 2, y + post / 2), tall)
+                for x in (0.0, depth)
+                for y in (-half, half)
+            ]
+        if rng.random() < self.back:
+            found.append(block((depth - thick / 2, depth + thick / 2), (-half, half), tall))
+        if rng.random() < self.divider:
+            y = rng.uniform(-0.25, 0.25) * width
+            found.append(block((0.0, depth), (y - thick / 2, y + thick / 2), tall))
+        return found
+
+
+@dataclass(frozen=True, slots=True)
+class Tables:
+    """A board on four legs, with objects on it; goals are above it, from two sides, or below it too."""
+
+    width_m: Range = (0.5, 2.0)
+    depth_m: Range = (0.4, 1.3)
+    height_m: Range = (-0.25, 0.45)
+    high_m: Range = (0.2, 0.75)
+    thickness_m: Range = (0.01, 0.06)
+    leg_m: Range = (0.03, 0.1)
+    leg_length_m: Range = (0.4, 0.8)
+    bar: float = 0.3
+    objects: tuple[int, int] = (1, 12)
+
+    def __post_init__(self) -> None:
+        settle(self)
+        check_ranges(self)
+
+    def draw(self, rng: np.random.Generator, *, under: bool) -> Piece:
+        """A table; with ``under`` a higher one, and goals below its board, too."""
+        width, depth, thick = (rng.uniform(*one) for one in (self.width_m, self.depth_m, self.thickness_m))
+        leg, top = rng.uniform(*self.leg_m), rng.uniform(*(self.high_m if under else self.height_m))
+        bottom, ground = top - thick, top - thick - rng.uniform(*self.leg_length_m)
+        across = (-width / 2, width / 2)
+        shapes: list[Box | Cylinder] = [block((0.0, depth), across, (bottom, top))]
+        shapes += [
+            block((x, x + leg), (y, y + leg), (ground, bottom))
+            for x in (0.0, depth - leg)
+            for y in (-width / 2, width / 2 - leg)
+        ]
+        if rng.random() < self.bar:
+            z = rng.uniform(ground, bottom)
+            shapes.append(block((depth - 0.7 * leg, depth - 0.3 * leg), across, (z - 0.02, z + 0.02)))
+        count = int(rng.integers(*self.objects, endpoint=True))
+        shapes += standing(rng, count, (0.02, depth - 0.02), within(across, 0.02), top, 0.4)
+        reached = ((0.0, min(depth, 0.7)), within(across, leg + _MARGIN_M))
+        above = block(*reached, (top + _MARGIN_M, top + 0.35))
+        regions = [GoalRegion(above, (0.0, 0.0, -1.0)), GoalRegion(above, (1.0, 0.0, 0.0))]
+        if under:
+            below = block(*reached, (max(bottom - 0.45, ground), bottom - _MARGIN_M))
+            regions.append(GoalRegion(below, (1.0, 0.0, 0.0)))
+        return Piece(tuple(shapes), tuple(regions))
+
+
+@dataclass(frozen=True, slots=True)
+class Bins:
+    """A box of five walls, open upwards, to the front or to a side, often with a lid that is half open."""
+
+    side_m: Range = (0.25, 0.8)
+    thickness_m: Range = (0.008, 0.045)
+    lowest_m: Range = (-0.55, 0.4)
+    lid: float = 0.7
+    lid_rad: Range = (0.3, 1.9)
+    lower_wall: float = 0.4
+    objects: tuple[int, int] = (0, 4)
+
+    def __post_init__(self) -> None:
+        settle(self)
+        check_ranges(self)
+
+    def draw(self, rng: np.random.Generator) -> Piece:
+        """A bin."""
+        half, thick = rng.uniform(*self.side_m, 3) / 2, rng.uniform(*self.thickness_m)
+        opening = _OPENINGS[int(rng.integers(len(_OPENINGS)))]
+        shapes = [_wall(half, thick, 2, -1)]
+        for axis in (0, 1):
+            for side in (-1, 1):
+                share = rng.uniform(0.4, 1.0) if rng.random() < self.lower_wall / 4 else 1.0
+                shapes.append(_wall(half, thick, axis, side, share))
+        if rng.random() < self.lid:
+            shapes.append(_lid(half, thick, int(rng.integers(4)), rng.uniform(*self.lid_rad)))
+        inside = tuple(within((-one, one), thick / 2 + 0.5 * _MARGIN_M) for one in half)
+        region = GoalRegion(block(*inside[:2], (inside[2][0], half[2])), (0.0, 0.0, -1.0))
+        extent = np.abs(opening) @ half
+        turn = make_pose(opening, (extent[0], 0.0, rng.uniform(*self.lowest_m) + extent[2]))
+        hollow = Piece(tuple(shapes), (region,)).moved(turn)
+        room = within((turn[2, 3] - extent[2], turn[2, 3] + extent[2]), thick)
+        count = int(rng.integers(*self.objects, endpoint=True))
+        free = (within((0.0, 2 * extent[0]), thick), within((-extent[1], extent[1]), thick))
+        return hollow + Piece(standing(rng, count, *free, room[0], 0.8 * (room[1] - room[0])), ())
+
+
+@dataclass(frozen=True, slots=True)
+class Cages:
+    """A plate with walls, roof and front of boards, bars or grids, the front wide enough for a hand."""
+
+    side_m: Range = (0.35, 0.9)
+    thickness_m: Range = (0.008, 0.045)
+    lowest_m: Range = (-0.3, 0.45)
+    spacing_m: Range = (0.08, 0.25)
+    front_m: Range = (0.2, 0.45)
+    objects: tuple[int, int] = (0, 3)
+
+    def __post_init__(self) -> None:
+        settle(self)
+        check_ranges(self)
+
+    def draw(self, rng: np.random.Generator) -> Piece:
+        """A cage."""
+        half, thick, low = (
+            rng.uniform(*self.side_m, 3) / 2,
+            rng.uniform(*self.thickness_m),
+            rng.uniform(*self.lowest_m),
+        )
+        shapes: list[Box | Cylinder] = [_wall(half, thick, 2, -1)]
+        for axis, side in ((0, 1), (1, -1), (1, 1), (2, 1)):
+            kind = int(rng.integers(5))
+            if kind == 0:
+                shapes.append(_wall(half, thick, axis, side))
+            elif kind < 4:
+                shapes += _bars(half, thick, axis, side, rng.uniform(*self.spacing_m), kind)
+        front = int(rng.integers(1, 4))
+        shapes += _bars(half, thick, 0, -1, rng.uniform(*self.front_m), front)
+        inside = tuple(within((-one, one), thick / 2 + _MARGIN_M) for one in half)
+        region = GoalRegion(block(*inside), (1.0, 0.0, 0.0))
+        floor = -half[2] + thick / 2
+        count = int(rng.integers(*self.objects, endpoint=True))
+        shapes += standing(rng, count, inside[0], inside[1], floor, 0.6 * 2 * half[2])
+        return Piece(tuple(shapes), (region,)).moved(make_pose(_LEVEL, (half[0], 0.0, low + half[2])))
+
+
+# Rotations that turn what is open upwards to where it opens: up in half of all cases, else front or a side.
+_OPENINGS = (
+    _LEVEL,
+    _LEVEL,
+    _LEVEL,
+    np.rint(turned(0.0, -np.pi / 2)),
+    np.rint(turned(0.0, 0.0, -np.pi / 2)),
+    np.rint(turned(0.0, 0.0, np.pi / 2)),
+)
+
+
+def _wall(half: NDArray[np.float64], thick: float, axis: int, side: int, share: float = 1.0) -> Box:
+    """A face of a cuboid as a board; of an upright one only the lower share."""
+    spans = [(-one, one) for one in half]
+    spans[axis] = (side * half[axis] - thick / 2, side * half[axis] + thick / 2)
+    if axis != 2:
+        spans[2] = (-half[2], -half[2] + 2 * half[2] * share)
+    return block(*spans)
+
+
+def _bars(
+    half: NDArray[np.float64], thick: float, axis: int, side: int, spacing: float, kind: int
+) -> list[Box]:
+    """A face of bars along one direction (1), the other (2) or both (3), the outermost at the edges."""
+    others = [one for one in range(3) if one != axis]
+    found = []
+    for along, across in (others, others[::-1]):
+        if not kind & (1 if along == others[0] else 2):
+            continue
+        count = max(2, int(2 * half[across] / spacing) + 1)
+        for place in np.linspace(-half[across], half[across], count):
+            spans = [(-one, one) for one in half]
+            spans[axis] = (side * half[axis] - thick / 2, side * half[axis] + thick / 2)
+            spans[across] = (place - thick / 2, place + thick / 2)
+            found.append(block(*spans))
+    return found
+
+
+def _lid(half: NDArray[np.float64], thick: float, edge: int, angle_rad: float) -> Box:
+    """A board that lay on the opening, turned up by an angle about one of its four edges."""
+    axis, side = edge // 2, 1.0 if edge % 2 else -1.0
+    hinge, out = np.array([0.0, 0.0, half[2]]), np.zeros(3)
+    hinge[axis], out[axis] = side * half[axis], -side * half[axis]
+    turn = turned(0.0, side * angle_rad) if axis == 0 else turned(0.0, 0.0, -side * angle_rad)
+    size = (float(half[0]), float(half[1]), thick / 2)
+    return block(*((-one, one) for one in size), pose=make_pose(turn, hinge + turn @ out))
+
+
+FAMILIES = ("shelf", "table", "under_table", "bin", "cage", "clutter", "mixture")
+
+
+@dataclass(frozen=True, slots=True)
+class SpatialScenes:
+    """Which scenes are drawn, and how wide.
+
+    Args:
+        shares: how often each family of :data:`FAMILIES` is drawn, in their order; they need not sum to 1.
+        bearing_deg: largest angle between the front of the arm and a piece, to either side.
+        distance_m: from the base to the front of a piece.
+        yaw_deg: largest turn of a piece away from facing the arm.
+        stray: share of scenes with loose things in the air, besides clutter and mixtures.
+        strays: fewest and most of them.
+        floor: share of scenes with a floor.
+        wall: share of scenes with a wall behind the arm.
+        shoulder_m: height above the base from which reach is measured.
+        reach_m: a region counts if it has a free place no farther than this from the shoulder.
+        room_m: clearance of such a place.
+        shelves: ranges of shelves.
+        tables: ranges of tables.
+        bins: ranges of bins.
+        cages: ranges of cages.
+
+    Raises:
+        ScenarioError: a range is not in order, or a share is none.
+    """
+
+    shares: tuple[float, ...] = (0.26, 0.12, 0.12, 0.2, 0.14, 0.06, 0.1)
+    bearing_deg: float = 115.0
+    distance_m: Range = (0.2, 0.7)
+    yaw_deg: float = 35.0
+    stray: float = 0.25
+    strays: tuple[int, int] = (1, 8)
+    floor: float = 0.4
+    wall: float = 0.15
+    shoulder_m: float = 0.333
+    reach_m: float = 0.9
+    room_m: float = 0.04
+    shelves: Shelves = field(default_factory=Shelves)
+    tables: Tables = field(default_factory=Tables)
+    bins: Bins = field(default_factory=Bins)
+    cages: Cages = field(default_factory=Cages)
+
+    def __post_init__(self) -> None:
+        settle(self)
+        every = (*self.shares, self.stray, self.floor, self.wall)
+        shares = len(self.shares) == len(FAMILIES) and all(0.0 <= one <= 1.0 for one in every)
+        angles = 0.0 <= self.bearing_deg <= 180.0 and 0.0 <= self.yaw_deg <= 180.0
+        lengths = 0.0 <= self.room_m < self.reach_m < np.inf and abs(self.shoulder_m) < np.inf
+        lengths = lengths and 0.0 <= self.distance_m[0] <= self.distance_m[1] < MAX_PLACE_M / 2.0
+        strays = 0 <= self.strays[0] <= self.strays[1] <= MAX_OBSTACLES
+        if not (shares and angles and lengths and strays) or sum(self.shares) <= 0.0:
+            raise ScenarioError(
+                "the families of scenes do not fit",
+                expected=f"{len(FAMILIES)} shares, angles up to 180 degrees, ranges in order, and a reach",
+                got=str(self)[:200],
+            )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values for JSON."""
+        return written(self)
+
+
+def read_spatial_scenes(values: object) -> SpatialScenes:
+    """The inverse of :meth:`SpatialScenes.to_dict`.
+
+    Raises:
+        ScenarioError: a key or a value does not fit.
+    """
+    return read_object(SpatialScenes, values, "the scenes", ScenarioError)

@@ -1,0 +1,214 @@
+"""Obstacles in space: boxes and cylinders with a pose, as values and as arrays."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cspace.errors import ScenarioError
+from cspace.strict_json import read_object, settle, written
+from cspace.worlds.spatial.poses import MAX_PLACE_M, Pose, Vector, check_pose, make_pose, pose_of
+
+MAX_OBSTACLES = 1000
+
+
+@dataclass(frozen=True, slots=True)
+class Box:
+    """A cuboid.
+
+    Args:
+        pose: of its centre, rows of a 4 x 4 matrix in the base frame, m.
+        half_m: half its size along its own x, y, z.
+
+    Raises:
+        ScenarioError: the pose is none, or a size is not above 0.
+    """
+
+    pose: Pose
+    half_m: Vector
+
+    def __post_init__(self) -> None:
+        settle(self)
+        check_pose(self.pose, "a box")
+        _check_sizes("a box", *self.half_m)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values for JSON."""
+        return written(self)
+
+
+@dataclass(frozen=True, slots=True)
+class Cylinder:
+    """A solid round cylinder.
+
+    Args:
+        pose: of its centre, rows of a 4 x 4 matrix in the base frame, m; its axis is its own z.
+        radius_m: of the circle.
+        half_length_m: along the axis, from the centre to either end.
+
+    Raises:
+        ScenarioError: the pose is none, or a size is not above 0.
+    """
+
+    pose: Pose
+    radius_m: float
+    half_length_m: float
+
+    def __post_init__(self) -> None:
+        settle(self)
+        check_pose(self.pose, "a cylinder")
+        _check_sizes("a cylinder", self.radius_m, self.half_length_m)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values for JSON."""
+        return written(self)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ObstacleArrays:
+    """Obstacles as kernels take them, float64.
+
+    Args:
+        boxes: (B, 16): centre 3, rotation 9 (row by row, its columns are the box's axes), half sizes 3,
+            radius of the sphere round it.
+        cylinders: (C, 15): centre 3, rotation 9, radius, half length, radius of the sphere round it.
+    """
+
+    boxes: NDArray[np.float64]
+    cylinders: NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Obstacles:
+    """What stands in a scene; together at most 1000.
+
+    Raises:
+        ScenarioError: there are more.
+    """
+
+    boxes: tuple[Box, ...] = ()
+    cylinders: tuple[Cylinder, ...] = ()
+
+    def __post_init__(self) -> None:
+        settle(self)
+        if len(self) > MAX_OBSTACLES:
+            raise ScenarioError(
+                "the scene has too many obstacles", expected=f"at most {MAX_OBSTACLES}", got=str(len(self))
+            )
+
+    def __len__(self) -> int:
+        return len(self.boxes) + len(self.cylinders)
+
+    @classmethod
+    def of(cls, shapes: Iterable[Box | Cylinder]) -> "Obstacles":
+        """Of both kinds, in any order."""
+        every = tuple(shapes)
+        return cls(
+            tuple(one for one in every if isinstance(one, Box)),
+            tuple(one for one in every if isinstance(one, Cylinder)),
+        )
+
+    @property
+    def arrays(self) -> ObstacleArrays:
+        """For kernels; not to be written to."""
+        return _arrays(self)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values for JSON."""
+        return written(self)
+
+
+def read_obstacles(values: object) -> Obstacles:
+    """The inverse of ``to_dict``.
+
+    Raises:
+        ScenarioError: a key or a value does not fit.
+    """
+    return read_object(Obstacles, values, "the obstacles", ScenarioError)
+
+
+def _check_sizes(what: str, *sizes_m: float) -> None:
+    try:
+        sound = all(0.0 < size <= MAX_PLACE_M for size in sizes_m)
+    except TypeError:
+        sound = False
+    if not sound:
+        raise ScenarioError(
+            f"{what} has a size that cannot be",
+            expected=f"above 0 and at most {MAX_PLACE_M:g} m",
+            got=repr(sizes_m)[:200],
+        )
+
+
+@lru_cache(maxsize=16)
+def _arrays(obstacles: Obstacles) -> ObstacleArrays:
+    boxes = [(*_placed(one.pose), *one.half_m, np.hypot.reduce(one.half_m)) for one in obstacles.boxes]
+    cylinders = [
+        (
+            *_placed(one.pose),
+            one.radius_m,
+            one.half_length_m,
+            np.hypot(one.radius_m, one.half_length_m),
+        )
+        for one in obstacles.cylinders
+    ]
+    found = ObstacleArrays(
+        np.array(boxes, dtype=np.float64).reshape(-1, 16),
+        np.array(cylinders, dtype=np.float64).reshape(-1, 15),
+    )
+    found.boxes.setflags(write=False)
+    found.cylinders.setflags(write=False)
+    return found
+
+
+def _placed(pose: Pose) -> tuple[float, ...]:
+    """Centre, then the rotation row by row."""
+    return (*(row[3] for row in pose[:3]), *(value for row in pose[:3] for value in row[:3]))
+
+
+# Place 3, rotation 9 (row by row), half sizes 3; of cylinders radius and half length 2.
+BOX_VALUES, CYLINDER_VALUES = 15, 14
+# Of one kind in a scene.
+MOST = 192
+
+
+def rows_of(obstacles: Obstacles) -> dict[str, NDArray[np.float64]]:
+    """``boxes`` (192, 15) and ``cylinders`` (192, 14), in the order of the obstacles, NaN behind the last.
+
+    Raises:
+        ScenarioError: there are more.
+    """
+    arrays = obstacles.arrays
+    return {
+        "boxes": _padded(arrays.boxes[:, :BOX_VALUES]),
+        "cylinders": _padded(arrays.cylinders[:, :CYLINDER_VALUES]),
+    }
+
+
+def obstacles_of(boxes: ArrayLike, cylinders: ArrayLike) -> Obstacles:
+    """The inverse of :func:`rows_of`: (any, 15) and (any, 14)."""
+    made: list[Box | Cylinder] = [
+        Box(_pose(row), (float(row[12]), float(row[13]), float(row[14]))) for row in _held(boxes)
+    ]
+    made += [Cylinder(_pose(row), float(row[12]), float(row[13])) for row in _held(cylinders)]
+    return Obstacles.of(made)
+
+
+def _held(rows: ArrayLike) -> NDArray[np.float64]:
+    values = np.asarray(rows, dtype=np.float64)
+    return np.asarray(values[np.isfinite(values).all(axis=1)])
+
+
+def _padded(rows: NDArray[np.float64]) -> NDArray[np.float64]:
+    if len(rows) > MOST:
+        raise ScenarioError(
+            "the scene is too full for a data set", expected=f"at most {MOST}", got=str(len(rows))
+        )
+    return np.pad(rows, ((0, MOST - len(rows)), (0, 0)), constant_values=np.nan)
+
+
+def _pose(row: NDArray[np.float64]) -> Pose:
+    return pose_of(make_pose(row[3:12].reshape(3, 3), row[:3]))

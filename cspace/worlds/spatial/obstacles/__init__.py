@@ -1,1 +1,0 @@
-"""What stands about an arm: shapes, their distances, furniture and families of scenes."""

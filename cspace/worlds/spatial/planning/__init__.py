@@ -1,1 +1,0 @@
-"""Checks, ways and problems of an arm among obstacles, and the judge by meshes."""

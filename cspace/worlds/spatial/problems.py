@@ -1,0 +1,326 @@
+"""Planning problems of the spatial world, and configurations that a validity head learns from."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cspace.errors import ScenarioError
+from cspace.simulator import Proposals, Split, near_contact, scenario_rng
+from cspace.worlds.spatial.arm import SerialArm, ready_rad
+from cspace.worlds.spatial.checks import CollisionChecker
+from cspace.worlds.spatial.distances import distance_m
+from cspace.worlds.spatial.furniture import GoalRegion, Layout, SpatialScenes
+from cspace.worlds.spatial.kinematics import Solving, solve_pose
+from cspace.worlds.spatial.obstacles import Obstacles
+from cspace.worlds.spatial.paths import PathLimits, find_path
+from cspace.worlds.spatial.scenes import draw_layout
+
+KINDS = ("reach_in", "between", "carry")
+SHARES = (0.5, 0.3, 0.2)
+CONE_RAD = float(np.radians(25.0))
+MAX_DRAWS = 60
+# Ends that are tried in a scene before the next one, and the least distance between their tools.
+_ENDS, _APART_M = 4, 0.15
+_HOME_SIGMA_RAD, _HOMES = 0.25, 24
+# Of the tool's origin, and how many places in a region are looked at.
+_ROOM_M, _PLACES = 0.02, 64
+_SOLVING = Solving(starts=6)
+# Share of the problems that the straight way solves; the others are kept all.
+_TRIVIAL_KEPT = 0.3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SpatialProblem:
+    """A planning problem and a way that solves it.
+
+    Args:
+        layout: the scene.
+        start: (d,) rad.
+        goal: (d,) rad.
+        kind: one of :data:`KINDS`.
+        way: (k, d) rad from start to goal, every edge free at 0.01 rad.
+        is_trivial: whether the straight way is free.
+        rejected: draws of start and goal before this one.
+    """
+
+    layout: Layout
+    start: NDArray[np.float64]
+    goal: NDArray[np.float64]
+    kind: str
+    way: NDArray[np.float64]
+    is_trivial: bool
+    rejected: int
+
+
+def draw_problem(
+    arm: SerialArm,
+    scenes: SpatialScenes,
+    split: Split,
+    seed: int,
+    index: int,
+    family: str | None = None,
+    *,
+    kind: str | None = None,
+    limits: PathLimits = PathLimits(),  # noqa: B008 - a frozen value
+) -> SpatialProblem:
+    """A problem that :func:`find_path` solved, of what split, seed and index say.
+
+    Its scene is that of :func:`draw_layout` where that has one, else one drawn after it.
+
+    Args:
+        arm: with its spheres.
+        scenes: the families of scenes.
+        split: what the problem may be used for.
+        seed: of the problem set.
+        index: of the problem within it.
+        family: of the scene; by chance where it is not named.
+        kind: one of :data:`KINDS`; by chance where it is not named.
+        limits: of the search for the way.
+
+    Raises:
+        ScenarioError: there is no such family or kind, or no problem was found in 60 scenes.
+    """
+    if kind is not None and kind not in KINDS:
+        raise ScenarioError(
+            "the kind of problem is unknown", expected=f"one of {', '.join(KINDS)}", got=kind[:200]
+        )
+    # A child, for the scene is drawn from the same three values.
+    (rng,) = scenario_rng(split, seed, index).spawn(1)
+    drawn = _any_kind(rng)
+    rejected = 0
+    for number in range(MAX_DRAWS):
+        scene_seed = seed if number == 0 else int(rng.integers(2**62))
+        layout = draw_layout(scenes, split, scene_seed, index, family)
+        ends = Ends(CollisionChecker(arm, layout.obstacles), layout.regions, rng)
+        for _ in range(_ENDS):
+            found = _attempt(ends, kind or drawn, limits)
+            if found is not None:
+                way, is_trivial = found
+                return SpatialProblem(layout, way[0], way[-1], kind or drawn, way, is_trivial, rejected)
+            rejected += 1
+    raise ScenarioError(
+        f"no problem of the kind {kind or drawn} was found",
+        expected=f"one in {MAX_DRAWS} scenes of {family or 'any family'}",
+        got="none",
+        remedy="other scenes, or another arm",
+    )
+
+
+def _attempt(ends: "Ends", kind: str, limits: PathLimits) -> tuple[NDArray[np.float64], bool] | None:
+    """A way between two ends and whether it is straight; None where ends or way are missing, or too easy."""
+    pair = ends.pair(kind, limits.final_rad)
+    if pair is None:
+        return None
+    start, goal, is_trivial = pair
+    way = find_path(ends.checker, start, goal, ends.rng, limits)
+    if way is None:
+        return None
+    way.setflags(write=False)
+    return way, is_trivial
+
+
+def _any_kind(rng: np.random.Generator) -> str:
+    return KINDS[int(rng.choice(len(KINDS), p=SHARES))]
+
+
+class Ends:
+    """Draws free ends of problems in one scene."""
+
+    def __init__(
+        self, checker: CollisionChecker, regions: Sequence[GoalRegion], rng: np.random.Generator
+    ) -> None:
+        self.checker, self.regions, self.rng = checker, regions, rng
+        self.arm = checker.arm
+
+    def pairs(self, count: int, state: NDArray[np.float64] | None) -> Iterator[NDArray[np.float64]]:
+        """Starts and goals (2, d) rad of any kind from so many tries.
+
+        Args:
+            count: tries; those without ends, and most of those that the straight way solves, give none.
+            state: (d,) rad, where the arm waits before it reaches in; None for about the ready pose.
+        """
+        for _ in range(count):
+            pair = self.pair(_any_kind(self.rng), PathLimits().final_rad, state)
+            if pair is not None:
+                yield np.stack(pair[:2])
+
+    def pair(
+        self, kind: str, resolution_rad: float, state: NDArray[np.float64] | None = None
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], bool] | None:
+        """Start, goal and whether the straight way solves them; None where one is missing, or too easy."""
+        goal = self.reaching()
+        if goal is None:
+            return None
+        home = self.home if state is None else lambda: state
+        start = {"reach_in": home, "between": self.reaching, "carry": self.elsewhere}[kind]()
+        if start is None or not self.are_apart(start, goal):
+            return None
+        if kind == "carry":
+            start, goal = goal, start
+        is_trivial = self.checker.edge(start, goal, resolution_rad)
+        if is_trivial and self.rng.random() >= _TRIVIAL_KEPT:
+            return None
+        return start, goal, is_trivial
+
+    def home(self) -> NDArray[np.float64] | None:
+        """About the ready pose."""
+        space = self.arm.space
+        ready = ready_rad(self.arm)
+        homes = ready + self.rng.normal(size=(_HOMES, self.arm.dim)) * _HOME_SIGMA_RAD
+        return self._first_free(space.wrap(homes[space.contains(homes)]))
+
+    def reaching(self) -> NDArray[np.float64] | None:
+        """A hand in one of the regions, each as likely to be tried first."""
+        for number in self.rng.permutation(len(self.regions)):
+            found = self.reaching_into(self.regions[number])
+            if found is not None:
+                return found
+        return None
+
+    def reaching_into(self, region: GoalRegion) -> NDArray[np.float64] | None:
+        """A hand in one region."""
+        return self._with_tool_at(region.draw(self.rng, _PLACES), np.asarray(region.approach))
+
+    def elsewhere(self) -> NDArray[np.float64] | None:
+        """A hand that hangs down over no region in particular, or any configuration."""
+        if self.rng.random() < 0.5:
+            return self._first_free(self.arm.space.sample_uniform(self.rng, _PLACES))
+        bearing = self.rng.uniform(-np.pi, np.pi, _PLACES)
+        away, height = self.rng.uniform((0.3, 0.0), (0.8, 0.8), (_PLACES, 2)).T * self.arm.reach_m
+        places = np.stack([away * np.cos(bearing), away * np.sin(bearing), height], axis=1)
+        return self._with_tool_at(places, np.array([0.0, 0.0, -1.0]))
+
+    def are_apart(self, start: NDArray[np.float64], goal: NDArray[np.float64]) -> bool:
+        """Whether the tool has some way to go."""
+        first, second = self.arm.tool_frames(np.stack([start, goal]))[:, :3, 3]
+        return bool(np.linalg.norm(first - second) >= _APART_M)
+
+    def _with_tool_at(
+        self, places: NDArray[np.float64], approach: NDArray[np.float64]
+    ) -> NDArray[np.float64] | None:
+        """The first free configuration whose tool is at one of (n, 3) m, its z axis within the cone."""
+        room = distance_m(self.checker.obstacles, places) >= _ROOM_M
+        near = np.linalg.norm(places, axis=1) <= self.arm.reach_m
+        for place in places[room & near]:
+            along = _in_cone(self.rng, approach, CONE_RAD - _SOLVING.turn_rad)
+            solutions = solve_pose(self.arm, place, self.rng, approach=along, solving=_SOLVING)
+            found = self._first_free(solutions)
+            if found is not None:
+                return found
+        return None
+
+    def _first_free(self, configurations: NDArray[np.float64]) -> NDArray[np.float64] | None:
+        free = configurations[self.checker.valid_batch(configurations)]
+        return free[0] if len(free) else None
+
+
+def reaches_into(arm: SerialArm, configurations: ArrayLike, region: GoalRegion) -> NDArray[np.bool_]:
+    """Which of (N, d) rad bring the tool into a region, (N,), to the tolerances of :class:`Solving`."""
+    tools = arm.tool_frames(configurations)
+    pose, half = np.array(region.box.pose), np.array(region.box.half_m)
+    inside = np.abs((tools[:, :3, 3] - pose[:3, 3]) @ pose[:3, :3]) <= half + _SOLVING.place_m
+    return np.asarray(inside.all(axis=1) & (tools[:, :3, 2] @ region.approach >= np.cos(CONE_RAD)))
+
+
+def _in_cone(rng: np.random.Generator, axis: NDArray[np.float64], angle_rad: float) -> NDArray[np.float64]:
+    """A unit vector, uniform within an angle of another, (3,)."""
+    cosine = rng.uniform(np.cos(angle_rad), 1.0)
+    sideways = np.cross(axis, rng.normal(size=3))
+    along = cosine * axis + np.sqrt(1.0 - cosine**2) * sideways / np.linalg.norm(sideways)
+    return np.asarray(along / np.linalg.norm(along))
+
+
+# Of each origin but the first, which gets the rest.
+ORIGIN_SHARES = (0.2, 0.25, 0.15, 0.2)
+NEAR_M, NEAR_SIGMA_RAD = 0.06, 0.05
+# About an end are half of them near by, half farther away; beside a way they are near.
+END_SIGMAS_RAD, WAY_SIGMA_RAD = (0.12, 0.3), 0.1
+GOALS = 4
+# Of the obstacles, that a mistaken planner knows; its ways are looked at where they are.
+KNOWN_SHARES, MISTAKEN_SIGMA_RAD = (0.0, 0.4, 0.8), 0.03
+# One short way to each goal is enough to be beside.
+_LIMITS = PathLimits(states=1500, tries=1, shortcuts=40, polish=0, step_rad=0.2)
+
+
+def draw_proposals(
+    checker: CollisionChecker,
+    regions: Sequence[GoalRegion],
+    start: NDArray[np.float64] | None,
+    rng: np.random.Generator,
+    count: int,
+) -> Proposals:
+    """So many configurations, uniform ones first.
+
+    Args:
+        checker: of the scene.
+        regions: that hands reach into.
+        start: (d,) rad, where the arm waits; None where that is not known.
+        rng: of all draws.
+        count: how many.
+    """
+    space = checker.space
+    counts = [int(share * count) for share in ORIGIN_SHARES]
+    anywhere = space.sample_uniform(rng, count - sum(counts))
+    near = near_contact(checker, rng, counts[0], NEAR_M, NEAR_SIGMA_RAD)
+    ends = _ends(checker, regions, start, rng)
+    sigmas = np.asarray(END_SIGMAS_RAD)[rng.integers(len(END_SIGMAS_RAD), size=counts[1])]
+    about = _about(checker, ends, sigmas, rng)
+    beside = _about(checker, _along(checker, ends, rng), np.full(counts[2], WAY_SIGMA_RAD), rng)
+    mistaken = _about(checker, _mistaken(checker, ends, rng), np.full(counts[3], MISTAKEN_SIGMA_RAD), rng)
+    rows = (anywhere, near, about, beside, mistaken)
+    origins = np.repeat(np.arange(len(rows), dtype=np.uint8), [len(part) for part in rows])
+    return Proposals(np.concatenate(rows), origins)
+
+
+def _ends(
+    checker: CollisionChecker,
+    regions: Sequence[GoalRegion],
+    start: NDArray[np.float64] | None,
+    rng: np.random.Generator,
+) -> NDArray[np.float64]:
+    """Where the arm waits, and goals, (k, d) rad, at least one."""
+    drawn = Ends(checker, regions, rng)
+    found = [drawn.home() if start is None else start, *(drawn.reaching() for _ in range(GOALS))]
+    known = [one for one in found if one is not None]
+    return np.stack(known) if known else checker.space.sample_uniform(rng, 1)
+
+
+def _along(
+    checker: CollisionChecker, ends: NDArray[np.float64], rng: np.random.Generator
+) -> NDArray[np.float64]:
+    """States of ways from the first end to the others, (n, d) rad; the ends where there is no way."""
+    ways = [find_path(checker, ends[0], goal, rng, _LIMITS) for goal in ends[1:]]
+    return np.concatenate([ends, *(way for way in ways if way is not None)])
+
+
+def _mistaken(
+    checker: CollisionChecker, ends: NDArray[np.float64], rng: np.random.Generator
+) -> NDArray[np.float64]:
+    """States of ways that are free of some of the obstacles alone, (n, d) rad, evenly spaced."""
+    found = [ends]
+    for share in KNOWN_SHARES:
+        known = CollisionChecker(checker.arm, _some(checker.obstacles, share, rng))
+        first, last = ends[rng.integers(len(ends))], ends[rng.integers(len(ends))]
+        way = find_path(known, first, last, rng, _LIMITS)
+        found += [] if way is None else [way]
+    return np.concatenate(found)
+
+
+def _some(obstacles: Obstacles, share: float, rng: np.random.Generator) -> Obstacles:
+    """Each obstacle with such a probability."""
+    boxes = tuple(one for one in obstacles.boxes if rng.random() < share)
+    cylinders = tuple(one for one in obstacles.cylinders if rng.random() < share)
+    return Obstacles(boxes, cylinders)
+
+
+def _about(
+    checker: CollisionChecker,
+    centres: NDArray[np.float64],
+    sigmas: NDArray[np.float64],
+    rng: np.random.Generator,
+) -> NDArray[np.float64]:
+    """A configuration near one of (k, d) rad for each sigma."""
+    rows = centres[rng.integers(len(centres), size=len(sigmas))]
+    return checker.space.bound(rows + rng.normal(size=rows.shape) * sigmas[:, None])

@@ -1,1 +1,0 @@
-"""Depth cameras: pictures, noise, where cameras stand, and what their pictures say of the space."""

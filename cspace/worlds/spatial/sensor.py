@@ -1,0 +1,297 @@
+"""Depth cameras about an arm as a sensor: where they stand, and the grid of their pictures. NumPy alone."""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cspace.errors import ScenarioError
+from cspace.strict_json import read_object, settle, written
+from cspace.view_file import MAX_PICTURES
+from cspace.worlds.spatial.arm import SerialArm
+from cspace.worlds.spatial.camera import MAX_FIELD_DEG, MAX_SIDE, MIN_FIELD_DEG, MIN_SIDE
+from cspace.worlds.spatial.furniture import Range
+from cspace.worlds.spatial.poses import MAX_PLACE_M, Vector
+
+FREE, NO_READING, OUT_OF_VIEW = 0, 254, 255
+MOST_BEHIND = 253
+BEHIND_STEP_M = 0.01
+
+DISTANCE_STEP_M = 0.0004
+FARTHEST = 255
+
+
+@dataclass(frozen=True, slots=True)
+class CameraViews:
+    """A distribution of cameras.
+
+    Args:
+        count: fewest and most cameras of a scene.
+        side_deg: angle on the ground between the line from what is looked at to the robot and that to the
+            camera, to either side by chance.
+        up_deg: of the camera above the level of what it looks at.
+        distance_m: from it.
+        field_deg: width of the field of view.
+        aim_m: sigma of the point that is looked at, along each axis.
+        roll_deg: largest turn about the optical axis.
+        clear_m: least distance of a camera to any obstacle.
+        width: of the pictures, pixels.
+        height: of the pictures, pixels.
+
+    Raises:
+        ScenarioError: a range is not in order, or no camera is like that.
+    """
+
+    count: tuple[int, int] = (1, 3)
+    side_deg: Range = (15.0, 75.0)
+    up_deg: Range = (10.0, 50.0)
+    distance_m: Range = (0.9, 1.6)
+    field_deg: Range = (52.0, 85.0)
+    aim_m: float = 0.15
+    roll_deg: float = 8.0
+    clear_m: float = 0.05
+    width: int = 128
+    height: int = 128
+
+    def __post_init__(self) -> None:
+        settle(self)
+        ordered = all(
+            low <= high
+            for low, high in (self.count, self.side_deg, self.up_deg, self.distance_m, self.field_deg)
+        )
+        angles = self.side_deg[0] >= -180.0 and self.side_deg[1] <= 180.0
+        angles = angles and self.up_deg[0] >= -90.0 and self.up_deg[1] <= 90.0
+        angles = angles and 0.0 <= self.roll_deg <= 180.0
+        fields = self.field_deg[0] >= MIN_FIELD_DEG and self.field_deg[1] <= MAX_FIELD_DEG
+        lengths = self.distance_m[0] > 0.0 and self.distance_m[1] < MAX_PLACE_M / 2.0
+        lengths = lengths and 0.0 <= self.aim_m < 1.0 and self.clear_m >= 0.0
+        sides = all(MIN_SIDE <= side <= MAX_SIDE for side in (self.width, self.height))
+        if not (ordered and angles and fields and lengths and sides and self.count[0] >= 1):
+            raise ScenarioError("the views of cameras do not fit", got=str(self)[:300])
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values for JSON."""
+        return written(self)
+
+
+def read_camera_views(values: object) -> CameraViews:
+    """The inverse of :meth:`CameraViews.to_dict`.
+
+    Raises:
+        ScenarioError: a key or a value does not fit.
+    """
+    return read_object(CameraViews, values, "the cameras", ScenarioError)
+
+
+VOXEL_M = 0.025
+MIN_VOXEL_M, MAX_VOXEL_M = 0.01, 0.2
+MAX_COUNT, MAX_VOXELS = 512, 2**23
+# Networks halve a grid three times.
+_MULTIPLE = 8
+
+
+@dataclass(frozen=True, slots=True)
+class GridBox:
+    """An axis-aligned grid of voxels in the base frame.
+
+    Args:
+        low_m: its lowest corner.
+        voxel_m: side of a voxel.
+        counts: X, Y, Z, of voxels.
+
+    Raises:
+        ScenarioError: a number is out of range, or there are more than 2**23 voxels.
+    """
+
+    low_m: Vector
+    voxel_m: float
+    counts: tuple[int, int, int]
+
+    def __post_init__(self) -> None:
+        settle(self)
+        try:
+            placed = np.shape(self.low_m) == (3,) and bool((np.abs(self.low_m) <= MAX_PLACE_M).all())
+            sized = MIN_VOXEL_M <= self.voxel_m <= MAX_VOXEL_M
+            whole = np.shape(self.counts) == (3,) and all(
+                type(one) is int and 1 <= one <= MAX_COUNT for one in self.counts
+            )
+            sound = placed and sized and whole and bool(np.prod(self.counts) <= MAX_VOXELS)
+        except TypeError:
+            sound = False
+        if not sound:
+            raise ScenarioError(
+                "the grid does not fit",
+                expected=f"a corner, voxels of {MIN_VOXEL_M} to {MAX_VOXEL_M} m, each count 1 to {MAX_COUNT}",
+                got=str(self)[:200],
+            )
+
+    @property
+    def high_m(self) -> NDArray[np.float64]:
+        """(3,): its highest corner."""
+        return np.asarray(np.array(self.low_m) + self.voxel_m * np.array(self.counts))
+
+    def centres_m(self) -> NDArray[np.float64]:
+        """(X, Y, Z, 3): of all voxels."""
+        index = np.stack(np.meshgrid(*(np.arange(count) for count in self.counts), indexing="ij"), axis=-1)
+        return np.asarray(np.array(self.low_m) + self.voxel_m * (index + 0.5))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values for JSON."""
+        return written(self)
+
+
+def read_grid_box(values: object) -> GridBox:
+    """The inverse of :meth:`GridBox.to_dict`.
+
+    Raises:
+        ScenarioError: a key or a value does not fit.
+    """
+    return read_object(GridBox, values, "the grid", ScenarioError)
+
+
+def grid_of(arm: SerialArm, voxel_m: float = VOXEL_M) -> GridBox:
+    """The cube about an arm's shoulder that holds all that the arm can touch.
+
+    Its half side is :func:`shoulder_reach_m` and a little more, so that counts are multiples of eight.
+
+    Raises:
+        ScenarioError: the voxels are too small or too large.
+    """
+    if not MIN_VOXEL_M <= voxel_m <= MAX_VOXEL_M:
+        raise ScenarioError(
+            "the grid does not fit", expected=f"voxels of {MIN_VOXEL_M} to {MAX_VOXEL_M} m", got=repr(voxel_m)
+        )
+    count = _MULTIPLE * int(np.ceil(2.0 * shoulder_reach_m(arm) / (_MULTIPLE * voxel_m)))
+    x, y, z = (float(place) - count * voxel_m / 2.0 for place in arm.joints[0].origin.xyz_m)
+    return GridBox((x, y, z), voxel_m, (count, count, count))
+
+
+def shoulder_reach_m(arm: SerialArm) -> float:
+    """No less than the distance from the origin of the first joint to any point of the arm, m.
+
+    Along the arm it adds the lesser of lengths of single links and of the largest distances over pairs of
+    links, over all angles of the joint between them. So links that are offset to and fro count once.
+    """
+    far = [0.0]
+    for index in range(1, arm.dim):
+        place = np.asarray(arm.joints[index].origin.xyz_m)
+        far.append(_least_far(arm, far, index - 1, place[None])[0])
+    shoulder = np.asarray(arm.joints[0].origin.xyz_m)
+    tips = [_least_far(arm, far, arm.dim - 1, np.asarray(arm.tool.xyz_m)[None])]
+    for part in arm.parts:
+        spheres = np.asarray(part.spheres_m).reshape(-1, 4)
+        if part.link == 0:
+            away = np.linalg.norm(spheres[:, :3] - shoulder, axis=1)
+        else:
+            away = _least_far(arm, far, part.link - 1, spheres[:, :3])
+        tips.append(away + spheres[:, 3])
+    return float(np.concatenate(tips).max())
+
+
+def _least_far(
+    arm: SerialArm, far: list[float], index: int, points: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """How far from the shoulder points (P, 3) can be that the joint of an index, from 0, moves, (P,)."""
+    found = far[index] + np.linalg.norm(points, axis=1)
+    if index == 0:
+        return np.asarray(found)
+    joint = arm.joints[index]
+    # The joint before, in the frame of this one, about whose axis the points turn.
+    base = joint.origin.matrix()[:3, :3].T @ np.asarray(joint.origin.xyz_m)
+    axis = np.asarray(joint.axis, dtype=np.float64)
+    along_base, along = base @ axis, points @ axis
+    off_base = np.linalg.norm(base - along_base * axis)
+    off = np.linalg.norm(points - along[:, None] * axis, axis=1)
+    direct = np.hypot(along_base + along, off_base + off)
+    return np.asarray(np.minimum(found, far[index - 1] + direct))
+
+
+NOISES = ("structured_light", "disparity", "stereo")
+
+
+@dataclass(frozen=True, slots=True)
+class DepthSensor:
+    """What stands for the picture of a scene: an array (X, Y, Z, 2) of what its depth pictures say.
+
+    See :func:`cspace.worlds.spatial.visibility.observe`.
+
+    Args:
+        grid: of the array.
+        views: the cameras of scenes for training.
+        noise: of these, some of :data:`NOISES`, one of them a scene; none for exact pictures.
+        arm_hides: whether space behind the arm's pixels counts as hidden, so far behind it; else it is as
+            if these pixels had read nothing, which the sky does as well.
+        holes: share of the pictures of scenes in which rectangles read nothing, as black and shiny things
+            do; a head that knows none takes whatever read nothing for the sky.
+
+    Raises:
+        ScenarioError: there are more cameras than a scene may have, or a noise is unknown.
+    """
+
+    grid: GridBox
+    views: CameraViews = field(default_factory=CameraViews)
+    noise: tuple[str, ...] = NOISES
+    arm_hides: bool = True
+    holes: float = 0.3
+
+    def __post_init__(self) -> None:
+        settle(self)
+        known = not set(self.noise) - set(NOISES) and 0.0 <= self.holes <= 1.0
+        if self.views.count[1] > MAX_PICTURES or not known:
+            raise ScenarioError(
+                "the depth cameras do not fit",
+                expected=f"at most {MAX_PICTURES} of a scene, noise of {', '.join(NOISES)}, a share of holes",
+                got=f"{self.views.count[1]} cameras, noise {self.noise}, {self.holes} with holes"[:200],
+            )
+
+    @property
+    def pixels(self) -> int:
+        """Most voxels along a side of the grid."""
+        return max(self.grid.counts)
+
+    @property
+    def picture_shape(self) -> tuple[int, ...]:
+        """(X, Y, Z, 2): distance to what is seen, and what is known."""
+        return (*self.grid.counts, 2)
+
+    @property
+    def convention(self) -> dict[str, Any]:
+        """What a bundle says of its pictures, and of the cameras that it has learned from."""
+        views = self.views
+        return {
+            "grid": self.grid.to_dict(),
+            "channels": ["distance to the nearest surface seen", "what is known of the voxel"],
+            "distance_step_m": DISTANCE_STEP_M,
+            "farther": FARTHEST,
+            "behind_step_m": BEHIND_STEP_M,
+            **({"arm_hides": True} if self.arm_hides else {}),
+            "codes": {"seen free": FREE, "no reading": MOST_BEHIND + 1, "out of view": OUT_OF_VIEW},
+            "cameras": {
+                "count": list(views.count),
+                "pixels": [views.width, views.height],
+                "field_deg": list(views.field_deg),
+                "distance_m": list(views.distance_m),
+            },
+            "range": [0, 1],
+        }
+
+    @property
+    def extent_m(self) -> None:
+        """An array of space shows no plane."""
+        return
+
+    def to_network(self, images: NDArray[np.uint8]) -> NDArray[np.float32]:
+        """(..., X, Y, Z, 2) uint8 to (..., 2, X, Y, Z) float32 in [0, 1]."""
+        scaled = np.moveaxis(images, -1, -4).astype(np.float32)
+        scaled *= np.float32(1.0 / 255.0)
+        return np.ascontiguousarray(scaled)
+
+    def from_network(self, pixels: NDArray[np.float32]) -> NDArray[np.uint8]:
+        """The inverse of :meth:`to_network`."""
+        found = np.rint(np.moveaxis(pixels, -4, -1) * np.float32(255.0)).astype(np.uint8)
+        return np.ascontiguousarray(found)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values for JSON."""
+        return written(self)

@@ -1,0 +1,247 @@
+"""The simulator of the spatial world: scenes, their depth pictures, checks and problems."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import ConvexHull
+
+from cspace.errors import ScenarioError
+from cspace.simulator import (
+    UNIFORM,
+    Checker,
+    Families,
+    Measures,
+    PathSearch,
+    Problem,
+    Proposals,
+    Split,
+    scenario_rng,
+)
+from cspace.world import Image, Scene, World
+from cspace.worlds.spatial.arm import SerialArm
+from cspace.worlds.spatial.checks import CollisionChecker, group_hits
+from cspace.worlds.spatial.furniture import FAMILIES
+from cspace.worlds.spatial.obstacles import Box, Cylinder, Obstacles, obstacles_of, rows_of
+from cspace.worlds.spatial.paths import PathLimits, find_path
+from cspace.worlds.spatial.problems import Ends, draw_problem, draw_proposals
+from cspace.worlds.spatial.scenes import SpatialScene, draw_scene, scenes_of, seen
+from cspace.worlds.spatial.sensor import DISTANCE_STEP_M, FREE, GridBox
+from cspace.worlds.spatial.view import write_view
+from cspace.worlds.spatial.world import SpatialWorld
+
+# Which coordinates are across and up.
+SIDE, ABOVE = (0, 2), (0, 1)
+_ROUND = 24
+_SURFACE = (0.77, 0.19, 0.19)
+
+
+def draw_obstacles(axes: Any, obstacles: Obstacles, colour: str, plane: tuple[int, int] = SIDE) -> None:
+    """The outlines of obstacles on axes of matplotlib."""
+    shapes: tuple[Box | Cylinder, ...] = (*obstacles.boxes, *obstacles.cylinders)
+    for one in shapes:
+        corners = _corners(one)[:, plane]
+        outline = corners[ConvexHull(corners).vertices]
+        axes.fill(*outline.T, facecolor=colour, edgecolor="black", linewidth=0.4, alpha=0.35)
+    axes.set_aspect("equal")
+    axes.set_xlabel(f"{'xyz'[plane[0]]} [m]")
+    axes.set_ylabel(f"{'xyz'[plane[1]]} [m]")
+
+
+def draw_seen(axes: Any, observed: NDArray[np.uint8], grid: GridBox) -> None:
+    """An array (X, Y, Z, 2) from the side: surfaces that are seen in red, grey as far as space is unseen."""
+    surface = observed[..., 0].min(axis=1) * DISTANCE_STEP_M < grid.voxel_m / 2.0
+    unseen = (observed[..., 1] != FREE).mean(axis=1)
+    shown = np.repeat(1.0 - 0.6 * unseen[..., None], 3, axis=2)
+    shown[surface] = _SURFACE
+    (left, _, low), (right, _, high) = grid.low_m, grid.high_m
+    axes.imshow(shown.transpose(1, 0, 2), extent=(left, right, low, high), origin="lower")
+    axes.set(xlabel="x [m]", ylabel="z [m]")
+
+
+def draw_arm(
+    axes: Any,
+    arm: SerialArm,
+    configuration: ArrayLike,
+    colour: str,
+    order: int,
+    plane: tuple[int, int] = SIDE,
+) -> None:
+    """An arm's spheres, and the line through its joints, on axes of matplotlib."""
+    rows = np.atleast_2d(np.asarray(configuration, dtype=np.float64))
+    centres, radii = arm.sphere_centres_m(rows)[0][:, plane], arm.spheres_m()[:, 3]
+    angles = np.linspace(0.0, 2.0 * np.pi, _ROUND)
+    ring = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    for centre, radius in zip(centres, radii, strict=True):
+        axes.fill(*(centre + radius * ring).T, color=colour, alpha=0.15, linewidth=0, zorder=order)
+    axes.plot(*arm.joint_positions_m(rows)[0][:, plane].T, color=colour, linewidth=1.2, zorder=order)
+
+
+def _corners(shape: Box | Cylinder) -> NDArray[np.float64]:
+    """(n, 3) m, whose hull is the shape's on any plane; of a cylinder's circles some points."""
+    pose = np.asarray(shape.pose)
+    if isinstance(shape, Box):
+        signs = np.stack(np.meshgrid(*[(-1.0, 1.0)] * 3), axis=-1).reshape(-1, 3)
+        own = signs * np.asarray(shape.half_m)
+    else:
+        angles = np.linspace(0.0, 2.0 * np.pi, _ROUND, endpoint=False)
+        circle = shape.radius_m * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+        ends = (-shape.half_length_m, shape.half_length_m)
+        own = np.concatenate([np.column_stack([circle, np.full(_ROUND, end)]) for end in ends])
+    return np.asarray(own @ pose[:3, :3].T + pose[:3, 3])
+
+
+_NOTE = "A family is what stands about the arm; every problem has a way that was found in the scene as it is."
+
+
+@dataclass(frozen=True, slots=True)
+class SpatialSimulator:
+    """See :class:`cspace.simulator.Simulator`."""
+
+    world: SpatialWorld
+
+    @property
+    def families(self) -> Families:
+        """Scenes of all families, and each of them; all their problems have solutions."""
+        names = (UNIFORM, *FAMILIES)
+        return Families(names, names, "shelf", _NOTE, "tables, shelves, bins, cages and clutter")
+
+    @property
+    def measures(self) -> Measures:
+        """Lengths as planners of seven joints have them; no thousand samples cover such a space.
+
+        The free share is that of the Panda's uniform configurations among scenes for training.
+        """
+        return Measures(
+            coverage_radius_rad=1.0,
+            near_contact_m=0.02,
+            range_rad=2.0,
+            resolution_rad=0.02,
+            coverage_share=None,
+            margins={"precision": 0.02, "edr": 0.1, "planning_success": 0.1},
+            path_margins={"planning_success": 0.1},
+            free_share=0.6,
+        )
+
+    def scene(self, rng: np.random.Generator, split: Split, index: int) -> SpatialScene:
+        """See :func:`cspace.worlds.spatial.scenes.draw_scene`."""
+        return draw_scene(rng, self.world, split, index)
+
+    def scenes(self, split: Split, seed: int, count: int) -> Sequence[SpatialScene]:
+        """See :meth:`scene`."""
+        return [self.scene(scenario_rng(split, seed, index), split, index) for index in range(count)]
+
+    def arrays_of(self, scene: Scene) -> dict[str, NDArray[Any]]:
+        """See :func:`cspace.worlds.spatial.obstacles.rows_of`."""
+        return dict(rows_of(_spatial(scene).obstacles))
+
+    def render(self, scene: Scene) -> Image:
+        """See :meth:`cspace.worlds.spatial.world.SpatialWorld.observed`."""
+        return self.world.observed(_spatial(scene).view())
+
+    def picture_file(self, scene: Scene) -> bytes:
+        """See :mod:`cspace.worlds.spatial.view`."""
+        return write_view(_spatial(scene).view())
+
+    def checker(self, scene: Scene) -> Checker:
+        """See :class:`cspace.worlds.spatial.checks.CollisionChecker`."""
+        found = _spatial(scene)
+        return CollisionChecker(found.world.body, found.obstacles)
+
+    def proposals(self, scene: Scene, rng: np.random.Generator, count: int) -> Proposals:
+        """See :func:`cspace.worlds.spatial.problems.draw_proposals`."""
+        found = _spatial(scene)
+        start = None if found.state is None else np.asarray(found.state)
+        checker = CollisionChecker(found.world.body, found.obstacles)
+        return draw_proposals(checker, found.regions, start, rng, count)
+
+    def group_hits(
+        self, arrays: Mapping[str, NDArray[Any]], configurations: ArrayLike, groups: int
+    ) -> NDArray[np.bool_]:
+        """See :func:`cspace.worlds.spatial.checks.group_hits`."""
+        obstacles = obstacles_of(arrays["boxes"], arrays["cylinders"])
+        return group_hits(self.world.body, obstacles, configurations, groups)
+
+    def require(self, family: str) -> None:
+        """Any of the families."""
+        if family not in self.families.names:
+            raise ScenarioError(
+                "there is no such family",
+                expected=f"one of {', '.join(self.families.names)}",
+                got=repr(family),
+            )
+
+    def narrow_pairs(self, scene: Scene, configurations: NDArray[np.float64]) -> NDArray[np.int64]:
+        """None: narrow passages of this world are not told on a grid."""
+        del scene, configurations
+        return np.empty((0, 2), dtype=np.int64)
+
+    def ends(
+        self, scene: Scene, free: NDArray[np.float64], rng: np.random.Generator, count: int
+    ) -> Iterator[NDArray[np.float64]]:
+        """See :meth:`cspace.worlds.spatial.problems.Ends.pairs`; the arm sets out where it waits."""
+        del free
+        found = _spatial(scene)
+        state = None if found.state is None else np.asarray(found.state)
+        checker = CollisionChecker(found.world.body, found.obstacles)
+        return Ends(checker, found.regions, rng).pairs(count, state)
+
+    def path_search(self, scene: Scene) -> PathSearch:
+        """See :func:`cspace.worlds.spatial.paths.find_path`."""
+        checker = cast("CollisionChecker", self.checker(scene))
+
+        def search(start: NDArray[np.float64], goal: NDArray[np.float64]) -> NDArray[np.float64] | None:
+            return find_path(checker, start, goal, np.random.default_rng(0), PathLimits())
+
+        return search
+
+    def problem(self, family: str, split: Split, seed: int, index: int = 0) -> Problem:
+        """See :func:`cspace.worlds.spatial.problems.draw_problem`; the arm waits at the start."""
+        self.require(family)
+        named = None if family == UNIFORM else family
+        found = draw_problem(self.world.body, scenes_of(self.world), split, seed, index, named)
+        # A child of its own, beside that of the problem.
+        rng = scenario_rng(split, seed, index).spawn(2)[1]
+        scene = seen(rng, self.world, found.layout, found.start)
+        return Problem(scene, found.start, found.goal, family, seed=seed, rejected=found.rejected)
+
+    def obstruction(self, problem: Problem) -> str | None:
+        """Start or goal in collision; whether a way is there nobody knows."""
+        ends = np.stack([problem.start, problem.goal])
+        clearance = self.checker(problem.scenario).clearance(ends)
+        for name, clearance_m in zip(("start", "goal"), clearance, strict=True):
+            if clearance_m <= 0.0:
+                return f"the {name} is {-clearance_m:.3f} m deep in collision"
+        return None
+
+    def count(self, split: Split) -> int | None:
+        """They are drawn without end."""
+        del split
+        return None
+
+    def draw_picture(self, axes: Any, picture: Image) -> None:
+        """See :func:`cspace.worlds.spatial.simulator.draw_seen`."""
+        draw_seen(axes, picture, self.world.sensor.grid)
+
+    def draw_scene(self, axes: Any, scene: Scene, colour: str) -> None:
+        """Obstacles, from the side."""
+        draw_obstacles(axes, _spatial(scene).obstacles, colour)
+
+    def draw_robot(self, axes: Any, configuration: ArrayLike, colour: str, order: int) -> None:
+        """Spheres, from the side."""
+        draw_arm(axes, self.world.body, configuration, colour, order)
+
+
+def open_simulator(world: World) -> SpatialSimulator:
+    """The simulator of a world of this kind."""
+    return SpatialSimulator(cast("SpatialWorld", world))
+
+
+def _spatial(scene: Scene) -> SpatialScene:
+    if not isinstance(scene, SpatialScene):
+        raise ScenarioError(
+            "the scene is of another world", expected="a spatial one", got=type(scene).__name__
+        )
+    return scene

@@ -1,0 +1,209 @@
+"""What depth cameras saw of a scene, as a view file or as arrays. NumPy alone."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cspace.errors import ImageError, ScenarioError
+from cspace.png import read_header
+from cspace.space import JointSpace
+from cspace.strict_json import read_members
+from cspace.view_file import MAX_PICTURES, check_counts, pack_view, unpack_view
+from cspace.world import Arrays, Between, TensorInput
+from cspace.worlds.spatial.camera import (
+    FARTHEST_MM,
+    NEAREST_MM,
+    DepthCamera,
+    decode_depth,
+    encode_depth,
+    in_range,
+    scaled_mm,
+)
+
+_CAMERA_KEYS = {"fx", "fy", "cx", "cy", "pose"}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DepthView:
+    """Depth pictures of one scene.
+
+    Args:
+        pictures: one to four, (H, W) uint16 mm along the optical axis, 0 = no reading.
+        cameras: one each.
+        state: (d,) rad, where the arm was when they were taken; None where it is in no picture.
+
+    Raises:
+        ImageError: there are too few or too many pictures, not a camera each, one does not fit its camera, or
+            none has a reading.
+    """
+
+    pictures: tuple[NDArray[np.uint16], ...]
+    cameras: tuple[DepthCamera, ...]
+    state: tuple[float, ...] | None = None
+
+    def __post_init__(self) -> None:
+        check_counts(len(self.pictures), len(self.cameras))
+        for picture, camera in zip(self.pictures, self.cameras, strict=True):
+            if picture.shape != camera.picture_shape or picture.dtype != np.uint16:
+                raise ImageError(
+                    "the depth picture does not fit its camera",
+                    expected=f"uint16 of {camera.width} x {camera.height} pixels",
+                    got=f"{picture.dtype} of shape {picture.shape}",
+                )
+            if not in_range(picture).any():
+                read = picture[picture > 0]
+                raise ImageError(
+                    "a depth picture has no reading",
+                    expected=f"distances of {NEAREST_MM} to {FARTHEST_MM} mm, 0 where there is none",
+                    got=f"{read.min()} to {read.max()} mm" if read.size else "zeros alone",
+                    remedy=_UNIT if read.size else "leave the picture out, or look at the camera's driver",
+                )
+
+
+def write_view(view: DepthView) -> bytes:
+    """The view file of a view."""
+    cameras = [_told(camera) for camera in view.cameras]
+    state = None if view.state is None else list(view.state)
+    return pack_view([encode_depth(picture) for picture in view.pictures], cameras, state)
+
+
+def pixels_of(data: bytes) -> int:
+    """How many pixels the pictures of an untrusted view file say that they have.
+
+    Raises:
+        ImageError: it is none, or a picture is none.
+    """
+    return sum(read_header(one).pixels for one in unpack_view(data).pictures)
+
+
+def read_view(data: bytes, space: JointSpace, between: Between | None = None) -> DepthView:
+    """An untrusted view file.
+
+    Args:
+        data: the file.
+        space: of the arm.
+        between: called after each picture; what it raises passes through.
+
+    Raises:
+        ImageError: it is none, a picture or a camera is none, they do not fit each other, no picture has a
+            reading, or the state lies outside of the arm's limits.
+    """
+    told = unpack_view(data)
+    pause = between or (lambda: None)
+    pictures = []
+    for one in told.pictures:
+        pictures.append(in_mm(decode_depth(one, pause), told.depth_scale_m))
+        pause()
+    seen_by = [
+        read_pinhole(values, picture.shape) for values, picture in zip(told.cameras, pictures, strict=True)
+    ]
+    return DepthView(tuple(pictures), tuple(seen_by), state_of(told.state, space))
+
+
+def in_mm(units: NDArray[np.uint16], depth_scale_m: object) -> NDArray[np.uint16]:
+    """A depth picture (H, W) in mm, of plain values; without a scale it is in mm already.
+
+    Raises:
+        ImageError: the scale is none.
+    """
+    if depth_scale_m is None:
+        return units
+    return scaled_mm(units, _number(depth_scale_m, "depth_scale_m"))
+
+
+def read_pinhole(values: object, shape: tuple[int, ...]) -> DepthCamera:
+    """The camera of a picture (H, W), of plain values ``fx, fy, cx, cy, pose``.
+
+    Raises:
+        ImageError: no camera is like that.
+    """
+    members = read_members(values, _CAMERA_KEYS, "the camera", ImageError)
+    try:
+        numbers = {name: float(_number(members[name], name)) for name in ("fx", "fy", "cx", "cy")}
+        pose = _rows(members["pose"])
+        return DepthCamera(**numbers, width=shape[1], height=shape[0], pose=pose)
+    except ScenarioError as error:
+        raise ImageError(
+            error.what, expected=error.expected, got=error.got, remedy=error.remedy or _REMEDY
+        ) from error
+
+
+_UNIT = (
+    "depths are whole mm: send depth_scale_m for another unit (0.0001 for tenths, 0.0002 for TUM RGB-D), and "
+    "metres times 1000"
+)
+_REMEDY = "send the camera in the base frame: x right, y down, z forward, pixel centres at whole numbers"
+
+
+def state_of(values: object, space: JointSpace) -> tuple[float, ...] | None:
+    """Where an arm was, of plain values; None where they are.
+
+    Raises:
+        ImageError: that is outside of its limits, or no configuration.
+    """
+    if values is None:
+        return None
+    fits = isinstance(values, list) and len(values) == space.dim
+    angles = [float(_number(one, "state")) for one in values] if fits else []  # type: ignore[attr-defined]
+    if not fits:
+        raise ImageError(
+            "the state does not fit the robot",
+            expected=f"{space.dim} angles in rad within its limits",
+            got=repr(values)[:200],
+            remedy="send where the arm was when the pictures were taken, or leave it out if it is in none",
+        )
+    return tuple(space.admitted(angles, "the state does not fit the robot", ImageError).tolist())
+
+
+def _rows(values: object) -> Any:
+    if not isinstance(values, list) or any(not isinstance(row, list) for row in values):
+        raise ImageError("the camera has no pose", expected="4 x 4 finite numbers", got=repr(values)[:200])
+    return tuple(tuple(_number(one, "pose") for one in row) for row in values)
+
+
+def _number(value: object, name: str) -> float:
+    if type(value) not in (int, float):
+        raise ImageError(f"{name} does not fit", expected="a finite number", got=repr(value)[:200])
+    return value  # type: ignore[return-value] # one of the two
+
+
+def _told(camera: DepthCamera) -> dict[str, Any]:
+    return {name: value for name, value in camera.to_dict().items() if name in _CAMERA_KEYS}
+
+
+DEPTH, INTRINSICS, POSES, STATE, SCALE = "depth", "intrinsics", "poses", "state", "depth_scale_m"
+_INTRINSICS = ("fx", "fy", "cx", "cy")
+
+
+def view_tensors(dim: int) -> tuple[TensorInput, ...]:
+    """Pictures, cameras and the arm's state.
+
+    Pictures of one size; of each camera fx, fy, cx and cy, pixels, and its pose in the base frame, m; where
+    the arm was, rad, absent where it is in no picture; metres per unit of the pictures, absent for mm.
+    """
+    return (
+        TensorInput(DEPTH, "uint16", ("c", "h", "w"), MAX_PICTURES),
+        TensorInput(INTRINSICS, "float64", ("c", len(_INTRINSICS)), MAX_PICTURES),
+        TensorInput(POSES, "float64", ("c", 4, 4), MAX_PICTURES),
+        TensorInput(STATE, "float64", (dim,), optional=True),
+        TensorInput(SCALE, "float64", (1,), optional=True),
+    )
+
+
+def view_of_tensors(tensors: Arrays, space: JointSpace) -> DepthView:
+    """The view of arrays that follow :func:`view_tensors`.
+
+    Raises:
+        ImageError: a picture, a camera or the state is none.
+    """
+    scale = tensors[SCALE].tolist()[0] if SCALE in tensors else None
+    pictures = tuple(in_mm(np.ascontiguousarray(one, dtype=np.uint16), scale) for one in tensors[DEPTH])
+    told = zip(tensors[INTRINSICS].tolist(), tensors[POSES].tolist(), pictures, strict=True)
+    cameras = tuple(
+        read_pinhole({**dict(zip(_INTRINSICS, numbers, strict=True)), "pose": pose}, picture.shape)
+        for numbers, pose, picture in told
+    )
+    state = tensors[STATE].tolist() if STATE in tensors else None
+    return DepthView(pictures, cameras, state_of(state, space))

@@ -1,0 +1,447 @@
+"""What depth pictures say of the space round an arm: self filter, visibility, fused grid. NumPy alone."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cspace.errors import ImageError
+from cspace.view_file import MAX_PICTURES
+from cspace.world import Between
+from cspace.worlds.spatial.camera import MIN_SIDE, DepthCamera, in_range, resize_depth, to_m
+from cspace.worlds.spatial.distance_field import TRUNCATION_M, distance_codes, patches
+from cspace.worlds.spatial.sensor import (
+    BEHIND_STEP_M,
+    DISTANCE_STEP_M,
+    FREE,
+    MOST_BEHIND,
+    NO_READING,
+    OUT_OF_VIEW,
+    GridBox,
+)
+
+SLACK_M = 0.02
+# Nearer than this a sphere's window is the whole picture.
+_NEAREST_SPHERE_M = 0.01
+# Rays that are intersected at once, in some ms.
+_AT_ONCE = 60_000
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WithoutRobot:
+    """A depth picture without the arm.
+
+    Args:
+        depth_mm: (H, W) uint16, the readings of other things; 0 where there is none.
+        front_m: (H, W) float32, depth at which the arm and its slack begin where a pixel is the arm's;
+            inf elsewhere. Up to there the pixel's ray was free.
+    """
+
+    depth_mm: NDArray[np.uint16]
+    front_m: NDArray[np.float32]
+
+
+def self_filter(
+    depth_mm: NDArray[np.uint16],
+    camera: DepthCamera,
+    spheres: ArrayLike,
+    slack_m: float = SLACK_M,
+    between: Between = lambda: None,
+) -> WithoutRobot:
+    """Take the arm out of a depth picture.
+
+    A pixel is the arm's where its ray meets a sphere with its slack and its reading is not before that. Slack
+    covers what noise and calibration are off by, both along the ray and across it.
+
+    Args:
+        depth_mm: (H, W) uint16 mm, 0 = no reading.
+        camera: of the picture.
+        spheres: (S, 4) that cover the arm as it stands: x, y, z, radius in m in the base frame.
+        slack_m: added to every radius.
+        between: called between parts of some ms; what it raises passes through.
+
+    Raises:
+        ImageError: the picture has another shape than the camera's.
+    """
+    check_picture(depth_mm, camera)
+    begins = _begins_m(camera, np.asarray(spheres, dtype=np.float64).reshape(-1, 4), slack_m, between)
+    shown = (depth_mm > 0) & (depth_mm * np.float32(1e-3) >= begins)
+    return WithoutRobot(np.where(shown, np.uint16(0), depth_mm), np.where(shown, begins, np.float32(np.inf)))
+
+
+def check_picture(depth_mm: NDArray[np.uint16], camera: DepthCamera) -> None:
+    """Refuse what is no depth picture of a camera.
+
+    Raises:
+        ImageError: it has another shape than the camera's, or is not uint16.
+    """
+    if depth_mm.shape != camera.picture_shape or depth_mm.dtype != np.uint16:
+        raise ImageError(
+            "the depth picture does not fit the camera",
+            expected=f"{camera.width} x {camera.height} pixels, uint16",
+            got=f"an array of shape {depth_mm.shape}, {depth_mm.dtype}",
+        )
+
+
+def _begins_m(
+    camera: DepthCamera, spheres: NDArray[np.float64], slack_m: float, between: Between
+) -> NDArray[np.float32]:
+    """Depth (H, W) at which the first of the spheres begins, inf beside all; 0 for a camera within one."""
+    pose = camera.matrix
+    centres = (spheres[:, :3] - pose[:3, 3]) @ pose[:3, :3]
+    radii = spheres[:, 3] + slack_m
+    first, last, top, bottom = _windows(camera, centres, radii)
+    wide, high = np.maximum(last - first + 1, 0), np.maximum(bottom - top + 1, 0)
+    sizes = np.where(centres[:, 2] + radii > 0.0, wide * high, 0)
+    found = np.full(camera.width * camera.height, np.inf, dtype=np.float32)
+    turns = np.cumsum(sizes) // _AT_ONCE
+    for number in np.unique(turns[sizes > 0]):
+        some = np.flatnonzero((turns == number) & (sizes > 0))
+        count = sizes[some]
+        own = np.repeat(some, count)
+        place = np.arange(len(own)) - np.repeat(np.cumsum(count) - count, count)
+        down, across = np.divmod(place, wide[own])
+        rows, columns = top[own] + down, first[own] + across
+        depth = _entry_m(
+            (columns - camera.cx) / camera.fx, (rows - camera.cy) / camera.fy, centres[own], radii[own]
+        )
+        np.minimum.at(found, rows * camera.width + columns, depth.astype(np.float32))
+        between()
+    return found.reshape(camera.picture_shape)
+
+
+def _windows(
+    camera: DepthCamera, centres: NDArray[np.float64], radii: NDArray[np.float64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """First column, last, first row, last, each (S,), of the pixels that can show each sphere."""
+    depth = centres[:, 2]
+    ahead = depth - radii > _NEAREST_SPHERE_M
+    near, far = np.where(ahead, depth - radii, 1.0), np.where(ahead, depth + radii, 1.0)
+    found = []
+    for axis, focal, middle, side in (
+        (0, camera.fx, camera.cx, camera.width),
+        (1, camera.fy, camera.cy, camera.height),
+    ):
+        low, high = centres[:, axis] - radii, centres[:, axis] + radii
+        least = np.where(ahead, focal * np.minimum(low / near, low / far) + middle, 0.0)
+        most = np.where(ahead, focal * np.maximum(high / near, high / far) + middle, side - 1.0)
+        found.append(np.ceil(np.clip(least, 0.0, side)).astype(np.int64))
+        found.append(np.floor(np.clip(most, -1.0, side - 1.0)).astype(np.int64))
+    return found[0], found[1], found[2], found[3]
+
+
+def _entry_m(
+    x: NDArray[np.float64], y: NDArray[np.float64], centres: NDArray[np.float64], radii: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Depth at which rays (x, y, 1) enter spheres, one each; inf beside them and for those behind."""
+    square = x * x + y * y + 1.0
+    middle = centres[:, 0] * x + centres[:, 1] * y + centres[:, 2]
+    outside = np.einsum("nk,nk->n", centres, centres) - radii * radii
+    inside = middle * middle - square * outside
+    root = np.sqrt(np.maximum(inside, 0.0))
+    met = (inside >= 0.0) & (middle + root > 0.0)
+    return np.where(met, np.maximum((middle - root) / square, 0.0), np.inf)
+
+
+# A voxel is free if its centre is at least so far before the reading.
+FREE_MARGIN_M = 0.015
+# Nearer than this to a camera nothing is in view.
+_NEAR_M = 0.02
+# Of the neighbourhood of a pixel, pixels to each side.
+_MAX_REACH = 8
+
+
+def sight(
+    surface_m: NDArray[np.float32],
+    front_m: NDArray[np.float32],
+    camera: DepthCamera,
+    grid: GridBox,
+    *,
+    arm_hides: bool = True,
+) -> NDArray[np.uint8]:
+    """The codes of all voxels, (X, Y, Z).
+
+    :data:`FREE`; 1 to :data:`MOST_BEHIND` for at most so many :data:`BEHIND_STEP_M` behind what the pixel
+    shows, a surface or the arm, along its ray; :data:`NO_READING`; :data:`OUT_OF_VIEW`.
+
+    Args:
+        surface_m: (H, W) depth of surfaces, 0 = none.
+        front_m: (H, W) depth up to which the ray of a pixel without a surface was free, inf = not known.
+        camera: of the picture.
+        grid: of the voxels.
+        arm_hides: False tells what lies behind the arm as :data:`NO_READING`.
+    """
+    codes = np.full(int(np.prod(grid.counts)), OUT_OF_VIEW, dtype=np.uint8)
+    voxels, column, row, depth = _in_view(camera, grid)
+    if not len(voxels):
+        return codes.reshape(grid.counts)
+    footprint = np.float32(0.5 * max(camera.fx, camera.fy) * grid.voxel_m) / depth + np.float32(0.5)
+    reach = int(min(footprint.max(), _MAX_REACH))
+    layer = np.minimum(footprint, np.float32(reach)).astype(np.int32)
+    pixel = row * np.int32(camera.width) + column
+    limit = _limits(surface_m, front_m, reach).ravel()[layer * np.int32(camera.width * camera.height) + pixel]
+    found = np.full(len(voxels), FREE, dtype=np.uint8)
+    hidden = np.flatnonzero(depth > np.abs(limit) - np.float32(FREE_MARGIN_M))
+    limit, pixel = limit[hidden], pixel[hidden]
+    rays = np.linalg.norm(camera.rays(), axis=2).astype(np.float32).ravel() / np.float32(BEHIND_STEP_M)
+    deep = np.clip((depth[hidden] - np.abs(limit)) * rays[pixel], 0.0, MOST_BEHIND - 1.0)
+    known = limit != 0.0 if arm_hides else limit > 0.0
+    found[hidden] = np.where(known, deep.astype(np.uint8) + np.uint8(1), np.uint8(NO_READING))
+    codes[voxels] = found
+    return codes.reshape(grid.counts)
+
+
+def _limits(surface_m: NDArray[np.float32], front_m: NDArray[np.float32], reach: int) -> NDArray[np.float32]:
+    """Up to where rays are free, (reach + 1, H, W), the nearest within so many pixels, from 0.
+
+    Below 0 where no surface is what is in the way, and 0 where nothing is known.
+    """
+    read, robot = surface_m > 0, np.isfinite(front_m)
+    surfaces = np.where(read, surface_m, np.float32(np.inf))
+    fronts = np.minimum(surfaces, front_m)
+    layers = []
+    for number in range(reach + 1):
+        if number:
+            surfaces, fronts = _widened(surfaces), _widened(fronts)
+        layers.append(np.where(read, surfaces, np.where(robot, -fronts, np.float32(0.0))))
+    return np.stack(layers)
+
+
+def _widened(depth: NDArray[np.float32]) -> NDArray[np.float32]:
+    """The least of each pixel and its eight neighbours."""
+    wide = np.pad(depth, 1, constant_values=np.inf)
+    rows = np.minimum(np.minimum(wide[:-2], wide[1:-1]), wide[2:])
+    return np.asarray(np.minimum(np.minimum(rows[:, :-2], rows[:, 1:-1]), rows[:, 2:]))
+
+
+def _in_view(
+    camera: DepthCamera, grid: GridBox
+) -> tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.int32], NDArray[np.float32]]:
+    """Numbers of the voxels whose centres are in view, columns and rows of their pixels, depths in m."""
+    # Column and row times depth, and depth, are linear along each axis of the grid.
+    pose = camera.matrix
+    edges = np.array([[camera.fx, 0.0, camera.cx + 0.5], [0.0, camera.fy, camera.cy + 0.5], [0.0, 0.0, 1.0]])
+    into = edges @ pose[:3, :3].T
+    slopes = into * grid.voxel_m
+    first = into @ (np.array(grid.low_m) + 0.5 * grid.voxel_m - pose[:3, 3])
+    x, y, z = (np.arange(count) for count in grid.counts)
+    starts = (
+        first[:, None, None] + slopes[:, 0, None, None] * x[:, None] + slopes[:, 1, None, None] * y
+    ).reshape(3, -1)
+    low, high = _span(starts, slopes[:, 2], camera, len(z))
+    count = np.maximum(high - low + 1, 0)
+    above = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count - low, count)
+    voxels = above + np.repeat(np.arange(len(count)) * len(z), count)
+    steps = above.astype(np.float32)
+    forms = [
+        np.repeat(start, count) + steps * slope
+        for start, slope in zip(starts.astype(np.float32), slopes[:, 2].astype(np.float32), strict=True)
+    ]
+    inverse = np.float32(1.0) / forms[2]
+    column = np.clip((forms[0] * inverse).astype(np.int32), 0, camera.width - 1)
+    row = np.clip((forms[1] * inverse).astype(np.int32), 0, camera.height - 1)
+    return voxels, column, row, forms[2]
+
+
+def _span(
+    starts: NDArray[np.float64], slopes: NDArray[np.float64], camera: DepthCamera, count: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """First and last z, each (X Y,), of each column of voxels that are in view; none: last < first."""
+    low, high = np.zeros(starts.shape[1]), np.full(starts.shape[1], count - 1.0)
+    column, row, depth = starts
+    for at, by in (
+        (column, slopes[0]),
+        (camera.width * depth - column, camera.width * slopes[2] - slopes[0]),
+        (row, slopes[1]),
+        (camera.height * depth - row, camera.height * slopes[2] - slopes[1]),
+        (depth - _NEAR_M, slopes[2]),
+    ):
+        if by > 0.0:
+            low = np.maximum(low, np.ceil(-at / by))
+        elif by < 0.0:
+            high = np.minimum(high, np.floor(-at / by))
+        else:
+            high = np.where(at >= 0.0, high, -1.0)
+    return np.minimum(low, count).astype(np.int64), np.maximum(high, -1.0).astype(np.int64)
+
+
+# Larger pictures are reduced to it, to the nearest readings of their cells.
+MAX_USED_SIDE = 160
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Known:
+    """What an array says of points.
+
+    Args:
+        distance_m: (...) float32 to the nearest surface seen, at most :data:`TRUNCATION_M`.
+        codes: (...) uint8, channel 1 of :func:`observe`.
+    """
+
+    distance_m: NDArray[np.float32]
+    codes: NDArray[np.uint8]
+
+    @property
+    def unseen(self) -> NDArray[np.bool_]:
+        """(...): no camera saw that it is free."""
+        return np.asarray(self.codes != FREE)
+
+
+def observe(
+    pictures: Sequence[NDArray[np.uint16]],
+    cameras: Sequence[DepthCamera],
+    grid: GridBox,
+    spheres: ArrayLike | None = None,
+    *,
+    arm_hides: bool = True,
+    between: Between | None = None,
+) -> NDArray[np.uint8]:
+    """Fuse depth pictures of one scene.
+
+    Args:
+        pictures: one to four, each (H, W) uint16 mm along the optical axis; 0, and what no depth camera can
+            read, is no reading (:func:`cspace.worlds.spatial.camera.in_range`).
+        cameras: one each.
+        grid: of the array.
+        spheres: (S, 4) that cover the arm as it stands, x, y, z, radius in m in the base frame; None where
+            it is in no picture.
+        arm_hides: as :func:`cspace.worlds.spatial.visibility.sight` has it.
+        between: called between parts of some ms; what it raises passes through.
+
+    Returns:
+        (X, Y, Z, 2) uint8. Channel 0 is the distance from a voxel's centre to the nearest surface seen, see
+        :func:`distances_m`. Channel 1 is the least code over the cameras of
+        :func:`cspace.worlds.spatial.visibility.sight`: what one has seen free is free.
+
+    Raises:
+        ImageError: there are too few or too many pictures, not a camera each, or one does not fit its camera.
+    """
+    if not 1 <= len(pictures) <= MAX_PICTURES or len(pictures) != len(cameras):
+        raise ImageError(
+            "the depth pictures do not fit",
+            expected=f"1 to {MAX_PICTURES} and a camera each",
+            got=f"{len(pictures)} pictures, {len(cameras)} cameras",
+        )
+    return fused(
+        [
+            observe_one(picture, camera, grid, spheres, arm_hides=arm_hides, between=between)
+            for picture, camera in zip(pictures, cameras, strict=True)
+        ]
+    )
+
+
+def observe_one(
+    picture: NDArray[np.uint16],
+    camera: DepthCamera,
+    grid: GridBox,
+    spheres: ArrayLike | None = None,
+    *,
+    arm_hides: bool = True,
+    between: Between | None = None,
+) -> NDArray[np.uint8]:
+    """:func:`observe` of one picture.
+
+    Raises:
+        ImageError: it does not fit its camera.
+    """
+    pause = between or (lambda: None)
+    check_picture(picture, camera)
+    smaller, camera = _reduced(np.where(in_range(picture), picture, np.uint16(0)), camera)
+    pause()
+    kept = self_filter(smaller, camera, np.empty((0, 4)) if spheres is None else spheres, between=pause)
+    surface_m = to_m(kept.depth_mm)
+    shown = patches(surface_m, camera, grid)
+    pause()
+    away = distance_codes(shown, grid, pause)
+    pause()
+    known = sight(surface_m, kept.front_m, camera, grid, arm_hides=arm_hides)
+    pause()
+    return np.stack((away, known), axis=-1)
+
+
+def fused(single: Sequence[NDArray[np.uint8]]) -> NDArray[np.uint8]:
+    """What several pictures of one scene say together, each (X, Y, Z, 2)."""
+    return np.asarray(np.minimum.reduce(list(single)))
+
+
+def distances_m(observed: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """Of an array (..., 2), (...) m; :data:`TRUNCATION_M` stands for all that is farther."""
+    return np.asarray(observed[..., 0] * np.float32(DISTANCE_STEP_M))
+
+
+def lookup(observed: NDArray[np.uint8], grid: GridBox, points_m: ArrayLike) -> Known:
+    """What an array (X, Y, Z, 2) says of points (..., 3) m in the base frame.
+
+    Distances are trilinear between the centres of voxels, codes those of the voxel that a point is in.
+    Outside of the grid all is unseen, and far from what is seen.
+    """
+    points = np.asarray(points_m)
+    cell, inside, place = _cells(grid, points.reshape(-1, 3))
+    flat = observed.reshape(-1)
+    codes = np.where(inside, flat.take(2 * cell + 1), np.uint8(OUT_OF_VIEW))
+    low, share, steps = [], [], []
+    for axis, count in enumerate(grid.counts):
+        middle = np.clip(place[axis] - np.float32(0.5), 0.0, np.float32(count - 1))
+        first = np.minimum(middle.astype(np.intp), max(count - 2, 0))
+        low.append(first)
+        share.append(middle - first.astype(np.float32))
+        steps.append(1 if count > 1 else 0)
+    strides = 2 * np.array((grid.counts[1] * grid.counts[2], grid.counts[2], 1))
+    start = low[0] * strides[0] + low[1] * strides[1] + low[2] * strides[2]
+    x, y, z = (int(one) for one in strides * steps)
+
+    def along_z(at: int) -> NDArray[np.float32]:
+        one = flat.take(start + at).astype(np.float32)
+        return np.asarray(one + share[2] * (flat.take(start + (at + z)).astype(np.float32) - one))
+
+    def along_y(at: int) -> NDArray[np.float32]:
+        one = along_z(at)
+        return np.asarray(one + share[1] * (along_z(at + y) - one))
+
+    near = along_y(0)
+    near = (near + share[0] * (along_y(x) - near)) * np.float32(DISTANCE_STEP_M)
+    distance = np.where(inside, near, np.float32(TRUNCATION_M))
+    shape = points.shape[:-1]
+    return Known(distance.reshape(shape), codes.reshape(shape))
+
+
+def unseen_share(
+    observed: NDArray[np.uint8], grid: GridBox, centres_m: ArrayLike, weights: ArrayLike
+) -> NDArray[np.float64]:
+    """Which share of an arm lies where no camera saw that it is free, (N,).
+
+    Args:
+        observed: (X, Y, Z, 2).
+        grid: of it.
+        centres_m: (N, S, 3) of the arm's spheres in the base frame.
+        weights: (S,) of the spheres, such as their volumes; they need not sum to 1.
+    """
+    centres, weight = np.asarray(centres_m), np.asarray(weights, dtype=np.float64)
+    cell, inside, _ = _cells(grid, centres.reshape(-1, 3))
+    unseen = ~inside | (observed.reshape(-1).take(2 * cell + 1) != FREE)
+    return np.asarray(unseen.reshape(centres.shape[:-1]) @ (weight / weight.sum()))
+
+
+def _cells(
+    grid: GridBox, points: NDArray[np.floating]
+) -> tuple[NDArray[np.intp], NDArray[np.bool_], NDArray[np.float32]]:
+    """The voxels that points (N, 3) are in: numbers, 0 outside of the grid; which are inside; and where.
+
+    The last is (3, N) in voxels from the lowest corner.
+    """
+    place = ((points - np.array(grid.low_m)) / grid.voxel_m).astype(np.float32).T
+    counts = np.array(grid.counts, dtype=np.float32)[:, None]
+    inside = ((place >= 0.0) & (place < counts)).all(axis=0)
+    place = np.where(inside, place, np.float32(0.0))
+    x, y, z = place.astype(np.intp)
+    return (x * grid.counts[1] + y) * grid.counts[2] + z, inside, place
+
+
+def _reduced(picture: NDArray[np.uint16], camera: DepthCamera) -> tuple[NDArray[np.uint16], DepthCamera]:
+    share = MAX_USED_SIDE / max(picture.shape)
+    if share >= 1.0:
+        return picture, camera
+    height, width = (min(side, max(MIN_SIDE, int(side * share))) for side in picture.shape)
+    smaller = resize_depth(picture, height, width).astype(np.uint16)
+    return smaller, camera.resized(width, height)
