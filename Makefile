@@ -32,7 +32,7 @@ help: ## print this
 
 venv: $(INSTALLED) ## make .venv with the pinned packages (2-5 minutes the first time)
 
-demo: $(INSTALLED) ## the API on the shipped models alone, and its page in a browser; nothing is trained
+demo: $(INSTALLED) ## the API on the shipped models, its page in a browser, and the 3D viewer; nothing is trained
 	@$(LOCAL) demo
 
 quickstart: $(INSTALLED) ## the main job: start services, train, evaluate, promote, serve, plan; WORLD=panda for that arm

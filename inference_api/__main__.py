@@ -32,8 +32,7 @@ DESCRIPTION = (
     "answers to beside loopback and --host, * for any), CSPACE_API_ORIGINS (of other sites' pages), "
     "CSPACE_API_TRUSTED_PROXIES (addresses or networks whose X-Forwarded-For is believed), CSPACE_API_GUIDE "
     "(folder of the built documentation site, for /guide), CSPACE_API_WORKBENCH (1 is as --workbench), "
-    "CSPACE_API_MLFLOW_PAGES (where browsers find MLflow), CSPACE_API_MOTIONBENCH (folder that "
-    "python -m training.motionbench fetch filled, for the workbench)."
+    "CSPACE_API_MLFLOW_PAGES (where browsers find MLflow)."
 )
 
 

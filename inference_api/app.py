@@ -87,7 +87,6 @@ def create_app(settings: ApiSettings | None = None, registry: ModelRegistry | No
         app,
         truth=settings.workbench,
         mlflow_pages=settings.mlflow_pages,
-        problems_folder=settings.problems_folder,
     )
     add_problem_handlers(app)
     add_guards(app, settings.protection)

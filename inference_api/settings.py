@@ -18,7 +18,6 @@ METRICS_FOLDER = "PROMETHEUS_MULTIPROC_DIR"
 THREADS = "CSPACE_API_THREADS"
 HOSTS = "CSPACE_API_HOSTS"
 WORKBENCH = "CSPACE_API_WORKBENCH"
-PROBLEMS = "CSPACE_API_MOTIONBENCH"
 DEFAULT_MODEL = "cspace-sampler"
 PRETRAINED_FOLDER = Path(__file__).parent / "pretrained"
 # Where `make docs` of a checkout builds it.
@@ -56,7 +55,6 @@ class ApiSettings:
         workbench: whether the page at ``/`` may ask for the truth of scenes.
         mlflow_pages: where browsers find MLflow's pages, for links; None for no links.
         load_planner: whether the search of plans is loaded before the server is ready.
-        problems_folder: of MotionBenchMaker's problems for the workbench; None for those that ship.
     """
 
     registry_uri: str | None
@@ -77,7 +75,6 @@ class ApiSettings:
     guide_folder: Path = GUIDE_FOLDER
     workbench: bool = False
     mlflow_pages: str | None = None
-    problems_folder: Path | None = None
     load_planner: bool = True
 
     @classmethod
@@ -113,7 +110,6 @@ class ApiSettings:
             guide_folder=Path(values.get("CSPACE_API_GUIDE") or GUIDE_FOLDER),
             workbench=_switch(values, WORKBENCH),
             mlflow_pages=_pages(values, "CSPACE_API_MLFLOW_PAGES"),
-            problems_folder=Path(values[PROBLEMS]) if values.get(PROBLEMS) else None,
             load_planner=_switch(values, "CSPACE_API_LOAD_PLANNER", "1"),
         )
 

@@ -3,7 +3,6 @@
 from collections.abc import Callable
 from functools import partial
 from importlib.util import find_spec
-from pathlib import Path
 from typing import TypeVar
 
 from fastapi import FastAPI, Request
@@ -25,8 +24,6 @@ from inference_api.workbench.page import add_page
 from inference_api.workbench.scene_file import FileQuestion, FileRequest
 from inference_api.workbench.search import SearchQuestion
 from inference_api.workbench.search_schemas import SearchRequest
-from inference_api.workbench.space import SpaceQuestion
-from inference_api.workbench.space_schemas import SpaceRequest
 from inference_api.workbench.truth import SceneQuestion, TruthQuestion
 from inference_api.workbench.truth_schemas import SceneRequest, TruthRequest
 from services.registry.references import ModelReference
@@ -34,7 +31,7 @@ from services.registry.references import ModelReference
 # What compiled checks, drawn scenes and scene files need, as the extra ``workbench`` has it.
 _PACKAGES = ("numba", "scipy", "matplotlib", "jsonschema", "yaml")
 
-Asked = TypeVar("Asked", FileRequest, SceneRequest, SearchRequest, SpaceRequest, TruthRequest)
+Asked = TypeVar("Asked", FileRequest, SceneRequest, SearchRequest, TruthRequest)
 
 
 class About(BaseModel):
@@ -53,16 +50,13 @@ class About(BaseModel):
     mlflow: str | None
 
 
-def add_workbench(
-    app: FastAPI, *, truth: bool, mlflow_pages: str | None, problems_folder: Path | None = None
-) -> None:
+def add_workbench(app: FastAPI, *, truth: bool, mlflow_pages: str | None) -> None:
     """Serve the page, and what it asks.
 
     Args:
         app: whose.
         truth: whether the truth may be asked for.
         mlflow_pages: where browsers find MLflow.
-        problems_folder: of MotionBenchMaker's problems, where somebody has fetched them.
 
     Raises:
         ConfigError: the truth is wanted, and its packages are not there.
@@ -91,10 +85,6 @@ def add_workbench(
         app.post("/workbench/scene", include_in_schema=False)(_scene)
         app.post("/workbench/search", include_in_schema=False)(_search)
         app.post("/workbench/truth", include_in_schema=False)(_truth)
-
-        @app.post("/workbench/space", include_in_schema=False)
-        async def space(request: Request) -> Response:
-            return await _ask(request, SpaceRequest, partial(SpaceQuestion, folder=problems_folder))
 
 
 def _is_installed(name: str) -> bool:

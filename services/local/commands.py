@@ -18,9 +18,11 @@ from services.local.stack import (
     require_down,
     services,
     shell_help,
+    started_here,
     status,
     status_table,
     up,
+    viewer,
 )
 
 # Of a desktop, or what somebody set for the purpose; browsers of a terminal would take it over.
@@ -35,7 +37,7 @@ def demo(
     environment: Mapping[str, str] = os.environ,
     open_page: Callable[[str], object] = webbrowser.open,
 ) -> None:
-    """Start the API where it does not run, print the page's address, and open it.
+    """Start the API and the 3D viewer where they do not run, print their addresses, and open the page.
 
     Args:
         settings: of the services.
@@ -45,13 +47,18 @@ def demo(
         open_page: opens an address.
 
     Raises:
-        PortTakenError: a stranger listens on the API's port.
+        PortTakenError: a stranger listens on one of the ports.
         ServiceError: the API belongs to another checkout.
         ServiceStartError: it did not come up.
     """
     up(settings, (api_server(settings),), say)
+    # The viewer asks the API for the model's arm.
+    up(settings, (viewer(settings),), say)
     page = f"{settings.api_url}/"
-    say(f"\nthe workbench   {page}\n\nIt stays up; `make down` ends it.")
+    say(
+        f"\nplanar arm, in 2D          {page}\nseven joints, in 3D        {settings.viewer_url}/\n\n"
+        "Both stay up; `make down` ends them."
+    )
     if browser and any(environment.get(name) for name in _SCREENS):
         open_page(page)
 
@@ -80,13 +87,13 @@ def _up(settings: Settings, _: argparse.Namespace) -> int:
 
 
 def _down(settings: Settings, _: argparse.Namespace) -> int:
-    if not down(settings, services(settings), _say):
+    if not down(settings, started_here(settings), _say):
         _say("nothing was running")
     return 0
 
 
 def _status(settings: Settings, _: argparse.Namespace) -> int:
-    statuses = status(settings, services(settings))
+    statuses = status(settings, started_here(settings))
     _say(status_table(settings, statuses))
     return 0 if all(one.healthy for one in statuses) else NOT_RUNNING
 
@@ -97,7 +104,7 @@ def _env(settings: Settings, _: argparse.Namespace) -> int:
 
 
 def _clean_state(settings: Settings, options: argparse.Namespace) -> int:
-    require_down(settings, services(settings))
+    require_down(settings, started_here(settings))
     if not settings.home.is_dir():
         _say(f"there is no {settings.home}")
         return 0
@@ -167,7 +174,9 @@ COMMANDS = {
     "up": Command("start what does not run, wait until it is ready, print the addresses", _up),
     "down": Command("end exactly what was started, by process id", _down),
     "status": Command("tell what runs, since when, where, whether it answers; and the state folder", _status),
-    "demo": Command("start the API on the shipped models alone and open its page", _demo, _no_browser),
+    "demo": Command(
+        "start the API on the shipped models and the 3D viewer, and open the page", _demo, _no_browser
+    ),
     "quickstart": Command(
         "the main job: up, train, evaluate, promote, serve, plan", _quickstart, _quickstart_options
     ),

@@ -88,6 +88,7 @@ HOST = "127.0.0.1"
 API_PORT = "CSPACE_API_PORT"
 RAY_PORT = "CSPACE_RAY_PORT"
 MLFLOW_PORT = "CSPACE_MLFLOW_PORT"
+VIEWER_PORT = "CSPACE_VIEWER_PORT"
 RAY_CPUS = "CSPACE_RAY_CPUS"
 HOME = "CSPACE_HOME"
 FOLDERS = ("mlflow", "data", "logs", "run", "figures", "models")
@@ -105,6 +106,7 @@ class Settings:
         api_port: of the inference API.
         ray_port: of Ray's dashboard and jobs API.
         mlflow_port: of the tracking server and its UI.
+        viewer_port: of the 3D viewer.
         ray_cpus: what the Ray head offers to trials and tasks.
     """
 
@@ -113,6 +115,7 @@ class Settings:
     api_port: int = 8000
     ray_port: int = 8265
     mlflow_port: int = 5000
+    viewer_port: int = 8090
     ray_cpus: int = 2
 
     @classmethod
@@ -128,6 +131,7 @@ class Settings:
             api_port=_number(environment, API_PORT, 8000, 1, 65535),
             ray_port=_number(environment, RAY_PORT, 8265, 1, 65535),
             mlflow_port=_number(environment, MLFLOW_PORT, 5000, 1, 65535),
+            viewer_port=_number(environment, VIEWER_PORT, 8090, 1, 65535),
             # The local trials run beside each other, so even one core offers two places.
             ray_cpus=_number(environment, RAY_CPUS, max(2, _cores()), 1, 1024),
         )
@@ -169,6 +173,11 @@ class Settings:
         """Address of the tracking server and its UI."""
         return f"http://{HOST}:{self.mlflow_port}"
 
+    @property
+    def viewer_url(self) -> str:
+        """Address of the 3D viewer."""
+        return f"http://{HOST}:{self.viewer_port}"
+
     def make_folders(self) -> None:
         """Make the state folder, for this user alone, with its parts.
 
@@ -186,11 +195,16 @@ class Settings:
 
     def require_distinct_ports(self) -> None:
         """Raise ConfigError where two services share a port."""
-        names = {API_PORT: self.api_port, RAY_PORT: self.ray_port, MLFLOW_PORT: self.mlflow_port}
+        names = {
+            API_PORT: self.api_port,
+            RAY_PORT: self.ray_port,
+            MLFLOW_PORT: self.mlflow_port,
+            VIEWER_PORT: self.viewer_port,
+        }
         if len(set(names.values())) < len(names):
             raise ConfigError(
                 "two services share a port",
-                expected="three different ports",
+                expected="a different port for each",
                 got=", ".join(f"{name}={port}" for name, port in names.items()),
             )
 

@@ -36,6 +36,7 @@ from services.local.settings import (
     MLFLOW_PORT,
     RAY_PORT,
     SHELL_SPECIAL,
+    VIEWER_PORT,
     Settings,
     binaries,
     ensure_token,
@@ -223,6 +224,29 @@ def api_server(settings: Settings) -> Service:
     )
 
 
+def viewer(settings: Settings) -> Service:
+    """``python -m services.planner.viewer``: the arm among obstacles in 3D, on what the API answers."""
+    return Service(
+        name="viewer",
+        title="viewer",
+        address=settings.viewer_url,
+        port=settings.viewer_port,
+        setting=VIEWER_PORT,
+        command=lambda: (
+            sys.executable,
+            "-m",
+            "services.planner.viewer",
+            f"--api={settings.api_url}",
+            f"--port={settings.viewer_port}",
+        ),
+        environment=service_environment(settings),
+        folder=settings.root,
+        ready=lambda: answers(settings.viewer_url),
+        start_limit_s=120.0,
+        stop_grace_s=5.0,
+    )
+
+
 Report = Callable[[str], None]
 
 
@@ -245,6 +269,13 @@ class ServiceStatus:
 def services(settings: Settings) -> tuple[Service, ...]:
     """All services in the order in which they are started; they end in the reverse."""
     return (mlflow_server(settings), ray_head(settings), api_server(settings))
+
+
+def started_here(settings: Settings) -> tuple[Service, ...]:
+    """The services, and the viewer where the demo has started it."""
+    seen = viewer(settings)
+    extra = (seen,) if read_record(settings.run_folder, seen.name) else ()
+    return (*services(settings), *extra)
 
 
 def up(settings: Settings, wanted: Sequence[Service], report: Report) -> None:

@@ -14,6 +14,8 @@ LIMIT_MS = 60_000
 OPTIONS = (
     "--no-sandbox",
     "--disable-gpu",
+    # The viewer draws with WebGL.
+    "--enable-unsafe-swiftshader",
     "--disable-dev-shm-usage",
     "--disable-background-networking",
     "--disable-component-update",

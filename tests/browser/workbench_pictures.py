@@ -13,6 +13,7 @@ from PIL import Image
 from playwright.sync_api import Page, expect
 
 from tests.browser.chromium import browser_page
+from tests.browser.viewer import open_viewer, plan_in_viewer, viewer_at
 from tests.browser.workbench import open_bench
 from tests.inference_api.server import api_server
 
@@ -22,7 +23,6 @@ PICTURES = {
     "workbench-dark": ("dark", 1480, 940, ""),
     "workbench-phone": ("light", 390, 844, ""),
     "workbench-trees": ("light", 1480, 940, "#search=RRT,shown,2000"),
-    "workbench-space": ("light", 1480, 940, "#view=space&family=table&scene=2"),
 }
 COLOURS = 256
 
@@ -41,6 +41,11 @@ def main() -> int:
     ):
         for name in PICTURES:
             _write(_taken(page, address, name), options.out / f"{name}.png")
+        with viewer_at(address) as shown:
+            page.set_viewport_size({"width": 1480, "height": 940})
+            open_viewer(page, shown)
+            plan_in_viewer(page)
+            _write(page.screenshot(), options.out / "viewer.png")
         page.goto("about:blank")
     return 0
 
@@ -51,8 +56,6 @@ def _taken(page: Page, address: str, name: str) -> bytes:
     page.emulate_media(color_scheme=scheme, reduced_motion="reduce")  # type: ignore[arg-type]
     page.set_viewport_size({"width": width, "height": height})
     open_bench(page, address, fragment)
-    if "view=" in fragment:
-        return page.screenshot(full_page=True, animations="disabled")
     page.get_by_role("button", name="Plan a way").click()
     expect(page.locator("#plan-told")).to_contain_text("Checked")
     page.get_by_role("slider", name="Along the way").evaluate(

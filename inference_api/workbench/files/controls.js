@@ -5,9 +5,9 @@
 /** @import {Listed} from "./models-view.js" */
 
 import { ask } from "./api.js";
-import { speak } from "./messages.js";
+import { degrees } from "./geometry.js";
+import { entry, speak } from "./messages.js";
 import { openFile } from "./scene-file.js";
-import { jointRows } from "./space-joints.js";
 import { MAX_DISCS, clamp, isSeed } from "./state.js";
 import { ENDS, buttonOf, byId, inputOf, selectOf } from "./svg.js";
 
@@ -19,7 +19,7 @@ const NUMBERS = /** @type {const} */ ([
   ["plan-budget", "budget", 1, 20000, true],
 ]);
 /** Fields of confidences: empty for the model's own. */
-const CONFIDENCES = /** @type {const} */ ([["confidence", "confidence"], ["plan-sure", "sure"], ["space-sure", "sure"]]);
+const CONFIDENCES = /** @type {const} */ ([["confidence", "confidence"], ["plan-sure", "sure"]]);
 const CHOICES = /** @type {const} */ ([["planner", "planner"], ["feed", "feed"]]);
 const SEEDS = /** @type {const} */ ([["seed", "seed"], ["plan-seed", "planSeed"]]);
 
@@ -45,7 +45,7 @@ export class Controls {
       bench.choose(this.select.value);
     });
     this.others.addEventListener("change", () => bench.change({ beside: this.others.value }));
-    for (const view of /** @type {const} */ (["plane", "space", "models"])) {
+    for (const view of /** @type {const} */ (["plane", "models"])) {
       byId(`to-${view}`).addEventListener("click", () => bench.change({ view }));
     }
     byId("add-disc").addEventListener("click", () => this.addDisc());
@@ -174,12 +174,7 @@ export class Controls {
 
   showView() {
     const { view } = this.bench.state;
-    byId("model-label").hidden = view === "space";
-    const last = view === "models" ? null : byId(`${view}-last`);
-    const take = byId("take");
-    // Moving it takes the focus from what is in it.
-    if (last && take.parentElement !== last) last.append(take);
-    for (const name of ["plane", "space", "models"]) {
+    for (const name of ["plane", "models"]) {
       byId(name).hidden = view !== name;
       byId(`to-${name}`).setAttribute("aria-pressed", String(view === name));
     }
@@ -278,4 +273,45 @@ function offerConfidence(select, text) {
 function keep(id, text) {
   const field = inputOf(id);
   if (document.activeElement !== field) field.value = text;
+}
+
+/**
+ * A slider, and what shows an angle on it.
+ * @param {string} words
+ * @param {number} low  rad.
+ * @param {number} high  rad.
+ * @param {(angle: number) => void} moved
+ */
+function jointRow(words, low, high, moved) {
+  const row = entry("label", "", "joint");
+  const slider = entry("input");
+  Object.assign(slider, { type: "range", min: low, max: high, step: 0.01 });
+  const told = entry("output");
+  slider.addEventListener("input", () => moved(Math.min(high - 1e-6, Math.max(low, Number(slider.value)))));
+  row.append(words, slider, told);
+  const show = (/** @type {number} */ angle) => {
+    slider.value = String(angle);
+    told.textContent = degrees(angle);
+    slider.setAttribute("aria-valuetext", told.textContent);
+  };
+  return { row, show };
+}
+
+/**
+ * A row for each joint of a configuration.
+ * @param {string} words
+ * @param {number[][]} limits  rad, of each joint.
+ * @param {(configuration: number[]) => void} moved
+ */
+function jointRows(words, limits, moved) {
+  /** @type {number[]} */
+  let now = [];
+  const made = limits.map(([low, high], joint) =>
+    jointRow(`${words} ${joint + 1}`, low, high, (angle) => moved(now.map((one, at) => (at === joint ? angle : one)))),
+  );
+  const show = (/** @type {number[]} */ configuration) => {
+    now = configuration;
+    made.forEach((row, joint) => row.show(configuration[joint]));
+  };
+  return { rows: made.map(({ row }) => row), show };
 }

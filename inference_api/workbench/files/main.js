@@ -14,7 +14,6 @@ import { Planner } from "./planner.js";
 import { Readout } from "./readout.js";
 import { SceneView } from "./scene-view.js";
 import { Side } from "./side.js";
-import { Space } from "./space.js";
 import { fromHash, toHash } from "./state.js";
 import { byId } from "./svg.js";
 import { listenToCopies } from "./take.js";
@@ -52,7 +51,6 @@ class Workbench {
     this.first = new Side(this, "torus", "model");
     this.beside = new Side(this, "torus-beside", "beside");
     this.planner = new Planner(this);
-    this.space = new Space(this);
     this.readout = new Readout(this);
     this.controls = new Controls(this);
     listenToCopies(this);
@@ -68,7 +66,6 @@ class Workbench {
       this.controls.listModels(listed);
       this.choose(this.state.model);
       this.controls.ready();
-      if (this.state.view === "space") this.space.open();
       showModels(listed.models, await ask("workbench/models"), listed.registry, (reference) => {
         this.change({ model: reference, view: "plane" });
         this.choose(reference);
@@ -143,7 +140,6 @@ class Workbench {
     if (location.hash === toHash(this.state)) return;
     this.state = fromHash(location.hash);
     this.choose(this.state.model);
-    if (this.state.view === "space") this.space.open();
   }
 
   /** Change what is shown. @param {Partial<State>} changes */
@@ -153,11 +149,10 @@ class Workbench {
     this.state = { ...this.state, ...changes };
     if (scene || PLAN.some((name) => name in changes) || (sampled && this.state.feed === "shown")) this.planner.forget();
     this.draw();
-    if ((sampled || changes.view === "plane") && this.state.view !== "space") {
+    if (sampled || changes.view === "plane") {
       for (const side of this.sides()) side.changed(side.part in changes);
     }
     this.remember();
-    if (changes.view === "space") this.space.open();
   }
 
   /** Keep the state in the address, at most some times a second, as browsers want it. */

@@ -24,15 +24,10 @@
  * @property {number} budget  Iterations of a planner that grows trees.
  * @property {number | null} sure  What a way has to score; null for what the server asks of the model.
  * @property {"truth" | "belief" | "none"} ground  What lies under the samples.
- * @property {"plane" | "space" | "models"} view
- * @property {string} family  Of the scene in space; empty for the first.
- * @property {number} sceneSeed  Likewise.
- * @property {number[] | null} cameras  How many, side and up in degrees, away in m; null for those of the scene.
- * @property {Configuration | null} from  Where the arm in space starts; null for the scene's own.
- * @property {Configuration | null} to  Likewise its goal.
+ * @property {"plane" | "models"} view
  */
 
-const NAMES = /** @type {const} */ (["model", "beside", "family"]);
+const NAMES = /** @type {const} */ (["model", "beside"]);
 export const MAX_DISCS = 64;
 // An address longer than this is cut by what people send it with.
 const MAX_PICTURE = 6000;
@@ -62,11 +57,6 @@ export function usual() {
     budget: 2000,
     ground: "truth",
     view: "plane",
-    family: "",
-    sceneSeed: 0,
-    cameras: null,
-    from: null,
-    to: null,
   };
 }
 
@@ -100,10 +90,6 @@ export function toHash(state) {
   if (plan !== planOf(usual())) told.set("plan", plan);
   if (searchOf(state) !== searchOf(usual())) told.set("search", searchOf(state));
   if (state.ground !== "truth") told.set("ground", state.ground);
-  if (state.sceneSeed) told.set("scene", String(state.sceneSeed));
-  if (state.cameras) told.set("cameras", state.cameras.map(short).join(","));
-  if (state.from) told.set("from", state.from.map(short).join(","));
-  if (state.to) told.set("to", state.to.map(short).join(","));
   return `#${told.toString().replaceAll("%2C", ",").replaceAll("%3B", ";").replaceAll("%2F", "/")}`;
 }
 
@@ -117,7 +103,7 @@ export function fromHash(hash) {
   const state = usual();
   const discs = told.get("discs");
   if (discs !== null) state.discs = readDiscs(discs);
-  for (const name of /** @type {const} */ (["start", "goal", "from", "to"])) {
+  for (const name of /** @type {const} */ (["start", "goal"])) {
     const angles = numbers(told.get(name) ?? "");
     if (angles.length > 0) state[name] = angles;
   }
@@ -140,10 +126,7 @@ export function fromHash(hash) {
   const ground = told.get("ground");
   if (ground === "belief" || ground === "none") state.ground = ground;
   const view = told.get("view");
-  if (view === "models" || view === "space") state.view = view;
-  state.sceneSeed = clamp(told.get("scene"), 0, 999999, 0, true);
-  const cameras = numbers(told.get("cameras") ?? "");
-  if (cameras.length === 4 && [1, 2, 3].includes(cameras[0])) state.cameras = cameras;
+  if (view === "models") state.view = view;
   return state;
 }
 

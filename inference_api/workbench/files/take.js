@@ -39,7 +39,7 @@ async function copy(bench, form) {
 async function textOf(bench, form) {
   if (form === "link") return new URL(toHash(bench.state), location.href).href;
   const page = /** @type {Page} */ (selectOf("take-what").value);
-  const body = bench.state.view === "space" ? bench.space.bodies()[page] : await bench.first.body(page);
+  const body = await bench.first.body(page);
   const address = new URL(page, location.href).href.replace(/#.*$/, "");
   return (form === "curl" ? asCurl : asPython)(address, page, body);
 }

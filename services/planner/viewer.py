@@ -1,0 +1,444 @@
+"""``python -m services.planner.viewer``: an arm among obstacles in 3D, with the API's samples and plans.
+
+The scene is drawn with viser. Obstacles and depth cameras can be dragged; the depth pictures are rendered
+again, and the API is asked for samples and plans as any client would ask.
+"""
+
+import argparse
+import sys
+import threading
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any, Protocol, cast
+
+import httpx
+import numpy as np
+import trimesh
+import viser
+import viser.transforms as vtf
+from numpy.typing import NDArray
+
+from cspace.errors import CspaceError, InputError
+from cspace.planning.paths import spread_points
+from cspace.simulator import UNIFORM, Asked, Problem, Split
+from cspace.world import World
+from cspace.worlds import partly_seen, read_world, simulator_of
+from cspace_client import ClientError, DepthPictures, FoundPlan, PlanQuery, SamplingClient
+from services.planner.sources.address import usual_api
+
+Floats = NDArray[np.float64]
+GREY, START, GOAL, ALONG = (150, 150, 155), (70, 120, 200), (60, 160, 90), (230, 150, 40)
+# Around this point further cameras are placed, m in the base frame.
+FOCUS_M = np.array([0.45, 0.0, 0.35])
+ASIDE_RAD = (0.0, 1.3, -1.3)
+CHECK_RAD, FRAMES, POINTS_AT_MOST = 0.005, 200, 8000
+SAMPLES_AT_MOST = 200
+SOURCE = "MotionBenchMaker"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Samples:
+    """Samples for a scene.
+
+    Args:
+        rows: (n, d) rad.
+        confidence: (n,) that each is collision-free, by the model.
+        free: (n,) whether each is, by the scene's own obstacles.
+        novelty: of the pictures, 0 to 1; None where the model does not estimate it.
+        unseen: mean share of the arm outside of what the cameras see; None where the API does not tell.
+    """
+
+    rows: Floats
+    confidence: NDArray[np.float32]
+    free: NDArray[np.bool_]
+    novelty: float | None
+    unseen: float | None
+
+
+class Api(Protocol):
+    """What the viewer asks the API for: a :class:`cspace_client.SamplingClient`."""
+
+    def sample(self, picture: DepthPictures, n: int, seed: int, *, model: str, min_confidence: float) -> Any:
+        """Samples."""
+
+    def validity(self, picture: DepthPictures, configurations: Floats, model: str) -> Any:
+        """Confidence of configurations."""
+
+    def plan(self, picture: DepthPictures, query: PlanQuery, model: str) -> FoundPlan:
+        """A path."""
+
+
+class SceneState:
+    """A planning problem that a person changes, and what the API answers about it.
+
+    Args:
+        api: that is asked.
+        world: arm and sensor of the model.
+        model: that answers.
+    """
+
+    def __init__(self, api: Api, world: World, model: str) -> None:
+        self.api, self.world, self.model = api, world, model
+        self.simulator, self.benchmark = simulator_of(world), partly_seen(world)
+        self.problem = self.draw(self.families[0], 0)
+
+    @property
+    def families(self) -> tuple[str, ...]:
+        """Names of scene families, and of the sets of MotionBenchMaker for the robot that has them."""
+        drawn = [name for name in self.simulator.families.names if name != UNIFORM]
+        return (*drawn, *self.benchmark.sources.get(SOURCE, ()))
+
+    @property
+    def scene(self) -> Any:
+        """Obstacles, cameras and the arm's state."""
+        return self.problem.scenario
+
+    def draw(self, family: str, seed: int) -> Problem:
+        """Take the problem of a family and a seed: of the split ``demo``, or a shipped one of a set.
+
+        Raises:
+            InputError: an end of the set's problem collides, or lies outside the limits of the model's arm.
+        """
+        if family in self.simulator.families.names:
+            self.problem = self.simulator.problem(family, Split.DEMO, seed)
+            return self.problem
+        index = seed % (self.benchmark.count(family, Split.VALIDATION) or 1)
+        found = self.benchmark.problem(Asked(Split.VALIDATION), family, index, 1)
+        if found is None or not self.world.space.contains([found.start, found.goal]).all():
+            raise InputError(
+                f"problem {index} of {family} does not fit the model's arm",
+                expected="collision-free ends within its joint limits",
+                remedy="take another seed",
+            )
+        scene: Any = found.scenario
+        self.problem = replace(found, scenario=replace(scene, world=self.world))
+        return self.problem
+
+    def change(self, **parts: Any) -> None:
+        """Replace ``obstacles``, ``cameras`` or ``state`` of the scene."""
+        self.problem = replace(self.problem, scenario=replace(self.scene, **parts))
+
+    def set_end(self, name: str, configuration: Sequence[float]) -> None:
+        """Set ``start`` or ``goal``, rad; the arm stands at the start while it is pictured."""
+        ends: dict[str, Any] = {name: np.asarray(configuration)}
+        self.problem = replace(self.problem, **ends)
+        if name == "start":
+            self.change(state=tuple(configuration))
+
+    def use_cameras(self, count: int) -> None:
+        """Keep the first cameras, or add some about the scene."""
+        cameras = list(self.scene.cameras[:count])
+        for angle in ASIDE_RAD[len(cameras) : count]:
+            cameras.append(replace(cameras[0], pose=_turned(np.asarray(cameras[0].pose), angle)))
+        self.change(cameras=tuple(cameras))
+
+    def pictures(self) -> DepthPictures:
+        """What the cameras see, as the API takes it."""
+        view, fields = self.scene.view(), ("fx", "fy", "cx", "cy", "pose")
+        cameras = [{name: one.to_dict()[name] for name in fields} for one in view.cameras]
+        return DepthPictures(view.pictures, cameras, view.state)
+
+    def points_m(self) -> Floats:
+        """What the cameras read, (N, 3) m in the base frame, thinned out."""
+        view = self.scene.view()
+        clouds = [
+            camera.points_m(depth / 1000.0).reshape(-1, 3)[(depth > 0).reshape(-1)]
+            for camera, depth in zip(view.cameras, view.pictures, strict=True)
+        ]
+        cloud = np.concatenate(clouds)
+        return cast("Floats", cloud[:: max(1, len(cloud) // POINTS_AT_MOST)])
+
+    def sample(self, count: int, seed: int = 0) -> Samples:
+        """Unfiltered samples with their confidence and the scene's own verdict."""
+        shown = self.pictures()
+        batch = self.api.sample(shown, count, seed, model=self.model, min_confidence=0.0)
+        rows = np.asarray(batch.samples, dtype=np.float64)
+        scored = self.api.validity(shown, rows, self.model)
+        unseen = None if scored.unseen is None else float(np.mean(scored.unseen))
+        free = self.simulator.checker(self.scene).valid_batch(rows)
+        return Samples(rows, scored.confidence, free, batch.novelty, unseen)
+
+    def plan(self, min_confidence: float, seed: int = 0) -> tuple[FoundPlan, str]:
+        """A plan from start to goal, and what the scene's own obstacles say of it."""
+        query = PlanQuery(
+            self.problem.start.tolist(), self.problem.goal.tolist(), seed, min_confidence=min_confidence
+        )
+        found = self.api.plan(self.pictures(), query, self.model)
+        path = found.plan.way
+        if len(path) < 2:
+            return found, f"**{found.plan.status}**: {found.reason}"
+        checker = self.simulator.checker(self.scene)
+        hits = int((~checker.edge_batch(path[:-1], path[1:], CHECK_RAD)).sum())
+        truth = "collision-free" if hits == 0 else f"**in collision** on {hits} of {len(path) - 1} edges"
+        return found, f"Confidence {found.plan.confidence:.0%}. In the true scene the path is {truth}."
+
+
+def _placed(pose: Any) -> dict[str, Any]:
+    """A pose (4, 4) as viser takes it."""
+    frame = vtf.SE3.from_matrix(np.asarray(pose))
+    return {"wxyz": frame.rotation().wxyz, "position": frame.translation()}
+
+
+def _turned(pose: Floats, angle_rad: float) -> Floats:
+    """A pose (4, 4) turned about the vertical through the focus."""
+    turn = vtf.SO3.from_z_radians(angle_rad).as_matrix()
+    turned = pose.copy()
+    turned[:3, :3] = turn @ pose[:3, :3]
+    turned[:3, 3] = turn @ (pose[:3, 3] - FOCUS_M) + FOCUS_M
+    return turned
+
+
+class Viewer:
+    """The page: a viser server that shows a :class:`SceneState` and changes it."""
+
+    def __init__(self, state: SceneState, host: str, port: int) -> None:
+        self.state, self.space = state, state.world.space
+        self.arm = cast("Any", state.world.body)
+        self.ball = trimesh.creation.icosphere(subdivisions=1)
+        self.server = viser.ViserServer(host, port, label="cspace-sampler", verbose=False)
+        self.server.scene.set_up_direction("+z")
+        self.server.initial_camera.position = (1.6, -1.3, 1.3)
+        self.server.initial_camera.look_at = tuple(FOCUS_M)
+        self.server.scene.add_grid("/ground", 2.0, 2.0, cell_size=0.1, section_size=0.5)
+        self.lock = threading.RLock()
+        self.path = np.empty((0, self.space.dim))
+        self._add_controls()
+        self.show_scene()
+
+    def _add_controls(self) -> None:
+        gui, state = self.server.gui, self.state
+        with gui.add_folder("Scene"):
+            self.family = gui.add_dropdown("family", state.families)
+            self.seed = gui.add_number("seed", 0, min=0, step=1)
+            self.cameras: Any = gui.add_slider("cameras", 1, len(ASIDE_RAD), 1, len(state.scene.cameras))
+            self.count = gui.add_slider("samples", 1, SAMPLES_AT_MOST, 1, 60)
+            self.told = gui.add_markdown("")
+            gui.add_markdown("Click an obstacle or a camera to move it.")
+        with gui.add_folder("Plan"):
+            self.least = gui.add_slider("min. confidence", 0.0, 1.0, 0.01, 0.5)
+            plan = gui.add_button("Plan a path", color="green")
+            self.along = gui.add_slider("along the path", 0.0, 1.0, 1.0 / FRAMES, 0.0, disabled=True)
+            self.verdict = gui.add_markdown("No path yet.")
+        self.sliders: dict[str, list[Any]] = {name: self._joint_sliders(name) for name in ("start", "goal")}
+        for handle in (self.family, self.seed):
+            handle.on_update(lambda _: self._guarded(self._draw))
+        self.cameras.on_update(lambda _: self._guarded(self._use_cameras))
+        self.count.on_update(lambda _: self._guarded(self.show_samples))
+        plan.on_click(lambda _: self._guarded(self.show_plan))
+        self.along.on_update(lambda _: self._show_along())
+
+    def _joint_sliders(self, name: str) -> list[Any]:
+        values = getattr(self.state.problem, name)
+        with self.server.gui.add_folder(f"{name.capitalize()}, rad", expand_by_default=False):
+            sliders = [
+                self.server.gui.add_slider(f"{name} joint {at + 1}", low, high, 0.01, float(value))
+                for at, (low, high, value) in enumerate(
+                    zip(self.space.lower, self.space.upper, values, strict=True)
+                )
+            ]
+
+        def moved(event: viser.GuiEvent[Any]) -> None:
+            # Without a client it is this program that moved it.
+            if event.client_id is not None:
+                self._guarded(self._set_ends)
+
+        for slider in sliders:
+            slider.on_update(moved)
+        return sliders
+
+    def _guarded(self, action: Callable[[], None]) -> None:
+        """Run one action at a time, with what it sets off; an error is shown where the user looks."""
+        with self.lock:
+            try:
+                action()
+            except (CspaceError, ClientError) as error:
+                self.told.content = f"**{type(error).__name__}**: {error}"
+
+    def _draw(self) -> None:
+        self.state.draw(self.family.value, int(self.seed.value))
+        self.cameras.value = len(self.state.scene.cameras)
+        for name, sliders in self.sliders.items():
+            for slider, value in zip(sliders, getattr(self.state.problem, name), strict=True):
+                slider.value = float(value)
+        self.show_scene()
+
+    def _use_cameras(self) -> None:
+        if self.cameras.value != len(self.state.scene.cameras):
+            self.state.use_cameras(int(self.cameras.value))
+            self.show_scene()
+
+    def _set_ends(self) -> None:
+        for name, sliders in self.sliders.items():
+            self.state.set_end(name, [float(slider.value) for slider in sliders])
+        self.show_scene()
+
+    def show_scene(self) -> None:
+        """Draw obstacles, cameras and both ends anew, then ask for samples."""
+        scene = self.server.scene
+        with suppress(KeyError):
+            scene.remove_by_name("/scene")
+        self._forget_path()
+        for at, box in enumerate(self.state.scene.obstacles.boxes):
+            shape = scene.add_box(f"/scene/box {at}", GREY, 2.0 * np.asarray(box.half_m), **_placed(box.pose))
+            self._movable(shape, partial(self._move, "boxes", at))
+        for at, one in enumerate(self.state.scene.obstacles.cylinders):
+            height = 2.0 * one.half_length_m
+            round_ = scene.add_cylinder(
+                f"/scene/cylinder {at}", one.radius_m, height, GREY, **_placed(one.pose)
+            )
+            self._movable(round_, partial(self._move, "cylinders", at))
+        for at, camera in enumerate(self.state.scene.cameras):
+            field, aspect = 2.0 * np.arctan2(camera.height / 2.0, camera.fy), camera.width / camera.height
+            frustum = scene.add_camera_frustum(
+                f"/scene/camera {at}", float(field), aspect, scale=0.12, **_placed(camera.pose)
+            )
+            self._movable(frustum, partial(self._move_camera, at))
+        self.show_samples()
+
+    def _movable(self, shape: Any, moved: Callable[[Floats], None]) -> None:
+        """A click on a shape shows the handles that it is dragged and turned by."""
+
+        def drag(event: viser.TransformControlsEvent) -> None:
+            handle = event.target
+            shape.position, shape.wxyz = handle.position, handle.wxyz
+            if event.phase == "end":
+                rotation = vtf.SO3(np.asarray(handle.wxyz, dtype=np.float64))
+                pose = vtf.SE3.from_rotation_and_translation(rotation, np.asarray(handle.position))
+                self._guarded(lambda: moved(pose.as_matrix().astype(np.float64)))
+
+        def select(_: object) -> None:
+            handle = self.server.scene.add_transform_controls(
+                "/scene/handle", 0.25, wxyz=shape.wxyz, position=shape.position
+            )
+            handle.on_update(drag)
+
+        shape.on_click(select)
+
+    def _move(self, kind: str, at: int, pose: Floats) -> None:
+        obstacles = self.state.scene.obstacles
+        shapes = list(getattr(obstacles, kind))
+        shapes[at] = replace(shapes[at], pose=pose)
+        self.state.change(obstacles=replace(obstacles, **{kind: tuple(shapes)}))
+        self._forget_path()
+        self.show_samples()
+
+    def _move_camera(self, at: int, pose: Floats) -> None:
+        cameras = list(self.state.scene.cameras)
+        cameras[at] = replace(cameras[at], pose=pose)
+        self.state.change(cameras=tuple(cameras))
+        self._forget_path()
+        self.show_samples()
+
+    def show_samples(self) -> None:
+        """Draw what the cameras read, and samples coloured by confidence."""
+        scene, problem = self.server.scene, self.state.problem
+        self._show_arm("/scene/start", problem.start, START, 1.0)
+        self._show_arm("/scene/goal", problem.goal, GOAL, 0.4)
+        cloud = self.state.points_m()
+        scene.add_point_cloud("/scene/cloud", cloud, (40, 40, 40), point_size=0.004)
+        found = self.state.sample(int(self.count.value))
+        joints = self.arm.joint_positions_m(found.rows)
+        segments = np.stack([joints[:, :-1], joints[:, 1:]], axis=2)
+        confidence = np.asarray(found.confidence)[:, None, None, None]
+        colours = np.array([200, 40, 40]) * (1.0 - confidence) + np.array([40, 170, 80]) * confidence
+        scene.add_line_segments(
+            "/scene/samples",
+            segments.reshape(-1, 2, 3),
+            np.broadcast_to(colours, segments.shape).reshape(-1, 2, 3).astype(np.uint8),
+            thickness=0.004,
+        )
+        shares = {
+            "confidence of the samples": float(np.mean(found.confidence)),
+            "collision-free in the true scene": float(np.mean(found.free)),
+            "of the arm in unknown space": found.unseen,
+            "novelty of the pictures": found.novelty,
+        }
+        rows = [f"| {name} | {value:.0%} |" for name, value in shares.items() if value is not None]
+        self.told.content = "\n".join(["| | |", "|---|---|", *rows])
+
+    def show_plan(self) -> None:
+        """Ask for a path, check it in the true scene, and draw it."""
+        self._forget_path()
+        found, self.verdict.content = self.state.plan(float(self.least.value))
+        if len(found.plan.way) < 2:
+            return
+        self.path = spread_points(found.plan.way, FRAMES + 1, self.space)
+        hand = self.arm.joint_positions_m(self.path)[:, -1]
+        self.server.scene.add_line_segments(
+            "/path/hand", np.stack([hand[:-1], hand[1:]], axis=1), ALONG, thickness=0.008
+        )
+        self.along.disabled = False
+        self._show_along()
+
+    def _forget_path(self) -> None:
+        self.path, self.along.disabled, self.verdict.content = self.path[:0], True, "No path yet."
+        with suppress(KeyError):
+            self.server.scene.remove_by_name("/path")
+
+    def _show_along(self) -> None:
+        path = self.path
+        if len(path):
+            at = round(float(self.along.value) * (len(path) - 1))
+            self._show_arm("/path/arm", path[at], ALONG, 1.0)
+
+    def _show_arm(
+        self, name: str, configuration: Floats, colour: tuple[int, int, int], opacity: float
+    ) -> None:
+        radii = self.arm.spheres_m()[:, 3]
+        self.server.scene.add_batched_meshes_simple(
+            name,
+            self.ball.vertices.astype(np.float32),
+            self.ball.faces.astype(np.uint32),
+            np.tile(np.array([1.0, 0.0, 0.0, 0.0], np.float32), (len(radii), 1)),
+            self.arm.sphere_centres_m(configuration[None])[0].astype(np.float32),
+            batched_scales=radii.astype(np.float32),
+            batched_colors=colour,
+            opacity=None if opacity == 1.0 else opacity,
+        )
+
+
+def world_of(api_url: str, model: str) -> World:
+    """The world of a model, as ``GET /models`` describes it.
+
+    Raises:
+        InputError: the API does not serve the model, or it is no arm among obstacles in space.
+    """
+    listed = httpx.get(f"{api_url}/models", timeout=30.0).raise_for_status().json()["models"]
+    world = next((one["world"] for one in listed if one["reference"] == model), None)
+    if world is None or world["kind"] != "spatial":
+        fitting = [one["reference"] for one in listed if one["world"] and one["world"]["kind"] == "spatial"]
+        raise InputError(
+            f"the viewer cannot show the model {model}",
+            expected=f"a model of an arm in space, such as {', '.join(fitting) or 'none that is served'}",
+            got="no such model" if world is None else f"a {world['kind']} one",
+        )
+    return read_world(world)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Serve the page until the process is ended."""
+    parser = argparse.ArgumentParser(prog="python -m services.planner.viewer", description=__doc__)
+    parser.add_argument("--api", default=usual_api(), help="address of the API (default: %(default)s)")
+    parser.add_argument("--model", default="pretrained-panda", help="that answers (default: %(default)s)")
+    parser.add_argument("--host", default="127.0.0.1", help="where to listen (default: %(default)s)")
+    parser.add_argument("--port", type=int, default=8090, help="where to listen (default: %(default)s)")
+    options = parser.parse_args(arguments)
+    try:
+        world = world_of(options.api, options.model)
+        with SamplingClient(options.api) as api:
+            Viewer(SceneState(api, world, options.model), options.host, options.port)
+            sys.stdout.write(f"http://{options.host}:{options.port}/\n")
+            sys.stdout.flush()
+            threading.Event().wait()
+    except (CspaceError, ClientError, httpx.HTTPError) as error:
+        sys.stderr.write(f"error: {error}\n")
+        return 1
+    except KeyboardInterrupt:
+        return 130
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

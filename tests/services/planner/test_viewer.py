@@ -1,0 +1,95 @@
+"""What the 3D viewer asks the API for, and what it makes of the answers."""
+
+from contextlib import suppress
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cspace.errors import InputError
+from cspace.worlds import examples, simulator_of
+from cspace_client import DepthPictures
+from services.planner.viewer import SceneState
+
+WORLD = examples()["panda"]
+
+
+class FakeApi:
+    """Answers with what it is given, and remembers the pictures."""
+
+    def __init__(self) -> None:
+        self.shown: list[DepthPictures] = []
+        self.rows = WORLD.space.sample_uniform(np.random.default_rng(0), 20)
+        self.path = np.empty((0, 7))
+
+    def sample(self, picture: DepthPictures, n: int, seed: int, **options: Any) -> Any:
+        assert options == {"model": "m", "min_confidence": 0.0}
+        self.shown.append(picture)
+        return SimpleNamespace(samples=self.rows[:n], novelty=0.25)
+
+    def validity(self, picture: DepthPictures, configurations: Any, model: str) -> Any:
+        return SimpleNamespace(confidence=np.full(len(configurations), 0.5), unseen=None)
+
+    def plan(self, picture: DepthPictures, query: Any, model: str) -> Any:
+        solved = len(self.path) > 0
+        plan = SimpleNamespace(way=self.path, confidence=0.75, status="solved" if solved else "refused")
+        return SimpleNamespace(plan=plan, reason=None if solved else "none is sure enough")
+
+
+@pytest.fixture
+def api() -> FakeApi:
+    return FakeApi()
+
+
+@pytest.fixture
+def state(api: FakeApi) -> SceneState:
+    return SceneState(api, WORLD, "m")
+
+
+def test_samples_are_checked_against_the_scenes_own_obstacles(api: FakeApi, state: SceneState) -> None:
+    found = state.sample(20)
+    assert (found.free == simulator_of(WORLD).checker(state.scene).valid_batch(api.rows)).all()
+    assert (found.novelty, found.unseen) == (0.25, None)
+
+
+def test_a_path_through_an_obstacle_is_called_in_collision(api: FakeApi, state: SceneState) -> None:
+    free = api.rows[state.sample(20).free]
+    api.path = np.stack([free[0], free[0]])
+    assert "collision-free" in state.plan(0.5)[1]
+    blocked = api.rows[~state.sample(20).free]
+    api.path = np.stack([free[0], blocked[0]])
+    assert "in collision** on 1 of 1 edges" in state.plan(0.5)[1]
+    api.path = api.path[:0]
+    assert state.plan(0.5)[1] == "**refused**: none is sure enough"
+
+
+def test_what_is_dragged_is_seen_in_the_next_pictures(api: FakeApi, state: SceneState) -> None:
+    state.sample(1)
+    state.change(obstacles=type(state.scene.obstacles)())
+    state.sample(1)
+    state.use_cameras(3)
+    state.sample(1)
+    state.set_end("start", WORLD.space.sample_uniform(np.random.default_rng(1), 1)[0].tolist())
+    state.sample(1)
+    with_obstacles, without, three, moved = api.shown
+    assert not np.array_equal(with_obstacles.pictures[0], without.pictures[0])
+    assert [len(one.pictures) for one in api.shown] == [1, 1, 3, 3]
+    assert not np.array_equal(three.pictures[0], moved.pictures[0])
+    assert np.isfinite(state.points_m()).all()
+
+
+def test_sets_of_the_benchmark_are_families_of_its_robot(state: SceneState) -> None:
+    assert "table" in state.families
+    named = [name for name in state.families if name.startswith("motionbench_")]
+    assert named
+    checker = simulator_of(WORLD).checker
+    drawn = 0
+    for seed in range(10):
+        with suppress(InputError):
+            problem = state.draw(named[0], seed)
+            ends = np.stack([problem.start, problem.goal])
+            assert WORLD.space.contains(ends).all()
+            assert checker(problem.scenario).valid_batch(ends).all()
+            drawn += 1
+    assert drawn > 0
