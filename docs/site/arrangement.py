@@ -30,48 +30,28 @@ ARRANGEMENT: Mapping[str, Sequence[Section]] = {
         Section(
             "How-to guides",
             (
-                "serve",
                 "workbench",
+                "client",
+                "integrations",
+                "Bring data: data",
+                "training",
                 "Operate: operations",
                 "Run in containers: containers",
-                "Upgrade and uninstall: upgrade",
-                "Bring data: data",
-                "Train on more machines: scaling",
-                "client",
-                "own-script",
-                "from-cpp",
-                "from-ros2",
                 "Measure planners: benchmark",
             ),
         ),
         Section(
             "Reference",
-            (
-                "api",
-                "site/openapi",
-                "site/commands",
-                "site/configuration",
-                "site/python",
-                "glossary",
-                "architecture",
-                "versioning",
-            ),
+            ("api", "site/openapi", "site/commands", "site/configuration", "site/python", "architecture"),
         ),
         Section(
             "Explanation",
-            (
-                "The method: method",
-                "Departures from the paper: departures",
-                "equations",
-                "results",
-                "security",
-                "Decisions: adr/README",
-            ),
+            ("The method: method", "The paper: paper", "results", "security", "Decisions: adr/README"),
         ),
         Section("Gallery", ("gallery/index",)),
         Section(
             "The project",
-            ("site/contributing", "documents", "site/security-policy", "site/changelog"),
+            ("site/contributing", "site/security-policy", "site/changelog"),
         ),
     ),
     "results": (
@@ -80,8 +60,17 @@ ARRANGEMENT: Mapping[str, Sequence[Section]] = {
             tuple(
                 f"results/{name}"
                 for name in (
-                    *("quality", "clusters", "topology", "planning", "path-models", "paper", "serving"),
-                    *("attacks", "scale", "spatial", "measurements"),
+                    *(
+                        "spatial",
+                        "quality",
+                        "planning",
+                        "path-models",
+                        "clusters",
+                        "topology",
+                        "paper",
+                        "serving",
+                    ),
+                    *("attacks", "scale", "measurements"),
                 )
             ),
         ),

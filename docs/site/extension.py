@@ -4,7 +4,6 @@ from typing import Any
 
 from arrangement import contents
 from generated import GENERATED
-from glossary_terms import MarkTerms
 from outside import text_of
 from sphinx.application import Sphinx
 
@@ -12,7 +11,6 @@ from sphinx.application import Sphinx
 def setup(app: Sphinx) -> dict[str, Any]:
     """Called by Sphinx."""
     app.connect("source-read", _read)
-    app.add_transform(MarkTerms)
     return {"version": "1", "parallel_read_safe": True, "parallel_write_safe": True}
 
 

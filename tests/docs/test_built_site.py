@@ -1,4 +1,4 @@
-"""The site, built as `make docs` builds it: no warning, no script in a page, terms are found."""
+"""The site, built as `make docs` builds it: no warning, no script in a page, the search finds pages."""
 
 import json
 import os
@@ -53,12 +53,6 @@ def index(site: Path) -> dict[str, Any]:
     return found
 
 
-def terms() -> list[str]:
-    text = (ROOT / "docs" / "glossary.md").read_text(encoding="utf-8")
-    rows = re.findall(r"^\| ([^|]+) \|", text, flags=re.MULTILINE)
-    return [term for row in rows if row not in {"word", "---"} for term in row.split(", ")]
-
-
 def pages_with(index: dict[str, Any], query: str) -> set[str]:
     """The pages that hold every word of a query, as the search page finds them."""
     english = SearchEnglish({})
@@ -83,24 +77,10 @@ def test_the_site_is_built_without_a_warning_and_has_every_page(site: Path) -> N
     assert len({path.name.split("_001")[0] for path in drawn if "thumb" not in path.name}) == 4
 
 
-def test_a_search_for_each_term_of_the_glossary_finds_its_page(index: dict[str, Any]) -> None:
-    assert len(terms()) > 60
-    assert [term for term in terms() if "glossary" not in pages_with(index, term)] == []
+def test_the_search_index_finds_the_pages_that_hold_all_words_of_a_query(index: dict[str, Any]) -> None:
+    assert "method" in pages_with(index, "bottleneck")
+    assert "site/configuration" in pages_with(index, "lookups.groups")
     assert pages_with(index, "zyzzyva") == set()
-
-
-def test_every_term_of_the_glossary_leads_to_its_own_row(site: Path, index: dict[str, Any]) -> None:
-    rows = set(re.findall(r"id=\"(term-[^\"]+)\"", (site / "glossary.html").read_text(encoding="utf-8")))
-    for term in terms():
-        found = [
-            entry
-            for key, entries in index["indexentries"].items()
-            if key == term.lower()
-            for entry in entries
-        ]
-        pages = {index["docnames"][number] for number, *_ in found}
-        assert (term, pages) == (term, {"glossary"})
-        assert {anchor for _, anchor, *_ in found} <= rows
 
 
 def test_no_page_has_a_script_in_it_or_asks_another_server(site: Path) -> None:
@@ -162,25 +142,21 @@ def test_the_guide_works_in_a_browser_under_the_servers_policy(guide: str, page:
     page.locator("button.theme-toggle:visible").click()
     chosen = page.evaluate("document.body.dataset.theme")
     assert chosen != before
-    page.goto(f"{guide}glossary.html")
+    page.goto(f"{guide}method.html")
     assert page.evaluate("document.body.dataset.theme") == chosen
     assert refused == []
 
 
 @pytest.mark.browser
 @pytest.mark.e2e
-@pytest.mark.parametrize("term", ["champion", "GS-C", "k-NN recall", "noise floor", "epsilon schedule"])
-def test_a_search_in_a_browser_finds_the_glossary_before_all_others(
-    guide: str, page: Page, term: str
-) -> None:
+@pytest.mark.parametrize("term", ["bottleneck", "k-NN recall", "noise floor"])
+def test_a_search_in_a_browser_finds_the_page_of_the_method(guide: str, page: Page, term: str) -> None:
     errors: list[str] = []
     page.on("pageerror", lambda error: errors.append(str(error)))
     page.goto(guide)
     page.get_by_role("searchbox").or_(page.get_by_placeholder("Search")).first.fill(term)
     page.keyboard.press("Enter")
-    first = page.locator("#search-results li a").first
-    first.wait_for()
-    assert str(first.get_attribute("href")).partition("#")[0].endswith("glossary.html")
+    page.locator("#search-results li a[href*='method.html']").first.wait_for()
     page.get_by_text("Search finished, found").wait_for()
     assert errors == []
 

@@ -11,7 +11,7 @@ from tests.docs.blocks import ROOT, Block, Kind, all_blocks
 from tests.docs.shell import linked_root, run_block
 from tests.docs.tiny_api import DOCUMENTED, TinyApi
 
-PAGE = ROOT / "docs" / "from-cpp.md"
+PAGE = ROOT / "docs" / "integrations.md"
 LIMIT_S = 100.0
 COMPILER = shutil.which("g++")
 

@@ -1,4 +1,4 @@
-"""Names of code in the documents: ``module.name`` in the page of equations must be importable."""
+"""Names of code in the documents: ``module.name`` in the documents must be importable."""
 
 import importlib
 import re
@@ -17,8 +17,8 @@ def test_every_dotted_name_of_the_code_exists(page) -> None:  # type: ignore[no-
     assert [name for name in names if not _exists(name)] == []
 
 
-def test_the_page_of_equations_names_code() -> None:
-    assert len(_NAME.findall((ROOT / "docs" / "equations.md").read_text(encoding="utf-8"))) > 20
+def test_the_page_of_the_paper_names_code() -> None:
+    assert len(_NAME.findall((ROOT / "docs" / "paper.md").read_text(encoding="utf-8"))) > 20
 
 
 def test_a_name_that_is_gone_is_found() -> None:

@@ -1,4 +1,4 @@
-"""The node of the ROS 2 page beyond what the page's own blocks show: depth pictures, and what goes wrong."""
+"""The ROS 2 node of the integrations page: depth pictures, and what goes wrong."""
 
 import io
 from collections.abc import Iterator
@@ -17,7 +17,7 @@ from inference_api.settings import PRETRAINED_FOLDER
 from tests.docs.blocks import ROOT, Kind, blocks
 from tests.inference_api.server import api_server
 
-PAGE = ROOT / "docs" / "from-ros2.md"
+PAGE = ROOT / "docs" / "integrations.md"
 JOINTS = [f"panda_joint{number}" for number in range(1, 8)]
 
 

@@ -7,7 +7,6 @@ from types import ModuleType
 import pytest
 
 from tests.docs.blocks import ROOT
-from tests.docs.links import anchors
 from tests.docs.site_modules import SITE, site_module
 
 DOCS = ROOT / "docs"
@@ -51,7 +50,7 @@ def test_every_place_is_a_page_that_is_there_or_is_made() -> None:
 
 def test_the_contents_of_a_page_are_directives_of_its_sections() -> None:
     contents = site_module("arrangement").contents
-    assert contents("glossary") == ""
+    assert contents("method") == ""
     text = contents("index")
     assert re.findall(r":caption: (.*)", text)[:4] == [
         "Tutorials",
@@ -73,7 +72,7 @@ def test_pages_of_the_root_are_shown_with_links_that_hold_on_the_site(outside: M
 
 
 def test_a_link_to_a_document_of_the_root_leads_to_its_page(outside: ModuleType) -> None:
-    text = "[a](../README.md#start) [b](glossary.md) `[c](../README.md)` [d](https://site.example/README.md)"
+    text = "[a](../README.md#start) [b](method.md) `[c](../README.md)` [d](https://site.example/README.md)"
     assert outside.text_of("operations", text) == text.replace(
         "[a](../README.md#start)", "[a](site/readme.myst#start)"
     )
@@ -107,9 +106,3 @@ def test_a_command_is_told_as_it_tells_itself(command_lines: ModuleType) -> None
     silent = command_lines.Command("python -m nothing", "json", "dumps")
     with pytest.raises(LookupError, match="parses no command line"):
         command_lines.parser_of(silent)
-
-
-def test_every_term_of_the_glossary_stands_in_a_row_of_its_own() -> None:
-    text = (DOCS / "glossary.md").read_text(encoding="utf-8")
-    assert len(re.findall(r"^\| (?!word|---)", text, flags=re.MULTILINE)) > 50
-    assert "the-method" in anchors(DOCS / "glossary.md")

@@ -2,7 +2,7 @@
 
 After J. Ocampo Jimenez and W. Suleiman, "Improving Path Planning Performance through Multimodal Generative
 Models with Local Critics"; Gulrajani et al. 2017 for the penalty. Deviations, each of which mends a misprint,
-are listed in docs/equations.md.
+are listed in docs/paper.md.
 """
 
 from collections.abc import Callable

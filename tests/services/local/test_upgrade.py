@@ -1,4 +1,4 @@
-"""What docs/upgrade.md says of MLflow's database, on databases that an older MLflow wrote."""
+"""What docs/operations.md says of MLflow's database, on databases that an older MLflow wrote."""
 
 import os
 import sqlite3
