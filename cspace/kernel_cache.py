@@ -70,6 +70,15 @@ class KernelCache(_caching.FunctionCache):  # type: ignore[misc]
 
     _impl_class = _CacheParts
 
+    def __init__(self, function: Callable[..., Any]) -> None:
+        super().__init__(function)
+        held = [cell.cell_contents for cell in function.__closure__ or ()]
+        self._held = hashlib.sha256(b"\n".join(_part(one) for one in held)).digest()
+
+    def _index_key(self, sig: Any, codegen: Any) -> tuple[Any, ...]:
+        # Numba's own pickles what a closure holds, which for kernels differs from process to process.
+        return sig, codegen.magic_tuple(), self._held
+
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """What was saved; None where there is nothing that can be read."""
         with suppress(OSError, *_CUT_OFF):
@@ -89,15 +98,22 @@ class KernelCache(_caching.FunctionCache):  # type: ignore[misc]
     @property
     def stamp(self) -> bytes:
         """Of all that the function is compiled from."""
-        return bytes(self._impl.locator.get_source_stamp())
+        return bytes(self._impl.locator.get_source_stamp()) + self._held
+
+
+def _part(value: Any) -> bytes:
+    """What stands for a kernel or a constant of another function."""
+    if isinstance(value, _Dispatcher) and isinstance(value._cache, KernelCache):  # noqa: SLF001
+        return value._cache.stamp  # noqa: SLF001
+    return repr(value).encode()
 
 
 def _stamp(function: Callable[..., Any], source: bytes) -> bytes:
     """Of a function's file, and of the kernels and constants that stand in its module."""
     parts = {source}
     for name, value in function.__globals__.items():
-        if isinstance(value, _Dispatcher) and isinstance(value._cache, KernelCache):  # noqa: SLF001
-            parts.add(value._cache.stamp)  # noqa: SLF001
+        if isinstance(value, _Dispatcher):
+            parts.add(_part(value))
         elif isinstance(value, _CONSTANTS) and not name.startswith("__"):
             parts.add(f"{name}={value!r}".encode())
     return hashlib.sha256(b"\n".join(sorted(parts))).digest()

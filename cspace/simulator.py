@@ -11,6 +11,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from cspace.errors import ScenarioError
 from cspace.space import JointSpace
 from cspace.world import Image, Scene, World
 
@@ -84,36 +85,79 @@ def derived_seed(seed: int, *use: str) -> int:
     return int(sequence.generate_state(1, np.uint64)[0] >> np.uint64(1))
 
 
+# Shares of a path's length that shortcuts span are sampled down to this, evenly by their logarithm.
+SHORTEST_SPAN = 0.02
 StateTest = Callable[[NDArray[np.float64]], bool]
 EdgeTest = Callable[[NDArray[np.float64], NDArray[np.float64]], tuple[bool, int]]
 # A free path (k, d) rad between two free configurations (d,) rad, or None where none is found.
 PathSearch = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64] | None]
 
 
-class Checker(Protocol):
-    """Collision checks of one scene. All ways are straight, and round the shorter side of a circle."""
+class Checker:
+    """Compiled collision checks of one scene. Edges are straight, on the shorter side of a circle.
 
-    @property
-    def space(self) -> JointSpace:
-        """The robot's joint space."""
+    Args:
+        space: the robot's joint space.
+        scene: the scene's arrays, as the kernels take them.
+        kernels: the simulator's :class:`cspace.planning.kernels.SceneKernels`.
+    """
+
+    def __init__(self, space: JointSpace, scene: Any, kernels: Any) -> None:
+        self.space, self.scene, self.kernels = space, scene, kernels
 
     def valid(self, configuration: ArrayLike) -> bool:
         """Whether one configuration (d,) rad is free."""
+        return bool(self.valid_batch(np.atleast_2d(np.asarray(configuration, dtype=np.float64)))[0])
 
     def valid_batch(self, configurations: ArrayLike) -> NDArray[np.bool_]:
         """Which of (N, d) rad are free, (N,)."""
+        return np.asarray(self.kernels.free_batch(self._rows(configurations), self.scene))
 
     def clearance(self, configurations: ArrayLike) -> NDArray[np.float64]:
         """Distance to what the robot collides with for each of (N, d) rad, (N,) m; negative in collision."""
+        return np.asarray(self.kernels.clearance_batch(self._rows(configurations), self.scene))
+
+    def edge(self, start: ArrayLike, end: ArrayLike, resolution_rad: float) -> bool:
+        """Whether the edge between two configurations (d,) rad is free."""
+        first, second = (np.atleast_2d(np.asarray(q, dtype=np.float64)) for q in (start, end))
+        return bool(self.edge_batch(first, second, resolution_rad)[0])
 
     def edge_batch(self, starts: ArrayLike, ends: ArrayLike, resolution_rad: float) -> NDArray[np.bool_]:
-        """Which of the ways between (N, d) and (N, d) are free, both ends included, (N,)."""
+        """Which of the edges between (N, d) and (N, d) rad are free, both ends included, (N,).
+
+        Raises:
+            ScenarioError: the shapes differ or the resolution is not positive.
+        """
+        first, second = self._rows(starts), self._rows(ends)
+        if first.shape != second.shape or not resolution_rad > 0.0:
+            raise ScenarioError(
+                "the edges do not fit",
+                expected="as many starts as ends and a positive resolution",
+                got=f"{first.shape}, {second.shape}, {resolution_rad} rad",
+            )
+        return np.asarray(self.kernels.edge_batch(first, second, float(resolution_rad), self.scene))
 
     def state_test(self) -> StateTest:
         """For callbacks: whether a configuration (d,) float64 is free."""
+        kernel, scene, room = self.kernels.state_is_free, self.scene, self.kernels.room_of(self.scene)
+
+        def is_free(configuration: NDArray[np.float64]) -> bool:
+            return bool(kernel(configuration, scene, room))
+
+        # A process's first call loads the compiled kernel, which is no part of a search.
+        is_free(np.zeros(self.space.dim))
+        return is_free
 
     def edge_test(self, resolution_rad: float) -> EdgeTest:
-        """For callbacks: whether a way is free, and how many states were looked at."""
+        """For callbacks: whether an edge is free, and how many states were checked."""
+        kernel, scene, room = self.kernels.checked_edge, self.scene, self.kernels.room_of(self.scene)
+
+        def check(start: NDArray[np.float64], end: NDArray[np.float64]) -> tuple[bool, int]:
+            found: tuple[bool, int] = kernel(start, end, resolution_rad, scene, room)
+            return found
+
+        check(np.zeros(self.space.dim), np.zeros(self.space.dim))
+        return check
 
     def grow_trees(
         self,
@@ -126,14 +170,14 @@ class Checker(Protocol):
         range_rad: float,
         resolution_rad: float,
     ) -> tuple[int, int, int, int]:
-        """Grow RRT-Connect's trees by a block of states (n, d), compiled.
+        """Grow RRT-Connect's trees by a block of states (n, d).
 
         Args:
             nodes: (2, m, d) rad, the start's tree and the goal's; grown in place, and so the rest.
             parents: (2, m), -1 for the roots.
             counts: (2,) nodes in use.
             checks: (2,) counts on: edges, and states within them and alone.
-            states: drawn, in order.
+            states: sampled ones, in order.
             side: whose turn it is.
             range_rad: longest step, the sum over the joints.
             resolution_rad: largest distance between checked states in any joint.
@@ -141,6 +185,48 @@ class Checker(Protocol):
         Returns:
             Iterations done, whose turn it is, and the node that both trees share, -1 twice without one.
         """
+        trees = (nodes, parents, counts, checks, states, side, range_rad, resolution_rad)
+        grown: tuple[int, int, int, int] = self.kernels.grow_trees(*trees, self.scene)
+        return grown
+
+    def shortened(
+        self, path: ArrayLike, rng: np.random.Generator, shortcuts: int, resolution_rad: float
+    ) -> NDArray[np.float64]:
+        """The path with straight pieces between random points of it wherever these are free and shorter.
+
+        Args:
+            path: (k, d) rad, k at least 2.
+            rng: samples the points.
+            shortcuts: how many are proposed, one after the other.
+            resolution_rad: between the states that are checked, the largest over the joints.
+
+        Returns:
+            (n, d) rad with the same ends, no longer than before.
+
+        Raises:
+            ScenarioError: the path is of another shape, or the resolution is not above 0.
+        """
+        rows = np.array(path, dtype=np.float64)
+        if rows.ndim != 2 or len(rows) < 2 or rows.shape[1] != self.space.dim or not resolution_rad > 0.0:
+            raise ScenarioError(
+                "the path does not fit",
+                expected=f"two or more configurations of {self.space.dim} joints, and a positive resolution",
+                got=f"shape {rows.shape}, {resolution_rad} rad",
+            )
+        draws = rng.random((shortcuts, 2))
+        # Spans of all sizes: corners are cut by short ones, detours by long ones.
+        draws[:, 1] = SHORTEST_SPAN ** draws[:, 1]
+        return np.asarray(self.kernels.shortened(rows, draws, resolution_rad, self.scene))
+
+    def _rows(self, configurations: ArrayLike) -> NDArray[np.float64]:
+        rows = np.ascontiguousarray(configurations, dtype=np.float64)
+        if rows.ndim != 2 or rows.shape[1] != self.space.dim:
+            raise ScenarioError(
+                "the configurations do not fit the robot",
+                expected=f"shape (N, {self.space.dim})",
+                got=str(rows.shape),
+            )
+        return rows
 
 
 @dataclass(frozen=True, slots=True)

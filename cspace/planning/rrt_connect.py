@@ -1,5 +1,6 @@
 """RRT-Connect, compiled with the checks of any simulator, and RRT, fed with given states."""
 
+import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -9,9 +10,6 @@ from numpy.typing import NDArray
 
 from cspace.simulator import Checker
 from cspace.space import JointSpace
-
-# States between two looks at whether there is room for more.
-_BLOCK = 64
 
 Between = Callable[[], None]
 
@@ -37,33 +35,8 @@ def connect_trees(
         resolution_rad: between states that are looked at, the largest over the joints.
         between: called between blocks of states; may raise to stop, which passes through.
     """
-    space = checker.space
-    nodes, parents = np.empty((2, 16 * _BLOCK, space.dim)), np.full((2, 16 * _BLOCK), -1, dtype=np.int64)
-    nodes[0, 0], nodes[1, 0] = space.wrap(start), space.wrap(goal)
-    counts, checks = np.ones(2, dtype=np.int64), np.zeros(2, dtype=np.int64)
-    side = 0
-    for begin in range(0, len(states), _BLOCK):
-        block = states[begin : begin + _BLOCK]
-        _, side, *joint = checker.grow_trees(
-            nodes, parents, counts, checks, block, side, range_rad, resolution_rad
-        )
-        if joint[0] >= 0:
-            halves = [nodes[tree, _to_root(parents[tree], joint[tree])] for tree in (0, 1)]
-            return np.concatenate([halves[0][::-1], halves[1][1:]])
-        # A tree without room grows no more until it has some.
-        if 2 * counts.max() > nodes.shape[1]:
-            nodes = np.concatenate([nodes, np.empty_like(nodes)], axis=1)
-            parents = np.concatenate([parents, np.full_like(parents, -1)], axis=1)
-        if between is not None:
-            between()
-    return None
-
-
-def _to_root(parents: NDArray[np.int64], node: int) -> list[int]:
-    numbers = [node]
-    while parents[numbers[-1]] >= 0:
-        numbers.append(int(parents[numbers[-1]]))
-    return numbers
+    growth = Growth(range_rad, resolution_rad, math.inf, between or (lambda: None))
+    return grow_connect(checker, start, goal, states, growth).path
 
 
 # Iterations between two looks at the clock, or pauses.
@@ -186,7 +159,8 @@ def grow_connect(
             trees.nodes, trees.parents, trees.counts, checks, block, side, *fixed
         )
         iterations, joint = iterations + done, (first, second)
-        growth.between()
+        if first < 0:
+            growth.between()
     time_s = time.perf_counter() - began
     path = trees.path(joint) if joint[0] >= 0 else None
     return Grown(path, *trees.forest(), iterations, int(checks[0]), int(checks[1]), time_s, timed_out)

@@ -64,3 +64,19 @@ def test_a_kernel_that_a_full_disk_cut_off_is_compiled_again(folder: Path) -> No
     for saved in (*kernels.rglob("*.nbc"), *kernels.rglob("*.nbi")):
         saved.write_bytes(saved.read_bytes()[:20])
     assert call(folder, kernels) == [2, 0, 2]
+
+
+@pytest.mark.slow
+def test_kernels_that_a_factory_makes_are_found_again_by_the_kernels_that_they_hold(folder: Path) -> None:
+    kernels = folder / "kernels"
+    (folder / "outer.py").write_text(
+        "from cspace.kernel_cache import njit\nfrom inner import inner\n\n"
+        "@njit(cache=True)\ndef other(x):\n    return 5 * x\n\n"
+        "def made(held):\n    @njit(cache=True)\n    def kernel(x):\n        return held(x)\n\n"
+        "    return kernel\n\n"
+        "outer, second = made(inner), made(other)\nassert second(3) == 15\n"
+    )
+    assert call(folder, kernels) == [2, 0, 4]
+    assert call(folder, kernels) == [2, 1, 4]
+    (folder / "inner.py").write_text(INNER.format(number=20))
+    assert call(folder, kernels)[:2] == [21, 0]

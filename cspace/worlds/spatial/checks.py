@@ -5,11 +5,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cspace.errors import ScenarioError
 from cspace.kernel_cache import njit
-from cspace.planning.kernels import TWO_PI, gap
-from cspace.simulator import EdgeTest, StateTest
-from cspace.space import JointSpace
+from cspace.planning.kernels import SceneKernels
+from cspace.simulator import Checker
 from cspace.worlds.spatial.arm import SerialArm, grouped
 from cspace.worlds.spatial.distances import (
     NOTHING,
@@ -172,136 +170,11 @@ def _touch(first, first_radii, i, second, second_radii, j):  # type: ignore[no-u
     return x * x + y * y + z * z <= reach * reach
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def checked_edge(a, b, resolution, scene, room):  # type: ignore[no-untyped-def]
-    """Whether the straight wrapped way from ``a`` to ``b`` is free, and how many states were looked at.
-
-    Both ends are included. Neighbouring states are at most ``resolution`` rad apart in every joint. They are
-    looked at in the order of a bisection, which finds collisions sooner and changes no result.
-    """
-    dim = a.shape[0]
-    step, q = np.empty(dim), np.empty(dim)
-    longest = 0.0
-    for joint in range(dim):
-        step[joint] = gap(a[joint], b[joint], scene.periodic[joint])
-        longest = max(longest, abs(step[joint]))
-    count = max(1, int(np.ceil(longest / resolution)))
-    stride = 1
-    while stride < count:
-        stride *= 2
-    begin, jump, looked = 0, stride, 0
-    while stride >= 1:
-        for index in range(begin, count + 1, jump):
-            for joint in range(dim):
-                q[joint] = a[joint] + step[joint] * index / count
-            looked += 1
-            if not state_is_free(q, scene, room):
-                return False, looked
-        begin, jump = stride // 2, stride
-        stride //= 2
-    for joint in range(dim):
-        q[joint] = a[joint] + step[joint]
-    return state_is_free(q, scene, room), looked + 1
+KERNELS = SceneKernels(state_is_free, state_clearance, room_of)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def free_batch(q, scene):  # type: ignore[no-untyped-def]
-    """Which of (N, d) are free, (N,)."""
-    out, room = np.empty(q.shape[0], dtype=np.bool_), room_of(scene)
-    for row in range(q.shape[0]):
-        out[row] = state_is_free(q[row], scene, room)
-    return out
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def clearance_batch(q, scene):  # type: ignore[no-untyped-def]
-    """Clearance of each of (N, d), (N,) m."""
-    out, room = np.empty(q.shape[0]), room_of(scene)
-    for row in range(q.shape[0]):
-        out[row] = state_clearance(q[row], scene, room)
-    return out
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def edge_batch(a, b, resolution, scene):  # type: ignore[no-untyped-def]
-    """Which ways between (N, d) and (N, d) are free, (N,)."""
-    out, room = np.empty(a.shape[0], dtype=np.bool_), room_of(scene)
-    for row in range(a.shape[0]):
-        out[row] = checked_edge(a[row], b[row], resolution, scene, room)[0]
-    return out
-
-
-_TRAPPED, _ADVANCED, _REACHED = 0, 1, 2
-
-
-@njit(cache=True, nogil=True)
-def advance(nodes, parents, counts, checks, states, side, reach, resolution, scene):  # type: ignore[no-untyped-def]
-    """Grow by a block of states: iterations, whose turn it is, the shared node or -1 twice.
-
-    ``checks`` counts on: edges, and states within them and alone.
-    """
-    room = room_of(scene)
-    for index in range(states.shape[0]):
-        other = 1 - side
-        status = _grow(nodes, parents, counts, checks, side, states[index], reach, resolution, scene, room)
-        if status != _TRAPPED:
-            target = nodes[side, counts[side] - 1].copy()
-            status = _ADVANCED
-            while status == _ADVANCED:
-                status = _grow(nodes, parents, counts, checks, other, target, reach, resolution, scene, room)
-            if status == _REACHED:
-                return index + 1, other, counts[0] - 1, counts[1] - 1
-        side = other
-    return states.shape[0], side, -1, -1
-
-
-@njit(cache=True, nogil=True)
-def _grow(nodes, parents, counts, checks, side, target, reach, resolution, scene, room):  # type: ignore[no-untyped-def]
-    """One step of a tree towards a configuration: trapped, advanced or reached."""
-    dim = target.shape[0]
-    if counts[side] == nodes.shape[1]:
-        return _TRAPPED
-    nearest, least = _nearest(nodes[side], counts[side], target, scene.periodic)
-    share = min(1.0, reach / least) if least > 0.0 else 1.0
-    new = np.empty(dim)
-    for joint in range(dim):
-        begin = nodes[side, nearest, joint]
-        new[joint] = begin + share * gap(begin, target[joint], scene.periodic[joint])
-        if scene.periodic[joint]:
-            new[joint] = (new[joint] + np.pi) % TWO_PI - np.pi
-    if share == 1.0:
-        new[:] = target
-    # The goal's tree looks at the new state before its edge, as OMPL's does.
-    if side == 1:
-        checks[1] += 1
-        if not state_is_free(new, scene, room):
-            return _TRAPPED
-    free, states = checked_edge(nodes[side, nearest], new, resolution, scene, room)
-    checks[0] += 1
-    checks[1] += states
-    if not free:
-        return _TRAPPED
-    nodes[side, counts[side]] = new
-    parents[side, counts[side]] = nearest
-    counts[side] += 1
-    return _REACHED if share == 1.0 else _ADVANCED
-
-
-@njit(cache=True, nogil=True)
-def _nearest(nodes, count, target, periodic):  # type: ignore[no-untyped-def]
-    """The node that is nearest by the sum over the joints, and how far it is."""
-    nearest, least = 0, np.inf
-    for node in range(count):
-        distance = 0.0
-        for joint in range(target.shape[0]):
-            distance += abs(gap(nodes[node, joint], target[joint], periodic[joint]))
-        if distance < least:
-            nearest, least = node, distance
-    return nearest, least
-
-
-class CollisionChecker:
-    """The port :class:`cspace.simulator.Checker` for a serial arm.
+class CollisionChecker(Checker):
+    """Collision checks of a serial arm in one scene, by the spheres that cover it.
 
     Args:
         arm: with its spheres.
@@ -310,97 +183,8 @@ class CollisionChecker:
     """
 
     def __init__(self, arm: SerialArm, obstacles: Obstacles, grid: DistanceGrid = NOTHING) -> None:
+        super().__init__(arm.space, scene_arrays(arm, obstacles, grid), KERNELS)
         self.arm, self.obstacles = arm, obstacles
-        self.scene = scene_arrays(arm, obstacles, grid)
-
-    @property
-    def space(self) -> JointSpace:
-        """The arm's joint space."""
-        return self.arm.space
-
-    def valid(self, configuration: ArrayLike) -> bool:
-        """Whether one configuration (d,) rad is free."""
-        return bool(self.valid_batch(np.atleast_2d(np.asarray(configuration, dtype=np.float64)))[0])
-
-    def valid_batch(self, configurations: ArrayLike) -> NDArray[np.bool_]:
-        """Which of (N, d) rad are free, (N,)."""
-        found: NDArray[np.bool_] = free_batch(self._rows(configurations), self.scene)
-        return found
-
-    def clearance(self, configurations: ArrayLike) -> NDArray[np.float64]:
-        """Distance to obstacles or of the arm to itself, of (N, d) rad, (N,) m; negative in collision."""
-        found: NDArray[np.float64] = clearance_batch(self._rows(configurations), self.scene)
-        return found
-
-    def edge(self, start: ArrayLike, end: ArrayLike, resolution_rad: float) -> bool:
-        """Whether the straight way between two configurations (d,) rad is free."""
-        first, second = (np.atleast_2d(np.asarray(q, dtype=np.float64)) for q in (start, end))
-        return bool(self.edge_batch(first, second, resolution_rad)[0])
-
-    def edge_batch(self, starts: ArrayLike, ends: ArrayLike, resolution_rad: float) -> NDArray[np.bool_]:
-        """Which of the ways between (N, d) and (N, d) rad are free, (N,).
-
-        Raises:
-            ScenarioError: the shapes differ or the resolution is not positive.
-        """
-        first, second = self._rows(starts), self._rows(ends)
-        if first.shape != second.shape or not resolution_rad > 0.0:
-            raise ScenarioError(
-                "the edges do not fit",
-                expected="as many starts as ends and a positive resolution",
-                got=f"{first.shape}, {second.shape}, {resolution_rad} rad",
-            )
-        found: NDArray[np.bool_] = edge_batch(first, second, float(resolution_rad), self.scene)
-        return found
-
-    def state_test(self) -> StateTest:
-        """See :meth:`cspace.simulator.Checker.state_test`."""
-        scene, room = self.scene, room_of(self.scene)
-
-        def is_free(configuration: NDArray[np.float64]) -> bool:
-            return bool(state_is_free(configuration, scene, room))
-
-        # A process's first call loads the compiled kernel, which is no part of a search.
-        is_free(np.zeros(self.arm.dim))
-        return is_free
-
-    def edge_test(self, resolution_rad: float) -> EdgeTest:
-        """See :meth:`cspace.simulator.Checker.edge_test`."""
-        scene, room = self.scene, room_of(self.scene)
-
-        def check(start: NDArray[np.float64], end: NDArray[np.float64]) -> tuple[bool, int]:
-            found: tuple[bool, int] = checked_edge(start, end, resolution_rad, scene, room)
-            return found
-
-        check(np.zeros(self.arm.dim), np.zeros(self.arm.dim))
-        return check
-
-    def grow_trees(
-        self,
-        nodes: NDArray[np.float64],
-        parents: NDArray[np.int64],
-        counts: NDArray[np.int64],
-        checks: NDArray[np.int64],
-        states: NDArray[np.float64],
-        side: int,
-        range_rad: float,
-        resolution_rad: float,
-    ) -> tuple[int, int, int, int]:
-        """See :func:`cspace.worlds.spatial.checks.advance`."""
-        grown: tuple[int, int, int, int] = advance(
-            nodes, parents, counts, checks, states, side, range_rad, resolution_rad, self.scene
-        )
-        return grown
-
-    def _rows(self, configurations: ArrayLike) -> NDArray[np.float64]:
-        rows = np.ascontiguousarray(configurations, dtype=np.float64)
-        if rows.ndim != 2 or rows.shape[1] != self.arm.dim:
-            raise ScenarioError(
-                "the configurations do not fit the robot",
-                expected=f"shape (N, {self.arm.dim})",
-                got=str(rows.shape),
-            )
-        return rows
 
 
 def group_hits(

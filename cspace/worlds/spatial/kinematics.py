@@ -312,7 +312,7 @@ def _solve_all(starts, place, wanted, mode, chain, iterations, tolerance):  # ty
 @njit(cache=True, nogil=True, error_model="numpy")
 def _errors(chain, frames, place, wanted, mode, jacobian, error):  # type: ignore[no-untyped-def]
     """Fill the error (6,) and its Jacobian (6, d), turns weighed; how far off the tool is, m and rad."""
-    now, axes = _product(frames[-1], chain.tool), chain.axes
+    now, axes = frames[-1] @ chain.tool, chain.axes
     for row in range(3):
         error[row] = place[row] - now[row, 3]
     away = np.sqrt(error[0] ** 2 + error[1] ** 2 + error[2] ** 2)
@@ -337,17 +337,6 @@ def _errors(chain, frames, place, wanted, mode, jacobian, error):  # type: ignor
             x, y, z = x - own * z0, y - own * z1, z - own * z2
         jacobian[3, joint], jacobian[4, joint], jacobian[5, joint] = x * _LEVER_M, y * _LEVER_M, z * _LEVER_M
     return away, turn
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _product(first, second):  # type: ignore[no-untyped-def]
-    """Of two transforms (4, 4); numba's own product asks for scipy."""
-    out = np.zeros((4, 4))
-    for row in range(4):
-        for column in range(4):
-            for inner in range(4):
-                out[row, column] += first[row, inner] * second[inner, column]
-    return out
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -388,7 +377,8 @@ def _step(q, jacobian, error, chain):  # type: ignore[no-untyped-def]
             (q[joint] <= lower[joint] and pull < 0.0) or (q[joint] >= upper[joint] and pull > 0.0)
         ):
             jacobian[:, joint] = 0.0
-    lifted = _solved(jacobian, error, _LEAST_DAMPING + 0.5 * square)
+    damping = (_LEAST_DAMPING + 0.5 * square) * np.eye(6)
+    lifted = np.linalg.solve(jacobian @ jacobian.T + damping, error)
     for joint in range(dim):
         moved = 0.0
         for row in range(6):
@@ -396,28 +386,3 @@ def _step(q, jacobian, error, chain):  # type: ignore[no-untyped-def]
         q[joint] += moved
         if not periodic[joint]:
             q[joint] = min(max(q[joint], lower[joint]), upper[joint])
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _solved(jacobian, error, damping):  # type: ignore[no-untyped-def]
-    """Solve (J J^T + damping) x = error by Cholesky's factors."""
-    factor, x = np.empty((6, 6)), np.empty(6)
-    for row in range(6):
-        for column in range(row + 1):
-            value = damping if row == column else 0.0
-            for joint in range(jacobian.shape[1]):
-                value += jacobian[row, joint] * jacobian[column, joint]
-            for inner in range(column):
-                value -= factor[row, inner] * factor[column, inner]
-            factor[row, column] = np.sqrt(value) if row == column else value / factor[column, column]
-    for row in range(6):
-        value = error[row]
-        for inner in range(row):
-            value -= factor[row, inner] * x[inner]
-        x[row] = value / factor[row, row]
-    for row in range(5, -1, -1):
-        value = x[row]
-        for inner in range(row + 1, 6):
-            value -= factor[inner, row] * x[inner]
-        x[row] = value / factor[row, row]
-    return x

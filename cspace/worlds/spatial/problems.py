@@ -1,4 +1,4 @@
-"""Planning problems of the spatial world, and configurations that a validity head learns from."""
+"""Planning problems of the spatial world, the paths that solve them, and configurations to learn from."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -7,6 +7,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cspace.errors import ScenarioError
+from cspace.planning.paths import length_rad, spaced
+from cspace.planning.rrt_connect import connect_trees
 from cspace.simulator import Proposals, Split, near_contact, scenario_rng
 from cspace.worlds.spatial.arm import SerialArm, ready_rad
 from cspace.worlds.spatial.checks import CollisionChecker
@@ -14,8 +16,120 @@ from cspace.worlds.spatial.distances import distance_m
 from cspace.worlds.spatial.furniture import GoalRegion, Layout, SpatialScenes
 from cspace.worlds.spatial.kinematics import Solving, solve_pose
 from cspace.worlds.spatial.obstacles import Obstacles
-from cspace.worlds.spatial.paths import PathLimits, find_path
 from cspace.worlds.spatial.scenes import draw_layout
+
+
+@dataclass(frozen=True, slots=True)
+class PathLimits:
+    """How long and how finely ways are searched for.
+
+    Args:
+        states: uniform ones that the first try draws at most; the others draw a quarter of them.
+        tries: ways that the shortest is chosen from; fewer where one of the others fails.
+        shortcuts: proposed for each of them.
+        polish: proposed for the shortest.
+        range_rad: longest step of a tree, the sum over the joints.
+        search_rad: between states that the trees look at, the largest over the joints.
+        shortcut_rad: the same for shortcuts; finer than what is returned, which touches nothing then.
+        final_rad: the same for what is returned.
+        step_rad: longest step of what is returned, Euclidean.
+
+    Raises:
+        ScenarioError: a count is negative or a distance is not above 0.
+    """
+
+    states: int = 16000
+    tries: int = 6
+    shortcuts: int = 40
+    polish: int = 200
+    range_rad: float = 2.0
+    search_rad: float = 0.02
+    shortcut_rad: float = 0.005
+    final_rad: float = 0.01
+    step_rad: float = 0.1
+
+    def __post_init__(self) -> None:
+        counts = min(self.states, self.tries, self.shortcuts, self.polish) >= 0
+        steps = (self.range_rad, self.search_rad, self.shortcut_rad, self.final_rad, self.step_rad)
+        if not counts or not all(0.0 < one < np.inf for one in steps):
+            raise ScenarioError(
+                "the limits of a search for ways do not fit",
+                expected="counts of 0 or more and steps above 0 rad",
+                got=str(self)[:300],
+            )
+
+
+def find_path(
+    checker: CollisionChecker,
+    start: ArrayLike,
+    goal: ArrayLike,
+    rng: np.random.Generator,
+    limits: PathLimits = PathLimits(),
+) -> NDArray[np.float64] | None:
+    """A short free way, or None where none is found.
+
+    Args:
+        checker: of the scene.
+        start: (d,) rad, the first row of the way, circles in [-pi, pi).
+        goal: (d,) rad, likewise the last row.
+        rng: draws states and shortcuts.
+        limits: effort and resolutions.
+
+    Returns:
+        (k, d) rad, every edge free at ``limits.final_rad``; the straight way where it is free.
+
+    Raises:
+        ScenarioError: start or goal is of another shape.
+    """
+    if not (checker.valid(start) and checker.valid(goal)):
+        return None
+    ends = checker.space.wrap(np.stack([np.asarray(one, dtype=np.float64) for one in (start, goal)]))
+    straight = _checked(checker, ends, limits)
+    if straight is not None:
+        return straight
+    found: list[NDArray[np.float64]] = []
+    for index in range(limits.tries):
+        states = limits.states if index == 0 else limits.states // 4
+        raw = _raw_way(checker, ends, rng, limits, states)
+        if raw is None:
+            break
+        short = checker.shortened(raw, rng, limits.shortcuts, limits.shortcut_rad)
+        found += [way for way in (short, raw) if is_free(checker, way, limits.final_rad)][:1]
+    for way in sorted(found, key=lambda one: length_rad(one, checker.space)):
+        polished = checker.shortened(way, rng, limits.polish, limits.shortcut_rad)
+        for one in (polished, way):
+            spaced = _checked(checker, one, limits)
+            if spaced is not None:
+                return spaced
+    return None
+
+
+def _raw_way(
+    checker: CollisionChecker,
+    ends: NDArray[np.float64],
+    rng: np.random.Generator,
+    limits: PathLimits,
+    count: int,
+) -> NDArray[np.float64] | None:
+    """What RRT-Connect finds with so many uniform states."""
+    states = checker.space.sample_uniform(rng, count)
+    return connect_trees(
+        checker, ends[0], ends[1], states, range_rad=limits.range_rad, resolution_rad=limits.search_rad
+    )
+
+
+def is_free(checker: CollisionChecker, way: NDArray[np.float64], resolution_rad: float) -> bool:
+    """Whether all edges of a way (k, d) rad are free."""
+    return bool(checker.edge_batch(way[:-1], way[1:], resolution_rad).all())
+
+
+def _checked(
+    checker: CollisionChecker, way: NDArray[np.float64], limits: PathLimits
+) -> NDArray[np.float64] | None:
+    """The way in even steps, None where one of these is not free."""
+    found = spaced(way, checker.space, limits.step_rad)
+    return found if is_free(checker, found, limits.final_rad) else None
+
 
 KINDS = ("reach_in", "between", "carry")
 SHARES = (0.5, 0.3, 0.2)
@@ -63,7 +177,7 @@ def draw_problem(
     family: str | None = None,
     *,
     kind: str | None = None,
-    limits: PathLimits = PathLimits(),  # noqa: B008 - a frozen value
+    limits: PathLimits = PathLimits(),
 ) -> SpatialProblem:
     """A problem that :func:`find_path` solved, of what split, seed and index say.
 

@@ -25,8 +25,7 @@ from cspace.worlds.spatial.arm import SerialArm
 from cspace.worlds.spatial.checks import CollisionChecker, group_hits
 from cspace.worlds.spatial.furniture import FAMILIES
 from cspace.worlds.spatial.obstacles import Box, Cylinder, Obstacles, obstacles_of, rows_of
-from cspace.worlds.spatial.paths import PathLimits, find_path
-from cspace.worlds.spatial.problems import Ends, draw_problem, draw_proposals
+from cspace.worlds.spatial.problems import Ends, PathLimits, draw_problem, draw_proposals, find_path
 from cspace.worlds.spatial.scenes import SpatialScene, draw_scene, scenes_of, seen
 from cspace.worlds.spatial.sensor import DISTANCE_STEP_M, FREE, GridBox
 from cspace.worlds.spatial.view import write_view
@@ -189,7 +188,7 @@ class SpatialSimulator:
         return Ends(checker, found.regions, rng).pairs(count, state)
 
     def path_search(self, scene: Scene) -> PathSearch:
-        """See :func:`cspace.worlds.spatial.paths.find_path`."""
+        """See :func:`cspace.worlds.spatial.problems.find_path`."""
         checker = cast("CollisionChecker", self.checker(scene))
 
         def search(start: NDArray[np.float64], goal: NDArray[np.float64]) -> NDArray[np.float64] | None:

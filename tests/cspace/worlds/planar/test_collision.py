@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from cspace.errors import ScenarioError
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK, PlanarArm
-from cspace.worlds.planar.checks import CollisionChecker, arm_is_free, edge_is_free
+from cspace.worlds.planar.checks import CollisionChecker
 from cspace.worlds.planar.world import Disc, Scenario
 
 LIMITED = PlanarArm(joint_limits_rad=(None, (-2.0, 2.5)))
@@ -82,7 +82,7 @@ def test_an_edge_is_free_when_all_its_states_are(scene, data, resolution):
     assert CollisionChecker(scenario).edge(a, b, resolution) == expected
 
 
-def test_batches_singles_and_raw_kernels_agree():
+def test_batches_singles_and_callbacks_agree():
     scenario = Scenario(TWO_LINK, (Disc(2.5, 1.0), Disc(-2.0, -2.0)))
     checker, rng = CollisionChecker(scenario), np.random.default_rng(0)
     starts, ends = rng.uniform(-np.pi, np.pi, (2, 300, 2))
@@ -92,10 +92,10 @@ def test_batches_singles_and_raw_kernels_agree():
     assert edges.any()
     assert not edges.all()
     assert batch.tolist() == [checker.valid(q) for q in starts]
-    assert batch.tolist() == [arm_is_free(q, *checker.kernel_args) for q in starts]
+    is_free, check = checker.state_test(), checker.edge_test(0.05)
+    assert batch.tolist() == [is_free(q) for q in starts]
     assert edges.tolist() == [checker.edge(a, b, 0.05) for a, b in zip(starts, ends, strict=True)]
-    raw = [edge_is_free(a, b, 0.05, *checker.kernel_args) for a, b in zip(starts, ends, strict=True)]
-    assert edges.tolist() == raw
+    assert edges.tolist() == [check(a, b)[0] for a, b in zip(starts, ends, strict=True)]
 
 
 def test_touching_is_a_collision():

@@ -9,8 +9,7 @@ from cspace.worlds.spatial import problems
 from cspace.worlds.spatial.arm import ready_rad
 from cspace.worlds.spatial.checks import CollisionChecker
 from cspace.worlds.spatial.furniture import FAMILIES, SpatialScenes
-from cspace.worlds.spatial.paths import PathLimits
-from cspace.worlds.spatial.problems import KINDS, draw_problem, reaches_into
+from cspace.worlds.spatial.problems import KINDS, PathLimits, draw_problem, reaches_into
 from cspace.worlds.spatial.scenes import draw_layout
 from tests.cspace.worlds.spatial.test_robots import PANDA, READY, UR5
 from tests.cspace.worlds.spatial.test_ways import TWO_LINKS

@@ -14,8 +14,8 @@ from cspace.worlds.spatial.arm import Joint, Part, SerialArm
 from cspace.worlds.spatial.checks import CollisionChecker
 from cspace.worlds.spatial.furniture import SpatialScenes, block
 from cspace.worlds.spatial.obstacles import Obstacles
-from cspace.worlds.spatial.paths import PathLimits, find_path, is_free, shorten
 from cspace.worlds.spatial.poses import Frame
+from cspace.worlds.spatial.problems import PathLimits, find_path, is_free
 from cspace.worlds.spatial.scenes import draw_layout
 from tests.cspace.worlds.spatial.test_robots import PANDA, READY
 
@@ -82,7 +82,7 @@ def test_shortening_never_lengthens_and_keeps_a_way_free_and_its_ends(ends):
     raw = raw_way(checker, start, goals[0], 1)
     lengths = [length_rad(raw, PANDA.space)]
     for shortcuts in (0, 1, 5, 20, 100):
-        short = shorten(checker, raw, np.random.default_rng(2), shortcuts, 0.005)
+        short = checker.shortened(raw, np.random.default_rng(2), shortcuts, 0.005)
         assert is_free(checker, short, 0.01)
         assert np.array_equal(short[[0, -1]], raw[[0, -1]])
         assert (np.linalg.norm(np.diff(short, axis=0), axis=1) > 0.0).all()
@@ -131,7 +131,7 @@ def test_a_way_goes_round_the_shorter_side_of_a_circle():
     way = find_path(checker, np.array([3.0, 0.0]), np.array([-3.0, 0.0]), np.random.default_rng(0))
     assert length_rad(way, circles(2)) == pytest.approx(2.0 * np.pi - 6.0)
     bent = np.array([[3.0, 0.0], [3.1, 0.5], [-3.0, 0.0]])
-    short = shorten(checker, bent, np.random.default_rng(0), 200, 0.01)
+    short = checker.shortened(bent, np.random.default_rng(0), 200, 0.01)
     assert length_rad(short, circles(2)) == pytest.approx(2.0 * np.pi - 6.0, rel=0.02)
 
 
@@ -157,7 +157,7 @@ def test_what_does_not_fit_is_refused():
         find_path(checker, READY[0], np.zeros(6), rng)
     for way, resolution in ((np.zeros((1, 7)), 0.01), (np.zeros((3, 6)), 0.01), (np.zeros((3, 7)), 0.0)):
         with pytest.raises(ScenarioError, match="way does not fit"):
-            shorten(checker, way, rng, 10, resolution)
+            checker.shortened(way, rng, 10, resolution)
     for wrong in ({"tries": -1}, {"final_rad": 0.0}, {"range_rad": float("nan")}):
         with pytest.raises(ScenarioError, match="limits of a search"):
             PathLimits(**wrong)

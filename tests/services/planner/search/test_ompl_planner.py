@@ -115,14 +115,14 @@ def test_all_that_a_planner_holds_is_learned_samples_and_the_ends(disconnected, 
 @pytest.mark.parametrize("planner", PLANNERS)
 def test_states_are_counted_beside_the_edges_they_lie_on(disconnected, planner, monkeypatch):
     looks = []
-    checked = checks.checked_edge
+    checked = checks.KERNELS.checked_edge
 
     def noted(*arguments):
         found = checked(*arguments)
         looks.append(found[1])
         return found
 
-    monkeypatch.setattr(checks, "checked_edge", noted)
+    monkeypatch.setattr(checks.KERNELS, "checked_edge", noted)
     result = solve(disconnected, PlannerSettings(planner, max_iterations=200, resolution_rad=0.05))
     assert result.resolution_rad == 0.05
     if planner != SAMPLED_CONNECT:
@@ -198,7 +198,7 @@ def test_the_time_limit_ends_a_search(disconnected):
 
 
 def test_a_path_that_the_planner_believes_in_is_still_checked(disconnected, monkeypatch):
-    monkeypatch.setattr(checks, "checked_edge", lambda *_: (True, 1))
+    monkeypatch.setattr(checks.KERNELS, "checked_edge", lambda *_: (True, 1))
     result = solve(disconnected, SETTINGS)
     assert not result.solved
     assert result.reason == Reason.REJECTED
@@ -280,7 +280,7 @@ def test_an_empty_batch_is_as_good_as_none(blocked):
 
 def test_an_error_in_a_callback_reaches_the_caller_and_the_next_solve_works(blocked, monkeypatch):
     with monkeypatch.context() as patch:
-        patch.setattr(checks, "checked_edge", lambda *_: 1 / 0)
+        patch.setattr(checks.KERNELS, "checked_edge", lambda *_: 1 / 0)
         with pytest.raises(ZeroDivisionError):
             solve(blocked, SETTINGS)
     assert solve(blocked, SETTINGS).solved
