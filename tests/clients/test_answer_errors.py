@@ -2,8 +2,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cspace_client.answer_errors import MAX_CHARACTERS, printable, unusable
-from cspace_client.strict_json import parse_json
+from cspace_client.answers import parse_json
+from cspace_client.errors import MAX_CHARACTERS, printable, unusable
 
 
 def test_a_server_s_words_stay_and_what_would_act_on_a_terminal_does_not() -> None:

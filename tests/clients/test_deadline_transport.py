@@ -10,11 +10,10 @@ from pathlib import Path
 import httpx
 import pytest
 
+from cspace_client import transport
+from cspace_client.client import SamplingClient
 from cspace_client.errors import SamplerUnavailableError
-from cspace_client.http import deadline_transport
-from cspace_client.http.deadline_transport import DeadlineTransport, deadline
-from cspace_client.retries import RetryPolicy
-from cspace_client.sampling_client import SamplingClient
+from cspace_client.transport import DeadlineTransport, RetryPolicy, deadline
 from tests.services.planner.hostile_server import (
     SEED,
     HostileServer,
@@ -50,7 +49,7 @@ def trusted(certificate: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def trusting(**_: object) -> ssl.SSLContext:
         return ssl.create_default_context(cafile=str(certificate))
 
-    monkeypatch.setattr(deadline_transport.httpx, "create_ssl_context", trusting)
+    monkeypatch.setattr(transport.httpx, "create_ssl_context", trusting)
 
 
 def over_tls(certificate: Path, script: Script) -> AbstractContextManager[HostileServer]:
@@ -105,11 +104,11 @@ def test_a_host_of_many_addresses_has_one_time_limit(monkeypatch: pytest.MonkeyP
     def never(self: object, host: str, port: int, timeout: float, *_: object) -> None:
         asked.append(timeout)
         time.sleep(min(timeout, 0.06))
-        raise deadline_transport.httpcore.ConnectTimeout("late")
+        raise transport.httpcore.ConnectTimeout("late")
 
     addresses = [(socket.AF_INET, socket.SOCK_STREAM, 6, "", (f"192.0.2.{at}", 80)) for at in range(1, 200)]
-    monkeypatch.setattr(deadline_transport.socket, "getaddrinfo", lambda *_, **__: addresses)
-    monkeypatch.setattr(deadline_transport.httpcore.SyncBackend, "connect_tcp", never)
+    monkeypatch.setattr(transport.socket, "getaddrinfo", lambda *_, **__: addresses)
+    monkeypatch.setattr(transport.httpcore.SyncBackend, "connect_tcp", never)
     client = SamplingClient("http://many.test", policy=RetryPolicy(attempts=1, deadline_s=0.3))
     with client, pytest.raises(SamplerUnavailableError, match="in time"):
         client.sample(PNG, N, seed=SEED)
@@ -122,8 +121,8 @@ def test_a_scope_belongs_to_a_link_local_address(monkeypatch: pytest.MonkeyPatch
         (socket.AF_INET6, socket.SOCK_STREAM, 6, "", ("fe80::1", 80, 0, 3)),
         (socket.AF_INET6, socket.SOCK_STREAM, 6, "", ("2001:db8::1", 80, 0, 0)),
     ]
-    monkeypatch.setattr(deadline_transport.socket, "getaddrinfo", lambda *_, **__: found)
-    assert deadline_transport._addresses("host", 80) == ["fe80::1%3", "2001:db8::1"]
+    monkeypatch.setattr(transport.socket, "getaddrinfo", lambda *_, **__: found)
+    assert transport._addresses("host", 80) == ["fe80::1%3", "2001:db8::1"]
 
 
 def test_without_a_deadline_the_request_s_own_limits_hold() -> None:

@@ -9,11 +9,10 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from cspace import space
-from cspace_client import joint_space
+from cspace_client import models
+from cspace_client.answers import read_samples, read_space
 from cspace_client.errors import SamplerAnswerError
-from cspace_client.joint_space import JointSpace
-from cspace_client.questions.model_head import read_space
-from cspace_client.questions.npy_body import read_samples
+from cspace_client.models import JointSpace
 from inference_api.pages.sampling import npy_head
 
 SAID = space.JointSpace((-np.pi, -4.0), (np.pi, 1.0), (True, False))
@@ -82,8 +81,8 @@ def test_the_clients_joint_space_is_the_projects(rows):
 
 
 def test_the_client_rounds_to_limits_as_the_service_does():
-    assert joint_space.LIMIT_TOLERANCE_RAD == space.LIMIT_TOLERANCE_RAD
-    assert joint_space.MAX_CIRCLE_RAD == space.MAX_CIRCLE_RAD
+    assert models.LIMIT_TOLERANCE_RAD == space.LIMIT_TOLERANCE_RAD
+    assert models.MAX_CIRCLE_RAD == space.MAX_CIRCLE_RAD
     rows = [[0.0, 1.0 + 1e-10], [0.0, -4.00009], [7.0, 0.5], [0.0, 1.001]]
     clamped = MIXED.clamp(rows)
     np.testing.assert_array_equal(clamped, [[0.0, 1.0], [0.0, -4.0], [7.0, 0.5], [0.0, 1.001]])

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cspace_client.errors import ConfigError
-from cspace_client.retries import RetryPolicy, parse_retry_after
+from cspace_client.transport import RetryPolicy, parse_retry_after
 
 POLICY = RetryPolicy(attempts=4, base_s=0.1, cap_s=0.3, deadline_s=10.0)
 NOW = datetime(2025, 3, 1, 12, 0, 0, tzinfo=UTC)

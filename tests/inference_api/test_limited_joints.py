@@ -10,8 +10,7 @@ import pytest
 from cspace.png import encode_png
 from cspace.space import circles
 from cspace.worlds.planar.arm import PlanarArm
-from cspace_client.questions.model_head import read_space
-from cspace_client.questions.npy_body import read_samples
+from cspace_client.answers import read_samples, read_space
 from inference_api.app import create_app
 from inference_api.settings import ApiSettings
 from tests.bundles import picture, write_tiny_bundle

@@ -18,7 +18,7 @@ from ompl import base as ob
 from cspace.errors import PlanningError
 from cspace.simulator import Checker, Problem
 from cspace.worlds import checker_of
-from cspace_client.ompl.feeding import DEFAULT_UNIFORM_SHARE
+from cspace_client.ompl.learned_sampler import DEFAULT_UNIFORM_SHARE
 from cspace_client.ompl.sample_mixture import GoalOnly, SampleMixture, StateDraws
 from services.planner.plan_result import PlanResult, Reason, SearchTree
 from services.planner.search.cost_record import CostRecord

@@ -10,9 +10,8 @@ from ompl import geometric as og
 from ompl import util as ou
 
 from cspace.simulator import Checker, Problem
-from cspace_client.ompl.goal_region import DrawnGoal
 from cspace_client.ompl.sample_mixture import SampleMixture, StateDraws
-from cspace_client.ompl.state_space import StateAccess, make_state_space
+from cspace_client.ompl.state_space import DrawnGoal, StateAccess, make_state_space
 from services.planner.plan_result import SearchTree
 from services.planner.search.path_objective import make_objective
 from services.planner.search.validity import EdgeValidator, StateValidator

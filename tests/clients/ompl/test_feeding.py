@@ -9,7 +9,7 @@ from ompl import geometric as og
 from ompl import util as ou
 
 from cspace_client.errors import ConfigError, PlanningError
-from cspace_client.ompl.feeding import feed_samples
+from cspace_client.ompl.learned_sampler import feed_samples
 from cspace_client.ompl.state_space import read_configuration, read_joint_space
 
 

@@ -12,7 +12,7 @@ from anyio.from_thread import start_blocking_portal
 
 from cspace.errors import ConfigError, SamplerError, SamplerUnavailableError
 from cspace.png import encode_png
-from cspace_client import async_sampling_client, sampling_client
+from cspace_client import client as clients
 from services.planner.sources.async_sampling_client import AsyncSamplingClient
 from services.planner.sources.local_sampler import LocalSampler
 from services.planner.sources.samples import SampleBatch
@@ -83,15 +83,15 @@ def ask(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Aske
 
     class Time:
         sleep = staticmethod(pauses.append)
-        perf_counter = staticmethod(sampling_client.time.perf_counter)
+        perf_counter = staticmethod(clients.time.perf_counter)
 
     class Anyio:
         sleep = staticmethod(pause)
         fail_after = staticmethod(anyio.fail_after)
         to_thread = anyio.to_thread
 
-    monkeypatch.setattr(sampling_client, "time", Time)
-    monkeypatch.setattr(async_sampling_client, "anyio", Anyio)
+    monkeypatch.setattr(clients, "time", Time)
+    monkeypatch.setattr(clients, "anyio", Anyio)
     return Asked(request.param, pauses)
 
 

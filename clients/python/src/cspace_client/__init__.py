@@ -4,7 +4,7 @@ It needs NumPy and httpx alone. ``cspace_client.local`` draws from a bundle in t
 is installed, ``cspace_client.ompl`` plans with OMPL where that is.
 """
 
-from cspace_client.async_sampling_client import AsyncSamplingClient
+from cspace_client.client import DEFAULT_POLICY, DEFAULT_TIMEOUT_S, AsyncSamplingClient, SamplingClient
 from cspace_client.errors import (
     ClientError,
     ConfigError,
@@ -15,22 +15,27 @@ from cspace_client.errors import (
     SamplerModelError,
     SamplerUnavailableError,
 )
-from cspace_client.http.client import DEFAULT_POLICY, DEFAULT_TIMEOUT_S
-from cspace_client.joint_space import JointSpace
-from cspace_client.model import ModelHead, PictureWarning
-from cspace_client.pictures import DepthPictures, Picture
-from cspace_client.plans import BelievedWay, Doubt, FoundPlan, NextView, Plan, PlanQuery, PlanWanted
-from cspace_client.questions.validity_question import Beliefs
-from cspace_client.retries import RetryPolicy
-from cspace_client.samples import (
+from cspace_client.models import (
     MAX_SAMPLES,
+    BelievedWay,
+    Doubt,
+    FoundPlan,
+    JointSpace,
+    ModelHead,
+    NextView,
+    PictureWarning,
+    Plan,
+    PlanQuery,
+    PlanWanted,
     SampleBatch,
     SampleQuery,
     Source,
     SourceTiming,
     Wanted,
 )
-from cspace_client.sampling_client import SamplingClient
+from cspace_client.pictures import DepthPictures, Picture
+from cspace_client.requests import Beliefs
+from cspace_client.transport import RetryPolicy
 
 __all__ = [
     "DEFAULT_POLICY",

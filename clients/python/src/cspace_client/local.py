@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Protocol, Unpack, cast
 
 from cspace_client.errors import LocalError
+from cspace_client.models import QueryOptions, SampleBatch, SampleQuery, Source, Wanted
 from cspace_client.pictures import Picture
-from cspace_client.samples import QueryOptions, SampleBatch, SampleQuery, Source, Wanted
 
 GROUP = "cspace_client.local"
 """Of the entry points."""

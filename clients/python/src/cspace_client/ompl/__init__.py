@@ -3,7 +3,12 @@
 It needs OMPL's Python package; nothing else of ``cspace_client`` does.
 """
 
-from cspace_client.ompl.feeding import feed_samples
-from cspace_client.ompl.learned_sampler import LearnedSampler, Problem, Solution, learned_sampler
+from cspace_client.ompl.learned_sampler import (
+    LearnedSampler,
+    Problem,
+    Solution,
+    feed_samples,
+    learned_sampler,
+)
 
 __all__ = ["LearnedSampler", "Problem", "Solution", "feed_samples", "learned_sampler"]

@@ -6,7 +6,7 @@ from typing import Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from cspace_client.joint_space import Joints
+from cspace_client.models import Joints
 
 Sample = TypeVar("Sample")
 

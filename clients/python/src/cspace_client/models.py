@@ -1,0 +1,539 @@
+"""What is asked of a sampler and of a planner, and what they answer."""
+
+import re
+import secrets
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal, Protocol, TypedDict
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cspace_client.errors import SamplerError
+from cspace_client.pictures import Picture
+
+MAX_LIMIT_RAD = 1000.0
+"""Of a joint, either way; further out single precision tells neighbours no longer apart."""
+
+LIMIT_TOLERANCE_RAD = 1e-4
+"""A value that lies this little beyond a limit is there by rounding, and is taken as that limit."""
+
+_TURN = 2.0 * np.pi
+MAX_CIRCLE_RAD = 3.0 * _TURN
+"""Farther from 0 an angle of a circle is more likely in degrees than unwrapped."""
+
+
+class Joints(Protocol):
+    """What a planner's draws need of a joint space, whoever made it."""
+
+    @property
+    def dim(self) -> int:
+        """d, number of joints."""
+
+    @property
+    def lower(self) -> tuple[float, ...]:
+        """Lower end of each joint, rad."""
+
+    @property
+    def upper(self) -> tuple[float, ...]:
+        """Upper end of each joint, rad."""
+
+    @property
+    def periodic(self) -> tuple[bool, ...]:
+        """Whether each joint is a circle."""
+
+    def wrap(self, configurations: ArrayLike) -> NDArray[np.float64]:
+        """Periodic joints brought into [-pi, pi), the others as they are; (..., d) rad."""
+
+    def sample_uniform(self, rng: np.random.Generator, count: int) -> NDArray[np.float64]:
+        """``count`` uniform configurations, (count, d) rad."""
+
+
+@dataclass(frozen=True, slots=True)
+class JointSpace:
+    """Circles for periodic joints, intervals for the others.
+
+    Args:
+        lower: lower end of each joint, rad; -pi where periodic.
+        upper: upper end of each joint, rad; pi where periodic.
+        periodic: whether the joint is a circle.
+    """
+
+    lower: tuple[float, ...]
+    upper: tuple[float, ...]
+    periodic: tuple[bool, ...]
+
+    @property
+    def dim(self) -> int:
+        """Number of joints."""
+        return len(self.lower)
+
+    def sample_uniform(self, rng: np.random.Generator, count: int) -> NDArray[np.float64]:
+        """``count`` uniform configurations, (count, d) rad."""
+        return rng.uniform(self.lower, self.upper, size=(count, self.dim))
+
+    def wrap(self, configurations: ArrayLike) -> NDArray[np.float64]:
+        """Periodic joints brought into [-pi, pi), the others as they are; (..., d) rad."""
+        values = np.asarray(configurations, dtype=np.float64)
+        wrapped = np.mod(values + np.pi, _TURN) - np.pi
+        # The modulo of a tiny negative number rounds up to the full period.
+        return np.where(self.periodic, np.where(wrapped >= np.pi, -np.pi, wrapped), values)
+
+    def distance(self, start: ArrayLike, end: ArrayLike) -> NDArray[np.float64]:
+        """Euclidean length of the straight way, round the shorter side of each circle; (...,) rad."""
+        apart = np.asarray(end, dtype=np.float64) - np.asarray(start, dtype=np.float64)
+        return np.asarray(np.linalg.norm(self.wrap(apart), axis=-1))
+
+    def clamp(self, configurations: ArrayLike) -> NDArray[np.float64]:
+        """Joints that lie up to ``LIMIT_TOLERANCE_RAD`` beyond a limit brought to it; (..., d) rad."""
+        values = np.asarray(configurations, dtype=np.float64)
+        inside = np.clip(values, self.lower, self.upper)
+        near = ~np.asarray(self.periodic) & (np.abs(values - inside) <= LIMIT_TOLERANCE_RAD)
+        return np.where(near, inside, values)
+
+    def contains(self, configurations: ArrayLike) -> NDArray[np.bool_]:
+        """Whether each of (..., d) lies within the limits of the joints that have some."""
+        values = np.asarray(configurations, dtype=np.float64)
+        inside = (values >= self.lower) & (values <= self.upper)
+        return np.asarray(np.all(inside | np.asarray(self.periodic), axis=-1))
+
+    def admits(self, configurations: ArrayLike) -> NDArray[np.bool_]:
+        """As :meth:`contains`, and all circles within ``MAX_CIRCLE_RAD`` of 0."""
+        turns = np.abs(np.asarray(configurations, dtype=np.float64)) <= MAX_CIRCLE_RAD
+        near = np.all(turns | ~np.asarray(self.periodic), axis=-1)
+        return np.asarray(self.contains(configurations) & near)
+
+    def holds(self, configurations: NDArray[np.floating[Any]]) -> NDArray[np.bool_]:
+        """Which values of (..., d) lie in their joint's range, circles in [-pi, pi).
+
+        Limits are compared in the precision of the values, for they may have been rounded to it.
+        """
+        low, high = (np.asarray(ends, dtype=configurations.dtype) for ends in (self.lower, self.upper))
+        limited = (configurations >= low) & (configurations <= high)
+        exact = configurations.astype(np.float64)
+        return np.where(self.periodic, (exact >= -np.pi) & (exact < np.pi), limited)
+
+
+def circles(dim: int) -> JointSpace:
+    """``dim`` joints without limits."""
+    return JointSpace((-np.pi,) * dim, (np.pi,) * dim, (True,) * dim)
+
+
+@dataclass(frozen=True, slots=True)
+class PictureWarning:
+    """Something about the pictures of a request that makes its answer worse or wrong.
+
+    Args:
+        code: a name that never changes, as ``no-surface-in-reach``; the API's document lists them.
+        message: what was seen, what it does to the answer, and what to do, in the server's words.
+        pictures: numbers of the pictures that it is about, from 0; none where it is about all.
+    """
+
+    code: str
+    message: str
+    pictures: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class ModelHead:
+    """The model that answered, and what it holds of the picture.
+
+    Args:
+        model_name: as :class:`cspace_client.models.SampleBatch` has it, and so the rest.
+        model_version: likewise.
+        digest: likewise.
+        novelty: likewise.
+        space: of its robot; None where it is not told.
+        robot: likewise.
+        alias_confirmed: likewise.
+        warnings: likewise.
+    """
+
+    model_name: str
+    model_version: int
+    digest: str
+    novelty: float | None = None
+    space: JointSpace | None = None
+    robot: str | None = None
+    alias_confirmed: bool | None = None
+    warnings: tuple[PictureWarning, ...] = ()
+
+
+MAX_SAMPLES = 20_000
+"""Of one request."""
+
+PLAIN = (0.0,)
+"""The schedule that leaves the encoder's standard deviation as it is."""
+
+
+class Wanted(Protocol):
+    """What is asked of a sampler; :class:`SampleQuery`, or any value with the same members."""
+
+    @property
+    def n(self) -> int:
+        """How many samples."""
+
+    @property
+    def seed(self) -> int:
+        """Unsigned 64 bit."""
+
+    @property
+    def epsilon_sigma(self) -> tuple[float, ...]:
+        """What the latent's standard deviation is raised by, in equal shares of the samples."""
+
+    @property
+    def start(self) -> tuple[float, ...] | None:
+        """(d,) rad, for path models."""
+
+    @property
+    def goal(self) -> tuple[float, ...] | None:
+        """As ``start``."""
+
+    @property
+    def min_confidence(self) -> float | None:
+        """What the validity head has to score; None for the model's own threshold."""
+
+    @property
+    def robot(self) -> str | None:
+        """Whose configurations are wanted."""
+
+
+class QueryOptions(TypedDict, total=False):
+    """What a call that asks for samples may leave out, as :class:`SampleQuery` has it."""
+
+    epsilon_sigma: Sequence[float]
+    start: ArrayLike | None
+    goal: ArrayLike | None
+    min_confidence: float | None
+    robot: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class SampleQuery:
+    """A request for samples; the server judges its ranges.
+
+    Args:
+        n: how many, 1 to ``MAX_SAMPLES``.
+        seed: unsigned 64 bit.
+        epsilon_sigma: the latent's standard deviation is raised by each value, 0 to 10; equal shares of the
+            samples in this order, the remainder to the first.
+        start: (d,) rad, for path models and only for them.
+        goal: as ``start``.
+        min_confidence: what the validity head has to score, 0 to 1; None for the model's own threshold,
+            0 for all samples as they come.
+        robot: whose configurations are wanted, the digest that ``GET /models`` tells; None for any.
+    """
+
+    n: int
+    seed: int
+    epsilon_sigma: tuple[float, ...] = PLAIN
+    start: tuple[float, ...] | None = None
+    goal: tuple[float, ...] | None = None
+    min_confidence: float | None = None
+    robot: str | None = None
+
+    @classmethod
+    def of(
+        cls,
+        n: int,
+        seed: int | None,
+        epsilon_sigma: Sequence[float] = PLAIN,
+        start: ArrayLike | None = None,
+        goal: ArrayLike | None = None,
+        min_confidence: float | None = None,
+        robot: str | None = None,
+    ) -> "SampleQuery":
+        """The query of numbers and arrays of any kind; without a seed one is drawn.
+
+        Raises:
+            SamplerError: a value is of another kind.
+        """
+        return cls(
+            _whole("n", n),
+            drawn_seed() if seed is None else _whole("seed", seed),
+            configuration("epsilon_sigma", epsilon_sigma),
+            None if start is None else configuration("start", start),
+            None if goal is None else configuration("goal", goal),
+            None if min_confidence is None else configuration("min_confidence", [min_confidence])[0],
+            robot,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class SourceTiming:
+    """Where a source's own time went, in s; what a round trip takes beyond the total is transport.
+
+    Args:
+        decode_s: reading the picture; 0 for one that was known.
+        encode_s: the picture's latent; 0 for one that was known.
+        generate_s: drawing, and scoring where that is asked for.
+        total_s: all of it, what the other three leave out among it.
+    """
+
+    decode_s: float
+    encode_s: float
+    generate_s: float
+    total_s: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SampleBatch:
+    """Learned samples for one picture, with the model they come from.
+
+    Args:
+        samples: (n, d) float32 rad, circles in [-pi, pi), other joints within the limits that are told.
+        model_name: of the model that answered; ``pretrained`` for the one that ships with the server.
+        model_version: its number in the registry.
+        digest: of its bundle.
+        seed: that was used, whether asked for or drawn.
+        shortfall: how many fewer samples came than were asked for.
+        round_trip_s: from the request to the checked answer, further attempts included.
+        novelty: how unlike the model's training scenarios the picture is, 0 to 1; None where it is not told.
+        fallback: whether another source answered because the server stayed away.
+        timing: where the source's own time went; None where it is not told.
+        acceptance: share of what was drawn that reached the confidence asked for; None where it is not told.
+        robot: whose configurations they are, the SHA-256 that ``GET /models`` tells beside the robot itself;
+            None where it is not told.
+        alias_confirmed: whether the server is sure of what the model's alias stands for; None where it is not
+            told.
+        confidence: (n,) float32, what the model's validity head scores each sample, 0 to 1; None for a model
+            without one, for samples that were not filtered by it, and over HTTP, whose ``.npy`` has no room
+            for it.
+        space: the joint space; None where it is not told.
+        warnings: what is wrong, or may be, with the pictures.
+    """
+
+    samples: NDArray[np.float32]
+    model_name: str
+    model_version: int
+    digest: str
+    seed: int
+    shortfall: int
+    round_trip_s: float
+    fallback: bool = False
+    novelty: float | None = None
+    timing: SourceTiming | None = None
+    acceptance: float | None = None
+    robot: str | None = None
+    alias_confirmed: bool | None = None
+    confidence: NDArray[np.float32] | None = None
+    space: JointSpace | None = None
+    warnings: tuple[PictureWarning, ...] = ()
+
+
+class Source(Protocol):
+    """Whatever answers with samples: a client, or what stands in for a server."""
+
+    def answer(self, picture: Picture, query: Wanted, model: str | None = None) -> SampleBatch:
+        """At most ``query.n`` samples, of the same picture and seed the same.
+
+        Raises:
+            SamplerError: it has no answer.
+        """
+
+
+def is_digest(value: object) -> bool:
+    """Whether a value is a SHA-256 in hexadecimal, in small letters."""
+    return isinstance(value, str) and re.fullmatch("[0-9a-f]{64}", value, re.ASCII) is not None
+
+
+def drawn_seed() -> int:
+    """A seed; with it a request that is sent again is the same request."""
+    return secrets.randbits(64)
+
+
+def configuration(name: str, value: ArrayLike) -> tuple[float, ...]:
+    """Finite numbers (d,) as JSON can hold them.
+
+    Raises:
+        SamplerError: they are none.
+    """
+    try:
+        numbers = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        numbers = np.array(np.nan)
+    if numbers.ndim != 1 or not np.isfinite(numbers).all():
+        raise SamplerError(f"{name} is wrong", expected="finite numbers, one dimension", got=str(value)[:200])
+    return tuple(numbers.tolist())
+
+
+def _whole(name: str, value: int) -> int:
+    try:
+        whole = int(value)
+    except (TypeError, ValueError, OverflowError):
+        whole = -1
+    # Neither a half nor a text.
+    if whole < 0 or whole != value or isinstance(value, bool):
+        raise SamplerError(f"{name} is wrong", expected="a whole number, not negative", got=repr(value)[:200])
+    return whole
+
+
+Status = Literal["solved", "refused", "timeout"]
+
+
+class PlanWanted(Protocol):
+    """What is asked of a planner; :class:`PlanQuery`, or any value with the same members."""
+
+    @property
+    def start(self) -> Sequence[float]:
+        """(d,) rad."""
+
+    @property
+    def goal(self) -> Sequence[float]:
+        """(d,) rad."""
+
+    @property
+    def seed(self) -> int:
+        """Of all draws, unsigned 64 bit."""
+
+    @property
+    def min_confidence(self) -> float | None:
+        """Below which no way is returned; None for the server's own."""
+
+    @property
+    def time_limit_s(self) -> float | None:
+        """For the search; None for the server's own."""
+
+    @property
+    def ways(self) -> int | None:
+        """That are looked for; None for the server's own number."""
+
+    @property
+    def next_view(self) -> bool:
+        """Whether a camera is wanted that would see more."""
+
+    @property
+    def views(self) -> Sequence[Mapping[str, Any]]:
+        """Cameras to choose it from."""
+
+    @property
+    def alternatives(self) -> bool:
+        """Whether all ways are wanted that are sure enough."""
+
+
+@dataclass(frozen=True, slots=True)
+class PlanQuery:
+    """A planning problem for a scene that a picture shows; the server judges its ranges.
+
+    Args:
+        start: (d,) rad.
+        goal: (d,) rad.
+        seed: of all draws, unsigned 64 bit.
+        min_confidence: below which no way is returned, 0 to 1; None for the server's own.
+        time_limit_s: for the search; None for the server's own.
+        ways: that are looked for; None for the server's own number.
+        next_view: whether the camera is wanted that would see most of what the way is doubted for.
+        views: cameras to choose it from, as plain values; none for some about the doubt.
+        alternatives: whether all ways are wanted that are sure enough, for those who can check them.
+    """
+
+    start: Sequence[float]
+    goal: Sequence[float]
+    seed: int = 0
+    min_confidence: float | None = None
+    time_limit_s: float | None = None
+    ways: int | None = None
+    next_view: bool = False
+    views: Sequence[Mapping[str, Any]] = ()
+    alternatives: bool = False
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Doubt:
+    """Where a way is least sure.
+
+    Args:
+        configuration: (d,) rad.
+        confidence: of it alone.
+        unseen: share of the robot that no picture shows there; None in worlds that are seen whole.
+        along: how far along the way it lies, 0 to 1.
+    """
+
+    configuration: NDArray[np.float64]
+    confidence: float
+    unseen: float | None
+    along: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BelievedWay:
+    """A way and how sure a model is of it.
+
+    Args:
+        way: (k, d) rad from start to goal.
+        confidence: that the whole way touches nothing.
+        edges: (k - 1,) the least confidence of a state on each of its pieces.
+    """
+
+    way: NDArray[np.float64]
+    confidence: float
+    edges: NDArray[np.float32]
+
+
+@dataclass(frozen=True, slots=True)
+class NextView:
+    """A camera that would see more.
+
+    Args:
+        camera: as plain values.
+        sees: share of the doubt along a way that lies on space it would see, 0 to 1.
+    """
+
+    camera: Mapping[str, Any]
+    sees: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Plan:
+    """A way, or none.
+
+    Args:
+        status: ``solved``; ``refused`` where no way is sure enough or none was found; ``timeout`` where none
+            was found in time.
+        way: (k, d) rad from start to goal, (0, d) unless it is solved.
+        confidence: that the whole way touches nothing; of the surest one where it is refused, 0 without one.
+        edges: (k - 1,) the least confidence of a state on each of its pieces.
+        unseen: (k - 1,) the largest share of the robot on each piece that no picture shows; None in worlds
+            that are seen whole.
+        length_rad: Euclidean.
+        found: ways that the best was chosen from.
+        least: where the surest way is least sure; None without one.
+        next_view: the camera that would see most of what that way is doubted for; None where none was asked
+            for, or none would see more.
+        alternatives: all ways that are sure enough, the surest first, which is the plan's; none where they
+            were not asked for.
+        search_ms: looking for ways.
+        score_ms: asking the model about them.
+    """
+
+    status: Status
+    way: NDArray[np.float64]
+    confidence: float
+    edges: NDArray[np.float32]
+    unseen: NDArray[np.float32] | None
+    length_rad: float
+    found: int
+    least: Doubt | None
+    next_view: NextView | None
+    alternatives: tuple[BelievedWay, ...]
+    search_ms: float
+    score_ms: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FoundPlan:
+    """A way, or why there is none.
+
+    Args:
+        plan: the answer.
+        reason: of what is not solved, in the server's words; None of what is.
+        seed: that was used.
+        model: that answered.
+        round_trip_s: from the request to the checked answer, further attempts included.
+    """
+
+    plan: Plan
+    reason: str | None
+    seed: int
+    model: ModelHead
+    round_trip_s: float

@@ -1,1 +1,0 @@
-"""What clients ask an inference API, and how its answers are read."""

@@ -1,0 +1,449 @@
+"""The requests of an inference API: POST /sample, /validity and /plan, and how their answers are read."""
+
+import io
+import json
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, Generic, Protocol, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cspace_client.answers import (
+    MAX_HEAD_BYTES,
+    MAX_JOINTS,
+    NPY,
+    Members,
+    SampleHead,
+    max_body_bytes,
+    parse_json,
+    read_head,
+    read_media_type,
+    read_model_head,
+    read_rows,
+    read_samples,
+    require_asked,
+    share,
+    space_of,
+    warnings_of,
+)
+from cspace_client.errors import SamplerError, printable, unusable
+from cspace_client.models import (
+    MAX_SAMPLES,
+    PLAIN,
+    BelievedWay,
+    Doubt,
+    FoundPlan,
+    JointSpace,
+    ModelHead,
+    NextView,
+    Plan,
+    PlanWanted,
+    SampleBatch,
+    Status,
+    Wanted,
+    configuration,
+    is_digest,
+)
+from cspace_client.pictures import File, Shown
+
+Found = TypeVar("Found")
+Found_co = TypeVar("Found_co", covariant=True)
+
+
+class Reading(Protocol[Found_co]):
+    """An answer whose head fits its question, and whose body follows."""
+
+    @property
+    def limit_bytes(self) -> int:
+        """The longest body that can be right."""
+
+    def conclude(self, body: bytes, round_trip_s: float) -> Found_co:
+        """What the whole answer stands for.
+
+        Args:
+            body: whole.
+            round_trip_s: how long it took.
+
+        Raises:
+            SamplerAnswerError: it can not be used.
+        """
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Question(ABC, Generic[Found]):
+    """One request, which may be sent more than once: its seed makes every answer to it the same.
+
+    Args:
+        shown: the picture, as it is sent.
+        model: ``name``, ``name@alias``, ``name/version`` or ``pretrained``; None for the default.
+        robot: that is planned for; None for any.
+        tells_robot: whether the robot is sent, which older servers refuse.
+    """
+
+    path: ClassVar[str]
+    media_type: ClassVar[str]
+
+    shown: Shown
+    model: str | None
+    robot: str | None
+    tells_robot: bool
+
+    @property
+    def fields(self) -> dict[str, Any]:
+        """The form's fields; what the endpoint takes for granted is left to it."""
+        fields = {**self.shown.fields, **self.own_fields()}
+        if self.robot is not None and self.tells_robot:
+            fields["robot"] = self.robot
+        if self.model is not None:
+            fields["model"] = self.model
+        return fields
+
+    @property
+    def files(self) -> list[tuple[str, File]]:
+        """The form's files, each with its field."""
+        return [*(("image", file) for file in self.shown.files), *self.own_files()]
+
+    @abstractmethod
+    def own_fields(self) -> dict[str, Any]:
+        """Those that this question has."""
+
+    def own_files(self) -> list[tuple[str, File]]:
+        """Files beside the picture, each with its field."""
+        return []
+
+    @abstractmethod
+    def read(self, headers: Mapping[str, str]) -> Reading[Found]:
+        """Judge an answer of status 200 by its head.
+
+        Args:
+            headers: of the answer; names in any case if the mapping does not mind it.
+
+        Raises:
+            SamplerAnswerError: a header is missing, wrong, or answers another question.
+        """
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SampleQuestion(Question[SampleBatch]):
+    """A request for samples.
+
+    Args:
+        query: what is asked; its robot and what has to be confirmed are the question's.
+    """
+
+    path: ClassVar[str] = "/sample"
+    media_type: ClassVar[str] = NPY
+
+    query: Wanted
+
+    def own_fields(self) -> dict[str, Any]:
+        """What the endpoint takes for granted is left to it."""
+        query = self.query
+        fields: dict[str, Any] = {"n": str(query.n), "seed": str(query.seed)}
+        if query.min_confidence is not None:
+            fields["min_confidence"] = repr(query.min_confidence)
+        if query.epsilon_sigma != PLAIN:
+            fields["epsilon_sigma"] = [repr(value) for value in query.epsilon_sigma]
+        for name, angles in (("start", query.start), ("goal", query.goal)):
+            if angles is not None:
+                fields[name] = json.dumps(angles)
+        return fields
+
+    def read(self, headers: Mapping[str, str]) -> "SampleReading":
+        """See :class:`cspace_client.requests.Question`."""
+        return SampleReading(self.query, read_head(headers, self.query, self.model))
+
+
+@dataclass(frozen=True, slots=True)
+class SampleReading:
+    """See :class:`cspace_client.requests.Reading`."""
+
+    query: Wanted
+    head: SampleHead
+
+    @property
+    def limit_bytes(self) -> int:
+        """Of so many samples; a server refuses more than it may be asked for."""
+        return max_body_bytes(min(self.query.n, MAX_SAMPLES))
+
+    def conclude(self, body: bytes, round_trip_s: float) -> SampleBatch:
+        """The batch."""
+        head, model = self.head, self.head.model
+        return SampleBatch(
+            samples=read_samples(body, self.query.n - head.shortfall, model.space),
+            model_name=model.model_name,
+            model_version=model.model_version,
+            digest=model.digest,
+            seed=head.seed,
+            shortfall=head.shortfall,
+            round_trip_s=round_trip_s,
+            novelty=model.novelty,
+            timing=head.timing,
+            robot=model.robot,
+            alias_confirmed=model.alias_confirmed,
+            acceptance=head.acceptance,
+            space=model.space,
+            warnings=model.warnings,
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Beliefs:
+    """What a model holds of configurations.
+
+    Args:
+        confidence: (n,) float32, probability that each is free.
+        unseen: (n,) float32, share of the robot that no picture shows; None in worlds that are seen whole.
+        threshold: the confidence that training recommends to ask for; None without one.
+        model: that answered.
+        round_trip_s: from the request to the checked answer, further attempts included.
+    """
+
+    confidence: NDArray[np.float32]
+    unseen: NDArray[np.float32] | None
+    threshold: float | None
+    model: ModelHead
+    round_trip_s: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ValidityQuestion(Question[Beliefs]):
+    """A request for what a model holds of configurations.
+
+    Args:
+        configurations: (n, d) float64 rad; see :func:`rows_of`.
+    """
+
+    path: ClassVar[str] = "/validity"
+    media_type: ClassVar[str] = NPY
+
+    configurations: NDArray[np.float64]
+
+    def own_fields(self) -> dict[str, Any]:
+        """None: the configurations are a file."""
+        return {}
+
+    def own_files(self) -> list[tuple[str, File]]:
+        """As a ``.npy``, which is shorter than JSON and exact."""
+        file = io.BytesIO()
+        np.save(file, np.ascontiguousarray(self.configurations, dtype="<f8"), allow_pickle=False)
+        return [("configurations", ("configurations.npy", file.getvalue(), NPY))]
+
+    def read(self, headers: Mapping[str, str]) -> "ValidityReading":
+        """See :class:`cspace_client.requests.Question`."""
+        read_media_type(headers, NPY)
+        threshold = share(headers, "x-threshold") if "x-threshold" in headers else None
+        head = read_model_head(headers, self.model, self.robot)
+        return ValidityReading(len(self.configurations), threshold, head)
+
+
+@dataclass(frozen=True, slots=True)
+class ValidityReading:
+    """See :class:`cspace_client.requests.Reading`."""
+
+    rows: int
+    threshold: float | None
+    head: ModelHead
+
+    @property
+    def limit_bytes(self) -> int:
+        """Two columns of float32."""
+        return MAX_HEAD_BYTES + 8 * self.rows
+
+    def conclude(self, body: bytes, round_trip_s: float) -> Beliefs:
+        """The beliefs: shares from 0 to 1, where a second column is that or nowhere a number."""
+        columns = read_rows(body, "beliefs")
+        if columns.shape != (self.rows, 2):
+            raise unusable("holds another array", f"({self.rows}, 2)", str(columns.shape))
+        confidence, unseen = columns[:, 0].copy(), columns[:, 1].copy()
+        nowhere = bool(np.isnan(unseen).all())
+        known = confidence if nowhere else columns
+        # What is not a number is neither.
+        if not ((known >= 0.0) & (known <= 1.0)).all():
+            raise unusable("holds values that are no shares", "0 to 1", "others")
+        return Beliefs(confidence, None if nowhere else unseen, self.threshold, self.head, round_trip_s)
+
+
+def rows_of(configurations: ArrayLike) -> NDArray[np.float64]:
+    """Configurations as a request can hold them, (n, d) float64.
+
+    Raises:
+        SamplerError: they are not 1 to ``MAX_SAMPLES`` rows of finite angles.
+    """
+    rows = np.asarray(configurations, dtype=np.float64)
+    fits = rows.ndim == 2 and 1 <= len(rows) <= MAX_SAMPLES and 1 <= rows.shape[1] <= MAX_JOINTS
+    if not fits or not np.isfinite(rows).all():
+        raise SamplerError(
+            "the configurations can not be asked about",
+            expected=f"1 to {MAX_SAMPLES} rows of finite angles in rad",
+            got=f"shape {rows.shape}" if not fits else "values that are not finite",
+        )
+    return rows
+
+
+JSON = "application/json"
+# Of a way with thousands of corners.
+_MAX_BYTES = 4 * 1024 * 1024
+_MAX_NAME = 256
+# Start and goal come back as circles are written: within a turn, in the numbers that were sent.
+_SAME_RAD = 1e-6
+_STATUSES: tuple[Status, ...] = ("solved", "refused", "timeout")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlanQuestion(Question[FoundPlan]):
+    """A request for a way.
+
+    Args:
+        query: what is asked.
+    """
+
+    path: ClassVar[str] = "/plan"
+    media_type: ClassVar[str] = JSON
+
+    query: PlanWanted
+
+    def own_fields(self) -> dict[str, Any]:
+        """All of the query; of what older servers do not know, what is not taken for granted."""
+        query = self.query
+        flags = {"next_view": query.next_view, "alternatives": query.alternatives}
+        fields: dict[str, Any] = {name: "true" for name, wanted in flags.items() if wanted}
+        if query.views:
+            fields["view"] = [json.dumps(dict(view)) for view in query.views]
+        if query.time_limit_s is not None:
+            fields["time_limit_s"] = repr(float(query.time_limit_s))
+        if query.ways is not None:
+            fields["ways"] = str(query.ways)
+        if query.min_confidence is not None:
+            fields["min_confidence"] = repr(float(query.min_confidence))
+        return fields | {
+            "start": json.dumps(configuration("start", query.start)),
+            "goal": json.dumps(configuration("goal", query.goal)),
+            "seed": str(query.seed),
+        }
+
+    def read(self, headers: Mapping[str, str]) -> "PlanReading":
+        """See :class:`cspace_client.requests.Question`."""
+        read_media_type(headers, JSON)
+        return PlanReading(self)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlanReading:
+    """See :class:`cspace_client.requests.Reading`."""
+
+    question: PlanQuestion
+
+    @property
+    def limit_bytes(self) -> int:
+        """Of JSON."""
+        return _MAX_BYTES
+
+    def conclude(self, body: bytes, round_trip_s: float) -> FoundPlan:
+        """The plan, whose way leads from start to goal within the joints' limits."""
+        try:
+            told = Members(parse_json(body), "plan")
+        except ValueError as error:
+            raise unusable("is no plan", "the members of a plan", str(error)) from error
+        query, seed = self.question.query, told.seed("seed")
+        if seed != query.seed:
+            raise unusable("is for another seed", str(query.seed), str(seed))
+        head = self._head(told.inner("model"))
+        space = space_of(told.plain("joint_space"), f"joint_space: {str(told.plain('joint_space'))[:80]}")
+        scenario = told.inner("scenario")
+        novelty = scenario.number("novelty", 1.0) if scenario.told("novelty") else None
+        plan = _plan(told, space)
+        _require_fit(plan, query, space)
+        reason = printable(told.text("reason")) if told.told("reason") else None
+        warnings = warnings_of(told) if told.has("warnings") else ()
+        head = replace(head, space=space, novelty=novelty, warnings=warnings)
+        return FoundPlan(plan, reason, seed, head, round_trip_s)
+
+    def _head(self, model: Members) -> ModelHead:
+        name, version, robot = model.text("name", _MAX_NAME), model.count("version"), model.text("robot")
+        digest = model.text("digest")
+        for what, value in (("digest", digest), ("robot", robot)):
+            if not is_digest(value):
+                raise unusable(f"names a wrong {what}", "a SHA-256 in hexadecimal", repr(value[:80]))
+        require_asked(self.question.model, self.question.robot, name, version, robot)
+        confirmed = model.flag("alias_confirmed")
+        return ModelHead(printable(name), version, digest, robot=robot, alias_confirmed=confirmed)
+
+
+def _plan(told: Members, space: JointSpace) -> Plan:
+    least = told.inner("least_sure") if told.told("least_sure") else None
+    view = told.inner("next_view") if told.has("next_view") else None
+    timing = told.inner("timing_ms")
+    return Plan(
+        status=told.one_of("status", _STATUSES),
+        way=_way(told, space),
+        confidence=told.number("confidence", 1.0),
+        edges=np.array(told.shares("edges"), dtype=np.float32),
+        unseen=np.array(told.shares("unseen"), dtype=np.float32) if told.told("unseen") else None,
+        length_rad=told.number("length_rad"),
+        found=told.count("ways"),
+        least=None if least is None else _doubt(least, space),
+        next_view=None if view is None else NextView(view.plain("camera"), view.number("sees", 1.0)),
+        alternatives=tuple(
+            BelievedWay(
+                _way(one, space),
+                one.number("confidence", 1.0),
+                np.array(one.shares("edges"), dtype=np.float32),
+            )
+            for one in (told.each("alternatives") if told.has("alternatives") else ())
+        ),
+        search_ms=timing.number("search"),
+        score_ms=timing.number("score"),
+    )
+
+
+def _doubt(least: Members, space: JointSpace) -> Doubt:
+    unseen = least.number("unseen", 1.0) if least.told("unseen") else None
+    row = _rows([least.row("configuration")], space)[0]
+    return Doubt(row, least.number("confidence", 1.0), unseen, least.number("along", 1.0))
+
+
+def _way(told: Members, space: JointSpace) -> NDArray[np.float64]:
+    return _rows(told.rows("path"), space)
+
+
+def _rows(rows: list[list[float]], space: JointSpace) -> NDArray[np.float64]:
+    if any(len(row) != space.dim for row in rows):
+        raise unusable("has no whole way", f"corners of {space.dim} joints", "others")
+    return np.array(rows, dtype=np.float64).reshape(len(rows), space.dim)
+
+
+def _require_fit(plan: Plan, query: PlanWanted, space: JointSpace) -> None:
+    """Refuse a way that is none, that leads elsewhere, or that is less sure than was asked for.
+
+    Raises:
+        SamplerAnswerError: it is such a one.
+    """
+    for way in plan.alternatives:
+        _require_way(way, query, space)
+    unseen = () if plan.unseen is None else plan.unseen
+    if plan.status == "solved":
+        if plan.unseen is not None and len(unseen) != len(plan.edges):
+            raise unusable("has no whole way", f"{len(plan.edges)} unseen shares", str(len(unseen)))
+        _require_way(plan, query, space)
+    elif any(map(len, (plan.way, plan.edges, unseen, plan.alternatives))):
+        raise unusable("has a way that was not found", "none", plan.status)
+
+
+def _require_way(way: Plan | BelievedWay, query: PlanWanted, space: JointSpace) -> None:
+    pieces = len(way.way) - 1
+    if pieces < 1 or len(way.edges) != pieces:
+        raise unusable("has no whole way", "two corners or more, edges between", f"{pieces} edges")
+    if query.min_confidence is not None and way.confidence < query.min_confidence:
+        raise unusable("is less sure than was asked for", str(query.min_confidence), str(way.confidence))
+    if not space.holds(way.way).all():
+        ends = f"from {space.lower} to {space.upper}"
+        raise unusable("leaves the joints' limits", ends[:200], "others")
+    ends_rad = [np.asarray(end, dtype=np.float64) for end in (query.start, query.goal)]
+    if (
+        any(end.shape != (space.dim,) for end in ends_rad)
+        or (space.distance(ends_rad, way.way[[0, -1]]) > _SAME_RAD).any()
+    ):
+        raise unusable("leads elsewhere", "a way from start to goal", "other ends")
