@@ -7,8 +7,11 @@ header that comes twice, comments, profiles and metadata never reach it.
 """
 
 import io
+import re
 import struct
 import zlib
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,8 +29,10 @@ _DEPTHS = {0: (1, 2, 4, 8, 16), 2: (8, 16), 3: (1, 2, 4, 8), 4: (8, 16), 6: (8, 
 _GREY, _COLOUR, _PALETTE = 0, 2, 3
 _CLEAR_BYTES = {_GREY: 2, _COLOUR: 6}
 _ANIMATION = {b"acTL", b"fcTL", b"fdAT"}
-_USED = {b"PLTE", b"tRNS", b"IDAT", b"IEND"}
-_ANCILLARY_BIT = 0x20
+# A file's chunks behind its header, a letter each: palette, transparency, pixels, end, and others, which need
+# not be known.
+_LETTERS = {b"PLTE": "P", b"tRNS": "T", b"IDAT": "D", b"IEND": "E"}
+_ORDER = re.compile("o*(Po*)?(To*)?D+o*E")
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,25 +87,46 @@ def canonical_png(data: bytes, header: PngHeader) -> bytes:
         ImageError: the file is cut or animated, its chunks are not those of a picture, one that is used does
             not have its sum, or there are more than :data:`MAX_CHUNKS`.
     """
-    order, view = _Order(header), memoryview(data)
-    kept, at = [view[:_HEADER_BYTES]], _HEADER_BYTES
-    for _ in range(MAX_CHUNKS):
-        if at + 12 > len(data):
-            raise damaged("it ends without IEND")
-        length, kind = struct.unpack_from(">I4s", data, at)
+    view, at = memoryview(data), _HEADER_BYTES
+    kept, lengths = [view[:_HEADER_BYTES]], {}
+    letters: list[str] = []
+    while letters[-1:] != ["E"]:
+        length, kind = struct.unpack_from(">I4s", data, at) if at + 12 <= len(data) else (0, b"")
         end = at + 12 + length
-        if end > len(data):
-            raise damaged(f"it ends within the chunk {kind!r}")
-        order.check(kind, length)
-        if kind in _USED:
+        if not kind or end > len(data) or len(letters) == MAX_CHUNKS:
+            raise damaged(f"it ends without IEND, within a chunk {kind!r}, or after {MAX_CHUNKS} chunks")
+        if kind in _ANIMATION:
+            raise ImageError("the picture is animated", expected="a single frame", remedy="send one frame")
+        if kind in _LETTERS:
             _check_sum(view[at + 4 : end])
-        if order.is_needed(kind):
+            lengths[kind] = length
+        elif not kind.isalpha() or not kind[:1].islower():
+            raise damaged(f"a chunk {kind!r} that no picture needs")
+        if kind in _LETTERS and (kind != b"PLTE" or header.colour == _PALETTE):
             kept.append(view[at:end])
-        if kind == b"IEND":
-            # Without a copy of some MiB in the usual case.
-            return data if sum(map(len, kept)) == len(data) else b"".join(kept)
+        letters.append(_LETTERS.get(kind, "o"))
         at = end
-    raise damaged(f"more than {MAX_CHUNKS} chunks")
+    if _ORDER.fullmatch("".join(letters)) is None or not _have_sizes(lengths, header.colour):
+        raise damaged("chunks that cannot stand together")
+    # Without a copy of some MiB in the usual case.
+    return data if sum(map(len, kept)) == len(data) else b"".join(kept)
+
+
+@contextmanager
+def opened(content: bytes) -> Iterator[Image.Image]:
+    """A canonical file in Pillow's decoder.
+
+    Raises:
+        ImageError: the decoder fails.
+    """
+    try:
+        with Image.open(io.BytesIO(content), formats=["PNG"]) as picture:
+            yield picture
+    except Exception as error:
+        # All, for there is no list of what a decoder raises for bytes from outside. Some of Pillow's messages
+        # hold an object's address, which is nobody's business.
+        text = str(error)
+        raise damaged(type(error).__name__ if not text or "0x" in text else text[:200]) from error
 
 
 def damaged(got: str) -> ImageError:
@@ -108,57 +134,16 @@ def damaged(got: str) -> ImageError:
     return ImageError("the picture is damaged", expected="a complete PNG file", got=got)
 
 
-class _Order:
-    """Which chunks may come where.
-
-    Args:
-        header: of the file.
-    """
-
-    def __init__(self, header: PngHeader) -> None:
-        self._colour = header.colour
-        self._seen: set[bytes] = set()
-        self._last, self._entries = b"IHDR", 0
-
-    def check(self, kind: bytes, length: int) -> None:
-        """Take the next chunk's kind and the length of its data.
-
-        Raises:
-            ImageError: it may not stand here, or not in any picture.
-        """
-        if kind in _ANIMATION:
-            raise ImageError("the picture is animated", expected="a single frame", remedy="send one frame")
-        if kind in _USED:
-            if not self._fits(kind, length):
-                raise damaged(f"a chunk {kind!r} of {length} bytes that cannot stand there")
-            self._seen.add(kind)
-        elif not kind.isalpha() or not kind[0] & _ANCILLARY_BIT:
-            raise damaged(f"a chunk {kind!r} that no picture needs")
-        self._last = kind
-
-    def is_needed(self, kind: bytes) -> bool:
-        """Whether pixels depend on a chunk of this kind."""
-        return kind in _USED and (kind != b"PLTE" or self._colour == _PALETTE)
-
-    def _fits(self, kind: bytes, length: int) -> bool:
-        seen = self._seen
-        if kind == b"IDAT":
-            coloured = self._colour != _PALETTE or b"PLTE" in seen
-            return coloured and (b"IDAT" not in seen or self._last == b"IDAT")
-        if kind == b"IEND":
-            return b"IDAT" in seen and length == 0
-        if kind in seen or b"IDAT" in seen:
-            return False
-        return self._fits_palette(length) if kind == b"PLTE" else self._fits_clear(length)
-
-    def _fits_palette(self, length: int) -> bool:
-        self._entries = length // 3
-        return b"tRNS" not in self._seen and length % 3 == 0 and 1 <= self._entries <= 256
-
-    def _fits_clear(self, length: int) -> bool:
-        if self._colour == _PALETTE:
-            return 1 <= length <= self._entries
-        return length == _CLEAR_BYTES.get(self._colour)
+def _have_sizes(lengths: Mapping[bytes, int], colour: int) -> bool:
+    """Whether palette, transparency and end are as long as they can be for a colour type."""
+    entries, rest = divmod(lengths.get(b"PLTE", 0), 3)
+    palette = b"PLTE" not in lengths or (rest == 0 and 1 <= entries <= 256)
+    clear = lengths.get(b"tRNS")
+    if colour == _PALETTE:
+        fits = entries > 0 and (clear is None or 1 <= clear <= entries)
+    else:
+        fits = clear is None or clear == _CLEAR_BYTES.get(colour)
+    return palette and fits and lengths[b"IEND"] == 0
 
 
 def _check_sum(chunk: memoryview) -> None:

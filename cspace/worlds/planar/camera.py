@@ -1,6 +1,5 @@
 """The camera above the plane: untrusted PNG bytes to RGB arrays, and these to network input."""
 
-import io
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from itertools import pairwise
@@ -11,7 +10,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from cspace.errors import ImageError
-from cspace.png import PngHeader, canonical_png, damaged, encode_png, read_header
+from cspace.png import PngHeader, canonical_png, encode_png, opened, read_header
 from cspace.strict_json import settle, written
 from cspace.world import Between
 
@@ -69,12 +68,6 @@ def _check_size(header: PngHeader) -> None:
         raise ImageError("the picture has 16 bits a channel", expected="at most 8", got="16")
 
 
-def _reason(error: Exception) -> str:
-    # Some messages of Pillow hold an object's address, which is nobody's business.
-    text = str(error)
-    return type(error).__name__ if not text or "0x" in text else text[:200]
-
-
 def _to_rgb(picture: Image.Image) -> NDArray[np.uint8]:
     if picture.mode in ("RGBA", "LA") or "transparency" in picture.info:
         rgba = picture.convert("RGBA")
@@ -89,13 +82,9 @@ def _decoded(content: bytes, width: int) -> Iterator[tuple[slice, NDArray[np.uin
     Raises:
         ImageError: it is damaged.
     """
-    try:
-        with Image.open(io.BytesIO(content), formats=["PNG"]) as picture:
-            for left, right in _bands(picture.width, width):
-                yield slice(left, right), _to_rgb(picture.crop((left, 0, right, picture.height)))
-    except Exception as error:
-        # All, for there is no list of what a decoder raises for bytes from outside.
-        raise damaged(_reason(error)) from error
+    with opened(content) as picture:
+        for left, right in _bands(picture.width, width):
+            yield slice(left, right), _to_rgb(picture.crop((left, 0, right, picture.height)))
 
 
 def _average(

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from PIL import Image
 
 from cspace.errors import ImageError, ScenarioError
-from cspace.png import PngHeader, canonical_png, damaged, read_header
+from cspace.png import PngHeader, canonical_png, damaged, opened, read_header
 from cspace.strict_json import read_object, settle, written
 from cspace.world import Between
 from cspace.worlds.spatial.poses import HERE, Pose, check_pose, make_pose, pose_of
@@ -250,12 +250,8 @@ def decode_depth(data: bytes, between: Between = lambda: None) -> NDArray[np.uin
     content = canonical_png(data, header)
     _check_length(content, header)
     between()
-    try:
-        with Image.open(io.BytesIO(content), formats=["PNG"]) as picture:
-            depth = np.array(picture)
-    except Exception as error:
-        # All, for there is no list of what a decoder raises for bytes from outside.
-        raise damaged(_reason(error)) from error
+    with opened(content) as picture:
+        depth = np.array(picture)
     if depth.shape != (header.height, header.width):
         raise damaged(f"pixels of shape {depth.shape}")
     return depth.astype(np.uint16)
@@ -385,12 +381,6 @@ def _check_length(content: bytes, header: PngHeader) -> None:
     try:
         found = len(zlib.decompressobj().decompress(b"".join(parts), length))
     except zlib.error as error:
-        raise damaged(_reason(error)) from error
+        raise damaged(str(error)) from error
     if found < length:
         raise damaged("pixels that end early")
-
-
-def _reason(error: Exception) -> str:
-    # Some messages of Pillow hold an object's address, which is nobody's business.
-    text = str(error)
-    return type(error).__name__ if not text or "0x" in text else text[:200]
