@@ -19,11 +19,9 @@ from cspace.simulator import Problem, Split
 from cspace.worlds.planar.checks import CollisionChecker
 from cspace.worlds.planar.problems import Family, draw_problem
 from cspace.worlds.planar.render import render
-from services.planner.drawing.configuration_panel import draw_configurations
-from services.planner.drawing.palette import GOAL
-from services.planner.drawing.workspace_panel import draw_workspace
-from services.planner.plan_result import PlanResult
-from services.planner.search.ompl_planner import solve
+from services.planner.ompl_planner import solve
+from services.planner.plotting import GOAL, plot_configurations, plot_workspace
+from services.planner.result import PlanResult
 from services.planner.settings import PlannerSettings
 
 ROOT = Path(__file__).parents[1]
@@ -81,9 +79,9 @@ def draw_overview(
     camera = problem.scenario.camera
     seen.imshow(picture, extent=(camera.x_min_m, camera.x_max_m, camera.y_min_m, camera.y_max_m))
     seen.set(xlabel="x (m)", ylabel="y (m)")
-    draw_configurations(generated, problem, result, samples[~doubted], (0, 1))
+    plot_configurations(generated, problem, result, samples[~doubted], (0, 1))
     generated.scatter(*samples[doubted].T, s=14, marker="x", color=GOAL, linewidths=0.8, zorder=2)
-    draw_workspace(planned, problem, result.path)
+    plot_workspace(planned, problem, result.path)
     for axes, title in (
         (seen, "the picture"),
         (generated, f"{len(samples)} generated; the model doubts the crosses; grey is in collision"),

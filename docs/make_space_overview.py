@@ -19,7 +19,7 @@ from cspace.simulator import Problem, Split
 from cspace.worlds import checker_of, picture_file_of, simulator_of
 from cspace.worlds.spatial.simulator import draw_arm, draw_obstacles, draw_seen
 from cspace.worlds.spatial.view import DepthView, read_view
-from services.planner.drawing.palette import GOAL, PATH, START
+from services.planner.plotting import GOAL, PATH, START
 
 ROOT = Path(__file__).parents[1]
 FAMILY, SEED = "shelf", 12

@@ -13,7 +13,7 @@ from cspace.errors import EvaluationError
 from services.evaluator.evaluation.report import COLLISION_COLOUR, FREE_COLOUR, SHOWN_SAMPLES, free_map
 from services.evaluator.measures.scenes import Scene, Stage, unfiltered
 from services.evaluator.measures.topology_scenes import scene_topology
-from services.planner.sources.samples import SampleSource
+from services.planner.samples import SampleSource
 
 # Okabe and Ito's palette, told apart by the colour-blind, too.
 COLOURS = ("#d55e00", "#0072b2", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")

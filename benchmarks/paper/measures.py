@@ -22,7 +22,7 @@ from services.evaluator.measures.scenes import Scene, Stage, measure_reconstruct
 from services.evaluator.measures.topology import POINTS
 from services.evaluator.measures.topology_scenes import scene_topology, summarise_topology
 from services.evaluator.statistics import Interval
-from services.planner.sources.local_sampler import BundleSampler
+from services.planner.samples import BundleSampler
 from training.clusters.bundling import TrainedParts, make_bundle
 from training.config import TrainConfig
 from training.models.checkpoint import read_progress

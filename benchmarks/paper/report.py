@@ -24,7 +24,7 @@ from cspace.errors import EvaluationError
 from cspace.simulator import Split
 from services.evaluator.evaluation.measured import markdown
 from services.evaluator.measures.scenes import Stage, measure_reconstruction
-from services.planner.sources.local_sampler import BundleSampler
+from services.planner.samples import BundleSampler
 
 # Enough for a caption; the table's scores stand on several scenarios.
 CAPTION_DRAWS = 50

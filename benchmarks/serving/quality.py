@@ -20,9 +20,8 @@ from services.evaluator.evaluation.measured import markdown
 from services.evaluator.measures.reconstruction import SceneQuality, summarise
 from services.evaluator.measures.scenes import SAMPLES, Scene, Stage, reconstruct, summary_rng
 from services.evaluator.statistics import difference_interval
-from services.planner.sources.local_sampler import BundleSampler
-from services.planner.sources.samples import Picture, SampleBatch, SampleSource
-from services.planner.sources.sampling_client import SamplingClient
+from services.planner.client import SamplingClient
+from services.planner.samples import BundleSampler, Picture, SampleBatch, SampleSource
 
 
 class AsClientsAsk(SampleSource):

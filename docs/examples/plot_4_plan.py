@@ -20,10 +20,10 @@ from cspace.simulator import Split
 from cspace.worlds.planar.problems import Family, draw_problem
 from cspace.worlds.planar.render import render
 from inference_api.settings import PRETRAINED_FOLDER
-from services.planner.drawing.configuration_panel import draw_configurations
-from services.planner.search.ompl_planner import solve
+from services.planner.ompl_planner import solve
+from services.planner.plotting import plot_configurations
+from services.planner.samples import LocalSampler
 from services.planner.settings import PlannerSettings
-from services.planner.sources.local_sampler import LocalSampler
 from training import path_sampler
 
 problem = draw_problem(Family.NARROW, Split.DEMO, seed=24)
@@ -42,6 +42,6 @@ results["samples along the way"] = (solve(problem, settings, batch.samples), bat
 
 figure, panels = plt.subplots(1, 2, figsize=(11, 5), layout="constrained")
 for axes, (name, (result, samples)) in zip(panels, results.items(), strict=True):
-    draw_configurations(axes, problem, result, samples, (0, 1))
+    plot_configurations(axes, problem, result, samples, (0, 1))
     axes.set_title(f"{name}: {result.iterations} iterations")
 plt.show()

@@ -37,8 +37,8 @@ from services.local.jobs import (
 from services.local.settings import Settings, service_environment
 from services.local.stack import addresses, aligned, services, shell_help, up
 from services.names import MODEL_NAME
-from services.planner.sources.samples import SampleSource
-from services.planner.sources.sampling_client import SamplingClient
+from services.planner.client import SamplingClient
+from services.planner.samples import SampleSource
 from services.registry.references import PRETRAINED, is_shipped
 from services.results import PREFIX
 

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from cspace.errors import ConfigError, ServiceStartError, StorageError
 from cspace.files import IGNORE_ALL, IGNORE_FILE, ignore, replacing, write_json
-from services.planner.sources.address import API_URL
+from services.planner.client import API_URL
 
 MARKER = ".cspace-sampler.json"
 # The path of a Unix socket ends at 103 bytes on macOS (107 on Linux), and Ray appends 64 to its folder.

@@ -1,5 +1,5 @@
 """Motion planning with OMPL, fed by configurations from the inference API.
 
-``sources`` fetch a batch over HTTP or draw it in this process; ``search`` hands it to OMPL's planners and to
-the project's own; ``planning`` joins both; ``drawing`` shows what happened, ``report`` tells it.
+``client`` requests a batch over HTTP, ``samples`` draws one in this process; ``ompl_planner`` and
+``rrt_connect`` search with it; ``planning`` joins both; ``plotting`` and ``report`` present the outcome.
 """

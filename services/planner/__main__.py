@@ -7,21 +7,209 @@ Exit codes: 0 solved, 1 not solved or the API's way collides, 2 wrong usage or i
 request.
 """
 
+import argparse
 import json
 import sys
 from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
 
 from cspace.errors import CspaceError
-from cspace.query import PlanQuery
+from cspace.query import DEFAULT_WAYS, PLAIN, PlanQuery, SampleQuery
 from cspace.simulator import Problem, Split
-from cspace.worlds import simulator_of
-from services.command_errors import tell_error
-from services.planner.command_line import Command, parse_command
-from services.planner.drawing.plot import draw_plan, save_figure
-from services.planner.planning import Comparison, compare_with_api
-from services.planner.report import comparison_json, comparison_table, problem_line
-from services.planner.sources.sampling_client import SamplingClient
-from services.planner.whole_plan import as_json, ask_for_plan, told
+from cspace.world import World
+from cspace.worlds import examples, simulator_of
+from services.command_errors import finite, tell_error
+from services.planner.client import DEFAULT_TIMEOUT_S, SamplingClient, usual_api
+from services.planner.ompl_planner import DEFAULT_UNIFORM_SHARE
+from services.planner.planning import (
+    DEFAULT_SAMPLES,
+    PAPER_SCHEDULE,
+    Comparison,
+    SampleRequest,
+    compare_with_api,
+)
+from services.planner.plotting import check_figure_path, plot_plan, save_figure
+from services.planner.report import (
+    as_json,
+    ask_for_plan,
+    comparison_json,
+    comparison_table,
+    problem_line,
+    told,
+)
+from services.planner.settings import LEARNED_PLANNERS, RRT, PlannerSettings, check_uniform_share
+from services.scene_files import SceneFile, read_scene_file
+
+WORLDS = examples()
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """What the user asked for, checked.
+
+    Args:
+        url: of the inference API.
+        timeout_s: of a request to it.
+        family: of the problem.
+        seed: of the problem.
+        index: of the problem among those of its seed.
+        world: robot and sensor.
+        settings: of the planner.
+        request: to the sampling endpoint.
+        uniform_share: of uniform samples among the learned ones.
+        scene: a file that holds the problem; None for one of a family.
+        plot: the figure's file, or None.
+        json: whether the outcome is printed as JSON.
+        whole: whether the API plans the whole way.
+        ways: that it chooses from then.
+    """
+
+    url: str
+    timeout_s: float
+    family: str
+    seed: int
+    index: int
+    world: World
+    settings: PlannerSettings
+    request: SampleRequest
+    uniform_share: float
+    scene: SceneFile | None
+    plot: Path | None
+    json: bool
+    whole: bool
+    ways: int
+
+
+def parse_command(arguments: Sequence[str] | None = None) -> Command:
+    """The command of an argument list; leaves the process with 2 where argparse objects.
+
+    Raises:
+        InputError: a value is out of its range, or a scene file does not fit.
+    """
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    # `plan FILE` is how people say it.
+    options = make_parser().parse_args(["--scene", *given[1:]] if given[:1] == ["plan"] else given)
+    scene = None if options.scene is None else read_scene_file(options.scene)
+    if options.plot is not None:
+        check_figure_path(options.plot)
+    check_uniform_share(options.uniform_share)
+    world = WORLDS[options.robot] if scene is None else scene.world
+    measures = simulator_of(world).measures
+    settings = PlannerSettings(
+        planner=options.planner,
+        range_rad=measures.range_rad if options.range is None else options.range,
+        resolution_rad=measures.resolution_rad,
+        time_limit_s=options.time_limit,
+        max_iterations=options.max_iterations,
+        seed=options.seed if options.planner_seed is None else options.planner_seed,
+        colliding_last=options.colliding_last,
+    )
+    query = SampleQuery.checked(
+        options.n, settings.seed, options.epsilon_sigma, min_confidence=options.min_confidence
+    )
+    request = SampleRequest(query, options.model, with_ends=options.path_model, ordered=options.ordered)
+    request = request if scene is None else request.for_scene(scene)
+    return Command(
+        url=options.api,
+        timeout_s=options.timeout,
+        family=options.family,
+        seed=options.seed,
+        index=options.index,
+        world=world,
+        settings=settings,
+        request=request,
+        uniform_share=options.uniform_share,
+        scene=scene,
+        plot=options.plot,
+        json=options.json,
+        whole=options.whole_plan,
+        ways=options.ways,
+    )
+
+
+def make_parser() -> argparse.ArgumentParser:
+    """The parser of the command."""
+    defaults = PlannerSettings()
+    parser = argparse.ArgumentParser(
+        prog="python -m services.planner",
+        usage="%(prog)s [plan FILE] [options]",
+        description="Draw a planning problem, or read one from a scene file, ask an inference API for "
+        "samples of its picture, and solve it with them and with uniform samples.",
+        epilog="Exit codes: 0 solved, 1 not solved, 2 wrong usage or input, or the API refused the request. "
+        "An API that does not answer is reported, and the problem is solved with uniform samples.",
+    )
+    problem = parser.add_argument_group("problem")
+    families = dict.fromkeys(name for world in WORLDS.values() for name in simulator_of(world).families.names)
+    problem.add_argument("--scene", type=Path, metavar="FILE", help="of your own, instead of a family's")
+    problem.add_argument("--family", choices=list(families), default="narrow", help="default %(default)s")
+    problem.add_argument("--seed", type=_count, default=0, help="of the problem; default %(default)s")
+    problem.add_argument("--index", type=_count, default=0, help="of the problem among those of its seed")
+    problem.add_argument(
+        "--robot", choices=sorted(WORLDS), default=next(iter(WORLDS)), help="the arm; default %(default)s"
+    )
+    samples = parser.add_argument_group("samples")
+    samples.add_argument("--api", metavar="URL", default=usual_api(), help="default %(default)s")
+    samples.add_argument("--timeout", type=finite, default=DEFAULT_TIMEOUT_S, help="s; default %(default)s")
+    samples.add_argument(
+        "--model",
+        help="name, name@alias, name/version or pretrained; default the API's, with a scene file its robot's",
+    )
+    samples.add_argument("--n", type=_count, default=DEFAULT_SAMPLES, help="default %(default)s")
+    samples.add_argument(
+        "--epsilon-sigma",
+        type=finite,
+        nargs="+",
+        default=PLAIN,
+        metavar="E",
+        help="raise the encoder's standard deviation by each, in equal shares and in this order: the epsilon "
+        f"schedule of algorithm 3, for example {' '.join(f'{value:g}' for value in PAPER_SCHEDULE)}",
+    )
+    samples.add_argument(
+        "--min-confidence", type=finite, help="of the model's validity head (default: the model's own)"
+    )
+    samples.add_argument("--path-model", action="store_true", help="send start and goal as well")
+    samples.add_argument(
+        "--ordered",
+        action="store_true",
+        help="take the samples along the way through them, from the start on",
+    )
+    samples.add_argument(
+        "--colliding-last",
+        action="store_true",
+        help="check each sample as its turn comes, and take those that collide after all others",
+    )
+    whole = parser.add_argument_group("whole plans")
+    whole.add_argument(
+        "--whole-plan",
+        action="store_true",
+        help="let the API plan in what its model believes, and judge the way in the scene as it is; of the "
+        "options for samples and search --min-confidence, --time-limit and --planner-seed hold for it",
+    )
+    whole.add_argument("--ways", type=_count, default=DEFAULT_WAYS, help="to choose from; %(default)s")
+    search = parser.add_argument_group("search")
+    search.add_argument("--planner", choices=LEARNED_PLANNERS, default=RRT, help="default %(default)s")
+    search.add_argument(
+        "--uniform-share",
+        type=finite,
+        default=DEFAULT_UNIFORM_SHARE,
+        help="of uniform samples mixed in; default %(default)s",
+    )
+    search.add_argument("--range", type=finite, help="rad; default the robot's, of two and three links 1")
+    search.add_argument("--max-iterations", type=int, default=defaults.max_iterations, help="%(default)s")
+    search.add_argument("--time-limit", type=finite, default=defaults.time_limit_s, help="s; %(default)s")
+    search.add_argument("--planner-seed", type=_count, help="of planner and samples; default --seed")
+    output = parser.add_argument_group("output")
+    output.add_argument("--plot", type=Path, metavar="FILE", help="draw the outcome (.png, .pdf or .svg)")
+    output.add_argument("--json", action="store_true", help="print the outcome as JSON")
+    return parser
+
+
+def _count(text: str) -> int:
+    value = int(text)
+    if value < 0:
+        raise argparse.ArgumentTypeError(f"{value} is below 0")
+    return value
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -46,8 +234,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _problem(command: Command) -> Problem:
     if command.scene is not None:
         return command.scene.problem()
-    simulator = simulator_of(command.world)
-    return simulator.problem(command.family, Split.DEMO, command.seed, command.index)
+    workshop = simulator_of(command.world)
+    return workshop.problem(command.family, Split.DEMO, command.seed, command.index)
 
 
 def _plan_whole(command: Command, problem: Problem) -> int:
@@ -62,7 +250,7 @@ def _plan_whole(command: Command, problem: Problem) -> int:
     print(json.dumps(as_json(whole), allow_nan=False) if command.json else told(whole))
     if command.plot is not None:
         title = f"{problem_line(problem)}: {whole.found.plan.status}"
-        save_figure(draw_plan(problem, whole.result, None, title), command.plot)
+        save_figure(plot_plan(problem, whole.result, None, title), command.plot)
     return 0 if whole.free else 1
 
 
@@ -84,7 +272,7 @@ def _draw(command: Command, comparison: Comparison) -> None:
         return
     learned = comparison.learned
     samples = None if learned.batch is None else learned.batch.samples
-    save_figure(draw_plan(comparison.problem, learned.result, samples), command.plot)
+    save_figure(plot_plan(comparison.problem, learned.result, samples), command.plot)
     if not command.json:
         print(f"\nfigure   {command.plot}")
 

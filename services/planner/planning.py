@@ -8,13 +8,12 @@ from cspace.query import SampleQuery
 from cspace.simulator import Problem
 from cspace.worlds import default_world, picture_file_of, robot_digest
 from services.names import model_name
-from services.planner.plan_result import PlanResult
-from services.planner.search.ompl_planner import DEFAULT_UNIFORM_SHARE, solve
-from services.planner.search.samples.sample_order import order_along
+from services.planner.client import SamplingClient, usual_api
+from services.planner.ompl_planner import DEFAULT_UNIFORM_SHARE, solve
+from services.planner.result import PlanResult
+from services.planner.rrt_connect import order_along
+from services.planner.samples import SampleBatch, SampleSource
 from services.planner.settings import RRT_CONNECT, PlannerSettings
-from services.planner.sources.address import usual_api
-from services.planner.sources.samples import SampleBatch, SampleSource
-from services.planner.sources.sampling_client import SamplingClient
 from services.scene_files import SceneFile, read_scene_file
 
 DEFAULT_SAMPLES = 300
@@ -101,7 +100,7 @@ def plan_with_api(
 
     Args:
         problem: start and goal in a scenario.
-        source: of samples, usually a :class:`services.planner.sources.sampling_client.SamplingClient`.
+        source: of samples, usually a :class:`services.planner.client.SamplingClient`.
         settings: of the planner.
         request: what is asked of the source; None for 300 samples with the planner's seed.
         uniform_share: of uniform samples mixed in, raised where the picture is like none the model knows.

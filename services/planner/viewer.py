@@ -26,7 +26,7 @@ from cspace.simulator import UNIFORM, Asked, Problem, Split
 from cspace.world import World
 from cspace.worlds import partly_seen, read_world, simulator_of
 from cspace_client import ClientError, DepthPictures, FoundPlan, PlanQuery, SamplingClient
-from services.planner.sources.address import usual_api
+from services.planner.client import usual_api
 
 Floats = NDArray[np.float64]
 GREY, START, GOAL, ALONG = (150, 150, 155), (70, 120, 200), (60, 160, 90), (230, 150, 40)

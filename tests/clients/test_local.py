@@ -18,8 +18,8 @@ from cspace_client import (
     local,
 )
 from cspace_client.local import LocalClient
-from services.planner.sources.client_source import ClientSource
-from services.planner.sources.local_sampler import LocalSampler
+from services.planner.client import ClientSource
+from services.planner.samples import LocalSampler
 from tests.bundles import picture, write_tiny_bundle
 from tests.fakes.sample_source import FakeSampleSource
 from tests.inference_api.test_depth_pictures import CAMERAS, IMAGES, STATE

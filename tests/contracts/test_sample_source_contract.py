@@ -15,11 +15,10 @@ from cspace.errors import SamplerError, SamplerUnavailableError
 from cspace.png import encode_png
 from cspace.query import SampleQuery
 from cspace.worlds.planar.arm import TWO_LINK
-from services.planner.sources.async_sampling_client import AsyncSamplingClient
-from services.planner.sources.local_sampler import LocalSampler
-from services.planner.sources.samples import Picture, PinnedSource, SampleBatch, SampleSource
-from services.planner.sources.sampling_client import SamplingClient
+from services.planner.client import SamplingClient
+from services.planner.samples import LocalSampler, Picture, SampleBatch, SampleSource
 from tests.bundles import picture, write_tiny_bundle
+from tests.fakes.async_client import AsyncSamplingClient
 from tests.fakes.sample_server import sample_server
 from tests.fakes.sample_source import FakeSampleSource
 from tests.fakes.uniform_sampler import UniformSampler
@@ -32,7 +31,6 @@ KINDS = [
     "http",
     "async",
     "local",
-    "pinned",
     pytest.param("api", marks=E2E),
     pytest.param("async api", marks=E2E),
 ]
@@ -83,8 +81,6 @@ def source(request: pytest.FixtureRequest, bundle: Path) -> Iterator[SampleSourc
         yield FakeSampleSource()
     elif request.param == "local":
         yield LocalSampler(bundle)
-    elif request.param == "pinned":
-        yield PinnedSource(LocalSampler(bundle), "pretrained/0")
     elif request.param == "uniform":
         yield UniformSampler(TWO_LINK.space)
     elif "api" in request.param:
@@ -102,8 +98,6 @@ def empty_source(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Cal
         yield lambda: FakeSampleSource(ready=False)
     elif request.param == "local":
         yield lambda: LocalSampler(tmp_path / "nothing")
-    elif request.param == "pinned":
-        yield lambda: PinnedSource(FakeSampleSource(ready=False), "pretrained")
     elif "api" in request.param:
         nothing = {"CSPACE_PRETRAINED_MODEL": str(tmp_path / "nothing")}
         with api_server(tmp_path, nothing) as url, connected(request.param, url) as client:

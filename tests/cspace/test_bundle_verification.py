@@ -21,7 +21,7 @@ from cspace.errors import (
     ServiceError,
 )
 from services.evaluator.benchmark.sources import bundled
-from services.planner.sources.local_sampler import LocalSampler
+from services.planner.samples import LocalSampler
 from tests.bundles import write_tiny_bundle
 from tests.cspace.test_bundle_integrity import golden_of, resign
 from tests.inference_api.bad_bundles import write_hungry_bundle, write_slow_bundle

@@ -13,7 +13,7 @@ import numpy as np
 
 from cspace.errors import SamplerError, SamplerUnavailableError
 from cspace.query import PLAIN, SampleQuery
-from services.planner.sources.samples import SampleBatch, SampleSource
+from services.planner.samples import SampleBatch, SampleSource
 
 Answer = tuple[int, dict[str, str], bytes]
 

@@ -10,7 +10,7 @@ from cspace.errors import SamplerError, SamplerUnavailableError
 from cspace.png import encode_png
 from cspace.query import MAX_SAMPLES, SampleQuery
 from cspace.space import to_float32
-from services.planner.sources.samples import Picture, SampleBatch, SampleSource
+from services.planner.samples import Picture, SampleBatch, SampleSource
 
 MODEL = "pretrained"
 DIGEST = "f" * 64

@@ -4,7 +4,7 @@ import numpy as np
 
 from cspace.query import SampleQuery
 from cspace.space import JointSpace
-from services.planner.sources.samples import Picture, SampleBatch, SampleSource
+from services.planner.samples import Picture, SampleBatch, SampleSource
 
 UNIFORM = "uniform"
 

@@ -14,9 +14,9 @@ from cspace.png import encode_png
 from cspace.query import PlanQuery
 from cspace.simulator import Split
 from cspace.worlds import examples, robot_digest, simulator_of
-from services.planner.sources.async_sampling_client import AsyncSamplingClient
-from services.planner.sources.sampling_client import SamplingClient
+from services.planner.client import SamplingClient
 from tests.bundles import picture
+from tests.fakes.async_client import AsyncSamplingClient
 from tests.inference_api.client_transports import IntoApp
 from tests.services.planner.clients import KINDS
 

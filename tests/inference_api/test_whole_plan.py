@@ -6,7 +6,7 @@ from functools import partial
 import pytest
 
 from services.planner import __main__ as command
-from services.planner.sources.sampling_client import SamplingClient
+from services.planner.client import SamplingClient
 from tests.inference_api.client_transports import IntoApp
 
 WHOLE = ["--whole-plan", "--api", "http://localhost", "--family", "uniform", "--seed", "7"]

@@ -14,13 +14,13 @@ from cspace.errors import DatasetError, ScenarioError
 from cspace.simulator import Split
 from cspace.worlds import read_world, simulator_of
 from cspace.worlds.planar.scenes import DiscScenes
-from services.planner.search.ompl_planner import solve
+from services.planner.ompl_planner import solve
 from services.planner.settings import PlannerSettings
 from services.registry.models.mlflow_registry import MlflowRegistry
 from services.scene_files import SceneFile, read_scene_file
 from tests.contracts.mlflow_server import mlflow_server
 from tests.own_ray import run_alone
-from training.datasets.configurations import draw_configurations
+from training.datasets.configurations import plot_configurations
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -68,7 +68,7 @@ def test_any_robot_has_scenes_pictures_data_and_plans_or_a_reason(tmp_path, valu
     assert simulator.render(scene).shape == world.sensor.picture_shape
     checker = simulator.checker(scene)
     try:
-        free = draw_configurations(checker, 20, rng, free=True)
+        free = plot_configurations(checker, 20, rng, free=True)
     except DatasetError as error:
         assert "hardly any configuration" in str(error)  # noqa: PT017 - likewise
         return

@@ -18,7 +18,7 @@ from cspace.space import JointSpace
 from services.evaluator.evaluation.report import gallery
 from services.evaluator.measures.scenes import Scene, Stage
 from services.names import ALIAS_CHALLENGER, recorded_name
-from services.planner.sources.local_sampler import BundleSampler
+from services.planner.samples import BundleSampler
 from services.registry.models.mlflow_registry import MlflowRegistry
 from services.registry.tracking.experiment import TAG_MODEL
 from services.registry.tracking.port import RunLog

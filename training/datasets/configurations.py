@@ -72,8 +72,8 @@ class ConfigurationRecipe:
                     **label(checker, simulator.proposals(scene, rng, config.proposals_per_scenario)),
                 }
             try:
-                free = draw_configurations(checker, config.free_per_scenario, rng, free=True)
-                collision = draw_configurations(checker, config.collision_per_scenario, rng, free=False)
+                free = plot_configurations(checker, config.free_per_scenario, rng, free=True)
+                collision = plot_configurations(checker, config.collision_per_scenario, rng, free=False)
             except DatasetError as error:
                 problem = error
                 continue
@@ -130,7 +130,7 @@ def _split(arrays: Arrays) -> dict[str, list[NDArray[Any]]]:
     return found
 
 
-def draw_configurations(
+def plot_configurations(
     checker: Checker, count: int, rng: np.random.Generator, *, free: bool
 ) -> NDArray[np.float64]:
     """``count`` uniform configurations that are free (or in collision), (count, d) rad.

@@ -20,7 +20,7 @@ from cspace.planning.paths import spread_points
 from cspace.simulator import NARROW, UNIFORM, PathSearch, Problem, Simulator, Split, scenario_rng
 from cspace.world import Arrays, Scene
 from cspace.worlds import simulator_of
-from services.planner.search.ompl_planner import solve
+from services.planner.ompl_planner import solve
 from services.planner.settings import RRT_STAR, PlannerSettings
 from training.datasets.config import PathDatasetConfig
 from training.datasets.shards import Pictures, Shard

@@ -25,11 +25,20 @@ from services.evaluator.benchmark.summary import (
     plan_groups,
 )
 from services.evaluator.statistics import clopper_pearson
-from services.planner.drawing import palette
-from services.planner.drawing.configuration_panel import draw_configurations
-from services.planner.drawing.workspace_panel import draw_workspace
-from services.planner.plan_result import PlanResult
-from services.planner.search.ompl_planner import solve
+from services.planner.ompl_planner import solve
+from services.planner.plotting import (
+    GOAL,
+    INK,
+    LEARNED,
+    MUTED,
+    PATH,
+    START,
+    TREE,
+    plot_configurations,
+    plot_workspace,
+)
+from services.planner.result import PlanResult
+from services.planner.samples import SampleBatch
 from services.planner.settings import (
     BIT_STAR,
     INFORMED_RRT_STAR,
@@ -38,7 +47,6 @@ from services.planner.settings import (
     RRT_CONNECT,
     SAMPLED_CONNECT,
 )
-from services.planner.sources.samples import SampleBatch
 
 # Told apart by most eyes, and in print by their lightness (after Okabe and Ito).
 _COLOURS = ("#d55e00", "#0072b2", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
@@ -47,16 +55,16 @@ _MARKS = "osD^v<>P"
 STYLE: dict[Any, Any] = {
     "font.size": 9,
     "axes.titlesize": 10,
-    "axes.labelcolor": palette.INK,
+    "axes.labelcolor": INK,
     "axes.edgecolor": "#b8bcc4",
     "axes.linewidth": 0.8,
     "axes.grid": True,
     "grid.color": "#e6e8ec",
     "grid.linewidth": 0.6,
     "axes.axisbelow": True,
-    "text.color": palette.INK,
-    "xtick.color": palette.MUTED,
-    "ytick.color": palette.MUTED,
+    "text.color": INK,
+    "xtick.color": MUTED,
+    "ytick.color": MUTED,
 }
 _POINTS = 200
 TALLEST = 1.8
@@ -95,7 +103,7 @@ def looks(arms: Sequence[Arm]) -> Mapping[str, tuple[str, str]]:
         return _UNIFORM_LINES.get(arm.planner, "-")
 
     def colour(arm: Arm) -> str:
-        return palette.INK if arm.sampler is None else _COLOURS[samplers.index(arm.sampler) % len(_COLOURS)]
+        return INK if arm.sampler is None else _COLOURS[samplers.index(arm.sampler) % len(_COLOURS)]
 
     return {arm.name: (colour(arm), line(arm)) for arm in arms}
 
@@ -423,10 +431,10 @@ def page(
     simulator_of(problem.scenario.world).draw_picture(axes[0], np.asarray(picture_of(problem.scenario)))
     axes[0].set_title("the picture that the sampler sees\n", fontsize=10)
     arm, result, _ = panels[-1]
-    draw_workspace(axes[1], problem, result.path)
+    plot_workspace(axes[1], problem, result.path)
     axes[1].set_title(f"workspace, path of\n{arm.name}" if result.solved else "workspace\n", fontsize=10)
     for one, (arm, result, batch) in zip(axes[2:], panels, strict=True):
-        draw_configurations(one, problem, result, None if batch is None else batch.samples, (0, 1))
+        plot_configurations(one, problem, result, None if batch is None else batch.samples, (0, 1))
         outcome = f"{result.reason} ({result.iterations})"
         if result.solved:
             checks = f"{result.iterations} iterations, {result.edge_checks} edges"
@@ -437,13 +445,13 @@ def page(
     marks = [
         Line2D([], [], linestyle="", marker=mark, color=colour, label=name)
         for name, colour, mark in (
-            ("start", palette.START, "o"), ("goal", palette.GOAL, "D"),
-            ("learned samples", palette.LEARNED, "."),
+            ("start", START, "o"), ("goal", GOAL, "D"),
+            ("learned samples", LEARNED, "."),
         )
     ]  # fmt: skip
     lines = [
         Line2D([], [], color=colour, linewidth=width, label=name)
-        for name, colour, width in (("search tree", palette.TREE, 1.0), ("path", palette.PATH, 2.4))
+        for name, colour, width in (("search tree", TREE, 1.0), ("path", PATH, 2.4))
     ]
     figure.legend(handles=[*marks, *lines], loc="outside lower center", ncols=6, frameon=False)
     return figure

@@ -22,8 +22,8 @@ from services.evaluator.benchmark.arms import CONNECT, PlanArm, Setting, Unit
 from services.evaluator.benchmark.runs import PLAN_COLUMNS, Row
 from services.evaluator.benchmark.samples import state_check_s
 from services.evaluator.benchmark.sources import SourceSpec, opened_planners, plan_query
-from services.planner.search.ompl_planner import solve
-from services.planner.search.ways_first import solve_with_ways
+from services.planner.ompl_planner import solve
+from services.planner.rrt_connect import solve_with_paths
 
 Points = NDArray[np.float64]
 # Status of a problem whose start or goal collides; it is left out.
@@ -116,7 +116,8 @@ class PlanWorker:
                 plan, request_s = self._planners[sampler].plan(picture, query, world)
                 confidence = plan.confidence if plan.status == "solved" else None
                 times = 1e-3 * plan.search_ms, 1e-3 * plan.score_ms, request_s
-                return Found(plan.alternatives, plan.status, confidence, *times)
+                paths = tuple(BelievedWay(one.way, one.confidence, one.edges) for one in plan.alternatives)
+                return Found(paths, plan.status, confidence, *times)
             return (
                 Found()
                 if unseen is None
@@ -198,7 +199,7 @@ def _judged(
 def _checked(found: Found | None, problem: Problem, setting: Setting, index: int, run: int) -> Row:
     """A search with exact checks that begins with the paths; without any where they are None."""
     settings = setting.planner(None, index, run)
-    result = solve(problem, settings) if found is None else solve_with_ways(problem, settings, found.paths)
+    result = solve(problem, settings) if found is None else solve_with_paths(problem, settings, found.paths)
     return {
         "status": str(result.reason),
         "solved": result.solved,

@@ -18,11 +18,10 @@ from cspace.worlds import checker_of, simulator_of
 from services.evaluator.benchmark.arms import Arm, Setting, Unit
 from services.evaluator.benchmark.runs import Row
 from services.evaluator.benchmark.sources import SourceSpec, ask, opened
-from services.planner.plan_result import CostPoint, PlanResult, Reason
-from services.planner.search.ompl_planner import solve
-from services.planner.search.path_check import judge_path
-from services.planner.search.samples.sample_order import order_along
-from services.planner.sources.samples import SampleBatch, SourceTiming
+from services.planner.ompl_planner import solve
+from services.planner.result import CostPoint, PlanResult, Reason, judge_path
+from services.planner.rrt_connect import order_along
+from services.planner.samples import SampleBatch, SourceTiming
 
 EDGES, REPEATS = 1000, 5
 

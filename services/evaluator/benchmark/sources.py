@@ -21,10 +21,9 @@ from cspace.view_file import is_view, pack_view, unpack_view
 from cspace.world import World
 from cspace.worlds import picture_file_of, robot_digest, simulator_of
 from services.evaluator.measures.scenes import PackedBundle
+from services.planner.client import RetryPolicy, SamplingClient, ServedPlan
 from services.planner.planning import between_ends
-from services.planner.sources.local_sampler import LocalSampler
-from services.planner.sources.samples import SampleBatch, SampleSource
-from services.planner.sources.sampling_client import RetryPolicy, SamplingClient
+from services.planner.samples import LocalSampler, SampleBatch, SampleSource
 
 _END = struct.pack(">I", 0) + b"IEND" + struct.pack(">I", zlib.crc32(b"IEND"))
 # A server's first plan may wait for its compiler.
@@ -187,7 +186,7 @@ class PlanModel:
     engine: Bundle | SamplingClient
     space: JointSpace
 
-    def plan(self, picture: bytes, query: PlanQuery, world: World) -> tuple[Plan, float]:
+    def plan(self, picture: bytes, query: PlanQuery, world: World) -> tuple[Plan | ServedPlan, float]:
         """The plan in a picture's file, and the time from the file to the answer, s.
 
         A problem that needs wider limits than those of a served model counts as refused.

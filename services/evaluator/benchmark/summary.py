@@ -34,7 +34,7 @@ from services.evaluator.statistics import (
     ratio_of_sums_interval,
     summarise_censored,
 )
-from services.planner.plan_result import Reason
+from services.planner.result import Reason
 from services.planner.settings import RRT_CONNECT, SAMPLED_CONNECT
 
 Floats = NDArray[np.float64]

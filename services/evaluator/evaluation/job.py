@@ -38,7 +38,7 @@ from services.evaluator.evaluation.units import (
 )
 from services.evaluator.measures.scenes import PackedBundle, bundle_sampler, summary_rng
 from services.names import EXPERIMENT, recorded_name, shown_name
-from services.planner.sources.samples import SampleSource
+from services.planner.samples import SampleSource
 from services.registry.models.port import ModelRegistry, ModelVersion
 from services.registry.tracking.experiment import TAG_MODEL, TAG_PRESET, TAG_STAGE, TAG_WORLD
 from services.registry.tracking.port import ID, Tracking

@@ -57,9 +57,9 @@ from services.evaluator.measures.occupancy import reliability_diagram
 from services.evaluator.measures.planning import UNIFORM_SHARE, learned_samples
 from services.evaluator.measures.reconstruction import NEIGHBOURS, covered
 from services.evaluator.measures.scenes import Scene, Stage, unfiltered
-from services.planner.drawing.plot import draw_plan
-from services.planner.search.ompl_planner import solve
-from services.planner.sources.samples import SampleSource
+from services.planner.ompl_planner import solve
+from services.planner.plotting import plot_plan
+from services.planner.samples import SampleSource
 from services.registry.models.port import ModelRegistry, ModelVersion, Shown
 from services.registry.promotion import Decision, record_decision
 from services.registry.tracking.experiment import NOTE as DESCRIPTION
@@ -458,7 +458,7 @@ def _plans(run: RunLog, evaluation: Evaluation, sampler: SampleSource, title: st
             problem, replace(planner_of(setting.world), seed=seed), samples, UNIFORM_SHARE, keep_tree=True
         )
         names.append(f"plan-{family}")
-        run.figure(draw_plan(problem, plan, samples, f"{title}, {family}"), names[-1])
+        run.figure(plot_plan(problem, plan, samples, f"{title}, {family}"), names[-1])
     return tuple(names)
 
 

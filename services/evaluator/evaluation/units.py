@@ -30,8 +30,8 @@ from services.evaluator.measures.topology_scenes import (
     summarise_topology,
 )
 from services.evaluator.statistics import Interval
-from services.planner.search.ompl_planner import PlannerSettings
-from services.planner.sources.samples import SampleSource
+from services.planner.samples import SampleSource
+from services.planner.settings import PlannerSettings
 from services.registry.references import ModelReference
 
 JUDGED = (Split.VALIDATION, Split.TEST)

@@ -21,10 +21,11 @@ from services.evaluator.statistics import (
     ratio_of_sums_interval,
     summarise_censored,
 )
+from services.planner.ompl_planner import solve
 from services.planner.planning import between_ends
-from services.planner.search.ompl_planner import PlannerSettings, PlanResult, Reason, solve
-from services.planner.search.path_check import judge_path
-from services.planner.sources.samples import SampleSource
+from services.planner.result import PlanResult, Reason, judge_path
+from services.planner.samples import SampleSource
+from services.planner.settings import PlannerSettings
 
 LEARNED_SAMPLES = 300
 UNIFORM_SHARE = 0.3

@@ -26,8 +26,7 @@ from services.evaluator.measures.reconstruction import (
     sample_quality,
     summarise,
 )
-from services.planner.sources.local_sampler import BundleSampler
-from services.planner.sources.samples import SampleSource
+from services.planner.samples import BundleSampler, SampleSource
 
 Image = NDArray[np.uint8]
 

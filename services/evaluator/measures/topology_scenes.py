@@ -24,7 +24,7 @@ from services.evaluator.measures.topology import (
     turned_living_times,
 )
 from services.evaluator.statistics import Interval, mean_interval
-from services.planner.sources.samples import SampleSource
+from services.planner.samples import SampleSource
 
 Cloud = NDArray[np.float64]
 SCORES = ("gs", "gsc_boundary", "gsc_true")

@@ -9,7 +9,7 @@ from cspace.simulator import Problem
 from cspace.worlds.planar.arm import TWO_LINK
 from cspace.worlds.planar.checks import CollisionChecker
 from cspace.worlds.planar.world import Disc, Scenario
-from services.planner.search.ompl_planner import solve
+from services.planner.ompl_planner import solve
 from services.planner.settings import SAMPLED_CONNECT, PlannerSettings
 from tests.inference_api.client import ApiClient
 from tests.inference_api.workbench.conftest import StartBench

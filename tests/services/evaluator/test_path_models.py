@@ -28,8 +28,8 @@ from services.evaluator.evaluation.units import (
 )
 from services.evaluator.measures.planning import LEARNED_SAMPLES, learned_samples, plan_trial
 from services.evaluator.measures.scenes import bundle_sampler
-from services.planner.search.ompl_planner import solve
-from services.planner.sources.local_sampler import BundleSampler
+from services.planner.ompl_planner import solve
+from services.planner.samples import BundleSampler
 from services.registry.promotion import decisions
 from tests.bundles import write_tiny_bundle
 from tests.fakes.registry import FakeRegistry, FakeTracking

@@ -15,9 +15,9 @@ import numpy as np
 from anyio.from_thread import start_blocking_portal
 
 from cspace.errors import SamplerError
-from services.planner.sources.async_sampling_client import AsyncSamplingClient
-from services.planner.sources.samples import SampleBatch
-from services.planner.sources.sampling_client import RetryPolicy, SamplingClient
+from services.planner.client import RetryPolicy, SamplingClient
+from services.planner.samples import SampleBatch
+from tests.fakes.async_client import AsyncSamplingClient
 from tests.services.planner.hostile_server import GOOD_BODY, GOOD_HEADERS, SEED, N, hostile_server
 
 PNG = b"\x89PNG picture"

@@ -2,9 +2,9 @@
 
 import anyio
 
-from services.planner.sources.async_sampling_client import AsyncSamplingClient
-from services.planner.sources.samples import SampleBatch
-from services.planner.sources.sampling_client import SamplingClient
+from services.planner.client import SamplingClient
+from services.planner.samples import SampleBatch
+from tests.fakes.async_client import AsyncSamplingClient
 
 KINDS = ("sync", "async")
 

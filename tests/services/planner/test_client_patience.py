@@ -13,11 +13,10 @@ from anyio.from_thread import start_blocking_portal
 from cspace.errors import ConfigError, SamplerError, SamplerUnavailableError
 from cspace.png import encode_png
 from cspace_client import client as clients
-from services.planner.sources.async_sampling_client import AsyncSamplingClient
-from services.planner.sources.local_sampler import LocalSampler
-from services.planner.sources.samples import SampleBatch
-from services.planner.sources.sampling_client import RetryPolicy, SamplingClient
+from services.planner.client import RetryPolicy, SamplingClient
+from services.planner.samples import LocalSampler, SampleBatch
 from tests.bundles import picture, write_tiny_bundle
+from tests.fakes.async_client import AsyncSamplingClient
 from tests.fakes.sample_server import npy, read_form, sample_server
 from tests.fakes.sample_source import DIGEST, FakeSampleSource
 
@@ -247,7 +246,7 @@ def test_small_packets_are_not_held_back_on_the_real_socket_of_the_awaited_clien
 ) -> None:
     seen: list[int] = []
     client = AsyncSamplingClient(server_url)
-    transport = client._client._transport
+    transport = client._transport
     send = transport.handle_async_request
 
     async def look(request: httpx.Request) -> httpx.Response:

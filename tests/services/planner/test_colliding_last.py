@@ -8,9 +8,9 @@ import pytest
 from cspace.simulator import Split
 from cspace.worlds.planar.checks import CollisionChecker
 from cspace.worlds.planar.problems import Family, draw_problem
-from services.planner.search.ompl_planner import PlannerSettings, solve
-from services.planner.search.samples.sample_order import colliding_last
-from services.planner.settings import LEARNED_PLANNERS
+from services.planner.ompl_planner import solve
+from services.planner.rrt_connect import colliding_last
+from services.planner.settings import LEARNED_PLANNERS, PlannerSettings
 
 SAMPLES = np.random.default_rng(0).uniform(-np.pi, np.pi, (60, 2))
 

@@ -3,7 +3,7 @@ import json
 import pytest
 
 from services.planner import __main__ as command
-from services.planner.command_line import parse_command
+from services.planner.__main__ import parse_command
 from tests.fakes.sample_server import sample_server
 from tests.fakes.sample_source import FakeSampleSource
 

@@ -8,10 +8,10 @@ import pytest
 from cspace.simulator import Split
 from cspace.worlds.planar.checks import CollisionChecker
 from cspace.worlds.planar.problems import Family, draw_problem
+from services.planner.client import RetryPolicy, SamplingClient
+from services.planner.ompl_planner import solve
 from services.planner.planning import plan_with_api
-from services.planner.search.ompl_planner import PlannerSettings, solve
-from services.planner.settings import LEARNED_PLANNERS, RRT
-from services.planner.sources.sampling_client import RetryPolicy, SamplingClient
+from services.planner.settings import LEARNED_PLANNERS, RRT, PlannerSettings
 
 GARBAGE = 300
 BUDGET = 20_000

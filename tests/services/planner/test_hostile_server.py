@@ -7,8 +7,8 @@ import tracemalloc
 import pytest
 
 from cspace.errors import SamplerAnswerError, SamplerError, SamplerUnavailableError
-from services.planner.sources.samples import SampleBatch
-from services.planner.sources.sampling_client import RetryPolicy
+from services.planner.client import RetryPolicy
+from services.planner.samples import SampleBatch
 from tests.fakes.sample_source import DIGEST, FakeSampleSource
 from tests.services.planner.clients import KINDS, ask
 from tests.services.planner.hostile_answers import ANSI, ATTACKS, BODIES, ENDLESS, problem

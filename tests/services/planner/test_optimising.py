@@ -11,17 +11,16 @@ from cspace.simulator import Split
 from cspace.worlds.planar.arm import THREE_LINK, PlanarArm
 from cspace.worlds.planar.problems import Family, draw_problem
 from cspace_client.ompl.state_space import StateAccess, make_state_space
-from services.planner.plan_result import CostPoint
-from services.planner.search.cost_record import CostRecord
-from services.planner.search.ompl_planner import PlannerSettings, solve
-from services.planner.search.path_objective import TorusLengthByGoal, make_objective
-from services.planner.search.stopping import StoppingRule
+from services.planner.ompl_adapters import CostRecord, StoppingRule, TorusLengthByGoal, make_objective
+from services.planner.ompl_planner import solve
+from services.planner.result import CostPoint
 from services.planner.settings import (
     BIT_STAR,
     INFORMED_RRT_STAR,
     OPTIMISING_PLANNERS,
     PLANNERS,
     RRT_STAR,
+    PlannerSettings,
 )
 
 PATIENT = {"stop_at_first": False, "max_iterations": 1500}

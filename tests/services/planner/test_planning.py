@@ -7,11 +7,11 @@ from cspace.errors import SamplerError
 from cspace.query import SampleQuery
 from cspace.worlds.planar.camera import decode_png
 from cspace.worlds.planar.render import render
-from services.planner.command_line import make_parser
+from services.planner.__main__ import make_parser
+from services.planner.client import SamplingClient, usual_api
+from services.planner.ompl_planner import solve
 from services.planner.planning import SampleRequest, compare_with_api, plan_with_api, raised_share
-from services.planner.search.ompl_planner import PlannerSettings, solve
-from services.planner.sources.address import usual_api
-from services.planner.sources.sampling_client import SamplingClient
+from services.planner.settings import PlannerSettings
 from tests.fakes.sample_source import FakeSampleSource
 
 SETTINGS = PlannerSettings(seed=3)

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from services.planner.search.ompl_planner import PlannerSettings, solve
-from services.planner.settings import LEARNED_PLANNERS, PLANNERS
+from services.planner.ompl_planner import solve
+from services.planner.settings import LEARNED_PLANNERS, PLANNERS, PlannerSettings
 
 ROOT = Path(__file__).parents[3]
 SETTING = """
@@ -18,7 +18,8 @@ from cspace.simulator import Problem
 from cspace.worlds.planar.problems import Family
 from cspace.worlds.planar.arm import TWO_LINK
 from cspace.worlds.planar.world import Disc, Scenario
-from services.planner.search.ompl_planner import PlannerSettings, solve
+from services.planner.ompl_planner import solve
+from services.planner.settings import PlannerSettings
 from services.planner.settings import LEARNED_PLANNERS, PLANNERS
 
 scenario = Scenario(TWO_LINK, (Disc(0.0, 3.0),))

@@ -5,9 +5,10 @@ import pytest
 
 from cspace.simulator import Split
 from cspace.worlds.planar.problems import Family, draw_problem
-from services.planner.search import outcome as outcome_module
-from services.planner.search.ompl_planner import PlannerSettings, Reason, solve
-from services.planner.settings import PRM, RRT, SAMPLED_CONNECT
+from services.planner import result
+from services.planner.ompl_planner import solve
+from services.planner.result import Reason
+from services.planner.settings import PRM, RRT, SAMPLED_CONNECT, PlannerSettings
 
 SETTINGS = PlannerSettings(max_iterations=2000, seed=1)
 SAMPLES = np.random.default_rng(0).uniform(-np.pi, np.pi, (300, 2))
@@ -35,7 +36,7 @@ def test_what_the_first_search_took_counts_as_well(monkeypatch):
     problem = draw_problem(Family.UNIFORM, Split.DEMO, 31, 0)
     single = solve(problem, SETTINGS)
     verdicts = iter([Reason.REJECTED, Reason.SOLVED])
-    monkeypatch.setattr(outcome_module, "judge_path", lambda *_: next(verdicts))
+    monkeypatch.setattr(result, "judge_path", lambda *_: next(verdicts))
     both = solve(problem, SETTINGS)
     assert both.solved
     assert both.iterations > single.iterations

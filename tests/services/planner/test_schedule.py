@@ -13,10 +13,10 @@ from cspace.worlds.planar.render import render
 from inference_api.app import create_app
 from inference_api.settings import ApiSettings
 from services.planner import __main__ as command
+from services.planner.client import SamplingClient
 from services.planner.planning import PAPER_SCHEDULE, SampleRequest, plan_with_api
-from services.planner.search.ompl_planner import PlannerSettings
-from services.planner.sources.local_sampler import LocalSampler
-from services.planner.sources.sampling_client import SamplingClient
+from services.planner.samples import LocalSampler
+from services.planner.settings import PlannerSettings
 from tests.bundles import write_tiny_bundle
 from tests.fakes.sample_server import sample_server
 from tests.inference_api.client import ApiClient, running

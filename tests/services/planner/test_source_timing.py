@@ -4,8 +4,7 @@ import pytest
 
 from cspace.png import encode_png
 from cspace_client.answers import read_timing
-from services.planner.sources.local_sampler import LocalSampler
-from services.planner.sources.samples import SourceTiming
+from services.planner.samples import LocalSampler, SourceTiming
 from tests.bundles import picture, write_tiny_bundle
 
 

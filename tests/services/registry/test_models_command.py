@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from cspace.bundle import Bundle
-from services.planner.sources.local_sampler import LocalSampler
+from services.planner.samples import LocalSampler
 from tests.bundles import write_tiny_bundle
 from tests.contracts.mlflow_server import mlflow_server
 

@@ -9,7 +9,7 @@ from cspace.worlds.planar.render import render
 from cspace.worlds.planar.world import Scenario, random_scenarios
 from tests.capsules import self_clearance_by_hand
 from training.datasets.config import DatasetConfig, PathDatasetConfig
-from training.datasets.configurations import ConfigurationRecipe, draw_configurations
+from training.datasets.configurations import ConfigurationRecipe, plot_configurations
 from training.datasets.shards import Shard, load_shard, save_shard
 
 SMALL = DatasetConfig(
@@ -90,7 +90,7 @@ def test_extra_pictures_show_other_scenarios():
 def test_free_configurations_are_uniform_over_the_free_space():
     scenario = random_scenarios(Split.DEMO, 1, 1)[0]
     rng = np.random.default_rng(0)
-    drawn = draw_configurations(CollisionChecker(scenario), 20_000, rng, free=True)
+    drawn = plot_configurations(CollisionChecker(scenario), 20_000, rng, free=True)
     assert len(drawn) == 20_000
     uniform = scenario.robot.space.sample_uniform(rng, 60_000)
     uniform = uniform[CollisionChecker(scenario).valid_batch(uniform)]
@@ -103,7 +103,7 @@ def test_free_configurations_are_uniform_over_the_free_space():
 def test_a_robot_that_hardly_ever_collides_is_an_error():
     scenario = Scenario(PlanarArm((0.1, 0.1), 0.05), random_scenarios(Split.DEMO, 1, 1)[0].discs)
     with pytest.raises(DatasetError, match="hardly any configuration is in collision"):
-        draw_configurations(CollisionChecker(scenario), 5, np.random.default_rng(0), free=False)
+        plot_configurations(CollisionChecker(scenario), 5, np.random.default_rng(0), free=False)
 
 
 def test_a_shard_survives_its_file(tmp_path):

@@ -19,8 +19,8 @@ from cspace.worlds.planar.problems import Family, draw_problem
 from services.evaluator.benchmark.arms import Unit, pick, table
 from services.evaluator.benchmark.samples import SampleWorker, drawn_samples, known_problem, state_check_s
 from services.evaluator.benchmark.sources import ask, bundled, fresh_picture, opened, parse_named
-from services.planner.plan_result import Reason
-from services.planner.search.samples.sample_order import order_along
+from services.planner.result import Reason
+from services.planner.rrt_connect import order_along
 from tests.bundles import picture, write_tiny_bundle
 
 NAMES = ("RRT, way, 70 %", "RRT, way, 100 %", "PRM, way, 100 %", "RRT*, way, 70 %, optimising")

@@ -18,7 +18,7 @@ from services.evaluator.evaluation.units import JUDGED, Budget, Kind, Setting, U
 from services.evaluator.measures.occupancy import reliability_diagram, scene_occupancy, summarise_occupancy
 from services.evaluator.measures.reconstruction import summarise
 from services.evaluator.measures.scenes import Scene, ScoredBundleSampler, Stage, bundle_sampler, reconstruct
-from services.planner.sources.local_sampler import BundleSampler
+from services.planner.samples import BundleSampler
 from tests.bundles import tiny_graphs, tiny_spec, write_tiny_bundle
 from tests.fakes.uniform_sampler import UniformSampler
 

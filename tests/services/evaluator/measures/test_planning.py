@@ -16,7 +16,8 @@ from services.evaluator.measures.planning import (
     success_rate,
     summarise_family,
 )
-from services.planner.search.ompl_planner import PlannerSettings, PlanResult
+from services.planner.result import PlanResult
+from services.planner.settings import PlannerSettings
 from tests.fakes.uniform_sampler import UniformSampler
 
 # One disc on the y axis: turning the first joint through a quarter circle collides, through the others it

@@ -4,7 +4,7 @@ import pytest
 from cspace.bundle import Bundle
 from cspace.errors import BundleIntegrityError
 from services.evaluator.measures.scenes import PackedBundle, unfiltered
-from services.planner.sources.local_sampler import BundleSampler
+from services.planner.samples import BundleSampler
 from tests.bundles import picture, write_tiny_bundle
 
 

@@ -11,7 +11,7 @@ from services.local import quickstart
 from services.local.commands import COMMANDS
 from services.local.jobs import EvaluationResult, TrainingResult
 from services.local.quickstart import TOURS
-from services.planner.sources.samples import SampleSource
+from services.planner.samples import SampleSource
 from services.registry.references import SHIPPED
 from tests.fakes.uniform_sampler import UniformSampler
 

@@ -1,0 +1,256 @@
+"""The inference API's client behind the project's port of samples, with the project's errors."""
+
+import json
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Self, TypedDict, Unpack
+
+import httpx
+from numpy.typing import ArrayLike
+
+import cspace_client
+from cspace.errors import (
+    ConfigError,
+    CspaceError,
+    ImageError,
+    InputError,
+    PlanningError,
+    SamplerAnswerError,
+    SamplerError,
+    SamplerModelError,
+    SamplerUnavailableError,
+)
+from cspace.query import PlanQuery, SampleQuery
+from cspace.view_file import pack_view
+from cspace_client import DEFAULT_TIMEOUT_S, Beliefs, FoundPlan, RetryPolicy
+from cspace_client import Plan as ServedPlan
+from cspace_client.pictures import shown
+from services.planner.samples import LocalSampler, Picture, SampleBatch, SampleSource
+
+__all__ = [
+    "API_URL",
+    "DEFAULT_TIMEOUT_S",
+    "FoundPlan",
+    "RetryPolicy",
+    "SamplingClient",
+    "ServedPlan",
+    "mapped",
+    "open_local",
+    "stand_in",
+    "usual_api",
+]
+
+API_URL = "CSPACE_API_URL"
+"""The variable that ``python -m services.local env`` sets in a shell."""
+_USUAL = "http://127.0.0.1:8000"
+
+
+def usual_api() -> str:
+    """The address that the shell names, or that of the default set-up."""
+    return os.environ.get(API_URL) or _USUAL
+
+
+# The most special ones first.
+_KINDS: tuple[tuple[type[cspace_client.ClientError], type[CspaceError]], ...] = (
+    (cspace_client.SamplerAnswerError, SamplerAnswerError),
+    (cspace_client.SamplerUnavailableError, SamplerUnavailableError),
+    (cspace_client.SamplerModelError, SamplerModelError),
+    (cspace_client.SamplerError, SamplerError),
+    (cspace_client.ConfigError, ConfigError),
+    (cspace_client.PlanningError, PlanningError),
+    (cspace_client.ClientError, CspaceError),
+)
+
+
+@contextmanager
+def mapped() -> Iterator[None]:
+    """Errors of the client within the block leave it as those of :mod:`cspace.errors`, with their causes."""
+    try:
+        yield
+    except cspace_client.ClientError as error:
+        kind = next(ours for theirs, ours in _KINDS if isinstance(error, theirs))
+        raise kind(error.what, **error.details) from error.__cause__
+
+
+@contextmanager
+def told_to_client() -> Iterator[None]:
+    """Errors of a source within the block leave it as those that the client expects of one."""
+    try:
+        yield
+    except SamplerError as error:
+        kind = next(theirs for theirs, ours in _KINDS if isinstance(error, ours))
+        details = {"expected": error.expected, "got": error.got, "remedy": error.remedy}
+        raise kind(error.what, **details) from error
+
+
+class ClientSource:
+    """Answers the client's queries.
+
+    Args:
+        source: that answers.
+    """
+
+    def __init__(self, source: SampleSource) -> None:
+        self._source = source
+
+    def answer(
+        self, picture: cspace_client.Picture, query: cspace_client.Wanted, model: str | None = None
+    ) -> SampleBatch:
+        """See :class:`cspace_client.Source`.
+
+        Raises:
+            cspace_client.SamplerError: it has no answer.
+        """
+        with told_to_client():
+            return self._source.answer(_picture(picture), _judged(query), model)
+
+
+def open_local(folder: Path, *, robot: str | None) -> ClientSource:
+    """A bundle's folder, as :class:`cspace_client.local.LocalClient` opens one: this project's entry point.
+
+    Raises:
+        cspace_client.LocalError: the bundle can not be used.
+    """
+    try:
+        return ClientSource(LocalSampler(folder, robot=robot))
+    except SamplerError as error:
+        raise cspace_client.LocalError(error.what, got=error.got, remedy=error.remedy) from error
+
+
+def _judged(query: cspace_client.Wanted) -> SampleQuery:
+    if isinstance(query, SampleQuery):
+        return query
+    try:
+        return SampleQuery.checked(
+            query.n,
+            query.seed,
+            query.epsilon_sigma,
+            query.start,
+            query.goal,
+            query.min_confidence,
+            query.robot,
+        )
+    except InputError as error:
+        raise SamplerError(error.what, expected=error.expected, got=error.got) from error
+
+
+def _picture(picture: cspace_client.Picture) -> Picture:
+    """Depth pictures as the file of a view, others as they are."""
+    if not isinstance(picture, cspace_client.DepthPictures):
+        return picture
+    sent = shown(picture)
+    cameras = [json.loads(one) for one in sent.fields["camera"]]
+    state, scale = (json.loads(sent.fields.get(name, "null")) for name in ("state", "depth_scale_m"))
+    try:
+        return pack_view([data for _, data, _ in sent.files], cameras, state, scale)
+    except ImageError as error:
+        raise SamplerError(error.what, expected=error.expected, got=error.got) from error
+
+
+class ClientOptions(TypedDict, total=False):
+    """Further settings of a client; see :class:`cspace_client.SamplingClient`.
+
+    Its ``robot`` is what :func:`cspace.worlds.robot_digest` names.
+    """
+
+    connect_timeout_s: float | None
+    policy: RetryPolicy
+    api_key: str | None
+    transport: httpx.BaseTransport | None
+    robot: str | None
+
+
+class SamplingClient(SampleSource):
+    """Asks an inference API for samples, beliefs and ways over one kept connection.
+
+    Args:
+        url: as :class:`cspace_client.SamplingClient` has it, and so the rest.
+        timeout_s: likewise.
+        fallback: answers while the API stays away or its answers can not be used, with the same seed; the
+            batch says so. The deadline does not hold for it.
+        options: likewise.
+
+    Raises:
+        ConfigError: the address, a time limit, the key or the robot can not be.
+    """
+
+    def __init__(
+        self,
+        url: str,
+        timeout_s: float = DEFAULT_TIMEOUT_S,
+        *,
+        fallback: SampleSource | None = None,
+        **options: Unpack[ClientOptions],
+    ) -> None:
+        with mapped():
+            self._client = cspace_client.SamplingClient(
+                url, timeout_s, fallback=stand_in(fallback), **options
+            )
+
+    @property
+    def url(self) -> str:
+        """Of the API, without a slash at its end."""
+        return self._client.url
+
+    def answer(self, picture: Picture, query: SampleQuery, model: str | None = None) -> SampleBatch:
+        """See :class:`services.planner.samples.SampleSource`.
+
+        Raises:
+            SamplerUnavailableError: no connection, no answer in time, no model ready (503), too many requests
+                (429), or a server that fails (5xx), and no fallback that answers.
+            SamplerAnswerError: likewise, for an answer that can not be used.
+            SamplerError: the request was refused (4xx).
+        """
+        with mapped():
+            return self._client.answer(picture, query, model)
+
+    def validity(self, picture: Picture, configurations: ArrayLike, model: str | None = None) -> Beliefs:
+        """How sure a model is that configurations are free; no fallback answers.
+
+        Args:
+            picture: of the scenario; of depth cameras a file of :func:`cspace.view_file.pack_view`.
+            configurations: (n, d) rad, at most ``MAX_SAMPLES``.
+            model: as :meth:`answer` has it.
+
+        Raises:
+            SamplerUnavailableError: as :meth:`answer` has it.
+            SamplerAnswerError: likewise.
+            SamplerError: likewise, or the configurations can not be asked about.
+        """
+        with mapped():
+            return self._client.validity(picture, configurations, model)
+
+    def plan(self, picture: Picture, query: PlanQuery, model: str | None = None) -> FoundPlan:
+        """A way from start to goal in what a model believes of a picture; no fallback answers.
+
+        The client's time limits have to leave room for that of the search.
+
+        Args:
+            picture: as :meth:`validity` has it.
+            query: the problem; the server judges it.
+            model: as :meth:`answer` has it.
+
+        Raises:
+            SamplerUnavailableError: as :meth:`answer` has it, or the server does not plan (501).
+            SamplerAnswerError: likewise, for a way that does not lead from start to goal, for example.
+            SamplerError: likewise.
+        """
+        with mapped():
+            return self._client.plan(picture, query, model)
+
+    def close(self) -> None:
+        """Close the connection."""
+        self._client.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def stand_in(source: SampleSource | None) -> ClientSource | None:
+    """A source as the client's fallback."""
+    return None if source is None else ClientSource(source)

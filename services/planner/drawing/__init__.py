@@ -1,1 +1,0 @@
-"""Paths and configurations as pictures."""

@@ -1,0 +1,194 @@
+"""What a planner returns: the path after an independent check, and what the search took."""
+
+import math
+from dataclasses import asdict, dataclass, fields, replace
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cspace.simulator import Problem
+from cspace.worlds import checker_of
+from services.planner.settings import PlannerSettings
+
+
+class Reason(StrEnum):
+    """Why a search ended, in words."""
+
+    SOLVED = "solved"
+    START_COLLIDES = "the start is not a free configuration"
+    GOAL_COLLIDES = "the goal is not a free configuration"
+    ITERATION_LIMIT = "the iteration limit was reached"
+    TIME_LIMIT = "the time limit was reached"
+    NO_PATH = "the planner ended without a path"
+    WRONG_ENDS = "the path does not lead from the start to the goal"
+    REJECTED = "the independent check rejected the path"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SearchTree:
+    """The tree when the search ended: two for RRTConnect, PRM's roadmap without lone vertices.
+
+    For BIT* all motions that it found free, of which its tree is a part.
+
+    Args:
+        vertices: (V, d) rad.
+        edges: (E, 2) indices into the vertices.
+    """
+
+    vertices: NDArray[np.float64]
+    edges: NDArray[np.intp]
+
+
+@dataclass(frozen=True, slots=True)
+class CostPoint:
+    """A path of an optimising planner that was shorter than all before.
+
+    Args:
+        iterations: states that the planner had drawn.
+        edge_checks: motions that it had had checked.
+        time_s: since the search began.
+        length_rad: torus length (L2) of the path, which was checked at the planner's resolution only.
+    """
+
+    iterations: int
+    edge_checks: int
+    time_s: float
+    length_rad: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlanResult:
+    """One run of a planner.
+
+    Args:
+        solved: a path from the start to within 1e-6 rad of the goal passed the check at ten times the
+            resolution.
+        path: (k, d) rad; (0, d) unless solved.
+        length_rad: torus length (L2) of the path; nan unless solved.
+        iterations: states that the planner drew, free or not, the goal among them; for PRM without the goal,
+            which it holds from the start. InformedRRT* counts those that its sampler gave up as well.
+        edge_checks: motions that the planner had checked.
+        solve_time_s: wall time of the search alone.
+        learned_drawn: how many of the drawn states came from the batch of learned samples.
+        uniform_drawn: how many were uniform.
+        reason: why the search ended.
+        tree: the search tree, where it was asked for.
+        state_checks: states that were looked at, within motions and alone.
+        resolution_rad: largest distance between checked states of a motion in any joint.
+        costs: how the length fell, from the first solution on; empty unless solved by an optimising planner.
+    """
+
+    solved: bool
+    path: NDArray[np.float64]
+    length_rad: float
+    iterations: int
+    edge_checks: int
+    solve_time_s: float
+    learned_drawn: int
+    uniform_drawn: int
+    reason: str
+    tree: SearchTree | None = None
+    state_checks: int = 0
+    resolution_rad: float = math.nan
+    costs: tuple[CostPoint, ...] = ()
+
+
+GOAL_TOLERANCE_RAD = 1e-6
+CHECK_FACTOR = 10.0
+
+
+def judge_path(problem: Problem, path: NDArray[np.float64], resolution_rad: float) -> Reason:
+    """Whether a path leads from start to goal and is free at ten times the resolution.
+
+    Args:
+        problem: start, goal and scenario.
+        path: (k, d) rad.
+        resolution_rad: the planner's.
+
+    Returns:
+        ``Reason.SOLVED``, or what is wrong.
+    """
+    space = problem.space
+    if len(path) < 2:
+        return Reason.WRONG_ENDS
+    ends = space.distance(path[[0, -1]], np.stack([problem.start, problem.goal]))
+    if not np.all(ends <= GOAL_TOLERANCE_RAD):
+        return Reason.WRONG_ENDS
+    checker = checker_of(problem.scenario)
+    free = checker.edge_batch(path[:-1], path[1:], resolution_rad / CHECK_FACTOR)
+    return Reason.SOLVED if np.all(free) else Reason.REJECTED
+
+
+def path_length_rad(problem: Problem, path: NDArray[np.float64]) -> float:
+    """Torus length of a path (k, d): the sum of its segments' L2 lengths, rad.
+
+    OMPL's own length adds up the joints (L1) on a product of circles.
+    """
+    return float(np.sum(problem.space.distance(path[:-1], path[1:])))
+
+
+@dataclass(frozen=True, slots=True)
+class Counts:
+    """What a search took; see :class:`services.planner.result.PlanResult`."""
+
+    iterations: int = 0
+    edge_checks: int = 0
+    state_checks: int = 0
+    solve_time_s: float = 0.0
+    learned_drawn: int = 0
+    uniform_drawn: int = 0
+
+
+def outcome(
+    problem: Problem,
+    settings: PlannerSettings,
+    found: NDArray[np.float64] | None,
+    reason: Reason,
+    counts: Counts,
+    *,
+    tree: SearchTree | None = None,
+    costs: tuple[CostPoint, ...] = (),
+) -> PlanResult:
+    """The result of a search.
+
+    Args:
+        problem: that was to be solved.
+        settings: of the planner.
+        found: (k, d) rad, the path that the planner believes in; None if it found none.
+        reason: why the search ended, for the case that there is no path.
+        counts: what it took.
+        tree: the search tree, where it was asked for.
+        costs: how the length fell.
+    """
+    path = np.empty((0, problem.space.dim))
+    if found is not None:
+        reason = judge_path(problem, found, settings.resolution_rad)
+        path = found if reason is Reason.SOLVED else path
+    path.setflags(write=False)
+    solved = reason is Reason.SOLVED
+    return PlanResult(
+        solved=solved,
+        path=path,
+        length_rad=path_length_rad(problem, path) if solved else float("nan"),
+        reason=reason,
+        tree=tree,
+        resolution_rad=settings.resolution_rad,
+        costs=costs if solved else (),
+        **asdict(counts),
+    )
+
+
+def after(first: PlanResult, second: PlanResult) -> PlanResult:
+    """The second search's result, with what both of them took."""
+    costs = tuple(
+        replace(
+            point,
+            iterations=point.iterations + first.iterations,
+            edge_checks=point.edge_checks + first.edge_checks,
+            time_s=point.time_s + first.solve_time_s,
+        )
+        for point in second.costs
+    )
+    counts = {one.name: getattr(first, one.name) + getattr(second, one.name) for one in fields(Counts)}
+    return replace(second, **counts, costs=costs)

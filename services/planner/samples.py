@@ -1,0 +1,167 @@
+"""Where samples come from: the port to a source, and bundles in this process."""
+
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Protocol, Unpack
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cspace.bundle import Bundle
+from cspace.bundle.request import fitted
+from cspace.bundle.verification import load_verified
+from cspace.errors import BundleError, InputError, SamplerError, SamplerUnavailableError, ServiceError
+from cspace.query import MAX_SAMPLES, QueryOptions, SampleQuery, drawn_seed
+from cspace.world import Examined
+from cspace_client import JointSpace, PictureWarning, SampleBatch, SourceTiming
+
+__all__ = ["BundleSampler", "LocalSampler", "Picture", "SampleBatch", "SampleSource", "SourceTiming"]
+
+Picture = bytes | NDArray[np.uint8]
+"""A scenario's picture: a PNG file, or uint8 (P, P, 3)."""
+
+
+class SampleSource(Protocol):
+    """Draws configurations for a picture."""
+
+    @property
+    def with_ends(self) -> bool:
+        """Whether it needs start and goal; False as well where only an answer shows it."""
+        return False
+
+    def answer(self, picture: Picture, query: SampleQuery, model: str | None = None) -> SampleBatch:
+        """One batch of at most ``query.n`` samples.
+
+        Args:
+            picture: of the scenario.
+            query: what is asked; its ``n`` is at most ``MAX_SAMPLES``.
+            model: ``name``, ``name@alias``, ``name/version`` or ``pretrained``; None for the default.
+
+        Raises:
+            SamplerUnavailableError: the source does not answer or has no model ready.
+            SamplerError: it refused the request; of this kind, SamplerAnswerError: its answer can not be
+                used.
+        """
+        ...
+
+    def sample(
+        self,
+        picture: Picture,
+        n: int,
+        seed: int | None = None,
+        *,
+        model: str | None = None,
+        **options: Unpack[QueryOptions],
+    ) -> SampleBatch:
+        """:meth:`answer` to the query of these arguments, which :class:`cspace.query.SampleQuery` tells of.
+
+        Without a seed one is drawn here.
+
+        Raises:
+            SamplerUnavailableError: as :meth:`answer` has it.
+            SamplerError: likewise, or a value is out of its range.
+        """
+        try:
+            query = SampleQuery.checked(n, drawn_seed(seed), **options)
+        except InputError as error:
+            raise SamplerError(error.what, expected=error.expected, got=error.got) from error
+        return self.answer(picture, query, model)
+
+
+def for_robot(query: SampleQuery, robot: str | None) -> SampleQuery:
+    """A query for the robot that it names, else for this one."""
+    return query if robot is None or query.robot is not None else replace(query, robot=robot)
+
+
+PRETRAINED = "pretrained"
+
+
+class BundleSampler(SampleSource):
+    """Answers from a loaded bundle as the inference API would; safe to share between threads.
+
+    Args:
+        bundle: that answers.
+        name: under which it answers, and the one ``model`` beside None that it accepts.
+        version: its number in the registry.
+        robot: that is planned for, where a query names none, as the clients have it.
+    """
+
+    def __init__(
+        self, bundle: Bundle, *, name: str = PRETRAINED, version: int = 0, robot: str | None = None
+    ) -> None:
+        self.bundle = bundle
+        self._name, self._version, self._robot = name, version, robot
+
+    @property
+    def with_ends(self) -> bool:
+        """Whether it is a path model."""
+        return bool(self.bundle.spec.endpoints)
+
+    def answer(self, picture: Picture, query: SampleQuery, model: str | None = None) -> SampleBatch:
+        """See :class:`services.planner.samples.SampleSource`.
+
+        Raises:
+            SamplerError: the request does not fit the bundle.
+        """
+        query = for_robot(query, self._robot)
+        known = (None, self._name, f"{self._name}/{self._version}")
+        if model not in known or query.n > MAX_SAMPLES:
+            raise SamplerError(
+                "the local bundle can not answer the request",
+                expected=f"the model {self._name} and at most {MAX_SAMPLES} samples",
+                got=f"{model or self._name} and {query.n}",
+            )
+        began = time.perf_counter()
+        try:
+            query = fitted(query, self.bundle.spec, has_validity=self.bundle.has_validity)
+            world = self.bundle.spec.world
+            read = world.examine_picture(picture) if isinstance(picture, bytes) else Examined(picture[None])
+            decoded = time.perf_counter()
+            prepared = self.bundle.prepare(read.images[0])
+            encoded = time.perf_counter()
+            found = self.bundle.answer(prepared, query, tell_confidence=False)
+        except (InputError, BundleError) as error:
+            raise SamplerError("the local bundle refused the request", got=str(error)) from error
+        total_s, space = time.perf_counter() - began, world.space
+        return SampleBatch(
+            samples=found.samples,
+            model_name=self._name,
+            model_version=self._version,
+            digest=self.bundle.digest,
+            seed=query.seed,
+            shortfall=found.shortfall,
+            round_trip_s=total_s,
+            novelty=prepared.novelty,
+            timing=SourceTiming(decoded - began, encoded - decoded, 1e-3 * found.generate_ms, total_s),
+            acceptance=found.acceptance,
+            robot=self.bundle.robot,
+            confidence=found.confidence,
+            space=JointSpace(space.lower, space.upper, space.periodic),
+            warnings=tuple(PictureWarning(one.code, one.message, one.pictures) for one in read.findings),
+        )
+
+
+class LocalSampler(BundleSampler):
+    """Answers from a bundle's folder, which a worker process verifies first.
+
+    Args:
+        bundle_folder: a bundle.
+        name: as :class:`BundleSampler` has it.
+        version: likewise.
+        robot: likewise.
+
+    Raises:
+        SamplerUnavailableError: the bundle can not be used.
+    """
+
+    def __init__(
+        self, bundle_folder: Path, *, name: str = PRETRAINED, version: int = 0, robot: str | None = None
+    ) -> None:
+        try:
+            bundle = load_verified(Path(bundle_folder))
+        except (BundleError, ServiceError) as error:
+            raise SamplerUnavailableError(
+                f"the bundle {bundle_folder} can not be used", got=str(error)
+            ) from error
+        super().__init__(bundle, name=name, version=version, robot=robot)

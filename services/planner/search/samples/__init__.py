@@ -1,1 +1,0 @@
-"""What enters a search: drawn and uniform configurations, mixed and in an order."""

@@ -1,0 +1,28 @@
+"""The awaited client with the project's errors and sources, so that both clients meet the same tests."""
+
+from typing import Any
+
+import cspace_client
+from services.planner.client import mapped, stand_in
+
+
+class AsyncSamplingClient(cspace_client.AsyncSamplingClient):
+    def __init__(self, url: str, *values: Any, fallback: Any = None, **options: Any) -> None:
+        with mapped():
+            super().__init__(url, *values, fallback=stand_in(fallback), **options)
+
+    async def answer(self, *values: Any, **options: Any) -> Any:
+        with mapped():
+            return await super().answer(*values, **options)
+
+    async def validity(self, *values: Any, **options: Any) -> Any:
+        with mapped():
+            return await super().validity(*values, **options)
+
+    async def plan(self, *values: Any, **options: Any) -> Any:
+        with mapped():
+            return await super().plan(*values, **options)
+
+    async def sample(self, *values: Any, **options: Any) -> Any:
+        with mapped():
+            return await super().sample(*values, **options)

@@ -1,0 +1,93 @@
+"""Planners of limited arms: no path and no tree goes round a joint that has limits."""
+
+import numpy as np
+import pytest
+
+from cspace.simulator import Problem
+from cspace.worlds.planar.arm import PlanarArm
+from cspace.worlds.planar.checks import CollisionChecker
+from cspace.worlds.planar.free_grid import PathFinder
+from cspace.worlds.planar.problems import Family, bottleneck_rad, connected
+from cspace.worlds.planar.world import Scenario
+from services.planner.ompl_planner import solve
+from services.planner.result import Reason, judge_path
+from services.planner.rrt_connect import order_along
+from services.planner.settings import PlannerSettings
+
+# Nearly a whole turn, beyond half a turn, and more than a turn.
+ARMS = {
+    "seam": PlanarArm(joint_limits_rad=((-3.1, 3.1), None)),
+    "beyond": PlanarArm(joint_limits_rad=((-2.9, 4.0), (-4.0, 1.0))),
+    "turns": PlanarArm(joint_limits_rad=((-7.0, 7.0), (-1.0, 1.0))),
+}
+
+
+def problem(name):
+    """From near one limit of the first joint to near the other, without any disc."""
+    robot = ARMS[name]
+    (low, high), middle = (
+        robot.joint_limits_rad[0],
+        np.mean([robot.space.lower, robot.space.upper], axis=0)[1],
+    )
+    ends = np.array([[low + 0.1, middle], [high - 0.1, middle]])
+    return Problem(Scenario(robot, ()), ends[0], ends[1], Family.UNIFORM, 1.0, 0, 0)
+
+
+@pytest.fixture(params=list(ARMS))
+def task(request):
+    return problem(request.param)
+
+
+def steps(task, path):
+    """Between the rows of a path; on limited joints straight, whatever the distance."""
+    return task.scenario.robot.space.difference(path[:-1], path[1:])
+
+
+@pytest.mark.parametrize(
+    ("planner", "learned"),
+    [
+        *((planner, False) for planner in ("RRT", "RRTConnect", "PRM", "RRTstar")),
+        *((planner, True) for planner in ("RRT", "SampledRRTConnect", "PRM", "RRTstar")),
+    ],
+)
+def test_paths_do_not_go_round_limited_joints(task, planner, learned):
+    space = task.scenario.robot.space
+    rows = space.sample_uniform(np.random.default_rng(1), 60) if learned else None
+    settings = PlannerSettings(planner=planner, seed=3, range_rad=1.0, time_limit_s=20.0)
+    result = solve(task, settings, rows, 0.5)
+    assert result.reason == Reason.SOLVED
+    assert space.contains(result.path).all()
+    gone = steps(task, result.path)[:, 0]
+    assert gone.sum() == pytest.approx(task.goal[0] - task.start[0], abs=1e-5)
+    np.testing.assert_allclose(np.diff(result.path[:, 0]), gone)
+    assert judge_path(task, result.path, settings.resolution_rad) == Reason.SOLVED
+    assert result.length_rad >= task.goal[0] - task.start[0] - 1e-5
+
+
+def test_samples_outside_the_limits_do_no_harm(task):
+    space = task.scenario.robot.space
+    rows = np.random.default_rng(2).uniform(-12.0, 12.0, (200, 2))
+    result = solve(task, PlannerSettings(seed=3, time_limit_s=20.0), rows, 0.3)
+    assert result.solved
+    assert space.contains(result.path).all()
+
+
+def test_samples_are_ordered_along_the_straight_way(task):
+    share = np.random.default_rng(0).permutation(np.linspace(0.05, 0.95, 20))
+    rows = task.start + share[:, None] * (task.goal - task.start)
+    order = order_along(rows, task.start, task.goal, task.scenario.robot.space)
+    np.testing.assert_array_equal(order, np.argsort(share))
+
+
+def test_grids_end_at_the_limits(task):
+    path = PathFinder(task.scenario, task.goal, cells=64).path_from(task.start)
+    np.testing.assert_allclose(path, np.stack([task.start, task.goal]))
+    assert task.scenario.robot.space.contains(path).all()
+    assert connected(task.scenario, task.start, task.goal)
+    assert bottleneck_rad(task.scenario, task.start, task.goal) == np.inf
+
+
+def test_an_end_a_turn_away_is_no_free_configuration(task):
+    away = task.start - [2.0 * np.pi, 0.0]
+    outside = away[0] < task.scenario.robot.space.lower[0]
+    assert CollisionChecker(task.scenario).valid(away) != outside

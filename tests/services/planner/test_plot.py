@@ -1,0 +1,93 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib import rcParams
+from PIL import Image
+
+from cspace.errors import ConfigError, StorageError
+from cspace.worlds.planar.arm import THREE_LINK
+from cspace.worlds.planar.render import capsule_outline
+from services.planner.ompl_planner import solve
+from services.planner.plotting import (
+    check_figure_path,
+    collision_share,
+    outcome_title,
+    plot_plan,
+    save_figure,
+)
+from services.planner.settings import PlannerSettings
+
+
+@pytest.fixture
+def samples():
+    return np.random.default_rng(0).uniform(-3, 3, (50, 2)).astype(np.float32)
+
+
+def labels(figure):
+    return [text.get_text() for text in figure.legends[0].get_texts()]
+
+
+def test_a_solved_problem_shows_all_its_parts(blocked, samples, tmp_path):
+    result = solve(blocked, PlannerSettings(), samples, keep_tree=True)
+    figure = plot_plan(blocked, result, samples)
+    assert len(figure.axes) == 2
+    assert {"start", "goal", "learned samples", "search tree", "path"} <= set(labels(figure))
+    assert [axes.get_xlabel() for axes in figure.axes] == ["x (m)", r"$\theta_{1}$ (rad)"]
+    target = tmp_path / "plan.png"
+    save_figure(figure, target)
+    with Image.open(target) as picture:
+        assert min(picture.size) > 500
+        assert len(picture.convert("RGB").getcolors(10**6) or []) > 50
+
+
+def test_an_unsolved_problem_shows_no_path_and_says_why(disconnected):
+    result = solve(disconnected, PlannerSettings(max_iterations=200), keep_tree=True)
+    figure = plot_plan(disconnected, result)
+    assert {"path", "learned samples"}.isdisjoint(labels(figure))
+    assert "not solved" in outcome_title(disconnected, result)
+    assert "iteration limit" in figure.get_suptitle()
+
+
+def test_three_joints_are_drawn_in_two_planes(make_problem, tmp_path):
+    problem = make_problem([(0.0, 2.5)], (0.0, 0.0, 0.0), (-3.0, 0.0, 0.0), THREE_LINK)
+    result = solve(problem, PlannerSettings(), keep_tree=True)
+    figure = plot_plan(problem, result)
+    assert [axes.get_title() for axes in figure.axes] == ["workspace", "joints 1 and 2", "joints 2 and 3"]
+    save_figure(figure, tmp_path / "plan.svg")
+    assert (tmp_path / "plan.svg").stat().st_size > 1000
+
+
+def test_the_collision_region_of_two_joints_is_exact(blocked):
+    share = collision_share(blocked, (0, 1), 64)
+    assert set(np.unique(share)) == {0.0, 1.0}
+    # theta1 = pi / 2 by columns, theta2 = 0 by rows: the arm points at the disc.
+    assert share[32, 48] == 1.0
+    assert share[32, 16] == 0.0
+
+
+def test_drawing_leaves_matplotlib_s_settings_alone(blocked):
+    before = dict(rcParams)
+    plot_plan(blocked, solve(blocked, PlannerSettings()))
+    assert dict(rcParams) == before
+
+
+def test_a_capsule_s_outline_keeps_its_distance():
+    base, tip = np.array([1.0, 1.0]), np.array([1.0, 3.0])
+    outline = capsule_outline(base, tip, 0.1)
+    assert np.allclose(outline.min(axis=0), [0.9, 0.9], atol=2e-3)
+    assert np.allclose(outline.max(axis=0), [1.1, 3.1], atol=2e-3)
+
+
+@pytest.mark.parametrize("name", ["plan.gif", "plan", "missing/plan.png"])
+def test_a_file_that_can_not_become_a_figure_is_named_first(tmp_path, name):
+    with pytest.raises(ConfigError, match="figure's"):
+        check_figure_path(tmp_path / name)
+
+
+def test_a_figure_that_can_not_be_written_is_a_storage_error(blocked, tmp_path):
+    figure = plot_plan(blocked, solve(blocked, PlannerSettings()))
+    target: Path = tmp_path / "taken.png"
+    target.mkdir()
+    with pytest.raises(StorageError, match=r"taken\.png"):
+        save_figure(figure, target)
