@@ -31,58 +31,14 @@ def distance_to_false(
         spacing: size of a cell along each axis.
         wraps: whether the axis is a circle.
     """
-    squared = np.where(inside, np.inf, 0.0)
-    for axis, (step, circle) in enumerate(zip(spacing, wraps, strict=True)):
-        outer, size = int(np.prod(inside.shape[:axis])), inside.shape[axis]
-        _pass(squared.reshape(outer, size, -1), float(step) ** 2, bool(circle))
-    return np.asarray(np.sqrt(squared))
-
-
-@njit(cache=True, nogil=True)
-def _pass(values, weight, wraps):  # type: ignore[no-untyped-def]
-    """One pass of the squared transform along the middle axis, in place."""
-    outer, size, inner = values.shape
-    line, hull, breaks = np.empty(2 * size), np.empty(2 * size, dtype=np.int64), np.empty(2 * size)
-    shift = size // 2 if wraps else 0
-    length = 2 * size if wraps else size
-    for first in range(outer):
-        for last in range(inner):
-            for at in range(length):
-                line[at] = values[first, (at - shift) % size, last]
-            parts = _envelope(line[:length], weight, hull, breaks)
-            if parts > 0:
-                _evaluate(values[first, :, last], shift, line, weight, hull, breaks, parts)
-
-
-@njit(cache=True, nogil=True)
-def _envelope(line, weight, hull, breaks):  # type: ignore[no-untyped-def]
-    """Which of the parabolas line[j] + weight (i - j)^2 are lowest somewhere, and from where; how many."""
-    parts = 0
-    for at in range(line.shape[0]):
-        if line[at] == np.inf:
-            continue
-        start = -np.inf
-        while parts > 0:
-            last = hull[parts - 1]
-            start = (line[at] - line[last] + weight * (at * at - last * last)) / (2.0 * weight * (at - last))
-            if start > breaks[parts - 1]:
-                break
-            parts -= 1
-        hull[parts] = at
-        breaks[parts] = start if parts > 0 else -np.inf
-        parts += 1
-    return parts
-
-
-@njit(cache=True, nogil=True)
-def _evaluate(values, shift, line, weight, hull, breaks, parts):  # type: ignore[no-untyped-def]
-    part = 0
-    for cell in range(values.shape[0]):
-        at = cell + shift
-        while part + 1 < parts and breaks[part + 1] < at:
-            part += 1
-        gap = at - hull[part]
-        values[cell] = line[hull[part]] + weight * gap * gap
+    if inside.all():
+        return np.full(inside.shape, np.inf)
+    # Half a turn on either side shows both ways round a circle.
+    beside = [size // 2 if circle else 0 for size, circle in zip(inside.shape, wraps, strict=True)]
+    wide = np.pad(inside, [(one, one) for one in beside], mode="wrap")
+    found = ndimage.distance_transform_edt(wide, sampling=spacing)
+    own = tuple(slice(one, one + size) for one, size in zip(beside, inside.shape, strict=True))
+    return np.asarray(found[own], dtype=np.float64)
 
 
 @dataclass(frozen=True, eq=False)

@@ -63,15 +63,6 @@ class Layout:
         return written(self)
 
 
-def read_layout(values: object) -> Layout:
-    """The inverse of ``to_dict``.
-
-    Raises:
-        ScenarioError: a key or a value does not fit.
-    """
-    return read_object(Layout, values, "the scene", ScenarioError)
-
-
 @dataclass(frozen=True, slots=True)
 class Piece:
     """A piece of furniture with what stands on it, in any frame.

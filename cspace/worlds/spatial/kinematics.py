@@ -128,15 +128,6 @@ def _gap(first, first_radii, i, second, second_radii, j):  # type: ignore[no-unt
 
 
 @njit(cache=True, nogil=True)
-def link_frames_batch(q, origins, axes):  # type: ignore[no-untyped-def]
-    """Forward kinematics: (N, d) rad to the links' frames, (N, d + 1, 4, 4) m."""
-    out = np.empty((q.shape[0], q.shape[1] + 1, 4, 4))
-    for row in range(q.shape[0]):
-        link_frames_into(q[row], origins, axes, out[row])
-    return out
-
-
-@njit(cache=True, nogil=True)
 def sphere_centres_batch(q, arm):  # type: ignore[no-untyped-def]
     """Forward kinematics: (N, d) rad to the spheres' centres in the base's frame, (N, S, 3) m."""
     out = np.empty((q.shape[0], arm.centres.shape[0], 3))

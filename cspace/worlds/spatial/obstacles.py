@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cspace.errors import ScenarioError
-from cspace.strict_json import read_object, settle, written
+from cspace.strict_json import settle, written
 from cspace.worlds.spatial.poses import MAX_PLACE_M, Pose, Vector, check_pose, make_pose, pose_of
 
 MAX_OBSTACLES = 1000
@@ -119,15 +119,6 @@ class Obstacles:
     def to_dict(self) -> dict[str, Any]:
         """Plain values for JSON."""
         return written(self)
-
-
-def read_obstacles(values: object) -> Obstacles:
-    """The inverse of ``to_dict``.
-
-    Raises:
-        ScenarioError: a key or a value does not fit.
-    """
-    return read_object(Obstacles, values, "the obstacles", ScenarioError)
 
 
 def _check_sizes(what: str, *sizes_m: float) -> None:

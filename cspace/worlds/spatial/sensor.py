@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cspace.errors import ScenarioError
-from cspace.strict_json import read_object, settle, written
+from cspace.strict_json import settle, written
 from cspace.view_file import MAX_PICTURES
 from cspace.worlds.spatial.arm import SerialArm
 from cspace.worlds.spatial.camera import MAX_FIELD_DEG, MAX_SIDE, MIN_FIELD_DEG, MIN_SIDE
@@ -75,15 +75,6 @@ class CameraViews:
         return written(self)
 
 
-def read_camera_views(values: object) -> CameraViews:
-    """The inverse of :meth:`CameraViews.to_dict`.
-
-    Raises:
-        ScenarioError: a key or a value does not fit.
-    """
-    return read_object(CameraViews, values, "the cameras", ScenarioError)
-
-
 VOXEL_M = 0.025
 MIN_VOXEL_M, MAX_VOXEL_M = 0.01, 0.2
 MAX_COUNT, MAX_VOXELS = 512, 2**23
@@ -139,15 +130,6 @@ class GridBox:
     def to_dict(self) -> dict[str, Any]:
         """Plain values for JSON."""
         return written(self)
-
-
-def read_grid_box(values: object) -> GridBox:
-    """The inverse of :meth:`GridBox.to_dict`.
-
-    Raises:
-        ScenarioError: a key or a value does not fit.
-    """
-    return read_object(GridBox, values, "the grid", ScenarioError)
 
 
 def grid_of(arm: SerialArm, voxel_m: float = VOXEL_M) -> GridBox:

@@ -6,18 +6,18 @@ import pytest
 
 from cspace.errors import ScenarioError
 from cspace.simulator import Split
-from cspace.strict_json import parse_json
+from cspace.strict_json import parse_json, read_object
 from cspace.worlds.spatial.distances import distance_m
 from cspace.worlds.spatial.furniture import (
     FAMILIES,
     Bins,
     Cages,
     GoalRegion,
+    Layout,
     Piece,
     Shelves,
     SpatialScenes,
     Tables,
-    read_layout,
     read_spatial_scenes,
 )
 from cspace.worlds.spatial.obstacles import Box, Cylinder, Obstacles
@@ -92,7 +92,8 @@ def test_scenes_are_all_round_the_arm_and_of_many_sizes(drawn):
 
 def test_a_scene_comes_back_from_json_as_it_was(drawn):
     for layouts in drawn.values():
-        assert read_layout(parse_json(json.dumps(layouts[0].to_dict()).encode())) == layouts[0]
+        values = parse_json(json.dumps(layouts[0].to_dict()).encode())
+        assert read_object(Layout, values, "the scene", ScenarioError) == layouts[0]
     assert read_spatial_scenes(parse_json(json.dumps(SCENES.to_dict()).encode())) == SCENES
 
 

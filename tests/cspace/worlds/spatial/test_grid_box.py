@@ -7,10 +7,10 @@ import pytest
 
 import cspace.worlds.spatial
 from cspace.errors import ScenarioError
-from cspace.strict_json import parse_json
+from cspace.strict_json import parse_json, read_object
 from cspace.worlds.spatial.arm import Joint, Part, SerialArm
 from cspace.worlds.spatial.poses import Frame
-from cspace.worlds.spatial.sensor import GridBox, grid_of, read_grid_box, shoulder_reach_m
+from cspace.worlds.spatial.sensor import GridBox, grid_of, shoulder_reach_m
 
 ROBOTS = Path(cspace.worlds.spatial.__file__).with_name("robots")
 PANDA = SerialArm.from_dict(json.loads((ROBOTS / "panda.json").read_bytes()))
@@ -28,9 +28,11 @@ def test_centres_by_hand():
 def test_a_grid_comes_back_from_json_as_it_was():
     whole = replace(GRID, low_m=[0, 0, 1], counts=[2, 3, 4])
     for grid in (GRID, whole):
-        assert read_grid_box(parse_json(json.dumps(grid.to_dict()).encode())) == grid
+        assert (
+            read_object(GridBox, parse_json(json.dumps(grid.to_dict()).encode()), "it", ScenarioError) == grid
+        )
     with pytest.raises(ScenarioError):
-        read_grid_box(GRID.to_dict() | {"turn": 0.0})
+        read_object(GridBox, GRID.to_dict() | {"turn": 0.0}, "it", ScenarioError)
 
 
 @pytest.mark.parametrize(

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from cspace.errors import ScenarioError
-from cspace.strict_json import parse_json
-from cspace.worlds.spatial.obstacles import MAX_OBSTACLES, Box, Cylinder, Obstacles, read_obstacles
+from cspace.strict_json import parse_json, read_object
+from cspace.worlds.spatial.obstacles import MAX_OBSTACLES, Box, Cylinder, Obstacles
 from cspace.worlds.spatial.poses import HERE, check_pose, make_pose, pose_of, turned
 
 TURNED = pose_of(make_pose(turned(0.3, -0.8, 1.1), (0.5, -0.2, 0.7)))
@@ -53,7 +53,7 @@ def test_sizes_are_above_zero_and_bounded(size):
 
 def test_obstacles_come_back_from_json_as_they_were():
     obstacles = Obstacles.of((Cylinder(TURNED, 1, 0.2), Box(TURNED, (1, 2, 0.3)), Box(HERE, (0.1, 0.1, 0.1))))
-    read = read_obstacles(parse_json(json.dumps(obstacles.to_dict()).encode()))
+    read = read_object(Obstacles, parse_json(json.dumps(obstacles.to_dict()).encode()), "it", ScenarioError)
     assert read == obstacles
     assert hash(read) == hash(obstacles)
     assert (len(read.boxes), len(read.cylinders)) == (2, 1)
@@ -72,7 +72,7 @@ def test_obstacles_come_back_from_json_as_they_were():
 )
 def test_unknown_keys_and_other_types_are_refused(change):
     with pytest.raises(ScenarioError):
-        read_obstacles({"boxes": [], "cylinders": []} | change)
+        read_object(Obstacles, {"boxes": [], "cylinders": []} | change, "it", ScenarioError)
 
 
 def test_there_may_be_a_thousand_obstacles():

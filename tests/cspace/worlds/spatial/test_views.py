@@ -6,13 +6,13 @@ import pytest
 
 from cspace.errors import ScenarioError
 from cspace.simulator import Split
-from cspace.strict_json import parse_json
+from cspace.strict_json import parse_json, read_object
 from cspace.worlds.spatial.camera import camera_place
 from cspace.worlds.spatial.distances import distance_m
 from cspace.worlds.spatial.furniture import SpatialScenes
 from cspace.worlds.spatial.rendering import render_depth
 from cspace.worlds.spatial.scenes import draw_cameras, draw_layout
-from cspace.worlds.spatial.sensor import CameraViews, read_camera_views
+from cspace.worlds.spatial.sensor import CameraViews
 
 VIEWS = CameraViews()
 LAYOUTS = [draw_layout(SpatialScenes(), Split.TRAIN, 11, index) for index in range(40)]
@@ -58,7 +58,10 @@ def test_cameras_see_something():
 
 
 def test_views_come_back_from_json_as_they_were():
-    assert read_camera_views(parse_json(json.dumps(VIEWS.to_dict()).encode())) == VIEWS
+    assert (
+        read_object(CameraViews, parse_json(json.dumps(VIEWS.to_dict()).encode()), "it", ScenarioError)
+        == VIEWS
+    )
 
 
 @pytest.mark.parametrize(
