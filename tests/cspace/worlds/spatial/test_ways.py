@@ -156,7 +156,7 @@ def test_what_does_not_fit_is_refused():
     with pytest.raises(ScenarioError, match="do not fit the robot"):
         find_path(checker, READY[0], np.zeros(6), rng)
     for way, resolution in ((np.zeros((1, 7)), 0.01), (np.zeros((3, 6)), 0.01), (np.zeros((3, 7)), 0.0)):
-        with pytest.raises(ScenarioError, match="way does not fit"):
+        with pytest.raises(ScenarioError, match="path does not fit"):
             checker.shortened(way, rng, 10, resolution)
     for wrong in ({"tries": -1}, {"final_rad": 0.0}, {"range_rad": float("nan")}):
         with pytest.raises(ScenarioError, match="limits of a search"):
