@@ -6,6 +6,7 @@ Each attack is a function of the port and of when to stop. Refusals and closed c
 for: the attacker connects again and goes on. Only servers on this machine are attacked.
 """
 
+import argparse
 import base64
 import json
 import socket
@@ -393,9 +394,13 @@ ATTACKS: dict[str, Attack] = {
 
 def main(arguments: list[str]) -> int:
     """Attack for so many seconds."""
-    name, port, seconds = arguments
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.serving.attack_requests")
+    parser.add_argument("name", choices=sorted(ATTACKS))
+    parser.add_argument("port", type=int)
+    parser.add_argument("seconds", type=float)
+    options = parser.parse_args(arguments)
     with suppress(OSError):
-        ATTACKS[name](int(port), time.monotonic() + float(seconds))
+        ATTACKS[options.name](options.port, time.monotonic() + options.seconds)
     return 0
 
 
