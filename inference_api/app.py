@@ -4,21 +4,21 @@ from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from functools import partial
 from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
 
 from anyio import to_thread
 from fastapi import FastAPI
 
+from cspace.bundle import Bundle, verification
 from inference_api.guards.headers import SecurityHeaders
 from inference_api.guards.install import add_guards
 from inference_api.guards.last_resort import LastResort
 from inference_api.memory import few_arenas, settle, trimmed
-from inference_api.models.apart.disk import DiskCache
-from inference_api.models.apart.parts import parts_apart, parts_here
-from inference_api.models.bundle_cache import BundleCache
+from inference_api.models.cache import BundleCache, DiskCache
 from inference_api.models.pictures import PictureCache
-from inference_api.models.polling import following
-from inference_api.models.shipped import ShippedModels
-from inference_api.models.store import ModelStore
+from inference_api.models.served import ShippedModels
+from inference_api.models.store import ModelStore, following
+from inference_api.models.worker import RegistryWorker
 from inference_api.open_inference.pages import add_open_inference
 from inference_api.openapi import document
 from inference_api.pages.docs_page import add_docs_page
@@ -35,14 +35,14 @@ from inference_api.telemetry.tracing import TracedObserver, add_tracing, otlp_pr
 from inference_api.turns.turns import Turns
 from inference_api.turns.waiting_room import WaitingRoom
 from inference_api.workbench.routes import add_workbench
-from services.registry.models.port import ModelRegistry
+from services.registry.models.port import ModelReader
 from services.registry.references import PRETRAINED
 
 # Long enough for a registry nearby, short enough for a health check's patience.
 FIRST_LOOK_S = 20.0
 
 
-def create_app(settings: ApiSettings | None = None, registry: ModelRegistry | None = None) -> FastAPI:
+def create_app(settings: ApiSettings | None = None, registry: ModelReader | None = None) -> FastAPI:
     """The API.
 
     Args:
@@ -111,19 +111,23 @@ def _default_model(store: ModelStore) -> ModelInfo | None:
     return None if served is None else model_info(served)
 
 
-def _make_store(settings: ApiSettings, registry: ModelRegistry | None) -> ModelStore:
+def _make_store(settings: ApiSettings, registry: ModelReader | None) -> ModelStore:
+    # A registry that is given is known to behave: what comes from it is verified in this process.
+    verify = verification.verify if registry is None else _verify_here
+    source = RegistryWorker(settings.registry_uri) if registry is None and settings.registry_uri else registry
     disk = DiskCache(settings.cache_folder, settings.stored_bundles)
-    parts = parts_here(disk, registry) if registry is not None else parts_apart(disk, settings.registry_uri)
-    cache = BundleCache(disk, parts.loader, settings.loaded_bundles)
     return ModelStore(
-        parts.registry,
-        cache,
+        source,
+        BundleCache(disk, source, verify, settings.loaded_bundles),
         ShippedModels({PRETRAINED: settings.pretrained_folder, **settings.further_folders}),
         settings.model_name,
         settings.poll_s,
         pictures=PictureCache(settings.cached_pictures),
-        children=parts.children,
     )
+
+
+def _verify_here(folder: Path, digest: str) -> None:
+    Bundle.load(folder, digest=digest)
 
 
 def _version() -> str:

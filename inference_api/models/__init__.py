@@ -1,1 +1,1 @@
-"""The models that answer: found in the registry, verified apart, loaded, kept."""
+"""The models that answer: followed in the registry, downloaded, verified, opened and cached."""

@@ -2,13 +2,14 @@
 
 import hashlib
 import time
-from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, MutableMapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from threading import Lock
 from typing import Any
 
 import numpy as np
+from cachetools import LRUCache
 from numpy.typing import NDArray
 
 from cspace.bundle import Bundle, Picture
@@ -50,8 +51,10 @@ class PictureCache:
     """
 
     def __init__(self, capacity: int, most_bytes: int = MOST_BYTES) -> None:
-        self._capacity, self._most_bytes, self._bytes = capacity, most_bytes, 0
-        self._known: OrderedDict[tuple[str, bytes], Prepared] = OrderedDict()
+        self._capacity = capacity
+        self._known: MutableMapping[tuple[str, bytes], Prepared] = LRUCache(
+            most_bytes, lambda prepared: prepared.picture.size_bytes
+        )
         self._lock = Lock()
 
     def get(
@@ -98,24 +101,19 @@ class PictureCache:
         key = (bundle.digest, content)
         with self._lock:
             known = self._known.get(key)
-            if known is not None:
-                self._known.move_to_end(key)
-                return known
+        if known is not None:
+            return known
         began = time.perf_counter()
         read = decode()
         decoded = time.perf_counter()
         prepared = Prepared(bundle.prepare(read.images[0]), 0.0, 0.0, read.findings, read.without_state)
         encoded = time.perf_counter()
-        with self._lock:
-            self._keep(key, prepared)
+        # One that alone is larger than all may be is not kept.
+        with self._lock, suppress(ValueError):
+            self._known[key] = prepared
+            while len(self._known) > self._capacity:
+                self._known.popitem()
         return replace(prepared, decode_ms=1e3 * (decoded - began), encode_ms=1e3 * (encoded - decoded))
-
-    def _keep(self, key: tuple[str, bytes], prepared: Prepared) -> None:
-        known = self._known.pop(key, None)
-        self._bytes += prepared.picture.size_bytes - (0 if known is None else known.picture.size_bytes)
-        self._known[key] = prepared
-        while self._known and (len(self._known) > self._capacity or self._bytes > self._most_bytes):
-            self._bytes -= self._known.popitem(last=False)[1].picture.size_bytes
 
     def __len__(self) -> int:
         with self._lock:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from cspace.errors import ConfigError, InputError
 from services.names import ALIAS_CHAMPION
-from services.registry.models.port import ModelLookups, ModelVersion
+from services.registry.models.port import ModelReader, ModelVersion
 
 PRETRAINED = "pretrained"
 # Of other robots than the default one, and the folders of all beside the API's code.
@@ -87,7 +87,7 @@ class ModelReference:
         version = match["version"]
         return cls(match["name"], match["alias"], None if version is None else int(version))
 
-    def look_up(self, registry: ModelLookups) -> ModelVersion:
+    def look_up(self, registry: ModelReader) -> ModelVersion:
         """The version that is meant.
 
         Raises:

@@ -7,9 +7,7 @@ import pytest
 from cspace.bundle import Bundle
 from cspace.errors import BundleIntegrityError, ModelNotFoundError, RegistryError, StorageError
 from cspace.worlds import robot_digest
-from inference_api.models.apart.disk import DiskCache
-from inference_api.models.apart.loading import BundleLoader, LoaderHere
-from inference_api.models.apart.parts import Limits, parts_apart
+from inference_api.models.worker import RegistryWorker
 from services.names import ALIAS_CHALLENGER, ALIAS_CHAMPION
 from services.registry.models.port import ModelRegistry, ModelVersion, Shown
 from services.registry.promotion import Decision, champions, decisions, record_decision
@@ -225,54 +223,16 @@ def _decision(version: ModelVersion, *, promoted: bool, at_ms: int) -> Decision:
     return Decision(version.name, version.number, promoted, reasons, metrics, None, at_ms)
 
 
-@pytest.fixture
-def loader(registry: ModelRegistry, tmp_path: Path) -> LoaderHere:
-    return LoaderHere(DiskCache(tmp_path / "cache"), registry)
-
-
-def test_a_loader_brings_a_version_into_the_cache_and_finds_it_sound(
-    loader: BundleLoader, first: ModelVersion, tmp_path: Path
-) -> None:
-    check_loading(loader, first, tmp_path / "cache")
-
-
-def check_loading(loader: BundleLoader, first: ModelVersion, cache: Path) -> None:
-    """What every loader does, over ``cache`` and the registry that has ``first``."""
-    disk = DiskCache(cache)
-    loader.download(first)
-    assert disk.stored(first.name) == [first]
-    loader.verify(first)
-    # A second time there is nothing to do.
-    loader.download(first)
-    false = replace(first, digest="1" * 64)
-    loader.download(false)
-    with pytest.raises(BundleIntegrityError, match="not the one that was registered"):
-        loader.verify(false)
-    with pytest.raises(BundleIntegrityError, match="cannot be read"):
-        loader.verify(replace(first, number=8))
-    with pytest.raises(ModelNotFoundError):
-        loader.download(replace(first, number=7))
-    with pytest.raises(BundleIntegrityError, match="without a digest"):
-        loader.download(replace(first, digest=""))
-    with pytest.raises(StorageError):
-        loader.download(replace(first, name="../m"))
-    (disk.bundle(first) / "encoder.onnx").write_bytes(b"torn")
-    with pytest.raises(BundleIntegrityError, match=r"encoder\.onnx"):
-        loader.verify(first)
-
-
 @pytest.mark.e2e
-def test_lookups_and_loading_in_child_processes_keep_the_contract(
+def test_lookups_and_downloads_in_the_worker_process_keep_the_contract(
     server_uri: str, bundle: Bundle, other: Bundle, model_name: str, tmp_path: Path
 ) -> None:
     _, backend = mlflow_backend(server_uri)
     run_id = backend.tracking.start("contract", "global").run_id
     here, tags = backend.registry, {"data_digest": "d1", "note": 'it\'s "better" → yes'}
     first = here.register(model_name, bundle.folder, run_id, bundle.digest, tags, alias=ALIAS_CHALLENGER)
-    parts = parts_apart(DiskCache(tmp_path / "cache"), server_uri, Limits(lookup_s=30.0))
+    apart = RegistryWorker(server_uri, lookup_s=30.0)
     try:
-        apart = parts.registry
-        assert apart is not None
         assert apart.version(model_name, 1) == first
         here.set_alias(model_name, ALIAS_CHAMPION, 1)
         second = here.register(model_name, other.folder, run_id, other.digest, {})
@@ -287,9 +247,11 @@ def test_lookups_and_loading_in_child_processes_keep_the_contract(
             assert apart.versions(name) == ()
         with pytest.raises(ModelNotFoundError):
             apart.version(model_name, 7)
-        check_loading(parts.loader, here.version(model_name, 1), tmp_path / "cache")
-        parts.loader.download(second)
-        parts.loader.verify(second)
+        assert Bundle.load(apart.download(first, tmp_path / "first")).digest == bundle.digest
+        assert Bundle.load(apart.download(second, tmp_path / "second")).digest == other.digest
+        with pytest.raises(ModelNotFoundError):
+            apart.download(replace(first, number=7), tmp_path / "third")
+        with pytest.raises(StorageError):
+            apart.download(first, tmp_path / "first")
     finally:
-        for child in parts.children:
-            child.close()
+        apart.close()

@@ -4,17 +4,13 @@ import errno
 import json
 import socket
 import sys
-import time
 from pathlib import Path
 
 import httpx
 import pytest
 
 from cspace.bundle import Bundle
-from cspace.errors import BundleError, StorageBusyError
-from inference_api.models.apart.disk import DiskCache
-from inference_api.models.apart.loading import LoaderApart
-from services.registry.models.port import ModelVersion
+from cspace.errors import BundleError
 from tests.inference_api.answers import assert_answers, assert_problem
 from tests.inference_api.server import server_process
 
@@ -60,31 +56,6 @@ def test_a_cache_that_cannot_be_written_is_503(start_api, registry, bundles, png
     assert "CSPACE_MODEL_CACHE" in problem["detail"]
     assert_problem(answer, 503, "storage-unavailable")
     assert_answers(api)
-
-
-class OtherDownloads:
-    """A child that finds the model's folder in use so many times."""
-
-    def __init__(self, times: int) -> None:
-        self.times, self.calls = times, 0
-
-    def call(self, job: str, arguments: object, limit_s: float) -> None:
-        self.calls += 1
-        if self.calls <= self.times:
-            time.sleep(0.01)
-            raise StorageBusyError("the model cache is in use")
-
-
-VERSION = ModelVersion("m", 1, "run", "a" * 64, (), {}, 0)
-
-
-def test_a_download_waits_for_another_process_s_as_long_as_that_may_take(tmp_path):
-    disk = DiskCache(tmp_path)
-    child = OtherDownloads(3)
-    LoaderApart(disk, child, download_s=60.0).download(VERSION)
-    assert child.calls == 4
-    with pytest.raises(StorageBusyError):
-        LoaderApart(disk, OtherDownloads(10_000), download_s=-4.9).download(VERSION)
 
 
 def limited(folder: Path, limit: str) -> str:

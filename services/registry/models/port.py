@@ -3,7 +3,13 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import Annotated, ClassVar, Protocol
+
+from pydantic import ConfigDict, Field
+
+# More than any description has. These hold where a version is read from a file or comes from another process.
+_Text = Annotated[str, Field(max_length=20_000)]
+_Count = Annotated[int, Field(ge=0, lt=2**53)]
 
 
 @dataclass(frozen=True)
@@ -20,19 +26,21 @@ class ModelVersion:
         created_ms: milliseconds since 1970-01-01 UTC.
     """
 
-    name: str
-    number: int
-    run_id: str
-    digest: str
-    aliases: tuple[str, ...]
-    tags: Mapping[str, str]
-    created_ms: int
+    __pydantic_config__: ClassVar = ConfigDict(extra="forbid", strict=True, revalidate_instances="always")
+
+    name: _Text
+    number: _Count
+    run_id: _Text
+    digest: _Text
+    aliases: tuple[_Text, ...]
+    tags: Mapping[_Text, _Text]
+    created_ms: _Count
 
     def __str__(self) -> str:
         return f"{self.name}/{self.number}"
 
 
-class ModelLookups(Protocol):
+class ModelReader(Protocol):
     """What serving asks a registry; with the errors of :class:`ModelRegistry`."""
 
     def version(self, name: str, number: int) -> ModelVersion:
@@ -55,6 +63,22 @@ class ModelLookups(Protocol):
         """All versions, newest first; empty for an unknown model."""
         ...
 
+    def download(self, version: ModelVersion, folder: Path) -> Path:
+        """Fetch a version's bundle, beside its place and renamed, so that it appears whole or not at all.
+
+        Args:
+            version: which.
+            folder: where the bundle is to be; must not exist.
+
+        Returns:
+            The folder. Its content is as the registry has it; loading the bundle verifies it.
+
+        Raises:
+            ModelNotFoundError: there is no such version, or it holds no bundle.
+            StorageError: the folder exists or cannot be written.
+        """
+        ...
+
 
 @dataclass(frozen=True, slots=True)
 class Shown:
@@ -73,7 +97,7 @@ class Shown:
     data_digest: str
 
 
-class ModelRegistry(ModelLookups, Protocol):
+class ModelRegistry(ModelReader, Protocol):
     """Where bundles become versions.
 
     Every method raises RegistryUnavailableError within seconds when the registry does not answer, and
@@ -154,21 +178,5 @@ class ModelRegistry(ModelLookups, Protocol):
 
         Raises:
             ModelNotFoundError: there is no such version.
-        """
-        ...
-
-    def download(self, version: ModelVersion, folder: Path) -> Path:
-        """Fetch a version's bundle, beside its place and renamed, so that it appears whole or not at all.
-
-        Args:
-            version: which.
-            folder: where the bundle is to be; must not exist.
-
-        Returns:
-            The folder. Its content is as the registry has it; loading the bundle verifies it.
-
-        Raises:
-            ModelNotFoundError: there is no such version, or it holds no bundle.
-            StorageError: the folder exists or cannot be written.
         """
         ...

@@ -14,11 +14,11 @@ import pytest
 
 from cspace.bundle.files import read_files
 from cspace.errors import RegistryError, StorageError
-from inference_api.models.apart.disk import DiskCache
-from inference_api.models.version_files import MAX_BYTES, read_version, write_version
+from inference_api.models.cache import LOCK_S, MAX_DESCRIPTION_BYTES, DiskCache
+from inference_api.models.worker import DOWNLOAD_S
 from services.registry.models.port import ModelVersion
 
-ROOT = Path(__file__).parents[4]
+ROOT = Path(__file__).parents[3]
 USER = Path(__file__).with_name("cache_user.py")
 VERSION = ModelVersion("m", 1, "r", "a" * 64, ("champion",), {"a": "b"}, 5)
 
@@ -65,30 +65,25 @@ def test_a_description_of_another_model_is_not_believed(disk: DiskCache) -> None
 @pytest.mark.parametrize(
     ("old", "new"),
     [
-        ('"number": 1', '"number": "1"'),
-        ('"number": 1', '"number": true'),
-        ('"number": 1', '"number": -1'),
+        ('"number":1', '"number":"1"'),
+        ('"number":1', '"number":true'),
+        ('"number":1', '"number":-1'),
         ('["champion"]', '"champion"'),
-        ('{"a": "b"}', '{"a": 1}'),
-        ('"name": "m"', '"name": null'),
-        ('"name": "m"', '"name": "m", "more": 1'),
+        ('{"a":"b"}', '{"a":1}'),
+        ('"name":"m"', '"name":null'),
+        ('"name":"m"', '"name":"m","more":1'),
         ("{", "[" * 100_000),
+        ("{", " " * MAX_DESCRIPTION_BYTES + "{"),
     ],
 )
-def test_a_description_of_other_types_is_none(tmp_path: Path, old: str, new: str) -> None:
-    path = tmp_path / "version.json"
-    write_version(path, VERSION)
-    assert read_version(path) == VERSION
-    path.write_text(path.read_text().replace(old, new, 1))
-    assert read_version(path) is None
-
-
-def test_a_description_without_end_is_none(tmp_path: Path) -> None:
-    path = tmp_path / "version.json"
-    write_version(path, VERSION)
-    with path.open("a") as file:
-        file.write(" " * MAX_BYTES)
-    assert read_version(path) is None
+def test_a_description_of_other_types_or_without_end_is_none(disk: DiskCache, old: str, new: str) -> None:
+    disk.download(VERSION, written)
+    assert disk.stored("m") == [VERSION]
+    (path,) = disk.folder.glob("m/*/version.json")
+    text = path.read_text()
+    path.write_text(text.replace(old, new, 1))
+    assert path.read_text() != text
+    assert disk.stored("m") == []
 
 
 def test_what_a_dead_process_has_left_goes_with_the_next_change(disk: DiskCache) -> None:
@@ -131,6 +126,25 @@ def test_a_folder_that_another_holds_is_waited_for_and_then_given_up(disk: DiskC
     other.join()
     disk.remove(VERSION)
     assert names(disk) == set()
+
+
+def test_a_second_process_waits_for_the_first_ones_download_as_long_as_that_may_take(disk: DiskCache) -> None:
+    holds, asked = threading.Event(), []
+
+    def slow(version: ModelVersion, folder: Path) -> Path:
+        asked.append(version)
+        holds.set()
+        # Longer than the fixture's patience, and a small part of the real one.
+        threading.Event().wait(0.4)
+        return written(version, folder)
+
+    first = threading.Thread(target=DiskCache(disk.folder).download, args=(VERSION, slow))
+    first.start()
+    holds.wait(10)
+    DiskCache(disk.folder).download(VERSION, slow)
+    first.join()
+    assert asked == [VERSION]
+    assert LOCK_S > DOWNLOAD_S
 
 
 def test_a_full_disk_is_told_in_the_systems_words_without_a_path(disk: DiskCache) -> None:

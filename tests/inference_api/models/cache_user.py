@@ -7,22 +7,19 @@ from pathlib import Path
 import numpy as np
 
 from cspace.bundle.files import read_files
-from inference_api.models.apart.disk import DiskCache
-from inference_api.models.bundle_cache import BundleCache
+from inference_api.models.cache import BundleCache, DiskCache
 from services.registry.models.port import ModelVersion
+from tests.fakes.registry import FakeRegistry
 
 
-class Loader:
+class Registry(FakeRegistry):
     """The bundle is the same for every version, and its sums tell whether it is whole."""
 
-    def __init__(self, disk: DiskCache, bundle: Path) -> None:
-        self._disk, self._bundle = disk, bundle
+    def __init__(self, bundle: Path) -> None:
+        self._bundle = bundle
 
-    def download(self, version: ModelVersion) -> None:
-        self._disk.download(version, lambda _, folder: Path(shutil.copytree(self._bundle, folder)))
-
-    def verify(self, version: ModelVersion) -> None:
-        read_files(self._disk.bundle(version))
+    def download(self, version: ModelVersion, folder: Path) -> Path:
+        return Path(shutil.copytree(self._bundle, folder))
 
 
 def main() -> None:
@@ -30,13 +27,13 @@ def main() -> None:
     chance = np.random.default_rng(int(seed))
     # One version is kept beside the newest, so that nearly every download takes another one away.
     disk = DiskCache(cache, stored=2)
-    loader = Loader(disk, bundle)
+    registry = Registry(bundle)
     digest = read_files(bundle).digest
     sys.stdout.write("ready\n")
     sys.stdout.flush()
     for _ in range(rounds):
         version = ModelVersion("m", int(chance.integers(1, 5)), "", digest, (), {}, 0)
-        BundleCache(disk, loader, 1).get(version, 60.0)
+        BundleCache(disk, registry, lambda folder, _: read_files(folder), 1).start(version).result(60.0)
         disk.remember_champion(version)
         if chance.random() < 0.2:
             disk.remove(version)

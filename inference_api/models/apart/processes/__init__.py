@@ -1,1 +1,0 @@
-"""Child processes: their begin and end, their limits, and what is said over their pipes."""
