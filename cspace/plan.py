@@ -154,16 +154,16 @@ def search_paths(
     ranked = sorted(scored, key=_by_doubt)
     if found.checker is not None:
         pause = paused(until_s, between)
-        doubter = PathRefiner(found.checker, seen.believe, seen.plan_doubt, Effort(step_rad=STEP_RAD), pause)
-        ranked = _less_doubtful(ranked, doubter, seed)
+        refiner = PathRefiner(found.checker, seen.believe, seen.plan_doubt, Effort(step_rad=STEP_RAD), pause)
+        ranked = _refined(ranked, refiner, seed)
     return Searched(ranked, found.late, 1e3 * (searched - began), 1e3 * (time.monotonic() - searched))
 
 
-def _less_doubtful(ranked: list[ScoredPath], doubter: PathRefiner, seed: int) -> list[ScoredPath]:
+def _refined(ranked: list[ScoredPath], refiner: PathRefiner, seed: int) -> list[ScoredPath]:
     """The ways, the first of them changed."""
-    changed = ranked[: doubter.effort.ways]
+    changed = ranked[: refiner.effort.ways]
     found = [
-        doubter.refine(way, np.random.default_rng([seed, number, 1])) for number, way in enumerate(changed)
+        refiner.refine(way, np.random.default_rng([seed, number, 1])) for number, way in enumerate(changed)
     ]
     return sorted([*found, *ranked[len(changed) :]], key=_by_doubt)
 

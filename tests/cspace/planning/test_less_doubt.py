@@ -41,25 +41,25 @@ def scored(way, believe=hill):
     return score([way], SPACE, 0.1, believe)[0]
 
 
-def doubter(checker=None, believe=hill, pause=lambda: None, **effort):
+def refiner(checker=None, believe=hill, pause=lambda: None, **effort):
     limits = Effort(step_rad=0.1, **effort)
     return PathRefiner(checker or Open(), believe, PLAIN, limits, pause)
 
 
 def test_a_way_is_led_round_what_the_model_doubts():
     before = scored(WAY)
-    after = doubter().refine(before, np.random.default_rng(0))
+    after = refiner().refine(before, np.random.default_rng(0))
     assert np.array_equal(after.way[[0, -1]], WAY)
     assert after.doubt < 0.3 * before.doubt
     assert after.length_rad < 1.6 * before.length_rad
-    again = doubter().refine(before, np.random.default_rng(0))
+    again = refiner().refine(before, np.random.default_rng(0))
     assert np.array_equal(again.way, after.way)
 
 
 def test_what_the_picture_shows_is_kept_to():
     # The model would like to pass above, where the picture has a wall.
     wall = Open(lambda rows: (np.abs(rows[:, 0]) < 0.2) & (rows[:, 1] > 0.15))
-    after = doubter(wall).refine(scored(WAY), np.random.default_rng(1))
+    after = refiner(wall).refine(scored(WAY), np.random.default_rng(1))
     assert wall.edge_batch(after.way[:-1], after.way[1:], 0.01).all()
     assert after.states[np.abs(after.states[:, 0]) < 0.2, 1].max() <= 0.15
     assert after.doubt < scored(WAY).doubt
@@ -71,7 +71,7 @@ def test_a_way_is_never_doubted_more_than_before(seed):
         return (0.6 + 0.4 * np.sin(37.0 * rows.sum(axis=1)) ** 2).astype(np.float32), None
 
     before = scored(WAY, noisy)
-    after = doubter(believe=noisy).refine(before, np.random.default_rng(seed))
+    after = refiner(believe=noisy).refine(before, np.random.default_rng(seed))
     assert after.doubt <= before.doubt
 
 
@@ -92,7 +92,7 @@ def test_what_is_sure_enough_is_left_alone_and_asks_nothing():
         raise AssertionError
 
     sure = scored(WAY, lambda rows: (np.ones(len(rows), np.float32), None))
-    assert doubter(believe=never).refine(sure, np.random.default_rng(0)) is sure
+    assert refiner(believe=never).refine(sure, np.random.default_rng(0)) is sure
 
 
 def test_the_time_ends_it_with_the_best_so_far():
@@ -103,7 +103,7 @@ def test_the_time_ends_it_with_the_best_so_far():
             raise OutOfTimeError
 
     before = scored(WAY)
-    after = doubter(pause=late, enough=0.0).refine(before, np.random.default_rng(0))
+    after = refiner(pause=late, enough=0.0).refine(before, np.random.default_rng(0))
     assert next(turns) == 3
     assert after.doubt < before.doubt
 
@@ -116,7 +116,7 @@ def test_whoever_calls_can_stop_it():
         raise StopError
 
     with pytest.raises(StopError):
-        doubter(pause=stop).refine(scored(WAY), np.random.default_rng(0))
+        refiner(pause=stop).refine(scored(WAY), np.random.default_rng(0))
 
 
 def test_the_cheapest_route_is_that_of_all_routes():
