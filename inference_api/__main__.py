@@ -13,13 +13,20 @@ from uvicorn.config import STARTUP_FAILURE
 from uvicorn.supervisors import Multiprocess
 
 from cspace.errors import ConfigError, PortTakenError
-from inference_api.connections.config import ApiConfig
-from inference_api.connections.shared_port import SharedPort
-from inference_api.ending import end_in_time
-from inference_api.guards.exposure import check_exposure, is_wildcard
-from inference_api.guards.names import bracketed
-from inference_api.settings import HOSTS, METRICS_FOLDER, THREADS, WORKBENCH, ApiSettings, usable_cores
-from inference_api.telemetry.logs import LOG_FORMS, log_settings
+from inference_api.keys import check_exposure
+from inference_api.logs import LOG_FORMS, log_settings
+from inference_api.process import end_in_time
+from inference_api.server import ApiConfig, SharedPort
+from inference_api.settings import (
+    HOSTS,
+    METRICS_FOLDER,
+    THREADS,
+    WORKBENCH,
+    ApiSettings,
+    bracketed,
+    is_wildcard,
+    usable_cores,
+)
 
 DESCRIPTION = (
     "Serve POST /sample. Settings: MLFLOW_TRACKING_URI (registry; none serves the shipped model only), "
@@ -73,7 +80,7 @@ def main(arguments: list[str] | None = None) -> int:
         os.environ[WORKBENCH] = "1"
     try:
         settings = ApiSettings.from_environment()
-        check_exposure(options.host, settings.protection, allowed=options.allow_unauthenticated)
+        check_exposure(options.host, settings.protection.keys_file, allowed=options.allow_unauthenticated)
         _prepare(settings, options.host)
         listener = _listen(options.host, options.port, shared=options.workers > 1)
     except ConfigError as error:

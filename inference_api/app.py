@@ -5,35 +5,30 @@ from contextlib import asynccontextmanager
 from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from typing import Any
 
 from anyio import to_thread
 from fastapi import FastAPI
+from fastapi.openapi.utils import get_openapi
 
 from cspace.bundle import Bundle, verification
-from inference_api.guards.headers import SecurityHeaders
-from inference_api.guards.install import add_guards
-from inference_api.guards.last_resort import LastResort
-from inference_api.memory import few_arenas, settle, trimmed
+from inference_api.limits import HEALTH, add_limits
 from inference_api.models.cache import BundleCache, DiskCache
 from inference_api.models.pictures import PictureCache
 from inference_api.models.served import ShippedModels
 from inference_api.models.store import ModelStore, following
 from inference_api.models.worker import RegistryWorker
-from inference_api.open_inference.pages import add_open_inference
-from inference_api.openapi import document
-from inference_api.pages.docs_page import add_docs_page
-from inference_api.pages.guide import add_guide
-from inference_api.pages.model_schemas import ModelInfo
-from inference_api.pages.sample import add_routes
-from inference_api.pages.sampling import model_info
 from inference_api.problems import add_problem_handlers
+from inference_api.process import few_arenas, settle, trimmed
+from inference_api.requests import Service
+from inference_api.routes import models, open_inference, plan, sample, validity
+from inference_api.routes.documentation import add_docs_page, add_guide
+from inference_api.scheduler import Lookups, Scheduler
+from inference_api.schemas import ModelInfo, Problem, model_info
 from inference_api.settings import ApiSettings
-from inference_api.telemetry.metrics import Metrics
-from inference_api.telemetry.middleware import Observed
-from inference_api.telemetry.route_names import RouteNames
-from inference_api.telemetry.tracing import TracedObserver, add_tracing, otlp_provider
-from inference_api.turns.turns import Turns
-from inference_api.turns.waiting_room import WaitingRoom
+from inference_api.telemetry import Metrics, Telemetry
+from inference_api.tensors import InferenceRequest
+from inference_api.tracing import TracedObserver, add_tracing, otlp_provider
 from inference_api.workbench.routes import add_workbench
 from services.registry.models.port import ModelReader
 from services.registry.references import PRETRAINED
@@ -55,14 +50,14 @@ def create_app(settings: ApiSettings | None = None, registry: ModelReader | None
     """
     settings = settings or ApiSettings.from_environment()
     store = _make_store(settings, registry)
+    metrics = Metrics(partial(_default_model, store), settings.metrics_folder)
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         # Before the first thread has an arena.
         few_arenas()
-        app.state.store = store
-        app.state.turns = Turns(settings.threads, app.state.metrics.waiting)
-        app.state.room = WaitingRoom()
+        scheduler = Scheduler(settings.threads, metrics.waiting)
+        app.state.store, app.state.service = store, Service(store, scheduler, Lookups(), metrics)
         async with trimmed(), following(store, settings.poll_s, FIRST_LOOK_S):
             settle()
             if app.state.loads_planner:
@@ -80,7 +75,8 @@ def create_app(settings: ApiSettings | None = None, registry: ModelReader | None
         docs_url=None,
         redoc_url=None,
     )
-    add_routes(app)
+    for routes in (sample, validity, plan, models, open_inference):
+        app.include_router(routes.router)
     add_docs_page(app)
     add_guide(app, settings.guide_folder)
     add_workbench(
@@ -89,21 +85,46 @@ def create_app(settings: ApiSettings | None = None, registry: ModelReader | None
         mlflow_pages=settings.mlflow_pages,
     )
     add_problem_handlers(app)
-    add_guards(app, settings.protection)
-    app.add_middleware(LastResort)
-    add_open_inference(app)
-    metrics = Metrics(partial(_default_model, store), settings.metrics_folder)
+    add_limits(app, settings.protection)
+    app.add_middleware(Telemetry, metrics=metrics, routes=app.router.routes)
     provider = otlp_provider() if settings.traces else None
     app.state.metrics, app.state.traces = metrics, provider
     # Servers do; an app that is used in another process loads the search with its first plan.
     app.state.loads_planner = False
     store.observer = metrics if provider is None else TracedObserver(provider, metrics)
-    app.add_middleware(Observed, metrics=metrics, names=RouteNames(app.router.routes))
-    app.add_middleware(SecurityHeaders)
     if provider is not None:
         add_tracing(app, provider)
-    app.openapi = lambda: document(app)  # type: ignore[method-assign]
+    app.openapi = lambda: document(app, settings.model_name)  # type: ignore[method-assign]
     return app
+
+
+def document(app: FastAPI, default_model: str) -> dict[str, Any]:
+    """The OpenAPI document, made once: FastAPI's, with what it cannot see of the app.
+
+    Args:
+        app: whose routes are described.
+        default_model: that answers requests which name none.
+    """
+    if app.openapi_schema is None:
+        made = get_openapi(
+            title=app.title, version=app.version, description=app.description, routes=app.routes
+        )
+        components = made.setdefault("components", {})
+        components["securitySchemes"] = {"key": {"type": "http", "scheme": "bearer"}}
+        # Either none or a key, for whoever runs the server decides.
+        made["security"] = [{}, {"key": []}]
+        for path in HEALTH:
+            made["paths"][path]["get"]["security"] = []
+        for path in ("/sample", "/validity", "/plan"):
+            for body in made["paths"][path]["post"]["requestBody"]["content"].values():
+                body["schema"]["properties"]["model"]["default"] = default_model
+        schemas = components.setdefault("schemas", {})
+        for unseen in (Problem, InferenceRequest):
+            schema = unseen.model_json_schema(ref_template="#/components/schemas/{model}")
+            schemas.update(schema.pop("$defs", {}))
+            schemas[unseen.__name__] = schema
+        app.openapi_schema = made
+    return app.openapi_schema
 
 
 def _default_model(store: ModelStore) -> ModelInfo | None:

@@ -7,6 +7,7 @@ only, because a key is 256 random bits and not a password that somebody chose.
 import argparse
 import hashlib
 import hmac
+import ipaddress
 import logging
 import re
 import secrets
@@ -87,6 +88,44 @@ class ApiKeys:
             if hmac.compare_digest(digest, known):
                 found = name
         return found
+
+
+def bearer_token(headers: list[str]) -> str | None:
+    """The token of the one ``Authorization`` header; None without one, with several, or in another scheme."""
+    if len(headers) != 1:
+        return None
+    scheme, _, token = headers[0].strip().partition(" ")
+    return token.strip() if scheme.lower() == "bearer" and token.strip() else None
+
+
+def check_exposure(host: str, keys_file: Path | None, *, allowed: bool) -> None:
+    """Refuses to listen where other machines may ask without a key.
+
+    Args:
+        host: address to listen on.
+        keys_file: which is read here, so that a wrong one is told before the start.
+        allowed: whether whoever starts the server wants just that.
+
+    Raises:
+        ConfigError: no keys and another address than loopback, or a wrong file of keys.
+    """
+    if keys_file is not None:
+        ApiKeys.read(keys_file)
+    elif not allowed and not is_loopback(host):
+        raise ConfigError(
+            "everybody who reaches the server could use it",
+            expected="a loopback address, or keys",
+            got=f"--host {host!r} without CSPACE_API_KEYS_FILE",
+            remedy="make keys with python -m inference_api.keys NAME, or say --allow-unauthenticated",
+        )
+
+
+def is_loopback(host: str) -> bool:
+    """Whether only this machine reaches an address; a name other than localhost counts as reachable."""
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
 
 
 def warn_of_readers(path: Path) -> None:

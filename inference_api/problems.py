@@ -7,10 +7,12 @@ import logging
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import islice
 from typing import Any
 
 from fastapi import FastAPI, Request
 from fastapi.responses import Response
+from pydantic import BaseModel
 from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect
 
@@ -23,12 +25,51 @@ from cspace.errors import (
     RegistryError,
     StorageError,
 )
-from inference_api.failures import FieldsError, ModelNotReadyError, NoKernelsError, NoRoomError, StartingError
-from inference_api.record import note_reason
+from inference_api.logs import current
 
 _LOG = logging.getLogger(__name__)
 MEDIA_TYPE = "application/problem+json"
+# Below it an error is the Open Inference Protocol's, which knows one status for a request that is wrong.
+V2 = "/v2"
+_V2_STATUS = {422: 400}
 _PREFIX = "urn:cspace-sampler:problem:"
+
+
+class FieldProblem(BaseModel):
+    """What is wrong with one field."""
+
+    field: str
+    expected: str
+    got: str
+
+
+class FieldsError(InputError):
+    """One or more fields are wrong.
+
+    Args:
+        problems: one entry a field.
+    """
+
+    def __init__(self, problems: list[FieldProblem]) -> None:
+        first = problems[0]
+        super().__init__(f"{first.field} is wrong", expected=first.expected, got=first.got)
+        self.problems = problems
+
+
+class NoKernelsError(CspaceError):
+    """What is asked for needs compiled code that this server has not."""
+
+
+class StartingError(CspaceError):
+    """What is asked for is being loaded since the server was started."""
+
+
+class NoRoomError(CspaceError):
+    """The process may not take as much memory as is needed."""
+
+
+class ModelNotReadyError(CspaceError):
+    """There is no model that could answer."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,6 +133,7 @@ _ABOUT_THE_SERVER = {
     REGISTRY_UNAVAILABLE: "the model that was asked for is not here, and the model registry does not answer; "
     "ask again in some seconds",
 }
+_SHOWN_BITS = 128
 _NOTHING_LEFT = {errno.ENOMEM, errno.EMFILE, errno.ENFILE, errno.EAGAIN}
 _SAYS_EXHAUSTED = re.compile(r"can't start new thread|allocat|bad_alloc|failed to map segment", re.IGNORECASE)
 _BY_STATUS = {404: NOT_FOUND, 405: METHOD_NOT_ALLOWED, 413: BODY_TOO_LARGE, 415: UNSUPPORTED_MEDIA_TYPE}
@@ -116,11 +158,19 @@ class RequestError(CspaceError):
     Args:
         problem: which way.
         what: as :class:`cspace.errors.CspaceError`, and so the rest.
+        headers: of the answer.
     """
 
-    def __init__(self, problem: ProblemType, what: str, **details: str | None) -> None:
+    def __init__(
+        self,
+        problem: ProblemType,
+        what: str,
+        *,
+        headers: Mapping[str, str] | None = None,
+        **details: str | None,
+    ) -> None:
         super().__init__(what, **details)
-        self.problem = problem
+        self.problem, self.headers = problem, headers
 
 
 def problem_of(error: BaseException) -> ProblemType:
@@ -153,36 +203,47 @@ def failure_response(error: BaseException) -> Response:
 def problem_response(
     problem: ProblemType, detail: str, *, headers: Mapping[str, str] | None = None, **members: Any
 ) -> Response:
-    """A problem as ``application/problem+json``; members that are None are left out."""
-    note_reason(problem.name)
+    """A problem as ``application/problem+json``; members that are None are left out.
+
+    Below ``/v2`` it is the Open Inference Protocol's ``{"error": detail}``.
+    """
+    record = current()
+    if record is not None:
+        record.reason = problem.name
+        if record.path == V2 or record.path.startswith(f"{V2}/"):
+            status = _V2_STATUS.get(problem.status, problem.status)
+            return Response(json.dumps({"error": detail}), status, dict(headers or {}), "application/json")
     body = {"type": problem.uri, "title": problem.title, "status": problem.status, "detail": detail}
     body |= {name: value for name, value in members.items() if value is not None}
     # ASCII, for a detail may echo half a surrogate pair, which UTF-8 does not have.
     return Response(json.dumps(body), problem.status, dict(headers or {}), MEDIA_TYPE)
 
 
+def request_problem(error: CspaceError) -> Response:
+    """What a client is told of an error of this project."""
+    problem = problem_of(error)
+    if problem in _ABOUT_THE_SERVER:
+        # Its words may hold an address, a path or a secret: they are for the log.
+        level = logging.ERROR if problem is INTERNAL_ERROR else logging.WARNING
+        _LOG.log(level, "a request failed: %s", error)
+        return failure_response(error)
+    return problem_response(
+        problem,
+        str(error),
+        headers=error.headers if isinstance(error, RequestError) else None,
+        expected=error.expected,
+        got=error.got,
+        remedy=error.remedy,
+        errors=[one.model_dump() for one in error.problems] if isinstance(error, FieldsError) else None,
+    )
+
+
 def add_problem_handlers(app: FastAPI) -> None:
-    """Answer every error of the app with a problem."""
+    """Answers every error of the app with a problem."""
 
     @app.exception_handler(CspaceError)
     def project_error(_: Request, error: CspaceError) -> Response:
-        problem = problem_of(error)
-        told = _ABOUT_THE_SERVER.get(problem)
-        if told is not None:
-            # Its words may hold an address, a path or a secret: they are for the log.
-            _LOG.log(
-                logging.ERROR if problem is INTERNAL_ERROR else logging.WARNING, "a request failed: %s", error
-            )
-            return problem_response(problem, told)
-        errors = [item.model_dump() for item in error.problems] if isinstance(error, FieldsError) else None
-        return problem_response(
-            problem,
-            str(error),
-            expected=error.expected,
-            got=error.got,
-            remedy=error.remedy,
-            errors=errors,
-        )
+        return request_problem(error)
 
     @app.exception_handler(HTTPException)
     def http_error(_: Request, error: HTTPException) -> Response:
@@ -195,6 +256,18 @@ def add_problem_handlers(app: FastAPI) -> None:
     def gone(_: Request, __: ClientDisconnect) -> Response:
         return problem_response(CLIENT_GONE, "the client went away before its answer")
 
-    @app.exception_handler(Exception)
-    def unforeseen(_: Request, error: Exception) -> Response:
-        return failure_response(error)
+
+def brief(value: object) -> str:
+    """A short description of an untrusted value; never walks into it, however deep or long it is."""
+    if isinstance(value, bytes | list | dict):
+        return f"{type(value).__name__} of length {len(value)}"
+    if isinstance(value, int) and value.bit_length() > _SHOWN_BITS:
+        # Its digits might be more than Python turns into text.
+        return f"a whole number of {value.bit_length()} bits"
+    return repr(value[:100] if isinstance(value, str) else value)[:120]
+
+
+def brief_members(values: Mapping[str, object]) -> str:
+    """The same for an object's first members."""
+    shown = [f"{brief(name)}: {brief(value)}" for name, value in islice(values.items(), 3)]
+    return ", ".join([*shown, "..."] if len(values) > len(shown) else shown) or "none"

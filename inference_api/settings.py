@@ -1,23 +1,26 @@
 """Settings of the inference API, read from the environment once, at the edge."""
 
+import ipaddress
 import math
 import os
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from cspace.errors import ConfigError
-from inference_api.connections.limits import MIB, ConnectionLimits
-from inference_api.guards.names import host_names, origins, proxies
-from inference_api.guards.protection import Protection
-from inference_api.telemetry.tracing import wants_traces
 from services.registry.references import PRETRAINED, SHIPPED, is_model_name, is_shipped
 
+TRACES_ENDPOINTS = ("OTEL_EXPORTER_OTLP_ENDPOINT", "OTEL_EXPORTER_OTLP_TRACES_ENDPOINT")
 # The name is the metrics library's; `--workers` sets it.
 METRICS_FOLDER = "PROMETHEUS_MULTIPROC_DIR"
 THREADS = "CSPACE_API_THREADS"
 HOSTS = "CSPACE_API_HOSTS"
 WORKBENCH = "CSPACE_API_WORKBENCH"
+ANY = "*"
+MIB = 1024 * 1024
+_HOST = re.compile(r"[A-Za-z0-9_-]+(\.[A-Za-z0-9_-]+)*|\[[0-9A-Fa-f:.]+\]", re.ASCII)
+_ORIGIN = re.compile(r"https?://(?:[A-Za-z0-9_.-]+|\[[0-9A-Fa-f:.]+\])(?::[0-9]{1,5})?", re.ASCII)
 DEFAULT_MODEL = "cspace-sampler"
 PRETRAINED_FOLDER = Path(__file__).parent / "pretrained"
 # Where `make docs` of a checkout builds it.
@@ -29,6 +32,49 @@ def usable_cores() -> int:
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
+
+
+@dataclass(frozen=True, slots=True)
+class Protection:
+    """Who may ask, and how much.
+
+    Args:
+        keys_file: of API keys, see :mod:`inference_api.keys`; None lets everybody in.
+        max_in_flight: requests that are answered at the same time, at least 1; further ones are refused.
+        body_timeout_s: within which a request's body has to arrive, above 0.
+        rate_per_s: requests a second and client that are allowed in the long run; 0 for no limit.
+        rate_burst: how many a client may send at once before that counts, at least 1.
+        held_body_bytes: of all bodies that have arrived and are not answered, above the largest body.
+        hosts: names under which the server answers, besides those of loopback; ``*`` for any.
+        origins: of other sites whose pages may use the server, as ``https://host:port``.
+        trusted_proxies: addresses and networks whose ``X-Forwarded-For`` and ``-Proto`` are believed.
+    """
+
+    keys_file: Path | None = None
+    max_in_flight: int = 64
+    body_timeout_s: float = 30.0
+    rate_per_s: float = 0.0
+    rate_burst: int = 20
+    held_body_bytes: int = 64 * 1024 * 1024
+    hosts: tuple[str, ...] = ()
+    origins: tuple[str, ...] = ()
+    trusted_proxies: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class ConnectionLimits:
+    """What one connection may take, and how many there may be.
+
+    Args:
+        connections: open at the same time, at least 1.
+        header_timeout_s: from a request's first byte to the end of its headers, above 0; for the first
+            request from the connection on.
+        write_timeout_s: for an answer that the client does not read, above 0.
+    """
+
+    connections: int = 512
+    header_timeout_s: float = 10.0
+    write_timeout_s: float = 10.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,3 +223,77 @@ def _pages(values: Mapping[str, str], name: str) -> str | None:
             f"the setting {name} is wrong", expected="an http or https address", got=repr(text)[:200]
         )
     return None if text is None else text.rstrip("/")
+
+
+def host_names(text: str) -> tuple[str, ...]:
+    """Names and addresses without ports, those of IPv6 in brackets as in a Host header; ``*`` is any.
+
+    Raises:
+        ConfigError: something else stands there.
+    """
+    names = tuple(bracketed(name) for name in _parts(text))
+    for name in names:
+        if name != ANY and not _HOST.fullmatch(name):
+            raise _wrong("CSPACE_API_HOSTS", "names or addresses without ports, or *", name)
+    return names
+
+
+def origins(text: str) -> tuple[str, ...]:
+    """Origins as browsers send them.
+
+    Raises:
+        ConfigError: something else stands there.
+    """
+    found = tuple(_parts(text))
+    for origin in found:
+        if not _ORIGIN.fullmatch(origin):
+            raise _wrong("CSPACE_API_ORIGINS", "origins such as https://site.example:8443", origin)
+    return found
+
+
+def proxies(text: str) -> tuple[str, ...]:
+    """Addresses and networks.
+
+    Raises:
+        ConfigError: something else stands there; ``*`` too, for it would believe everybody.
+    """
+    found = tuple(_parts(text))
+    for proxy in found:
+        try:
+            ipaddress.ip_network(proxy)
+        except ValueError as error:
+            expected = "addresses or networks such as 10.0.0.0/8"
+            raise _wrong("CSPACE_API_TRUSTED_PROXIES", expected, proxy) from error
+    return found
+
+
+def bracketed(host: str) -> str:
+    """A host as it stands in a Host header: an address of IPv6 in brackets."""
+    return f"[{host}]" if ":" in host and not host.startswith("[") and host.count(":") > 1 else host
+
+
+def is_wildcard(host: str) -> bool:
+    """Whether a server there listens on all addresses, so that it has no name of its own."""
+    try:
+        return ipaddress.ip_address(host).is_unspecified
+    except ValueError:
+        return host == ""
+
+
+def _parts(text: str) -> list[str]:
+    return [part.strip() for part in text.split(",") if part.strip()]
+
+
+def _wrong(name: str, expected: str, got: str) -> ConfigError:
+    return ConfigError(
+        f"the setting {name} is wrong",
+        expected=expected,
+        got=repr(got),
+        remedy=f"set {name} in the environment, separated by commas, or unset it",
+    )
+
+
+def wants_traces(environment: Mapping[str, str]) -> bool:
+    """Whether OpenTelemetry's variables name a place to send traces to."""
+    disabled = environment.get("OTEL_SDK_DISABLED", "").strip().lower() == "true"
+    return not disabled and any(environment.get(name) for name in TRACES_ENDPOINTS)

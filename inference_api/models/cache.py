@@ -33,8 +33,8 @@ from cspace.errors import (
     StorageError,
 )
 from cspace.files import HALF_PREFIX, holding, read_bounded, replacing
-from inference_api.failures import ModelNotReadyError
 from inference_api.models.worker import DOWNLOAD_S
+from inference_api.problems import ModelNotReadyError
 from services.registry.models.port import ModelReader, ModelVersion
 from services.registry.references import is_model_name
 

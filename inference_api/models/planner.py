@@ -7,8 +7,8 @@ from threading import Thread
 from typing import Literal
 
 from cspace.plan import load_examples
-from inference_api.failures import NoRoomError, StartingError
-from inference_api.memory import settle
+from inference_api.problems import NoRoomError, StartingError
+from inference_api.process import settle
 
 _LOG = logging.getLogger(__name__)
 State = Literal["on demand", "loading", "loaded"]

@@ -28,13 +28,13 @@ from cspace.errors import (
     RegistryUnavailableError,
     StorageError,
 )
-from inference_api.failures import ModelNotReadyError
 from inference_api.models.cache import RETRY_S, BundleCache, key_of
 from inference_api.models.pictures import PictureCache
 from inference_api.models.planner import PlannerStart
 from inference_api.models.served import ServedModel, ShippedModels
 from inference_api.models.worker import RegistryWorker
-from inference_api.telemetry.observer import Observer, Refusal
+from inference_api.problems import ModelNotReadyError
+from inference_api.telemetry import Observer, Refusal
 from services.names import ALIAS_CHAMPION, TAG_ROBOT
 from services.registry.models.port import ModelReader, ModelVersion
 from services.registry.references import PRETRAINED, ModelReference

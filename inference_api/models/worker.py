@@ -24,7 +24,7 @@ from typing import Any, TypeVar
 from pydantic import TypeAdapter, ValidationError
 
 from cspace.errors import CspaceError, RegistryError, RegistryUnavailableError, StorageError
-from inference_api.memory import few_arenas
+from inference_api.process import few_arenas
 from services.registry.failures import failure_of
 from services.registry.models.port import ModelVersion
 from services.registry.scrubbing import anonymous

@@ -1,37 +1,50 @@
-"""The pages that the workbench asks: what this server can do, stories of models, the truth where it is on."""
+"""The page at ``/`` and the routes that it asks; the contract does not know of them."""
 
 from collections.abc import Callable
 from functools import partial
 from importlib.util import find_spec
+from pathlib import Path
 from typing import TypeVar
 
 from fastapi import FastAPI, Request
-from fastapi.responses import Response
+from fastapi.responses import FileResponse, Response
 from pydantic import BaseModel
+from starlette.staticfiles import StaticFiles
+from starlette.types import Scope
 
 from cspace.errors import ConfigError
-from inference_api.bodies.bounded_json import MAX_TENSOR_MARKS, parse_json
-from inference_api.bodies.request_body import RawFields, read_fields
-from inference_api.guards.rate import client_of
-from inference_api.pages.dependencies import Room, Store, room_of, store_of, turns_of
-from inference_api.pages.exchange import Question, respond
-from inference_api.pages.validation import validate_fields
-from inference_api.problems import UNSUPPORTED_MEDIA_TYPE, RequestError
-from inference_api.turns.costs import rows_of
-from inference_api.turns.turns import Turn
-from inference_api.workbench.models import Stories, stories
-from inference_api.workbench.page import add_page
-from inference_api.workbench.scene_file import FileQuestion, FileRequest
-from inference_api.workbench.search import SearchQuestion
-from inference_api.workbench.search_schemas import SearchRequest
-from inference_api.workbench.truth import SceneQuestion, TruthQuestion
-from inference_api.workbench.truth_schemas import SceneRequest, TruthRequest
-from services.registry.references import ModelReference
+from inference_api.limits import WORKBENCH_FILES, client_of
+from inference_api.models.served import ServedModel
+from inference_api.requests import Serving
+from inference_api.scheduler import Job
+from inference_api.workbench import planar
+from inference_api.workbench.schemas import (
+    FileRequest,
+    SceneRequest,
+    SearchRequest,
+    TruthRequest,
+    WorkbenchRequest,
+)
+from inference_api.workbench.stories import Stories, stories
 
 # What compiled checks, drawn scenes and scene files need, as the extra ``workbench`` has it.
 _PACKAGES = ("numba", "scipy", "matplotlib", "jsonschema", "yaml")
+FOLDER = Path(__file__).parent / "files"
+# No inline script and no inline style; pictures that the page draws itself are blobs.
+POLICY = (
+    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; connect-src 'self'; "
+    "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+)
 
-Asked = TypeVar("Asked", FileRequest, SceneRequest, SearchRequest, TruthRequest)
+
+class PageFiles(StaticFiles):
+    """Files that a browser keeps and asks about again, so that an upgrade is seen at once."""
+
+    async def get_response(self, path: str, scope: Scope) -> Response:
+        """The file, or that it has not changed."""
+        response = await super().get_response(path, scope)
+        response.headers["Cache-Control"] = "no-cache"
+        return response
 
 
 class About(BaseModel):
@@ -50,12 +63,15 @@ class About(BaseModel):
     mlflow: str | None
 
 
+Asked = TypeVar("Asked", bound=WorkbenchRequest)
+
+
 def add_workbench(app: FastAPI, *, truth: bool, mlflow_pages: str | None) -> None:
-    """Serve the page, and what it asks.
+    """Serves the page, and what it asks.
 
     Args:
         app: whose.
-        truth: whether the truth may be asked for.
+        truth: whether the ground truth may be asked for.
         mlflow_pages: where browsers find MLflow.
 
     Raises:
@@ -69,7 +85,14 @@ def add_workbench(app: FastAPI, *, truth: bool, mlflow_pages: str | None) -> Non
             got=f"no {', '.join(missing)}",
             remedy="pip install .[workbench], or leave CSPACE_API_WORKBENCH and --workbench out",
         )
-    add_page(app)
+
+    @app.get("/", include_in_schema=False)
+    async def workbench() -> FileResponse:
+        return FileResponse(
+            FOLDER / "index.html", media_type="text/html", headers={"Content-Security-Policy": POLICY}
+        )
+
+    app.mount(WORKBENCH_FILES, PageFiles(directory=FOLDER), name="workbench-files")
     about = About(version=app.version, truth=truth, plans=_is_installed("numba"), mlflow=mlflow_pages)
 
     @app.get("/workbench/about", include_in_schema=False)
@@ -77,14 +100,24 @@ def add_workbench(app: FastAPI, *, truth: bool, mlflow_pages: str | None) -> Non
         return about
 
     @app.get("/workbench/models", include_in_schema=False)
-    async def models(request: Request, store: Store, room: Room, name: str | None = None) -> Stories:
-        return await room.run(partial(stories, store, name, mlflow_pages), client_of(request.scope))
+    async def models(request: Request, service: Serving, name: str | None = None) -> Stories:
+        return await service.lookups.run(
+            partial(stories, service.store, name, mlflow_pages), client_of(request.scope)
+        )
 
     if truth:
-        app.post("/workbench/scene-file", include_in_schema=False)(_scene_file)
-        app.post("/workbench/scene", include_in_schema=False)(_scene)
-        app.post("/workbench/search", include_in_schema=False)(_search)
-        app.post("/workbench/truth", include_in_schema=False)(_truth)
+        _add(app, "scene-file", FileRequest, planar.scene_file)
+        _add(app, "scene", SceneRequest, planar.scene)
+        _add(app, "search", SearchRequest, planar.search)
+        _add(app, "truth", TruthRequest, planar.truth)
+
+
+def _add(
+    app: FastAPI, name: str, kind: type[Asked], work: Callable[[Asked, ServedModel, Job], Response]
+) -> None:
+    @app.post(f"/workbench/{name}", include_in_schema=False)
+    async def ask(request: Request, service: Serving) -> Response:
+        return await service.answer(request, kind, work)
 
 
 def _is_installed(name: str) -> bool:
@@ -92,41 +125,3 @@ def _is_installed(name: str) -> bool:
         return find_spec(name) is not None
     except ImportError:
         return False
-
-
-async def _scene(request: Request) -> Response:
-    return await _ask(request, SceneRequest, SceneQuestion)
-
-
-async def _scene_file(request: Request) -> Response:
-    return await _ask(request, FileRequest, FileQuestion)
-
-
-async def _search(request: Request) -> Response:
-    return await _ask(request, SearchRequest, SearchQuestion)
-
-
-async def _truth(request: Request) -> Response:
-    return await _ask(request, TruthRequest, TruthQuestion)
-
-
-async def _ask(
-    request: Request, kind: type[Asked], question: Callable[[Asked, ModelReference], Question]
-) -> Response:
-    fields = await read_fields(request)
-    store = store_of(request)
-
-    def read(turn: Turn) -> Question:
-        turn.spend(rows_of(json_bytes=fields.json_bytes))
-        asked = validate_fields(kind, parse_json(_json(fields), MAX_TENSOR_MARKS))
-        return question(asked, ModelReference.parse(asked.model or store.model_name))
-
-    return await respond(request, store, turns_of(request), room_of(request), read)
-
-
-def _json(fields: RawFields) -> bytes:
-    if fields.boundary is not None:
-        raise RequestError(
-            UNSUPPORTED_MEDIA_TYPE, "forms are not read here", expected="application/json", got="a form"
-        )
-    return fields.body

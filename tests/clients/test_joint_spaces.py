@@ -13,7 +13,7 @@ from cspace_client import models
 from cspace_client.answers import read_samples, read_space
 from cspace_client.errors import SamplerAnswerError
 from cspace_client.models import JointSpace
-from inference_api.pages.sampling import npy_head
+from inference_api.routes.sample import npy_head
 
 SAID = space.JointSpace((-np.pi, -4.0), (np.pi, 1.0), (True, False))
 MIXED = JointSpace(SAID.lower, SAID.upper, SAID.periodic)

@@ -8,8 +8,7 @@ import pytest
 from cspace.bundle import write_bundle
 from cspace.png import encode_png
 from inference_api.app import create_app
-from inference_api.guards.protection import Protection
-from inference_api.settings import ApiSettings
+from inference_api.settings import ApiSettings, Protection
 from tests.bundles import picture, tiny_graphs, tiny_spec, write_tiny_bundle
 from tests.inference_api.client import ApiClient, running
 from tests.inference_api.fake_registry import CountingRegistry

@@ -5,7 +5,7 @@ from itertools import islice
 
 import pytest
 
-from inference_api.guards.body_limit import MAX_BODY_BYTES
+from inference_api.limits import MAX_BODY_BYTES
 from tests.inference_api.answers import assert_answers
 from tests.inference_api.body_fuzz import form, picture, requests, sample_json, tensors
 from tests.inference_api.client import ApiClient

@@ -2,7 +2,6 @@
 
 import base64
 import json
-from unittest.mock import create_autospec
 
 import numpy as np
 import pytest
@@ -12,14 +11,14 @@ from cspace.png import encode_png
 from cspace.view_file import pack_view
 from cspace.worlds.spatial.arm import ready_rad
 from cspace.worlds.spatial.camera import DepthCamera, encode_depth, looking
-from inference_api.bodies.request_body import RawFields
-from inference_api.pages.planning.question import read_plan
-from inference_api.turns.turns import Turn
+from inference_api.requests import Body
+from inference_api.routes.plan import query_of
+from inference_api.schemas import PlanRequest
 from tests.bundles import picture
 from tests.inference_api.answers import assert_problem
 from tests.inference_api.conftest import api_over, stock
 from tests.inference_api.fake_registry import CountingRegistry
-from tests.inference_api.turn_work import watched_turns
+from tests.inference_api.job_work import watched_jobs
 from tests.space_bundle import WORLD, write_space_bundle
 
 MODEL = "panda-sampler@champion"
@@ -194,7 +193,7 @@ def test_the_search_for_a_view_knows_from_where_the_pictures_are():
     ends = {"start": STATE, "goal": STATE, "model": "panda-sampler"}
     images = [base64.b64encode(one).decode() for one in IMAGES]
     body = json.dumps(ends | {"image": images, "camera": CAMERAS}).encode()
-    assert read_plan(None, RawFields(body), create_autospec(Turn), began=0.0).query.seen_by == tuple(CAMERAS)
+    assert query_of(PlanRequest.read(Body(body).values(PlanRequest))).seen_by == tuple(CAMERAS)
 
 
 def test_a_plan_names_the_view_that_would_see_most_of_its_doubt(api):
@@ -224,7 +223,7 @@ def test_a_plan_names_the_view_that_would_see_most_of_its_doubt(api):
 )
 def test_pictures_that_are_not_known_are_read_in_parts_as_long_work(api, monkeypatch, page, fields):
     wide = [one | {"fx": 8.0, "fy": 8.0, "cx": 31.0 + len(page)} for one in CAMERAS]
-    long, parts = watched_turns(monkeypatch)
+    long, parts = watched_jobs(monkeypatch)
     answer = ask(api, cameras=wide, page=page, state=json.dumps(STATE), **fields)
     assert answer.status_code == 200, answer.text
     assert long()

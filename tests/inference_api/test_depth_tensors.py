@@ -11,9 +11,9 @@ from cspace.view_file import pack_view
 from cspace.worlds.spatial.camera import decode_depth
 from tests.inference_api.conftest import api_over, stock
 from tests.inference_api.fake_registry import CountingRegistry
+from tests.inference_api.job_work import watched_jobs
 from tests.inference_api.tensor_client import INFER, LENGTH, outputs_of
 from tests.inference_api.test_depth_pictures import CAMERAS, IMAGES, STATE
-from tests.inference_api.turn_work import watched_turns
 from tests.space_bundle import write_space_bundle
 
 URL = INFER.format("panda-sampler")
@@ -146,7 +146,7 @@ def test_what_cannot_be_seen_is_told(api, view, message):
 
 @pytest.mark.parametrize("further", [{}, {"configurations": np.array([STATE])}])
 def test_pictures_are_read_in_parts_as_long_work(api, monkeypatch, further):
-    long, parts = watched_turns(monkeypatch)
+    long, parts = watched_jobs(monkeypatch)
     answer = ask(api, VIEW | further, **({} if further else {"n": 1}))
     assert answer.status_code == 200, answer.text
     assert long()

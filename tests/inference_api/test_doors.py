@@ -3,8 +3,7 @@
 import pytest
 
 from cspace.errors import ConfigError
-from inference_api.guards.names import host_names, origins, proxies
-from inference_api.guards.protection import Protection
+from inference_api.settings import Protection, host_names, origins, proxies
 from tests.inference_api.answers import PNG, assert_problem
 from tests.inference_api.client import ApiClient
 from tests.inference_api.conftest import StartApi

@@ -13,13 +13,13 @@ import httpx
 import psutil
 import pytest
 
-from inference_api.ending import FORCED, MARGIN_S
+from inference_api.process import FORCED, MARGIN_S
 from tests.inference_api.raw import connect, everything, head, lives, metric, until
 from tests.inference_api.server import ROOT, server_process
 
 STUCK = """
 import signal, sys, threading, time
-from inference_api.ending import end_in_time
+from inference_api.process import end_in_time
 signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
 end_in_time(float(sys.argv[1]))
 if len(sys.argv) > 2:

@@ -10,14 +10,11 @@ import pytest
 from starlette.responses import PlainTextResponse
 from starlette.types import Message, Receive, Scope, Send
 
-from inference_api.guards.body_limit import BodyLimit
-from inference_api.guards.concurrency import Concurrency
-from inference_api.guards.headers import SECURITY_HEADERS
-from inference_api.guards.last_resort import LastResort
-from inference_api.guards.protection import Protection
-from inference_api.guards.rate import TokenBuckets, client_of
 from inference_api.keys import digest_of
-from inference_api.pages.docs_page import policy
+from inference_api.limits import SECURITY_HEADERS, Limits, TokenBuckets, client_of
+from inference_api.routes.documentation import policy
+from inference_api.settings import Protection
+from inference_api.telemetry import Metrics, Telemetry
 from tests.inference_api.answers import PNG, assert_problem
 from tests.inference_api.client import ApiClient
 from tests.inference_api.conftest import StartApi
@@ -103,7 +100,7 @@ def test_requests_above_the_bound_are_refused_at_once_and_later_ones_answered() 
                 await go.wait()
             await PlainTextResponse("done")(scope, receive, send)
 
-        transport = httpx.ASGITransport(Concurrency(slow, limit=2))
+        transport = httpx.ASGITransport(Limits(slow, Protection(max_in_flight=2)))
         async with httpx.AsyncClient(transport=transport, base_url="http://localhost") as client:
             held = [asyncio.create_task(client.get("/slow")) for _ in range(2)]
             for _ in held:
@@ -126,7 +123,7 @@ def test_a_place_is_free_again_after_a_failure() -> None:
         async def fail(scope: Scope, receive: Receive, send: Send) -> None:
             raise ZeroDivisionError
 
-        transport = httpx.ASGITransport(Concurrency(fail, limit=1), raise_app_exceptions=False)
+        transport = httpx.ASGITransport(Limits(fail, Protection(max_in_flight=1)), raise_app_exceptions=False)
         async with httpx.AsyncClient(transport=transport, base_url="http://localhost") as client:
             return [(await client.get("/")).status_code for _ in range(3)]
 
@@ -267,8 +264,13 @@ def test_a_length_of_thousands_of_digits_is_told_as_what_it_is(length: str) -> N
     async def receive() -> Message:
         return {"type": "http.request"}
 
-    scope = {"type": "http", "headers": [(b"content-length", length.encode())], "client": ("127.0.0.1", 1)}
-    asyncio.run(BodyLimit(app)(scope, receive, send))
+    scope = {
+        "type": "http",
+        "path": "/",
+        "headers": [(b"content-length", length.encode())],
+        "client": ("127.0.0.1", 1),
+    }
+    asyncio.run(Limits(app, Protection())(scope, receive, send))
     assert sent[0]["status"] == (413 if "9" in length else 200)
 
 
@@ -284,8 +286,10 @@ def test_a_request_that_is_cancelled_is_answered_and_stays_cancelled() -> None:
     async def receive() -> Message:
         return {"type": "http.request"}
 
+    scope = {"type": "http", "path": "/", "method": "GET", "headers": []}
+
     async def scenario() -> None:
-        task = asyncio.ensure_future(LastResort(waiting)({"type": "http"}, receive, send))
+        task = asyncio.ensure_future(Telemetry(waiting, Metrics(lambda: None), ())(scope, receive, send))
         await asyncio.sleep(0)
         task.cancel()
         await asyncio.wait([task])

@@ -7,11 +7,10 @@ from pathlib import Path
 import pytest
 
 from inference_api.app import create_app
-from inference_api.guards.headers import SECURITY_HEADERS
-from inference_api.guards.protection import Protection
 from inference_api.keys import digest_of
-from inference_api.pages.guide import POLICY
-from inference_api.settings import GUIDE_FOLDER, ApiSettings
+from inference_api.limits import SECURITY_HEADERS
+from inference_api.routes.documentation import POLICY
+from inference_api.settings import GUIDE_FOLDER, ApiSettings, Protection
 from tests.inference_api.answers import assert_problem
 from tests.inference_api.client import ApiClient, running
 

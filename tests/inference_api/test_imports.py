@@ -55,7 +55,7 @@ def test_the_api_serves_without_the_training_frameworks(tmp_path: Path, bundles:
 def test_importing_the_api_does_nothing_but_import(tmp_path: Path) -> None:
     code = (
         "import os, threading; before = dict(os.environ);"
-        "import inference_api.app, inference_api.pages.sample, inference_api.models.store;"
+        "import inference_api.app, inference_api.routes.sample, inference_api.models.store;"
         "import inference_api.__main__;"
         "assert threading.active_count() == 1; assert dict(os.environ) == before;"
         "assert not os.listdir('.')"

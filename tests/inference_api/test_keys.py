@@ -8,11 +8,9 @@ import pytest
 from fastapi import FastAPI
 
 from cspace.errors import ConfigError
-from inference_api.guards.authentication import bearer_token
-from inference_api.guards.exposure import check_exposure, is_loopback
-from inference_api.guards.install import add_guards
-from inference_api.guards.protection import Protection
-from inference_api.keys import ApiKeys, main
+from inference_api.keys import ApiKeys, bearer_token, check_exposure, is_loopback, main
+from inference_api.limits import add_limits
+from inference_api.settings import Protection
 
 
 def make(capsys: pytest.CaptureFixture[str], name: str) -> tuple[str, str]:
@@ -107,7 +105,7 @@ def test_a_file_that_everybody_may_read_leaves_one_line(
     path = tmp_path / "keys"
     path.write_text(f"lab:{DIGEST}\n")
     path.chmod(mode)
-    add_guards(FastAPI(), Protection(keys_file=path))
+    add_limits(FastAPI(), Protection(keys_file=path))
     assert len(caplog.messages) == lines
     assert DIGEST not in caplog.text
 
@@ -138,19 +136,19 @@ def test_the_token_is_read_from_one_bearer_header(headers: list[str], token: str
 @pytest.mark.parametrize("host", ["127.0.0.1", "127.1.2.3", "::1", "localhost"])
 def test_loopback_needs_no_keys(host: str) -> None:
     assert is_loopback(host)
-    check_exposure(host, Protection(), allowed=False)
+    check_exposure(host, None, allowed=False)
 
 
 @pytest.mark.parametrize("host", ["0.0.0.0", "::", "", "192.0.2.1", "server.example"])  # noqa: S104
 def test_other_addresses_need_keys_or_a_word(host: str, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="--allow-unauthenticated"):
-        check_exposure(host, Protection(), allowed=False)
-    check_exposure(host, Protection(), allowed=True)
+        check_exposure(host, None, allowed=False)
+    check_exposure(host, None, allowed=True)
     path = tmp_path / "keys"
     path.write_text(f"lab:{DIGEST}\n")
-    check_exposure(host, Protection(keys_file=path), allowed=False)
+    check_exposure(host, path, allowed=False)
 
 
 def test_a_word_does_not_excuse_a_wrong_file_of_keys(tmp_path: Path) -> None:
     with pytest.raises(ConfigError):
-        check_exposure("127.0.0.1", Protection(keys_file=tmp_path / "nothing"), allowed=True)
+        check_exposure("127.0.0.1", tmp_path / "nothing", allowed=True)

@@ -3,8 +3,6 @@
 import numpy as np
 import pytest
 
-from cspace.bundle import SampleSet
-from inference_api.open_inference.tensor_sampling import Drawn, output_arrays
 from tests.inference_api.client import ApiClient
 from tests.inference_api.tensor_client import IMAGES, binary_request, infer, outputs_of, sampled
 
@@ -19,28 +17,6 @@ def test_every_picture_is_answered_as_it_would_be_alone_with_the_next_seed(api: 
     for image, seed, samples in zip(IMAGES, found["seed"].tolist(), found["samples"], strict=True):
         alone = sampled(api, image, n=50, seed=str(seed))["samples"]
         assert np.array_equal(samples, np.array(alone, np.float32))
-
-
-def sample_set(count: int, asked: int) -> SampleSet:
-    samples = np.arange(2 * count, dtype=np.float32).reshape(count, 2)
-    return SampleSet(
-        samples=samples,
-        confidence=samples[:, 0],
-        shortfall=asked - count,
-        acceptance=1.0,
-        encode_ms=0.0,
-        generate_ms=0.0,
-    )
-
-
-def test_several_pictures_are_cut_to_the_one_with_the_fewest_samples() -> None:
-    found = output_arrays(Drawn([sample_set(4, 5), sample_set(2, 5)], [7, 8]))
-    assert found["samples"].tolist() == [[[0, 1], [2, 3]], [[0, 1], [2, 3]]]
-    assert found["confidence"].tolist() == [[0, 2], [0, 2]]
-    assert (found["shortfall"].tolist(), found["seed"].tolist()) == ([1, 3], [7, 8])
-    alone = output_arrays(Drawn([sample_set(4, 5)], [7]))
-    assert (alone["samples"].shape, alone["confidence"].shape) == ((4, 2), (4,))
-    assert (alone["shortfall"].tolist(), alone["seed"].tolist()) == ([1], [7])
 
 
 def test_the_shortfall_is_told_for_each_picture(api: ApiClient) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from inference_api.memory import few_arenas, trimmed
+from inference_api.process import few_arenas, trimmed
 
 pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="glibc and /proc")
 

@@ -12,9 +12,9 @@ from prometheus_client.parser import text_string_to_metric_families
 
 from cspace.bundle import Bundle
 from cspace.bundle.golden import GoldenCase
-from inference_api.guards.protection import Protection
 from inference_api.problems import PROBLEMS
-from inference_api.telemetry.metrics import STAGES
+from inference_api.settings import Protection
+from inference_api.telemetry import STAGES
 from tests.bundles import picture
 from tests.inference_api.answers import PNG
 from tests.inference_api.client import ApiClient

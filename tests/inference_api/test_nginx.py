@@ -12,7 +12,7 @@ from pathlib import Path
 import httpx
 import pytest
 
-from inference_api.guards.body_limit import MAX_BODY_BYTES
+from inference_api.limits import MAX_BODY_BYTES
 from tests.inference_api.answers import IMAGE, PNG
 from tests.inference_api.proxy import NAME, Proxy, nginx_before, nginx_of_the_stack
 from tests.inference_api.raw import PATIENCE_S, head, metric, one_answer

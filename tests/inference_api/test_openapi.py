@@ -8,7 +8,9 @@ from typing import Any
 import pytest
 from jsonschema import Draft202012Validator
 
-from inference_api.pages.described import SAMPLE_PROBLEMS
+from inference_api.app import create_app
+from inference_api.routes.sample import SAMPLE_PROBLEMS
+from inference_api.settings import ApiSettings
 from tests.bundles import picture
 from tests.inference_api.client import ApiClient
 from tests.inference_api.tensor_client import LENGTH, json_input
@@ -192,11 +194,12 @@ def test_the_documentation_needs_nothing_from_elsewhere(api: ApiClient) -> None:
     assert "url: 'openapi.json'" in page.text
 
 
-def test_no_schema_names_a_model_that_is_asked_for_by_default(document) -> None:
-    """The server's settings do."""
-    named = [schema for schema in _properties(document) if schema.get("maxLength") == 300]
-    assert len(named) >= 3
-    assert not any("default" in schema for schema in named)
+def test_the_default_model_that_is_shown_is_the_one_that_answers(tmp_path) -> None:
+    settings = ApiSettings(None, tmp_path, "three-link-sampler")
+    found = create_app(settings).openapi()
+    named = [schema for schema in _properties(found) if schema.get("maxLength") == 300]
+    assert len(named) == 6
+    assert {schema["default"] for schema in named} == {"three-link-sampler"}
 
 
 def _properties(value):

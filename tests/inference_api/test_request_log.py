@@ -10,8 +10,7 @@ from urllib.parse import quote
 import pytest
 
 from cspace.bundle import Bundle
-from inference_api.record import choose_request_id
-from inference_api.telemetry.logs import JsonFormatter, LogForm, TextFormatter, log_settings
+from inference_api.logs import JsonFormatter, LogForm, TextFormatter, choose_request_id, log_settings
 from tests.bundles import picture
 from tests.inference_api.answers import PNG
 from tests.inference_api.client import ApiClient

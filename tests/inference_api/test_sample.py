@@ -18,7 +18,7 @@ from cspace.png import encode_png
 from cspace.worlds import robot_digest
 from cspace.worlds.planar.camera import decode_png
 from cspace.worlds.planar.world import PlanarWorld
-from inference_api.pages.sampling import prefers_npy
+from inference_api.requests import prefers_npy
 from tests.bundles import picture
 from tests.inference_api.client import ApiClient
 from tests.inference_api.conftest import StartApi

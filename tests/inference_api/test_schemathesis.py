@@ -11,7 +11,6 @@ from schemathesis.checks import not_a_server_error
 from schemathesis.specs.openapi import checks
 
 from inference_api.app import create_app
-from inference_api.openapi import document
 from inference_api.settings import ApiSettings
 from tests.inference_api.server import api_server
 
@@ -33,7 +32,7 @@ def address(tmp_path_factory: pytest.TempPathFactory, bundles: dict[str, Path]) 
         yield found
 
 
-schema = schemathesis.openapi.from_dict(document(create_app(ApiSettings(None, Path("unused")))))
+schema = schemathesis.openapi.from_dict(create_app(ApiSettings(None, Path("unused"))).openapi())
 lenient = {"deadline": None, "derandomize": True, "suppress_health_check": list(HealthCheck)}
 
 

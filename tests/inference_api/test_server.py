@@ -18,7 +18,7 @@ import pytest
 
 from cspace.bundle import Bundle
 from cspace.worlds.planar.camera import decode_png
-from inference_api.guards.body_limit import MAX_BODY_BYTES
+from inference_api.limits import MAX_BODY_BYTES
 from tests.inference_api.server import ROOT, api_server
 
 pytestmark = pytest.mark.e2e

@@ -3,8 +3,7 @@ from pathlib import Path
 import pytest
 
 from cspace.errors import ConfigError
-from inference_api.connections.limits import ConnectionLimits
-from inference_api.settings import PRETRAINED_FOLDER, ApiSettings, further_folders
+from inference_api.settings import PRETRAINED_FOLDER, ApiSettings, ConnectionLimits, further_folders
 from services.registry.references import PRETRAINED, SHIPPED
 
 

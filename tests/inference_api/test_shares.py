@@ -7,10 +7,8 @@ import pytest
 from starlette.responses import PlainTextResponse
 from starlette.types import Receive, Scope, Send
 
-from inference_api.guards.body_limit import BodyLimit
-from inference_api.guards.concurrency import Concurrency
-from inference_api.guards.protection import Protection
-from inference_api.guards.shares import Shares
+from inference_api.limits import Limits, Shares
+from inference_api.settings import Protection
 from tests.inference_api.answers import PNG, assert_problem
 from tests.inference_api.conftest import StartApi
 
@@ -56,7 +54,7 @@ def test_a_refusal_tells_whose_places_are_full() -> None:
             await go.wait()
             await PlainTextResponse("done")(scope, receive, send)
 
-        app = Concurrency(slow, limit=4)
+        app = Limits(slow, Protection(max_in_flight=4))
 
         def client(host: str) -> httpx.AsyncClient:
             transport = httpx.ASGITransport(app, client=(host, 1))
@@ -102,7 +100,9 @@ def test_a_body_is_let_go_of_when_its_request_fails() -> None:
             await receive()
             raise ZeroDivisionError
 
-        transport = httpx.ASGITransport(BodyLimit(fail, 10, 20), raise_app_exceptions=False)
+        transport = httpx.ASGITransport(
+            Limits(fail, Protection(held_body_bytes=20)), raise_app_exceptions=False
+        )
         async with httpx.AsyncClient(transport=transport, base_url="http://localhost") as client:
             return [(await client.post("/", content=b"x" * 10)).status_code for _ in range(5)]
 

@@ -7,10 +7,9 @@ import pytest
 
 from cspace.errors import InputError
 from cspace.worlds.planar.world import MAX_PICTURES
-from inference_api.open_inference.tensor_request import MAX_MEMBERS, MAX_TEXT, read_request
-from inference_api.open_inference.tensor_schemas import InputTensor
-from inference_api.open_inference.tensors import MAX_SIZE, read_tensors
-from inference_api.pages.validation import brief, brief_members
+from inference_api.problems import brief, brief_members
+from inference_api.requests import MAX_FIELD_BYTES
+from inference_api.tensors import MAX_MEMBERS, MAX_SIZE, InputTensor, read_request, read_tensors
 from tests.inference_api.client import ApiClient
 from tests.inference_api.tensor_client import IMAGES, binary_request, infer, json_input, outputs_of
 
@@ -66,7 +65,7 @@ def test_a_request_has_at_most_256_pictures(api: ApiClient) -> None:
 
 @pytest.mark.parametrize("name", ["epsilon_sigma", "start", "goal", "seed", "n"])
 def test_texts_of_parameters_are_bounded(api: ApiClient, name: str) -> None:
-    assert f"{name} is too long" in wrong(api, parameters={name: " " * (MAX_TEXT + 1)})
+    assert f"{name} is too long" in wrong(api, parameters={name: " " * (MAX_FIELD_BYTES + 1)})
     assert name in wrong(api, parameters={name: "[" + "0," * 20_000 + "0]"})
 
 

@@ -14,7 +14,7 @@ from opentelemetry.proto.trace.v1.trace_pb2 import ResourceSpans, Span
 
 from cspace.errors import ConfigError
 from inference_api.settings import ApiSettings
-from inference_api.telemetry.tracing import otlp_provider
+from inference_api.tracing import otlp_provider
 from tests.inference_api.server import server_process
 
 TRACE, PARENT = "4bf92f3577b34da6a3ce929d0e0e4736", "00f067aa0ba902b7"

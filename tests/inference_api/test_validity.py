@@ -146,7 +146,7 @@ def test_fields_of_samples_are_unknown_here(api):
     problem = assert_problem(ask(api, ROWS.tolist(), n="3"), 422, "invalid-value")
     (error,) = problem["errors"]
     assert error["field"] == "n"
-    assert error["expected"] == "one of image, camera, state, depth_scale_m, configurations, model, robot"
+    assert error["expected"] == "one of model, image, camera, state, depth_scale_m, robot, configurations"
 
 
 def test_both_fields_are_needed(api):

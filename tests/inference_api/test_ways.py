@@ -8,7 +8,7 @@ import pytest
 from cspace.png import encode_png
 from cspace.simulator import Split
 from cspace.worlds import examples, simulator_of
-from inference_api.turns import turns
+from inference_api import scheduler
 from tests.bundles import write_tiny_bundle
 from tests.inference_api.answers import assert_answers, assert_problem
 from tests.inference_api.conftest import CountingRegistry, api_over, stock
@@ -71,7 +71,7 @@ def test_without_the_compiler_it_says_so_and_goes_on(api, monkeypatch):
 
 
 def test_others_have_their_turns_during_the_search(api, monkeypatch):
-    monkeypatch.setattr(turns, "STINT_S", 0.0)
+    monkeypatch.setattr(scheduler, "STINT_S", 0.0)
     assert ask(api).status_code == 200
 
 

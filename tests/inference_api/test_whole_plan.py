@@ -47,7 +47,7 @@ def test_what_is_not_sure_enough_is_told_with_the_reason_and_returns_1(plan, tmp
     figure = tmp_path / "plan.png"
     code, out, _ = plan(*CAREFUL, "--min-confidence", "1", "--plot", str(figure))
     assert code == 1
-    assert "\nreason   the surest of 4 ways" in out
+    assert "\nreason   the surest of 4 paths" in out
     assert "in truth" not in out
     assert figure.exists()
 

@@ -18,10 +18,10 @@ from cspace.errors import (
     RegistryUnavailableError,
     StorageError,
 )
-from inference_api.failures import ModelNotReadyError
 from inference_api.models.cache import RETRY_S, BundleCache, DiskCache
 from inference_api.models.served import ShippedModels
 from inference_api.models.store import IN_USE_S, ModelStore
+from inference_api.problems import ModelNotReadyError
 from services.registry.models.port import ModelVersion
 from services.registry.references import PRETRAINED, ModelReference
 from tests.inference_api.client import ApiClient

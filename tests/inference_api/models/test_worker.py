@@ -24,7 +24,7 @@ from inference_api.models.cache import BundleCache, DiskCache
 from inference_api.models.served import ShippedModels
 from inference_api.models.store import ModelStore
 from inference_api.models.worker import RegistryWorker
-from inference_api.telemetry.observer import Observer, Refusal
+from inference_api.telemetry import Observer, Refusal
 from services.registry.models.port import ModelVersion
 from services.registry.references import PRETRAINED, ModelReference
 from tests.inference_api.bad_bundles import write_hungry_bundle, write_slow_bundle

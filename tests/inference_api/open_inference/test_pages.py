@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from cspace.bundle import Bundle
-from inference_api.guards.body_limit import MAX_BODY_BYTES
+from inference_api.limits import MAX_BODY_BYTES
 from tests.inference_api.client import ApiClient
 from tests.inference_api.conftest import StartApi
 from tests.inference_api.tensor_client import (

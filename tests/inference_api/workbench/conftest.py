@@ -5,8 +5,7 @@ from pathlib import Path
 import pytest
 
 from inference_api.app import create_app
-from inference_api.guards.protection import Protection
-from inference_api.settings import ApiSettings
+from inference_api.settings import ApiSettings, Protection
 from tests.inference_api.client import ApiClient, running
 from tests.inference_api.fake_registry import CountingRegistry
 

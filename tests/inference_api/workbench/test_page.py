@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from inference_api.guards.protection import Protection
 from inference_api.keys import digest_of, make_key
-from inference_api.workbench.page import FOLDER
+from inference_api.settings import Protection
+from inference_api.workbench.routes import FOLDER
 from tests.inference_api.client import ApiClient
 from tests.inference_api.workbench.conftest import StartBench
 

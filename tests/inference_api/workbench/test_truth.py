@@ -132,9 +132,8 @@ def test_what_does_not_fit_the_robot_is_refused_with_what_was_expected(
     assert answer.json()["expected"]
 
 
-def test_an_unknown_model_and_a_form_are_refused_as_everywhere(bench: ApiClient) -> None:
+def test_an_unknown_model_is_refused_as_everywhere(bench: ApiClient) -> None:
     assert bench.post("/workbench/truth", json={"discs": [], "model": "nobody"}).status_code == 404
-    assert bench.post("/workbench/truth", files={"discs": b"1"}).status_code == 415
     assert (
         bench.post("/workbench/truth", content=b"{", headers={"content-type": "application/json"}).status_code
         == 400

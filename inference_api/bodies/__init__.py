@@ -1,1 +1,0 @@
-"""Bodies of requests: forms and JSON, counted before they are parsed."""

@@ -1,1 +1,0 @@
-"""What a client may do with a connection before any guard sees a request."""

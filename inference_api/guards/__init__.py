@@ -1,1 +1,0 @@
-"""What stands before the pages: keys, limits and headers, each an ASGI middleware of its own."""

@@ -1,1 +1,0 @@
-"""The pages of the API: samples, models, health, and their description."""

@@ -1,0 +1,161 @@
+"""``POST /plan``: a path from start to goal that the model predicts to be free, or why there is none."""
+
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+
+from fastapi import APIRouter, Request
+from fastapi.responses import Response
+
+from cspace.bundle import BundleSpec
+from cspace.bundle.request import fitted_end, fitted_plan, require_robot
+from cspace.errors import InputError
+from cspace.query import Plan, PlanQuery, drawn_seed
+from cspace.world import ARM_IN_PICTURE, LITTLE_IN_REACH, Finding
+from inference_api.models.pictures import Prepared
+from inference_api.models.served import ServedModel
+from inference_api.models.store import ModelStore
+from inference_api.problems import NO_PLANNER, STARTING
+from inference_api.requests import Serving, both_bodies, problem_responses
+from inference_api.routes.sample import SAMPLE_PROBLEMS, answer_responses, prepared_picture
+from inference_api.scheduler import Job
+from inference_api.schemas import (
+    Alternative,
+    LeastSure,
+    NextViewInfo,
+    PlanAnswer,
+    PlanRequest,
+    PlanTimingMs,
+    ScenarioInfo,
+    joint_space_info,
+    model_info,
+    warnings_of,
+)
+from inference_api.telemetry import Answered
+
+# Findings by which a plan is refused.
+_WHY = (ARM_IN_PICTURE, LITTLE_IN_REACH)
+
+router = APIRouter()
+
+
+@router.post(
+    "/plan",
+    summary="Plan a path through a picture's scenario, or tell why there is none",
+    openapi_extra=both_bodies(PlanRequest),
+    responses=answer_responses(PlanAnswer) | problem_responses(*SAMPLE_PROBLEMS, NO_PLANNER, STARTING),
+)
+async def plan(request: Request, service: Serving) -> Response:
+    """Of several paths through what the picture shows the one of the least cost to the model.
+
+    The search treats unknown space as free; the model estimates how likely it is free.
+    """
+    work = partial(_answer, service.store, began=time.perf_counter())
+    return await service.answer(request, PlanRequest, work)
+
+
+def _answer(
+    store: ModelStore, asked: PlanRequest, served: ServedModel, job: Job, *, began: float
+) -> Response:
+    store.planner.require()
+    bundle, spec, image = served.bundle, served.bundle.spec, asked.picture()
+    given = query_of(asked)
+    query = fitted_plan(spec, given)
+    require_robot(asked.robot, spec)
+    if not bundle.has_validity:
+        raise InputError("the model has no validity head", remedy="name a model that has one")
+    for name, end in (("start", given.start), ("goal", given.goal)):
+        fitted_end(spec, name, end)
+    with job.searching() as between:
+        prepared = prepared_picture(store, bundle, image, job)
+        warnings = _warnings(spec, prepared, asked.start)
+        if given.min_confidence is None and any(one.code == LITTLE_IN_REACH for one in warnings):
+            # By what other scenes were like no path is sure enough, unless somebody asks for less.
+            query = replace(query, min_confidence=1.0)
+        found = bundle.plan(prepared.picture, query, between)
+    name = f"{served.name}/{served.version}"
+    store.observer.answered(Answered("plan", name, served.fallback, status=found.status, seed=query.seed))
+    least, view = found.least, found.next_view
+    body = PlanAnswer.model_construct(
+        status=found.status,
+        reason=_reason(found, query, warnings),
+        path=found.way.tolist(),
+        confidence=found.confidence,
+        edges=found.edges.tolist(),
+        unseen=None if found.unseen is None else found.unseen.tolist(),
+        length_rad=found.length_rad,
+        ways=found.found,
+        least_sure=None
+        if least is None
+        else LeastSure(
+            configuration=least.configuration.tolist(),
+            confidence=least.confidence,
+            unseen=least.unseen,
+            along=least.along,
+        ),
+        alternatives=[
+            Alternative(path=one.way.tolist(), confidence=one.confidence, edges=one.edges.tolist())
+            for one in found.alternatives
+        ]
+        if asked.alternatives
+        else None,
+        next_view=None if view is None else NextViewInfo(camera=dict(view.camera), sees=view.sees),
+        seed=str(query.seed),
+        scenario=ScenarioInfo(novelty=prepared.picture.novelty),
+        warnings=warnings_of(warnings),
+        joint_space=joint_space_info(spec.joint_space),
+        model=model_info(served),
+        timing_ms=PlanTimingMs(
+            decode=prepared.decode_ms,
+            encode=prepared.encode_ms,
+            search=found.search_ms,
+            score=found.score_ms,
+            total=1e3 * (time.perf_counter() - began),
+        ),
+    )
+    return Response(body.model_dump_json(), media_type="application/json")
+
+
+def query_of(asked: PlanRequest) -> PlanQuery:
+    """What the planner is asked."""
+    return PlanQuery(
+        asked.start,
+        asked.goal,
+        drawn_seed(asked.seed),
+        asked.min_confidence,
+        asked.time_limit_s,
+        asked.ways,
+        asked.next_view or bool(asked.view),
+        asked.view,
+        asked.alternatives,
+        asked.camera,
+    )
+
+
+def _warnings(spec: BundleSpec, prepared: Prepared, start: tuple[float, ...]) -> tuple[Finding, ...]:
+    if not prepared.without_state:
+        return prepared.findings
+    image = spec.world.sensor.from_network(prepared.picture.pixels)[0]
+    return prepared.findings_with(spec.world, image=image, start=start)
+
+
+def _reason(found: Plan, query: PlanQuery, warnings: Sequence[Finding]) -> str | None:
+    if found.status == "solved":
+        return None
+    told = "".join(f"; {one.message}" for one in warnings if one.code in _WHY)
+    return f"{_why(found, query)}{told}"
+
+
+def _why(found: Plan, query: PlanQuery) -> str:
+    if found.status == "timeout":
+        return f"no path was found within {query.time_limit_s:g} s"
+    least = found.least
+    if least is None:
+        return "no path was found through what the picture shows"
+    unseen = "" if least.unseen is None else f", where {least.unseen:.0%} of the robot is in unseen space"
+    return (
+        f"the surest of {found.found} paths has a confidence of {found.confidence:.3f}, asked for is "
+        f"{query.min_confidence:g}; it is least sure at {least.along:.0%} of its length, with "
+        f"{least.confidence:.3f}{unseen}"
+    )

@@ -1,0 +1,279 @@
+"""``POST /sample``: collision-free configurations for a picture."""
+
+import io
+import json
+import time
+from collections.abc import Sequence
+from functools import lru_cache, partial
+from math import prod
+from typing import Any
+
+import numpy as np
+from fastapi import APIRouter, Request
+from fastapi.responses import Response
+from numpy.typing import NDArray
+from pydantic import BaseModel
+
+from cspace.bundle import Bundle, SampleSet
+from cspace.bundle.request import fitted
+from inference_api.models.pictures import Prepared
+from inference_api.models.served import ServedModel
+from inference_api.models.store import ModelStore
+from inference_api.problems import (
+    BODY_TOO_LARGE,
+    FOREIGN_ORIGIN,
+    HEADERS_TIMEOUT,
+    HEADERS_TOO_LARGE,
+    INTERNAL_ERROR,
+    INVALID_IMAGE,
+    INVALID_VALUE,
+    MALFORMED_BODY,
+    MALFORMED_REQUEST,
+    NO_MODEL,
+    OTHER_ROBOT,
+    OUT_OF_RESOURCES,
+    OVERLOADED,
+    REGISTRY_UNAVAILABLE,
+    REQUEST_TIMEOUT,
+    SHUTTING_DOWN,
+    STORAGE_UNAVAILABLE,
+    TOO_MANY_REQUESTS,
+    UNAUTHORIZED,
+    UNKNOWN_HOST,
+    UNKNOWN_MODEL,
+    UNSUPPORTED_MEDIA_TYPE,
+    URI_TOO_LONG,
+)
+from inference_api.requests import NPY, Serving, both_bodies, prefers_npy, problem_responses
+from inference_api.scheduler import Job, rows_of
+from inference_api.schemas import (
+    PictureWarning,
+    SampleAnswer,
+    SampleRequest,
+    ScenarioInfo,
+    TimingMs,
+    joint_space_info,
+    model_info,
+    warnings_of,
+)
+from inference_api.telemetry import Answered
+
+# What is answered before any route is looked for: by the limits, and by the protocol below them.
+GUARD_PROBLEMS = (
+    MALFORMED_REQUEST,
+    UNAUTHORIZED,
+    FOREIGN_ORIGIN,
+    HEADERS_TIMEOUT,
+    URI_TOO_LONG,
+    UNKNOWN_HOST,
+    TOO_MANY_REQUESTS,
+    HEADERS_TOO_LARGE,
+    OVERLOADED,
+    SHUTTING_DOWN,
+)
+SAMPLE_PROBLEMS = (
+    *GUARD_PROBLEMS,
+    MALFORMED_BODY,
+    UNKNOWN_MODEL,
+    REQUEST_TIMEOUT,
+    OTHER_ROBOT,
+    BODY_TOO_LARGE,
+    UNSUPPORTED_MEDIA_TYPE,
+    INVALID_IMAGE,
+    INVALID_VALUE,
+    INTERNAL_ERROR,
+    NO_MODEL,
+    OUT_OF_RESOURCES,
+    STORAGE_UNAVAILABLE,
+    REGISTRY_UNAVAILABLE,
+)
+# Proxies take 4 KiB of headers.
+MAX_WARNINGS = 2048
+_SAMPLE_HEADERS = {
+    "X-Seed": "The seed that was used, in decimal.",
+    "X-Shortfall": "n minus what was returned.",
+    "X-Acceptance": "Share of what was drawn that reached the confidence asked for.",
+    "Server-Timing": "decode, encode, generate and total, in ms.",
+}
+_MODEL_HEADERS = {
+    "X-Model-Name": "Name of the model that answered.",
+    "X-Model-Version": "Its number in the registry, 0 for the shipped model.",
+    "X-Model-Digest": "SHA-256 of the bundle's sums.",
+    "X-Robot": "`robot` of the model.",
+    "X-Alias-Confirmed": "`alias_confirmed` of the model, `true` or `false`.",
+    "X-Joint-Space": "`joint_space` of the JSON answer, as JSON.",
+    "X-Novelty": "How unlike the training scenarios the picture is, 0 to 1, where the model tells.",
+    "X-Warnings": "`warnings` of the JSON answer, as JSON; of many the last ones have an empty message.",
+}
+
+
+def npy_responses(
+    model: type[BaseModel], array: str, headers: dict[str, str]
+) -> dict[int | str, dict[str, Any]]:
+    """``responses`` of a route that answers with JSON, or with an array and the rest in headers."""
+    described = {
+        name: {"description": f"{text} With `Accept: {NPY}` only.", "schema": {"type": "string"}}
+        for name, text in (_MODEL_HEADERS | headers).items()
+    }
+    return answer_responses(model) | {
+        200: {
+            "description": "JSON, or a `.npy`.",
+            "model": model,
+            "content": {NPY: {"schema": {"type": "string", "format": "binary", "description": array}}},
+            "headers": described | REQUEST_ID_HEADER,
+        }
+    }
+
+
+REQUEST_ID_HEADER = {
+    "X-Request-ID": {
+        "description": "The client's own, or one that the server chose; every answer carries it.",
+        "schema": {"type": "string"},
+    }
+}
+
+
+def answer_responses(model: type[BaseModel]) -> dict[int | str, dict[str, Any]]:
+    """``responses`` of a route that answers a question about a picture with JSON."""
+    success = {"description": "The answer.", "model": model, "headers": REQUEST_ID_HEADER}
+    return {200: success, **problem_responses(*SAMPLE_PROBLEMS)}
+
+
+router = APIRouter()
+
+
+@router.post(
+    "/sample",
+    summary="Draw collision-free configurations for a picture",
+    openapi_extra=both_bodies(SampleRequest),
+    responses=npy_responses(SampleAnswer, "float32 array (samples, joints)", _SAMPLE_HEADERS),
+)
+async def sample(request: Request, service: Serving) -> Response:
+    """The same seed, picture, parameters and model digest give the same samples on one machine.
+
+    With `Accept: application/x-npy` the answer is the samples alone as a float32 `.npy`, the rest in headers.
+    """
+    npy, began = prefers_npy(request.headers.get("accept")), time.perf_counter()
+    work = partial(_answer, service.store, npy=npy, began=began)
+    return await service.answer(request, SampleRequest, work)
+
+
+def _answer(
+    store: ModelStore, asked: SampleRequest, served: ServedModel, job: Job, *, npy: bool, began: float
+) -> Response:
+    bundle, spec = served.bundle, served.bundle.spec
+    query = fitted(asked.query(), spec, has_validity=bundle.has_validity)
+    with job.sampling(spec, query) as between:
+        prepared = prepared_picture(store, bundle, asked.picture(), job)
+        # A ``.npy`` holds samples alone: nobody would see the scores of those that are not filtered.
+        found = bundle.answer(prepared.picture, query, tell_confidence=not npy, between=between)
+    # Without a confidence to reach all are taken.
+    warnings = warnings_of(prepared.findings_with(spec.world, colliding=1.0 - found.acceptance))
+    timing = TimingMs(
+        decode=prepared.decode_ms,
+        encode=prepared.encode_ms,
+        generate=found.generate_ms,
+        total=1e3 * (time.perf_counter() - began),
+    )
+    answered = Answered(
+        "samples",
+        f"{served.name}/{served.version}",
+        served.fallback,
+        n=query.n,
+        seed=query.seed,
+        shortfall=found.shortfall,
+        acceptance=found.acceptance,
+        stages_s={stage: 1e-3 * value for stage, value in timing.model_dump().items()},
+    )
+    store.observer.answered(answered)
+    if npy:
+        headers = model_headers(served, prepared.picture.novelty, warnings) | {
+            "X-Seed": str(query.seed),
+            "X-Shortfall": str(found.shortfall),
+            "X-Acceptance": f"{found.acceptance:.6g}",
+        }
+        return npy_response(found.samples, headers, timing)
+    return _json_response(served, found, prepared, warnings, query.seed, timing)
+
+
+def _json_response(
+    served: ServedModel,
+    found: SampleSet,
+    prepared: Prepared,
+    warnings: list[PictureWarning],
+    seed: int,
+    timing: TimingMs,
+) -> Response:
+    # Constructed, not validated: the lists come from an array, and walking them costs more than sampling.
+    body = SampleAnswer.model_construct(
+        samples=found.samples.tolist(),
+        confidence=None if found.confidence is None else found.confidence.tolist(),
+        unseen=None if found.unseen is None else found.unseen.tolist(),
+        ways=None if found.ways is None else found.ways.tolist(),
+        shortfall=found.shortfall,
+        acceptance=found.acceptance,
+        scenario=ScenarioInfo(novelty=prepared.picture.novelty),
+        warnings=warnings,
+        joint_space=joint_space_info(served.bundle.spec.joint_space),
+        model=model_info(served),
+        seed=str(seed),
+        timing_ms=timing,
+    )
+    return Response(body.model_dump_json(), media_type="application/json")
+
+
+def prepared_picture(store: ModelStore, bundle: Bundle, image: bytes, job: Job) -> Prepared:
+    """A picture as a bundle takes it; one that is not known is paid for, and read in parts.
+
+    Raises:
+        InputError: not a picture that is accepted.
+        BundleError: the encoder fails.
+        ClientDisconnect: the client has gone away.
+    """
+    values = prod(bundle.spec.world.sensor.picture_shape)
+    return store.pictures.get(
+        bundle, image, lambda pixels: job.spend(rows_of(pixels=pixels, values=values)), job.check_cancelled
+    )
+
+
+def npy_response(array: NDArray[Any], headers: dict[str, str], timing: BaseModel) -> Response:
+    """An array as a float32 ``.npy``, the rest in headers."""
+    found = np.ascontiguousarray(array, dtype="<f4")
+    spent = ", ".join(f"{name};dur={value:.3f}" for name, value in timing.model_dump().items())
+    content = npy_head(found.shape) + found.tobytes()
+    return Response(content, headers=headers | {"Server-Timing": spent}, media_type=NPY)
+
+
+@lru_cache(maxsize=64)
+def npy_head(shape: tuple[int, ...]) -> bytes:
+    """What stands before the numbers in the ``.npy`` of a float32 array in C order."""
+    buffer = io.BytesIO()
+    described = {"descr": "<f4", "fortran_order": False, "shape": shape}
+    np.lib.format.write_array_header_1_0(buffer, described)
+    return buffer.getvalue()
+
+
+def model_headers(
+    served: ServedModel, novelty: float | None, warnings: Sequence[PictureWarning]
+) -> dict[str, str]:
+    """What a ``.npy`` cannot hold of the model that answered and of the picture."""
+    headers = {
+        "X-Model-Name": served.name,
+        "X-Model-Version": str(served.version),
+        "X-Model-Digest": served.bundle.digest,
+        "X-Robot": served.bundle.robot,
+        "X-Alias-Confirmed": "true" if served.confirmed else "false",
+        "X-Joint-Space": json.dumps(served.bundle.spec.joint_space, separators=(",", ":")),
+        "X-Warnings": _warnings_text(warnings),
+    }
+    return headers if novelty is None else headers | {"X-Novelty": f"{novelty:.6g}"}
+
+
+def _warnings_text(warnings: Sequence[PictureWarning]) -> str:
+    """ASCII JSON of at most :data:`MAX_WARNINGS` characters: the last ones lose their words."""
+    told = [one.model_dump() for one in warnings]
+    for one in reversed(told):
+        if len(json.dumps(told)) <= MAX_WARNINGS:
+            break
+        one["message"] = ""
+    return json.dumps(told, separators=(",", ":"))

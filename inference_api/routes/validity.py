@@ -1,0 +1,131 @@
+"""``POST /validity``: which of the client's own configurations are free in a picture's scenario."""
+
+import time
+from functools import partial
+from itertools import chain
+
+import numpy as np
+from fastapi import APIRouter, Request
+from fastapi.responses import Response
+from numpy.typing import NDArray
+
+from cspace.bundle.request import fitted_configurations, require_robot
+from cspace.errors import InputError
+from cspace.files import read_npy
+from cspace.query import MAX_SAMPLES
+from inference_api.models.served import ServedModel
+from inference_api.models.store import ModelStore
+from inference_api.requests import Serving, both_bodies, prefers_npy
+from inference_api.routes.sample import model_headers, npy_response, npy_responses, prepared_picture
+from inference_api.scheduler import Job, rows_of
+from inference_api.schemas import (
+    ScenarioInfo,
+    ScoreTimingMs,
+    ValidityAnswer,
+    ValidityRequest,
+    joint_space_info,
+    model_info,
+    warnings_of,
+)
+from inference_api.telemetry import Answered
+
+# Fewer configurations may well all collide.
+MANY_ROWS = 20
+_TYPES = ("<f4", "<f8")
+
+router = APIRouter()
+
+
+@router.post(
+    "/validity",
+    summary="Tell which configurations are free in a picture's scenario",
+    openapi_extra=both_bodies(ValidityRequest),
+    responses=npy_responses(
+        ValidityAnswer,
+        "float32 array (configurations, 2): confidence and unseen, NaN for null",
+        {
+            "X-Threshold": "The confidence that training recommends, for models that have one.",
+            "Server-Timing": "decode, encode, score and total, in ms.",
+        },
+    ),
+)
+async def validity(request: Request, service: Serving) -> Response:
+    """The validity head's confidence for each of the configurations, whatever they were drawn by.
+
+    With `Accept: application/x-npy` the answer is a float32 `.npy` of two columns, the rest in headers.
+    """
+    npy, began = prefers_npy(request.headers.get("accept")), time.perf_counter()
+    work = partial(_answer, service.store, npy=npy, began=began)
+    return await service.answer(request, ValidityRequest, work)
+
+
+def _answer(
+    store: ModelStore, asked: ValidityRequest, served: ServedModel, job: Job, *, npy: bool, began: float
+) -> Response:
+    bundle, spec = served.bundle, served.bundle.spec
+    image, given = asked.picture(), _array_of(asked.configurations)
+    require_robot(asked.robot, spec)
+    configurations = fitted_configurations(given, spec)
+    job.spend(rows_of(drawn=len(configurations)))
+    prepared = prepared_picture(store, bundle, image, job)
+    scoring = time.perf_counter()
+    confidence, unseen = bundle.believe(prepared.picture, configurations, job.check_cancelled)
+    ended = time.perf_counter()
+    timing = ScoreTimingMs(
+        decode=prepared.decode_ms,
+        encode=prepared.encode_ms,
+        score=1e3 * (ended - scoring),
+        total=1e3 * (ended - began),
+    )
+    colliding = float((confidence < 0.5).mean()) if len(confidence) >= MANY_ROWS else 0.0
+    warnings = warnings_of(prepared.findings_with(spec.world, colliding=colliding))
+    name, novelty = f"{served.name}/{served.version}", prepared.picture.novelty
+    store.observer.answered(Answered("scores", name, served.fallback, n=len(confidence)))
+    if npy:
+        columns = np.full((len(confidence), 2), np.nan, dtype="<f4")
+        columns[:, 0] = confidence
+        if unseen is not None:
+            columns[:, 1] = unseen
+        headers = model_headers(served, novelty, warnings)
+        if spec.confidence_threshold is not None:
+            headers["X-Threshold"] = f"{spec.confidence_threshold:.6g}"
+        return npy_response(columns, headers, timing)
+    # Constructed, not validated: the lists come from arrays.
+    body = ValidityAnswer.model_construct(
+        confidence=confidence.tolist(),
+        unseen=None if unseen is None else unseen.tolist(),
+        threshold=spec.confidence_threshold,
+        scenario=ScenarioInfo(novelty=novelty),
+        warnings=warnings,
+        joint_space=joint_space_info(spec.joint_space),
+        model=model_info(served),
+        timing_ms=timing,
+    )
+    return Response(body.model_dump_json(), media_type="application/json")
+
+
+def _array_of(given: bytes | tuple[tuple[float, ...], ...]) -> NDArray[np.floating]:
+    """(n, d), of a ``.npy`` file or of rows."""
+    if not isinstance(given, bytes):
+        lengths = {len(row) for row in given}
+        if len(lengths) > 1:
+            raise _wrong(f"rows of {min(lengths)} to {max(lengths)}")
+        # Several times as fast as to look into each row for its type.
+        flat = np.fromiter(chain.from_iterable(given), np.float64, sum(map(len, given)))
+        return flat.reshape(len(given), -1)
+    try:
+        found = read_npy(given, _TYPES, 2)
+    except ValueError as error:
+        raise _wrong(str(error)[:200]) from error
+    if not 1 <= len(found) <= MAX_SAMPLES:
+        raise _wrong(f"{len(found)} rows")
+    return found
+
+
+def _wrong(got: str) -> InputError:
+    return InputError(
+        "configurations are wrong",
+        expected=f"1 to {MAX_SAMPLES} rows of as many angles in rad: JSON, or a .npy of float32 or float64",
+        got=got,
+        remedy="numpy.save(file, array) writes such a file",
+    )

@@ -1,0 +1,643 @@
+"""Requests and answers of the API as pydantic models; OpenAPI is generated from them.
+
+The fields of a request stand here once: with their types, their bounds, and the words that an error uses.
+"""
+
+import base64
+import binascii
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, fields
+from typing import Annotated, Any, ClassVar, Literal, Self
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, Strict, ValidationError, WithJsonSchema
+
+from cspace.errors import InputError
+from cspace.query import (
+    DEFAULT_WAYS,
+    DIGEST_PATTERN,
+    MAX_EPSILON,
+    MAX_SAMPLES,
+    MAX_SEED,
+    PLAIN,
+    SampleQuery,
+    drawn_seed,
+)
+from cspace.view_file import MAX_PICTURES, pack_view
+from cspace.world import Finding
+from inference_api.models.served import ServedModel
+from inference_api.problems import FieldProblem, FieldsError, brief
+from services.registry.references import ModelReference
+
+MAX_JOINTS, MAX_EPSILONS, MAX_VIEWS = 64, 1000, 64
+MIN_SCALE_M, MAX_SCALE_M = 1e-6, 1.0
+LEAST_TIME_S, MAX_TIME_S, MAX_WAYS = 0.01, 10.0, 64
+# Wrong fields that one answer reports.
+MAX_REPORTED = 8
+# More than a world takes, so that too many are refused by the world, in its words.
+_MOST_PICTURES = 16
+_SEED = re.compile(r"[0-9]{1,20}", re.ASCII)
+
+
+@dataclass(frozen=True, slots=True)
+class Expected:
+    """What an error says that a field takes."""
+
+    text: str
+
+
+def _parse_seed(value: object) -> object:
+    return int(value) if isinstance(value, str) and _SEED.fullmatch(value) else value
+
+
+def _as_list(value: object) -> object:
+    return [value] if isinstance(value, int | float) and not isinstance(value, bool) else value
+
+
+def _as_tuple(value: object) -> object:
+    return tuple(value) if isinstance(value, list) else (value,)
+
+
+def _decode_image(value: object) -> object:
+    if not isinstance(value, str):
+        return value
+    try:
+        return base64.b64decode(value, validate=True)
+    except (binascii.Error, ValueError) as error:
+        raise ValueError("not base64") from error
+
+
+def _one_or_many(schema: dict[str, Any], most: int, least: int = 0) -> WithJsonSchema:
+    many = {"type": "array", "items": schema, "minItems": least, "maxItems": most}
+    return WithJsonSchema({"anyOf": [schema, many]})
+
+
+def _camera_schema(**properties: dict[str, Any]) -> dict[str, Any]:
+    number = {"type": "number"}
+    row = {"type": "array", "items": number, "minItems": 4, "maxItems": 4}
+    pose = {"type": "array", "items": row, "minItems": 4, "maxItems": 4}
+    members = dict.fromkeys(("fx", "fy", "cx", "cy"), number) | properties | {"pose": pose}
+    return {
+        "type": "object",
+        "properties": members,
+        "required": list(members),
+        "additionalProperties": False,
+    }
+
+
+Number = Annotated[float, Field(allow_inf_nan=False)]
+Configuration = Annotated[tuple[Number, ...], Field(max_length=MAX_JOINTS), Strict(strict=False)]
+ModelName = Annotated[
+    str,
+    Field(max_length=300),
+    Expected("name, name@alias, name/version or pretrained"),
+]
+Seed = Annotated[
+    Annotated[int, Field(ge=0, le=MAX_SEED)] | None,
+    BeforeValidator(_parse_seed),
+    Expected("an unsigned 64-bit whole number, or its decimal digits as text"),
+    WithJsonSchema(
+        {
+            "anyOf": [
+                {"type": "integer", "minimum": 0, "maximum": MAX_SEED},
+                {"type": "string", "pattern": "^[0-9]{1,20}$"},
+                {"type": "null"},
+            ]
+        }
+    ),
+]
+Robot = Annotated[
+    Annotated[str, Field(pattern=f"^{DIGEST_PATTERN}$")] | None,
+    Expected("64 hexadecimal digits, small letters"),
+]
+Confidence = Annotated[
+    Annotated[float, Field(ge=0.0, le=1.0, allow_inf_nan=False)] | None,
+    Expected("a finite number from 0 to 1"),
+]
+_Epsilon = Annotated[float, Field(ge=0.0, le=MAX_EPSILON, allow_inf_nan=False)]
+_Schedule = Annotated[
+    Annotated[tuple[_Epsilon, ...], Field(min_length=1, max_length=MAX_EPSILONS), Strict(strict=False)],
+    BeforeValidator(_as_list),
+    Expected(f"one or more finite numbers from 0 to {MAX_EPSILON:g}"),
+    _one_or_many({"type": "number", "minimum": 0, "maximum": MAX_EPSILON}, MAX_EPSILONS, 1),
+]
+_Images = Annotated[
+    Annotated[
+        tuple[Annotated[bytes, BeforeValidator(_decode_image)], ...],
+        Field(min_length=1, max_length=_MOST_PICTURES),
+    ],
+    BeforeValidator(_as_tuple),
+    Expected("a PNG: a file in a form, base64 text in JSON; several, each with a camera, for depth cameras"),
+    _one_or_many(
+        {"type": "string", "contentEncoding": "base64", "contentMediaType": "image/png"}, MAX_PICTURES, 1
+    ),
+]
+# What is in a camera is judged by the world that has cameras.
+_Cameras = Annotated[
+    Annotated[tuple[dict[str, Any], ...], Field(max_length=_MOST_PICTURES)],
+    BeforeValidator(_as_tuple),
+    Expected("objects of fx, fy, cx, cy and pose, one for each image"),
+    _one_or_many(_camera_schema(), MAX_PICTURES),
+]
+_Views = Annotated[
+    Annotated[tuple[dict[str, Any], ...], Field(max_length=MAX_VIEWS)],
+    BeforeValidator(_as_tuple),
+    Expected(f"at most {MAX_VIEWS} objects of fx, fy, cx, cy, width, height and pose"),
+    _one_or_many(_camera_schema(width={"type": "integer"}, height={"type": "integer"}), MAX_VIEWS),
+]
+_Row = Annotated[tuple[Number, ...], Field(min_length=1, max_length=MAX_JOINTS), Strict(strict=False)]
+_Configurations = Annotated[
+    bytes | Annotated[tuple[_Row, ...], Field(min_length=1, max_length=MAX_SAMPLES), Strict(strict=False)],
+    Expected(f"1 to {MAX_SAMPLES} arrays of finite angles in rad: JSON, or a .npy file in a form"),
+    WithJsonSchema(
+        {
+            "type": "array",
+            "items": {"type": "array", "items": {"type": "number"}, "minItems": 1, "maxItems": MAX_JOINTS},
+            "minItems": 1,
+            "maxItems": MAX_SAMPLES,
+        }
+    ),
+]
+_Angles = Expected("an array of finite angles in rad")
+
+
+class RequestFields(BaseModel):
+    """Fields of a request; unknown ones are errors."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
+
+    # In a form these are texts; every other field that is no file is JSON.
+    TEXTS: ClassVar = frozenset({"model", "robot", "seed"})
+
+    @classmethod
+    def read(cls, values: Mapping[str, Any]) -> Self:
+        """Validates field values.
+
+        Raises:
+            FieldsError: a field is unknown, missing or wrong.
+        """
+        try:
+            return cls.model_validate(values)
+        except ValidationError as error:
+            places = {name: place for place, name in enumerate(cls.model_fields)}
+            wrong = error.errors(include_url=False, include_context=False)
+            wrong.sort(key=lambda one: places.get(str(one["loc"][0]) if one["loc"] else "", len(places)))
+            problems = [cls._problem(one["type"], one["loc"], one["input"]) for one in wrong[:MAX_REPORTED]]
+            raise FieldsError(problems) from error
+
+    @classmethod
+    def _problem(cls, kind: str, location: tuple[int | str, ...], value: object) -> FieldProblem:
+        name = str(location[0])[:100] if location else ""
+        if kind == "extra_forbidden":
+            expected = f"one of {', '.join(cls.model_fields)}"
+            return FieldProblem(field=name, expected=expected, got="an unknown field")
+        got = "nothing" if kind == "missing" else brief(value)
+        return FieldProblem(field=name, expected=cls.expected(name), got=got)
+
+    @classmethod
+    def expected(cls, name: str) -> str:
+        """What a field takes, in words."""
+        found = cls.model_fields.get(name)
+        texts = (one.text for one in (found.metadata if found else ()) if isinstance(one, Expected))
+        return next(texts, "another value")
+
+
+class ModelFields(RequestFields):
+    """A request that may name its model."""
+
+    model: ModelName = Field(
+        "",
+        description="`name` (its champion), `name@alias`, `name/version`, or `pretrained` (shipped).",
+    )
+
+    def reference(self, default: str) -> ModelReference:
+        """The model that is asked: ``default`` where the request names none.
+
+        Raises:
+            InputError: the name is none.
+        """
+        return ModelReference.parse(self.model if "model" in self.model_fields_set else default)
+
+
+class SceneFields(ModelFields):
+    """Fields that show the scene."""
+
+    image: _Images = Field(
+        description="The scenario as a square PNG of 16 to 2048 pixels: RGB as it is, RGBA over white, grey "
+        "and palette as RGB; 16-bit and animated ones are refused. Resized by area averaging. For models of "
+        f"depth cameras, 1 to {MAX_PICTURES} 16-bit grey PNGs of mm along the optical axis, 0 for no "
+        "reading, and what is below 20 mm or beyond 10 m as well."
+    )
+    camera: _Cameras = Field(
+        (),
+        description="For models of depth cameras and only for them, one for each image in the same order: "
+        "focal lengths and centre in pixels, pixel centres at whole numbers, and `pose`, 4 x 4, of the "
+        "camera in the robot's base: x right, y down, z forward, m.",
+    )
+    state: Annotated[Configuration | None, _Angles] = Field(
+        None,
+        description="Where the robot was when the pictures were taken, rad; absent, it is in none of them.",
+    )
+    depth_scale_m: Annotated[
+        Annotated[float, Field(ge=MIN_SCALE_M, le=MAX_SCALE_M, allow_inf_nan=False)] | None,
+        Expected(f"metres per unit of the depth pictures, {MIN_SCALE_M:g} to {MAX_SCALE_M:g}"),
+    ] = Field(
+        None,
+        description="Metres that one unit of the depth pictures stands for: 0.001 (mm) when absent, 0.0001 "
+        "for tenths of a mm, 0.0002 for TUM RGB-D. Goes with `camera`.",
+    )
+    robot: Robot = Field(
+        None,
+        description="The robot that is planned for, as `model.robot` of an answer has it: a model of another "
+        "one refuses with 409. Absent, whichever robot the model is of.",
+    )
+
+    def picture(self) -> bytes:
+        """The one file that a world reads as the picture of a scene.
+
+        Raises:
+            ImageError: there is not a camera for each of several images.
+            InputError: several images come without cameras, or a unit of depths does.
+        """
+        if self.camera or self.state is not None:
+            state = None if self.state is None else list(self.state)
+            return pack_view(self.image, self.camera, state, self.depth_scale_m)
+        if self.depth_scale_m is not None:
+            raise InputError(
+                "depth_scale_m comes without a camera",
+                expected="it beside camera, for depth pictures; a view file has it inside",
+                got=f"{self.depth_scale_m:g}",
+            )
+        if len(self.image) > 1:
+            raise InputError(
+                "image is repeated",
+                expected="one, or a camera for each",
+                got=f"{len(self.image)} without cameras",
+            )
+        return self.image[0]
+
+
+class QueryFields(RequestFields):
+    """What is asked for one picture, whatever names the picture and the model."""
+
+    n: Annotated[int, Expected(f"a whole number from 1 to {MAX_SAMPLES}")] = Field(
+        300, ge=1, le=MAX_SAMPLES, description="How many samples."
+    )
+    seed: Seed = Field(
+        None,
+        description="Unsigned 64 bit as number or decimal string; drawn and returned when absent. "
+        "The samples for a smaller n are not promised to be a prefix.",
+    )
+    epsilon_sigma: _Schedule = Field(
+        PLAIN,
+        description="The encoder's standard deviation is raised by each value; equal shares of the samples "
+        "in this order, the remainder to the first. Repeat the field of a form for several values.",
+    )
+    start: Annotated[Configuration | None, _Angles] = Field(
+        None,
+        description="Configuration in rad, for path models and only for them: circles are wrapped, other "
+        "joints have to lie within their limits.",
+    )
+    goal: Annotated[Configuration | None, _Angles] = Field(None, description="As `start`.")
+    min_confidence: Confidence = Field(
+        None,
+        description="What the model's validity head has to score; more are drawn for those that do not. "
+        "Absent, the model's own threshold holds; 0 takes all; above 0 only for models that have a head.",
+    )
+    robot: Robot = Field(None, description="The robot that is planned for; others refuse with 409.")
+
+    def query(self) -> SampleQuery:
+        """The fields as the value that travels on; draws a seed that is absent."""
+        asked = {item.name: getattr(self, item.name) for item in fields(SampleQuery)}
+        return SampleQuery(**asked | {"seed": drawn_seed(self.seed)})
+
+
+class SampleRequest(QueryFields, SceneFields):
+    """A request for samples."""
+
+
+class ValidityRequest(SceneFields):
+    """A question whether configurations are free."""
+
+    configurations: _Configurations = Field(
+        description=f"1 to {MAX_SAMPLES} configurations in rad, circles at any turn, other joints within "
+        "their limits. In JSON, or in a form as a `.npy` file: float32 or float64 of shape (n, joints)."
+    )
+
+
+class PlanRequest(SceneFields):
+    """A question for a path."""
+
+    start: Annotated[Configuration, _Angles] = Field(
+        description="Where the path begins, rad: circles at any turn, other joints within their limits."
+    )
+    goal: Annotated[Configuration, _Angles] = Field(description="Where it ends, as `start`.")
+    seed: Seed = Field(None, description="As of `POST /sample`: of all draws of the search.")
+    min_confidence: Confidence = Field(
+        None,
+        description="Below it no path is returned, but the reason why. Absent, 0.2 where plans of the model "
+        "are calibrated, else 0.",
+    )
+    time_limit_s: Annotated[float, Expected(f"a finite number from {LEAST_TIME_S:g} to {MAX_TIME_S:g}")] = (
+        Field(
+            1.0,
+            ge=LEAST_TIME_S,
+            le=MAX_TIME_S,
+            allow_inf_nan=False,
+            description="Of the search; what is found by then is what is chosen from.",
+        )
+    )
+    ways: Annotated[int, Expected(f"a whole number from 1 to {MAX_WAYS}")] = Field(
+        DEFAULT_WAYS, ge=1, le=MAX_WAYS, description="Paths that are looked for, to choose the surest of."
+    )
+    alternatives: Annotated[bool, Expected("true or false")] = Field(
+        default=False,
+        description="Whether the answer holds all paths that are sure enough, for those who can check them.",
+    )
+    next_view: Annotated[bool, Expected("true or false")] = Field(
+        default=False,
+        description="Whether the answer names the camera that would see most of what the path is doubted "
+        "for.",
+    )
+    view: _Views = Field(
+        (),
+        description="Cameras to choose it from, as `camera` with `width` and `height` in pixels; in a form "
+        "repeat the field. Absent, some about the doubt, from where cameras of the training stood. Those go "
+        "first that look from elsewhere than `camera`, by 45 degrees.",
+    )
+
+
+class JointSpaceInfo(BaseModel):
+    """The space that the samples live in: all joints are circles."""
+
+    kind: Literal["torus"]
+    dim: int
+    unit: Literal["rad"]
+
+
+class LimitedJointSpaceInfo(BaseModel):
+    """The same where joints have limits: all of them in a box, some in a mixed space."""
+
+    kind: Literal["box", "mixed"]
+    dim: int
+    unit: Literal["rad"]
+    lower: list[float] = Field(description="Lower end of each joint's range; -pi of a circle.")
+    upper: list[float] = Field(description="Upper end of each joint's range; pi of a circle.")
+    periodic: list[bool] = Field(description="Whether each joint is a circle.")
+
+
+AnyJointSpace = Annotated[JointSpaceInfo | LimitedJointSpaceInfo, Field(discriminator="kind")]
+
+
+def joint_space_info(space: Mapping[str, Any]) -> JointSpaceInfo | LimitedJointSpaceInfo:
+    """A bundle's joint space as answers describe it."""
+    return JointSpaceInfo(**space) if space["kind"] == "torus" else LimitedJointSpaceInfo(**space)
+
+
+class ModelInfo(BaseModel):
+    """The model that answered."""
+
+    name: str
+    version: int = Field(description="Number in the registry; 0 for the shipped model.")
+    alias: str | None = Field(description="By which it was found.")
+    run_id: str | None
+    digest: str = Field(description="SHA-256 of the bundle's sums.")
+    fallback: bool = Field(description="Whether the shipped model stands in for a champion.")
+    robot: str = Field(description="Whose configurations are sampled: SHA-256 of the robot in `GET /models`.")
+    alias_confirmed: bool = Field(
+        description="False where the registry is away, or its version is not loaded yet, so that the alias "
+        "(the champion's where none is named) may stand for another version."
+    )
+
+
+def model_info(served: ServedModel) -> ModelInfo:
+    """A served model as answers describe it."""
+    return ModelInfo(
+        name=served.name,
+        version=served.version,
+        alias=served.alias,
+        run_id=served.run_id,
+        digest=served.bundle.digest,
+        fallback=served.fallback,
+        robot=served.bundle.robot,
+        alias_confirmed=served.confirmed,
+    )
+
+
+class ScenarioInfo(BaseModel):
+    """What the model makes of the picture."""
+
+    novelty: float | None = Field(
+        description="How unlike the training scenarios it is: the share of known pictures that are less "
+        "unusual, 0 to 1; null for a model that does not tell."
+    )
+
+
+class PictureWarning(BaseModel):
+    """Something about the pictures that makes the answer worse or wrong."""
+
+    code: str = Field(description="A name that never changes.")
+    message: str = Field(description="What was seen, what it does to the answer, and what to do.")
+    pictures: list[int] = Field(description="Numbers of the images that it is about, from 0; empty for all.")
+
+
+def warnings_of(findings: Iterable[Finding]) -> list[PictureWarning]:
+    """Findings as answers carry them, each code once."""
+    once = {one.code: one for one in findings}
+    return [
+        PictureWarning(code=one.code, message=one.message, pictures=list(one.pictures))
+        for one in once.values()
+    ]
+
+
+class TimingMs(BaseModel):
+    """Where the time went, in ms."""
+
+    decode: float
+    encode: float
+    generate: float
+    total: float
+
+
+class ScoreTimingMs(BaseModel):
+    """Where the time went, in ms."""
+
+    decode: float
+    encode: float
+    score: float
+    total: float
+
+
+class PlanTimingMs(BaseModel):
+    """Where the time went, in ms."""
+
+    decode: float
+    encode: float
+    search: float
+    score: float
+    total: float
+
+
+class SceneAnswer(BaseModel):
+    """What every answer about a picture says of the picture and of the model."""
+
+    scenario: ScenarioInfo
+    warnings: list[PictureWarning] = Field(
+        description="What is wrong, or may be, with the pictures; empty where nothing was found."
+    )
+    joint_space: AnyJointSpace
+    model: ModelInfo
+
+
+class SampleAnswer(SceneAnswer):
+    """Samples for one picture."""
+
+    samples: list[list[float]] = Field(
+        description="Configurations in rad, circles in [-pi, pi), other joints within their limits."
+    )
+    confidence: list[float] | None = Field(description="The validity head's score of each sample.")
+    unseen: list[float] | None = Field(
+        None,
+        description="Share of the robot that would be where no picture shows what is there, of each sample; "
+        "null for worlds that are seen whole.",
+    )
+    ways: list[int] | None = Field(
+        None,
+        description="The path from start to goal that each sample lies along, 0 for the one that is doubted "
+        "least; samples come in the order of their paths. Null for models that do not search for paths.",
+    )
+    shortfall: int = Field(description="n minus what was returned.")
+    acceptance: float = Field(description="Share of what was drawn that reached the confidence asked for.")
+    seed: str = Field(description="The seed that was used, in decimal.", pattern="^[0-9]{1,20}$")
+    timing_ms: TimingMs
+
+
+class ValidityAnswer(SceneAnswer):
+    """What a model predicts for configurations in a picture's scenario."""
+
+    confidence: list[float] = Field(description="The validity head's probability that each one is free.")
+    unseen: list[float] | None = Field(
+        description="Share of the robot that would be where no picture shows what is there, of each one; "
+        "null for worlds that are seen whole."
+    )
+    threshold: float | None = Field(
+        description="The confidence that training recommends to ask for; null without one."
+    )
+    timing_ms: ScoreTimingMs
+
+
+class LeastSure(BaseModel):
+    """Where the surest path is least sure."""
+
+    configuration: list[float] = Field(description="rad.")
+    confidence: float = Field(description="Of this configuration alone.")
+    unseen: float | None = Field(description="Share of the robot there that no picture shows.")
+    along: float = Field(description="How far along the path, 0 to 1.")
+
+
+class Alternative(BaseModel):
+    """A path that was found."""
+
+    path: list[list[float]]
+    confidence: float
+    edges: list[float]
+
+
+class NextViewInfo(BaseModel):
+    """A camera that would see more."""
+
+    camera: dict[str, Any] = Field(description="As `view`.")
+    sees: float = Field(description="Share of the doubt along the path that lies on space it would see.")
+
+
+class PlanAnswer(SceneAnswer):
+    """A path, or why there is none."""
+
+    status: Literal["solved", "refused", "timeout"] = Field(
+        description="`refused` where no path is sure enough or none was found, `timeout` where the time was "
+        "over before one was."
+    )
+    reason: str | None = Field(description="Of what is not solved, in words.")
+    path: list[list[float]] = Field(description="From start to goal, straight in between, rad; or empty.")
+    confidence: float = Field(
+        description="Of the whole path, an estimate: exp(-exp(a + b log D)) with D the integral of "
+        "-log P(free) along it in rad and its largest value, and (a, b) the bundle's `plan_doubt`; exp(-D) "
+        "without one. Of the surest path where it is refused; 0 without one."
+    )
+    edges: list[float] = Field(description="The least confidence on each piece of the path.")
+    unseen: list[float] | None = Field(
+        description="The largest share of the robot on each piece that no picture shows; null for worlds "
+        "that are seen whole."
+    )
+    length_rad: float
+    ways: int = Field(description="Paths that were found.")
+    least_sure: LeastSure | None
+    alternatives: list[Alternative] | None = Field(
+        description="All paths that are sure enough, the surest first; null where they were not asked for."
+    )
+    next_view: NextViewInfo | None = Field(
+        description="Of the surest path; null where it was not asked for, none would see more, or the world "
+        "is seen whole."
+    )
+    seed: str = Field(description="The seed that was used, in decimal.", pattern="^[0-9]{1,20}$")
+    timing_ms: PlanTimingMs
+
+
+class ListedModel(BaseModel):
+    """A model that a request can name."""
+
+    reference: str = Field(description="What to write into `model`.")
+    name: str
+    version: int
+    aliases: list[str]
+    run_id: str | None
+    digest: str
+    loaded: bool = Field(description="Whether it is in memory.")
+    default: bool = Field(description="Whether it answers requests that name no model.")
+    robot: str | None = Field(
+        description="Whose configurations are sampled: SHA-256 of the robot; null for versions of releases "
+        "that did not tell, until they are loaded."
+    )
+    world: dict[str, Any] | None = Field(
+        description="The robot, with the limits of its joints, and the camera; null as `robot` is, and where "
+        "they are too long to be told."
+    )
+    joint_space: AnyJointSpace | None = Field(description="As in an answer; null as `world` is.")
+
+
+class ModelList(BaseModel):
+    """The models that requests can name."""
+
+    default: str
+    registry: Literal["none", "reachable", "unreachable"]
+    models: list[ListedModel]
+
+
+class Live(BaseModel):
+    """The process answers."""
+
+    status: Literal["live"] = "live"
+
+
+class Ready(BaseModel):
+    """Samples can be asked for."""
+
+    status: Literal["ready"] = "ready"
+    registry: Literal["none", "reachable", "unreachable"]
+    successor: Literal["none", "pending", "refused"] = Field(
+        description="Whether there is a champion that is not in service: being fetched, or refused."
+    )
+    model: ModelInfo
+
+
+class Problem(BaseModel):
+    """RFC 9457 problem details."""
+
+    type: str
+    title: str
+    status: int
+    detail: str
+    expected: str | None = None
+    got: str | None = None
+    remedy: str | None = None
+    errors: list[FieldProblem] | None = None

@@ -1,1 +1,0 @@
-"""What the server tells about itself: metrics, one log line a request, request ids."""

@@ -1,0 +1,326 @@
+"""Scenes of discs for the page: drawn, read from files, checked against the ground truth, and searched.
+
+Each raises CspaceError as the contract's table of errors. The planners are this project's own, compiled where
+it counts: OMPL's hold the interpreter's lock while they search, and nobody else would be answered meanwhile.
+"""
+
+import base64
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from fastapi.responses import JSONResponse, Response
+from numpy.typing import NDArray
+
+from cspace.errors import InputError, ScenarioError
+from cspace.planning.paths import NOISE_RAD, AlongPaths, length_rad
+from cspace.planning.rrt_connect import GOAL_BIAS, Grown, Growth, drawn_states, grow_connect, grow_rrt
+from cspace.simulator import Checker, Simulator, Split
+from cspace.world import World
+from cspace.worlds import read_world, simulator_of
+from inference_api.models.served import ServedModel
+from inference_api.problems import FieldProblem, FieldsError, NoKernelsError
+from inference_api.scheduler import Job
+from inference_api.scheduler import rows_of as rows_cost
+from inference_api.workbench.schemas import (
+    MAX_SHOWN,
+    FileRequest,
+    SceneAnswer,
+    SceneRequest,
+    SearchAnswer,
+    SearchRequest,
+    TruthAnswer,
+    TruthRequest,
+    WayTruth,
+)
+
+_PLANAR = "planar"
+# Free ones of these are covered or not: two percent of accuracy, in a few ms.
+_REFERENCES = 800
+# Samples at a time, so that memory stays small.
+_CHUNK = 256
+# Checks of a way for a person's eyes are finer than those of a planner.
+_RESOLUTION_RAD = 0.005
+# Of a path; ten times as long as any that a planner finds.
+MAX_STATES = 100_000
+# A scene without discs is one whose disc nobody reaches, for worlds of given scenes have one at least.
+_NOWHERE = (1e6, 1e6, 1e-3)
+# As the planner's command has it.
+_UNIFORM_SHARE = 0.3
+# What errors call a scene file, before the line.
+_NAME = Path("the file")
+
+
+def scene(asked: SceneRequest, served: ServedModel, job: Job) -> Response:
+    """A scene of a family."""
+    # Draws that are not of the family are drawn again.
+    job.spend(rows_cost(searches=True))
+    world = planar(served.bundle.spec.world)
+    with telling():
+        simulator = simulator_of(world)
+        names = simulator.families.names
+        family = asked.family or names[0]
+        # Nothing of these scenes is used to train or to judge, so playing with them gives nothing away.
+        problem = simulator.problem(family, Split.DEMO, asked.seed)
+        rows = simulator.arrays_of(problem.scenario)["discs"]
+    # Scenes with fewer discs than the most repeat their last one.
+    discs = list(dict.fromkeys(tuple(row) for row in rows.tolist()))
+    body = SceneAnswer(
+        discs=[list(disc) for disc in discs],
+        start=problem.start.tolist(),
+        goal=problem.goal.tolist(),
+        family=family,
+        families=list(names),
+        seed=asked.seed,
+    )
+    return Response(body.model_dump_json(), media_type="application/json")
+
+
+def truth(asked: TruthRequest, served: ServedModel, job: Job) -> Response:
+    """What holds of a scene of discs: its free space, and whether samples and a path are free."""
+    world = planar(served.bundle.spec.world)
+    samples, path = rows_of("configurations", asked.configurations, world), path_of(asked.path, world)
+    job.spend(rows_cost(drawn=asked.cells**2 + len(samples) + states_on(path, world)))
+    began = time.perf_counter()
+    with telling():
+        simulator = simulator_of(among(world, asked.discs))
+        checker = simulator.checker(simulator.scene(np.random.default_rng(0), Split.TEST, 0))
+        free = checker.valid_batch(_grid(world, asked)) if world.dim > 1 else np.ones(0, np.bool_)
+        job.check_cancelled()
+        good = checker.valid_batch(samples) if len(samples) else np.zeros(0, dtype=np.bool_)
+        covered = _coverage(simulator, checker, samples[good]) if len(samples) else None
+        way = way_truth(checker, path) if len(path) > 1 else None
+    body = TruthAnswer(
+        cells=asked.cells,
+        free=base64.b64encode(np.packbits(free).tobytes()).decode(),
+        sample_free=good.tolist(),
+        precision=float(np.mean(good)) if len(good) else None,
+        coverage=covered,
+        radius_rad=simulator.measures.coverage_radius_rad,
+        way=way,
+        families=list(simulator.families.names),
+        timing_ms={"total": 1e3 * (time.perf_counter() - began)},
+    )
+    return Response(body.model_dump_json(), media_type="application/json")
+
+
+def search(asked: SearchRequest, served: ServedModel, job: Job) -> Response:
+    """A planner's trees among discs, and the path that they found."""
+    world = planar(served.bundle.spec.world)
+    ends = world.space.bound(
+        np.concatenate([rows_of("start", (asked.start,), world), rows_of("goal", (asked.goal,), world)])
+    )
+    samples = _given(asked, world)
+    with job.searching() as between, telling():
+        simulator = simulator_of(among(world, asked.discs))
+        checker = simulator.checker(simulator.scene(np.random.default_rng(0), Split.TEST, 0))
+        free = checker.valid_batch(ends)
+        if not free.all():
+            reason = f"the {'goal' if free[0] else 'start'} collides"
+            body = SearchAnswer(status="refused", reason=reason)
+        else:
+            measures = simulator.measures
+            growth = Growth(measures.range_rad, measures.resolution_rad, asked.time_limit_s, between)
+            body = _searched(asked, checker, ends, samples, growth)
+    return Response(body.model_dump_json(), media_type="application/json")
+
+
+def scene_file(asked: FileRequest, _: ServedModel, job: Job) -> Response:
+    """A scene file as the command lines read it, with all that it leaves out, in JSON."""
+    job.spend(rows_cost(searches=True))
+    with telling():
+        return JSONResponse(_scene_of(asked.text))
+
+
+@contextmanager
+def telling(field: str | None = None) -> Iterator[None]:
+    """Errors of what is asked for in the words of requests.
+
+    Args:
+        field: that they are about; None where it is no single one.
+
+    Raises:
+        InputError: the scene cannot be; a FieldsError where the field is known.
+        NoKernelsError: the packages of the extra ``workbench`` are not installed.
+    """
+    try:
+        yield
+    except ScenarioError as error:
+        if field is not None:
+            raise wrong_field(field, f"{error.what}: {error.expected}", f"{error.got}") from error
+        raise InputError(error.what, expected=error.expected, got=error.got, remedy=error.remedy) from error
+    except ImportError as error:
+        raise NoKernelsError(
+            "this server knows no truth",
+            expected="the packages of the extra workbench",
+            got=f"no {error.name or 'compiler'}",
+            remedy="install them, or do without the truth",
+        ) from error
+
+
+def planar(world: World) -> World:
+    """The world, where it is a planar one.
+
+    Raises:
+        InputError: it is not.
+    """
+    if world.kind != _PLANAR:
+        raise InputError("the model is of another kind of world", expected=f"a {_PLANAR} one", got=world.kind)
+    return world
+
+
+def among(world: World, discs: tuple[tuple[float, float, float], ...]) -> World:
+    """The same world with these discs as its only scene."""
+    given = {"train": [], "held_out": [[list(disc) for disc in discs or (_NOWHERE,)]]}
+    return read_world(world.to_dict() | {"scenes": given})
+
+
+def rows_of(field: str, rows: tuple[tuple[float, ...], ...], world: World) -> NDArray[np.float64]:
+    """Configurations as an array, (n, d) rad, within the limits of the joints that have some.
+
+    Args:
+        field: that they stand in.
+        rows: angles in rad.
+        world: of the robot.
+
+    Raises:
+        FieldsError: one is of another length, or outside.
+    """
+    wrong = next((len(row) for row in rows if len(row) != world.dim), None)
+    if wrong is not None:
+        raise wrong_field(field, f"{world.dim} angles", str(wrong))
+    values = np.array(rows, dtype=np.float64).reshape(-1, world.dim)
+    try:
+        return world.space.admitted(values, f"{field} lies outside the robot's limits")
+    except InputError as error:
+        raise wrong_field(field, error.expected or "", error.got or "") from error
+
+
+def path_of(rows: tuple[tuple[float, ...], ...], world: World) -> NDArray[np.float64]:
+    """The field ``path`` as an array, (n, d) rad, of a bounded length.
+
+    Raises:
+        FieldsError: as :func:`rows_of`, or it is longer.
+    """
+    path = rows_of("path", rows, world)
+    if (states := states_on(path, world)) > MAX_STATES:
+        longest = f"a path of at most {MAX_STATES * _RESOLUTION_RAD:g} rad"
+        raise wrong_field("path", longest, f"{states * _RESOLUTION_RAD:.6g}")
+    return path
+
+
+def states_on(path: NDArray[np.float64], world: World) -> float:
+    """About how many states :func:`way_truth` looks at."""
+    steps = np.abs(world.space.difference(path[:-1], path[1:])).max(axis=1, initial=0.0)
+    return float(steps.sum()) / _RESOLUTION_RAD
+
+
+def wrong_field(field: str, expected: str, got: str) -> FieldsError:
+    """The error for one field of a request."""
+    return FieldsError([FieldProblem(field=field, expected=expected, got=got)])
+
+
+def _grid(world: World, asked: TruthRequest) -> NDArray[np.float64]:
+    """Centres of cells over the first two joints, joint 1 the slower axis, (cells^2, d) rad."""
+    at = rows_of("at", (asked.at,), world)[0] if asked.at else np.zeros(world.dim)
+    low, high = (np.asarray(end[:2]) for end in (world.space.lower, world.space.upper))
+    steps = (np.arange(asked.cells) + 0.5) / asked.cells
+    first, second = (low[joint] + steps * (high - low)[joint] for joint in (0, 1))
+    grid = np.tile(at, (asked.cells**2, 1))
+    grid[:, 0], grid[:, 1] = np.repeat(first, asked.cells), np.tile(second, asked.cells)
+    return grid
+
+
+def _coverage(simulator: Simulator, checker: Checker, samples: NDArray[np.float64]) -> float | None:
+    """Share of free configurations with a sample nearby; the evaluator's measure, on fewer of them."""
+    space = checker.space
+    anywhere = space.sample_uniform(np.random.default_rng(0), _REFERENCES)
+    free = anywhere[checker.valid_batch(anywhere)]
+    if not len(free):
+        return None
+    if not len(samples):
+        return 0.0
+    radius = simulator.measures.coverage_radius_rad
+    covered = np.zeros(len(free), dtype=np.bool_)
+    for chunk in np.array_split(samples, -(-len(samples) // _CHUNK)):
+        covered |= np.any(space.distance(chunk[None], free[:, None]) <= radius, axis=1)
+    return float(np.mean(covered))
+
+
+def way_truth(checker: Checker, path: NDArray[np.float64]) -> WayTruth:
+    """Whether a way (n, d) rad is free."""
+    edges = checker.edge_batch(path[:-1], path[1:], _RESOLUTION_RAD)
+    return WayTruth(
+        free=bool(edges.all()),
+        edges=edges.tolist(),
+        clearance_m=float(np.min(checker.clearance(path))),
+    )
+
+
+def _given(asked: SearchRequest, world: World) -> NDArray[np.float64] | None:
+    """What is drawn before uniform states, (n, d) rad: samples as they are, or states about ways."""
+    if not asked.ways:
+        return rows_of("samples", asked.samples, world) if asked.samples else None
+    if sum(map(len, asked.ways)) > MAX_SHOWN or not all(asked.ways):
+        raise wrong_field("ways", asked.expected("ways"), f"{len(asked.ways)} ways")
+    ways = [rows_of("ways", way, world) for way in asked.ways]
+    along = AlongPaths(ways, world.space, np.random.default_rng(asked.seed))
+    return along.take(min(asked.max_iterations, len(NOISE_RAD) * along.turn_rows))[0]
+
+
+def _searched(
+    asked: SearchRequest,
+    checker: Checker,
+    ends: NDArray[np.float64],
+    samples: NDArray[np.float64] | None,
+    growth: Growth,
+) -> SearchAnswer:
+    # The stream of the planner's command, so that a seed and its samples give the same search there.
+    rng = np.random.default_rng(np.random.SeedSequence(asked.seed, spawn_key=(2,)))
+    states, learned = drawn_states(checker.space, samples, _UNIFORM_SHARE, asked.max_iterations, rng)
+    if asked.planner == "RRT":
+        towards_goal = rng.random(len(states)) < GOAL_BIAS
+        learned &= ~towards_goal
+        found = grow_rrt(checker, ends[0], ends[1], states, towards_goal, growth)
+    else:
+        found = grow_connect(checker, ends[0], ends[1], states, growth)
+    return _told(asked, checker, found, int(learned[: found.iterations].sum()))
+
+
+def _told(asked: SearchRequest, checker: Checker, found: Grown, learned_drawn: int) -> SearchAnswer:
+    body = SearchAnswer(
+        status="timeout" if found.timed_out else "exhausted",
+        reason=f"no way was found within {asked.max_iterations} iterations",
+        iterations=found.iterations,
+        edge_checks=found.edge_checks,
+        state_checks=found.state_checks,
+        learned_drawn=learned_drawn,
+        search_ms=1e3 * found.time_s,
+        nodes=found.nodes.round(4).tolist(),
+        parents=found.parents.tolist(),
+    )
+    if found.path is not None:
+        body.status, body.reason, body.path = "solved", None, found.path.tolist()
+        body.length_rad, body.way = length_rad(found.path, checker.space), way_truth(checker, found.path)
+    elif found.timed_out:
+        body.reason = f"no way was found within {asked.time_limit_s:g} s"
+    return body
+
+
+def _scene_of(text: str) -> dict[str, Any]:
+    # Brings packages that a server without the truth does not have.
+    from services.scene_files import read_scene_text  # noqa: PLC0415
+
+    # Arms in space are named, and looked for among files.
+    found = read_scene_text(text.encode(errors="surrogatepass"), _NAME, ("planar",))
+    if found.scene is None:
+        raise InputError("the file holds no scene", expected="obstacles, an empty list for none", got="none")
+    values = found.scene.to_dict()
+    discs = [dict(zip(("x_m", "y_m", "radius_m"), row, strict=True)) for row in values["discs"]]
+    ends = {"start": found.start, "goal": found.goal}
+    return {"robot": values["robot"], "obstacles": discs} | {
+        name: end.tolist() for name, end in ends.items() if end is not None
+    }
