@@ -189,16 +189,24 @@ class BoundedProtocol(H11Protocol):
             self._refuse(MALFORMED_REQUEST, "these bytes are no HTTP/1.1", "use an HTTP client")
 
     def _await_head(self, *, fresh: bool = False) -> None:
-        """Starts the clock of a head that has begun to arrive, and stops it when the head is complete."""
-        arriving = self.conn.their_state is h11.IDLE and (fresh or bool(self.conn.trailing_data[0]))
-        if arriving and self._head_timer is None:
+        """Starts the clock of a head that has begun to arrive, and stops it when the head is complete.
+
+        The rest of a body that was answered without being read has the same time: it is thrown away.
+        """
+        theirs = self.conn.their_state
+        arriving = theirs is h11.IDLE and (fresh or bool(self.conn.trailing_data[0]))
+        if self._head_timer is None and (arriving or self._is_unwanted_body):
             self._head_timer = self.loop.call_later(self.config.limits.header_timeout_s, self._late)
-        elif not arriving and self._head_timer is not None and self.conn.their_state is not h11.IDLE:
+        elif self._head_timer is not None and theirs is not h11.IDLE and not self._is_unwanted_body:
             self._head_timer.cancel()
             self._head_timer = None
 
+    @property
+    def _is_unwanted_body(self) -> bool:
+        return self.conn.our_state is h11.DONE and self.conn.their_state is h11.SEND_BODY
+
     def _late(self) -> None:
-        if not self.conn.trailing_data[0]:
+        if self._is_unwanted_body or not self.conn.trailing_data[0]:
             self.transport.close()
             return
         limit_s = self.config.limits.header_timeout_s

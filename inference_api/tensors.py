@@ -267,17 +267,20 @@ def read_tensors(inputs: Sequence[InputTensor], tail: bytes) -> dict[str, NDArra
 def _from_json(tensor: InputTensor, data: list[Any], dtype: np.dtype[Any]) -> NDArray[Any]:
     if tensor.parameters:
         raise _wrong(tensor, "data without parameters", f"both data and {brief_members(tensor.parameters)}")
+    # As objects, for numpy would take truth values as numbers and round what is above 2**63.
     try:
-        numbers = np.asarray(data)
-    except (ValueError, OverflowError):
-        numbers = np.zeros(0, dtype=np.bool_)
+        numbers = np.asarray(data, dtype=object)
+    except ValueError:
+        numbers = np.zeros(0, dtype=object)
     count = math.prod(tensor.shape)
     if numbers.shape not in ((count,), tuple(tensor.shape)):
         raise _wrong(tensor, f"{count} numbers, flat or nested as the shape", f"a {brief(data)}")
     real = dtype.kind == "f"
     bounds = np.finfo(dtype) if real else np.iinfo(dtype)
-    held = numbers.dtype.kind in ("iuf" if real else "iu")
-    if not held or not bounds.min <= numbers.min() <= numbers.max() <= bounds.max:
+    # Of Python, for numpy would round what it compares with.
+    least, most = (float(bounds.min), float(bounds.max)) if real else (int(bounds.min), int(bounds.max))
+    held = set(map(type, numbers.flat)) <= ({int, float} if real else {int})
+    if not held or not least <= numbers.min() <= numbers.max() <= most:
         raise _wrong(tensor, f"numbers that {tensor.datatype} holds", "others")
     return numbers.astype(dtype).reshape(tensor.shape)
 

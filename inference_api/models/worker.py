@@ -5,9 +5,9 @@ deadline: a worker that misses one is killed, and the next call starts another. 
 process of its own (:mod:`cspace.bundle.verification`).
 """
 
+import json
 import multiprocessing
 import os
-import pickle
 import resource
 import signal
 import time
@@ -22,8 +22,15 @@ from threading import Lock, Thread
 from typing import Any, TypeVar
 
 from pydantic import TypeAdapter, ValidationError
+from pydantic_core import to_json
 
-from cspace.errors import CspaceError, RegistryError, RegistryUnavailableError, StorageError
+from cspace.errors import (
+    CspaceError,
+    ModelNotFoundError,
+    RegistryError,
+    RegistryUnavailableError,
+    StorageError,
+)
 from inference_api.process import few_arenas
 from services.registry.failures import failure_of
 from services.registry.models.port import ModelVersion
@@ -44,6 +51,11 @@ THREADS = 16
 _END_S = 2.0
 _SPAWN = multiprocessing.get_context("spawn")
 _Found = TypeVar("_Found")
+# What a reply may raise in the server. Replies are JSON: the process parses what a registry sends.
+_ERRORS = {
+    kind.__name__: kind
+    for kind in (RegistryError, RegistryUnavailableError, ModelNotFoundError, StorageError, CspaceError)
+}
 _VERSION, _VERSIONS = TypeAdapter(ModelVersion), TypeAdapter(tuple[ModelVersion, ...])
 
 
@@ -104,11 +116,11 @@ class RegistryWorker:
 
     def _look_up(self, kind: TypeAdapter[_Found], method: str, *arguments: Any) -> _Found:
         try:
-            return kind.validate_python(self._call(self._lookup_s, method, *arguments))
+            return kind.validate_json(self._call(self._lookup_s, method, *arguments))
         except ValidationError:
             raise RegistryError("the model registry answers what is no model version") from None
 
-    def _call(self, limit_s: float, method: str, *arguments: Any) -> Any:
+    def _call(self, limit_s: float, method: str, *arguments: Any) -> bytes:
         process = self._running()
         try:
             process.ready.result(START_S)
@@ -152,8 +164,8 @@ class _Process:
         self._process = _SPAWN.Process(target=_serve, args=(theirs, uri), name="registry", daemon=True)
         self._process.start()
         theirs.close()
-        self.ready: Future[Any] = Future()
-        self._waiting: dict[int, Future[Any]] | None = {0: self.ready}
+        self.ready: Future[bytes] = Future()
+        self._waiting: dict[int, Future[bytes]] | None = {0: self.ready}
         self._numbers, self._lock = count(1), Lock()
         self._reader = Thread(target=self._read, name="registry", daemon=True)
         self._reader.start()
@@ -166,9 +178,9 @@ class _Process:
     def has_ended(self) -> bool:
         return self._waiting is None
 
-    def submit(self, method: str, arguments: tuple[Any, ...]) -> Future[Any]:
+    def submit(self, method: str, arguments: tuple[Any, ...]) -> Future[bytes]:
         """Send a call; the future raises the call's CspaceError, or _EndedError where no reply can come."""
-        future: Future[Any] = Future()
+        future: Future[bytes] = Future()
         with self._lock:
             if self._waiting is None:
                 raise _EndedError
@@ -185,17 +197,18 @@ class _Process:
         self._reader.join(_END_S)
 
     def _read(self) -> None:
-        with suppress(EOFError, OSError):
+        # Whatever else comes is no reply, and the process is ended as well.
+        with suppress(EOFError, OSError, ValueError, KeyError, TypeError):
             while True:
-                number, result, error = pickle.loads(  # noqa: S301 - of this program's own process
-                    self._connection.recv_bytes(MAX_REPLY_BYTES)
-                )
+                head, _, result = self._connection.recv_bytes(MAX_REPLY_BYTES).partition(b"\n")
+                reply = json.loads(head)
                 with self._lock:
-                    future = self._waiting.pop(number) if self._waiting else Future()
-                if error is None:
-                    future.set_result(result)
+                    future = self._waiting.pop(reply["number"]) if self._waiting else Future()
+                if "what" in reply:
+                    details = {name: reply[name] for name in ("expected", "got", "remedy")}
+                    future.set_exception(_ERRORS[reply["kind"]](reply["what"], **details))
                 else:
-                    future.set_exception(error)
+                    future.set_result(result)
         self._process.kill()
         self._process.join()
         with self._lock:
@@ -227,9 +240,9 @@ def _serve(connection: Connection, uri: str) -> None:
             error = StorageError("a file cannot be read or written", got=caught.strerror)
         except Exception as caught:  # noqa: BLE001 - whoever waits has to be told
             error = RegistryError("the model registry cannot be asked", got=type(caught).__name__)
-        data = pickle.dumps((number, result, error))
+        data = _reply(number, result, error)
         if len(data) > MAX_REPLY_BYTES:
-            data = pickle.dumps((number, None, RegistryError("the model registry answers too much")))
+            data = _reply(number, None, RegistryError("the model registry answers too much"))
         with sending:
             connection.send_bytes(data)
 
@@ -241,6 +254,14 @@ def _serve(connection: Connection, uri: str) -> None:
             except (EOFError, OSError):
                 os._exit(0)
             pool.submit(reply, number, partial(_call, registry, method, arguments))
+
+
+def _reply(number: int, result: Any, error: CspaceError | None) -> bytes:
+    head: dict[str, int | str | None] = {"number": number}
+    if error is not None:
+        head["kind"] = next(kind.__name__ for kind in type(error).__mro__ if kind.__name__ in _ERRORS)
+        head |= {name: getattr(error, name) for name in ("what", "expected", "got", "remedy")}
+    return json.dumps(head).encode() + b"\n" + to_json(result)
 
 
 def _registry(uri: str) -> Callable[[], Any]:

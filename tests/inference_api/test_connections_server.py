@@ -208,6 +208,18 @@ def test_a_client_that_sends_on_reads_its_answer_and_no_reset(address: str) -> N
         assert one_answer(link).startswith(b"HTTP/1.1 404 ")
 
 
+def test_the_rest_of_a_refused_body_is_thrown_away_only_for_so_long(address: str) -> None:
+    with connect(address) as link:
+        link.sendall(head("POST", "/nothing", "Transfer-Encoding: chunked"))
+        assert one_answer(link).startswith(b"HTTP/1.1 404 ")
+        began = time.monotonic()
+        with suppress(OSError):
+            while time.monotonic() - began < 20 * CUT_S:
+                link.sendall(b"1\r\nx\r\n")
+                time.sleep(0.05)
+        assert time.monotonic() - began < 10 * CUT_S
+
+
 @pytest.mark.parametrize("protocol", ["websocket", "h2c"])
 def test_a_wish_for_another_protocol_passes_the_guards_and_leaves_one_line(
     server: ServerProcess, protocol: str
