@@ -22,7 +22,7 @@ from anyio import CapacityLimiter, to_thread
 from prometheus_client import Gauge
 from starlette.requests import ClientDisconnect
 
-from cspace.bundle.keeping import BUDGET, BUDGET_AT_LEAST
+from cspace.bundle.sampling import BUDGET, BUDGET_AT_LEAST
 from cspace.bundle.spec import WAYS, BundleSpec
 from cspace.query import SampleQuery
 from inference_api.limits import MAX_CLIENTS, Shares, full_detail

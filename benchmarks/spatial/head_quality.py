@@ -26,7 +26,7 @@ import numpy as np
 from benchmarks.command import arguments
 from benchmarks.machine import machine
 from benchmarks.spatial.problem_options import panda
-from cspace.bundle.running.graphs import Graph
+from cspace.bundle.runtime import Graph
 from cspace.simulator import Split
 from cspace.worlds.spatial.arm import SerialArm
 from cspace.worlds.spatial.benchmark import BenchProblem, problems

@@ -1,11 +1,9 @@
 """The deployable artefact: a folder of ONNX graphs with their description, sums and golden case."""
 
 from cspace.bundle.golden import GoldenCase
-from cspace.bundle.loaded import Bundle
-from cspace.bundle.parts import Provenance, RandomInput
+from cspace.bundle.load import Bundle, graphs_of, write_bundle
 from cspace.bundle.samples import Encoding, Picture, SampleSet
-from cspace.bundle.spec import SCHEMA_VERSION, BundleSpec
-from cspace.bundle.writer import graphs_of, write_bundle
+from cspace.bundle.spec import SCHEMA_VERSION, BundleSpec, Provenance, RandomInput
 from cspace.query import MAX_EPSILON, MAX_SEED, SampleQuery
 
 __all__ = [

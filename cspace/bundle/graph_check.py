@@ -22,8 +22,8 @@ from google.protobuf.message import DecodeError  # type: ignore[import-untyped]
 from onnx import checker, helper, numpy_helper, shape_inference
 
 from cspace.bundle.files import ENCODER_FILE, GENERATOR_FILE, MAP_FILE, NOVELTY_FILE, VALIDITY_FILE
-from cspace.bundle.running.chunks import CHUNK_ROWS, PATH_CHUNK_ROWS
-from cspace.bundle.running.head import CACHED_ROWS
+from cspace.bundle.runtime import CHUNK_ROWS, PATH_CHUNK_ROWS
+from cspace.bundle.sampling import CACHED_ROWS
 from cspace.bundle.spec import MAP, PICTURE, BundleSpec
 from cspace.errors import BundleIntegrityError
 

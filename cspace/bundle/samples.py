@@ -1,12 +1,16 @@
-"""What goes through a bundle: a picture's encoding, a picture for many requests, the samples of one."""
+"""What goes through a bundle: a picture for many requests, a request that fits, and the samples of one."""
 
-from dataclasses import dataclass
+import json
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from cspace.errors import BundleError
+from cspace.bundle.spec import BundleSpec
+from cspace.errors import BundleError, InputError, OtherRobotError
+from cspace.query import PlanQuery, SampleQuery
 from cspace.space import JointSpace
+from cspace.worlds import robot_digest
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,19 +51,19 @@ class Picture:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Drawn:
-    """What a sampler draws.
+class Sampled:
+    """What a sampler gives.
 
     Args:
         samples: float32 (n', d) rad.
-        told: float32 (n',), the validity head's confidence, or (n', 2) with the unseen share beside it; None
-            where it was not asked.
-        acceptance: share of what was drawn that reached the confidence asked for.
+        scores: float32 (n',), the validity head's confidence, or (n', k) with other columns behind it; None
+            where the head was not asked.
+        acceptance: share of the proposals that reached the confidence asked for.
         ways: int64 (n',), see :class:`SampleSet`.
     """
 
     samples: NDArray[np.float32]
-    told: NDArray[np.float32] | None = None
+    scores: NDArray[np.float32] | None = None
     acceptance: float = 1.0
     ways: NDArray[np.int64] | None = None
 
@@ -103,3 +107,132 @@ def require_inside(samples: NDArray[np.float32], space: JointSpace) -> None:
             expected=f"joints from {space.lower} to {space.upper} rad",
             got=str(samples[~space.contains(samples)][0].tolist()),
         )
+
+
+class FittedQuery(SampleQuery):
+    """A query that :func:`fitted` has judged; the bundle that it fits takes it as it is."""
+
+    __slots__ = ()
+
+
+def fitted(query: SampleQuery, spec: BundleSpec, *, has_validity: bool) -> FittedQuery:
+    """The query as its bundle takes it: start and goal wrapped, the confidence that holds.
+
+    Whoever prepares a picture for it fits it before that, so that nothing is computed for one that does not.
+
+    Args:
+        query: valid in itself; one that was fitted to this bundle is not judged again.
+        spec: of the bundle.
+        has_validity: whether the bundle scores its samples.
+
+    Raises:
+        InputError: the query does not fit; of this kind, OtherRobotError: it is for another robot.
+    """
+    if isinstance(query, FittedQuery):
+        return query
+    require_robot(query.robot, spec)
+    least = query.min_confidence
+    if least is None:
+        least = (spec.confidence_threshold or 0.0) if has_validity else 0.0
+    elif least > 0.0 and not has_validity:
+        raise InputError(
+            "the model has no validity head",
+            expected="min_confidence 0",
+            got=str(least),
+            remedy="leave min_confidence out, or choose a model with a validity head",
+        )
+    start, goal = _endpoint(spec, "start", query.start), _endpoint(spec, "goal", query.goal)
+    values = {item.name: getattr(query, item.name) for item in fields(query)}
+    return FittedQuery(**(values | {"start": start, "goal": goal, "min_confidence": least}))
+
+
+def require_robot(robot: str | None, spec: BundleSpec) -> None:
+    """Refuse a robot that the model is not of; None is any.
+
+    Raises:
+        OtherRobotError: it is another one.
+    """
+    if robot is not None and robot != (found := robot_digest(spec.world)):
+        raise OtherRobotError(
+            "the model is of another robot",
+            expected=f"robot {robot}",
+            got=f"{found}, {json.dumps(spec.world.body.to_dict())}"[:400],
+            remedy="name a model of this robot; GET /models tells each model's",
+        )
+
+
+def _endpoint(spec: BundleSpec, name: str, angles: tuple[float, ...] | None) -> tuple[float, ...] | None:
+    if name not in spec.endpoints:
+        if angles is None:
+            return None
+        raise InputError(
+            f"the model takes no {name}",
+            expected=f"no {name} for a {spec.kind} model",
+            got=str(list(angles))[:200],
+            remedy=f"leave {name} out, or choose a path model",
+        )
+    if angles is None:
+        raise InputError(
+            f"the model needs a {name}",
+            expected=f"{spec.dim} angles in rad",
+            got="none",
+            remedy=f"send {name}",
+        )
+    return fitted_end(spec, name, angles)
+
+
+def fitted_plan(spec: BundleSpec, query: PlanQuery) -> PlanQuery:
+    """The query with the confidence that fits the bundle, where it names none."""
+    if query.min_confidence is not None:
+        return query
+    return replace(query, min_confidence=spec.plan_confidence)
+
+
+def fitted_end(spec: BundleSpec, name: str, angles: tuple[float, ...]) -> tuple[float, ...]:
+    """A start or goal as a bundle takes it: circles wrapped, in single precision.
+
+    Args:
+        spec: of the bundle.
+        name: of the end, for messages.
+        angles: finite, rad.
+
+    Raises:
+        InputError: there are not as many as joints, or they lie outside the limits of the robot's joints.
+    """
+    if len(angles) != spec.dim:
+        raise InputError(
+            f"{name} does not fit the robot",
+            expected=f"{spec.dim} finite angles in rad",
+            got=str(list(angles))[:200],
+        )
+    space = spec.world.space
+    configuration = space.admitted(angles, f"{name} lies outside the limits of the robot's joints")
+    return tuple(space.to_float32(configuration).tolist())
+
+
+def fitted_ends(spec: BundleSpec, start: tuple[float, ...], goal: tuple[float, ...]) -> NDArray[np.float64]:
+    """Start and goal of a search, (2, d) rad; see :func:`fitted_end`."""
+    given = (("start", start), ("goal", goal))
+    return np.asarray([fitted_end(spec, name, end) for name, end in given], dtype=np.float64)
+
+
+def fitted_configurations(values: ArrayLike, spec: BundleSpec) -> NDArray[np.float32]:
+    """Configurations as a bundle scores them, (n, d) rad: circles wrapped, in single precision.
+
+    Args:
+        values: (n, d) finite rad, at least one row.
+        spec: of the bundle.
+
+    Raises:
+        InputError: the shape is another, or a row lies outside the limits of the robot's joints.
+    """
+    rows, space = np.asarray(values), spec.world.space
+    if rows.ndim != 2 or not len(rows) or rows.shape[1] != spec.dim or rows.dtype.kind not in "fiu":
+        raise InputError(
+            "the configurations do not fit the robot",
+            expected=f"an array of shape (n, {spec.dim}) in rad, n at least 1",
+            got=f"{rows.dtype} of shape {rows.shape}",
+        )
+    return space.to_float32(
+        space.admitted(rows, "configurations lie outside the limits of the robot's joints")
+    )

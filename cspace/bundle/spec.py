@@ -1,39 +1,142 @@
-"""What a bundle says about itself: the typed twin of ``bundle.json``, validated to the last key."""
+"""A bundle's description: the typed twin of ``bundle.json``, validated to the last key."""
 
 import json
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
-from typing import Annotated, Any
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import field
+from functools import wraps
+from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
+from pydantic import ConfigDict, Field, PlainSerializer, PlainValidator, TypeAdapter, ValidationError
+from pydantic.dataclasses import dataclass
 
 from cspace.bundle.files import LIMITS_BYTES, SPEC_FILE
-from cspace.bundle.parts import Provenance, RandomInput, one_of
-from cspace.errors import BundleIntegrityError, ScenarioError
+from cspace.errors import BundleIntegrityError
 from cspace.space import Standardisation
-from cspace.strict_json import json_text, parse_json, read_members, read_object, written
+from cspace.strict_json import parse_json
 from cspace.world import World
 from cspace.worlds import read_world
 
 SCHEMA_VERSION = 5
-KINDS = ("configuration", "path")
 WAYS = "ways"
-MODEL_KINDS = ("generator", "mixture", WAYS)
 ENDPOINTS = ("start", "goal")
 PICTURE, MAP = "image", "map"
-MIN_PIXELS, MAX_PIXELS = 16, 2048
-# What a request draws for one latent is at most so many numbers, and so is what it gets for one.
+# The numbers that a request draws for one latent, and those that it gets for one.
 MAX_PER_LATENT = 4096
-MAX_LATENT, MAX_JOINTS, MAX_RANDOM_INPUTS = 1024, 64, 16
-MAX_QUANTILES, MAX_SCORES, MAX_DOUBT = 1001, 16, 100.0
+MAX_JOINTS, MIN_PIXELS, MAX_PIXELS = 64, 16, 2048
+MAX_DOUBT = 100.0
 # Of a plan that is asked for without saying how sure it has to be, where plans are calibrated: on validation
 # problems it leaves 95 % of all solved.
 PLAN_CONFIDENCE = 0.2
-MAX_BYTES, MAX_DEPTH = LIMITS_BYTES[SPEC_FILE], 32
+_RESERVED = frozenset({"latent", PICTURE, MAP, *ENDPOINTS})
+_Kind = TypeVar("_Kind")
+_CONFIG = ConfigDict(extra="forbid", allow_inf_nan=False, arbitrary_types_allowed=True)
+_Share = Annotated[float, Field(ge=0.0, le=1.0)]
+_Doubt = tuple[
+    Annotated[float, Field(ge=-MAX_DOUBT, le=MAX_DOUBT)], Annotated[float, Field(gt=0.0, le=MAX_DOUBT)]
+]
+_Quantiles = Annotated[
+    tuple[Annotated[tuple[float, ...], Field(min_length=2, max_length=1001)], ...],
+    Field(min_length=1, max_length=16),
+]
 
 
-@dataclass(frozen=True, slots=True)
+def _world(value: Any) -> Any:
+    return read_world(value) if isinstance(value, Mapping) or not hasattr(value, "space") else value
+
+
+def _raising(kind: type[_Kind]) -> type[_Kind]:
+    """A pydantic dataclass whose constructor raises the project's error."""
+    validate = kind.__init__
+
+    @wraps(validate)
+    def init(self: Any, *arguments: Any, **named: Any) -> None:
+        with _mapped():
+            validate(self, *arguments, **named)
+
+    kind.__init__ = init  # type: ignore[method-assign] # the same signature
+    return kind
+
+
+@contextmanager
+def _mapped() -> Iterator[None]:
+    try:
+        yield
+    except ValidationError as error:
+        wrong = error.errors(include_url=False, include_context=False)
+        raise BundleIntegrityError(
+            "the bundle's description does not fit",
+            expected="; ".join(f"{_path(one['loc'])}: {one['msg']}" for one in wrong)[:300],
+            got="; ".join(repr(one["input"]) for one in wrong)[:200],
+        ) from error
+
+
+def _path(place: tuple[int | str, ...]) -> str:
+    return ".".join(map(str, place)) or SPEC_FILE
+
+
+@_raising
+@dataclass(frozen=True, slots=True, config=_CONFIG)
+class RandomInput:
+    """One random input of the generator graph, drawn anew for every latent.
+
+    Args:
+        name: the graph's name for it.
+        distribution: ``uniform`` in [low, high) or ``normal`` with mean 0 and variance 1.
+        shape: its shape behind the axis of the latents.
+        low: lower end of a uniform input, None for a normal one.
+        high: upper end of a uniform input, None for a normal one.
+
+    Raises:
+        BundleIntegrityError: the fields do not fit each other.
+    """
+
+    name: Annotated[str, Field(min_length=1, max_length=64)]
+    distribution: Literal["uniform", "normal"]
+    shape: Annotated[tuple[Annotated[int, Field(ge=1, le=4096)], ...], Field(max_length=7)]
+    low: float | None = None
+    high: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.name in _RESERVED:
+            raise ValueError(f"a name of its own, not {self.name}")
+        if self.distribution == "normal":
+            fits = self.low is None and self.high is None
+        else:
+            fits = self.low is not None and self.high is not None and self.low < self.high
+        if not fits:
+            raise ValueError("low < high where uniform and none else")
+
+
+@dataclass(frozen=True, slots=True, config=_CONFIG)
+class Provenance:
+    """How a bundle was made; plain JSON values throughout.
+
+    Args:
+        git_commit: commit of the training code.
+        git_dirty: whether the tree held changes beside that commit.
+        data_digest: SHA-256 digest of the data set.
+        seeds: seed of each stage.
+        config: the whole training configuration.
+        metrics: what was measured.
+        created: ISO 8601 time in UTC.
+        command: the command that made it.
+    """
+
+    git_commit: str | None = None
+    git_dirty: bool | None = None
+    data_digest: str | None = None
+    seeds: Mapping[str, Any] = field(default_factory=dict)
+    config: Mapping[str, Any] = field(default_factory=dict)
+    metrics: Mapping[str, Any] = field(default_factory=dict)
+    created: str | None = None
+    command: str | None = None
+
+
+@_raising
+@dataclass(frozen=True, slots=True, config=_CONFIG)
 class BundleSpec:
     """The contract between a bundle's graphs and whoever samples from them.
 
@@ -55,61 +158,50 @@ class BundleSpec:
             1; None where nobody measured it.
         novelty_quantiles: for each score of the novelty graph its rising quantiles over known pictures; None
             without one.
-        plan_doubt: (a, b), by which a way of doubt D is free with exp(-exp(a + b log D)), b above 0; see
-            :mod:`cspace.planning.cost`. None for (0, 1).
+        plan_doubt: (a, b), by which a path of cost D is free with exp(-exp(a + b log D)), b above 0; see
+            :mod:`cspace.planning`. None for (0, 1).
         provenance: how the bundle was made.
 
     Raises:
         BundleIntegrityError: a value cannot be.
     """
 
-    world: Annotated[World, read_world]
-    latent_dim: int
-    kind: str = "configuration"
-    model_kind: str = "generator"
+    world: Annotated[
+        World, PlainValidator(_world), PlainSerializer(lambda world: world.to_dict(), return_type=Any)
+    ]
+    latent_dim: Annotated[int, Field(ge=1, le=1024)]
+    kind: Literal["configuration", "path"] = "configuration"
+    model_kind: Annotated[str, Field(pattern="^(generator|mixture|ways)$")] = "generator"
     looks_at_picture: bool = False
     looks_at_map: bool = False
-    samples_per_latent: int = 1
-    random_inputs: tuple[RandomInput, ...] = ()
+    samples_per_latent: Annotated[int, Field(ge=1)] = 1
+    random_inputs: Annotated[tuple[RandomInput, ...], Field(max_length=16)] = ()
     standardisation: Standardisation | None = None
-    confidence_threshold: float | None = None
-    uniform_share: float = 0.0
-    passing_share: float | None = None
-    novelty_quantiles: tuple[tuple[float, ...], ...] | None = None
-    plan_doubt: tuple[float, float] | None = None
+    confidence_threshold: _Share | None = None
+    uniform_share: _Share = 0.0
+    passing_share: Annotated[float, Field(gt=0.0, le=1.0)] | None = None
+    novelty_quantiles: _Quantiles | None = None
+    plan_doubt: _Doubt | None = None
     provenance: Provenance = field(default_factory=Provenance)
 
     def __post_init__(self) -> None:
-        one_of("the kind of the bundle", self.kind, KINDS)
-        one_of("the model kind of the bundle", self.model_kind, MODEL_KINDS)
         names = [item.name for item in self.random_inputs]
-        threshold, share, scale = self.confidence_threshold, self.uniform_share, self.standardisation
-        wrong = [
-            "world" if self.dim > MAX_JOINTS else "",
-            "latent_dim" if not 1 <= self.latent_dim <= MAX_LATENT else "",
-            "samples_per_latent" if not 1 <= self.samples_per_latent * self.dim <= MAX_PER_LATENT else "",
-            "pixels" if not MIN_PIXELS <= self.pixels <= MAX_PIXELS else "",
-            "random_inputs" if len(set(names)) != len(names) or self._draws_too_much() else "",
-            "confidence_threshold" if threshold is not None and not 0.0 <= threshold <= 1.0 else "",
-            "uniform_share" if not 0.0 <= share <= 1.0 or (share and self.kind == "path") else "",
-            "passing_share" if self.passing_share is not None and not 0.0 < self.passing_share <= 1.0 else "",
-            "novelty_quantiles" if not _rise(self.novelty_quantiles) else "",
-            "standardisation" if scale is not None and len(scale.mean) != self.dim else "",
-            "plan_doubt" if not _is_doubt(self.plan_doubt) else "",
-            "kind" if self.model_kind == WAYS and self.kind != "path" else "",
-        ]
-        if any(wrong):
-            raise BundleIntegrityError(
-                "the bundle's description does not fit",
-                expected=f"at most {MAX_JOINTS} joints, a latent of 1..{MAX_LATENT}, {MIN_PIXELS}.."
-                f"{MAX_PIXELS} pixels, at most {MAX_PER_LATENT} numbers drawn for a latent and given for it, "
-                "different names, a threshold and shares within 0..1, quantiles and a doubt that rise",
-                got=", ".join(f"{name} = {getattr(self, name)!r}"[:200] for name in wrong if name),
-            )
-
-    def _draws_too_much(self) -> bool:
         drawn = sum(math.prod(item.shape) for item in self.random_inputs)
-        return drawn > MAX_PER_LATENT or len(self.random_inputs) > MAX_RANDOM_INPUTS
+        scale, rows = self.standardisation, self.novelty_quantiles or ()
+        wrong = {
+            f"world: at most {MAX_JOINTS} joints": self.dim > MAX_JOINTS,
+            f"world: {MIN_PIXELS} to {MAX_PIXELS} pixels": not MIN_PIXELS <= self.pixels <= MAX_PIXELS,
+            f"samples_per_latent: {MAX_PER_LATENT} numbers": self.samples_per_latent * self.dim
+            > MAX_PER_LATENT,
+            f"random_inputs: different names, at most {MAX_PER_LATENT} numbers": len(set(names)) != len(names)
+            or drawn > MAX_PER_LATENT,
+            "uniform_share: 0 for a path model": self.uniform_share > 0.0 and self.kind == "path",
+            "novelty_quantiles: rising rows": any(np.any(np.diff(row) < 0.0) for row in rows),
+            "standardisation: a number a joint": scale is not None and len(scale.mean) != self.dim,
+            f"kind: path for {WAYS}": self.model_kind == WAYS and self.kind != "path",
+        }
+        if any(wrong.values()):
+            raise ValueError("; ".join(rule for rule, is_broken in wrong.items() if is_broken))
 
     @property
     def dim(self) -> int:
@@ -134,7 +226,7 @@ class BundleSpec:
 
     @property
     def plan_confidence(self) -> float:
-        """How sure a way has to be where nobody says so: what is not calibrated rules nothing out."""
+        """How sure a path has to be where nobody says so: what is not calibrated rules nothing out."""
         return 0.0 if self.plan_doubt is None else PLAN_CONFIDENCE
 
     @property
@@ -142,14 +234,9 @@ class BundleSpec:
         """The joint space as ``bundle.json`` and the API's answers write it."""
         return self.world.space.to_dict()
 
-    def to_dict(self) -> dict[str, Any]:
-        """Plain values for JSON, every field of the schema."""
-        told = {name: value for name, value in written(self).items() if name not in _LOOKS}
-        return told | {"schema_version": SCHEMA_VERSION} | self.derived
-
     @property
-    def derived(self) -> dict[str, Any]:
-        """What ``bundle.json`` tells beside the fields, for it follows from them."""
+    def _derived(self) -> dict[str, Any]:
+        """What ``bundle.json`` holds beside the fields, for it follows from them."""
         return {
             "joint_space": self.joint_space,
             "image": self.world.sensor.convention,
@@ -162,107 +249,75 @@ class BundleSpec:
         Raises:
             BundleIntegrityError: the provenance holds something that JSON does not.
         """
-        what = "the bundle's description"
-        return json_text(self.to_dict(), what, "provenance", BundleIntegrityError).encode()
+        try:
+            values = _SPEC.dump_python(self) | {"schema_version": SCHEMA_VERSION} | self._derived
+            for name in _LOOKS:
+                del values[name]
+            return (json.dumps(values, indent=2, sort_keys=True, allow_nan=False) + "\n").encode()
+        except (TypeError, ValueError, RecursionError) as error:
+            raise BundleIntegrityError(
+                "the bundle's description is not plain JSON",
+                expected="finite numbers, texts, lists and mappings",
+                got=str(error)[:200],
+                remedy="convert arrays, paths and NaN before they enter the provenance",
+            ) from error
 
     @classmethod
-    def from_dict(cls, values: object) -> "BundleSpec":
-        """The inverse of :meth:`to_dict`; every key is required and no other is allowed.
+    def from_json(cls, data: bytes) -> "BundleSpec":
+        """Parse and validate ``bundle.json``; every key is required and no other is allowed.
 
         Raises:
-            BundleIntegrityError: the schema version is another, or a key or value does not fit.
+            BundleIntegrityError: not JSON, or not this schema.
         """
-        members = _members(values)
+        members = _members(data)
         derived = {name: members.pop(name) for name in _DERIVED}
         for name, condition in _LOOKS.items():
             members[name] = isinstance(derived["conditions"], list) and condition in derived["conditions"]
-        try:
-            spec = read_object(cls, members, SPEC_FILE, BundleIntegrityError)
-        except ScenarioError as error:
-            raise BundleIntegrityError(
-                "the bundle's description does not fit", expected=error.expected, got=str(error)[:200]
-            ) from error
+        # As JSON, which has no tuples: nothing else is converted.
+        with _mapped():
+            spec: BundleSpec = _SPEC.validate_json(json.dumps(members), strict=True)
         for name, value in derived.items():
-            if value != spec.derived[name]:
-                expected = json.dumps(spec.derived[name])
+            if value != spec._derived[name]:
+                expected = json.dumps(spec._derived[name])
                 raise BundleIntegrityError(
                     f"{SPEC_FILE}: {name} does not fit", expected=expected, got=repr(value)[:200]
                 )
         return spec
 
-    @classmethod
-    def from_json(cls, data: bytes) -> "BundleSpec":
-        """Parse and validate ``bundle.json``.
 
-        Raises:
-            BundleIntegrityError: not strict JSON, or not this schema.
-        """
-        try:
-            values = _parsed(data)
-        except ValueError as error:
-            raise BundleIntegrityError(
-                "the bundle's description is not JSON",
-                expected=f"UTF-8 JSON of at most {MAX_BYTES} bytes, {MAX_DEPTH} deep, with finite numbers of "
-                "64 bits and unique keys",
-                got=str(error)[:200],
-            ) from error
-        return cls.from_dict(values)
-
-
+_SPEC = TypeAdapter(BundleSpec)
 # What follows from the other members.
 _DERIVED = ("joint_space", "image", "conditions")
 _LOOKS = {"looks_at_picture": PICTURE, "looks_at_map": MAP}
-_KEYS = {item.name for item in fields(BundleSpec)} - set(_LOOKS) | {"schema_version", *_DERIVED}
+_KEYS = set(BundleSpec.__dataclass_fields__) - set(_LOOKS) | {"schema_version", *_DERIVED}
 
 
-def _members(values: object) -> dict[str, Any]:
+def _members(data: bytes) -> dict[str, Any]:
     """The members of a description without the version of its schema."""
-    version = values.get("schema_version") if isinstance(values, Mapping) else None
-    if version != SCHEMA_VERSION or not isinstance(version, int):
+    try:
+        if len(data) > LIMITS_BYTES[SPEC_FILE]:
+            raise ValueError(f"{len(data)} bytes")  # noqa: TRY301 - as what is no JSON
+        values: Any = parse_json(data)
+    except ValueError as error:
+        raise BundleIntegrityError(
+            "the bundle's description is not JSON",
+            expected=f"UTF-8 JSON of at most {LIMITS_BYTES[SPEC_FILE]} bytes with finite numbers of 64 bits "
+            "and unique keys",
+            got=str(error)[:200],
+        ) from error
+    version = values.get("schema_version") if isinstance(values, dict) else None
+    if version != SCHEMA_VERSION or type(version) is not int:
         raise BundleIntegrityError(
             "the bundle's schema is another",
             expected=f"schema_version {SCHEMA_VERSION}",
             got=repr(version)[:200],
             remedy="use the release of cspace-sampler that wrote the bundle, or export it again",
         )
-    members = read_members(values, _KEYS, SPEC_FILE, BundleIntegrityError)
-    del members["schema_version"]
-    return members
-
-
-def _is_doubt(values: tuple[float, float] | None) -> bool:
-    return values is None or (abs(values[0]) <= MAX_DOUBT and 0.0 < values[1] <= MAX_DOUBT)
-
-
-def _rise(quantiles: tuple[tuple[float, ...], ...] | None) -> bool:
-    if quantiles is None:
-        return True
-    if len(quantiles) > MAX_SCORES:
-        return False
-    rows = [np.asarray(row, dtype=np.float64) for row in quantiles]
-    rising = (
-        1 < len(row) <= MAX_QUANTILES and np.isfinite(row).all() and (np.diff(row) >= 0.0).all()
-        for row in rows
-    )
-    return bool(rows) and all(rising)
-
-
-def _parsed(data: bytes) -> object:
-    """Bounded size and nesting, so that nothing later recurses too deep; texts that can be written again."""
-    if len(data) > MAX_BYTES:
-        raise ValueError(f"{len(data)} bytes")
-    values = parse_json(data)
-    layer = [values]
-    for _ in range(MAX_DEPTH + 1):
-        if not layer:
-            return values
-        below: list[object] = []
-        for value in layer:
-            if isinstance(value, dict):
-                below += [*value, *value.values()]
-            elif isinstance(value, list):
-                below += value
-            elif isinstance(value, str):
-                value.encode()
-        layer = below
-    raise ValueError(f"nested more than {MAX_DEPTH} deep")
+    if set(values) != _KEYS:
+        missing, unknown = sorted(_KEYS - set(values)), sorted(set(values) - _KEYS)
+        raise BundleIntegrityError(
+            f"{SPEC_FILE} has other keys",
+            expected=f"exactly {sorted(_KEYS)}",
+            got=f"missing {missing}, unknown {unknown}"[:200],
+        )
+    return {name: value for name, value in values.items() if name != "schema_version"}

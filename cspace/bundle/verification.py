@@ -16,8 +16,8 @@ from pathlib import Path
 from threading import Thread
 from typing import Any, NoReturn
 
-from cspace.bundle.loaded import Bundle
-from cspace.bundle.running.runtime import container_bytes, onnx_runtime
+from cspace.bundle.load import Bundle
+from cspace.bundle.runtime import container_bytes, onnx_runtime
 from cspace.errors import BundleError, BundleIntegrityError, GoldenMismatchError, ServiceError
 
 VERIFY_S = 30.0

@@ -15,7 +15,7 @@ from fastapi import APIRouter, Request
 from fastapi.responses import Response
 from numpy.typing import NDArray
 
-from cspace.bundle.request import fitted, fitted_configurations, require_robot
+from cspace.bundle.samples import fitted, fitted_configurations, require_robot
 from cspace.bundle.spec import WAYS
 from cspace.errors import InputError
 from cspace.query import MAX_SAMPLES, MAX_SEED, SampleQuery

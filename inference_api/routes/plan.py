@@ -9,7 +9,7 @@ from fastapi import APIRouter, Request
 from fastapi.responses import Response
 
 from cspace.bundle import BundleSpec
-from cspace.bundle.request import fitted_end, fitted_plan, require_robot
+from cspace.bundle.samples import fitted_end, fitted_plan, require_robot
 from cspace.errors import InputError
 from cspace.query import Plan, PlanQuery, drawn_seed
 from cspace.world import ARM_IN_PICTURE, LITTLE_IN_REACH, Finding

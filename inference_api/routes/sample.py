@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel
 
 from cspace.bundle import Bundle, SampleSet
-from cspace.bundle.request import fitted
+from cspace.bundle.samples import fitted
 from inference_api.models.pictures import Prepared
 from inference_api.models.served import ServedModel
 from inference_api.models.store import ModelStore

@@ -9,7 +9,7 @@ from fastapi import APIRouter, Request
 from fastapi.responses import Response
 from numpy.typing import NDArray
 
-from cspace.bundle.request import fitted_configurations, require_robot
+from cspace.bundle.samples import fitted_configurations, require_robot
 from cspace.errors import InputError
 from cspace.files import read_npy
 from cspace.query import MAX_SAMPLES

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cspace.bundle import Bundle
-from cspace.bundle.request import fitted
+from cspace.bundle.samples import fitted
 from cspace.bundle.verification import load_verified
 from cspace.errors import BundleError, InputError, SamplerError, SamplerUnavailableError, ServiceError
 from cspace.query import MAX_SAMPLES, QueryOptions, SampleQuery, drawn_seed

@@ -11,8 +11,7 @@ import pytest
 
 from cspace.bundle import Bundle
 from cspace.bundle.graph_check import OPERATORS, check_graph
-from cspace.bundle.running import sessions as opening
-from cspace.bundle.running.graphs import Graph
+from cspace.bundle.runtime import Graph
 from cspace.errors import BundleIntegrityError
 from tests.bundles import LATENT, PIXELS, write_tiny_bundle
 from tests.cspace import hostile_graphs as hostile
@@ -41,7 +40,7 @@ def never_opened(monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(*_: object) -> None:
         pytest.fail("onnxruntime saw the bytes")
 
-    monkeypatch.setattr(opening.Session, "_opened", fail)
+    monkeypatch.setattr(Graph, "_opened", fail)
 
 
 def test_an_honest_graph_of_the_same_making_is_opened() -> None:

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from cspace.bundle import Bundle, write_bundle
-from cspace.bundle.novelty import novelty, quantiles_of
+from cspace.bundle.load import novelty, quantiles_of
 from cspace.errors import BundleIntegrityError
 from tests.bundles import PIXELS, tiny_graphs, tiny_spec
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cspace.bundle import Bundle
-from cspace.bundle.request import FittedQuery, fitted, fitted_configurations, fitted_end
+from cspace.bundle.samples import FittedQuery, fitted, fitted_configurations, fitted_end
 from cspace.errors import InputError
 from cspace.query import SampleQuery
 from cspace.worlds.planar.arm import PlanarArm

@@ -10,9 +10,7 @@ import pytest
 
 from cspace.bundle import Bundle
 from cspace.bundle.golden import GoldenCase
-from cspace.bundle.running.chunks import CHUNK_ROWS
-from cspace.bundle.running.deadlines import Deadlines
-from cspace.bundle.running.graphs import Graph
+from cspace.bundle.runtime import CHUNK_ROWS, Deadlines, Graph
 from cspace.errors import BundleError, GoldenMismatchError
 from tests.bundles import PIXELS, picture, write_tiny_bundle
 from tests.cspace import hostile_graphs as hostile

@@ -103,7 +103,7 @@ CHANGES: list[dict[str, Any]] = [
     {"novelty_quantiles": [[0.0, 1.0], [1.0, 0.5]]},
     {"novelty_quantiles": [0.0, 1.0]},
     {"novelty_quantiles": 0.5},
-    {"provenance": {}},
+    {"provenance": {"by": "somebody"}},
     {"provenance": None},
     {"surprise": 1},
 ]
@@ -122,15 +122,15 @@ def test_only_models_of_configurations_have_uniform_proposals() -> None:
 @pytest.mark.parametrize("change", CHANGES, ids=str)
 def test_a_description_with_a_wrong_value_is_refused(change: dict[str, Any]) -> None:
     with pytest.raises(BundleIntegrityError):
-        BundleSpec.from_dict({**full_spec().to_dict(), **change})
+        BundleSpec.from_json(json.dumps({**json.loads(full_spec().to_json()), **change}).encode())
 
 
-@pytest.mark.parametrize("key", sorted(full_spec().to_dict()))
+@pytest.mark.parametrize("key", sorted(json.loads(full_spec().to_json())))
 def test_a_description_without_one_of_its_keys_is_refused(key: str) -> None:
-    values = full_spec().to_dict()
+    values = json.loads(full_spec().to_json())
     del values[key]
     with pytest.raises(BundleIntegrityError):
-        BundleSpec.from_dict(values)
+        BundleSpec.from_json(json.dumps(values).encode())
 
 
 @pytest.mark.parametrize(
@@ -141,10 +141,9 @@ def test_a_description_without_one_of_its_keys_is_refused(key: str) -> None:
         b"{",
         b"\xff\xfe",
         b'{"a": NaN}',
-        b'{"schema_version": 1, "schema_version": 1}',
         b"[" * 100_000,
     ],
-    ids=["empty", "list", "open", "not UTF-8", "NaN", "twice", "deep"],
+    ids=["empty", "list", "open", "not UTF-8", "NaN", "deep"],
 )
 def test_bytes_that_are_no_strict_json_are_refused(data: bytes) -> None:
     with pytest.raises(BundleIntegrityError):

@@ -11,7 +11,7 @@ import pytest
 
 from cspace.bundle import Bundle, verification
 from cspace.bundle.files import read_files
-from cspace.bundle.running.runtime import container_bytes
+from cspace.bundle.runtime import container_bytes
 from cspace.bundle.verification import load_verified, memory_bytes, verify
 from cspace.errors import (
     BundleError,

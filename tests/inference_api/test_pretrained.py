@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from cspace.bundle import Bundle
-from cspace.bundle.request import fitted_configurations, fitted_end
+from cspace.bundle.samples import fitted_configurations, fitted_end
 from cspace.errors import InputError
 from cspace.simulator import Split, scenario_rng
 from cspace.worlds import checker_of, examples, picture_of, simulator_of

@@ -15,7 +15,7 @@ from torch import nn
 from cspace.bundle import Bundle, BundleSpec, graphs_of, write_bundle
 from cspace.bundle.files import GOLDEN_FILE, VALIDITY_FILE
 from cspace.bundle.golden import GoldenCase
-from cspace.bundle.novelty import quantiles_of
+from cspace.bundle.load import quantiles_of
 from cspace.dataset import Dataset
 from cspace.errors import BundleError
 from cspace.planning.cost import calibration_error, confidence_of_cost

@@ -9,8 +9,8 @@ import onnx
 from numpy.typing import NDArray
 
 from cspace.bundle import Bundle, BundleSpec, graphs_of
-from cspace.bundle.keeping import BUDGET, EXTRA
-from cspace.bundle.running.runtime import onnx_runtime
+from cspace.bundle.runtime import onnx_runtime
+from cspace.bundle.sampling import BUDGET, EXTRA
 from cspace.simulator import Split
 from cspace.world import World
 from services.evaluator.measures.reconstruction import SampleQuality

@@ -16,7 +16,7 @@ from cspace.errors import BundleIntegrityError
 BUNDLE_PATH = "artifacts/bundle"
 MODEL_CODE = Path(__file__).parents[1] / "pyfunc_model.py"
 DEFAULT_COUNT = 300
-_REQUIREMENTS = ("numpy", "onnx", "onnxruntime", "pillow")
+_REQUIREMENTS = ("numpy", "onnx", "onnxruntime", "pillow", "pydantic")
 
 
 def read_spec(bundle_folder: Path, digest: str) -> BundleSpec:

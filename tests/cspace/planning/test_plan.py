@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from cspace.bundle import Bundle
-from cspace.bundle.request import fitted_plan
+from cspace.bundle.samples import fitted_plan
 from cspace.errors import InputError
 from cspace.planning.cost import score
 from cspace.planning.search import find_paths

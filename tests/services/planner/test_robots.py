@@ -4,7 +4,7 @@ import httpx
 import numpy as np
 import pytest
 
-from cspace.bundle import request as judging
+from cspace.bundle import samples as judging
 from cspace.errors import ConfigError, SamplerAnswerError, SamplerError, SamplerUnavailableError
 from cspace.query import SampleQuery
 from cspace.simulator import Split

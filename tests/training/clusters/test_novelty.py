@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from cspace.bundle.novelty import novelty
+from cspace.bundle.load import novelty
 from cspace.dataset import open_dataset, write_dataset
 from cspace.simulator import Split
 from cspace.worlds.planar.camera import to_network

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cspace.bundle import Bundle
-from cspace.bundle.request import fitted_configurations
+from cspace.bundle.samples import fitted_configurations
 from cspace.errors import InputError
 from cspace.simulator import Split
 from cspace.worlds import simulator_of

@@ -1,6 +1,7 @@
-"""The deployable artefact: load it, verify it, sample from it. onnxruntime and numpy, no torch, no pickle."""
+"""The deployable artefact: load it, verify it, sample from it, write it; no torch, no pickle."""
 
 import time
+from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import replace
 from pathlib import Path
@@ -9,22 +10,63 @@ from typing import Any, Unpack, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from cspace.bundle.drawing.samplers import sampler_of
-from cspace.bundle.files import GOLDEN_FILE, SPEC_FILE, BundleFiles, read_files
-from cspace.bundle.golden import GoldenCase
-from cspace.bundle.novelty import novelty
-from cspace.bundle.request import fitted, fitted_ends, fitted_plan
-from cspace.bundle.running.chunks import Between
-from cspace.bundle.running.deadlines import RUN_LIMIT_S
-from cspace.bundle.running.graph_set import open_graphs
-from cspace.bundle.running.head import Head
-from cspace.bundle.samples import Encoding, Picture, SampleSet, require_inside
+from cspace.bundle.files import (
+    ENCODER_FILE,
+    GENERATOR_FILE,
+    GOLDEN_FILE,
+    MAP_FILE,
+    NOVELTY_FILE,
+    SPEC_FILE,
+    SUMS_FILE,
+    VALIDITY_FILE,
+    BundleFiles,
+    read_files,
+    sums_of,
+)
+from cspace.bundle.golden import GoldenCase, endpoints, scene
+from cspace.bundle.runtime import RUN_LIMIT_S, Between, open_graphs
+from cspace.bundle.samples import (
+    Encoding,
+    Picture,
+    SampleSet,
+    fitted,
+    fitted_ends,
+    fitted_plan,
+    require_inside,
+)
+from cspace.bundle.sampling import Head, sampler_of
 from cspace.bundle.spec import WAYS, BundleSpec
-from cspace.errors import BundleIntegrityError, InputError
+from cspace.errors import BundleIntegrityError, InputError, StorageError
+from cspace.files import replacing
 from cspace.plan import plan
 from cspace.query import Plan, PlanQuery, QueryOptions, SampleQuery
 from cspace.world import World
 from cspace.worlds import robot_digest
+
+QUANTILES = 101
+
+
+def novelty(scores: NDArray[np.float32], quantiles: Sequence[Sequence[float]]) -> float:
+    """The share of known pictures that are less unusual, 0 to 1; 1 beyond all of them.
+
+    Every score is ranked among those of known pictures. The highest rank counts, and as the highest of
+    several is high more often than each (Bonferroni), its distance from 1 is multiplied by their number.
+
+    Args:
+        scores: (s,), each higher for what is less usual.
+        quantiles: for each score its rising quantiles over known pictures, evenly spaced from 0 to 1.
+    """
+    ranks = [
+        float(np.interp(score, known, np.linspace(0.0, 1.0, len(known))))
+        for score, known in zip(scores.tolist(), quantiles, strict=True)
+    ]
+    return max(0.0, 1.0 - len(ranks) * (1.0 - max(ranks)))
+
+
+def quantiles_of(scores: NDArray[np.floating]) -> tuple[tuple[float, ...], ...]:
+    """Evenly spaced quantiles of (n, s) scores of known pictures, s rows of 101 values."""
+    found = np.quantile(scores.astype(np.float64), np.linspace(0.0, 1.0, QUANTILES), axis=0).T
+    return tuple(tuple(row) for row in found.tolist())
 
 
 class Bundle:
@@ -146,7 +188,7 @@ class Bundle:
     def _map_of(self, pixels: NDArray[np.float32]) -> NDArray[np.float32] | None:
         if self._map is None:
             return None
-        return self._map.run({"image": pixels}, {"map": self._map.sizes("map")})["map"]
+        return self._map.run({"image": pixels}, {"map": self._map.fixed_shape("map")})["map"]
 
     def _novelty_of(
         self, image: NDArray[np.uint8], pixels: NDArray[np.float32], mu: NDArray[np.float32]
@@ -190,7 +232,7 @@ class Bundle:
         With a confidence to reach, more are drawn and scored until ``n`` reach it, or the budget of four
         times ``n`` is spent and the answer falls short.
 
-        What is random and in which order is told in :mod:`cspace.bundle.draws`. The samples for a smaller
+        What is random and in which order is told in :mod:`cspace.bundle.sampling`. The samples for a smaller
         ``n`` are no prefix of those for a larger one.
 
         Args:
@@ -209,8 +251,8 @@ class Bundle:
         picture = self._prepared(image)
         encoded = time.perf_counter()
 
-        found = self._sampler.draw(picture, request, tell_confidence=tell_confidence, between=between)
-        samples, confidence = found.samples, found.told
+        found = self._sampler.sample(picture, request, tell_confidence=tell_confidence, between=between)
+        samples, confidence = found.samples, found.scores
         unseen = None
         if confidence is not None and confidence.ndim > 1:
             confidence, unseen = confidence.T
@@ -331,3 +373,77 @@ class Bundle:
             raise BundleIntegrityError("the golden case does not fit its bundle", got=str(error)) from error
         case.compare_encoding(encoding.mu, encoding.sigma)
         case.compare(answer.samples, answer.confidence, self.spec.world.space)
+
+
+GOLDEN_SEED = 20_240_229
+# Odd, so that it is a multiple of no usual number of samples per latent.
+GOLDEN_COUNT = 65
+GOLDEN_EPSILON = (0.0, 0.5)
+
+_GRAPH_FILES = {
+    "encoder": ENCODER_FILE,
+    "generator": GENERATOR_FILE,
+    "validity": VALIDITY_FILE,
+    "novelty": NOVELTY_FILE,
+    "map": MAP_FILE,
+}
+
+
+def write_bundle(
+    folder: Path, spec: BundleSpec, graphs: Mapping[str, bytes], golden: GoldenCase | None = None
+) -> Path:
+    """Write a bundle beside its place, load it there as any reader would, and rename it.
+
+    Args:
+        folder: where the bundle is to be; must not exist.
+        spec: its description.
+        graphs: ``encoder``, and as the description asks for ``generator``, ``validity``, ``novelty`` and
+            ``map``, to ONNX bytes.
+        golden: the golden case; computed from a fixed picture and seed when None.
+
+    Returns:
+        The folder.
+
+    Raises:
+        BundleError: the parts do not make a bundle; nothing is left behind.
+        StorageError: the folder exists or cannot be written.
+    """
+    folder = Path(folder)
+    contents = {SPEC_FILE: spec.to_json(), **_graph_files(graphs)}
+    case = golden if golden is not None else _compute_golden(folder, contents)
+    contents[GOLDEN_FILE] = case.to_npz()
+    if folder.exists():
+        raise StorageError(
+            "the bundle's folder exists", expected="a new folder", got=folder.name, remedy="choose another"
+        )
+    with replacing(folder, "the bundle") as beside:
+        beside.mkdir(parents=True)
+        for name, data in {**contents, SUMS_FILE: sums_of(contents)}.items():
+            (beside / name).write_bytes(data)
+        Bundle.load(beside)
+    return folder
+
+
+def graphs_of(folder: Path) -> dict[str, bytes]:
+    """The graphs of a bundle as :func:`write_bundle` takes them, from its folder."""
+    files = {name: folder / file for name, file in _GRAPH_FILES.items()}
+    return {name: file.read_bytes() for name, file in files.items() if file.is_file()}
+
+
+def _graph_files(graphs: Mapping[str, bytes]) -> dict[str, bytes]:
+    if not {"encoder"} <= set(graphs) <= set(_GRAPH_FILES):
+        raise BundleIntegrityError(
+            "the bundle's graphs do not fit",
+            expected="encoder and optionally generator, validity, novelty and map",
+            got=", ".join(sorted(graphs)),
+        )
+    return {_GRAPH_FILES[name]: data for name, data in graphs.items()}
+
+
+def _compute_golden(folder: Path, contents: Mapping[str, bytes]) -> GoldenCase:
+    bundle = Bundle(folder, BundleFiles(contents, digest=""))
+    image = scene(bundle.spec.world.sensor.picture_shape)
+    start, goal = endpoints(bundle.spec.endpoints, bundle.spec.world.space)
+    query = SampleQuery(GOLDEN_COUNT, GOLDEN_SEED, GOLDEN_EPSILON, start, goal, min_confidence=0.0)
+    encoding, answer = bundle.encode(image), bundle.golden_answer(image, query)
+    return GoldenCase(image, query, encoding.mu, encoding.sigma, answer.samples, answer.confidence)

@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cspace.bundle.draws import draw, propose, shares
+from cspace.bundle.sampling import propose, random_numbers, shares
 from tests.bundles import LATENT, tiny_spec
 
 
@@ -20,7 +20,7 @@ def test_samples_are_shared_equally_with_the_remainder_to_the_first(
 def test_draws_follow_the_documented_order() -> None:
     spec = tiny_spec()
     mu, sigma = np.arange(LATENT, dtype=np.float32), np.full(LATENT, 0.5, dtype=np.float32)
-    draws = draw(spec, mu, sigma, (3, 2), 11, (0.0, 2.0))
+    draws = random_numbers(spec, mu, sigma, (3, 2), 11, (0.0, 2.0))
     rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(11)))
     eta = rng.standard_normal((5, LATENT), dtype=np.float32)
     raised = np.array([0.5, 0.5, 0.5, 2.5, 2.5], dtype=np.float32)[:, None]
@@ -34,7 +34,7 @@ def test_draws_follow_the_documented_order() -> None:
 def test_surplus_samples_of_a_shares_last_latent_are_left_out() -> None:
     spec = tiny_spec(samples_per_latent=4)
     zeros = np.zeros(LATENT, dtype=np.float32)
-    kept = draw(spec, zeros, zeros, (6, 5), 0, (0.0, 1.0)).kept
+    kept = random_numbers(spec, zeros, zeros, (6, 5), 0, (0.0, 1.0)).kept
     assert kept.astype(int).tolist() == [[1, 1, 1, 1], [1, 1, 0, 0], [1, 1, 1, 1], [1, 0, 0, 0]]
 
 

@@ -5,7 +5,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cspace.bundle import Bundle
-from cspace.bundle.keeping import BUDGET, BUDGET_AT_LEAST, gather
+from cspace.bundle.sampling import BUDGET, BUDGET_AT_LEAST, rejection_sample
 from tests.bundles import picture, write_tiny_bundle
 
 Scored = tuple[NDArray[np.float32], NDArray[np.float32]]
@@ -30,7 +30,7 @@ class Source:
 
 def test_where_nearly_all_pass_one_turn_is_enough() -> None:
     source = Source(0.98)
-    kept = gather(source, [300], 0.5)
+    kept = rejection_sample(source, [300], 0.5)
     assert len(kept.samples) == 300
     assert source.turns == [[319]]
     assert 0.95 < kept.acceptance <= 1.0
@@ -38,45 +38,46 @@ def test_where_nearly_all_pass_one_turn_is_enough() -> None:
 
 def test_where_fewer_are_expected_to_pass_more_are_drawn_at_once() -> None:
     source = Source(0.9)
-    kept = gather(source, [300], 0.5, expected=0.875)
+    kept = rejection_sample(source, [300], 0.5, expected=0.875)
     assert source.turns == [[365]]
     assert len(kept.samples) == 300
 
 
 def test_every_share_is_filled_and_stays_in_its_place() -> None:
     source = Source(0.9, 0.4)
-    kept = gather(source, [100, 50], 0.5)
+    kept = rejection_sample(source, [100, 50], 0.5)
     assert kept.samples[:, 0].tolist() == [0.0] * 100 + [1.0] * 50
     # Within a share the turns follow each other.
     assert (np.diff(kept.samples[:100, 1]) >= 0).all()
     assert (np.diff(kept.samples[100:, 1]) >= 0).all()
     # A share that is full is drawn no more.
     assert source.turns[-1][0] == 0 < source.turns[-1][1]
-    assert (kept.confidence >= 0.5).all()
+    assert kept.scores is not None
+    assert (kept.scores >= 0.5).all()
 
 
 def test_the_budget_ends_a_search_in_vain() -> None:
     source = Source(0.0, 0.0)
-    kept = gather(source, [200, 100], 0.5)
+    kept = rejection_sample(source, [200, 100], 0.5)
     assert (len(kept.samples), kept.acceptance) == (0, 0.0)
     assert source.drawn == BUDGET * 300
 
 
 def test_what_was_found_within_the_budget_is_given() -> None:
     source = Source(0.1)
-    kept = gather(source, [400], 0.5)
+    kept = rejection_sample(source, [400], 0.5)
     assert 100 < len(kept.samples) < 250
     assert source.drawn == BUDGET * 400
 
 
 def test_a_handful_has_a_chance_too() -> None:
     source = Source(0.1)
-    assert len(gather(source, [3], 0.5).samples) == 3
+    assert len(rejection_sample(source, [3], 0.5).samples) == 3
     assert source.drawn <= BUDGET_AT_LEAST
 
 
 def test_a_share_of_nothing_stays_empty() -> None:
-    kept = gather(Source(0.9, 0.9, 0.9), [2, 0, 0], 0.5)
+    kept = rejection_sample(Source(0.9, 0.9, 0.9), [2, 0, 0], 0.5)
     assert kept.samples[:, 0].tolist() == [0.0, 0.0]
 
 

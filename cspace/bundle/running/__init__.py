@@ -1,1 +1,0 @@
-"""Graphs in onnxruntime: sessions, their limits of time, and batches in chunks."""

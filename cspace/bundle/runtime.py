@@ -1,0 +1,401 @@
+"""onnxruntime: sessions within limits of time and memory, and the graphs of a bundle."""
+
+import math
+import os
+import re
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Set as AbstractSet
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cspace.bundle.files import (
+    ENCODER_FILE,
+    GENERATOR_FILE,
+    MAP_FILE,
+    NOVELTY_FILE,
+    VALIDITY_FILE,
+    BundleFiles,
+)
+from cspace.bundle.spec import MAP, WAYS, BundleSpec
+from cspace.errors import BundleError, BundleIntegrityError
+
+# Of all sessions of a process together, weights aside; in a container at most this share of its limit.
+ARENA_BYTES, CONTAINER_SHARE = 512 * 2**20, 0.5
+
+_LONGEST = 300
+_NO_LIMIT = 2**60
+# The folders of a path, of whatever kind; its last part stays.
+_FOLDERS = re.compile(r"(?:[A-Za-z]:)?(?:[\w.~+-]*[/\\])+")
+
+
+@cache
+def onnx_runtime() -> Any:
+    """The module ``onnxruntime``, imported when the first graph is opened.
+
+    Its official builds report on their use to their maker from the import on. This project sends nothing
+    anywhere: the environment variable that switches it off is set, unless the user has set it.
+    """
+    os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
+    import onnxruntime  # noqa: PLC0415 - only after the variable is set
+
+    return onnxruntime
+
+
+@cache
+def share_arena() -> None:
+    """Give all sessions of this process one arena, which fails to grow beyond :data:`ARENA_BYTES`.
+
+    A run that needs more raises. Without this each session has an arena of its own that grows without an end.
+    """
+    ort, container = onnx_runtime(), container_bytes()
+    most = ARENA_BYTES if container is None else min(ARENA_BYTES, int(container * CONTAINER_SHARE))
+    place = ort.OrtMemoryInfo("Cpu", ort.OrtAllocatorType.ORT_ARENA_ALLOCATOR, 0, ort.OrtMemType.DEFAULT)
+    # Another thread, or whoever else uses onnxruntime here, may have come first.
+    with suppress(*onnx_errors()):
+        grows_as_asked = {"max_mem": most, "arena_extend_strategy": 1}
+        ort.create_and_register_allocator(place, ort.OrtArenaCfg(grows_as_asked))
+
+
+def container_bytes(root: Path = Path("/")) -> int | None:
+    """The memory limit of the control groups that this process is in; None without one.
+
+    Args:
+        root: of the file system, for tests.
+    """
+    groups, lines = root / "sys/fs/cgroup", ""
+    with suppress(OSError):
+        lines = (root / "proc/self/cgroup").read_text(encoding="utf-8")
+    files = {groups / "memory.max", groups / "memory/memory.limit_in_bytes"}
+    for line in lines.splitlines():
+        place = Path(line.rpartition(":")[2].lstrip("/"))
+        files |= {groups / each / "memory.max" for each in (place, *place.parents)}
+        files |= {groups / "memory" / each / "memory.limit_in_bytes" for each in (place, *place.parents)}
+    found = []
+    for file in files:
+        with suppress(OSError, ValueError):
+            found.append(int(file.read_text(encoding="ascii")))
+    # The first version of control groups writes no limit as nearly 2^63.
+    return min((limit for limit in found if limit < _NO_LIMIT), default=None)
+
+
+@cache
+def onnx_errors() -> tuple[type[Exception], ...]:
+    """What onnxruntime raises; its exceptions share no base below Exception."""
+    state = vars(onnx_runtime().capi.onnxruntime_pybind11_state)
+    kinds = [kind for kind in state.values() if isinstance(kind, type) and issubclass(kind, Exception)]
+    return (*kinds, RuntimeError, ValueError, MemoryError)
+
+
+def said(error: BaseException) -> str:
+    """What a library's error says, without folders of the machine and of a bounded length."""
+    text = str(error) or type(error).__name__
+    return _FOLDERS.sub("", text[: 4 * _LONGEST])[:_LONGEST]
+
+
+RUN_LIMIT_S = 30.0
+# How late a run is ended at most, about.
+TICK_S = 0.25
+
+
+class Deadlines:
+    """What has to have ended by when. The thread starts with the first entry."""
+
+    def __init__(self) -> None:
+        self._ends: dict[object, tuple[float, Callable[[], None]]] = {}
+        self._thread: threading.Thread | None = None
+        self._starting = threading.Lock()
+
+    def begin(self, key: object, limit_s: float, end: Callable[[], None]) -> None:
+        """Call ``end`` once ``limit_s`` have passed, unless :meth:`done` was called before.
+
+        Args:
+            key: of this entry, and of no other at the same time.
+            limit_s: above 0.
+            end: quick, and must not raise; called in another thread.
+        """
+        self._ends[key] = (time.monotonic() + limit_s, end)
+        thread = self._thread
+        # Not alive in a child process, which has inherited all but the thread.
+        if thread is None or not thread.is_alive():
+            self._start()
+
+    def done(self, key: object) -> None:
+        """The entry has ended by itself, or was ended."""
+        self._ends.pop(key, None)
+
+    @contextmanager
+    def ended_by(self, limit_s: float, end: Callable[[], None]) -> Iterator[None]:
+        """The same round a block."""
+        key = object()
+        self.begin(key, limit_s, end)
+        try:
+            yield
+        finally:
+            self.done(key)
+
+    def _start(self) -> None:
+        with self._starting:
+            if self._thread is None or not self._thread.is_alive():
+                self._thread = threading.Thread(target=self._watch, name="bundle-deadlines", daemon=True)
+                self._thread.start()
+
+    def _watch(self) -> None:
+        while True:
+            time.sleep(TICK_S)
+            now = time.monotonic()
+            # A copy in one step, for runs come and go meanwhile.
+            for key, (deadline, end) in list(self._ends.items()):
+                if now >= deadline:
+                    self.done(key)
+                    end()
+
+
+DEADLINES = Deadlines()
+
+
+# Bound the memory and the time of one call; fixed sizes, so that they can not move a result. What one call
+# of a path sampler draws comes in the order of the way, so it is drawn in larger parts.
+CHUNK_ROWS, PATH_CHUNK_ROWS = 512, 4096
+
+# May raise to stop the work.
+Between = Callable[[], None]
+
+
+def chunked(
+    run: Callable[[slice], NDArray[np.float32]],
+    rows: int,
+    between: Between | None,
+    chunk_rows: int = CHUNK_ROWS,
+) -> NDArray[np.float32]:
+    """What ``run`` gives for all rows, in their order.
+
+    Args:
+        run: called with the rows of each part.
+        rows: at least 1.
+        between: called between two parts; what it raises passes through.
+        chunk_rows: of each part but the last.
+    """
+    parts = []
+    for at in range(0, rows, chunk_rows):
+        if at and between is not None:
+            between()
+        parts.append(run(slice(at, at + chunk_rows)))
+    return np.concatenate(parts)
+
+
+# A picture's map is computed once and kept with it.
+MAX_OUTPUT_ELEMENTS = 2**20
+_FATAL = 4
+# What the arena says when it may not grow.
+_FULL = "Available memory of"
+
+
+class Graph:
+    """One opened graph with fixed names.
+
+    Args:
+        name: the file's name, for messages.
+        model: the file's bytes, which have been checked.
+        inputs: the names that it must take, no more and no fewer.
+        outputs: the names that it must give.
+        run_limit_s: how long opening it and a run may take.
+        optional: names of inputs that it may take, too.
+
+    Raises:
+        BundleIntegrityError: onnxruntime does not open it, or it has other names.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        model: bytes,
+        inputs: set[str],
+        outputs: set[str],
+        run_limit_s: float = RUN_LIMIT_S,
+        optional: AbstractSet[str] = frozenset(),
+    ) -> None:
+        self._name, self._limit_s = name, run_limit_s
+        self._new_run = onnx_runtime().RunOptions
+        share_arena()
+        self._session = self._opened(model, _options())
+        self.inputs = {node.name for node in self._session.get_inputs()}
+        self._shapes = {node.name: node.shape for node in self._session.get_outputs()}
+        self.outputs = set(self._shapes)
+        if self.inputs - optional != inputs - optional or not outputs <= self.outputs:
+            raise BundleIntegrityError(
+                f"{name} has other inputs or outputs",
+                expected=f"{sorted(inputs)} -> {sorted(outputs)}",
+                got=f"{sorted(self.inputs)} -> {sorted(self.outputs)}"[:500],
+            )
+
+    def fixed_shape(self, output: str) -> tuple[int, ...]:
+        """The shape of an output that is the same for every feed.
+
+        Raises:
+            BundleIntegrityError: it depends on what is fed, or is too large to be kept.
+        """
+        found = self._shapes[output]
+        is_fixed = all(isinstance(size, int) and size >= 0 for size in found)
+        if not is_fixed or math.prod(found) > MAX_OUTPUT_ELEMENTS:
+            raise BundleIntegrityError(
+                f"{self._name}: the shape of {output} is not fixed",
+                expected=f"numbers, at most {MAX_OUTPUT_ELEMENTS} elements",
+                got=str(found)[:200],
+            )
+        return tuple(found)
+
+    def run(
+        self, feeds: Mapping[str, NDArray[np.float32]], outputs: Mapping[str, tuple[int, ...]]
+    ) -> dict[str, NDArray[np.float32]]:
+        """Evaluate the graph.
+
+        Args:
+            feeds: input name to array.
+            outputs: output name to the shape that it must have.
+
+        Returns:
+            Output name to float32 array.
+
+        Raises:
+            BundleError: the graph fails, does not end, or needs more memory than all graphs may have; or an
+                output has another shape or is not finite.
+        """
+        try:
+            found = self._run(list(outputs), dict(feeds), self._new_run())
+        except onnx_errors() as error:
+            if _FULL not in str(error):
+                raise BundleError(f"{self._name} failed", got=said(error)) from error
+            # A run with this option gives back at its end what earlier runs left in pieces, failed or not.
+            again = self._new_run()
+            again.add_run_config_entry("memory.enable_memory_arena_shrinkage", "cpu:0")
+            try:
+                found = self._run(list(outputs), dict(feeds), again)
+            except onnx_errors() as second:
+                raise BundleError(f"{self._name} failed", got=said(second)) from second
+        return {
+            name: self._checked(name, array, shape)
+            for (name, shape), array in zip(outputs.items(), found, strict=True)
+        }
+
+    def _run(self, outputs: list[str], feeds: dict[str, NDArray[np.float32]], options: Any) -> Any:
+        def end() -> None:
+            options.terminate = True
+
+        DEADLINES.begin(options, self._limit_s, end)
+        try:
+            return self._session.run(outputs, feeds, options)
+        except onnx_errors() as error:
+            if not options.terminate:
+                raise
+            raise BundleError(
+                f"{self._name} did not end in time",
+                expected=f"an answer within {self._limit_s:g} s",
+                remedy="ask for fewer samples, or export a graph that computes less",
+            ) from error
+        finally:
+            DEADLINES.done(options)
+
+    def _opened(self, model: bytes, options: Any) -> Any:
+        """A session; between two of its steps, opening one is ended like a run."""
+        cancel = options.set_load_cancellation_flag
+        try:
+            with DEADLINES.ended_by(self._limit_s, lambda: cancel(True)):  # noqa: FBT003 - the library's way
+                return onnx_runtime().InferenceSession(model, options, providers=["CPUExecutionProvider"])
+        except onnx_errors() as error:
+            raise BundleIntegrityError(
+                f"{self._name} cannot be opened", expected="an ONNX graph", got=said(error)
+            ) from error
+
+    def _checked(self, name: str, array: Any, shape: tuple[int, ...]) -> NDArray[np.float32]:
+        result = np.asarray(array)
+        if result.shape != shape or result.dtype != np.float32:
+            raise BundleError(
+                f"{self._name}: {name} does not fit",
+                expected=f"float32 {shape}",
+                got=f"{result.dtype} {result.shape}",
+            )
+        if not np.all(np.isfinite(result)):
+            raise BundleError(f"{self._name}: {name} is not finite", expected="finite numbers")
+        return result
+
+
+def _options() -> Any:
+    ort = onnx_runtime()
+    options = ort.SessionOptions()
+    options.intra_op_num_threads = 1
+    options.inter_op_num_threads = 1
+    options.execution_mode = ort.ExecutionMode.ORT_SEQUENTIAL
+    options.use_deterministic_compute = True
+    # Never guessed from the bytes: files of the library's own format would pass by the check.
+    options.add_session_config_entry("session.load_model_format", "ONNX")
+    # All sessions of the process take their memory from one arena of a bounded size.
+    options.add_session_config_entry("session.use_env_allocators", "1")
+    options.add_session_config_entry("session.use_device_allocator_for_initializers", "1")
+    # What fails is raised; the library's own lines on stderr would say it twice.
+    options.log_severity_level = _FATAL
+    return options
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GraphSet:
+    """The graphs; None for what a bundle is without."""
+
+    encoder: Graph
+    generator: Graph | None
+    validity: Graph | None
+    novelty: Graph | None
+    map: Graph | None
+
+
+def open_graphs(spec: BundleSpec, files: BundleFiles, run_limit_s: float) -> GraphSet:
+    """Open them.
+
+    Args:
+        spec: what they have to fit.
+        files: their bytes.
+        run_limit_s: how long one run of one graph may take.
+
+    Raises:
+        BundleIntegrityError: one does not fit, is missing, or is more than the description says.
+    """
+
+    def opened(
+        name: str,
+        inputs: set[str],
+        outputs: set[str],
+        optional: frozenset[str] = frozenset(),
+    ) -> Graph | None:
+        model = files.contents.get(name)
+        return None if model is None else Graph(name, model, inputs, outputs, run_limit_s, optional)
+
+    drawn = {item.name for item in spec.random_inputs}
+    encoder = Graph(ENCODER_FILE, files.contents[ENCODER_FILE], {"image"}, {"mu", "sigma"}, run_limit_s)
+    seen = opened(MAP_FILE, {"image"}, {"map"})
+    if seen is not None:
+        seen.fixed_shape("map")
+    optional = frozenset[str]() if seen is None else frozenset({MAP})
+    generator = opened(GENERATOR_FILE, {"latent", *drawn, *spec.conditions}, {"samples"})
+    _check_whole(GENERATOR_FILE, generator, "a model kind that has one", described=spec.model_kind != WAYS)
+    validity = opened(VALIDITY_FILE, {"image", "configurations"}, {"confidence"}, optional)
+    looked_at = spec.looks_at_map or (validity is not None and MAP in validity.inputs)
+    _check_whole(MAP_FILE, seen, "the condition map", described=looked_at)
+    scores = opened(NOVELTY_FILE, {"image", "mu"}, {"scores"})
+    _check_whole(NOVELTY_FILE, scores, "novelty_quantiles", described=spec.novelty_quantiles is not None)
+    return GraphSet(encoder, generator, validity, scores, seen)
+
+
+def _check_whole(name: str, graph: Graph | None, beside: str, *, described: bool) -> None:
+    if (graph is None) == described:
+        raise BundleIntegrityError(
+            f"the bundle's {name} and its description do not fit",
+            expected=f"{name} and {beside}, or neither",
+            got="one of them",
+        )

@@ -1,0 +1,478 @@
+"""Samples for a request: a seed's random numbers, rejection sampling, and the two samplers.
+
+What is random comes from one generator in one fixed order, which decides what a seed means:
+
+1. ``rng = Generator(PCG64(SeedSequence(seed)))``; for a further turn, which samples what the ones before left
+   missing or put outside the robot's limits, ``SeedSequence(seed, spawn_key=(turn,))`` with turn = 1, 2, ...
+2. eta, standard normal float32 (m, L), for all m latents of the request at once.
+3. Every random input of the description in its order there, float32 (m, *shape), for all latents at once:
+   standard normal, or low + (high - low) * u with u uniform in [0, 1).
+
+The latents of the first value of the epsilon schedule come first, then those of the second, and so on; each
+value gets ceil(share / K) of them, and the last one's surplus samples are left out. Of the proposals of a
+request that filters the description's ``uniform_share`` is uniform over the joint space instead of generated,
+by a generator of its own: ``SeedSequence(seed, spawn_key=(turn, 1))``, first u uniform in [0, 1) for every
+sample, uniform where u < share, then d angles for each of these. With a share of 1 there is no u, and nothing
+of 2 and 3.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cspace.bundle.runtime import CHUNK_ROWS, PATH_CHUNK_ROWS, Between, Graph, chunked
+from cspace.bundle.samples import FittedQuery, Picture, Sampled, fitted_ends
+from cspace.bundle.spec import MAP, PICTURE, BundleSpec, RandomInput
+from cspace.errors import BundleError, BundleIntegrityError
+from cspace.plan import Seen, search_paths
+from cspace.planning.paths import AlongPaths
+from cspace.query import DEFAULT_WAYS
+from cspace.space import JointSpace
+
+CONFIDENCE, UNSEEN = "confidence", "unseen"
+# A head that reads arrays of space at hundreds of spheres a configuration is quickest while what it computes
+# in between fits into a core's own cache: by 64 rows it takes 0.85 of the time that it takes by 512.
+CACHED_ROWS = 64
+
+
+class Head:
+    """A bundle's validity head: its graph, asked about many configurations."""
+
+    def __init__(self, graph: Graph) -> None:
+        self._graph = graph
+        self.tells_unseen, self.looks_at_map = UNSEEN in graph.outputs, MAP in graph.inputs
+        self._outputs = (CONFIDENCE, UNSEEN) if self.tells_unseen else (CONFIDENCE,)
+
+    def scores(
+        self, picture: Picture, configurations: NDArray[np.float32], between: Between | None
+    ) -> NDArray[np.float32]:
+        """Confidence in (n, d) rad, (n,), or (n, 2) with the unseen share where the head gives that.
+
+        Raises:
+            BundleError: the graph fails, or gives what is no probability.
+        """
+        fixed = {"image": picture.pixels}
+        if picture.map is not None and self.looks_at_map:
+            fixed[MAP] = picture.map
+
+        def score(part: NDArray[np.float32]) -> NDArray[np.float32]:
+            shapes = dict.fromkeys(self._outputs, (len(part),))
+            found = self._graph.run(fixed | {"configurations": part}, shapes)
+            return np.stack([found[name] for name in self._outputs], axis=1)
+
+        def run(rows: slice) -> NDArray[np.float32]:
+            part = configurations[rows]
+            if not self.tells_unseen:
+                return score(part)[:, 0]
+            parts = []
+            for first in range(0, len(part), CACHED_ROWS):
+                parts.append(score(part[first : first + CACHED_ROWS]))
+                if between is not None:
+                    between()
+            return np.concatenate(parts)
+
+        found = chunked(run, len(configurations), between)
+        if np.any((found < 0.0) | (found > 1.0)):
+            raise BundleError("the validity head gives no probabilities", expected="values from 0 to 1")
+        return found
+
+    def believe(
+        self, picture: Picture, configurations: NDArray[np.float32], between: Between | None
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
+        """The confidence, and the unseen share; None where the head does not give that."""
+        found = self.scores(picture, configurations, between)
+        return (found[:, 0], found[:, 1]) if self.tells_unseen else (found, None)
+
+    def seen(self, spec: BundleSpec, picture: Picture, between: Between | None) -> Seen:
+        """A picture of the bundle's as the search for paths takes it."""
+        return Seen(
+            spec.world,
+            spec.world.sensor.from_network(picture.pixels)[0],
+            lambda rows: self.believe(picture, rows, between),
+            spec.plan_doubt or (0.0, 1.0),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class RandomNumbers:
+    """The random part of one request.
+
+    Args:
+        latents: z = mu + (sigma + epsilon) * eta, float32 (m, L).
+        random_inputs: name to float32 (m, *shape).
+        kept: bool (m, K), which samples of each latent belong to the answer.
+    """
+
+    latents: NDArray[np.float32]
+    random_inputs: dict[str, NDArray[np.float32]]
+    kept: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Proposals:
+    """Which samples of a turn are uniform, and these.
+
+    Args:
+        learned: how many the generator has to draw for each value of the schedule.
+        uniform: bool (m,), the samples in their order.
+        angles: float32 (u, d) rad, the uniform ones.
+    """
+
+    learned: list[int]
+    uniform: NDArray[np.bool_]
+    angles: NDArray[np.float32]
+
+    def mixed_with(self, learned: NDArray[np.float32] | None) -> NDArray[np.float32]:
+        """All samples (m, d) in their order, from (m - u, d) generated ones; None for none."""
+        if learned is None and len(self.angles) == len(self.uniform):
+            return self.angles
+        mixed = np.empty((len(self.uniform), self.angles.shape[1]), dtype=np.float32)
+        mixed[self.uniform] = self.angles
+        if learned is not None:
+            mixed[~self.uniform] = learned
+        return mixed
+
+
+def propose(spec: BundleSpec, counts: Sequence[int], seed: int, turn: int) -> Proposals:
+    """The uniform samples of one turn of a request that filters.
+
+    Args:
+        spec: the share and the joint space.
+        counts: samples for each value of the schedule.
+        seed: unsigned 64 bit.
+        turn: 0 for the first.
+    """
+    total, space = sum(counts), spec.world.space
+    if spec.uniform_share == 0.0:
+        nothing = np.empty((0, spec.dim), dtype=np.float32)
+        return Proposals(list(counts), np.zeros(total, dtype=np.bool_), nothing)
+    rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=(turn, 1))))
+    if spec.uniform_share == 1.0:
+        angles = space.to_float32(space.sample_uniform(rng, total))
+        return Proposals([0] * len(counts), np.ones(total, dtype=np.bool_), angles)
+    uniform = rng.random(total) < spec.uniform_share
+    angles = space.to_float32(space.sample_uniform(rng, int(uniform.sum())))
+    by_value = np.split(uniform, np.cumsum(counts)[:-1])
+    return Proposals([len(part) - int(part.sum()) for part in by_value], uniform, angles)
+
+
+def shares(count: int, parts: int) -> list[int]:
+    """``count`` split into equal parts, the remainder to the first."""
+    share = count // parts
+    return [share + count % parts, *[share] * (parts - 1)]
+
+
+def random_numbers(
+    spec: BundleSpec,
+    mu: NDArray[np.float32],
+    sigma: NDArray[np.float32],
+    counts: Sequence[int],
+    seed: int,
+    epsilon_sigma: Sequence[float],
+    turn: int = 0,
+) -> RandomNumbers:
+    """Everything random in one turn of a request.
+
+    Args:
+        spec: names, shapes and distributions.
+        mu: (L,) the encoder's mean.
+        sigma: (L,) its standard deviation.
+        counts: samples for each value of ``epsilon_sigma``.
+        seed: unsigned 64 bit.
+        epsilon_sigma: what sigma is raised by, one or more values.
+        turn: 0 for the first.
+    """
+    per_latent = spec.samples_per_latent
+    epsilons: list[NDArray[np.float32]] = []
+    kept: list[NDArray[np.bool_]] = []
+    for epsilon, share in zip(epsilon_sigma, counts, strict=True):
+        latents = -(-share // per_latent)
+        epsilons.append(np.full(latents, epsilon, dtype=np.float32))
+        kept.append((np.arange(latents * per_latent) < share).reshape(latents, per_latent))
+    deviation = sigma + np.concatenate(epsilons)[:, None]
+    source = np.random.SeedSequence(seed, spawn_key=(turn,) if turn else ())
+    rng = np.random.Generator(np.random.PCG64(source))
+    eta = rng.standard_normal(deviation.shape, dtype=np.float32)
+    inputs = {item.name: _random_input(rng, item, len(eta)) for item in spec.random_inputs}
+    return RandomNumbers(mu + deviation * eta, inputs, np.concatenate(kept))
+
+
+def _random_input(rng: np.random.Generator, item: RandomInput, count: int) -> NDArray[np.float32]:
+    shape = (count, *item.shape)
+    if item.low is None or item.high is None:
+        return rng.standard_normal(shape, dtype=np.float32)
+    low, high = np.float32(item.low), np.float32(item.high)
+    return low + (high - low) * rng.random(shape, dtype=np.float32)
+
+
+# The first turn proposes so much more than is expected to be enough.
+EXTRA = 1 / 16
+# Of the samples asked for; a few more, so that a handful has a chance, too.
+BUDGET, BUDGET_AT_LEAST = 4, 64
+# A turn never expects less to pass, for a share of nothing would ask for everything.
+LEAST_SHARE = 0.1
+
+Propose = Callable[[Sequence[int], int], tuple[NDArray[np.float32], NDArray[np.float32]]]
+
+
+def rejection_sample(
+    propose_scored: Propose,
+    shares: Sequence[int],
+    threshold: float,
+    expected: float = 1.0,
+    between: Callable[[], None] | None = None,
+) -> Sampled:
+    """As many samples of each share as are wanted, or as many as the budget finds.
+
+    Further turns propose what is missing by the share that passed so far. Surplus samples are left out from
+    the end, so what is accepted does not depend on its score beyond having reached the threshold.
+
+    Args:
+        propose_scored: counts by share and the turn's number to samples (m, d), those of the first share
+            first, and their confidence (m,), or (m, k) with other columns behind it.
+        shares: how many are wanted of each.
+        threshold: the least confidence, 0 to 1.
+        expected: share that is likely to pass, above 0 to 1; a further turn costs more than a few too many.
+        between: called between two turns; what it raises passes through.
+    """
+    left = max(BUDGET * sum(shares), BUDGET_AT_LEAST)
+    found: list[tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.intp]]] = []
+    missing = np.asarray(shares)
+    drawn = passed = turn = 0
+    wanted = [math.ceil(share * (1 + EXTRA) / expected) for share in shares]
+    while True:
+        if turn and between is not None:
+            between()
+        counts = _within(wanted, left)
+        samples, confidence = propose_scored(counts, turn)
+        good = (confidence if confidence.ndim == 1 else confidence[:, 0]) >= np.float32(threshold)
+        if turn == 0 and len(shares) == 1:
+            # Nearly every request ends here, and the arrays below would cost it a tenth of a millisecond.
+            kept = np.flatnonzero(good)
+            if len(kept) >= shares[0]:
+                first = kept[: shares[0]]
+                return Sampled(samples[first], confidence[first], len(kept) / len(samples))
+        belongs = np.repeat(np.arange(len(counts)), counts)
+        found.append((samples[good], confidence[good], belongs[good]))
+        left, drawn, passed, turn = (
+            left - len(samples),
+            drawn + len(samples),
+            passed + int(good.sum()),
+            turn + 1,
+        )
+        missing = np.maximum(missing - np.bincount(belongs[good], minlength=len(counts)), 0)
+        if not missing.any() or left < 1:
+            break
+        passing = max(passed / drawn, LEAST_SHARE)
+        wanted = [math.ceil(share * (1 + EXTRA) / passing) for share in missing.tolist()]
+    samples, confidence, belongs = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    kept = np.concatenate([np.flatnonzero(belongs == share)[:count] for share, count in enumerate(shares)])
+    return Sampled(samples[kept], confidence[kept], passed / drawn)
+
+
+def _within(wanted: Sequence[int], left: int) -> list[int]:
+    """The counts, cut where the budget ends."""
+    cut = []
+    for count in wanted:
+        cut.append(min(count, max(left, 0)))
+        left -= count
+    return cut
+
+
+# Samples about a path are close to contact where it matters, and a further turn costs a further search.
+PATHS_PASS = 0.75
+
+
+class GeneratorSampler:
+    """Samples of a generator's graph, filtered by rejection sampling where a confidence is to be reached.
+
+    The graph may have been trained for wider limits than the description's: what it puts outside the robot's
+    limits is rejected, and sampled again.
+
+    Args:
+        spec: of the bundle.
+        generator: its graph.
+        head: that scores; None for a bundle without.
+    """
+
+    def __init__(self, spec: BundleSpec, generator: Graph, head: Head | None) -> None:
+        self._spec, self._generator, self._head = spec, generator, head
+
+    def sample(
+        self, picture: Picture, request: FittedQuery, *, tell_confidence: bool, between: Between | None
+    ) -> Sampled:
+        """Samples for a picture; the same request gives bit-equal ones on one machine.
+
+        Args:
+            picture: that the bundle has prepared.
+            request: fitted to the bundle.
+            tell_confidence: whether samples are scored that are not filtered; the samples are the same.
+            between: called now and then in a large request; may raise to stop it, which passes through.
+
+        Raises:
+            BundleError: a graph fails.
+        """
+        spec, head, space = self._spec, self._head, self._spec.world.space
+
+        def drawn(counts: Sequence[int], turn: int) -> NDArray[np.float32]:
+            mu, sigma = picture.encoding.mu, picture.encoding.sigma
+            draws = random_numbers(spec, mu, sigma, counts, request.seed, request.epsilon_sigma, turn)
+            return self._generate(draws, request, picture, between)
+
+        wanted = shares(request.n, len(request.epsilon_sigma))
+        if head is None or not request.min_confidence:
+            samples = space.to_float32(_inside(drawn, wanted, space, between))
+            scores = head.scores(picture, samples, between) if head is not None and tell_confidence else None
+            return Sampled(samples, scores)
+
+        def proposed(counts: Sequence[int], turn: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+            proposals = propose(spec, counts, request.seed, turn)
+            learned = drawn(proposals.learned, turn) if any(proposals.learned) else None
+            rows = proposals.mixed_with(learned)
+            samples, inside = space.to_float32(rows), space.keeps_pose(rows)
+            # What lies outside reaches no confidence, and is not scored.
+            scores = np.full((len(rows), 1 + head.tells_unseen), -1.0, dtype=np.float32)
+            if inside.any():
+                found = head.scores(picture, samples[inside], between)
+                scores[inside] = found.reshape(len(found), -1)
+            return samples, scores if head.tells_unseen else scores[:, 0]
+
+        return rejection_sample(proposed, wanted, request.min_confidence, expected_share(spec), between)
+
+    def _generate(
+        self, draws: RandomNumbers, request: FittedQuery, picture: Picture, between: Between | None
+    ) -> NDArray[np.float32]:
+        spec = self._spec
+        seen = {PICTURE: picture.pixels} if spec.looks_at_picture else {}
+        seen |= {MAP: picture.map} if spec.looks_at_map and picture.map is not None else {}
+        fixed = {
+            name: np.asarray(point, dtype=np.float32)
+            for name, point in (("start", request.start), ("goal", request.goal))
+            if point is not None
+        }
+
+        def run(rows: slice) -> NDArray[np.float32]:
+            latents = draws.latents[rows]
+            feeds = {"latent": latents, **{name: array[rows] for name, array in draws.random_inputs.items()}}
+            feeds |= {name: np.tile(point, (len(latents), 1)) for name, point in fixed.items()} | seen
+            shape = (len(latents), spec.samples_per_latent, spec.dim)
+            return self._generator.run(feeds, {"samples": shape})["samples"]
+
+        chunk_rows = PATH_CHUNK_ROWS if spec.kind == "path" else CHUNK_ROWS
+        return chunked(run, len(draws.latents), between, chunk_rows)[draws.kept]
+
+
+def _inside(
+    draw_rows: Callable[[Sequence[int], int], NDArray[np.float32]],
+    wanted: Sequence[int],
+    space: JointSpace,
+    between: Between | None,
+) -> NDArray[np.float32]:
+    """Rows (n, d) of a first turn, where further ones replace what that puts outside the limits.
+
+    What the budget of :func:`rejection_sample` does not replace stays, for the limits to bound.
+    """
+    rows = draw_rows(wanted, 0)
+    inside = space.keeps_pose(rows)
+    if inside.all():
+        return rows
+
+    def again(counts: Sequence[int], turn: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        more = draw_rows(counts, turn + 1)
+        return more, space.keeps_pose(more).astype(np.float32)
+
+    belongs = np.repeat(np.arange(len(wanted)), wanted)
+    missing = np.bincount(belongs[~inside], minlength=len(wanted)).tolist()
+    found = rejection_sample(again, missing, 1.0, max(float(inside.mean()), LEAST_SHARE), between).samples
+    rows[np.flatnonzero(~inside)[: len(found)]] = found
+    return rows
+
+
+def expected_share(spec: BundleSpec) -> float:
+    """Share of a first turn's proposals that is likely to pass."""
+    if spec.kind == "path":
+        return PATHS_PASS
+    if spec.passing_share is not None:
+        return spec.passing_share
+    # Of a free-space generator's samples nearly all pass, of uniform ones about every second.
+    return 1.0 - spec.uniform_share / 2.0
+
+
+# On the best path most configurations are likely enough to be free, about it fewer.
+_PASS = 0.75
+
+
+class PathSampler:
+    """Samples along paths from start to goal that are searched for through what a picture shows.
+
+    Nothing is trained on paths: of several paths the head predicts which are most likely free, and the
+    samples lie along them in order, with a confidence to reach those alone that reach it. The latent and
+    ``epsilon_sigma`` are not used. A picture through which no path is found gives no samples.
+
+    Args:
+        spec: of the bundle.
+        head: that chooses among paths and scores.
+    """
+
+    def __init__(self, spec: BundleSpec, head: Head) -> None:
+        self._spec, self._head = spec, head
+
+    def sample(
+        self, picture: Picture, request: FittedQuery, *, tell_confidence: bool, between: Between | None
+    ) -> Sampled:
+        """As :meth:`GeneratorSampler.sample`; no time ends the search, its effort does.
+
+        Raises:
+            ImportError: the compiler of the checks is not installed.
+        """
+        spec, head, space = self._spec, self._head, self._spec.world.space
+        ends = fitted_ends(spec, request.start or (), request.goal or ())
+        paths = search_paths(
+            head.seen(spec, picture, between), ends, DEFAULT_WAYS, request.seed, between=between
+        )
+        if not paths.ways:
+            none = np.empty((0, 2) if head.tells_unseen else 0, dtype=np.float32)
+            rows = space.to_float32(np.empty((0, space.dim)))
+            return Sampled(rows, none, ways=np.empty(0, dtype=np.int64))
+        along = AlongPaths([one.way for one in paths.ways], space, np.random.default_rng([request.seed, 1]))
+
+        def proposed(counts: Sequence[int], turn: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+            del turn
+            rows, numbers = along.take(sum(counts))
+            samples = space.to_float32(rows)
+            columns = [numbers.astype(np.float32)[:, None]]
+            if request.min_confidence or tell_confidence:
+                scores = head.scores(picture, samples, between)
+                columns.insert(0, scores.reshape(len(scores), -1))
+            return samples, np.concatenate(columns, axis=1)
+
+        if request.min_confidence:
+            found = rejection_sample(proposed, [request.n], request.min_confidence, _PASS, between)
+        else:
+            found = Sampled(*proposed([request.n], 0))
+        columns = np.empty((0, 1), dtype=np.float32) if found.scores is None else found.scores
+        scores, numbers = columns[:, :-1], columns[:, -1].astype(np.int64)
+        if not scores.shape[1]:
+            return Sampled(found.samples, None, found.acceptance, numbers)
+        scores = scores if head.tells_unseen else scores[:, 0]
+        return Sampled(found.samples, scores, found.acceptance, numbers)
+
+
+def sampler_of(
+    spec: BundleSpec, generator: Graph | None, head: Head | None
+) -> GeneratorSampler | PathSampler:
+    """The sampler of a bundle.
+
+    Raises:
+        BundleIntegrityError: samples lie along paths, and there is no head to choose among these.
+    """
+    if generator is not None:
+        return GeneratorSampler(spec, generator, head)
+    if head is None:
+        raise BundleIntegrityError(
+            "a bundle of paths has no validity head", expected="validity.onnx", got="none"
+        )
+    return PathSampler(spec, head)
