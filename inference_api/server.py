@@ -43,6 +43,9 @@ _READ_BYTES_PER_S = 64 * 1024
 # Open files beside connections: the log, the event loop, pipes to processes, models that are read.
 _OTHER_FILES = 64
 _LOG = logging.getLogger(__name__)
+# Of uvicorn's protocol, which warns of what is no HTTP; that has its line as a request.
+_PROTOCOL_LOG = logging.getLogger(f"{__name__}.protocol")
+_PROTOCOL_LOG.setLevel(logging.ERROR)
 
 
 def _is_no_cancellation(record: logging.LogRecord) -> bool:
@@ -50,7 +53,7 @@ def _is_no_cancellation(record: logging.LogRecord) -> bool:
     return not (record.exc_info and isinstance(record.exc_info[1], asyncio.CancelledError))
 
 
-_LOG.addFilter(_is_no_cancellation)
+_PROTOCOL_LOG.addFilter(_is_no_cancellation)
 
 
 class ApiConfig(uvicorn.Config):
@@ -127,7 +130,7 @@ class BoundedProtocol(H11Protocol):
 
     def __init__(self, *arguments: Any, **options: Any) -> None:
         super().__init__(*arguments, **options)
-        self.logger = _LOG
+        self.logger = _PROTOCOL_LOG
         self.address = "unknown"
         self.waiting_since = self.loop.time()
         self._head_timer: asyncio.TimerHandle | None = None

@@ -26,6 +26,8 @@ START_S = 60.0
 # Beyond what the worker holds with its libraries imported; in a container at most this share of its limit.
 MEMORY_BYTES, CONTAINER_SHARE = 2**30, 0.25
 OPEN_FILES = 64
+# The worker's exit status where a library is missing, whose name it prints.
+_NOT_INSTALLED = 3
 MAX_ANSWER_BYTES = 64 * 2**10
 _ERRORS = {kind.__name__: kind for kind in (BundleError, BundleIntegrityError, GoldenMismatchError)}
 _FIELDS = ("what", "expected", "got", "remedy")
@@ -91,6 +93,11 @@ def load_verified(folder: Path, digest: str | None = None) -> Bundle:
 
 def _result(status: int, answer: bytes, limit_s: float) -> str:
     lines = answer.splitlines()
+    if status == _NOT_INSTALLED:
+        package = answer.decode()
+        raise ServiceError(
+            "the bundle cannot be verified", got=f"no package {package}", remedy=f"pip install {package}"
+        )
     if not lines:
         raise _not_verified(f"its process ended with {status} before it began")
     found: dict[str, Any] = json.loads(lines[-1]) if len(lines) > 1 else {}
@@ -151,9 +158,13 @@ def _main(folder: str, digest: str, limit_s: str) -> NoReturn:
     answers = os.dup(sys.stdout.fileno())
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
     Thread(target=_end_with_parent, daemon=True).start()
-    import cspace.bundle.graph_check  # noqa: F401, PLC0415 - before the memory is bounded
+    try:
+        import cspace.bundle.graph_check  # noqa: F401, PLC0415 - before the memory is bounded
 
-    onnx_runtime()
+        onnx_runtime()
+    except ImportError as error:
+        os.write(answers, str(error.name).encode())
+        os._exit(_NOT_INSTALLED)
     os.write(answers, b"started\n")
     _limit_resources(float(limit_s))
     found: dict[str, str | None]

@@ -1,6 +1,7 @@
 """The client in an environment that holds it, OMPL, and nothing else of the project."""
 
 import json
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -74,9 +75,12 @@ except LocalError as error:
 
 
 def test_a_bundle_is_read_where_the_project_and_a_runtime_are_beside_it(tmp_path: Path) -> None:
-    """As docs/client.md installs it, but for the project's sources, which stay where they are."""
-    packages = "--editable", str(ROOT), f"{ROOT}/clients/python[local]"
-    python = environment(tmp_path / "environment", *packages)
+    """As docs/client.md installs it, from a copy: pip leaves files where it builds."""
+    for name in ("cspace", "inference_api", "services", "training"):
+        shutil.copytree(ROOT / name, tmp_path / "sources" / name)
+    for name in ("LICENSE", "README.md", "pyproject.toml"):
+        shutil.copy(ROOT / name, tmp_path / "sources")
+    python = environment(tmp_path / "environment", str(tmp_path / "sources"), f"{ROOT}/clients/python[local]")
     code = f"""
 import pathlib
 from cspace_client.local import LocalClient

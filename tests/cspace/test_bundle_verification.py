@@ -103,6 +103,15 @@ def test_a_worker_knows_no_password(folder: Path, monkeypatch: pytest.MonkeyPatc
     assert "secret" not in seen.values()
 
 
+def test_a_library_that_is_missing_is_named(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "onnx.py").write_text("raise ModuleNotFoundError(name='onnx')")
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(ServiceError, match="no package onnx; pip install onnx"):
+        verify(folder)
+
+
 def test_a_worker_that_does_not_start_says_nothing_of_the_bundle(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
