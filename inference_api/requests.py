@@ -37,6 +37,8 @@ from inference_api.telemetry import Metrics
 from services.registry.references import ModelReference
 
 NPY = "application/x-npy"
+# A request that waits or computes for so long is ended where its client goes away.
+WATCH_AFTER_S = 0.1
 MAX_CONTENT_TYPE = 500
 # Commas, colons and opening brackets of a JSON text: what it holds takes up to 100 bytes each.
 MAX_MARKS = 100_000
@@ -125,7 +127,11 @@ Serving = Annotated[Service, Depends(get_service)]
 
 
 def _watch(request: Request, leave: Callable[[], None]) -> Callable[[], None]:
-    """Has ``leave`` called when the client goes away; what is returned ends that."""
+    """Has ``leave`` called when the client goes away; what is returned ends that.
+
+    It looks after :data:`WATCH_AFTER_S`, for most requests are answered before that and a task costs time.
+    """
+    waiting: asyncio.Task[None] | None = None
 
     async def wait() -> None:
         # The body has been read, so that nothing else can come.
@@ -133,10 +139,16 @@ def _watch(request: Request, leave: Callable[[], None]) -> Callable[[], None]:
             pass
         leave()
 
-    waiting = asyncio.ensure_future(wait())
+    def begin() -> None:
+        nonlocal waiting
+        waiting = asyncio.ensure_future(wait())
+
+    timer = asyncio.get_running_loop().call_later(WATCH_AFTER_S, begin)
 
     def end() -> None:
-        waiting.cancel()
+        timer.cancel()
+        if waiting is not None:
+            waiting.cancel()
 
     return end
 
