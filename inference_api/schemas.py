@@ -72,17 +72,35 @@ def _one_or_many(schema: dict[str, Any], most: int, least: int = 0) -> WithJsonS
     return WithJsonSchema({"anyOf": [schema, many]})
 
 
-def _camera_schema(**properties: dict[str, Any]) -> dict[str, Any]:
-    number = {"type": "number"}
-    row = {"type": "array", "items": number, "minItems": 4, "maxItems": 4}
-    pose = {"type": "array", "items": row, "minItems": 4, "maxItems": 4}
-    members = dict.fromkeys(("fx", "fy", "cx", "cy"), number) | properties | {"pose": pose}
+_NUMBER = {"type": "number"}
+
+
+def _numbers(count: int, items: dict[str, Any] = _NUMBER) -> dict[str, Any]:
+    return {"type": "array", "items": items, "minItems": count, "maxItems": count}
+
+
+def _object(properties: dict[str, Any], **optional: Any) -> dict[str, Any]:
     return {
         "type": "object",
-        "properties": members,
-        "required": list(members),
+        "properties": properties | optional,
+        "required": list(properties),
         "additionalProperties": False,
     }
+
+
+_POSE = _numbers(4, _numbers(4))
+_ANY_POSE = {
+    "pose": {"anyOf": [_POSE, _object({"translation": _numbers(3), "quaternion_xyzw": _numbers(4)})]}
+}
+_FRAME = {"enum": ["optical", "body"]}
+_PINHOLE = dict.fromkeys(("fx", "fy", "cx", "cy"), _NUMBER)
+_CAMERA = {
+    "anyOf": [
+        _object(_PINHOLE | _ANY_POSE, frame=_FRAME),
+        _object({"camera_info": {"type": ["object", "string"]}} | _ANY_POSE, frame=_FRAME),
+    ]
+}
+_VIEW = _object(_PINHOLE | {name: {"type": "integer"} for name in ("width", "height")} | {"pose": _POSE})
 
 
 Number = Annotated[float, Field(allow_inf_nan=False)]
@@ -127,23 +145,24 @@ _Images = Annotated[
         Field(min_length=1, max_length=_MOST_PICTURES),
     ],
     BeforeValidator(_as_tuple),
-    Expected("a PNG: a file in a form, base64 text in JSON; several, each with a camera, for depth cameras"),
-    _one_or_many(
-        {"type": "string", "contentEncoding": "base64", "contentMediaType": "image/png"}, MAX_PICTURES, 1
+    Expected(
+        "a PNG: a file in a form, base64 text in JSON; of depth cameras several, each with a camera, also "
+        "TIFF and .npy of floats"
     ),
+    _one_or_many({"type": "string", "contentEncoding": "base64"}, MAX_PICTURES, 1),
 ]
 # What is in a camera is judged by the world that has cameras.
 _Cameras = Annotated[
     Annotated[tuple[dict[str, Any], ...], Field(max_length=_MOST_PICTURES)],
     BeforeValidator(_as_tuple),
-    Expected("objects of fx, fy, cx, cy and pose, one for each image"),
-    _one_or_many(_camera_schema(), MAX_PICTURES),
+    Expected("objects of fx, fy, cx, cy, or of camera_info, with pose, one for each image"),
+    _one_or_many(_CAMERA, MAX_PICTURES),
 ]
 _Views = Annotated[
     Annotated[tuple[dict[str, Any], ...], Field(max_length=MAX_VIEWS)],
     BeforeValidator(_as_tuple),
     Expected(f"at most {MAX_VIEWS} objects of fx, fy, cx, cy, width, height and pose"),
-    _one_or_many(_camera_schema(width={"type": "integer"}, height={"type": "integer"}), MAX_VIEWS),
+    _one_or_many(_VIEW, MAX_VIEWS),
 ]
 _Row = Annotated[tuple[Number, ...], Field(min_length=1, max_length=MAX_JOINTS), Strict(strict=False)]
 _Configurations = Annotated[
@@ -225,14 +244,17 @@ class SceneFields(ModelFields):
     image: _Images = Field(
         description="The scenario as a square PNG of 16 to 2048 pixels: RGB as it is, RGBA over white, grey "
         "and palette as RGB; 16-bit and animated ones are refused. Resized by area averaging. For models of "
-        f"depth cameras, 1 to {MAX_PICTURES} 16-bit grey PNGs of mm along the optical axis, 0 for no "
-        "reading, and what is below 20 mm or beyond 10 m as well."
+        f"depth cameras, 1 to {MAX_PICTURES} pictures of depths along the optical axis: 16-bit grey PNGs of "
+        "mm, 0 for no reading, or float32 metres as TIFF or `.npy`, NaN or infinity for no reading; what is "
+        "below 20 mm or beyond 10 m is none either."
     )
     camera: _Cameras = Field(
         (),
         description="For models of depth cameras and only for them, one for each image in the same order: "
-        "focal lengths and centre in pixels, pixel centres at whole numbers, and `pose`, 4 x 4, of the "
-        "camera in the robot's base: x right, y down, z forward, m.",
+        "focal lengths and centre in pixels, pixel centres at whole numbers, or `camera_info`, a ROS "
+        "CameraInfo as an object or as text in YAML; and `pose` of the camera in the robot's base, m: 4 x 4, "
+        "or `translation` and `quaternion_xyzw`, of the optical frame (x right, y down, z forward) unless "
+        "`frame` is `body` (x forward, y left, z up).",
     )
     state: Annotated[Configuration | None, _Angles] = Field(
         None,
@@ -243,8 +265,8 @@ class SceneFields(ModelFields):
         Expected(f"metres per unit of the depth pictures, {MIN_SCALE_M:g} to {MAX_SCALE_M:g}"),
     ] = Field(
         None,
-        description="Metres that one unit of the depth pictures stands for: 0.001 (mm) when absent, 0.0001 "
-        "for tenths of a mm, 0.0002 for TUM RGB-D. Goes with `camera`.",
+        description="Metres that one unit of the depth pictures stands for: 0.001 (mm) when absent, 1 for "
+        "floats; 0.0001 for tenths of a mm, 0.0002 for TUM RGB-D. Goes with `camera`.",
     )
     robot: Robot = Field(
         None,

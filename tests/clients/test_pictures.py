@@ -9,6 +9,7 @@ from PIL import Image
 
 from cspace.png import canonical_png, read_header
 from cspace.worlds.planar.camera import decode_png
+from cspace.worlds.spatial.depth_files import read_depth
 from cspace_client import DepthPictures, SamplerError
 from cspace_client.pictures import encode_png, shown
 from tests.bundles import picture
@@ -28,6 +29,14 @@ def test_a_depth_picture_is_the_same_numbers():
         data = encode_png(pixels)
         assert canonical_png(data, read_header(data)) == data
         np.testing.assert_array_equal(np.asarray(Image.open(io.BytesIO(data))).astype(np.uint16), pixels)
+
+
+def test_depths_in_metres_are_the_same_numbers_in_an_npy_file():
+    metres = np.where(DEPTH == 0, np.nan, DEPTH / 1000.0).astype(np.float32)
+    for pixels in (metres, metres[::2, ::-1], metres.astype(">f4")):
+        ((name, data, kind),) = shown(DepthPictures([pixels], [CAMERA])).files
+        assert (name, kind) == ("depth.npy", "application/x-npy")
+        np.testing.assert_array_equal(read_depth(data), np.nan_to_num(pixels * 1000.0).round())
 
 
 @pytest.mark.parametrize(

@@ -15,6 +15,7 @@ from inference_api.requests import Body
 from inference_api.routes.plan import query_of
 from inference_api.schemas import PlanRequest
 from tests.bundles import picture
+from tests.cspace.worlds.spatial.test_camera_forms import OPTICAL_TO_BODY, npy, placed
 from tests.inference_api.answers import assert_problem
 from tests.inference_api.conftest import api_over, stock
 from tests.inference_api.fake_registry import CountingRegistry
@@ -34,10 +35,11 @@ def camera(side):
 def depth(near_mm):
     found = np.full((48, 64), 2000, np.uint16)
     found[20:30, 10:40] = near_mm
-    return encode_depth(found)
+    return found
 
 
-CAMERAS, IMAGES = [camera(0.6), camera(-0.7)], [depth(900), depth(1100)]
+CAMERAS, DEPTHS = [camera(0.6), camera(-0.7)], [depth(900), depth(1100)]
+IMAGES = [encode_depth(one) for one in DEPTHS]
 
 
 @pytest.fixture(scope="module")
@@ -117,6 +119,43 @@ def test_a_view_file_is_the_same_in_one_field(api):
     one = api.post("/sample", files={"image": view}, data=fields).json()
     several = ask(api, n="9", seed="2", state=json.dumps(STATE)).json()
     assert one["samples"] == several["samples"]
+
+
+FLOATS = [npy(np.where(one == 0, np.nan, one / 1000.0).astype(np.float32)) for one in DEPTHS]
+OTHER_CAMERAS = [
+    {
+        "camera_info": {
+            "k": [one["fx"], 0.0, one["cx"], 0.0, one["fy"], one["cy"], 0.0, 0.0, 1.0],
+            "d": [0.0] * 5,
+            "width": 64,
+            "height": 48,
+            "distortion_model": "plumb_bob",
+        },
+        "frame": "body",
+        "pose": placed(np.array(one["pose"]) @ OPTICAL_TO_BODY),
+    }
+    for one in CAMERAS
+]
+
+
+@pytest.mark.parametrize("page", ["/sample", "/plan"])
+def test_floats_and_messages_of_ros_are_answered_as_mm_and_matrices(api, page):
+    goal = [STATE[0] + 1.2, *STATE[1:]]
+    ends = {"start": json.dumps(STATE), "goal": json.dumps(goal), "next_view": "true", "time_limit_s": "10"}
+    fields = {"page": page, "seed": "1", **({"n": "9"} if page == "/sample" else ends)}
+    usual = ask(api, **fields, state=json.dumps(STATE)).json()
+    other = ask(api, FLOATS, OTHER_CAMERAS, **fields, state=json.dumps(STATE)).json()
+    for name in ("samples", "confidence", "warnings") if page == "/sample" else ("path", "next_view"):
+        assert other[name] == usual[name]
+
+
+def test_a_large_picture_of_floats_fits_into_a_form_and_into_json(api):
+    metres = npy(np.full((1024, 1280), 1.5, np.float32))
+    camera = CAMERAS[0] | {"fx": 900.0, "fy": 900.0, "cx": 639.5, "cy": 511.5}
+    body = {"model": MODEL, "camera": camera, "image": base64.b64encode(metres).decode(), "n": 3, "seed": 1}
+    form, plain = ask(api, [metres], [camera], n="3", seed="1"), api.post("/sample", json=body)
+    assert (form.status_code, plain.status_code) == (200, 200)
+    assert form.json()["samples"] == plain.json()["samples"]
 
 
 def test_an_array_has_the_unseen_share_in_its_second_column(api, bundle):

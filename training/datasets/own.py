@@ -17,6 +17,7 @@ from cspace.world import World
 
 _MAX_BYTES = 8 * 2**20
 _KEYS = {"pictures", "cameras", "state", "depth_scale_m"}
+_KINDS = (".png", ".tif", ".tiff", ".npy")
 
 
 def found_pictures(folder: Path) -> list[Path]:
@@ -63,14 +64,14 @@ def _told(path: Path) -> dict[str, Any]:
     if not isinstance(names, list) or not 1 <= len(names) <= MAX_PICTURES or not all(map(_is_name, names)):
         raise DatasetError(
             f"{path} names no pictures",
-            expected=f"1 to {MAX_PICTURES} names of PNG files beside it",
+            expected=f"1 to {MAX_PICTURES} names of files beside it, each {', '.join(_KINDS)}",
             got=repr(names)[:200],
         )
     return members
 
 
 def _is_name(name: object) -> bool:
-    return isinstance(name, str) and name.endswith(".png") and Path(name).name == name
+    return isinstance(name, str) and name.endswith(_KINDS) and Path(name).name == name
 
 
 def _bytes(path: Path) -> bytes:
@@ -164,6 +165,7 @@ def _refuse_strays(source: Path, pictures: list[Path]) -> None:
     known = {
         picture.with_suffix(ending).name for picture in pictures for ending in (".npy", COLLISION_ENDING)
     }
+    known |= {name for one in pictures if one.suffix == ".json" for name in _told(one)["pictures"]}
     strays = sorted(path.name for path in source.glob("*.npy") if path.name not in known)
     if strays:
         raise DatasetError(

@@ -16,7 +16,7 @@ from cspace.errors import CspaceError, DamagedFileError, DatasetError, ScenarioE
 from cspace.simulator import Split
 from cspace.worlds.spatial.benchmark import NUMBERS, BenchProblem, expected_names
 from cspace.worlds.spatial.obstacles import Box, Cylinder, Obstacles
-from cspace.worlds.spatial.poses import Pose, make_pose, pose_of
+from cspace.worlds.spatial.poses import Pose, pose_of, quaternion_pose
 from cspace.yaml_file import read_yaml
 
 PACKAGE, VERSION = "vamp-planner", "0.6.4"
@@ -116,14 +116,7 @@ def _shape(listed: Mapping[str, Any]) -> Box | Cylinder:
 
 
 def _pose(listed: Mapping[str, Any]) -> NDArray[np.float64]:
-    """Of a place and a quaternion x, y, z, w, (4, 4)."""
-    x, y, z, w = np.asarray(listed["orientation"], dtype=np.float64) / np.linalg.norm(listed["orientation"])
-    turn = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-    ]
-    return make_pose(turn, listed["position"])
+    return quaternion_pose(listed["position"], listed["orientation"])
 
 
 def _rounded(pose: NDArray[np.float64]) -> Pose:

@@ -297,17 +297,26 @@ def scaled_mm(units: NDArray[np.uint16], depth_scale_m: float) -> NDArray[np.uin
     Raises:
         ImageError: the scale is not a finite number from 1e-6 to 1.
     """
+    check_scale(depth_scale_m)
+    if depth_scale_m == DEPTH_SCALE_M:
+        return units
+    scaled = np.floor(units * (1000.0 * depth_scale_m) + 0.5)
+    return np.asarray(np.minimum(scaled, _MAX_MM), dtype=np.uint16)
+
+
+def check_scale(depth_scale_m: float) -> None:
+    """Refuse what is no unit of depths.
+
+    Raises:
+        ImageError: it is not a finite number from 1e-6 to 1.
+    """
     if not MIN_SCALE_M <= depth_scale_m <= MAX_SCALE_M:
         raise ImageError(
             "depth_scale_m does not fit",
             expected=f"metres per unit of the depth pictures, {MIN_SCALE_M:g} to {MAX_SCALE_M:g}",
             got=repr(depth_scale_m)[:100],
-            remedy="send 0.001 for millimetres, 0.0001 for tenths, 0.0002 for TUM RGB-D",
+            remedy="send 0.001 for millimetres, 0.0001 for tenths, 0.0002 for TUM RGB-D, 1 for metres",
         )
-    if depth_scale_m == DEPTH_SCALE_M:
-        return units
-    scaled = np.floor(units * (1000.0 * depth_scale_m) + 0.5)
-    return np.asarray(np.minimum(scaled, _MAX_MM), dtype=np.uint16)
 
 
 def in_range(depth_mm: NDArray[np.uint16]) -> NDArray[np.bool_]:

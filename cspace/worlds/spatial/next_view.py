@@ -6,7 +6,7 @@ looked sees past what hid that way alone, and so cameras from elsewhere go first
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from cspace.errors import InputError, ScenarioError
 from cspace.world import NextView
 from cspace.worlds.spatial.camera import DepthCamera, camera_place, looking, read_camera
-from cspace.worlds.spatial.poses import Pose, check_pose
+from cspace.worlds.spatial.camera_info import read_pose
 from cspace.worlds.spatial.sensor import DISTANCE_STEP_M, FREE, NO_READING
 from cspace.worlds.spatial.visibility import lookup
 from cspace.worlds.spatial.world import SpatialWorld
@@ -86,9 +86,7 @@ def _from_elsewhere(
 
 def _place(camera: Mapping[str, Any]) -> NDArray[np.float64]:
     """Where a camera that has looked stands, (3,) m."""
-    pose = cast("Pose", camera.get("pose"))
-    check_pose(pose, "a camera of the picture", InputError)
-    return np.array(pose, dtype=np.float64)[:3, 3]
+    return np.array(read_pose(camera), dtype=np.float64)[:3, 3]
 
 
 def _directions(places: NDArray[np.float64], focus_m: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -79,6 +79,18 @@ def turned(yaw_rad: float, pitch_rad: float = 0.0, roll_rad: float = 0.0) -> NDA
     return np.asarray(about_z @ about_y @ about_x)
 
 
+def quaternion_pose(place_m: ArrayLike, quaternion_xyzw: ArrayLike) -> NDArray[np.float64]:
+    """(4, 4) of a place (3,) m and a quaternion x, y, z, w of any norm above 0."""
+    quaternion = np.asarray(quaternion_xyzw, dtype=np.float64)
+    x, y, z, w = quaternion / np.linalg.norm(quaternion)
+    turn = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ]
+    return make_pose(turn, place_m)
+
+
 def _matrix(pose: Any) -> NDArray[np.float64] | None:
     try:
         matrix = np.asarray(pose, dtype=np.float64)

@@ -6,23 +6,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cspace.errors import ImageError, ScenarioError
-from cspace.png import read_header
+from cspace.errors import ImageError
 from cspace.space import JointSpace
-from cspace.strict_json import read_members
 from cspace.view_file import MAX_PICTURES, check_counts, pack_view, unpack_view
 from cspace.world import Arrays, Between, TensorInput
 from cspace.worlds.spatial.camera import (
     FARTHEST_MM,
     NEAREST_MM,
     DepthCamera,
-    decode_depth,
     encode_depth,
     in_range,
-    scaled_mm,
 )
-
-_CAMERA_KEYS = {"fx", "fy", "cx", "cy", "pose"}
+from cspace.worlds.spatial.camera_info import PINHOLE, read_pinhole, undistorted
+from cspace.worlds.spatial.depth_files import in_mm, pixels_in, read_depth, read_number
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,7 +71,7 @@ def pixels_of(data: bytes) -> int:
     Raises:
         ImageError: it is none, or a picture is none.
     """
-    return sum(read_header(one).pixels for one in unpack_view(data).pictures)
+    return sum(pixels_in(one) for one in unpack_view(data).pictures)
 
 
 def read_view(data: bytes, space: JointSpace, between: Between | None = None) -> DepthView:
@@ -92,49 +88,21 @@ def read_view(data: bytes, space: JointSpace, between: Between | None = None) ->
     """
     told = unpack_view(data)
     pause = between or (lambda: None)
-    pictures = []
+    pictures, cameras = [], []
     for one in told.pictures:
-        pictures.append(in_mm(decode_depth(one, pause), told.depth_scale_m))
+        pictures.append(read_depth(one, told.depth_scale_m, pause))
         pause()
-    seen_by = [
-        read_pinhole(values, picture.shape) for values, picture in zip(told.cameras, pictures, strict=True)
-    ]
-    return DepthView(tuple(pictures), tuple(seen_by), state_of(told.state, space))
-
-
-def in_mm(units: NDArray[np.uint16], depth_scale_m: object) -> NDArray[np.uint16]:
-    """A depth picture (H, W) in mm, of plain values; without a scale it is in mm already.
-
-    Raises:
-        ImageError: the scale is none.
-    """
-    if depth_scale_m is None:
-        return units
-    return scaled_mm(units, _number(depth_scale_m, "depth_scale_m"))
-
-
-def read_pinhole(values: object, shape: tuple[int, ...]) -> DepthCamera:
-    """The camera of a picture (H, W), of plain values ``fx, fy, cx, cy, pose``.
-
-    Raises:
-        ImageError: no camera is like that.
-    """
-    members = read_members(values, _CAMERA_KEYS, "the camera", ImageError)
-    try:
-        numbers = {name: float(_number(members[name], name)) for name in ("fx", "fy", "cx", "cy")}
-        pose = _rows(members["pose"])
-        return DepthCamera(**numbers, width=shape[1], height=shape[0], pose=pose)
-    except ScenarioError as error:
-        raise ImageError(
-            error.what, expected=error.expected, got=error.got, remedy=error.remedy or _REMEDY
-        ) from error
+    for number, values in enumerate(told.cameras):
+        camera, distortion = read_pinhole(values, pictures[number].shape)
+        pictures[number] = undistorted(pictures[number], camera, distortion, pause)
+        cameras.append(camera)
+    return DepthView(tuple(pictures), tuple(cameras), state_of(told.state, space))
 
 
 _UNIT = (
-    "depths are whole mm: send depth_scale_m for another unit (0.0001 for tenths, 0.0002 for TUM RGB-D), and "
-    "metres times 1000"
+    "a 16-bit picture is in mm, one of floats in metres: send depth_scale_m for another unit (0.001 for mm, "
+    "0.0001 for tenths, 0.0002 for TUM RGB-D)"
 )
-_REMEDY = "send the camera in the base frame: x right, y down, z forward, pixel centres at whole numbers"
 
 
 def state_of(values: object, space: JointSpace) -> tuple[float, ...] | None:
@@ -146,7 +114,7 @@ def state_of(values: object, space: JointSpace) -> tuple[float, ...] | None:
     if values is None:
         return None
     fits = isinstance(values, list) and len(values) == space.dim
-    angles = [float(_number(one, "state")) for one in values] if fits else []  # type: ignore[attr-defined]
+    angles = [float(read_number(one, "state")) for one in values] if fits else []  # type: ignore[attr-defined]
     if not fits:
         raise ImageError(
             "the state does not fit the robot",
@@ -157,24 +125,11 @@ def state_of(values: object, space: JointSpace) -> tuple[float, ...] | None:
     return tuple(space.admitted(angles, "the state does not fit the robot", ImageError).tolist())
 
 
-def _rows(values: object) -> Any:
-    if not isinstance(values, list) or any(not isinstance(row, list) for row in values):
-        raise ImageError("the camera has no pose", expected="4 x 4 finite numbers", got=repr(values)[:200])
-    return tuple(tuple(_number(one, "pose") for one in row) for row in values)
-
-
-def _number(value: object, name: str) -> float:
-    if type(value) not in (int, float):
-        raise ImageError(f"{name} does not fit", expected="a finite number", got=repr(value)[:200])
-    return value  # type: ignore[return-value] # one of the two
-
-
 def _told(camera: DepthCamera) -> dict[str, Any]:
-    return {name: value for name, value in camera.to_dict().items() if name in _CAMERA_KEYS}
+    return {name: value for name, value in camera.to_dict().items() if name in (*PINHOLE, "pose")}
 
 
 DEPTH, INTRINSICS, POSES, STATE, SCALE = "depth", "intrinsics", "poses", "state", "depth_scale_m"
-_INTRINSICS = ("fx", "fy", "cx", "cy")
 
 
 def view_tensors(dim: int) -> tuple[TensorInput, ...]:
@@ -185,7 +140,7 @@ def view_tensors(dim: int) -> tuple[TensorInput, ...]:
     """
     return (
         TensorInput(DEPTH, "uint16", ("c", "h", "w"), MAX_PICTURES),
-        TensorInput(INTRINSICS, "float64", ("c", len(_INTRINSICS)), MAX_PICTURES),
+        TensorInput(INTRINSICS, "float64", ("c", len(PINHOLE)), MAX_PICTURES),
         TensorInput(POSES, "float64", ("c", 4, 4), MAX_PICTURES),
         TensorInput(STATE, "float64", (dim,), optional=True),
         TensorInput(SCALE, "float64", (1,), optional=True),
@@ -202,7 +157,7 @@ def view_of_tensors(tensors: Arrays, space: JointSpace) -> DepthView:
     pictures = tuple(in_mm(np.ascontiguousarray(one, dtype=np.uint16), scale) for one in tensors[DEPTH])
     told = zip(tensors[INTRINSICS].tolist(), tensors[POSES].tolist(), pictures, strict=True)
     cameras = tuple(
-        read_pinhole({**dict(zip(_INTRINSICS, numbers, strict=True)), "pose": pose}, picture.shape)
+        read_pinhole({**dict(zip(PINHOLE, numbers, strict=True)), "pose": pose}, picture.shape)[0]
         for numbers, pose, picture in told
     )
     state = tensors[STATE].tolist() if STATE in tensors else None

@@ -9,7 +9,7 @@ import pytest
 from cspace.dataset import open_dataset
 from cspace.errors import DatasetError
 from cspace.view_file import pack_view
-from tests.inference_api.test_depth_pictures import CAMERAS, IMAGES, STATE
+from tests.inference_api.test_depth_pictures import CAMERAS, FLOATS, IMAGES, OTHER_CAMERAS, STATE
 from tests.space_bundle import WORLD
 from training.datasets.__main__ import main
 from training.datasets.own import import_folder
@@ -53,6 +53,16 @@ def test_pictures_of_another_unit_are_read_in_it(tmp_path):
     shelf = WORLD.read_picture(pack_view(IMAGES, CAMERAS, STATE, 0.0005))
     np.testing.assert_array_equal(dataset.images[1], shelf)
     assert not np.array_equal(shelf, WORLD.read_picture(pack_view(IMAGES, CAMERAS, STATE)))
+
+
+def test_floats_and_messages_of_ros_are_the_same_data_set(tmp_path):
+    expected = import_folder(record(tmp_path / "own"), tmp_path / "data", world=WORLD)
+    source = record(tmp_path / "other", pictures=["left.npy", "right.npy"], cameras=OTHER_CAMERAS)
+    for name, data in zip(("left.npy", "right.npy"), FLOATS, strict=True):
+        (source / name).write_bytes(data)
+        (source / name).with_suffix(".png").unlink()
+    found = import_folder(source, tmp_path / "found", world=WORLD)
+    np.testing.assert_array_equal(found.images, expected.images)
 
 
 def test_views_without_configurations_lie_in_extra(tmp_path):

@@ -1,5 +1,6 @@
 """A scene's picture, as it is sent: a file, pixels, or what depth cameras saw."""
 
+import io
 import json
 import struct
 import zlib
@@ -15,7 +16,7 @@ from cspace_client.errors import SamplerError
 File = tuple[str, bytes, str]
 """Name, content and media type."""
 
-_PNG = "image/png"
+_PNG, _NPY = "image/png", "application/x-npy"
 _GREY, _COLOUR = 0, 2
 _MAX_PICTURES = 4
 
@@ -25,17 +26,19 @@ class DepthPictures:
     """One scene as one to four depth cameras saw it, nothing having moved between.
 
     Args:
-        pictures: uint16 (h, w), mm along the optical axis and 0 without a reading; or files of such pictures.
-        cameras: ``fx``, ``fy``, ``cx``, ``cy`` and ``pose`` of each, as the API has them.
+        pictures: depths along the optical axis: uint16 (h, w) of mm, 0 without a reading; float32 (h, w) of
+            metres, NaN or infinity without one; or files of such pictures (PNG; TIFF or ``.npy``).
+        cameras: ``fx``, ``fy``, ``cx``, ``cy`` and ``pose`` of each, or ``camera_info`` and ``pose``, as the
+            API has them.
         state: (d,) rad, where the robot was; None where it is in no picture.
-        depth_scale_m: metres per unit of the pictures where that is not mm: 0.0001 for tenths, 0.0002 for TUM
-            RGB-D; None for mm.
+        depth_scale_m: metres per unit of the pictures where that is another: 0.0001 for tenths of mm, 0.0002
+            for TUM RGB-D; None for mm as whole numbers and metres as floats.
 
     Raises:
         SamplerError: there are more or fewer cameras than pictures, or more than four.
     """
 
-    pictures: Sequence[bytes | NDArray[np.uint16]]
+    pictures: Sequence[bytes | NDArray[np.uint16] | NDArray[np.float32]]
     cameras: Sequence[Mapping[str, Any]]
     state: ArrayLike | None = None
     depth_scale_m: float | None = None
@@ -73,9 +76,16 @@ def shown(picture: Picture) -> Shown:
         SamplerError: it is none that can be.
     """
     parts = picture.pictures if isinstance(picture, DepthPictures) else [picture]
-    encoded = (part if isinstance(part, bytes) else encode_png(part) for part in parts)
-    files = tuple(("scenario.png", part, _PNG) for part in encoded)
+    files = tuple(_file(part) for part in parts)
     return Shown(files, _fields(picture) if isinstance(picture, DepthPictures) else {})
+
+
+def _file(part: bytes | NDArray[Any]) -> File:
+    if isinstance(part, np.ndarray) and part.dtype.type is np.float32 and part.ndim == 2:
+        file = io.BytesIO()
+        np.save(file, part.astype("<f4"), allow_pickle=False)
+        return "depth.npy", file.getvalue(), _NPY
+    return "scenario.png", part if isinstance(part, bytes) else encode_png(part), _PNG
 
 
 def _fields(picture: DepthPictures) -> dict[str, Any]:
@@ -104,7 +114,7 @@ def encode_png(image: NDArray[Any]) -> bytes:
     if not (colour or grey) or pixels.size == 0:
         raise SamplerError(
             "the picture can not be sent",
-            expected="a file, uint8 (P, P, 3), or uint16 (h, w) of a depth camera",
+            expected="a file, uint8 (P, P, 3), or uint16 (h, w) in mm or float32 in m of a depth camera",
             got=f"{pixels.dtype} {pixels.shape}"[:200],
         )
     height, width = pixels.shape[:2]

@@ -20,6 +20,7 @@ from cspace.bundle import Bundle
 from cspace.bundle.samples import fitted_configurations
 from cspace.errors import InputError
 from cspace.simulator import Split
+from cspace.view_file import pack_view
 from cspace.worlds import simulator_of
 from cspace.worlds.spatial.arm import SerialArm
 from cspace.worlds.spatial.camera import looking
@@ -28,6 +29,7 @@ from cspace.worlds.spatial.view import DepthView, write_view
 from cspace.worlds.spatial.visibility import unseen_share
 from cspace.worlds.spatial.world import SpatialWorld
 from inference_api.settings import PRETRAINED_FOLDER
+from tests.cspace.worlds.spatial.test_camera_forms import npy, placed, tiff
 
 NUMBERS = (0, 1, -1, 0.5, -0.0, 1e-300, 1e300, 1e9, 2**31, 2**63, 10**18, 63.5, 255, 65535)
 VALUES = (*NUMBERS, "", "x", "1", None, True, [], {}, [0], [[[]]], [[0.0] * 4] * 4)
@@ -200,6 +202,21 @@ def surer(before: Seen, after: Seen) -> bool:
     return (seen_freer or (rises and not doubted)) and not warned
 
 
+def in_other_forms(rng: Rng, view: DepthView) -> bytes:
+    """A view file of floats and messages of ROS, with lenses that bend a little."""
+    pictures, cameras = [], []
+    for picture, camera in zip(view.pictures, view.cameras, strict=True):
+        metres = np.where(picture == 0, np.nan, picture / 1000.0).astype(np.float32)
+        packing = rng.choice((None, "tiff_lzw", "tiff_adobe_deflate"))
+        pictures.append(npy(metres) if rng.random() < 0.5 else tiff(metres, compression=packing))
+        k = [camera.fx, 0.0, camera.cx, 0.0, camera.fy, camera.cy, 0.0, 0.0, 1.0]
+        info = {"k": k, "width": camera.width, "height": camera.height, "distortion_model": "plumb_bob"}
+        info["d"] = [rng.uniform(-0.1, 0.1), 0.0, 0.0, rng.choice((0.0, 0.001)), 0.0]
+        text = rng.random() < 0.5
+        cameras.append({"camera_info": json.dumps(info) if text else info, "pose": placed(camera.matrix)})
+    return pack_view(pictures, cameras, None if view.state is None else list(view.state))
+
+
 def damaged(rng: Rng, data: bytes) -> bytes:
     """A view file with bytes changed, or another value in its line."""
     if rng.random() < 0.5:
@@ -276,7 +293,8 @@ def _try(subject: Subject, rng: Rng, number: int, known: dict[tuple[int, bool], 
             assert subject.fine.space.contains(fitted).all()
             return "rows answered"
         if kind < 3:
-            image = subject.coarse.examine_picture(damaged(rng, write_view(view))).images[0]
+            whole = write_view(view) if kind == 1 else in_other_forms(rng, view)
+            image = subject.coarse.examine_picture(damaged(rng, whole)).images[0]
             assert image.shape == subject.coarse.sensor.picture_shape
             return "files answered"
         change, judged = rng.choice(REMOVED), number // 5 % JUDGED_EVERY == 0

@@ -1,0 +1,314 @@
+"""One scene in every form that cameras and depth pictures come in, and the forms that are refused."""
+
+import io
+import json
+import struct
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from cspace.errors import ImageError
+from cspace.view_file import pack_view
+from cspace.worlds.spatial.camera import DepthCamera, encode_depth, looking
+from cspace.worlds.spatial.camera_info import read_pinhole, undistorted
+from cspace.worlds.spatial.depth_files import pixels_in, read_depth
+from tests.space_bundle import WORLD
+
+RNG = np.random.default_rng(4)
+POSE = looking((1.3, 0.6, 0.9), (0.4, 0.0, 0.3))
+CAMERA = DepthCamera.of_field(64, 48, 70.0, POSE)
+DEPTH = np.full((48, 64), 2000, np.uint16)
+DEPTH[20:30, 10:40] = RNG.integers(600, 1400, (10, 30))
+DEPTH[:4] = 0
+TOLD = {name: CAMERA.to_dict()[name] for name in ("fx", "fy", "cx", "cy", "pose")}
+METRES = np.where(DEPTH == 0, np.nan, DEPTH / 1000.0).astype(np.float32)
+METRES[0, :5] = np.inf, -np.inf, -1.0, 0.0, 1e-30
+
+
+def npy(values):
+    file = io.BytesIO()
+    np.save(file, values)
+    return file.getvalue()
+
+
+def tiff(values, **options):
+    file = io.BytesIO()
+    Image.fromarray(values).save(file, format="TIFF", **options)
+    return file.getvalue()
+
+
+def big_endian(values):
+    """A TIFF of big-endian numbers in strips of five rows, with a text among its fields."""
+    height, width = values.shape
+    strips = [values[top : top + 5].astype(">f4").tobytes() for top in range(0, height, 5)]
+    body, offsets = b"", []
+    for strip in strips:
+        offsets.append(8 + len(body))
+        body += strip
+    tables = {273: offsets, 279: [len(strip) for strip in strips]}
+    places = {}
+    for tag, table in tables.items():
+        places[tag] = 8 + len(body)
+        body += struct.pack(f">{len(table)}I", *table)
+    text = 8 + len(body)
+    body += b"a depth picture\0"
+    fields = [
+        (256, 3, 1, width << 16),
+        (257, 3, 1, height << 16),
+        (258, 3, 1, 32 << 16),
+        (259, 3, 1, 1 << 16),
+    ]
+    fields += [(262, 3, 1, 1 << 16), (270, 2, 16, text), (273, 4, len(strips), places[273])]
+    fields += [(277, 3, 1, 1 << 16), (278, 3, 1, 5 << 16), (279, 4, len(strips), places[279])]
+    fields += [(339, 3, 1, 3 << 16)]
+    directory = b"".join(struct.pack(">HHII", *one) for one in fields)
+    head = b"MM\0*" + struct.pack(">I", 8 + len(body))
+    return head + body + struct.pack(">H", len(fields)) + directory + bytes(4)
+
+
+PICTURES = {
+    "16-bit mm": (encode_depth(DEPTH), None),
+    "fifths of mm": (encode_depth(DEPTH * np.uint16(5)), 0.0002),
+    "TIFF": (tiff(METRES), None),
+    "TIFF, LZW as OpenCV writes it": (tiff(METRES, compression="tiff_lzw"), None),
+    "TIFF, deflate": (tiff(METRES, compression="tiff_adobe_deflate"), None),
+    "TIFF, big-endian": (big_endian(METRES), None),
+    "npy": (npy(METRES), None),
+    "npy by columns": (npy(np.asfortranarray(METRES)), None),
+    "npy in mm": (npy(METRES * np.float32(1000.0)), 0.001),
+}
+
+OPTICAL_TO_BODY = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
+BODY = POSE @ OPTICAL_TO_BODY
+
+
+def quaternion(matrix):
+    """x, y, z, w of a rotation whose w is not near 0."""
+    w = 0.5 * np.sqrt(1.0 + np.trace(matrix[:3, :3]))
+    turns = (matrix[2, 1] - matrix[1, 2], matrix[0, 2] - matrix[2, 0], matrix[1, 0] - matrix[0, 1])
+    return [*(turn / (4.0 * w) for turn in turns), w]
+
+
+def placed(matrix):
+    return {"translation": matrix[:3, 3].tolist(), "quaternion_xyzw": quaternion(matrix)}
+
+
+K = [CAMERA.fx, 0.0, CAMERA.cx, 0.0, CAMERA.fy, CAMERA.cy, 0.0, 0.0, 1.0]
+ROI = {"x_offset": 0, "y_offset": 0, "height": 0, "width": 0, "do_rectify": False}
+INFO = {
+    "header": {"stamp": {"sec": 1, "nanosec": 2}, "frame_id": "camera_depth_optical_frame"},
+    "height": 48, "width": 64, "distortion_model": "plumb_bob", "d": [0.0] * 5, "k": K,
+    "r": [1.0, 0, 0, 0, 1.0, 0, 0, 0, 1.0], "p": [*K[:3], 0.0, *K[3:6], 0.0, *K[6:], 0.0],
+    "binning_x": 0, "binning_y": 0, "roi": ROI,
+}  # fmt: skip
+ECHOED = (
+    "header:\n  stamp:\n    sec: 1\n    nanosec: 2\n  frame_id: depth_frame\nheight: 48\nwidth: 64\n"
+    "distortion_model: rational_polynomial\nd:\n"
+    + "- 0.0\n" * 8
+    + "k:\n"
+    + "".join(f"- {one}\n" for one in K)
+    + "binning_x: 0\nbinning_y: 0\nroi:\n  x_offset: 0\n  y_offset: 0\n  height: 0\n  width: 0\n"
+    "  do_rectify: false\n---\n"
+)
+CAMERAS = {
+    "pinhole and matrix": TOLD,
+    "the frame by its name": TOLD | {"frame": "optical"},
+    "a body's pose": TOLD | {"frame": "body", "pose": BODY.tolist()},
+    "translation and quaternion": TOLD | {"pose": placed(POSE)},
+    "a body's quaternion": TOLD | {"frame": "body", "pose": placed(BODY)},
+    "CameraInfo of ROS 2": {"camera_info": INFO, "pose": TOLD["pose"]},
+    "CameraInfo of ROS 1": {
+        "camera_info": {"K": K, "D": [], "width": 64, "height": 48, "distortion_model": ""},
+        "pose": TOLD["pose"],
+    },
+    "what ros2 topic echo prints": {"camera_info": ECHOED, "pose": placed(POSE)},
+    "JSON as a text": {"camera_info": json.dumps(INFO), "pose": TOLD["pose"]},
+}
+
+
+@pytest.fixture(scope="module")
+def expected():
+    return WORLD.read_picture(pack_view([encode_depth(DEPTH)], [TOLD], None))
+
+
+@pytest.mark.parametrize("name", PICTURES)
+def test_one_scene_is_one_array_whatever_file_shows_it(name, expected):
+    data, scale = PICTURES[name]
+    np.testing.assert_array_equal(read_depth(data, scale), DEPTH)
+    assert pixels_in(data) == DEPTH.size
+    np.testing.assert_array_equal(WORLD.read_picture(pack_view([data], [TOLD], None, scale)), expected)
+
+
+@pytest.mark.parametrize("name", CAMERAS)
+def test_one_scene_is_one_array_however_its_camera_is_written(name, expected):
+    data = pack_view([encode_depth(DEPTH)], [CAMERAS[name]], None)
+    np.testing.assert_array_equal(WORLD.read_picture(data), expected)
+
+
+def test_a_large_picture_comes_as_it_is():
+    values = np.full((1024, 1280), 1.5, np.float32)
+    assert (read_depth(npy(values)) == 1500).all()
+    assert read_depth(tiff(values, compression="tiff_lzw")).shape == (1024, 1280)
+
+
+def test_floats_beyond_what_a_camera_reads_stay_out_of_range_so_that_a_wrong_unit_shows():
+    with pytest.raises(ImageError, match=r"no reading; .* send depth_scale_m for another unit"):
+        WORLD.read_picture(pack_view([npy(METRES * np.float32(1000.0))], [TOLD], None))
+
+
+def altered(data, tag, value):
+    """A little-endian TIFF of Pillow's with one short or long field changed."""
+    found, (at,) = bytearray(data), struct.unpack_from("<I", data, 4)
+    (count,) = struct.unpack_from("<H", data, at)
+    for place in range(at + 2, at + 2 + 12 * count, 12):
+        if struct.unpack_from("<H", data, place)[0] == tag:
+            struct.pack_into("<I", found, place + 8, value)
+            return bytes(found)
+    raise AssertionError(tag)
+
+
+GREEDY = b"II*\0" + struct.pack("<IH", 8, 64) + b"".join(
+    struct.pack("<HHII", 40000 + number, 1, 2**31, 8) for number in range(64)
+)  # fmt: skip
+REFUSED_PICTURES = {
+    "nothing": (b"", "unknown kind"),
+    "a JPEG": (b"\xff\xd8\xff\xe0" + bytes(100), "16-bit grey PNG in mm, or float32"),
+    "npy of float64": (npy(METRES.astype(np.float64)), r"<f8.*astype\(np.float32\)"),
+    "npy of three axes": (npy(METRES[None]), "no depth picture"),
+    "npy of objects": (npy(np.array([[{}]], dtype=object)), "no depth picture"),
+    "npy cut": (npy(METRES)[:-1], "no depth picture"),
+    "npy too small": (npy(METRES[:9]), "out of range"),
+    "TIFF of 16 bits": (tiff(DEPTH), r"samples \(1,\) of \(16,\) bits"),
+    "TIFF of RGB": (tiff(np.zeros((48, 64, 3), np.uint8)), "is no depth picture"),
+    "TIFF cut": (tiff(METRES)[:-200], "damaged|no depth picture"),
+    "TIFF of one strip that is cut": (tiff(METRES)[:2000], "damaged"),
+    "TIFF too large": (altered(tiff(METRES), 256, 2049), "out of range"),
+    "TIFF turned": (tiff(METRES, tiffinfo={274: 6}), r"orientation \(6,\)"),
+    "TIFF of two pictures": (
+        tiff(METRES, save_all=True, append_images=[Image.fromarray(METRES)]),
+        "further pictures",
+    ),
+    "TIFF with strips left out": (altered(tiff(METRES), 278, 3), "strips"),
+    "TIFF that names 128 GiB": (GREEDY, "values in field"),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED_PICTURES)
+def test_other_pictures_are_refused_by_what_they_are(name):
+    data, message = REFUSED_PICTURES[name]
+    for read in (read_depth, pixels_in):
+        if read is pixels_in and name == "TIFF of one strip that is cut":
+            continue
+        with pytest.raises(ImageError, match=message):
+            read(data)
+
+
+def test_damaged_float_pictures_are_refused_or_read_and_nothing_else():
+    for data in (tiff(METRES), tiff(METRES, compression="tiff_lzw"), npy(METRES)):
+        for _ in range(150):
+            found = bytearray(data)
+            found[RNG.choice([RNG.integers(len(data)), RNG.integers(200), -RNG.integers(1, 250)])] ^= (
+                1 << RNG.integers(8)
+            )
+            try:
+                assert read_depth(bytes(found)).shape == DEPTH.shape
+            except ImageError:
+                continue
+
+
+FISHEYE = INFO | {"distortion_model": "equidistant", "d": [0.0] * 4}
+REFUSED_CAMERAS = {
+    "another model": ({"camera_info": FISHEYE}, "model 'equidistant'; expected plumb_bob .*rectify"),
+    "coefficients without a model": (
+        {"camera_info": INFO | {"distortion_model": "", "d": [0.1]}},
+        "distortion model ''",
+    ),
+    "thin prisms": (
+        {"camera_info": INFO | {"distortion_model": "rational_polynomial", "d": [0.0] * 8 + [0.1, 0, 0, 0]}},
+        "distortion model 'rational_polynomial'",
+    ),
+    "a lens that folds": ({"camera_info": INFO | {"d": [-5.0, 0.0, 0.0, 0.0, 0.0]}}, "folds the picture"),
+    "coefficients without end": ({"camera_info": INFO | {"d": [1e300] * 5}}, "folds the picture"),
+    "another size": (
+        {"camera_info": INFO | {"width": 128, "height": 96}},
+        "height 48 and width 64.*got height 96",
+    ),
+    "binning": ({"camera_info": INFO | {"binning_x": 2, "binning_y": 2}}, "larger picture"),
+    "a region of interest": ({"camera_info": INFO | {"roi": ROI | {"x_offset": 8}}}, "larger picture"),
+    "no k": ({"camera_info": {"width": 64, "height": 48}}, "no k"),
+    "an uncalibrated camera": ({"camera_info": INFO | {"k": [0.0] * 9}}, "another k"),
+    "a text that is no YAML": ({"camera_info": "k: ["}, "no YAML"),
+    "a number": ({"camera_info": 7}, "of another picture"),
+    "CameraInfo beside": (INFO, "camera_info with a ROS CameraInfo"),
+    "half a camera": ({"fx": 50.0}, r"missing \['cx', 'cy', 'fy'\]"),
+    "both": ({"camera_info": INFO, "fx": 50.0}, r"unknown \['fx'\]"),
+    "an unnamed order": (
+        TOLD | {"pose": {"translation": [0.0] * 3, "quaternion": [0.0, 0.0, 0.0, 1.0]}},
+        "quaternion_xyzw",
+    ),
+    "a quaternion of another norm": (
+        TOLD | {"pose": {"translation": [0.0] * 3, "quaternion_xyzw": [0.0, 0.0, 0.0, 0.99]}},
+        "norm of 1",
+    ),
+    "three numbers": (
+        TOLD | {"pose": {"translation": [0.0] * 3, "quaternion_xyzw": [0.0, 0.0, 1.0]}},
+        "has no pose",
+    ),
+    "a place beyond sight": (
+        TOLD | {"pose": {"translation": [0.0, 0.0, 1e300], "quaternion_xyzw": [0.0, 0.0, 0.0, 1.0]}},
+        "too far away",
+    ),
+    "another frame": (TOLD | {"frame": "camera_link"}, "frame is unknown; expected optical"),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED_CAMERAS)
+def test_other_cameras_are_refused_by_what_they_are(name):
+    camera, message = REFUSED_CAMERAS[name]
+    data = pack_view([encode_depth(DEPTH)], [{"pose": TOLD["pose"]} | camera], None)
+    with pytest.raises(ImageError, match=message):
+        WORLD.read_picture(data)
+
+
+def seen_wall(camera, distortion):
+    """What a lens shows of a slanted wall: depths (H, W) mm by the rays that its pixels truly have."""
+    k1, k2, p1, p2, k3, k4, k5, k6 = (*distortion, *(0.0,) * 8)[:8]
+    rays = camera.rays()
+    bent_x, bent_y = rays[..., 0], rays[..., 1]
+    x, y = bent_x, bent_y
+    for _ in range(40):
+        square = x * x + y * y
+        radial = (1 + k1 * square + k2 * square**2 + k3 * square**3) / (
+            1 + k4 * square + k5 * square**2 + k6 * square**3
+        )
+        x, y = (
+            (bent_x - 2 * p1 * x * y - p2 * (square + 2 * x * x)) / radial,
+            (bent_y - p1 * (square + 2 * y * y) - 2 * p2 * x * y) / radial,
+        )
+    return np.floor(1000.0 * 1.5 / (1.0 + 0.3 * x - 0.4 * y) + 0.5).astype(np.uint16)
+
+
+@pytest.mark.parametrize(
+    ("model", "distortion"),
+    [
+        ("plumb_bob", (-0.25, 0.08, 0.002, -0.003, -0.01)),
+        ("plumb_bob", (0.2, -0.1, -0.001, 0.002, 0.0)),
+        ("rational_polynomial", (0.45, -0.2, 0.0004, -0.0003, 0.02, 0.6, -0.1, 0.03)),
+    ],
+)
+def test_distortion_is_undone(model, distortion):
+    camera = DepthCamera.of_field(320, 240, 70.0, POSE)
+    k = [camera.fx, 0.0, camera.cx, 0.0, camera.fy, camera.cy, 0.0, 0.0, 1.0]
+    info = {"k": k, "d": list(distortion), "width": 320, "height": 240, "distortion_model": model}
+    found, coefficients = read_pinhole({"camera_info": info, "pose": TOLD["pose"]}, (240, 320))
+    assert (found, coefficients) == (camera, distortion)
+    bent, straight = seen_wall(camera, distortion), seen_wall(camera, ())
+    again = undistorted(bent, found, coefficients)
+    read = again > 0
+    # A reading is of half a pixel beside, along both sides.
+    half = sum(0.5 * np.abs(np.diff(straight.astype(int), axis=axis)).max() for axis in (0, 1))
+    assert np.abs(again.astype(int) - straight)[read].max() <= half + 2
+    assert np.abs(bent.astype(int) - straight).max() > 4 * half
+    assert read.mean() > 0.85
+    assert read[50:-50, 50:-50].all()
