@@ -1,4 +1,4 @@
-"""Data sets: ``python -m training.datasets generate|paths|import|merge|verify``.
+"""Data sets: ``python -m training.datasets generate|paths|import|import-recording|merge|verify``.
 
 Exit codes: 0 done; 1 the data or the disk is bad; 2 the command is wrong.
 """
@@ -21,6 +21,7 @@ from services.scene_files import given_scenes, read_scene_file
 from training.datasets.config import DatasetConfig, PathDatasetConfig
 from training.datasets.merge import merge
 from training.datasets.own import import_folder
+from training.datasets.recordings import add_recording_options
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -29,10 +30,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     logging.basicConfig(level=logging.WARNING, format="%(message)s")
     logging.getLogger("training").setLevel(logging.INFO)
     try:
-        dataset = options.run(options)
+        made = options.run(options)
     except CspaceError as error:
         return tell_error(error, ConfigError, ScenarioError)
-    print(describe(dataset))
+    print(describe(made) if isinstance(made, Dataset) else made)
     return 0
 
 
@@ -63,6 +64,11 @@ def parser() -> argparse.ArgumentParser:
         *("shard_size", "narrow_share", "time_limit_s", "source"),
     )
     _add_import(commands.add_parser("import", help="your own pictures (PNG) and configurations (.npy)"))
+    add_recording_options(
+        commands.add_parser(
+            "import-recording", help="a recording of ROS 2 (.mcap, .db3): views and a data set"
+        )
+    )
     merged = commands.add_parser("merge", help="several data sets of one world as one, each scenario once")
     merged.add_argument("parts", type=Path, nargs="+", metavar="part", help="data sets, the first one first")
     merged.add_argument("folder", type=Path, help="where the merged data set goes")

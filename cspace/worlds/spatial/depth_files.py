@@ -62,9 +62,16 @@ def read_depth(
     between()
     scale = METRES if depth_scale_m is None else read_number(depth_scale_m, "depth_scale_m")
     check_scale(scale)
+    return rounded_mm(depth, scale)
+
+
+def rounded_mm(depth: NDArray[np.float32], depth_scale_m: float) -> NDArray[np.uint16]:
+    """Depths (...) in a unit of ``depth_scale_m`` as uint16 mm; 0 for NaN, infinity and what is below 0.5 mm.
+
+    What is farther than 16 bits can tell stays a reading that is out of range, so that a wrong unit shows.
+    """
     with np.errstate(invalid="ignore", over="ignore"):
-        scaled = np.floor(depth.astype(np.float64) * (1000.0 * scale) + 0.5)
-    # What is farther than 16 bits can tell stays a reading that is out of range, so that a wrong unit shows.
+        scaled = np.floor(depth.astype(np.float64) * (1000.0 * depth_scale_m) + 0.5)
     read = (scaled >= 1.0) & np.isfinite(scaled)
     return np.where(read, np.minimum(scaled, _MAX_MM), 0.0).astype(np.uint16)
 
