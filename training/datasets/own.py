@@ -23,12 +23,15 @@ _KINDS = (".png", ".tif", ".tiff", ".npy")
 def found_pictures(folder: Path) -> list[Path]:
     """The files of a folder that show a scene each, in the order of their names: views, and other PNGs.
 
+    A view is a JSON file that names its pictures, or a view file (``.view``).
+
     Raises:
         DatasetError: a view is none.
     """
     views = sorted(folder.glob("*.json"))
     named = {name for view in views for name in _told(view)["pictures"]}
-    return sorted([*views, *(path for path in folder.glob("*.png") if path.name not in named)])
+    others = (path for path in folder.glob("*.png") if path.name not in named)
+    return sorted([*views, *folder.glob("*.view"), *others])
 
 
 def read_own_picture(path: Path, world: World) -> NDArray[np.uint8]:

@@ -65,6 +65,16 @@ def test_floats_and_messages_of_ros_are_the_same_data_set(tmp_path):
     np.testing.assert_array_equal(found.images, expected.images)
 
 
+def test_a_view_file_is_the_same_scene_as_a_json_file_with_its_pictures(tmp_path):
+    expected = import_folder(record(tmp_path / "own"), tmp_path / "data", world=WORLD)
+    source = record(tmp_path / "other")
+    for name in ("shelf.json", "left.png", "right.png"):
+        (source / name).unlink()
+    (source / "shelf.view").write_bytes(pack_view(IMAGES, CAMERAS, STATE))
+    found = import_folder(source, tmp_path / "found", world=WORLD)
+    np.testing.assert_array_equal(found.images, expected.images)
+
+
 def test_views_without_configurations_lie_in_extra(tmp_path):
     source = record(tmp_path / "own")
     record(source / "extra")
