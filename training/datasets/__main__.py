@@ -111,7 +111,7 @@ def _add_import(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "source",
         type=Path,
-        help="name.png (depth cameras: name.json or name.view), name.npy, optional name.collision.npy, extra/",
+        help="name.png (depth: name.json or name.view), name.npy, optional name.collision.npy, extra/",
     )
     parser.add_argument("folder", type=Path, help="where the data set goes")
     add_world_options(parser, sensor=True)
