@@ -125,8 +125,18 @@ def _of_info(values: object, shape: tuple[int, ...]) -> tuple[dict[str, float], 
 
         # As `ros2 topic echo` ends a message.
         values = read_yaml(values.rstrip().removesuffix("---"), _INFO, ImageError).values
-    # ROS 1 has K and D.
+    # ROS 1 has K and D in its messages.
     info = {str(key).lower(): value for key, value in values.items()} if isinstance(values, Mapping) else {}
+    # The file that camera_calibration and camera_info_manager write.
+    for name, kept in (
+        ("image_height", "height"),
+        ("image_width", "width"),
+        ("camera_matrix", "k"),
+        ("distortion_coefficients", "d"),
+    ):
+        if name in info:
+            value = info[name]
+            info[kept] = value.get("data") if isinstance(value, Mapping) else value
     height, width = info.get("height"), info.get("width")
     if (height, width) != shape:
         raise _wrong_info(

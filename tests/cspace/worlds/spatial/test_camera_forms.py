@@ -111,6 +111,20 @@ ECHOED = (
     + "binning_x: 0\nbinning_y: 0\nroi:\n  x_offset: 0\n  y_offset: 0\n  height: 0\n  width: 0\n"
     "  do_rectify: false\n---\n"
 )
+CALIBRATED = f"""\
+image_width: 64
+image_height: 48
+camera_name: depth
+camera_matrix:
+  rows: 3
+  cols: 3
+  data: {K}
+distortion_model: plumb_bob
+distortion_coefficients:
+  rows: 1
+  cols: 5
+  data: [0.0, 0.0, 0.0, 0.0, 0.0]
+"""
 CAMERAS = {
     "pinhole and matrix": TOLD,
     "the frame by its name": TOLD | {"frame": "optical"},
@@ -123,6 +137,7 @@ CAMERAS = {
         "pose": TOLD["pose"],
     },
     "what ros2 topic echo prints": {"camera_info": ECHOED, "pose": placed(POSE)},
+    "a calibration's file": {"camera_info": CALIBRATED, "pose": TOLD["pose"]},
     "JSON as a text": {"camera_info": json.dumps(INFO), "pose": TOLD["pose"]},
 }
 
