@@ -2,9 +2,9 @@
 
 A view file is a line and the pictures' files behind it, one after the other. The line is the word
 ``cspace-view``, the version 1, and an object in JSON with ``pictures`` (their sizes in bytes), ``cameras``
-(``fx, fy, cx, cy, pose`` each), ``state`` (rad, or null where the robot is in no picture) and, where the
-pictures are not in mm, ``depth_scale_m`` (metres per unit). Here it is only packed and unpacked; what it
-holds is judged by the world that takes such pictures.
+(each in a form of :func:`cspace.worlds.spatial.camera_info.read_pinhole`), ``state`` (rad, or null where the
+robot is in no picture) and, where the unit of the pictures is another, ``depth_scale_m`` (metres per unit).
+Here it is only packed and unpacked; what it holds is judged by the world that takes such pictures.
 """
 
 import json

@@ -3,7 +3,6 @@
 import io
 from collections.abc import Iterator
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -104,7 +103,7 @@ def test_a_depth_picture_and_a_goal_become_a_trajectory_of_seven_joints(
     k = [told["fx"], 0.0, told["cx"], 0.0, told["fy"], told["cy"], 0.0, 0.0, 1.0]
     node = page["Planner"](space_api, JOINTS, told["pose"], model="pretrained", least=0.0)
     node.client.timeout = 300.0
-    node.on_camera(SimpleNamespace(k=k))
+    node.on_camera(page["CameraInfo"](width=told["width"], height=told["height"], k=k))
     node.on_image(image_of(page, taken.pictures[0], "16UC1"))
     node.on_state(page["JointState"](name=JOINTS[::-1], position=problem.start[::-1].tolist()))
     node.on_goal(page["JointState"](name=JOINTS, position=problem.goal.tolist()))

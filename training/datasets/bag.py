@@ -124,13 +124,18 @@ def _files(source: Path) -> list[Path]:
     if source.is_dir():
         found = sorted(one for one in source.iterdir() if one.suffix in KINDS)
     inside = source.resolve()
+    # The reader of .db3 takes a path for a part of a URI, in which some characters lead elsewhere.
     if not found or any(
-        one.suffix not in KINDS or not one.is_file() or not one.resolve().is_relative_to(inside)
+        one.suffix not in KINDS
+        or not one.is_file()
+        or not one.resolve().is_relative_to(inside)
+        or any(mark in str(one) for mark in "?#%")
         for one in found
     ):
         raise DatasetError(
             f"{source} is no recording",
-            expected=f"a file {' or '.join(KINDS)}, or a folder of them without links to elsewhere",
+            expected=f"a file {' or '.join(KINDS)}, or a folder of them without links to elsewhere; "
+            "no ?, # or % in its path",
             got=", ".join(one.name for one in found)[:200] or "none",
             remedy="convert other recordings, and compressed ones, by rosbags-convert or ros2 bag convert",
         )
