@@ -370,22 +370,25 @@ class PlanRequest(SceneFields):
         )
     )
     ways: Annotated[int, Expected(f"a whole number from 1 to {MAX_WAYS}")] = Field(
-        DEFAULT_WAYS, ge=1, le=MAX_WAYS, description="Paths that are looked for, to choose the surest of."
+        DEFAULT_WAYS,
+        ge=1,
+        le=MAX_WAYS,
+        description="Number of paths to search for; the one of highest confidence is chosen.",
     )
     alternatives: Annotated[bool, Expected("true or false")] = Field(
         default=False,
-        description="Whether the answer holds all paths that are sure enough, for those who can check them.",
+        description="Whether the answer holds all paths that reach the confidence, for own checks.",
     )
     next_view: Annotated[bool, Expected("true or false")] = Field(
         default=False,
-        description="Whether the answer names the camera that would see most of what the path is doubted "
-        "for.",
+        description="Whether the answer names the camera that would see most of the unseen space that lowers "
+        "the path's confidence.",
     )
     view: _Views = Field(
         (),
         description="Cameras to choose it from, as `camera` with `width` and `height` in pixels; in a form "
-        "repeat the field. Absent, some about the doubt, from where cameras of the training stood. Those go "
-        "first that look from elsewhere than `camera`, by 45 degrees.",
+        "repeat the field. Absent, some towards that space, from where cameras of the training stood. Those "
+        "go first that look from elsewhere than `camera`, by 45 degrees.",
     )
 
 
@@ -525,8 +528,8 @@ class SampleAnswer(SceneAnswer):
     )
     ways: list[int] | None = Field(
         None,
-        description="The path from start to goal that each sample lies along, 0 for the one that is doubted "
-        "least; samples come in the order of their paths. Null for models that do not search for paths.",
+        description="The path from start to goal that each sample lies along, 0 for the one of highest "
+        "confidence; samples come in the order of their paths. Null for models that do not search for paths.",
     )
     shortfall: int = Field(description="n minus what was returned.")
     acceptance: float = Field(description="Share of what was drawn that reached the confidence asked for.")
@@ -549,7 +552,7 @@ class ValidityAnswer(SceneAnswer):
 
 
 class LeastSure(BaseModel):
-    """Where the surest path is least sure."""
+    """Where the best path has its lowest confidence."""
 
     configuration: list[float] = Field(description="rad.")
     confidence: float = Field(description="Of this configuration alone.")
@@ -569,36 +572,36 @@ class NextViewInfo(BaseModel):
     """A camera that would see more."""
 
     camera: dict[str, Any] = Field(description="As `view`.")
-    sees: float = Field(description="Share of the doubt along the path that lies on space it would see.")
+    sees: float = Field(description="Share of -log P(free) along the path that lies on space it would see.")
 
 
 class PlanAnswer(SceneAnswer):
     """A path, or why there is none."""
 
     status: Literal["solved", "refused", "timeout"] = Field(
-        description="`refused` where no path is sure enough or none was found, `timeout` where the time was "
-        "over before one was."
+        description="`refused` where no path reaches the confidence or none was found, `timeout` where the "
+        "time was over before one was."
     )
     reason: str | None = Field(description="Of what is not solved, in words.")
     path: list[list[float]] = Field(description="From start to goal, straight in between, rad; or empty.")
     confidence: float = Field(
         description="Of the whole path, an estimate: exp(-exp(a + b log D)) with D the integral of "
         "-log P(free) along it in rad and its largest value, and (a, b) the bundle's `plan_doubt`; exp(-D) "
-        "without one. Of the surest path where it is refused; 0 without one."
+        "without one. Of the best path where it is refused; 0 without one."
     )
-    edges: list[float] = Field(description="The least confidence on each piece of the path.")
+    edges: list[float] = Field(description="The lowest confidence on each edge of the path.")
     unseen: list[float] | None = Field(
-        description="The largest share of the robot on each piece that no picture shows; null for worlds "
+        description="The largest share of the robot on each edge that no picture shows; null for worlds "
         "that are seen whole."
     )
     length_rad: float
     ways: int = Field(description="Paths that were found.")
     least_sure: LeastSure | None
     alternatives: list[Alternative] | None = Field(
-        description="All paths that are sure enough, the surest first; null where they were not asked for."
+        description="All paths that reach the confidence, the best first; null where they were not asked for."
     )
     next_view: NextViewInfo | None = Field(
-        description="Of the surest path; null where it was not asked for, none would see more, or the world "
+        description="Of the best path; null where it was not asked for, none would see more, or the world "
         "is seen whole."
     )
     seed: str = Field(description="The seed that was used, in decimal.", pattern="^[0-9]{1,20}$")

@@ -62,7 +62,7 @@ def test_a_planned_way_is_free_by_an_independent_check_and_is_drawn_in_both_view
 ) -> None:
     open_bench(page, address, hash_of(SCENE, start="0,0.3", goal="-2.6,-0.6"))
     with page.expect_response(is_page("plan")) as answer:
-        page.get_by_role("button", name="Plan a way").click()
+        page.get_by_role("button", name="Plan a path").click()
     told = answer.value.json()
     assert told["status"] == "solved", told["reason"]
     way = np.array(told["path"])
@@ -73,7 +73,7 @@ def test_a_planned_way_is_free_by_an_independent_check_and_is_drawn_in_both_view
     assert (page.locator("#scene .arm.ghost").get_attribute("d") or "").count("M") == 14
     # It plays by itself, and stops where one takes hold of it.
     expect(page.get_by_role("button", name="Pause")).to_be_visible()
-    slider = page.get_by_role("slider", name="Along the way")
+    slider = page.get_by_role("slider", name="Along the path")
     slider.press("End")
     expect(page.get_by_role("button", name="Play")).to_be_visible()
     assert slider.input_value() == "1000"
@@ -165,7 +165,8 @@ def test_what_is_copied_runs_and_asks_for_the_same(
     if what == "plan":
         assert "solved" in done.stdout
     else:
-        numbers = [float(one) for one in re.findall(r"-?\d+\.\d+", done.stdout.partition('"confidence"')[0])]
+        rows = done.stdout.partition('"samples":')[2].partition('"confidence"')[0] or done.stdout
+        numbers = [float(one) for one in re.findall(r"-?\d+\.\d+", rows)]
         assert numbers[:10] == [angle for row in shown["samples"] for angle in row]
 
 
@@ -190,7 +191,7 @@ def test_a_server_without_the_truth_still_shows_pictures_samples_and_plans(
         expect(page.locator("#numbers")).not_to_contain_text("precision")
         page.get_by_label("ground").select_option("belief")
         expect(page.locator(".ground-3").first).to_have_attribute("d", re.compile("^M"))
-        page.get_by_role("button", name="Plan a way").click()
+        page.get_by_role("button", name="Plan a path").click()
         expect(page.locator("#plan-told")).to_contain_text("Solved")
         expect(page.locator("#plan-told")).not_to_contain_text("Checked")
         page.goto("about:blank")

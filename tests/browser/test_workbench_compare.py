@@ -118,7 +118,7 @@ def test_a_plan_asks_both_and_the_table_tells_each_way_and_whether_it_is_free(
 
     open_bench(page, address, hash_of(SCENE, start="0,0.3", goal="-2.6,-0.6", **BESIDE))
     page.on("response", keep)
-    page.get_by_role("button", name="Plan a way").click()
+    page.get_by_role("button", name="Plan a path").click()
     expect(page.locator("#plan-told")).to_contain_text(f"{VERSION}: ")
     expect(page.get_by_role("button", name="Pause")).to_be_visible()
     page.remove_listener("response", keep)

@@ -27,9 +27,9 @@ def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
 
 
 def plan(page: Page) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Plan a way: what was asked, and the answer."""
+    """Plan a path: what was asked, and the answer."""
     with page.expect_response(is_page("plan")) as answer:
-        page.get_by_role("button", name="Plan a way").click()
+        page.get_by_role("button", name="Plan a path").click()
     found: dict[str, Any] = answer.value.json()
     return json.loads(answer.value.request.post_data or ""), found
 
@@ -42,7 +42,7 @@ def test_seed_time_and_number_of_ways_are_asked_for_and_stand_in_the_address(
     assert (asked["seed"], asked["time_limit_s"], asked["ways"]) == ("7", 5, 4)
     expect(page.locator("#plan-told")).to_contain_text("Checked")
     fields = page.get_by_label("Plan", exact=True)
-    fields.get_by_label("ways").fill("2")
+    fields.get_by_label("paths").fill("2")
     # Another question: the way that was there is none of its answers.
     expect(page.locator("#plan-told")).to_be_empty()
     fields.get_by_label("seed").fill("18446744073709551615")
@@ -53,7 +53,7 @@ def test_seed_time_and_number_of_ways_are_asked_for_and_stand_in_the_address(
     assert found["seed"] == "18446744073709551615"
     again = page.url.partition("/#")[2]
     open_bench(page, address, f"#{again}")
-    expect(fields.get_by_label("ways")).to_have_value("2")
+    expect(fields.get_by_label("paths")).to_have_value("2")
     expect(fields.get_by_label("at most, s")).to_have_value("1.5")
 
 
@@ -75,8 +75,8 @@ def test_the_least_sure_place_and_each_piece_of_a_way_are_told_and_drawn(page: P
     assert found["status"] == "solved"
     least, edges = found["least_sure"], found["edges"]
     told = page.locator("#plan-doubt")
-    expect(told).to_contain_text(f"Least sure, {least['confidence']:.3f}, after")
-    pieces = re.search(r"On its pieces: ([\d., ]+)\.$", told.inner_text())
+    expect(told).to_contain_text(f"Lowest confidence {least['confidence']:.3f} after")
+    pieces = re.search(r"Per edge: ([\d., ]+)\.$", told.inner_text())
     assert pieces is not None
     assert np.allclose([float(one) for one in pieces[1].split(", ")], edges, atol=0.00051)
     # As sure as this it needs no mark.
@@ -97,7 +97,7 @@ def test_pieces_of_little_confidence_are_drawn_as_such(page: Page, tmp_path: Pat
         open_bench(page, own, hash_of([], start="0,0.3", goal="2.6,1.5"))
         _, found = plan(page)
         assert all(edge < 0.9 for edge in found["edges"])
-        expect(page.locator("#plan-doubt")).to_contain_text("On its pieces")
+        expect(page.locator("#plan-doubt")).to_contain_text("Per edge")
         drawn = [page.locator(f"#torus .{kind}").get_attribute("d") for kind in ("way", "doubted")]
         assert drawn[0]
         assert drawn[0] == drawn[1]
@@ -134,7 +134,7 @@ def test_a_way_that_is_refused_for_its_doubt_shows_where_it_is_least_sure(page: 
     assert found["status"] == "refused"
     expect(page.locator("#plan-told")).to_have_text(f"Refused: {found['reason']}.")
     expect(page.locator("#plan-doubt")).to_contain_text(
-        f"Least sure, {found['least_sure']['confidence']:.3f}"
+        f"Lowest confidence {found['least_sure']['confidence']:.3f}"
     )
     expect(page.locator("#torus .least")).to_be_visible()
     expect(page.locator("#torus .way")).to_have_attribute("d", "")

@@ -30,7 +30,7 @@ def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
 def grow(page: Page) -> tuple[dict[str, Any], dict[str, Any]]:
     """Plan by trees: what was asked, and the answer."""
     with page.expect_response(is_page("workbench/search"), timeout=90_000) as answer:
-        page.get_by_role("button", name="Plan a way").click()
+        page.get_by_role("button", name="Plan a path").click()
     found: dict[str, Any] = answer.value.json()
     return json.loads(answer.value.request.post_data or ""), found
 
@@ -95,7 +95,7 @@ def test_what_a_plan_has_to_score_is_chosen_kept_in_the_address_and_a_refusal_te
     page.get_by_label("at least as sure as").first.select_option("0.99")
     page.wait_for_url(re.compile("plan=7,5,4,0.99"))
     with page.expect_response(is_page("plan"), timeout=90_000) as answer:
-        page.get_by_role("button", name="Plan a way").click()
+        page.get_by_role("button", name="Plan a path").click()
     assert json.loads(answer.value.request.post_data or "")["min_confidence"] == 0.99
     told = answer.value.json()
     assert told["status"] == "refused"
@@ -111,5 +111,5 @@ def test_a_server_without_the_truth_offers_no_trees(page: Page, tmp_path: Path) 
         open_bench(page, bare, f"{hash_of(SCENE, **ENDS)}&search=RRT,uniform,100")
         expect(page.locator("#planner-label")).to_be_hidden()
         with page.expect_response(is_page("plan"), timeout=90_000):
-            page.get_by_role("button", name="Plan a way").click()
+            page.get_by_role("button", name="Plan a path").click()
         page.goto("about:blank")

@@ -56,9 +56,9 @@ def _taken(page: Page, address: str, name: str) -> bytes:
     page.emulate_media(color_scheme=scheme, reduced_motion="reduce")  # type: ignore[arg-type]
     page.set_viewport_size({"width": width, "height": height})
     open_bench(page, address, fragment)
-    page.get_by_role("button", name="Plan a way").click()
+    page.get_by_role("button", name="Plan a path").click()
     expect(page.locator("#plan-told")).to_contain_text("Checked")
-    page.get_by_role("slider", name="Along the way").evaluate(
+    page.get_by_role("slider", name="Along the path").evaluate(
         "(slider) => { slider.value = 450; slider.dispatchEvent(new Event('input')); slider.blur(); }"
     )
     return page.screenshot(full_page=True, animations="disabled")

@@ -2,7 +2,7 @@
 
 /**
  * @typedef {number[]} Configuration  An angle in rad for each joint.
- * @typedef {"start" | "goal"} End  Of a way.
+ * @typedef {"start" | "goal"} End  Of a path.
  * @typedef {{x: number, y: number, r: number}} Disc  Centre and radius in m.
  * @typedef {{x: number, y: number}} Point  In m.
  * @typedef {{links: number[], halfWidth: number, low: number[], high: number[], circle: boolean[]}} Robot
@@ -66,7 +66,7 @@ export function bound(robot, configuration) {
 }
 
 /**
- * The way from one configuration to another, the shorter side round circles.
+ * The path from one configuration to another, the shorter side round circles.
  * @param {Robot} robot
  * @param {Configuration} from
  * @param {Configuration} to

@@ -1,4 +1,4 @@
-// A way from start to goal: asked for, checked independently where the truth is known, and played.
+// A path from start to goal: asked for, checked independently where the truth is known, and played.
 
 /** @import {Workbench} from "./main.js" */
 /** @import {Side} from "./side.js" */
@@ -9,13 +9,13 @@ import { Player } from "./player.js";
 import { buttonOf, byId } from "./svg.js";
 
 const PLAY_MS = 4000;
-// As many ways as the server grows trees about.
+// As many paths as the server grows trees about.
 const MOST_WAYS = 8;
-export const LOOKING = "Looking for a way. The first one after an installation takes up to a minute.";
+export const LOOKING = "Searching for a path. The first one after an installation takes up to a minute.";
 const STATUS = { refused: "Refused", timeout: "Out of time", exhausted: "Not solved" };
 
 /**
- * @typedef {{free: boolean, edges: boolean[]}} Way  What is true of a way.
+ * @typedef {{free: boolean, edges: boolean[]}} Way  What is true of a path.
  *
  * @typedef {object} Planned
  * @property {any} answer  Of POST /plan, or of a planner that grew trees.
@@ -84,14 +84,14 @@ export class Planner {
     };
     if (feed === "shown") return ask("workbench/search", { ...body, samples: side.drawn.samples });
     if (feed === "uniform") return ask("workbench/search", body);
-    // All ways that the model finds, the doubtful ones too: what they are worth the checks tell.
+    // All paths that the model finds, at any confidence: the checks decide.
     const asked = { ...(await side.body("plan")), alternatives: true, min_confidence: 0 };
     const { alternatives } = await ask("plan", asked);
     const ways = alternatives.slice(0, MOST_WAYS).map((/** @type {any} */ { path }) => path);
     return ask("workbench/search", { ...body, ways });
   }
 
-  /** Hold the way against the discs themselves. @param {Side} side */
+  /** Check the path against the discs themselves. @param {Side} side */
   async check(side) {
     const { state, about } = this.bench;
     if (!about.truth || state.picture || side.way.length < 2) return null;
@@ -109,7 +109,7 @@ export class Planner {
     this.bench.draw();
   }
 
-  /** How sure the first model's way is, piece by piece, and where least; or what its trees have cost. */
+  /** Confidence of the first model’s path, edge by edge, and where lowest; or what its trees have cost. */
   tellDoubt() {
     const { first } = this.bench;
     const { edges } = first.doubt;
@@ -118,9 +118,9 @@ export class Planner {
     const told = [];
     if (least) {
       const angles = least.configuration.map(degrees).join(", ");
-      told.push(`Least sure, ${least.confidence.toFixed(3)}, after ${Math.round(100 * least.along)} % of it: ${angles}.`);
+      told.push(`Lowest confidence ${least.confidence.toFixed(3)} after ${Math.round(100 * least.along)} % of it: ${angles}.`);
     }
-    if (edges.length) told.push(`On its pieces: ${edges.map((one) => one.toFixed(3)).join(", ")}.`);
+    if (edges.length) told.push(`Per edge: ${edges.map((one) => one.toFixed(3)).join(", ")}.`);
     if (answer?.iterations) {
       told.push(
         `${answer.edge_checks} edges and ${answer.state_checks} states checked; ${answer.learned_drawn} of ` +
@@ -137,7 +137,7 @@ function wordsOf({ answer, way }, brief) {
   if (brief) return "solved.";
   const rest = answer.nodes
     ? `${answer.iterations} iterations.`
-    : `confidence ${answer.confidence.toFixed(3)}, the surest of ${answer.ways} ways.`;
+    : `confidence ${answer.confidence.toFixed(3)}, best of ${answer.ways} paths.`;
   const words = `Solved in ${searchedMs(answer)} ms: ${answer.length_rad.toFixed(2)} rad, ${rest}`;
   return way ? `${words} Checked against the discs: ${verdictOf(way)}.` : words;
 }

@@ -96,7 +96,7 @@ export class Readout {
 }
 
 /**
- * What a model's way is like.
+ * What a model’s path is like.
  * @param {import("./planner.js").Planned | null} planned
  * @param {boolean} grown  By trees.
  * @returns {[string, string][]}
@@ -107,7 +107,7 @@ function planFigures(planned, grown) {
   /** @type {[string, string][]} */
   const own = grown
     ? [["iterations", `${answer?.iterations ?? "–"}`], ["edges checked", `${answer?.edge_checks ?? "–"}`], ["states checked", `${answer?.state_checks ?? "–"}`]]
-    : [["its confidence", answer?.confidence?.toFixed(3) ?? "–"], ["least sure", answer?.least_sure?.confidence.toFixed(3) ?? "–"], ["ways found", `${answer?.ways ?? "–"}`]];
+    : [["its confidence", answer?.confidence?.toFixed(3) ?? "–"], ["lowest confidence", answer?.least_sure?.confidence.toFixed(3) ?? "–"], ["ways found", `${answer?.ways ?? "–"}`]];
   return [
     ["plan", answer?.status ?? "–"],
     ...own,

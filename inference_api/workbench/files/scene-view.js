@@ -15,10 +15,10 @@ const ARMS = /** @type {const} */ (["ghost", "peek", "start", "goal", "least", "
  * @property {number} chosen  Which disc; -1 for none.
  * @property {Configuration} start
  * @property {Configuration} goal
- * @property {Configuration[]} ghosts  Along the way.
- * @property {Configuration | null} moving  The arm on its way.
- * @property {Configuration | null} other  The arm on the way of the model beside.
- * @property {Configuration | null} least  Where the way is least sure.
+ * @property {Configuration[]} ghosts  Along the path.
+ * @property {Configuration | null} moving  The arm on its path.
+ * @property {Configuration | null} other  The arm on the path of the model beside.
+ * @property {Configuration | null} least  Where the path has its lowest confidence.
  * @property {Configuration | null} peek  Where the pointer is in the joint space.
  * @property {string | null} picture  Address of what is shown instead of discs.
  *

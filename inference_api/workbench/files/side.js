@@ -56,14 +56,14 @@ export class Side {
     return name ? `${name}${version ? `/${version}` : ""}` : this.bench.state[this.part] || "the default";
   }
 
-  /** Its way; empty where there is none. */
+  /** Its path; empty where there is none. */
   get way() {
     /** @type {Configuration[]} */
     const path = this.planned?.answer.path ?? [];
     return path;
   }
 
-  /** How sure its way is: on each piece, and where least, if below 0.99. */
+  /** Confidence of its path: on each edge, and where lowest if below 0.99. */
   get doubt() {
     const answer = this.planned?.answer;
     /** @type {number[]} */
@@ -105,7 +105,7 @@ export class Side {
     };
   }
 
-  /** The request for the samples or the way that are shown. @param {"sample" | "plan"} page */
+  /** The request for the samples or the path that are shown. @param {"sample" | "plan"} page */
   async body(page) {
     const { n, seed, confidence, start, goal, planSeed, limit, ways, sure } = this.bench.state;
     const image = await this.bench.pictured();

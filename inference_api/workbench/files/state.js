@@ -4,7 +4,7 @@
 
 /**
  * @typedef {"" | "RRTConnect" | "RRT"} Planner  Which grows trees among the discs; empty for POST /plan.
- * @typedef {"uniform" | "shown" | "ways"} Feed  What trees draw: the samples that are shown, or about the model's ways.
+ * @typedef {"uniform" | "shown" | "ways"} Feed  What trees draw: the samples that are shown, or about the model’s paths.
  *
  * @typedef {object} State
  * @property {Disc[]} discs
@@ -17,12 +17,12 @@
  * @property {string} seed  Decimal digits, for seeds have 64 bits.
  * @property {number | null} confidence  What samples have to score; null for the model's own threshold.
  * @property {string} planSeed  As the seed, of plans.
- * @property {number} limit  How long a way is looked for, s.
+ * @property {number} limit  Time limit of the search, s.
  * @property {number} ways  How many are looked for.
  * @property {Planner} planner
  * @property {Feed} feed
  * @property {number} budget  Iterations of a planner that grows trees.
- * @property {number | null} sure  What a way has to score; null for what the server asks of the model.
+ * @property {number | null} sure  Least confidence of a path; null for what the server asks of the model.
  * @property {"truth" | "belief" | "none"} ground  What lies under the samples.
  * @property {"plane" | "models"} view
  */

@@ -1,4 +1,4 @@
-// The joint space: joint 1 across and joint 2 up, with what collides, samples, start, goal and way.
+// The joint space: joint 1 across and joint 2 up, with what collides, samples, start, goal and path.
 
 /** @import {Configuration, End, Robot} from "./geometry.js" */
 
@@ -24,7 +24,7 @@ const CLASSES = [0.5, 0.9, 0.99];
  * @property {Configuration} goal
  * @property {Configuration[]} way
  * @property {Configuration | null} moving
- * @property {number[]} edges  The least confidence on each piece of the way.
+ * @property {number[]} edges  The least confidence on each edge of the path.
  * @property {Configuration | null} least  Where it is least sure.
  *
  * @typedef {{nodes?: Configuration[], parents?: number[]}} Planted  The parent of each node; -1 for roots.
@@ -181,7 +181,7 @@ export class TorusView {
   /**
    * A path on the map: a piece that crosses a seam is drawn at both sides of it.
    * @param {Configuration[]} path
-   * @param {(at: number) => boolean} [wanted]  Which pieces.
+   * @param {(at: number) => boolean} [wanted]  Which edges.
    */
   line(path, wanted = () => true) {
     let told = "";
