@@ -43,10 +43,15 @@ class Bag:
 
     def __init__(self, readers: Sequence[Reader], name: str, time_limit_s: float) -> None:
         self.name = name
-        self._readers, self._until = readers, time.monotonic() + time_limit_s
+        found: list[tuple[Reader, Any]] = [(reader, reader.connections) for reader in readers]
+        # A damaged .db3 file has topics without a name.
+        self._readers = [
+            (reader, [one for one in ones if isinstance(one.topic, str)]) for reader, ones in found
+        ]
+        self._until = time.monotonic() + time_limit_s
         self._limit_s, self._count = time_limit_s, 0
         self._types = get_typestore(Stores.LATEST)
-        self.topics = {one.topic: one.msgtype for reader in readers for one in reader.connections}
+        self.topics = {one.topic: one.msgtype for _, connections in self._readers for one in connections}
 
     def of_type(self, *types: str) -> list[str]:
         """Topics whose messages are of a type."""
@@ -55,7 +60,7 @@ class Bag:
     def count(self, topic: str) -> int:
         """How many messages a topic is said to have."""
         return sum(
-            one.msgcount for reader in self._readers for one in reader.connections if one.topic == topic
+            one.msgcount for _, connections in self._readers for one in connections if one.topic == topic
         )
 
     def messages(self, *topics: str) -> Iterator[tuple[str, Any]]:
@@ -64,14 +69,12 @@ class Bag:
         Raises:
             DatasetError: the recording cannot be read, or a limit is reached.
         """
-        for reader in self._readers:
-            connections = [
-                one
-                for one in reader.connections
-                if one.topic in topics and one.msgtype == self.topics[one.topic]
+        for reader, connections in self._readers:
+            wanted = [
+                one for one in connections if one.topic in topics and one.msgtype == self.topics[one.topic]
             ]
             # None asks for all.
-            yield from self._read(reader, connections) if connections else ()
+            yield from self._read(reader, wanted) if wanted else ()
 
     def _read(self, reader: Reader, connections: Any) -> Iterator[tuple[str, Any]]:
         found = reader.messages(connections)

@@ -90,14 +90,12 @@ class TakenView:
 
     Args:
         stamp_ns: of the picture.
-        file: the view file.
         tile: (360, any, 3) uint8, how a preview shows it.
         state: (d,) rad; None where no robot is known.
         image: the picture as the robot's world reads it; None where no robot is known.
     """
 
     stamp_ns: int
-    file: bytes
     tile: NDArray[np.uint8]
     state: tuple[float, ...] | None
     image: NDArray[np.uint8] | None
@@ -152,21 +150,19 @@ def import_recording(
     asked = options or RecordingOptions()
     skipped: Counter[str] = Counter()
     warnings: Counter[str] = Counter()
-    with opened(source, asked.time_limit_s) as bag:
-        taking = _Taking(bag, asked, world, skipped, warnings)
-        views = taking.views()
-    if not views:
-        raise DatasetError(
-            f"{source} holds no complete picture",
-            expected="depth images with a joint state and transforms of nearly the same stamp",
-            got="; ".join(f"{count} times {reason}" for reason, count in skipped.items()) or "no picture",
-            remedy="look at --base, --tolerance and the topics",
-        )
     digest = None
     with replacing(folder, "the import") as beside:
         (beside / "views").mkdir(parents=True)
-        for number, view in enumerate(views):
-            (beside / "views" / f"{number:04d}-{view.stamp_ns}.view").write_bytes(view.file)
+        with opened(source, asked.time_limit_s) as bag:
+            taking = _Taking(bag, asked, world, skipped, warnings)
+            views = taking.views(beside / "views")
+        if not views:
+            raise DatasetError(
+                f"{source} holds no complete picture",
+                expected="depth images with a joint state and transforms of nearly the same stamp",
+                got="; ".join(f"{count} times {reason}" for reason, count in skipped.items()) or "no picture",
+                remedy="look at --base, --tolerance and the topics",
+            )
         (beside / "preview.png").write_bytes(preview(views))
         if world is not None:
             written = write_dataset(
@@ -201,8 +197,8 @@ class _Taking:
         self._names = () if world is None else world.space.names
         self._states = Series(len(self._names))
 
-    def views(self) -> list[TakenView]:
-        """All complete pictures, so far apart and so many as is asked for.
+    def views(self, folder: Path) -> list[TakenView]:
+        """All complete pictures, so far apart and so many as is asked for; their view files go to a folder.
 
         Raises:
             DatasetError: as :func:`import_recording`.
@@ -216,7 +212,7 @@ class _Taking:
                 stamp = stamp_of(message.header)
                 if taken and stamp - taken[-1].stamp_ns < 1e9 * self._options.every_s:
                     continue
-                view = self._view(message, stamp)
+                view = self._view(message, stamp, folder / f"{len(taken):04d}-{stamp}.view")
                 if isinstance(view, str):
                     self._skipped[view] += 1
                     continue
@@ -298,8 +294,8 @@ class _Taking:
         self._states.add(stamp_of(message.header), row)
         return set()
 
-    def _view(self, message: Any, stamp: int) -> TakenView | str:
-        """The view of a picture, or why there is none."""
+    def _view(self, message: Any, stamp: int, path: Path) -> TakenView | str:
+        """The view of a picture, whose file is written, or why there is none."""
         pose = self._tree.pose(message.header.frame_id, stamp, self._within_ns)
         if pose is None:
             return f"no moving transform within {self._options.tolerance_s:g} s"
@@ -326,7 +322,8 @@ class _Taking:
                 self._warnings.update({one.code for one in examined.findings})
             spheres = None if self._world is None or state is None else self._world.spheres_at(state)
             tile = _tile(undistorted(picture, camera, distortion), camera, spheres)
-            return TakenView(stamp, file, tile, state, image)
+            path.write_bytes(file)
+            return TakenView(stamp, tile, state, image)
         except (ImageError, ScenarioError) as error:
             return str(error)[:300]
 

@@ -1,6 +1,8 @@
 """Recordings of ROS 2, written by rosbags: what becomes of pictures, cameras, joint states and transforms."""
 
+import sqlite3
 import struct
+from contextlib import closing
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -287,6 +289,18 @@ def test_files_that_are_none_or_lie_elsewhere_are_refused(tmp_path):
     data = only_file(bag, ".mcap").read_bytes()
     (tmp_path / "cut.mcap").write_bytes(data[: len(data) // 2])
     refused(tmp_path, tmp_path / "cut.mcap", "cannot be read")
+
+
+def test_a_topic_without_a_name_is_none(tmp_path):
+    path = only_file(usual(pictures=False).write(tmp_path / "bag", StoragePlugin.SQLITE3), ".db3")
+    with closing(sqlite3.connect(path)) as database:
+        database.execute("PRAGMA writable_schema=ON")
+        database.execute("UPDATE sqlite_master SET sql = replace(sql, 'name TEXT NOT NULL', 'name TEXT')")
+        database.commit()
+    with closing(sqlite3.connect(path)) as database:
+        database.execute("UPDATE topics SET name = NULL WHERE id = 1")
+        database.commit()
+    refused(tmp_path, path, "no topic of depth images")
 
 
 def test_limits_hold(tmp_path, monkeypatch):
