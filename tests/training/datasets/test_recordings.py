@@ -198,6 +198,14 @@ def test_every_depth_encoding_is_the_same_picture(tmp_path, form):
     assert not (tmp_path / "out" / "data").exists()
 
 
+def test_the_parts_of_a_long_recording_are_one_in_the_order_of_their_times(tmp_path):
+    (tmp_path / "parts").mkdir()
+    later = Recorder().add("/camera/depth/image_rect_raw", "image", *(image(0.3 + 0.1 * n) for n in range(3)))
+    for name, bag in (("bag_9", usual(states=False)), ("bag_10", later)):
+        only_file(bag.write(tmp_path / name), ".mcap").rename(tmp_path / "parts" / f"{name}.mcap")
+    assert import_recording(tmp_path / "parts", tmp_path / "out", options=OPTIONS).views == 6
+
+
 def test_moving_transforms_and_joint_states_are_those_of_the_pictures_stamp(tmp_path):
     bag = usual(states=False, static=(STATIC[0], STATIC[2]))
     poses = []
