@@ -119,8 +119,10 @@ def opened(source: Path, time_limit_s: float) -> Iterator[Bag]:
         for path in _files(source):
             with _read_errors(source.name):
                 readers.append(stack.enter_context(Reader(path)))
-        # By time: the names of the parts of a long recording end in _9, _10, ...
-        yield Bag(sorted(readers, key=lambda reader: reader.start_time), source.name, time_limit_s)
+        with _read_errors(source.name):
+            # By time: the names of the parts of a long recording end in _9, _10, ...
+            readers.sort(key=lambda reader: reader.start_time)
+        yield Bag(readers, source.name, time_limit_s)
 
 
 def _files(source: Path) -> list[Path]:
