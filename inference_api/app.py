@@ -30,8 +30,7 @@ from inference_api.telemetry import Metrics, Telemetry
 from inference_api.tensors import InferenceRequest
 from inference_api.tracing import TracedObserver, add_tracing, otlp_provider
 from inference_api.workbench.routes import add_workbench
-from services.registry.models.port import ModelReader
-from services.registry.references import PRETRAINED
+from services.registry.ports import PRETRAINED, ModelReader
 
 # Long enough for a registry nearby, short enough for a health check's patience.
 FIRST_LOOK_S = 20.0

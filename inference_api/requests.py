@@ -34,7 +34,7 @@ from inference_api.problems import (
 from inference_api.scheduler import Job, Lookups, Scheduler, rows_of
 from inference_api.schemas import ModelFields, RequestFields
 from inference_api.telemetry import Metrics
-from services.registry.references import ModelReference
+from services.registry.ports import ModelReference
 
 NPY = "application/x-npy"
 # A request that waits or computes for so long is ended where its client goes away.

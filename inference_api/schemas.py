@@ -27,7 +27,7 @@ from cspace.view_file import MAX_PICTURES, pack_view
 from cspace.world import Finding
 from inference_api.models.served import ServedModel
 from inference_api.problems import FieldProblem, FieldsError, brief
-from services.registry.references import ModelReference
+from services.registry.ports import ModelReference
 
 MAX_JOINTS, MAX_EPSILONS, MAX_VIEWS = 64, 1000, 64
 MIN_SCALE_M, MAX_SCALE_M = 1e-6, 1.0

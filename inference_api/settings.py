@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from cspace.errors import ConfigError
-from services.registry.references import PRETRAINED, SHIPPED, is_model_name, is_shipped
+from services.registry.ports import PRETRAINED, SHIPPED, is_model_name, is_shipped
 
 TRACES_ENDPOINTS = ("OTEL_EXPORTER_OTLP_ENDPOINT", "OTEL_EXPORTER_OTLP_TRACES_ENDPOINT")
 # The name is the metrics library's; `--workers` sets it.

@@ -19,7 +19,10 @@ ALIAS_CHALLENGER = "challenger"
 ALIAS_CHAMPION = "champion"
 
 TAG_DIGEST = "digest"
-# On a run: what :meth:`services.registry.tracking.port.Tracking.start` finds it by.
+# On a run: what it is of, the job's name, its preset, the version that it made or judged, and MLflow's note.
+TAG_STAGE, TAG_JOB, TAG_PRESET, TAG_MODEL = "stage", "job", "preset", "model_version"
+NOTE = "mlflow.note.content"
+# On a run: what :meth:`services.registry.ports.Tracking.start` finds it by.
 TAG_KEY = "cspace.key"
 # On a version: when it was the champion and was rolled back from, ISO 8601 in UTC.
 TAG_ROLLED_BACK = "rolled_back"

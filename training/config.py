@@ -12,8 +12,7 @@ from cspace.world import World
 from cspace.worlds import default_world, simulator_of
 from cspace.yaml_file import read_yaml, read_yaml_file
 from services.names import model_name
-from services.registry.references import ModelReference
-from services.registry.tracking.parameters import flatten
+from services.registry.ports import ModelReference, flatten
 from training.datasets.config import DatasetConfig, GeneratedConfig, PathDatasetConfig
 from training.models.settings import (
     FlowConfig,

@@ -20,9 +20,8 @@ from cspace.bundle import Bundle
 from cspace.bundle.verification import load_verified
 from cspace.errors import ConfigError, CspaceError, InputError
 from services.command_errors import tell_error
-from services.names import ALIAS_CHALLENGER, ALIAS_CHAMPION, EXPERIMENT, model_name, recorded_name
-from services.registry.tracking.experiment import TAG_STAGE
-from services.registry.tracking.port import ID
+from services.names import ALIAS_CHALLENGER, ALIAS_CHAMPION, EXPERIMENT, TAG_STAGE, model_name, recorded_name
+from services.registry.ports import ID
 from training.jobs.job import world_tag
 from training.paths.writing import made_or_found
 
@@ -69,8 +68,8 @@ def register(bundle: Bundle, uri: str, model: str, alias: str) -> str:
         RegistryError: the registry at ``uri`` does not answer.
     """
     # MLflow takes seconds to import.
-    from services.registry.models.mlflow_registry import MlflowRegistry  # noqa: PLC0415
-    from services.registry.tracking.mlflow_tracking import MlflowTracking  # noqa: PLC0415
+    from services.registry.mlflow_registry import MlflowRegistry  # noqa: PLC0415
+    from services.registry.mlflow_tracking import MlflowTracking  # noqa: PLC0415
 
     provenance = bundle.spec.provenance
     tags = {TAG_STAGE: "path-sampler", **world_tag(bundle.spec.world, recorded_name(provenance.config))}

@@ -23,8 +23,8 @@ from benchmarks.serving.served import BUNDLE, Asker, new_pictures, served
 from cspace.bundle import Bundle, Provenance, write_bundle
 from cspace.files import make_output_folder
 from services.names import ALIAS_CHAMPION, EXPERIMENT, MODEL_NAME
-from services.registry.models.mlflow_registry import MlflowRegistry
-from services.registry.tracking.mlflow_tracking import MlflowTracking
+from services.registry.mlflow_registry import MlflowRegistry
+from services.registry.mlflow_tracking import MlflowTracking
 
 GRAPHS = ("encoder", "generator", "validity", "novelty")
 # The first reloads fill caches and pools.

@@ -35,8 +35,7 @@ from cspace.errors import (
 from cspace.files import HALF_PREFIX, holding, read_bounded, replacing
 from inference_api.models.worker import DOWNLOAD_S
 from inference_api.problems import ModelNotReadyError
-from services.registry.models.port import ModelReader, ModelVersion
-from services.registry.references import is_model_name
+from services.registry.ports import ModelReader, ModelVersion, is_model_name
 
 # Longer than any description; what is longer is somebody else's file.
 MAX_DESCRIPTION_BYTES = 2**20

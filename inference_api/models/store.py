@@ -36,9 +36,8 @@ from inference_api.models.worker import RegistryWorker
 from inference_api.problems import ModelNotReadyError
 from inference_api.telemetry import Observer, Refusal
 from services.names import ALIAS_CHAMPION, TAG_ROBOT
-from services.registry.models.port import ModelReader, ModelVersion
-from services.registry.references import PRETRAINED, ModelReference
-from services.registry.scrubbing import anonymous
+from services.registry.failures import anonymous
+from services.registry.ports import PRETRAINED, ModelReader, ModelReference, ModelVersion
 
 _Answer = TypeVar("_Answer")
 _LOG = logging.getLogger(__name__)

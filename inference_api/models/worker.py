@@ -32,9 +32,8 @@ from cspace.errors import (
     StorageError,
 )
 from inference_api.process import few_arenas
-from services.registry.failures import failure_of
-from services.registry.models.port import ModelVersion
-from services.registry.scrubbing import anonymous
+from services.registry.failures import anonymous, failure_of
+from services.registry.ports import ModelVersion
 
 LOOKUP_S, DOWNLOAD_S = 8.0, 90.0
 # Imports on a busy machine take their time.
@@ -60,7 +59,7 @@ _VERSION, _VERSIONS = TypeAdapter(ModelVersion), TypeAdapter(tuple[ModelVersion,
 
 
 class RegistryWorker:
-    """A :class:`~services.registry.models.port.ModelReader` in a worker process; safe to share by threads.
+    """A :class:`~services.registry.ports.ModelReader` in a worker process; safe to share by threads.
 
     Every method raises RegistryUnavailableError where the worker misses the deadline, dies or cannot start.
 
@@ -98,19 +97,19 @@ class RegistryWorker:
             process.end()
 
     def version(self, name: str, number: int) -> ModelVersion:
-        """See :meth:`services.registry.models.port.ModelReader.version`."""
+        """See :meth:`services.registry.ports.ModelReader.version`."""
         return self._look_up(_VERSION, "version", name, number)
 
     def by_alias(self, name: str, alias: str) -> ModelVersion:
-        """See :meth:`services.registry.models.port.ModelReader.by_alias`."""
+        """See :meth:`services.registry.ports.ModelReader.by_alias`."""
         return self._look_up(_VERSION, "by_alias", name, alias)
 
     def versions(self, name: str) -> tuple[ModelVersion, ...]:
-        """See :meth:`services.registry.models.port.ModelReader.versions`."""
+        """See :meth:`services.registry.ports.ModelReader.versions`."""
         return self._look_up(_VERSIONS, "versions", name)
 
     def download(self, version: ModelVersion, folder: Path) -> Path:
-        """See :meth:`services.registry.models.port.ModelReader.download`."""
+        """See :meth:`services.registry.ports.ModelReader.download`."""
         self._call(self._download_s, "download", version, folder.absolute())
         return folder
 
@@ -265,10 +264,10 @@ def _reply(number: int, result: Any, error: CspaceError | None) -> bytes:
 
 
 def _registry(uri: str) -> Callable[[], Any]:
-    from services.registry.mlflow_health import lower_patience  # noqa: PLC0415 - MLflow takes seconds
+    from services.registry.mlflow_errors import lower_patience  # noqa: PLC0415 - MLflow takes seconds
 
     lower_patience(os.environ)
-    from services.registry.models.mlflow_registry import MlflowRegistry  # noqa: PLC0415 - as above
+    from services.registry.mlflow_registry import MlflowRegistry  # noqa: PLC0415 - as above
 
     return cache(partial(MlflowRegistry, uri))
 

@@ -9,9 +9,8 @@ from pydantic import BaseModel
 from cspace.bundle import Provenance
 from cspace.errors import RegistryError
 from inference_api.models.store import ModelStore
-from services.registry.models.port import ModelVersion
+from services.registry.ports import ModelVersion, is_model_name
 from services.registry.promotion import Decision, decisions_of
-from services.registry.references import is_model_name
 
 # What is told of tags: where a version comes from. Anybody may write others.
 _LINEAGE = ("preset", "seed", "data_digest", "git_commit")

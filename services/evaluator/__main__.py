@@ -20,9 +20,8 @@ from services.evaluator.evaluation.job import Outcome, evaluate_version, executo
 from services.evaluator.evaluation.measured import aligned, flat_metrics
 from services.evaluator.evaluation.report import REPORT_FOLDER, judged_on, terminal_table
 from services.evaluator.evaluation.units import BUDGETS, make_request
-from services.registry.models.mlflow_registry import MlflowRegistry
-from services.registry.tracking.mlflow_tracking import MlflowTracking
-from services.registry.tracking.reading import MlflowRuns
+from services.registry.mlflow_registry import MlflowRegistry
+from services.registry.mlflow_tracking import MlflowTracking
 from services.results import tell_result
 
 BENCHMARK, COMPARE = "planning", "compare"
@@ -61,7 +60,7 @@ def _compare(arguments: Sequence[str], environment: Mapping[str, str]) -> int:
     options = compare.make_parser().parse_args(arguments)
     try:
         uri = _tracking_uri(environment)
-        runs, registry = MlflowRuns(uri), MlflowRegistry(uri)
+        runs, registry = MlflowTracking(uri), MlflowRegistry(uri)
         found = [compare.find(text, runs, registry) for text in options.what]
         print(aligned(compare.compare_table(found, everything=options.all)))
         if options.out is not None:

@@ -23,9 +23,7 @@ from services.evaluator.evaluation.measured import (
     markdown,
 )
 from services.evaluator.evaluation.report import MEASURES_TABLE
-from services.registry.models.port import ModelRegistry
-from services.registry.references import ModelReference
-from services.registry.tracking.reading import FoundRun, Runs
+from services.registry.ports import FoundRun, ModelReference, ModelRegistry, Tracking
 
 _RUN_ID = re.compile(r"[0-9a-f]{32}")
 _DIGEST = "model_digest"
@@ -49,7 +47,7 @@ class Compared:
     rows: tuple[Measured, ...]
 
 
-def find(text: str, runs: Runs, registry: ModelRegistry) -> Compared:
+def find(text: str, runs: Tracking, registry: ModelRegistry) -> Compared:
     """The last evaluation of a version, or of a run.
 
     Args:
@@ -141,7 +139,7 @@ def make_parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _rows(runs: Runs, run: FoundRun) -> tuple[Measured, ...]:
+def _rows(runs: Tracking, run: FoundRun) -> tuple[Measured, ...]:
     with tempfile.TemporaryDirectory(prefix="cspace-compare-") as folder:
         path = runs.file(run.run_id, f"tables/{MEASURES_TABLE}.json", Path(folder))
         if path is None:

@@ -13,12 +13,11 @@ from pathlib import Path
 from cspace.errors import ConfigError, CspaceError, InputError, ModelNotFoundError
 from services.command_errors import tell_error
 from services.names import ALIAS_CHAMPION
-from services.registry import life_cycle
-from services.registry.models.mlflow_registry import MlflowRegistry
-from services.registry.models.port import ModelRegistry, ModelVersion
+from services.registry import promotion
+from services.registry.mlflow_registry import MlflowRegistry
+from services.registry.mlflow_tracking import MlflowTracking
+from services.registry.ports import ModelReference, ModelRegistry, ModelVersion
 from services.registry.promotion import PREFIX, Decision, decisions_of
-from services.registry.references import ModelReference
-from services.registry.tracking.mlflow_tracking import MlflowTracking
 
 _Run = Callable[[ModelRegistry, argparse.Namespace], None]
 
@@ -103,11 +102,11 @@ def _show(registry: ModelRegistry, options: argparse.Namespace) -> None:
 
 
 def _promote(registry: ModelRegistry, options: argparse.Namespace) -> None:
-    _tell(life_cycle.promote(registry, _version(registry, options), options.reason))
+    _tell(promotion.promote(registry, _version(registry, options), options.reason))
 
 
 def _roll_back(registry: ModelRegistry, options: argparse.Namespace) -> None:
-    _tell(life_cycle.roll_back(registry, options.name, options.reason))
+    _tell(promotion.roll_back(registry, options.name, options.reason))
 
 
 def _delete(registry: ModelRegistry, options: argparse.Namespace) -> None:
@@ -118,18 +117,18 @@ def _delete(registry: ModelRegistry, options: argparse.Namespace) -> None:
         if input(f"delete {version} for good? [y/N] ").strip().lower() not in {"y", "yes"}:
             print("nothing was deleted")
             return
-    life_cycle.delete(registry, version)
+    promotion.delete(registry, version)
     print(f"deleted {version}")
 
 
 def _export(registry: ModelRegistry, options: argparse.Namespace) -> None:
     version = _version(registry, options)
-    print(f"{version} is in {life_cycle.export_version(registry, version, options.folder)}")
+    print(f"{version} is in {promotion.export_version(registry, version, options.folder)}")
 
 
 def _import(registry: ModelRegistry, options: argparse.Namespace) -> None:
     tracking = MlflowTracking(options.uri)
-    version = life_cycle.import_version(registry, tracking, options.folder, options.name)
+    version = promotion.import_version(registry, tracking, options.folder, options.name)
     print(f"{version} is the challenger; evaluate it: python -m services.evaluator --model {version}")
 
 

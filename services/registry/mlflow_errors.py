@@ -1,20 +1,37 @@
-"""MLflow's exceptions, and those of what it stands on, become the project's."""
+"""MLflow's exceptions as the project's, and how long its server is waited for.
 
-from collections.abc import Iterator
+MLflow's client waits 120 s and tries seven times. Its only settings for that are the environment's, which
+hold for the whole process, training included, where the long patience is right. So a lookup asks first, once,
+with a short patience of its own, :func:`check_reachable`. The question goes through to the database:
+``/health`` is well while that is away. A process that only serves may lower the client's patience,
+:func:`lower_patience`. A job's driver waits longer than MLflow does, :func:`patiently`.
+"""
+
+import logging
+import time
+from collections.abc import Callable, Iterator, MutableMapping
 from contextlib import contextmanager
+from typing import Any, TypeVar
 
 from google.protobuf.json_format import ParseError  # type: ignore[import-untyped]
 from mlflow.exceptions import MlflowException
+from mlflow.store.entities import PagedList
+from mlflow.utils.credentials import get_default_host_creds
+from mlflow.utils.rest_utils import http_request
 from requests.exceptions import HTTPError, RequestException
 
 from cspace.errors import ModelNotFoundError, RegistryError, RegistryUnavailableError, StorageError
-from services.registry.failures import disk_failure
-from services.registry.scrubbing import without_user_info
+from services.registry.failures import disk_failure, without_user_info
 
 # A name that MLflow calls invalid names nothing, and a missing alias is an "invalid parameter" to it.
 _MISSING = frozenset({"RESOURCE_DOES_NOT_EXIST", "INVALID_PARAMETER_VALUE", "NOT_FOUND"})
 _AWAY = frozenset({"TEMPORARILY_UNAVAILABLE", "REQUEST_LIMIT_EXCEEDED", "DEADLINE_EXCEEDED"})
 _MAX_WORDS = 500
+# Between two questions of a patient caller, and two lines of its log that say the same.
+LOOK_EVERY_S, LINE_EVERY_S = 5.0, 60.0
+_LOG = logging.getLogger("training")
+Answer = TypeVar("Answer")
+Item = TypeVar("Item")
 
 
 @contextmanager
@@ -38,7 +55,11 @@ def mapped(action: str, *, lookup: bool = False) -> Iterator[None]:
         disk = disk_failure(error)
         if disk is not None:
             raise _not_writable(action, disk) from error
-        raise _of_network(action, error, lookup) from error
+        if isinstance(error, MlflowException):
+            raise _from_mlflow(action, error, lookup) from error
+        if isinstance(error, RequestException):
+            raise _from_requests(action, error) from error
+        raise _not_writable(action, error.strerror or type(error).__name__) from error
     except (ValueError, KeyError, TypeError, ParseError) as error:
         # JSON or protobuf that does not parse: whatever answers there, it is no MLflow server.
         raise RegistryError(
@@ -66,14 +87,6 @@ def unavailable(action: str, got: str) -> RegistryUnavailableError:
     )
 
 
-def _of_network(action: str, error: MlflowException | OSError, lookup: bool) -> RegistryError | StorageError:
-    if isinstance(error, MlflowException):
-        return _from_mlflow(action, error, lookup)
-    if isinstance(error, RequestException):
-        return _from_requests(action, error)
-    return _not_writable(action, error.strerror or type(error).__name__)
-
-
 def _not_writable(action: str, got: str) -> StorageError:
     return StorageError(
         f"{action}: a file of this machine cannot be read or written",
@@ -83,7 +96,7 @@ def _not_writable(action: str, got: str) -> StorageError:
     )
 
 
-def _from_mlflow(action: str, error: MlflowException, lookup: bool) -> RegistryError | StorageError:
+def _from_mlflow(action: str, error: MlflowException, lookup: bool) -> RegistryError:
     # Transport errors come wrapped, as the cause or the context of an MlflowException of no special code.
     inner = error.__cause__ or error.__context__
     lost = isinstance(inner, RequestException) and not isinstance(inner, HTTPError)
@@ -109,3 +122,92 @@ def _words(error: BaseException) -> str:
     """Others' words, which may hold the address with its password."""
     words = without_user_info(" ".join(str(error).split())) or type(error).__name__
     return words if len(words) <= _MAX_WORDS else words[:_MAX_WORDS] + " ..."
+
+
+_PROBE = "/api/2.0/mlflow/registered-models/search"
+_SERVING = {
+    "MLFLOW_HTTP_REQUEST_TIMEOUT": "5",
+    "MLFLOW_HTTP_REQUEST_MAX_RETRIES": "1",
+    "MLFLOW_HTTP_REQUEST_BACKOFF_FACTOR": "1",
+    "MLFLOW_ENABLE_ARTIFACTS_PROGRESS_BAR": "false",
+}
+
+
+def check_reachable(uri: str, patience_s: float) -> None:
+    """Ask the server for one line of its database.
+
+    Args:
+        uri: of the tracking server; one that is not http is a file of this machine, and always there.
+        patience_s: for the connection, and again for the answer.
+
+    Raises:
+        RegistryUnavailableError: it does not answer in time, or says that it can not.
+    """
+    if not uri.startswith(("http://", "https://")):
+        return
+    action = f"asking {without_user_info(uri)}"
+    with mapped(action):
+        answer = http_request(  # type: ignore[no-untyped-call]
+            get_default_host_creds(uri),  # type: ignore[no-untyped-call]
+            _PROBE,
+            "GET",
+            max_retries=0,
+            timeout=patience_s,
+            raise_on_status=False,
+            params={"max_results": 1},
+        )
+    if answer.status_code >= 500:
+        raise unavailable(action, f"status {answer.status_code}")
+
+
+def lower_patience(environment: MutableMapping[str, str]) -> None:
+    """Lower the client's patience for a whole process, and its noise; what is set already stays.
+
+    For the entry point of a process that serves, with ``os.environ``.
+    """
+    for name, value in _SERVING.items():
+        environment.setdefault(name, value)
+
+
+def all_pages(search: Callable[..., PagedList[Item]], *arguments: Any, **options: Any) -> list[Item]:
+    """Everything that one of the client's searches finds."""
+    found: list[Item] = []
+    token: str | None = None
+    while True:
+        page = search(*arguments, page_token=token, **options)
+        found += page
+        token = page.token or None
+        if token is None:
+            return found
+
+
+def patiently(action: str, call: Callable[[], Answer], patience_s: float) -> Answer:
+    """The answer of ``call``, asked again while the tracking server is away.
+
+    Args:
+        action: what is being done, for the log.
+        call: may be called again after it has failed.
+        patience_s: how long the server may be away.
+
+    Raises:
+        RegistryUnavailableError: it stayed away; what is done so far is kept, and the job can be resumed.
+    """
+    began, said = time.monotonic(), float("-inf")
+    while True:
+        try:
+            return call()
+        except RegistryUnavailableError as error:
+            waited = time.monotonic() - began
+            if waited >= patience_s:
+                raise RegistryUnavailableError(
+                    f"{action}: the tracking server stayed away for {waited:.0f} s",
+                    expected=error.expected,
+                    got=error.got,
+                    remedy="nothing is lost: start it, then submit the job again by name or resume its run",
+                ) from error
+            if time.monotonic() - said >= LINE_EVERY_S:
+                said = time.monotonic()
+                _LOG.info(
+                    "%s: the tracking server is away, waiting up to %.0f s", action, patience_s - waited
+                )
+            time.sleep(LOOK_EVERY_S)

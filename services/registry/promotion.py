@@ -1,19 +1,41 @@
-"""Promotion: what was decided about a version, why, and which version answers from then on.
+"""Which version answers: the log of decisions, and what people do with versions by hand.
 
 The log is kept on the versions themselves, one tag ``decision.0001.5f0c2a91`` an entry, holding JSON. It is
 append-only: the last part of a tag is random, because the registry has no "set if absent" that would keep two
-evaluations of one moment from the same number.
+evaluations of one moment from the same number. Every move of the champion by hand is a decision as the
+evaluator's are, with the words ``by hand`` among its reasons.
 """
 
 import json
 import re
 import secrets
+import tempfile
+import time
 from collections.abc import Mapping
 from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
 
-from cspace.errors import RegistryError
-from services.names import ALIAS_CHAMPION, TAG_ROLLED_BACK
-from services.registry.models.port import ModelRegistry, ModelVersion
+from pydantic import BaseModel, ValidationError
+
+from cspace.bundle.spec import BundleSpec
+from cspace.bundle.verification import load_verified
+from cspace.errors import ConfigError, ModelNotFoundError, RegistryError
+from cspace.files import read_bounded, replacing, write_json
+from cspace.worlds import robot_digest
+from services.names import (
+    ALIAS_CHALLENGER,
+    ALIAS_CHAMPION,
+    EXPERIMENT,
+    TAG_DIGEST,
+    TAG_ROBOT,
+    TAG_ROLLED_BACK,
+    is_kept,
+    is_own,
+    model_name,
+    names_beside,
+)
+from services.registry.ports import ModelRegistry, ModelVersion, Tracking
 
 PREFIX = "decision."
 _KEY = re.compile(rf"{re.escape(PREFIX)}(\d+)(?:\.[0-9a-f]+)?", re.ASCII)
@@ -111,3 +133,174 @@ def _entries(version: ModelVersion) -> list[tuple[int, str]]:
     """The log's entries with their numbers."""
     matched = ((_KEY.fullmatch(key), text) for key, text in version.tags.items())
     return [(int(match[1]), text) for match, text in matched if match is not None]
+
+
+BUNDLE_FOLDER, RECORD = "bundle", "version.json"
+BY_HAND, STEP_BACK = "by hand", "rolled back from"
+_MAX_RECORD_BYTES = 2**20
+ROLLED_BACK = f"{BY_HAND}: {STEP_BACK}"
+
+
+def promote(registry: ModelRegistry, version: ModelVersion, reason: str) -> Decision:
+    """Make a version the champion, whatever the gate thinks of it; its bundle is read and replayed first.
+
+    Args:
+        registry: holds it.
+        version: which.
+        reason: is kept with the decision.
+
+    Raises:
+        BundleError: its bundle is damaged or answers otherwise here.
+        RegistryError: the registry refuses.
+    """
+    decision = _by_hand(registry, version, reason)
+    record_decision(registry, decision)
+    return decision
+
+
+def roll_back(registry: ModelRegistry, name: str, reason: str) -> Decision:
+    """Make the version champion that was it before the present one.
+
+    The one that is left bears the date in its tag ``rolled_back`` until it is promoted again: no candidate
+    is held against it.
+
+    Raises:
+        ModelNotFoundError: there is no champion, or there was none before it that still exists.
+    """
+    present = registry.by_alias(name, ALIAS_CHAMPION).number
+    there = {version.number: version for version in registry.versions(name)}
+    row: list[int] = []
+    for decision in champions(registry, name):
+        # A step back takes off the row what it left behind.
+        if decision.reasons[0].startswith(ROLLED_BACK) and decision.version in row:
+            del row[len(row) - row[::-1].index(decision.version) :]
+        else:
+            row.append(decision.version)
+    earlier = [number for number in row if number != present and number in there]
+    if not earlier:
+        raise ModelNotFoundError(
+            f"{name} cannot be rolled back",
+            expected="a champion before the present one",
+            got=f"version {present} alone",
+            remedy="promote another version, or delete this one and the shipped model answers",
+        )
+    decision = _by_hand(registry, there[earlier[-1]], f"{STEP_BACK} {present}: {reason}")
+    # Before the alias moves: whoever repeats a command that was cut short must not step back twice.
+    now = datetime.now(UTC).isoformat(timespec="seconds")
+    registry.set_tags(name, present, {TAG_ROLLED_BACK: now})
+    record_decision(registry, decision)
+    return decision
+
+
+def delete(registry: ModelRegistry, version: ModelVersion) -> None:
+    """Delete a version that no alias names.
+
+    Raises:
+        ConfigError: an alias names it.
+        ModelNotFoundError: there is no such version.
+    """
+    if version.aliases:
+        raise ConfigError(
+            f"{version} is in use",
+            expected="a version without aliases",
+            got=", ".join(version.aliases),
+            remedy=f"promote another version, or roll back; then delete {version}",
+        )
+    registry.delete(version.name, version.number)
+
+
+def export_version(registry: ModelRegistry, version: ModelVersion, folder: Path) -> Path:
+    """Write a version's bundle, tags and decisions into a new folder, whole or not at all.
+
+    Raises:
+        ConfigError: the folder exists.
+        StorageError: it cannot be written.
+    """
+    if folder.exists():
+        raise ConfigError("the export's folder exists", expected="a new folder", got=str(folder))
+    with replacing(folder, "the export") as beside:
+        beside.mkdir(parents=True)
+        registry.download(version, beside / BUNDLE_FOLDER)
+        record = {key: value for key, value in vars(version).items() if key != "aliases"}
+        write_json(beside / RECORD, {**record, "tags": dict(version.tags)}, indent=2)
+    return folder
+
+
+def import_version(registry: ModelRegistry, tracking: Tracking, folder: Path, name: str) -> ModelVersion:
+    """Register what :func:`export_version` wrote, or a bundle alone, as the challenger; once, if repeated.
+
+    Raises:
+        BundleError: the bundle is damaged or answers otherwise here.
+        ConfigError: the folder holds neither, or the name is another robot's.
+    """
+    bundle = folder / BUNDLE_FOLDER if (folder / BUNDLE_FOLDER).is_dir() else folder
+    verified = load_verified(bundle)
+    digest = verified.digest
+    _require_name(registry, name, verified.spec)
+    tags = _tags(folder / RECORD)
+    key = f"import/{name}/{digest}"
+    with tracking.start(EXPERIMENT, f"import {digest[:8]}", tags={"imported": "true"}, key=key) as run:
+        return registry.register(name, bundle, run.run_id, digest, tags, alias=ALIAS_CHALLENGER)
+
+
+def _require_name(registry: ModelRegistry, name: str, spec: BundleSpec) -> None:
+    """Refuse a name that is kept for another robot, or under which the registry has another's versions."""
+    if is_own(name, spec.world):
+        return
+    digest = robot_digest(spec.world)
+    held = (version for model in names_beside(name) for version in registry.versions(model))
+    other = next((one for one in held if one.tags.get(TAG_ROBOT, digest) != digest), None)
+    if other is None and not is_kept(name):
+        return
+    told = "" if other is None else f", and {other} is of robot {other.tags[TAG_ROBOT][:8]}"
+    raise ConfigError(
+        "the model's name is another robot's",
+        expected=f"a name whose models are of robot {digest[:8]}",
+        got=f"{name}{told}",
+        remedy=f"import it as {model_name(spec.world, path=spec.kind == 'path')}, or under another name",
+    )
+
+
+class _Record(BaseModel):
+    tags: dict[str, str]
+
+
+def _tags(record: Path) -> Mapping[str, str]:
+    """Of the exported version, the decisions about it elsewhere left out: they compare with others."""
+    if not record.exists():
+        return {}
+    try:
+        tags = _Record.model_validate_json(read_bounded(record, _MAX_RECORD_BYTES, ConfigError)).tags
+    except ValidationError as error:
+        raise ConfigError(
+            f"{record} is not readable", expected="what `export` wrote", got=str(error.errors()[0]["msg"])
+        ) from error
+    left_out = (TAG_DIGEST, TAG_ROLLED_BACK)
+    return {
+        key: value for key, value in tags.items() if not key.startswith("decision.") and key not in left_out
+    }
+
+
+def _by_hand(registry: ModelRegistry, version: ModelVersion, reason: str) -> Decision:
+    """The decision that makes a version the champion, after its bundle was read and replayed."""
+    with tempfile.TemporaryDirectory(prefix="cspace-promote-") as folder:
+        bundle = registry.download(version, Path(folder) / BUNDLE_FOLDER)
+        world = load_verified(bundle, version.digest).spec.world
+    judged = decisions_of(version)
+    return Decision(
+        version.name,
+        version.number,
+        promoted=True,
+        reasons=(f"{BY_HAND}: {reason}",),
+        metrics=judged[-1].metrics if judged else {},
+        against=_champion(registry, version.name),
+        created_ms=time.time_ns() // 1_000_000,
+        robot=robot_digest(world),
+    )
+
+
+def _champion(registry: ModelRegistry, name: str) -> int | None:
+    try:
+        return registry.by_alias(name, ALIAS_CHAMPION).number
+    except ModelNotFoundError:
+        return None

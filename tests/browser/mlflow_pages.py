@@ -7,7 +7,7 @@ from urllib.parse import quote
 from playwright.sync_api import Page
 from playwright.sync_api import expect as expect_that
 
-from services.registry.tracking.experiment import TRAINING
+from services.registry.mlflow_tracking import TRAINING
 
 
 def open_runs(page: Page, url: str, experiment_id: str, parent: str) -> None:

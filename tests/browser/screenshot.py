@@ -12,8 +12,7 @@ from mlflow import MlflowClient
 from mlflow.entities import Run
 from playwright.sync_api import Page
 
-from services.names import EXPERIMENT, MODEL_NAME
-from services.registry.tracking.experiment import TAG_STAGE
+from services.names import EXPERIMENT, MODEL_NAME, TAG_STAGE
 from tests.browser import mlflow_pages
 from tests.browser.chromium import browser_page
 

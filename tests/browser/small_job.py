@@ -7,9 +7,9 @@ from matplotlib.figure import Figure
 
 from cspace.bundle import Bundle
 from services.names import ALIAS_CHALLENGER, EXPERIMENT, MODEL_NAME
-from services.registry.models.mlflow_registry import MlflowRegistry
+from services.registry.mlflow_registry import MlflowRegistry
+from services.registry.mlflow_tracking import MlflowTracking
 from services.registry.promotion import Decision, record_decision
-from services.registry.tracking.mlflow_tracking import MlflowTracking
 from tests.bundles import write_tiny_bundle
 
 CHILDREN = ("vae", "local-0", "local-1", "global", "evaluation")

@@ -10,7 +10,7 @@ from mlflow.entities import LoggedModelStatus, Run
 
 from cspace.bundle import Bundle
 from services.names import EXPERIMENT, MODEL_NAME
-from services.registry.models.mlflow_registry import MlflowRegistry
+from services.registry.mlflow_registry import MlflowRegistry
 from training.models.checkpoint import WEIGHTS
 from training.trials.launch import TrialFolder
 

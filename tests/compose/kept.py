@@ -8,8 +8,8 @@ import mlflow
 
 from cspace.bundle import Bundle
 from services.names import MODEL_NAME
-from services.registry.models.mlflow_registry import MlflowRegistry
-from services.registry.models.port import ModelVersion
+from services.registry.mlflow_registry import MlflowRegistry
+from services.registry.ports import ModelVersion
 from tests.compose.stack import Stack
 
 LIST_DATA = "cd /var/lib/cspace/datasets && find . -type f -exec sha256sum {} + | sort"

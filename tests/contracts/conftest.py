@@ -7,12 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from services.registry.models.port import ModelRegistry
-from services.registry.tracking.port import Tracking
-from services.registry.tracking.reading import Runs
+from services.registry.ports import ModelRegistry, Tracking
 from tests.contracts.mlflow_server import mlflow_server
 from tests.contracts.run_records import RunRecord, read_fake, read_mlflow
-from tests.fakes.registry import FakeRegistry, FakeRuns, FakeTracking
+from tests.fakes.registry import FakeRegistry, FakeTracking
 
 BACKENDS = ["fake", "database", "spooled", pytest.param("server", marks=pytest.mark.e2e)]
 _numbers = itertools.count(1)
@@ -25,7 +23,6 @@ class Backend:
     tracking: Tracking
     registry: ModelRegistry
     read: Callable[[str], RunRecord]
-    runs: Runs
 
 
 @pytest.fixture(scope="session")
@@ -48,7 +45,7 @@ def backend(request: pytest.FixtureRequest, tmp_path: Path) -> Backend:
     if request.param == "fake":
         tracking = FakeTracking()
         registry = FakeRegistry(tmp_path / "fake-registry", tracking.runs)
-        return Backend(tracking, registry, lambda run_id: read_fake(tracking, run_id), FakeRuns(tracking))
+        return Backend(tracking, registry, lambda run_id: read_fake(tracking, run_id))
     if request.param == "spooled":
         return mlflow_backend(request.getfixturevalue("database_uri"), tmp_path / "spool")[1]
     return mlflow_backend(request.getfixturevalue(f"{request.param}_uri"))[1]
@@ -74,12 +71,9 @@ def mlflow_backend(uri: str, spool_folder: Path | None = None) -> tuple[str, Bac
     """Tracking and registry at an address, which is returned as well."""
     from mlflow import MlflowClient
 
-    from services.registry.models.mlflow_registry import MlflowRegistry
-    from services.registry.tracking.mlflow_tracking import MlflowTracking
-    from services.registry.tracking.reading import MlflowRuns
+    from services.registry.mlflow_registry import MlflowRegistry
+    from services.registry.mlflow_tracking import MlflowTracking
 
     client = MlflowClient(tracking_uri=uri, registry_uri=uri)
     tracking = MlflowTracking(uri, spool_folder=spool_folder)
-    registry, runs = MlflowRegistry(uri), MlflowRuns(uri)
-    backend = Backend(tracking, registry, lambda run_id: read_mlflow(client, run_id), runs)
-    return uri, backend
+    return uri, Backend(tracking, MlflowRegistry(uri), lambda run_id: read_mlflow(client, run_id))

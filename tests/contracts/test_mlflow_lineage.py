@@ -15,9 +15,9 @@ from mlflow import MlflowClient
 
 from cspace.bundle import Bundle
 from cspace.png import encode_png
-from services.registry.models.mlflow_registry import MlflowRegistry
-from services.registry.models.port import ModelVersion, Shown
-from services.registry.tracking.mlflow_tracking import MlflowTracking
+from services.registry.mlflow_registry import MlflowRegistry
+from services.registry.mlflow_tracking import MlflowTracking
+from services.registry.ports import ModelVersion, Shown
 from tests.bundles import picture, write_tiny_bundle
 from tests.contracts.mlflow_warnings import MLFLOW_WARNINGS
 
@@ -110,7 +110,7 @@ import importlib.util, sys
 from pathlib import Path
 import mlflow.telemetry.client
 from cspace.errors import RegistryError
-from services.registry.models.mlflow_registry import MlflowRegistry
+from services.registry.mlflow_registry import MlflowRegistry
 
 uri, name, digest, run_id, folder = sys.argv[1:]
 for heavy in ("pandas", "sklearn", "sqlalchemy", "flask", "matplotlib", "torch"):
@@ -158,7 +158,7 @@ def test_looking_up_and_downloading_need_only_mlflow_skinny(
 
 @pytest.mark.slow
 def test_the_package_itself_brings_no_mlflow() -> None:
-    ports = "services.registry.promotion, services.registry.tracking.port"
+    ports = "services.registry.promotion, services.registry.ports"
     code = f"import {ports}, sys; assert 'mlflow' not in sys.modules"
     subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=True)
 

@@ -9,9 +9,8 @@ from cspace.errors import BundleIntegrityError, ModelNotFoundError, RegistryErro
 from cspace.worlds import robot_digest
 from inference_api.models.worker import RegistryWorker
 from services.names import ALIAS_CHALLENGER, ALIAS_CHAMPION
-from services.registry.models.port import ModelRegistry, ModelVersion, Shown
+from services.registry.ports import ModelRegistry, ModelVersion, Shown, Tracking
 from services.registry.promotion import Decision, champions, decisions, record_decision
-from services.registry.tracking.port import Tracking
 from tests.bundles import write_tiny_bundle
 from tests.contracts.conftest import Backend, mlflow_backend
 from tests.contracts.mlflow_warnings import MLFLOW_WARNINGS
@@ -132,7 +131,7 @@ def test_figures_of_a_version_are_shown_on_the_run_that_made_it_the_last_ones_ho
     for value in (0.5, 0.75):
         shown = Shown({"validation/precision": value}, "## not promoted", "planar scenes", "ab" * 32)
         backend.registry.show(first, shown)
-    assert backend.runs.run(first.run_id).metrics["validation/precision"] == 0.75
+    assert backend.tracking.run(first.run_id).metrics["validation/precision"] == 0.75
     with pytest.raises(ModelNotFoundError):
         backend.registry.show(replace(first, number=99), shown)
 

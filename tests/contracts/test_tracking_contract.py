@@ -9,7 +9,7 @@ import pytest
 
 from cspace.errors import RegistryError
 from cspace.png import encode_png
-from services.registry.tracking.port import RunLog, Tracking
+from services.registry.ports import RunLog, Tracking
 from tests.contracts.conftest import Backend
 from tests.contracts.mlflow_warnings import MLFLOW_WARNINGS
 
@@ -222,14 +222,6 @@ def test_repeated_steps_of_a_resumed_run_are_not_logged_twice(backend: Backend, 
     assert [step for step, _ in history["new"]] == [3, 4, 5, 6, 7]
 
 
-def test_a_resumed_run_logs_from_the_step_that_it_is_told(backend: Backend, run: RunLog) -> None:
-    again = backend.tracking.resume(run.run_id, from_step=2)
-    for step in range(4):
-        again.metrics({"kl": step}, step)
-    again.finish()
-    assert [step for step, _ in backend.read(run.run_id).history["kl"]] == [2, 3]
-
-
 def test_an_unknown_run_can_not_be_resumed(tracking: Tracking) -> None:
     with pytest.raises(RegistryError):
         tracking.resume("f" * 32)
@@ -239,7 +231,7 @@ def test_a_run_that_has_ended_is_written_onto_and_stays_ended(backend: Backend, 
     run.finish()
     backend.tracking.note(run.run_id, tags={"model_version": "m/1"}, metrics={"test/edr": 0.5})
     backend.tracking.note(run.run_id, metrics={"test/edr": 0.25})
-    found = backend.runs.run(run.run_id)
+    found = backend.tracking.run(run.run_id)
     assert (found.tags["model_version"], found.metrics["test/edr"]) == ("m/1", 0.25)
     assert backend.read(run.run_id).status == "FINISHED"
     with pytest.raises(RegistryError):
@@ -257,13 +249,13 @@ def test_runs_under_another_are_found_newest_first_with_what_they_keep(
             made.append(child.run_id)
         # MLflow counts in milliseconds.
         time.sleep(0.005)
-    found = backend.runs.children(parent.run_id)
+    found = backend.tracking.children(parent.run_id)
     assert [(one.run_id, one.parent_run_id) for one in found] == [
         (run_id, parent.run_id) for run_id in reversed(made)
     ]
-    kept = backend.runs.file(made[0], "tables/measures.json", tmp_path)
+    kept = backend.tracking.file(made[0], "tables/measures.json", tmp_path)
     assert kept is not None
     assert json.loads(kept.read_text()) == {"columns": ["measure", "value"], "data": [["edr", 1.0]]}
-    assert backend.runs.file(made[0], "tables/other.json", tmp_path) is None
+    assert backend.tracking.file(made[0], "tables/other.json", tmp_path) is None
     with pytest.raises(RegistryError):
-        backend.runs.run("0" * 32)
+        backend.tracking.run("0" * 32)

@@ -18,11 +18,18 @@ from cspace.errors import (
     StorageError,
 )
 from services.names import TAG_KEY, world_tags
-from services.registry.models.port import ModelVersion, Shown
-from services.registry.tracking.parameters import flatten
-from services.registry.tracking.port import ID, ID_LENGTH, NOTHING, Picture, RunLog, RunStatus
-from services.registry.tracking.reading import FoundRun
-from services.registry.tracking.run_block import RunBlock
+from services.registry.ports import (
+    ID,
+    ID_LENGTH,
+    NOTHING,
+    FoundRun,
+    ModelVersion,
+    Picture,
+    RunLog,
+    RunStatus,
+    Shown,
+    flatten,
+)
 
 
 @dataclass
@@ -41,17 +48,11 @@ class FakeRun:
     inputs: list[dict[str, str]] = field(default_factory=list)
 
 
-class FakeRunLog(RunBlock):
+class FakeRunLog(RunLog):
     """A RunLog that writes straight into a FakeRun."""
 
-    def __init__(self, run: FakeRun, held: Mapping[str, int], from_step: int) -> None:
-        self._run = run
-        self._held = held
-        self._from_step = from_step
-
-    @property
-    def run_id(self) -> str:
-        return self._run.run_id
+    def __init__(self, run: FakeRun, held: Mapping[str, int]) -> None:
+        self._run, self._held, self.run_id = run, held, run.run_id
 
     def params(self, params: Mapping[str, Any]) -> None:
         for name, value in flatten(params).items():
@@ -60,7 +61,7 @@ class FakeRunLog(RunBlock):
 
     def metrics(self, metrics: Mapping[str, float], step: int) -> None:
         for name, value in metrics.items():
-            if step >= self._from_step and step > self._held.get(name, -1):
+            if step > self._held.get(name, -1):
                 self._run.history.setdefault(name, []).append((step, float(value)))
 
     def tags(self, tags: Mapping[str, str]) -> None:
@@ -116,7 +117,7 @@ class FakeTracking:
         run_id = f"{len(self.runs) + 1:032x}"
         name = name.replace(ID, run_id[:ID_LENGTH])
         self.runs[run_id] = FakeRun(run_id, experiment, name, parent_run_id, tags=dict(tags or {}))
-        return FakeRunLog(self.runs[run_id], {}, 0)
+        return FakeRunLog(self.runs[run_id], {})
 
     def note(
         self, run_id: str, *, tags: Mapping[str, str] = NOTHING, metrics: Mapping[str, float] = NOTHING
@@ -130,35 +131,28 @@ class FakeTracking:
     def deliver(self) -> None:
         pass
 
-    def resume(self, run_id: str, from_step: int | None = None) -> RunLog:
+    def resume(self, run_id: str) -> RunLog:
         if run_id not in self.runs:
             raise RegistryError(f"there is no run {run_id}")
         run = self.runs[run_id]
         run.status = "RUNNING"
         held = {name: max(step for step, _ in points) for name, points in run.history.items()}
-        return FakeRunLog(run, {} if from_step is not None else held, from_step or 0)
-
-
-class FakeRuns:
-    """The runs of a FakeTracking, found again."""
-
-    def __init__(self, tracking: FakeTracking) -> None:
-        self._tracking = tracking
+        return FakeRunLog(run, held)
 
     def run(self, run_id: str) -> FoundRun:
-        runs = self._tracking.runs
-        if run_id not in runs:
+        if run_id not in self.runs:
             raise RegistryError(f"there is no run {run_id}")
-        run = runs[run_id]
+        run = self.runs[run_id]
         metrics = {name: points[-1][1] for name, points in run.history.items()}
-        return FoundRun(run_id, run.name, run.parent_run_id, run.tags, metrics, list(runs).index(run_id))
+        number = list(self.runs).index(run_id)
+        return FoundRun(run_id, run.name, run.parent_run_id, run.tags, metrics, number)
 
     def children(self, run_id: str) -> tuple[FoundRun, ...]:
-        runs = self._tracking.runs.values()
-        return tuple(self.run(run.run_id) for run in reversed(runs) if run.parent_run_id == run_id)
+        runs = reversed(self.runs.values())
+        return tuple(self.run(run.run_id) for run in runs if run.parent_run_id == run_id)
 
     def file(self, run_id: str, path: str, folder: Path) -> Path | None:
-        kept = self._tracking.runs[run_id].artifacts.get(path)
+        kept = self.runs[run_id].artifacts.get(path)
         if kept is None:
             return None
         fetched = folder / path

@@ -9,8 +9,8 @@ import httpx
 import pytest
 
 from cspace.bundle import Bundle
-from services.registry.models.mlflow_registry import MlflowRegistry
-from services.registry.tracking.mlflow_tracking import MlflowTracking
+from services.registry.mlflow_registry import MlflowRegistry
+from services.registry.mlflow_tracking import MlflowTracking
 from tests.contracts.mlflow_server import mlflow_server
 from tests.contracts.mlflow_warnings import MLFLOW_WARNINGS
 from tests.inference_api.cutting_proxy import CuttingProxy

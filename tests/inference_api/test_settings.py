@@ -4,7 +4,7 @@ import pytest
 
 from cspace.errors import ConfigError
 from inference_api.settings import PRETRAINED_FOLDER, ApiSettings, ConnectionLimits, further_folders
-from services.registry.references import PRETRAINED, SHIPPED
+from services.registry.ports import PRETRAINED, SHIPPED
 
 
 def test_an_empty_environment_serves_the_shipped_model_from_defaults() -> None:

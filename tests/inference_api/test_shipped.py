@@ -8,7 +8,7 @@ import pytest
 from cspace.worlds.planar.arm import THREE_LINK
 from inference_api.app import create_app
 from inference_api.settings import ApiSettings
-from services.registry.references import SHIPPED
+from services.registry.ports import SHIPPED
 from tests.bundles import write_tiny_bundle
 from tests.inference_api.answers import assert_problem
 from tests.inference_api.client import ApiClient, running

@@ -10,7 +10,7 @@ from cspace.dataset import open_dataset
 from cspace.simulator import Split, scenario_rng
 from cspace.view_file import unpack_view
 from cspace.worlds import checker_of, examples, picture_file_of, simulator_of
-from services.registry.models.mlflow_registry import MlflowRegistry
+from services.registry.mlflow_registry import MlflowRegistry
 from tests.contracts.mlflow_server import mlflow_server
 from tests.training.clusters.test_pipeline import submit
 from training.datasets.__main__ import main as datasets

@@ -11,7 +11,7 @@ from cspace.worlds.planar.arm import PlanarArm
 from cspace.worlds.planar.camera import decode_png
 from cspace.worlds.planar.render import render
 from cspace.worlds.planar.world import random_scenarios
-from services.registry.models.mlflow_registry import MlflowRegistry
+from services.registry.mlflow_registry import MlflowRegistry
 from tests.contracts.mlflow_server import mlflow_server
 from tests.training.clusters.test_pipeline import GATED, submit
 from training.config import UNGUIDED

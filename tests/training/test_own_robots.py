@@ -16,7 +16,7 @@ from cspace.worlds import read_world, simulator_of
 from cspace.worlds.planar.scenes import DiscScenes
 from services.planner.ompl_planner import solve
 from services.planner.settings import PlannerSettings
-from services.registry.models.mlflow_registry import MlflowRegistry
+from services.registry.mlflow_registry import MlflowRegistry
 from services.scene_files import SceneFile, read_scene_file
 from tests.contracts.mlflow_server import mlflow_server
 from tests.own_ray import run_alone

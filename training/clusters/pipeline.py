@@ -17,11 +17,10 @@ from cspace.simulator import ORIGINS, Split
 from cspace.space import JointSpace
 from services.evaluator.evaluation.report import gallery
 from services.evaluator.measures.scenes import Scene, Stage
-from services.names import ALIAS_CHALLENGER, recorded_name
+from services.names import ALIAS_CHALLENGER, TAG_MODEL, recorded_name
 from services.planner.samples import BundleSampler
-from services.registry.models.mlflow_registry import MlflowRegistry
-from services.registry.tracking.experiment import TAG_MODEL
-from services.registry.tracking.port import RunLog
+from services.registry.mlflow_registry import MlflowRegistry
+from services.registry.ports import RunLog
 from services.results import numbers
 from training.clusters.bundling import TrainedParts, make_bundle
 from training.clusters.clustering import Partition, cluster, group

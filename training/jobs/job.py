@@ -19,12 +19,20 @@ from cspace.errors import BundleError, ConfigError, JobError, StorageError
 from cspace.files import HALF_SUFFIX, discard, holding, write_json
 from cspace.world import World
 from cspace.worlds import robot_digest
-from services.names import EXPERIMENT, TAG_ROBOT, model_name, robot_name
-from services.registry.models.mlflow_registry import MlflowRegistry
-from services.registry.tracking.experiment import TAG_JOB, TAG_PRESET, TAG_STAGE, TAG_WORLD
-from services.registry.tracking.mlflow_tracking import MlflowTracking
-from services.registry.tracking.parameters import flatten
-from services.registry.tracking.port import ID, RunLog, Tracking
+from services.names import (
+    EXPERIMENT,
+    TAG_JOB,
+    TAG_PRESET,
+    TAG_ROBOT,
+    TAG_STAGE,
+    TAG_WORLD,
+    model_name,
+    robot_name,
+)
+from services.registry.mlflow_errors import patiently
+from services.registry.mlflow_registry import MlflowRegistry
+from services.registry.mlflow_tracking import MlflowTracking
+from services.registry.ports import ID, RunLog, Tracking, flatten
 from training.config import JobConfig
 from training.jobs.environment import (
     RECORD,
@@ -35,7 +43,6 @@ from training.jobs.environment import (
     run_of,
     submission_id,
 )
-from training.jobs.patience import PatientRun, patiently
 from training.jobs.starting import earlier_job, require_folder
 from training.section import Section
 
@@ -103,7 +110,7 @@ class Job(Generic[Config]):
     Args:
         config: what it trains.
         environment: where it works.
-        tracking: its server; metrics that it does not take wait in the job's folder.
+        tracking: its server, which is waited for; metrics that it does not take wait in the job's folder.
         run: the parent run.
         folder: of its trials, named after the run; ``job.json`` there holds configuration and child runs.
         children: child run by trial.
@@ -158,14 +165,10 @@ class Job(Generic[Config]):
             return cls.resume(known, environment, type(config)).same(config)
         start = config.start_from and earlier_job(config, config.start_from, environment)
         tags = {**tags, "start_from": config.start_from or "", TAG_START: start} if start else tags
-        tracking = MlflowTracking(environment.tracking_uri)
+        tracking = MlflowTracking(environment.tracking_uri, wait_s=environment.patience_s)
         title, tags = f"{job_label(config, name)}, {ID}", {**tags, **shown_tags(config, name, stage)}
         key = None if name is None else f"job/{name}"
-        run = patiently(
-            "starting the job's run",
-            lambda: tracking.start(EXPERIMENT, title, None, tags, key=key),
-            environment.patience_s,
-        )
+        run = tracking.start(EXPERIMENT, title, None, tags, key=key)
         folder = job_folder(environment, run.run_id)
         if not (folder / RECORD).exists():
             folder.mkdir(parents=True, exist_ok=True)
@@ -203,11 +206,12 @@ class Job(Generic[Config]):
             raise ConfigError(
                 "the job is of another kind", expected=kind.__name__, got=str(error.errors()[0]["loc"])
             ) from error
-        tracking = MlflowTracking(environment.tracking_uri, spool_folder=folder / "spool")
-        run = patiently("opening the job's run", lambda: tracking.resume(run_id), environment.patience_s)
-        children, patient = dict(record["children"]), PatientRun(run, environment.patience_s)
-        named, start = record.get("name"), record.get("start")
-        return cls(config, environment, tracking, patient, folder, children, named, start)
+        tracking = MlflowTracking(
+            environment.tracking_uri, spool_folder=folder / "spool", wait_s=environment.patience_s
+        )
+        children, named, start = dict(record["children"]), record.get("name"), record.get("start")
+        run = tracking.resume(run_id)
+        return cls(config, environment, tracking, run, folder, children, named, start)
 
     @contextmanager
     def running(self) -> Iterator[RunLog]:
@@ -227,20 +231,17 @@ class Job(Generic[Config]):
                 write_json(self.folder / _RUNNING, {"submission_id": submission})
             with self.run as run:
                 yield run
-                self.deliver()
+                self.tracking.deliver()
                 self._tidy()
             # The run's own end may have had to wait as well.
-            self.deliver()
+            self.tracking.deliver()
 
     def child(self, name: str) -> str:
         """A trial's run, made here so that a retried trial and a resumed job continue it."""
         if name not in self.children:
             title, parent = f"{name}, {job_label(self.config, self.name)}", self.run.run_id
             tags = shown_tags(self.config, self.name, name.partition("-")[0]) | self.told | {TAG_TRIAL: name}
-            run = self.patiently(
-                f"starting the run of {name}",
-                lambda: self.tracking.start(EXPERIMENT, title, parent, tags, key=f"{parent}/{name}"),
-            )
+            run = self.tracking.start(EXPERIMENT, title, parent, tags, key=f"{parent}/{name}")
             self.children[name] = run.run_id
             _record(self.folder, self.config, self.children, self.name, self.start_run_id)
         return self.children[name]
@@ -259,12 +260,8 @@ class Job(Generic[Config]):
         """Tags for the run and for its children, those that are there and those to come."""
         self.told.update(tags)
         self.run.tags(tags)
-        for name, run_id in self.children.items():
-            self.patiently(f"setting tags of {name}", partial(self.tracking.note, run_id, tags=tags))
-
-    def deliver(self) -> None:
-        """Send what trials could not send while the tracking server was away."""
-        self.patiently("sending what waited", self.tracking.deliver)
+        for run_id in self.children.values():
+            self.tracking.note(run_id, tags=tags)
 
     def patiently(self, action: str, call: Callable[[], Answer]) -> Answer:
         """The answer of ``call``, asked again while the tracking server is away."""

@@ -8,11 +8,11 @@ from pydantic import ValidationError
 
 from cspace.bundle import BundleSpec
 from cspace.errors import BundleError, ConfigError
-from services.registry.models.mlflow_registry import MlflowRegistry
-from services.registry.references import ModelReference
+from services.registry.mlflow_errors import patiently
+from services.registry.mlflow_registry import MlflowRegistry
+from services.registry.ports import ModelReference
 from training.config import JobConfig
 from training.jobs.environment import RECORD, Environment, job_folder
-from training.jobs.patience import patiently
 
 _RUN_ID = re.compile(r"[0-9a-f]{32}")
 _SPEC = "bundle.json"

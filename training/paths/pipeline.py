@@ -9,9 +9,8 @@ from typing import Any
 
 from cspace.bundle import Bundle
 from cspace.dataset import Dataset, open_dataset
-from services.names import ALIAS_CHALLENGER, recorded_name
-from services.registry.models.mlflow_registry import MlflowRegistry
-from services.registry.tracking.experiment import TAG_MODEL
+from services.names import ALIAS_CHALLENGER, TAG_MODEL, recorded_name
+from services.registry.mlflow_registry import MlflowRegistry
 from services.results import numbers
 from training.config import PathTrainConfig
 from training.datasets.generate import generate

@@ -10,8 +10,7 @@ from cspace.bundle.files import ENCODER_FILE, MAP_FILE, NOVELTY_FILE, VALIDITY_F
 from cspace.bundle.spec import WAYS
 from cspace.bundle.verification import load_verified
 from cspace.errors import BundleError, ConfigError
-from services.registry.models.port import ModelRegistry
-from services.registry.references import ModelReference
+from services.registry.ports import ModelReference, ModelRegistry
 from training.jobs.environment import command_line, now, source_state
 
 

@@ -16,9 +16,9 @@ from torch.utils.data import DataLoader
 
 from cspace.errors import RegistryError, RegistryUnavailableError
 from services.progress import Estimate
-from services.registry.mlflow_health import lower_patience
-from services.registry.tracking.mlflow_tracking import MlflowTracking
-from services.registry.tracking.port import RunLog
+from services.registry.mlflow_errors import lower_patience
+from services.registry.mlflow_tracking import MlflowTracking
+from services.registry.ports import RunLog
 from training.config import ResourceConfig
 from training.models.checkpoint import Progress, load_checkpoint, read_progress, start_from
 from training.models.data import StepCounter

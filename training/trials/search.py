@@ -19,9 +19,8 @@ from cspace.simulator import Split, derived_seed
 from cspace.world import World
 from services.evaluator.measures.reconstruction import SampleQuality
 from services.evaluator.measures.scenes import Scene, Stage
-from services.names import EXPERIMENT
-from services.registry.tracking.experiment import TAG_STAGE
-from services.registry.tracking.mlflow_tracking import MlflowTracking
+from services.names import EXPERIMENT, TAG_STAGE
+from services.registry.mlflow_tracking import MlflowTracking
 from training.config import ResourceConfig, TrainConfig
 from training.models.cells import UniformBase
 from training.models.mixture import GatedSampler, LookupSampler

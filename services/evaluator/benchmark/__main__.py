@@ -41,7 +41,7 @@ from services.evaluator.benchmark.sources import (
 )
 from services.evaluator.evaluation.units import MAX_SEED
 from services.planner.settings import PLANNERS
-from services.registry.tracking.port import Tracking
+from services.registry.ports import Tracking
 
 GROUPS = (Group.UNIFORM, Group.LEARNED, Group.OPTIMISING)
 WORLDS = examples()
@@ -80,7 +80,7 @@ def _tracking(environment: Mapping[str, str]) -> Tracking:
             "no tracking server is named", remedy="set MLFLOW_TRACKING_URI, or give --no-mlflow"
         )
     # MLflow takes seconds to import.
-    from services.registry.tracking.mlflow_tracking import MlflowTracking  # noqa: PLC0415
+    from services.registry.mlflow_tracking import MlflowTracking  # noqa: PLC0415
 
     return MlflowTracking(uri)
 

@@ -20,10 +20,9 @@ from services.evaluator.benchmark.runs import MANIFEST, RunStore
 from services.evaluator.benchmark.samples import sample_units
 from services.evaluator.benchmark.sources import SourceSpec
 from services.evaluator.benchmark.summary import metric_name, metrics, summarise_plans, summarise_samples
-from services.names import EXPERIMENT
+from services.names import EXPERIMENT, NOTE, TAG_STAGE
 from services.progress import Progress
-from services.registry.tracking.experiment import NOTE, TAG_STAGE
-from services.registry.tracking.port import ID, RunLog, Tracking
+from services.registry.ports import ID, RunLog, Tracking
 
 Show = Callable[[str], None]
 PARQUET, REPORT, COMPARISON = "runs.parquet", "report.md", "comparison.md"

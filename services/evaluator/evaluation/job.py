@@ -37,11 +37,9 @@ from services.evaluator.evaluation.units import (
     units,
 )
 from services.evaluator.measures.scenes import PackedBundle, bundle_sampler, summary_rng
-from services.names import EXPERIMENT, recorded_name, shown_name
+from services.names import EXPERIMENT, TAG_MODEL, TAG_PRESET, TAG_STAGE, TAG_WORLD, recorded_name, shown_name
 from services.planner.samples import SampleSource
-from services.registry.models.port import ModelRegistry, ModelVersion
-from services.registry.tracking.experiment import TAG_MODEL, TAG_PRESET, TAG_STAGE, TAG_WORLD
-from services.registry.tracking.port import ID, Tracking
+from services.registry.ports import ID, ModelRegistry, ModelVersion, Tracking
 
 Execute = Callable[[Sequence[Unit], Setting, PackedBundle], Iterator[UnitResult]]
 

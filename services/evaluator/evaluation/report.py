@@ -57,13 +57,12 @@ from services.evaluator.measures.occupancy import reliability_diagram
 from services.evaluator.measures.planning import UNIFORM_SHARE, learned_samples
 from services.evaluator.measures.reconstruction import NEIGHBOURS, covered
 from services.evaluator.measures.scenes import Scene, Stage, unfiltered
+from services.names import NOTE as DESCRIPTION
 from services.planner.ompl_planner import solve
 from services.planner.plotting import plot_plan
 from services.planner.samples import SampleSource
-from services.registry.models.port import ModelRegistry, ModelVersion, Shown
+from services.registry.ports import ModelRegistry, ModelVersion, RunLog, Shown
 from services.registry.promotion import Decision, record_decision
-from services.registry.tracking.experiment import NOTE as DESCRIPTION
-from services.registry.tracking.port import RunLog
 
 GRID = 160
 SHOWN_SAMPLES = 1000

@@ -24,9 +24,8 @@ from cspace.worlds import robot_digest, simulator_of
 from services.evaluator.evaluation.gate import SMALLER_IS_BETTER, Champion
 from services.evaluator.measures.scenes import PackedBundle
 from services.names import ALIAS_CHAMPION, TAG_ROLLED_BACK
-from services.registry.models.port import ModelRegistry, ModelVersion
+from services.registry.ports import SHIPPED, ModelRegistry, ModelVersion
 from services.registry.promotion import Decision, champions
-from services.registry.references import SHIPPED
 
 # What decisions told of their robot before they told its digest.
 JOINTS = "joints"

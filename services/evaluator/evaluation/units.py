@@ -32,7 +32,7 @@ from services.evaluator.measures.topology_scenes import (
 from services.evaluator.statistics import Interval
 from services.planner.samples import SampleSource
 from services.planner.settings import PlannerSettings
-from services.registry.references import ModelReference
+from services.registry.ports import ModelReference
 
 JUDGED = (Split.VALIDATION, Split.TEST)
 

@@ -22,8 +22,7 @@ from inference_api.models.cache import RETRY_S, BundleCache, DiskCache
 from inference_api.models.served import ShippedModels
 from inference_api.models.store import IN_USE_S, ModelStore
 from inference_api.problems import ModelNotReadyError
-from services.registry.models.port import ModelVersion
-from services.registry.references import PRETRAINED, ModelReference
+from services.registry.ports import PRETRAINED, ModelReference, ModelVersion
 from tests.inference_api.client import ApiClient
 from tests.inference_api.clock import Clock
 from tests.inference_api.conftest import StartApi

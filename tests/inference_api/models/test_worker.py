@@ -25,8 +25,7 @@ from inference_api.models.served import ShippedModels
 from inference_api.models.store import ModelStore
 from inference_api.models.worker import RegistryWorker
 from inference_api.telemetry import Observer, Refusal
-from services.registry.models.port import ModelVersion
-from services.registry.references import PRETRAINED, ModelReference
+from services.registry.ports import PRETRAINED, ModelReference, ModelVersion
 from tests.inference_api.bad_bundles import write_hungry_bundle, write_slow_bundle
 from tests.inference_api.trickling import Kind, trickling
 from tests.services.registry.strange_server import strange_server

@@ -11,7 +11,7 @@ from cspace.errors import ConfigError, ModelNotFoundError, RegistryError
 from services.evaluator.compare import compare_csv, compare_table, find, make_parser, write_comparison
 from services.evaluator.evaluation.measured import Measured
 from tests.bundles import write_tiny_bundle
-from tests.fakes.registry import FakeRegistry, FakeRuns, FakeTracking
+from tests.fakes.registry import FakeRegistry, FakeTracking
 
 ROWS = (
     Measured("reconstruction", "validation", "uniform", "sampler", "precision", 0.9, 0.88, 0.92, 60),
@@ -56,7 +56,7 @@ def test_versions_stand_side_by_side_with_limits_and_gaps(tracking, registry, tm
     second = registered(tracking, registry, tmp_path / "b", 0.5)
     judged(tracking, first, ROWS)
     judged(tracking, second, ROWS[:1])
-    found = [find(text, FakeRuns(tracking), registry) for text in ("m/1", "m/2")]
+    found = [find(text, tracking, registry) for text in ("m/1", "m/2")]
     assert [one.title for one in found] == ["m/1", "m/2"]
     header, *rows = compare_table(found)
     assert header[-2:] == ["m/1", "m/2"]
@@ -71,24 +71,24 @@ def test_the_last_evaluation_of_a_version_counts(tracking, registry, tmp_path):
     version = registered(tracking, registry, tmp_path / "a")
     judged(tracking, version, ROWS)
     last = judged(tracking, version, ROWS[:1])
-    assert find("m/1", FakeRuns(tracking), registry).run.run_id == last
+    assert find("m/1", tracking, registry).run.run_id == last
 
 
 def test_a_run_is_compared_by_its_own_evaluation_or_its_job_s(tracking, registry, tmp_path):
     version = registered(tracking, registry, tmp_path / "a")
     run_id = judged(tracking, version, ROWS)
-    runs = FakeRuns(tracking)
+    runs = tracking
     assert {find(one, runs, registry).run.run_id for one in (run_id, version.run_id)} == {run_id}
 
 
 def test_what_was_never_evaluated_is_told_with_what_to_do(tracking, registry, tmp_path):
     registered(tracking, registry, tmp_path / "a")
     with pytest.raises(ConfigError, match=r"m/1 was not evaluated.*services\.evaluator --model m/1"):
-        find("m/1", FakeRuns(tracking), registry)
+        find("m/1", tracking, registry)
     with pytest.raises(ModelNotFoundError):
-        find("m/9", FakeRuns(tracking), registry)
+        find("m/9", tracking, registry)
     with pytest.raises(RegistryError):
-        find("0" * 32, FakeRuns(tracking), registry)
+        find("0" * 32, tracking, registry)
 
 
 def test_a_table_that_is_none_is_an_error_of_the_registry(tracking, registry, tmp_path):
@@ -99,11 +99,12 @@ def test_a_table_that_is_none_is_an_error_of_the_registry(tracking, registry, tm
             find("m/1", Damaged(tracking, text), registry)
 
 
-class Damaged(FakeRuns):
+class Damaged(FakeTracking):
     """Runs whose tables hold another text."""
 
     def __init__(self, tracking, text):
-        super().__init__(tracking)
+        super().__init__()
+        self.runs = tracking.runs
         self._text = text
 
     def file(self, run_id, path, folder):
@@ -115,7 +116,7 @@ class Damaged(FakeRuns):
 def test_it_is_kept_as_text_as_markdown_and_as_csv(tracking, registry, tmp_path):
     version = registered(tracking, registry, tmp_path / "a")
     run_id = judged(tracking, version, ROWS)
-    found = [find("m/1", FakeRuns(tracking), registry)]
+    found = [find("m/1", tracking, registry)]
     write_comparison(found, tmp_path / "out")
     text, table = ((tmp_path / "out" / f"comparison.{end}").read_text() for end in ("txt", "md"))
     assert "0.9000 [0.8800, 0.9200]" in text

@@ -10,7 +10,7 @@ from services.evaluator.evaluation import units
 from services.evaluator.evaluation.units import Budget
 from services.names import ALIAS_CHAMPION, MODEL_NAME
 from services.registry import __main__ as models
-from services.registry.models.mlflow_registry import MlflowRegistry
+from services.registry.mlflow_registry import MlflowRegistry
 from services.registry.promotion import decisions
 from tests.contracts.mlflow_server import mlflow_server
 from tests.contracts.mlflow_warnings import MLFLOW_WARNINGS

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from cspace.errors import RegistryError
-from services.registry.models.mlflow_registry import MlflowRegistry, check_source
-from services.registry.models.port import ModelVersion
+from services.registry.mlflow_registry import MlflowRegistry, check_source
+from services.registry.ports import ModelVersion
 
 VERSION = ModelVersion("m", 1, "r", "d" * 64, (), {}, 0)
 SERVER = "http://user:secret@registry:5000"

@@ -7,8 +7,8 @@ from mlflow.entities import LoggedModelStatus
 
 from cspace.bundle import Bundle
 from cspace.errors import RegistryUnavailableError
-from services.registry.models.mlflow_registry import MlflowRegistry
-from services.registry.tracking.mlflow_tracking import MlflowTracking
+from services.registry.mlflow_registry import MlflowRegistry
+from services.registry.mlflow_tracking import MlflowTracking
 from tests.bundles import write_tiny_bundle
 from tests.contracts.mlflow_warnings import MLFLOW_WARNINGS
 

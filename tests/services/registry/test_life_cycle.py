@@ -14,11 +14,19 @@ from cspace.worlds import robot_digest
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK, PlanarArm
 from cspace.worlds.planar.world import PlanarWorld
 from services.names import ALIAS_CHALLENGER, ALIAS_CHAMPION, TAG_ROLLED_BACK
-from services.registry import life_cycle
+from services.registry import promotion
 from services.registry.__main__ import main
-from services.registry.life_cycle import delete, export_version, import_version, promote, roll_back
-from services.registry.models.port import ModelVersion
-from services.registry.promotion import decisions, decisions_of, record_decision
+from services.registry.ports import ModelVersion
+from services.registry.promotion import (
+    decisions,
+    decisions_of,
+    delete,
+    export_version,
+    import_version,
+    promote,
+    record_decision,
+    roll_back,
+)
 from tests.bundles import write_tiny_bundle
 from tests.fakes.registry import FakeRegistry, FakeTracking
 from tests.inference_api.bad_bundles import write_hungry_bundle
@@ -41,7 +49,7 @@ def verified_here(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatc
     """Verify in this process, which is quicker, but in the tests of the worker."""
     if "worker" not in request.node.name:
         monkeypatch.setattr(
-            life_cycle, "verify", lambda folder, digest=None: Bundle.load(folder, digest=digest).digest
+            promotion, "load_verified", lambda folder, digest=None: Bundle.load(folder, digest=digest)
         )
 
 

@@ -17,11 +17,10 @@ from cspace.errors import (
     RegistryUnavailableError,
     StorageError,
 )
-from services.registry.mlflow_errors import mapped
-from services.registry.mlflow_health import lower_patience
-from services.registry.models.mlflow_registry import MlflowRegistry
-from services.registry.models.port import ModelVersion
-from services.registry.tracking.mlflow_tracking import MlflowTracking
+from services.registry.mlflow_errors import lower_patience, mapped
+from services.registry.mlflow_registry import MlflowRegistry
+from services.registry.mlflow_tracking import MlflowTracking
+from services.registry.ports import ModelVersion
 from tests.bundles import write_tiny_bundle
 from tests.services.registry.strange_server import strange_server
 

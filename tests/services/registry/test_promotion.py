@@ -8,7 +8,7 @@ import pytest
 from cspace.bundle import Bundle
 from cspace.errors import ModelNotFoundError, RegistryError
 from services.names import ALIAS_CHAMPION
-from services.registry.models.port import ModelVersion
+from services.registry.ports import ModelVersion
 from services.registry.promotion import Decision, champions, decisions, decisions_of, record_decision
 from tests.bundles import write_tiny_bundle
 from tests.fakes.registry import FakeRegistry

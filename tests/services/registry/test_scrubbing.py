@@ -7,10 +7,9 @@ import requests
 from mlflow.exceptions import MlflowException
 
 from cspace.errors import RegistryUnavailableError, StorageError
-from services.registry.failures import disk_failure, failure_of
+from services.registry.failures import MAX_LENGTH, anonymous, disk_failure, failure_of, without_user_info
 from services.registry.mlflow_errors import mapped
-from services.registry.models.mlflow_registry import MlflowRegistry
-from services.registry.scrubbing import MAX_LENGTH, anonymous, without_user_info
+from services.registry.mlflow_registry import MlflowRegistry
 
 
 @pytest.mark.parametrize(

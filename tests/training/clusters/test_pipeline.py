@@ -14,7 +14,7 @@ from cspace.png import encode_png
 from inference_api.app import create_app
 from inference_api.settings import ApiSettings
 from services.names import ALIAS_CHALLENGER, EXPERIMENT, MODEL_NAME
-from services.registry.models.mlflow_registry import MlflowRegistry
+from services.registry.mlflow_registry import MlflowRegistry
 from tests.contracts.mlflow_server import mlflow_server
 from tests.inference_api.client import running
 from tests.own_ray import run_alone

@@ -8,7 +8,7 @@ import pytest
 
 from cspace.errors import ConfigError, ModelNotFoundError
 from inference_api.settings import PRETRAINED_FOLDER
-from services.registry.models.port import ModelVersion
+from services.registry.ports import ModelVersion
 from tests.fakes.registry import FakeTracking
 from tests.training.models.builders import tiny_module
 from training.config import CLUSTERS_FILE, TrainConfig, load_config, load_path_config

@@ -13,7 +13,7 @@ from cspace.errors import ConfigError
 from cspace.worlds.planar.arm import THREE_LINK
 from inference_api.settings import PRETRAINED_FOLDER
 from services.names import ALIAS_CHALLENGER, EXPERIMENT, PATH_MODEL_NAME
-from services.registry.models.mlflow_registry import MlflowRegistry
+from services.registry.mlflow_registry import MlflowRegistry
 from tests.bundles import write_tiny_bundle
 from tests.contracts.mlflow_server import mlflow_server
 from tests.fakes.registry import FakeRegistry

@@ -11,8 +11,7 @@ from cspace.worlds.planar.world import PlanarWorld
 from inference_api.settings import PRETRAINED_FOLDER
 from services.evaluator.evaluation.rivals import find_rivals, is_of
 from services.names import MODEL_NAME
-from services.registry.life_cycle import promote, roll_back
-from services.registry.promotion import Decision, record_decision
+from services.registry.promotion import Decision, promote, record_decision, roll_back
 from tests.bundles import write_tiny_bundle
 from tests.fakes.registry import FakeRegistry
 

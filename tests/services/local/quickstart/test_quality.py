@@ -12,7 +12,7 @@ from services.local.commands import COMMANDS
 from services.local.jobs import EvaluationResult, TrainingResult
 from services.local.quickstart import TOURS
 from services.planner.samples import SampleSource
-from services.registry.references import SHIPPED
+from services.registry.ports import SHIPPED
 from tests.fakes.uniform_sampler import UniformSampler
 
 MODELS = ("cspace-sampler/1", "pretrained")

@@ -1,0 +1,367 @@
+"""The model registry on an MLflow server.
+
+Looking up and downloading work with ``mlflow-skinny`` alone; registering needs the whole of MLflow. A version
+belongs to one of MLflow's logged models, which ties it to its run and, through the run's inputs, to the data.
+"""
+
+import os
+import shutil
+import tempfile
+import time
+from collections.abc import Mapping
+from dataclasses import replace
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+from urllib.parse import unquote, urlsplit
+
+import numpy as np
+from mlflow import MlflowClient
+from mlflow.artifacts import download_artifacts
+from mlflow.entities import LoggedModel, LoggedModelOutput, LoggedModelStatus, Metric, Run
+from mlflow.entities.model_registry import ModelVersion as MlflowVersion
+from mlflow.exceptions import MlflowException
+
+from cspace.bundle import BundleSpec
+from cspace.bundle.files import SPEC_FILE, read_files
+from cspace.errors import BundleIntegrityError, ModelNotFoundError, RegistryError, StorageError
+from services.names import ARTIFACT_STORE, TAG_DIGEST, world_tags
+from services.registry.failures import without_user_info
+from services.registry.mlflow_errors import all_pages, check_reachable, mapped
+from services.registry.mlflow_tracking import MAX_BATCH, MAX_DIGEST
+from services.registry.ports import ModelVersion, Shown
+
+# Where the bundle lies inside the saved model.
+BUNDLE_PATH = "artifacts/bundle"
+MODEL_CODE = Path(__file__).with_name("pyfunc_model.py")
+MODEL_TYPE = "sampler"
+_REQUIREMENTS = ("numpy", "onnx", "onnxruntime", "pillow", "pydantic")
+_PAGE = 100
+# A redirect and a presigned address lead wherever the answering server likes. MLflow reads these from the
+# environment only; whoever needs them sets them.
+_FOLLOW_NOTHING = {"MLFLOW_ALLOW_HTTP_REDIRECTS": "false", "MLFLOW_ENABLE_PROXY_MULTIPART_DOWNLOAD": "false"}
+
+
+class MlflowRegistry:
+    """The port :class:`services.registry.ports.ModelRegistry` on MLflow.
+
+    Args:
+        uri: of the tracking server, or ``sqlite:///…`` where the whole of mlflow is installed.
+        patience_s: how long the server may take to show that it is there, before each operation.
+        artifact_store: address below which bundles are fetched beside the tracking server's own artifacts;
+            ``CSPACE_ARTIFACT_STORE`` when empty.
+    """
+
+    def __init__(self, uri: str, *, patience_s: float = 3.0, artifact_store: str = "") -> None:
+        for name, value in _FOLLOW_NOTHING.items():
+            os.environ.setdefault(name, value)
+        with mapped("opening the registry"):
+            self._client = MlflowClient(tracking_uri=uri, registry_uri=uri)
+        self._uri = uri
+        self._artifact_store = artifact_store or os.environ.get(ARTIFACT_STORE, "")
+        self._patience_s = patience_s
+
+    def register(
+        self,
+        name: str,
+        bundle_folder: Path,
+        run_id: str,
+        digest: str,
+        tags: Mapping[str, str],
+        *,
+        alias: str | None = None,
+    ) -> ModelVersion:
+        """Make a bundle a version; see :meth:`services.registry.ports.ModelRegistry.register`."""
+        files = read_files(bundle_folder)
+        if files.digest != digest:
+            raise BundleIntegrityError(
+                "the bundle is not the one that is to be registered",
+                expected=f"digest {digest}",
+                got=files.digest,
+            )
+        spec = BundleSpec.from_json(files.contents[SPEC_FILE])
+        all_tags = {**tags, **world_tags(spec.world), TAG_DIGEST: digest}
+        found = [one for one in self.versions(name) if (one.run_id, one.digest) == (run_id, digest)]
+        if found:
+            number = found[-1].number
+            self.set_tags(name, number, all_tags)
+        else:
+            with mapped(f"registering {name} for run {run_id}"):
+                number = _create_version(self._client, name, bundle_folder, spec, run_id, all_tags)
+        if alias is not None:
+            self.set_alias(name, alias, number)
+        return self.version(name, number)
+
+    def version(self, name: str, number: int) -> ModelVersion:
+        """One version by its number; see :meth:`services.registry.ports.ModelRegistry.version`."""
+        self._ready()
+        with mapped(f"looking up {name}/{number}", lookup=True):
+            return _version(self._client.get_model_version(name, str(number)))
+
+    def by_alias(self, name: str, alias: str) -> ModelVersion:
+        """The version of an alias; see :meth:`services.registry.ports.ModelRegistry.by_alias`."""
+        self._ready()
+        with mapped(f"looking up {name}@{alias}", lookup=True):
+            return _version(self._client.get_model_version_by_alias(name, alias))
+
+    def versions(self, name: str) -> tuple[ModelVersion, ...]:
+        """All versions, newest first; see :meth:`services.registry.ports.ModelRegistry.versions`."""
+        if "'" in name:
+            # It would end the filter's quotes, and MLflow has no way to escape it.
+            return ()
+        self._ready()
+        with mapped(f"listing the versions of {name}"):
+            found = all_pages(self._client.search_model_versions, f"name='{name}'", max_results=_PAGE)
+            # MLflow's search for versions leaves the aliases out.
+            aliases = self._client.get_registered_model(name).aliases if found else {}
+            complete = [
+                replace(one, aliases=tuple(sorted(a for a in aliases if int(aliases[a]) == one.number)))
+                for one in map(_version, found)
+            ]
+        return tuple(sorted(complete, key=lambda one: one.number, reverse=True))
+
+    def names(self) -> tuple[str, ...]:
+        """The registered models; see :meth:`services.registry.ports.ModelRegistry.names`."""
+        self._ready()
+        with mapped("listing the models"):
+            found = all_pages(self._client.search_registered_models, max_results=_PAGE)
+            return tuple(sorted(model.name for model in found))
+
+    def delete(self, name: str, number: int) -> None:
+        """Delete a version; see :meth:`services.registry.ports.ModelRegistry.delete`."""
+        self._ready()
+        with mapped(f"deleting {name}/{number}", lookup=True):
+            self._client.delete_model_version(name, str(number))
+
+    def set_alias(self, name: str, alias: str, number: int) -> None:
+        """Point an alias to a version; see :meth:`services.registry.ports.ModelRegistry.set_alias`."""
+        self._ready()
+        with mapped(f"pointing {name}@{alias} to {number}", lookup=True):
+            self._client.set_registered_model_alias(name, alias, str(number))
+
+    def set_tags(self, name: str, number: int, tags: Mapping[str, str]) -> None:
+        """Set tags on a version; see :meth:`services.registry.ports.ModelRegistry.set_tags`."""
+        self._ready()
+        with mapped(f"setting tags on {name}/{number}", lookup=True):
+            for key, value in tags.items():
+                self._client.set_model_version_tag(name, str(number), key, value)
+
+    def remove_tag(self, name: str, number: int, tag: str) -> None:
+        """Take a tag off; see :meth:`services.registry.ports.ModelRegistry.remove_tag`."""
+        self._ready()
+        with mapped(f"taking a tag off {name}/{number}", lookup=True):
+            self._client.delete_model_version_tag(name, str(number), tag)
+
+    def show(self, version: ModelVersion, shown: Shown) -> None:
+        """Show figures and a note; see :meth:`services.registry.ports.ModelRegistry.show`."""
+        self._ready()
+        name, number = version.name, str(version.number)
+        with mapped(f"showing figures of {version}", lookup=True):
+            self._client.update_model_version(name, number, shown.note)
+        with mapped(f"showing figures of {version}"):
+            models = _logged_models(self._client, name, self._client.get_run(version.run_id), version.digest)
+            whole = [model.model_id for model in models if model.status == LoggedModelStatus.READY]
+            model_id = whole[0] if whole else None
+            now_ms, digest = time.time_ns() // 1_000_000, shown.data_digest[:MAX_DIGEST]
+            points = [
+                Metric(key, value, now_ms, 0, model_id, shown.data, digest, version.run_id)
+                for key, value in shown.metrics.items()
+            ]
+            self._client.log_batch(version.run_id, points)
+
+    def download(self, version: ModelVersion, folder: Path) -> Path:
+        """Fetch a version's bundle; see :meth:`services.registry.ports.ModelRegistry.download`."""
+        if folder.exists():
+            raise StorageError("the download's folder exists", expected="a new folder", got=str(folder))
+        self._ready()
+        label = str(version)
+        with mapped(f"looking up {label}", lookup=True):
+            source = self._client.get_model_version_download_uri(version.name, str(version.number))
+        check_source(label, source, self._uri, self._artifact_store)
+        with mapped(f"downloading {label}"):
+            folder.parent.mkdir(parents=True, exist_ok=True)
+            with tempfile.TemporaryDirectory(prefix=f".{folder.name}-", dir=folder.parent) as beside:
+                fetched = download_artifacts(
+                    artifact_uri=f"{source}/{BUNDLE_PATH}",
+                    dst_path=beside,
+                    tracking_uri=self._uri,
+                    registry_uri=self._uri,
+                )
+                got = Path(fetched)
+                if not got.is_dir() or not any(got.iterdir()):
+                    raise ModelNotFoundError(
+                        f"{label} holds no bundle", expected=BUNDLE_PATH, got="a model of another kind"
+                    )
+                got.rename(folder)
+        return folder
+
+    def _ready(self) -> None:
+        check_reachable(self._uri, self._patience_s)
+
+
+def check_source(label: str, source: str, tracking_uri: str, artifact_store: str = "") -> None:
+    """Refuse to fetch a version from anywhere but the artifact store.
+
+    The registry names the place, and who may write to the registry names any: a file of this machine, or
+    another server.
+
+    Args:
+        label: of the version, for messages.
+        source: the address that the registry names.
+        tracking_uri: of the registry. The artifacts of one that is no server are files of this machine.
+        artifact_store: address of a further store whose artifacts are fetched; none when empty.
+
+    Raises:
+        RegistryError: the address is outside of both.
+    """
+    found, server, store = urlsplit(source), urlsplit(tracking_uri), artifact_store.rstrip("/")
+    own = ("", server.netloc, server.netloc.rpartition("@")[2])
+    if server.scheme not in ("http", "https"):
+        is_known = found.scheme in ("", "file") and not found.netloc
+    else:
+        is_known = found.scheme == "mlflow-artifacts" and found.netloc in own
+    is_known = is_known or (bool(store) and source.startswith(f"{store}/"))
+    if not is_known or ".." in unquote(source).replace("\\", "/").split("/"):
+        raise RegistryError(
+            f"{label} does not lie in the artifact store",
+            expected="mlflow-artifacts of the tracking server" + (f", or {store}/..." if store else ""),
+            got=without_user_info(source)[:200],
+            remedy=f"set {ARTIFACT_STORE} to the store's address if it is yours",
+        )
+
+
+def _version(found: MlflowVersion) -> ModelVersion:
+    tags = dict(found.tags)
+    return ModelVersion(
+        name=found.name,
+        number=int(found.version),
+        run_id=found.run_id or "",
+        digest=tags.get(TAG_DIGEST, ""),
+        aliases=tuple(sorted(found.aliases)),
+        tags=tags,
+        created_ms=int(found.creation_timestamp),
+    )
+
+
+def _create_version(
+    client: MlflowClient,
+    name: str,
+    bundle_folder: Path,
+    spec: BundleSpec,
+    run_id: str,
+    tags: Mapping[str, str],
+) -> int:
+    """Upload a bundle as a logged model of its run and make it the next version, once; returns its number.
+
+    Each step may be the last one of a process, and each call may be carried out without an answer. So what an
+    interrupted attempt has finished is taken over, what it left half is deleted, and a version that a call
+    made twice because it was repeated is one again.
+    """
+    run, digest = client.get_run(run_id), tags[TAG_DIGEST]
+    whole = []
+    for one in _logged_models(client, name, run, digest):
+        if one.status == LoggedModelStatus.READY:
+            whole.append(one)
+        else:
+            client.delete_logged_model(one.model_id)
+    model = whole[0] if whole else _log_model(client, name, bundle_folder, spec, run, tags)
+    try:
+        client.create_registered_model(name)
+    except MlflowException as error:
+        if error.error_code != "RESOURCE_ALREADY_EXISTS":
+            raise
+    # The UI links a version to its logged model by the short form, which only a server can resolve.
+    is_server = client.tracking_uri.startswith("http")
+    client.create_model_version(
+        name,
+        f"models:/{model.model_id}" if is_server else str(model.artifact_location),
+        run_id=run_id,
+        tags=dict(tags),
+        await_creation_for=0,
+        model_id=model.model_id,
+    )
+    made = client.search_model_versions(f"name='{name}' AND run_id='{run_id}'")
+    first, *repeated = sorted(int(one.version) for one in made if one.tags.get(TAG_DIGEST) == digest)
+    for number in repeated:
+        client.delete_model_version(name, str(number))
+    return first
+
+
+def _logged_models(client: MlflowClient, name: str, run: Run, digest: str) -> list[LoggedModel]:
+    found = client.search_logged_models(
+        [run.info.experiment_id], f"source_run_id = '{run.info.run_id}' AND name = '{name}'"
+    )
+    return [model for model in found if model.tags.get(TAG_DIGEST) == digest]
+
+
+def _log_model(
+    client: MlflowClient,
+    name: str,
+    bundle_folder: Path,
+    spec: BundleSpec,
+    run: Run,
+    tags: Mapping[str, str],
+) -> LoggedModel:
+    run_id = run.info.run_id
+    model = client.create_logged_model(
+        run.info.experiment_id, name, run_id, dict(tags), run.data.params, MODEL_TYPE
+    )
+    status = LoggedModelStatus.FAILED
+    try:
+        with tempfile.TemporaryDirectory(prefix="cspace-model-") as folder:
+            _save_model(bundle_folder, spec, Path(folder), model.model_id, tags)
+            client.log_model_artifacts(model.model_id, f"{folder}/model")
+        client.log_outputs(run_id, [LoggedModelOutput(model.model_id, step=0)])
+        _carry_metrics(client, run, model.model_id)
+        status = LoggedModelStatus.READY
+    finally:
+        client.finalize_logged_model(model.model_id, status)
+    return model
+
+
+def _carry_metrics(client: MlflowClient, run: Run, model_id: str) -> None:
+    """Show the run's last metrics and its data set on the logged model too.
+
+    The run itself does not change: points that equal one that is there are dropped by MLflow.
+    """
+    run_id, used = run.info.run_id, run.inputs.dataset_inputs if run.inputs else []
+    name, digest = (used[0].dataset.name, used[0].dataset.digest) if used else (None, None)
+    points = []
+    for key in run.data.metrics:
+        history = client.get_metric_history(run_id, key)
+        last = max(history, key=lambda point: (point.step, point.timestamp))
+        points.append(Metric(key, last.value, last.timestamp, last.step, model_id, name, digest, run_id))
+    for first in range(0, len(points), MAX_BATCH):
+        client.log_batch(run_id, metrics=points[first : first + MAX_BATCH])
+
+
+def _save_model(
+    bundle_folder: Path, spec: BundleSpec, folder: Path, model_id: str, metadata: Mapping[str, str]
+) -> None:
+    """Write a bundle in MLflow's format into ``model``: a model from code with ONNX artifacts, no pickle."""
+    import mlflow.pyfunc  # noqa: PLC0415 - needs pandas, which serving does not have
+    import pandas as pd  # noqa: PLC0415 - as above
+    from mlflow.models import Model  # noqa: PLC0415 - as above
+    from mlflow.models.signature import ModelSignature  # noqa: PLC0415 - as above
+    from mlflow.types import ColSpec, DataType, ParamSchema, ParamSpec, Schema, TensorSpec  # noqa: PLC0415
+    from mlflow.types.schema import Array  # noqa: PLC0415 - as above
+
+    defaults: dict[str, Any] = {"n": 300, "seed": 0}
+    columns: list[ColSpec | TensorSpec] = [ColSpec(DataType.binary, "image")]
+    columns += [ColSpec(Array(DataType.double), name) for name in spec.endpoints]
+    samples = TensorSpec(np.dtype(np.float32), (-1, -1, spec.dim))
+    params = ParamSchema([ParamSpec(name, DataType.long, value) for name, value in defaults.items()])
+    ends = {name: [[0.0] * spec.dim] for name in spec.endpoints}
+    example = pd.DataFrame({"image": [spec.world.blank_picture()], **ends})
+    # The saved artifact takes the name of its folder.
+    shutil.copytree(bundle_folder, folder / "bundle")
+    mlflow.pyfunc.save_model(
+        folder / "model",
+        python_model=str(MODEL_CODE),
+        artifacts={"bundle": str(folder / "bundle")},
+        mlflow_model=Model(model_uuid=model_id, model_id=model_id),
+        signature=ModelSignature(Schema(columns), Schema([samples]), params),
+        input_example=(example, defaults),
+        pip_requirements=[f"{name}=={version(name)}" for name in _REQUIREMENTS],
+        metadata=dict(metadata),
+    )

@@ -1,1 +1,0 @@
-"""Registered models: the port, and MLflow's adapter."""

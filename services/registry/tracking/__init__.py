@@ -1,1 +1,0 @@
-"""Tracked runs: the port, MLflow's adapter, and what waits while MLflow is away."""
