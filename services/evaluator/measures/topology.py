@@ -1,6 +1,6 @@
 """Topology of point clouds: the geometry score (GS) and its twin with the complement (GS-C)."""
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -157,8 +157,6 @@ I_MAX = 100
 # A triangle has as many.
 FEWEST_LANDMARKS = 3
 
-Mapper = Callable[[Callable[[NDArray[np.int64]], "RelativeLivingTimes"], Iterable[NDArray[np.int64]]], Any]
-
 
 @dataclass(frozen=True, slots=True)
 class RelativeLivingTimes:
@@ -238,12 +236,8 @@ def mean_living_times(
     gamma: float | None = None,
     landmarks: int = LANDMARKS,
     i_max: int = I_MAX,
-    mapper: Mapper = map,
 ) -> RelativeLivingTimes:
     """Mean relative living times over seeded draws of landmarks (equation 4, algorithm 1).
-
-    All landmarks are drawn before any complex is built, so that a parallel ``mapper`` (a process pool's
-    ``map``) gives the same numbers.
 
     Raises:
         EvaluationError: fewer points than landmarks, or no draws.
@@ -255,23 +249,10 @@ def mean_living_times(
             got=f"{len(points)} points, {draws} draws",
         )
     picks = [rng.choice(len(points), landmarks, replace=False) for _ in range(draws)]
-    one = LivingTimesOf(points, default_gamma(len(points)) if gamma is None else gamma, i_max)
-    times = list(mapper(one, picks))
+    gamma = default_gamma(len(points)) if gamma is None else gamma
+    times = [relative_living_times(points, pick, gamma, i_max) for pick in picks]
     values = np.mean([t.values for t in times], axis=0)
     return RelativeLivingTimes(values, float(np.mean([t.remainder for t in times])))
-
-
-@dataclass(frozen=True)
-class LivingTimesOf:
-    """:func:`relative_living_times` of fixed points; a class because process pools send no closures."""
-
-    points: NDArray[np.floating[Any]]
-    gamma: float
-    i_max: int
-
-    def __call__(self, landmark_indices: NDArray[np.int64]) -> RelativeLivingTimes:
-        """Living times for one choice of landmarks."""
-        return relative_living_times(self.points, landmark_indices, self.gamma, self.i_max)
 
 
 def geometry_score(first: RelativeLivingTimes, second: RelativeLivingTimes) -> float:
@@ -380,7 +361,6 @@ def turned_living_times(
     rng: np.random.Generator,
     *,
     draws: int,
-    mapper: Mapper = map,
 ) -> TurnedTimes:
     """Mean living times of (N, d) configurations: on the four enlarged disks for d = 2, else as they are.
 
@@ -398,7 +378,7 @@ def turned_living_times(
             "the cloud is too small", expected=f"{LANDMARKS} points", got=str(len(configurations))
         )
     clouds = enlarged_turns(configurations, space) if planar else (configurations,)
-    return TurnedTimes(tuple(mean_living_times(cloud, rng, draws=draws, mapper=mapper) for cloud in clouds))
+    return TurnedTimes(tuple(mean_living_times(cloud, rng, draws=draws) for cloud in clouds))
 
 
 def largest_score(first: TurnedTimes, second: TurnedTimes) -> float:

@@ -15,7 +15,6 @@ from services.evaluator.measures.scenes import Scene, unfiltered
 from services.evaluator.measures.topology import (
     LANDMARKS,
     POINTS,
-    Mapper,
     TurnedTimes,
     complement_score,
     geometry_score,
@@ -71,8 +70,6 @@ def scene_topology(
     sampler: SampleSource,
     draws: int,
     samples: int = POINTS,
-    mapper: Mapper = map,
-    repeat: int = 0,
 ) -> SceneTopology:
     """GS and GS-C of a sampler on one scenario.
 
@@ -81,45 +78,16 @@ def scene_topology(
         sampler: under test.
         draws: of landmarks, per cloud and turn.
         samples: points per cloud.
-        mapper: spreads the draws; results do not depend on it.
-        repeat: another number draws other samples and landmarks, independent of all others'.
     """
-    seed = int(_stream(scene, 11, repeat).integers(0, 2**63))
+    seed = int(scene.rng(11).integers(0, 2**63))
     generated = unfiltered(sampler, scene.image, samples, seed)
-    real, again = (scene.free(samples, _stream(scene, stream, repeat)) for stream in (3, 4))
+    real, again = (scene.free(samples, scene.rng(stream)) for stream in (3, 4))
     clouds = (real, generated, again)
-    rng = _stream(scene, 5, repeat)
-    times = [mean_living_times(cloud, rng, draws=draws, mapper=mapper) for cloud in clouds]
+    rng = scene.rng(5)
+    times = [mean_living_times(cloud, rng, draws=draws) for cloud in clouds]
     plain = Scored(geometry_score(times[0], times[1]), geometry_score(times[0], times[2]))
-    boundary, true = _complement_scores(scene, clouds, _stream(scene, 6, repeat), draws, mapper)
+    boundary, true = _complement_scores(scene, clouds, scene.rng(6), draws)
     return SceneTopology(scene.index, plain, boundary, true, max(one.remainder for one in times))
-
-
-def repeated_topology(
-    scene: Scene,
-    sampler: SampleSource,
-    draws: int,
-    repeats: int,
-    samples: int = POINTS,
-    mapper: Mapper = map,
-) -> dict[str, ScoreSummary]:
-    """GS and GS-C on one scenario with intervals: each repeat draws all samples and all landmarks anew.
-
-    The intervals hold the chance in the samples and in the landmarks, and say nothing about other scenarios.
-
-    Args:
-        scene: the scenario.
-        sampler: under test.
-        draws: of landmarks, per cloud and turn.
-        repeats: a bootstrap wants ten or more.
-        samples: points per cloud.
-        mapper: spreads the draws; results do not depend on it.
-
-    Raises:
-        EvaluationError: no repeats.
-    """
-    rows = [scene_topology(scene, sampler, draws, samples, mapper, repeat) for repeat in range(repeats)]
-    return summarise_topology(rows, scene.rng(7))
 
 
 def summarise_topology(scenes: Sequence[SceneTopology], rng: np.random.Generator) -> dict[str, ScoreSummary]:
@@ -136,20 +104,14 @@ def summarise_topology(scenes: Sequence[SceneTopology], rng: np.random.Generator
     return summary
 
 
-def _stream(scene: Scene, stream: int, repeat: int) -> np.random.Generator:
-    """One of the scenario's streams, or an independent child of it for a further repeat."""
-    rng = scene.rng(stream)
-    return rng.spawn(repeat)[-1] if repeat else rng
-
-
 def _complement_scores(
-    scene: Scene, clouds: tuple[Cloud, Cloud, Cloud], rng: np.random.Generator, draws: int, mapper: Mapper
+    scene: Scene, clouds: tuple[Cloud, Cloud, Cloud], rng: np.random.Generator, draws: int
 ) -> tuple[Scored, Scored]:
     """GS-C with the real side's complement by the boundary algorithm, and with its true collision states."""
     count = len(clouds[0])
 
     def turned(cloud: Cloud) -> TurnedTimes:
-        return turned_living_times(cloud, scene.space, rng, draws=draws, mapper=mapper)
+        return turned_living_times(cloud, scene.space, rng, draws=draws)
 
     real, ours, again = (turned(cloud) for cloud in clouds)
     real_c, ours_c, again_c = (turned(sample_complement(c, scene.space, rng, count)) for c in clouds)

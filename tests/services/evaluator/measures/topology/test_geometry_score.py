@@ -1,4 +1,3 @@
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import gudhi
@@ -14,7 +13,6 @@ from services.evaluator.measures.topology import (
     relative_living_times,
     witness_complex,
 )
-from services.evaluator.processes import ProcessMapper
 
 CASES = Path(__file__).with_name("living_times.npz")
 CASE_NAMES = ("disk_0.007812", "ring7_0.000937", "ring_0.125000", "square_0.001250", "tworing_0.007812")
@@ -124,36 +122,13 @@ def test_the_score_is_blind_to_position():
     assert geometry_score(*times) == pytest.approx(0.0, abs=1e-6)
 
 
-def test_draws_are_seeded_and_do_not_depend_on_the_mapper():
+def test_draws_are_seeded():
     cloud = circle(300, np.random.default_rng(5))
-    serial = mean_living_times(cloud, np.random.default_rng(6), draws=4)
-    with ThreadPoolExecutor(2) as pool:
-        parallel = mean_living_times(cloud, np.random.default_rng(6), draws=4, mapper=pool.map)
-    other = mean_living_times(cloud, np.random.default_rng(7), draws=4)
-    np.testing.assert_array_equal(serial.values, parallel.values)
-    assert not np.array_equal(serial.values, other.values)
-
-
-@pytest.mark.slow
-def test_one_two_and_three_processes_give_identical_numbers():
-    cloud = circle(300, np.random.default_rng(5))
-    serial = mean_living_times(cloud, np.random.default_rng(6), draws=13)
-    for processes in (1, 2, 3):
-        with ProcessMapper(processes) as mapper:
-            spread = mean_living_times(cloud, np.random.default_rng(6), draws=13, mapper=mapper)
-        np.testing.assert_array_equal(serial.values, spread.values)
-        assert serial.remainder == spread.remainder
-
-
-def test_an_error_comes_back_from_a_process_as_itself():
-    points = np.full((70, 2), np.nan)
-    with ProcessMapper(1) as mapper, pytest.raises(EvaluationError, match="finite points"):
-        mean_living_times(points, np.random.default_rng(1), draws=2, mapper=mapper)
-
-
-def test_a_mapper_without_processes_is_an_error():
-    with pytest.raises(EvaluationError, match="1 or more"):
-        ProcessMapper(0)
+    first, again, other = (
+        mean_living_times(cloud, np.random.default_rng(seed), draws=4) for seed in (6, 6, 7)
+    )
+    np.testing.assert_array_equal(first.values, again.values)
+    assert not np.array_equal(first.values, other.values)
 
 
 def gudhi_simplices(distances, alpha_max):
@@ -183,17 +158,6 @@ def test_the_complex_is_gudhis_to_the_last_bit(seed, ties):
     for share in (0.001, 0.03, 0.3):
         alpha_max = float(distances.max()) * share
         assert our_simplices(distances, alpha_max) == gudhi_simplices(distances, alpha_max)
-
-
-def test_landmarks_are_drawn_without_replacement():
-    seen = []
-
-    def spy(work, picks):
-        seen.extend(picks)
-        return map(work, seen)
-
-    mean_living_times(circle(70, np.random.default_rng(8)), np.random.default_rng(9), draws=5, mapper=spy)
-    assert [len(set(pick.tolist())) for pick in seen] == [64] * 5
 
 
 @pytest.mark.parametrize(("count", "draws"), [(63, 1), (100, 0)])
