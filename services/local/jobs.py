@@ -1,23 +1,21 @@
 """Jobs on the Ray head: submit, follow the log, read the result and copy the pictures."""
 
-import json
 import re
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Protocol, TypeVar
 
 import httpx
+from pydantic import BaseModel, StrictBool, ValidationError
 
 from cspace.errors import JobError, RegistryError
 from services.local.settings import Settings, token_headers
 from services.results import PREFIX
 
 
-@dataclass(frozen=True, slots=True)
-class TrainingResult:
+class TrainingResult(BaseModel):
     """The new version of a training job.
 
     Args:
@@ -32,7 +30,7 @@ class TrainingResult:
     model: str
     version: int
     digest: str
-    figures: tuple[str, ...]
+    figures: tuple[str, ...] = ()
 
     @property
     def reference(self) -> str:
@@ -40,8 +38,7 @@ class TrainingResult:
         return f"{self.model}/{self.version}"
 
 
-@dataclass(frozen=True, slots=True)
-class EvaluationResult:
+class EvaluationResult(BaseModel):
     """The verdict of an evaluation job.
 
     Args:
@@ -55,61 +52,29 @@ class EvaluationResult:
 
     run_id: str
     version: int
-    promoted: bool
+    promoted: StrictBool
     reasons: tuple[str, ...]
-    metrics: Mapping[str, float]
-    figures: tuple[str, ...]
+    metrics: dict[str, float]
+    figures: tuple[str, ...] = ()
 
 
-def training_result(log: str) -> TrainingResult:
-    """Read the last result of a training job's log.
-
-    Raises:
-        JobError: there is none, or it lacks something.
-    """
-    with _last_result(log) as fields:
-        return TrainingResult(
-            run_id=str(fields["run_id"]),
-            model=str(fields["model"]),
-            version=int(fields["version"]),
-            digest=str(fields["digest"]),
-            figures=tuple(map(str, fields.get("figures", ()))),
-        )
+Result = TypeVar("Result", TrainingResult, EvaluationResult)
 
 
-def evaluation_result(log: str) -> EvaluationResult:
-    """Read the last result of an evaluation job's log.
+def last_result(log: str, kind: type[Result]) -> Result:
+    """The last result in a job's log.
 
     Raises:
         JobError: there is none, or it lacks something.
     """
-    with _last_result(log) as fields:
-        return EvaluationResult(
-            run_id=str(fields["run_id"]),
-            version=int(fields["version"]),
-            promoted=fields["promoted"] is True,
-            reasons=tuple(map(str, fields["reasons"])),
-            metrics={str(name): float(value) for name, value in fields["metrics"].items()},
-            figures=tuple(map(str, fields.get("figures", ()))),
-        )
-
-
-@contextmanager
-def _last_result(log: str) -> Iterator[dict[str, Any]]:
-    """The fields of the last result; what cannot be read of them in the block is a JobError."""
     lines = [line for line in log.splitlines() if line.startswith(PREFIX)]
     if not lines:
         raise JobError("the job left no result", expected=f"a last line `{PREFIX}{{...}}`")
     try:
-        fields = json.loads(lines[-1].removeprefix(PREFIX))
-    except ValueError as error:
-        raise JobError("the job's result is not JSON", got=lines[-1][:200]) from error
-    if not isinstance(fields, dict):
-        raise JobError("the job's result is not an object", got=lines[-1][:200])
-    try:
-        yield fields
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise JobError("the job's result lacks something", got=f"{error!r} in {sorted(fields)}") from error
+        return kind.model_validate_json(lines[-1].removeprefix(PREFIX))
+    except ValidationError as error:
+        wrong = "; ".join(f"{'.'.join(map(str, one['loc']))}: {one['msg']}" for one in error.errors())
+        raise JobError("the job's result does not fit", expected=wrong[:300], got=lines[-1][:200]) from error
 
 
 # Where the tracking adapter puts figures within a run.

@@ -29,10 +29,9 @@ from services.local.jobs import (
     Jobs,
     RayJobs,
     TrainingResult,
-    evaluation_result,
     fetch_pictures,
     follow,
-    training_result,
+    last_result,
 )
 from services.local.settings import Settings, service_environment
 from services.local.stack import addresses, aligned, services, shell_help, up
@@ -353,8 +352,9 @@ def quickstart(settings: Settings, tour: Tour, say: Callable[[str], None]) -> No
     progress.stage("starting the services")
     up(settings, services(settings), progress.line)
     jobs = RayJobs(settings)
-    training = training_result(_run(jobs, tour.train, progress))
-    evaluation = evaluation_result(_run(jobs, tour.evaluate.replace("{model}", training.reference), progress))
+    training = last_result(_run(jobs, tour.train, progress), TrainingResult)
+    judge = tour.evaluate.replace("{model}", training.reference)
+    evaluation = last_result(_run(jobs, judge, progress), EvaluationResult)
     progress.stage(f"waiting until the inference API serves {training.reference}")
     # The API's default is one robot's; a model of another one is asked for by its name.
     default = evaluation.promoted and training.model == MODEL_NAME

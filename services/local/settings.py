@@ -27,8 +27,7 @@ SHELL_SPECIAL = re.compile(r"""[][\s"'`$&;()<>|*?#\\:]""")
 def claim(home: Path, parts: Sequence[str]) -> None:
     """Mark a folder as this project's, with the names of what it keeps there.
 
-    A new or empty folder is marked and ignores itself. So is marked what an earlier release made, which holds
-    a registry and nothing but this project's parts.
+    A new or empty folder is marked and ignores itself.
 
     Raises:
         ConfigError: it holds something else.
@@ -36,8 +35,8 @@ def claim(home: Path, parts: Sequence[str]) -> None:
     """
     home.mkdir(mode=0o700, parents=True, exist_ok=True)
     if not marked(home):
-        found = _names(home)
-        if found and not _made_earlier(home, parts):
+        found = sorted(path.name for path in home.iterdir())
+        if found:
             raise ConfigError(
                 f"{home} is not a state folder of this project",
                 expected="a new or an empty folder",
@@ -45,8 +44,7 @@ def claim(home: Path, parts: Sequence[str]) -> None:
                 remedy="set CSPACE_HOME to a folder of its own",
             )
         write_json(home / MARKER, {"made_by": "cspace-sampler", "parts": list(parts)})
-        if not found:
-            ignore(home)
+        ignore(home)
 
 
 def marked(home: Path) -> bool:
@@ -55,15 +53,13 @@ def marked(home: Path) -> bool:
 
 
 def owned(home: Path, parts: Sequence[str]) -> tuple[str, ...]:
-    """Those parts that the mark lists, or that an earlier release left; none where there is no folder.
+    """Those parts that the mark lists; none where there is no folder.
 
     Raises:
         ConfigError: the folder is not this project's, or its mark is damaged.
     """
     if not home.is_dir():
         return ()
-    if not marked(home) and _made_earlier(home, parts):
-        return tuple(parts)
     try:
         listed = json.loads((home / MARKER).read_text(encoding="utf-8"))["parts"]
         return tuple(name for name in parts if name in listed)
@@ -74,14 +70,6 @@ def owned(home: Path, parts: Sequence[str]) -> tuple[str, ...]:
             got=f"{type(error).__name__} on reading it",
             remedy="see what CSPACE_HOME says, or delete the folder yourself",
         ) from error
-
-
-def _made_earlier(home: Path, parts: Sequence[str]) -> bool:
-    return (home / "mlflow" / "mlflow.db").is_file() and set(_names(home)) <= set(parts)
-
-
-def _names(home: Path) -> list[str]:
-    return sorted(path.name for path in home.iterdir()) if home.is_dir() else []
 
 
 HOST = "127.0.0.1"

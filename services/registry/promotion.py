@@ -53,7 +53,7 @@ class Decision:
         metrics: the gated metrics, from the validation scenarios.
         against: the champion of that time, None when there was none.
         created_ms: milliseconds since 1970-01-01 UTC.
-        robot: digest of the robot that it was judged with; None in entries that are older than digests.
+        robot: digest of the robot that it was judged with; champions of others are not compared.
     """
 
     name: str

@@ -12,7 +12,7 @@ from pathlib import Path
 import psutil
 import pytest
 
-from services.local.jobs import RayJobs, follow, training_result
+from services.local.jobs import RayJobs, TrainingResult, follow, last_result
 from services.local.processes import answers
 from services.local.settings import read_token, token_headers
 from services.local.stack import jobs_under_way
@@ -87,7 +87,7 @@ def test_a_job_is_followed_to_its_result(stack: LocalStack, monkeypatch: pytest.
     monkeypatch.setenv("RAY_AUTH_TOKEN", token)
     jobs, lines = RayJobs(stack.settings), []
     log = follow(jobs, jobs.submit(STUB), lines.append)
-    assert training_result(log).reference == "stub/1"
+    assert last_result(log, TrainingResult).reference == "stub/1"
     assert lines.index("step 1 of 2") < lines.index("step 2 of 2")
 
 

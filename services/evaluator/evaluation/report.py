@@ -43,7 +43,6 @@ from services.evaluator.evaluation.measured import (
     scene_family_table,
     topology_table,
 )
-from services.evaluator.evaluation.rivals import JOINTS
 from services.evaluator.evaluation.units import (
     JUDGED,
     Evaluation,
@@ -391,14 +390,13 @@ def record(
     registry: ModelRegistry, version: ModelVersion, evaluation: Evaluation, verdict: Verdict
 ) -> Decision:
     """Append the decision to the version's log and move the alias if it is a promotion."""
-    metrics = {**_gated(evaluation), JOINTS: float(evaluation.setting.world.dim)}
     now_ms = time.time_ns() // 1_000_000
     decision = Decision(
         version.name,
         version.number,
         verdict.promoted,
         verdict.reasons,
-        metrics,
+        _gated(evaluation),
         verdict.bar.against,
         now_ms,
         robot_digest(evaluation.setting.world),

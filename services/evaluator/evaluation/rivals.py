@@ -25,10 +25,7 @@ from services.evaluator.evaluation.gate import SMALLER_IS_BETTER, Champion
 from services.evaluator.measures.scenes import PackedBundle
 from services.names import ALIAS_CHAMPION, TAG_ROLLED_BACK
 from services.registry.ports import SHIPPED, ModelRegistry, ModelVersion
-from services.registry.promotion import Decision, champions
-
-# What decisions told of their robot before they told its digest.
-JOINTS = "joints"
+from services.registry.promotion import champions
 
 
 @dataclass(frozen=True)
@@ -84,7 +81,7 @@ def find_rivals(
     earlier = {
         decision.version: Champion(decision.version, decision.metrics)
         for decision in champions(registry, name)
-        if decision.version != version.number and is_of(decision, bundle.spec.world)
+        if decision.version != version.number and decision.robot == robot_digest(bundle.spec.world)
     }
     for number, day in _rolled_back(registry, name):
         if earlier.pop(number, None) is not None:
@@ -103,13 +100,6 @@ def find_rivals(
             break
     found.add_shipped(shipped)
     return Field(tuple(found.rivals), tuple(earlier.values()), tuple(found.notes), against)
-
-
-def is_of(decision: Decision, world: World) -> bool:
-    """Whether a decision was about the same robot; champions of others are not compared."""
-    if decision.robot is None:
-        return decision.metrics.get(JOINTS) == world.dim
-    return decision.robot == robot_digest(world)
 
 
 def _rolled_back(registry: ModelRegistry, name: str) -> list[tuple[int, str]]:

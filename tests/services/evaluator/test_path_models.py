@@ -72,7 +72,7 @@ def test_the_shipped_heads_path_sampler_is_promoted_for_what_it_saves(made, tmp_
     assert outcome.verdict.promoted, outcome.verdict.reasons
     assert registry.by_alias(MODEL, "champion").number == 1
     (decision,) = decisions(registry, MODEL)
-    assert set(decision.metrics) == {"planning_success", "narrow_edge_checks_ratio", "joints"}
+    assert set(decision.metrics) == {"planning_success", "narrow_edge_checks_ratio"}
     assert decision.metrics["narrow_edge_checks_ratio"] > 1.0
     assert not any("reconstruction" in line or "topology" in line for line in lines)
     report = run.artifacts["report/evaluation.md"].decode()

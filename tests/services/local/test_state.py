@@ -3,7 +3,6 @@ from pathlib import Path
 import pytest
 
 from cspace.errors import ConfigError, StorageError
-from cspace.files import IGNORE_FILE
 from services.local.settings import MARKER, Settings, drop_state, size_bytes, size_text
 
 
@@ -57,21 +56,11 @@ def test_only_what_the_mark_lists_is_deleted(settings: Settings) -> None:
     assert (settings.home.parent / "elsewhere").is_dir()
 
 
-def test_a_folder_that_an_earlier_release_made_is_taken_over_if_nothing_else_lies_there(
-    settings: Settings,
-) -> None:
-    # It marked nothing, and left nothing out.
-    for name in (MARKER, IGNORE_FILE):
-        (settings.home / name).unlink()
-    (settings.home / "mlflow" / "mlflow.db").touch()
-    settings.make_folders()
-    assert (settings.home / MARKER).is_file()
+def test_a_folder_that_somebody_else_made_is_left_alone(settings: Settings) -> None:
     (settings.home / MARKER).unlink()
-    (settings.home / "thesis").mkdir()
-    with pytest.raises(ConfigError, match="not a state folder"):
-        settings.make_folders()
-    with pytest.raises(ConfigError, match="not a state folder"):
-        drop_state(settings)
+    for refused in (settings.make_folders, lambda: drop_state(settings)):
+        with pytest.raises(ConfigError, match="not a state folder"):
+            refused()
     assert (settings.home / "data").is_dir()
 
 

@@ -3,7 +3,7 @@
 import json
 import sys
 
-from services.local.jobs import training_result
+from services.local.jobs import TrainingResult, last_result
 from services.results import RESULT_FILE, tell_result
 from training.clusters.pipeline import TrainResult
 
@@ -32,7 +32,7 @@ def test_the_last_line_of_a_log_is_the_result_for_programs(tmp_path, capsys):
     told(tmp_path)
     log = capsys.readouterr().out
     assert log.splitlines()[-1].startswith("RESULT {")
-    assert training_result(log).reference == "arm/3"
+    assert last_result(log, TrainingResult).reference == "arm/3"
 
 
 def test_a_terminal_is_spared_the_line(tmp_path, capsys, monkeypatch):

@@ -128,7 +128,7 @@ def test_a_refused_version_is_recorded_and_the_champion_stays(tracking, registry
     (decision,) = decisions(registry, MODEL_NAME)
     assert not decision.promoted
     assert decision.reasons == outcome.verdict.reasons
-    assert set(decision.metrics) == {"precision", "coverage", "edr", "joints"}
+    assert set(decision.metrics) == {"precision", "coverage", "edr"}
     with pytest.raises(ModelNotFoundError):
         registry.by_alias(MODEL_NAME, ALIAS_CHAMPION)
 

@@ -6,51 +6,15 @@ from cspace.bundle import Bundle
 from cspace.errors import ConfigError, ModelNotFoundError, RegistryUnavailableError
 from cspace.worlds import robot_digest
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK, PlanarArm
-from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.world import PlanarWorld
 from inference_api.settings import PRETRAINED_FOLDER
-from services.evaluator.evaluation.rivals import find_rivals, is_of
+from services.evaluator.evaluation.rivals import find_rivals
 from services.names import MODEL_NAME
 from services.registry.promotion import Decision, promote, record_decision, roll_back
 from tests.bundles import write_tiny_bundle
 from tests.fakes.registry import FakeRegistry
 
 TWO, THREE, OTHER_TWO = PlanarWorld(), PlanarWorld(THREE_LINK), PlanarWorld(PlanarArm((1.0, 3.0)))
-
-
-def decision(version: int, robot: str | None, joints: float) -> Decision:
-    metrics = {"joints": joints}
-    return Decision(
-        "model",
-        version,
-        promoted=True,
-        reasons=(),
-        metrics=metrics,
-        against=None,
-        created_ms=version,
-        robot=robot,
-    )
-
-
-@pytest.mark.parametrize(
-    ("entry", "world", "same"),
-    [
-        (decision(1, robot_digest(TWO), 2.0), TWO, True),
-        (decision(1, robot_digest(TWO), 2.0), PlanarWorld(sensor=Camera(pixels=32)), True),
-        (decision(1, robot_digest(OTHER_TWO), 2.0), TWO, False),
-        (decision(1, robot_digest(TWO), 2.0), THREE, False),
-        (decision(1, None, 2.0), TWO, True),
-        (decision(1, None, 2.0), THREE, False),
-    ],
-)
-def test_a_champion_counts_for_its_own_robot(entry: Decision, world: PlanarWorld, same: bool) -> None:
-    assert is_of(entry, world) is same
-
-
-def test_entries_of_the_log_that_tell_no_robot_are_read() -> None:
-    text = decision(1, None, 2.0).to_json().replace(', "robot": null', "")
-    assert "robot" not in text
-    assert Decision.from_json(text).robot is None
 
 
 @pytest.fixture
@@ -68,7 +32,7 @@ def register(registry, tmp_path):
         )
         assert registry.register(MODEL_NAME, bundle.folder, "run", bundle.digest, {}).number == number
         if precision is not None:
-            metrics = {"precision": precision, "joints": float(robot.dim)}
+            metrics = {"precision": precision}
             digest = robot_digest(PlanarWorld(robot))
             told = Decision(
                 MODEL_NAME,

@@ -63,8 +63,8 @@ def test_the_summary_shows_both_models_side_by_side_and_why_the_shipped_one_was_
     found = quickstart.served_quality("http://api", MODELS, TOUR)
     note = "not compared with the shipped model, as was asked for"
     text = quickstart.summary(
-        TrainingResult("run", "cspace-sampler", 1, "digest", ()),
-        EvaluationResult("run", 1, promoted=True, reasons=(note,), metrics={}, figures=()),
+        TrainingResult(run_id="run", model="cspace-sampler", version=1, digest="digest"),
+        EvaluationResult(run_id="run", version=1, promoted=True, reasons=(note,), metrics={}),
         found,
         TOUR.scenarios,
         (),
