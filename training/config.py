@@ -174,10 +174,10 @@ class ClusterConfig(Section):
 
     count: int = Field(2, ge=1, description="trials that train side by side, one a cluster")
     fit_samples: int = Field(50_000, ge=10)
-    form: Literal["guided", "mixture", "distilled"] = Field(
+    form: Literal["guided", "mixture"] = Field(
         "guided",
         description="guided: the local critics guide a global generator, as in the paper; mixture: the local "
-        "generators themselves, behind a gate; distilled: one generator that has learned the mixture",
+        "generators themselves, behind a gate",
     )
 
 

@@ -1,7 +1,7 @@
 """The main job: data, clusters, VAE and validity head, gate, local trials, global trial, bundle, registry."""
 
 import logging
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -43,12 +43,10 @@ from training.trials.arrays import (
 )
 from training.trials.launch import TrialOutcome, TrialRequest, connect, run_trials
 from training.trials.trainables import (
-    DISTILLED,
     GATE,
     GLOBAL,
     VAE,
     VALIDITY,
-    distillation_trial,
     gate_trial,
     global_trial,
     joint_trial,
@@ -264,20 +262,16 @@ def train_global(
 ) -> list[TrialOutcome]:
     """Stage 7: the global WGAN-GP, guided by the local critics or with the encoder that it trains.
 
-    Or one generator that distils the mixture; a mixture itself needs neither, for its local generators are
-    what is served.
+    A mixture needs none, for its local generators are what is served.
     """
-    form, shared = job.config.clusters.form, _shared(job, arrays)
-    if form == "mixture":
+    if job.config.clusters.form == "mixture":
         return []
-    trainable: Callable[..., None]
-    name, trainable = (DISTILLED, distillation_trial) if form == "distilled" else (GLOBAL, global_trial)
-    trial = TrialRequest.of(job, name, name)
+    trials, shared = [TrialRequest.of(job, GLOBAL, GLOBAL)], _shared(job, arrays)
+    resources = job.config.resources
     if job.config.joint:
-        trainable, shared["images"] = joint_trial, np.asarray(dataset.images)
-    else:
-        shared["local_checkpoints"] = [str(outcome.checkpoint) for outcome in local]
-    return run_trials(trainable, [trial], shared, job.config.resources)
+        return run_trials(joint_trial, trials, shared | {"images": np.asarray(dataset.images)}, resources)
+    local_checkpoints = [str(outcome.checkpoint) for outcome in local]
+    return run_trials(global_trial, trials, shared | {"local_checkpoints": local_checkpoints}, resources)
 
 
 def encoder_checkpoint(job: Job[TrainConfig], vae: TrialOutcome | None) -> Path:

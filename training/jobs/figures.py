@@ -12,10 +12,9 @@ PANELS = {
     "vae": ("reconstruction_loss", "kl"),
     "validity": ("validity_loss", "validity_accuracy"),
     "gate": ("gate_divergence",),
-    "distilled": ("distillation_loss",),
 }
 _WGAN_PANELS = ("wasserstein_estimate", "gradient_penalty", "generator_loss")
-_LOGARITHMIC = ("reconstruction_loss", "validity_loss", "gate_divergence", "distillation_loss")
+_LOGARITHMIC = ("reconstruction_loss", "validity_loss", "gate_divergence")
 _LABELS = {
     "wasserstein_estimate": "Wasserstein estimate",
     "gradient_penalty": "gradient penalty",
@@ -25,7 +24,6 @@ _LABELS = {
     "validity_accuracy": "accuracy in the batch",
     "kl": "KL divergence [nat]",
     "gate_divergence": "divergence from the true shares [nat]",
-    "distillation_loss": "1 - cos to the mixture's answer",
     "flow_loss": "squared error of the velocity [rad^2]",
 }
 

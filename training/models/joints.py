@@ -120,14 +120,6 @@ class Joints(nn.Module):
             return wrapped
         return torch.where(self.limited, losses.straight_interpolation(end, start, share), wrapped)
 
-    def apart(self, first: Tensor, second: Tensor) -> Tensor:
-        """How far joints are apart, as a loss: 1 - cos of the difference, half its square with limits."""
-        gap = first - second
-        round_circles = 1.0 - torch.cos(gap)
-        return (
-            round_circles if self.is_torus else torch.where(self.limited, gap.square() / 2.0, round_circles)
-        )
-
     def embed(self, angles: Tensor) -> Tensor:
         """Cosines of the circles, their sines, places within the limits: (m, d) to (m, embedded_size)."""
         if self.is_torus:

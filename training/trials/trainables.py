@@ -9,11 +9,10 @@ from numpy.typing import NDArray
 
 from cspace.errors import JobError
 from training.config import TrainConfig
-from training.models.cells import CellBase
 from training.models.checkpoint import seeded_initialisation, trained
 from training.models.joint import JointModule
-from training.models.lookups import make_lookups, make_reader, values_read
-from training.models.mixture import DistillationModule, Experts, Gate, GatedSampler, GateModule
+from training.models.lookups import make_lookups, values_read
+from training.models.mixture import Experts, Gate, GatedSampler, GateModule
 from training.models.modules import TrialModule, VaeModule, WganGpModule, make_critic, make_generator
 from training.models.networks import Critic, MeansGenerator, TorusGenerator
 from training.models.settings import GanConfig, LookupConfig
@@ -73,17 +72,15 @@ def gated_sampler(
     return GatedSampler(gate, arrays.cells.points, experts, make_lookups(lookups, arrays.world)).eval()
 
 
-def fresh_generator(config: GanConfig, arrays: TrainingArrays) -> TorusGenerator | MeansGenerator:
-    """A generator of the shape that fits the data, not trained."""
-    looked_up = values_read(make_lookups(config.generator_lookups, arrays.world))
-    return make_generator(config, arrays.world.space, arrays.mu.shape[1], arrays.scale, looked_up)
-
-
 def load_generator(
     config: GanConfig, arrays: TrainingArrays, checkpoint: Path
 ) -> TorusGenerator | MeansGenerator:
     """The generator of a trial's checkpoint."""
-    return trained(lambda: fresh_generator(config, arrays), checkpoint, "generator")
+    looked_up, space = values_read(make_lookups(config.generator_lookups, arrays.world)), arrays.world.space
+    latent_dim = arrays.mu.shape[1]
+    return trained(
+        lambda: make_generator(config, space, latent_dim, arrays.scale, looked_up), checkpoint, "generator"
+    )
 
 
 def torus_generator(generator: TorusGenerator | MeansGenerator) -> TorusGenerator:
@@ -114,7 +111,7 @@ def load_gate(config: TrainConfig, checkpoint: Path) -> Gate:
     return trained(lambda: Gate(*sizes), checkpoint, "gate")
 
 
-VAE, VALIDITY, GATE, GLOBAL, DISTILLED = "vae", "validity", "gate", "global", "distilled"
+VAE, VALIDITY, GATE, GLOBAL = "vae", "validity", "gate", "global"
 
 
 def picture_trial(
@@ -162,35 +159,6 @@ def global_trial(
     critics = [load_critic(train.local, arrays, Path(folder)) for folder in local_checkpoints]
     weight = train.global_.local_critic_weight
     module = make_wgan(train.global_, arrays, None, trial.seed, critics, weight)
-    fit_tracked(trial, module, train.global_, train.resources, tracking_uri)
-
-
-def distillation_trial(
-    trial: TrialRequest,
-    train: TrainConfig,
-    arrays: TrainingArrays,
-    local_checkpoints: list[str],
-    tracking_uri: str,
-) -> None:
-    """Train one generator to answer as the local ones do, each in its own cells."""
-    cells, base = arrays.cells, arrays.base(None)
-    if cells is None or not isinstance(base, CellBase):
-        raise JobError("a mixture to distil needs a gate", expected="gate.cells above 0", got="none")
-    teachers = [
-        torus_generator(load_generator(train.local, arrays, Path(folder))) for folder in local_checkpoints
-    ]
-    with seeded_initialisation(trial.seed):
-        student = torus_generator(fresh_generator(train.global_, arrays))
-        module = DistillationModule(
-            train.global_,
-            arrays.samples(None),
-            Experts(teachers, torch.tensor(cells.clusters)),
-            make_reader(train.local.generator_lookups, arrays.scenes()),
-            student,
-            make_reader(train.global_.generator_lookups, arrays.scenes()),
-            base,
-            trial.seed,
-        )
     fit_tracked(trial, module, train.global_, train.resources, tracking_uri)
 
 

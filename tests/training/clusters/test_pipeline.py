@@ -172,9 +172,7 @@ LOOKUPS = "{points_per_link: 3, side_m: 0.1}"
 GATED = ("gate.cells=4", "gate.steps=20", "gate.points=32", f"local.generator_lookups={LOOKUPS}")
 
 
-@pytest.mark.parametrize(
-    ("form", "last"), [("mixture", "local-1"), ("distilled", "distilled"), ("guided", "global")]
-)
+@pytest.mark.parametrize(("form", "last"), [("mixture", "local-1"), ("guided", "global")])
 def test_every_form_of_the_clusters_ends_in_a_bundle_that_answers(form, last, server, data_folder, tmp_path):
     result = run_job(server, data_folder, f"clusters.form={form}", *GATED, f"local.critic_lookups={LOOKUPS}",
                      f"global.generator_lookups={LOOKUPS}", f"global.critic_lookups={LOOKUPS}")  # fmt: skip

@@ -29,8 +29,6 @@ def test_without_limits_every_number_is_that_of_the_torus():
     torch.testing.assert_close(TORUS.way(first, second), way, rtol=0, atol=0)
     between = losses.wrapped_interpolation(second, first, share)
     torch.testing.assert_close(TORUS.between(first, second, share), between, rtol=0, atol=0)
-    apart = 1.0 - torch.cos(first - second)
-    torch.testing.assert_close(TORUS.apart(first, second), apart, rtol=0, atol=0)
     embedded = torch.cat([torch.cos(first), torch.sin(first)], dim=1)
     torch.testing.assert_close(TORUS.embed(first), embedded, rtol=0, atol=0)
     torch.testing.assert_close(TORUS.unembed(embedded), on_torus(embedded), rtol=0, atol=0)
@@ -65,8 +63,6 @@ def test_ways_go_round_circles_alone():
     torch.testing.assert_close(MIXED.way(start, end), way)
     half = torch.tensor([[0.5]])
     torch.testing.assert_close(MIXED.between(start, end, half), start + way / 2.0)
-    apart = torch.tensor([[6.7**2 / 2.0, 1.0 - np.cos(6.0), 6.5**2 / 2.0]], dtype=torch.float32)
-    torch.testing.assert_close(MIXED.apart(start, end), apart)
 
 
 def test_embedding_and_back_is_the_same_configuration():

@@ -1,4 +1,4 @@
-"""Cells, gate, the mixture's graph and its distillation."""
+"""Cells, gate and the mixture's graph."""
 
 import numpy as np
 import onnxruntime
@@ -9,13 +9,11 @@ from cspace.space import circles
 from cspace.worlds.planar.arm import TWO_LINK
 from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.world import PlanarWorld
-from tests.training.models.builders import TINY, ring_samples
 from training.models.cells import CellBase, CellPoints, UniformBase
 from training.models.checkpoint import seeded_initialisation
 from training.models.export import lookup_graph, mixture_graph
 from training.models.lookups import ArmLookups
 from training.models.mixture import (
-    DistillationModule,
     Experts,
     Gate,
     GatedSampler,
@@ -24,7 +22,7 @@ from training.models.mixture import (
     gate_probabilities,
 )
 from training.models.networks import Sizes, TorusGenerator
-from training.models.settings import GanConfig, GateConfig
+from training.models.settings import GateConfig
 
 SPACE = circles(2)
 CELLS = CellPoints(
@@ -162,17 +160,3 @@ def test_the_gate_learns_the_shares_of_the_cells():
     for step in range(config.steps):
         module.training_step(step, step)
     np.testing.assert_allclose(gate_probabilities(module.gate, mu.numpy()), shares.numpy(), atol=0.05)
-
-
-def test_a_distilled_generator_comes_to_answer_as_its_teachers():
-    config = GanConfig.model_validate(TINY | {"steps": 300, "generator_learning_rate": 5e-3, "hidden": 32})
-    samples = ring_samples(latent_dim=4)
-    base = CellBase(CELLS, torch.full((2, 3), 1 / 3), SPACE)
-    with seeded_initialisation(0):
-        student = TorusGenerator(Sizes(SPACE, 4, 32, 2), 2)
-    module = DistillationModule(config, samples, experts()[1], None, student, None, base, 0)
-    module.training_step(0, 0)
-    before = module.metrics()["distillation_loss"]
-    for step in range(1, config.steps):
-        module.training_step(step, step)
-    assert module.metrics()["distillation_loss"] < 0.3 * before
