@@ -25,7 +25,6 @@ def spread(
     shared: Shared,
     what: str,
     remedy: str | None = None,
-    processes: int | None = None,
 ) -> Iterator[Result]:
     """Results as they come from the cluster that RAY_ADDRESS names; a lost worker's unit is run again.
 
@@ -35,7 +34,6 @@ def spread(
         shared: put into the object store once; a node fetches it once.
         what: the whole is, for messages: "evaluation".
         remedy: where a unit failed for good.
-        processes: of this machine, one core each, in place of the cluster; they end with this one.
 
     Raises:
         JobError: the cluster does not answer, or a unit failed for good.
@@ -43,7 +41,7 @@ def spread(
     """
     waiting: list[ray.ObjectRef[Any]] = []
     try:
-        join(processes, log_to_driver=False)
+        join(log_to_driver=False)
         task = ray.remote(num_cpus=1, max_retries=2)(run)
         stored = ray.put(shared)
         waiting = [task.remote(unit, stored) for unit in work[:IN_FLIGHT]]
@@ -61,8 +59,6 @@ def spread(
     finally:
         with suppress(RayError, ConnectionError):
             cancel(waiting)
-        if processes is not None:
-            ray.shutdown()
 
 
 def cancel(references: Sequence["ray.ObjectRef[Any]"]) -> None:
@@ -77,17 +73,15 @@ def cancel(references: Sequence["ray.ObjectRef[Any]"]) -> None:
             ray.cancel(reference)
 
 
-def join(processes: int | None = None, **settings: Any) -> None:
+def join(**settings: Any) -> None:
     """Join the cluster that RAY_ADDRESS names or that runs here; where its form is http, start a local one.
 
     Args:
-        processes: of a local one that is started in any case.
         settings: of ``ray.init``.
     """
     if not ray.is_initialized():
-        address = "local" if processes or _takes_jobs_only(os.environ) else None
-        settings |= {"logging_level": logging.WARNING, "include_dashboard": False}
-        ray.init(address, num_cpus=processes, **settings)
+        address = "local" if _takes_jobs_only(os.environ) else None
+        ray.init(address, logging_level=logging.WARNING, include_dashboard=False, **settings)
 
 
 def on_cluster(environment: Mapping[str, str]) -> bool:

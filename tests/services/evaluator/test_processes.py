@@ -1,0 +1,62 @@
+"""Processes of a pool end with the process that made them, in whatever way that ends."""
+
+import os
+import select
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ENDED_WITHIN_S = 20.0
+
+PARENT = """
+import sys
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+
+from services.evaluator.benchmark.execution import end_with_parent
+
+if __name__ == "__main__":
+    with ProcessPoolExecutor(2, get_context("spawn"), end_with_parent) as pool:
+        for child in set(pool.map({waits}, range(8))):
+            print(child, flush=True)
+        print("ready", flush=True)
+        sys.stdin.read()
+"""
+
+
+def pid_of(_: object) -> int:
+    """The process that it is asked in."""
+    return os.getpid()
+
+
+@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGTERM])
+def test_nothing_is_left_of_a_pool_whose_parent_was_ended(tmp_path: Path, how: signal.Signals) -> None:
+    script = tmp_path / "parent.py"
+    told = "from tests.services.evaluator.test_processes import pid_of\n"
+    script.write_text(told + PARENT.format(waits="pid_of"))
+    root = str(Path(__file__).parents[3])
+    environment = {**os.environ, "PYTHONPATH": root}
+    with subprocess.Popen(
+        [sys.executable, str(script)],
+        cwd=root,
+        env=environment,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    ) as parent:
+        assert parent.stdout is not None
+        children = [int(line) for line in iter(parent.stdout.readline, "ready\n")]
+        assert children
+        # A handle tells of the end of a process that is nobody's child here.
+        handles = [os.pidfd_open(child) for child in children]
+        parent.send_signal(how)
+    try:
+        for handle in handles:
+            ended, _, _ = select.select([handle], [], [], ENDED_WITHIN_S)
+            assert ended
+    finally:
+        for handle in handles:
+            os.close(handle)
