@@ -4,16 +4,21 @@ Exit codes: 0 done; 1 the disk is bad; 2 the command or the description is wrong
 """
 
 import argparse
+import json
 import math
+import re
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from cspace.errors import ConfigError, CspaceError, ScenarioError
 from cspace.files import replacing
 from services.command_errors import tell_error
+from training.robots.chain import Limits
 from training.robots.covering import Allowances
-from training.robots.importing import Imported, Request, import_robot, robot_text
+from training.robots.importing import Request, import_robot
+from training.robots.report import draw, lines_of, values_of
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -21,32 +26,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser().parse_args(arguments)
     try:
         imported = import_robot(_request(options), lambda name: print(f"covering {name}", flush=True))
+        values, picture = (options.out.with_suffix(end) for end in (".report.json", ".report.png"))
         with replacing(options.out, "the robot") as beside:
-            beside.write_text(robot_text(imported.arm), encoding="utf-8")
+            beside.write_text(_text(imported.arm.to_dict()), encoding="utf-8")
+        with replacing(values, "the report") as beside:
+            beside.write_text(_text(values_of(imported)), encoding="utf-8")
+        with replacing(picture, "the report's picture") as beside:
+            draw(imported, beside)
     except CspaceError as error:
         return tell_error(error, ConfigError, ScenarioError)
-    print(described(imported))
-    print(f"written to {options.out}")
+    print("\n".join(lines_of(imported)))
+    print(f"written to {options.out}; the report is in {values.name} and {picture.name}")
     return 0
-
-
-def described(imported: Imported) -> str:
-    """How well the spheres fit, and which parts are held apart, in lines."""
-    lines = [f"{'part':<24}spheres  missed mm  missed %  sticks out mm  mean mm"]
-    for name, fit in imported.fits.items():
-        lines.append(
-            f"{name:<24}{fit.spheres:>7}{1e3 * fit.missed_m:>11.2f}{100.0 * fit.missed_share:>10.2f}"
-            f"{1e3 * fit.excess_m:>15.2f}{1e3 * fit.mean_excess_m:>9.2f}"
-        )
-    arm = imported.arm
-    lines.append(f"{arm.name}: {arm.dim} joints, {arm.sphere_count} spheres, {len(arm.touching)} pairs")
-    lines += [
-        f"  {one.pair[0]} and {one.pair[1]}: overlap in {100.0 * one.share:.2f} % of configurations"
-        f"{'' if one.kept else ', not held apart'}"
-        for one in imported.touching
-        if one.share > 0.0 or one.kept
-    ]
-    return "\n".join(lines)
 
 
 def parser() -> argparse.ArgumentParser:
@@ -57,74 +48,62 @@ def parser() -> argparse.ArgumentParser:
         epilog="Exit codes: 0 done, 1 the disk is bad, 2 the command or the description is wrong.",
     )
     commands = result.add_subparsers(required=True, metavar="COMMAND")
-    one = commands.add_parser("import", help="a serial arm from a URDF file; meshes need the extra spatial")
-    one.add_argument("urdf", type=Path, help="the description")
-    one.add_argument("--srdf", type=Path, help="with the pairs of links that need no check")
+    one = commands.add_parser("import", help="a serial arm from a URDF or xacro file")
+    one.add_argument("urdf", type=Path, help="the description; a name that ends with .xacro is expanded")
+    one.add_argument("--srdf", type=Path, help="with the pairs that need no check; default: beside the URDF")
     one.add_argument("--tip", metavar="LINK", help="whose frame is the tool's; default: the last link")
-    one.add_argument(
-        "--lock",
-        action="append",
-        default=[],
-        metavar="JOINT=VALUE",
-        help="a joint that does not move, rad or m",
-    )
-    one.add_argument(
-        "--limit",
-        action="append",
-        default=[],
-        metavar="JOINT=LOW,HIGH",
-        help="instead of the description's, rad",
-    )
-    one.add_argument(
-        "--package", action="append", default=[], metavar="NAME=FOLDER", help="where a package of meshes lies"
-    )
-    one.add_argument(
-        "--keep",
-        action="append",
-        default=[],
-        nargs=2,
-        metavar="LINK",
-        help="a pair that is held apart whatever the SRDF says",
-    )
-    one.add_argument(
-        "--ready", metavar="A,B,...", help="where the arm waits, rad; default: the middle of its limits"
-    )
-    one.add_argument(
-        "--slack-mm", type=float, default=2.0, help="of the surface outside the spheres; default 2"
-    )
+    for name, value, told in (
+        (
+            "--lock",
+            "JOINT=VALUE",
+            "a joint that does not move, rad or m; those beside the chain are held at 0",
+        ),
+        ("--limit", "JOINT=LOW,HIGH", "instead of the description's, rad; JOINT=none for a circle"),
+        ("--package", "NAME=FOLDER", "where a package of meshes or xacro files lies"),
+        ("--xacro", "NAME=VALUE", "an argument of xacro"),
+        ("--without", "LINK", "leave out the shapes of a link and of all behind it"),
+    ):
+        one.add_argument(name, action="append", default=[], metavar=value, help=told)
+    apart = "a pair that is held apart whatever the SRDF says"
+    one.add_argument("--keep", action="append", default=[], nargs=2, metavar="LINK", help=apart)
+    waits = "where the arm waits, rad; default: the middle of its limits"
+    one.add_argument("--ready", metavar="A,B,...", help=waits)
+    outside = "of the surface outside the spheres; default 2"
+    one.add_argument("--slack-mm", type=float, default=2.0, help=outside)
     one.add_argument("--excess-mm", type=float, default=10.0, help="that spheres stick out; default 10")
     one.add_argument("--out", type=Path, required=True, metavar="FILE", help="where the robot goes, JSON")
     return result
 
 
 def _request(options: argparse.Namespace) -> Request:
-    locked = {name: _number("--lock", value) for name, value in _pairs("--lock", options.lock)}
-    limits = {}
-    for name, value in _pairs("--limit", options.limit):
-        low, _, high = value.partition(",")
-        limits[name] = (_number("--limit", low), _number("--limit", high))
+    ready = None if options.ready is None else options.ready.split(",")
     return Request(
         urdf=options.urdf,
         srdf=options.srdf,
         tip=options.tip,
-        locked=locked,
-        limits=limits,
-        packages={name: Path(value) for name, value in _pairs("--package", options.package)},
+        locked={name: _number("--lock", value) for name, value in _pairs("--lock", options.lock).items()},
+        limits={name: _limits(value) for name, value in _pairs("--limit", options.limit).items()},
+        packages={name: Path(value) for name, value in _pairs("--package", options.package).items()},
+        arguments=_pairs("--xacro", options.xacro),
+        without=tuple(options.without),
         kept=tuple((first, second) for first, second in options.keep),
-        ready_rad=None
-        if options.ready is None
-        else tuple(_number("--ready", text) for text in options.ready.split(",")),
         allowances=Allowances(options.slack_mm / 1e3, options.excess_mm / 1e3),
+        ready_rad=None if ready is None else tuple(_number("--ready", text) for text in ready),
     )
 
 
-def _pairs(option: str, given: Sequence[str]) -> list[tuple[str, str]]:
-    pairs = []
+def _limits(text: str) -> Limits:
+    low, _, high = text.partition(",")
+    return None if text == "none" else (_number("--limit", low), _number("--limit", high))
+
+
+def _pairs(option: str, given: Sequence[str]) -> dict[str, str]:
+    pairs = {}
     for text in given:
         name, sign, value = text.partition("=")
         if not (name and sign and value):
             raise ConfigError(f"{option} does not fit", expected="NAME=VALUE", got=repr(text)[:200])
-        pairs.append((name, value))
+        pairs[name] = value
     return pairs
 
 
@@ -136,6 +115,12 @@ def _number(option: str, text: str) -> float:
     if not math.isfinite(value):
         raise ConfigError(f"{option} does not fit", expected="a finite number", got=repr(text)[:200])
     return value
+
+
+def _text(values: Mapping[str, Any]) -> str:
+    """JSON with a list of numbers in one line each."""
+    text = json.dumps(values, indent=1, allow_nan=False)
+    return re.sub(r"\[\s*([^\[\]{}]*?)\s*\]", lambda found: f"[{' '.join(found[1].split())}]", text) + "\n"
 
 
 if __name__ == "__main__":

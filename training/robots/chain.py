@@ -1,25 +1,42 @@
-"""The serial chain in a description: fixed and locked joints folded, what hangs on it carried along."""
+"""The serial chain in a description: joints that do not move are folded, what hangs on them is carried."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cspace.errors import ScenarioError
-from cspace.worlds.spatial.arm import Joint
+from cspace.worlds.spatial.arm import MIN_RANGE_RAD, Joint
 from cspace.worlds.spatial.poses import MAX_OFFSET_M, Frame, turn
-from training.robots.urdf import Description, Matrix, Shape, UrdfJoint
+from training.robots.description import Description
 
-_TURNING = {"revolute", "continuous"}
+Matrix = NDArray[np.float64]
+Limits = tuple[float, float] | None
+_TURNING = ("revolute", "continuous")
+# Joints turn twice at most, some wrists a little more; more than four times is a range in degrees.
+MAX_RANGE_RAD = 8.0 * np.pi
+_AGREE = 1e-6
+
+
+@dataclass(frozen=True, slots=True)
+class Held:
+    """A joint that does not move: its name, its type, its value (rad or m), and why it is held there."""
+
+    name: str
+    kind: str
+    value: float
+    why: str
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Piece:
-    """A link of the description: its name, the link of the arm that it is fixed to, shapes in that frame."""
+    """A link of the description, the arm's link that it is fixed to, and its frame (4, 4) in that one's."""
 
     name: str
     link: int
-    shapes: tuple[Shape, ...]
+    frame: Matrix
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -28,142 +45,220 @@ class Chain:
 
     Args:
         joints: of the arm.
-        pieces: links that have shapes, from the base to the tip.
+        pieces: all links, parents first.
         tool: the tip's frame, in that of the last link.
-        neighbours: pairs of links that a joint connects, fixed ones too.
+        held: joints that do not move and are not fixed.
+        notes: warnings for the report.
     """
 
     joints: tuple[Joint, ...]
     pieces: tuple[Piece, ...]
     tool: Frame
-    neighbours: frozenset[frozenset[str]]
+    held: tuple[Held, ...]
+    notes: tuple[str, ...]
 
 
 def read_chain(
-    description: Description,
-    tip: str | None = None,
-    locked: Mapping[str, float] | None = None,
-    limits: Mapping[str, tuple[float, float]] | None = None,
+    description: Description, tip: str | None, locked: Mapping[str, float], limits: Mapping[str, Limits]
 ) -> Chain:
     """The chain from a description's root to a tip.
+
+    Joints beside the chain are held: at the value that is given, where the joint that they mimic puts them,
+    else as near to zero as their limits allow.
 
     Args:
         description: of the robot.
         tip: the link whose frame is the tool's; None where only one link is last.
         locked: values of joints that do not move, rad or m.
-        limits: of joints, instead of the description's, rad.
+        limits: of joints, instead of the description's, rad; None for a circle.
 
     Raises:
-        ScenarioError: the tip is unknown or not clear, a joint that moves is off the chain, is not revolute
-            or has no limits, or names of joints are unknown.
+        ScenarioError: the tip is not clear, a joint between root and tip can neither move nor be held, its
+            limits are missing or no range, or names of joints are unknown.
     """
-    locked, limits = dict(locked or {}), dict(limits or {})
-    known = {joint.name for joint in description.joints.values()}
-    if unknown := sorted((set(locked) | set(limits)) - known):
-        raise ScenarioError("joints are unknown", expected=f"some of {sorted(known)}", got=str(unknown))
-    path = _path(description, _tip(description, tip))
+    path = _path(description, tip)
+    reader = _Reader(description, path, dict(locked), dict(limits))
+    if unknown := sorted((set(locked) | set(limits)) - set(reader.by_name)):
+        known = f"some of {sorted(reader.by_name)}"
+        raise ScenarioError("joints are unknown", expected=known, got=str(unknown))
     frames: dict[str, tuple[int, Matrix]] = {path[0]: (0, np.eye(4))}
     joints: list[Joint] = []
-    order = _in_order(description, path)
-    if apart := sorted(set(description.links) - {path[0], *order}):
-        raise ScenarioError("the description is no tree of links", expected="one root", got=f"apart: {apart}")
-    for link in order:
+    for link in _in_order(description, path):
         joint = description.joints[link]
         number, before = frames[joint.parent]
-        origin = before @ joint.origin
-        if joint.kind == "fixed" or joint.name in locked:
-            frames[link] = (number, origin @ _held(joint, locked.get(joint.name, 0.0)))
-            continue
-        if link not in path:
-            raise _off_the_chain(joint)
-        joints.append(_moving(joint, origin, limits.get(joint.name, joint.limits)))
-        frames[link] = (len(joints), np.eye(4))
-    pieces = tuple(
-        Piece(name, number, tuple(replace(one, frame=frame @ one.frame) for one in description.links[name]))
-        for name, (number, frame) in frames.items()
-        if description.links[name]
-    )
-    pairs = frozenset(frozenset((joint.parent, joint.child)) for joint in description.joints.values())
-    return Chain(tuple(joints), pieces, Frame.of(frames[path[-1]][1]), pairs)
+        origin = before if joint.origin is None else before @ joint.origin
+        if joint.type == "fixed" or joint.name in locked or link not in path or joint.mimic is not None:
+            frames[link] = (number, origin @ reader.hold(joint))
+        else:
+            joints.append(reader.moving(joint, origin))
+            frames[link] = (len(joints), np.eye(4))
+    if not joints:
+        raise ScenarioError(
+            "the chain has no joint that moves",
+            expected="revolute or continuous joints between the root and the tip",
+            got=f"none between {path[0]} and {path[-1]}",
+            remedy="name another link with --tip",
+        )
+    pieces = tuple(Piece(name, number, frame) for name, (number, frame) in frames.items())
+    tool = Frame.of(frames[path[-1]][1])
+    return Chain(tuple(joints), pieces, tool, tuple(reader.held), tuple(reader.notes))
 
 
-def _tip(description: Description, tip: str | None) -> str:
-    parents = {joint.parent for joint in description.joints.values()}
-    last = sorted(set(description.links) - parents)
+def _path(description: Description, tip: str | None) -> list[str]:
+    """The links from the root to the tip."""
+    last = sorted(set(description.links) - {joint.parent for joint in description.joints.values()})
     if tip is None and len(last) == 1:
-        return last[0]
-    if tip is None or tip not in description.links:
+        tip = last[0]
+    if tip not in description.links:
         raise ScenarioError(
             "the tip of the chain is not clear",
             expected="one link of the description",
             got=f"several last ones: {last}" if tip is None else repr(tip)[:200],
             remedy="name a link with --tip",
         )
-    return tip
-
-
-def _path(description: Description, tip: str) -> list[str]:
-    path = [tip]
-    while path[-1] in description.joints:
+    path = [str(tip)]
+    while path[-1] in description.joints and len(path) <= len(description.links):
         path.append(description.joints[path[-1]].parent)
-        if len(path) > len(description.links):
-            raise ScenarioError("the description is no tree of links", expected="a root", got="a ring")
     return path[::-1]
 
 
 def _in_order(description: Description, path: list[str]) -> list[str]:
     """All links after the root, parents first, those of the path before others."""
-    children: dict[str, list[str]] = {}
-    for child, joint in description.joints.items():
-        children.setdefault(joint.parent, []).append(child)
-    order = list(path)
+    order, left = list(path), {child: one.parent for child, one in description.joints.items()}
     for link in order:
-        order.extend(child for child in children.get(link, ()) if child not in path)
+        order.extend(child for child, parent in left.items() if parent == link and child not in path)
+    apart = sorted(set(description.links) - set(order))
+    if apart or len(order) > len(description.links):
+        raise ScenarioError("the description is no tree of links", expected="one root", got=f"apart: {apart}")
     return order[1:]
 
 
-def _held(joint: UrdfJoint, value: float) -> Matrix:
-    result = np.eye(4)
-    if not abs(value) <= MAX_OFFSET_M:
-        raise ScenarioError(
-            f"joint {joint.name} cannot be held there",
-            expected=f"a value within {MAX_OFFSET_M:g} rad or m",
-            got=f"{value:g}",
-        )
-    if joint.kind in _TURNING:
-        result[:3, :3] = turn(joint.axis, value)
-    elif joint.kind == "prismatic":
-        result[:3, 3] = joint.axis * value
-    elif joint.kind != "fixed":
-        raise ScenarioError(
-            f"joint {joint.name} cannot be held", expected="revolute, continuous, prismatic", got=joint.kind
-        )
-    return result
+@dataclass(slots=True)
+class _Reader:
+    """Finds where joints are held, and the limits of those that move."""
+
+    description: Description
+    path: list[str]
+    locked: dict[str, float]
+    limits: dict[str, Limits]
+    held: list[Held] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+
+    @property
+    def by_name(self) -> dict[str, Any]:
+        return {joint.name: joint for joint in self.description.joints.values()}
+
+    def hold(self, joint: Any) -> Matrix:
+        """(4, 4): the transform of a joint that does not move."""
+        result = np.eye(4)
+        if joint.type == "fixed":
+            return result
+        where = self.description.at("joint", joint.name)
+        value, why = self._value(joint, ())
+        most = MAX_OFFSET_M if joint.type in (*_TURNING, "prismatic") else 0.0
+        if not abs(value) <= most:
+            raise ScenarioError(
+                f"{where} cannot be held there",
+                expected=f"a value within {most:g} rad or m for a joint that is {joint.type}",
+                got=f"{value:g}",
+            )
+        low, high = _bounds(joint)
+        if joint.type != "continuous" and not low - _AGREE <= value <= high + _AGREE:
+            self.notes.append(f"{where} is held at {value:g}, outside its limits")
+        self.held.append(Held(joint.name, joint.type, value, why))
+        if joint.type in _TURNING:
+            result[:3, :3] = turn(self._axis(joint), value)
+        elif joint.type == "prismatic":
+            result[:3, 3] = self._axis(joint) * value
+        return result
+
+    def moving(self, joint: Any, origin: Matrix) -> Joint:
+        """A joint of the arm."""
+        name, where = joint.name, self.description.at("joint", joint.name)
+        if joint.type not in _TURNING:
+            raise ScenarioError(
+                f"{where} does not fit a serial arm",
+                expected="revolute or continuous joints; the model of the arm has no others",
+                got=str(joint.type),
+                remedy=f"hold it with --lock {name}={'VALUE' if joint.type == 'prismatic' else 0}",
+            )
+        limits = self.limits[name] if name in self.limits else self._limits(joint, where)
+        width = 0.0 if limits is None else limits[1] - limits[0]
+        if limits is not None and width > MAX_RANGE_RAD:
+            low, high = np.deg2rad(limits)
+            raise ScenarioError(
+                f"the limits of {where} are no angles in rad",
+                expected=f"a range of at most {MAX_RANGE_RAD:.1f} rad, four turns",
+                got=f"{limits[0]:g} to {limits[1]:g}, which look like degrees",
+                remedy=f"give --limit {name}={low:.4f},{high:.4f}, or correct the description",
+            )
+        if width > MAX_RANGE_RAD / 2.0 + 0.01:
+            self.notes.append(f"{where} has a range of {width:.1f} rad, more than two turns")
+        x, y, z = self._axis(joint).tolist()
+        return Joint(name, Frame.of(origin), (x, y, z), limits)
+
+    def _limits(self, joint: Any, where: str) -> Limits:
+        low, high = _bounds(joint)
+        if joint.type == "continuous":
+            if low < high and np.isfinite(high - low):
+                self.notes.append(
+                    f"{where} is continuous: its limits {low:g} to {high:g} mean nothing in URDF"
+                )
+            return None
+        if not (np.isfinite(high - low) and high - low >= MIN_RANGE_RAD):
+            raise ScenarioError(
+                f"the limits of {where} do not fit",
+                expected=f"<limit lower=... upper=...> with low < high by {MIN_RANGE_RAD} rad or more",
+                got="none" if np.isinf(high - low) else f"{low:g} to {high:g}",
+                remedy=f"give --limit {joint.name}=LOW,HIGH in rad, --limit {joint.name}=none for a circle, "
+                f"or --lock {joint.name}=VALUE",
+            )
+        return low, high
+
+    def _axis(self, joint: Any) -> NDArray[np.float64]:
+        # Its largest part is 1 now, so that no square overflows.
+        axis = np.asarray(joint.axis) / (np.abs(joint.axis).max() or 1.0)
+        length = float(np.linalg.norm(axis))
+        if not length > 0.0:
+            where = self.description.at("joint", joint.name)
+            raise ScenarioError(f"the axis of {where} does not fit", expected="a direction", got="0 0 0")
+        return np.asarray(axis / length)
+
+    def _value(self, joint: Any, seen: tuple[str, ...]) -> tuple[float, str]:
+        """Where a joint is held, and why."""
+        where = self.description.at("joint", joint.name)
+        if joint.mimic is None:
+            low, high = _bounds(joint)
+            near = 0.0 if joint.type == "continuous" else float(np.clip(0.0, low, max(low, high)))
+            given = self.locked.get(joint.name)
+            return (near, "beside the chain") if given is None else (given, "--lock")
+        name = joint.mimic.joint
+        leader = self.by_name.get(name)
+        if leader is None or name in seen:
+            got = f"a ring through {name}" if leader is not None else repr(name)
+            raise ScenarioError(f"{where} mimics no joint", expected="a joint of the description", got=got)
+        if leader.mimic is None and name not in self.locked and leader.child in self.path[1:]:
+            raise ScenarioError(
+                f"{where} follows joint {name}, which moves",
+                expected="joints that move on their own",
+                got=f"mimic with multiplier {joint.mimic.multiplier:g} and offset {joint.mimic.offset:g}",
+                remedy=f"hold both with --lock {name}=VALUE, or name a link before them with --tip",
+            )
+        ahead = self._value(leader, (*seen, joint.name))[0]
+        value = float(joint.mimic.multiplier * ahead + joint.mimic.offset)
+        if not abs(self.locked.get(joint.name, value) - value) <= _AGREE:
+            raise ScenarioError(
+                f"{where} follows joint {name} and cannot be held elsewhere",
+                expected=f"{value:g}",
+                got=f"{self.locked[joint.name]:g}",
+                remedy=f"hold joint {name} instead: --lock {name}=VALUE",
+            )
+        return value, f"follows {name}"
 
 
-def _moving(joint: UrdfJoint, origin: Matrix, limits: tuple[float, float] | None) -> Joint:
-    if joint.kind not in _TURNING:
-        raise ScenarioError(
-            f"joint {joint.name} does not fit a serial arm",
-            expected="revolute or continuous joints",
-            got=joint.kind,
-            remedy=f"hold it with --lock {joint.name}=VALUE",
-        )
-    if joint.kind == "revolute" and limits is None:
-        raise ScenarioError(
-            f"joint {joint.name} has no limits",
-            expected="<limit lower=... upper=...>",
-            got="none",
-            remedy=f"give --limit {joint.name}=LOW,HIGH, or make it continuous in the description",
-        )
-    x, y, z = joint.axis.tolist()
-    return Joint(joint.name, Frame.of(origin), (x, y, z), limits)
-
-
-def _off_the_chain(joint: UrdfJoint) -> ScenarioError:
-    return ScenarioError(
-        "the robot branches",
-        expected="joints that move between the root and the tip only",
-        got=f"joint {joint.name}, {joint.kind}, before link {joint.child}",
-        remedy=f"hold it with --lock {joint.name}=VALUE, or name another link with --tip",
-    )
+def _bounds(joint: Any) -> tuple[float, float]:
+    """A joint's limits, as far as there are some; a missing end beside one that is there is 0, as in URDF."""
+    limit = joint.limit
+    if limit is None or (limit.lower is None and limit.upper is None):
+        return -np.inf, np.inf
+    return limit.lower or 0.0, limit.upper or 0.0

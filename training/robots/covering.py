@@ -5,7 +5,8 @@ point of a grid through the solid, and through the shell of m / 2 around it, off
 A greedy set cover (Chvatal 1979) takes those that cover most points left of the surface and of the inside,
 until all are within the slack. A search in large neighbourhoods (Shaw 1998) then takes away spheres that
 stand together and covers anew what they leave, as long as that needs no more. Points of the surface that were
-drawn afresh and are missed join the others, and it goes on from there.
+drawn afresh and are missed join the others, and it goes on from there. Where no sphere of the grid reaches a
+point, as at the corners of large parts, the point and others about it become centres too.
 """
 
 from collections.abc import Sequence
@@ -15,25 +16,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cspace.errors import ScenarioError
-from training.robots.meshes import Mesh
+from cspace.kernel_cache import njit
+from training.robots.meshes import Solid, union_depth_m, union_surface
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 Indices = NDArray[np.int64]
 # Of the excess, for numbers that are written short.
 _ROUNDED_M = 2e-5
-# Of the slack, for what lies between the points that are looked at.
-_RESERVE_M = 0.0002
+# Of the slack, for what lies between the points that are looked at; the part of it that may be used up.
+_RESERVE_M, _USED_M = 0.0003, 0.0002
 _SURFACE_POINTS = 2000
-_FRESH_POINTS = 20_000
+_FRESH_POINTS = 5000
 _INSIDE_POINTS = 500
 _GRID_POINTS = 24_000
-_PASSES = 20
+# Points that become centres at a time, with so many others about each.
+_MORE_POINTS, _AROUND = 400, 6
+_PASSES = 40
 _SEARCHES = 4
 _TRIES = 30
-_CHUNK = 500
-# That are held against all spheres of the grid; thin shapes and fine meshes have many edges.
-_MAX_POINTS = 40_000
+# Chosen spheres; more are of parts so large that a search changes little.
+_MOST_SEARCHED = 300
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,54 +82,76 @@ class Fit:
     mean_excess_m: float
 
 
-def depth_m(solid: Sequence[Mesh], points: Floats) -> Floats:
-    """Depth of each of (N, 3) in the union of meshes, (N,) m; negative outside, and no deeper than in one."""
-    return np.asarray(np.max([mesh.depth_m(points) for mesh in solid], axis=0))
+class _Candidates:
+    """Spheres to choose from, and which of some points each covers."""
+
+    def __init__(self, solids: Sequence[Solid], allowances: Allowances, rng: np.random.Generator) -> None:
+        self._solids, self._allowances, self._rng = solids, allowances, rng
+        self._spheres = self._sound(_grid(solids, allowances.excess_m / 2.0))
+        inside = self._spheres[self._spheres[:, 3] > allowances.excess_m, :3]
+        some = rng.permutation(inside)[:_INSIDE_POINTS]
+        self.points = np.concatenate([union_surface(solids, _SURFACE_POINTS, rng), some])
+        self.covered = self.covers(self.points)
+        self._reach()
+
+    def spheres(self, chosen: Indices) -> Floats:
+        return self._spheres[chosen]
+
+    def covers(self, points: Floats, chosen: Indices | slice = slice(None)) -> Flags:
+        """Which points lie in which spheres, (N, K)."""
+        grown = self._spheres[chosen] + [0.0, 0.0, 0.0, self._allowances.slack_m - _RESERVE_M]
+        return np.asarray(_covers(points, grown))
+
+    def add(self, points: Floats) -> None:
+        """Take more points that have to be covered."""
+        self.covered = np.concatenate([self.covered, self.covers(points)])
+        self.points = np.concatenate([self.points, points])
+        self._reach()
+
+    def _reach(self) -> None:
+        """Take more spheres until each point is in one."""
+        while len(far := self.points[~self.covered.any(axis=1)]):
+            far = self._rng.permutation(far)[:_MORE_POINTS]
+            steps = self._rng.normal(scale=self._allowances.excess_m, size=(len(far), _AROUND, 3))
+            about = (far[:, None] + steps).reshape(-1, 3)
+            first = len(self._spheres)
+            self._spheres = np.concatenate([self._spheres, self._sound(about), self._sound(far)])
+            more = self.covers(self.points, slice(first, None))
+            self.covered = np.concatenate([self.covered, more], axis=1)
+
+    def _sound(self, centres: Floats) -> Floats:
+        """The spheres round centres that are not too far outside."""
+        depths = union_depth_m(self._solids, centres)
+        rows = np.column_stack([centres, depths + self._allowances.excess_m - _ROUNDED_M])
+        return np.asarray(rows[depths > -self._allowances.excess_m / 2.0])
 
 
-def cover(solid: Sequence[Mesh], allowances: Allowances, rng: np.random.Generator) -> Floats:
-    """Centres and radii of spheres that cover a union of meshes, (K, 4) m.
-
-    Raises:
-        ScenarioError: the allowances are too small for the points that are looked at.
-    """
-    centres, depths = _grid(solid, allowances)
-    radii = depths + allowances.excess_m - _ROUNDED_M
-    grown = np.column_stack([centres, radii + allowances.slack_m - _RESERVE_M])
-    inside = np.flatnonzero(depths > 0.0)
-    inside = rng.choice(inside, size=min(len(inside), _INSIDE_POINTS), replace=False)
-    points = np.concatenate([_surface(solid, _SURFACE_POINTS, rng), centres[inside]])
-    if len(points) > _MAX_POINTS:
-        # The rest are drawn afresh below, where they are missed.
-        points = rng.choice(points, size=_MAX_POINTS, replace=False)
-    covered, chosen = _covered(points, grown), np.empty(0, dtype=np.int64)
+def cover(solids: Sequence[Solid], allowances: Allowances, rng: np.random.Generator) -> Floats:
+    """Centres and radii of spheres that cover a union of solids, (K, 4) m."""
+    candidates = _Candidates(solids, allowances, rng)
+    chosen = np.empty(0, dtype=np.int64)
     for turn in range(_PASSES):
-        if not covered.any(axis=1).all():
-            raise ScenarioError(
-                "the spheres do not cover the robot",
-                expected="allowances that its thin parts leave room for",
-                got=f"{int((~covered.any(axis=1)).sum())} points without a sphere",
-                remedy="raise --slack-mm or --excess-mm",
-            )
-        chosen, searching = _without_needless(covered, _completed(covered, chosen)), turn < _SEARCHES
-        chosen = _improved(covered, chosen, rng) if searching else chosen
-        fresh = _surface(solid, _FRESH_POINTS if searching else 5 * _FRESH_POINTS, rng)
-        missed = fresh[~_covered(fresh, grown[chosen]).any(axis=1)]
-        if not searching and not len(missed):
+        covered, searching = candidates.covered, turn < _SEARCHES
+        chosen = _without_needless(covered, _completed(covered, chosen))
+        if searching and len(chosen) <= _MOST_SEARCHED:
+            chosen = _improved(covered, chosen, rng)
+        spheres = candidates.spheres(chosen)
+        fresh = union_surface(solids, _FRESH_POINTS if searching else 4 * _FRESH_POINTS, rng)
+        gaps = gaps_m(fresh, spheres)
+        if not searching and gaps.max() <= allowances.slack_m - _RESERVE_M + _USED_M:
             break
-        covered = np.concatenate([covered, _covered(missed, grown)])
-    return np.column_stack([centres[chosen], radii[chosen]])
+        candidates.add(fresh[gaps > allowances.slack_m - _RESERVE_M])
+    return spheres
 
 
-def measure(solid: Sequence[Mesh], spheres: Floats, rng: np.random.Generator) -> Fit:
-    """How well spheres (K, 4) cover a union of meshes."""
-    surface = _surface(solid, _FRESH_POINTS, rng)
-    missed = _gaps(surface, spheres).min(axis=1)
+def measure(solids: Sequence[Solid], spheres: Floats, rng: np.random.Generator) -> Fit:
+    """How well spheres (K, 4) cover a union of solids."""
+    missed = gaps_m(union_surface(solids, 2 * _FRESH_POINTS, rng), spheres)
     drawn = rng.normal(size=(len(spheres), 400, 3))
     drawn /= np.linalg.norm(drawn, axis=-1, keepdims=True)
     shells = (spheres[:, None, :3] + spheres[:, None, 3:] * drawn).reshape(-1, 3)
-    shells = shells[_gaps(shells, spheres).min(axis=1) > -1e-9]
-    excess = np.maximum(-depth_m(solid, shells), 0.0)
+    shells = shells[gaps_m(shells, spheres) > -1e-9]
+    excess = np.maximum(-union_depth_m(solids, shells), 0.0)
     return Fit(
         len(spheres),
         float(missed.max()),
@@ -136,45 +161,37 @@ def measure(solid: Sequence[Mesh], spheres: Floats, rng: np.random.Generator) ->
     )
 
 
-def _grid(solid: Sequence[Mesh], allowances: Allowances) -> tuple[Floats, Floats]:
-    corners = np.concatenate([mesh.corners.reshape(-1, 3) for mesh in solid])
-    margin = allowances.excess_m / 2.0
-    low, high = corners.min(axis=0) - margin, corners.max(axis=0) + margin
+@njit(cache=True, nogil=True)
+def gaps_m(points, spheres):  # type: ignore[no-untyped-def]
+    """Signed distances of points (N, 3) to the union of spheres (K, 4), (N,) m."""
+    out = np.full(points.shape[0], np.inf)
+    for row in range(points.shape[0]):
+        x, y, z = points[row]
+        for one in range(spheres.shape[0]):
+            dx, dy, dz = x - spheres[one, 0], y - spheres[one, 1], z - spheres[one, 2]
+            out[row] = min(out[row], np.sqrt(dx * dx + dy * dy + dz * dz) - spheres[one, 3])
+    return out
+
+
+@njit(cache=True, nogil=True)
+def _covers(points, spheres):  # type: ignore[no-untyped-def]
+    out = np.empty((points.shape[0], spheres.shape[0]), dtype=np.bool_)
+    for row in range(points.shape[0]):
+        x, y, z = points[row]
+        for one in range(spheres.shape[0]):
+            dx, dy, dz = x - spheres[one, 0], y - spheres[one, 1], z - spheres[one, 2]
+            out[row, one] = dx * dx + dy * dy + dz * dz <= spheres[one, 3] ** 2
+    return out
+
+
+def _grid(solids: Sequence[Solid], margin_m: float) -> Floats:
+    bounds = np.stack([solid.mesh.bounds for solid in solids])
+    low, high = bounds[:, 0].min(axis=0) - margin_m, bounds[:, 1].max(axis=0) + margin_m
     spacing = float(np.cbrt(np.prod(high - low) / _GRID_POINTS))
     axes = [
         np.linspace(a, b, max(3, int(np.ceil((b - a) / spacing)))) for a, b in zip(low, high, strict=True)
     ]
-    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    depths = depth_m(solid, points)
-    near = depths > -margin
-    return points[near], depths[near]
-
-
-def _surface(solid: Sequence[Mesh], count: int, rng: np.random.Generator) -> Floats:
-    """Points of the surface of the union, about so many."""
-    area = sum(float(mesh.areas_m2.sum()) for mesh in solid)
-    spacing = float(np.sqrt(area / count))
-    found = []
-    for index, mesh in enumerate(solid):
-        points = mesh.surface(spacing, rng)
-        others = [*solid[:index], *solid[index + 1 :]]
-        found.append(points[depth_m(others, points) < 1e-6] if others else points)
-    return np.concatenate(found)
-
-
-def _gaps(points: Floats, spheres: Floats) -> Floats:
-    """Signed distances of (N, 3) to (K, 4), (N, K)."""
-    squares = (points**2).sum(axis=1)[:, None] + (spheres[:, :3] ** 2).sum(axis=1)
-    squares -= 2.0 * points @ spheres[:, :3].T
-    return np.asarray(np.sqrt(np.maximum(squares, 0.0)) - spheres[:, 3])
-
-
-def _covered(points: Floats, spheres: Floats) -> Flags:
-    """Which points are covered by which spheres, (N, K)."""
-    result = np.empty((len(points), len(spheres)), dtype=np.bool_)
-    for first in range(0, len(points), _CHUNK):
-        result[first : first + _CHUNK] = _gaps(points[first : first + _CHUNK], spheres) <= 0.0
-    return result
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
 def _completed(covered: Flags, chosen: Indices) -> Indices:

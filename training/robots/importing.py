@@ -1,26 +1,33 @@
-"""A serial arm from its description: the chain, spheres for its pieces, and the pairs that can touch."""
+"""A serial arm from its description: the chain, spheres for its links, and pairs of links that can touch."""
 
-import json
-import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
 
 from cspace.errors import ScenarioError
-from cspace.worlds.spatial.arm import Part, SerialArm
-from training.robots.chain import Piece, read_chain
-from training.robots.covering import Allowances, Fit, cover, measure
-from training.robots.solids import solid_of
-from training.robots.srdf import read_disabled_pairs
-from training.robots.touching import Touching, touching_pairs
-from training.robots.urdf import read_urdf
+from cspace.worlds.spatial.arm import MAX_SPHERES, Part, SerialArm
+from cspace.worlds.spatial.kinematics import arm_arrays, self_distance_batch
+from cspace.worlds.spatial.poses import moved
+from cspace.worlds.spatial.sensor import VOXEL_M, grid_of
+from training.robots.chain import Chain, Held, Limits, read_chain
+from training.robots.covering import Allowances, Fit, Floats, cover, measure
+from training.robots.description import Description, find_srdf, read_description, read_disabled_pairs
+from training.robots.meshes import Solid, read_solids, union_surface
 
+Pairs = set[frozenset[str]]
 # What is drawn depends on the description alone.
 _SEED = 20261123
 # Of written places, m.
 _DIGITS = 5
+# As MoveIt's setup assistant counts a pair that always collides.
+ALWAYS_SHARE = 0.95
+_DRAWN = 4000
+_PICTURE_POINTS = 600
+# Of measured fits, for points between those that the cover was made for.
+_TOLERANCE_M = 0.0005
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,12 +35,14 @@ class Request:
     """What is asked for.
 
     Args:
-        urdf: the description.
-        srdf: with the pairs that need no check; None for none.
+        urdf: the description, URDF or xacro.
+        srdf: with the pairs that need no check; None for the one beside the description, if there is one.
         tip: the link whose frame is the tool's; None where only one is last.
         locked: values of joints that do not move, rad or m.
-        limits: of joints, instead of the description's, rad.
-        packages: folders of packages that meshes are named in.
+        limits: of joints, instead of the description's, rad; None for a circle.
+        packages: folders of packages by their names.
+        arguments: of xacro.
+        without: links whose shapes are left out, with all behind them.
         kept: pairs that are held apart whatever the SRDF says.
         allowances: of the spheres.
         ready_rad: where the arm waits, joint after joint; None for the middle of its limits.
@@ -43,66 +52,180 @@ class Request:
     srdf: Path | None = None
     tip: str | None = None
     locked: Mapping[str, float] = field(default_factory=dict)
-    limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    limits: Mapping[str, Limits] = field(default_factory=dict)
     packages: Mapping[str, Path] = field(default_factory=dict)
+    arguments: Mapping[str, str] = field(default_factory=dict)
+    without: tuple[str, ...] = ()
     kept: tuple[tuple[str, str], ...] = ()
     allowances: Allowances = field(default_factory=Allowances)
     ready_rad: tuple[float, ...] | None = None
 
 
 @dataclass(frozen=True, slots=True)
+class Touching:
+    """A pair of parts: in which share of samples it overlaps, whether it is held apart, and why."""
+
+    pair: tuple[str, str]
+    share: float | None
+    kept: bool
+    why: str
+
+
+@dataclass(frozen=True, slots=True)
 class Imported:
-    """A robot, how well its spheres fit by the names of its parts, and the pairs that were looked at."""
+    """A robot and how it came about.
+
+    Args:
+        arm: the robot.
+        fits: how well its spheres fit, by the names of its parts.
+        touching: all pairs of parts of different links.
+        held: joints that do not move.
+        notes: warnings.
+        surfaces: (N, 3) points of each part's surface in its link's frame, m.
+        srdf: the file that was read.
+    """
 
     arm: SerialArm
     fits: Mapping[str, Fit]
     touching: tuple[Touching, ...]
+    held: tuple[Held, ...]
+    notes: tuple[str, ...]
+    surfaces: Mapping[str, Floats]
+    srdf: Path | None
 
 
 def import_robot(request: Request, tell: Callable[[str], None] = lambda _: None) -> Imported:
-    """The arm that a request describes.
-
-    Args:
-        request: what is asked for.
-        tell: takes the name of each part before its spheres are sought.
+    """The arm that a request describes; ``tell`` takes each part's name before its spheres are sought.
 
     Raises:
         ScenarioError: a file is missing or wrong, the robot is no serial arm, or it cannot wait there.
     """
-    description = read_urdf(request.urdf)
-    disabled = frozenset() if request.srdf is None else read_disabled_pairs(request.srdf)
+    description = read_description(request.urdf, request.packages, request.arguments)
+    srdf = request.srdf or find_srdf(request.urdf)
+    disabled = {} if srdf is None else read_disabled_pairs(srdf)
     chain = read_chain(description, request.tip, request.locked, request.limits)
-    names = {piece.name for piece in chain.pieces}
-    if unknown := sorted({name for pair in request.kept for name in pair} - names):
-        raise ScenarioError("parts are unknown", expected=f"some of {sorted(names)}", got=str(unknown))
+    asked = {name for pair in request.kept for name in pair} | set(request.without)
+    if unknown := sorted(asked - set(description.links)):
+        known = f"some of {sorted(description.links)}"
+        raise ScenarioError("links are unknown", expected=known, got=str(unknown))
     # First, for spheres take a while.
     jointed = SerialArm(description.name, chain.joints, (), (), chain.tool, request.ready_rad)
-    parts, fits = [], {}
+    solids, notes = _solids(description, chain, request)
+    parts, fits, surfaces = [], {}, {}
     for piece in chain.pieces:
+        if (own := solids.get(piece.name)) is None:
+            continue
         tell(piece.name)
-        part, fits[piece.name] = _covered(piece, request)
-        parts.append(part)
+        spheres, fits[piece.name] = _spheres(own, description.at("link", piece.name), request.allowances)
+        places = moved(piece.frame, spheres[:, :3])
+        rows = np.round(np.column_stack([places, spheres[:, 3]]), _DIGITS).tolist()
+        parts.append(Part(piece.name, piece.link, tuple((x, y, z, radius) for x, y, z, radius in rows)))
+        points = union_surface(own, _PICTURE_POINTS, np.random.default_rng(_SEED))
+        surfaces[piece.name] = moved(piece.frame, points)
+    if (count := sum(fit.spheres for fit in fits.values())) > MAX_SPHERES:
+        raise ScenarioError(
+            "the robot needs too many spheres",
+            expected=f"at most {MAX_SPHERES}",
+            got=f"{count}: " + ", ".join(f"{name} {fit.spheres}" for name, fit in fits.items()),
+            remedy="raise --excess-mm, or leave out parts that the arm cannot reach with --without LINK",
+        )
     bare = replace(jointed, parts=tuple(parts))
-    kept = frozenset(frozenset(pair) for pair in request.kept)
-    rng = np.random.default_rng(_SEED)
-    touching = touching_pairs(bare, chain.neighbours, disabled, kept, rng)
+    kept = {frozenset(pair) for pair in request.kept}
+    touching = _touching(bare, _neighbours(description, set(fits)), disabled, kept)
     arm = replace(bare, touching=tuple(one.pair for one in touching if one.kept))
-    return Imported(arm, fits, touching)
+    if (voxel_m := grid_of(arm).voxel_m) > VOXEL_M:
+        notes.append(
+            f"the arm is large: voxels have {1e3 * voxel_m:.0f} mm instead of {1e3 * VOXEL_M:.0f} mm"
+        )
+    return Imported(arm, fits, touching, chain.held, (*chain.notes, *notes), surfaces, srdf)
 
 
-def robot_text(arm: SerialArm) -> str:
-    """The robot as a file: JSON with a list of numbers in one line each."""
-    text = json.dumps(arm.to_dict(), indent=1, allow_nan=False)
-    return re.sub(r"\[\s*([^\[\]{}]*?)\s*\]", lambda found: f"[{' '.join(found[1].split())}]", text) + "\n"
+def _solids(
+    description: Description, chain: Chain, request: Request
+) -> tuple[dict[str, list[Solid]], list[str]]:
+    """The solids of each link that has some and is not left out, and warnings."""
+    folder, gone, pictured = request.urdf.resolve().parent, set(request.without), []
+    solids: dict[str, list[Solid]] = {}
+    notes: list[str] = []
+    for piece in chain.pieces:
+        joint, link = description.joints.get(piece.name), description.links[piece.name]
+        if piece.name in gone or (joint is not None and joint.parent in gone):
+            gone.add(piece.name)
+            continue
+        where, shapes = description.at("link", piece.name), link.collisions or link.visuals
+        found, more = read_solids(shapes, where, folder, request.packages)
+        notes += more
+        if found:
+            solids[piece.name] = found
+            pictured += [] if link.collisions else [piece.name]
+    if gone:
+        notes.append(f"left out by --without: {', '.join(sorted(gone))}")
+    if pictured:
+        notes.append(f"links without collision shapes, whose visual shapes are taken: {', '.join(pictured)}")
+    if not solids:
+        raise ScenarioError(
+            "no link has a shape, so the arm would never collide",
+            expected="<collision> or <visual> with a size",
+            got="; ".join([f"none in {request.urdf.name}", *notes]),
+        )
+    return solids, notes
 
 
-def _covered(piece: Piece, request: Request) -> tuple[Part, Fit]:
-    solid = solid_of(piece, request.urdf.resolve().parent, request.packages)
-    rng = np.random.default_rng(_SEED)
-    if all(shape.kind == "sphere" for shape in piece.shapes):
-        places = np.asarray([shape.frame[:3, 3] for shape in piece.shapes])
-        spheres = np.column_stack([places, [shape.size[0] for shape in piece.shapes]])
-    else:
-        spheres = np.round(cover(solid, request.allowances, rng), _DIGITS)
-    rows = tuple((x, y, z, radius) for x, y, z, radius in spheres.tolist())
-    return Part(piece.name, piece.link, rows), measure(solid, spheres, rng)
+def _spheres(solids: list[Solid], where: str, allowances: Allowances) -> tuple[Floats, Fit]:
+    """Spheres (K, 4) in the frame of the link, and how well they fit."""
+    rng, exact = np.random.default_rng(_SEED), [one.sphere for one in solids if one.sphere is not None]
+    if len(exact) == len(solids):
+        return np.stack(exact), measure(solids, np.stack(exact), rng)
+    spheres = cover(solids, allowances, rng)
+    fit = measure(solids, spheres, rng)
+    slack, excess = allowances.slack_m, allowances.excess_m
+    if max(fit.missed_m - slack, fit.excess_m - excess) > _TOLERANCE_M:
+        raise ScenarioError(
+            f"the spheres of {where} do not fit",
+            expected=f"{1e3 * slack:g} mm missed and {1e3 * excess:g} mm outside at most",
+            got=f"{1e3 * fit.missed_m:.2f} and {1e3 * fit.excess_m:.2f} mm",
+            remedy="raise --slack-mm or --excess-mm",
+        )
+    return spheres, fit
+
+
+def _neighbours(description: Description, parts: set[str]) -> Pairs:
+    """Pairs of parts that a joint connects, also by links without shapes, as MoveIt counts them."""
+    near: dict[str, set[str]] = {name: set() for name in description.links}
+    for joint in description.joints.values():
+        near[joint.parent].add(joint.child)
+        near[joint.child].add(joint.parent)
+    for name in set(near) - parts:
+        around = near.pop(name)
+        for one in around:
+            near[one] = (near[one] | around) - {one, name}
+    return {frozenset((one, other)) for one, others in near.items() for other in others}
+
+
+def _touching(
+    arm: SerialArm, neighbours: Pairs, disabled: Mapping[frozenset[str], str], kept: Pairs
+) -> tuple[Touching, ...]:
+    """All pairs of parts of different links, and which of them are held apart.
+
+    Neighbours, pairs that the SRDF disables, those whose spheres never overlap in sampled configurations, and
+    those that nearly always do are not.
+    """
+    space, rng = arm.space, np.random.default_rng(_SEED)
+    sampled = rng.uniform(space.lower, space.upper, (_DRAWN, arm.dim))
+    found = []
+    for first, second in combinations(arm.parts, 2):
+        names, pair = (first.name, second.name), frozenset((first.name, second.name))
+        if first.link == second.link:
+            continue
+        if pair not in kept and (pair in neighbours or pair in disabled):
+            why = "neighbours" if pair in neighbours else f"SRDF: {disabled[pair]}"
+            found.append(Touching(names, None, kept=False, why=why))
+            continue
+        distances = self_distance_batch(sampled, arm_arrays(replace(arm, touching=(names,))))
+        share = float(np.mean(distances < 0.0))
+        why = (
+            "never overlap" if not share else "can touch" if share < ALWAYS_SHARE else "nearly always overlap"
+        )
+        why = "--keep" if pair in kept else why
+        found.append(Touching(names, share, why in {"--keep", "can touch"}, why))
+    return tuple(found)

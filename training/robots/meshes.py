@@ -1,180 +1,221 @@
-"""Triangle meshes of the shapes that collide, with how deep points lie in them.
+"""Solids of triangles, read by trimesh, with how deep points lie in them, by libigl.
 
-Inside is where the winding number of the surface is above a half (Jacobson, Kavan and Sorkine-Hornung 2013),
-so that meshes with small holes have an inside too.
+Inside is where the winding number of the surface is above a half (Jacobson, Kavan and Sorkine-Hornung 2013,
+Barill et al. 2018), so that meshes with holes have an inside too.
 """
 
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from io import BytesIO
 from pathlib import Path
+from typing import Any
+from urllib.parse import unquote
 
+import igl
 import numpy as np
+import trimesh
 from numpy.typing import NDArray
 
 from cspace.errors import ScenarioError
-from cspace.kernel_cache import njit
-from cspace.worlds.spatial.poses import moved
+from cspace.files import read_bounded
+from training.robots.description import read_xml
+from training.robots.packages import package_of, package_roots
 
 Floats = NDArray[np.float64]
+# No arm has smaller or larger parts.
+MIN_SIZE_M, MAX_SIZE_M = 1e-4, 10.0
 _FACETS = 48
-_MAX_EDGE_POINTS = 200_000
+_FORMATS = {kind: kind for kind in ("dae", "obj", "ply", "stl")}
 _MAX_FILE_BYTES = 64_000_000
 _MAX_M = 100.0
+_PACKAGE, _FILE = "package://", "file://"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Mesh:
-    """A closed surface of triangles.
+class Solid:
+    """A surface of triangles with an inside.
 
     Args:
-        corners: (T, 3, 3) corners of each triangle, m.
+        mesh: the triangles, m.
+        sphere: (4,) centre and radius, where it is one.
     """
 
-    corners: Floats
+    def __init__(self, mesh: Any, sphere: Floats | None = None) -> None:
+        self.sphere = sphere
+        mesh.update_faces(mesh.nondegenerate_faces())
+        self.mesh = mesh
+        self._vertices = np.ascontiguousarray(mesh.vertices, dtype=np.float64)
+        self._faces = np.ascontiguousarray(mesh.faces, dtype=np.int64)
+        self._tree = igl.AABB()
+        self._tree.init(self._vertices, self._faces)
 
-    def moved(self, frame: Floats) -> "Mesh":
-        """The same in a frame (4, 4)."""
-        return Mesh(moved(frame, self.corners))
+    def contains(self, points: Floats) -> NDArray[np.bool_]:
+        """Which of (N, 3) lie inside, (N,)."""
+        inside = ((points >= self.mesh.bounds[0]) & (points <= self.mesh.bounds[1])).all(axis=1)
+        if inside.any():
+            inside[inside] = (
+                np.abs(igl.fast_winding_number(self._vertices, self._faces, points[inside])) > 0.5
+            )
+        return np.asarray(inside)
 
     def depth_m(self, points: Floats) -> Floats:
         """Distance of each of (N, 3) to the surface, (N,) m; negative outside."""
-        result: Floats = _depths(np.ascontiguousarray(points), np.ascontiguousarray(self.corners))
-        return result
+        points = np.ascontiguousarray(points)
+        squares = self._tree.squared_distance(self._vertices, self._faces, points)[0]
+        return np.asarray(np.sqrt(squares) * np.where(self.contains(points), 1.0, -1.0))
 
-    @property
-    def areas_m2(self) -> Floats:
-        """Area of each triangle, (T,)."""
-        first, second, third = (self.corners[:, index] for index in range(3))
-        return np.asarray(np.linalg.norm(np.cross(second - first, third - first), axis=1) / 2.0)
-
-    def surface(self, spacing_m: float, rng: np.random.Generator) -> Floats:
-        """Points on the surface, one per square of that spacing and as many along edges, (N, 3) m."""
-        first, second, third = (self.corners[:, index] for index in range(3))
-        areas = self.areas_m2
-        count = int(np.ceil(areas.sum() / spacing_m**2))
-        chosen = rng.choice(len(areas), size=count, p=areas / areas.sum())
-        u, v = rng.random((2, count, 1))
-        u, v = np.where(u + v > 1.0, 1.0 - u, u), np.where(u + v > 1.0, 1.0 - v, v)
-        drawn = first[chosen] + u * (second - first)[chosen] + v * (third - first)[chosen]
-        return np.concatenate([drawn, self._edges(spacing_m)])
-
-    def _edges(self, spacing_m: float) -> Floats:
-        """Points along all edges, so far apart at most, (N, 3) m; farther where they are very long."""
-        starts, ends = self.corners.reshape(-1, 3), np.roll(self.corners, -1, axis=1).reshape(-1, 3)
-        lengths = np.linalg.norm(ends - starts, axis=1)
-        spacing_m = max(spacing_m, float(lengths.sum()) / _MAX_EDGE_POINTS)
-        steps = np.ceil(lengths / spacing_m).astype(np.int64)
-        edge = np.repeat(np.arange(len(starts)), steps)
-        step = np.arange(len(edge)) - np.repeat(np.cumsum(steps) - steps, steps)
-        points = starts[edge] + (step / steps[edge])[:, None] * (ends - starts)[edge]
-        return np.unique(np.round(points, 6), axis=0)
+    def surface(self, count: int, rng: np.random.Generator) -> Floats:
+        """Points of its triangles, as many of its edges, and no more of its corners, (N, 3) m."""
+        points = [np.asarray(trimesh.sample.sample_surface(self.mesh, count, seed=rng)[0])]
+        edges = self.mesh.vertices[self.mesh.edges_unique]
+        lengths = np.linalg.norm(edges[:, 1] - edges[:, 0], axis=1)
+        chosen, part = rng.choice(len(edges), count, p=lengths / lengths.sum()), rng.random((count, 1))
+        points.append(edges[chosen, 0] + part * (edges[chosen, 1] - edges[chosen, 0]))
+        points.append(rng.permutation(self._vertices)[:count])
+        return np.concatenate(points)
 
 
-def box_mesh(sides: Floats) -> Mesh:
-    """A box round the origin."""
-    corners = np.stack(np.meshgrid(*[(-0.5, 0.5)] * 3, indexing="ij"), axis=-1).reshape(-1, 3) * sides
-    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
-    faces = [(a, b, c) for a, b, c, _ in quads] + [(a, c, d) for a, _, c, d in quads]
-    return Mesh(corners[np.asarray(faces)])
+def union_depth_m(solids: Sequence[Solid], points: Floats) -> Floats:
+    """Depth of each of (N, 3) in the union of solids, (N,) m; negative outside, and no deeper than in one."""
+    return np.asarray(np.max([solid.depth_m(points) for solid in solids], axis=0))
 
 
-def cylinder_mesh(radius_m: float, length_m: float) -> Mesh:
-    """A cylinder round the z axis and the origin."""
-    angles = np.linspace(0.0, 2.0 * np.pi, _FACETS, endpoint=False)
-    # Facets outside the circle, for the whole cylinder to be covered.
-    ring = radius_m / np.cos(np.pi / _FACETS) * np.stack([np.cos(angles), np.sin(angles)], axis=1)
-    low, high = (np.column_stack([ring, np.full(_FACETS, z)]) for z in (-length_m / 2.0, length_m / 2.0))
-    after_low, after_high = np.roll(low, -1, axis=0), np.roll(high, -1, axis=0)
-    bottom, top = (np.broadcast_to([0.0, 0.0, z], low.shape) for z in (-length_m / 2.0, length_m / 2.0))
-    triangles = [(low, after_low, after_high), (low, after_high, high)]
-    triangles += [(bottom, after_low, low), (top, high, after_high)]
-    return Mesh(np.concatenate([np.stack(corners, axis=1) for corners in triangles]))
+def union_surface(solids: Sequence[Solid], count: int, rng: np.random.Generator) -> Floats:
+    """Points of the surfaces of solids, also inside of others, (N, 3) m; ``count`` shared out by area."""
+    area = sum(solid.mesh.area for solid in solids)
+    shares = [max(20, int(np.ceil(count * solid.mesh.area / area))) for solid in solids]
+    return np.concatenate([one.surface(share, rng) for one, share in zip(solids, shares, strict=True)])
 
 
-def sphere_mesh(radius_m: float) -> Mesh:
-    """A sphere round the origin."""
-    rows = _FACETS // 2
-    polar = np.linspace(0.0, np.pi, rows + 1)[:, None]
-    round_ = np.linspace(0.0, 2.0 * np.pi, _FACETS + 1)[None]
-    grid = radius_m * np.stack(
-        [np.sin(polar) * np.cos(round_), np.sin(polar) * np.sin(round_), np.cos(polar) + 0.0 * round_],
-        axis=-1,
-    )
-    a, b, c, d = grid[:-1, :-1], grid[1:, :-1], grid[1:, 1:], grid[:-1, 1:]
-    return Mesh(np.concatenate([np.stack(t, axis=2).reshape(-1, 3, 3) for t in ((a, b, c), (a, c, d))]))
+def read_solids(
+    shapes: Iterable[Any], where: str, folder: Path, packages: Mapping[str, Path]
+) -> tuple[list[Solid], list[str]]:
+    """The solids of a link's shapes in the frame of the link, and notes on shapes that have no size.
 
-
-def file_mesh(path: Path, scale: Floats) -> Mesh:
-    """The mesh in a file; coal reads STL, OBJ, DAE and more.
+    Args:
+        shapes: collision or visual shapes as yourdfpy reads them.
+        where: the link, for messages.
+        folder: where the description lies.
+        packages: folders of packages by their names.
 
     Raises:
-        ScenarioError: coal is not installed or cannot read the file, or file or mesh are too large.
+        ScenarioError: a mesh is not found or cannot be read, or a size does not fit.
     """
-    from training.robots.mesh_files import load_triangles  # noqa: PLC0415 # primitives need no coal
+    solids, notes = [], []
+    for shape in shapes:
+        kind, sizes = _sizes(shape.geometry)
+        if not np.any(sizes):
+            notes.append(f"a {kind} of {where} has no size and is left out")
+            continue
+        if kind != "mesh" and not (sizes.min() >= MIN_SIZE_M and sizes.max() <= MAX_SIZE_M):
+            raise ScenarioError(
+                f"a shape of {where} does not fit",
+                expected=f"a {kind} with sizes from {MIN_SIZE_M:g} to {MAX_SIZE_M:g} m",
+                got=str(sizes.tolist()),
+            )
+        if kind == "mesh":
+            mesh = load_mesh(found_file(shape.geometry.mesh.filename, folder, packages), sizes, where)
+        elif kind == "box":
+            mesh = trimesh.creation.box(extents=sizes)
+        elif kind == "cylinder":
+            # Facets outside the circle, for the whole cylinder to be covered.
+            radius = sizes[0] / np.cos(np.pi / _FACETS)
+            mesh = trimesh.creation.cylinder(radius=radius, height=sizes[1], sections=_FACETS)
+        else:
+            mesh = trimesh.creation.icosphere(subdivisions=4, radius=sizes[0])
+        if shape.origin is not None:
+            mesh.apply_transform(shape.origin)
+        sphere = np.append(mesh.bounds.mean(axis=0), sizes) if kind == "sphere" else None
+        solids.append(Solid(mesh, sphere))
+    return solids, notes
 
-    size = path.stat().st_size
-    if size > _MAX_FILE_BYTES:
-        raise ScenarioError(
-            "a mesh is too large",
-            expected=f"at most {_MAX_FILE_BYTES // 1_000_000} MB",
-            got=f"{path}: {size}",
+
+def _sizes(geometry: Any) -> tuple[str, Floats]:
+    if geometry.box is not None:
+        return "box", np.asarray(geometry.box.size)
+    if geometry.cylinder is not None:
+        return "cylinder", np.asarray([geometry.cylinder.radius, geometry.cylinder.length])
+    if geometry.sphere is not None:
+        return "sphere", np.asarray([geometry.sphere.radius])
+    scale = geometry.mesh.scale
+    return "mesh", np.ones(3) * (1.0 if scale is None else scale)
+
+
+def load_mesh(path: Path, scale: Floats, where: str) -> Any:
+    """All triangles of a mesh file, of all its nodes and materials, in m; a negative scale mirrors.
+
+    Other files that it names, as textures and materials, are not read.
+
+    Raises:
+        ScenarioError: it is too large, it cannot be read, or it has no triangles within 100 m.
+    """
+    data = read_bounded(path, _MAX_FILE_BYTES, ScenarioError)
+    kind = path.suffix.lower().removeprefix(".")
+    if kind == "dae":
+        read_xml(data, path.name, "COLLADA")
+    try:
+        scene = trimesh.load_scene(
+            BytesIO(data), file_type=_FORMATS[kind], process=False, skip_materials=True
         )
-    mesh = Mesh(load_triangles(path) * scale)
-    reach = float(np.abs(mesh.corners).max())
-    if not (reach <= _MAX_M and mesh.areas_m2.sum() > 0.0):
+        mesh = scene.to_mesh()
+        unit = mesh.units or scene.units
+        vertices = np.asarray(mesh.vertices, dtype=np.float64)
+        vertices = vertices * (1.0 if unit is None else trimesh.units.unit_conversion(unit, "meters"))
+        mesh = trimesh.Trimesh(vertices, mesh.faces, process=False)
+    except Exception as error:  # readers of strangers' bytes raise whatever they meet
         raise ScenarioError(
-            "a mesh does not fit",
+            f"a mesh of {where} cannot be read",
+            expected=", ".join(_FORMATS),
+            got=f"{path}: {error!r}"[:300],
+        ) from error
+    reach = float(np.abs(vertices * scale).max()) if len(mesh.faces) else np.nan
+    if reach <= _MAX_M:
+        mesh.apply_transform(np.diag([*scale, 1.0]))
+        mesh.merge_vertices(merge_tex=True, merge_norm=True)
+    if not (reach <= _MAX_M and mesh.area > 0.0):
+        raise ScenarioError(
+            f"a mesh of {where} does not fit",
             expected=f"triangles within {_MAX_M:g} m, after they are scaled",
             got=f"{path} with the scale {scale.tolist()} reaches {reach:g} m",
         )
     return mesh
 
 
-@njit(cache=True, nogil=True)
-def _depths(points, corners):  # type: ignore[no-untyped-def]
-    out = np.empty(points.shape[0])
-    for row in range(points.shape[0]):
-        x, y, z = points[row]
-        least, winding = np.inf, 0.0
-        for index in range(corners.shape[0]):
-            a, b, c = corners[index]
-            ax, ay, az, bx, by, bz = a[0] - x, a[1] - y, a[2] - z, b[0] - x, b[1] - y, b[2] - z
-            cx, cy, cz = c[0] - x, c[1] - y, c[2] - z
-            least = min(least, _triangle(ax, ay, az, bx, by, bz, cx, cy, cz))
-            la, lb = np.sqrt(ax * ax + ay * ay + az * az), np.sqrt(bx * bx + by * by + bz * bz)
-            lc = np.sqrt(cx * cx + cy * cy + cz * cz)
-            volume = ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz) + az * (bx * cy - by * cx)
-            ab, bc = ax * bx + ay * by + az * bz, bx * cx + by * cy + bz * cz
-            ca = cx * ax + cy * ay + cz * az
-            winding += np.arctan2(volume, la * lb * lc + ab * lc + bc * la + ca * lb)
-        out[row] = np.sqrt(least) * (1.0 if abs(winding) > np.pi else -1.0)
-    return out
+def found_file(name: str, folder: Path, packages: Mapping[str, Path]) -> Path:
+    """The file that a description names: in its package, in its folder, or in a package that is given.
+
+    A package is looked for among those given, else in the folders above the description.
+
+    Raises:
+        ScenarioError: there is none, or it lies elsewhere, also by a symbolic link.
+    """
+    name = unquote(name)
+    if name.startswith(_PACKAGE):
+        package, _, rest = name.removeprefix(_PACKAGE).partition("/")
+        places: list[tuple[Path, tuple[Path, ...]]]
+        places = [(root / rest, (root,)) for root in package_roots(package, folder, packages)]
+        remedy = f"say where the package lies with --package {package}=FOLDER"
+    else:
+        places = [(folder / name.removeprefix(_FILE), (package_of(folder), *packages.values()))]
+        remedy = "put the mesh where the description names it"
+    for place, within in places:
+        if not _is_file(place):
+            continue
+        real = place.resolve()
+        if any(real.is_relative_to(root.resolve()) for root in within):
+            return place
+        raise ScenarioError(
+            "a mesh lies outside the robot's folder",
+            expected=f"a file in {' or '.join(str(root) for root in within)}",
+            got=str(real),
+            remedy="copy it there, or name the folder that holds it with --package NAME=FOLDER",
+        )
+    raise ScenarioError(
+        "a mesh is not found", expected=f"a file at {name[:200]}", got=f"none from {folder}", remedy=remedy
+    )
 
 
-@njit(cache=True, nogil=True)
-def _triangle(ax, ay, az, bx, by, bz, cx, cy, cz):  # type: ignore[no-untyped-def]
-    """Squared distance of the origin to a triangle."""
-    ux, uy, uz, vx, vy, vz = bx - ax, by - ay, bz - az, cx - ax, cy - ay, cz - az
-    nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
-    area = nx * nx + ny * ny + nz * nz
-    if area > 0.0:
-        # Barycentric coordinates of the origin's foot on the plane, times the area.
-        wx, wy, wz = -ax, -ay, -az
-        t = (uy * wz - uz * wy) * nx + (uz * wx - ux * wz) * ny + (ux * wy - uy * wx) * nz
-        s = (wy * vz - wz * vy) * nx + (wz * vx - wx * vz) * ny + (wx * vy - wy * vx) * nz
-        if s >= 0.0 and t >= 0.0 and s + t <= area:
-            height = wx * nx + wy * ny + wz * nz
-            return height * height / area
-    first = _segment(ax, ay, az, ux, uy, uz)
-    second = _segment(ax, ay, az, vx, vy, vz)
-    return min(first, second, _segment(bx, by, bz, cx - bx, cy - by, cz - bz))
-
-
-@njit(cache=True, nogil=True)
-def _segment(ax, ay, az, ux, uy, uz):  # type: ignore[no-untyped-def]
-    """Squared distance of the origin to the segment from a to a + u."""
-    square = ux * ux + uy * uy + uz * uz
-    along = 0.0
-    if square > 0.0:
-        along = min(1.0, max(0.0, -(ax * ux + ay * uy + az * uz) / square))
-    x, y, z = ax + along * ux, ay + along * uy, az + along * uz
-    return x * x + y * y + z * z
+def _is_file(place: Path) -> bool:
+    try:
+        return place.is_file()
+    except (OSError, ValueError):
+        # A name that no file can have.
+        return False

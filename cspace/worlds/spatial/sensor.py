@@ -80,6 +80,8 @@ MIN_VOXEL_M, MAX_VOXEL_M = 0.01, 0.2
 MAX_COUNT, MAX_VOXELS = 512, 2**23
 # Networks halve a grid three times.
 _MULTIPLE = 8
+# The largest such count whose cube has no more voxels than a grid may have.
+_MOST_A_SIDE = 200
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,7 +115,8 @@ class GridBox:
         if not sound:
             raise ScenarioError(
                 "the grid does not fit",
-                expected=f"a corner, voxels of {MIN_VOXEL_M} to {MAX_VOXEL_M} m, each count 1 to {MAX_COUNT}",
+                expected=f"a corner, voxels of {MIN_VOXEL_M} to {MAX_VOXEL_M} m, each count 1 to "
+                f"{MAX_COUNT}, at most {MAX_VOXELS} voxels",
                 got=str(self)[:200],
             )
 
@@ -132,19 +135,23 @@ class GridBox:
         return written(self)
 
 
-def grid_of(arm: SerialArm, voxel_m: float = VOXEL_M) -> GridBox:
+def grid_of(arm: SerialArm, voxel_m: float | None = None) -> GridBox:
     """The cube about an arm's shoulder that holds all that the arm can touch.
 
-    Its half side is :func:`shoulder_reach_m` and a little more, so that counts are multiples of eight.
+    Its half side is :func:`shoulder_reach_m` and a little more, so that counts are multiples of eight. Voxels
+    have 2.5 cm where no size is given, or more where the arm is so large that there would be too many.
 
     Raises:
         ScenarioError: the voxels are too small or too large.
     """
+    reach_m = shoulder_reach_m(arm)
+    if voxel_m is None:
+        voxel_m = max(VOXEL_M, float(np.ceil(1e3 * 2.0 * reach_m / _MOST_A_SIDE) / 1e3))
     if not MIN_VOXEL_M <= voxel_m <= MAX_VOXEL_M:
         raise ScenarioError(
             "the grid does not fit", expected=f"voxels of {MIN_VOXEL_M} to {MAX_VOXEL_M} m", got=repr(voxel_m)
         )
-    count = _MULTIPLE * int(np.ceil(2.0 * shoulder_reach_m(arm) / (_MULTIPLE * voxel_m)))
+    count = _MULTIPLE * int(np.ceil(2.0 * reach_m / (_MULTIPLE * voxel_m)))
     x, y, z = (float(place) - count * voxel_m / 2.0 for place in arm.joints[0].origin.xyz_m)
     return GridBox((x, y, z), voxel_m, (count, count, count))
 

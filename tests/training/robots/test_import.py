@@ -4,14 +4,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from cspace.worlds.spatial.arm import SerialArm
 from tests.training.robots.descriptions import FINGER, TWO_LINKS, described, with_more
 from training.robots import covering
 from training.robots.__main__ import main
 from training.robots.chain import read_chain
+from training.robots.description import read_description
 from training.robots.importing import Request, import_robot
-from training.robots.urdf import read_urdf
 
 CYLINDER, BOX = '<cylinder radius="0.05" length="0.3"/>', '<box size="0.04 0.06 0.1"/>'
 # Spheres are taken as they are, which is quick.
@@ -49,6 +50,14 @@ def test_a_description_becomes_a_robot_file(tmp_path: Path, capsys: pytest.Captu
     told = capsys.readouterr().out
     assert f"two: 2 joints, {arm.sphere_count} spheres" in told
     assert "missed mm" in told
+    assert "shoulder: -2 to 2 rad" in told
+    report = json.loads(out.with_suffix(".report.json").read_bytes())
+    assert [one["limits_rad"] for one in report["joints"]] == [[-2.0, 2.0], None]
+    assert max(one["missed_m"] for one in report["parts"]) < 0.0021
+    assert max(one["excess_m"] for one in report["parts"]) < 0.0101
+    assert {tuple(one["pair"]) for one in report["pairs"] if one["kept"]} == set(arm.touching)
+    with Image.open(out.with_suffix(".report.png")) as picture:
+        assert picture.format == "PNG"
 
 
 def test_spheres_cover_what_they_stand_for_and_stick_out_little(tmp_path: Path) -> None:
@@ -70,31 +79,36 @@ def test_spheres_cover_what_they_stand_for_and_stick_out_little(tmp_path: Path) 
 
 def test_pairs_that_can_touch_are_those_that_spheres_show(tmp_path: Path) -> None:
     urdf = described(tmp_path, ROUND)
+    found = import_robot(Request(urdf))
     srdf = described(
         tmp_path,
         '<robot name="two"><disable_collisions link1="gripper" link2="base" reason="Never"/></robot>',
         "two.srdf",
     )
-    found = import_robot(Request(urdf))
     # The lower arm is too short for the base; neighbours, which overlap often, are left out.
     assert found.arm.touching == (("base", "gripper"), ("upper", "gripper"))
     shares = {one.pair: one.share for one in found.touching}
     assert shares["base", "lower"] == 0.0
     assert 0.0 < shares["upper", "gripper"] < 0.5
-    without = import_robot(Request(urdf, srdf=srdf)).arm.touching
-    assert without == (("upper", "gripper"),)
+    reasons = {one.pair: one.why for one in found.touching}
+    assert reasons["base", "upper"] == "neighbours"
+    assert reasons["base", "lower"] == "never overlap"
+    # The SRDF beside the description is read without being named.
+    without = import_robot(Request(urdf))
+    assert without.srdf == srdf
+    assert without.arm.touching == (("upper", "gripper"),)
     kept = import_robot(Request(urdf, srdf=srdf, kept=(("base", "gripper"),))).arm.touching
     assert kept == found.arm.touching
 
 
 def test_held_joints_carry_what_hangs_on_them(tmp_path: Path) -> None:
-    description = read_urdf(described(tmp_path, with_more(FINGER)))
+    description = read_description(described(tmp_path, with_more(FINGER)), {}, {})
     chain = read_chain(description, "finger", {"slide": 0.02, "shoulder": 0.0}, {"elbow": (-1.0, 1.0)})
     assert [joint.name for joint in chain.joints] == ["elbow"]
     assert chain.joints[0].limits_rad == (-1.0, 1.0)
     np.testing.assert_allclose(chain.joints[0].origin.xyz_m, [0.0, 0.0, 0.6])
     np.testing.assert_allclose(chain.tool.xyz_m, [0.0, 0.02, 0.3])
-    turned = read_chain(description, "gripper", {"slide": 0.0, "shoulder": pi / 4}).joints[0].origin
+    turned = read_chain(description, "gripper", {"slide": 0.0, "shoulder": pi / 4}, {}).joints[0].origin
     np.testing.assert_allclose(turned.xyz_m, [0.5 / sqrt(2), 0.0, 0.1 + 0.5 / sqrt(2)])
 
 

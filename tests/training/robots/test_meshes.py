@@ -2,49 +2,51 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 
 from cspace.errors import ScenarioError
-from training.robots.covering import Allowances, cover, depth_m, measure
-from training.robots.meshes import Mesh, box_mesh, cylinder_mesh, file_mesh, sphere_mesh
+from tests.training.robots.descriptions import TWO_LINKS, described
+from training.robots.covering import Allowances, cover, measure
+from training.robots.importing import Imported, Request, import_robot
+from training.robots.meshes import Solid, load_mesh, union_depth_m, union_surface
 
-OBJ = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+CORNER = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
 POINTS = np.array([[0.0, 0.0, 0.0], [0.05, 0.0, 0.0], [0.2, 0.0, 0.0], [0.0, 0.0, 0.5]])
+BOX = trimesh.creation.box(extents=[0.2, 0.4, 0.6])
+BALL = trimesh.creation.icosphere(subdivisions=4, radius=0.1)
 
 
 def test_depth_is_the_distance_to_the_surface_with_a_sign() -> None:
-    box = box_mesh(np.array([0.2, 0.4, 0.6]))
+    box = Solid(BOX.copy())
     np.testing.assert_allclose(box.depth_m(POINTS), [0.1, 0.05, -0.1, -0.2], atol=1e-12)
     corner = np.array([[0.1 + 0.03, 0.2 + 0.04, 0.0], [0.13, 0.24, 0.3 + 0.12]])
     np.testing.assert_allclose(box.depth_m(corner), [-0.05, -0.13], atol=1e-12)
-    np.testing.assert_allclose(cylinder_mesh(0.1, 0.6).depth_m(POINTS), [0.1, 0.05, -0.1, -0.2], atol=1e-3)
-    np.testing.assert_allclose(sphere_mesh(0.1).depth_m(POINTS), [0.1, 0.05, -0.1, -0.4], atol=1e-3)
+    np.testing.assert_allclose(Solid(BALL.copy()).depth_m(POINTS), [0.1, 0.05, -0.1, -0.4], atol=1e-3)
 
 
-def test_a_mesh_with_a_missing_triangle_has_an_inside() -> None:
-    whole = sphere_mesh(0.1)
-    open_ = Mesh(np.delete(whole.corners, 500, axis=0))
-    assert (open_.depth_m(POINTS) > 0.0).tolist() == [True, True, False, False]
+def test_a_mesh_with_a_hole_or_turned_triangles_has_an_inside() -> None:
+    open_, turned = BALL.copy(), BALL.copy()
+    open_.update_faces(np.arange(len(open_.faces)) != 500)
+    turned.invert()
+    for mesh in (open_, turned):
+        assert (Solid(mesh).depth_m(POINTS) > 0.0).tolist() == [True, True, False, False]
 
 
-def test_the_turn_of_triangles_does_not_matter() -> None:
-    box = box_mesh(np.array([0.2, 0.4, 0.6]))
-    np.testing.assert_allclose(Mesh(box.corners[:, ::-1]).depth_m(POINTS), box.depth_m(POINTS))
-
-
-def test_points_of_the_surface_lie_on_it() -> None:
-    box = box_mesh(np.array([0.2, 0.4, 0.6]))
-    points = box.surface(0.01, np.random.default_rng(0))
-    assert np.abs(box.depth_m(points)).max() < 2e-6
-    assert len(points) > 8800
+def test_points_of_the_surface_lie_on_it_and_on_its_corners() -> None:
+    box = Solid(BOX.copy())
+    points = box.surface(1000, np.random.default_rng(0))
+    assert np.abs(box.depth_m(points)).max() < 1e-9
+    assert {tuple(one) for one in BOX.vertices.tolist()} <= {tuple(one) for one in points.tolist()}
 
 
 def test_a_union_is_as_deep_as_its_deepest_part() -> None:
-    pair = (box_mesh(np.array([0.2, 0.2, 0.2])), sphere_mesh(0.03))
-    np.testing.assert_allclose(depth_m(pair, POINTS[:1]), [0.1], atol=1e-12)
+    pair = [Solid(trimesh.creation.box(extents=[0.2, 0.2, 0.2])), Solid(BALL.copy().apply_scale(0.3))]
+    np.testing.assert_allclose(union_depth_m(pair, POINTS[:1]), [0.1], atol=1e-12)
+    assert len(union_surface(pair, 100, np.random.default_rng(0))) > 200
 
 
 def test_a_fit_tells_what_is_missed_and_what_sticks_out() -> None:
-    fit = measure([sphere_mesh(0.1)], np.array([[0.02, 0.0, 0.0, 0.1]]), np.random.default_rng(0))
+    fit = measure([Solid(BALL.copy())], np.array([[0.02, 0.0, 0.0, 0.1]]), np.random.default_rng(0))
     assert fit.spheres == 1
     assert fit.missed_m == pytest.approx(0.02, abs=1e-3)
     assert fit.excess_m == pytest.approx(0.02, abs=1e-3)
@@ -58,38 +60,103 @@ def test_allowances_below_a_millimetre_are_refused() -> None:
 
 @pytest.mark.slow
 def test_a_ball_needs_one_sphere() -> None:
-    spheres = cover([sphere_mesh(0.01)], Allowances(), np.random.default_rng(0))
+    spheres = cover([Solid(BALL.copy().apply_scale(0.1))], Allowances(), np.random.default_rng(0))
     assert len(spheres) == 1
     assert 0.008 < spheres[0, 3] <= 0.02
 
 
-def test_mesh_files_are_scaled(tmp_path: Path) -> None:
-    pytest.importorskip("coal")
+@pytest.mark.slow
+def test_a_large_stand_is_covered() -> None:
+    stand = [Solid(trimesh.creation.box(extents=[0.8, 0.8, 0.9]))]
+    fit = measure(stand, cover(stand, Allowances(), np.random.default_rng(0)), np.random.default_rng(1))
+    assert fit.missed_m < 0.0022
+    assert fit.excess_m < 0.0101
+
+
+def test_mesh_files_are_scaled_and_mirrored(tmp_path: Path) -> None:
     file = tmp_path / "corner.obj"
-    file.write_text(OBJ, encoding="utf-8")
-    mesh = file_mesh(file, np.array([2.0, 1.0, 1.0]))
-    assert mesh.corners.shape == (4, 3, 3)
-    np.testing.assert_allclose(mesh.corners.max(axis=(0, 1)), [2.0, 1.0, 1.0])
-    assert mesh.depth_m(np.array([[0.1, 0.1, 0.1]]))[0] == pytest.approx(0.1)
+    file.write_text(CORNER, encoding="utf-8")
+    mesh = load_mesh(file, np.array([2.0, 1.0, -1.0]), "link a")
+    np.testing.assert_allclose(mesh.bounds, [[0.0, 0.0, -1.0], [2.0, 1.0, 0.0]])
+    depth = Solid(mesh).depth_m(np.array([[0.1, 0.1, -0.1], [0.1, 0.1, 0.1]]))
+    np.testing.assert_allclose(depth, [0.1, -0.1])
 
 
-@pytest.mark.parametrize("scale", [0.0, 1e-300, 1e300])
+@pytest.mark.parametrize("scale", [1e-300, 1e300])
 def test_a_scale_that_leaves_no_mesh_is_refused(tmp_path: Path, scale: float) -> None:
-    pytest.importorskip("coal")
     file = tmp_path / "corner.obj"
-    file.write_text(OBJ, encoding="utf-8")
-    with pytest.raises(ScenarioError, match="a mesh does not fit"):
-        file_mesh(file, np.full(3, scale))
+    file.write_text(CORNER, encoding="utf-8")
+    with pytest.raises(ScenarioError, match="a mesh of link a does not fit"):
+        load_mesh(file, np.full(3, scale), "link a")
 
 
-def test_a_needle_has_a_bounded_number_of_points() -> None:
-    needle = cylinder_mesh(1e-4, 10.0)
-    assert len(needle.surface(5e-4, np.random.default_rng(0))) < 300_000
+@pytest.mark.parametrize(
+    ("name", "data"),
+    [
+        ("bad.stl", "no mesh"),
+        ("bad.obj", "v 0 0 0\nf 1 2 3\n"),
+        ("bad.dae", "<COLLADA/>"),
+        ("bad.step", "ISO-10303-21;"),
+        ("nan.obj", CORNER.replace("v 1 0 0", "v nan 0 0")),
+    ],
+)
+def test_a_file_that_is_no_mesh_is_refused(tmp_path: Path, name: str, data: str) -> None:
+    file = tmp_path / name
+    file.write_text(data, encoding="utf-8")
+    with pytest.raises(ScenarioError, match=r"a mesh of link a (cannot be read|does not fit)"):
+        load_mesh(file, np.ones(3), "link a")
 
 
-def test_a_file_that_is_no_mesh_is_refused(tmp_path: Path) -> None:
-    pytest.importorskip("coal")
-    file = tmp_path / "bad.stl"
-    file.write_text("no mesh", encoding="utf-8")
-    with pytest.raises(ScenarioError, match="a mesh cannot be read"):
-        file_mesh(file, np.ones(3))
+def test_a_mesh_file_reads_no_other_file_and_no_entity(tmp_path: Path) -> None:
+    file = tmp_path / "bomb.dae"
+    file.write_text('<!DOCTYPE COLLADA [<!ENTITY a "aaaa">]><COLLADA>&a;</COLLADA>', encoding="utf-8")
+    with pytest.raises(ScenarioError, match="a document type"):
+        load_mesh(file, np.ones(3), "link a")
+
+
+def _imported(folder: Path, mesh: str) -> Imported:
+    text = TWO_LINKS.replace('<sphere radius="0.12"/>', f'<mesh filename="{mesh}"/>')
+    for shape in ('<cylinder radius="0.05" length="0.3"/>', '<box size="0.04 0.06 0.1"/>'):
+        text = text.replace(shape, '<sphere radius="0.05"/>')
+    return import_robot(Request(described(folder, text)))
+
+
+def _two_boxes(end: str) -> str:
+    """Two boxes, round the origin and round (0.3, 0, 0), of two materials in OBJ or in two DAE nodes."""
+    first = trimesh.creation.box(extents=[0.08, 0.06, 0.04])
+    second = first.copy().apply_translation([0.3, 0.0, 0.0])
+    if end == "dae":
+        return trimesh.exchange.dae.export_collada([first, second]).decode()
+    rows = [f"v {x} {y} {z}" for mesh in (first, second) for x, y, z in mesh.vertices.tolist()]
+    for number, mesh in enumerate((first, second)):
+        rows.append(f"usemtl m{number}")
+        rows += [f"f {a} {b} {c}" for a, b, c in (mesh.faces + 1 + 8 * number).tolist()]
+    return "\n".join(rows)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("end", ["obj", "dae"])
+def test_all_materials_and_nodes_of_a_mesh_are_covered(tmp_path: Path, end: str) -> None:
+    (tmp_path / f"two.{end}").write_text(_two_boxes(end), encoding="utf-8")
+    part = _imported(tmp_path, f"two.{end}").arm.parts[0]
+    spheres = np.asarray(part.spheres_m)
+    corners = trimesh.creation.box(extents=[0.08, 0.06, 0.04]).vertices
+    for place in ([0.0, 0.0, 0.0], [0.3, 0.0, 0.0]):
+        gaps = np.linalg.norm((corners + place)[:, None] - spheres[:, :3], axis=-1) - spheres[:, 3]
+        assert gaps.min(axis=1).max() < 0.002
+
+
+def test_a_collada_mesh_is_read_in_its_unit_with_all_its_nodes(tmp_path: Path) -> None:
+    file = tmp_path / "two.dae"
+    file.write_text(_two_boxes("dae"), encoding="utf-8")
+    text = file.read_text(encoding="utf-8")
+    assert load_mesh(file, np.ones(3), "link a").area == pytest.approx(0.0416)
+    file.write_text(text.replace("<asset>", '<asset><unit name="inch" meter="0.0254"/>'), encoding="utf-8")
+    mesh = load_mesh(file, np.ones(3), "link a")
+    np.testing.assert_allclose(mesh.bounds[1], np.array([0.34, 0.03, 0.02]) * 0.0254, rtol=1e-5)
+
+
+@pytest.mark.slow
+def test_a_fine_mesh_is_covered_in_seconds(tmp_path: Path) -> None:
+    trimesh.creation.icosphere(subdivisions=6, radius=0.03).export(tmp_path / "fine.stl")
+    assert _imported(tmp_path, "fine.stl").fits["base"].missed_m < 0.002

@@ -1,0 +1,212 @@
+"""Descriptions as makers write them: the right robot, or an error with names, line and what to do."""
+
+from math import pi
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cspace.errors import ScenarioError
+from cspace.worlds.spatial.sensor import MAX_VOXELS, grid_of
+from tests.training.robots.descriptions import BRANCH, FINGER, described, with_more
+from training.robots.__main__ import main
+from training.robots.importing import Imported, Request, import_robot
+
+BALL = '<{kind}><geometry><sphere radius="{radius}"/></geometry></{kind}>'
+LIMIT = '<limit lower="-2" upper="2" effort="1" velocity="1"/>'
+
+
+def chain(
+    *limits: str,
+    kinds: str = "collision collision collision collision",
+    radius: float = 0.06,
+    step: float = 0.3,
+) -> str:
+    """Links l0 to l3 one above the other; joints j1 to j3 about y hold what is given, or limits."""
+    rows = ['<robot name="three">']
+    shapes = [BALL.format(kind=kind, radius=radius) for kind in kinds.split()]
+    rows += [f'<link name="l{index}">{shape}</link>' for index, shape in enumerate(shapes)]
+    for index, held in enumerate((*limits, *[LIMIT] * (3 - len(limits))), 1):
+        kind = "continuous" if held.startswith("continuous") else "revolute"
+        rows.append(
+            f'<joint name="j{index}" type="{kind}"><parent link="l{index - 1}"/><child link="l{index}"/>'
+            f'<origin xyz="0 0 {step}"/><axis xyz="0 1 0"/>{held.removeprefix("continuous")}</joint>'
+        )
+    return "\n".join([*rows, "</robot>"])
+
+
+def imported(folder: Path, text: str, **options: object) -> Imported:
+    return import_robot(Request(described(folder, text), **options))
+
+
+@pytest.mark.parametrize(
+    "limit",
+    [
+        '<limit lower="-6.28" upper="6.28"/>',
+        '<limit lower="0" upper="0"/>',
+        '<limit lower="-inf" upper="inf"/>',
+        "",
+    ],
+)
+def test_a_continuous_joint_is_a_circle_whatever_its_limits(tmp_path: Path, limit: str) -> None:
+    found = imported(tmp_path, chain(f"continuous{limit}"))
+    assert [joint.limits_rad for joint in found.arm.joints] == [None, (-2.0, 2.0), (-2.0, 2.0)]
+
+
+def test_an_option_makes_a_circle_of_a_joint_or_limits_one(tmp_path: Path) -> None:
+    found = imported(tmp_path, chain("continuous"), limits={"j1": (-1.0, 1.0), "j2": None})
+    assert [joint.limits_rad for joint in found.arm.joints] == [(-1.0, 1.0), None, (-2.0, 2.0)]
+
+
+def test_visual_shapes_stand_in_for_collision_shapes_with_a_warning(tmp_path: Path) -> None:
+    found = imported(tmp_path, chain(kinds="collision collision visual visual"))
+    assert [part.name for part in found.arm.parts] == ["l0", "l1", "l2", "l3"]
+    assert any("visual shapes are taken: l2, l3" in note for note in found.notes)
+
+
+def test_a_robot_without_any_shape_is_refused(tmp_path: Path) -> None:
+    text = chain().replace("<collision>", "<inertial>").replace("</collision>", "</inertial>")
+    with pytest.raises(ScenarioError, match="no link has a shape"):
+        imported(tmp_path, text)
+
+
+def test_a_shape_of_no_size_is_left_out_with_its_link_and_line(tmp_path: Path) -> None:
+    placeholder = '<link name="l3"><collision><geometry><box size="0 0 0"/></geometry></collision></link>'
+    text = chain().replace(
+        '<link name="l3">' + BALL.format(kind="collision", radius=0.06) + "</link>", placeholder
+    )
+    found = imported(tmp_path, text)
+    assert "a box of link l3 (line 5) has no size and is left out" in found.notes
+    assert [part.name for part in found.arm.parts] == ["l0", "l1", "l2"]
+    meshed = text.replace('<box size="0 0 0"/>', '<mesh filename="nowhere.stl" scale="0 0 0"/>')
+    assert any("a mesh of link l3 (line 5) has no size" in note for note in imported(tmp_path, meshed).notes)
+
+
+@pytest.mark.parametrize("mimic", ['<mimic joint="j2" multiplier="-1"/>', '<mimic joint="j2" offset="0.5"/>'])
+def test_a_joint_of_the_chain_that_mimics_another_is_refused_by_name(tmp_path: Path, mimic: str) -> None:
+    text = chain(LIMIT, LIMIT, LIMIT + mimic)
+    with pytest.raises(
+        ScenarioError, match=r"joint j3 \(line 8\) follows joint j2, which moves.*--lock j2=VALUE"
+    ):
+        imported(tmp_path, text)
+    # What it advises works, and the follower goes where the leader puts it.
+    held = imported(tmp_path, text, locked={"j2": 0.2})
+    assert [joint.name for joint in held.arm.joints] == ["j1"]
+    follower = next(one for one in held.held if one.name == "j3")
+    assert follower.value == pytest.approx(-0.2 if "multiplier" in mimic else 0.7)
+    with pytest.raises(ScenarioError, match=r"j3 .*cannot be held elsewhere.*hold joint j2 instead"):
+        imported(tmp_path, text, locked={"j2": 0.2, "j3": 1.0})
+
+
+def test_joints_beside_the_chain_are_held_as_near_to_zero_as_they_go(tmp_path: Path) -> None:
+    finger = FINGER.replace('lower="0" upper="1"', 'lower="0.02" upper="1"')
+    other = BRANCH.replace("second", "third").replace("</robot>\n", finger)
+    text = with_more(other).replace('<box size="0.04 0.06 0.1"/>', '<sphere radius="0.05"/>')
+    text = text.replace('<cylinder radius="0.05" length="0.3"/>', '<sphere radius="0.05"/>')
+    found = imported(tmp_path, text, tip="gripper")
+    assert {one.name: (one.value, one.why) for one in found.held} == {
+        "other": (0.0, "beside the chain"),
+        "slide": (0.02, "beside the chain"),
+    }
+
+
+def test_a_floating_base_is_held_where_its_origin_is(tmp_path: Path) -> None:
+    free = (
+        '<link name="world"/><joint name="free" type="floating"><parent link="world"/><child link="l0"/>'
+        '<origin xyz="0 0 0.3"/></joint></robot>'
+    )
+    text = chain().replace("</robot>", free)
+    with pytest.raises(ScenarioError, match=r"free .*got floating; hold it with --lock free=0$"):
+        imported(tmp_path, text)
+    found = imported(tmp_path, text, locked={"free": 0.0})
+    np.testing.assert_allclose(found.arm.joints[0].origin.xyz_m, [0.0, 0.0, 0.6])
+    with pytest.raises(ScenarioError, match=r"free .*cannot be held there.*floating; got 1"):
+        imported(tmp_path, text, locked={"free": 1.0})
+
+
+def test_links_are_left_out_by_name_with_all_behind_them(tmp_path: Path) -> None:
+    found = imported(tmp_path, chain(), without=("l2",))
+    assert [part.name for part in found.arm.parts] == ["l0", "l1"]
+    assert "left out by --without: l2, l3" in found.notes
+
+
+def test_a_large_arm_gets_voxels_that_its_world_can_hold(tmp_path: Path) -> None:
+    found = imported(tmp_path, chain(radius=0.3, step=1.2))
+    grid = grid_of(found.arm)
+    assert grid.voxel_m > 0.025
+    assert np.prod(grid.counts) <= MAX_VOXELS
+    assert any("the arm is large" in note for note in found.notes)
+
+
+XACRO = '<robot name="made" xmlns:xacro="http://www.ros.org/wiki/xacro">'
+
+
+def test_xacro_in_a_urdf_file_is_refused_with_its_line(tmp_path: Path) -> None:
+    text = (
+        chain()
+        .replace('<robot name="three">', XACRO)
+        .replace("</robot>", '<xacro:gripper parent="l3"/></robot>')
+    )
+    with pytest.raises(
+        ScenarioError, match=r"holds xacro, expand it first.*<xacro:gripper> in line 9.*\.xacro"
+    ):
+        imported(tmp_path, text)
+
+
+def test_xacro_files_are_expanded_with_arguments_and_packages(tmp_path: Path) -> None:
+    package = tmp_path / "parts"
+    package.mkdir()
+    (package / "ball.xacro").write_text(
+        XACRO + '<xacro:macro name="ball" params="name"><link name="${name}"><collision><geometry>'
+        '<sphere radius="${0.1 / 2}"/></geometry></collision></link></xacro:macro></robot>',
+        encoding="utf-8",
+    )
+    text = (
+        XACRO + '<xacro:arg name="most" default="1"/><xacro:include filename="$(find parts)/ball.xacro"/>'
+        '<xacro:ball name="a"/><xacro:ball name="b"/><joint name="j" type="revolute"><parent link="a"/>'
+        '<child link="b"/><origin xyz="0 0 1"/><limit lower="-1" upper="$(arg most)"/></joint></robot>'
+    )
+    path = described(tmp_path, text, "made.urdf.xacro")
+    with pytest.raises(
+        ScenarioError, match=r"xacro cannot expand.*package parts is not found.*--package parts=FOLDER"
+    ):
+        import_robot(Request(path))
+    found = import_robot(Request(path, packages={"parts": package}, arguments={"most": "0.5"}))
+    assert found.arm.joints[0].limits_rad == (-1.0, 0.5)
+    assert found.arm.parts[1].spheres_m == ((0.0, 0.0, 0.0, 0.05),)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ('<xacro:include filename="{outside}/secret.xacro"/>', "outside of the .*secret.xacro"),
+        ('<xacro:include filename="link.xacro"/>', "outside of the .*secret.xacro"),
+        (
+            "<link name=\"${{xacro.load_yaml('{outside}/secret.yaml')['a']}}\"/>",
+            "outside of the .*secret.yaml",
+        ),
+        ('<link name="$(env HOME)"/>', "HOME"),
+        ("<link name=\"${{''.__class__}}\"/>", "__class__"),
+        ('<xacro:macro name="m"><xacro:m/></xacro:macro><xacro:m/>', "recursion"),
+    ],
+)
+def test_xacro_reads_nothing_outside_its_packages(tmp_path: Path, text: str, message: str) -> None:
+    outside, folder = tmp_path / "outside", tmp_path / "arm"
+    outside.mkdir()
+    folder.mkdir()
+    (outside / "secret.xacro").write_text(XACRO + '<link name="secret"/></robot>', encoding="utf-8")
+    (outside / "secret.yaml").write_text("a: secret", encoding="utf-8")
+    (folder / "link.xacro").symlink_to(outside / "secret.xacro")
+    path = described(folder, XACRO + text.format(outside=outside) + "</robot>", "made.xacro")
+    with pytest.raises(ScenarioError, match=rf"xacro cannot expand made\.xacro.*{message}"):
+        import_robot(Request(path))
+
+
+def test_the_command_writes_a_report_beside_the_robot(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "three.json"
+    limits = ["--limit", "j1=none", "--limit", f"j2=-{pi},{pi}"]
+    assert main(["import", str(described(tmp_path, chain())), *limits, "--out", str(out)]) == 0
+    assert "j1: a circle" in capsys.readouterr().out
+    assert {one.name for one in tmp_path.iterdir()} >= {"three.json", "three.report.json", "three.report.png"}

@@ -1,0 +1,205 @@
+"""Descriptions of robots: safe XML, xacro expanded, URDF read by yourdfpy with each element's line, SRDF."""
+
+import json
+import subprocess
+import sys
+from collections.abc import Mapping
+from copy import deepcopy
+from dataclasses import dataclass
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from lxml import etree
+from yourdfpy import URDF
+
+from cspace.errors import ScenarioError
+from cspace.files import read_bounded
+from training.robots import packages as packages_script
+
+MAX_BYTES = 16_000_000
+MAX_LINKS = 1000
+_REMEDY = "give the path of a URDF, xacro or SRDF file"
+# How many numbers attributes hold; a mesh's scale may be one for all axes.
+_NUMBERS = {
+    "origin xyz": (3,),
+    "origin rpy": (3,),
+    "axis xyz": (3,),
+    "box size": (3,),
+    "mesh scale": (1, 3),
+    "sphere radius": (1,),
+    "cylinder radius": (1,),
+    "cylinder length": (1,),
+    "mimic multiplier": (1,),
+    "mimic offset": (1,),
+}
+_UNUSED = ("inertial", "material", "dynamics", "calibration", "safety_controller")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Description:
+    """A tree of links.
+
+    Args:
+        name: of the robot.
+        links: yourdfpy's links by their names.
+        joints: yourdfpy's joints by the names of the links after them.
+        lines: in the file, by ``"link NAME"`` and ``"joint NAME"``.
+    """
+
+    name: str
+    links: dict[str, Any]
+    joints: dict[str, Any]
+    lines: dict[str, int]
+
+    def at(self, kind: str, name: str) -> str:
+        """A link or a joint with its line, for messages."""
+        return f"{kind} {name} (line {self.lines[f'{kind} {name}']})"
+
+
+def read_description(path: Path, packages: Mapping[str, Path], arguments: Mapping[str, str]) -> Description:
+    """The description in a URDF file, or in a file whose name ends with ``.xacro``.
+
+    Args:
+        path: of the file.
+        packages: folders of packages by their names, where xacro looks first.
+        arguments: of xacro.
+
+    Raises:
+        ScenarioError: there is no such file, xacro cannot expand it, or it is no tree of links.
+    """
+    data = read_bounded(path, MAX_BYTES, ScenarioError, remedy=_REMEDY)
+    if path.suffix == ".xacro":
+        data = _expanded(path, packages, arguments)
+    robot = read_xml(data, path.name)
+    for element in robot.iter("{*}*"):
+        if "xacro" in (etree.QName(element).namespace or ""):
+            raise ScenarioError(
+                f"{path.name} holds xacro, expand it first",
+                expected="URDF",
+                got=f"<xacro:{etree.QName(element).localname}> in line {element.sourceline}",
+                remedy="give the file a name that ends with .xacro, and the import expands it",
+            )
+    lines: dict[str, int] = {}
+    links, joints = (_elements(robot, kind, lines) for kind in ("link", "joint"))
+    if len(links) > MAX_LINKS:
+        most = f"at most {MAX_LINKS}"
+        raise ScenarioError("the description has too many links", expected=most, got=str(len(links)))
+    by_child = {joint.child: joint for joint in joints.values()}
+    unknown = sorted({str(name) for one in joints.values() for name in (one.parent, one.child)} - set(links))
+    roots = [name for name in links if name not in by_child]
+    if unknown or len(by_child) != len(joints) or len(roots) != 1:
+        what = f"a link with two parents, or other than one root: {roots}"
+        raise ScenarioError(
+            "the description is no tree of links",
+            expected="links that exist, one joint before each but one root",
+            got=f"unknown links {unknown}" if unknown else what[:300],
+        )
+    return Description(robot.get("name", path.stem), links, by_child, lines)
+
+
+def find_srdf(urdf: Path) -> Path | None:
+    """The SRDF file of a description's name, in its folder or in ``../srdf``; None for none."""
+    name, folder = f"{urdf.name.partition('.')[0]}.srdf", urdf.resolve().parent
+    places = (folder / name, folder.parent / "srdf" / name)
+    return next((one for one in places if one.is_file() and one.resolve() == one), None)
+
+
+def read_disabled_pairs(path: Path) -> dict[frozenset[str], str]:
+    """The pairs of links that an SRDF file says need no check, with its reasons.
+
+    Raises:
+        ScenarioError: there is no such file, or it is none.
+    """
+    robot = read_xml(read_bounded(path, MAX_BYTES, ScenarioError, remedy=_REMEDY), path.name)
+    found = {}
+    for one in robot.iterfind("disable_collisions"):
+        names = [one.get(key) for key in ("link1", "link2")]
+        if not all(names):
+            what = f"{path.name}, line {one.sourceline}: a disabled pair does not fit"
+            raise ScenarioError(what, expected="link1 and link2", got=str(dict(one.attrib))[:200])
+        found[frozenset(map(str, names))] = str(one.get("reason", "no reason"))
+    return found
+
+
+def read_xml(data: bytes, name: str, root: str = "robot") -> Any:
+    """The root element of XML without a document type, whose entities could grow without end.
+
+    Raises:
+        ScenarioError: it is no XML, has a document type or another root.
+    """
+    parser = etree.XMLParser(resolve_entities=False, no_network=True, remove_comments=True, remove_pis=True)
+    try:
+        found = etree.fromstring(data, parser)
+        doctype = found.getroottree().docinfo.doctype
+        got = "a document type" if doctype else f"<{etree.QName(found).localname}>"
+    except (etree.XMLSyntaxError, ValueError) as error:
+        got = str(error)[:200]
+    if got != f"<{root}>":
+        raise ScenarioError(f"{name} is no such description", expected=f"XML with the root <{root}>", got=got)
+    return found
+
+
+def _expanded(path: Path, packages: Mapping[str, Path], arguments: Mapping[str, str]) -> bytes:
+    folders = {name: str(folder.resolve()) for name, folder in packages.items()}
+    request = {"file": str(path.resolve()), "packages": folders, "arguments": dict(arguments)}
+    command = [sys.executable, "-I", str(packages_script.__file__)]
+    try:
+        done = subprocess.run(
+            command,
+            input=json.dumps(request).encode(),
+            capture_output=True,
+            env={},
+            timeout=60.0,
+            check=False,
+        )
+        if done.returncode == 0:
+            return done.stdout
+        got = " ".join(done.stderr.decode(errors="replace").split()) or f"code {done.returncode}"
+    except subprocess.TimeoutExpired:
+        got = "no end within 60 s"
+    raise ScenarioError(
+        f"xacro cannot expand {path.name}",
+        expected="a file that takes 10 s and 1 GB at most, and files of its packages alone",
+        got=got[:400],
+        remedy="give arguments by --xacro NAME=VALUE and folders of packages by --package NAME=FOLDER",
+    )
+
+
+def _elements(robot: Any, kind: str, lines: dict[str, int]) -> dict[str, Any]:
+    """What yourdfpy reads of each link or joint, alone, so that an error has its name and its line."""
+    found: dict[str, Any] = {}
+    for element in robot.iterfind(kind):
+        name = element.get("name")
+        where = f"{kind} {name} (line {element.sourceline})"
+        if not name or name in found:
+            raise ScenarioError(f"{where} does not fit", expected="a name of its own", got=repr(name))
+        etree.strip_elements(element, *_UNUSED, with_tail=False)
+        for part in element.iter():
+            for key, text in part.items():
+                counts = _NUMBERS.get(f"{part.tag} {key}")
+                if counts is not None and not _are_numbers(text, counts):
+                    what = f"{key} of <{part.tag}> in line {part.sourceline}, of {where}, does not fit"
+                    raise ScenarioError(what, expected=f"{counts[-1]} finite numbers", got=repr(text)[:200])
+        alone = etree.Element("robot", name="one")
+        alone.append(deepcopy(element))
+        try:
+            read = URDF.load(BytesIO(etree.tostring(alone)), build_scene_graph=False, load_meshes=False)
+        except Exception as error:  # yourdfpy raises whatever its parts do
+            raise ScenarioError(
+                f"{where} cannot be read",
+                expected="a <parent> and a <child>, or shapes that are box, cylinder, sphere or mesh",
+                got=repr(error)[:200],
+            ) from error
+        found[name] = (read.robot.links or read.robot.joints)[0]
+        lines[f"{kind} {name}"] = element.sourceline
+    return found
+
+
+def _are_numbers(text: str, counts: tuple[int, ...]) -> bool:
+    try:
+        values = [float(word) for word in text.replace(",", " ").split()]
+    except ValueError:
+        return False
+    return len(values) in counts and bool(np.isfinite(values).all())
