@@ -4,24 +4,18 @@ Each is shown by its last evaluation, whose table of estimates is read.
 """
 
 import argparse
-import csv
-import io
 import json
 import re
 import tempfile
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
+
+import pandas as pd
 
 from cspace.errors import ConfigError, RegistryError, StorageError
 from cspace.files import make_output_folder, read_bounded, replacing
-from services.evaluator.evaluation.measured import (
-    RECONSTRUCTION,
-    Measured,
-    Table,
-    aligned,
-    markdown,
-)
+from services.evaluator.evaluation.measured import RECONSTRUCTION, Table, aligned, markdown
 from services.evaluator.evaluation.report import MEASURES_TABLE
 from services.registry.ports import FoundRun, ModelReference, ModelRegistry, Tracking
 
@@ -29,7 +23,9 @@ _RUN_ID = re.compile(r"[0-9a-f]{32}")
 _DIGEST = "model_digest"
 # A table of an evaluation has some 100 KiB.
 MAX_TABLE_BYTES = 16 * 2**20
+_KEY = ["split", "task", "family", "sampler", "measure"]
 _SHOWN = ("precision", "coverage", "edr", "knn_precision", "knn_recall")
+_PLANNING = ("planning_success", "iterations_ratio", "edge_checks_ratio", "success")
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,12 +35,12 @@ class Compared:
     Args:
         title: the version, or the run.
         run: the evaluation's.
-        rows: its estimates.
+        rows: its estimates, as the evaluation's table has them.
     """
 
     title: str
     run: FoundRun
-    rows: tuple[Measured, ...]
+    rows: pd.DataFrame
 
 
 def find(text: str, runs: Tracking, registry: ModelRegistry) -> Compared:
@@ -71,7 +67,7 @@ def find(text: str, runs: Tracking, registry: ModelRegistry) -> Compared:
         title = str(version)
     for one in found:
         rows = _rows(runs, one)
-        if rows:
+        if rows is not None:
             return Compared(title, one, rows)
     raise ConfigError(
         f"{text} was not evaluated",
@@ -88,24 +84,17 @@ def compare_table(compared: Sequence[Compared], *, everything: bool = False) -> 
         compared: in the order of the columns.
         everything: all estimates; else those of uniform scenes and of planning that versions are chosen by.
     """
-    keys = dict.fromkeys(_key(row) for one in compared for row in one.rows if everything or _is_shown(row))
-    found = [{_key(row): row for row in one.rows} for one in compared]
-    return [
-        ["split", "task", "family", "samples", "measure", *(one.title for one in compared)],
-        *([*key, *(_cell(rows.get(key)) for rows in found)] for key in keys),
-    ]
+    columns = [one.rows.set_index(_KEY)["shown"].rename(one.title) for one in compared]
+    table = pd.concat(columns, axis=1, sort=False).fillna("-").reset_index()
+    table = table if everything else table[_is_shown(table)]
+    return [list(table.rename(columns={"sampler": "samples"})), *table.to_numpy().tolist()]
 
 
 def compare_csv(compared: Sequence[Compared]) -> str:
     """All estimates in long form: one line each of every one compared."""
-    out = io.StringIO()
-    writer = csv.writer(out, lineterminator="\n")
-    names = ("split", "task", "family", "sampler", "measure", "value", "low", "high", "n")
-    writer.writerow(["compared", "run_id", *names])
-    for one in compared:
-        for row in one.rows:
-            writer.writerow([one.title, one.run.run_id, *(getattr(row, name) for name in names)])
-    return out.getvalue()
+    rows = [one.rows.assign(compared=one.title, run_id=one.run.run_id) for one in compared]
+    columns = ["compared", "run_id", *_KEY, "value", "low", "high", "n"]
+    return str(pd.concat(rows)[columns].to_csv(index=False, lineterminator="\n"))
 
 
 def write_comparison(compared: Sequence[Compared], folder: Path, *, everything: bool = False) -> None:
@@ -139,17 +128,16 @@ def make_parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _rows(runs: Tracking, run: FoundRun) -> tuple[Measured, ...]:
+def _rows(runs: Tracking, run: FoundRun) -> pd.DataFrame | None:
     with tempfile.TemporaryDirectory(prefix="cspace-compare-") as folder:
         path = runs.file(run.run_id, f"tables/{MEASURES_TABLE}.json", Path(folder))
         if path is None:
-            return ()
+            return None
         data = read_bounded(path, MAX_TABLE_BYTES, RegistryError)
-    known = {field.name for field in fields(Measured)}
     try:
         table = json.loads(data)
-        told = [dict(zip(table["columns"], row, strict=True)) for row in table["data"]]
-        return tuple(Measured(**{name: row[name] for name in known}) for row in told)
+        rows = pd.DataFrame(table["data"], columns=table["columns"])
+        return rows[["shown", *_KEY, "value", "low", "high", "n"]].astype({"n": "Int64"})
     except (ValueError, TypeError, LookupError, RecursionError) as error:
         raise RegistryError(
             f"the evaluation {run.run_id} has a damaged table",
@@ -159,15 +147,7 @@ def _rows(runs: Tracking, run: FoundRun) -> tuple[Measured, ...]:
         ) from error
 
 
-def _key(row: Measured) -> tuple[str, str, str, str, str]:
-    return row.split, row.task, row.family, row.sampler, row.measure
-
-
-def _is_shown(row: Measured) -> bool:
-    if row.task == RECONSTRUCTION:
-        return row.family == "uniform" and row.sampler in ("sampler", "confident") and row.measure in _SHOWN
-    return row.measure in ("planning_success", "iterations_ratio", "edge_checks_ratio", "success")
-
-
-def _cell(row: Measured | None) -> str:
-    return "-" if row is None else str(row)
+def _is_shown(table: pd.DataFrame) -> pd.Series:
+    scenes = (table["task"] == RECONSTRUCTION) & (table["family"] == "uniform")
+    scenes &= table["sampler"].isin(["sampler", "confident"]) & table["measure"].isin(_SHOWN)
+    return scenes | ((table["task"] != RECONSTRUCTION) & table["measure"].isin(_PLANNING))

@@ -25,7 +25,7 @@ from mlflow.exceptions import MlflowException
 from cspace.errors import RegistryError, RegistryUnavailableError
 from services.names import NOTE, TAG_JOB, TAG_KEY, TAG_MODEL, TAG_PRESET, TAG_STAGE
 from services.registry.mlflow_errors import all_pages, mapped, patiently
-from services.registry.ports import ID, ID_LENGTH, NOTHING, FoundRun, Picture, RunLog, RunStatus, flatten
+from services.registry.ports import ID, ID_LENGTH, FoundRun, Picture, RunLog, RunStatus, flatten
 
 # Limits of the server: metrics and parameters in one call, and characters of a data set's digest.
 MAX_BATCH, _MAX_PARAMS, MAX_DIGEST = 1000, 100, 36
@@ -100,12 +100,10 @@ class MlflowTracking:
                 run.open()
         return run
 
-    def note(
-        self, run_id: str, *, tags: Mapping[str, str] = NOTHING, metrics: Mapping[str, float] = NOTHING
-    ) -> None:
+    def note(self, run_id: str, tags: Mapping[str, str]) -> None:
         """Write onto a run; see :meth:`services.registry.ports.Tracking.note`."""
-        points, pairs = points_of(metrics, 0), [RunTag(*pair) for pair in tags.items()]
-        self.ask(f"writing onto run {run_id}", lambda: self.client.log_batch(run_id, points, tags=pairs))
+        pairs = [RunTag(*pair) for pair in tags.items()]
+        self.ask(f"setting tags of run {run_id}", lambda: self.client.log_batch(run_id, tags=pairs))
 
     def deliver(self) -> None:
         """Send what waits in the spool's folder, for every run."""

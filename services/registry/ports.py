@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from types import MappingProxyType, TracebackType
+from types import TracebackType
 from typing import Annotated, Any, ClassVar, Literal, Protocol, Self
 
 from pydantic import ConfigDict, Field
@@ -243,7 +243,6 @@ class ModelReference:
 
 
 RunStatus = Literal["FINISHED", "FAILED", "KILLED"]
-NOTHING: Mapping[str, Any] = MappingProxyType({})
 ID, ID_LENGTH = "{id}", 6
 """In a run's name, and how much of the run's id stands there instead."""
 
@@ -383,10 +382,8 @@ class Tracking(Protocol):
         """
         ...
 
-    def note(
-        self, run_id: str, *, tags: Mapping[str, str] = NOTHING, metrics: Mapping[str, float] = NOTHING
-    ) -> None:
-        """Set tags of a run and log metrics at step 0, whether it has ended or not; it is not resumed."""
+    def note(self, run_id: str, tags: Mapping[str, str]) -> None:
+        """Set tags of a run, whether it has ended or not; it is not resumed."""
         ...
 
     def deliver(self) -> None:

@@ -21,7 +21,6 @@ from services.names import TAG_KEY, world_tags
 from services.registry.ports import (
     ID,
     ID_LENGTH,
-    NOTHING,
     FoundRun,
     ModelVersion,
     Picture,
@@ -119,14 +118,10 @@ class FakeTracking:
         self.runs[run_id] = FakeRun(run_id, experiment, name, parent_run_id, tags=dict(tags or {}))
         return FakeRunLog(self.runs[run_id], {})
 
-    def note(
-        self, run_id: str, *, tags: Mapping[str, str] = NOTHING, metrics: Mapping[str, float] = NOTHING
-    ) -> None:
+    def note(self, run_id: str, tags: Mapping[str, str]) -> None:
         if run_id not in self.runs:
             raise RegistryError(f"there is no run {run_id}")
         self.runs[run_id].tags |= tags
-        for name, value in metrics.items():
-            self.runs[run_id].history.setdefault(name, []).append((0, float(value)))
 
     def deliver(self) -> None:
         pass

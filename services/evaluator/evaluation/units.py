@@ -6,6 +6,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -181,14 +182,7 @@ class Request:
 
 
 def make_request(
-    model: str,
-    *,
-    budget: str = "quick",
-    scenarios: int | None = None,
-    seed: int = 0,
-    promote: bool = True,
-    data: Path | None = None,
-    shipped: Path | None = None,
+    model: str, *, budget: str = "quick", scenarios: int | None = None, **others: Any
 ) -> Request:
     """A request from texts and numbers of the command line.
 
@@ -196,25 +190,20 @@ def make_request(
         model: ``name@alias`` or ``name/version``.
         budget: ``quick`` or ``full``.
         scenarios: per split, instead of the budget's.
-        seed: 0 to 2^63 - 1.
-        promote: see :class:`Request`.
-        data: likewise.
-        shipped: likewise.
+        others: of :class:`Request`.
 
     Raises:
         ConfigError: a value is out of range.
     """
     if budget not in BUDGETS:
         raise ConfigError("the budget is unknown", expected=" or ".join(BUDGETS), got=repr(budget))
-    if not 0 <= seed <= MAX_SEED:
-        raise ConfigError("the seed is out of range", expected=f"0 to {MAX_SEED}", got=str(seed))
     if scenarios is not None and scenarios < 1:
         raise ConfigError("there are too few scenarios", expected="at least 1", got=str(scenarios))
-    chosen = BUDGETS[budget]
-    if scenarios is not None:
-        chosen = replace(chosen, scenarios=scenarios)
-    reference = ModelReference.parse_version(model, "the model reference is unknown")
-    return Request(reference, chosen, seed, promote, data, shipped)
+    chosen = BUDGETS[budget] if scenarios is None else replace(BUDGETS[budget], scenarios=scenarios)
+    request = Request(ModelReference.parse_version(model, "the model reference is unknown"), chosen, **others)
+    if not 0 <= request.seed <= MAX_SEED:
+        raise ConfigError("the seed is out of range", expected=f"0 to {MAX_SEED}", got=str(request.seed))
+    return request
 
 
 @dataclass(frozen=True, slots=True)

@@ -47,7 +47,7 @@ def judged(tracking, version, rows=(), **metrics):
         run.metrics(metrics, 0)
         if rows:
             columns = {one.name: [asdict(row)[one.name] for row in rows] for one in fields(Measured)}
-            run.table(columns, "measures")
+            run.table({"shown": [str(row) for row in rows], **columns}, "measures")
         return run.run_id
 
 
