@@ -43,16 +43,12 @@ class Piece:
 class Chain:
     """A serial arm without its spheres.
 
-    Args:
-        joints: of the arm.
-        pieces: all links, parents first.
-        tool: the tip's frame, in that of the last link.
-        held: joints that do not move and are not fixed.
-        notes: warnings for the report.
+    ``frames`` holds, for all links and parents first, the arm's link that each is fixed to and its frame
+    (4, 4) in that one's; ``tool`` is the tip's; ``held`` do not move; ``notes`` are warnings.
     """
 
     joints: tuple[Joint, ...]
-    pieces: tuple[Piece, ...]
+    frames: dict[str, tuple[int, Matrix]]
     tool: Frame
     held: tuple[Held, ...]
     notes: tuple[str, ...]
@@ -66,11 +62,7 @@ def read_chain(
     Joints beside the chain are held: at the value that is given, where the joint that they mimic puts them,
     else as near to zero as their limits allow.
 
-    Args:
-        description: of the robot.
-        tip: the link whose frame is the tool's; None where only one link is last.
-        locked: values of joints that do not move, rad or m.
-        limits: of joints, instead of the description's, rad; None for a circle.
+    Joints in ``locked`` do not move, rad or m; ``limits`` replace the description's, rad, None for a circle.
 
     Raises:
         ScenarioError: the tip is not clear, a joint between root and tip can neither move nor be held, its
@@ -99,9 +91,8 @@ def read_chain(
             got=f"none between {path[0]} and {path[-1]}",
             remedy="name another link with --tip",
         )
-    pieces = tuple(Piece(name, number, frame) for name, (number, frame) in frames.items())
     tool = Frame.of(frames[path[-1]][1])
-    return Chain(tuple(joints), pieces, tool, tuple(reader.held), tuple(reader.notes))
+    return Chain(tuple(joints), frames, tool, tuple(reader.held), tuple(reader.notes))
 
 
 def _path(description: Description, tip: str | None) -> list[str]:

@@ -1,12 +1,9 @@
 """Few spheres that cover a solid and stick out little.
 
-A sphere round c sticks out by no more than m where its radius is at most the depth of c plus m. So every
-point of a grid through the solid, and through the shell of m / 2 around it, offers the sphere of that radius.
-A greedy set cover (Chvatal 1979) takes those that cover most points left of the surface and of the inside,
-until all are within the slack. A search in large neighbourhoods (Shaw 1998) then takes away spheres that
-stand together and covers anew what they leave, as long as that needs no more. Points of the surface that were
-drawn afresh and are missed join the others, and it goes on from there. Where no sphere of the grid reaches a
-point, as at the corners of large parts, the point and others about it become centres too.
+A sphere round c sticks out by no more than m where its radius is at most the depth of c plus m. So each
+point of a grid through the solid and the shell of m / 2 around it offers that sphere, and so do points that
+no such sphere reaches, with others about them. A greedy set cover (Chvatal 1979) chooses among them until all
+points of the surface and of the inside are within the slack, also those that are drawn afresh.
 """
 
 from collections.abc import Sequence
@@ -27,29 +24,17 @@ _ROUNDED_M = 2e-5
 # Of the slack, for what lies between the points that are looked at; the part of it that may be used up.
 _RESERVE_M, _USED_M = 0.0003, 0.0002
 _SURFACE_POINTS = 2000
-_FRESH_POINTS = 5000
+_FRESH_POINTS = 20_000
 _INSIDE_POINTS = 500
 _GRID_POINTS = 24_000
 # Points that become centres at a time, with so many others about each.
 _MORE_POINTS, _AROUND = 400, 6
 _PASSES = 40
-_SEARCHES = 4
-_TRIES = 30
-# Chosen spheres; more are of parts so large that a search changes little.
-_MOST_SEARCHED = 300
 
 
 @dataclass(frozen=True, slots=True)
 class Allowances:
-    """How far spheres may miss a solid, m.
-
-    Args:
-        slack_m: how far points of the surface may lie outside all spheres.
-        excess_m: how far spheres may stick out.
-
-    Raises:
-        ScenarioError: one is below a millimetre or above a metre.
-    """
+    """How far points of a surface may lie outside all spheres, and how far spheres may stick out, m."""
 
     slack_m: float = 0.002
     excess_m: float = 0.010
@@ -65,15 +50,7 @@ class Allowances:
 
 @dataclass(frozen=True, slots=True)
 class Fit:
-    """How well spheres cover a solid, measured at points that the cover was not made for.
-
-    Args:
-        spheres: how many.
-        missed_m: how far the worst point of the surface lies outside all spheres; negative where none does.
-        missed_share: of the surface outside all spheres.
-        excess_m: how far the worst point of a sphere lies outside the solid.
-        mean_excess_m: the mean of that over the surface of the spheres' union.
-    """
+    """How many spheres there are, what they miss of the surface and what sticks out."""
 
     spheres: int
     missed_m: float
@@ -130,15 +107,12 @@ def cover(solids: Sequence[Solid], allowances: Allowances, rng: np.random.Genera
     """Centres and radii of spheres that cover a union of solids, (K, 4) m."""
     candidates = _Candidates(solids, allowances, rng)
     chosen = np.empty(0, dtype=np.int64)
-    for turn in range(_PASSES):
-        covered, searching = candidates.covered, turn < _SEARCHES
-        chosen = _without_needless(covered, _completed(covered, chosen))
-        if searching and len(chosen) <= _MOST_SEARCHED:
-            chosen = _improved(covered, chosen, rng)
+    for _ in range(_PASSES):
+        chosen = _without_needless(candidates.covered, _completed(candidates.covered, chosen))
         spheres = candidates.spheres(chosen)
-        fresh = union_surface(solids, _FRESH_POINTS if searching else 4 * _FRESH_POINTS, rng)
+        fresh = union_surface(solids, _FRESH_POINTS, rng)
         gaps = gaps_m(fresh, spheres)
-        if not searching and gaps.max() <= allowances.slack_m - _RESERVE_M + _USED_M:
+        if gaps.max() <= allowances.slack_m - _RESERVE_M + _USED_M:
             break
         candidates.add(fresh[gaps > allowances.slack_m - _RESERVE_M])
     return spheres
@@ -146,7 +120,7 @@ def cover(solids: Sequence[Solid], allowances: Allowances, rng: np.random.Genera
 
 def measure(solids: Sequence[Solid], spheres: Floats, rng: np.random.Generator) -> Fit:
     """How well spheres (K, 4) cover a union of solids."""
-    missed = gaps_m(union_surface(solids, 2 * _FRESH_POINTS, rng), spheres)
+    missed = gaps_m(union_surface(solids, _FRESH_POINTS, rng), spheres)
     drawn = rng.normal(size=(len(spheres), 400, 3))
     drawn /= np.linalg.norm(drawn, axis=-1, keepdims=True)
     shells = (spheres[:, None, :3] + spheres[:, None, 3:] * drawn).reshape(-1, 3)
@@ -206,24 +180,6 @@ def _completed(covered: Flags, chosen: Indices) -> Indices:
         left = left[~gone]
         added.append(best)
     return np.asarray(added, dtype=np.int64)
-
-
-def _improved(covered: Flags, chosen: Indices, rng: np.random.Generator) -> Indices:
-    """A choice of no more spheres that covers every point, too."""
-    for _ in range(_TRIES if len(chosen) > 1 else 0):
-        overlap = covered[:, chosen].T.astype(np.float32)
-        shared = overlap @ overlap[rng.integers(len(chosen))]
-        # Those that share most with one of them, and a few by chance.
-        odds = shared + 0.02 * shared.max() * rng.random(len(chosen))
-        kept = np.sort(np.argsort(odds)[: -int(rng.integers(2, 8))])
-        # Greed starts with a sphere by chance, or it would end where it began.
-        left = covered[~covered[:, chosen[kept]].any(axis=1)]
-        useful = np.flatnonzero(left.any(axis=0))
-        first = rng.choice(useful, size=min(len(useful), 1))
-        found = _without_needless(covered, _completed(covered, np.concatenate([chosen[kept], first])))
-        if len(found) <= len(chosen):
-            chosen = found
-    return chosen
 
 
 def _without_needless(covered: Flags, chosen: Indices) -> Indices:

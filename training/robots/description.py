@@ -22,31 +22,14 @@ MAX_BYTES = 16_000_000
 MAX_LINKS = 1000
 _REMEDY = "give the path of a URDF, xacro or SRDF file"
 # How many numbers attributes hold; a mesh's scale may be one for all axes.
-_NUMBERS = {
-    "origin xyz": (3,),
-    "origin rpy": (3,),
-    "axis xyz": (3,),
-    "box size": (3,),
-    "mesh scale": (1, 3),
-    "sphere radius": (1,),
-    "cylinder radius": (1,),
-    "cylinder length": (1,),
-    "mimic multiplier": (1,),
-    "mimic offset": (1,),
-}
+_NUMBERS = dict.fromkeys(("xyz", "rpy", "size"), (3,)) | {"scale": (1, 3)}
+_NUMBERS |= dict.fromkeys(("radius", "length", "multiplier", "offset"), (1,))
 _UNUSED = ("inertial", "material", "dynamics", "calibration", "safety_controller")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Description:
-    """A tree of links.
-
-    Args:
-        name: of the robot.
-        links: yourdfpy's links by their names.
-        joints: yourdfpy's joints by the names of the links after them.
-        lines: in the file, by ``"link NAME"`` and ``"joint NAME"``.
-    """
+    """yourdfpy's links by name, its joints by the links after them, lines by ``"link NAME"``."""
 
     name: str
     links: dict[str, Any]
@@ -59,12 +42,7 @@ class Description:
 
 
 def read_description(path: Path, packages: Mapping[str, Path], arguments: Mapping[str, str]) -> Description:
-    """The description in a URDF file, or in a file whose name ends with ``.xacro``.
-
-    Args:
-        path: of the file.
-        packages: folders of packages by their names, where xacro looks first.
-        arguments: of xacro.
+    """The description in a URDF file, or in a file whose name ends with ``.xacro``, expanded with arguments.
 
     Raises:
         ScenarioError: there is no such file, xacro cannot expand it, or it is no tree of links.
@@ -178,7 +156,7 @@ def _elements(robot: Any, kind: str, lines: dict[str, int]) -> dict[str, Any]:
         etree.strip_elements(element, *_UNUSED, with_tail=False)
         for part in element.iter():
             for key, text in part.items():
-                counts = _NUMBERS.get(f"{part.tag} {key}")
+                counts = _NUMBERS.get(key)
                 if counts is not None and not _are_numbers(text, counts):
                     what = f"{key} of <{part.tag}> in line {part.sourceline}, of {where}, does not fit"
                     raise ScenarioError(what, expected=f"{counts[-1]} finite numbers", got=repr(text)[:200])

@@ -73,16 +73,9 @@ class Touching:
 
 @dataclass(frozen=True, slots=True)
 class Imported:
-    """A robot and how it came about.
+    """A robot, fits by the names of its parts, pairs of parts, held joints, warnings, and the SRDF file.
 
-    Args:
-        arm: the robot.
-        fits: how well its spheres fit, by the names of its parts.
-        touching: all pairs of parts of different links.
-        held: joints that do not move.
-        notes: warnings.
-        surfaces: (N, 3) points of each part's surface in its link's frame, m.
-        srdf: the file that was read.
+    ``surfaces`` are points of each part's surface (N, 3) in its link's frame, m.
     """
 
     arm: SerialArm
@@ -112,16 +105,13 @@ def import_robot(request: Request, tell: Callable[[str], None] = lambda _: None)
     jointed = SerialArm(description.name, chain.joints, (), (), chain.tool, request.ready_rad)
     solids, notes = _solids(description, chain, request)
     parts, fits, surfaces = [], {}, {}
-    for piece in chain.pieces:
-        if (own := solids.get(piece.name)) is None:
-            continue
-        tell(piece.name)
-        spheres, fits[piece.name] = _spheres(own, description.at("link", piece.name), request.allowances)
-        places = moved(piece.frame, spheres[:, :3])
-        rows = np.round(np.column_stack([places, spheres[:, 3]]), _DIGITS).tolist()
-        parts.append(Part(piece.name, piece.link, tuple((x, y, z, radius) for x, y, z, radius in rows)))
-        points = union_surface(own, _PICTURE_POINTS, np.random.default_rng(_SEED))
-        surfaces[piece.name] = moved(piece.frame, points)
+    for name, own in solids.items():
+        tell(name)
+        number, frame = chain.frames[name]
+        spheres, fits[name] = _spheres(own, description.at("link", name), request.allowances)
+        rows = np.round(np.column_stack([moved(frame, spheres[:, :3]), spheres[:, 3]]), _DIGITS).tolist()
+        parts.append(Part(name, number, tuple((x, y, z, radius) for x, y, z, radius in rows)))
+        surfaces[name] = moved(frame, union_surface(own, _PICTURE_POINTS, np.random.default_rng(_SEED)))
     if (count := sum(fit.spheres for fit in fits.values())) > MAX_SPHERES:
         raise ScenarioError(
             "the robot needs too many spheres",
@@ -147,17 +137,17 @@ def _solids(
     folder, gone, pictured = request.urdf.resolve().parent, set(request.without), []
     solids: dict[str, list[Solid]] = {}
     notes: list[str] = []
-    for piece in chain.pieces:
-        joint, link = description.joints.get(piece.name), description.links[piece.name]
-        if piece.name in gone or (joint is not None and joint.parent in gone):
-            gone.add(piece.name)
+    for name in chain.frames:
+        joint, link = description.joints.get(name), description.links[name]
+        if name in gone or (joint is not None and joint.parent in gone):
+            gone.add(name)
             continue
-        where, shapes = description.at("link", piece.name), link.collisions or link.visuals
-        found, more = read_solids(shapes, where, folder, request.packages)
+        shapes = link.collisions or link.visuals
+        found, more = read_solids(shapes, description.at("link", name), folder, request.packages)
         notes += more
         if found:
-            solids[piece.name] = found
-            pictured += [] if link.collisions else [piece.name]
+            solids[name] = found
+            pictured += [] if link.collisions else [name]
     if gone:
         notes.append(f"left out by --without: {', '.join(sorted(gone))}")
     if pictured:

@@ -27,6 +27,7 @@ _FACETS = 48
 _FORMATS = {kind: kind for kind in ("dae", "obj", "ply", "stl")}
 _MAX_FILE_BYTES = 64_000_000
 _MAX_M = 100.0
+_MAX_NAME = 250
 _PACKAGE, _FILE = "package://", "file://"
 
 
@@ -40,7 +41,6 @@ class Solid:
 
     def __init__(self, mesh: Any, sphere: Floats | None = None) -> None:
         self.sphere = sphere
-        mesh.update_faces(mesh.nondegenerate_faces())
         self.mesh = mesh
         self._vertices = np.ascontiguousarray(mesh.vertices, dtype=np.float64)
         self._faces = np.ascontiguousarray(mesh.faces, dtype=np.int64)
@@ -88,13 +88,7 @@ def union_surface(solids: Sequence[Solid], count: int, rng: np.random.Generator)
 def read_solids(
     shapes: Iterable[Any], where: str, folder: Path, packages: Mapping[str, Path]
 ) -> tuple[list[Solid], list[str]]:
-    """The solids of a link's shapes in the frame of the link, and notes on shapes that have no size.
-
-    Args:
-        shapes: collision or visual shapes as yourdfpy reads them.
-        where: the link, for messages.
-        folder: where the description lies.
-        packages: folders of packages by their names.
+    """The solids of a link's shapes, as yourdfpy reads them, in the frame of the link, and warnings.
 
     Raises:
         ScenarioError: a mesh is not found or cannot be read, or a size does not fit.
@@ -162,14 +156,13 @@ def load_mesh(path: Path, scale: Floats, where: str) -> Any:
         mesh = trimesh.Trimesh(vertices, mesh.faces, process=False)
     except Exception as error:  # readers of strangers' bytes raise whatever they meet
         raise ScenarioError(
-            f"a mesh of {where} cannot be read",
-            expected=", ".join(_FORMATS),
-            got=f"{path}: {error!r}"[:300],
+            f"a mesh of {where} cannot be read", expected=", ".join(_FORMATS), got=f"{path}: {error!r}"[:300]
         ) from error
     reach = float(np.abs(vertices * scale).max()) if len(mesh.faces) else np.nan
     if reach <= _MAX_M:
         mesh.apply_transform(np.diag([*scale, 1.0]))
         mesh.merge_vertices(merge_tex=True, merge_norm=True)
+        mesh.update_faces(mesh.nondegenerate_faces())
     if not (reach <= _MAX_M and mesh.area > 0.0):
         raise ScenarioError(
             f"a mesh of {where} does not fit",
@@ -196,8 +189,8 @@ def found_file(name: str, folder: Path, packages: Mapping[str, Path]) -> Path:
     else:
         places = [(folder / name.removeprefix(_FILE), (package_of(folder), *packages.values()))]
         remedy = "put the mesh where the description names it"
-    for place, within in places:
-        if not _is_file(place):
+    for place, within in [] if "\0" in name or len(name) > _MAX_NAME else places:
+        if not place.is_file():
             continue
         real = place.resolve()
         if any(real.is_relative_to(root.resolve()) for root in within):
@@ -211,11 +204,3 @@ def found_file(name: str, folder: Path, packages: Mapping[str, Path]) -> Path:
     raise ScenarioError(
         "a mesh is not found", expected=f"a file at {name[:200]}", got=f"none from {folder}", remedy=remedy
     )
-
-
-def _is_file(place: Path) -> bool:
-    try:
-        return place.is_file()
-    except (OSError, ValueError):
-        # A name that no file can have.
-        return False

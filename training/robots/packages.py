@@ -8,6 +8,7 @@ the description alone.
 import errno
 import json
 import os
+import re
 import sys
 from collections.abc import Mapping
 from pathlib import Path
@@ -22,30 +23,15 @@ def package_of(folder: Path) -> Path:
 
 
 def package_roots(name: str, folder: Path, packages: Mapping[str, Path]) -> list[Path]:
-    """Where a package may lie: where it was said to, else beside the folders above the description.
-
-    Args:
-        name: of the package.
-        folder: where the description lies.
-        packages: folders of packages by their names.
-    """
+    """Where a package may lie: as given, else above the description or beside these folders."""
     if name in packages:
         return [packages[name]]
-    if name in {"", ".", ".."} or Path(name).name != name:
+    if not re.fullmatch(r"\w[\w.-]{,99}", name):
         return []
     # A folder that says it is a package, or the description's own in a copy that left this out.
-    found = [
-        root for one in (folder, *folder.parents) for root in (one / name, one) if _is_package(root, name)
-    ]
+    places = [root for one in (folder, *folder.parents) for root in (one / name, one) if root.name == name]
+    found = [root for root in places if (root / "package.xml").is_file()]
     return found + [one for one in (folder, folder.parent) if one.name == name and len(one.parts) > 2]
-
-
-def _is_package(folder: Path, name: str) -> bool:
-    try:
-        return folder.name == name and (folder / "package.xml").is_file()
-    except (OSError, ValueError):
-        # A name that no folder can have.
-        return False
 
 
 def _expand(file: str, packages: dict[str, str], arguments: dict[str, str]) -> str:

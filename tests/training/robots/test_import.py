@@ -24,7 +24,6 @@ ROUND = ROUND_UPPER.replace(BOX, '<sphere radius="0.05"/>')
 @pytest.fixture(autouse=True)
 def coarse_search(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(covering, "_GRID_POINTS", 4000)
-    monkeypatch.setattr(covering, "_TRIES", 5)
 
 
 def test_a_description_becomes_a_robot_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
