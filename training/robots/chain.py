@@ -75,7 +75,7 @@ def read_chain(
         raise ScenarioError("joints are unknown", expected=known, got=str(unknown))
     frames: dict[str, tuple[int, Matrix]] = {path[0]: (0, np.eye(4))}
     joints: list[Joint] = []
-    for link in _in_order(description, path):
+    for link in list(description.links)[1:]:
         joint = description.joints[link]
         number, before = frames[joint.parent]
         origin = before if joint.origin is None else before @ joint.origin
@@ -108,20 +108,9 @@ def _path(description: Description, tip: str | None) -> list[str]:
             remedy="name a link with --tip",
         )
     path = [str(tip)]
-    while path[-1] in description.joints and len(path) <= len(description.links):
+    while path[-1] in description.joints:
         path.append(description.joints[path[-1]].parent)
     return path[::-1]
-
-
-def _in_order(description: Description, path: list[str]) -> list[str]:
-    """All links after the root, parents first, those of the path before others."""
-    order, left = list(path), {child: one.parent for child, one in description.joints.items()}
-    for link in order:
-        order.extend(child for child, parent in left.items() if parent == link and child not in path)
-    apart = sorted(set(description.links) - set(order))
-    if apart or len(order) > len(description.links):
-        raise ScenarioError("the description is no tree of links", expected="one root", got=f"apart: {apart}")
-    return order[1:]
 
 
 @dataclass(slots=True)

@@ -29,7 +29,7 @@ _UNUSED = ("inertial", "material", "dynamics", "calibration", "safety_controller
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Description:
-    """yourdfpy's links by name, its joints by the links after them, lines by ``"link NAME"``."""
+    """yourdfpy's links (parents first), its joints by the links after them, lines by ``"link NAME"``."""
 
     name: str
     links: dict[str, Any]
@@ -67,14 +67,17 @@ def read_description(path: Path, packages: Mapping[str, Path], arguments: Mappin
     by_child = {joint.child: joint for joint in joints.values()}
     unknown = sorted({str(name) for one in joints.values() for name in (one.parent, one.child)} - set(links))
     roots = [name for name in links if name not in by_child]
-    if unknown or len(by_child) != len(joints) or len(roots) != 1:
-        what = f"a link with two parents, or other than one root: {roots}"
+    order = roots[:1]
+    for link in order:
+        order.extend(child for child, joint in by_child.items() if joint.parent == link)
+    if unknown or len(by_child) != len(joints) or len(roots) != 1 or len(order) != len(links):
+        what = f"a link with two parents, a ring, or other than one root: {roots}"
         raise ScenarioError(
             "the description is no tree of links",
             expected="links that exist, one joint before each but one root",
             got=f"unknown links {unknown}" if unknown else what[:300],
         )
-    return Description(robot.get("name", path.stem), links, by_child, lines)
+    return Description(robot.get("name", path.stem), {one: links[one] for one in order}, by_child, lines)
 
 
 def find_srdf(urdf: Path) -> Path | None:

@@ -32,20 +32,10 @@ _TOLERANCE_M = 0.0005
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """What is asked for.
+    """What is asked for, as the options of the command.
 
-    Args:
-        urdf: the description, URDF or xacro.
-        srdf: with the pairs that need no check; None for the one beside the description, if there is one.
-        tip: the link whose frame is the tool's; None where only one is last.
-        locked: values of joints that do not move, rad or m.
-        limits: of joints, instead of the description's, rad; None for a circle.
-        packages: folders of packages by their names.
-        arguments: of xacro.
-        without: links whose shapes are left out, with all behind them.
-        kept: pairs that are held apart whatever the SRDF says.
-        allowances: of the spheres.
-        ready_rad: where the arm waits, joint after joint; None for the middle of its limits.
+    Where they are None, the SRDF file is that beside the description, the tip is the last link, the arm waits
+    in the middle of its limits. Values of ``locked`` are rad or m, ``limits`` rad, None for a circle.
     """
 
     urdf: Path

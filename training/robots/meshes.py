@@ -123,12 +123,9 @@ def read_solids(
 
 
 def _sizes(geometry: Any) -> tuple[str, Floats]:
-    if geometry.box is not None:
-        return "box", np.asarray(geometry.box.size)
-    if geometry.cylinder is not None:
-        return "cylinder", np.asarray([geometry.cylinder.radius, geometry.cylinder.length])
-    if geometry.sphere is not None:
-        return "sphere", np.asarray([geometry.sphere.radius])
+    for kind, keys in (("box", ("size",)), ("cylinder", ("radius", "length")), ("sphere", ("radius",))):
+        if (found := getattr(geometry, kind)) is not None:
+            return kind, np.hstack([getattr(found, key) for key in keys])
     scale = geometry.mesh.scale
     return "mesh", np.ones(3) * (1.0 if scale is None else scale)
 
