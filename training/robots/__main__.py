@@ -70,12 +70,14 @@ def parser() -> argparse.ArgumentParser:
     one.add_argument("--ready", metavar="A,B,...", help=waits)
     outside = "of the surface outside the spheres; default 2"
     one.add_argument("--slack-mm", type=float, default=2.0, help=outside)
-    one.add_argument("--excess-mm", type=float, default=10.0, help="that spheres stick out; default 10")
+    sticks_out = "that spheres stick out; default 10, and more of parts that are longer than 0.8 m"
+    one.add_argument("--excess-mm", type=float, help=sticks_out)
     one.add_argument("--out", type=Path, required=True, metavar="FILE", help="where the robot goes, JSON")
     return result
 
 
 def _request(options: argparse.Namespace) -> Request:
+    excess_m = (10.0 if options.excess_mm is None else options.excess_mm) / 1e3
     ready = None if options.ready is None else options.ready.split(",")
     return Request(
         urdf=options.urdf,
@@ -87,7 +89,7 @@ def _request(options: argparse.Namespace) -> Request:
         arguments=_pairs("--xacro", options.xacro),
         without=tuple(options.without),
         kept=tuple((first, second) for first, second in options.keep),
-        allowances=Allowances(options.slack_mm / 1e3, options.excess_mm / 1e3),
+        allowances=Allowances(options.slack_mm / 1e3, excess_m, relaxed=options.excess_mm is None),
         ready_rad=None if ready is None else tuple(_number("--ready", text) for text in ready),
     )
 

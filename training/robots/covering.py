@@ -7,7 +7,7 @@ points of the surface and of the inside are within the slack, also those that ar
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,10 +34,20 @@ _PASSES = 40
 
 @dataclass(frozen=True, slots=True)
 class Allowances:
-    """How far points of a surface may lie outside all spheres, and how far spheres may stick out, m."""
+    """How far points of a surface may lie outside all spheres, and how far spheres may stick out, m.
+
+    If ``relaxed``, spheres of parts longer than 0.8 m may stick out more, by 3 % of the excess length.
+    """
 
     slack_m: float = 0.002
     excess_m: float = 0.010
+    relaxed: bool = True
+
+    def of(self, solids: Sequence[Solid]) -> "Allowances":
+        """The allowances of a part."""
+        bounds = np.stack([solid.mesh.bounds for solid in solids])
+        diagonal = float(np.linalg.norm(bounds[:, 1].max(axis=0) - bounds[:, 0].min(axis=0)))
+        return replace(self, excess_m=self.excess_m + self.relaxed * 0.03 * max(0.0, diagonal - 0.8))
 
     def __post_init__(self) -> None:
         if not all(0.001 <= one <= 1.0 for one in (self.slack_m, self.excess_m)):

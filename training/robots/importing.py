@@ -98,7 +98,10 @@ def import_robot(request: Request, tell: Callable[[str], None] = lambda _: None)
     for name, own in solids.items():
         tell(name)
         number, frame = chain.frames[name]
-        spheres, fits[name] = _spheres(own, description.at("link", name), request.allowances)
+        where, allowed = description.at("link", name), request.allowances.of(own)
+        spheres, fits[name] = _spheres(own, where, allowed)
+        if allowed.excess_m > request.allowances.excess_m:
+            notes.append(f"{where} is large: spheres stick out by up to {1e3 * allowed.excess_m:.0f} mm")
         rows = np.round(np.column_stack([moved(frame, spheres[:, :3]), spheres[:, 3]]), _DIGITS).tolist()
         parts.append(Part(name, number, tuple((x, y, z, radius) for x, y, z, radius in rows)))
         surfaces[name] = moved(frame, union_surface(own, _PICTURE_POINTS, np.random.default_rng(_SEED)))
