@@ -210,7 +210,7 @@ class Manifest:
 
 def _read_members(path: Path) -> dict[str, Any]:
     """The members of the manifest's JSON as this schema has them, without their version."""
-    remedy = "see docs/data.md for the format, python -m training.datasets import for own data"
+    remedy = "see docs/data.md for the format, python -m training.data import for own data"
     data = read_bounded(path, MAX_MANIFEST_BYTES, DatasetError, remedy=remedy)
     try:
         values = parse_json(data, whole=int)

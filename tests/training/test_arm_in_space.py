@@ -13,7 +13,7 @@ from cspace.worlds import checker_of, examples, picture_file_of, simulator_of
 from services.registry.mlflow_registry import MlflowRegistry
 from tests.contracts.mlflow_server import mlflow_server
 from tests.training.clusters.test_pipeline import submit
-from training.datasets.__main__ import main as datasets
+from training.data.__main__ import main as datasets
 
 pytestmark = [pytest.mark.e2e, pytest.mark.slow, pytest.mark.timeout(600)]
 

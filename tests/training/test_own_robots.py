@@ -20,7 +20,7 @@ from services.registry.mlflow_registry import MlflowRegistry
 from services.scene_files import SceneFile, read_scene_file
 from tests.contracts.mlflow_server import mlflow_server
 from tests.own_ray import run_alone
-from training.datasets.configurations import plot_configurations
+from training.data.configurations import plot_configurations
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -110,7 +110,7 @@ def test_an_own_robot_goes_from_its_file_to_a_version_and_a_verdict(name, uri, t
     robot, data = tmp_path / "robot.json", tmp_path / "data"
     robot.write_text(json.dumps({"name": f"arm-{name}", "robot": ARMS[name], "scenes": FAMILY}))
     counts = ("--scenario-count", "24", "--extra-image-count", "24", "--free-per-scenario", "64")
-    run(uri, tmp_path, "-m", "training.datasets", "generate", str(data), "--robot", str(robot), *counts)
+    run(uri, tmp_path, "-m", "training.data", "generate", str(data), "--robot", str(robot), *counts)
     settings = ("--preset", "smoke", "--set", f"data_folder={data}")
     told = run(uri, tmp_path, str(ROOT / "training" / "cluster_train.py"), *settings)
     result = json.loads(told.rpartition("RESULT ")[2].splitlines()[0])

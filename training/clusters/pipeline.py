@@ -25,7 +25,7 @@ from services.results import numbers
 from training.clusters.bundling import TrainedParts, make_bundle
 from training.clusters.clustering import Partition, cluster, group
 from training.config import CLUSTERS_FILE, TrainConfig
-from training.datasets.generate import generate
+from training.data.generate import generate
 from training.jobs.environment import Environment, job_tags
 from training.jobs.figures import PANELS, own_curves, wgan_curves
 from training.jobs.job import TAG_START, Job, kept_bundle, log_configuration, registered_name, world_tag

@@ -13,7 +13,7 @@ from services.names import ALIAS_CHALLENGER, TAG_MODEL, recorded_name
 from services.registry.mlflow_registry import MlflowRegistry
 from services.results import numbers
 from training.config import PathTrainConfig
-from training.datasets.generate import generate
+from training.data.generate import generate
 from training.jobs.environment import Environment, job_tags
 from training.jobs.figures import path_curves
 from training.jobs.job import TAG_START, Job, kept_bundle, log_configuration, registered_name, world_tag

@@ -128,7 +128,7 @@ def test_bytes_that_are_no_text_are_an_error(folder):
 
 
 def test_a_folder_without_a_manifest_is_no_data_set(tmp_path):
-    with pytest.raises(DatasetError, match=r"manifest\.json.*training.datasets import"):
+    with pytest.raises(DatasetError, match=r"manifest\.json.*training.data import"):
         open_dataset(tmp_path)
 
 

@@ -13,7 +13,7 @@ from cspace.errors import ConfigError, ScenarioError
 from cspace.worlds.planar.arm import TWO_LINK, PlanarArm
 from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.world import PlanarWorld
-from training.datasets.config import GeneratedConfig
+from training.data.config import GeneratedConfig
 
 
 def described(*arguments, sensor=True):

@@ -19,9 +19,9 @@ from tests.contracts.mlflow_server import mlflow_server
 from tests.inference_api.client import running
 from tests.own_ray import run_alone
 from training.config import CLUSTERS_FILE
-from training.datasets.config import DatasetConfig
-from training.datasets.configurations import ConfigurationRecipe
-from training.datasets.merge import merge
+from training.data.config import DatasetConfig
+from training.data.configurations import ConfigurationRecipe
+from training.data.merge import merge
 from training.jobs.job import TAG_START
 
 pytestmark = [pytest.mark.e2e, pytest.mark.slow, pytest.mark.timeout(400)]

@@ -14,8 +14,8 @@ from cspace.worlds.spatial.problems import reaches_into
 from tests.space_bundle import LATENT, WORLD, write_space_bundle
 from tests.training.models.test_path_models import answer
 from training.config import PathTrainConfig, load_path_config
-from training.datasets.config import PathDatasetConfig
-from training.datasets.paths import PathRecipe
+from training.data.config import PathDatasetConfig
+from training.data.paths import PathRecipe
 from training.models.autoencoders import network_size
 from training.models.lookups import make_lookups, read
 from training.models.mixture import look

@@ -1,4 +1,4 @@
-"""Data sets: ``python -m training.datasets generate|paths|import|import-recording|merge|verify``.
+"""Data sets: ``python -m training.data generate|paths|import|import-recording|merge|verify``.
 
 Exit codes: 0 done; 1 the data or the disk is bad; 2 the command is wrong.
 """
@@ -18,10 +18,10 @@ from cspace.errors import ConfigError, CspaceError, ScenarioError, StorageError
 from cspace.worlds import add_world_options, described_world
 from services.command_errors import tell_error
 from services.scene_files import given_scenes, read_scene_file
-from training.datasets.config import DatasetConfig, PathDatasetConfig
-from training.datasets.merge import merge
-from training.datasets.own import import_folder
-from training.datasets.recordings import add_recording_options
+from training.data.config import DatasetConfig, PathDatasetConfig
+from training.data.merge import merge
+from training.data.own import import_folder
+from training.data.recordings import add_recording_options
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -46,7 +46,7 @@ def describe(dataset: Dataset) -> str:
 def parser() -> argparse.ArgumentParser:
     """The command line."""
     result = argparse.ArgumentParser(
-        prog="python -m training.datasets",
+        prog="python -m training.data",
         description="Make, import, merge and verify data-set folders.",
         epilog="Exit codes: 0 done, 1 the data or the disk is bad, 2 the command is wrong.",
     )
@@ -141,7 +141,7 @@ def _made(options: argparse.Namespace, kind: type[DatasetConfig] | type[PathData
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     os.environ.setdefault("RAY_AUTH_MODE", "token")
     # Imported here so that import and verify do not wait for Ray.
-    from training.datasets.generate import generate  # noqa: PLC0415
+    from training.data.generate import generate  # noqa: PLC0415
 
     return generate(config, options.folder.absolute())
 

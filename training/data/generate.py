@@ -14,10 +14,10 @@ from cspace.errors import DatasetError, StorageError
 from cspace.files import make_output_folder
 from services.evaluator.cluster import spread
 from services.progress import Progress
-from training.datasets.config import DatasetConfig, PathDatasetConfig
-from training.datasets.configurations import ConfigurationRecipe
-from training.datasets.paths import PathRecipe
-from training.datasets.shards import Shard, load_shard, save_shard
+from training.data.config import DatasetConfig, PathDatasetConfig
+from training.data.configurations import ConfigurationRecipe
+from training.data.paths import PathRecipe
+from training.data.shards import Shard, load_shard, save_shard
 
 _LOG = logging.getLogger("training")
 

@@ -7,7 +7,7 @@ import pytest
 from PIL import Image
 
 from cspace.dataset import open_dataset
-from training.datasets.__main__ import main
+from training.data.__main__ import main
 
 
 @pytest.fixture
@@ -75,7 +75,7 @@ def test_every_command_has_its_help(arguments, capsys):
     with pytest.raises(SystemExit) as ended:
         main([*arguments, "--help"])
     assert ended.value.code == 0
-    assert "usage: python -m training.datasets" in capsys.readouterr().out
+    assert "usage: python -m training.data" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("arguments", [[], ["paint"], ["verify"], ["generate", "x", "--split", "holdout"]])
@@ -111,7 +111,7 @@ PATHS = (
     ids=["generate", "generate in a shell for jobs", "paths in a shell for jobs"],
 )
 def test_the_command_generates_with_a_ray_of_its_own(tmp_path, arguments, address):
-    command = [sys.executable, "-m", "training.datasets", arguments[0], str(tmp_path / "data")]
+    command = [sys.executable, "-m", "training.data", arguments[0], str(tmp_path / "data")]
     counts = [*arguments[1:], "--seed", "9"]
     environment = {key: value for key, value in os.environ.items() if key != "RAY_ADDRESS"} | address
     done = subprocess.run(

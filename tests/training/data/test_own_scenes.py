@@ -33,7 +33,7 @@ def robot(tmp_path: Path) -> Path:
 
 def generate(folder: Path, *options: str, code: int = 0) -> str:
     """Run the command as a user does; returns what it said."""
-    command = [sys.executable, "-m", "training.datasets", "generate", str(folder), *FEW, *options]
+    command = [sys.executable, "-m", "training.data", "generate", str(folder), *FEW, *options]
     environment = os.environ | {"RAY_ADDRESS": "local", "OMP_NUM_THREADS": "1"}
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False, timeout=110)
     assert done.returncode == code, done.stdout + done.stderr

@@ -14,8 +14,8 @@ from cspace.errors import DatasetError
 from cspace.simulator import Checker, Proposals, Split, scenario_rng
 from cspace.world import Arrays
 from cspace.worlds import simulator_of
-from training.datasets.config import DatasetConfig
-from training.datasets.shards import Pictures, Shard
+from training.data.config import DatasetConfig
+from training.data.shards import Pictures, Shard
 
 # Pictures alone come from the same split under indices that no scenario with configurations has.
 EXTRA_FIRST_INDEX = 2**31

@@ -10,11 +10,11 @@ from cspace.worlds.planar.checks import CollisionChecker
 from cspace.worlds.planar.problems import NARROW_RAD, bottleneck_rad
 from cspace.worlds.planar.render import render
 from cspace.worlds.planar.world import Disc, Scenario
-from training.datasets import generate as module
-from training.datasets.config import DatasetConfig, PathDatasetConfig
-from training.datasets.generate import generate
-from training.datasets.paths import PathRecipe
-from training.datasets.shards import save_shard
+from training.data import generate as module
+from training.data.config import DatasetConfig, PathDatasetConfig
+from training.data.generate import generate
+from training.data.paths import PathRecipe
+from training.data.shards import save_shard
 
 SMALL = PathDatasetConfig(
     seed=5, scenario_count=4, narrow_share=0.25, pairs_per_scenario=3, points_per_path=33, shard_size=2
@@ -109,7 +109,7 @@ def test_the_papers_source_gives_paths_that_are_about_as_short(tmp_path):
 
 
 def test_no_paths_at_all_are_an_error_that_says_so(monkeypatch):
-    monkeypatch.setattr("training.datasets.paths.MAX_DRAWS", 1)
+    monkeypatch.setattr("training.data.paths.MAX_DRAWS", 1)
     monkeypatch.setattr("cspace.worlds.planar.simulator.narrow_pairs", lambda *_: None)
     recipe = PathRecipe(SMALL)
     with pytest.raises(DatasetError, match="enough paths"):

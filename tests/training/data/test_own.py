@@ -9,7 +9,7 @@ from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK, PlanarArm
 from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.render import render
 from cspace.worlds.planar.world import PlanarWorld, random_scenarios
-from training.datasets.own import import_folder
+from training.data.own import import_folder
 
 
 def fill(folder, robot=TWO_LINK, *, collision=True, extra=True):

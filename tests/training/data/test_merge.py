@@ -7,11 +7,11 @@ from cspace.dataset import open_dataset
 from cspace.errors import DatasetError
 from cspace.worlds.planar.arm import THREE_LINK
 from training.config import load_config
-from training.datasets.__main__ import main
-from training.datasets.config import DatasetConfig, PathDatasetConfig
-from training.datasets.configurations import ConfigurationRecipe
-from training.datasets.merge import merge
-from training.datasets.paths import PathRecipe
+from training.data.__main__ import main
+from training.data.config import DatasetConfig, PathDatasetConfig
+from training.data.configurations import ConfigurationRecipe
+from training.data.merge import merge
+from training.data.paths import PathRecipe
 
 SMALL = DatasetConfig(scenario_count=4, free_per_scenario=6, collision_per_scenario=3, extra_image_count=2)
 

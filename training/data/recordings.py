@@ -23,7 +23,7 @@ from cspace.worlds.spatial.camera_info import read_pinhole, undistorted
 from cspace.worlds.spatial.world import SpatialWorld, add_options, described
 from services.command_errors import finite
 from services.progress import Progress
-from training.datasets.bag import (
+from training.data.bag import (
     CAMERA_INFO,
     COMPRESSED,
     IMAGE,

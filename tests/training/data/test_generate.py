@@ -15,12 +15,12 @@ from cspace.worlds.planar.world import Disc, Scenario
 from cspace.worlds.spatial.obstacles import obstacles_of
 from cspace.worlds.spatial.scenes import SpatialScene
 from training.clusters.pipeline import uniform_free
-from training.datasets import generate as module
-from training.datasets.config import DatasetConfig
-from training.datasets.configurations import ConfigurationRecipe
-from training.datasets.generate import generate
-from training.datasets.merge import merge
-from training.datasets.shards import save_shard
+from training.data import generate as module
+from training.data.config import DatasetConfig
+from training.data.configurations import ConfigurationRecipe
+from training.data.generate import generate
+from training.data.merge import merge
+from training.data.shards import save_shard
 from training.models.settings import GridConfig
 from training.trials.arrays import grid_samples
 

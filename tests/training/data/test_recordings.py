@@ -19,8 +19,8 @@ from cspace.worlds.spatial.arm import ready_rad
 from cspace.worlds.spatial.camera import encode_depth
 from tests.cspace.worlds.spatial.test_camera_forms import BODY, DEPTH, INFO, OPTICAL_TO_BODY, TOLD, quaternion
 from tests.space_bundle import WORLD
-from training.datasets.__main__ import main
-from training.datasets.recordings import RecordingOptions, import_recording
+from training.data.__main__ import main
+from training.data.recordings import RecordingOptions, import_recording
 
 TYPES = get_typestore(Stores.ROS2_HUMBLE)
 NAMES, STATE = WORLD.space.names, tuple(ready_rad(WORLD.body).tolist())
@@ -314,9 +314,9 @@ def test_a_topic_without_a_name_is_none(tmp_path):
 def test_limits_hold(tmp_path, monkeypatch):
     bag = usual().write(tmp_path / "bag")
     refused(tmp_path, bag, "takes too long.*--time-limit", time_limit_s=1e-9)
-    monkeypatch.setattr("training.datasets.bag.MAX_MESSAGES", 20)
+    monkeypatch.setattr("training.data.bag.MAX_MESSAGES", 20)
     refused(tmp_path, bag, "at most 20 of them")
-    monkeypatch.setattr("training.datasets.bag.MAX_MESSAGE_BYTES", 2000)
+    monkeypatch.setattr("training.data.bag.MAX_MESSAGE_BYTES", 2000)
     refused(tmp_path, bag, "messages of at most 2000 bytes")
     with pytest.raises(ConfigError, match="1 to 1000 pictures"):
         RecordingOptions(most=0)

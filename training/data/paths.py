@@ -22,8 +22,8 @@ from cspace.world import Arrays, Scene
 from cspace.worlds import simulator_of
 from services.planner.ompl_planner import solve
 from services.planner.settings import RRT_STAR, PlannerSettings
-from training.datasets.config import PathDatasetConfig
-from training.datasets.shards import Pictures, Shard
+from training.data.config import PathDatasetConfig
+from training.data.shards import Pictures, Shard
 
 MAX_DRAWS = 5000
 _PROPOSALS = 1000

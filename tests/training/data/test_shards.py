@@ -8,9 +8,9 @@ from cspace.worlds.planar.checks import CollisionChecker
 from cspace.worlds.planar.render import render
 from cspace.worlds.planar.world import Scenario, random_scenarios
 from tests.capsules import self_clearance_by_hand
-from training.datasets.config import DatasetConfig, PathDatasetConfig
-from training.datasets.configurations import ConfigurationRecipe, plot_configurations
-from training.datasets.shards import Shard, load_shard, save_shard
+from training.data.config import DatasetConfig, PathDatasetConfig
+from training.data.configurations import ConfigurationRecipe, plot_configurations
+from training.data.shards import Shard, load_shard, save_shard
 
 SMALL = DatasetConfig(
     seed=3,
