@@ -151,15 +151,16 @@ def load_mesh(path: Path, scale: Floats, where: str) -> Any:
         vertices = np.asarray(mesh.vertices, dtype=np.float64)
         vertices = vertices * (1.0 if unit is None else trimesh.units.unit_conversion(unit, "meters"))
         mesh = trimesh.Trimesh(vertices, mesh.faces, process=False)
+        sound = len(mesh.faces) and mesh.faces.min() >= 0 and mesh.faces.max() < len(vertices)
+        reach = float(np.abs(vertices * scale).max()) if sound else np.nan
+        if reach <= _MAX_M:
+            mesh.apply_transform(np.diag([*scale, 1.0]))
+            mesh.merge_vertices(merge_tex=True, merge_norm=True)
+            mesh.update_faces(mesh.nondegenerate_faces())
     except Exception as error:  # readers of strangers' bytes raise whatever they meet
         raise ScenarioError(
             f"a mesh of {where} cannot be read", expected=", ".join(_FORMATS), got=f"{path}: {error!r}"[:300]
         ) from error
-    reach = float(np.abs(vertices * scale).max()) if len(mesh.faces) else np.nan
-    if reach <= _MAX_M:
-        mesh.apply_transform(np.diag([*scale, 1.0]))
-        mesh.merge_vertices(merge_tex=True, merge_norm=True)
-        mesh.update_faces(mesh.nondegenerate_faces())
     if not (reach <= _MAX_M and mesh.area > 0.0):
         raise ScenarioError(
             f"a mesh of {where} does not fit",

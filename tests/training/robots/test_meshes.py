@@ -101,6 +101,7 @@ def test_a_scale_that_leaves_no_mesh_is_refused(tmp_path: Path, scale: float) ->
         ("bad.obj", "v 0 0 0\nf 1 2 3\n"),
         ("bad.dae", "<COLLADA/>"),
         ("bad.step", "ISO-10303-21;"),
+        ("far.ply", BOX.export(file_type="ply", encoding="ascii").decode().replace("3 1 3 0", "3 1 99 0")),
         ("nan.obj", CORNER.replace("v 1 0 0", "v nan 0 0")),
     ],
 )
