@@ -150,6 +150,8 @@ def log_settings(form: LogForm) -> dict[str, Any]:
         "root": {"level": "WARNING", "handlers": ["standard-error"]},
         "loggers": {
             "inference_api": {"level": "INFO"},
+            # What is no HTTP has its line as a request, without a warning of uvicorn's beside it.
+            "inference_api.server.protocol": {"level": "ERROR"},
             "uvicorn": {"level": "INFO"},
             # What the parser thinks of a client's bytes is told to the client.
             "python_multipart": {"level": "ERROR"},

@@ -43,9 +43,8 @@ _READ_BYTES_PER_S = 64 * 1024
 # Open files beside connections: the log, the event loop, pipes to processes, models that are read.
 _OTHER_FILES = 64
 _LOG = logging.getLogger(__name__)
-# Of uvicorn's protocol, which warns of what is no HTTP; that has its line as a request.
+# Of uvicorn's protocol; :mod:`inference_api.logs` sets its level.
 _PROTOCOL_LOG = logging.getLogger(f"{__name__}.protocol")
-_PROTOCOL_LOG.setLevel(logging.ERROR)
 
 
 def _is_no_cancellation(record: logging.LogRecord) -> bool:
