@@ -7,8 +7,8 @@ import pytest
 
 from inference_api import requests
 from inference_api.limits import MAX_BODY_BYTES
-from inference_api.requests import MAX_MARKS
-from tests.inference_api.answers import assert_problem
+from inference_api.requests import MAX_ESCAPES, MAX_MARKS
+from tests.inference_api.answers import IMAGE, assert_problem
 from tests.inference_api.client import ApiClient
 from tests.inference_api.tensor_client import infer
 
@@ -85,6 +85,15 @@ def test_too_many_values_are_refused_before_they_are_parsed(
     monkeypatch.setattr(requests, "from_json", fail)
     answer = api.post("/sample", content=mark * (MAX_MARKS + 1), headers=json_type)
     assert "too many values" in assert_problem(answer, 400, "malformed-body")["detail"]
+
+
+def test_a_text_of_escapes_is_refused_and_a_picture_with_escaped_slashes_is_not(api: ApiClient) -> None:
+    json_type = {"content-type": "application/json"}
+    text = b'{"model": "' + b"\\n" * (MAX_ESCAPES + 1) + b'"}'
+    answer = api.post("/sample", content=text, headers=json_type)
+    assert "too many escapes" in assert_problem(answer, 400, "malformed-body")["detail"]
+    escaped = json.dumps({"image": IMAGE, "n": 3}).replace("/", "\\/")
+    assert api.post("/sample", content=escaped.encode(), headers=json_type).status_code == 200
 
 
 @pytest.mark.parametrize("member", ["n", "seed", "image", "model", "epsilon_sigma", "start", "goal"])
