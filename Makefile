@@ -84,7 +84,7 @@ format: $(INSTALLED) ## mend format and lint where a tool can
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
 
-# What is built is read anew each time: pages are made of the code, and Sphinx looks at files alone.
+# What is built is read again each time: pages are made of the code, and Sphinx looks at files alone.
 docs: $(INSTALLED) ## build the documentation site into build/docs, warnings as errors; the API serves it at /guide
 	rm -rf build/docs docs/gallery
 	$(SITE) -b html docs build/docs

@@ -1,7 +1,7 @@
 """``python -m training.limits BUNDLE FOLDER --arm NAME``: a bundle with narrower joint limits of its robot.
 
 Nothing is trained, and the graphs stay as they are, byte for byte: what they put outside the new limits is
-rejected when the bundle samples. The golden case is computed anew, for its samples lie within the new limits.
+rejected when the bundle samples. The golden case is computed again: its samples lie within the new limits.
 
 Exit codes: 0 done, 1 the bundle or the disk is bad, 2 the command is wrong.
 """

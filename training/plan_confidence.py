@@ -1,4 +1,4 @@
-"""``python -m training.plan_confidence BUNDLE FOLDER``: how sure a bundle's plans are, fitted anew.
+"""``python -m training.plan_confidence BUNDLE FOLDER``: how sure a bundle's plans are, fitted again.
 
 Plans come of a search that the project changes now and then, and of the same doubt more or fewer are free
 then. This plans in validation scenes with the search as it is, as training does with
@@ -42,7 +42,7 @@ def parser() -> argparse.ArgumentParser:
     """The command line."""
     parser = argparse.ArgumentParser(
         prog="python -m training.plan_confidence",
-        description="Fit anew how sure a bundle's plans are; its networks stay as they are.",
+        description="Fit again how sure a bundle's plans are; its networks stay as they are.",
         epilog="Exit codes: 0 done, 1 failed, 2 bad input.",
     )
     parser.add_argument("bundle", type=Path, help="a bundle with a validity head")

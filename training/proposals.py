@@ -1,4 +1,4 @@
-"""``python -m training.proposals BUNDLE FOLDER``: the cheapest right way to a bundle's samples, fitted anew.
+"""``python -m training.proposals BUNDLE FOLDER``: the cheapest right way to a bundle's samples, fitted again.
 
 A request that filters mixes uniform proposals among the generator's. How many, and at which confidence, is
 chosen by what either costs and how many pass, as training does it; graphs that became cheaper, and bundles of
@@ -43,7 +43,7 @@ def parser() -> argparse.ArgumentParser:
     """The command line."""
     parser = argparse.ArgumentParser(
         prog="python -m training.proposals",
-        description="Fit anew how many of a bundle's proposals are uniform; its networks stay as they are.",
+        description="Fit again how many of a bundle's proposals are uniform; its networks stay as they are.",
         epilog="Exit codes: 0 done, 1 failed, 2 bad input.",
     )
     parser.add_argument("bundle", type=Path, help="of free configurations, with a validity head")

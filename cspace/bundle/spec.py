@@ -80,7 +80,7 @@ def _path(place: tuple[int | str, ...]) -> str:
 @_raising
 @dataclass(frozen=True, slots=True, config=_CONFIG)
 class RandomInput:
-    """One random input of the generator graph, drawn anew for every latent.
+    """One random input of the generator graph, drawn for every latent.
 
     Args:
         name: the graph's name for it.

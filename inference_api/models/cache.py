@@ -1,7 +1,7 @@
 """Downloaded bundles: on disk, for the next start and for when the registry is away, and open in memory.
 
 A version lies at ``<cache>/<name>/<number>-<digest>/`` with its bundle and ``version.json``. The digest is
-part of the name because a registry that was set up anew counts its versions from 1 again. Processes share the
+part of the name because a registry that was set up again counts its versions from 1. Processes share the
 cache: who changes a model's folder holds its lock; who reads does not, and takes a version that vanishes as
 one that is not there.
 """
@@ -62,7 +62,7 @@ class NotVerifiedError(RegistryUnavailableError):
 
 
 def key_of(version: ModelVersion) -> Key:
-    """What tells versions apart, also those of a registry that was set up anew."""
+    """What tells versions apart, also those of a registry that was set up again."""
     return version.name, version.number, version.digest
 
 

@@ -80,7 +80,7 @@ def default_model(service: Service) -> ServedModel:
             "samples cannot be asked for",
             expected=f"a model, and requests that are computed within {STUCK_S:g} s",
             got="no model" if served is None else "requests that do not end",
-            remedy="ask again in some seconds; if that does not help, start the server anew",
+            remedy="ask again in some seconds; if that does not help, start the server again",
         )
     return served
 

@@ -152,8 +152,8 @@ def solve(
     """Solve one problem; the same arguments give the same result, in any process.
 
     Where the independent check rejects the path, for it grazes an obstacle between two states that were
-    checked, the search begins anew at the check's own resolution, with what is left of its limits. The result
-    counts both searches.
+    checked, the search begins again at the check's own resolution, with what is left of its limits. The
+    result counts both searches.
 
     OMPL holds the interpreter's lock while it searches and keeps its random seed in the process: one solve at
     a time in a process, no threads.

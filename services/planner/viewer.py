@@ -275,7 +275,7 @@ class Viewer:
         self.show_scene()
 
     def show_scene(self) -> None:
-        """Draw obstacles, cameras and both ends anew, then ask for samples."""
+        """Draw obstacles, cameras and both ends again, then ask for samples."""
         scene = self.server.scene
         with suppress(KeyError):
             scene.remove_by_name("/scene")

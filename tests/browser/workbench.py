@@ -58,7 +58,7 @@ def is_page(name: str) -> Callable[[Response], bool]:
 
 
 def open_bench(page: Page, address: str, fragment: str = "") -> dict[str, Any]:
-    """Open the page anew and return the first answer with samples, drawn."""
+    """Open the page again and return the first answer with samples, drawn."""
     page.goto("about:blank")
     with page.expect_response(is_page("sample")) as samples:
         page.goto(f"{address}/{fragment}")

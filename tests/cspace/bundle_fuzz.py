@@ -1,4 +1,4 @@
-"""Bundles with one or a few things changed, their sums written anew: each loads or is refused.
+"""Bundles with one or a few things changed, their sums written again: each loads or is refused.
 
 ``python -m tests.cspace.bundle_fuzz FIRST_SEED SECONDS COUNT`` prints each seed before it is tried, so that
 the last line names the one that ended the process.

@@ -11,7 +11,7 @@ SITE = ROOT / "docs" / "site"
 
 
 def site_module(name: str) -> ModuleType:
-    """A module of the site by its name, loaded anew."""
+    """A module of the site by its name, loaded again."""
     path: Path = SITE / f"{name}.py"
     spec = importlib.util.spec_from_file_location(f"docs_site_{name}", path)
     assert spec is not None

@@ -32,11 +32,11 @@ class CountingRegistry(FakeRegistry):
         """Take an alias away."""
         del self._aliases[name, alias]
 
-    def start_anew(self) -> None:
+    def start_again(self) -> None:
         """Forget everything, as a registry on an empty database."""
         self._versions.clear()
         self._aliases.clear()
-        self._folder = self._folder / "anew"
+        self._folder = self._folder / "again"
 
     def download(self, version: ModelVersion, folder: Path) -> Path:
         self.downloads += 1

@@ -1,4 +1,4 @@
-"""A bundle whose plans are judged anew: other numbers, the same networks, and clear words for bad input."""
+"""A bundle whose plans are judged again: other numbers, the same networks, and clear words for bad input."""
 
 import pytest
 

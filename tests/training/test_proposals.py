@@ -1,4 +1,4 @@
-"""A bundle whose proposals are mixed anew: the same networks, and clear words for bad input."""
+"""A bundle whose proposals are mixed again: the same networks, and clear words for bad input."""
 
 from dataclasses import replace
 
@@ -26,7 +26,7 @@ def test_the_new_bundle_states_what_was_chosen_and_has_the_same_networks(source,
     told = capsys.readouterr().out
     assert f"uniform_share {spec.uniform_share}, threshold {spec.confidence_threshold}" in told
     assert spec.provenance.metrics["proposals/head_us"] > 0.0
-    assert spec.provenance.config["proposals_fitted_anew"]["source_digest"] == before.digest
+    assert spec.provenance.config["proposals_fitted_again"]["source_digest"] == before.digest
     for graph in sorted(source.glob("*.onnx")):
         assert (tmp_path / "new" / graph.name).read_bytes() == graph.read_bytes()
     assert main([str(source), str(tmp_path / "new")]) == 1

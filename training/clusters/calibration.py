@@ -41,20 +41,20 @@ def require_head(source: Bundle) -> None:
 
 
 def write_fitted(source: Bundle, folder: Path, spec: BundleSpec, name: str, note: Mapping[str, Any]) -> Path:
-    """Write a bundle's networks and golden case with a description of which something was fitted anew.
+    """Write a bundle's networks and golden case with a description of which something was fitted again.
 
     Args:
         source: whose networks.
         folder: where the new one goes; must not exist.
         spec: of the source, with what was fitted.
-        name: of what its making is told of beside that of the source, ``*_fitted_anew``.
+        name: of what its making is told of beside that of the source, ``*_fitted_again``.
         note: what is told; the digest of the source comes with it.
 
     Raises:
         BundleError: the parts do not make a bundle; nothing is left behind.
         StorageError: the folder exists or cannot be written.
     """
-    told = {f"{name}_fitted_anew": {**note, "source_digest": source.digest}}
+    told = {f"{name}_fitted_again": {**note, "source_digest": source.digest}}
     provenance = replace(spec.provenance, config={**spec.provenance.config, **told})
     golden = GoldenCase.from_npz((source.folder / GOLDEN_FILE).read_bytes())
     return write_bundle(folder, replace(spec, provenance=provenance), graphs_of(source.folder), golden)

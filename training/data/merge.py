@@ -98,7 +98,7 @@ def _joined(parts: Sequence[Dataset], kept: Sequence[NDArray[np.int64]], name: s
 def _paths(
     parts: Sequence[Dataset], kept: Sequence[NDArray[np.int64]]
 ) -> list[tuple[int, NDArray[np.float32]]]:
-    """(scenario, waypoints) of all paths whose scenario is kept, scenarios counted anew."""
+    """(scenario, waypoints) of all paths whose scenario is kept, scenarios counted again."""
     found: list[tuple[int, NDArray[np.float32]]] = []
     before = 0
     for part, rows in zip(parts, kept, strict=True):

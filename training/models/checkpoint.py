@@ -131,7 +131,7 @@ def _optimiser_state(tensors: dict[str, Tensor], index: int) -> dict[int, dict[s
 
 
 def _plain(state: dict[str, Any]) -> dict[str, Any]:
-    """A schedule's state without what JSON can not hold (functions, which the module makes anew)."""
+    """A schedule's state without what JSON can not hold (functions, which the module makes again)."""
     kinds = (int, float, str, bool, list, type(None))
     return {
         key: value for key, value in state.items() if isinstance(value, kinds) and key != "lr_lambdas"

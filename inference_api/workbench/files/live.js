@@ -8,7 +8,7 @@ import { ApiAway, ApiProblem, ask } from "./api.js";
 export const MEASURE = "interaction-to-samples";
 
 /**
- * @typedef {object} Asked  Made anew for every round.
+ * @typedef {object} Asked  Made again for every round.
  * @property {object} sample  The body of POST /sample.
  * @property {((samples: number[][]) => object) | null} truth  The body for the truth; null where it is not known.
  * @property {(() => object) | null} belief  The body of POST /validity; null where it is not shown.

@@ -104,7 +104,7 @@ export function showFigures(id, told) {
   );
 }
 
-/** Fill a list of names anew where it has others. @param {string} id @param {string[]} names */
+/** Fill a list of names again where it has others. @param {string} id @param {string[]} names */
 export function offerNames(id, names) {
   const select = selectOf(id);
   if ([...select.options].map((option) => option.value).join() === names.join()) return;

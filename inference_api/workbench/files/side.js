@@ -72,7 +72,7 @@ export class Side {
     return { edges, least: least?.confidence < 0.99 ? least.configuration : null };
   }
 
-  /** Make its map anew. @param {Robot} robot */
+  /** Make its map again. @param {Robot} robot */
   make(robot) {
     const { bench } = this;
     this.torus = new TorusView(this.map, robot, {

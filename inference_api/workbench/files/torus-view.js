@@ -163,7 +163,7 @@ export class TorusView {
     this.place(this.least, ends.least);
   }
 
-  /** Branches of what was planned, drawn anew only where it is another. @param {Planted | null} planted */
+  /** Branches of what was planned, drawn again only where it is another. @param {Planted | null} planted */
   showTree(planted) {
     if (planted === this.planted) return;
     this.planted = planted;
@@ -219,7 +219,7 @@ export class TorusView {
     this.showGround(drawn.ground);
   }
 
-  /** Drawn anew only where it is another one: it is most of the work. @param {Ground | null} ground */
+  /** Drawn again only where it is another one: it is most of the work. @param {Ground | null} ground */
   showGround(ground) {
     if (ground === this.ground) return;
     this.ground = ground;

@@ -238,12 +238,12 @@ def test_a_dropped_alias_brings_the_shipped_model_back(
         store.resolve(ModelReference.parse("cspace-sampler@champion"))
 
 
-def test_a_registry_that_was_set_up_anew_is_not_answered_from_the_old_ones_cache(
+def test_a_registry_that_was_set_up_again_is_not_answered_from_the_old_ones_cache(
     store: ModelStore, registry: CountingRegistry, bundles: dict[str, Path], clock: Clock
 ) -> None:
     registry.add(bundles["plain"], "champion")
     store.refresh()
-    registry.start_anew()
+    registry.start_again()
     registry.add(bundles["other"], "champion")
     store.refresh()
     clock.now += 2.1
@@ -252,7 +252,7 @@ def test_a_registry_that_was_set_up_anew_is_not_answered_from_the_old_ones_cache
         assert store.resolve(ModelReference.parse(text)).bundle.digest == digest
 
 
-def test_a_damaged_copy_in_the_cache_is_fetched_anew(
+def test_a_damaged_copy_in_the_cache_is_fetched_again(
     tmp_path: Path, registry: CountingRegistry, bundles: dict[str, Path], clock: Clock
 ) -> None:
     registry.add(bundles["plain"], "champion")
@@ -494,7 +494,7 @@ def test_another_number_than_was_asked_for_is_refused(
         served(impatient, f"{MODEL}/1")
 
 
-def test_a_version_that_another_process_takes_away_is_fetched_anew(
+def test_a_version_that_another_process_takes_away_is_fetched_again(
     tmp_path: Path, registry: CountingRegistry, bundles: dict[str, Path]
 ) -> None:
     registry.add(bundles["plain"])

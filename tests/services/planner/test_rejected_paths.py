@@ -1,4 +1,4 @@
-"""A path that the independent check rejects: the search begins anew, finer, and both searches count."""
+"""A path that the independent check rejects: the search begins again, finer, and both searches count."""
 
 import numpy as np
 import pytest

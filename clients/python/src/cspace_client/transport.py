@@ -417,7 +417,7 @@ class _Backend(httpcore.NetworkBackend):
     ) -> httpcore.NetworkStream:
         options = list(socket_options or ())
         failed: Exception = httpcore.ConnectError(f"{host} has no address")
-        # One address at a time: the time limit would else begin anew with every address of the host.
+        # One address at a time: the time limit would else begin again with every address of the host.
         for address in _addresses(host, port):
             try:
                 left_s = _left_s(timeout)
@@ -447,7 +447,7 @@ class _Stream(httpcore.NetworkStream):
         rest = memoryview(buffer)
         try:
             # Not sendall, nor the inner stream's: a server that takes a few bytes at a time would start the
-            # time limit anew with each of them.
+            # time limit again with each of them.
             while rest:
                 self._socket.settimeout(_left_s(timeout))
                 rest = rest[self._socket.send(rest) :]
