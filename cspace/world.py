@@ -6,7 +6,7 @@ of worlds are registered in :mod:`cspace.worlds`.
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -20,6 +20,8 @@ Arrays = Mapping[str, NDArray[Any]]
 Between = Callable[[], None]
 # Codes of findings that servers act on.
 ARM_IN_PICTURE, LITTLE_IN_REACH = "arm-in-picture", "little-in-reach"
+# Above it a picture is unlike any of training.
+_NOVEL = 0.999
 
 
 class Sensor(Protocol):
@@ -128,6 +130,49 @@ class Examined:
     images: Image
     findings: tuple[Finding, ...] = ()
     without_state: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class SuggestedPose:
+    """Where a camera seems to stand instead of where it was said to.
+
+    Args:
+        picture: number of its picture, from 0.
+        pose: rows of a 4 x 4 matrix, of the optical frame in the base frame, m.
+        offset_m: how far it is from the pose that was told.
+        turn_deg: how far it is turned from there.
+    """
+
+    picture: int
+    pose: tuple[tuple[float, ...], ...]
+    offset_m: float
+    turn_deg: float
+
+
+@dataclass(frozen=True, slots=True)
+class Diagnosis:
+    """What a close look at pictures finds.
+
+    Args:
+        findings: what is wrong, or may be.
+        notes: what was seen and is not wrong, in words.
+        poses: of cameras whose pose is wrong and where a better one is clear.
+    """
+
+    findings: tuple[Finding, ...] = ()
+    notes: tuple[str, ...] = ()
+    poses: tuple[SuggestedPose, ...] = ()
+
+    def with_novelty(self, novelty: float | None) -> "Diagnosis":
+        """With how unlike a model's training the pictures are, 0 to 1; None where no model tells."""
+        if novelty is None:
+            return self
+        seen = f"the view is more unusual than {novelty:.0%} of the pictures of training"
+        if novelty < _NOVEL:
+            return replace(self, notes=(*self.notes, seen))
+        effect = "the model answers by what it has learned of other views"
+        remedy = "mend what else was found, or train for such cameras and scenes"
+        return replace(self, findings=(*self.findings, Finding("novel", seen, effect, remedy)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -273,6 +318,13 @@ class World(Protocol):
 
         Raises:
             ImageError: as there.
+        """
+
+    def diagnosis(self, data: bytes, between: Between | None = None) -> Diagnosis:
+        """A closer look at the file of a picture than :meth:`examine_picture` takes, some 100 ms.
+
+        Raises:
+            ImageError: it is none that can be read.
         """
 
     def least_novelty(self, image: Image) -> float:

@@ -14,7 +14,7 @@ from cspace.simulator import Split, scenario_rng
 from cspace.space import JointSpace
 from cspace.strict_json import read_mapping, read_members, read_object, settle
 from cspace.view_file import is_view
-from cspace.world import Arrays, Between, Examined, Finding, Levers, TensorInput, World
+from cspace.world import Arrays, Between, Diagnosis, Examined, Finding, Levers, TensorInput, World
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK, JointLimits, PlanarArm, levers
 from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.scenes import MAX_GIVEN, DiscScenes, GivenScenes, Scenes, read_scenes
@@ -84,6 +84,11 @@ class PlanarWorld:
     def examine_tensors(self, tensors: Arrays, between: Between | None = None) -> Examined:
         """Likewise."""
         return Examined(self.read_tensors(tensors, between))
+
+    def diagnosis(self, data: bytes, between: Between | None = None) -> Diagnosis:
+        """Nothing but that the picture can be read."""
+        self.read_picture(data, between)
+        return Diagnosis()
 
     def least_novelty(self, image: NDArray[np.uint8]) -> float:
         """0: pictures show the whole plane."""

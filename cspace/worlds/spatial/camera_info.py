@@ -16,7 +16,7 @@ PINHOLE = ("fx", "fy", "cx", "cy")
 _INFO = "camera_info"
 _FRAMES = ("optical", "body")
 # x right, y down, z forward in x forward, y left, z up: REP 103 of ROS.
-_OPTICAL_IN_BODY = np.array([[0.0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
+OPTICAL_IN_BODY = np.array([[0.0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 _QUATERNION_TOLERANCE = 1e-3
 # Coefficients of each model: k1, k2, p1, p2, k3, and in the second k4, k5, k6.
 _COEFFICIENTS = {"plumb_bob": 5, "rational_polynomial": 8}
@@ -82,7 +82,7 @@ def read_pose(camera: Mapping[str, Any]) -> Pose:
             got=repr(frame)[:200],
         )
     check_pose(pose, "the camera")
-    return pose if frame == _FRAMES[0] else pose_of(np.array(pose) @ _OPTICAL_IN_BODY)
+    return pose if frame == _FRAMES[0] else pose_of(np.array(pose) @ OPTICAL_IN_BODY)
 
 
 def _rows(pose: object) -> Pose:

@@ -11,7 +11,14 @@ from cspace.errors import ImageError
 from cspace.world import ARM_IN_PICTURE, LITTLE_IN_REACH, Finding, Image
 from cspace.worlds.spatial.arm import SerialArm
 from cspace.worlds.spatial.camera import FARTHEST_MM, NEAREST_MM, DepthCamera, in_range
-from cspace.worlds.spatial.sensor import DISTANCE_STEP_M, FREE, GridBox, shoulder_reach_m
+from cspace.worlds.spatial.sensor import (
+    DISTANCE_STEP_M,
+    FREE,
+    CameraViews,
+    DepthSensor,
+    GridBox,
+    shoulder_reach_m,
+)
 from cspace.worlds.spatial.view import DepthView
 from cspace.worlds.spatial.visibility import lookup
 
@@ -36,6 +43,15 @@ _ROUNDING_M = 0.005
 # Of many configurations. Where the arm's pixels are obstacles nearly all of them are held to collide; of
 # uniform ones in usual scenes at most half, of those drawn by a model at most 0.88.
 _MOST_COLLIDE = 0.9
+# Of a camera; training has at most 8. Where it looks nearly straight down there is no upright.
+_ROLLED_DEG, _LEVEL = 60.0, 0.35
+# Sine of the angle above the horizon.
+_LOOKS_UP = 0.5
+# Spheres that cover the arm stand out so far.
+_INSIDE_M = 0.01
+_FIELD_SLACK_DEG = 8.0
+# From the arm, beyond the distance to what is looked at.
+_FARTHER_M = 1.0
 _STATE = "send `state`, the joints' angles when the pictures were taken, and the arm's pixels are dropped"
 
 
@@ -65,13 +81,13 @@ class _Reach:
 
 
 def diagnose(
-    arm: SerialArm, grid: GridBox, view: DepthView, single: Sequence[Image], fused: Image
+    arm: SerialArm, sensor: DepthSensor, view: DepthView, single: Sequence[Image], fused: Image
 ) -> tuple[Finding, ...]:
     """The findings of a view.
 
     Args:
         arm: that is planned for.
-        grid: of the arrays.
+        sensor: with the grid of the arrays, and the cameras of training.
         view: as it came.
         single: what each picture says alone, (X, Y, Z, 2) each.
         fused: what all say together.
@@ -79,6 +95,7 @@ def diagnose(
     Raises:
         ImageError: no picture shows any of the space that the arm can reach.
     """
+    grid = sensor.grid
     reach = _reach(arm, grid)
     blind = tuple(number for number, one in enumerate(single) if not reach.seen(one).any())
     if len(blind) == len(single):
@@ -94,19 +111,28 @@ def diagnose(
         )
     found = [
         *_of_reach(reach, view, blind, fused),
-        *_of_cameras(view.cameras, np.asarray(arm.joints[0].origin.xyz_m)),
-        *_of_readings(view),
+        *view_findings(arm, sensor, view),
     ]
     if view.state is None and _base_is_solid(arm, grid, fused):
-        found.append(
-            Finding(
-                ARM_IN_PICTURE,
-                "surfaces stand inside the arm's own base, and no `state` was sent",
-                "the arm's pixels count as obstacles, so that configurations near it are held to collide",
-                _STATE,
-            )
-        )
+        found.append(arm_in_picture("surfaces stand inside the arm's own base, and no `state` was sent"))
     return tuple(found)
+
+
+def view_findings(arm: SerialArm, sensor: DepthSensor, view: DepthView) -> tuple[Finding, ...]:
+    """Those of cameras, readings and state alone, whatever is seen."""
+    shoulder_m = np.asarray(arm.joints[0].origin.xyz_m)
+    return (
+        *_of_cameras(view.cameras, shoulder_m),
+        *_of_readings(view),
+        *_of_poses(arm, view),
+        *_of_training(sensor.views, view.cameras, shoulder_m),
+    )
+
+
+def arm_in_picture(seen: str) -> Finding:
+    """The finding of an arm in a picture without ``state``; by what it was seen."""
+    effect = "the arm's pixels count as obstacles, so that configurations near it are held to collide"
+    return Finding(ARM_IN_PICTURE, seen, effect, _STATE)
 
 
 def least_novelty(arm: SerialArm, grid: GridBox, image: Image) -> float:
@@ -212,6 +238,88 @@ def _of_readings(view: DepthView) -> Iterable[Finding]:
             "send 0 where there is no reading, and depth_scale_m where the unit is not mm",
             where,
         )
+
+
+def _of_poses(arm: SerialArm, view: DepthView) -> Iterable[Finding]:
+    rolls = [_roll_deg(one) for one in view.cameras]
+    rolled = tuple(number for number, deg in enumerate(rolls) if abs(deg) > _ROLLED_DEG)
+    if rolled:
+        yield Finding(
+            "rolled",
+            f"by its pose the camera is turned by {rolls[rolled[0]]:.0f} degrees about its optical axis, "
+            f"{'on its head' if abs(rolls[rolled[0]]) > 135.0 else 'on its side'}",
+            "if it hangs upright, everything is seen in a wrong place",
+            "check that the pose is of the optical frame (x right, y down, z forward) in the robot's base, "
+            "not the inverse, and that no driver turns the picture; ignore this for a camera mounted so",
+            rolled,
+        )
+    up = tuple(number for number, one in enumerate(view.cameras) if one.matrix[2, 2] > _LOOKS_UP)
+    if up:
+        yield Finding(
+            "looks-up",
+            f"by its pose the camera looks {np.degrees(np.arcsin(view.cameras[up[0]].matrix[2, 2])):.0f} "
+            "degrees up",
+            "it sees little of what the arm works on, or everything is seen in a wrong place",
+            "check that z of the pose is the optical axis: a body frame has z up (send frame body for it)",
+            up,
+        )
+    if view.state is None:
+        return
+    spheres = np.column_stack([arm.sphere_centres_m([view.state])[0], arm.spheres_m()[:, 3]])
+    depths = [
+        float((spheres[:, 3] - np.linalg.norm(spheres[:, :3] - one.matrix[:3, 3], axis=1)).max())
+        for one in view.cameras
+    ]
+    inside = tuple(number for number, depth_m in enumerate(depths) if depth_m > _INSIDE_M)
+    if inside:
+        yield Finding(
+            "camera-inside-arm",
+            f"by its pose the camera is {100 * max(depths):.0f} cm inside the arm as it stands at `state`",
+            "all that it reads counts as the arm's and is dropped, or everything is seen in a wrong place",
+            "send the pose of the camera, not that of the link that it is mounted on",
+            inside,
+        )
+
+
+def _of_training(
+    views: CameraViews, cameras: Sequence[DepthCamera], shoulder_m: NDArray[np.float64]
+) -> Iterable[Finding]:
+    fields = [field_deg(one) for one in cameras]
+    low, high = views.field_deg[0] - _FIELD_SLACK_DEG, views.field_deg[1] + _FIELD_SLACK_DEG
+    other = tuple(number for number, deg in enumerate(fields) if not low <= deg <= high)
+    if other:
+        yield Finding(
+            "field-of-view",
+            f"the picture is {fields[other[0]]:.0f} degrees wide, those of training "
+            f"{views.field_deg[0]:.0f} to {views.field_deg[1]:.0f}",
+            "the model knows no such camera; if the numbers are wrong, everything is seen in a wrong place",
+            "check fx against the picture's width, or train for this camera",
+            other,
+        )
+    away = [float(np.linalg.norm(one.matrix[:3, 3] - shoulder_m)) for one in cameras]
+    most = views.distance_m[1] + _FARTHER_M
+    far = tuple(number for number, metres in enumerate(away) if metres > most)
+    if far:
+        yield Finding(
+            "far-camera",
+            f"the camera stands {max(away):.1f} m from the arm, those of training at most {most:.1f} m",
+            "the model knows no such view",
+            "check the unit of the pose (metres), or train for this camera",
+            far,
+        )
+
+
+def field_deg(camera: DepthCamera) -> float:
+    """How wide a camera's pictures are, degrees."""
+    return float(np.degrees(2.0 * np.arctan(0.5 * camera.width / camera.fx)))
+
+
+def _roll_deg(camera: DepthCamera) -> float:
+    """How far a camera is turned about its optical axis, -180 to 180; 0 where it looks up or down."""
+    right_up, down_up = camera.matrix[2, 0], camera.matrix[2, 1]
+    if np.hypot(right_up, down_up) < _LEVEL:
+        return 0.0
+    return float(np.degrees(np.arctan2(right_up, -down_up)))
 
 
 def _off_centre(camera: DepthCamera) -> float:

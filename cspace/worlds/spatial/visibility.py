@@ -84,6 +84,11 @@ def check_picture(depth_mm: NDArray[np.uint16], camera: DepthCamera) -> None:
         )
 
 
+def arm_depth_m(camera: DepthCamera, spheres: ArrayLike) -> NDArray[np.float32]:
+    """The arm as rendered: depth (H, W) m of spheres (S, 4) m, inf beside them; 0 for a camera within one."""
+    return _begins_m(camera, np.asarray(spheres, dtype=np.float64).reshape(-1, 4), 0.0, lambda: None)
+
+
 def _begins_m(
     camera: DepthCamera, spheres: NDArray[np.float64], slack_m: float, between: Between
 ) -> NDArray[np.float32]:
@@ -347,7 +352,7 @@ def observe_one(
     """
     pause = between or (lambda: None)
     check_picture(picture, camera)
-    smaller, camera = _reduced(np.where(in_range(picture), picture, np.uint16(0)), camera)
+    smaller, camera = reduced(np.where(in_range(picture), picture, np.uint16(0)), camera)
     pause()
     kept = self_filter(smaller, camera, np.empty((0, 4)) if spheres is None else spheres, between=pause)
     surface_m = to_m(kept.depth_mm)
@@ -438,7 +443,8 @@ def _cells(
     return (x * grid.counts[1] + y) * grid.counts[2] + z, inside, place
 
 
-def _reduced(picture: NDArray[np.uint16], camera: DepthCamera) -> tuple[NDArray[np.uint16], DepthCamera]:
+def reduced(picture: NDArray[np.uint16], camera: DepthCamera) -> tuple[NDArray[np.uint16], DepthCamera]:
+    """A picture with no side above :data:`MAX_USED_SIDE`, and its camera; smaller ones as they are."""
     share = MAX_USED_SIDE / max(picture.shape)
     if share >= 1.0:
         return picture, camera

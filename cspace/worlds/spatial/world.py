@@ -10,13 +10,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cspace.errors import ConfigError, DatasetError, ScenarioError
+from cspace.errors import ConfigError, DatasetError, ImageError, ScenarioError
 from cspace.files import read_bounded
 from cspace.space import JointSpace
 from cspace.strict_json import parse_json, read_mapping, read_members, read_object
 from cspace.world import (
     Arrays,
     Between,
+    Diagnosis,
     Examined,
     Finding,
     GridArm,
@@ -31,7 +32,9 @@ from cspace.worlds.spatial.diagnostics import (
     diagnose,
     least_novelty,
     start_findings,
+    view_findings,
 )
+from cspace.worlds.spatial.doctor import diagnosed, nothing_in_reach
 from cspace.worlds.spatial.furniture import SpatialScenes, read_spatial_scenes
 from cspace.worlds.spatial.obstacles import BOX_VALUES, CYLINDER_VALUES
 from cspace.worlds.spatial.sensor import DISTANCE_STEP_M, NO_READING, OUT_OF_VIEW, DepthSensor, grid_of
@@ -147,8 +150,21 @@ class SpatialWorld:
         """
         single = self._each(view, between)
         image = fused(single)
-        findings = diagnose(self.body, self.sensor.grid, view, single, image)
+        findings = diagnose(self.body, self.sensor, view, single, image)
         return Examined(image[None], findings, without_state=view.state is None)
+
+    def diagnosis(self, data: bytes, between: Between | None = None) -> Diagnosis:
+        """See :func:`cspace.worlds.spatial.doctor.diagnosed`."""
+        return self.diagnosed(read_view(data, self.space, between), between)
+
+    def diagnosed(self, view: DepthView, between: Between | None = None) -> Diagnosis:
+        """:meth:`diagnosis` of a view that was read."""
+        try:
+            cheap = self.examined(view, between).findings
+        except ImageError as error:
+            cheap = (nothing_in_reach(error), *view_findings(self.body, self.sensor, view))
+        spheres = None if view.state is None else self.spheres_at(view.state)
+        return diagnosed(self.body, self.sensor, view, spheres, cheap, between or (lambda: None))
 
     def _each(self, view: DepthView, between: Between | None) -> list[NDArray[np.uint8]]:
         """What each picture of a view says alone."""
