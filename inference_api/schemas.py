@@ -347,6 +347,10 @@ class ValidityRequest(SceneFields):
     )
 
 
+class DoctorRequest(SceneFields):
+    """A question what is wrong with a view."""
+
+
 class PlanRequest(SceneFields):
     """A question for a path."""
 
@@ -549,6 +553,44 @@ class ValidityAnswer(SceneAnswer):
         description="The confidence that training recommends to ask for; null without one."
     )
     timing_ms: ScoreTimingMs
+
+
+class Verdict(BaseModel):
+    """Something that is wrong with the pictures, or may be."""
+
+    code: str = Field(description="A name that never changes.")
+    seen: str = Field(description="What was seen.")
+    effect: str = Field(description="What it does to answers.")
+    remedy: str = Field(description="What to do.")
+    pictures: list[int] = Field(description="Numbers of the images that it is about, from 0; empty for all.")
+
+
+class SuggestedPoseInfo(BaseModel):
+    """Where a camera seems to stand instead of where it was said to."""
+
+    picture: int = Field(description="Number of its image, from 0.")
+    pose: list[list[float]] = Field(description="4 x 4, of the optical frame in the robot's base, m.")
+    offset_m: float = Field(description="Its distance from the pose that was sent.")
+    turn_deg: float = Field(description="How far it is turned from there.")
+
+
+class DoctorTimingMs(BaseModel):
+    """Where the time went, in ms."""
+
+    diagnose: float
+    novelty: float
+    total: float
+
+
+class DoctorAnswer(BaseModel):
+    """What a close look at the pictures finds."""
+
+    verdicts: list[Verdict] = Field(description="Empty where nothing wrong was found.")
+    notes: list[str] = Field(description="What was seen and is not wrong, or could not be tested.")
+    poses: list[SuggestedPoseInfo] = Field(description="Of cameras for which a better pose is clear.")
+    scenario: ScenarioInfo
+    model: ModelInfo
+    timing_ms: DoctorTimingMs
 
 
 class LeastSure(BaseModel):

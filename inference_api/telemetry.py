@@ -63,7 +63,7 @@ class Answered:
         stages_s: time by stage of :data:`STAGES`, s.
     """
 
-    kind: Literal["samples", "scores", "plan"]
+    kind: Literal["samples", "scores", "plan", "diagnosis"]
     model: str
     fallback: bool
     n: int | None = None
@@ -164,7 +164,7 @@ class Metrics(Observer):
             self._returned.inc((answer.n or 0) - (answer.shortfall or 0))
         elif answer.kind == "scores":
             self._scored.inc(answer.n or 0)
-        else:
+        elif answer.kind == "plan":
             self._plans.labels(answer.status).inc()
         record = current()
         if record is not None:
