@@ -38,7 +38,7 @@ IN_VIEW = 0.01
 BLOCKED = {"nothing-in-reach", "little-in-reach", "no-surface-in-reach"}
 POSE = {"rolled", "looks-up", "extrinsics", "arm-elsewhere", "cameras-disagree", "nothing-in-reach",
         "no-surface-in-reach", "little-in-reach", "inverted-pose", "body-frame", "opengl-frame",
-        "upside-down", "camera-inside-arm", "far-camera"}  # fmt: skip
+        "upside-down", "camera-inside-arm", "far-camera", "arm-pixels-left"}  # fmt: skip
 UNIT = {"depth-unit", "out-of-range", "near-readings", "nothing-in-reach", "no-surface-in-reach"}
 STATE = {"arm-in-picture", "arm-elsewhere", "arm-pixels-left", "extrinsics"}
 NUMBERS = {"principal-point", "focal-lengths", "field-of-view", "extrinsics", "arm-elsewhere"}

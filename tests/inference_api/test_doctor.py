@@ -21,6 +21,7 @@ from tests.inference_api.client import ApiClient
 from tests.inference_api.conftest import running
 
 PANDA = "panda-sampler"
+SCENARIO = Path(__file__).parents[2] / "docs" / "images" / "scenario.png"
 MISPLACED = CAMERA.matrix
 MISPLACED[:3, 3] += (0.03, 0.0, 0.0)
 
@@ -77,7 +78,7 @@ def test_wrong_requests_are_refused_as_elsewhere(api: ApiClient) -> None:
 
 def test_of_a_picture_of_the_plane_the_novelty_alone_is_judged(api: ApiClient) -> None:
     for image, codes in (
-        (Path("docs/images/scenario.png").read_bytes(), []),
+        (SCENARIO.read_bytes(), []),
         (encode_png(picture()), ["novel"]),
     ):
         answer = api.post("/doctor", files={"image": image}, data={"model": "pretrained"}).json()

@@ -28,17 +28,19 @@ from cspace.worlds.spatial.visibility import SLACK_M, reduced, self_filter
 _FEW_PIXELS = 60
 # Of pixels that should show the arm, what is too little, and what is enough for another explanation.
 _DISAGREES, _EXPLAINS, _BETTER = 0.5, 0.75, 0.25
-# Readings on the arm move so far by a pose that fits; the arm's true surface instead of spheres moves them
-# by up to 1 cm.
-_SHIFT_M = 0.011
-# The fit halves the distance of readings to the arm, about.
-_CLOSER, _AS_MANY = 0.8, 0.4
-# Of the moving arm without a rim of so much.
-_RIM_M, _SEEN_THROUGH = 0.01, 0.6
+# How far readings on the arm have to move by a pose that fits better, and to what share their distance to the
+# arm falls. The arm's true surface moves those of a right pose by up to 1 cm, for spheres only cover it.
+_OFF = ((0.011, 0.8), (0.007, 0.33))
+# The arm has to be in view to that share as told.
+_AS_MANY = 0.4
+# Share of pixels that see through the arm, less a rim that spheres may stand out by.
+_RIM_M, _SEEN_THROUGH = 0.01, 0.4
 _BLANK_ARM, _BLANK_PICTURE = 0.6, 0.03
+# A picture that reads nearly nothing beyond it is of a camera at the hand, or of another unit.
 _NEAR_M = 0.25
 # Beyond the filter's slack; more pixels of the picture than noise leaves there.
-_LEFT_M, _LEFT_SHARE = 0.02, 0.0018
+_LEFT_M, _LEFT_SHARE = 0.02, 0.0028
+# A height, and the share of readings at it that is worth a note.
 _LEVEL_M, _LEVEL_SHARE = 0.02, 0.2
 # Readings of a camera that another one sees through by so much, and the share of them that is too much.
 _THROUGH_M, _THROUGH_SHARE = 0.1, 0.25
@@ -178,8 +180,7 @@ def _of_arm(shot: _Shot, arm: SerialArm, spheres: NDArray[np.float64], between: 
     fit = fit_pose(shot.depth_m, shot.camera, spheres, between)
     if (
         fit is not None
-        and fit.shift_m > _SHIFT_M
-        and fit.after_m < _CLOSER * fit.before_m
+        and any(fit.shift_m > shift_m and fit.after_m < closer * fit.before_m for shift_m, closer in _OFF)
         and fit.match.pixels >= _FEW_PIXELS
         # What slides the arm to where it was not in view fits something else.
         and fit.told.rendered >= _AS_MANY * fit.match.rendered
@@ -277,7 +278,7 @@ def _of_rest(
             "arm-pixels-left",
             f"{left} readings stay within {100 * (SLACK_M + _LEFT_M):.0f} cm of the arm beside its own",
             "they count as obstacles that touch the arm",
-            "if nothing stands there, add what the arm carries to its description, or check `state`",
+            "if nothing stands there, add what the arm carries to its description, or check `state` and pose",
             (shot.number,),
         )
 
@@ -287,7 +288,7 @@ def _of_base(shot: _Shot, arm: SerialArm) -> Iterable[Finding]:
     still = arm.sphere_links() == 0
     base = np.column_stack([arm.sphere_centres_m([np.zeros(arm.dim)])[0], arm.spheres_m()[:, 3]])[still]
     match = arm_match(shot.depth_m, shot.camera, base)
-    if match.pixels >= _FEW_PIXELS / 2 and match.agree >= _EXPLAINS:
+    if match.pixels >= _FEW_PIXELS / 3 and match.agree >= _EXPLAINS:
         yield arm_in_picture(f"the arm's base is seen on {match.pixels} pixels, and no `state` was sent")
 
 

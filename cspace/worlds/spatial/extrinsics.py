@@ -18,6 +18,8 @@ AGREES_M, BEHIND_M = 0.03, 0.06
 _GATES_M = (0.15, 0.10, 0.07, 0.05, 0.035, 0.025)
 # Gates to begin with: a wide one finds what is far off, a narrow one is not led astray by what stands near.
 _STARTS = (0, 3)
+# Where to begin as well if nothing fits from the told pose so far: beside it, along the camera's axes.
+_FITS, _ASIDE_M = 0.75, 0.1 * np.eye(3)
 # Distances of points to spheres that are computed at once, in some ms.
 _AT_ONCE = 400_000
 _STEPS, _MOST_POINTS, _FEWEST_POINTS = 5, 800, 30
@@ -96,7 +98,7 @@ def fit_pose(
 
     Gauss-Newton steps on the signed distances of points to the spheres, over a rigid motion in the base frame
     and a common inset of the surface (spheres cover the arm, so that they stand out), with Tukey's weights
-    whose gate narrows.
+    whose gate narrows. Begins at the told pose; where nothing fits from there, also beside it.
 
     Args:
         depth_m: (H, W), 0 = no reading.
@@ -107,12 +109,21 @@ def fit_pose(
     Returns:
         None where too few readings lie near the arm.
     """
-    points = near_arm(camera.points_m(depth_m)[depth_m > 0.0], spheres, _GATES_M[0], between)
-    points = points[:: max(1, -(-len(points) // _MOST_POINTS))]
-    if len(points) < _FEWEST_POINTS:
-        return None
-    found = [_fit(depth_m, camera, spheres, points, _GATES_M[first:], between) for first in _STARTS]
-    return max((one for one in found if one is not None), key=lambda one: one.match.quality, default=None)
+    read = camera.points_m(depth_m)[depth_m > 0.0]
+    starts = [(np.zeros(3), first) for first in _STARTS]
+    best: PoseFit | None = None
+    for offset_m, first in (*starts, *((sign * axis, 0) for axis in _ASIDE_M for sign in (1.0, -1.0))):
+        if offset_m.any() and best is not None and best.match.agree >= _FITS:
+            break
+        begin = make_pose(np.eye(3), camera.matrix[:3, :3] @ offset_m)
+        points = near_arm(moved(begin, read), spheres, _GATES_M[0], between) - begin[:3, 3]
+        points = points[:: max(1, -(-len(points) // _MOST_POINTS))]
+        if len(points) < _FEWEST_POINTS:
+            continue
+        fit = _fit(depth_m, camera, spheres, points, _GATES_M[first:], begin, between)
+        if fit is not None and (best is None or fit.match.quality > best.match.quality):
+            best = fit
+    return best
 
 
 def near_arm(
@@ -135,9 +146,10 @@ def _fit(
     spheres: NDArray[np.float64],
     points: NDArray[np.float64],
     gates_m: Sequence[float],
+    motion: NDArray[np.float64],
     between: Between,
 ) -> PoseFit | None:
-    pivot, motion, skin_m = points.mean(axis=0), np.eye(4), 0.0
+    pivot, skin_m = points.mean(axis=0), 0.0
     for gate_m in gates_m:
         for _ in range(_STEPS):
             between()
