@@ -12,12 +12,14 @@ import pytest
 from cspace.png import encode_png
 from cspace.worlds.spatial.camera import DepthCamera, encode_depth
 from cspace.worlds.spatial.poses import pose_of
+from cspace_client import DepthPictures, SamplingClient
 from inference_api.app import create_app
 from inference_api.settings import PRETRAINED_FOLDER, ApiSettings
 from tests.bundles import picture
 from tests.cspace.worlds.spatial.test_doctor import CAMERA, PICTURE, STATE, VIEW, WORLD
 from tests.inference_api.answers import assert_problem
 from tests.inference_api.client import ApiClient
+from tests.inference_api.client_transports import IntoApp
 from tests.inference_api.conftest import running
 
 PANDA = "panda-sampler"
@@ -99,3 +101,18 @@ def test_a_diagnosis_ends_where_the_client_has_left() -> None:
 
     with pytest.raises(LeftError):
         WORLD.diagnosed(VIEW, between)
+
+
+def test_the_client_reads_a_diagnosis(api: ApiClient) -> None:
+    told = {
+        name: value for name, value in CAMERA.to_dict().items() if name not in ("width", "height", "pose")
+    }
+    shown = DepthPictures([PICTURE], [told | {"pose": MISPLACED}], np.array(STATE))
+    with SamplingClient("http://localhost", 30.0, transport=IntoApp(api)) as client:
+        found = client.doctor(shown, PANDA)
+    assert [one.code for one in found.verdicts] == ["extrinsics"]
+    assert found.verdicts[0].pictures == (0,)
+    assert np.linalg.norm(found.poses[0].pose[:3, 3] - CAMERA.matrix[:3, 3]) < 0.01
+    assert found.model.model_name == PANDA
+    assert found.model.novelty is not None
+    assert found.notes

@@ -18,6 +18,7 @@ from cspace_client.errors import (
 from cspace_client.models import (
     MAX_SAMPLES,
     BelievedWay,
+    Diagnosis,
     Doubt,
     FoundPlan,
     JointSpace,
@@ -31,6 +32,8 @@ from cspace_client.models import (
     SampleQuery,
     Source,
     SourceTiming,
+    SuggestedPose,
+    Verdict,
     Wanted,
 )
 from cspace_client.pictures import DepthPictures, Picture
@@ -47,6 +50,7 @@ __all__ = [
     "ClientError",
     "ConfigError",
     "DepthPictures",
+    "Diagnosis",
     "Doubt",
     "FoundPlan",
     "JointSpace",
@@ -69,5 +73,7 @@ __all__ = [
     "SamplingClient",
     "Source",
     "SourceTiming",
+    "SuggestedPose",
+    "Verdict",
     "Wanted",
 ]

@@ -116,6 +116,11 @@ class Members:
         """Numbers from 0 to 1."""
         return [self._number(name, value, 0.0, 1.0) for value in self._list(name, self._values.get(name))]
 
+    def texts(self, name: str) -> list[str]:
+        """Texts."""
+        values = self._list(name, self._values.get(name))
+        return [one if isinstance(one, str) else self._wrong(name, "texts", one) for one in values]
+
     def row(self, name: str) -> list[float]:
         """Finite numbers."""
         return self._row(name, self._values.get(name))

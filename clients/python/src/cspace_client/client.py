@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from cspace_client.errors import ConfigError, SamplerAnswerError, SamplerError, SamplerUnavailableError
 from cspace_client.models import (
+    Diagnosis,
     FoundPlan,
     PlanWanted,
     QueryOptions,
@@ -25,6 +26,7 @@ from cspace_client.models import (
 from cspace_client.pictures import Picture, shown
 from cspace_client.requests import (
     Beliefs,
+    DoctorQuestion,
     Found,
     PlanQuestion,
     Question,
@@ -93,6 +95,9 @@ class HttpClient(ABC, Generic[Transport]):
     def _of_plan(self, picture: Picture, query: PlanWanted, model: str | None) -> PlanQuestion:
         given = shown(picture), model, self._robot, self._tells_robot
         return PlanQuestion(*given, query)
+
+    def _of_doctor(self, picture: Picture, model: str | None) -> DoctorQuestion:
+        return DoctorQuestion(shown(picture), model, self._robot, self._tells_robot)
 
     def _for_robot(self, query: Wanted) -> Wanted:
         """A query for the robot that it names, else for the client's."""
@@ -235,6 +240,20 @@ class SamplingClient(HttpClient[httpx.BaseTransport]):
         """
         return self._ask(self._of_plan(picture, query, model), time.perf_counter())
 
+    def doctor(self, picture: Picture, model: str | None = None) -> Diagnosis:
+        """What is wrong with pictures, cameras and state, and what to do; no fallback answers.
+
+        Args:
+            picture: of the scene.
+            model: as :meth:`sample` has it.
+
+        Raises:
+            SamplerUnavailableError: as :meth:`answer` has it.
+            SamplerAnswerError: likewise.
+            SamplerError: likewise.
+        """
+        return self._ask(self._of_doctor(picture, model), time.perf_counter())
+
     def close(self) -> None:
         """Close the connection."""
         self._closed = True
@@ -348,6 +367,10 @@ class AsyncSamplingClient(HttpClient[httpx.AsyncBaseTransport]):
     async def plan(self, picture: Picture, query: PlanWanted, model: str | None = None) -> FoundPlan:
         """See :meth:`cspace_client.SamplingClient.plan`."""
         return await self._ask(self._of_plan(picture, query, model), time.perf_counter())
+
+    async def doctor(self, picture: Picture, model: str | None = None) -> Diagnosis:
+        """See :meth:`cspace_client.SamplingClient.doctor`."""
+        return await self._ask(self._of_doctor(picture, model), time.perf_counter())
 
     async def aclose(self) -> None:
         """Close the connections."""

@@ -159,6 +159,61 @@ class ModelHead:
     warnings: tuple[PictureWarning, ...] = ()
 
 
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """Something that is wrong with the pictures of a request, or may be, in the server's words.
+
+    Args:
+        code: a name that never changes, as ``extrinsics``.
+        seen: what was seen.
+        effect: what it does to answers.
+        remedy: what to do.
+        pictures: numbers of the pictures that it is about, from 0; none where it is about all.
+    """
+
+    code: str
+    seen: str
+    effect: str
+    remedy: str
+    pictures: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SuggestedPose:
+    """Where a camera seems to stand.
+
+    Args:
+        picture: number of its picture, from 0.
+        pose: (4, 4) float64, of its optical frame in the robot's base, m.
+        offset_m: its distance from the pose that was sent.
+        turn_deg: how far it is turned from there.
+    """
+
+    picture: int
+    pose: NDArray[np.float64]
+    offset_m: float
+    turn_deg: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Diagnosis:
+    """What a close look at pictures finds.
+
+    Args:
+        verdicts: none where nothing wrong was found.
+        notes: what was seen and is not wrong, or could not be tested.
+        poses: of cameras for which a better one is clear.
+        model: that answered, with the novelty.
+        round_trip_s: from the request to the checked answer, further attempts included.
+    """
+
+    verdicts: tuple[Verdict, ...]
+    notes: tuple[str, ...]
+    poses: tuple[SuggestedPose, ...]
+    model: ModelHead
+    round_trip_s: float
+
+
 MAX_SAMPLES = 20_000
 """Of one request."""
 

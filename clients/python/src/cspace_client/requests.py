@@ -1,4 +1,4 @@
-"""The requests of an inference API: POST /sample, /validity and /plan, and how their answers are read."""
+"""The requests of an inference API, one class for each endpoint, and how their answers are read."""
 
 import io
 import json
@@ -33,6 +33,7 @@ from cspace_client.models import (
     MAX_SAMPLES,
     PLAIN,
     BelievedWay,
+    Diagnosis,
     Doubt,
     FoundPlan,
     JointSpace,
@@ -42,6 +43,8 @@ from cspace_client.models import (
     PlanWanted,
     SampleBatch,
     Status,
+    SuggestedPose,
+    Verdict,
     Wanted,
     configuration,
     is_digest,
@@ -350,7 +353,7 @@ class PlanReading:
         query, seed = self.question.query, told.seed("seed")
         if seed != query.seed:
             raise unusable("is for another seed", str(query.seed), str(seed))
-        head = self._head(told.inner("model"))
+        head = _head(self.question, told.inner("model"))
         space = space_of(told.plain("joint_space"), f"joint_space: {str(told.plain('joint_space'))[:80]}")
         scenario = told.inner("scenario")
         novelty = scenario.number("novelty", 1.0) if scenario.told("novelty") else None
@@ -361,15 +364,78 @@ class PlanReading:
         head = replace(head, space=space, novelty=novelty, warnings=warnings)
         return FoundPlan(plan, reason, seed, head, round_trip_s)
 
-    def _head(self, model: Members) -> ModelHead:
-        name, version, robot = model.text("name", _MAX_NAME), model.count("version"), model.text("robot")
-        digest = model.text("digest")
-        for what, value in (("digest", digest), ("robot", robot)):
-            if not is_digest(value):
-                raise unusable(f"names a wrong {what}", "a SHA-256 in hexadecimal", repr(value[:80]))
-        require_asked(self.question.model, self.question.robot, name, version, robot)
-        confirmed = model.flag("alias_confirmed")
-        return ModelHead(printable(name), version, digest, robot=robot, alias_confirmed=confirmed)
+
+def _head(question: Question[Any], model: Members) -> ModelHead:
+    name, version, robot = model.text("name", _MAX_NAME), model.count("version"), model.text("robot")
+    digest = model.text("digest")
+    for what, value in (("digest", digest), ("robot", robot)):
+        if not is_digest(value):
+            raise unusable(f"names a wrong {what}", "a SHA-256 in hexadecimal", repr(value[:80]))
+    require_asked(question.model, question.robot, name, version, robot)
+    confirmed = model.flag("alias_confirmed")
+    return ModelHead(printable(name), version, digest, robot=robot, alias_confirmed=confirmed)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DoctorQuestion(Question[Diagnosis]):
+    """A request for what is wrong with pictures."""
+
+    path: ClassVar[str] = "/doctor"
+    media_type: ClassVar[str] = JSON
+
+    def own_fields(self) -> dict[str, Any]:
+        """None: the pictures are all."""
+        return {}
+
+    def read(self, headers: Mapping[str, str]) -> "DoctorReading":
+        """See :class:`cspace_client.requests.Question`."""
+        read_media_type(headers, JSON)
+        return DoctorReading(self)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DoctorReading:
+    """See :class:`cspace_client.requests.Reading`."""
+
+    question: DoctorQuestion
+
+    @property
+    def limit_bytes(self) -> int:
+        """Of JSON."""
+        return _MAX_BYTES
+
+    def conclude(self, body: bytes, round_trip_s: float) -> Diagnosis:
+        """The diagnosis, whose poses are 4 x 4."""
+        try:
+            told = Members(parse_json(body), "diagnosis")
+        except ValueError as error:
+            raise unusable("is no diagnosis", "the members of one", str(error)) from error
+        scenario = told.inner("scenario")
+        novelty = scenario.number("novelty", 1.0) if scenario.told("novelty") else None
+        return Diagnosis(
+            tuple(
+                Verdict(
+                    printable(one.text("code")),
+                    printable(one.text("seen")),
+                    printable(one.text("effect")),
+                    printable(one.text("remedy")),
+                    tuple(int(number) for number in one.row("pictures")),
+                )
+                for one in told.each("verdicts")
+            ),
+            tuple(map(printable, told.texts("notes"))),
+            tuple(map(_suggested, told.each("poses"))),
+            replace(_head(self.question, told.inner("model")), novelty=novelty),
+            round_trip_s,
+        )
+
+
+def _suggested(one: Members) -> SuggestedPose:
+    rows = one.rows("pose")
+    if [len(row) for row in rows] != [4] * 4:
+        raise unusable("has no whole pose", "4 x 4 numbers", f"rows of {[len(row) for row in rows][:8]}")
+    pose = np.array(rows, dtype=np.float64)
+    return SuggestedPose(one.count("picture"), pose, one.number("offset_m"), one.number("turn_deg"))
 
 
 def _plan(told: Members, space: JointSpace) -> Plan:
