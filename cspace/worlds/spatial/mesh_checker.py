@@ -77,6 +77,12 @@ class RobotMeshes:
             found[column : column + width] = (angle,) if width == 1 else (np.cos(angle), np.sin(angle))
         return found
 
+    def places(self, row: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Poses (shapes, 4, 4) m of all shapes in the base frame, at a configuration (d,) rad."""
+        data, found = self.model.createData(), self.geometry.createData()
+        self._pin.updateGeometryPlacements(self.model, data, self.geometry, found, self.configuration(row))
+        return np.stack([np.asarray(place.homogeneous) for place in found.oMg])
+
     def with_obstacles(self, obstacles: Obstacles) -> Any:
         """A copy of the geometry in which every shape of the robot is held apart from each obstacle, too."""
         geometry = self.geometry.copy()
