@@ -9,8 +9,8 @@ counts as found by a finding that names it or what it does, see :data:`KINDS`, o
 only the arm gives away are planted where at least :data:`IN_VIEW` of a picture's pixels show it. Pose errors
 are of exactly 2 cm or 2 degrees, in any direction, likewise. Shares come with Wilson intervals of 95 %.
 
-The arm is drawn as the spheres that the doctor compares with. ``--urdf`` draws it by its meshes instead, which
-lie up to 2 cm below them (extra ``spatial``).
+The arm is drawn as the spheres that the doctor compares with. ``--urdf`` draws it by its meshes instead,
+which lie up to 2 cm below them (extra ``spatial``).
 """
 
 import sys

@@ -62,6 +62,7 @@ ARRANGEMENT: Mapping[str, Sequence[Section]] = {
                 for name in (
                     *(
                         "spatial",
+                        "doctor",
                         "quality",
                         "planning",
                         "path-models",

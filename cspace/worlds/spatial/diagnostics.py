@@ -263,7 +263,7 @@ def _of_poses(arm: SerialArm, view: DepthView) -> Iterable[Finding]:
             "check that z of the pose is the optical axis: a body frame has z up (send frame body for it)",
             up,
         )
-    if view.state is None:
+    if view.state is None or not arm.sphere_count:
         return
     spheres = np.column_stack([arm.sphere_centres_m([view.state])[0], arm.spheres_m()[:, 3]])
     depths = [

@@ -115,7 +115,7 @@ def diagnosed(
         findings += _of_readings(shot)
         rest_m = shot.depth_m
         if spheres is None:
-            findings += _of_base(shot, arm)
+            findings += _of_base(shot, arm, between)
         else:
             found = _of_arm(shot, arm, spheres, between)
             findings += found.findings
@@ -172,7 +172,7 @@ def _of_readings(shot: _Shot) -> Iterable[Finding]:
 
 
 def _of_arm(shot: _Shot, arm: SerialArm, spheres: NDArray[np.float64], between: Between) -> Diagnosis:
-    told = arm_match(shot.depth_m, shot.camera, spheres)
+    told = arm_match(shot.depth_m, shot.camera, spheres, between)
     if told.pixels < _FEW_PIXELS or told.agree < _DISAGREES:
         instead = _instead(shot, spheres, told, between)
         if instead is not None:
@@ -189,7 +189,7 @@ def _of_arm(shot: _Shot, arm: SerialArm, spheres: NDArray[np.float64], between: 
     ):
         return _off(shot, fit.camera, fit.before_m, fit.after_m)
     inner = np.column_stack([spheres[:, :3], np.maximum(spheres[:, 3] - _RIM_M, 1e-3)])
-    moving = arm_match(shot.depth_m, shot.camera, inner[arm.sphere_links() > 1])
+    moving = arm_match(shot.depth_m, shot.camera, inner[arm.sphere_links() > 1], between)
     for match in (moving, told):
         if match.pixels < _FEW_PIXELS or match.through < _SEEN_THROUGH:
             continue
@@ -211,16 +211,14 @@ def _instead(shot: _Shot, spheres: NDArray[np.float64], told: ArmMatch, between:
     """The usual mistake that explains where the arm is seen, if one does."""
     tried: list[tuple[float, Diagnosis]] = []
     for code, (what, remedy, turned) in _INSTEAD.items():
-        between()
         camera = replace(shot.camera, pose=pose_of(turned(shot.camera.matrix)))
-        found = arm_match(shot.depth_m, camera, spheres)
+        found = arm_match(shot.depth_m, camera, spheres, between)
         if _explains(found, told):
             seen = f"{what}: so the arm is seen where it is on {found.agree:.0%} of its pixels"
             one = Finding(code, seen, _WRONG_PLACE, remedy, (shot.number,))
             tried.append((found.quality, Diagnosis((one,), (), (_suggested(shot, camera),))))
     for words, scale in _SCALES.items():
-        between()
-        found = arm_match(shot.depth_m * scale, shot.camera, spheres)
+        found = arm_match(shot.depth_m * scale, shot.camera, spheres, between)
         if _explains(found, told):
             remedy = f"multiply depth_scale_m by {scale:g} (send {1e-3 * scale:g} if none was sent)"
             one = Finding(
@@ -283,11 +281,11 @@ def _of_rest(
         )
 
 
-def _of_base(shot: _Shot, arm: SerialArm) -> Iterable[Finding]:
+def _of_base(shot: _Shot, arm: SerialArm, between: Between) -> Iterable[Finding]:
     """Whether the part of an arm that stands still is in a picture without ``state``."""
     still = arm.sphere_links() == 0
     base = np.column_stack([arm.sphere_centres_m([np.zeros(arm.dim)])[0], arm.spheres_m()[:, 3]])[still]
-    match = arm_match(shot.depth_m, shot.camera, base)
+    match = arm_match(shot.depth_m, shot.camera, base, between)
     if match.pixels >= _FEW_PIXELS / 3 and match.agree >= _EXPLAINS:
         yield arm_in_picture(f"the arm's base is seen on {match.pixels} pixels, and no `state` was sent")
 

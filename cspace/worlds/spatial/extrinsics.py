@@ -49,9 +49,11 @@ class ArmMatch:
     quality: float
 
 
-def arm_match(depth_m: Depth, camera: DepthCamera, spheres: NDArray[np.float64]) -> ArmMatch:
+def arm_match(
+    depth_m: Depth, camera: DepthCamera, spheres: NDArray[np.float64], between: Between = lambda: None
+) -> ArmMatch:
     """Compares a picture (H, W) m, 0 = no reading, with spheres (S, 4) m that cover the arm."""
-    rendered = arm_depth_m(camera, spheres)
+    rendered = arm_depth_m(camera, spheres, between)
     inner = _eroded(np.isfinite(rendered))
     read = inner & (depth_m > 0.0)
     gap = (depth_m - rendered)[read]
@@ -133,7 +135,9 @@ def near_arm(
     between: Between = lambda: None,
 ) -> NDArray[np.float64]:
     """Those of points (N, 3) whose distance to the surface of spheres (S, 4) is below ``within_m``."""
-    kept = []
+    kept = [points_m[:0]]
+    if not len(spheres):
+        return kept[0]
     for some in np.array_split(points_m, -(-len(points_m) * len(spheres) // _AT_ONCE) or 1):
         between()
         kept.append(some[np.abs(_to_surface(some, spheres)[0]) < within_m])
@@ -171,8 +175,8 @@ def _fit(
         float(np.median(before)),
         float(np.median(after[on_arm])),
         int(on_arm.sum()),
-        arm_match(depth_m, camera, shrunk),
-        arm_match(depth_m, found, shrunk),
+        arm_match(depth_m, camera, shrunk, between),
+        arm_match(depth_m, found, shrunk, between),
     )
 
 

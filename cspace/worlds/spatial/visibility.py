@@ -84,9 +84,11 @@ def check_picture(depth_mm: NDArray[np.uint16], camera: DepthCamera) -> None:
         )
 
 
-def arm_depth_m(camera: DepthCamera, spheres: ArrayLike) -> NDArray[np.float32]:
+def arm_depth_m(
+    camera: DepthCamera, spheres: ArrayLike, between: Between = lambda: None
+) -> NDArray[np.float32]:
     """The arm as rendered: depth (H, W) m of spheres (S, 4) m, inf beside them; 0 for a camera within one."""
-    return _begins_m(camera, np.asarray(spheres, dtype=np.float64).reshape(-1, 4), 0.0, lambda: None)
+    return _begins_m(camera, np.asarray(spheres, dtype=np.float64).reshape(-1, 4), 0.0, between)
 
 
 def _begins_m(

@@ -163,6 +163,11 @@ def test_a_large_picture_is_diagnosed_as_a_small_one():
     assert codes(view) == set()
 
 
+def test_an_arm_without_shapes_is_not_looked_for():
+    bare = replace(WORLD, body=replace(WORLD.body, parts=(), touching=()))
+    assert bare.diagnosed(VIEW).poses == ()
+
+
 def test_a_novelty_is_told_in_words():
     found = WORLD.diagnosed(VIEW)
     assert "more unusual than 40%" in found.with_novelty(0.4).notes[-1]
