@@ -8,7 +8,7 @@ import pytest
 from cspace.bundle import write_bundle
 from cspace.png import encode_png
 from inference_api.app import create_app
-from inference_api.settings import ApiSettings, Protection
+from inference_api.settings import PRETRAINED_FOLDER, ApiSettings, Protection
 from tests.bundles import picture, tiny_graphs, tiny_spec, write_tiny_bundle
 from tests.inference_api.client import ApiClient, running
 from tests.inference_api.fake_registry import CountingRegistry
@@ -45,6 +45,15 @@ def png() -> bytes:
 @pytest.fixture
 def registry(tmp_path: Path) -> CountingRegistry:
     return CountingRegistry(tmp_path / "registry")
+
+
+@contextmanager
+def shipped_api(cache: Path, name: str) -> Iterator[ApiClient]:
+    """An app with the shipped models of both worlds, that of the Panda under a name, without a registry."""
+    panda = Path(PRETRAINED_FOLDER).with_name("pretrained_panda")
+    settings = ApiSettings(registry_uri=None, cache_folder=cache, further_folders={name: panda})
+    with running(create_app(settings)) as client:
+        yield client
 
 
 @contextmanager

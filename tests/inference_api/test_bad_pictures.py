@@ -3,7 +3,6 @@
 import base64
 import json
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import httpx
@@ -14,11 +13,10 @@ from numpy.typing import NDArray
 from cspace.view_file import pack_view
 from cspace.worlds.spatial.camera import DepthCamera, encode_depth, looking
 from cspace_client import DepthPictures, PlanQuery, SamplingClient
-from inference_api.app import create_app
-from inference_api.settings import PRETRAINED_FOLDER, ApiSettings
 from tests.inference_api.answers import assert_problem
-from tests.inference_api.client import ApiClient, running
+from tests.inference_api.client import ApiClient
 from tests.inference_api.client_transports import IntoApp
+from tests.inference_api.conftest import shipped_api
 
 PANDA = "pretrained-panda"
 START = [0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785]
@@ -55,12 +53,7 @@ def holed(value: int) -> Depth:
 
 @pytest.fixture(scope="module")
 def api(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ApiClient]:
-    settings = ApiSettings(
-        registry_uri=None,
-        cache_folder=tmp_path_factory.mktemp("cache"),
-        further_folders={PANDA: Path(PRETRAINED_FOLDER).with_name("pretrained_panda")},
-    )
-    with running(create_app(settings)) as client:
+    with shipped_api(tmp_path_factory.mktemp("cache"), PANDA) as client:
         yield client
 
 

@@ -13,14 +13,12 @@ from cspace.png import encode_png
 from cspace.worlds.spatial.camera import DepthCamera, encode_depth
 from cspace.worlds.spatial.poses import pose_of
 from cspace_client import DepthPictures, SamplingClient
-from inference_api.app import create_app
-from inference_api.settings import PRETRAINED_FOLDER, ApiSettings
 from tests.bundles import picture
 from tests.cspace.worlds.spatial.test_doctor import CAMERA, PICTURE, STATE, VIEW, WORLD
 from tests.inference_api.answers import assert_problem
 from tests.inference_api.client import ApiClient
 from tests.inference_api.client_transports import IntoApp
-from tests.inference_api.conftest import running
+from tests.inference_api.conftest import shipped_api
 
 PANDA = "panda-sampler"
 SCENARIO = Path(__file__).parents[2] / "docs" / "images" / "scenario.png"
@@ -30,12 +28,7 @@ MISPLACED[:3, 3] += (0.03, 0.0, 0.0)
 
 @pytest.fixture(scope="module")
 def api(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ApiClient]:
-    settings = ApiSettings(
-        registry_uri=None,
-        cache_folder=tmp_path_factory.mktemp("cache"),
-        further_folders={PANDA: Path(PRETRAINED_FOLDER).with_name("pretrained_panda")},
-    )
-    with running(create_app(settings)) as client:
+    with shipped_api(tmp_path_factory.mktemp("cache"), PANDA) as client:
         yield client
 
 
