@@ -23,6 +23,8 @@ def test_the_mean_interval_is_near_the_normal_one(rng):
     assert interval.estimate == pytest.approx(values.mean())
     assert interval.low == pytest.approx(values.mean() - half, abs=0.02)
     assert interval.high == pytest.approx(values.mean() + half, abs=0.02)
+    # An interval of 90 % would be a sixth narrower.
+    assert (interval.high - interval.low) / 2.0 == pytest.approx(half, rel=0.08)
     assert interval.count == 400
 
 
