@@ -50,5 +50,5 @@ def test_data_that_leave_a_cluster_of_an_earlier_job_empty_are_refused(tmp_path)
     earlier.save(tmp_path / "clusters.npz")
     again = Partition.load(tmp_path / "clusters.npz", data, SPACE)
     np.testing.assert_array_equal(again.labels, earlier.labels)
-    with pytest.raises(ConfigError, match="without configurations.*some in each of 2"):
+    with pytest.raises(ConfigError, match=r"without configurations.*some in each of 2"):
         Partition.load(tmp_path / "clusters.npz", data[:300], SPACE)
