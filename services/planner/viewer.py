@@ -1,16 +1,21 @@
 """``python -m services.planner.viewer``: an arm among obstacles in 3D, with the API's samples and plans.
 
 The scene is drawn with viser. Obstacles and depth cameras can be dragged; the depth pictures are rendered
-again, and the API is asked for samples and plans as any client would ask.
+again, and the API is asked for samples and plans as any client would ask. A view file or a recording that is
+dropped on the page takes the scene's place.
 """
 
 import argparse
+import json
+import subprocess
 import sys
 import threading
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, Protocol, cast
 
 import httpx
@@ -25,17 +30,31 @@ from cspace.planning.paths import spread_points
 from cspace.simulator import UNIFORM, Asked, Problem, Split
 from cspace.world import World
 from cspace.worlds import partly_seen, read_world, simulator_of
-from cspace_client import ClientError, DepthPictures, FoundPlan, PlanQuery, SamplingClient
+from cspace_client import ClientError, DepthPictures, Diagnosis, FoundPlan, PlanQuery, SamplingClient
 from services.planner.client import usual_api
 
 Floats = NDArray[np.float64]
 GREY, START, GOAL, ALONG = (150, 150, 155), (70, 120, 200), (60, 160, 90), (230, 150, 40)
+UNSEEN = (150, 120, 210)
 # Around this point further cameras are placed, m in the base frame.
 FOCUS_M = np.array([0.45, 0.0, 0.35])
 ASIDE_RAD = (0.0, 1.3, -1.3)
 CHECK_RAD, FRAMES, POINTS_AT_MOST = 0.005, 200, 8000
 SAMPLES_AT_MOST = 200
 SOURCE = "MotionBenchMaker"
+RECORDINGS = (".mcap", ".db3")
+IMPORT_S = 120
+# viser takes files by a button alone: what is dropped is given to the button's field.
+DROP_ZONE = """
+<div style="margin:0 0.5em;padding:1em;border:2px dashed #999;border-radius:4px;text-align:center"
+     ondragover="event.preventDefault()"
+     ondrop="event.preventDefault();
+             const field = document.querySelector('input[type=file]');
+             field.files = event.dataTransfer.files;
+             field.dispatchEvent(new Event('change', {bubbles: true}))">
+  Drop a view file or a recording of ROS 2 here
+</div>
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,14 +64,14 @@ class Samples:
     Args:
         rows: (n, d) rad.
         confidence: (n,) that each is collision-free, by the model.
-        free: (n,) whether each is, by the scene's own obstacles.
+        free: (n,) whether each is, by the scene's own obstacles; None where nobody knows these.
         novelty: of the pictures, 0 to 1; None where the model does not estimate it.
         unseen: mean share of the arm outside of what the cameras see; None where the API does not tell.
     """
 
     rows: Floats
     confidence: NDArray[np.float32]
-    free: NDArray[np.bool_]
+    free: NDArray[np.bool_] | None
     novelty: float | None
     unseen: float | None
 
@@ -69,6 +88,9 @@ class Api(Protocol):
     def plan(self, picture: DepthPictures, query: PlanQuery, model: str) -> FoundPlan:
         """A path."""
 
+    def doctor(self, picture: DepthPictures, model: str) -> Diagnosis:
+        """What is wrong with pictures, cameras and state."""
+
 
 class SceneState:
     """A planning problem that a person changes, and what the API answers about it.
@@ -82,6 +104,7 @@ class SceneState:
     def __init__(self, api: Api, world: World, model: str) -> None:
         self.api, self.world, self.model = api, world, model
         self.simulator, self.benchmark = simulator_of(world), partly_seen(world)
+        self.opened: Any = None
         self.problem = self.draw(self.families[0], 0)
 
     @property
@@ -95,12 +118,28 @@ class SceneState:
         """Obstacles, cameras and the arm's state."""
         return self.problem.scenario
 
+    @property
+    def view(self) -> Any:
+        """What depth cameras saw: of the opened file, or of the scene."""
+        return self.scene.view() if self.opened is None else self.opened
+
+    def open(self, data: bytes) -> None:
+        """Take a view file in the scene's place; the arm starts where it was.
+
+        Raises:
+            ImageError: it is none, or does not fit the arm.
+        """
+        self.opened = cast("Any", self.world).view(data)
+        if self.opened.state is not None:
+            self.problem = replace(self.problem, start=np.asarray(self.opened.state))
+
     def draw(self, family: str, seed: int) -> Problem:
         """Take the problem of a family and a seed: of the split ``demo``, or a shipped one of a set.
 
         Raises:
             InputError: an end of the set's problem collides, or lies outside the limits of the model's arm.
         """
+        self.opened = None
         if family in self.simulator.families.names:
             self.problem = self.simulator.problem(family, Split.DEMO, seed)
             return self.problem
@@ -136,19 +175,34 @@ class SceneState:
 
     def pictures(self) -> DepthPictures:
         """What the cameras see, as the API takes it."""
-        view, fields = self.scene.view(), ("fx", "fy", "cx", "cy", "pose")
+        view, fields = self.view, ("fx", "fy", "cx", "cy", "pose")
         cameras = [{name: one.to_dict()[name] for name in fields} for one in view.cameras]
         return DepthPictures(view.pictures, cameras, view.state)
 
     def points_m(self) -> Floats:
         """What the cameras read, (N, 3) m in the base frame, thinned out."""
-        view = self.scene.view()
+        view = self.view
         clouds = [
             camera.points_m(depth / 1000.0).reshape(-1, 3)[(depth > 0).reshape(-1)]
             for camera, depth in zip(view.cameras, view.pictures, strict=True)
         ]
-        cloud = np.concatenate(clouds)
-        return cast("Floats", cloud[:: max(1, len(cloud) // POINTS_AT_MOST)])
+        return _thinned(np.concatenate(clouds))
+
+    def unseen_m(self) -> Floats:
+        """What no camera sees of the space in reach, (N, 3) m in the base frame, thinned out."""
+        return _thinned(cast("Any", self.world).unseen_m(self.view))
+
+    def findings(self) -> str:
+        """What the doctor says of the pictures, as Markdown."""
+        found = self.api.doctor(self.pictures(), self.model)
+        lines = [f"- **{one.code}**: {one.seen}. {one.effect}. *{one.remedy}.*" for one in found.verdicts]
+        lines += [
+            f"- picture {pose.picture}: a pose {100 * pose.offset_m:.1f} cm and {pose.turn_deg:.1f} degrees "
+            "away fits"
+            for pose in found.poses
+        ]
+        notes = [f"- {note}" for note in found.notes]
+        return "\n".join([*(lines or ["Nothing wrong was found."]), "", *notes])
 
     def sample(self, count: int, seed: int = 0) -> Samples:
         """Unfiltered samples with their confidence and the scene's own verdict."""
@@ -157,7 +211,7 @@ class SceneState:
         rows = np.asarray(batch.samples, dtype=np.float64)
         scored = self.api.validity(shown, rows, self.model)
         unseen = None if scored.unseen is None else float(np.mean(scored.unseen))
-        free = self.simulator.checker(self.scene).valid_batch(rows)
+        free = None if self.opened else self.simulator.checker(self.scene).valid_batch(rows)
         return Samples(rows, scored.confidence, free, batch.novelty, unseen)
 
     def plan(self, min_confidence: float, seed: int = 0) -> tuple[FoundPlan, str]:
@@ -169,10 +223,46 @@ class SceneState:
         path = found.plan.way
         if len(path) < 2:
             return found, f"**{found.plan.status}**: {found.reason}"
+        if self.opened is not None:
+            return found, f"Confidence {found.plan.confidence:.0%}. Nobody knows the true scene."
         checker = self.simulator.checker(self.scene)
         hits = int((~checker.edge_batch(path[:-1], path[1:], CHECK_RAD)).sum())
         truth = "collision-free" if hits == 0 else f"**in collision** on {hits} of {len(path) - 1} edges"
         return found, f"Confidence {found.plan.confidence:.0%}. In the true scene the path is {truth}."
+
+
+def _thinned(points: Floats) -> Floats:
+    """At most twice as many points (N, 3) as are shown."""
+    return points[:: max(1, len(points) // POINTS_AT_MOST)]
+
+
+def views_of_recording(name: str, content: bytes, world: World, base: str) -> list[bytes]:
+    """View files of a recording, imported as the command line does.
+
+    Args:
+        name: of the file.
+        content: its bytes.
+        world: of the arm.
+        base: tf frame of the arm's base.
+
+    Raises:
+        InputError: it is none, or nothing in it fits.
+    """
+    with TemporaryDirectory() as folder:
+        source, arm, into = Path(folder) / Path(name).name, Path(folder) / "arm.json", Path(folder) / "views"
+        source.write_bytes(content)
+        arm.write_text(json.dumps(world.body.to_dict()))
+        command = [sys.executable, "-m", "training.data", "import-recording", str(source), str(into)]
+        command += [f"--arm={arm}", f"--base={base}", f"--time-limit={IMPORT_S}"]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        if done.returncode != 0:
+            raise InputError(
+                f"{name} cannot be imported",
+                expected="a recording of ROS 2 with depth images, cameras, joint states and transforms",
+                got=done.stderr.strip()[-400:],
+                remedy="see python -m training.data import-recording --help for topics and frames",
+            )
+        return [path.read_bytes() for path in sorted((into / "views").iterdir())]
 
 
 def _placed(pose: Any) -> dict[str, Any]:
@@ -204,6 +294,7 @@ class Viewer:
         self.server.scene.add_grid("/ground", 2.0, 2.0, cell_size=0.1, section_size=0.5)
         self.lock = threading.RLock()
         self.path = np.empty((0, self.space.dim))
+        self.views: list[bytes] = []
         self._add_controls()
         self.show_scene()
 
@@ -216,6 +307,13 @@ class Viewer:
             self.count = gui.add_slider("samples", 1, SAMPLES_AT_MOST, 1, 60)
             self.told = gui.add_markdown("")
             gui.add_markdown("Click an obstacle or a camera to move it.")
+            self.unseen = gui.add_checkbox("show what no camera sees", initial_value=False)
+        with gui.add_folder("Your own pictures"):
+            gui.add_html(DROP_ZONE)
+            upload = gui.add_upload_button("Open a file")
+            self.base = gui.add_text("robot's base in the recording", "base_link")
+            self.which = gui.add_slider("view of the recording", 0, 1, 1, 0, visible=False)
+            self.doctor = gui.add_markdown("")
         with gui.add_folder("Plan"):
             self.least = gui.add_slider("min. confidence", 0.0, 1.0, 0.01, 0.5)
             plan = gui.add_button("Plan a path", color="green")
@@ -226,6 +324,9 @@ class Viewer:
             handle.on_update(lambda _: self._guarded(self._draw))
         self.cameras.on_update(lambda _: self._guarded(self._use_cameras))
         self.count.on_update(lambda _: self._guarded(self.show_samples))
+        self.unseen.on_update(lambda _: self._guarded(self._show_unseen))
+        upload.on_upload(lambda _: self._guarded(partial(self._open, upload)))
+        self.which.on_update(lambda _: self._guarded(self._show_opened))
         plan.on_click(lambda _: self._guarded(self.show_plan))
         self.along.on_update(lambda _: self._show_along())
 
@@ -259,9 +360,40 @@ class Viewer:
     def _draw(self) -> None:
         self.state.draw(self.family.value, int(self.seed.value))
         self.cameras.value = len(self.state.scene.cameras)
+        self.views, self.which.visible, self.doctor.content = [], False, ""
+        self.cameras.disabled = False
+        self._show_ends()
+        self.show_scene()
+
+    def _show_ends(self) -> None:
         for name, sliders in self.sliders.items():
             for slider, value in zip(sliders, getattr(self.state.problem, name), strict=True):
                 slider.value = float(value)
+
+    def _open(self, upload: Any) -> None:
+        """Show a view file, or the first view of a recording."""
+        file, world = upload.value, self.state.world
+        recorded = file.name.endswith(RECORDINGS)
+        self.doctor.content = f"Reading {file.name} ..."
+        try:
+            self.views = (
+                views_of_recording(file.name, file.content, world, self.base.value)
+                if recorded
+                else [file.content]
+            )
+            self.which.max = max(1, len(self.views) - 1)
+            self.which.value, self.which.visible = 0, len(self.views) > 1
+            self._show_opened()
+        except (CspaceError, ClientError) as error:
+            self.doctor.content = f"**{type(error).__name__}**: {error}"
+
+    def _show_opened(self) -> None:
+        if not self.views:
+            return
+        self.state.open(self.views[int(self.which.value)])
+        self.cameras.disabled = self.unseen.value = True
+        self._show_ends()
+        self.doctor.content = self.state.findings()
         self.show_scene()
 
     def _use_cameras(self) -> None:
@@ -280,6 +412,19 @@ class Viewer:
         with suppress(KeyError):
             scene.remove_by_name("/scene")
         self._forget_path()
+        if self.state.opened is None:
+            self._show_obstacles()
+        for at, camera in enumerate(self.state.view.cameras):
+            field, aspect = 2.0 * np.arctan2(camera.height / 2.0, camera.fy), camera.width / camera.height
+            frustum = scene.add_camera_frustum(
+                f"/scene/camera {at}", float(field), aspect, scale=0.12, **_placed(camera.pose)
+            )
+            if self.state.opened is None:
+                self._movable(frustum, partial(self._move_camera, at))
+        self.show_samples()
+
+    def _show_obstacles(self) -> None:
+        scene = self.server.scene
         for at, box in enumerate(self.state.scene.obstacles.boxes):
             shape = scene.add_box(f"/scene/box {at}", GREY, 2.0 * np.asarray(box.half_m), **_placed(box.pose))
             self._movable(shape, partial(self._move, "boxes", at))
@@ -289,13 +434,6 @@ class Viewer:
                 f"/scene/cylinder {at}", one.radius_m, height, GREY, **_placed(one.pose)
             )
             self._movable(round_, partial(self._move, "cylinders", at))
-        for at, camera in enumerate(self.state.scene.cameras):
-            field, aspect = 2.0 * np.arctan2(camera.height / 2.0, camera.fy), camera.width / camera.height
-            frustum = scene.add_camera_frustum(
-                f"/scene/camera {at}", float(field), aspect, scale=0.12, **_placed(camera.pose)
-            )
-            self._movable(frustum, partial(self._move_camera, at))
-        self.show_samples()
 
     def _movable(self, shape: Any, moved: Callable[[Floats], None]) -> None:
         """A click on a shape shows the handles that it is dragged and turned by."""
@@ -338,6 +476,7 @@ class Viewer:
         self._show_arm("/scene/goal", problem.goal, GOAL, 0.4)
         cloud = self.state.points_m()
         scene.add_point_cloud("/scene/cloud", cloud, (40, 40, 40), point_size=0.004)
+        self._show_unseen()
         found = self.state.sample(int(self.count.value))
         joints = self.arm.joint_positions_m(found.rows)
         segments = np.stack([joints[:, :-1], joints[:, 1:]], axis=2)
@@ -351,12 +490,16 @@ class Viewer:
         )
         shares = {
             "confidence of the samples": float(np.mean(found.confidence)),
-            "collision-free in the true scene": float(np.mean(found.free)),
+            "collision-free in the true scene": None if found.free is None else float(np.mean(found.free)),
             "of the arm in unknown space": found.unseen,
             "novelty of the pictures": found.novelty,
         }
         rows = [f"| {name} | {value:.0%} |" for name, value in shares.items() if value is not None]
         self.told.content = "\n".join(["| | |", "|---|---|", *rows])
+
+    def _show_unseen(self) -> None:
+        points = self.state.unseen_m() if self.unseen.value else np.empty((0, 3))
+        self.server.scene.add_point_cloud("/scene/unseen", points, UNSEEN, point_size=0.006)
 
     def show_plan(self) -> None:
         """Ask for a path, check it in the true scene, and draw it."""

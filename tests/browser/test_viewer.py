@@ -2,12 +2,17 @@
 
 import re
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 from playwright.sync_api import Page, expect
 
-from tests.browser.viewer import open_viewer, plan_in_viewer, viewer_at
+from cspace.simulator import Split
+from cspace.worlds import examples, simulator_of
+from cspace.worlds.spatial.view import write_view
+from tests.browser.viewer import drop_file, open_viewer, plan_in_viewer, viewer_at
 from tests.inference_api.server import api_server
+from tests.training.data.test_recordings import BASE, only_file, usual
 
 pytestmark = [pytest.mark.browser, pytest.mark.e2e, pytest.mark.timeout(300)]
 
@@ -27,3 +32,22 @@ def test_a_scene_is_sampled_planned_and_changed(page: Page, address: str) -> Non
     expect(table).not_to_have_text(before)
     # Another scene has another path.
     expect(page.get_by_text("In the true scene the path is")).to_have_count(0)
+
+
+def test_a_view_file_or_a_recording_is_dropped_on_the_page(page: Page, address: str, tmp_path: Path) -> None:
+    open_viewer(page, address)
+    free, nobody = page.get_by_text("collision-free in the true scene"), "Nobody knows the true scene."
+    expect(free).to_be_visible()
+    world = examples()["panda"]
+    view = simulator_of(world).problem("table", Split.DEMO, 0).scenario.view()
+    drop_file(page, "one.view", write_view(view))
+    expect(page.get_by_text("Nothing wrong was found.")).to_be_visible()
+    expect(free).to_have_count(0)
+    page.get_by_role("button", name="Plan a path").click()
+    expect(page.get_by_text(nobody).or_(page.get_by_text(re.compile("^refused|^no_path")))).to_be_visible()
+    page.get_by_label("robot's base in the recording").fill(BASE)
+    drop_file(page, "bag.mcap", only_file(usual().write(tmp_path / "bag"), ".mcap").read_bytes())
+    expect(page.get_by_text("view of the recording")).to_be_visible()
+    expect(page.get_by_text("Nothing wrong was found.")).to_have_count(0)
+    drop_file(page, "bag.mcap", b"no recording")
+    expect(page.get_by_text("bag.mcap cannot be imported")).to_be_visible()

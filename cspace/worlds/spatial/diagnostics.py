@@ -118,6 +118,12 @@ def diagnose(
     return tuple(found)
 
 
+def unseen_m(arm: SerialArm, grid: GridBox, image: Image) -> NDArray[np.float64]:
+    """(N, 3): centres of the voxels in reach that are not seen, free or at a surface, m in the base frame."""
+    reach = _reach(arm, grid)
+    return grid.centres_m()[reach.voxels & ~reach.seen(image)]
+
+
 def view_findings(arm: SerialArm, sensor: DepthSensor, view: DepthView) -> tuple[Finding, ...]:
     """Those of cameras, readings and state alone, whatever is seen."""
     shoulder_m = np.asarray(arm.joints[0].origin.xyz_m)

@@ -32,6 +32,7 @@ from cspace.worlds.spatial.diagnostics import (
     diagnose,
     least_novelty,
     start_findings,
+    unseen_m,
     view_findings,
 )
 from cspace.worlds.spatial.doctor import diagnosed, nothing_in_reach
@@ -93,6 +94,10 @@ class SpatialWorld:
         """
         return np.asarray(self.examine_picture(data, between).images[0])
 
+    def view(self, data: bytes) -> DepthView:
+        """See :func:`cspace.worlds.spatial.view.read_view`."""
+        return read_view(data, self.space)
+
     def examine_picture(self, data: bytes, between: Between | None = None) -> Examined:
         """See :meth:`cspace.world.World.examine_picture`."""
         return self.examined(read_view(data, self.space, between), between)
@@ -141,6 +146,10 @@ class SpatialWorld:
     def observed(self, view: DepthView, between: Between | None = None) -> NDArray[np.uint8]:
         """What a view says of the space about the arm, (X, Y, Z, 2); pauses as :meth:`read_picture`."""
         return fused(self._each(view, between))
+
+    def unseen_m(self, view: DepthView) -> NDArray[np.float64]:
+        """(N, 3): centres of the voxels in the arm's reach that no camera of the view sees, m."""
+        return unseen_m(self.body, self.sensor.grid, self.observed(view))
 
     def examined(self, view: DepthView, between: Between | None = None) -> Examined:
         """:meth:`observed`, (1, X, Y, Z, 2), with what is to be said of the view.

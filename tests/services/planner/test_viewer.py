@@ -7,8 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cspace.errors import InputError
+from cspace.errors import ImageError, InputError
+from cspace.simulator import Split
 from cspace.worlds import examples, simulator_of
+from cspace.worlds.spatial.view import write_view
 from cspace_client import DepthPictures
 from services.planner.viewer import SceneState
 
@@ -35,6 +37,11 @@ class FakeApi:
         solved = len(self.path) > 0
         plan = SimpleNamespace(way=self.path, confidence=0.75, status="solved" if solved else "refused")
         return SimpleNamespace(plan=plan, reason=None if solved else "none is sure enough")
+
+    def doctor(self, picture: DepthPictures, model: str) -> Any:
+        self.shown.append(picture)
+        verdict = SimpleNamespace(code="holes", seen="few readings", effect="little is known", remedy="mend")
+        return SimpleNamespace(verdicts=[verdict], poses=[], notes=["a table"])
 
 
 @pytest.fixture
@@ -93,3 +100,25 @@ def test_sets_of_the_benchmark_are_families_of_its_robot(state: SceneState) -> N
             assert checker(problem.scenario).valid_batch(ends).all()
             drawn += 1
     assert drawn > 0
+
+
+def test_a_view_file_takes_the_scenes_place_until_the_next_is_drawn(api: FakeApi, state: SceneState) -> None:
+    view = simulator_of(WORLD).problem("table", Split.DEMO, 5).scenario.view()
+    with pytest.raises(ImageError, match="without its camera"):
+        state.open(b"no view")
+    state.open(write_view(view))
+    assert state.sample(3).free is None
+    assert state.findings() == "- **holes**: few readings. little is known. *mend.*\n\n- a table"
+    for shown in api.shown:
+        np.testing.assert_array_equal(shown.pictures[0], view.pictures[0])
+        np.testing.assert_array_equal(shown.state, view.state)
+    np.testing.assert_array_equal(state.problem.start, view.state)
+    api.path = api.rows[:2]
+    assert state.plan(0.5)[1] == "Confidence 75%. Nobody knows the true scene."
+    unseen = state.unseen_m()
+    assert len(unseen) > 1000
+    # What a camera reads is seen.
+    nearest = [np.linalg.norm(unseen - point, axis=1).min() for point in state.points_m()[::500]]
+    assert np.median(nearest) > WORLD.sensor.grid.voxel_m / 2.0
+    state.draw("table", 5)
+    assert state.sample(3).free is not None
