@@ -81,6 +81,8 @@ class ApiConfig(uvicorn.Config):
             "inference_api.app:create_app",
             factory=True,
             http=BoundedProtocol,
+            # uvloop accepts one connection in each turn of the loop: behind hundreds a new one waits seconds.
+            loop="asyncio",
             # A request to upgrade is answered as a request, by the limits and the routes.
             ws="none",
             workers=workers,
