@@ -146,7 +146,7 @@ class BoundedProtocol(H11Protocol):
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """Takes a place, for which another connection may have to go."""
         super().connection_made(transport)
-        # asyncio leaves it out where a listener names no protocol; head and body of an answer are two packets.
+        # asyncio leaves it out for such listeners, and answers are two packets: the head and the body.
         transport.get_extra_info("socket").setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self.address = client_of({"client": self.client})
         self.config.metrics.connections.inc()

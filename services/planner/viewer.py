@@ -35,7 +35,7 @@ from services.planner.client import usual_api
 
 Floats = NDArray[np.float64]
 GREY, START, GOAL, ALONG = (150, 150, 155), (70, 120, 200), (60, 160, 90), (230, 150, 40)
-UNSEEN = (150, 120, 210)
+UNSEEN = (200, 190, 230)
 # Around this point further cameras are placed, m in the base frame.
 FOCUS_M = np.array([0.45, 0.0, 0.35])
 ASIDE_RAD = (0.0, 1.3, -1.3)
@@ -195,7 +195,9 @@ class SceneState:
     def findings(self) -> str:
         """What the doctor says of the pictures, as Markdown."""
         found = self.api.doctor(self.pictures(), self.model)
-        lines = [f"- **{one.code}**: {one.seen}. {one.effect}. *{one.remedy}.*" for one in found.verdicts]
+        lines = [
+            f"- **{one.code}**: {one.seen}; {one.effect}. To do: {one.remedy}." for one in found.verdicts
+        ]
         lines += [
             f"- picture {pose.picture}: a pose {100 * pose.offset_m:.1f} cm and {pose.turn_deg:.1f} degrees "
             "away fits"
@@ -311,7 +313,7 @@ class Viewer:
         with gui.add_folder("Your own pictures"):
             gui.add_html(DROP_ZONE)
             upload = gui.add_upload_button("Open a file")
-            self.base = gui.add_text("robot's base in the recording", "base_link")
+            self.base = gui.add_text("base frame", "base_link")
             self.which = gui.add_slider("view of the recording", 0, 1, 1, 0, visible=False)
             self.doctor = gui.add_markdown("")
         with gui.add_folder("Plan"):
@@ -499,7 +501,7 @@ class Viewer:
 
     def _show_unseen(self) -> None:
         points = self.state.unseen_m() if self.unseen.value else np.empty((0, 3))
-        self.server.scene.add_point_cloud("/scene/unseen", points, UNSEEN, point_size=0.006)
+        self.server.scene.add_point_cloud("/scene/unseen", points, UNSEEN, point_size=0.004)
 
     def show_plan(self) -> None:
         """Ask for a path, check it in the true scene, and draw it."""
