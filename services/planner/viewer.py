@@ -309,12 +309,12 @@ class Viewer:
             self.count = gui.add_slider("samples", 1, SAMPLES_AT_MOST, 1, 60)
             self.told = gui.add_markdown("")
             gui.add_markdown("Click an obstacle or a camera to move it.")
-            self.unseen = gui.add_checkbox("show what no camera sees", initial_value=False)
+            self.unseen: Any = gui.add_checkbox("show what no camera sees", initial_value=False)
         with gui.add_folder("Your own pictures"):
             gui.add_html(DROP_ZONE)
             upload = gui.add_upload_button("Open a file")
             self.base = gui.add_text("base frame", "base_link")
-            self.which = gui.add_slider("view of the recording", 0, 1, 1, 0, visible=False)
+            self.which: Any = gui.add_slider("view of the recording", 0, 1, 1, 0, visible=False)
             self.doctor = gui.add_markdown("")
         with gui.add_folder("Plan"):
             self.least = gui.add_slider("min. confidence", 0.0, 1.0, 0.01, 0.5)
