@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from cspace.errors import EvaluationError
 from services.evaluator.evaluation.report import COLLISION_COLOUR, FREE_COLOUR, SHOWN_SAMPLES, free_map
 from services.evaluator.measures.scenes import Scene, Stage, unfiltered
-from services.evaluator.measures.topology_scenes import scene_topology
+from services.evaluator.measures.topology import scene_topology
 from services.planner.samples import SampleSource
 
 # Okabe and Ito's palette, told apart by the colour-blind, too.

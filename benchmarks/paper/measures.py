@@ -3,7 +3,6 @@
 Every measurement is kept as a file, so that a stopped study measures nothing twice.
 """
 
-import dataclasses
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -17,11 +16,10 @@ from cspace.bundle import Bundle
 from cspace.dataset import Dataset, open_dataset
 from cspace.errors import EvaluationError
 from cspace.simulator import Split
-from services.evaluator.evaluation.measured import Table
 from services.evaluator.measures.scenes import Scene, Stage, measure_reconstruction, summary_rng
-from services.evaluator.measures.topology import POINTS
-from services.evaluator.measures.topology_scenes import scene_topology, summarise_topology
+from services.evaluator.measures.topology import POINTS, scene_topology, summarise_topology
 from services.evaluator.statistics import Interval
+from services.evaluator.tables import Table
 from services.planner.samples import BundleSampler
 from training.clusters.bundling import TrainedParts, make_bundle
 from training.config import TrainConfig
@@ -185,14 +183,9 @@ def _cells(measured: Measured) -> list[str]:
 
 
 def _score(measured: Measured) -> str:
-    score, floor = (_scaled(_interval(measured[name])) for name in ("score", "floor"))
+    score, floor = (_interval(measured[name]).scaled(1e4) for name in ("score", "floor"))
     return f"{score:.1f} ({floor.estimate:.1f})"
 
 
 def _interval(values: Measured) -> Interval:
     return Interval(**values)
-
-
-def _scaled(interval: Interval) -> Interval:
-    part = {name: 1e4 * getattr(interval, name) for name in ("estimate", "low", "high")}
-    return dataclasses.replace(interval, **part)

@@ -22,8 +22,8 @@ from benchmarks.paper.measures import (
 from cspace.bundle import Bundle
 from cspace.errors import EvaluationError
 from cspace.simulator import Split
-from services.evaluator.evaluation.measured import markdown
 from services.evaluator.measures.scenes import Stage, measure_reconstruction
+from services.evaluator.tables import markdown
 from services.planner.samples import BundleSampler
 
 # Enough for a caption; the table's scores stand on several scenarios.

@@ -23,7 +23,7 @@ from benchmarks.command import arguments
 from benchmarks.machine import ROOT, machine
 from benchmarks.serving.attack_requests import ATTACKS
 from benchmarks.serving.served import Asker, Served, new_pictures, served
-from services.evaluator.evaluation.measured import markdown
+from services.evaluator.tables import markdown
 
 SAMPLES, PAUSE_S, WARM_UP_S = 300, 0.02, 3.0
 # What sharing the processors with an attacker costs by itself.

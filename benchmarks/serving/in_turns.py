@@ -20,7 +20,7 @@ from benchmarks.command import arguments
 from benchmarks.machine import ROOT, machine
 from benchmarks.serving.load import Client, capacity
 from benchmarks.serving.served import CLIENT_CORE, Asker, new_pictures, served
-from services.evaluator.evaluation.measured import markdown
+from services.evaluator.tables import markdown
 
 SAMPLES, WARM_UP, STRETCH_S, AT_ONCE = 300, 30, 2.0, 8
 Took = list[list[float]]

@@ -19,7 +19,7 @@ import numpy as np
 from benchmarks.command import arguments
 from benchmarks.machine import machine
 from benchmarks.serving.served import CLIENT_CORE, Served, form, new_pictures, served
-from services.evaluator.evaluation.measured import markdown
+from services.evaluator.tables import markdown
 
 SAMPLES = 300
 PICTURES = 2000

@@ -17,9 +17,10 @@ from services.command_errors import tell_error
 from services.evaluator import compare
 from services.evaluator.benchmark.__main__ import main as planning_benchmark
 from services.evaluator.evaluation.job import Outcome, evaluate_version, executor
-from services.evaluator.evaluation.measured import aligned, flat_metrics
+from services.evaluator.evaluation.measured import flat_metrics
 from services.evaluator.evaluation.report import REPORT_FOLDER, judged_on, terminal_table
 from services.evaluator.evaluation.units import BUDGETS, make_request
+from services.evaluator.tables import aligned
 from services.registry.mlflow_registry import MlflowRegistry
 from services.registry.mlflow_tracking import MlflowTracking
 from services.results import tell_result

@@ -15,8 +15,9 @@ import pandas as pd
 
 from cspace.errors import ConfigError, RegistryError, StorageError
 from cspace.files import make_output_folder, read_bounded, replacing
-from services.evaluator.evaluation.measured import RECONSTRUCTION, Table, aligned, markdown
+from services.evaluator.evaluation.measured import RECONSTRUCTION
 from services.evaluator.evaluation.report import MEASURES_TABLE
+from services.evaluator.tables import Table, aligned, markdown
 from services.registry.ports import FoundRun, ModelReference, ModelRegistry, Tracking
 
 _RUN_ID = re.compile(r"[0-9a-f]{32}")

@@ -4,7 +4,7 @@ An empty group is an error and never a zero. Resampling draws from the generator
 """
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -35,6 +35,10 @@ class Interval:
         """``f"{interval:.3f}"`` reads ``0.857 [0.841, 0.872]``."""
         spec = spec or ".3f"
         return f"{self.estimate:{spec}} [{self.low:{spec}}, {self.high:{spec}}]"
+
+    def scaled(self, factor: float) -> "Interval":
+        """The interval of the estimate times a positive factor."""
+        return replace(self, estimate=factor * self.estimate, low=factor * self.low, high=factor * self.high)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for JSON."""

@@ -119,10 +119,10 @@ class Arm:
 
 @dataclass(frozen=True, slots=True)
 class Taken:
-    """How arms take learned samples where their group leaves it open.
+    """Options of the arms with learned samples.
 
     Args:
-        min_confidence: of the filtered and the ordered arms.
+        min_confidence: threshold of the filtered and the ordered arms.
         samples: number that an arm requests unless its name states one.
         shares: of learned samples among the drawn ones, above 0 to 1; one arm for each.
     """
@@ -133,13 +133,7 @@ class Taken:
 
 
 def table(samplers: Sequence[str], range_rad: float, taken: Taken | None = None) -> tuple[Arm, ...]:
-    """All arms of the protocols ``families`` and ``paper``.
-
-    Args:
-        samplers: names of the learned samplers.
-        range_rad: range of the planners in this world.
-        taken: how the arms take their samples.
-    """
+    """All arms of the protocols ``families`` and ``paper``, for the names of learned samplers."""
     arms = [Arm(_uniform(planner), Group.UNIFORM, planner, _uniform(planner)) for planner in _UNIFORM]
     for factor in OTHER_RANGES:
         name = f"{_uniform(RRT)}, range {factor * range_rad:g}"
@@ -160,17 +154,15 @@ def _learned_arms(sampler: str, taken: Taken) -> Iterator[Arm]:
         return replace(plain, **changes)
 
     least = taken.min_confidence
+    last = {"colliding_last": True}
     for share in taken.shares:
-        for planner in LEARNED_PLANNERS:
-            yield arm(planner, Group.LEARNED, share)
+        yield from (arm(planner, Group.LEARNED, share) for planner in LEARNED_PLANNERS)
         if least > 0.0:
             yield arm(RRT, Group.FILTERED, share, "filtered", min_confidence=least)
         for planner in (RRT, SAMPLED_CONNECT):
             yield arm(planner, Group.ORDERED, share, "ordered", min_confidence=least, ordered=True)
-            yield arm(planner, Group.CHECKED, share, "colliding last", colliding_last=True)
-            yield arm(
-                planner, Group.CHECKED, share, "ordered, colliding last", ordered=True, colliding_last=True
-            )
+            yield arm(planner, Group.CHECKED, share, "colliding last", **last)
+            yield arm(planner, Group.CHECKED, share, "ordered, colliding last", ordered=True, **last)
         yield arm(RRT_STAR, Group.OPTIMISING, share, "optimising", base=_OPTIMISING_BASE, stop_at_first=False)
     # Perturbed samples, mixed and in the paper's order, and as many unperturbed ones among uniform ones.
     perturbed = arm(RRT, Group.SCHEDULE, 1.0, name=f"RRT, {sampler}, schedule", epsilon_sigma=PAPER_SCHEDULE)
@@ -190,29 +182,18 @@ _OPTIMISING_BASE = f"{_uniform(RRT_STAR)}, optimising"
 
 
 def pick(arms: Sequence[Arm], wanted: Sequence[str], planners: Sequence[str] = ()) -> tuple[Arm, ...]:
-    """The arms of some names or groups, and their bases.
-
-    Args:
-        arms: to choose from.
-        wanted: names of arms or groups.
-        planners: only arms of these planners; empty for all.
+    """The arms of some names or groups, only those of some planners if any are named, and their bases.
 
     Raises:
         ConfigError: a name is unknown, or nothing is left.
     """
-    known = {arm.name for arm in arms} | {group.value for group in Group}
-    for name in wanted:
-        if name not in known:
-            raise ConfigError("there is no such arm or group", expected=", ".join(Group), got=repr(name))
-    for planner in planners:
-        if planner not in PLANNERS:
-            raise ConfigError("the planner is unknown", expected=" or ".join(PLANNERS), got=repr(planner))
-    chosen = {
-        arm.name
-        for arm in arms
-        if {arm.name, arm.group.value} & set(wanted) and (not planners or arm.planner in planners)
-    }
-    chosen |= {arm.base for arm in arms if arm.name in chosen}
+    if unknown := set(wanted) - {arm.name for arm in arms} - set(Group):
+        raise ConfigError("there is no such arm or group", expected=", ".join(Group), got=", ".join(unknown))
+    if unknown := set(planners) - set(PLANNERS):
+        raise ConfigError("the planner is unknown", expected=" or ".join(PLANNERS), got=", ".join(unknown))
+    found = [arm for arm in arms if {arm.name, arm.group} & set(wanted)]
+    found = [arm for arm in found if not planners or arm.planner in planners]
+    chosen = {name for arm in found for name in (arm.name, arm.base)}
     if not chosen:
         raise ConfigError("no arm is left", got=f"arms {list(wanted)}, planners {list(planners)}")
     return tuple(arm for arm in arms if arm.name in chosen)
@@ -224,8 +205,8 @@ def plain_arm(arm: Arm, arms: Sequence[Arm]) -> Arm | None:
     def planning(one: Arm) -> tuple[object, ...]:
         return one.planner, one.sampler, one.learned_share, one.samples, one.epsilon_sigma, one.stop_at_first
 
-    plain = (one for one in arms if one.group is Group.LEARNED)
-    return next((one for one in plain if planning(one) == planning(arm)), None) if arm.treated else None
+    plain = [one for one in arms if one.group is Group.LEARNED and planning(one) == planning(arm)]
+    return plain[0] if plain and arm.treated else None
 
 
 @dataclass(frozen=True, slots=True)

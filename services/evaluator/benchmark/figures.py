@@ -66,6 +66,9 @@ STYLE: dict[Any, Any] = {
     "xtick.color": MUTED,
     "ytick.color": MUTED,
 }
+_BESIDE: dict[str, Any] = {
+    "loc": "upper left", "bbox_to_anchor": (1.01, 1.0), "frameon": False, "fontsize": 8,
+}  # fmt: skip
 _POINTS = 200
 TALLEST = 1.8
 
@@ -116,14 +119,10 @@ def panel_of(arm: Arm) -> str:
 
 
 def share_until(values: Floats, solved: Flags) -> tuple[Floats, Floats]:
-    """The share of all runs that succeeded with at most so much: steps for ``drawstyle="steps-post"``.
-
-    Args:
-        values: (n,) what each run took.
-        solved: (n,) whether it succeeded.
+    """The empirical distribution of the (n,) values that runs took, as steps for ``drawstyle="steps-post"``.
 
     Returns:
-        (m,) what was taken, ascending, and (m,) shares; m is the number of successes, and one more.
+        (m + 1,) values, ascending, and (m + 1,) shares of all n runs, for m successes.
     """
     taken = np.sort(values[solved])
     shares = np.arange(len(taken) + 1) / len(values)
@@ -168,25 +167,19 @@ def _figure(width: float, height: float, dpi: int = 110) -> Figure:
 def success_figure(family: str, paired: Paired, arms: Sequence[Arm]) -> Figure:
     """Share solved against iterations, edge checks and whole time, a row for each planner."""
     panels, look = list(dict.fromkeys(panel_of(arm) for arm in arms)), looks(arms)
-    axes_of = (_ITERATIONS, _CHECKS, _TOTAL)
     with rc_context(STYLE):
         figure = _figure(12.5, 0.6 + 2.7 * len(panels))
-        grid = figure.subplots(len(panels), len(axes_of), squeeze=False, sharex="col", sharey=True)
+        grid = figure.subplots(len(panels), 3, squeeze=False, sharex="col", sharey=True)
         for row, panel in zip(grid, panels, strict=True):
-            for axes, shown in zip(row, axes_of, strict=True):
+            for axes, shown in zip(row, (_ITERATIONS, _CHECKS, _TOTAL), strict=True):
                 for arm in (one for one in arms if panel_of(one) == panel):
                     values = shown.scale * paired.values(arm.name, shown.column).ravel()
                     taken, shares = share_until(values, paired.solved(arm.name).ravel())
-                    colour, line = look[arm.name]
-                    axes.plot(
-                        np.maximum(taken, shown.least), shares, line, color=colour, drawstyle="steps-post",
-                        linewidth=1.4, label=arm.name,
-                    )  # fmt: skip
-                axes.set_ylim(-0.02, 1.02)
-                axes.set_xscale("log")
-                axes.set_xlabel(shown.label)
+                    how = dict(zip(("color", "linestyle"), look[arm.name], strict=True))
+                    axes.step(np.maximum(taken, shown.least), shares, where="post", label=arm.name, **how)
+                axes.set(xscale="log", xlabel=shown.label, ylim=(-0.02, 1.02))
             row[0].set_ylabel(f"{panel}\nshare solved")
-            row[-1].legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), frameon=False, fontsize=8)
+            row[-1].legend(**_BESIDE)
         figure.suptitle(f"Share of {family} problems solved")
     return figure
 
@@ -200,12 +193,7 @@ def box_figure(
 ) -> Figure:
     """Every successful run a point, with boxes; a row for each axis, a column for each family.
 
-    Args:
-        title: of the figure.
-        families: their runs.
-        shown: the axes.
-        arms: from top to bottom.
-        unsolvable: families without paths, of which all runs are shown.
+    Of families without paths all runs are shown.
     """
     look = looks(arms)
     with rc_context(STYLE):
@@ -215,10 +203,8 @@ def box_figure(
             for axes, (family, paired) in zip(row, families.items(), strict=True):
                 for height, arm in enumerate(arms):
                     _draw_boxes(axes, paired, arm, axis, height, look[arm.name][0], family in unsolvable)
-                axes.set_xscale("log")
-                axes.set_xlabel(axis.label)
                 axes.set_yticks(range(len(arms)), [arm.name for arm in arms])
-                axes.set_ylim(len(arms) - 0.5, -0.5)
+                axes.set(xscale="log", xlabel=axis.label, ylim=(len(arms) - 0.5, -0.5))
                 axes.set_title(f"{family} (until given up)" if family in unsolvable else family)
         figure.suptitle(title)
     return figure
@@ -233,10 +219,11 @@ def _draw_boxes(
     if len(shown):
         jitter = np.random.default_rng(height).uniform(-0.28, 0.28, len(shown))
         axes.scatter(shown, height + jitter, s=6, color=colour, alpha=0.35, linewidths=0)
+        props: dict[str, Any] = {f"{one}props": {"color": colour} for one in ("box", "whisker", "cap")}
+        props["medianprops"] = {"color": colour, "linewidth": 2.0}
         axes.boxplot(
-            shown, positions=[height], orientation="horizontal", widths=0.55, whis=(5, 95),
-            showfliers=False, medianprops={"color": colour, "linewidth": 2.0},
-            boxprops={"color": colour}, whiskerprops={"color": colour}, capprops={"color": colour},
+            shown, positions=[height], orientation="horizontal", widths=0.55, whis=(5, 95), showfliers=False,
+            **props,
         )  # fmt: skip
     if not solved.all():
         text = f"{100.0 * (1.0 - solved.mean()):.3g} %"
@@ -252,19 +239,18 @@ def count_figure(family: str, paired: Paired, arms: Sequence[Arm]) -> Figure:
         for axes, within in zip(grid, WITHIN_COUNTS, strict=True):
             for sampler in dict.fromkeys(arm.sampler for arm in arms):
                 mine = sorted((arm for arm in arms if arm.sampler == sampler), key=lambda arm: arm.samples)
-                shares = []
-                for arm in mine:
-                    solved = paired.solved(arm.name) & (paired.values(arm.name, "iterations") <= within)
-                    shares.append(clopper_pearson(int(solved.sum()), solved.size))
+                flags = [
+                    paired.solved(arm.name) & (paired.values(arm.name, "iterations") <= within)
+                    for arm in mine
+                ]
+                shares = [clopper_pearson(int(solved.sum()), solved.size) for solved in flags]
                 middle, low, high = np.transpose([(one.estimate, one.low, one.high) for one in shares])
                 axes.errorbar(
                     [arm.samples for arm in mine], middle, [middle - low, high - middle],
                     color=look[mine[0].name][0], marker="o", markersize=4, capsize=3, label=sampler,
                 )  # fmt: skip
-            axes.set_xscale("log")
-            axes.set_xlabel("samples requested")
+            axes.set(xscale="log", xlabel="samples requested", ylim=(-0.02, 1.02))
             axes.set_title(f"within {within} iterations")
-            axes.set_ylim(-0.02, 1.02)
         grid[0].set_ylabel("share solved")
         grid[-1].legend(loc="lower right", frameon=False, fontsize=8)
         figure.suptitle(f"RRT on {family} problems against the number of learned samples")
@@ -287,11 +273,9 @@ def cost_figure(family: str, paired: Paired, arms: Sequence[Arm]) -> Figure:
                 ]
                 last = scale * float(own[end].median())
                 _draw_cost(axes, arm.name, series, last, look[arm.name])
-            axes.set_xscale("log")
-            axes.set_xlabel(label)
-        grid[0].set_ylabel("length over the best known")
-        grid[0].set_ylim(0.98, TALLEST)
-        grid[-1].legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), frameon=False, fontsize=8)
+            axes.set(xscale="log", xlabel=label)
+        grid[0].set(ylabel="length over the best known", ylim=(0.98, TALLEST))
+        grid[-1].legend(**_BESIDE)
         figure.suptitle(f"Optimising planners, {family}: median over all runs, quartiles shaded")
     return figure
 
@@ -315,15 +299,10 @@ def _draw_cost(
 def cost_at(series: Sequence[tuple[Floats, Floats]], at: Floats) -> Floats:
     """(n, m) the last length of each of n runs at m places; infinite before the first solution.
 
-    Args:
-        series: of each run the places of its improvements, ascending, and the lengths from there on.
-        at: (m,) places.
+    A run's series are the places of its improvements, ascending, and the lengths from there on.
     """
-    rows = []
-    for places, lengths in series:
-        held = np.concatenate([[np.inf], lengths])
-        rows.append(held[np.searchsorted(places, at, side="right")])
-    return np.array(rows)
+    held = [(places, np.concatenate([[np.inf], lengths])) for places, lengths in series]
+    return np.array([lengths[np.searchsorted(places, at, side="right")] for places, lengths in held])
 
 
 def safety_figure(
@@ -370,8 +349,7 @@ def _draw_safety(axes: Any, paired: Paired, arms: Sequence[PlanArm]) -> None:
             [own["solved"].mean()], [collide], mark, color=f"C{number}", label=arm.name, markersize=7,
             clip_on=False, zorder=3,
         )  # fmt: skip
-    axes.set_xlim(0.0, 1.0)
-    axes.set_ylim(0.0, 1.0)
+    axes.set(xlim=(0.0, 1.0), ylim=(0.0, 1.0))
 
 
 # More would not fit on a page.
@@ -388,13 +366,7 @@ def page_arms(arms: Sequence[Arm]) -> list[Arm]:
 def pages(
     problems: Mapping[str, int], arms: Sequence[Arm], setting: Setting, specs: Sequence[SourceSpec]
 ) -> Iterator[tuple[str, Figure]]:
-    """The first problems of every family, each with its name.
-
-    Args:
-        problems: number of pages for each family.
-        arms: of which :func:`page_arms` are shown.
-        setting: of the runs.
-        specs: the samplers.
+    """The first problems of every family, as many as are named, each solved by :func:`page_arms`.
 
     Raises:
         SamplerError: a sampler does not answer.
@@ -419,13 +391,7 @@ def pages(
 def page(
     problem: Problem, panels: Sequence[tuple[Arm, PlanResult, SampleBatch | None]], title: str
 ) -> Figure:
-    """One problem.
-
-    Args:
-        problem: what was solved.
-        panels: arms with result and samples; the last one's path is shown in the workspace.
-        title: of the page.
-    """
+    """One problem, solved by some arms; the workspace shows the path of the last one."""
     figure = _figure(4.3 * (2 + len(panels)), 5.2, 100)
     axes = figure.subplots(1, 2 + len(panels))
     simulator_of(problem.scenario.world).draw_picture(axes[0], np.asarray(picture_of(problem.scenario)))
@@ -442,16 +408,9 @@ def page(
         one.set_title(f"{arm.name}\n{outcome}", fontsize=10)
     gap = "none" if problem.bottleneck_rad == 0.0 else f"{problem.bottleneck_rad:.3f} rad"
     figure.suptitle(f"{title}, bottleneck {gap}")
-    marks = [
-        Line2D([], [], linestyle="", marker=mark, color=colour, label=name)
-        for name, colour, mark in (
-            ("start", START, "o"), ("goal", GOAL, "D"),
-            ("learned samples", LEARNED, "."),
-        )
-    ]  # fmt: skip
-    lines = [
-        Line2D([], [], color=colour, linewidth=width, label=name)
-        for name, colour, width in (("search tree", TREE, 1.0), ("path", PATH, 2.4))
-    ]
-    figure.legend(handles=[*marks, *lines], loc="outside lower center", ncols=6, frameon=False)
+    marks = (("start", START, "o"), ("goal", GOAL, "D"), ("learned samples", LEARNED, "."))
+    handles = [Line2D([], [], ls="", marker=mark, color=colour, label=name) for name, colour, mark in marks]
+    lines = (("search tree", TREE, 1.0), ("path", PATH, 2.4))
+    handles += [Line2D([], [], color=colour, lw=width, label=name) for name, colour, width in lines]
+    figure.legend(handles=handles, loc="outside lower center", ncols=6, frameon=False)
     return figure

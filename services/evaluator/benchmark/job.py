@@ -1,12 +1,12 @@
 """The job of a benchmark: run what is missing, summarise, write table, report and figures, log them."""
 
-import math
 import shutil
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
@@ -20,6 +20,7 @@ from services.evaluator.benchmark.runs import MANIFEST, RunStore
 from services.evaluator.benchmark.samples import sample_units
 from services.evaluator.benchmark.sources import SourceSpec
 from services.evaluator.benchmark.summary import metric_name, metrics, summarise_plans, summarise_samples
+from services.evaluator.tables import markdown
 from services.names import EXPERIMENT, NOTE, TAG_STAGE
 from services.progress import Progress
 from services.registry.ports import ID, RunLog, Tracking
@@ -71,15 +72,7 @@ class Request:
 
 @dataclass(frozen=True)
 class Results:
-    """A finished benchmark.
-
-    Args:
-        request: what was run.
-        runs: the long table, one row for each problem, arm and run.
-        summary: one row for each group of problems, arm and measure.
-        headline: the first line of the report.
-        sections: the report's tables.
-    """
+    """A finished benchmark: its runs, one row each, their summary, and the report's first line and tables."""
 
     request: Request
     runs: pd.DataFrame
@@ -108,7 +101,7 @@ class Results:
     @property
     def note(self) -> str:
         """The short form: the headline, and the tables of work."""
-        work = [report.markdown(table) for heading, _, table in self.sections if heading.startswith("Work")]
+        work = [markdown(table) for heading, _, table in self.sections if heading.startswith("Work")]
         return "\n\n".join([self.headline, *work]) + "\n"
 
     def figures(self) -> Iterable[tuple[str, Figure]]:
@@ -126,13 +119,7 @@ class Results:
 def run_benchmark(
     request: Request, execute: Execute, show: Show, tracking: Tracking | None = None
 ) -> Results:
-    """Run what is missing, then report on all that was asked for.
-
-    Args:
-        request: what is asked for.
-        execute: in processes, or over a cluster; the numbers are the same, times apart.
-        show: takes lines for people.
-        tracking: where a run is logged; None for nowhere.
+    """Run what is missing, report on the whole request, and log it where there is a tracking server.
 
     Raises:
         ConfigError: the folder holds runs of another setting.
@@ -213,15 +200,10 @@ def _log_files(run: RunLog, folder: Path) -> None:
 
 def _columns(summary: pd.DataFrame) -> dict[str, Sequence[Any]]:
     """The summary for the tracking run: finite numbers, metric names."""
-    found = summary[summary["value"].map(math.isfinite)]
-    columns: dict[str, Sequence[Any]] = {
-        name: found[name].tolist() for name in ("family", "measure", "count")
-    }
-    columns["arm"] = found["arm"].map(metric_name).tolist()
-    columns["value"] = found["value"].astype(float).tolist()
-    for limit in ("low", "high"):
-        columns[limit] = [one if math.isfinite(one) else None for one in found[limit]]
-    return columns
+    found = summary[np.isfinite(summary["value"])]
+    limits = found[["low", "high"]]
+    limits = limits.astype(object).where(np.isfinite(limits), None)
+    return dict(found.assign(arm=found["arm"].map(metric_name), **limits).to_dict("list"))
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,8 +1,8 @@
 """The benchmark's report: a headline, then tables that are made from the summary."""
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from itertools import pairwise
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from itertools import pairwise, product
 from pathlib import Path
 from typing import Any
 
@@ -30,18 +30,13 @@ from services.evaluator.benchmark.summary import (
     plan_groups,
 )
 from services.evaluator.statistics import Interval
+from services.evaluator.tables import aligned, markdown
 
 SHARES = (0.2, 0.4, 0.6, 0.8, 1.0)
 Figures = Mapping[str, Interval]
 Cell = Callable[[Figures], str]
 # Heading, note and rows.
 Section = tuple[str, str, pd.DataFrame]
-
-
-def markdown(table: pd.DataFrame) -> str:
-    """A table of texts in Markdown."""
-    lines = [table.columns, ["---"] * len(table.columns), *table.to_numpy()]
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
 def figures_of(summary: pd.DataFrame) -> dict[tuple[str, str], dict[str, Interval]]:
@@ -66,14 +61,10 @@ def number(name: str, form: str = ".0f", missing: str = "-") -> Cell:
 def quantiles(name: str, form: str = ".0f", high: str = "p90") -> Cell:
     """Median and 90th percentile, each with > where it is only a lower bound."""
 
-    def cell(found: Figures) -> str:
-        texts = [
-            f"{'>' if math.isinf(one.high) else ''}{one.estimate:{form}}"
-            for one in (found[f"{name}_median"], found[f"{name}_{high}"])
-        ]
-        return "{} ({})".format(*texts)
+    def text(one: Interval) -> str:
+        return f"{'>' if math.isinf(one.high) else ''}{one.estimate:{form}}"
 
-    return cell
+    return lambda found: f"{text(found[f'{name}_median'])} ({text(found[f'{name}_{high}'])})"
 
 
 def worth(name: str) -> Cell:
@@ -286,58 +277,52 @@ def sample_sections(summary: pd.DataFrame, arms: Sequence[Arm], setting: Setting
     for family in dict.fromkeys(summary["family"]):
         own = [(arm, figures[family, arm.name]) for arm in arms if (family, arm.name) in figures]
         first = [(arm, found) for arm, found in own if arm.stop_at_first]
-
-        def add(
-            heading: str, note: str, cells: Mapping[str, Cell], rows: Sequence[tuple[Arm, Figures]],
-            family: str = family,
-        ) -> None:  # fmt: skip
-            if rows:
-                table = rows_of([({"arm": arm.name}, found) for arm, found in rows], cells)
-                sections.append((f"{heading}, {family}", note, table))
-
-        if family not in setting.families.solvable:
-            add("Giving up", GIVING_UP_NOTE, GIVING_UP, first)
-            continue
-        learned = [(arm, found) for arm, found in first if arm.sampler is not None]
-        add("Break-even costs of a check", WORTH_NOTE, WORTH, learned)
-        if setting.protocol is Protocol.PAPER:
-            add("The paper's columns", PAPER_NOTE, PAPER, first)
-        add("Work", "", WORK, first)
-        treated = [(arm, found) for arm, found in first if "treated_difference" in found]
-        if treated:
-            table = _treated(treated, [arm for arm, _ in first], figures, family)
-            sections.append((f"Samples filtered, ordered, checked, {family}", TREATED_NOTE, table))
-        add("Time", TIME_NOTE, TIME, first)
-        add("Optimising", OPTIMISING_NOTE, OPTIMISING, [one for one in own if not one[0].stop_at_first])
-        counts = sorted(
-            (one for one in first if one[0].group is Group.COUNTS),
-            key=lambda one: (one[0].sampler or "", one[0].samples),
-        )
-        add("Samples requested", "", COUNTS, counts)
-    return sections
+        if family in setting.families.solvable:
+            counts = [one for one in first if one[0].group is Group.COUNTS]
+            counts.sort(key=lambda one: (one[0].sampler or "", one[0].samples))
+            learned = [one for one in first if one[0].sampler is not None]
+            optimising = [one for one in own if not one[0].stop_at_first]
+            paper = first if setting.protocol is Protocol.PAPER else []
+            tables = [
+                ("Break-even costs of a check", WORTH_NOTE, _by_arm(learned, WORTH)),
+                ("The paper's columns", PAPER_NOTE, _by_arm(paper, PAPER)),
+                ("Work", "", _by_arm(first, WORK)),
+                ("Samples filtered, ordered, checked", TREATED_NOTE, _treated(first)),
+                ("Time", TIME_NOTE, _by_arm(first, TIME)),
+                (
+                    "Optimising",
+                    OPTIMISING_NOTE,
+                    _by_arm(optimising, OPTIMISING),
+                ),
+                ("Samples requested", "", _by_arm(counts, COUNTS)),
+            ]
+        else:
+            tables = [("Giving up", GIVING_UP_NOTE, _by_arm(first, GIVING_UP))]
+        sections += [(f"{heading}, {family}", note, table) for heading, note, table in tables]
+    return [one for one in sections if len(one[2])]
 
 
-def _treated(
-    treated: Sequence[tuple[Arm, Figures]],
-    arms: Sequence[Arm],
-    figures: Mapping[tuple[str, str], Figures],
-    family: str,
-) -> pd.DataFrame:
-    rows, within = [], f"within_{WITHIN}"
-    for arm, found in treated:
-        plain = plain_arm(arm, arms)
-        beside = "" if plain is None else plain.name
-        shares = (one[within].estimate for one in (found, figures[family, beside]))
-        rows.append(
-            {
-                "arm": arm.name,
-                "beside": beside,
-                f"solved within {WITHIN}": "{:.4f}, {:.4f}".format(*shares),
-                "its runs lost": f"{found['treated_lost'].estimate:.0f} of {found[within].count}",
-                "won": f"{found['treated_won'].estimate:.0f}",
-                "difference": f"{found['treated_difference']:.4f}",
-            }
-        )
+def _by_arm(found: Iterable[tuple[Arm, Figures]], cells: Mapping[str, Cell]) -> pd.DataFrame:
+    return rows_of([({"arm": arm.name}, figures) for arm, figures in found], cells)
+
+
+def _treated(found: Sequence[tuple[Arm, Figures]]) -> pd.DataFrame:
+    """The arms whose samples are treated beside the same planner on the same samples untreated."""
+    arms, within, rows = {arm.name: figures for arm, figures in found}, f"within_{WITHIN}", []
+    for arm, figures in found:
+        plain = plain_arm(arm, [one for one, _ in found])
+        if plain is not None:
+            solved = (one[within].estimate for one in (figures, arms[plain.name]))
+            rows.append(
+                {
+                    "arm": arm.name,
+                    "beside": plain.name,
+                    f"solved within {WITHIN}": "{:.4f}, {:.4f}".format(*solved),
+                    "its runs lost": f"{figures['treated_lost'].estimate:.0f} of {figures[within].count}",
+                    "won": f"{figures['treated_won'].estimate:.0f}",
+                    "difference": f"{figures['treated_difference']:.4f}",
+                }
+            )
     return pd.DataFrame(rows)
 
 
@@ -351,58 +336,59 @@ def plan_sections(
     """The tables of the protocol ``plans``, without the empty ones."""
     figures, groups = figures_of(summary), plan_groups(runs, pictures, setting)
     sections: list[Section] = []
-    unchecked = [arm for arm in arms if not arm.checked]
     for source, count in _sources(summary, pictures, setting):
         group, name = f"{source}, {count}", f"{source}, {_pictures(count)}"
-        found = [(arm, figures[group, arm.name]) for arm in unchecked if (group, arm.name) in figures]
-        problems = max(one["solved"].count for _, one in found)
-        table = rows_of([({"arm": arm.name}, one) for arm, one in found], SAFETY)
+        found = {
+            arm.name: figures[group, arm.name]
+            for arm in arms
+            if not arm.checked and (group, arm.name) in figures
+        }
+        problems = max(one["solved"].count for one in found.values())
         heading = f"Without exact checks: {name}, {problems} problem{'s' * (problems > 1)}"
+        table = rows_of([({"arm": arm}, one) for arm, one in found.items()], SAFETY)
         sections.append((heading, SAFETY_NOTE, table))
-        models = [(arm.name, one) for arm, one in found if "calibration_error" in one]
+        models = {arm: one for arm, one in found.items() if "calibration_error" in one}
         halves = "; ".join(
             f"{model}: calibration error {one['calibration_error'].estimate:.3f}, "
             f"{one['surer_half_collide']:.2f} of the half with the higher confidence collide"
-            for model, one in models
+            for model, one in models.items()
         )
         own = groups[group]
         paired = Paired(own[~own["checked"]])
-        rows = [row for model, _ in models for row in _confidence_rows(paired.of(model), model)]
-        sections.append((f"By min_confidence: {name}", f"{CONFIDENCE_NOTE} {halves}.", pd.DataFrame(rows)))
-        families = {family: f"{family}, {count}" for family in dict.fromkeys(own["family"])}
-        rows = [
-            {"family": family, **{arm.name: _collide(figures.get((place, arm.name), {})) for arm, _ in found}}
-            for family, place in families.items()
-        ]
+        table = pd.DataFrame([row for model in models for row in _confidence_rows(paired.of(model), model)])
+        sections.append((f"By min_confidence: {name}", f"{CONFIDENCE_NOTE} {halves}.", table))
+        rows = []
+        for family in dict.fromkeys(own["family"]):
+            shares = {arm: _collide(figures.get((f"{family}, {count}", arm), {})) for arm in found}
+            rows.append({"family": family, **shares})
         sections.append((f"Collisions by family: {name}", "", pd.DataFrame(rows)))
         rows = []
         for low, high in pairwise(UNSEEN_EDGES):
             measure = f"collide_unseen_{low:.2f}_{high:.2f}"
-            if any(measure in one for _, one in found):
-                shares = {arm.name: _collide(one, measure) for arm, one in found}
+            if any(measure in one for one in found.values()):
+                shares = {arm: _collide(one, measure) for arm, one in found.items()}
                 rows.append({"unseen": f"{low:.2f} to {high:.2f}", **shares})
         sections.append((f"Collisions by unseen share: {name}", UNSEEN_NOTE, pd.DataFrame(rows)))
-    checked = [arm for arm in arms if arm.checked]
     for count in pictures:
-        found_checks = [
+        searched = [
             ({"problems": f"{name} ({one['state_checks_median'].count})", "arm": arm.name}, one)
             for group in groups
-            if group.endswith(f", {count}")
-            for arm in checked
-            if (one := figures.get((group, arm.name))) and (name := group.removesuffix(f", {count}"))
+            for arm in arms
+            if arm.checked and group.endswith(f", {count}") and (one := figures.get((group, arm.name)))
+            if (name := group.removesuffix(f", {count}"))
         ]
         for heading, note, cells in (
             ("With exact checks", CHECKS_NOTE, CHECKS),
             ("Time and price of a check", PRICE_NOTE, PRICE),
         ):
-            sections.append((f"{heading}: {_pictures(count)}", note, rows_of(found_checks, cells)))
+            sections.append((f"{heading}: {_pictures(count)}", note, rows_of(searched, cells)))
     return [one for one in sections if len(one[2])]
 
 
 def _sources(summary: pd.DataFrame, pictures: Sequence[int], setting: Setting) -> list[tuple[str, int]]:
     """Sources of problems and numbers of pictures that have figures without exact checks."""
     known = set(summary.loc[summary["measure"] == "refused", "family"])
-    pairs = [(source, count) for source in partly_seen(setting.world).sources for count in pictures]
+    pairs = product(partly_seen(setting.world).sources, pictures)
     return [(source, count) for source, count in pairs if f"{source}, {count}" in known]
 
 
@@ -414,23 +400,18 @@ def _collide(found: Figures, measure: str = "collide") -> str:
     return f"{found[measure].estimate:.2f} ({found[measure].count})" if measure in found else "-"
 
 
-def _confidence_rows(runs: pd.DataFrame, model: str) -> list[dict[str, str]]:
-    curve, rows = confidence_curve(runs), []
+def _confidence_rows(runs: pd.DataFrame, model: str) -> Iterator[dict[str, str]]:
+    curve = confidence_curve(runs)
     for share in SHARES:
         # Up to rounding of k / n.
-        taken = curve[curve["answered"] <= share + 1e-9]
-        if len(taken):
-            last = taken.iloc[-1]
-            rows.append(
-                {
-                    "model": model,
-                    "answered, at most": f"{share:.1f}",
-                    "answered": f"{last['answered']:.2f}",
-                    "min_confidence": f"{last['confidence']:.3f}",
-                    "collide": f"{last['collide']:.3f}",
-                }
-            )
-    return rows
+        for _, last in curve[curve["answered"] <= share + 1e-9].tail(1).iterrows():
+            yield {
+                "model": model,
+                "answered, at most": f"{share:.1f}",
+                "answered": f"{last['answered']:.2f}",
+                "min_confidence": f"{last['confidence']:.3f}",
+                "collide": f"{last['collide']:.3f}",
+            }
 
 
 def break_even_line(summary: pd.DataFrame, arms: Sequence[Arm], setting: Setting) -> str:
@@ -498,16 +479,7 @@ def report(
     figures: Sequence[str] = (),
     pages: Sequence[str] = (),
 ) -> str:
-    """The whole report in Markdown; its first line is the headline.
-
-    Args:
-        headline: of the benchmark.
-        facts: of :func:`about`.
-        sections: the tables.
-        protocol: of the runs.
-        figures: paths as seen from the report.
-        pages: likewise, of single problems.
-    """
+    """The whole report in Markdown, the headline first; figures and pages are paths relative to it."""
     parts = [headline, f"# Planning benchmark, protocol `{protocol}`", facts]
     parts.append(VAMP if protocol is Protocol.PLANS else READING)
     shown: set[str] = set()
@@ -522,5 +494,5 @@ def report(
 
 def terminal(headline: str, sections: Sequence[Section]) -> str:
     """The same tables for a terminal."""
-    tables = [f"{heading}\n{table.to_string(index=False)}" for heading, _, table in sections]
+    tables = [f"{heading}\n{aligned(table)}" for heading, _, table in sections]
     return "\n\n".join([headline, *tables]) + "\n"

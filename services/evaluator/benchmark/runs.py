@@ -19,96 +19,32 @@ from services.evaluator.benchmark.sources import SourceSpec
 
 Row = dict[str, Any]
 
-# Columns of one protocol's table: type and content. Types are those of pandas; object for lists.
+# Columns of a protocol's table with their pandas types (object: lists); docs/benchmark.md describes them.
 SAMPLE_COLUMNS = {
-    "protocol": ("str", "families or paper"),
-    "family": ("str", "of the problem"),
-    "problem": ("int64", "its number within family and split"),
-    "run": ("int64", "number of the run on this problem"),
-    "seed": ("int64", "of planner and sampler, the same for every arm of the run"),
-    "arm": ("str", "name of the arm"),
-    "group": ("str", "purpose of the arm"),
-    "planner": ("str", "as OMPL names it; SampledRRTConnect is the project's own"),
-    "sampler": ("str", "the learned sampler; empty for uniform samples"),
-    "learned_share": ("float64", "share of learned samples among those drawn, while there are any"),
-    "samples_asked": ("int64", "number requested from the sampler"),
-    "samples_got": ("int64", "number that the sampler returned"),
-    "epsilon_sigma": ("object", "increments of the encoder's standard deviation, in equal shares"),
-    "min_confidence": ("float64", "threshold of the validity head"),
-    "range_rad": ("float64", "of the planner, in OMPL's metric"),
-    "stop_at_first": ("bool", "whether the search ended with its first solution"),
-    "iteration_limit": ("int64", "states drawn after which the search ended"),
-    "time_limit_s": ("float64", "wall time after which the search ended"),
-    "solved": ("bool", "the path ends within 1e-6 rad of the goal and is free at ten times the resolution"),
-    "reason": ("str", "why the search ended, in words"),
-    "iterations": ("int64", "states drawn until the search ended"),
-    "edge_checks": ("int64", "motions checked until the search ended"),
-    "state_checks": ("int64", "states checked, within motions and alone"),
-    "learned_drawn": ("int64", "states that came from the learned samples"),
-    "uniform_drawn": ("int64", "states that were uniform"),
-    "solve_s": ("float64", "wall time of the search, putting samples in order included"),
-    "state_check_s": ("float64", "time of one state check on this problem, measured in a compiled loop"),
-    "check_s": ("float64", "state_checks times state_check_s"),
-    "plan_s": ("float64", "the rest of solve_s: everything but the checks"),
-    "request_s": ("float64", "from the request for samples to their arrival; 0 for uniform ones"),
-    "decode_s": ("float64", "of the request, reading the picture"),
-    "encode_s": ("float64", "of the request, the latent"),
-    "generate_s": ("float64", "of the request, drawing and scoring"),
-    "server_s": ("float64", "of the request, all that the sampler reports"),
-    "transport_s": ("float64", "of the request, the rest; 0 for a bundle in the planner's process"),
-    "total_s": ("float64", "request_s and solve_s"),
-    "length_rad": ("float64", "torus length of the path found last; empty without one"),
-    "first_iterations": ("Int64", "iterations to the first solution; empty without one"),
-    "first_edge_checks": ("Int64", "edge checks to the first solution"),
-    "first_s": ("float64", "search time to the first solution"),
-    "first_length_rad": ("float64", "torus length of the first solution"),
-    "cost_iterations": ("object", "of an optimising search, one entry for each improvement: iterations"),
-    "cost_edge_checks": ("object", "likewise: edge checks"),
-    "cost_s": ("object", "likewise: search time"),
-    "cost_length_rad": ("object", "likewise: torus length of the best path so far"),
-    "novelty": ("float64", "of the picture, as the sampler reports it"),
-    "bottleneck_rad": (
-        "float64",
-        "largest clearance at which start and goal stay connected; infinite becomes empty",
-    ),
-}
+    "protocol": "str", "family": "str", "problem": "int64", "run": "int64", "seed": "int64", "arm": "str",
+    "group": "str", "planner": "str", "sampler": "str", "learned_share": "float64",
+    "samples_asked": "int64", "samples_got": "int64", "epsilon_sigma": "object",
+    "min_confidence": "float64", "range_rad": "float64", "stop_at_first": "bool",
+    "iteration_limit": "int64", "time_limit_s": "float64", "solved": "bool", "reason": "str",
+    "iterations": "int64", "edge_checks": "int64", "state_checks": "int64", "learned_drawn": "int64",
+    "uniform_drawn": "int64", "solve_s": "float64", "state_check_s": "float64", "check_s": "float64",
+    "plan_s": "float64", "request_s": "float64", "decode_s": "float64", "encode_s": "float64",
+    "generate_s": "float64", "server_s": "float64", "transport_s": "float64", "total_s": "float64",
+    "length_rad": "float64", "first_iterations": "Int64", "first_edge_checks": "Int64",
+    "first_s": "float64", "first_length_rad": "float64", "cost_iterations": "object",
+    "cost_edge_checks": "object", "cost_s": "object", "cost_length_rad": "object", "novelty": "float64",
+    "bottleneck_rad": "float64",
+}  # fmt: skip
 PLAN_COLUMNS = {
-    "checked": ("bool", "whether a planner with exact checks went on from the paths"),
-    "source": ("str", "where the problem comes from"),
-    "family": ("str", "of the problem"),
-    "problem": ("int64", "its number within family and split"),
-    "pictures": ("int64", "number by which the scene is seen; 0 for arms that do not depend on them"),
-    "run": ("int64", "number of the run on this problem"),
-    "arm": ("str", "name of the arm"),
-    "sampler": ("str", "the model that plans; empty for none"),
-    "status": ("str", "solved; refused, without a path; timeout; or why a search with checks ended"),
-    "solved": ("bool", "whether there is a path; with exact checks, one that is free"),
-    "confidence": ("float64", "of the model that the whole path is free"),
-    "clearance_m": (
-        "float64",
-        "least true clearance of the path, by spheres each 0.01 rad; 0 or less collides",
-    ),
-    "meshes_free": ("boolean", "whether the path is free by meshes; empty where these are not installed"),
-    "unseen": ("float64", "share of the arm that no picture shows, mean along the path"),
-    "length_rad": ("float64", "of the path, Euclidean"),
-    "search_s": ("float64", "searching for paths without exact checks"),
-    "score_s": ("float64", "of the model, scoring them"),
-    "request_s": ("float64", "all until the paths were there, with the reading of the picture"),
-    "as_is": ("boolean", "whether one of the paths was free without a search"),
-    "state_checks": ("Int64", "exact state checks"),
-    "edge_checks": ("Int64", "exact motion checks"),
-    "iterations": ("Int64", "states drawn by RRT-Connect"),
-    "solve_s": ("float64", "wall time of the search with exact checks"),
-    "state_check_s": ("float64", "time of one state check by spheres on this problem"),
-    "mesh_check_s": ("float64", "the same by convex meshes; empty where these are not installed"),
-}
+    "checked": "bool", "source": "str", "family": "str", "problem": "int64", "pictures": "int64",
+    "run": "int64", "arm": "str", "sampler": "str", "status": "str", "solved": "bool",
+    "confidence": "float64", "clearance_m": "float64", "meshes_free": "boolean", "unseen": "float64",
+    "length_rad": "float64", "search_s": "float64", "score_s": "float64", "request_s": "float64",
+    "as_is": "boolean", "state_checks": "Int64", "edge_checks": "Int64", "iterations": "Int64",
+    "solve_s": "float64", "state_check_s": "float64", "mesh_check_s": "float64",
+}  # fmt: skip
 MANIFEST, RUNS = "manifest.json", "runs.jsonl"
 SCHEMA = 2
-
-
-def columns_of(protocol: Protocol) -> Mapping[str, tuple[str, str]]:
-    """Types and contents of a protocol's columns."""
-    return PLAN_COLUMNS if protocol is Protocol.PLANS else SAMPLE_COLUMNS
 
 
 def key_of(row: Mapping[str, Any]) -> Key:
@@ -122,13 +58,14 @@ def frame_of(rows: Iterable[Row], protocol: Protocol) -> pd.DataFrame:
     Raises:
         EvaluationError: a row has other columns than the protocol's.
     """
-    columns, ordered = columns_of(protocol), sorted(rows, key=key_of)
+    columns = PLAN_COLUMNS if protocol is Protocol.PLANS else SAMPLE_COLUMNS
+    ordered = sorted(rows, key=key_of)
     for row in ordered:
-        if set(row) != set(columns):
-            wrong = ", ".join(sorted(set(row) ^ set(columns)))
-            raise EvaluationError("a run can not be read", expected="the columns of this release", got=wrong)
-    frame = pd.DataFrame(ordered, columns=list(columns))
-    return frame.astype({name: kind for name, (kind, _) in columns.items()})
+        if wrong := set(row) ^ set(columns):
+            raise EvaluationError(
+                "a run can not be read", expected="the columns of this release", got=", ".join(sorted(wrong))
+            )
+    return pd.DataFrame(ordered, columns=list(columns)).astype(columns)
 
 
 class RunStore:
@@ -217,26 +154,22 @@ class RunStore:
 
 
 def _merged(old: Mapping[str, Any], new: Mapping[str, Any]) -> dict[str, Any]:
-    for part in ("schema", "setting", "world"):
-        if old.get(part) != new[part]:
+    pairs = [(part, old.get(part), new[part], "") for part in ("schema", "setting", "world")]
+    pairs += [
+        (f"{part[:-1]} named {name}", old.get(part, {}).get(name, value), value, "give it another name, or ")
+        for part in ("arms", "samplers")
+        for name, value in new[part].items()
+    ]
+    for what, there, asked, instead in pairs:
+        if there != asked:
             raise ConfigError(
-                f"the folder holds runs of another {part}",
-                expected=json.dumps(old.get(part)),
-                got=json.dumps(new[part]),
-                remedy="name another folder with --out",
+                f"the folder holds runs of another {what}",
+                expected=json.dumps(there),
+                got=json.dumps(asked),
+                remedy=f"{instead}name another folder with --out",
             )
-    merged = {**new, "sessions": old.get("sessions", [])}
-    for part in ("arms", "samplers"):
-        for name, value in new[part].items():
-            if old[part].get(name, value) != value:
-                raise ConfigError(
-                    f"the folder holds runs of another {part[:-1]} named {name}",
-                    expected=json.dumps(old[part][name]),
-                    got=json.dumps(value),
-                    remedy="give it another name, or name another folder with --out",
-                )
-        merged[part] = {**old[part], **new[part]}
-    return merged
+    joined = {part: old[part] | new[part] for part in ("arms", "samplers")}
+    return {**new, "sessions": old.get("sessions", []), **joined}
 
 
 def _session() -> dict[str, Any]:

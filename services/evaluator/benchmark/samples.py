@@ -29,14 +29,7 @@ EDGES, REPEATS = 1000, 5
 def sample_units(
     setting: Setting, problems: Mapping[str, int], runs: int, arms: Sequence[Arm]
 ) -> Iterator[Unit]:
-    """Every run of every problem; problems without a path have no optimising arms.
-
-    Args:
-        setting: of the runs.
-        problems: number of each family.
-        runs: of each problem.
-        arms: of each run.
-    """
+    """Every run of every problem, of so many in each family; those without a path have no optimising arms."""
     for family, count in problems.items():
         own = [arm for arm in arms if arm.stop_at_first or family in setting.families.solvable]
         for index, run in product(range(count), range(runs)):
@@ -97,61 +90,54 @@ class SampleWorker:
                 "time_limit_s": settings.time_limit_s,
                 "bottleneck_rad": problem.bottleneck_rad if math.isfinite(problem.bottleneck_rad) else None,
             }
-            rows.append(about | _measured(arm, batch, result, str(reason), check_s))
+            rows.append(about | _of_arm(arm, batch) | _of_result(result, reason))
+            rows[-1] |= _times(batch, result, check_s)
         return rows
 
 
-def _measured(
-    arm: Arm, batch: SampleBatch | None, result: PlanResult, reason: str, state_check_s: float
-) -> Row:
+def _of_arm(arm: Arm, batch: SampleBatch | None) -> Row:
+    names = ("planner", "sampler", "learned_share", "min_confidence", "range_rad", "stop_at_first")
+    return {name: getattr(arm, name) for name in names} | {
+        "arm": arm.name,
+        "group": arm.group.value,
+        "epsilon_sigma": list(arm.epsilon_sigma),
+        "samples_asked": arm.samples,
+        "samples_got": 0 if batch is None else len(batch.samples),
+        "novelty": None if batch is None else batch.novelty,
+    }
+
+
+def _of_result(result: PlanResult, reason: Reason | str) -> Row:
     solved = reason == Reason.SOLVED
     costs = result.costs if solved else ()
-    request_s = 0.0 if batch is None else batch.round_trip_s
+    end = CostPoint(result.iterations, result.edge_checks, result.solve_time_s, float(result.length_rad))
+    names = ("iterations", "edge_checks", "state_checks", "learned_drawn", "uniform_drawn")
+    row = {name: getattr(result, name) for name in names}
+    row |= {"solved": solved, "reason": str(reason), "length_rad": end.length_rad if solved else None}
+    for name in ("iterations", "edge_checks", "time_s", "length_rad"):
+        column = name.removeprefix("time_")
+        row[f"first_{column}"] = getattr([*costs, end][0], name) if solved else None
+        row[f"cost_{column}"] = [getattr(point, name) for point in costs]
+    return row
+
+
+def _times(batch: SampleBatch | None, result: PlanResult, state_check_s: float) -> Row:
+    request_s, solve_s = 0.0 if batch is None else batch.round_trip_s, result.solve_time_s
     check_s = result.state_checks * state_check_s
     # All time of a source that reports none is transport.
     timing = SourceTiming(0.0, 0.0, 0.0, 0.0) if batch is None or batch.timing is None else batch.timing
-    end = CostPoint(result.iterations, result.edge_checks, result.solve_time_s, float(result.length_rad))
-    first = (costs[0] if costs else end) if solved else None
     return {
-        "arm": arm.name,
-        "group": arm.group.value,
-        "planner": arm.planner,
-        "sampler": arm.sampler,
-        "learned_share": arm.learned_share,
-        "samples_asked": arm.samples,
-        "samples_got": 0 if batch is None else len(batch.samples),
-        "epsilon_sigma": list(arm.epsilon_sigma),
-        "min_confidence": arm.min_confidence,
-        "range_rad": arm.range_rad,
-        "stop_at_first": arm.stop_at_first,
-        "solved": solved,
-        "reason": reason,
-        "iterations": result.iterations,
-        "edge_checks": result.edge_checks,
-        "state_checks": result.state_checks,
-        "learned_drawn": result.learned_drawn,
-        "uniform_drawn": result.uniform_drawn,
-        "solve_s": result.solve_time_s,
+        "solve_s": solve_s,
         "state_check_s": state_check_s,
         "check_s": check_s,
-        "plan_s": result.solve_time_s - check_s,
+        "plan_s": solve_s - check_s,
         "request_s": request_s,
         "decode_s": timing.decode_s,
         "encode_s": timing.encode_s,
         "generate_s": timing.generate_s,
         "server_s": timing.total_s,
         "transport_s": request_s - timing.total_s,
-        "total_s": request_s + result.solve_time_s,
-        "length_rad": float(result.length_rad) if solved else None,
-        "first_iterations": None if first is None else first.iterations,
-        "first_edge_checks": None if first is None else first.edge_checks,
-        "first_s": None if first is None else first.time_s,
-        "first_length_rad": None if first is None else first.length_rad,
-        "cost_iterations": [point.iterations for point in costs],
-        "cost_edge_checks": [point.edge_checks for point in costs],
-        "cost_s": [point.time_s for point in costs],
-        "cost_length_rad": [point.length_rad for point in costs],
-        "novelty": None if batch is None else batch.novelty,
+        "total_s": request_s + solve_s,
     }
 
 

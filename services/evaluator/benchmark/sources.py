@@ -115,12 +115,6 @@ def bundled(name: str, folder: Path) -> SourceSpec:
 def served(name: str, model: str, url: str, world: World) -> SourceSpec:
     """A sampler behind an API, pinned to the version that answers now.
 
-    Args:
-        name: in the names of arms.
-        model: a reference.
-        url: of the API.
-        world: whose robot is planned for.
-
     Raises:
         SamplerError: the API refuses, or does not answer.
     """
@@ -187,14 +181,10 @@ class PlanModel:
     space: JointSpace
 
     def plan(self, picture: bytes, query: PlanQuery, world: World) -> tuple[Plan | ServedPlan, float]:
-        """The plan in a picture's file, and the time from the file to the answer, s.
+        """The plan for a picture's file, and the time from the file to the answer, s.
 
-        A problem that needs wider limits than those of a served model counts as refused.
-
-        Args:
-            picture: of the scene.
-            query: start and goal.
-            world: the scene's, whose robot may have other limits than the model was trained with.
+        A problem that needs wider joint limits than a served model has counts as refused; a bundle takes the
+        limits of ``world``.
 
         Raises:
             SamplerError: the API does not answer, or another model does.
@@ -258,11 +248,11 @@ def opened_planners(specs: Sequence[SourceSpec], world: World) -> Iterator[Mappi
     with ExitStack() as stack:
         found = {}
         for spec in specs:
-            engine = (
-                stack.enter_context(_plan_client(spec.url or "", world))
-                if spec.packed is None
-                else spec.packed.load()
-            )
+            engine: Bundle | SamplingClient
+            if spec.packed is None:
+                engine = stack.enter_context(_plan_client(spec.url or "", world))
+            else:
+                engine = spec.packed.load()
             found[spec.name] = PlanModel(spec, engine, world.space)
             found[spec.name].plan(picture_file_of(problem.scenario), plan_query(problem), world)
         yield found

@@ -7,8 +7,8 @@ infinite.
 
 import math
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from itertools import pairwise
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import pairwise, product
 from typing import Any
 
 import numpy as np
@@ -23,7 +23,6 @@ from services.evaluator.benchmark.arms import CONNECT, Arm, Group, PlanArm, Sett
 from services.evaluator.benchmark.plans import NO_PROBLEM
 from services.evaluator.statistics import (
     CONFIDENCE,
-    CensoredSummary,
     Interval,
     bootstrap_interval,
     censored_as_largest,
@@ -125,44 +124,33 @@ def metrics(summary: pd.DataFrame, measures: Sequence[str]) -> dict[str, float]:
     return dict(zip(names, found["value"].astype(float), strict=True))
 
 
-def _quantiles(name: str, found: CensoredSummary, scale: float = 1.0) -> Iterator[Measure]:
-    """Median and 90th percentile; one that is only a lower bound has no upper limit."""
-    for what, value, is_bound in (
-        ("median", found.median, found.median_is_bound),
-        ("p90", found.p90, found.p90_is_bound),
-    ):
-        scaled = scale * value
-        yield f"{name}_{what}", Interval(scaled, scaled, math.inf if is_bound else scaled, found.count)
+def _quantiles(name: str, values: Floats, failed: Flags, scale: float = 1.0) -> Iterator[Measure]:
+    """Median and 90th percentile of runs; one that is only a lower bound has no upper limit."""
+    found = summarise_censored(values.ravel(), failed.ravel())
+    for what in ("median", "p90"):
+        value, is_bound = scale * getattr(found, what), getattr(found, f"{what}_is_bound")
+        yield f"{name}_{what}", Interval(value, value, math.inf if is_bound else value, found.count)
 
 
 def ratios(
     name: str, values: Floats, failed: Flags, base: Floats, base_failed: Flags, rng: np.random.Generator
 ) -> Iterator[Measure]:
-    """Quantiles over those of a base, over all runs; the interval is over problems.
+    """Median and 90th percentile over those of a base, with intervals over problems.
 
-    Args:
-        name: of the measure.
-        values: (P, R) of the arm.
-        failed: (P, R) whether a run was cut off; it ranks behind all runs of both.
-        base: (P, R) of the base, on the same problems.
-        base_failed: likewise.
-        rng: source of the resampling.
+    All arrays are (P, R), of the same problems; a run that failed ranks behind all runs of both.
     """
     both, cut = np.stack([values, base], axis=-1), np.stack([failed, base_failed], axis=-1)
     # A direct connection takes no iteration to speak of; one unit keeps the ratio finite.
     ranked = np.maximum(censored_as_largest(both.ravel(), cut.ravel()), 1.0)
     rows = ranked.reshape(len(values), -1)
     for what, quantile in (("median", 0.5), ("p90", 0.9)):
-        yield f"{name}_{what}", bootstrap_interval(rows, _quotient(quantile), rng, resamples=RESAMPLES)
 
+        def quotient(rows: Floats, quantile: float = quantile) -> Floats:
+            # (..., P, 2 R): a problem's runs of both arms, pair by pair.
+            both = np.quantile(rows.reshape(*rows.shape[:-2], -1, 2), quantile, axis=-2)
+            return np.asarray(both[..., 0] / both[..., 1])
 
-def _quotient(quantile: float) -> Callable[[Floats], Floats]:
-    def statistic(rows: Floats) -> Floats:
-        # (..., P, 2 R): a problem's runs of both arms, pair by pair.
-        both = np.quantile(rows.reshape(*rows.shape[:-2], -1, 2), quantile, axis=-2)
-        return np.asarray(both[..., 0] / both[..., 1])
-
-    return statistic
+        yield f"{name}_{what}", bootstrap_interval(rows, quotient, rng, resamples=RESAMPLES)
 
 
 def _arm_ratios(
@@ -187,18 +175,10 @@ def length_ratio(
 def winning_costs(
     fixed_s: Floats, checks: Floats, others_s: Floats, others_checks: Floats
 ) -> tuple[Floats, Floats]:
-    """Between which costs of a check, in s, a planner takes less time than each of some others.
+    """Least and largest cost of a check, in s, between which a planner takes less time than K others.
 
-    Its time is ``fixed + checks x cost``.
-
-    Args:
-        fixed_s: (...) time without the checks.
-        checks: (...) number of checks.
-        others_s: (..., K) of the others.
-        others_checks: (..., K) likewise.
-
-    Returns:
-        Least and largest cost, (...) each; 0 and infinity where it always wins, infinity twice where never.
+    The time is ``fixed + checks x cost``, with (...) of the planner and (..., K) of the others. The costs are
+    (...) each: 0 and infinity where the planner always wins, infinity twice where it never does.
     """
     dearer_s, fewer = fixed_s[..., None] - others_s, others_checks - checks[..., None]
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -210,17 +190,11 @@ def winning_costs(
 
 
 def spent(paired: Paired, arm: str, checks: str = "edge_checks") -> Floats:
-    """(P, 2) time of an arm without its checks, in s, and number of checks, summed over a problem's runs.
-
-    Args:
-        paired: runs with ``request_s``, ``solve_s`` and ``check_s``.
-        arm: its name.
-        checks: column that counts them.
-    """
-    fixed_s = sum(paired.values(arm, name) for name in ("request_s", "solve_s")) - paired.values(
-        arm, "check_s"
+    """(P, 2) time of an arm without its checks, in s, and number of checks, summed over a problem's runs."""
+    request_s, solve_s, check_s, count = (
+        paired.values(arm, name) for name in ("request_s", "solve_s", "check_s", checks)
     )
-    return np.stack([fixed_s.sum(axis=1), paired.values(arm, checks).sum(axis=1)], axis=1)
+    return np.stack([(request_s + solve_s - check_s).sum(axis=1), count.sum(axis=1)], axis=1)
 
 
 def break_even(
@@ -228,13 +202,8 @@ def break_even(
 ) -> Iterator[Measure]:
     """The costs of a check in us from which and until which an arm beats each of some others.
 
-    Values are from sums over problems, limits by bootstrap over problems; ``typical`` ones from medians.
-
-    Args:
-        name: of the measure.
-        learned: (P, 2) of :func:`spent`.
-        others: likewise, on the same problems.
-        rng: source of the resampling.
+    Arrays are (P, 2) of :func:`spent`, of the same problems. Values are from sums over problems, limits by
+    bootstrap over problems; ``typical`` ones from medians.
 
     Raises:
         EvaluationError: no problems, no others, or others on other problems.
@@ -263,13 +232,7 @@ def break_even(
 def summarise_samples(
     runs: pd.DataFrame, families: Iterable[str], arms: Sequence[Arm], setting: Setting
 ) -> pd.DataFrame:
-    """The figures of every arm on every family.
-
-    Args:
-        runs: of the protocols ``families`` or ``paper``.
-        families: in the order of the report.
-        arms: that were run.
-        setting: of the runs.
+    """The figures of every arm on every family, for the protocols ``families`` and ``paper``.
 
     Raises:
         EvaluationError: a family has no problem that all of its arms have run.
@@ -301,8 +264,7 @@ def _first_solution(
     yield from ((f"within_{count}", _share(found)) for count, found in within.items())
     yield "rejected", float((paired.of(arm.name)["reason"] == Reason.REJECTED).sum())
     for column in ("iterations", "edge_checks"):
-        values = paired.values(arm.name, column)
-        yield from _quantiles(column, summarise_censored(values.ravel(), ~solved.ravel()))
+        yield from _quantiles(column, paired.values(arm.name, column), ~solved)
     if arm.name != arm.base:
         yield from _arm_ratios("iterations_ratio", paired, arm.name, arm.base, "iterations", rng)
         yield from _arm_ratios("edge_checks_ratio", paired, arm.name, arm.base, "edge_checks", rng)
@@ -315,15 +277,12 @@ def _first_solution(
         yield from _arm_ratios("iterations_ratio_own_best", paired, arm.name, own_best, "iterations", rng)
     if arm.sampler is not None:
         every = [one.name for one in uniform] or [arm.base]
-        for checks, others in ((c, o) for c in ("edge", "state") for o in ("base", "best")):
-            column = f"{checks}_checks"
-            names = [arm.base] if others == "base" else every
-            measured = [spent(paired, name, column) for name in names]
-            name = f"break_even_{checks}_{others}"
-            yield from break_even(name, spent(paired, arm.name, column), measured, rng)
+        for checks, (kind, names) in product(("edge", "state"), (("base", [arm.base]), ("best", every))):
+            own, *others = (spent(paired, name, f"{checks}_checks") for name in (arm.name, *names))
+            yield from break_even(f"break_even_{checks}_{kind}", own, others, rng)
     if (plain := plain_arm(arm, arms)) is not None:
-        plain_solved, plain_iterations = paired.solved(plain.name), paired.values(plain.name, "iterations")
-        beside, mine = plain_solved & (plain_iterations <= WITHIN), within[WITHIN]
+        beside = paired.solved(plain.name) & (paired.values(plain.name, "iterations") <= WITHIN)
+        mine = within[WITHIN]
         yield "treated_lost", float((beside & ~mine).sum())
         yield "treated_won", float((mine & ~beside).sum())
         yield "treated_difference", difference_interval(mine.mean(axis=1), beside.mean(axis=1), rng)
@@ -334,7 +293,7 @@ def _effort(paired: Paired, arm: Arm, rng: np.random.Generator) -> Iterator[Meas
     solved, iterations = paired.solved(arm.name), paired.values(arm.name, "iterations")
     for column in ("solve", "total"):
         values = 1e3 * paired.values(arm.name, f"{column}_s")
-        yield from _quantiles(f"{column}_ms", summarise_censored(values.ravel(), ~solved.ravel()))
+        yield from _quantiles(f"{column}_ms", values, ~solved)
         yield f"{column}_ms_mean", mean_interval(values.mean(axis=1), rng)
         yield from _plain_quantiles(f"end_{column}_ms", values)
     for part in PARTS:
@@ -370,19 +329,11 @@ def best_known(paired: Paired) -> Floats:
 
 
 def converge(paired: Paired, arm: Arm, best: Floats, rng: np.random.Generator) -> Iterator[Measure]:
-    """How soon an optimising arm comes within 5 % of the best known length.
-
-    Args:
-        paired: runs of one family.
-        arm: an optimising one.
-        best: (P,) of :func:`best_known`.
-        rng: source of the resampling.
-    """
+    """How soon an optimising arm comes within 5 % of the (P,) best known lengths."""
     reached, missed = until_close(paired, arm.name, best)
     yield "close", _share(~missed)
     for name, scale in (("iterations", 1.0), ("edge_checks", 1.0), ("ms", 1e3)):
-        found = summarise_censored(reached[name].ravel(), missed.ravel())
-        yield from _quantiles(f"close_{name}", found, scale)
+        yield from _quantiles(f"close_{name}", reached[name], missed, scale)
     if arm.name != arm.base and arm.base in paired.arms:
         base, base_missed = until_close(paired, arm.base, best)
         values = (reached["iterations"], missed, base["iterations"], base_missed)
@@ -400,26 +351,21 @@ def until_close(paired: Paired, arm: str, best: Floats) -> tuple[Mapping[str, Fl
         came so close.
     """
     own, shape = paired.of(arm), (paired.problems, paired.repeats)
-    columns = {
-        "iterations": ("cost_iterations", "iterations"),
-        "edge_checks": ("cost_edge_checks", "edge_checks"),
-        "ms": ("cost_s", "solve_s"),
-    }
     limits = CLOSE * np.repeat(best, paired.repeats)
+    # The first improvement that is short enough; behind all of them stands the end of the run.
     at = [
-        next((step for step, length in enumerate(lengths) if length <= limit), None)
+        next((step for step, length in enumerate(lengths) if length <= limit), len(lengths))
         for lengths, limit in zip(own["cost_length_rad"], limits, strict=True)
     ]
-    found = {
-        name: np.array(
-            [
-                float(end if step is None else series[step])
-                for step, series, end in zip(at, own[cost], own[last], strict=True)
-            ]
-        ).reshape(shape)
-        for name, (cost, last) in columns.items()
-    }
-    return found, np.array([step is None for step in at]).reshape(shape)
+    found = {}
+    for name, cost, last in (
+        ("iterations", "cost_iterations", "iterations"),
+        ("edge_checks", "cost_edge_checks", "edge_checks"),
+        ("ms", "cost_s", "solve_s"),
+    ):
+        series = ([*costs, end][step] for step, costs, end in zip(at, own[cost], own[last], strict=True))
+        found[name] = np.fromiter(series, dtype=np.float64).reshape(shape)
+    return found, (at == own["cost_length_rad"].map(len).to_numpy()).reshape(shape)
 
 
 def summarise_plans(
@@ -429,12 +375,6 @@ def summarise_plans(
 
     Groups are a source of problems, its hard ones, and every family, each with the number of pictures, as in
     ``MotionBenchMaker, 1``.
-
-    Args:
-        runs: of the protocol.
-        pictures: numbers by which problems are seen.
-        arms: that were run.
-        setting: of the runs.
 
     Raises:
         EvaluationError: no problem was run by all arms.
@@ -501,21 +441,15 @@ def _safety(paired: Paired, arm: PlanArm, rng: np.random.Generator) -> Iterator[
     if len(curve):
         half = max(1, len(curve) // 2)
         yield "surer_half_collide", _share(curve["collides"].to_numpy()[:half])
-        yield (
-            "calibration_error",
-            calibration_error(curve["confidence"].to_numpy(), ~curve["collides"].to_numpy()),
-        )
+        error = calibration_error(curve["confidence"].to_numpy(), ~curve["collides"].to_numpy())
+        yield "calibration_error", error
 
 
 def confidence_curve(runs: pd.DataFrame) -> pd.DataFrame:
-    """What collides if only the paths of the highest confidence are answers.
+    """What collides if only the paths of the highest confidence are answers, from all runs of one model.
 
-    Args:
-        runs: of one model, on all problems.
-
-    Returns:
-        One row for each path by falling confidence: ``confidence``, ``collides``, the ``answered`` share of
-        the problems down to here, and the share of these that collides, ``collide``.
+    One row for each path by falling confidence: ``confidence``, ``collides``, the ``answered`` share of the
+    problems down to here, and the share of these that collides, ``collide``.
     """
     found = runs[runs["confidence"].notna()].sort_values("confidence", ascending=False, kind="stable")
     curve = pd.DataFrame(
@@ -547,7 +481,7 @@ def _checks(paired: Paired, arm: PlanArm, rng: np.random.Generator) -> Iterator[
     yield "solved", _share(paired.solved(arm.name))
     failed = ~each.solved(arm.name).ravel()
     for column in ("state_checks", "edge_checks", "iterations"):
-        yield from _quantiles(column, summarise_censored(each.values(arm.name, column).ravel(), failed))
+        yield from _quantiles(column, each.values(arm.name, column), failed)
     for column in ("request", "solve"):
         yield f"{column}_ms_median", 1e3 * float(np.median(paired.values(arm.name, f"{column}_s")))
     for name in ("spheres_ms", "meshes_ms"):

@@ -1,10 +1,11 @@
 """The gate: whether a version may become the champion, from paired comparisons with its rivals."""
 
-from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any, TypeVar
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
 from cspace.errors import EvaluationError
@@ -15,17 +16,18 @@ from services.evaluator.measures.reconstruction import SampleQuality, SceneQuali
 from services.evaluator.statistics import Interval, Statistic, bootstrap_interval, censored_as_largest
 
 SERVED = " as served"
+Paired = TypeVar("Paired")
 
 
 @dataclass(frozen=True, slots=True)
 class Gain:
-    """One measure of both.
+    """One measure of the candidate and of a rival.
 
     Args:
         name: of the measure.
         ours: the candidate's value.
-        theirs: the rival's.
-        gain: above 0 where the candidate is better, with the limits of the paired difference.
+        theirs: the rival's value.
+        gain: the paired difference with its limits; above 0 where the candidate is better.
     """
 
     name: str
@@ -69,11 +71,7 @@ def compare_samplers(
 ) -> Comparison:
     """Precision, coverage, EDr and planning success, as drawn and as served.
 
-    Args:
-        rival: in words.
-        ours: rows of the candidate.
-        theirs: of the rival; scenes and problems count that both have, and of scenes the uniform ones alone.
-        rng: of the bootstrap.
+    The rows of both are paired by uniform scene and by problem; others are left out.
 
     Raises:
         EvaluationError: they have no scenes in common.
@@ -104,18 +102,21 @@ def compare_paths(
 
 
 def _scenes(ours: Sequence[Row], theirs: Sequence[Row]) -> list[tuple[SceneQuality, SceneQuality]]:
-    first, second = (
+    return _paired(
         {row.index: row for row in rows if isinstance(row, SceneQuality) and row.family == UNIFORM}
         for rows in (ours, theirs)
     )
-    return [(first[index], second[index]) for index in sorted(first.keys() & second.keys())]
 
 
 def _problems(ours: Sequence[Row], theirs: Sequence[Row]) -> list[tuple[PlanningTrial, PlanningTrial]]:
-    first, second = (
+    return _paired(
         {(row.family, row.index, row.seed): row for row in rows if isinstance(row, PlanningTrial)}
         for rows in (ours, theirs)
     )
+
+
+def _paired(both: Iterable[Mapping[Any, Paired]]) -> list[tuple[Paired, Paired]]:
+    first, second = both
     return [(first[key], second[key]) for key in sorted(first.keys() & second.keys())]
 
 
@@ -143,12 +144,10 @@ def _energy_gain(rows: NDArray[np.float64]) -> NDArray[np.float64]:
 def _success(
     runs: Sequence[tuple[RunOutcome, RunOutcome, PlanningTrial]], suffix: str, rng: np.random.Generator
 ) -> list[Gain]:
-    """Repeats of a problem are one row; nothing where no problem was planned."""
-    by_problem: dict[tuple[str, int], list[tuple[bool, bool]]] = defaultdict(list)
-    for ours, theirs, trial in runs:
-        by_problem[trial.family, trial.index].append((ours.success, theirs.success))
-    rows = [np.mean(repeats, axis=0) for repeats in by_problem.values()]
-    return [_difference(f"planning success{suffix}", rows, rng)] if rows else []
+    """The mean over the repeats of a problem is one row; nothing where no problem was planned."""
+    rows = [(trial.family, trial.index, ours.success, theirs.success) for ours, theirs, trial in runs]
+    means = pd.DataFrame(rows).groupby([0, 1], sort=False).mean().to_numpy() if rows else []
+    return [_difference(f"planning success{suffix}", means, rng)] if rows else []
 
 
 def _edge_checks(
@@ -185,7 +184,7 @@ def _gain(
     return Gain(name, float(both[0]), float(both[1]), bootstrap_interval(table, statistic, rng))
 
 
-# What an interval over fewer says of scenes that nobody has seen is nothing.
+# An interval over fewer scenes says nothing about others.
 FEWEST_SCENES = 5
 COVERAGE = "coverage"
 PLANNING_SUCCESS = "planning_success"
@@ -194,11 +193,11 @@ SMALLER_IS_BETTER = frozenset({"edr"})
 
 @dataclass(frozen=True)
 class Candidate:
-    """What the gate looks at, from the validation scenarios only.
+    """The estimates of a sampler that decide, from the validation scenarios only.
 
     Args:
         precision_gain: paired difference in precision to uniform samples.
-        real_coverage: what as many real samples cover of the same scenes.
+        real_coverage: coverage of as many real samples on the same scenes.
         metrics: the gated metrics by name; planning success may be missing.
     """
 
@@ -209,7 +208,7 @@ class Candidate:
 
 @dataclass(frozen=True)
 class PathCandidate:
-    """What the gate looks at of a path model, from the validation problems only.
+    """The estimates of a path model that decide, from the validation problems only.
 
     Args:
         telling: the family of problems that tells most.
@@ -234,11 +233,11 @@ class Champion:
 
 @dataclass(frozen=True)
 class Bar:
-    """Whom a candidate is compared with.
+    """The rivals of a candidate.
 
     Args:
-        comparisons: with rivals that were measured beside it.
-        recorded: earlier champions that were not.
+        comparisons: with rivals that were measured on the same scenes.
+        recorded: earlier champions that were not measured again.
         notes: who is left out, and why.
         against: the number of the present champion, None without one.
     """
@@ -258,20 +257,12 @@ class Verdict:
     bar: Bar
 
 
-@dataclass(frozen=True, slots=True)
-class _Finding:
-    held: bool
-    reason: str
+# Whether a condition holds, and the reason in words.
+_Finding = tuple[bool, str]
 
 
 def judge(candidate: Candidate, bar: Bar, measures: Measures) -> Verdict:
-    """Decide on a candidate.
-
-    Args:
-        candidate: the version under test.
-        bar: whom it is compared with.
-        measures: the world's share of coverage and margins.
-    """
+    """Decide on a candidate, with the share of coverage and the margins of its world."""
     findings, share = [_beats_uniform(candidate.precision_gain)], measures.coverage_share
     if share is not None:
         findings.append(_covers(candidate.metrics[COVERAGE], candidate.real_coverage, share))
@@ -279,20 +270,15 @@ def judge(candidate: Candidate, bar: Bar, measures: Measures) -> Verdict:
 
 
 def judge_paths(candidate: PathCandidate, bar: Bar, measures: Measures) -> Verdict:
-    """Decide on a path model; arguments as for :func:`judge`."""
+    """Decide on a path model, likewise."""
     saved, ours = candidate.checks_saved, candidate.metrics[PLANNING_SUCCESS]
-    words = "saves" if saved.low > 1.0 else "does not save"
-    less = "no fewer" if ours >= candidate.uniform_success else "fewer"
+    saves, as_many = saved.low > 1.0, ours >= candidate.uniform_success
+    where = f"edge checks in {candidate.telling} problems beyond the interval"
+    factor = f"factor {saved:.2f} over {saved.count} problems"
+    success = f"problems than uniform samples: {ours:.3f}, {candidate.uniform_success:.3f}"
     findings = [
-        _Finding(
-            saved.low > 1.0,
-            f"{words} edge checks in {candidate.telling} problems beyond the interval: factor {saved:.2f} "
-            f"over {saved.count} problems",
-        ),
-        _Finding(
-            ours >= candidate.uniform_success,
-            f"solves {less} problems than uniform samples: {ours:.3f}, {candidate.uniform_success:.3f}",
-        ),
+        (saves, f"{'saves' if saves else 'does not save'} {where}: {factor}"),
+        (as_many, f"solves {'no fewer' if as_many else 'fewer'} {success}"),
     ]
     return _verdict(findings, measures.path_margins, candidate.metrics, bar)
 
@@ -302,65 +288,55 @@ def _verdict(
 ) -> Verdict:
     for comparison in bar.comparisons:
         findings += _beside(comparison)
-    recorded = [_compare(name, margin, metrics, bar.recorded) for name, margin in margins.items()]
-    findings += [finding for finding in recorded if finding is not None]
-    findings += [_Finding(held=True, reason=note) for note in bar.notes]
+    for name, margin in margins.items():
+        findings += _recorded(name, margin, metrics, bar.recorded)
+    findings += [(True, note) for note in bar.notes]
     if not bar.comparisons and not bar.recorded:
-        findings.append(_Finding(held=True, reason="there is no earlier champion to compare with"))
-    held = all(finding.held for finding in findings)
-    return Verdict(held, tuple(finding.reason for finding in findings), bar)
+        findings.append((True, "there is no earlier champion to compare with"))
+    return Verdict(all(held for held, _ in findings), tuple(reason for _, reason in findings), bar)
 
 
-def _beside(comparison: Comparison) -> tuple[_Finding, ...]:
+def _beside(comparison: Comparison) -> list[_Finding]:
     rival, gains = comparison.rival, comparison.gains
-    worse = [str(gain) for gain in gains if gain.worse]
-    better = [str(gain) for gain in gains if gain.better]
+    worse = "; ".join(str(gain) for gain in gains if gain.worse)
+    better = "; ".join(str(gain) for gain in gains if gain.better)
     if not worse and not better:
         words = "worse in nothing, better in nothing beyond the interval"
         need = "a version has to be better in one measure"
-        return (_Finding(held=False, reason=f"only as good as {rival}: {words}; {need}"),)
-    return (
-        _Finding(not worse, f"worse than {rival} beyond the interval: {'; '.join(worse) or 'in nothing'}"),
-        _Finding(
-            bool(better), f"better than {rival} beyond the interval: {'; '.join(better) or 'in nothing'}"
-        ),
-    )
+        return [(False, f"only as good as {rival}: {words}; {need}")]
+    return [
+        (not worse, f"worse than {rival} beyond the interval: {worse or 'in nothing'}"),
+        (bool(better), f"better than {rival} beyond the interval: {better or 'in nothing'}"),
+    ]
 
 
 def _beats_uniform(gain: Interval) -> _Finding:
     if gain.count < FEWEST_SCENES:
-        told = f"judged on {gain.count} scenes; fewer than {FEWEST_SCENES} tell nothing of others"
-        return _Finding(held=False, reason=told)
+        return False, f"judged on {gain.count} scenes; fewer than {FEWEST_SCENES} tell nothing of others"
     held = gain.low > 0.0
     words = "beats uniform beyond the interval" if held else "does not beat uniform beyond the interval"
-    return _Finding(held, f"precision {words}: gain {gain:+.3f} over {gain.count} scenarios")
+    return held, f"precision {words}: gain {gain:+.3f} over {gain.count} scenarios"
 
 
 def _covers(value: float, real: float, share: float) -> _Finding:
     held = value >= share * real
     sign = "at least" if held else "less than"
-    return _Finding(held, f"coverage {value:.3f} is {sign} {share:.2f} of the {real:.3f} of real samples")
+    return held, f"coverage {value:.3f} is {sign} {share:.2f} of the {real:.3f} of real samples"
 
 
-def _compare(
+def _recorded(
     name: str, margin: float, metrics: Mapping[str, float], champions: Sequence[Champion]
-) -> _Finding | None:
-    """Against the best recorded value; None where no champion has the metric."""
+) -> list[_Finding]:
+    """Against the best recorded value; nothing where no champion has the metric."""
+    sign = -1.0 if name in SMALLER_IS_BETTER else 1.0
     having = [champion for champion in champions if name in champion.metrics]
     if not having:
-        return None
-    sign = -1.0 if name in SMALLER_IS_BETTER else 1.0
+        return []
     best = max(having, key=lambda champion: sign * champion.metrics[name])
     theirs = best.metrics[name]
     if name not in metrics:
-        return _Finding(
-            held=False, reason=f"{name} was not measured; version {best.version} has {theirs:.3f}"
-        )
-    ours = metrics[name]
-    held = sign * (ours - theirs) >= -margin
-    words = "is within" if held else "is worse than"
-    return _Finding(
-        held,
-        f"{name} {ours:.3f} {words} the margin of {margin:.3f} of the {theirs:.3f} recorded of version "
-        f"{best.version}",
-    )
+        return [(False, f"{name} was not measured; version {best.version} has {theirs:.3f}")]
+    held = sign * (metrics[name] - theirs) >= -margin
+    margins = f"{'is within' if held else 'is worse than'} the margin of {margin:.3f}"
+    of = f"of the {theirs:.3f} recorded of version {best.version}"
+    return [(held, f"{name} {metrics[name]:.3f} {margins} {of}")]

@@ -66,15 +66,9 @@ Progress = Callable[[str], None]
 
 @dataclass(frozen=True)
 class Outcome:
-    """What an evaluation led to.
+    """A finished evaluation with its tracking run and the names of the pictures there.
 
-    Args:
-        version: that was judged.
-        evaluation: all that was measured.
-        verdict: the gate's decision.
-        recorded: whether the decision was recorded, and the alias moved if it was a promotion.
-        run_id: of the evaluation's tracking run.
-        figures: names of the pictures in that run.
+    ``recorded`` tells whether the decision was recorded, and the alias moved if it was a promotion.
     """
 
     version: ModelVersion
@@ -94,12 +88,7 @@ def evaluate_version(
 ) -> Outcome:
     """Evaluate a version, log it beside its training, and let the gate decide.
 
-    Args:
-        request: which version and how much.
-        tracking: where the evaluation's run is logged.
-        registry: where the version comes from and the decision goes.
-        execute: in this process or over a cluster; the numbers are the same.
-        progress: takes lines for people.
+    The numbers are the same in this process and over a cluster; ``progress`` takes lines for people.
 
     Raises:
         ModelNotFoundError: there is no such version.

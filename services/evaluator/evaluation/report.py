@@ -3,13 +3,14 @@
 import json
 import tempfile
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, fields, replace
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -17,7 +18,7 @@ from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from cspace.errors import EvaluationError
-from cspace.simulator import UNIFORM, Problem, Split
+from cspace.simulator import UNIFORM, Split
 from cspace.worlds import picture_of, robot_digest, simulator_of
 from services.evaluator.evaluation.gate import (
     Bar,
@@ -30,11 +31,9 @@ from services.evaluator.evaluation.gate import (
 )
 from services.evaluator.evaluation.measured import (
     Measured,
-    aligned,
     comparison_table,
     flat_metrics,
     headline,
-    markdown,
     measured,
     occupancy_table,
     planning_table,
@@ -56,6 +55,7 @@ from services.evaluator.measures.occupancy import reliability_diagram
 from services.evaluator.measures.planning import UNIFORM_SHARE, learned_samples
 from services.evaluator.measures.reconstruction import NEIGHBOURS, covered
 from services.evaluator.measures.scenes import Scene, Stage, unfiltered
+from services.evaluator.tables import Table, aligned, markdown
 from services.names import NOTE as DESCRIPTION
 from services.planner.ompl_planner import solve
 from services.planner.plotting import plot_plan
@@ -81,13 +81,8 @@ def gallery(
     """One row a scenario: the picture, the true free space, the samples with both kinds of mistakes marked.
 
     A mistake is a sample in collision, or a free configuration that no sample is near. Of more than two
-    joints the first two are shown, without the second kind, which a projection would hide.
-
-    Args:
-        scenes: what is shown.
-        sampler: whose samples.
-        title: of the whole.
-        notes: words beside each scenario's name.
+    joints the first two are shown, without the second kind, which a projection would hide. Each scenario's
+    name is followed by its note.
     """
     figure = Figure(figsize=(9.0, 0.7 + 2.9 * len(scenes)), dpi=110, layout="constrained")
     FigureCanvasAgg(figure)
@@ -124,15 +119,8 @@ def _truth(axes: Axes, scene: Scene) -> None:
         axes.set_title(f"free configurations{shown}", fontsize=9)
     if scene.problem is not None:
         ends = np.stack([scene.problem.start, scene.problem.goal])
-        axes.scatter(
-            *_plane(ends),
-            s=50,
-            marker="X",
-            color=END_COLOUR,
-            edgecolors="white",
-            clip_on=False,
-            zorder=3,
-        )
+        look: dict[str, Any] = {"marker": "X", "color": END_COLOUR, "edgecolors": "white"}
+        axes.scatter(*_plane(ends), s=50, clip_on=False, zorder=3, **look)
     _joint_axes(axes, scene)
 
 
@@ -224,11 +212,9 @@ TOPOLOGY_NOTE = (
 
 def to_json(evaluation: Evaluation) -> str:
     """Everything, down to the rows behind the summaries."""
-    told = asdict(evaluation) | {"planner": asdict(planner_of(evaluation.setting.world))}
-    for split in JUDGED:
-        # Drawn again from the seed by whoever wants them.
-        del told[split]["problems"]
-    return json.dumps(told, indent=1)
+    return json.dumps(
+        asdict(evaluation) | {"planner": asdict(planner_of(evaluation.setting.world))}, indent=1
+    )
 
 
 def judged_on(setting: Setting) -> str:
@@ -246,44 +232,41 @@ def judged_on(setting: Setting) -> str:
     )
 
 
+def _tables(evaluation: Evaluation) -> Iterator[tuple[str, str, Table, str]]:
+    """Heading in the report, name in a terminal (empty: not shown there), rows and note of every table."""
+    simulator = simulator_of(evaluation.setting.world)
+    for name, split, role in (
+        ("validation", evaluation.validation, "decides"),
+        ("test", evaluation.test, "reported only"),
+    ):
+        if split.reconstruction is not None:
+            gain = f"Gain in precision over uniform: {split.reconstruction.precision_gain:.3f}."
+            note = f"{gain}\n\n{RECONSTRUCTION_NOTE}"
+            yield f"Reconstruction, {name} ({role})", name, reconstruction_table(split), note
+        heading, note = f"Reconstruction by family, {name} (reported only)", simulator.families.note
+        yield heading, f"by family, {name}", scene_family_table(split), FAMILY_NOTE.format(note)
+        head = occupancy_table(split, simulator.measures.near_contact_m)
+        yield f"Validity head, {name}", f"validity head, {name}", head, OCCUPANCY_NOTE
+        if split.planning:
+            shown = f"planning, {name}" if name == "validation" else ""
+            note = PLANNING_NOTE.format(planner_of(evaluation.setting.world))
+            yield f"Planning, {name} ({role})", shown, planning_table(split.planning), note
+    if evaluation.topology:
+        heading = "Topology, test (reported only)"
+        yield heading, "topology, test", topology_table(evaluation), TOPOLOGY_NOTE
+
+
 def to_markdown(
     evaluation: Evaluation, title: str, reasons: Sequence[str], comparisons: Sequence[Comparison] = ()
 ) -> str:
     """The report: scenes, decision, comparisons, reconstruction, planning, topology."""
-    budget, world = evaluation.setting.budget, evaluation.setting.world
-    simulator = simulator_of(world)
-    scenes = judged_on(evaluation.setting)
-    parts = [f"# {title}", f"{scenes[0].upper()}{scenes[1:]}.", "## Decision"]
-    parts.append("\n".join(f"- {reason}" for reason in reasons))
+    budget = evaluation.setting.budget
+    parts = [f"# {title}", _sentence(evaluation.setting), "## Decision", _list(reasons)]
     for one in comparisons:
         heading = f"## Beside {one.rival}, validation (decides)"
         parts += [heading, markdown(comparison_table(one)), COMPARISON_NOTE]
-    for name, split in (("validation", evaluation.validation), ("test", evaluation.test)):
-        role = "decides" if name == "validation" else "reported only"
-        if split.reconstruction is not None:
-            parts += [
-                f"## Reconstruction, {name} ({role})",
-                markdown(reconstruction_table(split)),
-                f"Gain in precision over uniform: {split.reconstruction.precision_gain:.3f}.",
-                RECONSTRUCTION_NOTE,
-            ]
-        if split.families:
-            heading = f"## Reconstruction by family, {name} (reported only)"
-            parts += [
-                heading,
-                markdown(scene_family_table(split)),
-                FAMILY_NOTE.format(simulator.families.note),
-            ]
-        if head := occupancy_table(split, simulator.measures.near_contact_m):
-            parts += [f"## Validity head, {name}", markdown(head), OCCUPANCY_NOTE]
-        if split.planning:
-            parts += [
-                f"## Planning, {name} ({role})",
-                markdown(planning_table(split.planning)),
-                PLANNING_NOTE.format(planner_of(world)),
-            ]
-    if evaluation.topology:
-        parts += ["## Topology, test (reported only)", markdown(topology_table(evaluation)), TOPOLOGY_NOTE]
+    for heading, _, rows, note in _tables(evaluation):
+        parts += [f"## {heading}", markdown(rows), note] if rows else []
     scenes = f"{budget.scenarios} scenarios a split, {budget.samples} samples each"
     if evaluation.validation.reconstruction is None:
         scenes = f"{budget.validation_problems} validation and {budget.test_problems} test problems a family"
@@ -296,67 +279,61 @@ def to_markdown(
 
 def terminal_table(evaluation: Evaluation, comparisons: Sequence[Comparison] = ()) -> str:
     """The deciding numbers as aligned text."""
-    splits = (("validation", evaluation.validation), ("test", evaluation.test))
-    near_contact_m = simulator_of(evaluation.setting.world).measures.near_contact_m
-    tables = [(name, reconstruction_table(split)) for name, split in splits]
-    tables += [(f"by family, {name}", scene_family_table(split)) for name, split in splits]
-    tables += [(f"validity head, {name}", occupancy_table(split, near_contact_m)) for name, split in splits]
-    if evaluation.validation.planning:
-        tables.append(("planning, validation", planning_table(evaluation.validation.planning)))
-    if evaluation.topology:
-        tables.append(("topology, test", topology_table(evaluation)))
+    tables = [(name, rows) for _, name, rows, _ in _tables(evaluation) if name and rows]
     tables += [(f"beside {one.rival}, validation", comparison_table(one)) for one in comparisons]
-    return "\n\n".join(f"{name}\n{aligned(table)}" for name, table in tables if table)
+    return "\n\n".join(f"{name}\n{aligned(rows)}" for name, rows in tables)
 
 
-Columns = Mapping[str, Sequence[Any]]
+def _sentence(setting: Setting) -> str:
+    scenes = judged_on(setting)
+    return f"{scenes[0].upper()}{scenes[1:]}."
+
+
+def _list(reasons: Sequence[str]) -> str:
+    return "\n".join(f"- {reason}" for reason in reasons)
+
+
 MEASURES_TABLE, COMPARISONS, NOTE = "measures", "comparisons", "comparison.md"
 
 
-def measure_columns(evaluation: Evaluation) -> Columns:
+def measure_columns(evaluation: Evaluation) -> Mapping[str, Sequence[Any]]:
     """Every estimate, one row each.
 
-    ``estimate`` and ``shown`` come first, by which the UI sets runs side by side; then the columns of
+    The columns by which MLflow shows runs side by side, ``estimate`` and ``shown``, then the fields of
     :class:`services.evaluator.evaluation.measured.Measured`.
     """
     rows = measured(evaluation)
-    told = {"estimate": [row.title for row in rows], "shown": [str(row) for row in rows]}
-    return told | {field.name: [getattr(row, field.name) for row in rows] for field in fields(Measured)}
+    shown = {"estimate": [row.title for row in rows], "shown": [str(row) for row in rows]}
+    return shown | {field.name: [getattr(row, field.name) for row in rows] for field in fields(Measured)}
 
 
-def comparison_columns(comparisons: Sequence[Comparison]) -> Columns:
-    """Every gated measure beside each rival, with the limits of what is gained."""
+def comparison_columns(comparisons: Sequence[Comparison]) -> Mapping[str, Sequence[Any]]:
+    """Every gated measure of the version and of each rival, with the limits of the gain."""
     rows = [
         (one.rival, gain.name, gain.ours, gain.theirs, gain.gain.estimate, gain.gain.low, gain.gain.high)
         for one in comparisons
         for gain in one.gains
     ]
     names = ("rival", "measure", "version", "theirs", "gain", "low", "high")
-    return {name: [row[place] for row in rows] for place, name in enumerate(names)}
+    return dict(pd.DataFrame(rows, columns=list(names)).to_dict("list"))
 
 
 def comparison_note(evaluation: Evaluation, verdict: Verdict, title: str) -> str:
     """In Markdown what the gate decided and why, and the version beside its rivals."""
     decided = "promoted" if verdict.promoted else "not promoted"
-    parts = [f"## {title}: {decided}", "\n".join(f"- {reason}" for reason in verdict.reasons)]
+    parts = [f"## {title}: {decided}", _list(verdict.reasons)]
     for one in verdict.bar.comparisons:
         parts += [f"### Beside {one.rival}", markdown(comparison_table(one))]
     if verdict.bar.comparisons:
         parts.append(COMPARISON_NOTE)
-    scenes = judged_on(evaluation.setting)
-    return "\n\n".join([*parts, f"{scenes[0].upper()}{scenes[1:]}."]) + "\n"
+    return "\n\n".join([*parts, _sentence(evaluation.setting)]) + "\n"
 
 
 def shown_of(evaluation: Evaluation, note: str) -> Shown:
     """What a version's page shows, its run and its logged model."""
     setting = evaluation.setting
-    words = judged_on(setting)
-    return Shown(
-        headline(evaluation),
-        note,
-        f"{setting.world.kind} scenes, seed {setting.seed}",
-        sha256(words.encode()).hexdigest(),
-    )
+    name, digest = f"{setting.world.kind} scenes, seed {setting.seed}", sha256(judged_on(setting).encode())
+    return Shown(headline(evaluation), note, name, digest.hexdigest())
 
 
 # The first scenarios of the uniform family; with the least precise one of every family they make a gallery.
@@ -445,22 +422,16 @@ def log_evaluation(
 def _plans(run: RunLog, evaluation: Evaluation, sampler: SampleSource, title: str) -> tuple[str, ...]:
     """The first test problem of each family, solved with the model's samples."""
     names, setting = [], evaluation.setting
-    for summary in evaluation.test.planning:
-        family = summary.family
-        problem = _first(evaluation.test.problems, family)
+    for family in (summary.family for summary in evaluation.test.planning):
+        index = min(trial.index for trial in evaluation.test.trials if trial.family == family)
+        problem = simulator_of(setting.world).problem(family, Split.TEST, setting.seed, index)
         seed = planner_seed(setting.seed, 0, 0)
-        image = picture_of(problem.scenario)
-        samples = learned_samples(problem, image, seed, sampler)
-        plan = solve(
-            problem, replace(planner_of(setting.world), seed=seed), samples, UNIFORM_SHARE, keep_tree=True
-        )
+        samples = learned_samples(problem, picture_of(problem.scenario), seed, sampler)
+        settings = replace(planner_of(setting.world), seed=seed)
+        plan = solve(problem, settings, samples, UNIFORM_SHARE, keep_tree=True)
         names.append(f"plan-{family}")
         run.figure(plot_plan(problem, plan, samples, f"{title}, {family}"), names[-1])
     return tuple(names)
-
-
-def _first(problems: Mapping[tuple[str, int], Problem], family: str) -> Problem:
-    return problems[min(key for key in problems if key[0] == family)]
 
 
 def exhibits(stage: Stage, measured: SplitResult) -> dict[Scene, str]:
@@ -472,8 +443,7 @@ def exhibits(stage: Stage, measured: SplitResult) -> dict[Scene, str]:
         if family == UNIFORM:
             shown |= {Scene(stage, row.index): "" for row in mine[:GALLERY_SCENARIOS]}
         if worst is not None:
-            drawn = measured.problems.get((family, worst.index))
-            shown[Scene(stage, worst.index, family, drawn)] = f"least precise of {len(mine)}"
+            shown[Scene(stage, worst.index, family)] = f"least precise of {len(mine)}"
     return shown
 
 

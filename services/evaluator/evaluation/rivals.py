@@ -30,13 +30,7 @@ from services.registry.promotion import champions
 
 @dataclass(frozen=True)
 class Rival:
-    """Somebody to be measured beside.
-
-    Args:
-        name: in words.
-        world: of its bundle: the candidate's robot, perhaps seen by another camera.
-        packed: the bundle.
-    """
+    """A model to be measured on the same scenes, whose world may have another camera."""
 
     name: str
     world: World
@@ -45,14 +39,7 @@ class Rival:
 
 @dataclass(frozen=True)
 class Field:
-    """Everybody that a candidate is compared with.
-
-    Args:
-        rivals: to be measured.
-        recorded: earlier champions that are not, with their metrics.
-        notes: for readers, who is not compared, or not by measuring, and why.
-        against: the number of the present champion, None without one.
-    """
+    """The rivals to be measured; the rest as in :class:`services.evaluator.evaluation.gate.Bar`."""
 
     rivals: tuple[Rival, ...]
     recorded: tuple[Champion, ...]
@@ -63,14 +50,14 @@ class Field:
 def find_rivals(
     registry: ModelRegistry, version: ModelVersion, bundle: Bundle, shipped: Path | None, folder: Path
 ) -> Field:
-    """Everybody of the candidate's robot and kind that it has to be held against.
+    """The rivals of a candidate's robot and kind.
 
     Args:
-        registry: holds the champions.
+        registry: of the champions.
         version: the candidate.
-        bundle: its bundle.
+        bundle: of the candidate.
         shipped: folder of the shipped model; None leaves it out.
-        folder: for downloads; whoever calls deletes it.
+        folder: for downloads.
 
     Raises:
         ConfigError: there is no bundle in the shipped model's folder.

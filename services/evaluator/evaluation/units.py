@@ -3,7 +3,7 @@
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
 from typing import Any
@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from cspace.errors import ConfigError, EvaluationError, ScenarioError
-from cspace.simulator import UNIFORM, Families, Problem, Split
+from cspace.simulator import UNIFORM, Families, Split
 from cspace.world import World
 from cspace.worlds import simulator_of
 from services.evaluator.measures.planning import (
@@ -23,8 +23,8 @@ from services.evaluator.measures.planning import (
 )
 from services.evaluator.measures.reconstruction import ReconstructionSummary, SceneQuality, summarise
 from services.evaluator.measures.scenes import Scene, Stage, reconstruct, summary_rng
-from services.evaluator.measures.topology import POINTS
-from services.evaluator.measures.topology_scenes import (
+from services.evaluator.measures.topology import (
+    POINTS,
     SceneTopology,
     ScoreSummary,
     scene_topology,
@@ -83,15 +83,7 @@ BUDGETS = {"quick": QUICK, "full": FULL}
 
 @dataclass(frozen=True, slots=True)
 class Unit:
-    """A run of neighbouring scenarios or problems.
-
-    Args:
-        kind: what is measured.
-        split: of the scenarios.
-        first: first index within the split or family.
-        count: how many.
-        family: of the problems; None for scenarios as they are drawn for training.
-    """
+    """Neighbouring scenarios of a split, or problems of a family; None: scenarios as in training."""
 
     kind: Kind
     split: Split
@@ -184,13 +176,7 @@ class Request:
 def make_request(
     model: str, *, budget: str = "quick", scenarios: int | None = None, **others: Any
 ) -> Request:
-    """A request from texts and numbers of the command line.
-
-    Args:
-        model: ``name@alias`` or ``name/version``.
-        budget: ``quick`` or ``full``.
-        scenarios: per split, instead of the budget's.
-        others: of :class:`Request`.
+    """A request from the command line; ``scenarios`` per split replace those of the budget.
 
     Raises:
         ConfigError: a value is out of range.
@@ -206,15 +192,7 @@ def make_request(
     return request
 
 
-@dataclass(frozen=True, slots=True)
-class Drawn:
-    """A problem that a unit drew, so that nobody searches for it again."""
-
-    index: int
-    problem: Problem
-
-
-Row = SceneQuality | SceneTopology | PlanningTrial | Drawn
+Row = SceneQuality | SceneTopology | PlanningTrial
 
 
 @dataclass(frozen=True, slots=True)
@@ -241,7 +219,7 @@ class SplitResult:
     """All of one split: summaries with the rows behind them.
 
     ``reconstruction`` is of the uniform scenarios, ``families`` of the others; ``scenes`` are of all. Path
-    models have none of the three. ``problems`` are those of the scenes and trials by family and index.
+    models have none of the three.
     """
 
     reconstruction: ReconstructionSummary | None
@@ -250,7 +228,6 @@ class SplitResult:
     scenes: tuple[SceneQuality, ...]
     trials: tuple[PlanningTrial, ...]
     families: Mapping[str, ReconstructionSummary]
-    problems: Mapping[tuple[str, int], Problem] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -317,7 +294,6 @@ def _split_result(rows: Sequence[Row], rng: np.random.Generator, setting: Settin
         scenes,
         trials,
         {family: summarise(mine, apart) for family, mine in by_family.items() if mine},
-        {(row.problem.family, row.index): row.problem for row in rows if isinstance(row, Drawn)},
     )
 
 
@@ -341,8 +317,6 @@ def _reconstruction_rows(unit: Unit, setting: Setting, sampler: SampleSource) ->
     for scene in _scenes(unit, setting):
         with suppress(*missing):
             rows.append(reconstruct(scene, sampler, setting.budget.samples))
-            if scene.problem is not None:
-                rows.append(Drawn(scene.index, scene.problem))
     return rows
 
 
@@ -366,7 +340,6 @@ def _planning_rows(unit: Unit, setting: Setting, sampler: SampleSource) -> list[
             if unit.family == UNIFORM:
                 raise
             continue
-        rows.append(Drawn(index, problem))
         for repeat in range(setting.budget.planner_seeds):
             seed = planner_seed(setting.seed, index, repeat)
             rows.append(plan_trial(problem, index, seed, sampler, planner))

@@ -5,6 +5,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
 from cspace.errors import EvaluationError
@@ -81,16 +82,9 @@ def plan_trial(
     settings: PlannerSettings,
     solver: Solver = solve,
 ) -> PlanningTrial:
-    """Solve one problem with each kind of samples under one seed.
+    """Solve one problem with each kind of samples under one seed, above 0, which replaces the planner's.
 
-    Args:
-        problem: start and goal in a scenario.
-        index: the problem's number within its family.
-        seed: of planner and sampler, above 0.
-        sampler: draws the learned samples from the scenario's picture, and a path model from start and goal
-            as well.
-        settings: of the planner; its seed is replaced.
-        solver: the planner.
+    A path model is asked with start and goal as well as the picture.
     """
     seeded = replace(settings, seed=seed)
     began = time.perf_counter()
@@ -124,13 +118,13 @@ def learned_samples(
 def _confident(
     problem: Problem, image: NDArray[np.uint8], seed: int, sampler: SampleSource
 ) -> list[NDArray[np.float32]]:
-    """As many learned samples, of those that the validity head lets pass; nothing where it lets too few.
+    """As many learned samples that the validity head accepts; nothing where it accepts too few.
 
-    Of models without a head those for paths are run again, the others not.
+    Path models without a head are run again, other models without one are not.
     """
-    least = sampler.threshold if isinstance(sampler, ScoredSampler) else 0.0
     if not (isinstance(sampler, ScoredSampler) or sampler.with_ends):
         return []
+    least = sampler.threshold if isinstance(sampler, ScoredSampler) else 0.0
     samples = learned_samples(problem, image, seed, sampler, least)
     return [samples] if len(samples) == LEARNED_SAMPLES else []
 
@@ -252,12 +246,6 @@ def _ratio(
 def _length_ratio(
     uniform: Sequence[RunOutcome], learned: Sequence[RunOutcome], rng: np.random.Generator
 ) -> Interval | None:
-    pairs: NDArray[np.float64] = np.array(
-        [
-            (theirs.length_rad, ours.length_rad)
-            for theirs, ours in zip(uniform, learned, strict=True)
-            if theirs.length_rad is not None and ours.length_rad is not None
-        ],
-        dtype=np.float64,
-    ).reshape(-1, 2)
-    return ratio_of_sums_interval(pairs[:, 1], pairs[:, 0], rng) if len(pairs) else None
+    ours, theirs = ([run.length_rad for run in runs] for runs in (learned, uniform))
+    both = pd.DataFrame({"ours": ours, "theirs": theirs}).dropna().astype(float)
+    return ratio_of_sums_interval(both["ours"], both["theirs"], rng) if len(both) else None

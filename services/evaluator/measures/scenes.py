@@ -49,12 +49,7 @@ class ScoredSampler(SampleSource, Protocol):
 
 
 class ScoredBundleSampler(BundleSampler):
-    """A bundle with a validity head.
-
-    Args:
-        bundle: that answers and scores.
-        threshold: as :class:`ScoredSampler` has it.
-    """
+    """A bundle with a validity head, and the threshold at which its samples are filtered."""
 
     def __init__(self, bundle: Bundle, threshold: float) -> None:
         super().__init__(bundle)
@@ -286,13 +281,7 @@ def _occupancy(scene: Scene, sampler: ScoredSampler, acceptance: float | None) -
 def measure_reconstruction(
     stage: Stage, sampler: SampleSource, scenarios: int, samples: int = SAMPLES
 ) -> ReconstructionSummary:
-    """Any sampler on the first scenarios of a split, with intervals; for one behind the inference API, too.
-
-    Args:
-        stage: robot, camera, split and seed.
-        sampler: under test.
-        scenarios: how many.
-        samples: per scenario.
+    """A sampler on the first scenarios of a split, so many samples on each, with intervals.
 
     Raises:
         EvaluationError: no scenarios, or the sampler returned nothing.

@@ -1,6 +1,10 @@
-"""Topology of point clouds: the geometry score (GS) and its twin with the complement (GS-C)."""
+"""Topology of point clouds: the geometry score (GS) and its twin with the complement (GS-C).
 
-from collections.abc import Iterator
+Each score of a scenario comes with its noise floor, the score between two samples of the real distribution; a
+score near the floor says nothing. The scores are blind to position: read them with precision and coverage.
+"""
+
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,6 +16,9 @@ from scipy.spatial.distance import cdist
 from cspace.errors import EvaluationError
 from cspace.kernel_cache import njit
 from cspace.space import JointSpace
+from services.evaluator.measures.scenes import Scene, unfiltered
+from services.evaluator.statistics import Interval, mean_interval
+from services.planner.samples import SampleSource
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,6 +51,8 @@ class WitnessComplex:
 
 def witness_complex(distances: NDArray[np.float64], alpha_max: float) -> WitnessComplex:
     """The complex of (N, L) distances between N witnesses and L landmarks, which are witnesses themselves.
+
+    GUDHI's own ``WitnessComplex`` makes the same one in 120 ms instead of 6 ms (5000 points, 64 landmarks).
 
     Args:
         distances: L is three or more.
@@ -348,11 +357,8 @@ def enlarged_turns(
         yield np.exp(quarter_turn(disk, turns))
 
 
-@dataclass(frozen=True, slots=True)
-class TurnedTimes:
-    """Mean living times of one cloud, four turns for two joints and the cloud as it is for others."""
-
-    turns: tuple[RelativeLivingTimes, ...]
+# Mean living times of one cloud, of its four turns for two joints and of the cloud as it is for others.
+TurnedTimes = tuple[RelativeLivingTimes, ...]
 
 
 def turned_living_times(
@@ -372,13 +378,13 @@ def turned_living_times(
     planar = space.dim == 2
     if len(configurations) == 0:
         none = RelativeLivingTimes(np.eye(1, I_MAX)[0], 0.0)
-        return TurnedTimes((none,) * (QUARTER_TURNS if planar else 1))
+        return (none,) * (QUARTER_TURNS if planar else 1)
     if len(configurations) < LANDMARKS:
         raise EvaluationError(
             "the cloud is too small", expected=f"{LANDMARKS} points", got=str(len(configurations))
         )
     clouds = enlarged_turns(configurations, space) if planar else (configurations,)
-    return TurnedTimes(tuple(mean_living_times(cloud, rng, draws=draws) for cloud in clouds))
+    return tuple(mean_living_times(cloud, rng, draws=draws) for cloud in clouds)
 
 
 def largest_score(first: TurnedTimes, second: TurnedTimes) -> float:
@@ -387,11 +393,11 @@ def largest_score(first: TurnedTimes, second: TurnedTimes) -> float:
     Raises:
         EvaluationError: one cloud has been turned and the other has not.
     """
-    if len(first.turns) != len(second.turns):
+    if len(first) != len(second):
         raise EvaluationError(
-            "the clouds differ in their turns", expected=str(len(first.turns)), got=str(len(second.turns))
+            "the clouds differ in their turns", expected=str(len(first)), got=str(len(second))
         )
-    return max(geometry_score(a, b) for a, b in zip(first.turns, second.turns, strict=True))
+    return max(geometry_score(a, b) for a, b in zip(first, second, strict=True))
 
 
 def complement_score(
@@ -408,3 +414,102 @@ def complement_score(
     """
     both = largest_score(first, second) + largest_score(first_complement, second_complement)
     return both / (2.0 * (t_max - 1))
+
+
+Cloud = NDArray[np.float64]
+SCORES = ("gs", "gsc_boundary", "gsc_true")
+
+
+@dataclass(frozen=True, slots=True)
+class Scored:
+    """A score of the sampler beside the score of further real samples."""
+
+    score: float
+    floor: float
+
+
+@dataclass(frozen=True, slots=True)
+class SceneTopology:
+    """Topology of one scenario.
+
+    Args:
+        index: the scenario's number within its split.
+        gs: geometry score.
+        gsc_boundary: GS-C, the complements of both sides by the boundary algorithm; without the turns where
+            there are not two joints.
+        gsc_true: GS-C, the real side's complement from its true collision states; likewise.
+        remainder: largest share of living time with too many loops to be counted.
+    """
+
+    index: int
+    gs: Scored
+    gsc_boundary: Scored
+    gsc_true: Scored
+    remainder: float
+
+
+@dataclass(frozen=True, slots=True)
+class ScoreSummary:
+    """A score and its floor, over scenarios or over the repeats of one."""
+
+    score: Interval
+    floor: Interval
+
+
+def scene_topology(
+    scene: Scene,
+    sampler: SampleSource,
+    draws: int,
+    samples: int = POINTS,
+) -> SceneTopology:
+    """GS and GS-C of a sampler on one scenario.
+
+    Args:
+        scene: the scenario.
+        sampler: under test.
+        draws: of landmarks, per cloud and turn.
+        samples: points per cloud.
+    """
+    seed = int(scene.rng(11).integers(0, 2**63))
+    generated = unfiltered(sampler, scene.image, samples, seed)
+    real, again = (scene.free(samples, scene.rng(stream)) for stream in (3, 4))
+    clouds = (real, generated, again)
+    rng = scene.rng(5)
+    times = [mean_living_times(cloud, rng, draws=draws) for cloud in clouds]
+    plain = Scored(geometry_score(times[0], times[1]), geometry_score(times[0], times[2]))
+    boundary, true = _complement_scores(scene, clouds, scene.rng(6), draws)
+    return SceneTopology(scene.index, plain, boundary, true, max(one.remainder for one in times))
+
+
+def summarise_topology(scenes: Sequence[SceneTopology], rng: np.random.Generator) -> dict[str, ScoreSummary]:
+    """Means of every score that was taken, with intervals over scenarios.
+
+    Raises:
+        EvaluationError: no scenarios.
+    """
+    summary = {}
+    for name in SCORES:
+        rows = [getattr(scene, name) for scene in scenes]
+        scores, floors = [row.score for row in rows], [row.floor for row in rows]
+        summary[name] = ScoreSummary(mean_interval(scores, rng), mean_interval(floors, rng))
+    return summary
+
+
+def _complement_scores(
+    scene: Scene, clouds: tuple[Cloud, Cloud, Cloud], rng: np.random.Generator, draws: int
+) -> tuple[Scored, Scored]:
+    """GS-C with the real side's complement by the boundary algorithm, and with its true collision states."""
+    count = len(clouds[0])
+
+    def turned(cloud: Cloud) -> TurnedTimes:
+        return turned_living_times(cloud, scene.space, rng, draws=draws)
+
+    real, ours, again = (turned(cloud) for cloud in clouds)
+    real_c, ours_c, again_c = (turned(sample_complement(c, scene.space, rng, count)) for c in clouds)
+    collisions = scene.collisions(count, rng)
+    # Fewer collision states than landmarks in a hundred thousand draws: no obstacle to speak of.
+    true_c = turned(collisions if len(collisions) >= LANDMARKS else collisions[:0])
+    return (
+        Scored(complement_score(real, ours, real_c, ours_c), complement_score(real, again, real_c, again_c)),
+        Scored(complement_score(real, ours, true_c, ours_c), complement_score(real, again, true_c, again_c)),
+    )

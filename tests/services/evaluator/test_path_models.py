@@ -133,5 +133,5 @@ def test_path_models_have_planning_units_alone(made):
     with pytest.raises(EvaluationError, match="judged by planning"):
         run_unit(Unit(Kind.RECONSTRUCTION, Split.TEST, 0, 1), setting, BundleSampler(made))
     result = run_unit(Unit(Kind.PLANNING, Split.TEST, 0, 1, Family.NARROW), setting, BundleSampler(made))
-    _, row = result.rows
+    (row,) = result.rows
     assert row.learned.learned_drawn > 0

@@ -23,8 +23,8 @@ def measured(family, *precisions):
     return [SceneQuality(i, q, q, q, family=family) for i, q in enumerate(qualities)]
 
 
-def split_of(rows, problems=None):
-    return SplitResult(None, (), None, tuple(rows), (), {}, problems or {})
+def split_of(rows):
+    return SplitResult(None, (), None, tuple(rows), (), {})
 
 
 def marked(axes, colour):
@@ -83,10 +83,3 @@ def test_the_first_scenarios_and_the_least_precise_of_every_family_are_exhibits(
 def test_a_scenario_is_shown_once():
     rows = measured(Family.UNIFORM, 0.9, 0.2, 0.7)
     assert exhibits(STAGE, split_of(rows)) == {Scene(STAGE, 0): "", Scene(STAGE, 1): "least precise of 3"}
-
-
-def test_a_problem_that_was_drawn_for_the_measurement_is_not_searched_for_again():
-    problem = Scene(STAGE, 0, Family.DISCONNECTED).problem
-    rows = [*measured(Family.UNIFORM, 0.9), *measured(Family.DISCONNECTED, 0.3)]
-    shown = exhibits(STAGE, split_of(rows, {(Family.DISCONNECTED, 0): problem}))
-    assert [scene.drawn for scene in shown] == [None, problem]

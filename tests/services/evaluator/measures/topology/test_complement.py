@@ -160,7 +160,7 @@ def test_three_joints_are_scored_without_turns():
     rng = np.random.default_rng(8)
     full, again, other = (CUBE.sample_uniform(rng, 2000) for _ in range(3))
     bored = other[np.abs(other[:, :2]).max(axis=1) > 0.5]
-    assert len(turned(bored, 1, CUBE).turns) == 1
+    assert len(turned(bored, 1, CUBE)) == 1
     changed = [scored(full, bored, CUBE, seed) for seed in range(4)]
     same = [scored(full, again, CUBE, seed) for seed in range(4)]
     assert min(changed) > max(same)
@@ -174,6 +174,6 @@ def test_clouds_of_two_and_of_three_joints_cannot_be_compared(rng):
 
 def test_an_empty_cloud_has_no_loop_and_a_small_one_is_an_error():
     empty = turned(np.empty((0, 2)), 1)
-    assert [times.values[0] for times in empty.turns] == [1.0] * 4
+    assert [times.values[0] for times in empty] == [1.0] * 4
     with pytest.raises(EvaluationError, match="too small"):
         turned(np.zeros((10, 2)), 1)

@@ -7,7 +7,7 @@ from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK
 from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.world import PlanarWorld
 from services.evaluator.measures.scenes import Scene, Stage
-from services.evaluator.measures.topology_scenes import (
+from services.evaluator.measures.topology import (
     scene_topology,
     summarise_topology,
 )
