@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from cspace.planning.cost import Believe, ScoredPath, score
+from cspace.planning.cost import Predict, ScoredPath, score
 from cspace.planning.refine import Effort, PathRefiner, route_search
-from cspace.planning.rrt_connect import Between, connect_trees
+from cspace.planning.rrt_connect import CheckCancelled, connect_trees
 from cspace.planning.search import find_paths, paused
 from cspace.query import Plan, PlanQuery
 from cspace.simulator import Checker
@@ -63,25 +63,25 @@ class Seen:
     Args:
         world: the robot and how it is seen.
         picture: of the scene.
-        believe: what the model says of configurations in it.
+        predict: what the model says of configurations in it.
         plan_doubt: (a, b), see :mod:`cspace.planning.cost`.
     """
 
     world: World
     picture: Image
-    believe: Believe
+    predict: Predict
     plan_doubt: tuple[float, float] = (0.0, 1.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Searched:
-    """Ways through what a picture shows.
+    """Paths through what a picture shows.
 
     Args:
-        ways: the least doubtful first.
+        ways: lowest cost first.
         late: whether the time was over before there were as many as were wanted.
         search_ms: looking for them.
-        score_ms: asking the model about them, and changing them until it doubts them less.
+        score_ms: asking the model about them, and changing them until their cost is lower.
     """
 
     ways: list[ScoredPath]
@@ -90,31 +90,33 @@ class Searched:
     score_ms: float
 
 
-def plan(seen: Seen, ends: NDArray[np.float64], query: PlanQuery, between: Between | None = None) -> Plan:
+def plan(
+    seen: Seen, ends: NDArray[np.float64], query: PlanQuery, check_cancelled: CheckCancelled | None = None
+) -> Plan:
     """Plan.
 
     Args:
         seen: the scene.
         ends: (2, d) rad, the query's start and goal as the model takes them.
-        query: the problem; without ``min_confidence`` every way is sure enough.
-        between: called now and then; may raise to stop, which passes through.
+        query: the problem; without ``min_confidence`` every path is sure enough.
+        check_cancelled: called now and then; may raise to stop, which passes through.
 
     Raises:
         InputError: one of the query's views is no camera, or one that the picture is from has no pose.
         ImportError: the compiler of the checks is not installed.
     """
     least = query.min_confidence or 0.0
-    ways = search_paths(seen, ends, query.ways, query.seed, query.time_limit_s, between)
+    ways = search_paths(seen, ends, query.ways, query.seed, query.time_limit_s, check_cancelled)
     if ways.ways:
         best = ways.ways[0]
         found = _answer(best, len(ways.ways), least)
         if query.alternatives:
-            sure = tuple(one.believed() for one in ways.ways if one.whole >= least)
+            sure = tuple(one.alternative() for one in ways.ways if one.whole >= least)
             found = replace(found, alternatives=sure)
         if query.next_view:
-            pause = between or (lambda: None)
+            check_cancelled = check_cancelled or (lambda: None)
             view = best_view(
-                seen.world, seen.picture, best.states, best.doubts, query.views, pause, query.seen_by
+                seen.world, seen.picture, best.states, best.costs, query.views, check_cancelled, query.seen_by
             )
             found = replace(found, next_view=view)
     else:
@@ -128,17 +130,17 @@ def search_paths(
     count: int,
     seed: int,
     time_limit_s: float = math.inf,
-    between: Between | None = None,
+    check_cancelled: CheckCancelled | None = None,
 ) -> Searched:
-    """Up to so many ways from ``ends[0]`` to ``ends[1]``, scored.
+    """Up to so many paths from ``ends[0]`` to ``ends[1]``, scored.
 
     Args:
         seen: the scene.
         ends: (2, d) rad.
-        count: of ways.
+        count: of paths.
         seed: of all draws.
-        time_limit_s: of computing, for the search; without one the ways depend on nothing but the rest.
-        between: called now and then; may raise to stop, which passes through.
+        time_limit_s: of computing, for the search; without one the paths depend on nothing but the rest.
+        check_cancelled: called now and then; may raise to stop, which passes through.
 
     Raises:
         ImportError: the compiler of the checks is not installed.
@@ -148,40 +150,42 @@ def search_paths(
     load_kernels(checkers[0], ends[0], STEP_RAD)
     began = time.monotonic()
     until_s = time.thread_time() + time_limit_s
-    found = find_paths(checkers, ends[0], ends[1], count, seed, until_s, between=between)
+    found = find_paths(checkers, ends[0], ends[1], count, seed, until_s, check_cancelled=check_cancelled)
     searched = time.monotonic()
-    scored = score(found.ways, seen.world.space, STEP_RAD, seen.believe, seen.plan_doubt)
-    ranked = sorted(scored, key=_by_doubt)
+    scored = score(found.ways, seen.world.space, STEP_RAD, seen.predict, seen.plan_doubt)
+    ranked = sorted(scored, key=_by_cost)
     if found.checker is not None:
-        pause = paused(until_s, between)
-        refiner = PathRefiner(found.checker, seen.believe, seen.plan_doubt, Effort(step_rad=STEP_RAD), pause)
+        check_cancelled = paused(until_s, check_cancelled)
+        refiner = PathRefiner(
+            found.checker, seen.predict, seen.plan_doubt, Effort(step_rad=STEP_RAD), check_cancelled
+        )
         ranked = _refined(ranked, refiner, seed)
     return Searched(ranked, found.late, 1e3 * (searched - began), 1e3 * (time.monotonic() - searched))
 
 
 def _refined(ranked: list[ScoredPath], refiner: PathRefiner, seed: int) -> list[ScoredPath]:
-    """The ways, the first of them changed."""
+    """The paths, the first of them changed."""
     changed = ranked[: refiner.effort.ways]
     found = [
-        refiner.refine(way, np.random.default_rng([seed, number, 1])) for number, way in enumerate(changed)
+        refiner.refine(path, np.random.default_rng([seed, number, 1])) for number, path in enumerate(changed)
     ]
-    return sorted([*found, *ranked[len(changed) :]], key=_by_doubt)
+    return sorted([*found, *ranked[len(changed) :]], key=_by_cost)
 
 
-def _by_doubt(way: ScoredPath) -> float:
-    return way.doubt
+def _by_cost(path: ScoredPath) -> float:
+    return path.cost
 
 
 def _answer(best: ScoredPath, found: int, min_confidence: float) -> Plan:
     least, sure = best.least(), best.whole
     if sure < min_confidence:
-        nothing = np.empty((0, best.way.shape[1]))
-        return Plan("refused", nothing, confidence=sure, doubt=best.doubt, found=found, least=least)
+        nothing = np.empty((0, best.path.shape[1]))
+        return Plan("refused", nothing, confidence=sure, cost=best.cost, found=found, least=least)
     return Plan(
         "solved",
-        best.way,
+        best.path,
         confidence=sure,
-        doubt=best.doubt,
+        cost=best.cost,
         edges=best.of_pieces(best.confidence, np.minimum),
         unseen=None if best.unseen is None else best.of_pieces(best.unseen, np.maximum),
         length_rad=best.length_rad,

@@ -17,7 +17,7 @@ from cspace.space import JointSpace
 Image = NDArray[np.uint8]
 Arrays = Mapping[str, NDArray[Any]]
 # Called between the parts of long work; may raise to stop it, which passes through.
-Between = Callable[[], None]
+CheckCancelled = Callable[[], None]
 # Codes of findings that servers act on.
 ARM_IN_PICTURE, LITTLE_IN_REACH = "arm-in-picture", "little-in-reach"
 # Above it a picture is unlike any of training.
@@ -181,7 +181,7 @@ class NextView:
 
     Args:
         camera: as plain values.
-        sees: share of the doubt along a way that lies on space it would see, 0 to 1.
+        sees: share of the cost along a path that lies on space it would see, 0 to 1.
     """
 
     camera: Mapping[str, Any]
@@ -280,12 +280,12 @@ class World(Protocol):
             ImageError: it does not begin as one that is accepted.
         """
 
-    def read_picture(self, data: bytes, between: Between | None = None) -> Image:
+    def read_picture(self, data: bytes, check_cancelled: CheckCancelled | None = None) -> Image:
         """An untrusted file as a picture.
 
         Args:
             data: the file.
-            between: called between the parts of the work; may raise to stop, which passes through.
+            check_cancelled: called between the parts of the work; may raise to stop, which passes through.
 
         Raises:
             ImageError: it is none that is accepted.
@@ -295,32 +295,32 @@ class World(Protocol):
     def tensors(self) -> tuple[TensorInput, ...]:
         """The arrays that :meth:`read_tensors` takes."""
 
-    def read_tensors(self, tensors: Arrays, between: Between | None = None) -> Image:
+    def read_tensors(self, tensors: Arrays, check_cancelled: CheckCancelled | None = None) -> Image:
         """Pictures (b, ...) of arrays that follow :attr:`tensors`.
 
         Args:
             tensors: by name.
-            between: as of :meth:`read_picture`.
+            check_cancelled: as of :meth:`read_picture`.
 
         Raises:
             ImageError: their contents are none that are accepted.
         """
 
-    def examine_picture(self, data: bytes, between: Between | None = None) -> Examined:
+    def examine_picture(self, data: bytes, check_cancelled: CheckCancelled | None = None) -> Examined:
         """:meth:`read_picture`, one image, with its findings.
 
         Raises:
             ImageError: as there.
         """
 
-    def examine_tensors(self, tensors: Arrays, between: Between | None = None) -> Examined:
+    def examine_tensors(self, tensors: Arrays, check_cancelled: CheckCancelled | None = None) -> Examined:
         """:meth:`read_tensors` with its findings.
 
         Raises:
             ImageError: as there.
         """
 
-    def diagnosis(self, data: bytes, between: Between | None = None) -> Diagnosis:
+    def diagnosis(self, data: bytes, check_cancelled: CheckCancelled | None = None) -> Diagnosis:
         """A closer look at the file of a picture than :meth:`examine_picture` takes, some 100 ms.
 
         Raises:

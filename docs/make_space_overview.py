@@ -43,7 +43,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         view = read_view(picture_file_of(problem.scenario), world.space)
         seen = world.read_picture(picture_file_of(problem.scenario))
         rows = about(problem, np.random.default_rng(SEED))
-        confidence, unseen = bundle.believe(seen, rows)
+        confidence, unseen = bundle.predict(seen, rows)
     except CspaceError as error:
         sys.stderr.write(f"error: {error}\n")
         return 1

@@ -19,10 +19,10 @@ def gap_by_hand(tail: Point, head: Point, other_tail: Point, other_head: Point) 
 
     gaps = []
     for end in (0.0, 1.0):
-        way = apart + end * second
-        gaps.append(gap(np.clip(np.dot(way, first) / np.dot(first, first), 0.0, 1.0), end))
-        way = end * first - apart
-        gaps.append(gap(end, np.clip(np.dot(way, second) / np.dot(second, second), 0.0, 1.0)))
+        path = apart + end * second
+        gaps.append(gap(np.clip(np.dot(path, first) / np.dot(first, first), 0.0, 1.0), end))
+        path = end * first - apart
+        gaps.append(gap(end, np.clip(np.dot(path, second) / np.dot(second, second), 0.0, 1.0)))
     matrix = np.column_stack([first, -second])
     if abs(np.linalg.det(matrix)) > 1e-12:
         along, other = np.linalg.solve(matrix, apart)

@@ -131,8 +131,8 @@ def _off(metres: tuple[float, float], degrees: tuple[float, float]) -> Mistake:
     def plant(rng: np.random.Generator, scene: SpatialScene, view: DepthView, number: int) -> DepthView:
         del scene
         pose = view.cameras[number].matrix
-        way, axis = (one / np.linalg.norm(one) for one in rng.normal(size=(2, 3)))
-        pose[:3, 3] += rng.uniform(*metres) * way
+        path, axis = (one / np.linalg.norm(one) for one in rng.normal(size=(2, 3)))
+        pose[:3, 3] += rng.uniform(*metres) * path
         pose[:3, :3] = turn(axis, np.radians(rng.uniform(*degrees))) @ pose[:3, :3]
         return _posed(view, number, pose)
 

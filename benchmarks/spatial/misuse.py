@@ -73,8 +73,8 @@ def moved(by_m: float) -> Change:
     def change(view: DepthView, rng: np.random.Generator) -> DepthView:
         told = []
         for camera in view.cameras:
-            pose, way = camera.matrix, rng.normal(size=3)
-            pose[:3, 3] += by_m * way / np.linalg.norm(way)
+            pose, path = camera.matrix, rng.normal(size=3)
+            pose[:3, 3] += by_m * path / np.linalg.norm(path)
             told.append(replace(camera, pose=pose_of(pose)))
         return replace(view, cameras=tuple(told))
 
@@ -154,9 +154,9 @@ def judged(bundle: Bundle, world: SpatialWorld, problem: BenchProblem, misuse: M
     prepared = bundle.prepare(world.observed(view if misuse.change is None else misuse.change(view, rng)))
     query = PlanQuery(tuple(ends[0]), tuple(ends[1]), 0, 0.0, LIMIT_S, WAYS)
     found = bundle.plan(prepared, query)
-    if not len(found.way):
+    if not len(found.path):
         return None
-    clearance = truth.clearance(spaced(found.way, world.space, LOOK_RAD)).min()
+    clearance = truth.clearance(spaced(found.path, world.space, LOOK_RAD)).min()
     return Misjudged(bool(clearance <= 0.0), found.confidence, prepared.novelty or 0.0)
 
 

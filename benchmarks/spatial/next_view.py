@@ -58,11 +58,11 @@ def judged(
     around = hemisphere(learned, named.matrix[:3, 3] + away_m(learned) * named.matrix[:3, 2])
     other = around[int(rng.integers(len(around)))]
     plans = [found, *(planned(bundle, world, seen_too(first, camera), query) for camera in (named, other))]
-    if any(not len(one.way) for one in plans):
+    if any(not len(one.path) for one in plans):
         return None
-    clearances = [truth.clearance(spaced(one.way, world.space, LOOK_RAD)).min() for one in plans]
-    doubts = [-np.log(max(one.confidence, 1e-9)) for one in plans]
-    return [(float(doubt), float(one)) for doubt, one in zip(doubts, clearances, strict=True)]
+    clearances = [truth.clearance(spaced(one.path, world.space, LOOK_RAD)).min() for one in plans]
+    costs = [-np.log(max(one.confidence, 1e-9)) for one in plans]
+    return [(float(cost), float(one)) for cost, one in zip(costs, clearances, strict=True)]
 
 
 def planned(bundle: Bundle, world: SpatialWorld, scene: SpatialScene, query: PlanQuery) -> Plan:

@@ -24,7 +24,7 @@ from cspace.bundle.files import (
     sums_of,
 )
 from cspace.bundle.golden import GoldenCase, endpoints, scene
-from cspace.bundle.runtime import RUN_LIMIT_S, Between, open_graphs
+from cspace.bundle.runtime import RUN_LIMIT_S, CheckCancelled, open_graphs
 from cspace.bundle.samples import (
     Encoding,
     Picture,
@@ -207,7 +207,7 @@ class Bundle:
         seed: int,
         *,
         tell_confidence: bool = True,
-        between: Between | None = None,
+        check_cancelled: CheckCancelled | None = None,
         **options: Unpack[QueryOptions],
     ) -> SampleSet:
         """:meth:`answer` to the query of these arguments, which :class:`cspace.query.SampleQuery` tells of.
@@ -217,7 +217,7 @@ class Bundle:
             BundleError: a graph fails.
         """
         query = SampleQuery.checked(n, seed, **options)
-        return self.answer(image, query, tell_confidence=tell_confidence, between=between)
+        return self.answer(image, query, tell_confidence=tell_confidence, check_cancelled=check_cancelled)
 
     def answer(
         self,
@@ -225,7 +225,7 @@ class Bundle:
         query: SampleQuery,
         *,
         tell_confidence: bool = True,
-        between: Between | None = None,
+        check_cancelled: CheckCancelled | None = None,
     ) -> SampleSet:
         """Configurations for a picture; the same query gives bit-equal samples on one machine.
 
@@ -239,7 +239,7 @@ class Bundle:
             image: uint8 (P, P, 3), or one that :meth:`prepare` made.
             query: what is asked.
             tell_confidence: whether samples are scored that are not filtered; the samples are the same.
-            between: called between the parts of a request, every few ms; may raise to stop it, which passes
+            check_cancelled: called between the parts of a request, every few ms; what it raises passes
                 through.
 
         Raises:
@@ -251,7 +251,9 @@ class Bundle:
         picture = self._prepared(image)
         encoded = time.perf_counter()
 
-        found = self._sampler.sample(picture, request, tell_confidence=tell_confidence, between=between)
+        found = self._sampler.sample(
+            picture, request, tell_confidence=tell_confidence, check_cancelled=check_cancelled
+        )
         samples, confidence = found.samples, found.scores
         unseen = None
         if confidence is not None and confidence.ndim > 1:
@@ -265,14 +267,17 @@ class Bundle:
         return SampleSet(samples, confidence, shortfall, found.acceptance, *times, unseen, found.ways)
 
     def plan(
-        self, image: NDArray[np.uint8] | Picture, query: PlanQuery, between: Between | None = None
+        self,
+        image: NDArray[np.uint8] | Picture,
+        query: PlanQuery,
+        check_cancelled: CheckCancelled | None = None,
     ) -> Plan:
-        """The way from start to goal that the head doubts least, of several that the picture leaves free.
+        """The path from start to goal of lowest cost, of several that the picture leaves free.
 
         Args:
             image: uint8 (P, P, 3), or one that :meth:`prepare` made.
             query: the problem.
-            between: called now and then; may raise to stop, which passes through.
+            check_cancelled: called now and then; may raise to stop, which passes through.
 
         Raises:
             InputError: the bundle has no validity head, start or goal does not fit the robot, or a view is no
@@ -283,7 +288,7 @@ class Bundle:
         head, picture = self._head(), self._prepared(image)
         ends = fitted_ends(self.spec, query.start, query.goal)
         wanted = fitted_plan(self.spec, query)
-        return plan(head.seen(self.spec, picture, between), ends, wanted, between)
+        return plan(head.seen(self.spec, picture, check_cancelled), ends, wanted, check_cancelled)
 
     def golden_answer(self, image: NDArray[np.uint8], query: SampleQuery) -> SampleSet:
         """What a golden case holds: :meth:`answer`, or where samples are searched for uniform configurations.
@@ -294,23 +299,23 @@ class Bundle:
             return self.answer(image, query)
         rng, space = np.random.default_rng(query.seed), self.spec.world.space
         rows = space.to_float32(space.sample_uniform(rng, query.n))
-        confidence, unseen = self.believe(image, rows)
+        confidence, unseen = self.predict(image, rows)
         return SampleSet(rows, confidence, 0, 1.0, 0.0, 0.0, unseen)
 
     def score(
         self,
         image: NDArray[np.uint8] | Picture,
         configurations: NDArray[np.float32],
-        between: Between | None = None,
+        check_cancelled: CheckCancelled | None = None,
     ) -> NDArray[np.float32]:
-        """The first of what :meth:`believe` gives, float32 (n,)."""
-        return self.believe(image, configurations, between)[0]
+        """The first of what :meth:`predict` gives, float32 (n,)."""
+        return self.predict(image, configurations, check_cancelled)[0]
 
-    def believe(
+    def predict(
         self,
         image: NDArray[np.uint8] | Picture,
         configurations: NDArray[np.float32],
-        between: Between | None = None,
+        check_cancelled: CheckCancelled | None = None,
     ) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
         """What the validity head says of configurations.
 
@@ -321,7 +326,7 @@ class Bundle:
         Args:
             image: uint8 (P, P, 3), or one that :meth:`prepare` made.
             configurations: float32 (n, d) rad, at least one.
-            between: as :meth:`answer` has it.
+            check_cancelled: as :meth:`answer` has it.
 
         Raises:
             InputError: the bundle has no validity head, or picture or configurations do not fit.
@@ -335,7 +340,7 @@ class Bundle:
                 expected=f"shape (n, {self.spec.dim}), n at least 1",
                 got=str(shape),
             )
-        return head.believe(picture, configurations, between)
+        return head.predict(picture, configurations, check_cancelled)
 
     def _head(self) -> Head:
         if self._validity is None:

@@ -166,13 +166,13 @@ DEADLINES = Deadlines()
 CHUNK_ROWS, PATH_CHUNK_ROWS = 512, 4096
 
 # May raise to stop the work.
-Between = Callable[[], None]
+CheckCancelled = Callable[[], None]
 
 
 def chunked(
     run: Callable[[slice], NDArray[np.float32]],
     rows: int,
-    between: Between | None,
+    check_cancelled: CheckCancelled | None,
     chunk_rows: int = CHUNK_ROWS,
 ) -> NDArray[np.float32]:
     """What ``run`` gives for all rows, in their order.
@@ -180,13 +180,13 @@ def chunked(
     Args:
         run: called with the rows of each part.
         rows: at least 1.
-        between: called between two parts; what it raises passes through.
+        check_cancelled: called between two parts; what it raises passes through.
         chunk_rows: of each part but the last.
     """
     parts = []
     for at in range(0, rows, chunk_rows):
-        if at and between is not None:
-            between()
+        if at and check_cancelled is not None:
+            check_cancelled()
         parts.append(run(slice(at, at + chunk_rows)))
     return np.concatenate(parts)
 

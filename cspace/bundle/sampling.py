@@ -23,7 +23,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cspace.bundle.runtime import CHUNK_ROWS, PATH_CHUNK_ROWS, Between, Graph, chunked
+from cspace.bundle.runtime import CHUNK_ROWS, PATH_CHUNK_ROWS, CheckCancelled, Graph, chunked
 from cspace.bundle.samples import FittedQuery, Picture, Sampled, fitted_ends
 from cspace.bundle.spec import MAP, PICTURE, BundleSpec, RandomInput
 from cspace.errors import BundleError, BundleIntegrityError
@@ -47,7 +47,7 @@ class Head:
         self._outputs = (CONFIDENCE, UNSEEN) if self.tells_unseen else (CONFIDENCE,)
 
     def scores(
-        self, picture: Picture, configurations: NDArray[np.float32], between: Between | None
+        self, picture: Picture, configurations: NDArray[np.float32], check_cancelled: CheckCancelled | None
     ) -> NDArray[np.float32]:
         """Confidence in (n, d) rad, (n,), or (n, 2) with the unseen share where the head gives that.
 
@@ -70,28 +70,28 @@ class Head:
             parts = []
             for first in range(0, len(part), CACHED_ROWS):
                 parts.append(score(part[first : first + CACHED_ROWS]))
-                if between is not None:
-                    between()
+                if check_cancelled is not None:
+                    check_cancelled()
             return np.concatenate(parts)
 
-        found = chunked(run, len(configurations), between)
+        found = chunked(run, len(configurations), check_cancelled)
         if np.any((found < 0.0) | (found > 1.0)):
             raise BundleError("the validity head gives no probabilities", expected="values from 0 to 1")
         return found
 
-    def believe(
-        self, picture: Picture, configurations: NDArray[np.float32], between: Between | None
+    def predict(
+        self, picture: Picture, configurations: NDArray[np.float32], check_cancelled: CheckCancelled | None
     ) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
         """The confidence, and the unseen share; None where the head does not give that."""
-        found = self.scores(picture, configurations, between)
+        found = self.scores(picture, configurations, check_cancelled)
         return (found[:, 0], found[:, 1]) if self.tells_unseen else (found, None)
 
-    def seen(self, spec: BundleSpec, picture: Picture, between: Between | None) -> Seen:
+    def seen(self, spec: BundleSpec, picture: Picture, check_cancelled: CheckCancelled | None) -> Seen:
         """A picture of the bundle's as the search for paths takes it."""
         return Seen(
             spec.world,
             spec.world.sensor.from_network(picture.pixels)[0],
-            lambda rows: self.believe(picture, rows, between),
+            lambda rows: self.predict(picture, rows, check_cancelled),
             spec.plan_doubt or (0.0, 1.0),
         )
 
@@ -223,7 +223,7 @@ def rejection_sample(
     shares: Sequence[int],
     threshold: float,
     expected: float = 1.0,
-    between: Callable[[], None] | None = None,
+    check_cancelled: Callable[[], None] | None = None,
 ) -> Sampled:
     """As many samples of each share as are wanted, or as many as the budget finds.
 
@@ -236,7 +236,7 @@ def rejection_sample(
         shares: how many are wanted of each.
         threshold: the least confidence, 0 to 1.
         expected: share that is likely to pass, above 0 to 1; a further turn costs more than a few too many.
-        between: called between two turns; what it raises passes through.
+        check_cancelled: called between two turns; what it raises passes through.
     """
     left = max(BUDGET * sum(shares), BUDGET_AT_LEAST)
     found: list[tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.intp]]] = []
@@ -244,8 +244,8 @@ def rejection_sample(
     drawn = passed = turn = 0
     wanted = [math.ceil(share * (1 + EXTRA) / expected) for share in shares]
     while True:
-        if turn and between is not None:
-            between()
+        if turn and check_cancelled is not None:
+            check_cancelled()
         counts = _within(wanted, left)
         samples, confidence = propose_scored(counts, turn)
         good = (confidence if confidence.ndim == 1 else confidence[:, 0]) >= np.float32(threshold)
@@ -302,7 +302,12 @@ class GeneratorSampler:
         self._spec, self._generator, self._head = spec, generator, head
 
     def sample(
-        self, picture: Picture, request: FittedQuery, *, tell_confidence: bool, between: Between | None
+        self,
+        picture: Picture,
+        request: FittedQuery,
+        *,
+        tell_confidence: bool,
+        check_cancelled: CheckCancelled | None,
     ) -> Sampled:
         """Samples for a picture; the same request gives bit-equal ones on one machine.
 
@@ -310,7 +315,7 @@ class GeneratorSampler:
             picture: that the bundle has prepared.
             request: fitted to the bundle.
             tell_confidence: whether samples are scored that are not filtered; the samples are the same.
-            between: called now and then in a large request; may raise to stop it, which passes through.
+            check_cancelled: called now and then in a large request; what it raises passes through.
 
         Raises:
             BundleError: a graph fails.
@@ -320,12 +325,16 @@ class GeneratorSampler:
         def drawn(counts: Sequence[int], turn: int) -> NDArray[np.float32]:
             mu, sigma = picture.encoding.mu, picture.encoding.sigma
             draws = random_numbers(spec, mu, sigma, counts, request.seed, request.epsilon_sigma, turn)
-            return self._generate(draws, request, picture, between)
+            return self._generate(draws, request, picture, check_cancelled)
 
         wanted = shares(request.n, len(request.epsilon_sigma))
         if head is None or not request.min_confidence:
-            samples = space.to_float32(_inside(drawn, wanted, space, between))
-            scores = head.scores(picture, samples, between) if head is not None and tell_confidence else None
+            samples = space.to_float32(_inside(drawn, wanted, space, check_cancelled))
+            scores = (
+                head.scores(picture, samples, check_cancelled)
+                if head is not None and tell_confidence
+                else None
+            )
             return Sampled(samples, scores)
 
         def proposed(counts: Sequence[int], turn: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
@@ -336,14 +345,20 @@ class GeneratorSampler:
             # What lies outside reaches no confidence, and is not scored.
             scores = np.full((len(rows), 1 + head.tells_unseen), -1.0, dtype=np.float32)
             if inside.any():
-                found = head.scores(picture, samples[inside], between)
+                found = head.scores(picture, samples[inside], check_cancelled)
                 scores[inside] = found.reshape(len(found), -1)
             return samples, scores if head.tells_unseen else scores[:, 0]
 
-        return rejection_sample(proposed, wanted, request.min_confidence, expected_share(spec), between)
+        return rejection_sample(
+            proposed, wanted, request.min_confidence, expected_share(spec), check_cancelled
+        )
 
     def _generate(
-        self, draws: RandomNumbers, request: FittedQuery, picture: Picture, between: Between | None
+        self,
+        draws: RandomNumbers,
+        request: FittedQuery,
+        picture: Picture,
+        check_cancelled: CheckCancelled | None,
     ) -> NDArray[np.float32]:
         spec = self._spec
         seen = {PICTURE: picture.pixels} if spec.looks_at_picture else {}
@@ -362,14 +377,14 @@ class GeneratorSampler:
             return self._generator.run(feeds, {"samples": shape})["samples"]
 
         chunk_rows = PATH_CHUNK_ROWS if spec.kind == "path" else CHUNK_ROWS
-        return chunked(run, len(draws.latents), between, chunk_rows)[draws.kept]
+        return chunked(run, len(draws.latents), check_cancelled, chunk_rows)[draws.kept]
 
 
 def _inside(
     draw_rows: Callable[[Sequence[int], int], NDArray[np.float32]],
     wanted: Sequence[int],
     space: JointSpace,
-    between: Between | None,
+    check_cancelled: CheckCancelled | None,
 ) -> NDArray[np.float32]:
     """Rows (n, d) of a first turn, where further ones replace what that puts outside the limits.
 
@@ -386,7 +401,9 @@ def _inside(
 
     belongs = np.repeat(np.arange(len(wanted)), wanted)
     missing = np.bincount(belongs[~inside], minlength=len(wanted)).tolist()
-    found = rejection_sample(again, missing, 1.0, max(float(inside.mean()), LEAST_SHARE), between).samples
+    found = rejection_sample(
+        again, missing, 1.0, max(float(inside.mean()), LEAST_SHARE), check_cancelled
+    ).samples
     rows[np.flatnonzero(~inside)[: len(found)]] = found
     return rows
 
@@ -421,7 +438,12 @@ class PathSampler:
         self._spec, self._head = spec, head
 
     def sample(
-        self, picture: Picture, request: FittedQuery, *, tell_confidence: bool, between: Between | None
+        self,
+        picture: Picture,
+        request: FittedQuery,
+        *,
+        tell_confidence: bool,
+        check_cancelled: CheckCancelled | None,
     ) -> Sampled:
         """As :meth:`GeneratorSampler.sample`; no time ends the search, its effort does.
 
@@ -431,13 +453,17 @@ class PathSampler:
         spec, head, space = self._spec, self._head, self._spec.world.space
         ends = fitted_ends(spec, request.start or (), request.goal or ())
         paths = search_paths(
-            head.seen(spec, picture, between), ends, DEFAULT_WAYS, request.seed, between=between
+            head.seen(spec, picture, check_cancelled),
+            ends,
+            DEFAULT_WAYS,
+            request.seed,
+            check_cancelled=check_cancelled,
         )
         if not paths.ways:
             none = np.empty((0, 2) if head.tells_unseen else 0, dtype=np.float32)
             rows = space.to_float32(np.empty((0, space.dim)))
             return Sampled(rows, none, ways=np.empty(0, dtype=np.int64))
-        along = AlongPaths([one.way for one in paths.ways], space, np.random.default_rng([request.seed, 1]))
+        along = AlongPaths([one.path for one in paths.ways], space, np.random.default_rng([request.seed, 1]))
 
         def proposed(counts: Sequence[int], turn: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
             del turn
@@ -445,12 +471,12 @@ class PathSampler:
             samples = space.to_float32(rows)
             columns = [numbers.astype(np.float32)[:, None]]
             if request.min_confidence or tell_confidence:
-                scores = head.scores(picture, samples, between)
+                scores = head.scores(picture, samples, check_cancelled)
                 columns.insert(0, scores.reshape(len(scores), -1))
             return samples, np.concatenate(columns, axis=1)
 
         if request.min_confidence:
-            found = rejection_sample(proposed, [request.n], request.min_confidence, _PASS, between)
+            found = rejection_sample(proposed, [request.n], request.min_confidence, _PASS, check_cancelled)
         else:
             found = Sampled(*proposed([request.n], 0))
         columns = np.empty((0, 1), dtype=np.float32) if found.scores is None else found.scores

@@ -7,11 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cspace.planning.paths import length_rad, spaced
-from cspace.query import BelievedWay, Doubt
+from cspace.query import AlternativePath, LeastConfidence
 from cspace.space import JointSpace
 
 # (n, d) float32 rad to P(free) (n,) and to the share of the robot in unseen space (n,), or None.
-Believe = Callable[[NDArray[np.float32]], tuple[NDArray[np.float32], NDArray[np.float32] | None]]
+Predict = Callable[[NDArray[np.float32]], tuple[NDArray[np.float32], NDArray[np.float32] | None]]
 _LEAST = 1e-6
 # Of an exponent; e to that is no chance any more.
 _MOST = 20.0
@@ -21,10 +21,10 @@ _BINS = 10
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ScoredPath:
-    """A way and what a model believes of it.
+    """A path and what a model predicts for it.
 
     Args:
-        way: (k, d) rad.
+        path: (k, d) rad.
         states: (n, d) rad along it, both ends included.
         pieces: (n,) the piece that each state lies on, 0 to k - 2.
         confidence: (n,) of each state.
@@ -33,7 +33,7 @@ class ScoredPath:
         plan_doubt: (a, b), see this module.
     """
 
-    way: NDArray[np.float64]
+    path: NDArray[np.float64]
     states: NDArray[np.float64]
     pieces: NDArray[np.int64]
     confidence: NDArray[np.float32]
@@ -42,33 +42,35 @@ class ScoredPath:
     plan_doubt: tuple[float, float] = (0.0, 1.0)
 
     @property
-    def doubts(self) -> NDArray[np.float64]:
+    def costs(self) -> NDArray[np.float64]:
         """(n,): -log P of each state."""
         return costs_of(self.confidence)
 
     @property
-    def doubt(self) -> float:
-        """Integral of -log P along the way in rad, and its largest value."""
-        return float(self.doubts.mean() * self.length_rad + self.doubts.max()) if len(self.states) else 0.0
+    def cost(self) -> float:
+        """Integral of -log P along the path in rad, and its largest value."""
+        return float(self.costs.mean() * self.length_rad + self.costs.max()) if len(self.states) else 0.0
 
     @property
     def whole(self) -> float:
-        """Confidence of the whole way."""
-        return float(confidence_of_cost(np.array(self.doubt), self.plan_doubt))
+        """Confidence of the whole path."""
+        return float(confidence_of_cost(np.array(self.cost), self.plan_doubt))
 
-    def believed(self) -> BelievedWay:
-        """The way with what is believed of it and its pieces."""
-        return BelievedWay(self.way, self.whole, self.of_pieces(self.confidence, np.minimum))
+    def alternative(self) -> AlternativePath:
+        """The path with the confidence of it and its pieces."""
+        return AlternativePath(self.path, self.whole, self.of_pieces(self.confidence, np.minimum))
 
-    def least(self) -> Doubt:
+    def least(self) -> LeastConfidence:
         """Its least sure state."""
         at = int(np.argmin(self.confidence))
         unseen = None if self.unseen is None else float(self.unseen[at])
-        return Doubt(self.states[at], float(self.confidence[at]), unseen, at / max(1, len(self.states) - 1))
+        return LeastConfidence(
+            self.states[at], float(self.confidence[at]), unseen, at / max(1, len(self.states) - 1)
+        )
 
     def of_pieces(self, values: NDArray[np.float32], pick: np.ufunc) -> NDArray[np.float32]:
         """The least (``np.minimum``) or largest (``np.maximum``) value on each piece, its ends included."""
-        count = len(self.way) - 1
+        count = len(self.path) - 1
         found = np.full(count, np.inf if pick is np.minimum else -np.inf, dtype=np.float32)
         pick.at(found, self.pieces, values)
         # A corner belongs to both its pieces.
@@ -82,11 +84,11 @@ def costs_of(confidence: NDArray[np.float32]) -> NDArray[np.float64]:
     return np.asarray(-np.log(np.clip(confidence, _LEAST, 1.0)), dtype=np.float64)
 
 
-def confidence_of_cost(doubt: NDArray[np.float64], plan_doubt: tuple[float, float]) -> NDArray[np.float64]:
-    """How likely ways of a doubt (n,) are free, (n,); 1 without doubt."""
+def confidence_of_cost(cost: NDArray[np.float64], plan_doubt: tuple[float, float]) -> NDArray[np.float64]:
+    """How likely paths of a cost (n,) are free, (n,); 1 without cost."""
     offset, slope = plan_doubt
     with np.errstate(divide="ignore"):
-        return np.asarray(np.exp(-np.exp(np.minimum(offset + slope * np.log(doubt), _MOST))))
+        return np.asarray(np.exp(-np.exp(np.minimum(offset + slope * np.log(cost), _MOST))))
 
 
 def calibration_error(sure: NDArray[np.float64], free: Sequence[bool] | NDArray[np.bool_]) -> float:
@@ -99,26 +101,26 @@ def score(
     ways: Sequence[NDArray[np.float64]],
     space: JointSpace,
     step_rad: float,
-    believe: Believe,
+    predict: Predict,
     plan_doubt: tuple[float, float] = (0.0, 1.0),
 ) -> list[ScoredPath]:
-    """What is believed of ways, all asked at once; states are at most ``step_rad`` apart."""
+    """What is predicted for paths, in one call; states are at most ``step_rad`` apart."""
     if not ways:
         return []
-    rows, pieces = zip(*(_states(way, space, step_rad) for way in ways), strict=True)
-    confidence, unseen = believe(space.to_float32(np.concatenate(rows)))
+    rows, pieces = zip(*(_states(path, space, step_rad) for path in ways), strict=True)
+    confidence, unseen = predict(space.to_float32(np.concatenate(rows)))
     ends = np.cumsum([len(one) for one in rows])[:-1]
     sure = np.split(confidence, ends)
     hidden = [None] * len(ways) if unseen is None else np.split(unseen, ends)
     return [
-        ScoredPath(way, states, numbers, one, other, length_rad(way, space), plan_doubt)
-        for way, states, numbers, one, other in zip(ways, rows, pieces, sure, hidden, strict=True)
+        ScoredPath(path, states, numbers, one, other, length_rad(path, space), plan_doubt)
+        for path, states, numbers, one, other in zip(ways, rows, pieces, sure, hidden, strict=True)
     ]
 
 
 def _states(
-    way: NDArray[np.float64], space: JointSpace, step_rad: float
+    path: NDArray[np.float64], space: JointSpace, step_rad: float
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    parts = [spaced(way[index : index + 2], space, step_rad) for index in range(len(way) - 1)]
+    parts = [spaced(path[index : index + 2], space, step_rad) for index in range(len(path) - 1)]
     rows = [parts[0], *(part[1:] for part in parts[1:])]
     return np.concatenate(rows), np.repeat(np.arange(len(rows)), [len(part) for part in rows])

@@ -165,7 +165,7 @@ def _tree_growth(step: Any, room_of: Any) -> Any:
 
 @njit(cache=True, nogil=True)
 def _steered(nodes, count, target, reach, periodic, new):  # type: ignore[no-untyped-def]
-    """Fill in the state towards a target from the nearest node; that node, and the share of the way."""
+    """Fill in the state towards a target from the nearest node; that node, and the share of the path."""
     dim, nearest, least = target.shape[0], 0, np.inf
     for node in range(count):
         distance = 0.0
@@ -186,12 +186,12 @@ def _steered(nodes, count, target, reach, periodic, new):  # type: ignore[no-unt
 
 def _shortcutting(checked_edge: Any, room_of: Any) -> Any:
     @njit(cache=True, nogil=True, error_model="numpy")
-    def shortened(way, draws, resolution, scene):  # type: ignore[no-untyped-def]
-        """The way after shortcuts (N, 2): where each begins and its span, as shares of the length."""
+    def shortened(path, draws, resolution, scene):  # type: ignore[no-untyped-def]
+        """The path after shortcuts (N, 2): where each begins and its span, as shares of the length."""
         room, periodic = room_of(scene), scene.periodic
-        now, count = np.empty((way.shape[0] + draws.shape[0], way.shape[1])), way.shape[0]
-        now[:count] = way
-        reached, first, last = np.zeros(now.shape[0]), np.empty(way.shape[1]), np.empty(way.shape[1])
+        now, count = np.empty((path.shape[0] + draws.shape[0], path.shape[1])), path.shape[0]
+        now[:count] = path
+        reached, first, last = np.zeros(now.shape[0]), np.empty(path.shape[1]), np.empty(path.shape[1])
         for index in range(draws.shape[0]):
             for node in range(1, count):
                 reached[node] = reached[node - 1] + _distance(now[node - 1], now[node], periodic)
@@ -222,15 +222,17 @@ def _shortcutting(checked_edge: Any, room_of: Any) -> Any:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _point(way, count, reached, along, periodic, out):  # type: ignore[no-untyped-def]
-    """Fill in the point at a distance along the way; the edge that it lies on."""
+def _point(path, count, reached, along, periodic, out):  # type: ignore[no-untyped-def]
+    """Fill in the point at a distance along the path; the edge that it lies on."""
     edge = 0
     while edge < count - 2 and reached[edge + 1] < along:
         edge += 1
     length = reached[edge + 1] - reached[edge]
     share = min(max((along - reached[edge]) / length, 0.0), 1.0) if length > 0.0 else 0.0
-    for joint in range(way.shape[1]):
-        out[joint] = way[edge, joint] + share * gap(way[edge, joint], way[edge + 1, joint], periodic[joint])
+    for joint in range(path.shape[1]):
+        out[joint] = path[edge, joint] + share * gap(
+            path[edge, joint], path[edge + 1, joint], periodic[joint]
+        )
     return edge
 
 
@@ -243,7 +245,7 @@ def _distance(first, second, periodic):  # type: ignore[no-untyped-def]
 
 
 def cheapest_route(costs: NDArray[np.float64], start: int, goal: int) -> NDArray[np.int64] | None:
-    """Nodes from start to goal at the least cost; None where there is no way.
+    """Nodes from start to goal at the least cost; None where there is no path.
 
     Source: Dijkstra, A Note on Two Problems in Connexion with Graphs, 1959, for few nodes with many edges.
 
@@ -263,7 +265,7 @@ def cheapest_route(costs: NDArray[np.float64], start: int, goal: int) -> NDArray
 
 @njit(cache=True, nogil=True)
 def _before(costs, start, goal):  # type: ignore[no-untyped-def]
-    """The node before each on its way from the start, (n,); -1 where none is known."""
+    """The node before each on its path from the start, (n,); -1 where none is known."""
     count = len(costs)
     reached, done = np.full(count, np.inf), np.zeros(count, dtype=np.bool_)
     before = np.full(count, -1, dtype=np.int64)

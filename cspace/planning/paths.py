@@ -28,7 +28,7 @@ def spaced(way: ArrayLike, space: JointSpace, step_rad: float) -> NDArray[np.flo
 
 
 def length_rad(way: ArrayLike, space: JointSpace) -> float:
-    """Euclidean length of a way (k, d) rad."""
+    """Euclidean length of a path (k, d) rad."""
     rows = np.asarray(way, dtype=np.float64)
     return float(space.distance(rows[:-1], rows[1:]).sum())
 
@@ -67,7 +67,7 @@ def shortcut(
     shortcuts: int,
     resolution_rad: float,
 ) -> NDArray[np.float64]:
-    """The way with straight pieces between random points of it wherever these are free and shorter.
+    """The path with straight pieces between random points of it wherever these are free and shorter.
 
     Source: Geraerts and Overmars, Creating High-Quality Paths for Motion Planning, IJRR 26 (2007). Proposals
     are looked at some at a time, and of those that are free the one that gains most is taken.
@@ -95,13 +95,13 @@ def shortcut(
     return way
 
 
-# Standard deviations of the noise, each joint, from turn to turn; and how far apart draws are along a way.
+# Standard deviations of the noise, each joint, from turn to turn; and how far apart draws are along a path.
 NOISE_RAD = (0.0, 0.05, 0.1, 0.2)
 STEP_RAD = 0.3
 
 
 class AlongPaths:
-    """A stream of configurations about ways.
+    """A stream of configurations about paths.
 
     A turn goes along one way after the other, each from its start to its goal; each next turn adds more
     noise, and all that follow the last of :data:`NOISE_RAD` as much as it does.
@@ -122,7 +122,7 @@ class AlongPaths:
         self._rows = self._line
 
     def take(self, count: int) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-        """The next configurations (count, d) rad, and the number of each one's way (count,)."""
+        """The next configurations (count, d) rad, and the number of each one's path (count,)."""
         parts: list[slice] = []
         rows = [self._rows[:0]]
         while count > 0:

@@ -7,23 +7,23 @@ from importlib import import_module
 import numpy as np
 from numpy.typing import NDArray
 
-from cspace.planning.cost import Believe, ScoredPath, costs_of, score
+from cspace.planning.cost import Predict, ScoredPath, costs_of, score
 from cspace.planning.paths import shortcut
-from cspace.planning.rrt_connect import Between
+from cspace.planning.rrt_connect import CheckCancelled
 from cspace.planning.search import OutOfTimeError
 from cspace.simulator import Checker
 
-# That a rad costs beside its doubt: of two ways of one doubt the shorter is taken.
+# That a rad costs beside its cost: of two paths of one cost the shorter is taken.
 _PER_RAD = 0.02
-# Of the draws about a way, each joint, rad.
+# Of the draws about a path, each joint, rad.
 _SPREADS_RAD = (0.1, 0.3)
 # Neighbours of each configuration that are joined to it, and how far away they may be, Euclidean.
 _NEIGHBOURS, _REACH_RAD = 12, 1.0
 # Draws for each that is wanted, for some are no configurations that the picture leaves free.
 _SPARE = 1.4
-# Ways that may turn out to be blocked or more doubtful than they seemed, in each round.
+# Paths that may turn out to be blocked or costlier than they seemed, in each round.
 _TRIES = 12
-# More doubt at an edge's middle than its ends have, times its length, for which another way is looked for.
+# More cost at an edge's middle than its ends have, times its length, for which another way is looked for.
 _SURPRISE = 0.01
 # Times that so many shortcuts are tried in the end.
 _SHORTER, _SHORTCUTS = 2, 16
@@ -31,15 +31,15 @@ _SHORTER, _SHORTCUTS = 2, 16
 
 @dataclass(frozen=True, slots=True)
 class Effort:
-    """How much is done for less doubt.
+    """How much is done for a lower cost.
 
     Args:
-        ways: the least doubtful that are changed.
+        ways: those of lowest cost, which are changed.
         rounds: for each of them.
         states: drawn about it in each round.
         step_rad: between states that the model is asked about.
         check_rad: between states that are checked by the picture, the largest over the joints.
-        enough: doubt at which a way is left as it is.
+        enough: cost at which a path is left as it is.
     """
 
     ways: int = 4
@@ -52,86 +52,86 @@ class Effort:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Graph:
-    """Configurations about a way.
+    """Configurations about a path.
 
     Args:
-        nodes: (n, d) rad, the first of them the way's.
-        doubts: (n,) of each.
+        nodes: (n, d) rad, the first of them the path's.
+        node_costs: (n,) of each.
         lengths: (n, n) between them, rad.
-        costs: (n, n) of going straight, inf where that is none of the ways; changed by what is found out.
-        own: how many are the way's.
+        costs: (n, n) of going straight, inf where that is none of the paths; changed by what is found out.
+        own: how many are the path's.
     """
 
     nodes: NDArray[np.float64]
-    doubts: NDArray[np.float64]
+    node_costs: NDArray[np.float64]
     lengths: NDArray[np.float64]
     costs: NDArray[np.float64]
     own: int
 
 
 class PathRefiner:
-    """Makes ways less doubtful in one scene.
+    """Lowers the cost of paths in one scene.
 
     Args:
         checker: of what the picture shows.
-        believe: what the model says of configurations.
+        predict: what the model says of configurations.
         plan_doubt: see :mod:`cspace.planning.cost`.
         effort: how much is done.
-        pause: called now and then; may raise to stop, which passes through.
+        check_cancelled: called now and then; may raise to stop, which passes through.
     """
 
     def __init__(
         self,
         checker: Checker,
-        believe: Believe,
+        predict: Predict,
         plan_doubt: tuple[float, float],
         effort: Effort,
-        pause: Between,
+        check_cancelled: CheckCancelled,
     ) -> None:
-        self._checker, self._space, self._believe = checker, checker.space, believe
-        self._plan_doubt, self._pause, self.effort = plan_doubt, pause, effort
+        self._checker, self._space, self._predict = checker, checker.space, predict
+        self._plan_doubt, self._check_cancelled, self.effort = plan_doubt, check_cancelled, effort
 
-    def refine(self, way: ScoredPath, rng: np.random.Generator) -> ScoredPath:
-        """A way with the same ends that is doubted no more; as far as it came where the time is over."""
+    def refine(self, path: ScoredPath, rng: np.random.Generator) -> ScoredPath:
+        """A path with the same ends of no higher cost; as far as it came where the time is over."""
         try:
             for _ in range(self.effort.rounds):
-                if way.doubt <= self.effort.enough:
-                    return way
-                self._pause()
-                way = self._better(way, self._through(self._graph(way, rng)))
+                if path.cost <= self.effort.enough:
+                    return path
+                self._check_cancelled()
+                path = self._better(path, self._through(self._graph(path, rng)))
             for _ in range(_SHORTER):
-                way = self._better(way, self._shorter(way, rng))
+                path = self._better(path, self._shorter(path, rng))
         except OutOfTimeError:
             pass
-        return way
+        return path
 
-    def _shorter(self, way: ScoredPath, rng: np.random.Generator) -> NDArray[np.float64]:
-        return shortcut(self._checker, way.way, rng, _SHORTCUTS, self.effort.check_rad)
+    def _shorter(self, path: ScoredPath, rng: np.random.Generator) -> NDArray[np.float64]:
+        return shortcut(self._checker, path.path, rng, _SHORTCUTS, self.effort.check_rad)
 
-    def _better(self, way: ScoredPath, other: NDArray[np.float64] | None) -> ScoredPath:
+    def _better(self, path: ScoredPath, other: NDArray[np.float64] | None) -> ScoredPath:
         if other is None:
-            return way
-        (scored,) = score([other], self._space, self.effort.step_rad, self._believe, self._plan_doubt)
-        return min(way, scored, key=lambda one: one.doubt)
+            return path
+        (scored,) = score([other], self._space, self.effort.step_rad, self._predict, self._plan_doubt)
+        return min(path, scored, key=lambda one: one.cost)
 
-    def _graph(self, way: ScoredPath, rng: np.random.Generator) -> _Graph:
+    def _graph(self, path: ScoredPath, rng: np.random.Generator) -> _Graph:
         count = int(_SPARE * self.effort.states)
-        about = way.states[rng.integers(len(way.states), size=count)]
+        about = path.states[rng.integers(len(path.states), size=count)]
         spread = rng.choice(_SPREADS_RAD, size=(count, 1))
         drawn = self._space.bound(about + spread * rng.normal(size=about.shape))
         drawn = drawn[self._checker.valid_batch(drawn)][: self.effort.states]
-        nodes = np.concatenate([way.states, drawn])
-        doubts = np.concatenate([way.doubts, self._doubts(drawn)])
+        nodes = np.concatenate([path.states, drawn])
+        costs = np.concatenate([path.costs, self._costs(drawn)])
         lengths = self._space.distance(nodes[:, None], nodes[None])
         joined = _neighbours(lengths) & (lengths <= _REACH_RAD)
-        own = len(way.states)
+        own = len(path.states)
         joined[np.arange(own - 1), np.arange(1, own)] = True
         joined |= joined.T
-        each = lengths * (0.5 * (doubts[:, None] + doubts[None]) + _PER_RAD)
-        return _Graph(nodes, doubts, lengths, np.where(joined, each, np.inf), own)
+        each = lengths * (0.5 * (costs[:, None] + costs[None]) + _PER_RAD)
+        return _Graph(nodes, costs, lengths, np.where(joined, each, np.inf), own)
 
     def _through(self, graph: _Graph) -> NDArray[np.float64] | None:
-        """The least doubtful way that is free and as it seemed, (k, d) rad; None without one."""
+        """The path of lowest cost that is free and as it seemed, (k, d) rad; None without one."""
         cheapest_route = route_search()
         known, asked = (np.zeros(graph.costs.shape, dtype=np.bool_) for _ in range(2))
         ahead = np.arange(graph.own - 1)
@@ -171,23 +171,25 @@ class PathRefiner:
         second: NDArray[np.int64],
         asked: NDArray[np.bool_],
     ) -> bool:
-        """Ask about the middles of edges; whether one is so much more doubtful than its ends."""
+        """Ask about the middles of edges; whether one is so much costlier than its ends."""
         new = ~asked[first, second]
         i, j = first[new], second[new]
         if not len(i):
             return False
         step = self._space.difference(graph.nodes[i], graph.nodes[j])
-        middles = self._doubts(self._space.wrap(graph.nodes[i] + 0.5 * step))
-        more = graph.lengths[i, j] * np.maximum(0.0, middles - 0.5 * (graph.doubts[i] + graph.doubts[j]))
+        middles = self._costs(self._space.wrap(graph.nodes[i] + 0.5 * step))
+        more = graph.lengths[i, j] * np.maximum(
+            0.0, middles - 0.5 * (graph.node_costs[i] + graph.node_costs[j])
+        )
         asked[i, j] = asked[j, i] = True
         graph.costs[i, j] += more
         graph.costs[j, i] = graph.costs[i, j]
         return bool(more.max() > _SURPRISE)
 
-    def _doubts(self, rows: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _costs(self, rows: NDArray[np.float64]) -> NDArray[np.float64]:
         if not len(rows):
             return np.empty(0)
-        return costs_of(self._believe(self._space.to_float32(rows))[0])
+        return costs_of(self._predict(self._space.to_float32(rows))[0])
 
 
 def route_search() -> Callable[[NDArray[np.float64], int, int], NDArray[np.int64] | None]:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from cspace.simulator import Checker
 from cspace.space import JointSpace
 
-Between = Callable[[], None]
+CheckCancelled = Callable[[], None]
 
 
 def connect_trees(
@@ -22,7 +22,7 @@ def connect_trees(
     *,
     range_rad: float,
     resolution_rad: float,
-    between: Between | None = None,
+    check_cancelled: CheckCancelled | None = None,
 ) -> NDArray[np.float64] | None:
     """The way that RRT-Connect finds between two free configurations, (k, d) rad; None without one.
 
@@ -33,9 +33,9 @@ def connect_trees(
         states: (n, d) rad that trees grow towards, in order.
         range_rad: longest step of a tree, the sum over the joints.
         resolution_rad: between states that are looked at, the largest over the joints.
-        between: called between blocks of states; may raise to stop, which passes through.
+        check_cancelled: called between blocks of states; may raise to stop, which passes through.
     """
-    growth = Growth(range_rad, resolution_rad, math.inf, between or (lambda: None))
+    growth = Growth(range_rad, resolution_rad, math.inf, check_cancelled or (lambda: None))
     return grow_connect(checker, start, goal, states, growth).path
 
 
@@ -53,13 +53,13 @@ class Growth:
         range_rad: longest step, the sum over the joints.
         resolution_rad: largest distance between states that are looked at in any joint.
         time_limit_s: of computing, after which the search ends; waiting for others does not count.
-        between: called between blocks of states; may raise to stop, which passes through.
+        check_cancelled: called between blocks of states; may raise to stop, which passes through.
     """
 
     range_rad: float
     resolution_rad: float
     time_limit_s: float
-    between: Callable[[], None] = lambda: None
+    check_cancelled: Callable[[], None] = lambda: None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -160,7 +160,7 @@ def grow_connect(
         )
         iterations, joint = iterations + done, (first, second)
         if first < 0:
-            growth.between()
+            growth.check_cancelled()
     time_s = time.perf_counter() - began
     path = trees.path(joint) if joint[0] >= 0 else None
     return Grown(path, *trees.forest(), iterations, int(checks[0]), int(checks[1]), time_s, timed_out)
@@ -208,7 +208,7 @@ def grow_rrt(
             nodes[count], parents[count], count = node, nearest, count + 1
             reached = bool(towards_goal[iterations - 1]) and share == 1.0
         if iterations % BLOCK == 0:
-            growth.between()
+            growth.check_cancelled()
     time_s = time.perf_counter() - began
     path = nodes[to_root(parents.tolist(), count - 1)[::-1]] if reached else None
     tree = (nodes[:count].copy(), parents[:count].copy())

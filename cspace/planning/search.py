@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cspace.planning.paths import shortcut
-from cspace.planning.rrt_connect import Between, connect_trees
+from cspace.planning.rrt_connect import CheckCancelled, connect_trees
 from cspace.simulator import Checker
 
 
@@ -18,12 +18,12 @@ class OutOfTimeError(Exception):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FoundPaths:
-    """What a search for ways came to.
+    """What a search for paths came to.
 
     Args:
         ways: (k, d) rad each.
         late: whether the time was over before there were as many as were wanted.
-        checker: by which they are free; None without ways.
+        checker: by which they are free; None without paths.
     """
 
     ways: list[NDArray[np.float64]]
@@ -33,14 +33,14 @@ class FoundPaths:
 
 @dataclass(frozen=True, slots=True)
 class SearchLimits:
-    """Effort for each way.
+    """Effort for each path.
 
     Args:
         states: uniform ones that trees grow towards, most.
         first: of them in the first round over all checkers; each next round has four times as many.
         range_rad: longest step of a tree, the sum over the joints.
         search_rad: between states that trees look at, the largest over the joints.
-        shortcuts: proposed for each way.
+        shortcuts: proposed for each path.
         shortcut_rad: the same as ``search_rad`` for shortcuts.
     """
 
@@ -68,24 +68,24 @@ def find_paths(
     until_s: float,
     *,
     limits: SearchLimits = SearchLimits(),
-    between: Between | None = None,
+    check_cancelled: CheckCancelled | None = None,
 ) -> FoundPaths:
-    """Up to so many ways.
+    """Up to so many paths.
 
-    The most careful checker in which a way is found with as few states as any gives all of them: all are
-    tried in turn, with few states at first, for a careful one without a way would take all the time.
+    The most careful checker in which a path is found with as few states as any gives all of them: all are
+    tried in turn, with few states at first, for a careful one without a path would take all the time.
 
     Args:
         checkers: the most careful first.
         start: (d,) rad.
         goal: (d,) rad.
-        count: of ways.
-        seed: of all draws; each way has draws of its own.
+        count: of paths.
+        seed: of all draws; each path has draws of its own.
         until_s: by ``time.thread_time``: what the thread has computed, not what it has waited for others.
-        limits: effort for each way.
-        between: called now and then; may raise to stop, which passes through.
+        limits: effort for each path.
+        check_cancelled: called now and then; may raise to stop, which passes through.
     """
-    pause = paused(until_s, between)
+    check_cancelled = paused(until_s, check_cancelled)
     found: list[NDArray[np.float64]] = []
     ends = np.stack([start, goal])
     possible = [level for level, checker in enumerate(checkers) if checker.valid_batch(ends).all()]
@@ -96,12 +96,12 @@ def find_paths(
                 for number in range(count):
                     rng = np.random.default_rng([seed, level, number])
                     most = states if number == 0 else limits.states
-                    way = _way(checkers[level], start, goal, rng, limits, most, pause)
-                    if way is None:
+                    path = _path(checkers[level], start, goal, rng, limits, most, check_cancelled)
+                    if path is None:
                         break
-                    found.append(way)
+                    found.append(path)
                     checker = checkers[level]
-                    pause()
+                    check_cancelled()
                 if found:
                     return FoundPaths(found, late=False, checker=checker)
     except OutOfTimeError:
@@ -109,26 +109,26 @@ def find_paths(
     return FoundPaths(found, late=False, checker=checker)
 
 
-def paused(until_s: float, between: Between | None) -> Callable[[], None]:
-    """What calls ``between`` and raises :class:`OutOfTimeError` from a time on, by ``time.thread_time``."""
+def paused(until_s: float, check_cancelled: CheckCancelled | None) -> Callable[[], None]:
+    """``check_cancelled`` that also raises :class:`OutOfTimeError` from a ``time.thread_time`` on."""
 
-    def pause() -> None:
-        if between is not None:
-            between()
+    def check() -> None:
+        if check_cancelled is not None:
+            check_cancelled()
         if time.thread_time() > until_s:
             raise OutOfTimeError
 
-    return pause
+    return check
 
 
-def _way(
+def _path(
     checker: Checker,
     start: NDArray[np.float64],
     goal: NDArray[np.float64],
     rng: np.random.Generator,
     limits: SearchLimits,
     most: int,
-    pause: Between,
+    check_cancelled: CheckCancelled,
 ) -> NDArray[np.float64] | None:
     # All are drawn, so that what follows does not depend on how many are used.
     states = checker.space.sample_uniform(rng, limits.states)[:most]
@@ -139,6 +139,6 @@ def _way(
         states,
         range_rad=limits.range_rad,
         resolution_rad=limits.search_rad,
-        between=pause,
+        check_cancelled=check_cancelled,
     )
     return None if raw is None else shortcut(checker, raw, rng, limits.shortcuts, limits.shortcut_rad)

@@ -134,22 +134,22 @@ def best_view(
     world: World,
     picture: Image,
     states: NDArray[np.float64],
-    doubts: NDArray[np.float64],
+    costs: NDArray[np.float64],
     given: Sequence[object] = (),
-    between: Callable[[], None] = lambda: None,
+    check_cancelled: Callable[[], None] = lambda: None,
     seen_by: Sequence[Mapping[str, Any]] = (),
 ) -> NextView | None:
-    """The camera that would see most of the space that a way is doubted for.
+    """The camera that would see most of the space that makes a path uncertain.
 
     Of those from where nobody has looked yet; of the others where none of these sees any.
 
     Args:
         world: whose.
         picture: of it.
-        states: (n, d) rad along the way.
-        doubts: (n,) of each, 0 or more.
-        given: cameras to choose from, as plain values; none for some about the doubt.
-        between: called before each camera; may raise to stop, which passes through.
+        states: (n, d) rad along the path.
+        costs: (n,) of each, 0 or more.
+        given: cameras to choose from, as plain values; none for some about the uncertain places.
+        check_cancelled: called before each camera; may raise to stop, which passes through.
         seen_by: the cameras that have seen the picture, where they are known.
 
     Returns:
@@ -160,7 +160,9 @@ def best_view(
     """
     if world.kind not in _PARTLY_SEEN:
         return None
-    found = _part(world.kind, "next_view").best_view(world, picture, states, doubts, given, between, seen_by)
+    found = _part(world.kind, "next_view").best_view(
+        world, picture, states, costs, given, check_cancelled, seen_by
+    )
     return cast("NextView | None", found)
 
 

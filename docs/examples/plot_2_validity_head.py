@@ -24,7 +24,7 @@ bundle = Bundle.load(PRETRAINED_FOLDER)
 side = 120
 angles = np.linspace(-np.pi, np.pi, side, endpoint=False) + np.pi / side
 grid = np.stack(np.meshgrid(angles, angles), axis=-1).reshape(-1, 2).astype(np.float32)
-confidence, _ = bundle.believe(render(problem.scenario), grid)
+confidence, _ = bundle.predict(render(problem.scenario), grid)
 
 # %%
 # Where it is wrong about the truth: close to contact, and hardly anywhere else.

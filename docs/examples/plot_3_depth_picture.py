@@ -30,7 +30,7 @@ depth_mm = read_view(file, world.space).pictures[0]
 random = np.random.default_rng(12)
 ends = np.array([problem.start, problem.goal])[np.arange(500) % 2]
 rows = world.space.to_float32(world.space.bound(ends + random.normal(0.0, 0.3, ends.shape)))
-confidence, unseen = bundle.believe(world.read_picture(file), rows)
+confidence, unseen = bundle.predict(world.read_picture(file), rows)
 free = checker_of(problem.scenario).valid_batch(rows)
 passes = confidence >= bundle.spec.confidence_threshold
 print(

@@ -13,7 +13,7 @@ from cachetools import LRUCache
 from numpy.typing import NDArray
 
 from cspace.bundle import Bundle, Picture
-from cspace.world import Between, Examined, Finding, World
+from cspace.world import CheckCancelled, Examined, Finding, World
 
 # A dozen arrays of space, or all the flat pictures that are kept.
 MOST_BYTES = 64 * 2**20
@@ -62,7 +62,7 @@ class PictureCache:
         bundle: Bundle,
         png: bytes,
         spend: Callable[[int], None] = lambda _: None,
-        between: Between = lambda: None,
+        check_cancelled: CheckCancelled = lambda: None,
     ) -> Prepared:
         """A PNG file as a bundle takes it.
 
@@ -70,7 +70,7 @@ class PictureCache:
             bundle: that takes it.
             png: the file.
             spend: told how many pixels have to be read of one that is not known, before they are.
-            between: called between the parts of that; may raise to stop, which passes through.
+            check_cancelled: called between the parts of that; may raise to stop, which passes through.
 
         Raises:
             InputError: not a picture that is accepted.
@@ -80,8 +80,8 @@ class PictureCache:
 
         def read() -> Examined:
             spend(world.pixels_of(png))
-            found = world.examine_picture(png, between)
-            between()
+            found = world.examine_picture(png, check_cancelled)
+            check_cancelled()
             return found
 
         return self._get(bundle, b"png" + _digest(png), read)

@@ -280,11 +280,15 @@ def _sample(
         )
     seeds = [(query.seed + index) % (MAX_SEED + 1) for index in range(len(read.images))]
     prepared, found = [], []
-    with job.sampling(bundle.spec, query, len(read.images)) as between:
+    with job.sampling(bundle.spec, query, len(read.images)) as check_cancelled:
         for image, seed in zip(read.images, seeds, strict=True):
             job.check_cancelled()
             prepared.append(store.pictures.of_pixels(bundle, image))
-            found.append(bundle.answer(prepared[-1].picture, replace(query, seed=seed), between=between))
+            found.append(
+                bundle.answer(
+                    prepared[-1].picture, replace(query, seed=seed), check_cancelled=check_cancelled
+                )
+            )
     count = min(len(one.samples) for one in found)
     arrays = {
         name: np.stack([getattr(one, name)[:count] for one in found])
@@ -340,7 +344,7 @@ def _score(
         )
     job.spend(rows_of(drawn=len(configurations)))
     picture = store.pictures.of_pixels(bundle, read.images[0]).picture
-    confidence, unseen = bundle.believe(picture, configurations, job.check_cancelled)
+    confidence, unseen = bundle.predict(picture, configurations, job.check_cancelled)
     name = f"{served.name}/{served.version}"
     store.observer.answered(Answered("scores", name, served.fallback, n=len(confidence)))
     arrays: dict[str, NDArray[Any]] = {"confidence": confidence}

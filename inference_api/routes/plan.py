@@ -67,20 +67,20 @@ def _answer(
         raise InputError("the model has no validity head", remedy="name a model that has one")
     for name, end in (("start", given.start), ("goal", given.goal)):
         fitted_end(spec, name, end)
-    with job.searching() as between:
+    with job.searching() as check_cancelled:
         prepared = prepared_picture(store, bundle, image, job)
         warnings = _warnings(spec, prepared, asked.start)
         if given.min_confidence is None and any(one.code == LITTLE_IN_REACH for one in warnings):
             # By what other scenes were like no path is sure enough, unless somebody asks for less.
             query = replace(query, min_confidence=1.0)
-        found = bundle.plan(prepared.picture, query, between)
+        found = bundle.plan(prepared.picture, query, check_cancelled)
     name = f"{served.name}/{served.version}"
     store.observer.answered(Answered("plan", name, served.fallback, status=found.status, seed=query.seed))
     least, view = found.least, found.next_view
     body = PlanAnswer.model_construct(
         status=found.status,
         reason=_reason(found, query, warnings),
-        path=found.way.tolist(),
+        path=found.path.tolist(),
         confidence=found.confidence,
         edges=found.edges.tolist(),
         unseen=None if found.unseen is None else found.unseen.tolist(),
@@ -95,7 +95,7 @@ def _answer(
             along=least.along,
         ),
         alternatives=[
-            Alternative(path=one.way.tolist(), confidence=one.confidence, edges=one.edges.tolist())
+            Alternative(path=one.path.tolist(), confidence=one.confidence, edges=one.edges.tolist())
             for one in found.alternatives
         ]
         if asked.alternatives

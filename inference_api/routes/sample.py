@@ -163,10 +163,12 @@ def _answer(
 ) -> Response:
     bundle, spec = served.bundle, served.bundle.spec
     query = fitted(asked.query(), spec, has_validity=bundle.has_validity)
-    with job.sampling(spec, query) as between:
+    with job.sampling(spec, query) as check_cancelled:
         prepared = prepared_picture(store, bundle, asked.picture(), job)
         # A ``.npy`` holds samples alone: nobody would see the scores of those that are not filtered.
-        found = bundle.answer(prepared.picture, query, tell_confidence=not npy, between=between)
+        found = bundle.answer(
+            prepared.picture, query, tell_confidence=not npy, check_cancelled=check_cancelled
+        )
     # Without a confidence to reach all are taken.
     warnings = warnings_of(prepared.findings_with(spec.world, colliding=1.0 - found.acceptance))
     timing = TimingMs(

@@ -69,7 +69,7 @@ def _answer(
     job.spend(rows_of(drawn=len(configurations)))
     prepared = prepared_picture(store, bundle, image, job)
     scoring = time.perf_counter()
-    confidence, unseen = bundle.believe(prepared.picture, configurations, job.check_cancelled)
+    confidence, unseen = bundle.predict(prepared.picture, configurations, job.check_cancelled)
     ended = time.perf_counter()
     timing = ScoreTimingMs(
         decode=prepared.decode_ms,

@@ -114,7 +114,7 @@ def search(asked: SearchRequest, served: ServedModel, job: Job) -> Response:
         np.concatenate([rows_of("start", (asked.start,), world), rows_of("goal", (asked.goal,), world)])
     )
     samples = _given(asked, world)
-    with job.searching() as between, telling():
+    with job.searching() as check_cancelled, telling():
         simulator = simulator_of(among(world, asked.discs))
         checker = simulator.checker(simulator.scene(np.random.default_rng(0), Split.TEST, 0))
         free = checker.valid_batch(ends)
@@ -123,7 +123,7 @@ def search(asked: SearchRequest, served: ServedModel, job: Job) -> Response:
             body = SearchAnswer(status="refused", reason=reason)
         else:
             measures = simulator.measures
-            growth = Growth(measures.range_rad, measures.resolution_rad, asked.time_limit_s, between)
+            growth = Growth(measures.range_rad, measures.resolution_rad, asked.time_limit_s, check_cancelled)
             body = _searched(asked, checker, ends, samples, growth)
     return Response(body.model_dump_json(), media_type="application/json")
 

@@ -29,7 +29,7 @@ LEARNED = "#1a9e8c"
 TREE = "#8d97a8"
 
 
-def between(share: float, tint: float) -> str:
+def blend(share: float, tint: float) -> str:
     """A colour on the way from the start's to the goal's, lightened.
 
     Args:
@@ -189,7 +189,7 @@ def plot_workspace(axes: Any, problem: Problem, path: NDArray[np.float64]) -> No
         shares = np.linspace(0.0, 1.0, POSES + 2)[1:-1]
         poses = poses_along(problem.space, path, POSES + 2)[1:-1]
         for share, configuration in zip(shares, poses, strict=True):
-            workshop.draw_robot(axes, configuration, between(share, 0.72), 2)
+            workshop.draw_robot(axes, configuration, blend(share, 0.72), 2)
         tips = body.joint_positions_m(poses_along(problem.space, path, _TRACE_POINTS))[:, -1]
         axes.plot(*tips.T, color=PATH, linewidth=1.8, zorder=3)
     for configuration, colour in ((problem.start, START), (problem.goal, GOAL)):

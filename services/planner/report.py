@@ -147,7 +147,7 @@ def _number(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
-# Ways are judged at a tenth of the distance at which planners look.
+# Paths are judged at a tenth of the distance at which planners look.
 _FINER = 0.1
 
 
@@ -158,7 +158,7 @@ class WholePlan:
     Args:
         problem: that was asked about.
         found: the API's answer.
-        clearance_m: least of all states along the way, in the scene as it is; NaN without a way.
+        clearance_m: least of all states along the path, in the scene as it is; NaN without a path.
     """
 
     problem: Problem
@@ -167,7 +167,7 @@ class WholePlan:
 
     @property
     def free(self) -> bool:
-        """Whether there is a way that touches nothing."""
+        """Whether there is a path that touches nothing."""
         return self.clearance_m > 0.0
 
     @property
@@ -175,22 +175,22 @@ class WholePlan:
         """As planners return it, for drawings."""
         plan = self.found.plan
         return PlanResult(
-            solved=len(plan.way) > 0,
-            path=plan.way,
-            length_rad=plan.length_rad if len(plan.way) else math.nan,
+            solved=len(plan.path) > 0,
+            path=plan.path,
+            length_rad=plan.length_rad if len(plan.path) else math.nan,
             iterations=0,
             edge_checks=0,
             solve_time_s=1e-3 * (plan.search_ms + plan.score_ms),
             learned_drawn=0,
             uniform_drawn=0,
-            reason=Reason.SOLVED if len(plan.way) else Reason.NO_PATH,
+            reason=Reason.SOLVED if len(plan.path) else Reason.NO_PATH,
         )
 
 
 def ask_for_plan(
     problem: Problem, client: SamplingClient, query: PlanQuery, model: str | None = None
 ) -> WholePlan:
-    """Ask, and judge the way by exact checks.
+    """Ask, and judge the path by exact checks.
 
     Args:
         problem: start and goal in a scene.
@@ -203,9 +203,9 @@ def ask_for_plan(
     """
     found = client.plan(picture_file_of(problem.scenario), query, model)
     clearance_m = math.nan
-    if len(found.plan.way):
+    if len(found.plan.path):
         measures = simulator_of(problem.scenario.world).measures
-        states = spaced(found.plan.way, problem.space, _FINER * measures.resolution_rad)
+        states = spaced(found.plan.path, problem.space, _FINER * measures.resolution_rad)
         clearance_m = float(np.min(checker_of(problem.scenario).clearance(states)))
     return WholePlan(problem, found, clearance_m)
 
@@ -221,7 +221,7 @@ def told(whole: WholePlan) -> str:
     if found.reason is not None:
         lines.append(f"reason   {found.reason}")
     lines.extend(warning_lines(model.warnings))
-    if len(plan.way):
+    if len(plan.path):
         unseen = "" if plan.unseen is None else f", up to {plan.unseen.max():.0%} of the robot unseen"
         lines.append(
             f"way      {plan.length_rad:.2f} rad over {len(plan.edges)} edges, the surest of {plan.found}: "
@@ -238,7 +238,7 @@ def as_json(whole: WholePlan) -> dict[str, Any]:
     return {
         "status": plan.status,
         "reason": found.reason,
-        "path": plan.way.tolist(),
+        "path": plan.path.tolist(),
         "confidence": plan.confidence,
         "edges": plan.edges.tolist(),
         "unseen": None if plan.unseen is None else plan.unseen.tolist(),
@@ -248,5 +248,5 @@ def as_json(whole: WholePlan) -> dict[str, Any]:
         "model": {"name": found.model.model_name, "version": found.model.model_version},
         "warnings": [asdict(one) for one in found.model.warnings],
         "round_trip_s": found.round_trip_s,
-        "in_truth": {"free": whole.free, "clearance_m": whole.clearance_m} if len(plan.way) else None,
+        "in_truth": {"free": whole.free, "clearance_m": whole.clearance_m} if len(plan.path) else None,
     }

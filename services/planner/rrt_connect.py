@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from cspace.kernel_cache import njit
 from cspace.planning.paths import NOISE_RAD, AlongPaths
 from cspace.planning.rrt_connect import Growth, drawn_states, grow_connect
-from cspace.query import BelievedWay
+from cspace.query import AlternativePath
 from cspace.simulator import Checker, EdgeTest, Problem
 from cspace.space import JointSpace
 from cspace.worlds import checker_of
@@ -139,7 +139,9 @@ def connect(
 UNIFORM_SHARE = 0.3
 
 
-def solve_with_paths(problem: Problem, settings: PlannerSettings, ways: Sequence[BelievedWay]) -> PlanResult:
+def solve_with_paths(
+    problem: Problem, settings: PlannerSettings, ways: Sequence[AlternativePath]
+) -> PlanResult:
     """Solve a problem by the ways, or by RRT-Connect with configurations about them.
 
     Args:
@@ -158,12 +160,12 @@ def solve_with_paths(problem: Problem, settings: PlannerSettings, ways: Sequence
         edges, states = edges + tried, states + looked_at
         if free:
             counts = Counts(edge_checks=edges, state_checks=states, solve_time_s=time.perf_counter() - began)
-            found = outcome(problem, settings, way.way, Reason.NO_PATH, counts)
+            found = outcome(problem, settings, way.path, Reason.NO_PATH, counts)
             if found.solved:
                 return found
     spent = Counts(edge_checks=edges, state_checks=states, solve_time_s=time.perf_counter() - began)
     tried_first = outcome(problem, settings, None, Reason.NO_PATH, spent)
-    about = drawn_about([way.way for way in ways], space, np.random.default_rng(settings.seed))
+    about = drawn_about([way.path for way in ways], space, np.random.default_rng(settings.seed))
     left_s = max(settings.time_limit_s - spent.solve_time_s, 1e-3)
     grown = connect(problem, replace(settings, time_limit_s=left_s), about, UNIFORM_SHARE)
     return after(tried_first, grown)
@@ -172,18 +174,18 @@ def solve_with_paths(problem: Problem, settings: PlannerSettings, ways: Sequence
 def drawn_about(
     ways: Sequence[NDArray[np.float64]], space: JointSpace, rng: np.random.Generator
 ) -> NDArray[np.float64] | None:
-    """Configurations about ways, (n, d) rad within the limits, in the order in which they are drawn."""
+    """Configurations about paths, (n, d) rad within the limits, in the order in which they are drawn."""
     if not ways:
         return None
     along = AlongPaths(ways, space, rng)
     return along.take(len(NOISE_RAD) * along.turn_rows)[0]
 
 
-def _checked(test: EdgeTest, way: BelievedWay) -> tuple[bool, int, int]:
-    """Whether a way is free, and how many states and pieces were looked at for that."""
+def _checked(test: EdgeTest, way: AlternativePath) -> tuple[bool, int, int]:
+    """Whether a path is free, and how many states and pieces were looked at for that."""
     looked_at = 0
     for tried, piece in enumerate(np.argsort(way.edges, kind="stable"), start=1):
-        free, count = test(way.way[piece], way.way[piece + 1])
+        free, count = test(way.path[piece], way.path[piece + 1])
         looked_at += count
         if not free:
             return False, looked_at, tried

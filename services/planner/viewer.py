@@ -222,7 +222,7 @@ class SceneState:
             self.problem.start.tolist(), self.problem.goal.tolist(), seed, min_confidence=min_confidence
         )
         found = self.api.plan(self.pictures(), query, self.model)
-        path = found.plan.way
+        path = found.plan.path
         if len(path) < 2:
             return found, f"**{found.plan.status}**: {found.reason}"
         if self.opened is not None:
@@ -507,9 +507,9 @@ class Viewer:
         """Ask for a path, check it in the true scene, and draw it."""
         self._forget_path()
         found, self.verdict.content = self.state.plan(float(self.least.value))
-        if len(found.plan.way) < 2:
+        if len(found.plan.path) < 2:
             return
-        self.path = spread_points(found.plan.way, FRAMES + 1, self.space)
+        self.path = spread_points(found.plan.path, FRAMES + 1, self.space)
         hand = self.arm.joint_positions_m(self.path)[:, -1]
         self.server.scene.add_line_segments(
             "/path/hand", np.stack([hand[:-1], hand[1:]], axis=1), ALONG, thickness=0.008

@@ -65,11 +65,11 @@ def test_a_planned_way_is_free_by_an_independent_check_and_is_drawn_in_both_view
         page.get_by_role("button", name="Plan a path").click()
     told = answer.value.json()
     assert told["status"] == "solved", told["reason"]
-    way = np.array(told["path"])
-    assert checker(SCENE).edge_batch(way[:-1], way[1:], 0.005).all()
+    path = np.array(told["path"])
+    assert checker(SCENE).edge_batch(path[:-1], path[1:], 0.005).all()
     expect(page.locator("#plan-told")).to_contain_text("Checked against the discs: it is free.")
     drawn = page.locator("#torus .way").get_attribute("d") or ""
-    assert drawn.count("M") >= len(way) - 1
+    assert drawn.count("M") >= len(path) - 1
     assert (page.locator("#scene .arm.ghost").get_attribute("d") or "").count("M") == 14
     # It plays by itself, and stops where one takes hold of it.
     expect(page.get_by_role("button", name="Pause")).to_be_visible()

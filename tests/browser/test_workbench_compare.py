@@ -128,9 +128,9 @@ def test_a_plan_asks_both_and_the_table_tells_each_way_and_whether_it_is_free(
     assert told["its confidence"][0] == f"{answers['pretrained']['confidence']:.3f}"
     assert told["free in truth"][0] == "yes"
     for drawing, one in (("#torus", "pretrained"), ("#torus-beside", VERSION)):
-        way = answers[one]["path"]
+        path = answers[one]["path"]
         drawn = page.locator(f"{drawing} .way").get_attribute("d") or ""
-        assert drawn.count("M") >= len(way) - 1
+        assert drawn.count("M") >= len(path) - 1
     # What changes the problem takes both ways away.
     page.get_by_role("button", name="Add a disc").click()
     expect(page.locator("#torus .way")).to_have_attribute("d", "")

@@ -82,8 +82,8 @@ def test_the_least_sure_place_and_each_piece_of_a_way_are_told_and_drawn(page: P
     # As sure as this it needs no mark.
     assert least["confidence"] > 0.99
     expect(page.locator("#torus .least")).to_be_hidden()
-    doubted = (page.locator("#torus .doubted").get_attribute("d") or "").count("M")
-    assert (doubted > 0) == any(edge < 0.9 for edge in edges)
+    uncertain = (page.locator("#torus .doubted").get_attribute("d") or "").count("M")
+    assert (uncertain > 0) == any(edge < 0.9 for edge in edges)
     # With the way its doubt goes.
     page.get_by_role("button", name="Add a disc").click()
     expect(told).to_be_empty()

@@ -96,20 +96,20 @@ def test_between_is_never_called_for_a_request_of_one_part(folder: Path) -> None
 
     bundle = Bundle.load(folder)
     for n in (1, 300, CHUNK_ROWS):
-        assert len(bundle.sample(picture(), n, 1, between=never).samples) == n
+        assert len(bundle.sample(picture(), n, 1, check_cancelled=never).samples) == n
 
 
 def test_between_is_called_between_the_parts_of_generator_and_head(folder: Path) -> None:
     bundle, calls = Bundle.load(folder), []
     n = 3 * CHUNK_ROWS + 1
-    found = bundle.sample(picture(), n, 1, between=lambda: calls.append(1))
+    found = bundle.sample(picture(), n, 1, check_cancelled=lambda: calls.append(1))
     assert len(calls) == 6
     assert found.samples.tobytes() == bundle.sample(picture(), n, 1).samples.tobytes()
 
 
 def test_between_is_called_between_the_turns_of_a_filtered_request(folder: Path) -> None:
     bundle, calls = Bundle.load(folder), []
-    found = bundle.sample(picture(), 100, 1, min_confidence=0.7, between=lambda: calls.append(1))
+    found = bundle.sample(picture(), 100, 1, min_confidence=0.7, check_cancelled=lambda: calls.append(1))
     assert calls
     assert found.samples.tobytes() == bundle.sample(picture(), 100, 1, min_confidence=0.7).samples.tobytes()
 
@@ -120,7 +120,7 @@ def test_what_between_raises_passes_through(folder: Path, request_: dict[str, fl
         raise StopError
 
     with pytest.raises(StopError):
-        Bundle.load(folder).sample(picture(), seed=1, between=stop, **request_)  # type: ignore[arg-type]
+        Bundle.load(folder).sample(picture(), seed=1, check_cancelled=stop, **request_)  # type: ignore[arg-type]
 
 
 def test_without_a_replay_all_but_the_golden_case_is_checked(folder: Path) -> None:

@@ -59,11 +59,11 @@ def test_a_way_leads_from_cell_to_neighbouring_cell_and_costs_what_the_tree_says
     weights = 1.0 + rng.random((20, 30)) * 5.0
     start, goal = centres(space, weights.shape)[[45, 555]]
     tree = paths_to(space, weights, goal)
-    way = tree.way(start)
-    np.testing.assert_allclose(way[[0, -1]], [start, goal])
-    steps = np.abs(space.difference(way[:-1], way[1:]))
+    path = tree.path(start)
+    np.testing.assert_allclose(path[[0, -1]], [start, goal])
+    steps = np.abs(space.difference(path[:-1], path[1:]))
     assert np.all(steps <= spacing(space, weights.shape) * 1.0001)
-    weight = np.array([weights[cell_of(space, weights.shape, point)] for point in way])
+    weight = np.array([weights[cell_of(space, weights.shape, point)] for point in path])
     cost = np.sum(np.linalg.norm(steps, axis=1) * (weight[:-1] + weight[1:]) / 2.0)
     assert cost == pytest.approx(tree.costs[cell_of(space, weights.shape, start)])
 
@@ -81,14 +81,14 @@ def test_where_no_way_leads_there_is_none():
     weights[2], weights[6] = np.inf, np.inf
     inside, outside = centres(SPACE, (8, 8))[[4 * 8, 0]]
     tree = paths_to(SPACE, weights, inside)
-    assert tree.way(outside) is None
-    assert tree.way(inside).shape == (1, 2)
+    assert tree.path(outside) is None
+    assert tree.path(inside).shape == (1, 2)
     assert np.isinf(paths_to(SPACE, weights, centres(SPACE, (8, 8))[2 * 8]).costs).all()
 
 
 def test_three_joints_are_searched_alike():
     space = JointSpace((-np.pi,) * 3, (np.pi,) * 3, (True,) * 3)
     tree = paths_to(space, np.ones((12, 12, 12)), (3.0, 3.0, 3.0))
-    way = tree.way((-3.0, -3.0, -3.0))
+    path = tree.path((-3.0, -3.0, -3.0))
     # One step across all three seams at once.
-    assert len(way) == 2
+    assert len(path) == 2

@@ -64,10 +64,10 @@ def test_colours_are_kept_whatever_their_order(page: dict[str, Any]) -> None:
 
 def test_a_turn_across_the_seam_goes_the_shorter_way_and_takes_its_time(page: dict[str, Any]) -> None:
     node = page["Planner"]("http://127.0.0.1:9", ["joint"], speed_rad_s=0.5)
-    way = node.trajectory(np.array([[3.0], [-3.0], [-2.0]]))
-    angles = [point.positions[0] for point in way.points]
+    path = node.trajectory(np.array([[3.0], [-3.0], [-2.0]]))
+    angles = [point.positions[0] for point in path.points]
     assert np.allclose(angles, [3.0, 2 * np.pi - 3.0, 2 * np.pi - 2.0])
-    times = [point.time_from_start.sec + point.time_from_start.nanosec * 1e-9 for point in way.points]
+    times = [point.time_from_start.sec + point.time_from_start.nanosec * 1e-9 for point in path.points]
     assert np.allclose(times, [0.0, 2 * (2 * np.pi - 6.0), 2 * (2 * np.pi - 6.0) + 2.0])
 
 

@@ -39,7 +39,7 @@ def watched_jobs(monkeypatch: pytest.MonkeyPatch) -> tuple[Callable[[], bool], C
     """Whether a request was announced as long, and how often others might have had its job."""
     rows: list[float] = []
     parts: list[Job] = []
-    spend, between = Job.spend, Job.check_cancelled
+    spend, check_cancelled = Job.spend, Job.check_cancelled
 
     def spending(job: Job, more: float) -> None:
         rows.append(more)
@@ -47,7 +47,7 @@ def watched_jobs(monkeypatch: pytest.MonkeyPatch) -> tuple[Callable[[], bool], C
 
     def counted(job: Job) -> None:
         parts.append(job)
-        between(job)
+        check_cancelled(job)
 
     monkeypatch.setattr(Job, "spend", spending)
     monkeypatch.setattr(Job, "check_cancelled", counted)

@@ -107,7 +107,7 @@ def test_json_and_a_form_are_answered_alike(api, bundle):
     plain = api.post("/validity", json=body).json()
     for name in ("confidence", "unseen"):
         assert form[name] == plain[name]
-    expected = bundle.believe(as_read(bundle, state=STATE), ROWS.astype(np.float32))
+    expected = bundle.predict(as_read(bundle, state=STATE), ROWS.astype(np.float32))
     np.testing.assert_array_equal(np.array(form["confidence"], np.float32), expected[0])
     single = body | {"image": body["image"][0], "camera": CAMERAS[0]}
     assert api.post("/validity", json=single).status_code == 200
@@ -164,7 +164,7 @@ def test_an_array_has_the_unseen_share_in_its_second_column(api, bundle):
     data["configurations"] = json.dumps(ROWS.tolist())
     answer = api.post("/validity", files=files, data=data, headers={"accept": "application/x-npy"})
     columns = np.frombuffer(answer.content[-ROWS.size // 7 * 8 :], "<f4").reshape(-1, 2)
-    np.testing.assert_array_equal(columns.T, bundle.believe(as_read(bundle), ROWS.astype(np.float32)))
+    np.testing.assert_array_equal(columns.T, bundle.predict(as_read(bundle), ROWS.astype(np.float32)))
 
 
 def test_where_the_arm_is_changes_what_is_seen(api):
@@ -222,10 +222,10 @@ def test_a_way_is_planned_in_what_depth_pictures_show(api, bundle):
     assert 0.0 <= min(told["unseen"]) <= max(told["unseen"]) <= 1.0
     assert told["joint_space"]["kind"] == "box"
     ends = np.asarray(told["path"], np.float32)
-    believed = bundle.believe(as_read(bundle, state=STATE), ends)[0]
+    alternative = bundle.predict(as_read(bundle, state=STATE), ends)[0]
     edges = np.asarray(told["edges"])
-    assert (edges <= believed[1:] + 1e-5).all()
-    assert (edges <= believed[:-1] + 1e-5).all()
+    assert (edges <= alternative[1:] + 1e-5).all()
+    assert (edges <= alternative[:-1] + 1e-5).all()
 
 
 def test_the_search_for_a_view_knows_from_where_the_pictures_are():

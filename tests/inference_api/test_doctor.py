@@ -86,14 +86,14 @@ def test_a_diagnosis_ends_where_the_client_has_left() -> None:
 
     calls = 0
 
-    def between() -> None:
+    def check_cancelled() -> None:
         nonlocal calls
         calls += 1
         if calls == 60:
             raise LeftError
 
     with pytest.raises(LeftError):
-        WORLD.diagnosed(VIEW, between)
+        WORLD.diagnosed(VIEW, check_cancelled)
 
 
 def test_the_client_reads_a_diagnosis(api: ApiClient) -> None:

@@ -64,11 +64,11 @@ def test_all_ways_that_are_sure_enough_come_where_they_are_asked_for(api):
     assert {name: ways[0][name] for name in ("path", "confidence", "edges")} == {
         name: plain[name] for name in ("path", "confidence", "edges")
     }
-    sure = [way["confidence"] for way in ways]
+    sure = [path["confidence"] for path in ways]
     assert len(sure) == 4
     assert sure == sorted(sure, reverse=True)
     some = ask(api, alternatives=True, min_confidence=sure[3]).json()["alternatives"]
-    assert [way["confidence"] for way in some] == [one for one in sure if one >= sure[3]]
+    assert [path["confidence"] for path in some] == [one for one in sure if one >= sure[3]]
     assert ask(api, alternatives=True, min_confidence=min(1.0, sure[0] + 1e-3)).json()["alternatives"] == []
 
 

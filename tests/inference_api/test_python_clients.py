@@ -58,8 +58,8 @@ def test_beliefs_are_those_of_the_model(api, kind):
 def test_a_way_comes_as_the_api_tells_it(api, kind):
     found = ask(kind, IntoApp(api), "plan", PNG, QUERY, CAREFUL)
     assert (found.plan.status, found.reason, found.seed) == ("solved", None, 3)
-    assert np.allclose(found.plan.way[[0, -1]], [START, GOAL], atol=1e-6)
-    assert len(found.plan.edges) == len(found.plan.way) - 1
+    assert np.allclose(found.plan.path[[0, -1]], [START, GOAL], atol=1e-6)
+    assert len(found.plan.edges) == len(found.plan.path) - 1
     assert found.plan.least.confidence == pytest.approx(float(found.plan.edges.min()), abs=1e-6)
     expected = {name: value for name, value in asdict(WORLD.space).items() if name != "names"}
     assert asdict(found.model.space) == expected
@@ -70,7 +70,7 @@ def test_all_ways_come_with_what_is_believed_of_them(api, kind):
     query = replace(QUERY, alternatives=True, next_view=True)
     plan = ask(kind, IntoApp(api), "plan", PNG, query, CAREFUL).plan
     assert len(plan.alternatives) == plan.found == 4
-    np.testing.assert_array_equal(plan.alternatives[0].way, plan.way)
+    np.testing.assert_array_equal(plan.alternatives[0].path, plan.path)
     assert plan.next_view is None
     empty = {"path": [], "confidence": 1.0, "edges": []}
     with pytest.raises(SamplerAnswerError, match="no whole way"):
@@ -81,7 +81,7 @@ def test_all_ways_come_with_what_is_believed_of_them(api, kind):
 def test_what_is_not_sure_enough_comes_with_the_reason(api, kind):
     query = PlanQuery(START, GOAL, seed=3, min_confidence=1.0, time_limit_s=10.0)
     found = ask(kind, IntoApp(api), "plan", PNG, query, CAREFUL)
-    assert (found.plan.status, len(found.plan.way)) == ("refused", 0)
+    assert (found.plan.status, len(found.plan.path)) == ("refused", 0)
     assert f"{found.plan.confidence:.3f}" in found.reason
 
 

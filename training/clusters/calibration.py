@@ -240,7 +240,7 @@ def _risks(scenes: Sequence[Scored], threshold: float) -> NDArray[np.float64]:
 
 # Of problems, apart from those that the evaluator draws.
 SEED = 46
-# A way is judged at half of what planners look at.
+# A path is judged at half of what planners look at.
 _FINER = 0.5
 # How hard (a, b) is pulled to (0, 1), in plans.
 _PULL = 4.0
@@ -249,14 +249,14 @@ _LEAST = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class Planned:
-    """The surest ways of validation problems.
+    """The surest paths of validation problems.
 
     Args:
-        doubt: (n,) of each, see :mod:`cspace.planning.cost`.
+        cost: (n,) of each, see :mod:`cspace.planning.cost`.
         free: (n,) whether it is, in truth.
     """
 
-    doubt: NDArray[np.float64]
+    cost: NDArray[np.float64]
     free: NDArray[np.bool_]
 
 
@@ -304,37 +304,37 @@ def planned(bundle: Bundle, world: World, problems: int) -> Planned:
     """
     shop = simulator_of(world)
     families, measures = shop.families.solvable, shop.measures
-    doubts, free = [], []
+    costs, free = [], []
     for number in range(problems):
         family, index = families[number % len(families)], number // len(families)
         problem = shop.problem(family, Split.VALIDATION, SEED, index)
         start, goal = (tuple(float(angle) for angle in end) for end in (problem.start, problem.goal))
         query = PlanQuery(start, goal, number, 0.0, math.inf)
         found = bundle.plan(bundle.prepare(picture_of(problem.scenario)), query)
-        if not len(found.way):
+        if not len(found.path):
             continue
-        states = spaced(found.way, world.space, _FINER * measures.resolution_rad)
-        doubts.append(found.doubt)
+        states = spaced(found.path, world.space, _FINER * measures.resolution_rad)
+        costs.append(found.cost)
         free.append(bool(checker_of(problem.scenario).valid_batch(states).all()))
-    return Planned(np.array(doubts, dtype=np.float64), np.array(free, dtype=np.bool_))
+    return Planned(np.array(costs, dtype=np.float64), np.array(free, dtype=np.bool_))
 
 
 def fit_plan_doubt(plans: Planned) -> PlanDoubt | None:
     """Fit, and measure; None where there are too few plans to say anything."""
-    fits = np.arange(len(plans.doubt)) % 3 < 2
+    fits = np.arange(len(plans.cost)) % 3 < 2
     if not fits.any() or fits.all():
         return None
-    doubt, free = np.maximum(plans.doubt, _LEAST), plans.free
+    cost, free = np.maximum(plans.cost, _LEAST), plans.free
 
     def loss(parameters: NDArray[np.float64]) -> float:
-        sure = confidence_of_cost(doubt[fits], (parameters[0], parameters[1]))
+        sure = confidence_of_cost(cost[fits], (parameters[0], parameters[1]))
         sure = np.clip(sure, _LEAST, 1.0 - _LEAST)
         pull = _PULL * (parameters[0] ** 2 + (parameters[1] - 1.0) ** 2)
         return float(pull - np.where(free[fits], np.log(sure), np.log1p(-sure)).sum())
 
     found = minimize(loss, np.array([0.0, 1.0]), method="L-BFGS-B", bounds=[(-10.0, 10.0), (0.05, 10.0)])
     parameters = (float(found.x[0]), float(found.x[1]))
-    others, in_truth = doubt[~fits], free[~fits]
+    others, in_truth = cost[~fits], free[~fits]
     return PlanDoubt(
         parameters=parameters,
         fitted=int(fits.sum()),

@@ -12,7 +12,7 @@ from PIL import Image
 from cspace.errors import ImageError
 from cspace.png import PngHeader, canonical_png, encode_png, opened, read_header
 from cspace.strict_json import settle, written
-from cspace.world import Between
+from cspace.world import CheckCancelled
 
 MIN_SIDE = 16
 MAX_SIDE = 2048
@@ -20,7 +20,9 @@ MAX_SIDE = 2048
 _BAND = 128
 
 
-def decode_png(data: bytes, pixels: int = 48, between: Between | None = None) -> NDArray[np.uint8]:
+def decode_png(
+    data: bytes, pixels: int = 48, check_cancelled: CheckCancelled | None = None
+) -> NDArray[np.uint8]:
     """An untrusted PNG as (pixels, pixels, 3) uint8.
 
     RGB as it is, RGBA over white, grey and palette as RGB; resized by area averaging.
@@ -28,7 +30,7 @@ def decode_png(data: bytes, pixels: int = 48, between: Between | None = None) ->
     Args:
         data: the file's bytes.
         pixels: side of the result.
-        between: called between the parts of a large picture; what it raises passes through.
+        check_cancelled: called between the parts of a large picture; what it raises passes through.
 
     Raises:
         ImageError: not a PNG, 16-bit, animated, not square, below 16 or above 2048 pixels, or damaged.
@@ -38,7 +40,7 @@ def decode_png(data: bytes, pixels: int = 48, between: Between | None = None) ->
     content = canonical_png(data, header)
     if header.width == pixels:
         return next(_decoded(content, header.width))[1]
-    return _average(_decoded(content, _BAND), header.width, pixels, between)
+    return _average(_decoded(content, _BAND), header.width, pixels, check_cancelled)
 
 
 def to_network(images: NDArray[np.uint8]) -> NDArray[np.float32]:
@@ -88,15 +90,18 @@ def _decoded(content: bytes, width: int) -> Iterator[tuple[slice, NDArray[np.uin
 
 
 def _average(
-    bands: Iterable[tuple[slice, NDArray[np.uint8]]], side: int, pixels: int, between: Between | None
+    bands: Iterable[tuple[slice, NDArray[np.uint8]]],
+    side: int,
+    pixels: int,
+    check_cancelled: CheckCancelled | None,
 ) -> NDArray[np.uint8]:
     """Area averaging: every target pixel is the mean of the source area that it covers."""
     weights = _overlap(side, pixels)
     rows = np.empty((pixels, side, 3), dtype=np.float32)
     for columns, band in bands:
         rows[:, columns] = np.tensordot(weights, band.astype(np.float32), axes=(1, 0))
-        if between is not None:
-            between()
+        if check_cancelled is not None:
+            check_cancelled()
     both: NDArray[np.float32] = np.tensordot(weights, rows, axes=(1, 1)).transpose(1, 0, 2)
     rounded = np.clip(np.floor(both + np.float32(0.5)), 0, 255)
     return np.asarray(rounded, dtype=np.uint8)
@@ -149,9 +154,9 @@ class Camera:
         """Left, right, bottom and top of the picture."""
         return (self.x_min_m, self.x_max_m, self.y_min_m, self.y_max_m)
 
-    def decode(self, data: bytes, between: Between | None = None) -> NDArray[np.uint8]:
+    def decode(self, data: bytes, check_cancelled: CheckCancelled | None = None) -> NDArray[np.uint8]:
         """See :func:`cspace.worlds.planar.camera.decode_png`."""
-        return decode_png(data, self.pixels, between)
+        return decode_png(data, self.pixels, check_cancelled)
 
     def encode(self, image: NDArray[np.uint8]) -> bytes:
         """See :func:`cspace.png.encode_png`."""

@@ -55,7 +55,7 @@ class PathTree:
     costs: NDArray[np.float64]
     parents: NDArray[np.int64]
 
-    def way(self, start: ArrayLike) -> NDArray[np.float64] | None:
+    def path(self, start: ArrayLike) -> NDArray[np.float64] | None:
         """Centres of the cells from that of ``start`` (d,) to the goal's, (k, d) rad; None without a way."""
         at = int(np.ravel_multi_index(cell_of(self.space, self.costs.shape, start), self.costs.shape))
         if not np.isfinite(self.costs.flat[at]):
@@ -328,7 +328,7 @@ class PathFinder:
         Every edge is free at the resolution. A way of the grid whose cells are free and whose edges are not
         is no path, so that a passage finer than a cell may be missed; one that is found is always free.
         """
-        way = self._tree.way(start)
+        way = self._tree.path(start)
         if way is None:
             return None
         corners = np.concatenate([[self._space.wrap(start)], way[1:-1], [self._goal]])

@@ -14,7 +14,7 @@ from cspace.simulator import Split, scenario_rng
 from cspace.space import JointSpace
 from cspace.strict_json import read_mapping, read_members, read_object, settle
 from cspace.view_file import is_view
-from cspace.world import Arrays, Between, Diagnosis, Examined, Finding, Levers, TensorInput, World
+from cspace.world import Arrays, CheckCancelled, Diagnosis, Examined, Finding, Levers, TensorInput, World
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK, JointLimits, PlanarArm, levers
 from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.scenes import MAX_GIVEN, DiscScenes, GivenScenes, Scenes, read_scenes
@@ -57,7 +57,7 @@ class PlanarWorld:
         """See :meth:`cspace.world.World.pixels_of`; a view's are none, for it is refused."""
         return 0 if is_view(data) else read_header(data).pixels
 
-    def read_picture(self, data: bytes, between: Between | None = None) -> NDArray[np.uint8]:
+    def read_picture(self, data: bytes, check_cancelled: CheckCancelled | None = None) -> NDArray[np.uint8]:
         """See :func:`cspace.worlds.planar.camera.decode_png`."""
         if is_view(data):
             raise ImageError(
@@ -65,29 +65,31 @@ class PlanarWorld:
                 expected="a picture alone",
                 remedy="leave camera and state out",
             )
-        return self.sensor.decode(data, between)
+        return self.sensor.decode(data, check_cancelled)
 
     @property
     def tensors(self) -> tuple[TensorInput, ...]:
         """Pictures as they are, one for each answer."""
         return (TensorInput(_IMAGE, "uint8", ("b", *self.sensor.picture_shape), MAX_PICTURES),)
 
-    def read_tensors(self, tensors: Arrays, between: Between | None = None) -> NDArray[np.uint8]:
+    def read_tensors(
+        self, tensors: Arrays, check_cancelled: CheckCancelled | None = None
+    ) -> NDArray[np.uint8]:
         """The only one of them."""
-        del between
+        del check_cancelled
         return np.asarray(tensors[_IMAGE], dtype=np.uint8)
 
-    def examine_picture(self, data: bytes, between: Between | None = None) -> Examined:
+    def examine_picture(self, data: bytes, check_cancelled: CheckCancelled | None = None) -> Examined:
         """Nothing is said of what a camera above the plane sees."""
-        return Examined(self.read_picture(data, between)[None])
+        return Examined(self.read_picture(data, check_cancelled)[None])
 
-    def examine_tensors(self, tensors: Arrays, between: Between | None = None) -> Examined:
+    def examine_tensors(self, tensors: Arrays, check_cancelled: CheckCancelled | None = None) -> Examined:
         """Likewise."""
-        return Examined(self.read_tensors(tensors, between))
+        return Examined(self.read_tensors(tensors, check_cancelled))
 
-    def diagnosis(self, data: bytes, between: Between | None = None) -> Diagnosis:
+    def diagnosis(self, data: bytes, check_cancelled: CheckCancelled | None = None) -> Diagnosis:
         """Nothing but that the picture can be read."""
-        self.read_picture(data, between)
+        self.read_picture(data, check_cancelled)
         return Diagnosis()
 
     def least_novelty(self, image: NDArray[np.uint8]) -> float:

@@ -13,7 +13,7 @@ from PIL import Image
 from cspace.errors import ImageError, ScenarioError
 from cspace.png import PngHeader, canonical_png, damaged, opened, read_header
 from cspace.strict_json import read_object, settle, written
-from cspace.world import Between
+from cspace.world import CheckCancelled
 from cspace.worlds.spatial.poses import HERE, Pose, check_pose, make_pose, pose_of
 
 MIN_SIDE, MAX_SIDE = 16, 2048
@@ -235,12 +235,12 @@ _PASSES = (
 )  # fmt: skip
 
 
-def decode_depth(data: bytes, between: Between = lambda: None) -> NDArray[np.uint16]:
+def decode_depth(data: bytes, check_cancelled: CheckCancelled = lambda: None) -> NDArray[np.uint16]:
     """An untrusted PNG as (H, W) uint16, mm along the optical axis, 0 where there is no reading.
 
     Args:
         data: the file's bytes.
-        between: called between the parts of the work; what it raises passes through.
+        check_cancelled: called between the parts of the work; what it raises passes through.
 
     Raises:
         ImageError: not a PNG, not 16-bit grey, animated, below 16 or above 2048 pixels on a side, or damaged.
@@ -249,7 +249,7 @@ def decode_depth(data: bytes, between: Between = lambda: None) -> NDArray[np.uin
     _check(header)
     content = canonical_png(data, header)
     _check_length(content, header)
-    between()
+    check_cancelled()
     with opened(content) as picture:
         depth = np.array(picture)
     if depth.shape != (header.height, header.width):

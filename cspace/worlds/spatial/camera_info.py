@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cspace.errors import ImageError, ScenarioError
-from cspace.world import Between
+from cspace.world import CheckCancelled
 from cspace.worlds.spatial.camera import DepthCamera
 from cspace.worlds.spatial.depth_files import read_number
 from cspace.worlds.spatial.poses import Pose, check_pose, pose_of, quaternion_pose
@@ -189,7 +189,7 @@ def undistorted(
     picture: NDArray[np.uint16],
     camera: DepthCamera,
     distortion: tuple[float, ...],
-    between: Between = lambda: None,
+    check_cancelled: CheckCancelled = lambda: None,
 ) -> NDArray[np.uint16]:
     """The picture that the camera would take without its lens's distortion.
 
@@ -200,7 +200,7 @@ def undistorted(
         picture: (H, W), depth along the optical axis.
         camera: of it.
         distortion: k1, k2, p1, p2, k3, k4, k5, k6 as far as there are; none leaves the picture as it is.
-        between: called between parts of some ms; what it raises passes through.
+        check_cancelled: called between parts of some ms; what it raises passes through.
 
     Raises:
         ImageError: the distortion folds the picture over.
@@ -238,5 +238,5 @@ def undistorted(
             np.where(inside, rows, 0).astype(np.intp), np.where(inside, columns, 0).astype(np.intp)
         ]
         found[top : top + len(y)] = np.where(inside, source, 0)
-        between()
+        check_cancelled()
     return found

@@ -17,7 +17,7 @@ from PIL import Image
 from cspace.errors import ImageError
 from cspace.files import read_npy
 from cspace.png import read_header
-from cspace.world import Between
+from cspace.world import CheckCancelled
 from cspace.worlds.spatial.camera import (
     MAX_SIDE,
     MIN_SIDE,
@@ -42,7 +42,7 @@ _MAX_MM = 65_535
 
 
 def read_depth(
-    data: bytes, depth_scale_m: object = None, between: Between = lambda: None
+    data: bytes, depth_scale_m: object = None, check_cancelled: CheckCancelled = lambda: None
 ) -> NDArray[np.uint16]:
     """An untrusted depth picture as (H, W) uint16, mm along the optical axis, 0 where there is no reading.
 
@@ -50,16 +50,16 @@ def read_depth(
         data: a 16-bit grey PNG; or float32, as a TIFF or a ``.npy`` file of shape (H, W), in which NaN,
             infinity and what is not above 0 are no reading.
         depth_scale_m: metres per unit, of plain values; None for mm in a PNG and metres in a file of floats.
-        between: called between the parts of the work; what it raises passes through.
+        check_cancelled: called between the parts of the work; what it raises passes through.
 
     Raises:
         ImageError: the file is none of these, damaged, or below 16 or above 2048 pixels on a side, or the
             scale is no number from 1e-6 to 1.
     """
     if data.startswith(_PNG):
-        return in_mm(decode_depth(data, between), depth_scale_m)
+        return in_mm(decode_depth(data, check_cancelled), depth_scale_m)
     depth = _read_npy(data) if data.startswith(_NPY) else _read_tiff(data)
-    between()
+    check_cancelled()
     scale = METRES if depth_scale_m is None else read_number(depth_scale_m, "depth_scale_m")
     check_scale(scale)
     return rounded_mm(depth, scale)

@@ -6,7 +6,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from cspace.world import Between
+from cspace.world import CheckCancelled
 from cspace.worlds.spatial.camera import DepthCamera
 from cspace.worlds.spatial.sensor import DISTANCE_STEP_M, FARTHEST, GridBox
 
@@ -69,22 +69,24 @@ def patches(depth_m: NDArray[np.float32], camera: DepthCamera, grid: GridBox) ->
     return found.chosen(_firsts(found.points, grid.voxel_m / CELL_M, edge))
 
 
-def distance_codes(found: Patches, grid: GridBox, between: Between = lambda: None) -> NDArray[np.uint8]:
+def distance_codes(
+    found: Patches, grid: GridBox, check_cancelled: CheckCancelled = lambda: None
+) -> NDArray[np.uint8]:
     """From each voxel's centre to the nearest patch, (X, Y, Z), in :data:`DISTANCE_STEP_M`, rounded.
 
     Args:
         found: the patches.
         grid: of the voxels.
-        between: called between parts of some ms; what it raises passes through.
+        check_cancelled: called between parts of some ms; what it raises passes through.
     """
     codes = np.full(grid.counts, FARTHEST, dtype=np.uint8)
     for first in range(0, found.points.shape[1], _AT_ONCE):
         some = found.chosen(slice(first, first + _AT_ONCE))
-        np.minimum(codes, _codes(some, grid, between), out=codes)
+        np.minimum(codes, _codes(some, grid, check_cancelled), out=codes)
     return codes
 
 
-def _codes(found: Patches, grid: GridBox, between: Between) -> NDArray[np.uint8]:
+def _codes(found: Patches, grid: GridBox, check_cancelled: CheckCancelled) -> NDArray[np.uint8]:
     """The same of so few patches that their numbers have room in a key."""
     codes = np.full(int(np.prod(grid.counts)), FARTHEST, dtype=np.uint8)
     limit = TRUNCATION_M / grid.voxel_m
@@ -92,7 +94,7 @@ def _codes(found: Patches, grid: GridBox, between: Between) -> NDArray[np.uint8]
     room = 2 * _pad(limit)
     nearest = np.full([count + 2 * room for count in grid.counts], _NONE)
     scale = np.float32((1 << (32 - _ID_BITS)) - 1) / np.float32((limit + 2.0) ** 2)
-    _spread(nearest, found.points, limit, scale, between)
+    _spread(nearest, found.points, limit, scale, check_cancelled)
     inner = tuple(slice(room, -room) for _ in range(3))
     keys = nearest[inner].ravel()
     reached = np.flatnonzero(keys != _NONE)
@@ -198,7 +200,7 @@ def _spread(
     points: NDArray[np.float32],
     limit: float,
     scale: np.float32,
-    between: Between,
+    check_cancelled: CheckCancelled,
 ) -> None:
     """Let every voxel have the least key of the points in the cells that are near to its centre.
 
@@ -222,7 +224,7 @@ def _spread(
         )
         index = start + (np.arange(-reach, reach + 1) + (x * across + y) * up)[:, None]
         np.minimum.at(flat, index.ravel(), key.ravel())
-        between()
+        check_cancelled()
 
 
 def _pad(limit: float) -> int:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cspace.errors import ImageError
-from cspace.world import Between, Diagnosis, Finding, SuggestedPose
+from cspace.world import CheckCancelled, Diagnosis, Finding, SuggestedPose
 from cspace.worlds.spatial.arm import SerialArm
 from cspace.worlds.spatial.camera import DepthCamera, in_range
 from cspace.worlds.spatial.camera_info import OPTICAL_IN_BODY
@@ -93,7 +93,7 @@ def diagnosed(
     view: DepthView,
     spheres: NDArray[np.float64] | None,
     cheap: Sequence[Finding],
-    between: Between,
+    check_cancelled: CheckCancelled,
 ) -> Diagnosis:
     """Looks closely at a view.
 
@@ -103,30 +103,30 @@ def diagnosed(
         view: as it came.
         spheres: (S, 4) of the arm at its state; None where that is not known.
         cheap: findings of :func:`cspace.worlds.spatial.diagnostics.diagnose`.
-        between: called between parts of some ms; what it raises passes through.
+        check_cancelled: called between parts of some ms; what it raises passes through.
     """
     findings, shots = list(cheap), list[_Shot]()
     notes, poses = list[str](), list[SuggestedPose]()
     for number, (picture, camera) in enumerate(zip(view.pictures, view.cameras, strict=True)):
-        between()
+        check_cancelled()
         smaller, own = reduced(np.where(in_range(picture), picture, np.uint16(0)), camera)
         shot = _Shot(number, _metres(smaller), own)
         notes.append(_described(shot, sensor))
         findings += _of_readings(shot)
         rest_m = shot.depth_m
         if spheres is None:
-            findings += _of_base(shot, arm, between)
+            findings += _of_base(shot, arm, check_cancelled)
         else:
-            found = _of_arm(shot, arm, spheres, between)
+            found = _of_arm(shot, arm, spheres, check_cancelled)
             findings += found.findings
             notes += found.notes
             poses += found.poses
-            rest_m = _metres(self_filter(smaller, own, spheres, between=between).depth_mm)
+            rest_m = _metres(self_filter(smaller, own, spheres, check_cancelled=check_cancelled).depth_mm)
             if not found.findings:
-                findings += _of_rest(shot, rest_m, arm, spheres, between)
+                findings += _of_rest(shot, rest_m, arm, spheres, check_cancelled)
         notes += _of_level(replace(shot, depth_m=rest_m))
         shots.append(shot)
-    findings += _of_pairs(shots, between)
+    findings += _of_pairs(shots, check_cancelled)
     return Diagnosis(tuple(_merged(findings)), tuple(notes), tuple(poses))
 
 
@@ -171,13 +171,15 @@ def _of_readings(shot: _Shot) -> Iterable[Finding]:
         )
 
 
-def _of_arm(shot: _Shot, arm: SerialArm, spheres: NDArray[np.float64], between: Between) -> Diagnosis:
-    told = arm_match(shot.depth_m, shot.camera, spheres, between)
+def _of_arm(
+    shot: _Shot, arm: SerialArm, spheres: NDArray[np.float64], check_cancelled: CheckCancelled
+) -> Diagnosis:
+    told = arm_match(shot.depth_m, shot.camera, spheres, check_cancelled)
     if told.pixels < _FEW_PIXELS or told.agree < _DISAGREES:
-        instead = _instead(shot, spheres, told, between)
+        instead = _instead(shot, spheres, told, check_cancelled)
         if instead is not None:
             return instead
-    fit = fit_pose(shot.depth_m, shot.camera, spheres, between)
+    fit = fit_pose(shot.depth_m, shot.camera, spheres, check_cancelled)
     if (
         fit is not None
         and any(fit.shift_m > shift_m and fit.after_m < closer * fit.before_m for shift_m, closer in _OFF)
@@ -189,7 +191,7 @@ def _of_arm(shot: _Shot, arm: SerialArm, spheres: NDArray[np.float64], between: 
     ):
         return _off(shot, fit.camera, fit.before_m, fit.after_m)
     inner = np.column_stack([spheres[:, :3], np.maximum(spheres[:, 3] - _RIM_M, 1e-3)])
-    moving = arm_match(shot.depth_m, shot.camera, inner[arm.sphere_links() > 1], between)
+    moving = arm_match(shot.depth_m, shot.camera, inner[arm.sphere_links() > 1], check_cancelled)
     for match in (moving, told):
         if match.pixels < _FEW_PIXELS or match.through < _SEEN_THROUGH:
             continue
@@ -207,18 +209,20 @@ def _of_arm(shot: _Shot, arm: SerialArm, spheres: NDArray[np.float64], between: 
     return Diagnosis((), (f"picture {shot.number}: {noted}",))
 
 
-def _instead(shot: _Shot, spheres: NDArray[np.float64], told: ArmMatch, between: Between) -> Diagnosis | None:
+def _instead(
+    shot: _Shot, spheres: NDArray[np.float64], told: ArmMatch, check_cancelled: CheckCancelled
+) -> Diagnosis | None:
     """The usual mistake that explains where the arm is seen, if one does."""
     tried: list[tuple[float, Diagnosis]] = []
     for code, (what, remedy, turned) in _INSTEAD.items():
         camera = replace(shot.camera, pose=pose_of(turned(shot.camera.matrix)))
-        found = arm_match(shot.depth_m, camera, spheres, between)
+        found = arm_match(shot.depth_m, camera, spheres, check_cancelled)
         if _explains(found, told):
             seen = f"{what}: so the arm is seen where it is on {found.agree:.0%} of its pixels"
             one = Finding(code, seen, _WRONG_PLACE, remedy, (shot.number,))
             tried.append((found.quality, Diagnosis((one,), (), (_suggested(shot, camera),))))
     for words, scale in _SCALES.items():
-        found = arm_match(shot.depth_m * scale, shot.camera, spheres, between)
+        found = arm_match(shot.depth_m * scale, shot.camera, spheres, check_cancelled)
         if _explains(found, told):
             remedy = f"multiply depth_scale_m by {scale:g} (send {1e-3 * scale:g} if none was sent)"
             one = Finding(
@@ -265,12 +269,12 @@ def _of_rest(
     rest_m: NDArray[np.float64],
     arm: SerialArm,
     spheres: NDArray[np.float64],
-    between: Between,
+    check_cancelled: CheckCancelled,
 ) -> Iterable[Finding]:
     """Readings that the self filter leaves close round the arm's moving parts."""
     moving = spheres[arm.sphere_links() > 0]
     points = shot.camera.points_m(rest_m)[rest_m > 0.0]
-    left = len(near_arm(points, moving, SLACK_M + _LEFT_M, between))
+    left = len(near_arm(points, moving, SLACK_M + _LEFT_M, check_cancelled))
     if left > max(15, _LEFT_SHARE * rest_m.size):
         yield Finding(
             "arm-pixels-left",
@@ -281,19 +285,19 @@ def _of_rest(
         )
 
 
-def _of_base(shot: _Shot, arm: SerialArm, between: Between) -> Iterable[Finding]:
+def _of_base(shot: _Shot, arm: SerialArm, check_cancelled: CheckCancelled) -> Iterable[Finding]:
     """Whether the part of an arm that stands still is in a picture without ``state``."""
     still = arm.sphere_links() == 0
     base = np.column_stack([arm.sphere_centres_m([np.zeros(arm.dim)])[0], arm.spheres_m()[:, 3]])[still]
-    match = arm_match(shot.depth_m, shot.camera, base, between)
+    match = arm_match(shot.depth_m, shot.camera, base, check_cancelled)
     if match.pixels >= _FEW_PIXELS / 3 and match.agree >= _EXPLAINS:
         yield arm_in_picture(f"the arm's base is seen on {match.pixels} pixels, and no `state` was sent")
 
 
-def _of_pairs(shots: Sequence[_Shot], between: Between) -> Iterable[Finding]:
+def _of_pairs(shots: Sequence[_Shot], check_cancelled: CheckCancelled) -> Iterable[Finding]:
     """Pictures that see through what others show."""
     for one, other in permutations(shots, 2):
-        between()
+        check_cancelled()
         places = other.camera.project(one.camera.points_m(one.depth_m)[one.depth_m > 0.0])
         places = places[other.camera.shows(places)]
         columns, rows = np.rint(places[:, :2]).astype(int).T

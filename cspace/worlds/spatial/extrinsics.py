@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from cspace.world import Between
+from cspace.world import CheckCancelled
 from cspace.worlds.spatial.camera import DepthCamera
 from cspace.worlds.spatial.poses import make_pose, moved, pose_of, turn
 from cspace.worlds.spatial.visibility import arm_depth_m
@@ -50,10 +50,13 @@ class ArmMatch:
 
 
 def arm_match(
-    depth_m: Depth, camera: DepthCamera, spheres: NDArray[np.float64], between: Between = lambda: None
+    depth_m: Depth,
+    camera: DepthCamera,
+    spheres: NDArray[np.float64],
+    check_cancelled: CheckCancelled = lambda: None,
 ) -> ArmMatch:
     """Compares a picture (H, W) m, 0 = no reading, with spheres (S, 4) m that cover the arm."""
-    rendered = arm_depth_m(camera, spheres, between)
+    rendered = arm_depth_m(camera, spheres, check_cancelled)
     inner = _eroded(np.isfinite(rendered))
     read = inner & (depth_m > 0.0)
     gap = (depth_m - rendered)[read]
@@ -94,7 +97,10 @@ class PoseFit:
 
 
 def fit_pose(
-    depth_m: Depth, camera: DepthCamera, spheres: NDArray[np.float64], between: Between = lambda: None
+    depth_m: Depth,
+    camera: DepthCamera,
+    spheres: NDArray[np.float64],
+    check_cancelled: CheckCancelled = lambda: None,
 ) -> PoseFit | None:
     """Moves a camera until its readings near the arm lie on the arm's surface.
 
@@ -106,7 +112,7 @@ def fit_pose(
         depth_m: (H, W), 0 = no reading.
         camera: as told.
         spheres: (S, 4) that cover the arm as it stands.
-        between: called between steps; what it raises passes through.
+        check_cancelled: called between steps; what it raises passes through.
 
     Returns:
         None where too few readings lie near the arm.
@@ -118,11 +124,11 @@ def fit_pose(
         if offset_m.any() and best is not None and best.match.agree >= _FITS:
             break
         begin = make_pose(np.eye(3), camera.matrix[:3, :3] @ offset_m)
-        points = near_arm(moved(begin, read), spheres, _GATES_M[0], between) - begin[:3, 3]
+        points = near_arm(moved(begin, read), spheres, _GATES_M[0], check_cancelled) - begin[:3, 3]
         points = points[:: max(1, -(-len(points) // _MOST_POINTS))]
         if len(points) < _FEWEST_POINTS:
             continue
-        fit = _fit(depth_m, camera, spheres, points, _GATES_M[first:], begin, between)
+        fit = _fit(depth_m, camera, spheres, points, _GATES_M[first:], begin, check_cancelled)
         if fit is not None and (best is None or fit.match.quality > best.match.quality):
             best = fit
     return best
@@ -132,14 +138,14 @@ def near_arm(
     points_m: NDArray[np.float64],
     spheres: NDArray[np.float64],
     within_m: float,
-    between: Between = lambda: None,
+    check_cancelled: CheckCancelled = lambda: None,
 ) -> NDArray[np.float64]:
     """Those of points (N, 3) whose distance to the surface of spheres (S, 4) is below ``within_m``."""
     kept = [points_m[:0]]
     if not len(spheres):
         return kept[0]
     for some in np.array_split(points_m, -(-len(points_m) * len(spheres) // _AT_ONCE) or 1):
-        between()
+        check_cancelled()
         kept.append(some[np.abs(_to_surface(some, spheres)[0]) < within_m])
     return np.concatenate(kept)
 
@@ -151,12 +157,12 @@ def _fit(
     points: NDArray[np.float64],
     gates_m: Sequence[float],
     motion: NDArray[np.float64],
-    between: Between,
+    check_cancelled: CheckCancelled,
 ) -> PoseFit | None:
     pivot, skin_m = points.mean(axis=0), 0.0
     for gate_m in gates_m:
         for _ in range(_STEPS):
-            between()
+            check_cancelled()
             step, skin_m = _step(moved(motion, points), spheres, gate_m, motion, pivot, skin_m)
             motion = step @ motion
             if np.abs(step - np.eye(4)).max() < 1e-4:
@@ -175,8 +181,8 @@ def _fit(
         float(np.median(before)),
         float(np.median(after[on_arm])),
         int(on_arm.sum()),
-        arm_match(depth_m, camera, shrunk, between),
-        arm_match(depth_m, found, shrunk, between),
+        arm_match(depth_m, camera, shrunk, check_cancelled),
+        arm_match(depth_m, found, shrunk, check_cancelled),
     )
 
 

@@ -1,8 +1,8 @@
-"""Which further depth camera would see most of the space that a way is doubted for. NumPy alone.
+"""Which further depth camera would see most of the space that makes a path uncertain. NumPy alone.
 
-Space in which a camera read nothing is mostly the sky: another picture would read nothing either. A way is
-doubted for what hides behind what was seen, and its neighbours hide there, too: a camera beside one that has
-looked sees past what hid that way alone, and so cameras from elsewhere go first.
+Space in which a camera read nothing is mostly the sky: another picture would read nothing either. A path is
+uncertain for what hides behind what was seen, and its neighbours hide there, too: a camera beside one that has
+looked sees past what hid that path alone, and so cameras from elsewhere go first.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -19,16 +19,16 @@ from cspace.worlds.spatial.sensor import DISTANCE_STEP_M, FREE, NO_READING
 from cspace.worlds.spatial.visibility import lookup
 from cspace.worlds.spatial.world import SpatialWorld
 
-# Cameras about the doubted space: so many to each side, and so many heights.
+# Cameras about the uncertain space: so many to each side, and so many heights.
 _SIDES, _HEIGHTS = 5, 3
 # Nobody puts a camera into the arm, or far below it.
 _OFF_BASE_M, _LOWEST_M = 0.35, 0.1
-# Voxels of doubted space that are looked at, those with most doubt.
+# Voxels of uncertain space that are looked at, those of highest cost.
 _PLACES = 512
 _STEP_M = 0.02
 # A seen surface is met, and so much unseen space hides what is behind it with 1 - 1/e.
 _SURFACE_M, _HIDING_M = 0.02, 0.3
-# About what is doubted, from a camera that has looked to one from elsewhere, at least.
+# About what is uncertain, from a camera that has looked to one from elsewhere, at least.
 _ELSEWHERE_DEG = 45.0
 
 
@@ -36,21 +36,21 @@ def best_view(
     world: SpatialWorld,
     picture: NDArray[np.uint8],
     states: NDArray[np.float64],
-    doubts: NDArray[np.float64],
+    costs: NDArray[np.float64],
     given: Sequence[object],
-    between: Callable[[], None],
+    check_cancelled: Callable[[], None],
     seen_by: Sequence[Mapping[str, Any]] = (),
 ) -> NextView | None:
     """See :func:`cspace.worlds.best_view`."""
-    places, weights = _doubted(world, picture, states, doubts)
-    total = float(doubts.sum())
+    places, weights = _uncertain_places(world, picture, states, costs)
+    total = float(costs.sum())
     if not len(places) or not total > 0.0:
         return None
     focus_m = np.average(places, axis=0, weights=weights)
     cameras = [_camera(one) for one in given] or hemisphere(world, focus_m)
     shares = []
     for camera in cameras:
-        between()
+        check_cancelled()
         shares.append(float(weights @ seen_shares(world, picture, camera, places)) / total)
     chosen = _from_elsewhere(cameras, seen_by, focus_m) & (np.array(shares) > 0.0)
     best = int(np.argmax(np.where(chosen, shares, 0.0) if chosen.any() else shares))
@@ -60,7 +60,7 @@ def best_view(
 def hemisphere(world: SpatialWorld, focus_m: NDArray[np.float64]) -> list[DepthCamera]:
     """Cameras that look at a point (3,) m from where the cameras of the world's training stood.
 
-    Others see more where the arm is not in the way, but a model doubts what it has not learned to read.
+    Others see more where the arm is not in the way, but a model is unsure of what it has not learned to read.
     """
     views, found = world.sensor.views, []
     sides = np.radians(np.linspace(*views.side_deg, _SIDES))
@@ -130,22 +130,22 @@ def _across_m(world: SpatialWorld) -> float:
     return float(grid.voxel_m * np.linalg.norm(grid.counts))
 
 
-def _doubted(
+def _uncertain_places(
     world: SpatialWorld,
     picture: NDArray[np.uint8],
     states: NDArray[np.float64],
-    doubts: NDArray[np.float64],
+    costs: NDArray[np.float64],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Places (n, 3) m of the arm in hidden space along a way, and the doubt that lies on each, (n,).
+    """Places (n, 3) m of the arm in hidden space along a path, and the cost that lies on each, (n,).
 
-    A state's doubt lies on its spheres in hidden space, by their volume.
+    A state's cost lies on its spheres in hidden space, by their volume.
     """
     moving = world.body.sphere_links() > 0
     centres = world.body.sphere_centres_m(states)[:, moving]
     volumes = world.body.spheres_m()[moving, 3] ** 3
     weights = _is_hidden(lookup(picture, world.sensor.grid, centres).codes) * volumes
     sums = weights.sum(axis=1, keepdims=True)
-    weights = doubts[:, None] * np.divide(weights, sums, out=np.zeros_like(weights), where=sums > 0.0)
+    weights = costs[:, None] * np.divide(weights, sums, out=np.zeros_like(weights), where=sums > 0.0)
     cells = np.floor((centres - np.array(world.sensor.grid.low_m)) / world.sensor.grid.voxel_m)
     held = weights > 0.0
     _, first, place = np.unique(cells[held], axis=0, return_index=True, return_inverse=True)

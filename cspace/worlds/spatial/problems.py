@@ -21,11 +21,11 @@ from cspace.worlds.spatial.scenes import draw_layout
 
 @dataclass(frozen=True, slots=True)
 class PathLimits:
-    """How long and how finely ways are searched for.
+    """How long and how finely paths are searched for.
 
     Args:
         states: uniform ones that the first try draws at most; the others draw a quarter of them.
-        tries: ways that the shortest is chosen from; fewer where one of the others fails.
+        tries: paths that the shortest is chosen from; fewer where one of the others fails.
         shortcuts: proposed for each of them.
         polish: proposed for the shortest.
         range_rad: longest step of a tree, the sum over the joints.
@@ -66,17 +66,17 @@ def find_path(
     rng: np.random.Generator,
     limits: PathLimits = PathLimits(),
 ) -> NDArray[np.float64] | None:
-    """A short free way, or None where none is found.
+    """A short free path, or None where none is found.
 
     Args:
         checker: of the scene.
-        start: (d,) rad, the first row of the way, circles in [-pi, pi).
+        start: (d,) rad, the first row of the path, circles in [-pi, pi).
         goal: (d,) rad, likewise the last row.
         rng: draws states and shortcuts.
         limits: effort and resolutions.
 
     Returns:
-        (k, d) rad, every edge free at ``limits.final_rad``; the straight way where it is free.
+        (k, d) rad, every edge free at ``limits.final_rad``; the straight path where it is free.
 
     Raises:
         ScenarioError: start or goal is of another shape.
@@ -94,10 +94,10 @@ def find_path(
         if raw is None:
             break
         short = checker.shortened(raw, rng, limits.shortcuts, limits.shortcut_rad)
-        found += [way for way in (short, raw) if is_free(checker, way, limits.final_rad)][:1]
-    for way in sorted(found, key=lambda one: length_rad(one, checker.space)):
-        polished = checker.shortened(way, rng, limits.polish, limits.shortcut_rad)
-        for one in (polished, way):
+        found += [path for path in (short, raw) if is_free(checker, path, limits.final_rad)][:1]
+    for path in sorted(found, key=lambda one: length_rad(one, checker.space)):
+        polished = checker.shortened(path, rng, limits.polish, limits.shortcut_rad)
+        for one in (polished, path):
             spaced = _checked(checker, one, limits)
             if spaced is not None:
                 return spaced
@@ -118,16 +118,16 @@ def _raw_way(
     )
 
 
-def is_free(checker: CollisionChecker, way: NDArray[np.float64], resolution_rad: float) -> bool:
-    """Whether all edges of a way (k, d) rad are free."""
-    return bool(checker.edge_batch(way[:-1], way[1:], resolution_rad).all())
+def is_free(checker: CollisionChecker, path: NDArray[np.float64], resolution_rad: float) -> bool:
+    """Whether all edges of a path (k, d) rad are free."""
+    return bool(checker.edge_batch(path[:-1], path[1:], resolution_rad).all())
 
 
 def _checked(
-    checker: CollisionChecker, way: NDArray[np.float64], limits: PathLimits
+    checker: CollisionChecker, path: NDArray[np.float64], limits: PathLimits
 ) -> NDArray[np.float64] | None:
-    """The way in even steps, None where one of these is not free."""
-    found = spaced(way, checker.space, limits.step_rad)
+    """The path in even steps, None where one of these is not free."""
+    found = spaced(path, checker.space, limits.step_rad)
     return found if is_free(checker, found, limits.final_rad) else None
 
 
@@ -141,21 +141,21 @@ _HOME_SIGMA_RAD, _HOMES = 0.25, 24
 # Of the tool's origin, and how many places in a region are looked at.
 _ROOM_M, _PLACES = 0.02, 64
 _SOLVING = Solving(starts=6)
-# Share of the problems that the straight way solves; the others are kept all.
+# Share of the problems that the straight path solves; the others are kept all.
 _TRIVIAL_KEPT = 0.3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SpatialProblem:
-    """A planning problem and a way that solves it.
+    """A planning problem and a path that solves it.
 
     Args:
         layout: the scene.
         start: (d,) rad.
         goal: (d,) rad.
         kind: one of :data:`KINDS`.
-        way: (k, d) rad from start to goal, every edge free at 0.01 rad.
-        is_trivial: whether the straight way is free.
+        path: (k, d) rad from start to goal, every edge free at 0.01 rad.
+        is_trivial: whether the straight path is free.
         rejected: draws of start and goal before this one.
     """
 
@@ -163,7 +163,7 @@ class SpatialProblem:
     start: NDArray[np.float64]
     goal: NDArray[np.float64]
     kind: str
-    way: NDArray[np.float64]
+    path: NDArray[np.float64]
     is_trivial: bool
     rejected: int
 
@@ -191,7 +191,7 @@ def draw_problem(
         index: of the problem within it.
         family: of the scene; by chance where it is not named.
         kind: one of :data:`KINDS`; by chance where it is not named.
-        limits: of the search for the way.
+        limits: of the search for the path.
 
     Raises:
         ScenarioError: there is no such family or kind, or no problem was found in 60 scenes.
@@ -211,8 +211,8 @@ def draw_problem(
         for _ in range(_ENDS):
             found = _attempt(ends, kind or drawn, limits)
             if found is not None:
-                way, is_trivial = found
-                return SpatialProblem(layout, way[0], way[-1], kind or drawn, way, is_trivial, rejected)
+                path, is_trivial = found
+                return SpatialProblem(layout, path[0], path[-1], kind or drawn, path, is_trivial, rejected)
             rejected += 1
     raise ScenarioError(
         f"no problem of the kind {kind or drawn} was found",
@@ -223,16 +223,16 @@ def draw_problem(
 
 
 def _attempt(ends: "Ends", kind: str, limits: PathLimits) -> tuple[NDArray[np.float64], bool] | None:
-    """A way between two ends and whether it is straight; None where ends or way are missing, or too easy."""
+    """A path between two ends and whether it is straight; None without ends or path, or if it is too easy."""
     pair = ends.pair(kind, limits.final_rad)
     if pair is None:
         return None
     start, goal, is_trivial = pair
-    way = find_path(ends.checker, start, goal, ends.rng, limits)
-    if way is None:
+    path = find_path(ends.checker, start, goal, ends.rng, limits)
+    if path is None:
         return None
-    way.setflags(write=False)
-    return way, is_trivial
+    path.setflags(write=False)
+    return path, is_trivial
 
 
 def _any_kind(rng: np.random.Generator) -> str:
@@ -252,7 +252,7 @@ class Ends:
         """Starts and goals (2, d) rad of any kind from so many tries.
 
         Args:
-            count: tries; those without ends, and most of those that the straight way solves, give none.
+            count: tries; those without ends, and most of those that the straight path solves, give none.
             state: (d,) rad, where the arm waits before it reaches in; None for about the ready pose.
         """
         for _ in range(count):
@@ -263,7 +263,7 @@ class Ends:
     def pair(
         self, kind: str, resolution_rad: float, state: NDArray[np.float64] | None = None
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], bool] | None:
-        """Start, goal and whether the straight way solves them; None where one is missing, or too easy."""
+        """Start, goal and whether the straight path solves them; None where one is missing, or too easy."""
         goal = self.reaching()
         if goal is None:
             return None
@@ -349,10 +349,10 @@ def _in_cone(rng: np.random.Generator, axis: NDArray[np.float64], angle_rad: flo
 # Of each origin but the first, which gets the rest.
 ORIGIN_SHARES = (0.2, 0.25, 0.15, 0.2)
 NEAR_M, NEAR_SIGMA_RAD = 0.06, 0.05
-# About an end are half of them near by, half farther away; beside a way they are near.
+# About an end are half of them near by, half farther away; beside a path they are near.
 END_SIGMAS_RAD, WAY_SIGMA_RAD = (0.12, 0.3), 0.1
 GOALS = 4
-# Of the obstacles, that a mistaken planner knows; its ways are looked at where they are.
+# Of the obstacles, that a mistaken planner knows; its paths are looked at where they are.
 KNOWN_SHARES, MISTAKEN_SIGMA_RAD = (0.0, 0.4, 0.8), 0.03
 # One short way to each goal is enough to be beside.
 _LIMITS = PathLimits(states=1500, tries=1, shortcuts=40, polish=0, step_rad=0.2)
@@ -404,21 +404,21 @@ def _ends(
 def _along(
     checker: CollisionChecker, ends: NDArray[np.float64], rng: np.random.Generator
 ) -> NDArray[np.float64]:
-    """States of ways from the first end to the others, (n, d) rad; the ends where there is no way."""
+    """States of paths from the first end to the others, (n, d) rad; the ends where there is no path."""
     ways = [find_path(checker, ends[0], goal, rng, _LIMITS) for goal in ends[1:]]
-    return np.concatenate([ends, *(way for way in ways if way is not None)])
+    return np.concatenate([ends, *(path for path in ways if path is not None)])
 
 
 def _mistaken(
     checker: CollisionChecker, ends: NDArray[np.float64], rng: np.random.Generator
 ) -> NDArray[np.float64]:
-    """States of ways that are free of some of the obstacles alone, (n, d) rad, evenly spaced."""
+    """States of paths that are free of some of the obstacles alone, (n, d) rad, evenly spaced."""
     found = [ends]
     for share in KNOWN_SHARES:
         known = CollisionChecker(checker.arm, _some(checker.obstacles, share, rng))
         first, last = ends[rng.integers(len(ends))], ends[rng.integers(len(ends))]
-        way = find_path(known, first, last, rng, _LIMITS)
-        found += [] if way is None else [way]
+        path = find_path(known, first, last, rng, _LIMITS)
+        found += [] if path is None else [path]
     return np.concatenate(found)
 
 

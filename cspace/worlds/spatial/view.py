@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from cspace.errors import ImageError
 from cspace.space import JointSpace
 from cspace.view_file import MAX_PICTURES, check_counts, pack_view, unpack_view
-from cspace.world import Arrays, Between, TensorInput
+from cspace.world import Arrays, CheckCancelled, TensorInput
 from cspace.worlds.spatial.camera import (
     FARTHEST_MM,
     NEAREST_MM,
@@ -74,27 +74,27 @@ def pixels_of(data: bytes) -> int:
     return sum(pixels_in(one) for one in unpack_view(data).pictures)
 
 
-def read_view(data: bytes, space: JointSpace, between: Between | None = None) -> DepthView:
+def read_view(data: bytes, space: JointSpace, check_cancelled: CheckCancelled | None = None) -> DepthView:
     """An untrusted view file.
 
     Args:
         data: the file.
         space: of the arm.
-        between: called after each picture; what it raises passes through.
+        check_cancelled: called after each picture; what it raises passes through.
 
     Raises:
         ImageError: it is none, a picture or a camera is none, they do not fit each other, no picture has a
             reading, or the state lies outside of the arm's limits.
     """
     told = unpack_view(data)
-    pause = between or (lambda: None)
+    check_cancelled = check_cancelled or (lambda: None)
     pictures, cameras = [], []
     for one in told.pictures:
-        pictures.append(read_depth(one, told.depth_scale_m, pause))
-        pause()
+        pictures.append(read_depth(one, told.depth_scale_m, check_cancelled))
+        check_cancelled()
     for number, values in enumerate(told.cameras):
         camera, distortion = read_pinhole(values, pictures[number].shape)
-        pictures[number] = undistorted(pictures[number], camera, distortion, pause)
+        pictures[number] = undistorted(pictures[number], camera, distortion, check_cancelled)
         cameras.append(camera)
     return DepthView(tuple(pictures), tuple(cameras), state_of(told.state, space))
 

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cspace.errors import ImageError
 from cspace.view_file import MAX_PICTURES
-from cspace.world import Between
+from cspace.world import CheckCancelled
 from cspace.worlds.spatial.camera import MIN_SIDE, DepthCamera, in_range, resize_depth, to_m
 from cspace.worlds.spatial.distance_field import TRUNCATION_M, distance_codes, patches
 from cspace.worlds.spatial.sensor import (
@@ -47,7 +47,7 @@ def self_filter(
     camera: DepthCamera,
     spheres: ArrayLike,
     slack_m: float = SLACK_M,
-    between: Between = lambda: None,
+    check_cancelled: CheckCancelled = lambda: None,
 ) -> WithoutRobot:
     """Take the arm out of a depth picture.
 
@@ -59,13 +59,13 @@ def self_filter(
         camera: of the picture.
         spheres: (S, 4) that cover the arm as it stands: x, y, z, radius in m in the base frame.
         slack_m: added to every radius.
-        between: called between parts of some ms; what it raises passes through.
+        check_cancelled: called between parts of some ms; what it raises passes through.
 
     Raises:
         ImageError: the picture has another shape than the camera's.
     """
     check_picture(depth_mm, camera)
-    begins = _begins_m(camera, np.asarray(spheres, dtype=np.float64).reshape(-1, 4), slack_m, between)
+    begins = _begins_m(camera, np.asarray(spheres, dtype=np.float64).reshape(-1, 4), slack_m, check_cancelled)
     shown = (depth_mm > 0) & (depth_mm * np.float32(1e-3) >= begins)
     return WithoutRobot(np.where(shown, np.uint16(0), depth_mm), np.where(shown, begins, np.float32(np.inf)))
 
@@ -85,14 +85,14 @@ def check_picture(depth_mm: NDArray[np.uint16], camera: DepthCamera) -> None:
 
 
 def arm_depth_m(
-    camera: DepthCamera, spheres: ArrayLike, between: Between = lambda: None
+    camera: DepthCamera, spheres: ArrayLike, check_cancelled: CheckCancelled = lambda: None
 ) -> NDArray[np.float32]:
     """The arm as rendered: depth (H, W) m of spheres (S, 4) m, inf beside them; 0 for a camera within one."""
-    return _begins_m(camera, np.asarray(spheres, dtype=np.float64).reshape(-1, 4), 0.0, between)
+    return _begins_m(camera, np.asarray(spheres, dtype=np.float64).reshape(-1, 4), 0.0, check_cancelled)
 
 
 def _begins_m(
-    camera: DepthCamera, spheres: NDArray[np.float64], slack_m: float, between: Between
+    camera: DepthCamera, spheres: NDArray[np.float64], slack_m: float, check_cancelled: CheckCancelled
 ) -> NDArray[np.float32]:
     """Depth (H, W) at which the first of the spheres begins, inf beside all; 0 for a camera within one."""
     pose = camera.matrix
@@ -114,7 +114,7 @@ def _begins_m(
             (columns - camera.cx) / camera.fx, (rows - camera.cy) / camera.fy, centres[own], radii[own]
         )
         np.minimum.at(found, rows * camera.width + columns, depth.astype(np.float32))
-        between()
+        check_cancelled()
     return found.reshape(camera.picture_shape)
 
 
@@ -302,7 +302,7 @@ def observe(
     spheres: ArrayLike | None = None,
     *,
     arm_hides: bool = True,
-    between: Between | None = None,
+    check_cancelled: CheckCancelled | None = None,
 ) -> NDArray[np.uint8]:
     """Fuse depth pictures of one scene.
 
@@ -314,7 +314,7 @@ def observe(
         spheres: (S, 4) that cover the arm as it stands, x, y, z, radius in m in the base frame; None where
             it is in no picture.
         arm_hides: as :func:`cspace.worlds.spatial.visibility.sight` has it.
-        between: called between parts of some ms; what it raises passes through.
+        check_cancelled: called between parts of some ms; what it raises passes through.
 
     Returns:
         (X, Y, Z, 2) uint8. Channel 0 is the distance from a voxel's centre to the nearest surface seen, see
@@ -332,7 +332,7 @@ def observe(
         )
     return fused(
         [
-            observe_one(picture, camera, grid, spheres, arm_hides=arm_hides, between=between)
+            observe_one(picture, camera, grid, spheres, arm_hides=arm_hides, check_cancelled=check_cancelled)
             for picture, camera in zip(pictures, cameras, strict=True)
         ]
     )
@@ -345,25 +345,27 @@ def observe_one(
     spheres: ArrayLike | None = None,
     *,
     arm_hides: bool = True,
-    between: Between | None = None,
+    check_cancelled: CheckCancelled | None = None,
 ) -> NDArray[np.uint8]:
     """:func:`observe` of one picture.
 
     Raises:
         ImageError: it does not fit its camera.
     """
-    pause = between or (lambda: None)
+    check_cancelled = check_cancelled or (lambda: None)
     check_picture(picture, camera)
     smaller, camera = reduced(np.where(in_range(picture), picture, np.uint16(0)), camera)
-    pause()
-    kept = self_filter(smaller, camera, np.empty((0, 4)) if spheres is None else spheres, between=pause)
+    check_cancelled()
+    kept = self_filter(
+        smaller, camera, np.empty((0, 4)) if spheres is None else spheres, check_cancelled=check_cancelled
+    )
     surface_m = to_m(kept.depth_mm)
     shown = patches(surface_m, camera, grid)
-    pause()
-    away = distance_codes(shown, grid, pause)
-    pause()
+    check_cancelled()
+    away = distance_codes(shown, grid, check_cancelled)
+    check_cancelled()
     known = sight(surface_m, kept.front_m, camera, grid, arm_hides=arm_hides)
-    pause()
+    check_cancelled()
     return np.stack((away, known), axis=-1)
 
 

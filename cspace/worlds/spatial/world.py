@@ -16,7 +16,7 @@ from cspace.space import JointSpace
 from cspace.strict_json import parse_json, read_mapping, read_members, read_object
 from cspace.world import (
     Arrays,
-    Between,
+    CheckCancelled,
     Diagnosis,
     Examined,
     Finding,
@@ -86,39 +86,41 @@ class SpatialWorld:
         """Of all pictures of a view file."""
         return pixels_of(data)
 
-    def read_picture(self, data: bytes, between: Between | None = None) -> NDArray[np.uint8]:
+    def read_picture(self, data: bytes, check_cancelled: CheckCancelled | None = None) -> NDArray[np.uint8]:
         """The array of a view file; see :mod:`cspace.worlds.spatial.view`.
 
         Raises:
             ImageError: it is none, or its cameras see none of the space that the arm can reach.
         """
-        return np.asarray(self.examine_picture(data, between).images[0])
+        return np.asarray(self.examine_picture(data, check_cancelled).images[0])
 
     def view(self, data: bytes) -> DepthView:
         """See :func:`cspace.worlds.spatial.view.read_view`."""
         return read_view(data, self.space)
 
-    def examine_picture(self, data: bytes, between: Between | None = None) -> Examined:
+    def examine_picture(self, data: bytes, check_cancelled: CheckCancelled | None = None) -> Examined:
         """See :meth:`cspace.world.World.examine_picture`."""
-        return self.examined(read_view(data, self.space, between), between)
+        return self.examined(read_view(data, self.space, check_cancelled), check_cancelled)
 
     @property
     def tensors(self) -> tuple[TensorInput, ...]:
         """Depth pictures of one scene with their cameras; see :func:`view_of_tensors`."""
         return view_tensors(self.dim)
 
-    def read_tensors(self, tensors: Arrays, between: Between | None = None) -> NDArray[np.uint8]:
+    def read_tensors(
+        self, tensors: Arrays, check_cancelled: CheckCancelled | None = None
+    ) -> NDArray[np.uint8]:
         """(1, X, Y, Z, 2): all pictures are of one scene.
 
         Raises:
             ImageError: a picture, a camera or the state is none, or the cameras see none of the space that
                 the arm can reach.
         """
-        return self.examine_tensors(tensors, between).images
+        return self.examine_tensors(tensors, check_cancelled).images
 
-    def examine_tensors(self, tensors: Arrays, between: Between | None = None) -> Examined:
+    def examine_tensors(self, tensors: Arrays, check_cancelled: CheckCancelled | None = None) -> Examined:
         """See :meth:`cspace.world.World.examine_tensors`."""
-        return self.examined(view_of_tensors(tensors, self.space), between)
+        return self.examined(view_of_tensors(tensors, self.space), check_cancelled)
 
     def least_novelty(self, image: NDArray[np.uint8]) -> float:
         """See :func:`cspace.worlds.spatial.diagnostics.least_novelty`."""
@@ -143,44 +145,44 @@ class SpatialWorld:
         camera = DepthCamera.of_field(self.sensor.views.width, self.sensor.views.height, 70.0, pose)
         return write_view(DepthView((np.full(camera.picture_shape, _BLANK_MM, np.uint16),), (camera,)))
 
-    def observed(self, view: DepthView, between: Between | None = None) -> NDArray[np.uint8]:
+    def observed(self, view: DepthView, check_cancelled: CheckCancelled | None = None) -> NDArray[np.uint8]:
         """What a view says of the space about the arm, (X, Y, Z, 2); pauses as :meth:`read_picture`."""
-        return fused(self._each(view, between))
+        return fused(self._each(view, check_cancelled))
 
     def unseen_m(self, view: DepthView) -> NDArray[np.float64]:
         """(N, 3): centres of the voxels in the arm's reach that no camera of the view sees, m."""
         return unseen_m(self.body, self.sensor.grid, self.observed(view))
 
-    def examined(self, view: DepthView, between: Between | None = None) -> Examined:
+    def examined(self, view: DepthView, check_cancelled: CheckCancelled | None = None) -> Examined:
         """:meth:`observed`, (1, X, Y, Z, 2), with what is to be said of the view.
 
         Raises:
             ImageError: no camera sees any of the space that the arm can reach.
         """
-        single = self._each(view, between)
+        single = self._each(view, check_cancelled)
         image = fused(single)
         findings = diagnose(self.body, self.sensor, view, single, image)
         return Examined(image[None], findings, without_state=view.state is None)
 
-    def diagnosis(self, data: bytes, between: Between | None = None) -> Diagnosis:
+    def diagnosis(self, data: bytes, check_cancelled: CheckCancelled | None = None) -> Diagnosis:
         """See :func:`cspace.worlds.spatial.doctor.diagnosed`."""
-        return self.diagnosed(read_view(data, self.space, between), between)
+        return self.diagnosed(read_view(data, self.space, check_cancelled), check_cancelled)
 
-    def diagnosed(self, view: DepthView, between: Between | None = None) -> Diagnosis:
+    def diagnosed(self, view: DepthView, check_cancelled: CheckCancelled | None = None) -> Diagnosis:
         """:meth:`diagnosis` of a view that was read."""
         try:
-            cheap = self.examined(view, between).findings
+            cheap = self.examined(view, check_cancelled).findings
         except ImageError as error:
             cheap = (nothing_in_reach(error), *view_findings(self.body, self.sensor, view))
         spheres = None if view.state is None else self.spheres_at(view.state)
-        return diagnosed(self.body, self.sensor, view, spheres, cheap, between or (lambda: None))
+        return diagnosed(self.body, self.sensor, view, spheres, cheap, check_cancelled or (lambda: None))
 
-    def _each(self, view: DepthView, between: Between | None) -> list[NDArray[np.uint8]]:
+    def _each(self, view: DepthView, check_cancelled: CheckCancelled | None) -> list[NDArray[np.uint8]]:
         """What each picture of a view says alone."""
         spheres = None if view.state is None else self.spheres_at(view.state)
         grid, hides = self.sensor.grid, self.sensor.arm_hides
         return [
-            observe_one(picture, camera, grid, spheres, arm_hides=hides, between=between)
+            observe_one(picture, camera, grid, spheres, arm_hides=hides, check_cancelled=check_cancelled)
             for picture, camera in zip(view.pictures, view.cameras, strict=True)
         ]
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from cspace.plan import load_kernels
 from cspace.planning.paths import length_rad, spaced
 from cspace.planning.search import find_paths
-from cspace.query import DEFAULT_WAYS, BelievedWay
+from cspace.query import DEFAULT_WAYS, AlternativePath
 from cspace.simulator import Asked, Checker, Judge, Problem
 from cspace.simulator import Taken as Unseen
 from cspace.worlds import checker_of, partly_seen, picture_file_of
@@ -69,7 +69,7 @@ class Found:
         request_s: all of it.
     """
 
-    paths: tuple[BelievedWay, ...] = ()
+    paths: tuple[AlternativePath, ...] = ()
     status: str = ""
     confidence: float | None = None
     search_s: float = 0.0
@@ -116,7 +116,9 @@ class PlanWorker:
                 plan, request_s = self._planners[sampler].plan(picture, query, world)
                 confidence = plan.confidence if plan.status == "solved" else None
                 times = 1e-3 * plan.search_ms, 1e-3 * plan.score_ms, request_s
-                paths = tuple(BelievedWay(one.way, one.confidence, one.edges) for one in plan.alternatives)
+                paths = tuple(
+                    AlternativePath(one.path, one.confidence, one.edges) for one in plan.alternatives
+                )
                 return Found(paths, plan.status, confidence, *times)
             return (
                 Found()
@@ -166,7 +168,7 @@ def _searched(checkers: Sequence[Checker], problem: Problem, setting: Setting) -
     found = find_paths(checkers, problem.start, problem.goal, DEFAULT_WAYS, setting.seed, until_s)
     spent_s = time.perf_counter() - began
     paths = sorted(found.ways, key=lambda path: length_rad(path, space))
-    sure = tuple(BelievedWay(path, 1.0, np.ones(len(path) - 1, dtype=np.float32)) for path in paths)
+    sure = tuple(AlternativePath(path, 1.0, np.ones(len(path) - 1, dtype=np.float32)) for path in paths)
     status = "solved" if sure else "timeout" if found.late else "refused"
     return Found(sure, status, None, spent_s, 0.0, spent_s)
 
@@ -185,7 +187,7 @@ def _judged(
     result: Row = {"status": found.status, "solved": bool(found.paths)}
     if not found.paths:
         return result
-    path, space = found.paths[0].way, truth.space
+    path, space = found.paths[0].path, truth.space
     states = spaced(path, space, LOOK_RAD)
     return result | {
         "confidence": found.confidence,

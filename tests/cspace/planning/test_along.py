@@ -17,7 +17,7 @@ def stream(seed=0):
 def test_the_first_turn_lies_on_the_ways_one_after_the_other():
     along = stream()
     rows, numbers = along.take(along.turn_rows)
-    lines = [spaced(way, SPACE, STEP_RAD) for way in WAYS]
+    lines = [spaced(path, SPACE, STEP_RAD) for path in WAYS]
     np.testing.assert_array_equal(rows, np.concatenate(lines))
     np.testing.assert_array_equal(numbers, np.repeat([0, 1], [len(line) for line in lines]))
 
@@ -31,7 +31,7 @@ def test_what_is_taken_does_not_depend_on_how_many_are_taken_at_a_time():
 
 
 def test_later_turns_are_noisier_up_to_the_last_and_stay_within_limits():
-    line = np.concatenate([spaced(way, SPACE, STEP_RAD) for way in WAYS])
+    line = np.concatenate([spaced(path, SPACE, STEP_RAD) for path in WAYS])
     wide = AlongPaths(WAYS, JointSpace((-9.0, -9.0), (9.0, 9.0), (False, False)), np.random.default_rng(1))
     turns = wide.take((len(NOISE_RAD) + 2) * len(line))[0].reshape(-1, *line.shape)
     spread = (turns - line).std(axis=(1, 2))

@@ -37,32 +37,32 @@ def hill(rows):
     return (1.0 - 0.9 * np.exp(-((away / 0.5) ** 2))).astype(np.float32), None
 
 
-def scored(way, believe=hill):
-    return score([way], SPACE, 0.1, believe)[0]
+def scored(path, predict=hill):
+    return score([path], SPACE, 0.1, predict)[0]
 
 
-def refiner(checker=None, believe=hill, pause=lambda: None, **effort):
+def refiner(checker=None, predict=hill, check_cancelled=lambda: None, **effort):
     limits = Effort(step_rad=0.1, **effort)
-    return PathRefiner(checker or Open(), believe, PLAIN, limits, pause)
+    return PathRefiner(checker or Open(), predict, PLAIN, limits, check_cancelled)
 
 
 def test_a_way_is_led_round_what_the_model_doubts():
     before = scored(WAY)
     after = refiner().refine(before, np.random.default_rng(0))
-    assert np.array_equal(after.way[[0, -1]], WAY)
-    assert after.doubt < 0.3 * before.doubt
+    assert np.array_equal(after.path[[0, -1]], WAY)
+    assert after.cost < 0.3 * before.cost
     assert after.length_rad < 1.6 * before.length_rad
     again = refiner().refine(before, np.random.default_rng(0))
-    assert np.array_equal(again.way, after.way)
+    assert np.array_equal(again.path, after.path)
 
 
 def test_what_the_picture_shows_is_kept_to():
     # The model would like to pass above, where the picture has a wall.
     wall = Open(lambda rows: (np.abs(rows[:, 0]) < 0.2) & (rows[:, 1] > 0.15))
     after = refiner(wall).refine(scored(WAY), np.random.default_rng(1))
-    assert wall.edge_batch(after.way[:-1], after.way[1:], 0.01).all()
+    assert wall.edge_batch(after.path[:-1], after.path[1:], 0.01).all()
     assert after.states[np.abs(after.states[:, 0]) < 0.2, 1].max() <= 0.15
-    assert after.doubt < scored(WAY).doubt
+    assert after.cost < scored(WAY).cost
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -71,8 +71,8 @@ def test_a_way_is_never_doubted_more_than_before(seed):
         return (0.6 + 0.4 * np.sin(37.0 * rows.sum(axis=1)) ** 2).astype(np.float32), None
 
     before = scored(WAY, noisy)
-    after = refiner(believe=noisy).refine(before, np.random.default_rng(seed))
-    assert after.doubt <= before.doubt
+    after = refiner(predict=noisy).refine(before, np.random.default_rng(seed))
+    assert after.cost <= before.cost
 
 
 def test_a_ridge_between_two_states_is_seen_before_a_way_crosses_it():
@@ -83,7 +83,7 @@ def test_a_ridge_between_two_states_is_seen_before_a_way_crosses_it():
     before = score([WAY], SPACE, 0.3, ridge)[0]
     shut = Open(lambda rows: np.abs(rows[:, 1]) > 0.6)
     one = PathRefiner(shut, ridge, PLAIN, Effort(step_rad=0.05), lambda: None)
-    after = one.refine(scored(before.way, ridge), np.random.default_rng(0))
+    after = one.refine(scored(before.path, ridge), np.random.default_rng(0))
     assert after.confidence.min() == np.float32(0.05)
 
 
@@ -92,7 +92,7 @@ def test_what_is_sure_enough_is_left_alone_and_asks_nothing():
         raise AssertionError
 
     sure = scored(WAY, lambda rows: (np.ones(len(rows), np.float32), None))
-    assert refiner(believe=never).refine(sure, np.random.default_rng(0)) is sure
+    assert refiner(predict=never).refine(sure, np.random.default_rng(0)) is sure
 
 
 def test_the_time_ends_it_with_the_best_so_far():
@@ -103,9 +103,9 @@ def test_the_time_ends_it_with_the_best_so_far():
             raise OutOfTimeError
 
     before = scored(WAY)
-    after = refiner(pause=late, enough=0.0).refine(before, np.random.default_rng(0))
+    after = refiner(check_cancelled=late, enough=0.0).refine(before, np.random.default_rng(0))
     assert next(turns) == 3
-    assert after.doubt < before.doubt
+    assert after.cost < before.cost
 
 
 def test_whoever_calls_can_stop_it():
@@ -116,7 +116,7 @@ def test_whoever_calls_can_stop_it():
         raise StopError
 
     with pytest.raises(StopError):
-        refiner(pause=stop).refine(scored(WAY), np.random.default_rng(0))
+        refiner(check_cancelled=stop).refine(scored(WAY), np.random.default_rng(0))
 
 
 def test_the_cheapest_route_is_that_of_all_routes():

@@ -41,15 +41,15 @@ def test_a_plan_is_a_way_from_start_to_goal_with_what_is_believed_of_it(bundle, 
     picture = bundle.prepare(image)
     found = bundle.plan(picture, asked(problem, seed=3))
     assert found.status == "solved"
-    assert np.allclose(found.way[[0, -1]], [problem.start, problem.goal], atol=1e-6)
-    assert found.edges.shape == (len(found.way) - 1,)
+    assert np.allclose(found.path[[0, -1]], [problem.start, problem.goal], atol=1e-6)
+    assert found.edges.shape == (len(found.path) - 1,)
     assert found.unseen is None
     assert found.found == 4
-    (alone,) = score([found.way], WORLD.space, 0.15, lambda rows: bundle.believe(picture, rows))
+    (alone,) = score([found.path], WORLD.space, 0.15, lambda rows: bundle.predict(picture, rows))
     assert found.confidence == alone.whole
     assert found.edges.min() == pytest.approx(found.least.confidence)
     again = bundle.plan(picture, asked(problem, seed=3))
-    assert np.array_equal(again.way, found.way)
+    assert np.array_equal(again.path, found.path)
 
 
 @pytest.mark.parametrize("ways", [1, 2, 4, 8, 16])
@@ -59,7 +59,7 @@ def test_a_plan_is_at_least_as_sure_as_the_surest_way_that_was_found(bundle, sce
     ends = np.array([problem.start, problem.goal])
     found = find_paths(seen_checkers(WORLD, image, ends), *ends, ways, 0, time.thread_time() + 60.0)
     assert len(found.ways) == ways
-    scored = score(found.ways, WORLD.space, 0.15, lambda rows: bundle.believe(picture, rows))
+    scored = score(found.ways, WORLD.space, 0.15, lambda rows: bundle.predict(picture, rows))
     assert bundle.plan(picture, asked(problem, ways=ways)).confidence >= max(one.whole for one in scored)
 
 
@@ -69,7 +69,7 @@ def test_a_way_that_is_not_sure_enough_is_refused_with_its_doubt(bundle, scene):
     sure = bundle.plan(picture, asked(problem)).confidence
     assert 0.0 < sure < 1.0
     refused = bundle.plan(picture, asked(problem, min_confidence=min(1.0, sure + 1e-3)))
-    assert (refused.status, refused.way.shape, refused.confidence) == ("refused", (0, 2), sure)
+    assert (refused.status, refused.path.shape, refused.confidence) == ("refused", (0, 2), sure)
     assert 0.0 <= refused.least.along <= 1.0
     assert bundle.plan(picture, asked(problem, min_confidence=sure)).status == "solved"
 
@@ -82,28 +82,28 @@ def test_what_does_not_fit_the_robot_is_refused(bundle, scene):
 
 
 def test_the_doubt_of_a_way_does_not_depend_on_how_finely_one_looks():
-    way = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 2.0]])
+    path = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 2.0]])
 
-    def believe(rows):
+    def predict(rows):
         return (1.0 - 0.2 * np.abs(np.sin(rows[:, 0] + rows[:, 1]))).astype(np.float32), None
 
-    doubts = [score([way], WORLD.space, step, believe)[0].doubt for step in (0.3, 0.1, 0.01)]
-    assert doubts[0] == pytest.approx(doubts[2], rel=0.1)
-    assert doubts[1] == pytest.approx(doubts[2], rel=0.04)
+    costs = [score([path], WORLD.space, step, predict)[0].cost for step in (0.3, 0.1, 0.01)]
+    assert costs[0] == pytest.approx(costs[2], rel=0.1)
+    assert costs[1] == pytest.approx(costs[2], rel=0.04)
 
 
 def test_each_piece_has_its_least_and_its_largest_with_its_corners():
-    way = np.array([[0.0, 0.0], [0.2, 0.0], [0.2, 0.2]])
+    path = np.array([[0.0, 0.0], [0.2, 0.0], [0.2, 0.2]])
 
-    def believe(rows):
+    def predict(rows):
         return (1.0 - rows.sum(axis=1)).astype(np.float32), rows.sum(axis=1).astype(np.float32)
 
-    (one,) = score([way], WORLD.space, STEP, believe)
+    (one,) = score([path], WORLD.space, STEP, predict)
     assert one.of_pieces(one.confidence, np.minimum).tolist() == pytest.approx([0.8, 0.6])
     assert one.of_pieces(one.unseen, np.maximum).tolist() == pytest.approx([0.2, 0.4])
     assert one.of_pieces(one.confidence, np.maximum).tolist() == pytest.approx([1.0, 0.8])
     assert one.length_rad == pytest.approx(0.4)
-    assert score([], WORLD.space, STEP, believe) == []
+    assert score([], WORLD.space, STEP, predict) == []
 
 
 def test_where_nobody_says_how_sure_a_plan_has_to_be_calibrated_bundles_ask_for_some(bundle, scene):

@@ -35,13 +35,13 @@ def test_ways_through_a_picture_are_nearly_free_in_the_scene(index):
     found = find_paths(checkers, *ends, 4, 0, time.thread_time() + LATE)
     assert (len(found.ways), found.late) == (4, False)
     assert found.checker in checkers
-    for way in found.ways:
-        assert np.array_equal(way[[0, -1]], ends)
+    for path in found.ways:
+        assert np.array_equal(path[[0, -1]], ends)
         # Pixels are 0.2 m wide.
-        assert truth.clearance(way).min() > -0.1
+        assert truth.clearance(path).min() > -0.1
     again = find_paths(checkers, *ends, 4, 0, time.thread_time() + LATE)
     assert all(np.array_equal(one, other) for one, other in zip(found.ways, again.ways, strict=True))
-    assert len({way.tobytes() for way in found.ways}) > 1
+    assert len({path.tobytes() for path in found.ways}) > 1
 
 
 def test_the_more_careful_checks_know_more_obstacles():
@@ -81,7 +81,7 @@ def test_what_a_search_waits_for_others_is_not_its_own_time():
     checkers = seen_checkers(PLANAR, picture, ends)
     find_paths(checkers, *ends, 1, 0, time.thread_time() + LATE)
     began, limit_s = time.monotonic(), 0.2
-    found = find_paths(checkers, *ends, 40, 0, time.thread_time() + limit_s, between=wait)
+    found = find_paths(checkers, *ends, 40, 0, time.thread_time() + limit_s, check_cancelled=wait)
     assert time.monotonic() - began > limit_s
     assert (len(found.ways), found.late) == (40, False)
 
@@ -96,7 +96,9 @@ def test_whoever_calls_can_stop_a_search():
     _, picture, problem = planar(1)
     ends = np.stack([problem.start, problem.goal])
     with pytest.raises(StopError):
-        find_paths(seen_checkers(PLANAR, picture, ends), *ends, 2, 0, time.thread_time() + LATE, between=stop)
+        find_paths(
+            seen_checkers(PLANAR, picture, ends), *ends, 2, 0, time.thread_time() + LATE, check_cancelled=stop
+        )
 
 
 class Wall:
@@ -131,8 +133,8 @@ def test_a_careful_checker_without_a_way_takes_few_states_before_the_next_is_tri
     alone = find_paths(
         [Wall(), truth], *ends, 3, 0, time.thread_time() + LATE, limits=SearchLimits(first=4096)
     )
-    for way, other in zip(found.ways, alone.ways, strict=True):
-        np.testing.assert_array_equal(way, other)
+    for path, other in zip(found.ways, alone.ways, strict=True):
+        np.testing.assert_array_equal(path, other)
 
 
 @pytest.mark.parametrize(
@@ -146,7 +148,7 @@ def test_rounds_end_with_all_states(first, states, rounds):
 def test_cutting_short_keeps_ends_and_never_lengthens():
     truth, _, problem = planar(2)
     rng = np.random.default_rng(0)
-    way = np.stack([problem.start, [0.1, 0.2], [-2.0, 1.0], [1.5, -1.0], problem.goal])
+    path = np.stack([problem.start, [0.1, 0.2], [-2.0, 1.0], [1.5, -1.0], problem.goal])
 
     class Open:
         space = PLANAR.space
@@ -154,15 +156,15 @@ def test_cutting_short_keeps_ends_and_never_lengthens():
         def edge_batch(self, starts, ends, resolution):
             return np.ones(len(starts), dtype=bool)
 
-    short = shortcut(Open(), way, rng, 64, 0.05)
-    assert np.array_equal(short[[0, -1]], way[[0, -1]])
-    assert length_rad(short, truth.space) < length_rad(way, truth.space)
+    short = shortcut(Open(), path, rng, 64, 0.05)
+    assert np.array_equal(short[[0, -1]], path[[0, -1]])
+    assert length_rad(short, truth.space) < length_rad(path, truth.space)
 
     class Shut(Open):
         def edge_batch(self, starts, ends, resolution):
             return np.zeros(len(starts), dtype=bool)
 
-    assert np.array_equal(shortcut(Shut(), way, rng, 64, 0.05), way)
+    assert np.array_equal(shortcut(Shut(), path, rng, 64, 0.05), path)
 
 
 def test_what_depth_pictures_show_is_known_to_a_voxel():

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cspace.planning.paths import NOISE_RAD, STEP_RAD, spaced
-from cspace.query import BelievedWay
+from cspace.query import AlternativePath
 from cspace.simulator import Split
 from cspace.worlds import checker_of, examples, simulator_of
 from services.planner import rrt_connect
@@ -27,24 +27,24 @@ def problem():
 def free_way(problem):
     found = solve(problem, SETTINGS)
     assert found.solved
-    return believed(found.path)
+    return alternative(found.path)
 
 
-def believed(way, edges=None):
+def alternative(way, edges=None):
     edges = np.full(len(way) - 1, 0.9) if edges is None else np.array(edges)
-    return BelievedWay(np.asarray(way), 0.5, edges.astype(np.float32))
+    return AlternativePath(np.asarray(way), 0.5, edges.astype(np.float32))
 
 
 def straight(problem):
-    found = believed(np.stack([problem.start, problem.goal]))
-    assert not checker_of(problem.scenario).edge_batch(found.way[:1], found.way[1:], 0.01)[0]
+    found = alternative(np.stack([problem.start, problem.goal]))
+    assert not checker_of(problem.scenario).edge_batch(found.path[:1], found.path[1:], 0.01)[0]
     return found
 
 
 def test_a_way_that_is_free_is_the_path_and_no_tree_grows(problem, free_way):
     found = solve_with_paths(problem, SETTINGS, [free_way])
     assert found.solved
-    np.testing.assert_array_equal(found.path, free_way.way)
+    np.testing.assert_array_equal(found.path, free_way.path)
     assert (found.iterations, found.edge_checks) == (0, len(free_way.edges))
     assert found.state_checks >= found.edge_checks
 
@@ -64,8 +64,8 @@ def test_the_least_sure_piece_is_looked_at_first(problem, free_way, monkeypatch)
     plain = solve(problem, SETTINGS)
     monkeypatch.setattr(rrt_connect, "checker_of", lambda scene: Watched())
     monkeypatch.setattr(rrt_connect, "connect", lambda *given: plain)
-    found = solve_with_paths(problem, SETTINGS, [believed(free_way.way, edges)])
-    np.testing.assert_array_equal(looked_at[0], free_way.way[-2:])
+    found = solve_with_paths(problem, SETTINGS, [alternative(free_way.path, edges)])
+    np.testing.assert_array_equal(looked_at[0], free_way.path[-2:])
     assert len(looked_at) == 1
     assert (found.state_checks, found.edge_checks) == (plain.state_checks + 7, plain.edge_checks + 1)
 
@@ -89,7 +89,7 @@ def test_without_ways_it_is_the_uniform_search(problem):
 
 def test_what_is_drawn_goes_along_each_way_with_growing_noise(problem, free_way):
     space, wrong = problem.space, straight(problem)
-    ways = [free_way.way, wrong.way]
+    ways = [free_way.path, wrong.path]
     drawn = drawn_about(ways, space, np.random.default_rng(0))
     lines = [spaced(way, space, STEP_RAD) for way in ways]
     exact = np.concatenate(lines)

@@ -76,13 +76,13 @@ def test_samples_along_a_path_save_draws():
     problem = draw_problem(Family.NARROW, Split.DEMO, 31, 0)
     uniform = [solve(problem, settings(seed)).iterations for seed in range(30)]
     along = solve(problem, settings(99)).path
-    between = np.concatenate(
+    check_cancelled = np.concatenate(
         [
             first + np.linspace(0.0, 1.0, 8)[:, None] * problem.scenario.robot.space.difference(first, second)
             for first, second in pairwise(along)
         ]
     )
-    learned = [solve(problem, settings(seed), between, 0.3).iterations for seed in range(30)]
+    learned = [solve(problem, settings(seed), check_cancelled, 0.3).iterations for seed in range(30)]
     assert np.median(learned) < 0.5 * np.median(uniform)
 
 

@@ -12,8 +12,8 @@ from training.clusters.calibration import Planned, fit_plan_doubt, planned
 
 def drawn(parameters, count, seed=0):
     rng = np.random.default_rng(seed)
-    doubt = np.exp(rng.normal(-1.0, 1.5, count))
-    return Planned(doubt, rng.random(count) < confidence_of_cost(doubt, parameters))
+    cost = np.exp(rng.normal(-1.0, 1.5, count))
+    return Planned(cost, rng.random(count) < confidence_of_cost(cost, parameters))
 
 
 @pytest.mark.parametrize("parameters", [(0.0, 1.0), (0.8, 0.5), (-1.0, 1.3)])
@@ -36,21 +36,21 @@ def test_few_plans_change_little_and_none_nothing():
 
 
 def test_ways_without_doubt_are_free_and_more_doubt_is_never_surer():
-    doubts = np.array([0.0, 1e-3, 0.1, 1.0, 10.0, 1e9])
+    costs = np.array([0.0, 1e-3, 0.1, 1.0, 10.0, 1e9])
     for parameters in ((0.0, 1.0), (0.8, 0.5), (-5.0, 5.0)):
-        sure = confidence_of_cost(doubts, parameters)
+        sure = confidence_of_cost(costs, parameters)
         assert sure[0] == 1.0
         assert (np.diff(sure) <= 0.0).all()
         assert sure[-1] < 1e-6
-    np.testing.assert_allclose(confidence_of_cost(doubts, (0.0, 1.0)), np.exp(-doubts), atol=1e-12)
+    np.testing.assert_allclose(confidence_of_cost(costs, (0.0, 1.0)), np.exp(-costs), atol=1e-12)
 
 
 def test_plans_of_validation_problems_are_judged_in_truth(tmp_path):
     bundle = Bundle.load(write_tiny_bundle(tmp_path / "bundle", validity=True))
     world = examples()["two-link"]
     first = planned(bundle, world, 4)
-    assert 1 <= len(first.doubt) <= 4
-    assert (first.doubt > 0.0).all()
+    assert 1 <= len(first.cost) <= 4
+    assert (first.cost > 0.0).all()
     again = planned(bundle, world, 4)
-    np.testing.assert_array_equal(first.doubt, again.doubt)
+    np.testing.assert_array_equal(first.cost, again.cost)
     np.testing.assert_array_equal(first.free, again.free)

@@ -15,7 +15,7 @@ from cspace_client.errors import ConfigError, SamplerAnswerError, SamplerError, 
 from cspace_client.models import (
     Diagnosis,
     FoundPlan,
-    PlanWanted,
+    PlanOptions,
     QueryOptions,
     SampleBatch,
     SampleQuery,
@@ -92,7 +92,7 @@ class HttpClient(ABC, Generic[Transport]):
         given = shown(picture), model, self._robot, self._tells_robot
         return ValidityQuestion(*given, rows_of(rows))
 
-    def _of_plan(self, picture: Picture, query: PlanWanted, model: str | None) -> PlanQuestion:
+    def _of_plan(self, picture: Picture, query: PlanOptions, model: str | None) -> PlanQuestion:
         given = shown(picture), model, self._robot, self._tells_robot
         return PlanQuestion(*given, query)
 
@@ -133,7 +133,7 @@ class HttpClient(ABC, Generic[Transport]):
 
 
 class SamplingClient(HttpClient[httpx.BaseTransport]):
-    """Asks an inference API for samples, beliefs and ways over one kept connection.
+    """Asks an inference API for samples, confidence and paths over one kept connection.
 
     Use it as a context manager, or close it. A request costs about 1 ms beside the server's work; never send
     one from a planner's callback, which would stop the search (and the interpreter) for as long. A lost
@@ -223,8 +223,8 @@ class SamplingClient(HttpClient[httpx.BaseTransport]):
         """
         return self._ask(self._of_validity(picture, configurations, model), time.perf_counter())
 
-    def plan(self, picture: Picture, query: PlanWanted, model: str | None = None) -> FoundPlan:
-        """A way from start to goal in what a model believes of a picture; no fallback answers.
+    def plan(self, picture: Picture, query: PlanOptions, model: str | None = None) -> FoundPlan:
+        """A path from start to goal by what a model predicts for a picture; no fallback answers.
 
         The client's time limits have to leave room for that of the search.
 
@@ -364,7 +364,7 @@ class AsyncSamplingClient(HttpClient[httpx.AsyncBaseTransport]):
         """See :meth:`cspace_client.SamplingClient.validity`."""
         return await self._ask(self._of_validity(picture, configurations, model), time.perf_counter())
 
-    async def plan(self, picture: Picture, query: PlanWanted, model: str | None = None) -> FoundPlan:
+    async def plan(self, picture: Picture, query: PlanOptions, model: str | None = None) -> FoundPlan:
         """See :meth:`cspace_client.SamplingClient.plan`."""
         return await self._ask(self._of_plan(picture, query, model), time.perf_counter())
 

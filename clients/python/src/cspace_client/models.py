@@ -80,7 +80,7 @@ class JointSpace:
         return np.where(self.periodic, np.where(wrapped >= np.pi, -np.pi, wrapped), values)
 
     def distance(self, start: ArrayLike, end: ArrayLike) -> NDArray[np.float64]:
-        """Euclidean length of the straight way, round the shorter side of each circle; (...,) rad."""
+        """Euclidean length of the straight path, round the shorter side of each circle; (...,) rad."""
         apart = np.asarray(end, dtype=np.float64) - np.asarray(start, dtype=np.float64)
         return np.asarray(np.linalg.norm(self.wrap(apart), axis=-1))
 
@@ -426,7 +426,7 @@ def _whole(name: str, value: int) -> int:
 Status = Literal["solved", "refused", "timeout"]
 
 
-class PlanWanted(Protocol):
+class PlanOptions(Protocol):
     """What is asked of a planner; :class:`PlanQuery`, or any value with the same members."""
 
     @property
@@ -443,7 +443,7 @@ class PlanWanted(Protocol):
 
     @property
     def min_confidence(self) -> float | None:
-        """Below which no way is returned; None for the server's own."""
+        """Below which no path is returned; None for the server's own."""
 
     @property
     def time_limit_s(self) -> float | None:
@@ -463,7 +463,7 @@ class PlanWanted(Protocol):
 
     @property
     def alternatives(self) -> bool:
-        """Whether all ways are wanted that are sure enough."""
+        """Whether all paths are wanted that are sure enough."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -474,12 +474,12 @@ class PlanQuery:
         start: (d,) rad.
         goal: (d,) rad.
         seed: of all draws, unsigned 64 bit.
-        min_confidence: below which no way is returned, 0 to 1; None for the server's own.
+        min_confidence: below which no path is returned, 0 to 1; None for the server's own.
         time_limit_s: for the search; None for the server's own.
         ways: that are looked for; None for the server's own number.
-        next_view: whether the camera is wanted that would see most of what the way is doubted for.
-        views: cameras to choose it from, as plain values; none for some about the doubt.
-        alternatives: whether all ways are wanted that are sure enough, for those who can check them.
+        next_view: whether the camera is wanted that would see most of what makes the path uncertain.
+        views: cameras to choose it from, as plain values; none for some about the uncertain places.
+        alternatives: whether all paths are wanted that are sure enough, for those who can check them.
     """
 
     start: Sequence[float]
@@ -494,14 +494,14 @@ class PlanQuery:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Doubt:
-    """Where a way is least sure.
+class LeastConfidence:
+    """Where a path is least sure.
 
     Args:
         configuration: (d,) rad.
         confidence: of it alone.
         unseen: share of the robot that no picture shows there; None in worlds that are seen whole.
-        along: how far along the way it lies, 0 to 1.
+        along: how far along the path it lies, 0 to 1.
     """
 
     configuration: NDArray[np.float64]
@@ -511,16 +511,16 @@ class Doubt:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class BelievedWay:
-    """A way and how sure a model is of it.
+class AlternativePath:
+    """A path and how sure a model is of it.
 
     Args:
-        way: (k, d) rad from start to goal.
-        confidence: that the whole way touches nothing.
+        path: (k, d) rad from start to goal.
+        confidence: that the whole path touches nothing.
         edges: (k - 1,) the least confidence of a state on each of its pieces.
     """
 
-    way: NDArray[np.float64]
+    path: NDArray[np.float64]
     confidence: float
     edges: NDArray[np.float32]
 
@@ -531,7 +531,7 @@ class NextView:
 
     Args:
         camera: as plain values.
-        sees: share of the doubt along a way that lies on space it would see, 0 to 1.
+        sees: share of the cost along a path that lies on space it would see, 0 to 1.
     """
 
     camera: Mapping[str, Any]
@@ -540,44 +540,44 @@ class NextView:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Plan:
-    """A way, or none.
+    """A path, or none.
 
     Args:
-        status: ``solved``; ``refused`` where no way is sure enough or none was found; ``timeout`` where none
+        status: ``solved``; ``refused`` where no path is sure enough or none was found; ``timeout`` where none
             was found in time.
-        way: (k, d) rad from start to goal, (0, d) unless it is solved.
-        confidence: that the whole way touches nothing; of the surest one where it is refused, 0 without one.
+        path: (k, d) rad from start to goal, (0, d) unless it is solved.
+        confidence: that the whole path touches nothing; of the surest one where it is refused, 0 without one.
         edges: (k - 1,) the least confidence of a state on each of its pieces.
         unseen: (k - 1,) the largest share of the robot on each piece that no picture shows; None in worlds
             that are seen whole.
         length_rad: Euclidean.
-        found: ways that the best was chosen from.
-        least: where the surest way is least sure; None without one.
-        next_view: the camera that would see most of what that way is doubted for; None where none was asked
+        found: paths that the best was chosen from.
+        least: where the surest path is least sure; None without one.
+        next_view: the camera that would see most of what makes that path uncertain; None where none was asked
             for, or none would see more.
-        alternatives: all ways that are sure enough, the surest first, which is the plan's; none where they
+        alternatives: all paths that are sure enough, the surest first, which is the plan's; none where they
             were not asked for.
-        search_ms: looking for ways.
+        search_ms: looking for paths.
         score_ms: asking the model about them.
     """
 
     status: Status
-    way: NDArray[np.float64]
+    path: NDArray[np.float64]
     confidence: float
     edges: NDArray[np.float32]
     unseen: NDArray[np.float32] | None
     length_rad: float
     found: int
-    least: Doubt | None
+    least: LeastConfidence | None
     next_view: NextView | None
-    alternatives: tuple[BelievedWay, ...]
+    alternatives: tuple[AlternativePath, ...]
     search_ms: float
     score_ms: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FoundPlan:
-    """A way, or why there is none.
+    """A path, or why there is none.
 
     Args:
         plan: the answer.

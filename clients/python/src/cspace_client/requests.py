@@ -32,15 +32,15 @@ from cspace_client.errors import SamplerError, printable, unusable
 from cspace_client.models import (
     MAX_SAMPLES,
     PLAIN,
-    BelievedWay,
+    AlternativePath,
     Diagnosis,
-    Doubt,
     FoundPlan,
     JointSpace,
+    LeastConfidence,
     ModelHead,
     NextView,
     Plan,
-    PlanWanted,
+    PlanOptions,
     SampleBatch,
     Status,
     SuggestedPose,
@@ -287,7 +287,7 @@ def rows_of(configurations: ArrayLike) -> NDArray[np.float64]:
 
 
 JSON = "application/json"
-# Of a way with thousands of corners.
+# Of a path with thousands of corners.
 _MAX_BYTES = 4 * 1024 * 1024
 _MAX_NAME = 256
 # Start and goal come back as circles are written: within a turn, in the numbers that were sent.
@@ -297,7 +297,7 @@ _STATUSES: tuple[Status, ...] = ("solved", "refused", "timeout")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlanQuestion(Question[FoundPlan]):
-    """A request for a way.
+    """A request for a path.
 
     Args:
         query: what is asked.
@@ -306,7 +306,7 @@ class PlanQuestion(Question[FoundPlan]):
     path: ClassVar[str] = "/plan"
     media_type: ClassVar[str] = JSON
 
-    query: PlanWanted
+    query: PlanOptions
 
     def own_fields(self) -> dict[str, Any]:
         """All of the query; of what older servers do not know, what is not taken for granted."""
@@ -345,7 +345,7 @@ class PlanReading:
         return _MAX_BYTES
 
     def conclude(self, body: bytes, round_trip_s: float) -> FoundPlan:
-        """The plan, whose way leads from start to goal within the joints' limits."""
+        """The plan, whose path leads from start to goal within the joints' limits."""
         try:
             told = Members(parse_json(body), "plan")
         except ValueError as error:
@@ -444,17 +444,17 @@ def _plan(told: Members, space: JointSpace) -> Plan:
     timing = told.inner("timing_ms")
     return Plan(
         status=told.one_of("status", _STATUSES),
-        way=_way(told, space),
+        path=_path(told, space),
         confidence=told.number("confidence", 1.0),
         edges=np.array(told.shares("edges"), dtype=np.float32),
         unseen=np.array(told.shares("unseen"), dtype=np.float32) if told.told("unseen") else None,
         length_rad=told.number("length_rad"),
         found=told.count("ways"),
-        least=None if least is None else _doubt(least, space),
+        least=None if least is None else _least(least, space),
         next_view=None if view is None else NextView(view.plain("camera"), view.number("sees", 1.0)),
         alternatives=tuple(
-            BelievedWay(
-                _way(one, space),
+            AlternativePath(
+                _path(one, space),
                 one.number("confidence", 1.0),
                 np.array(one.shares("edges"), dtype=np.float32),
             )
@@ -465,13 +465,13 @@ def _plan(told: Members, space: JointSpace) -> Plan:
     )
 
 
-def _doubt(least: Members, space: JointSpace) -> Doubt:
+def _least(least: Members, space: JointSpace) -> LeastConfidence:
     unseen = least.number("unseen", 1.0) if least.told("unseen") else None
     row = _rows([least.row("configuration")], space)[0]
-    return Doubt(row, least.number("confidence", 1.0), unseen, least.number("along", 1.0))
+    return LeastConfidence(row, least.number("confidence", 1.0), unseen, least.number("along", 1.0))
 
 
-def _way(told: Members, space: JointSpace) -> NDArray[np.float64]:
+def _path(told: Members, space: JointSpace) -> NDArray[np.float64]:
     return _rows(told.rows("path"), space)
 
 
@@ -481,8 +481,8 @@ def _rows(rows: list[list[float]], space: JointSpace) -> NDArray[np.float64]:
     return np.array(rows, dtype=np.float64).reshape(len(rows), space.dim)
 
 
-def _require_fit(plan: Plan, query: PlanWanted, space: JointSpace) -> None:
-    """Refuse a way that is none, that leads elsewhere, or that is less sure than was asked for.
+def _require_fit(plan: Plan, query: PlanOptions, space: JointSpace) -> None:
+    """Refuse a path that is none, that leads elsewhere, or that is less sure than was asked for.
 
     Raises:
         SamplerAnswerError: it is such a one.
@@ -494,22 +494,22 @@ def _require_fit(plan: Plan, query: PlanWanted, space: JointSpace) -> None:
         if plan.unseen is not None and len(unseen) != len(plan.edges):
             raise unusable("has no whole way", f"{len(plan.edges)} unseen shares", str(len(unseen)))
         _require_way(plan, query, space)
-    elif any(map(len, (plan.way, plan.edges, unseen, plan.alternatives))):
+    elif any(map(len, (plan.path, plan.edges, unseen, plan.alternatives))):
         raise unusable("has a way that was not found", "none", plan.status)
 
 
-def _require_way(way: Plan | BelievedWay, query: PlanWanted, space: JointSpace) -> None:
-    pieces = len(way.way) - 1
+def _require_way(way: Plan | AlternativePath, query: PlanOptions, space: JointSpace) -> None:
+    pieces = len(way.path) - 1
     if pieces < 1 or len(way.edges) != pieces:
         raise unusable("has no whole way", "two corners or more, edges between", f"{pieces} edges")
     if query.min_confidence is not None and way.confidence < query.min_confidence:
         raise unusable("is less sure than was asked for", str(query.min_confidence), str(way.confidence))
-    if not space.holds(way.way).all():
+    if not space.holds(way.path).all():
         ends = f"from {space.lower} to {space.upper}"
         raise unusable("leaves the joints' limits", ends[:200], "others")
     ends_rad = [np.asarray(end, dtype=np.float64) for end in (query.start, query.goal)]
     if (
         any(end.shape != (space.dim,) for end in ends_rad)
-        or (space.distance(ends_rad, way.way[[0, -1]]) > _SAME_RAD).any()
+        or (space.distance(ends_rad, way.path[[0, -1]]) > _SAME_RAD).any()
     ):
         raise unusable("leads elsewhere", "a way from start to goal", "other ends")

@@ -73,9 +73,9 @@ def test_a_configuration_is_free_when_clear_of_discs_and_within_limits(scene):
 def test_an_edge_is_free_when_all_its_states_are(scene, data, resolution):
     scenario, a = scene
     b = np.array([data.draw(angles) for _ in range(scenario.robot.dim)])
-    way = scenario.robot.space.difference(a, b)
-    count = max(1, int(np.ceil(np.abs(way).max() / resolution)))
-    states = [a + way * share for share in np.linspace(0.0, 1.0, count + 1)]
+    path = scenario.robot.space.difference(a, b)
+    count = max(1, int(np.ceil(np.abs(path).max() / resolution)))
+    states = [a + path * share for share in np.linspace(0.0, 1.0, count + 1)]
     clearances = np.array([reference_clearance(scenario, q) for q in states])
     assume(np.abs(clearances).min() > ROUNDING_M)
     expected = bool((clearances > 0.0).all()) and all(within_limits(scenario, q) for q in states)

@@ -189,11 +189,11 @@ def test_a_large_picture_is_read_in_parts_between_which_a_caller_may_stop():
         pass
 
     parts = []
-    decode_png(png(plain("RGBA", (1, 2, 3, 4), side=1024)), between=lambda: parts.append(1))
+    decode_png(png(plain("RGBA", (1, 2, 3, 4), side=1024)), check_cancelled=lambda: parts.append(1))
     assert len(parts) == 8
 
     def stop():
         raise StopError
 
     with pytest.raises(StopError):
-        decode_png(png(plain("RGB", (1, 2, 3), side=256)), between=stop)
+        decode_png(png(plain("RGB", (1, 2, 3), side=256)), check_cancelled=stop)

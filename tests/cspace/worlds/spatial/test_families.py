@@ -117,12 +117,12 @@ def test_bins_let_hands_in_where_they_are_open_and_nowhere_else():
         piece = bins.draw(np.random.default_rng(seed))
         obstacles, (region,) = Obstacles.of(piece.shapes), piece.regions
         centre = np.array(region.box.pose)[:3, 3]
-        for way in ((1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)):
-            line = centre - np.linspace(0.0, 1.0, 500)[:, None] * way
-            is_open = np.allclose(way, region.approach)
+        for path in ((1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)):
+            line = centre - np.linspace(0.0, 1.0, 500)[:, None] * path
+            is_open = np.allclose(path, region.approach)
             assert (distance_m(obstacles, line) > 0.0).all() == is_open
         opened.add(region.approach)
-    assert {tuple(np.rint(way)) for way in opened} == {(0, 0, -1), (1, 0, 0), (0, 1, 0), (0, -1, 0)}
+    assert {tuple(np.rint(path)) for path in opened} == {(0, 0, -1), (1, 0, 0), (0, 1, 0), (0, -1, 0)}
 
 
 def test_lids_are_hinged_at_the_opening_and_leave_it_free():

@@ -52,14 +52,14 @@ def test_what_lies_behind_a_surface_that_was_seen_is_seen_from_the_other_side(pi
 
 
 def test_the_camera_that_sees_the_doubted_space_is_named(picture, reaching):
-    doubts = np.ones(len(reaching))
+    costs = np.ones(len(reaching))
     given = [FRONT.to_dict(), BACK.to_dict()]
-    found = best_view(WORLD, picture, reaching, doubts, given)
+    found = best_view(WORLD, picture, reaching, costs, given)
     assert found.camera == given[1]
     assert 0.1 < found.sees < 1.0
-    again = best_view(WORLD, picture, reaching, doubts, given[:1])
+    again = best_view(WORLD, picture, reaching, costs, given[:1])
     assert again is None or again.sees < 0.3 * found.sees
-    around = best_view(WORLD, picture, reaching, doubts)
+    around = best_view(WORLD, picture, reaching, costs)
     assert 0.0 < around.sees <= 1.0
 
 
@@ -72,24 +72,24 @@ def test_doubt_of_states_that_are_seen_whole_is_seen_by_nobody(picture, reaching
 
 
 def test_cameras_from_elsewhere_go_first(picture, reaching):
-    doubts, beside = np.ones(len(reaching)), camera(1.9, 0.1)
+    costs, beside = np.ones(len(reaching)), camera(1.9, 0.1)
     given, across = [BACK.to_dict(), beside.to_dict()], camera(0.6, 1.5, 1.2)
-    best = best_view(WORLD, picture, reaching, doubts, given)
-    other = best_view(WORLD, picture, reaching, doubts, [across.to_dict()])
+    best = best_view(WORLD, picture, reaching, costs, given)
+    other = best_view(WORLD, picture, reaching, costs, [across.to_dict()])
     assert 0.0 < other.sees < best.sees
     given.append(across.to_dict())
-    assert best_view(WORLD, picture, reaching, doubts, given) == best
+    assert best_view(WORLD, picture, reaching, costs, given) == best
     told = {"pose": camera(1.8, 0.0).to_dict()["pose"]}
-    assert best_view(WORLD, picture, reaching, doubts, given, seen_by=[told]) == other
+    assert best_view(WORLD, picture, reaching, costs, given, seen_by=[told]) == other
     # Where nobody looks from elsewhere, the best of the others is better than none.
-    assert best_view(WORLD, picture, reaching, doubts, given[:2], seen_by=[told]) == best
+    assert best_view(WORLD, picture, reaching, costs, given[:2], seen_by=[told]) == best
 
 
 def test_the_hemisphere_has_another_side(picture, reaching):
-    doubts = np.ones(len(reaching))
+    costs = np.ones(len(reaching))
     for side in (1.0, -1.0):
         told = {"pose": camera(-0.2, side).to_dict()["pose"]}
-        found = best_view(WORLD, picture, reaching, doubts, seen_by=[told])
+        found = best_view(WORLD, picture, reaching, costs, seen_by=[told])
         assert side * np.array(found.camera["pose"])[1, 3] < 0.0
 
 
@@ -138,5 +138,5 @@ def test_whoever_calls_can_stop_between_two_cameras(picture, reaching):
             raise InterruptedError
 
     with pytest.raises(InterruptedError):
-        best_view(WORLD, picture, reaching, np.ones(len(reaching)), between=stop)
+        best_view(WORLD, picture, reaching, np.ones(len(reaching)), check_cancelled=stop)
     assert len(called) == 2

@@ -41,9 +41,9 @@ def test_every_family_gives_problems_with_a_way_that_solves_them(drawn):
     for one in drawn:
         checker = CollisionChecker(PANDA, one.layout.obstacles)
         assert checker.valid_batch(np.stack([one.start, one.goal])).all()
-        assert np.array_equal(one.way[0], one.start)
-        assert np.array_equal(one.way[-1], one.goal)
-        assert checker.edge_batch(one.way[:-1], one.way[1:], 0.01).all()
+        assert np.array_equal(one.path[0], one.start)
+        assert np.array_equal(one.path[-1], one.goal)
+        assert checker.edge_batch(one.path[:-1], one.path[1:], 0.01).all()
         assert one.is_trivial == checker.edge(one.start, one.goal, 0.01)
     assert np.mean([one.is_trivial for one in drawn]) <= 1 / 3
 
@@ -75,7 +75,7 @@ def test_split_seed_and_index_alone_tell_a_problem():
     for one, other in zip(first, again, strict=True):
         assert one.layout == other.layout
         assert (one.kind, one.rejected, one.is_trivial) == (other.kind, other.rejected, other.is_trivial)
-        assert np.array_equal(one.way, other.way)
+        assert np.array_equal(one.path, other.path)
     assert len({str(one.layout.to_dict()) for one in first}) == len(told)
     assert len({one.start.tobytes() for one in first}) == len(told)
 
@@ -84,7 +84,7 @@ def test_split_seed_and_index_alone_tell_a_problem():
 def test_another_arm_has_problems_of_every_family_too(family):
     found = draw_problem(UR5, SCENES, Split.VALIDATION, 0, 0, family, limits=QUICK)
     checker = CollisionChecker(UR5, found.layout.obstacles)
-    assert checker.edge_batch(found.way[:-1], found.way[1:], 0.01).all()
+    assert checker.edge_batch(found.path[:-1], found.path[1:], 0.01).all()
     ends = np.stack([found.start, found.goal])
     assert any(reaches_into(UR5, ends, region).any() for region in found.layout.regions)
 
@@ -97,7 +97,7 @@ def test_a_problem_of_a_named_kind_has_the_scene_of_its_index_where_that_has_one
 
 
 def test_what_a_problem_holds_is_not_written_to(drawn):
-    for values in (drawn[0].start, drawn[0].goal, drawn[0].way):
+    for values in (drawn[0].start, drawn[0].goal, drawn[0].path):
         with pytest.raises(ValueError, match="read-only"):
             values[0] = 0.0
 

@@ -58,13 +58,13 @@ def raw_way(checker, start, goal, seed):
 def test_a_way_leads_from_start_to_goal_and_every_step_of_it_is_free(ends):
     checker, start, goals = ends
     for goal in goals[:2]:
-        way = find_path(checker, start, goal, np.random.default_rng(0), LIMITS)
-        assert way is not None
-        assert np.array_equal(way[0], start)
-        assert np.array_equal(way[-1], goal)
-        assert is_free(checker, way, 0.01)
-        assert np.linalg.norm(np.diff(way, axis=0), axis=1).max() <= LIMITS.step_rad + 1e-12
-        dense = spaced(way, PANDA.space, 0.01)
+        path = find_path(checker, start, goal, np.random.default_rng(0), LIMITS)
+        assert path is not None
+        assert np.array_equal(path[0], start)
+        assert np.array_equal(path[-1], goal)
+        assert is_free(checker, path, 0.01)
+        assert np.linalg.norm(np.diff(path, axis=0), axis=1).max() <= LIMITS.step_rad + 1e-12
+        dense = spaced(path, PANDA.space, 0.01)
         assert checker.valid_batch(dense).all()
 
 
@@ -72,9 +72,9 @@ def test_a_way_of_many_tries_is_no_longer_than_the_first_search_finds(ends):
     checker, start, goals = ends
     for goal in goals[:2]:
         raw = raw_way(checker, start, goal, 0)
-        way = find_path(checker, start, goal, np.random.default_rng(0), LIMITS)
-        assert length_rad(way, PANDA.space) < length_rad(raw, PANDA.space)
-        assert length_rad(way, PANDA.space) > np.linalg.norm(goal - start)
+        path = find_path(checker, start, goal, np.random.default_rng(0), LIMITS)
+        assert length_rad(path, PANDA.space) < length_rad(raw, PANDA.space)
+        assert length_rad(path, PANDA.space) > np.linalg.norm(goal - start)
 
 
 def test_shortening_never_lengthens_and_keeps_a_way_free_and_its_ends(ends):
@@ -95,13 +95,13 @@ def test_shortening_never_lengthens_and_keeps_a_way_free_and_its_ends(ends):
 def test_the_arm_is_drawn_out_of_a_door():
     checker = CollisionChecker(TWO_LINKS, DOOR)
     assert not checker.edge(THROUGH, ASIDE, 0.01)
-    way = find_path(checker, THROUGH, ASIDE, np.random.default_rng(0))
-    assert way is not None
-    assert np.allclose(way[[0, -1]], [THROUGH, ASIDE])
-    assert is_free(checker, way, 0.01)
+    path = find_path(checker, THROUGH, ASIDE, np.random.default_rng(0))
+    assert path is not None
+    assert np.allclose(path[[0, -1]], [THROUGH, ASIDE])
+    assert is_free(checker, path, 0.01)
     # The elbow bends by half a turn or nearly, to either side, and back.
-    assert np.abs(way[:, 1]).max() > 1.0
-    assert length_rad(way, circles(2)) < 6.0
+    assert np.abs(path[:, 1]).max() > 1.0
+    assert length_rad(path, circles(2)) < 6.0
 
 
 def test_without_a_door_no_way_is_found():
@@ -118,27 +118,27 @@ def test_without_a_door_no_way_is_found():
 def test_the_straight_way_is_taken_where_it_is_free():
     checker = CollisionChecker(PANDA, Obstacles())
     start, goal = np.asarray(READY[0]), np.asarray(READY[0]) + 0.3
-    way = find_path(checker, start, goal, np.random.default_rng(0), LIMITS)
-    assert length_rad(way, PANDA.space) == pytest.approx(0.3 * np.sqrt(7))
-    steps = np.linalg.norm(np.diff(way, axis=0), axis=1)
+    path = find_path(checker, start, goal, np.random.default_rng(0), LIMITS)
+    assert length_rad(path, PANDA.space) == pytest.approx(0.3 * np.sqrt(7))
+    steps = np.linalg.norm(np.diff(path, axis=0), axis=1)
     assert np.allclose(steps, steps[0])
-    assert len(way) == 9
+    assert len(path) == 9
     assert len(find_path(checker, start, start, np.random.default_rng(0))) == 2
 
 
 def test_a_way_goes_round_the_shorter_side_of_a_circle():
     checker = CollisionChecker(TWO_LINKS, Obstacles())
-    way = find_path(checker, np.array([3.0, 0.0]), np.array([-3.0, 0.0]), np.random.default_rng(0))
-    assert length_rad(way, circles(2)) == pytest.approx(2.0 * np.pi - 6.0)
+    path = find_path(checker, np.array([3.0, 0.0]), np.array([-3.0, 0.0]), np.random.default_rng(0))
+    assert length_rad(path, circles(2)) == pytest.approx(2.0 * np.pi - 6.0)
     bent = np.array([[3.0, 0.0], [3.1, 0.5], [-3.0, 0.0]])
     short = checker.shortened(bent, np.random.default_rng(0), 200, 0.01)
     assert length_rad(short, circles(2)) == pytest.approx(2.0 * np.pi - 6.0, rel=0.02)
 
 
 def test_even_steps_keep_the_corners():
-    way = np.array([[0.0, 0.0], [0.25, 0.0], [0.25, 0.1]])
+    path = np.array([[0.0, 0.0], [0.25, 0.0], [0.25, 0.1]])
     expected = [[0.0, 0.0], [0.25 / 3, 0.0], [0.5 / 3, 0.0], [0.25, 0.0], [0.25, 0.1]]
-    assert np.allclose(spaced(way, circles(2), 0.11), expected)
+    assert np.allclose(spaced(path, circles(2), 0.11), expected)
     across = spaced(np.array([[3.1, 0.0], [-3.1, 0.0]]), circles(2), 0.05)
     assert len(across) == 3
     assert abs(across[1, 0]) == pytest.approx(np.pi)
@@ -155,9 +155,9 @@ def test_what_does_not_fit_is_refused():
     rng = np.random.default_rng(0)
     with pytest.raises(ScenarioError, match="do not fit the robot"):
         find_path(checker, READY[0], np.zeros(6), rng)
-    for way, resolution in ((np.zeros((1, 7)), 0.01), (np.zeros((3, 6)), 0.01), (np.zeros((3, 7)), 0.0)):
+    for path, resolution in ((np.zeros((1, 7)), 0.01), (np.zeros((3, 6)), 0.01), (np.zeros((3, 7)), 0.0)):
         with pytest.raises(ScenarioError, match="path does not fit"):
-            checker.shortened(way, rng, 10, resolution)
+            checker.shortened(path, rng, 10, resolution)
     for wrong in ({"tries": -1}, {"final_rad": 0.0}, {"range_rad": float("nan")}):
         with pytest.raises(ScenarioError, match="limits of a search"):
             PathLimits(**wrong)

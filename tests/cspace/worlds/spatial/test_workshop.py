@@ -143,8 +143,8 @@ def test_a_problem_is_seen_from_where_the_arm_starts():
     checker = SHOP.checker(problem.scenario)
     assert checker.valid_batch(np.stack([problem.start, problem.goal])).all()
     assert SHOP.obstruction(problem) is None
-    way = SHOP.path_search(problem.scenario)(problem.start, problem.goal)
-    assert checker.edge_batch(way[:-1], way[1:], 0.01).all()
+    path = SHOP.path_search(problem.scenario)(problem.start, problem.goal)
+    assert checker.edge_batch(path[:-1], path[1:], 0.01).all()
     again = SHOP.problem("bin", Split.VALIDATION, 1, 2)
     assert np.array_equal(again.goal, problem.goal)
     assert again.scenario == problem.scenario

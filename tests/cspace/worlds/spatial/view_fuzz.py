@@ -88,7 +88,7 @@ class Subject:
         codes = frozenset(one.code for one in read.findings)
         if judged:
             picture = self.bundle.prepare(read.images[0])
-            confidence, unseen = self.bundle.believe(picture, self.rows)
+            confidence, unseen = self.bundle.predict(picture, self.rows)
             assert unseen is not None and picture.novelty is not None  # noqa: PT018
             return Seen(unseen, confidence, picture.novelty, codes)
         weights = self.arm.spheres_m()[:, 3] ** 3
@@ -198,8 +198,8 @@ def surer(before: Seen, after: Seen) -> bool:
     if before.confidence is None or after.confidence is None:
         return seen_freer and not warned
     rises = float((after.confidence - before.confidence).mean()) > MARGIN
-    doubted = float((after.unseen - before.unseen).mean()) > 1e-3 or after.novelty > before.novelty
-    return (seen_freer or (rises and not doubted)) and not warned
+    uncertain = float((after.unseen - before.unseen).mean()) > 1e-3 or after.novelty > before.novelty
+    return (seen_freer or (rises and not uncertain)) and not warned
 
 
 def in_other_forms(rng: Rng, view: DepthView) -> bytes:
