@@ -1,7 +1,7 @@
 """Which further depth camera would see most of the space that makes a path uncertain. NumPy alone.
 
 Space in which a camera read nothing is mostly the sky: another picture would read nothing either. A path is
-uncertain for what hides behind what was seen, and its neighbours hide there, too: a camera beside one that has
+uncertain for what hides behind what was seen, and its neighbours hide there: a camera beside one that has
 looked sees past what hid that path alone, and so cameras from elsewhere go first.
 """
 
