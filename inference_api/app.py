@@ -18,7 +18,7 @@ from inference_api.models.pictures import PictureCache
 from inference_api.models.served import ShippedModels
 from inference_api.models.store import ModelStore, following
 from inference_api.models.worker import RegistryWorker
-from inference_api.problems import add_problem_handlers
+from inference_api.problem_types import add_problem_handlers
 from inference_api.process import few_arenas, settle, trimmed
 from inference_api.requests import Service
 from inference_api.routes import doctor, models, open_inference, plan, sample, validity

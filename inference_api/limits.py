@@ -20,7 +20,7 @@ from uvicorn.middleware.proxy_headers import ProxyHeadersMiddleware
 
 from inference_api.keys import ApiKeys, bearer_token, warn_of_readers
 from inference_api.logs import note_client
-from inference_api.problems import (
+from inference_api.problem_types import (
     BODY_TOO_LARGE,
     FOREIGN_ORIGIN,
     HEADERS_TOO_LARGE,

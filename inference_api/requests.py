@@ -24,7 +24,7 @@ from cspace.errors import InputError
 from inference_api.limits import client_of
 from inference_api.models.served import ServedModel
 from inference_api.models.store import ModelStore
-from inference_api.problems import (
+from inference_api.problem_types import (
     MALFORMED_BODY,
     MEDIA_TYPE,
     UNSUPPORTED_MEDIA_TYPE,

@@ -26,7 +26,7 @@ from cspace.bundle.sampling import BUDGET, BUDGET_AT_LEAST
 from cspace.bundle.spec import WAYS, BundleSpec
 from cspace.query import SampleQuery
 from inference_api.limits import MAX_CLIENTS, Shares, full_detail
-from inference_api.problems import OVERLOADED, NoKernelsError, RequestError
+from inference_api.problem_types import OVERLOADED, NoKernelsError, RequestError
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")

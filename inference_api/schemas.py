@@ -26,7 +26,7 @@ from cspace.query import (
 from cspace.view_file import MAX_PICTURES, pack_view
 from cspace.world import Finding
 from inference_api.models.served import ServedModel
-from inference_api.problems import FieldProblem, FieldsError, brief
+from inference_api.problem_types import FieldProblem, FieldsError, brief
 from services.registry.ports import ModelReference
 
 MAX_JOINTS, MAX_EPSILONS, MAX_VIEWS = 64, 1000, 64

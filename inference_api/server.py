@@ -19,7 +19,7 @@ from uvicorn.protocols.http.h11_impl import STATUS_PHRASES, H11Protocol, Request
 
 from inference_api.limits import RAW_SECURITY_HEADERS, client_of
 from inference_api.logs import RequestRecord, begin, choose_request_id, end, log_request
-from inference_api.problems import (
+from inference_api.problem_types import (
     HEADERS_TIMEOUT,
     HEADERS_TOO_LARGE,
     MALFORMED_REQUEST,

@@ -28,7 +28,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from cspace.query import Status
 from inference_api.limits import RAW_SECURITY_HEADERS
 from inference_api.logs import RequestRecord, begin, choose_request_id, current, end, log_request
-from inference_api.problems import PROBLEMS, SHUTTING_DOWN, failure_response, problem_response
+from inference_api.problem_types import PROBLEMS, SHUTTING_DOWN, failure_response, problem_response
 
 CONTENT_TYPE = "text/plain; version=0.0.4; charset=utf-8"
 REQUEST_ID = "X-Request-ID"

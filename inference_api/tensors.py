@@ -16,7 +16,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from cspace.errors import InputError
 from cspace.world import Finding, TensorInput
 from inference_api.models.served import ServedModel
-from inference_api.problems import MALFORMED_BODY, RequestError, brief, brief_members
+from inference_api.problem_types import MALFORMED_BODY, RequestError, brief, brief_members
 from inference_api.requests import load_object
 from inference_api.schemas import warnings_of
 

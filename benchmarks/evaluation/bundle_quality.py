@@ -16,7 +16,7 @@ from benchmarks.command import arguments, spread
 from benchmarks.machine import machine
 from cspace.bundle import Bundle
 from cspace.simulator import Split
-from services.evaluator.measures.reconstruction import SceneQuality, summarise
+from services.evaluator.measures.sample_quality import SceneQuality, summarise
 from services.evaluator.measures.scenes import SAMPLES, Scene, Stage, bundle_sampler, reconstruct, summary_rng
 from services.evaluator.tables import markdown
 

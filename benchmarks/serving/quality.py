@@ -16,7 +16,7 @@ from benchmarks.serving.served import BUNDLE, served
 from cspace.bundle import Bundle
 from cspace.query import SampleQuery
 from cspace.simulator import Split
-from services.evaluator.measures.reconstruction import SceneQuality, summarise
+from services.evaluator.measures.sample_quality import SceneQuality, summarise
 from services.evaluator.measures.scenes import SAMPLES, Scene, Stage, reconstruct, summary_rng
 from services.evaluator.statistics import difference_interval
 from services.evaluator.tables import markdown

@@ -34,7 +34,7 @@ from cspace.errors import (
 )
 from cspace.files import HALF_PREFIX, holding, read_bounded, replacing
 from inference_api.models.worker import DOWNLOAD_S
-from inference_api.problems import ModelNotReadyError
+from inference_api.problem_types import ModelNotReadyError
 from services.registry.ports import ModelReader, ModelVersion, is_model_name
 
 # Longer than any description; what is longer is somebody else's file.

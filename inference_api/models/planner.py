@@ -7,7 +7,7 @@ from threading import Thread
 from typing import Literal
 
 from cspace.plan import load_examples
-from inference_api.problems import NoRoomError, StartingError
+from inference_api.problem_types import NoRoomError, StartingError
 from inference_api.process import settle
 
 _LOG = logging.getLogger(__name__)

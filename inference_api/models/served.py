@@ -11,7 +11,7 @@ from cspace.bundle import Bundle, BundleSpec
 from cspace.bundle.files import SPEC_FILE, read_files
 from cspace.errors import BundleError
 from cspace.worlds import robot_digest
-from inference_api.problems import ModelNotReadyError
+from inference_api.problem_types import ModelNotReadyError
 from services.names import may_name, model_name, recorded_name
 from services.registry.ports import PRETRAINED, ModelVersion
 

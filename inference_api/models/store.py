@@ -33,7 +33,7 @@ from inference_api.models.pictures import PictureCache
 from inference_api.models.planner import PlannerStart
 from inference_api.models.served import ServedModel, ShippedModels
 from inference_api.models.worker import RegistryWorker
-from inference_api.problems import ModelNotReadyError
+from inference_api.problem_types import ModelNotReadyError
 from inference_api.telemetry import Observer, Refusal
 from services.names import ALIAS_CHAMPION, TAG_ROBOT
 from services.registry.failures import anonymous

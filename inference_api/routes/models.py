@@ -14,7 +14,7 @@ from cspace.worlds import read_world, robot_digest
 from inference_api.limits import client_of
 from inference_api.models.served import PRETRAINED_VERSION, ServedModel
 from inference_api.models.store import ModelStore
-from inference_api.problems import INVALID_VALUE, NO_MODEL, STARTING, UNAUTHORIZED, ModelNotReadyError
+from inference_api.problem_types import INVALID_VALUE, NO_MODEL, STARTING, UNAUTHORIZED, ModelNotReadyError
 from inference_api.requests import Service, Serving, problem_responses
 from inference_api.routes.sample import GUARD_PROBLEMS
 from inference_api.scheduler import STUCK_S

@@ -1,6 +1,6 @@
 """The Open Inference Protocol v2 over HTTP, which KServe, Triton and their clients speak.
 
-Errors below ``/v2`` have the protocol's form: :func:`inference_api.problems.problem_response` sees to that.
+Errors below ``/v2`` have the protocol's form: :func:`inference_api.problem_types.problem_response` sees to that.
 """
 
 import time
@@ -23,7 +23,7 @@ from cspace.world import Examined, TensorInput, World
 from inference_api.limits import client_of
 from inference_api.models.served import PRETRAINED_VERSION, ServedModel
 from inference_api.models.store import ModelStore
-from inference_api.problems import UNSUPPORTED_MEDIA_TYPE, V2, RequestError, brief
+from inference_api.problem_types import UNSUPPORTED_MEDIA_TYPE, V2, RequestError, brief
 from inference_api.requests import MAX_FIELD_BYTES, Service, Serving, Work, load_json
 from inference_api.routes.models import default_model
 from inference_api.scheduler import Job, rows_of

@@ -16,7 +16,7 @@ from cspace.world import ARM_IN_PICTURE, LITTLE_IN_REACH, Finding
 from inference_api.models.pictures import Prepared
 from inference_api.models.served import ServedModel
 from inference_api.models.store import ModelStore
-from inference_api.problems import NO_PLANNER, STARTING
+from inference_api.problem_types import NO_PLANNER, STARTING
 from inference_api.requests import Serving, both_bodies, problem_responses
 from inference_api.routes.sample import SAMPLE_PROBLEMS, answer_responses, prepared_picture
 from inference_api.scheduler import Job

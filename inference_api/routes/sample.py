@@ -19,7 +19,7 @@ from cspace.bundle.samples import fitted
 from inference_api.models.pictures import Prepared
 from inference_api.models.served import ServedModel
 from inference_api.models.store import ModelStore
-from inference_api.problems import (
+from inference_api.problem_types import (
     BODY_TOO_LARGE,
     FOREIGN_ORIGIN,
     HEADERS_TIMEOUT,

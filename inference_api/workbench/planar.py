@@ -22,7 +22,7 @@ from cspace.simulator import Checker, Simulator, Split
 from cspace.world import World
 from cspace.worlds import read_world, simulator_of
 from inference_api.models.served import ServedModel
-from inference_api.problems import FieldProblem, FieldsError, NoKernelsError
+from inference_api.problem_types import FieldProblem, FieldsError, NoKernelsError
 from inference_api.scheduler import Job
 from inference_api.scheduler import rows_of as rows_cost
 from inference_api.workbench.schemas import (

@@ -16,7 +16,7 @@ from cspace.query import SampleQuery
 from cspace.simulator import Split
 from cspace.world import World
 from cspace.worlds import examples, picture_file_of, robot_digest
-from services.evaluator.measures.reconstruction import (
+from services.evaluator.measures.sample_quality import (
     ReconstructionSummary,
     SamplerSummary,
     SceneQuality,

@@ -6,7 +6,7 @@ import sys
 
 from prometheus_client.parser import text_string_to_metric_families
 
-from inference_api.problems import PROBLEMS
+from inference_api.problem_types import PROBLEMS
 from tests.inference_api.answers import PNG
 from tests.inference_api.client import ApiClient
 from tests.inference_api.server import ROOT

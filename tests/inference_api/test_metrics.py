@@ -12,7 +12,7 @@ from prometheus_client.parser import text_string_to_metric_families
 
 from cspace.bundle import Bundle
 from cspace.bundle.golden import GoldenCase
-from inference_api.problems import PROBLEMS
+from inference_api.problem_types import PROBLEMS
 from inference_api.settings import Protection
 from inference_api.telemetry import STAGES
 from tests.bundles import picture

@@ -7,7 +7,7 @@ import pytest
 
 from cspace.errors import InputError
 from cspace.worlds.planar.world import MAX_PICTURES
-from inference_api.problems import brief, brief_members
+from inference_api.problem_types import brief, brief_members
 from inference_api.requests import MAX_FIELD_BYTES
 from inference_api.tensors import MAX_MEMBERS, MAX_SIZE, InputTensor, read_request, read_tensors
 from tests.inference_api.client import ApiClient

@@ -13,7 +13,7 @@ from cspace.bundle.runtime import onnx_runtime
 from cspace.bundle.sampling import BUDGET, EXTRA
 from cspace.simulator import Split
 from cspace.world import World
-from services.evaluator.measures.reconstruction import SampleQuality
+from services.evaluator.measures.sample_quality import SampleQuality
 from services.evaluator.measures.scenes import Scene, Stage
 from services.evaluator.statistics import mean_interval
 from training.clusters.calibration import STREAM, Scored

@@ -43,7 +43,7 @@ from training.jobs.environment import (
     run_of,
     submission_id,
 )
-from training.jobs.starting import earlier_job, require_folder
+from training.jobs.fine_tuning import earlier_job, require_folder
 from training.section import Section
 
 LONGEST = 100

@@ -17,7 +17,7 @@ from torch import nn
 from cspace.errors import JobError
 from cspace.simulator import Split, derived_seed
 from cspace.world import World
-from services.evaluator.measures.reconstruction import SampleQuality
+from services.evaluator.measures.sample_quality import SampleQuality
 from services.evaluator.measures.scenes import Scene, Stage
 from services.names import EXPERIMENT, TAG_STAGE
 from services.registry.mlflow_tracking import MlflowTracking

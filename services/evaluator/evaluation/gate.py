@@ -12,7 +12,7 @@ from cspace.errors import EvaluationError
 from cspace.simulator import UNIFORM, Measures
 from services.evaluator.evaluation.units import Row
 from services.evaluator.measures.planning import PlanningTrial, RunOutcome
-from services.evaluator.measures.reconstruction import SampleQuality, SceneQuality
+from services.evaluator.measures.sample_quality import SampleQuality, SceneQuality
 from services.evaluator.statistics import Interval, Statistic, bootstrap_interval, censored_as_largest
 
 SERVED = " as served"

@@ -10,7 +10,7 @@ from services.evaluator.evaluation.gate import Comparison
 from services.evaluator.evaluation.units import Evaluation, SplitResult
 from services.evaluator.measures.occupancy import OccupancySummary
 from services.evaluator.measures.planning import COSTS, ArmSummary, FamilySummary
-from services.evaluator.measures.reconstruction import ReconstructionSummary, SamplerSummary
+from services.evaluator.measures.sample_quality import ReconstructionSummary, SamplerSummary
 from services.evaluator.statistics import CensoredSummary, Interval
 from services.evaluator.tables import Table
 

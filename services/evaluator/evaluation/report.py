@@ -53,7 +53,7 @@ from services.evaluator.evaluation.units import (
 )
 from services.evaluator.measures.occupancy import reliability_diagram
 from services.evaluator.measures.planning import UNIFORM_SHARE, learned_samples
-from services.evaluator.measures.reconstruction import NEIGHBOURS, covered
+from services.evaluator.measures.sample_quality import NEIGHBOURS, covered
 from services.evaluator.measures.scenes import Scene, Stage, unfiltered
 from services.evaluator.tables import Table, aligned, markdown
 from services.names import NOTE as DESCRIPTION

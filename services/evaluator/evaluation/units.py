@@ -21,7 +21,7 @@ from services.evaluator.measures.planning import (
     success_rate,
     summarise_family,
 )
-from services.evaluator.measures.reconstruction import ReconstructionSummary, SceneQuality, summarise
+from services.evaluator.measures.sample_quality import ReconstructionSummary, SceneQuality, summarise
 from services.evaluator.measures.scenes import Scene, Stage, reconstruct, summary_rng
 from services.evaluator.measures.topology import (
     POINTS,

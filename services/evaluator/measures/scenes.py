@@ -19,7 +19,7 @@ from cspace.world import Scene as WorldScene
 from cspace.world import World
 from cspace.worlds import checker_of, picture_of, simulator_of
 from services.evaluator.measures.occupancy import SceneOccupancy, scene_occupancy
-from services.evaluator.measures.reconstruction import (
+from services.evaluator.measures.sample_quality import (
     ReconstructionSummary,
     SampleQuality,
     SceneQuality,
@@ -190,7 +190,7 @@ class Scene:
         """All metrics of (N, d) samples against (M, d) held-out free configurations.
 
         Raises:
-            EvaluationError: as :func:`services.evaluator.measures.reconstruction.sample_quality`.
+            EvaluationError: as :func:`services.evaluator.measures.sample_quality.sample_quality`.
         """
         radius_rad = self.measures.coverage_radius_rad
         return sample_quality(samples, held_out, self.space, self.checker.valid_batch, radius_rad)

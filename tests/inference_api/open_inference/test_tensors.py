@@ -13,7 +13,7 @@ from pydantic import ValidationError
 
 from cspace.errors import CspaceError, InputError
 from inference_api.models.served import ServedModel
-from inference_api.problems import RequestError
+from inference_api.problem_types import RequestError
 from inference_api.tensors import (
     DTYPES,
     InferenceRequest,

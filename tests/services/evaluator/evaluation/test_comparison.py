@@ -9,7 +9,7 @@ from cspace.errors import EvaluationError
 from services.evaluator.evaluation.gate import compare_paths, compare_samplers
 from services.evaluator.measures.occupancy import SceneOccupancy
 from services.evaluator.measures.planning import PlanningTrial, RunOutcome
-from services.evaluator.measures.reconstruction import SampleQuality, SceneQuality
+from services.evaluator.measures.sample_quality import SampleQuality, SceneQuality
 
 UNIFORM = SampleQuality(0.7, 0.95, 1.0, 0.8, 0.99)
 HEAD = SceneOccupancy(0.99, 1, 1, (1,), (1.0,), (1,), 0.9)

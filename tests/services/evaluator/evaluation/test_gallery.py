@@ -10,7 +10,7 @@ from cspace.worlds.planar.problems import Family
 from cspace.worlds.planar.world import PlanarWorld
 from services.evaluator.evaluation.report import MISSED_COLOUR, SHOWN_SAMPLES, exhibits, gallery
 from services.evaluator.evaluation.units import SplitResult
-from services.evaluator.measures.reconstruction import SampleQuality, SceneQuality
+from services.evaluator.measures.sample_quality import SampleQuality, SceneQuality
 from services.evaluator.measures.scenes import Scene, Stage
 from tests.fakes.sample_source import FakeSampleSource
 from tests.fakes.uniform_sampler import UniformSampler

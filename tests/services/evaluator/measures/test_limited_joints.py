@@ -7,7 +7,7 @@ from cspace.simulator import Split
 from cspace.space import JointSpace, circles
 from cspace.worlds.planar.arm import PlanarArm
 from cspace.worlds.planar.world import PlanarWorld
-from services.evaluator.measures.reconstruction import coverage, energy_distance
+from services.evaluator.measures.sample_quality import coverage, energy_distance
 from services.evaluator.measures.scenes import Scene, Stage, reconstruct
 from services.evaluator.measures.topology import occupancy, sample_complement
 from tests.fakes.uniform_sampler import UniformSampler

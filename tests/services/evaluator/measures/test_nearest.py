@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from cspace.errors import EvaluationError
 from cspace.space import JointSpace
-from services.evaluator.measures.reconstruction import KnnQuality, coverage, covered, knn_precision_recall
+from services.evaluator.measures.sample_quality import KnnQuality, coverage, covered, knn_precision_recall
 
 TORUS = JointSpace((-np.pi, -np.pi), (np.pi, np.pi), (True, True))
 MIXED = JointSpace((-np.pi, -3.0), (np.pi, 3.0), (True, False))

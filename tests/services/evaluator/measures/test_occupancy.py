@@ -16,7 +16,7 @@ from cspace.worlds.planar.world import PlanarWorld
 from services.evaluator.evaluation.measured import flat_metrics, occupancy_table
 from services.evaluator.evaluation.units import JUDGED, Budget, Kind, Setting, Unit, assemble, run_unit
 from services.evaluator.measures.occupancy import reliability_diagram, scene_occupancy, summarise_occupancy
-from services.evaluator.measures.reconstruction import summarise
+from services.evaluator.measures.sample_quality import summarise
 from services.evaluator.measures.scenes import Scene, ScoredBundleSampler, Stage, bundle_sampler, reconstruct
 from services.planner.samples import BundleSampler
 from tests.bundles import tiny_graphs, tiny_spec, write_tiny_bundle

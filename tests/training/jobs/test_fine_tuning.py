@@ -39,7 +39,7 @@ class Registry:
 def tracking(monkeypatch):
     tracking = FakeTracking()
     monkeypatch.setattr("training.jobs.job.MlflowTracking", lambda uri, **spool: tracking)
-    monkeypatch.setattr("training.jobs.starting.MlflowRegistry", lambda uri: Registry())
+    monkeypatch.setattr("training.jobs.fine_tuning.MlflowRegistry", lambda uri: Registry())
     return tracking
 
 

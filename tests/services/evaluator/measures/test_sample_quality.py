@@ -3,7 +3,7 @@ import pytest
 
 from cspace.errors import EvaluationError
 from cspace.space import JointSpace, circles, embed
-from services.evaluator.measures.reconstruction import (
+from services.evaluator.measures.sample_quality import (
     SampleQuality,
     SceneQuality,
     energy_distance,
