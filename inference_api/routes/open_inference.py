@@ -1,6 +1,6 @@
 """The Open Inference Protocol v2 over HTTP, which KServe, Triton and their clients speak.
 
-Errors below ``/v2`` have the protocol's form: :func:`inference_api.problem_types.problem_response` sees to that.
+Errors below ``/v2`` are in its form: :func:`inference_api.problem_types.problem_response` sees to that.
 """
 
 import time
