@@ -6,18 +6,18 @@ import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cspace.errors import DamagedFileError, DatasetError, ScenarioError, StorageError
+from cspace.errors import DamagedFileError, DatasetError, StorageError
 from cspace.files import make_output_folder, map_npy, read_bounded, replacing
 from cspace.simulator import ORIGINS
 from cspace.space import JointSpace, circles
-from cspace.strict_json import json_text, parse_json, read_mapping, read_members, read_object, written
+from cspace.strict_json import adapter_of, json_text, parse_json, read_object, validated
 from cspace.world import World
-from cspace.worlds import FIRST, read_world
+from cspace.worlds import FIRST, WorldField
 
 _BLOCK = 1_000_000
 # Of each configuration, free or in collision: how far it is from contact, and how it was drawn.
@@ -147,10 +147,9 @@ SCHEMA_VERSION = 2
 MANIFEST_FILE = "manifest.json"
 # Of a data set with some hundred files it has some 100 KiB.
 MAX_MANIFEST_BYTES = 16 * 2**20
-_KEYS = {"schema_version", "world", "counts", "generator", "files", "digest"}
 
 
-@dataclass(frozen=True, slots=True)
+@validated(DatasetError)
 class Manifest:
     """A data set's description.
 
@@ -161,7 +160,7 @@ class Manifest:
         files: SHA-256 of each file by its name.
     """
 
-    world: Annotated[World, read_world]
+    world: WorldField
     counts: Mapping[str, int]
     generator: Mapping[str, Any]
     files: Mapping[str, str]
@@ -178,7 +177,8 @@ class Manifest:
         Raises:
             DatasetError: the generator holds something that JSON does not.
         """
-        content = written(self) | {"schema_version": SCHEMA_VERSION, "digest": self.digest}
+        content = adapter_of(Manifest).dump_python(self)
+        content |= {"schema_version": SCHEMA_VERSION, "digest": self.digest}
         return json_text(content, MANIFEST_FILE, "generator", DatasetError)
 
     @classmethod
@@ -191,13 +191,8 @@ class Manifest:
         """
         path = folder / MANIFEST_FILE
         members = _read_members(path)
-        digest = members.pop("digest")
-        try:
-            manifest = read_object(cls, members, str(path), DatasetError)
-        except ScenarioError as error:
-            raise DatasetError(
-                f"{path}: {error.what}", expected=error.expected, got=error.got, remedy=error.remedy
-            ) from error
+        digest = members.pop("digest", None)
+        manifest = read_object(cls, members, str(path), DatasetError)
         if manifest.digest != digest:
             raise DamagedFileError(f"{path} is damaged", expected=str(digest)[:200], got=manifest.digest)
         return manifest
@@ -216,7 +211,8 @@ def _read_members(path: Path) -> dict[str, Any]:
         values = parse_json(data, whole=int)
     except ValueError as error:
         raise DatasetError(f"{path} is not JSON", expected="a manifest", got=str(error)[:200]) from error
-    version = read_mapping(values, str(path), DatasetError).get("schema_version")
+    members = read_object(dict[str, Any], values, str(path), DatasetError)
+    version = members.pop("schema_version", None)
     if version != SCHEMA_VERSION:
         raise DatasetError(
             f"{path} is of another schema",
@@ -224,8 +220,6 @@ def _read_members(path: Path) -> dict[str, Any]:
             got=repr(version)[:200],
             remedy="generate or import the data again with this release",
         )
-    members = read_members(values, _KEYS, str(path), DatasetError)
-    del members["schema_version"]
     return members
 
 

@@ -1,22 +1,39 @@
-"""Strict JSON: a text to plain values, these to frozen dataclasses by the types of their fields, and back."""
+"""Strict JSON: a text to plain values, and these to pydantic dataclasses that raise the project's errors."""
 
 import json
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import fields, is_dataclass
-from functools import cache
-from numbers import Real
-from types import NoneType, UnionType
-from typing import Annotated, Any, TypeVar, Union, get_args, get_origin, get_type_hints
+from collections.abc import Callable, Iterator
+from dataclasses import field
+from functools import cache, wraps
+from typing import Annotated, Any, TypeVar, cast, dataclass_transform
+
+from pydantic import AfterValidator, ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic.dataclasses import dataclass
+from pydantic_core import ErrorDetails, to_jsonable_python
 
 from cspace.errors import CspaceError
 
 Kind = TypeVar("Kind")
+_Number = TypeVar("_Number", int, float)
 # As seeds are unsigned.
 _LARGEST = 2**64 - 1
 MAX_DEPTH = 64
 _SHOWN = 200
-_NAMES = {str: "a text", bool: "true or false", int: "a whole number", float: "a finite number"}
+_CONFIG = ConfigDict(extra="forbid", allow_inf_nan=False, arbitrary_types_allowed=True)
+_UNKNOWN = ("extra_forbidden", "unexpected_keyword_argument")
+# In the place of pydantic's own words.
+_EXPECTED = {
+    "string_type": "a text",
+    "bool_type": "true or false",
+    "int_type": "a whole number",
+    "float_type": "a finite number",
+    "dataclass_type": "an object",
+    "model_type": "an object",
+    "greater_than": "above {gt:.10g}",
+    "greater_than_equal": "at least {ge:.10g}",
+    "less_than": "below {lt:.10g}",
+    "less_than_equal": "at most {le:.10g}",
+}
 
 
 def _whole(text: str) -> int:
@@ -85,132 +102,129 @@ def json_text(values: object, what: str, open_to: str, error: type[CspaceError])
         ) from problem
 
 
-def read_mapping(values: object, where: str, error: type[CspaceError]) -> dict[str, Any]:
-    """The members of an object, whatever they are.
+def _in_order(span: tuple[_Number, _Number]) -> tuple[_Number, _Number]:
+    if span[0] > span[1]:
+        raise ValueError("a range from low to high")
+    return span
 
-    Raises:
-        error: it is none; ``where`` is its name in the message.
+
+Span = Annotated[tuple[_Number, _Number], AfterValidator(_in_order)]
+Share = Annotated[float, Field(ge=0.0, le=1.0)]
+# Of a field that is not written where it is None, and may be missing then.
+LEFT_OUT = Field(exclude_if=lambda value: value is None)
+
+
+def first_of(problem: ValidationError) -> ErrorDetails:
+    """The first of pydantic's errors; of unknown keys before others, for a missing one may be misspelt."""
+    wrong = problem.errors(include_url=False)
+    return next((one for one in wrong if one["type"] in _UNKNOWN), wrong[0])
+
+
+def refused(
+    problem: ValidationError, error: type[CspaceError], where: str, remedy: str | None = None
+) -> CspaceError:
+    """The project's error for the first of pydantic's, or for the project's own that a validator raised.
+
+    Args:
+        problem: pydantic's.
+        error: the kind of error; an own one that is of this kind is returned as it is.
+        where: what was read; the keys that lead to the wrong value are added.
+        remedy: what the reader can do.
     """
-    if not isinstance(values, Mapping):
-        raise _wrong("an object", values, where, error)
-    return dict(values)
+    first = first_of(problem)
+    context = first.get("ctx", {})
+    own = context.get("error")
+    if isinstance(own, error):
+        return own
+    if isinstance(own, CspaceError):
+        return error(f"{where}: {own.what}", expected=own.expected, got=own.got, remedy=own.remedy or remedy)
+    path, kind = ".".join(map(str, first["loc"]))[:_SHOWN], first["type"]
+    place = f"{where}: {path}" if path else where
+    if kind == "missing":
+        return error(f"{place} is missing", expected="a value", got="nothing", remedy=remedy)
+    if kind in _UNKNOWN:
+        return error(f"{place} is unknown", expected="known keys alone", got=path, remedy=remedy)
+    words = first["msg"].removeprefix("Input should be ").removeprefix("Value error, ")
+    expected = _EXPECTED[kind].format(**context) if kind in _EXPECTED else words
+    return error(f"{place} does not fit", expected=expected, got=repr(first["input"])[:_SHOWN], remedy=remedy)
 
 
-def read_members(values: object, keys: set[str], where: str, error: type[CspaceError]) -> dict[str, Any]:
-    """The members of an object that has exactly the given keys.
+@dataclass_transform(frozen_default=True, field_specifiers=(field, Field))
+def validated(error: type[CspaceError]) -> Callable[[type[Kind]], type[Kind]]:
+    """A decorator: a frozen pydantic dataclass whose constructor raises the project's error.
 
-    Raises:
-        error: it is no such object; ``where`` is its name in the message.
+    Lists become tuples, and whole numbers become floats where these belong, so that a value is equal to what
+    is read of the JSON that it writes.
     """
-    members = read_mapping(values, where, error)
-    if set(members) != keys:
-        missing, unknown = sorted(keys - set(members)), sorted(map(str, set(members) - keys))
-        raise error(
-            f"{where} has other keys",
-            expected=f"exactly {sorted(keys)}",
-            got=f"missing {missing}, unknown {unknown}"[:_SHOWN],
-        )
-    return members
+
+    def decorate(kind: type[Kind]) -> type[Kind]:
+        made: Any = dataclass(frozen=True, slots=True, config=_CONFIG)(kind)
+        construct, names = made.__init__, list(made.__dataclass_fields__)
+
+        @wraps(construct)
+        def init(self: Any, *values: Any, **named: Any) -> None:
+            try:
+                # By name, as pydantic would give the position of a value as its place.
+                construct(self, *values[len(names) :], **dict(zip(names, values, strict=False)), **named)
+            except ValidationError as problem:
+                raise refused(problem, error, kind.__name__) from problem
+
+        made.__init__ = init
+        return cast("type[Kind]", made)
+
+    return decorate
+
+
+class Record:
+    """Base of validated dataclasses that files hold."""
+
+    __slots__ = ()
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values for JSON."""
+        return written(self)
 
 
 def read_object(kind: type[Kind], values: object, where: str, error: type[CspaceError]) -> Kind:
-    """A frozen dataclass of an object that has exactly its fields as keys; the inverse of :func:`written`.
+    """A value of a type that pydantic knows, of plain values; the inverse of :func:`written`.
 
-    Fields are texts, truths, whole and finite numbers, tuples (lists in JSON), mappings of texts, any plain
-    value, other such dataclasses, or one of these or None. ``Annotated[X, read]`` is read by ``read``, which
-    judges by itself. Nothing is converted but whole numbers where others belong.
+    Nothing is converted but whole numbers where others belong, and lists to tuples. Every key has to be
+    there that is always written, for defaults are for code: a file without one is damaged, or another
+    release's.
 
     Raises:
         error: a key or a value does not fit; ``where`` is the object's name in the message.
     """
-    types = _types(kind)  # type: ignore[arg-type] # every class is hashable
-    members = read_members(values, set(types), where, error)
-    return kind(
-        **{name: _read(types[name], value, f"{where}: {name}", error) for name, value in members.items()}
-    )
+    try:
+        found: Kind = adapter_of(kind).validate_json(json.dumps(values, default=repr), strict=True)  # type: ignore[arg-type] # every class is hashable
+    except ValidationError as problem:
+        raise refused(problem, error, where) from problem
+    for place in _missing(found, values):
+        raise error(f"{where}: {place} is missing", expected="a value", got="nothing")
+    return found
 
 
 def written(value: object) -> dict[str, Any]:
-    """A dataclass as plain values for JSON; what has a ``to_dict`` in its fields tells itself by that."""
-    return {item.name: _plain(getattr(value, item.name)) for item in fields(value)}  # type: ignore[arg-type]
-
-
-def settle(value: object) -> None:
-    """Within ``__post_init__`` of a frozen dataclass: whole numbers where finite ones belong become these.
-
-    Lists become tuples. So a value is equal to what is read of the JSON that it writes.
-    """
-    for name, kind in _types(type(value)).items():  # type: ignore[arg-type] # every class is hashable
-        object.__setattr__(value, name, _settled(kind, getattr(value, name)))
-
-
-def _settled(kind: Any, value: Any) -> Any:
-    parts = tuple(part for part in get_args(kind) if part is not NoneType)
-    if isinstance(value, bool):
-        # A whole number to Python, and to nobody else.
-        return value
-    if kind is float and isinstance(value, Real):
-        return float(value)
-    if get_origin(kind) in (Union, UnionType) and len(parts) == 1:
-        return _settled(parts[0], value)
-    if get_origin(kind) is tuple and isinstance(value, tuple | list):
-        kinds = parts[:1] * len(value) if parts[-1] is Ellipsis else parts
-        if len(kinds) == len(value):
-            return tuple(_settled(one, item) for one, item in zip(kinds, value, strict=True))
-    return value
-
-
-def _plain(value: Any) -> Any:
-    if hasattr(value, "to_dict"):
-        return value.to_dict()
-    if is_dataclass(value):
-        return written(value)
-    if isinstance(value, Mapping):
-        return dict(value)
-    return [_plain(item) for item in value] if isinstance(value, tuple) else value
+    """A dataclass as plain values for JSON."""
+    return cast("dict[str, Any]", to_jsonable_python(value))
 
 
 @cache
-def _types(kind: Any) -> dict[str, Any]:
-    return get_type_hints(kind, include_extras=True)
+def adapter_of(kind: Any) -> TypeAdapter[Any]:
+    """Pydantic's adapter of a type, built once."""
+    return TypeAdapter(kind)
 
 
-def _read(kind: Any, value: Any, where: str, error: type[CspaceError]) -> Any:
-    if kind in _NAMES:
-        return _read_scalar(kind, value, where, error)
-    origin, parts = get_origin(kind), get_args(kind)
-    if origin is Annotated:
-        return parts[1](value)
-    if origin in (Union, UnionType):
-        known = next(part for part in parts if part is not NoneType)
-        return None if value is None else _read(known, value, where, error)
-    if origin is tuple:
-        return _read_list(parts, value, where, error)
-    if origin is Mapping:
-        members = read_mapping(value, where, error)
-        return {key: _read(parts[1], item, where, error) for key, item in members.items()}
-    # Nothing else is left but Any.
-    return read_object(kind, value, where, error) if is_dataclass(kind) else value  # type: ignore[arg-type]
-
-
-def _read_list(parts: tuple[Any, ...], value: Any, where: str, error: type[CspaceError]) -> tuple[Any, ...]:
-    length = None if parts[-1] is Ellipsis else len(parts)
-    if not isinstance(value, list) or length not in (None, len(value)):
-        raise _wrong("a list" if length is None else f"a list of {length}", value, where, error)
-    kinds = parts[:1] * len(value) if length is None else parts
-    return tuple(_read(kind, item, where, error) for kind, item in zip(kinds, value, strict=True))
-
-
-def _read_scalar(kind: type, value: Any, where: str, error: type[CspaceError]) -> Any:
-    if kind is float and type(value) in (int, float) and math.isfinite(value):
-        return float(value)
-    if kind is float or type(value) is not kind:
-        raise _wrong(_NAMES[kind], value, where, error)
-    return value
-
-
-def _wrong(expected: str, got: object, where: str, error: type[CspaceError]) -> CspaceError:
-    return error(f"{where} does not fit", expected=expected, got=repr(got)[:_SHOWN])
+def _missing(found: Any, values: Any) -> Iterator[str]:
+    """Keys that every file has, of what was read and of what it was read from."""
+    for name, info in getattr(found, "__pydantic_fields__", {}).items():
+        if name in values:
+            yield from (f"{name}.{rest}" for rest in _missing(getattr(found, name), values[name]))
+        elif info.exclude_if is None:
+            yield name
+    if isinstance(found, tuple):
+        for index, pair in enumerate(zip(found, values, strict=True)):
+            yield from (f"{index}.{rest}" for rest in _missing(*pair))
 
 
 def _check_depth(values: object) -> None:

@@ -11,15 +11,16 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import accumulate, pairwise
-from typing import Any
+from typing import Annotated
+
+from pydantic import NonNegativeInt
 
 from cspace.errors import ImageError
-from cspace.strict_json import parse_json, read_members
+from cspace.strict_json import LEFT_OUT, parse_json, read_object, validated
 
 MAX_PICTURES = 4
 _MAGIC = b"cspace-view 1 "
 _MAX_LINE_BYTES = 16_384
-_KEYS = {"pictures", "cameras", "state", "depth_scale_m"}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,15 +85,12 @@ def unpack_view(data: bytes) -> ViewFile:
             remedy="send a camera beside each picture, in the same order",
         )
     told, rest = _line_of(data)
-    sizes, cameras = told["pictures"], told["cameras"]
-    if not isinstance(sizes, list) or not isinstance(cameras, list):
-        raise no_view("lists of pictures and cameras", told)
-    check_counts(len(sizes), len(cameras))
-    if any(type(size) is not int or size < 0 for size in sizes) or sum(sizes) != len(rest):
-        raise no_view(f"pictures of {sizes!r} bytes"[:200], f"{len(rest)} bytes")
-    ends = accumulate(sizes, initial=0)
+    check_counts(len(told.pictures), len(told.cameras))
+    if sum(told.pictures) != len(rest):
+        raise no_view(f"pictures of {told.pictures!r} bytes"[:200], f"{len(rest)} bytes")
+    ends = accumulate(told.pictures, initial=0)
     files = [rest[begin:end] for begin, end in pairwise(ends)]
-    return ViewFile(files, cameras, told["state"], told["depth_scale_m"])
+    return ViewFile(files, told.cameras, told.state, told.depth_scale_m)
 
 
 def check_counts(pictures: int, cameras: int) -> None:
@@ -114,7 +112,15 @@ def no_view(expected: str, got: object) -> ImageError:
     return ImageError("the file is no view", expected=expected, got=repr(got)[:200])
 
 
-def _line_of(data: bytes) -> tuple[dict[str, Any], bytes]:
+@validated(ImageError)
+class _Line:
+    pictures: tuple[NonNegativeInt, ...]
+    cameras: list[object]
+    state: object
+    depth_scale_m: Annotated[object, LEFT_OUT] = None
+
+
+def _line_of(data: bytes) -> tuple[_Line, bytes]:
     end = data.find(b"\n", 0, len(_MAGIC) + _MAX_LINE_BYTES + 1)
     if end < 0:
         raise no_view("a line that ends", data[:20])
@@ -122,5 +128,4 @@ def _line_of(data: bytes) -> tuple[dict[str, Any], bytes]:
         values = parse_json(data[len(_MAGIC) : end])
     except ValueError as error:
         raise no_view("a line in JSON", error) from error
-    given = {"depth_scale_m": None, **values} if isinstance(values, dict) else values
-    return read_members(given, _KEYS, "the view", ImageError), data[end + 1 :]
+    return read_object(_Line, values, "the view", ImageError), data[end + 1 :]

@@ -3,6 +3,7 @@
 Errors name the file's line. :func:`schema` is a JSON Schema, for editors and for other programs.
 """
 
+import json
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import import_module
@@ -10,20 +11,17 @@ from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numpy as np
-from jsonschema import Draft202012Validator
-from jsonschema.exceptions import ValidationError, best_match
 from numpy.typing import NDArray
+from pydantic import ValidationError
+from pydantic.json_schema import GenerateJsonSchema
 
-from cspace.errors import ScenarioError
+from cspace.errors import CspaceError, ScenarioError
 from cspace.simulator import Problem
+from cspace.strict_json import first_of, refused
 from cspace.world import Scene, World
 from cspace.worlds import FIRST, KINDS
 from cspace.yaml_file import YamlDocument, read_yaml, read_yaml_file
 
-# Letters of a wrong value in an error.
-MAX_SHOWN = 200
-_NAME = {"type": "string", "pattern": "^[a-z0-9]([a-z0-9-]{0,38}[a-z0-9])?$"}
-_WORDS = {"exclusiveMinimum": "above", "minimum": "at least", "maximum": "at most", "required": "the keys"}
 _T = TypeVar("_T")
 
 
@@ -65,15 +63,7 @@ class SceneFile:
 
 def schema(kind: str = FIRST) -> dict[str, Any]:
     """The JSON Schema of the scene files of a kind of world."""
-    part = _part(kind)
-    return {
-        "$schema": Draft202012Validator.META_SCHEMA["$id"],
-        "title": f"A scene file of the {kind} world",
-        "type": "object",
-        "properties": {"world": {"enum": [kind]}, "name": _NAME, **part.PROPERTIES},
-        "required": list(part.REQUIRED),
-        "additionalProperties": False,
-    }
+    return {"$schema": GenerateJsonSchema.schema_dialect, **_part(kind).Values.model_json_schema()}
 
 
 def read_scene_file(path: Path) -> SceneFile:
@@ -103,16 +93,17 @@ def _read(path: Path, document: YamlDocument, kinds: Sequence[str] = tuple(KINDS
     values = document.values
     kind = values.get("world", FIRST) if isinstance(values, Mapping) else FIRST
     if kind not in kinds:
-        raise _at(
-            path, document, ("world",), "the world is unknown", " or ".join(kinds), repr(kind)[:MAX_SHOWN]
-        )
-    errors = list(Draft202012Validator(schema(kind)).iter_errors(values))
-    if errors:
-        raise _unfit(path, document, next(filter(_unknown, errors), None) or best_match(errors))
-    world = _told(path, document, "robot", lambda: cast("World", _part(kind).read_world(values)))
-    scene = _part(kind).read_scene(world, values) if "obstacles" in values else None
-    ends = [_end(path, document, world, values, name) for name in ("start", "goal")]
-    return SceneFile(path, values.get("name"), world, scene, *ends)
+        unknown = ScenarioError("the world is unknown", expected=" or ".join(kinds), got=repr(kind)[:200])
+        raise _at(path, document, ("world",), unknown)
+    try:
+        told = _part(kind).Values.model_validate_json(json.dumps(values), strict=True)
+    except ValidationError as error:
+        refusal = refused(error, ScenarioError, "the file")
+        raise _at(path, document, first_of(error)["loc"], refusal) from error
+    world = _told(path, document, "robot", lambda: cast("World", _part(kind).read_world(told)))
+    scene = _part(kind).read_scene(world, told) if "obstacles" in told.model_fields_set else None
+    ends = [_end(path, document, world, getattr(told, name), name) for name in ("start", "goal")]
+    return SceneFile(path, told.name or None, world, scene, *ends)
 
 
 def given_scenes(world: World, files: Sequence[SceneFile]) -> Any:
@@ -130,59 +121,27 @@ def given_scenes(world: World, files: Sequence[SceneFile]) -> Any:
 
 
 def _end(
-    path: Path, document: YamlDocument, world: World, values: Mapping[str, Any], name: str
+    path: Path, document: YamlDocument, world: World, angles: tuple[float, ...], name: str
 ) -> NDArray[np.float64] | None:
-    if name not in values:
+    if not angles:
         return None
-    angles, space = np.array(values[name], dtype=np.float64), world.space
-    if angles.shape != (world.dim,):
-        raise _at(path, document, (name,), f"{name} does not fit", f"{world.dim} angles", f"{angles.size}")
+    if len(angles) != (dim := world.dim):
+        unfit = ScenarioError(f"{name} does not fit", expected=f"{dim} angles", got=str(len(angles)))
+        raise _at(path, document, (name,), unfit)
     what = f"{name} lies outside the robot's limits"
-    return _told(path, document, name, lambda: space.admitted(angles, what, ScenarioError))
-
-
-def _unknown(error: ValidationError) -> list[str]:
-    """Keys that the schema does not have."""
-    if error.validator != "additionalProperties":
-        return []
-    instance = cast("Mapping[str, Any]", error.instance)
-    return [key for key in instance if key not in _schema(error)["properties"]]
-
-
-def _schema(error: ValidationError) -> dict[str, Any]:
-    return cast("dict[str, Any]", error.schema)
-
-
-def _unfit(path: Path, document: YamlDocument, error: ValidationError) -> ScenarioError:
-    place, unknown = tuple(error.absolute_path), _unknown(error)
-    name = ": ".join(map(str, place)) or "the file"
-    if unknown:
-        known = f"one of {', '.join(sorted(_schema(error)['properties']))}"
-        return _at(path, document, (*place, unknown[0]), f"{name} has an unknown key", known, unknown[0])
-    words = _WORDS.get(str(error.validator), str(error.validator))
-    expected = _schema(error).get("description") or f"{words} {error.validator_value}"
-    got = error.message if len(error.message) <= MAX_SHOWN else f"{error.message[:MAX_SHOWN]} ..."
-    return _at(path, document, place, f"{name} does not fit", expected, got)
+    return _told(path, document, name, lambda: world.space.admitted(angles, what, ScenarioError))
 
 
 def _told(path: Path, document: YamlDocument, part: str, read: Callable[[], _T]) -> _T:
     try:
         return read()
     except ScenarioError as error:
-        raise _at(path, document, (part,), error.what, error.expected, error.got, error.remedy) from error
+        raise _at(path, document, (part,), error) from error
 
 
-def _at(
-    path: Path,
-    document: YamlDocument,
-    place: tuple[Hashable, ...],
-    what: str,
-    expected: str | None,
-    got: str | None,
-    remedy: str | None = None,
-) -> ScenarioError:
-    where = f"{path}:{document.line(place)}"
-    return ScenarioError(f"{where}: {what}", expected=expected, got=got, remedy=remedy)
+def _at(path: Path, document: YamlDocument, place: tuple[Hashable, ...], error: CspaceError) -> ScenarioError:
+    what = f"{path}:{document.line(place)}: {error.what}"
+    return ScenarioError(what, expected=error.expected, got=error.got, remedy=error.remedy)
 
 
 def _part(kind: str) -> Any:

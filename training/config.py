@@ -8,6 +8,7 @@ from pydantic import Field, ValidationError, ValidationInfo, field_validator, mo
 
 from cspace.dataset import Manifest
 from cspace.errors import ConfigError, InputError
+from cspace.strict_json import refused
 from cspace.world import World
 from cspace.worlds import default_world, simulator_of
 from cspace.yaml_file import read_yaml, read_yaml_file
@@ -62,14 +63,8 @@ def validated(kind: type[Whole], values: dict[str, Any], command: str) -> Whole:
     try:
         return kind.model_validate(values)
     except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"]) or repr(values.get("preset"))
-        raise ConfigError(
-            f"the configuration key {where} does not fit",
-            expected=first["msg"].removeprefix("Value error, "),
-            got=repr(first["input"]),
-            remedy=f"{command} --help lists presets, --print-config the keys",
-        ) from error
+        remedy = f"{command} --help lists presets, --print-config the keys"
+        raise refused(error, ConfigError, f"the configuration {values.get('preset')}", remedy) from error
 
 
 def named_presets(folder: Path) -> list[str]:

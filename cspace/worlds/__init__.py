@@ -7,14 +7,15 @@ from dataclasses import replace
 from functools import lru_cache
 from hashlib import sha256
 from importlib import import_module
-from typing import Any, cast
+from typing import Annotated, Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import PlainSerializer, PlainValidator
 
 from cspace.errors import ScenarioError
 from cspace.simulator import Checker, PartlySeen, Simulator
-from cspace.strict_json import read_mapping
+from cspace.strict_json import read_object
 from cspace.world import Body, Image, NextView, Scene, World
 
 # Each folder has ``world`` (NumPy alone) with ``read``, ``EXAMPLES`` (worlds by name), ``add_options`` and
@@ -33,13 +34,23 @@ def read_world(values: object) -> World:
     Raises:
         ScenarioError: the kind is unknown, or a value does not fit it.
     """
-    members = read_mapping(values, "the world", ScenarioError)
+    members = read_object(dict[str, Any], values, "the world", ScenarioError)
     kind = members.pop("kind", FIRST)
     if kind not in KINDS:
         raise ScenarioError(
             "the world is unknown", expected=f"one of {', '.join(KINDS)}", got=repr(kind)[:200]
         )
     return cast("World", _part(kind, "world").read(members))
+
+
+def _read_or_given(value: object) -> World:
+    return cast("World", value) if hasattr(value, "space") else read_world(value)
+
+
+# A field of a pydantic model or dataclass.
+WorldField = Annotated[
+    World, PlainValidator(_read_or_given), PlainSerializer(lambda world: world.to_dict(), return_type=Any)
+]
 
 
 def examples() -> dict[str, World]:

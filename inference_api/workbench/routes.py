@@ -28,7 +28,7 @@ from inference_api.workbench.schemas import (
 from inference_api.workbench.stories import Stories, stories
 
 # What compiled checks, drawn scenes and scene files need, as the extra ``workbench`` has it.
-_PACKAGES = ("numba", "scipy", "matplotlib", "jsonschema", "yaml")
+_PACKAGES = ("numba", "scipy", "matplotlib", "yaml")
 FOLDER = Path(__file__).parent / "files"
 # No inline script and no inline style; pictures that the page draws itself are blobs.
 POLICY = (

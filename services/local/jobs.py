@@ -11,6 +11,7 @@ import httpx
 from pydantic import BaseModel, StrictBool, ValidationError
 
 from cspace.errors import JobError, RegistryError
+from cspace.strict_json import refused
 from services.local.settings import Settings, token_headers
 from services.results import PREFIX
 
@@ -73,8 +74,7 @@ def last_result(log: str, kind: type[Result]) -> Result:
     try:
         return kind.model_validate_json(lines[-1].removeprefix(PREFIX))
     except ValidationError as error:
-        wrong = "; ".join(f"{'.'.join(map(str, one['loc']))}: {one['msg']}" for one in error.errors())
-        raise JobError("the job's result does not fit", expected=wrong[:300], got=lines[-1][:200]) from error
+        raise refused(error, JobError, "the job's result") from error
 
 
 # Where the tracking adapter puts figures within a run.

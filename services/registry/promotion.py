@@ -22,6 +22,7 @@ from cspace.bundle.spec import BundleSpec
 from cspace.bundle.verification import load_verified
 from cspace.errors import ConfigError, ModelNotFoundError, RegistryError
 from cspace.files import read_bounded, replacing, write_json
+from cspace.strict_json import refused
 from cspace.worlds import robot_digest
 from services.names import (
     ALIAS_CHALLENGER,
@@ -272,9 +273,7 @@ def _tags(record: Path) -> Mapping[str, str]:
     try:
         tags = _Record.model_validate_json(read_bounded(record, _MAX_RECORD_BYTES, ConfigError)).tags
     except ValidationError as error:
-        raise ConfigError(
-            f"{record} is not readable", expected="what `export` wrote", got=str(error.errors()[0]["msg"])
-        ) from error
+        raise refused(error, ConfigError, str(record), "import what `export` wrote") from error
     left_out = (TAG_DIGEST, TAG_ROLLED_BACK)
     return {
         key: value for key, value in tags.items() if not key.startswith("decision.") and key not in left_out

@@ -3,13 +3,14 @@
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import replace
 from typing import Annotated, Any
 
 import pytest
+from pydantic import PlainValidator
 
 from cspace.errors import DatasetError, ScenarioError
-from cspace.strict_json import MAX_DEPTH, parse_json, read_object, written
+from cspace.strict_json import LEFT_OUT, MAX_DEPTH, Span, parse_json, read_object, validated, written
 
 
 def doubled(value: object) -> int:
@@ -18,13 +19,13 @@ def doubled(value: object) -> int:
     return 2 * value
 
 
-@dataclass(frozen=True, slots=True)
+@validated(DatasetError)
 class Inner:
     low: float
-    high: float | None
+    high: float | None = None
 
 
-@dataclass(frozen=True, slots=True)
+@validated(DatasetError)
 class Outer:
     name: str
     count: int
@@ -35,7 +36,13 @@ class Outer:
     inner: Inner | None
     sums: Mapping[str, int]
     anything: Any
-    twice: Annotated[int, doubled]
+    twice: Annotated[int, PlainValidator(doubled)]
+    note: Annotated[str | None, LEFT_OUT] = None
+
+
+@validated(DatasetError)
+class Ends:
+    span: Span[int]
 
 
 GOOD: dict[str, Any] = {
@@ -49,7 +56,7 @@ def test_an_object_is_read_by_the_types_of_its_fields_and_written_as_it_was() ->
     found = read_object(Outer, GOOD, "it", DatasetError)
     assert found == Outer(
         "a", 3, None, ((1.0, 2.5), ()), (0.5, 2), (Inner(1.0, None),), Inner(0.5, 2.0), {"x": 1},
-        [{"y": None}], 8,
+        [{"y": None}], 4,
     )  # fmt: skip
     assert type(found.rows[0][0]) is float
     assert written(found) == GOOD | {"twice": 8}
@@ -74,19 +81,32 @@ def test_what_is_of_another_type_is_refused_with_its_place(change: dict[str, Any
 
 
 def test_every_field_has_to_be_there_and_no_other() -> None:
-    with pytest.raises(DatasetError, match=r"unknown .'more'"):
+    with pytest.raises(DatasetError, match="it: more is unknown"):
         read_object(Outer, GOOD | {"more": 1}, "it", DatasetError)
     for name in GOOD:
-        with pytest.raises(DatasetError, match=f"missing .'{name}'"):
+        with pytest.raises(DatasetError, match=f"it: {name} is missing"):
             read_object(Outer, {key: GOOD[key] for key in GOOD if key != name}, "it", DatasetError)
+    with pytest.raises(DatasetError, match=r"it: parts\.1\.high is missing"):
+        read_object(Outer, GOOD | {"parts": [GOOD["inner"], {"low": 1}]}, "it", DatasetError)
     for values in (None, [], "text", 5):
         with pytest.raises(DatasetError, match="it does not fit; expected an object"):
             read_object(Outer, values, "it", DatasetError)
 
 
 def test_a_reader_of_its_own_judges_by_itself() -> None:
-    with pytest.raises(ScenarioError, match="no number"):
+    with pytest.raises(DatasetError, match="it: no number"):
         read_object(Outer, GOOD | {"twice": "4"}, "it", DatasetError)
+
+
+def test_a_constructor_takes_lists_and_whole_numbers_and_raises_the_projects_error() -> None:
+    found = read_object(Outer, GOOD, "it", DatasetError)
+    made = replace(found, rows=[[1, 2.5], []], twice=4)  # type: ignore[arg-type] # a list
+    assert made == found
+    assert type(made.rows[0][0]) is float
+    with pytest.raises(DatasetError, match="Inner: low does not fit; expected a finite number"):
+        Inner(math.nan)
+    with pytest.raises(DatasetError, match="Ends: span does not fit; expected a range from low to high"):
+        Ends((2, 1))
 
 
 def test_a_message_is_short_whatever_came() -> None:

@@ -15,6 +15,7 @@ from pydantic import BaseModel, ValidationError
 
 from cspace.dataset import Dataset, open_dataset
 from cspace.errors import ConfigError, CspaceError, ScenarioError, StorageError
+from cspace.strict_json import refused
 from cspace.worlds import add_world_options, described_world
 from services.command_errors import tell_error
 from services.scene_files import given_scenes, read_scene_file
@@ -133,10 +134,7 @@ def _made(options: argparse.Namespace, kind: type[DatasetConfig] | type[PathData
     try:
         config = kind.model_validate(values)
     except ValidationError as error:
-        first = error.errors()[0]
-        raise ConfigError(
-            f"{first['loc'][0]} does not fit", expected=first["msg"], got=repr(first["input"])
-        ) from error
+        raise refused(error, ConfigError, "the data set") from error
     # A Ray that this command starts for itself reports no use; its token mode is that of all the services.
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     os.environ.setdefault("RAY_AUTH_MODE", "token")

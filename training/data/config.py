@@ -7,15 +7,7 @@ from functools import reduce
 from operator import or_
 from typing import Annotated, Any, Literal
 
-from pydantic import (
-    BaseModel,
-    BeforeValidator,
-    ConfigDict,
-    Field,
-    GetCoreSchemaHandler,
-    SerializerFunctionWrapHandler,
-    WrapSerializer,
-)
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, GetCoreSchemaHandler
 from pydantic_core import CoreSchema
 
 from cspace.world import Body, World
@@ -36,12 +28,6 @@ class _OfAnyKind:
         return handler.generate_schema(reduce(or_, part_types(self.part)))
 
 
-def _as_told(body: Body, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-    """A robot by its fields, but those that its own files leave out: keys of data made before stay theirs."""
-    told = body.to_dict()
-    return {name: value for name, value in handler(body).items() if name in told}
-
-
 def _by_name(robot: object) -> object:
     """The robot of an example where it is only named."""
     if not isinstance(robot, str):
@@ -57,9 +43,7 @@ class GeneratedConfig(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    robot: Annotated[Body, _OfAnyKind("body"), WrapSerializer(_as_told), BeforeValidator(_by_name)] = (
-        default_world().body
-    )
+    robot: Annotated[Body, _OfAnyKind("body"), BeforeValidator(_by_name)] = default_world().body
     camera: Annotated[Any, _OfAnyKind("sensor")] | None = Field(
         None, exclude_if=lambda part: part is None, description="None: the usual one"
     )

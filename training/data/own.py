@@ -2,21 +2,21 @@
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, cast
+from typing import Annotated, Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import AfterValidator, Field
 
 from cspace.dataset import Dataset, require_room, write_dataset
 from cspace.errors import DatasetError, ImageError
 from cspace.files import map_npy, read_bounded
 from cspace.space import JointSpace
-from cspace.strict_json import parse_json, read_members
+from cspace.strict_json import LEFT_OUT, parse_json, read_object, validated
 from cspace.view_file import MAX_PICTURES, pack_view
 from cspace.world import World
 
 _MAX_BYTES = 8 * 2**20
-_KEYS = {"pictures", "cameras", "state", "depth_scale_m"}
 _KINDS = (".png", ".tif", ".tiff", ".npy")
 
 
@@ -29,7 +29,7 @@ def found_pictures(folder: Path) -> list[Path]:
         DatasetError: a view is none.
     """
     views = sorted(folder.glob("*.json"))
-    named = {name for view in views for name in _told(view)["pictures"]}
+    named = {name for view in views for name in _told(view).pictures}
     others = (path for path in folder.glob("*.png") if path.name not in named)
     return sorted([*views, *folder.glob("*.view"), *others])
 
@@ -50,31 +50,33 @@ def read_own_picture(path: Path, world: World) -> NDArray[np.uint8]:
 
 def _view(path: Path) -> bytes:
     told = _told(path)
-    files = [_bytes(path.with_name(name)) for name in told["pictures"]]
-    cameras = told["cameras"] if isinstance(told["cameras"], list) else []
-    return pack_view(files, cameras, told["state"], told["depth_scale_m"])
+    files = [_bytes(path.with_name(name)) for name in told.pictures]
+    return pack_view(files, told.cameras, told.state, told.depth_scale_m)
 
 
-def _told(path: Path) -> dict[str, Any]:
+def _is_name(name: str) -> str:
+    if not name.endswith(_KINDS) or Path(name).name != name:
+        raise ValueError(f"the name of a file beside it, {', '.join(_KINDS)}")
+    return name
+
+
+@validated(DatasetError)
+class _View:
+    pictures: Annotated[
+        tuple[Annotated[str, AfterValidator(_is_name)], ...], Field(min_length=1, max_length=MAX_PICTURES)
+    ]
+    cameras: list[object]
+    state: Annotated[object, LEFT_OUT] = None
+    depth_scale_m: Annotated[object, LEFT_OUT] = None
+
+
+def _told(path: Path) -> _View:
     data = _bytes(path)
     try:
         values = parse_json(data)
     except ValueError as error:
         raise DatasetError(f"{path} is no JSON", got=str(error)[:200]) from error
-    told = {"state": None, "depth_scale_m": None, **values} if isinstance(values, dict) else values
-    members = read_members(told, _KEYS, str(path), DatasetError)
-    names = members["pictures"]
-    if not isinstance(names, list) or not 1 <= len(names) <= MAX_PICTURES or not all(map(_is_name, names)):
-        raise DatasetError(
-            f"{path} names no pictures",
-            expected=f"1 to {MAX_PICTURES} names of files beside it, each {', '.join(_KINDS)}",
-            got=repr(names)[:200],
-        )
-    return members
-
-
-def _is_name(name: object) -> bool:
-    return isinstance(name, str) and name.endswith(_KINDS) and Path(name).name == name
+    return read_object(_View, values, str(path), DatasetError)
 
 
 def _bytes(path: Path) -> bytes:
@@ -168,7 +170,7 @@ def _refuse_strays(source: Path, pictures: list[Path]) -> None:
     known = {
         picture.with_suffix(ending).name for picture in pictures for ending in (".npy", COLLISION_ENDING)
     }
-    known |= {name for one in pictures if one.suffix == ".json" for name in _told(one)["pictures"]}
+    known |= {name for one in pictures if one.suffix == ".json" for name in _told(one).pictures}
     strays = sorted(path.name for path in source.glob("*.npy") if path.name not in known)
     if strays:
         raise DatasetError(

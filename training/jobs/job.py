@@ -17,6 +17,7 @@ from cspace.bundle import Bundle
 from cspace.dataset import require_room
 from cspace.errors import BundleError, ConfigError, JobError, StorageError
 from cspace.files import HALF_SUFFIX, discard, holding, write_json
+from cspace.strict_json import refused
 from cspace.world import World
 from cspace.worlds import robot_digest
 from services.names import (
@@ -203,9 +204,7 @@ class Job(Generic[Config]):
         try:
             config = kind.model_validate(record["config"])
         except ValidationError as error:
-            raise ConfigError(
-                "the job is of another kind", expected=kind.__name__, got=str(error.errors()[0]["loc"])
-            ) from error
+            raise refused(error, ConfigError, f"the job is no {kind.__name__}") from error
         tracking = MlflowTracking(
             environment.tracking_uri, spool_folder=folder / "spool", wait_s=environment.patience_s
         )

@@ -1,25 +1,26 @@
 """The robot: a planar arm of revolute joints whose links are capsules."""
 
-from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pydantic import Field, StrictBool
 
 from cspace.errors import ScenarioError
 from cspace.space import MAX_LIMIT_RAD, JointSpace
-from cspace.strict_json import read_mapping, read_object, settle, written
+from cspace.strict_json import Record, read_object, validated, written
 from cspace.world import Levers
-from cspace.worlds.planar.camera import Camera
+from cspace.worlds.planar.camera import Camera, Length
 
 _KIND = "planar_arm"
 JointLimits = tuple[tuple[float, float] | None, ...]
 # Of limits, for single precision to tell the angles between them apart.
 MIN_RANGE_RAD = 1e-3
+_MAX_LINKS = 64
 
 
-@dataclass(frozen=True, slots=True)
-class PlanarArm:
+@validated(ScenarioError)
+class PlanarArm(Record):
     """A planar arm with its base at the origin.
 
     The first joint turns from the x axis, counter-clockwise; every further joint is relative to its link.
@@ -34,23 +35,12 @@ class PlanarArm:
         ScenarioError: lengths, width or limits cannot be, or no configuration is clear of itself.
     """
 
-    link_lengths_m: tuple[float, ...] = (2.0, 2.0)
-    half_width_m: float = 0.1
+    link_lengths_m: Annotated[tuple[Length, ...], Field(min_length=1, max_length=_MAX_LINKS)] = (2.0, 2.0)
+    half_width_m: Length = 0.1
     joint_limits_rad: JointLimits | None = None
-    self_collision: bool = False
+    self_collision: Annotated[StrictBool, Field(exclude_if=lambda collides: not collides)] = False
 
     def __post_init__(self) -> None:
-        settle(self)
-        if not self.link_lengths_m or any(not 0.0 < length < np.inf for length in self.link_lengths_m):
-            raise ScenarioError(
-                "the arm's links do not fit",
-                expected="one positive length a link",
-                got=str(self.link_lengths_m),
-            )
-        if not 0.0 < self.half_width_m < np.inf:
-            raise ScenarioError(
-                "the arm's half width does not fit", expected="above 0", got=str(self.half_width_m)
-            )
         self._check_limits()
         self._check_self_collision()
 
@@ -67,10 +57,6 @@ class PlanarArm:
             )
 
     def _check_self_collision(self) -> None:
-        if type(self.self_collision) is not bool:
-            raise ScenarioError(
-                "self_collision does not fit", expected="true or false", got=repr(self.self_collision)
-            )
         width_m = 2.0 * self.half_width_m
         if self.self_collision and min(self.link_lengths_m[1:-1], default=np.inf) <= width_m:
             raise ScenarioError(
@@ -110,10 +96,7 @@ class PlanarArm:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for JSON; ``self_collision`` where it is true, as files before it have none."""
-        told = {"kind": _KIND, **written(self)}
-        if not self.self_collision:
-            del told["self_collision"]
-        return told
+        return {"kind": _KIND, **written(self)}
 
     @classmethod
     def from_dict(cls, values: object) -> "PlanarArm":
@@ -122,8 +105,8 @@ class PlanarArm:
         Raises:
             ScenarioError: another key is missing, one is unknown, or a value is of the wrong type.
         """
-        usual = {"kind": _KIND, "joint_limits_rad": None, "self_collision": False}
-        members = usual | read_mapping(values, "the robot", ScenarioError)
+        usual = {"kind": _KIND, "joint_limits_rad": None}
+        members = usual | read_object(dict[str, Any], values, "the robot", ScenarioError)
         if (kind := members.pop("kind")) != _KIND:
             raise ScenarioError("the robot is unknown", expected=_KIND, got=repr(kind)[:200])
         return read_object(cls, members, "the robot", ScenarioError)

@@ -1,21 +1,25 @@
 """The camera above the plane: untrusted PNG bytes to RGB arrays, and these to network input."""
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
+from pydantic import Field
 
-from cspace.errors import ImageError
+from cspace.errors import ImageError, ScenarioError
 from cspace.png import PngHeader, canonical_png, encode_png, opened, read_header
-from cspace.strict_json import settle, written
+from cspace.strict_json import Record, validated
 from cspace.world import CheckCancelled
 
 MIN_SIDE = 16
 MAX_SIDE = 2048
+# Squares of places and lengths are numbers, too.
+_FARTHEST_M = 1e6
+Place = Annotated[float, Field(ge=-_FARTHEST_M, le=_FARTHEST_M)]
+Length = Annotated[float, Field(gt=0.0, le=_FARTHEST_M)]
 # Columns that are averaged at a time: a whole picture as floats would take 50 MB.
 _BAND = 128
 
@@ -122,22 +126,15 @@ def _overlap(source: int, target: int) -> NDArray[Any]:
     return np.asarray(shares * (target / source), dtype=np.float32)
 
 
-@dataclass(frozen=True, slots=True)
-class Camera:
+@validated(ScenarioError)
+class Camera(Record):
     """The part of the plane that the picture shows, y up, and its size in pixels (square)."""
 
-    x_min_m: float = -5.0
-    x_max_m: float = 5.0
-    y_min_m: float = -5.0
-    y_max_m: float = 5.0
-    pixels: int = 48
-
-    def __post_init__(self) -> None:
-        settle(self)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Plain values for JSON."""
-        return written(self)
+    x_min_m: Place = -5.0
+    x_max_m: Place = 5.0
+    y_min_m: Place = -5.0
+    y_max_m: Place = 5.0
+    pixels: Annotated[int, Field(ge=MIN_SIDE, le=MAX_SIDE)] = 48
 
     @property
     def picture_shape(self) -> tuple[int, ...]:

@@ -1,89 +1,60 @@
-"""The planar world in a scene file: its schema, and what the values mean."""
+"""The planar world in a scene file: its values, and what they mean."""
 
-from collections.abc import Mapping
-from typing import Any
+from typing import Annotated, Literal
 
+from pydantic import BaseModel, ConfigDict, Field
+
+from cspace.errors import ScenarioError
+from cspace.strict_json import validated
 from cspace.worlds.planar.arm import PlanarArm
-from cspace.worlds.planar.camera import Camera
+from cspace.worlds.planar.camera import Camera, Place
 from cspace.worlds.planar.scenes import MAX_DISCS, DiscScenes, GivenScenes
-from cspace.worlds.planar.world import DISC_RADIUS_M, Disc, PlanarWorld, Scenario
+from cspace.worlds.planar.world import Disc, PlanarWorld, Scenario
 
-# Squares of lengths and places are numbers, too.
-_FARTHEST = 1e6
-_LENGTH = {"type": "number", "exclusiveMinimum": 0, "maximum": _FARTHEST}
-_NUMBER = {"type": "number", "minimum": -_FARTHEST, "maximum": _FARTHEST}
+_Configuration = Annotated[tuple[Place, ...], Field(min_length=1, description="rad")]
 
 
-def _pair(item: dict[str, Any]) -> dict[str, Any]:
-    return {"type": "array", "items": item, "minItems": 2, "maxItems": 2}
+@validated(ScenarioError)
+class _Robot(PlanarArm):
+    kind: Literal["planar_arm"] = "planar_arm"
 
 
-def _object(required: list[str], **properties: Any) -> dict[str, Any]:
-    return {
-        "type": "object",
-        "properties": properties,
-        "required": required,
-        "additionalProperties": False,
-    }
+@validated(ScenarioError)
+class _Disc(Disc):
+    shape: Literal["disc"] = "disc"
 
 
-_LIMIT = {"anyOf": [{"type": "null"}, _pair(_NUMBER)], "description": "low and high in rad; null: a circle"}
-_ROBOT = _object(
-    ["link_lengths_m"],
-    kind={"const": "planar_arm"},
-    link_lengths_m={"type": "array", "items": _LENGTH, "minItems": 1, "maxItems": 64},
-    half_width_m=_LENGTH,
-    joint_limits_rad={"anyOf": [{"type": "null"}, {"type": "array", "items": _LIMIT}]},
-    self_collision={"type": "boolean", "description": "true or false"},
-)
-_CAMERA = _object(
-    [],
-    **dict.fromkeys(("x_min_m", "x_max_m", "y_min_m", "y_max_m"), _NUMBER),
-    pixels={"type": "integer", "minimum": 16, "maximum": 2048},
-)
-_DISC = _object(["x_m", "y_m"], shape={"const": "disc"}, x_m=_NUMBER, y_m=_NUMBER, radius_m=_LENGTH)
-_SCENES = _object(
-    [],
-    count=_pair({"type": "integer", "minimum": 1, "maximum": MAX_DISCS}),
-    radius_m=_pair(_LENGTH),
-    range_m=_LENGTH,
-    base_clearance_m={"type": "number", "minimum": 0},
-)
-_CONFIGURATION = {"type": "array", "items": _NUMBER, "minItems": 1, "description": "rad"}
+class Values(BaseModel):
+    """What a file says; start, goal and name are empty where it does not name them."""
 
-PROPERTIES: Mapping[str, Any] = {
-    "robot": _ROBOT,
-    "camera": _CAMERA,
-    "obstacles": {"type": "array", "items": _DISC, "maxItems": MAX_DISCS},
-    "scenes": _SCENES,
-    "start": _CONFIGURATION,
-    "goal": _CONFIGURATION,
-}
-REQUIRED = ("robot",)
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False, title="A scene file of the planar world")
+
+    world: Literal["planar"] = "planar"
+    name: Annotated[str, Field(pattern="^[a-z0-9]([a-z0-9-]{0,38}[a-z0-9])?$")] = ""
+    robot: _Robot
+    camera: Camera = Camera()
+    scenes: DiscScenes = DiscScenes()
+    obstacles: Annotated[tuple[_Disc, ...], Field(max_length=MAX_DISCS)] = ()
+    start: _Configuration = ()
+    goal: _Configuration = ()
 
 
-def read_world(values: Mapping[str, Any]) -> PlanarWorld:
-    """Robot, camera and family of scenes of values that follow the schema.
-
-    Raises:
-        ScenarioError: they cannot be, beyond what a schema says.
-    """
-    arm = PlanarArm.from_dict({"half_width_m": PlanarArm().half_width_m, **values["robot"]})
-    family = {key: _tuple(value) for key, value in values.get("scenes", {}).items()}
-    return PlanarWorld(arm, Camera(**values.get("camera", {})), DiscScenes(**family))
+def read_world(values: Values) -> PlanarWorld:
+    """Robot, camera and family of scenes."""
+    one = values.robot
+    arm = PlanarArm(
+        one.link_lengths_m, one.half_width_m, one.joint_limits_rad, self_collision=one.self_collision
+    )
+    return PlanarWorld(arm, values.camera, values.scenes)
 
 
-def read_scene(world: PlanarWorld, values: Mapping[str, Any]) -> Scenario:
-    """The obstacles of values that follow the schema, about a world's robot."""
-    discs = (Disc(one["x_m"], one["y_m"], one.get("radius_m", DISC_RADIUS_M)) for one in values["obstacles"])
-    return Scenario(world.body, tuple(discs), world.sensor)
+def read_scene(world: PlanarWorld, values: Values) -> Scenario:
+    """The obstacles about a world's robot."""
+    discs = tuple(Disc(one.x_m, one.y_m, one.radius_m) for one in values.obstacles)
+    return Scenario(world.body, discs, world.sensor)
 
 
 def given(scenes: list[Scenario]) -> GivenScenes:
     """Scenes as those of a world; see :meth:`cspace.worlds.planar.scenes.GivenScenes.of`."""
     rows = [tuple((disc.x_m, disc.y_m, disc.radius_m) for disc in scene.discs) for scene in scenes]
     return GivenScenes.of(tuple(rows))
-
-
-def _tuple(value: Any) -> Any:
-    return tuple(value) if isinstance(value, list) else value

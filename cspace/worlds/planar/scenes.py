@@ -1,24 +1,28 @@
 """Where the discs of a scene come from: a family that is drawn, or scenes that somebody gave."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from cspace.errors import ScenarioError
 from cspace.simulator import Split
-from cspace.strict_json import read_object, settle, written
+from cspace.strict_json import Record, validated
+from cspace.worlds.planar.camera import Length
 
 MAX_DISCS, MAX_GIVEN = 64, 1000
 _MAX_DRAWS = 10_000
 
-Rows = tuple[tuple[float, float, float], ...]
+_Count = Annotated[int, Field(ge=1, le=MAX_DISCS)]
+Rows = Annotated[
+    tuple[tuple[float, float, Annotated[float, Field(gt=0.0)]], ...],
+    Field(min_length=1, max_length=MAX_DISCS),
+]
 
 
-@dataclass(frozen=True, slots=True)
-class DiscScenes:
+@validated(ScenarioError)
+class DiscScenes(Record):
     """A family of scenes: so many discs, uniform in radius and place.
 
     Args:
@@ -31,18 +35,16 @@ class DiscScenes:
         ScenarioError: a value cannot be, or the discs have no room.
     """
 
-    count: tuple[int, int] = (3, 3)
-    radius_m: tuple[float, float] = (1.0, 1.0)
-    range_m: float = 4.0
-    base_clearance_m: float = 0.3
+    count: tuple[_Count, _Count] = (3, 3)
+    radius_m: tuple[Length, Length] = (1.0, 1.0)
+    range_m: Length = 4.0
+    base_clearance_m: Annotated[float, Field(ge=0.0)] = 0.3
 
     def __post_init__(self) -> None:
-        settle(self)
         fits = (
-            1 <= self.count[0] <= self.count[1] <= MAX_DISCS
-            and 0.0 < self.radius_m[0] <= self.radius_m[1] < np.inf
-            and 0.0 < self.range_m < np.inf
-            and 0.0 <= self.base_clearance_m < 1.4 * self.range_m - self.radius_m[1]
+            self.count[0] <= self.count[1]
+            and self.radius_m[0] <= self.radius_m[1]
+            and self.base_clearance_m < 1.4 * self.range_m - self.radius_m[1]
         )
         if not fits:
             raise ScenarioError(
@@ -75,13 +77,9 @@ class DiscScenes:
                 return np.array(discs)
         raise ScenarioError("the family of scenes has no room for its discs", got=str(self))
 
-    def to_dict(self) -> dict[str, Any]:
-        """Plain values for JSON."""
-        return written(self)
 
-
-@dataclass(frozen=True, slots=True)
-class GivenScenes:
+@validated(ScenarioError)
+class GivenScenes(Record):
     """Scenes that somebody gave: some to train with, others to judge by.
 
     Args:
@@ -96,16 +94,8 @@ class GivenScenes:
     held_out: tuple[Rows, ...]
 
     def __post_init__(self) -> None:
-        settle(self)
-        scenes = (*self.train, *self.held_out)
-        sound = all(np.isfinite(disc).all() and disc[2] > 0.0 for scene in scenes for disc in scene)
-        sound = sound and all(1 <= len(scene) <= MAX_DISCS for scene in scenes)
-        if not 1 <= len(scenes) <= MAX_GIVEN or not sound:
-            raise ScenarioError(
-                "the given scenes do not fit",
-                expected=f"1 to {MAX_GIVEN} scenes of 1 to {MAX_DISCS} discs with a radius above 0",
-                got=f"{len(scenes)} scenes",
-            )
+        if not 1 <= (count := len(self.train) + len(self.held_out)) <= MAX_GIVEN:
+            raise ScenarioError("the given scenes do not fit", expected=f"1 to {MAX_GIVEN}", got=str(count))
 
     @classmethod
     def of(cls, scenes: tuple[Rows, ...]) -> "GivenScenes":
@@ -140,22 +130,5 @@ class GivenScenes:
         place = int(rng.integers(len(scenes))) if index is None else index % len(scenes)
         return np.array(scenes[place], dtype=np.float64).reshape(-1, 3)
 
-    def to_dict(self) -> dict[str, Any]:
-        """Plain values for JSON."""
-        return written(self)
-
 
 Scenes = DiscScenes | GivenScenes
-
-
-def read_scenes(values: object) -> Scenes | None:
-    """The inverse of ``to_dict``; None is None.
-
-    Raises:
-        ScenarioError: a key or a value does not fit.
-    """
-    if values is None:
-        return None
-    if isinstance(values, Mapping) and "train" in values:
-        return read_object(GivenScenes, values, "the scenes", ScenarioError)
-    return read_object(DiscScenes, values, "the scenes", ScenarioError)

@@ -12,12 +12,12 @@ from cspace.errors import ConfigError, DatasetError, ImageError, ScenarioError
 from cspace.png import read_header
 from cspace.simulator import Split, scenario_rng
 from cspace.space import JointSpace
-from cspace.strict_json import read_mapping, read_members, read_object, settle
+from cspace.strict_json import read_object, validated
 from cspace.view_file import is_view
 from cspace.world import Arrays, CheckCancelled, Diagnosis, Examined, Finding, Levers, TensorInput, World
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK, JointLimits, PlanarArm, levers
-from cspace.worlds.planar.camera import Camera
-from cspace.worlds.planar.scenes import MAX_GIVEN, DiscScenes, GivenScenes, Scenes, read_scenes
+from cspace.worlds.planar.camera import Camera, Length, Place
+from cspace.worlds.planar.scenes import MAX_GIVEN, DiscScenes, GivenScenes, Scenes
 
 KIND = "planar"
 _IMAGE = "image"
@@ -179,26 +179,31 @@ def read(values: Mapping[str, Any]) -> PlanarWorld:
     Raises:
         ScenarioError: a key is missing, unknown or of the wrong type.
     """
-    members = read_mapping(values, "the world", ScenarioError)
-    scenes = read_scenes(members.pop("scenes")) if "scenes" in members else DiscScenes()
-    parts = read_members(members, {"robot", "camera"}, "the world", ScenarioError)
-    camera = read_object(Camera, parts["camera"], "the camera", ScenarioError)
-    return PlanarWorld(PlanarArm.from_dict(parts["robot"]), camera, scenes)
+    members = {"scenes": DiscScenes().to_dict(), **values}
+    parts = read_object(_Parts, members, "the world", ScenarioError)
+    told = parts.scenes
+    kind: type[Scenes] = GivenScenes if isinstance(told, dict) and "train" in told else DiscScenes
+    scenes = None if told is None else read_object(kind, told, "the scenes", ScenarioError)
+    return PlanarWorld(PlanarArm.from_dict(parts.robot), parts.camera, scenes)
+
+
+@validated(ScenarioError)
+class _Parts:
+    robot: Any
+    camera: Camera
+    scenes: Any
 
 
 DISC_RADIUS_M = 1.0
 
 
-@dataclass(frozen=True, slots=True)
+@validated(ScenarioError)
 class Disc:
     """A round obstacle, in m."""
 
-    x_m: float
-    y_m: float
-    radius_m: float = DISC_RADIUS_M
-
-    def __post_init__(self) -> None:
-        settle(self)
+    x_m: Place
+    y_m: Place
+    radius_m: Length = DISC_RADIUS_M
 
 
 @dataclass(frozen=True, slots=True)

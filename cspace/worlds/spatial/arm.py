@@ -2,23 +2,25 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pydantic import Field
 
 from cspace.errors import ScenarioError
 from cspace.space import MAX_LIMIT_RAD, JointSpace
-from cspace.strict_json import read_mapping, read_object, settle, written
-from cspace.worlds.spatial.poses import MAX_OFFSET_M, SAME, Frame, moved, turn
+from cspace.strict_json import LEFT_OUT, Record, read_object, validated, written
+from cspace.worlds.spatial.poses import MAX_OFFSET_M, SAME, Frame, Offset, moved, turn
 
 # Of limits, for single precision to tell the angles between them apart.
 MIN_RANGE_RAD = 1e-3
 _UNIT = 1e-9
-Sphere = tuple[float, float, float, float]
+Sphere = tuple[Offset, Offset, Offset, Annotated[float, Field(gt=0.0, le=MAX_OFFSET_M)]]
+_Name = Annotated[str, Field(min_length=1)]
 
 
-@dataclass(frozen=True, slots=True)
+@validated(ScenarioError)
 class Joint:
     """A revolute joint.
 
@@ -32,25 +34,19 @@ class Joint:
         ScenarioError: it has no name, the axis is no unit vector, or the limits are no range.
     """
 
-    name: str
+    name: _Name
     origin: Frame = SAME
     axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
     limits_rad: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
-        settle(self)
-        _check_name(self.name, "joint")
-        length = float(np.linalg.norm(self.axis))
-        if np.shape(self.axis) != (3,) or not abs(length - 1.0) <= _UNIT:
+        if not abs(float(np.linalg.norm(self.axis)) - 1.0) <= _UNIT:
             raise ScenarioError(
                 f"the axis of joint {self.name} does not fit",
                 expected="x, y, z of a unit vector",
                 got=str(self.axis),
             )
-        limits = self.limits_rad
-        if limits is None:
-            return
-        if np.shape(limits) != (2,) or not _is_range(*limits):
+        if (limits := self.limits_rad) is not None and not _is_range(*limits):
             raise ScenarioError(
                 f"the limits of joint {self.name} do not fit",
                 expected=f"None, or low < high by {MIN_RANGE_RAD} rad or more, within {MAX_LIMIT_RAD:.0f}",
@@ -58,7 +54,7 @@ class Joint:
             )
 
 
-@dataclass(frozen=True, slots=True)
+@validated(ScenarioError)
 class Part:
     """A rigid piece of the arm.
 
@@ -71,32 +67,9 @@ class Part:
         ScenarioError: it has no name or no spheres, or one of these is none.
     """
 
-    name: str
+    name: _Name
     link: int
-    spheres_m: tuple[Sphere, ...]
-
-    def __post_init__(self) -> None:
-        settle(self)
-        _check_name(self.name, "part")
-        try:
-            numbers = np.asarray(self.spheres_m, dtype=np.float64)
-        except ValueError:
-            numbers = np.empty(0)
-        if numbers.ndim != 2 or numbers.shape[1] != 4 or not np.isfinite(numbers).all():
-            fits = False
-        else:
-            fits = bool(np.abs(numbers).max() <= MAX_OFFSET_M and numbers[:, 3].min() > 0.0)
-        if not fits:
-            raise ScenarioError(
-                f"the spheres of part {self.name} do not fit",
-                expected=f"one or more of x, y, z and a radius above 0, within {MAX_OFFSET_M:.0f} m",
-                got=str(self.spheres_m)[:200],
-            )
-
-
-def _check_name(name: str, what: str) -> None:
-    if not name:
-        raise ScenarioError(f"a {what} has no name", expected="a text", got=repr(name)[:200])
+    spheres_m: Annotated[tuple[Sphere, ...], Field(min_length=1)]
 
 
 def _is_range(low: float, high: float) -> bool:
@@ -108,8 +81,8 @@ MAX_JOINTS = 10
 MAX_SPHERES = 2000
 
 
-@dataclass(frozen=True, slots=True)
-class SerialArm:
+@validated(ScenarioError)
+class SerialArm(Record):
     """A serial arm with its base at the origin, x forward and z up.
 
     Args:
@@ -126,18 +99,13 @@ class SerialArm:
     """
 
     name: str
-    joints: tuple[Joint, ...]
+    joints: Annotated[tuple[Joint, ...], Field(min_length=1, max_length=MAX_JOINTS)]
     parts: tuple[Part, ...] = ()
     touching: tuple[tuple[str, str], ...] = ()
     tool: Frame = SAME
-    ready_rad: tuple[float, ...] | None = None
+    ready_rad: Annotated[tuple[float, ...] | None, LEFT_OUT] = None
 
     def __post_init__(self) -> None:
-        settle(self)
-        if not 1 <= len(self.joints) <= MAX_JOINTS:
-            raise ScenarioError(
-                "the arm's joints do not fit", expected=f"1 to {MAX_JOINTS}", got=str(len(self.joints))
-            )
         for what, named in (("joints", self.joints), ("parts", self.parts)):
             names = [one.name for one in named]
             if len(set(names)) != len(names):
@@ -171,11 +139,7 @@ class SerialArm:
     def _check_pairs(self) -> None:
         links = {part.name: part.link for part in self.parts}
         pairs = [tuple(sorted(pair)) for pair in self.touching]
-        wrong = [
-            pair
-            for pair in pairs
-            if len(pair) != 2 or not set(pair) <= set(links) or links[pair[0]] == links[pair[1]]
-        ]
+        wrong = [pair for pair in pairs if not set(pair) <= set(links) or links[pair[0]] == links[pair[1]]]
         if wrong or len(set(pairs)) != len(pairs):
             raise ScenarioError(
                 "the pairs of parts that can touch do not fit",
@@ -276,11 +240,7 @@ class SerialArm:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for JSON."""
-        told = written(self)
-        if self.ready_rad is None:
-            # Arms that were written before it could be told stay the same.
-            del told["ready_rad"]
-        return {"kind": KIND, **told}
+        return {"kind": KIND, **written(self)}
 
     @classmethod
     def from_dict(cls, values: object) -> "SerialArm":
@@ -289,7 +249,7 @@ class SerialArm:
         Raises:
             ScenarioError: a key is missing or unknown, or a value is of the wrong type.
         """
-        members = {"kind": KIND, "ready_rad": None} | read_mapping(values, "the robot", ScenarioError)
+        members = {"kind": KIND} | read_object(dict[str, Any], values, "the robot", ScenarioError)
         if (kind := members.pop("kind")) != KIND:
             raise ScenarioError("the robot is unknown", expected=KIND, got=repr(kind)[:200])
         return read_object(cls, members, "the robot", ScenarioError)

@@ -7,15 +7,16 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, cast
+from typing import Annotated, Any, Literal, cast, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pydantic import Field
 
 from cspace.errors import DatasetError, ImageError, ScenarioError
 from cspace.files import replacing
 from cspace.simulator import Asked, Problem, Split, Taken
-from cspace.strict_json import parse_json, read_members, read_object, settle, written
+from cspace.strict_json import Record, parse_json, read_object, validated
 from cspace.world import Image, World
 from cspace.worlds.spatial.arm import SerialArm
 from cspace.worlds.spatial.checks import CollisionChecker, seen_checkers
@@ -30,7 +31,7 @@ from cspace.worlds.spatial.sensor import FREE
 from cspace.worlds.spatial.visibility import lookup
 from cspace.worlds.spatial.world import SpatialWorld, shipped
 
-BENCH_FAMILIES = (
+Family = Literal[
     "bookshelf_small",
     "bookshelf_tall",
     "bookshelf_thin",
@@ -38,7 +39,8 @@ BENCH_FAMILIES = (
     "cage",
     "table_pick",
     "table_under_pick",
-)
+]
+BENCH_FAMILIES: tuple[Family, ...] = get_args(Family)
 # Of the hundred in each family.
 NUMBERS = {Split.VALIDATION: range(1, 31), Split.TEST: range(31, 101)}
 SHIPPED = Path(__file__).with_name("motionbench")
@@ -56,8 +58,8 @@ LIMITS_RAD = (
 _GOAL_HALF_M = 0.01
 
 
-@dataclass(frozen=True, slots=True)
-class BenchProblem:
+@validated(ScenarioError)
+class BenchProblem(Record):
     """A problem of the Panda.
 
     Args:
@@ -71,21 +73,14 @@ class BenchProblem:
         ScenarioError: the family is unknown, the number is out of range, or start and goal do not fit.
     """
 
-    family: str
-    number: int
+    family: Family
+    number: Annotated[int, Field(ge=1, le=100)]
     obstacles: Obstacles
-    start: tuple[float, ...]
+    start: Annotated[tuple[float, ...], Field(min_length=1)]
     goal: tuple[float, ...]
 
     def __post_init__(self) -> None:
-        settle(self)
-        if self.family not in BENCH_FAMILIES or not 1 <= self.number <= 100:
-            raise ScenarioError(
-                "a benchmark's problem is unknown",
-                expected=f"1 to 100 of {', '.join(BENCH_FAMILIES)}",
-                got=f"{self.number} of {self.family!r}"[:200],
-            )
-        if not self.start or len(self.start) != len(self.goal):
+        if len(self.start) != len(self.goal):
             raise ScenarioError(
                 "start and goal do not fit",
                 expected="as many joints of both",
@@ -108,9 +103,10 @@ class BenchProblem:
         region = GoalRegion(box, _vector(tool[:3, 2] / np.linalg.norm(tool[:3, 2])))
         return Layout(self.family, self.obstacles, (region,), _vector(tool[:3, 3]))
 
-    def to_dict(self) -> dict[str, Any]:
-        """Plain values for JSON."""
-        return written(self)
+
+@validated(DatasetError)
+class _Problems:
+    problems: tuple[BenchProblem, ...]
 
 
 def problems(
@@ -167,13 +163,7 @@ def read_problems(path: Path) -> tuple[BenchProblem, ...]:
         values = parse_json(gzip.decompress(path.read_bytes()))
     except (OSError, EOFError, zlib.error, ValueError) as error:
         raise _bad(path, str(error)) from error
-    try:
-        listed = read_members(values, {"problems"}, "the benchmark", DatasetError)["problems"]
-        if not isinstance(listed, list):
-            raise _bad(path, "no list of problems")
-        found = tuple(read_object(BenchProblem, one, "a problem", DatasetError) for one in listed)
-    except ScenarioError as error:
-        raise _bad(path, str(error)) from error
+    found = read_object(_Problems, values, str(path), DatasetError).problems
     if len({(one.family, one.number) for one in found}) != len(found):
         raise _bad(path, "a problem twice")
     return tuple(sorted(found, key=lambda one: (BENCH_FAMILIES.index(one.family), one.number)))

@@ -3,25 +3,27 @@
 import io
 import struct
 import zlib
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import replace
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from PIL import Image
+from pydantic import Field, StrictFloat
 
 from cspace.errors import ImageError, ScenarioError
 from cspace.png import PngHeader, canonical_png, damaged, opened, read_header
-from cspace.strict_json import read_object, settle, written
+from cspace.strict_json import Record, read_object, validated
 from cspace.world import CheckCancelled
 from cspace.worlds.spatial.poses import HERE, Pose, check_pose, make_pose, pose_of
 
 MIN_SIDE, MAX_SIDE = 16, 2048
+Side = Annotated[int, Field(ge=MIN_SIDE, le=MAX_SIDE, strict=True)]
 MIN_FIELD_DEG, MAX_FIELD_DEG = 1.0, 170.0
 
 
-@dataclass(frozen=True, slots=True)
-class DepthCamera:
+@validated(ScenarioError)
+class DepthCamera(Record):
     """A pinhole camera without distortion.
 
     Args:
@@ -37,16 +39,15 @@ class DepthCamera:
         ScenarioError: the pose is none, or no camera has such a size, focal length or principal point.
     """
 
-    fx: float
-    fy: float
-    cx: float
-    cy: float
-    width: int
-    height: int
+    fx: StrictFloat
+    fy: StrictFloat
+    cx: StrictFloat
+    cy: StrictFloat
+    width: Side
+    height: Side
     pose: Pose = HERE
 
     def __post_init__(self) -> None:
-        settle(self)
         check_pose(self.pose, "the camera")
         _check_pinhole(self)
 
@@ -133,10 +134,6 @@ class DepthCamera:
             height=height,
         )
 
-    def to_dict(self) -> dict[str, Any]:
-        """Plain values for JSON."""
-        return written(self)
-
 
 def read_camera(values: object) -> DepthCamera:
     """The inverse of ``to_dict``.
@@ -190,20 +187,13 @@ def camera_place(focus_m: ArrayLike, side_rad: float, up_rad: float, away_m: flo
 
 
 def _check_pinhole(camera: DepthCamera) -> None:
-    for name, side in (("width", camera.width), ("height", camera.height)):
-        if type(side) is not int or not MIN_SIDE <= side <= MAX_SIDE:
-            raise ScenarioError(
-                f"the camera's {name} is out of range",
-                expected=f"{MIN_SIDE} to {MAX_SIDE} pixels",
-                got=repr(side)[:200],
-            )
     for focal, side in ((camera.fx, camera.width), (camera.fy, camera.height)):
         least, most = (side / (2.0 * np.tan(np.radians(deg) / 2.0)) for deg in (MAX_FIELD_DEG, MIN_FIELD_DEG))
-        if type(focal) is not float or not least * (1 - 1e-9) <= focal <= most * (1 + 1e-9):
+        if not least * (1 - 1e-9) <= focal <= most * (1 + 1e-9):
             raise _no_focal(f"{focal!r} pixels for {side} pixels"[:200])
     # Of a picture that was cut out of a larger one it may lie beside it.
     for centre, side in ((camera.cx, camera.width), (camera.cy, camera.height)):
-        if type(centre) is not float or not -side <= centre <= 2 * side:
+        if not -side <= centre <= 2 * side:
             raise ScenarioError(
                 "the camera's principal point cannot be",
                 expected=f"{-side} to {2 * side} pixels",

@@ -1,19 +1,20 @@
 """Furniture by chance, what stands on it, and the settings by which scenes are drawn. NumPy alone."""
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import Any
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pydantic import Field
 
 from cspace.errors import ScenarioError
-from cspace.strict_json import read_object, settle, written
+from cspace.strict_json import Record, Share, Span, validated
 from cspace.worlds.spatial.obstacles import MAX_OBSTACLES, Box, Cylinder, Obstacles
 from cspace.worlds.spatial.poses import MAX_PLACE_M, Vector, make_pose, pose_of, turned
 
 
-@dataclass(frozen=True, slots=True)
+@validated(ScenarioError)
 class GoalRegion:
     """Where goals of the hand are: places within a box, and the way in.
 
@@ -29,7 +30,6 @@ class GoalRegion:
     approach: Vector
 
     def __post_init__(self) -> None:
-        settle(self)
         if not abs(np.linalg.norm(self.approach) - 1.0) < 1e-6:
             raise ScenarioError("an approach that is none", expected="a unit vector", got=str(self.approach))
 
@@ -39,8 +39,8 @@ class GoalRegion:
         return np.asarray(rng.uniform(-half, half, (count, 3)) @ pose[:3, :3].T + pose[:3, 3])
 
 
-@dataclass(frozen=True, slots=True)
-class Layout:
+@validated(ScenarioError)
+class Layout(Record):
     """A scene of a family.
 
     Args:
@@ -54,13 +54,6 @@ class Layout:
     obstacles: Obstacles
     regions: tuple[GoalRegion, ...]
     focus: Vector
-
-    def __post_init__(self) -> None:
-        settle(self)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Plain values for JSON."""
-        return written(self)
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,7 +97,10 @@ def _vector(values: NDArray[np.float64]) -> Vector:
 Range = tuple[float, float]
 _THINNEST_M = 0.004
 _LONGEST_M = 10.0
-_HEIGHTS = ("lowest_m", "height_m", "high_m")
+# Of counts, of heights, which may be below the base, and of sizes.
+_Counts = Span[Annotated[int, Field(ge=0, le=MAX_OBSTACLES)]]
+_Heights = Span[Annotated[float, Field(ge=-_LONGEST_M, le=_LONGEST_M)]]
+_Sizes = Span[Annotated[float, Field(ge=_THINNEST_M, le=_LONGEST_M)]]
 
 
 def block(*spans: Range, pose: NDArray[np.float64] | None = None) -> Box:
@@ -185,55 +181,27 @@ def floating(
     return tuple(found)
 
 
-def check_ranges(settings: Any) -> None:
-    """Refuse settings of furniture that cannot be.
-
-    Pairs of numbers are ranges: of counts, of heights, which may be below the base, and of sizes above 0.
-    Other numbers are shares.
-
-    Raises:
-        ScenarioError: a range is not in order or out of bounds, or a share is none.
-    """
-    for item in fields(settings):
-        value = getattr(settings, item.name)
-        if not (_is_range(item.name, *value) if isinstance(value, tuple) else 0.0 <= value <= 1.0):
-            raise ScenarioError(
-                f"the setting {item.name} of {type(settings).__name__.lower()} does not fit",
-                expected="a range from low to high, or a share",
-                got=repr(value)[:200],
-            )
-
-
-def _is_range(name: str, low: float, high: float) -> bool:
-    if isinstance(low, int):
-        return 0 <= low <= high <= MAX_OBSTACLES
-    least = -_LONGEST_M if name in _HEIGHTS else _THINNEST_M
-    return least <= low <= high <= _LONGEST_M
-
-
 # What a hand needs beside a board.
 _MARGIN_M = 0.04
 _LEVEL = np.eye(3)
 
 
-@dataclass(frozen=True, slots=True)
+@validated(ScenarioError)
 class Shelves:
     """Boards above each other, with or without sides, back and divider; lengths in m, chances as shares."""
 
-    width_m: Range = (0.45, 1.3)
-    depth_m: Range = (0.2, 1.25)
-    gap_m: Range = (0.2, 0.45)
-    boards: tuple[int, int] = (2, 6)
-    lowest_m: Range = (-0.5, 0.45)
-    thickness_m: Range = (0.008, 0.05)
-    back: float = 0.5
-    walls: float = 0.6
-    divider: float = 0.3
-    objects: tuple[int, int] = (0, 4)
+    width_m: _Sizes = (0.45, 1.3)
+    depth_m: _Sizes = (0.2, 1.25)
+    gap_m: _Sizes = (0.2, 0.45)
+    boards: _Counts = (2, 6)
+    lowest_m: _Heights = (-0.5, 0.45)
+    thickness_m: _Sizes = (0.008, 0.05)
+    back: Share = 0.5
+    walls: Share = 0.6
+    divider: Share = 0.3
+    objects: _Counts = (0, 4)
 
     def __post_init__(self) -> None:
-        settle(self)
-        check_ranges(self)
         if self.boards[0] < 2:
             raise ScenarioError("a shelf has too few boards", expected="2 or more", got=str(self.boards[0]))
 
@@ -279,23 +247,19 @@ class Shelves:
         return found
 
 
-@dataclass(frozen=True, slots=True)
+@validated(ScenarioError)
 class Tables:
     """A board on four legs, with objects on it; goals are above it, from two sides, or below it too."""
 
-    width_m: Range = (0.5, 2.0)
-    depth_m: Range = (0.4, 1.3)
-    height_m: Range = (-0.25, 0.45)
-    high_m: Range = (0.2, 0.75)
-    thickness_m: Range = (0.01, 0.06)
-    leg_m: Range = (0.03, 0.1)
-    leg_length_m: Range = (0.4, 0.8)
-    bar: float = 0.3
-    objects: tuple[int, int] = (1, 12)
-
-    def __post_init__(self) -> None:
-        settle(self)
-        check_ranges(self)
+    width_m: _Sizes = (0.5, 2.0)
+    depth_m: _Sizes = (0.4, 1.3)
+    height_m: _Heights = (-0.25, 0.45)
+    high_m: _Heights = (0.2, 0.75)
+    thickness_m: _Sizes = (0.01, 0.06)
+    leg_m: _Sizes = (0.03, 0.1)
+    leg_length_m: _Sizes = (0.4, 0.8)
+    bar: Share = 0.3
+    objects: _Counts = (1, 12)
 
     def draw(self, rng: np.random.Generator, *, under: bool) -> Piece:
         """A table; with ``under`` a higher one, and goals below its board, too."""
@@ -323,21 +287,17 @@ class Tables:
         return Piece(tuple(shapes), tuple(regions))
 
 
-@dataclass(frozen=True, slots=True)
+@validated(ScenarioError)
 class Bins:
     """A box of five walls, open upwards, to the front or to a side, often with a lid that is half open."""
 
-    side_m: Range = (0.25, 0.8)
-    thickness_m: Range = (0.008, 0.045)
-    lowest_m: Range = (-0.55, 0.4)
-    lid: float = 0.7
-    lid_rad: Range = (0.3, 1.9)
-    lower_wall: float = 0.4
-    objects: tuple[int, int] = (0, 4)
-
-    def __post_init__(self) -> None:
-        settle(self)
-        check_ranges(self)
+    side_m: _Sizes = (0.25, 0.8)
+    thickness_m: _Sizes = (0.008, 0.045)
+    lowest_m: _Heights = (-0.55, 0.4)
+    lid: Share = 0.7
+    lid_rad: _Sizes = (0.3, 1.9)
+    lower_wall: Share = 0.4
+    objects: _Counts = (0, 4)
 
     def draw(self, rng: np.random.Generator) -> Piece:
         """A bin."""
@@ -361,20 +321,16 @@ class Bins:
         return hollow + Piece(standing(rng, count, *free, room[0], 0.8 * (room[1] - room[0])), ())
 
 
-@dataclass(frozen=True, slots=True)
+@validated(ScenarioError)
 class Cages:
     """A plate with walls, roof and front of boards, bars or grids, the front wide enough for a hand."""
 
-    side_m: Range = (0.35, 0.9)
-    thickness_m: Range = (0.008, 0.045)
-    lowest_m: Range = (-0.3, 0.45)
-    spacing_m: Range = (0.08, 0.25)
-    front_m: Range = (0.2, 0.45)
-    objects: tuple[int, int] = (0, 3)
-
-    def __post_init__(self) -> None:
-        settle(self)
-        check_ranges(self)
+    side_m: _Sizes = (0.35, 0.9)
+    thickness_m: _Sizes = (0.008, 0.045)
+    lowest_m: _Heights = (-0.3, 0.45)
+    spacing_m: _Sizes = (0.08, 0.25)
+    front_m: _Sizes = (0.2, 0.45)
+    objects: _Counts = (0, 3)
 
     def draw(self, rng: np.random.Generator) -> Piece:
         """A cage."""
@@ -451,8 +407,8 @@ def _lid(half: NDArray[np.float64], thick: float, edge: int, angle_rad: float) -
 FAMILIES = ("shelf", "table", "under_table", "bin", "cage", "clutter", "mixture")
 
 
-@dataclass(frozen=True, slots=True)
-class SpatialScenes:
+@validated(ScenarioError)
+class SpatialScenes(Record):
     """Which scenes are drawn, and how wide.
 
     Args:
@@ -476,46 +432,34 @@ class SpatialScenes:
         ScenarioError: a range is not in order, or a share is none.
     """
 
-    shares: tuple[float, ...] = (0.26, 0.12, 0.12, 0.2, 0.14, 0.06, 0.1)
-    bearing_deg: float = 115.0
-    distance_m: Range = (0.2, 0.7)
-    yaw_deg: float = 35.0
-    stray: float = 0.25
-    strays: tuple[int, int] = (1, 8)
-    floor: float = 0.4
-    wall: float = 0.15
+    shares: Annotated[tuple[Share, ...], Field(min_length=len(FAMILIES), max_length=len(FAMILIES))] = (
+        0.26,
+        0.12,
+        0.12,
+        0.2,
+        0.14,
+        0.06,
+        0.1,
+    )
+    bearing_deg: Annotated[float, Field(ge=0.0, le=180.0)] = 115.0
+    distance_m: Span[Annotated[float, Field(ge=0.0, lt=MAX_PLACE_M / 2.0)]] = (0.2, 0.7)
+    yaw_deg: Annotated[float, Field(ge=0.0, le=180.0)] = 35.0
+    stray: Share = 0.25
+    strays: _Counts = (1, 8)
+    floor: Share = 0.4
+    wall: Share = 0.15
     shoulder_m: float = 0.333
     reach_m: float = 0.9
-    room_m: float = 0.04
+    room_m: Annotated[float, Field(ge=0.0)] = 0.04
     shelves: Shelves = field(default_factory=Shelves)
     tables: Tables = field(default_factory=Tables)
     bins: Bins = field(default_factory=Bins)
     cages: Cages = field(default_factory=Cages)
 
     def __post_init__(self) -> None:
-        settle(self)
-        every = (*self.shares, self.stray, self.floor, self.wall)
-        shares = len(self.shares) == len(FAMILIES) and all(0.0 <= one <= 1.0 for one in every)
-        angles = 0.0 <= self.bearing_deg <= 180.0 and 0.0 <= self.yaw_deg <= 180.0
-        lengths = 0.0 <= self.room_m < self.reach_m < np.inf and abs(self.shoulder_m) < np.inf
-        lengths = lengths and 0.0 <= self.distance_m[0] <= self.distance_m[1] < MAX_PLACE_M / 2.0
-        strays = 0 <= self.strays[0] <= self.strays[1] <= MAX_OBSTACLES
-        if not (shares and angles and lengths and strays) or sum(self.shares) <= 0.0:
+        if self.room_m >= self.reach_m or not any(self.shares):
             raise ScenarioError(
                 "the families of scenes do not fit",
-                expected=f"{len(FAMILIES)} shares, angles up to 180 degrees, ranges in order, and a reach",
+                expected="a share above 0, and a reach beyond the room",
                 got=str(self)[:200],
             )
-
-    def to_dict(self) -> dict[str, Any]:
-        """Plain values for JSON."""
-        return written(self)
-
-
-def read_spatial_scenes(values: object) -> SpatialScenes:
-    """The inverse of :meth:`SpatialScenes.to_dict`.
-
-    Raises:
-        ScenarioError: a key or a value does not fit.
-    """
-    return read_object(SpatialScenes, values, "the scenes", ScenarioError)

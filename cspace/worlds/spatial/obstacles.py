@@ -3,20 +3,22 @@
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pydantic import Field
 
 from cspace.errors import ScenarioError
-from cspace.strict_json import settle, written
-from cspace.worlds.spatial.poses import MAX_PLACE_M, Pose, Vector, check_pose, make_pose, pose_of
+from cspace.strict_json import Record, validated
+from cspace.worlds.spatial.poses import MAX_PLACE_M, Pose, check_pose, make_pose, pose_of
 
 MAX_OBSTACLES = 1000
+_Size = Annotated[float, Field(gt=0.0, le=MAX_PLACE_M, strict=True)]
 
 
-@dataclass(frozen=True, slots=True)
-class Box:
+@validated(ScenarioError)
+class Box(Record):
     """A cuboid.
 
     Args:
@@ -28,20 +30,14 @@ class Box:
     """
 
     pose: Pose
-    half_m: Vector
+    half_m: tuple[_Size, _Size, _Size]
 
     def __post_init__(self) -> None:
-        settle(self)
         check_pose(self.pose, "a box")
-        _check_sizes("a box", *self.half_m)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Plain values for JSON."""
-        return written(self)
 
 
-@dataclass(frozen=True, slots=True)
-class Cylinder:
+@validated(ScenarioError)
+class Cylinder(Record):
     """A solid round cylinder.
 
     Args:
@@ -54,17 +50,11 @@ class Cylinder:
     """
 
     pose: Pose
-    radius_m: float
-    half_length_m: float
+    radius_m: _Size
+    half_length_m: _Size
 
     def __post_init__(self) -> None:
-        settle(self)
         check_pose(self.pose, "a cylinder")
-        _check_sizes("a cylinder", self.radius_m, self.half_length_m)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Plain values for JSON."""
-        return written(self)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,8 +71,8 @@ class ObstacleArrays:
     cylinders: NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True)
-class Obstacles:
+@validated(ScenarioError)
+class Obstacles(Record):
     """What stands in a scene; together at most 1000.
 
     Raises:
@@ -93,7 +83,6 @@ class Obstacles:
     cylinders: tuple[Cylinder, ...] = ()
 
     def __post_init__(self) -> None:
-        settle(self)
         if len(self) > MAX_OBSTACLES:
             raise ScenarioError(
                 "the scene has too many obstacles", expected=f"at most {MAX_OBSTACLES}", got=str(len(self))
@@ -115,23 +104,6 @@ class Obstacles:
     def arrays(self) -> ObstacleArrays:
         """For kernels; not to be written to."""
         return _arrays(self)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Plain values for JSON."""
-        return written(self)
-
-
-def _check_sizes(what: str, *sizes_m: float) -> None:
-    try:
-        sound = all(0.0 < size <= MAX_PLACE_M for size in sizes_m)
-    except TypeError:
-        sound = False
-    if not sound:
-        raise ScenarioError(
-            f"{what} has a size that cannot be",
-            expected=f"above 0 and at most {MAX_PLACE_M:g} m",
-            got=repr(sizes_m)[:200],
-        )
 
 
 @lru_cache(maxsize=16)

@@ -1,17 +1,17 @@
 """Rigid transforms: poses in the base frame as rows of 4 x 4 matrices, and frames as people write them."""
 
-from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pydantic import Field, StrictFloat
 
 from cspace.errors import CspaceError, ScenarioError
-from cspace.strict_json import settle
+from cspace.strict_json import validated
 
-Row = tuple[float, float, float, float]
+Row = tuple[StrictFloat, StrictFloat, StrictFloat, StrictFloat]
 Pose = tuple[Row, Row, Row, Row]
-Vector = tuple[float, float, float]
+Vector = tuple[StrictFloat, StrictFloat, StrictFloat]
 
 HERE: Pose = ((1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0), (0.0, 0.0, 0.0, 1.0))
 # A rotation that was written with four digits is one.
@@ -101,11 +101,12 @@ def _matrix(pose: Any) -> NDArray[np.float64] | None:
 
 # Of one transform of a robot, m.
 MAX_OFFSET_M = 100.0
+Offset = Annotated[float, Field(ge=-MAX_OFFSET_M, le=MAX_OFFSET_M)]
 # Cosine of the pitch below which roll and yaw turn about one axis.
 _LOCKED = 1e-9
 
 
-@dataclass(frozen=True, slots=True)
+@validated(ScenarioError)
 class Frame:
     """A frame in its parent's.
 
@@ -117,18 +118,8 @@ class Frame:
         ScenarioError: a number is not finite, or the origin is further than 100 m away.
     """
 
-    xyz_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    rpy_rad: tuple[float, float, float] = (0.0, 0.0, 0.0)
-
-    def __post_init__(self) -> None:
-        settle(self)
-        numbers = np.asarray([*self.xyz_m, *self.rpy_rad])
-        if numbers.shape != (6,) or not np.isfinite(numbers).all() or np.abs(numbers).max() > MAX_OFFSET_M:
-            raise ScenarioError(
-                "the frame does not fit",
-                expected=f"three places and three angles, each within {MAX_OFFSET_M:.0f} m or rad",
-                got=f"{self.xyz_m}, {self.rpy_rad}",
-            )
+    xyz_m: tuple[Offset, Offset, Offset] = (0.0, 0.0, 0.0)
+    rpy_rad: tuple[Offset, Offset, Offset] = (0.0, 0.0, 0.0)
 
     def matrix(self) -> NDArray[np.float64]:
         """(4, 4), from this frame's coordinates to its parent's."""

@@ -1,14 +1,15 @@
 """Depth pictures of a scene: exact ones by ray casting, and the noise of depth cameras."""
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Annotated, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pydantic import Field
 
 from cspace.errors import ScenarioError
 from cspace.kernel_cache import njit
-from cspace.strict_json import settle
+from cspace.strict_json import Share, validated
 from cspace.worlds.spatial.camera import DepthCamera
 from cspace.worlds.spatial.obstacles import Obstacles
 
@@ -16,6 +17,8 @@ MAX_RANGE_M = 4.0
 # Nearer than this a shape's window is the whole picture.
 _NEAR_M = 1e-3
 _TINY = 1e-12
+_Positive = Annotated[float, Field(gt=0.0)]
+_Sigma = Annotated[float, Field(ge=0.0)]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -210,7 +213,7 @@ class Noise(Protocol):
         """An exact depth picture (H, W) m as the camera would read it, (H, W) float32 m."""
 
 
-@dataclass(frozen=True, slots=True)
+@validated(ScenarioError)
 class DropOut:
     """Pixels without a reading.
 
@@ -223,17 +226,9 @@ class DropOut:
         ScenarioError: a share is none, or the jump is not above 0.
     """
 
-    jump_m: float = 0.03
-    at_jumps: float = 0.4
-    anywhere: float = 0.002
-
-    def __post_init__(self) -> None:
-        settle(self)
-        shares = 0.0 <= self.at_jumps <= 1.0 and 0.0 <= self.anywhere <= 1.0
-        if not shares or not self.jump_m > 0.0:
-            raise ScenarioError(
-                "drop-outs that cannot be", expected="shares and a jump above 0", got=str(self)
-            )
+    jump_m: _Positive = 0.03
+    at_jumps: Share = 0.4
+    anywhere: Share = 0.002
 
     def lost(self, rng: np.random.Generator, depth_m: Depth) -> NDArray[np.bool_]:
         """Which pixels of an exact picture (H, W) m lose their reading."""
@@ -241,7 +236,7 @@ class DropOut:
         return np.asarray(rng.random(depth_m.shape) < shares)
 
 
-@dataclass(frozen=True, slots=True)
+@validated(ScenarioError)
 class StructuredLight:
     """Axial and lateral noise of the first Kinect: it grows with the depth and the surface's angle.
 
@@ -259,7 +254,7 @@ class StructuredLight:
         return _read(moved + rng.normal(size=depth_m.shape) * axial_sigma_m(moved, angle), moved, lost)
 
 
-@dataclass(frozen=True, slots=True)
+@validated(ScenarioError)
 class Disparity:
     """The hard case: a depth that is read from a disparity in whole parts of a pixel.
 
@@ -275,18 +270,12 @@ class Disparity:
         ScenarioError: a number cannot be.
     """
 
-    focal_px: float = 480.0
-    baseline_m: float = 0.075
-    parts: int = 8
-    sigma_parts: float = 1.0 / 6.0
-    lateral_px: float = 0.5
+    focal_px: _Positive = 480.0
+    baseline_m: _Positive = 0.075
+    parts: Annotated[int, Field(ge=1)] = 8
+    sigma_parts: _Sigma = 1.0 / 6.0
+    lateral_px: _Sigma = 0.5
     drop_out: DropOut = DropOut()
-
-    def __post_init__(self) -> None:
-        settle(self)
-        lengths = self.focal_px > 0.0 and self.baseline_m > 0.0 and self.parts >= 1
-        if not lengths or self.sigma_parts < 0.0 or self.lateral_px < 0.0:
-            raise ScenarioError("a disparity noise that cannot be", got=str(self))
 
     def apply(self, rng: np.random.Generator, depth_m: Depth, camera: DepthCamera) -> Depth:
         """See :class:`Noise`."""
@@ -300,7 +289,7 @@ class Disparity:
         return _read(read, moved, lost)
 
 
-@dataclass(frozen=True, slots=True)
+@validated(ScenarioError)
 class Stereo:
     """A stereo camera: a sigma of z^2 s / (f B).
 
@@ -315,16 +304,11 @@ class Stereo:
         ScenarioError: a number cannot be.
     """
 
-    focal_px: float = 424.0
-    baseline_m: float = 0.05
-    sigma_px: float = 0.08
-    smooth_px: float = 1.0
+    focal_px: _Positive = 424.0
+    baseline_m: _Positive = 0.05
+    sigma_px: _Sigma = 0.08
+    smooth_px: _Sigma = 1.0
     drop_out: DropOut = DropOut()
-
-    def __post_init__(self) -> None:
-        settle(self)
-        if not (self.focal_px > 0.0 and self.baseline_m > 0.0) or self.sigma_px < 0.0 or self.smooth_px < 0.0:
-            raise ScenarioError("a stereo noise that cannot be", got=str(self))
 
     def apply(self, rng: np.random.Generator, depth_m: Depth, camera: DepthCamera) -> Depth:
         """See :class:`Noise`."""

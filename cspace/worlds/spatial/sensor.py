@@ -1,18 +1,18 @@
 """Depth cameras about an arm as a sensor: where they stand, and the grid of their pictures. NumPy alone."""
 
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import field
+from typing import Annotated, Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from cspace.errors import ScenarioError
-from cspace.strict_json import settle, written
+from cspace.strict_json import Record, Share, Span, validated
 from cspace.view_file import MAX_PICTURES
 from cspace.worlds.spatial.arm import SerialArm
-from cspace.worlds.spatial.camera import MAX_FIELD_DEG, MAX_SIDE, MIN_FIELD_DEG, MIN_SIDE
-from cspace.worlds.spatial.furniture import Range
-from cspace.worlds.spatial.poses import MAX_PLACE_M, Vector
+from cspace.worlds.spatial.camera import MAX_FIELD_DEG, MIN_FIELD_DEG, Side
+from cspace.worlds.spatial.poses import MAX_PLACE_M
 
 FREE, NO_READING, OUT_OF_VIEW = 0, 254, 255
 MOST_BEHIND = 253
@@ -22,8 +22,8 @@ DISTANCE_STEP_M = 0.0004
 FARTHEST = 255
 
 
-@dataclass(frozen=True, slots=True)
-class CameraViews:
+@validated(ScenarioError)
+class CameraViews(Record):
     """A distribution of cameras.
 
     Args:
@@ -43,49 +43,31 @@ class CameraViews:
         ScenarioError: a range is not in order, or no camera is like that.
     """
 
-    count: tuple[int, int] = (1, 3)
-    side_deg: Range = (15.0, 75.0)
-    up_deg: Range = (10.0, 50.0)
-    distance_m: Range = (0.9, 1.6)
-    field_deg: Range = (52.0, 85.0)
-    aim_m: float = 0.15
-    roll_deg: float = 8.0
-    clear_m: float = 0.05
-    width: int = 128
-    height: int = 128
-
-    def __post_init__(self) -> None:
-        settle(self)
-        ordered = all(
-            low <= high
-            for low, high in (self.count, self.side_deg, self.up_deg, self.distance_m, self.field_deg)
-        )
-        angles = self.side_deg[0] >= -180.0 and self.side_deg[1] <= 180.0
-        angles = angles and self.up_deg[0] >= -90.0 and self.up_deg[1] <= 90.0
-        angles = angles and 0.0 <= self.roll_deg <= 180.0
-        fields = self.field_deg[0] >= MIN_FIELD_DEG and self.field_deg[1] <= MAX_FIELD_DEG
-        lengths = self.distance_m[0] > 0.0 and self.distance_m[1] < MAX_PLACE_M / 2.0
-        lengths = lengths and 0.0 <= self.aim_m < 1.0 and self.clear_m >= 0.0
-        sides = all(MIN_SIDE <= side <= MAX_SIDE for side in (self.width, self.height))
-        if not (ordered and angles and fields and lengths and sides and self.count[0] >= 1):
-            raise ScenarioError("the views of cameras do not fit", got=str(self)[:300])
-
-    def to_dict(self) -> dict[str, Any]:
-        """Plain values for JSON."""
-        return written(self)
+    count: Span[Annotated[int, Field(ge=1)]] = (1, 3)
+    side_deg: Span[Annotated[float, Field(ge=-180.0, le=180.0)]] = (15.0, 75.0)
+    up_deg: Span[Annotated[float, Field(ge=-90.0, le=90.0)]] = (10.0, 50.0)
+    distance_m: Span[Annotated[float, Field(gt=0.0, lt=MAX_PLACE_M / 2.0)]] = (0.9, 1.6)
+    field_deg: Span[Annotated[float, Field(ge=MIN_FIELD_DEG, le=MAX_FIELD_DEG)]] = (52.0, 85.0)
+    aim_m: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.15
+    roll_deg: Annotated[float, Field(ge=0.0, le=180.0)] = 8.0
+    clear_m: Annotated[float, Field(ge=0.0)] = 0.05
+    width: Side = 128
+    height: Side = 128
 
 
 VOXEL_M = 0.025
 MIN_VOXEL_M, MAX_VOXEL_M = 0.01, 0.2
 MAX_COUNT, MAX_VOXELS = 512, 2**23
+_Place = Annotated[float, Field(ge=-MAX_PLACE_M, le=MAX_PLACE_M)]
+_Count = Annotated[int, Field(ge=1, le=MAX_COUNT, strict=True)]
 # Networks halve a grid three times.
 _MULTIPLE = 8
 # The largest such count whose cube has no more voxels than a grid may have.
 _MOST_A_SIDE = 200
 
 
-@dataclass(frozen=True, slots=True)
-class GridBox:
+@validated(ScenarioError)
+class GridBox(Record):
     """An axis-aligned grid of voxels in the base frame.
 
     Args:
@@ -97,27 +79,14 @@ class GridBox:
         ScenarioError: a number is out of range, or there are more than 2**23 voxels.
     """
 
-    low_m: Vector
-    voxel_m: float
-    counts: tuple[int, int, int]
+    low_m: tuple[_Place, _Place, _Place]
+    voxel_m: Annotated[float, Field(ge=MIN_VOXEL_M, le=MAX_VOXEL_M, strict=True)]
+    counts: tuple[_Count, _Count, _Count]
 
     def __post_init__(self) -> None:
-        settle(self)
-        try:
-            placed = np.shape(self.low_m) == (3,) and bool((np.abs(self.low_m) <= MAX_PLACE_M).all())
-            sized = MIN_VOXEL_M <= self.voxel_m <= MAX_VOXEL_M
-            whole = np.shape(self.counts) == (3,) and all(
-                type(one) is int and 1 <= one <= MAX_COUNT for one in self.counts
-            )
-            sound = placed and sized and whole and bool(np.prod(self.counts) <= MAX_VOXELS)
-        except TypeError:
-            sound = False
-        if not sound:
+        if np.prod(self.counts) > MAX_VOXELS:
             raise ScenarioError(
-                "the grid does not fit",
-                expected=f"a corner, voxels of {MIN_VOXEL_M} to {MAX_VOXEL_M} m, each count 1 to "
-                f"{MAX_COUNT}, at most {MAX_VOXELS} voxels",
-                got=str(self)[:200],
+                "the grid does not fit", expected=f"at most {MAX_VOXELS} voxels", got=str(self)[:200]
             )
 
     @property
@@ -129,10 +98,6 @@ class GridBox:
         """(X, Y, Z, 3): of all voxels."""
         index = np.stack(np.meshgrid(*(np.arange(count) for count in self.counts), indexing="ij"), axis=-1)
         return np.asarray(np.array(self.low_m) + self.voxel_m * (index + 0.5))
-
-    def to_dict(self) -> dict[str, Any]:
-        """Plain values for JSON."""
-        return written(self)
 
 
 def grid_of(arm: SerialArm, voxel_m: float | None = None) -> GridBox:
@@ -196,11 +161,12 @@ def _least_far(
     return np.asarray(np.minimum(found, far[index - 1] + direct))
 
 
-NOISES = ("structured_light", "disparity", "stereo")
+Noise = Literal["structured_light", "disparity", "stereo"]
+NOISES: tuple[Noise, ...] = get_args(Noise)
 
 
-@dataclass(frozen=True, slots=True)
-class DepthSensor:
+@validated(ScenarioError)
+class DepthSensor(Record):
     """What stands for the picture of a scene: an array (X, Y, Z, 2) of what its depth pictures say.
 
     See :func:`cspace.worlds.spatial.visibility.observe`.
@@ -220,18 +186,14 @@ class DepthSensor:
 
     grid: GridBox
     views: CameraViews = field(default_factory=CameraViews)
-    noise: tuple[str, ...] = NOISES
+    noise: tuple[Noise, ...] = NOISES
     arm_hides: bool = True
-    holes: float = 0.3
+    holes: Share = 0.3
 
     def __post_init__(self) -> None:
-        settle(self)
-        known = not set(self.noise) - set(NOISES) and 0.0 <= self.holes <= 1.0
-        if self.views.count[1] > MAX_PICTURES or not known:
+        if (most := self.views.count[1]) > MAX_PICTURES:
             raise ScenarioError(
-                "the depth cameras do not fit",
-                expected=f"at most {MAX_PICTURES} of a scene, noise of {', '.join(NOISES)}, a share of holes",
-                got=f"{self.views.count[1]} cameras, noise {self.noise}, {self.holes} with holes"[:200],
+                "the depth cameras do not fit", expected=f"at most {MAX_PICTURES} of a scene", got=str(most)
             )
 
     @property
@@ -280,7 +242,3 @@ class DepthSensor:
         """The inverse of :meth:`to_network`."""
         found = np.rint(np.moveaxis(pixels, -4, -1) * np.float32(255.0)).astype(np.uint8)
         return np.ascontiguousarray(found)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Plain values for JSON."""
-        return written(self)

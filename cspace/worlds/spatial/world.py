@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from cspace.errors import ConfigError, DatasetError, ImageError, ScenarioError
 from cspace.files import read_bounded
 from cspace.space import JointSpace
-from cspace.strict_json import parse_json, read_mapping, read_members, read_object
+from cspace.strict_json import parse_json, read_object, validated
 from cspace.world import (
     Arrays,
     CheckCancelled,
@@ -36,7 +36,7 @@ from cspace.worlds.spatial.diagnostics import (
     view_findings,
 )
 from cspace.worlds.spatial.doctor import diagnosed, nothing_in_reach
-from cspace.worlds.spatial.furniture import SpatialScenes, read_spatial_scenes
+from cspace.worlds.spatial.furniture import SpatialScenes
 from cspace.worlds.spatial.obstacles import BOX_VALUES, CYLINDER_VALUES
 from cspace.worlds.spatial.sensor import DISTANCE_STEP_M, NO_READING, OUT_OF_VIEW, DepthSensor, grid_of
 from cspace.worlds.spatial.view import (
@@ -295,15 +295,18 @@ def read(values: Mapping[str, Any]) -> SpatialWorld:
     Raises:
         ScenarioError: a key is missing, unknown or of the wrong type.
     """
-    members = read_mapping(values, "the world", ScenarioError)
-    members.pop("kind", None)
-    parts = read_members(members, {"robot", "cameras", "scenes"}, "the world", ScenarioError)
-    cameras = read_mapping(parts["cameras"], "the cameras", ScenarioError)
+    parts = read_object(_Parts, values, "the world", ScenarioError)
     # Written before there was a choice.
-    cameras = {"arm_hides": False, "holes": 0.0} | cameras
+    cameras = {"arm_hides": False, "holes": 0.0} | parts.cameras
     sensor = read_object(DepthSensor, cameras, "the cameras", ScenarioError)
-    scenes = None if parts["scenes"] is None else read_spatial_scenes(parts["scenes"])
-    return SpatialWorld(SerialArm.from_dict(parts["robot"]), sensor, scenes)
+    return SpatialWorld(SerialArm.from_dict(parts.robot), sensor, parts.scenes)
+
+
+@validated(ScenarioError)
+class _Parts:
+    robot: Any
+    cameras: dict[str, Any]
+    scenes: SpatialScenes | None
 
 
 _MAX_BYTES = 2**20

@@ -52,7 +52,7 @@ def test_ends_that_a_file_leaves_out_are_left_out(bench: ApiClient) -> None:
 
 
 WRONG = {
-    "a wrong value": (TEXT.replace("0.4}", "-1}"), "the file:6: obstacles: 0: radius_m"),
+    "a wrong value": (TEXT.replace("0.4}", "-1}"), "the file:6: the file: obstacles.0.radius_m"),
     "an unknown key": (TEXT + "colour: red\n", "the file:10"),
     "no YAML": ("robot: [", "the file:1 is no YAML"),
     "no obstacles": ("robot: {link_lengths_m: [1, 1]}", "holds no scene"),
@@ -69,7 +69,7 @@ WRONG = {
     "half a letter": ("\ud800", "the file"),
     "too many discs": (
         json.dumps({"robot": {"link_lengths_m": [1, 1]}, "obstacles": [{"x_m": 3, "y_m": 3}] * 65}),
-        "obstacles does not fit; expected maxItems 64",
+        "obstacles does not fit; expected Tuple should have at most 64 items",
     ),
     "another world": ("world: spatial\nrobot: ../pretrained\n", "the file:1: the world is unknown"),
 }

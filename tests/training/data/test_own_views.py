@@ -86,10 +86,10 @@ def test_views_without_configurations_lie_in_extra(tmp_path):
 
 NO_VIEW = [
     ({"cameras": CAMERAS[:1]}, "the depth pictures do not fit.*2 pictures, 1 cameras"),
-    ({"pictures": []}, "names no pictures"),
-    ({"pictures": ["../left.png"]}, "names no pictures"),
+    ({"pictures": []}, "pictures does not fit.*at least 1"),
+    ({"pictures": ["../left.png"]}, r"pictures\.0 does not fit.*a file beside it"),
     ({"pictures": ["left.png", "right.png", "gone.png"]}, "gone.png cannot be read"),
-    ({"cameras": "none"}, "the depth pictures do not fit"),
+    ({"cameras": "none"}, "cameras does not fit"),
     ({"cameras": [{"fx": 1.0}, {}]}, "the camera"),
     ({"state": [0.0]}, "the state does not fit the robot"),
     ({"more": 1}, "unknown"),

@@ -11,7 +11,7 @@ from cspace.simulator import Split, scenario_rng
 from cspace.worlds import read_world, simulator_of
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK, PlanarArm
 from cspace.worlds.planar.camera import Camera
-from cspace.worlds.planar.scenes import DiscScenes, GivenScenes, read_scenes
+from cspace.worlds.planar.scenes import DiscScenes, GivenScenes
 from cspace.worlds.planar.world import Disc, PlanarWorld
 
 SCENES = tuple(((float(number), 2.0, 0.4), (-2.0, 2.0, 0.4)) for number in range(1, 12))
@@ -82,9 +82,9 @@ def test_a_world_tells_its_scenes_and_is_read_again():
         world = PlanarWorld(THREE_LINK, scenes=scenes)
         assert read_world(json.loads(json.dumps(world.to_dict()))) == world
     assert "scenes" not in PlanarWorld().to_dict()
-    assert read_scenes(None) is None
-    with pytest.raises(ScenarioError):
-        read_scenes({"count": [3, 3]})
+    for scenes in ({"count": [3, 3]}, {"train": []}, [], {}):
+        with pytest.raises(ScenarioError, match="the scenes"):
+            read_world(PlanarWorld().to_dict() | {"scenes": scenes})
 
 
 def test_a_simulator_makes_given_scenes_one_by_one():

@@ -18,7 +18,6 @@ from cspace.worlds.spatial.furniture import (
     Shelves,
     SpatialScenes,
     Tables,
-    read_spatial_scenes,
 )
 from cspace.worlds.spatial.obstacles import Box, Cylinder, Obstacles
 from cspace.worlds.spatial.poses import HERE, make_pose, pose_of, turned
@@ -94,7 +93,8 @@ def test_a_scene_comes_back_from_json_as_it_was(drawn):
     for layouts in drawn.values():
         values = parse_json(json.dumps(layouts[0].to_dict()).encode())
         assert read_object(Layout, values, "the scene", ScenarioError) == layouts[0]
-    assert read_spatial_scenes(parse_json(json.dumps(SCENES.to_dict()).encode())) == SCENES
+    told = parse_json(json.dumps(SCENES.to_dict()).encode())
+    assert read_object(SpatialScenes, told, "the scenes", ScenarioError) == SCENES
 
 
 def test_shelves_are_open_to_the_front_whether_or_not_they_have_a_back():

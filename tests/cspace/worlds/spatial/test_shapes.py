@@ -63,7 +63,6 @@ def test_obstacles_come_back_from_json_as_they_were():
     "change",
     [
         {"spheres": []},
-        {"boxes": [{"pose": HERE, "half_m": [1, 1, 1]}]},
         {"boxes": [{"pose": [list(row) for row in HERE], "half_m": [1, 1]}]},
         {"boxes": [{"pose": [list(row) for row in HERE], "half_m": [1, 1, True]}]},
         {"boxes": [{"pose": [list(row) for row in HERE], "half_m": [1, 1, 1], "colour": "red"}]},
