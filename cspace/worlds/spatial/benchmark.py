@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Annotated, Any, Literal, cast, get_args
+from typing import Annotated, Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -31,7 +31,7 @@ from cspace.worlds.spatial.sensor import FREE
 from cspace.worlds.spatial.visibility import lookup
 from cspace.worlds.spatial.world import SpatialWorld, shipped
 
-Family = Literal[
+BENCH_FAMILIES = (
     "bookshelf_small",
     "bookshelf_tall",
     "bookshelf_thin",
@@ -39,8 +39,7 @@ Family = Literal[
     "cage",
     "table_pick",
     "table_under_pick",
-]
-BENCH_FAMILIES: tuple[Family, ...] = get_args(Family)
+)
 # Of the hundred in each family.
 NUMBERS = {Split.VALIDATION: range(1, 31), Split.TEST: range(31, 101)}
 SHIPPED = Path(__file__).with_name("motionbench")
@@ -73,7 +72,7 @@ class BenchProblem(Record):
         ScenarioError: the family is unknown, the number is out of range, or start and goal do not fit.
     """
 
-    family: Family
+    family: Annotated[str, Field(pattern=f"^({'|'.join(BENCH_FAMILIES)})$")]
     number: Annotated[int, Field(ge=1, le=100)]
     obstacles: Obstacles
     start: Annotated[tuple[float, ...], Field(min_length=1)]
