@@ -70,7 +70,8 @@ def test_json_says_the_same_as_yaml(write):
 def test_the_schema_is_one_and_takes_what_is_read():
     Draft202012Validator.check_schema(schema())
     assert Draft202012Validator(schema()).is_valid({"robot": {"link_lengths_m": [1.0]}})
-    assert not Draft202012Validator(schema()).is_valid({"robot": {"link_lengths_m": []}})
+    for robot in ({"link_lengths_m": []}, {"link_lengths_m": [1.0] * 65}, {}):
+        assert not Draft202012Validator(schema()).is_valid({"robot": robot})
 
 
 @pytest.mark.parametrize(

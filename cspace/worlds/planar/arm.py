@@ -16,7 +16,6 @@ _KIND = "planar_arm"
 JointLimits = tuple[tuple[float, float] | None, ...]
 # Of limits, for single precision to tell the angles between them apart.
 MIN_RANGE_RAD = 1e-3
-_MAX_LINKS = 64
 
 
 @validated(ScenarioError)
@@ -35,7 +34,7 @@ class PlanarArm(Record):
         ScenarioError: lengths, width or limits cannot be, or no configuration is clear of itself.
     """
 
-    link_lengths_m: Annotated[tuple[Length, ...], Field(min_length=1, max_length=_MAX_LINKS)] = (2.0, 2.0)
+    link_lengths_m: Annotated[tuple[Length, ...], Field(min_length=1)] = (2.0, 2.0)
     half_width_m: Length = 0.1
     joint_limits_rad: JointLimits | None = None
     self_collision: Annotated[StrictBool, Field(exclude_if=lambda collides: not collides)] = False

@@ -7,7 +7,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from cspace.errors import ScenarioError
 from cspace.strict_json import validated
 from cspace.worlds.planar.arm import PlanarArm
-from cspace.worlds.planar.camera import Camera, Place
+from cspace.worlds.planar.camera import Camera, Length, Place
 from cspace.worlds.planar.scenes import MAX_DISCS, DiscScenes, GivenScenes
 from cspace.worlds.planar.world import Disc, PlanarWorld, Scenario
 
@@ -16,6 +16,7 @@ _Configuration = Annotated[tuple[Place, ...], Field(min_length=1, description="r
 
 @validated(ScenarioError)
 class _Robot(PlanarArm):
+    link_lengths_m: Annotated[tuple[Length, ...], Field(min_length=1, max_length=64)]
     kind: Literal["planar_arm"] = "planar_arm"
 
 

@@ -153,7 +153,10 @@ FIRST = "problems/box_panda/scene0001.yaml"
             {FIRST: yaml.safe_dump(scene(1)).replace("cylinder", "sphere").encode()},
             "a shape is unknown.*'sphere'",
         ),
-        ({FIRST: yaml.safe_dump(scene(1)).replace("0.03", "-0.03").encode()}, "radius_m does not fit; expected above 0"),
+        (
+            {FIRST: yaml.safe_dump(scene(1)).replace("0.03", "-0.03").encode()},
+            "radius_m does not fit; expected above 0",
+        ),
         ({FIRST.replace("scene", "request"): None}, "box 1: KeyError"),
         ({FIRST.replace("box", "kitchen"): b"{}"}, "kitchen 1: KeyError"),
     ],
