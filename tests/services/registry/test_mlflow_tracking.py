@@ -161,6 +161,19 @@ def test_a_run_that_ended_in_an_outage_and_goes_on_ends_once_more(line):
     assert line.status(run.run_id) == "FINISHED"
 
 
+def test_a_run_that_ended_in_an_outage_and_went_on_in_it_runs_when_it_is_delivered(line):
+    run = line.tracking().start(EXPERIMENT, "ended and gone on")
+    line.away = True
+    log(run, [1])
+    run.finish("FAILED")
+    log(line.tracking().resume(run.run_id), [2])
+    # The process that went on is killed here; another one delivers.
+    line.away = False
+    line.tracking().deliver()
+    assert line.history(run.run_id) == [(1, 10.0), (2, 20.0)]
+    assert line.status(run.run_id) == "RUNNING"
+
+
 def test_whoever_delivers_is_told_that_the_server_is_away(line):
     run = line.tracking().start(EXPERIMENT, "away")
     line.away = True
