@@ -37,7 +37,7 @@ def demo(
     environment: Mapping[str, str] = os.environ,
     open_page: Callable[[str], object] = webbrowser.open,
 ) -> None:
-    """Start the API and the 3D viewer where they do not run, print their addresses, and open the page.
+    """Start the API and the 3D viewer where they do not run, print their addresses, and open the viewer.
 
     Args:
         settings: of the services.
@@ -54,9 +54,9 @@ def demo(
     up(settings, (api_server(settings),), say)
     # The viewer asks the API for the model's arm.
     up(settings, (viewer(settings),), say)
-    page = f"{settings.api_url}/"
+    page = f"{settings.viewer_url}/"
     say(
-        f"\nplanar arm, in 2D          {page}\nseven joints, in 3D        {settings.viewer_url}/\n\n"
+        f"\nseven joints, in 3D        {page}\nplanar arm, in 2D          {settings.api_url}/\n\n"
         "Both stay up; `make down` ends them."
     )
     if browser and any(environment.get(name) for name in _SCREENS):
@@ -175,7 +175,7 @@ COMMANDS = {
     "down": Command("end exactly what was started, by process id", _down),
     "status": Command("tell what runs, since when, where, whether it answers; and the state folder", _status),
     "demo": Command(
-        "start the API on the shipped models and the 3D viewer, and open the page", _demo, _no_browser
+        "start the API on the shipped models and the 3D viewer, and open the viewer", _demo, _no_browser
     ),
     "quickstart": Command(
         "the main job: up, train, evaluate, promote, serve, plan", _quickstart, _quickstart_options

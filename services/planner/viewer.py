@@ -42,6 +42,8 @@ ASIDE_RAD = (0.0, 1.3, -1.3)
 CHECK_RAD, FRAMES, POINTS_AT_MOST = 0.005, 200, 8000
 SAMPLES_AT_MOST = 200
 SOURCE = "MotionBenchMaker"
+# Of the shipped model of the Panda: a plan that is free in truth, and one that is refused. Others draw likewise.
+EXAMPLES = {"table-top": ("table", 4), "hard bin": ("bin", 4)}
 RECORDINGS = (".mcap", ".db3")
 IMPORT_S = 120
 # viser takes files by a button alone: what is dropped is given to the button's field.
@@ -105,7 +107,7 @@ class SceneState:
         self.api, self.world, self.model = api, world, model
         self.simulator, self.benchmark = simulator_of(world), partly_seen(world)
         self.opened: Any = None
-        self.problem = self.draw(self.families[0], 0)
+        self.problem = self.draw(*EXAMPLES["table-top"])
 
     @property
     def families(self) -> tuple[str, ...]:
@@ -303,8 +305,10 @@ class Viewer:
     def _add_controls(self) -> None:
         gui, state = self.server.gui, self.state
         with gui.add_folder("Scene"):
-            self.family = gui.add_dropdown("family", state.families)
-            self.seed = gui.add_number("seed", 0, min=0, step=1)
+            example = gui.add_button_group("examples", tuple(EXAMPLES))
+            family, seed = EXAMPLES["table-top"]
+            self.family: Any = gui.add_dropdown("family", state.families, initial_value=family)
+            self.seed: Any = gui.add_number("seed", seed, min=0, step=1)
             self.cameras: Any = gui.add_slider("cameras", 1, len(ASIDE_RAD), 1, len(state.scene.cameras))
             self.count = gui.add_slider("samples", 1, SAMPLES_AT_MOST, 1, 60)
             self.told = gui.add_markdown("")
@@ -322,6 +326,7 @@ class Viewer:
             self.along = gui.add_slider("along the path", 0.0, 1.0, 1.0 / FRAMES, 0.0, disabled=True)
             self.verdict = gui.add_markdown("No path yet.")
         self.sliders: dict[str, list[Any]] = {name: self._joint_sliders(name) for name in ("start", "goal")}
+        example.on_click(lambda event: self._guarded(partial(self._show_example, event.target.value)))
         for handle in (self.family, self.seed):
             handle.on_update(lambda _: self._guarded(self._draw))
         self.cameras.on_update(lambda _: self._guarded(self._use_cameras))
@@ -358,6 +363,10 @@ class Viewer:
                 action()
             except (CspaceError, ClientError) as error:
                 self.told.content = f"**{type(error).__name__}**: {error}"
+
+    def _show_example(self, name: str) -> None:
+        self.family.value, self.seed.value = EXAMPLES[name]
+        self._draw()
 
     def _draw(self) -> None:
         self.state.draw(self.family.value, int(self.seed.value))

@@ -25,7 +25,12 @@ def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
 
 def test_a_scene_is_sampled_planned_and_changed(page: Page, address: str) -> None:
     open_viewer(page, address)
-    assert re.search(r"Confidence \d+%", plan_in_viewer(page))
+    # The first scene shows what the arm can do, the other example what it refuses to do.
+    assert re.search(r"Confidence \d+%. In the true scene the path is collision-free.", plan_in_viewer(page))
+    page.get_by_role("button", name="hard bin").click()
+    expect(page.get_by_role("combobox", name="family")).to_have_value("bin")
+    page.get_by_role("button", name="Plan a path").click()
+    expect(page.get_by_text("refused")).to_be_visible()
     table = page.locator("table")
     before = table.text_content() or ""
     page.get_by_role("textbox", name="seed").fill("3")

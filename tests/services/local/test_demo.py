@@ -53,7 +53,7 @@ def test_the_page_is_opened_where_there_is_a_screen_and_one_is_wanted(
     said: list[str] = []
     opened: list[str] = []
     demo(settings, said.append, browser=browser, environment=environment, open_page=opened.append)
-    page = f"http://127.0.0.1:{settings.api_port}/"
+    page = f"http://127.0.0.1:{settings.viewer_port}/"
     assert started == ["api", "viewer"]
     assert page in said[-1]
     assert opened == ([page] if opens else [])
