@@ -42,7 +42,7 @@ ASIDE_RAD = (0.0, 1.3, -1.3)
 CHECK_RAD, FRAMES, POINTS_AT_MOST = 0.005, 200, 8000
 SAMPLES_AT_MOST = 200
 SOURCE = "MotionBenchMaker"
-# Of the shipped model of the Panda: a plan that is free in truth, and one that is refused. Others draw likewise.
+# By the shipped model: a plan that is free in truth, and one that is refused.
 EXAMPLES = {"table-top": ("table", 4), "hard bin": ("bin", 4)}
 RECORDINGS = (".mcap", ".db3")
 IMPORT_S = 120

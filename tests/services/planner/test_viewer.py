@@ -35,7 +35,7 @@ class FakeApi:
 
     def plan(self, picture: DepthPictures, query: Any, model: str) -> Any:
         solved = len(self.path) > 0
-        plan = SimpleNamespace(way=self.path, confidence=0.75, status="solved" if solved else "refused")
+        plan = SimpleNamespace(path=self.path, confidence=0.75, status="solved" if solved else "refused")
         return SimpleNamespace(plan=plan, reason=None if solved else "none is sure enough")
 
     def doctor(self, picture: DepthPictures, model: str) -> Any:
@@ -72,6 +72,7 @@ def test_a_path_through_an_obstacle_is_called_in_collision(api: FakeApi, state: 
 
 
 def test_what_is_dragged_is_seen_in_the_next_pictures(api: FakeApi, state: SceneState) -> None:
+    state.use_cameras(1)
     state.sample(1)
     state.change(obstacles=type(state.scene.obstacles)())
     state.sample(1)

@@ -29,7 +29,7 @@ def test_samples_come_with_confidence_and_the_unseen_share(bundle, picture):
     found = bundle.sample(prepared, 40, 7, min_confidence=0.0)
     assert found.samples.shape == (40, 7)
     assert WORLD.space.contains(found.samples).all()
-    confidence, unseen = bundle.believe(prepared, found.samples)
+    confidence, unseen = bundle.predict(prepared, found.samples)
     np.testing.assert_array_equal(found.confidence, confidence)
     np.testing.assert_array_equal(found.unseen, unseen)
     assert 0.0 < unseen.mean() < 1.0
@@ -43,16 +43,16 @@ def test_what_is_kept_reaches_the_confidence_and_keeps_its_unseen_share(bundle, 
     found = bundle.sample(prepared, 50, 1, min_confidence=least)
     assert len(found.samples) == 50
     assert (found.confidence >= np.float32(least)).all()
-    np.testing.assert_allclose(found.unseen, bundle.believe(prepared, found.samples)[1], atol=1e-6)
+    np.testing.assert_allclose(found.unseen, bundle.predict(prepared, found.samples)[1], atol=1e-6)
 
 
 def test_an_arm_in_space_that_nothing_shows_is_unseen(bundle, picture):
     hidden = picture.copy()
     hidden[..., 1] = 255
     rows = WORLD.space.to_float32(WORLD.space.sample_uniform(np.random.default_rng(0), 9))
-    assert bundle.believe(hidden, rows)[1] == pytest.approx(np.ones(9), abs=1e-5)
+    assert bundle.predict(hidden, rows)[1] == pytest.approx(np.ones(9), abs=1e-5)
     hidden[..., 1] = 0
-    assert bundle.believe(hidden, rows)[1] == pytest.approx(np.zeros(9), abs=1e-5)
+    assert bundle.predict(hidden, rows)[1] == pytest.approx(np.zeros(9), abs=1e-5)
 
 
 def test_a_picture_of_the_plane_is_refused(bundle):
