@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 from collections.abc import Callable, Iterator
 from dataclasses import field
 from functools import cache, wraps
@@ -160,6 +161,7 @@ def validated(error: type[CspaceError]) -> Callable[[type[Kind]], type[Kind]]:
     def decorate(kind: type[Kind]) -> type[Kind]:
         made: Any = dataclass(frozen=True, slots=True, config=_CONFIG)(kind)
         construct, names = made.__init__, list(made.__dataclass_fields__)
+        where = "the " + re.sub("(?<=[a-z])(?=[A-Z])", " ", kind.__name__).lower()
 
         @wraps(construct)
         def init(self: Any, *values: Any, **named: Any) -> None:
@@ -167,7 +169,7 @@ def validated(error: type[CspaceError]) -> Callable[[type[Kind]], type[Kind]]:
                 # By name, as pydantic would give the position of a value as its place.
                 construct(self, *values[len(names) :], **dict(zip(names, values, strict=False)), **named)
             except ValidationError as problem:
-                raise refused(problem, error, kind.__name__) from problem
+                raise refused(problem, error, where) from problem
 
         made.__init__ = init
         return cast("type[Kind]", made)

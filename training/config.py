@@ -413,7 +413,9 @@ class PathTrainConfig(JobConfig):
     def _source_is_absolute_or_registered(cls, source: str) -> str:
         if not Path(source).is_absolute():
             ModelReference.parse_version(
-                source, "no source", "an absolute path of a bundle's folder, name@alias or name/version"
+                source,
+                "source does not fit",
+                "an absolute path of a bundle's folder, name@alias or name/version",
             )
         return source
 

@@ -77,7 +77,9 @@ def test_a_scene_file_that_is_dropped_takes_the_place_of_a_picture_too(page: Pag
 def test_what_does_not_fit_is_told_with_its_line_and_changes_nothing(page: Page, address: str) -> None:
     open_bench(page, address, hash_of([(3.0, 3.0, 0.5)]))
     page.evaluate(DROP, ["a.yaml", TEXT.replace("0.4}", "-1}")])
-    expect(page.get_by_role("alert")).to_contain_text("the file:3: obstacles: 0: radius_m does not fit")
+    expect(page.get_by_role("alert")).to_contain_text(
+        "the file:3: the file: obstacles.0.radius_m does not fit"
+    )
     page.evaluate(DROP, ["a.yaml", TEXT.replace("[2.0, 2.0]", "[2.0, 1.5]")])
     expect(page.get_by_role("alert")).to_contain_text("No model knows the file")
     expect(page.get_by_role("alert")).to_contain_text("1.5")

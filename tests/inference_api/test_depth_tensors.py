@@ -130,10 +130,10 @@ WRONG = [
     ({**VIEW, "poses": VIEW["poses"] * 2.0}, "pose"),
     ({**VIEW, "poses": VIEW["poses"] + np.inf}, "pose"),
     ({**VIEW, "intrinsics": VIEW["intrinsics"] * 0.0}, "focal length"),
-    ({**VIEW, "intrinsics": VIEW["intrinsics"] * np.nan}, "focal length"),
+    ({**VIEW, "intrinsics": VIEW["intrinsics"] * np.nan}, "the depth camera: fx does not fit"),
     ({**VIEW, "depth": VIEW["depth"] * 0}, "a depth picture has no reading"),
     ({name: np.repeat(array, 3, axis=0) for name, array in VIEW.items() if name != "state"}, "c from 1 to 4"),
-    ({**VIEW, "depth": VIEW["depth"][:, :8]}, "the camera's height is out of range"),
+    ({**VIEW, "depth": VIEW["depth"][:, :8]}, "the depth camera: height does not fit; expected at least 16"),
 ]
 
 

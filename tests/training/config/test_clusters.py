@@ -70,7 +70,7 @@ def test_local_trials_run_unless_there_is_one_cluster_and_nobody_asks_its_critic
         (["global.local_critic_weight=0.5"], "local trials"),
         (["vae.checkpoint=/somewhere"], "own encoder"),
         (["global.encoder=both"], "joint"),
-        (["global.reconstruction_weight=-1"], "greater than or equal to 0"),
+        (["global.reconstruction_weight=-1"], "expected at least 0"),
     ],
 )
 def test_a_joint_encoder_refuses_what_it_can_not_be_with(overrides, says):
@@ -90,7 +90,7 @@ def test_an_override_reaches_its_key_and_leaves_its_neighbours():
     [
         ("global.step=7", "global.step"),
         ("nonsense=1", "nonsense"),
-        ("global.steps=-1", "greater than or equal to 1"),
+        ("global.steps=-1", "expected at least 1"),
         ("global.steps=many", "global.steps"),
         ("global.steps", "key.sub=value"),
         ("seed.deep=1", "seed"),
