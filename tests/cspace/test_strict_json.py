@@ -105,7 +105,7 @@ def test_a_constructor_takes_lists_and_whole_numbers_and_raises_the_projects_err
     assert type(made.rows[0][0]) is float
     with pytest.raises(DatasetError, match="the inner: low does not fit; expected a finite number"):
         Inner(math.nan)
-    with pytest.raises(DatasetError, match="Ends: span does not fit; expected a range from low to high"):
+    with pytest.raises(DatasetError, match="the ends: span does not fit; expected a range from low to high"):
         Ends((2, 1))
 
 
