@@ -30,6 +30,8 @@ def viewer_at(api: str) -> Iterator[str]:
 def open_viewer(page: Page, address: str) -> None:
     """Open the page; returns once it has asked for samples."""
     page.goto(address)
+    # Chromium without a GPU draws in software, which viser says over the scene.
+    page.get_by_role("alert").get_by_role("button").click()
     expect(page.get_by_text("confidence of the samples")).to_be_visible()
 
 
