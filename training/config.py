@@ -235,9 +235,9 @@ class ResourceConfig(Section):
         """On which a trial computes."""
         return max(1, int(self.cpus_per_trial))
 
-    def of_a_trial(self) -> dict[str, float]:
-        """What a trial claims, in the words of Ray Tune; memory in bytes."""
-        claimed = {"cpu": self.cpus_per_trial, "gpu": self.gpus_per_trial}
+    def of_a_task(self) -> dict[str, float]:
+        """What a trial claims, as options of a Ray task; memory in bytes."""
+        claimed = {"num_cpus": self.cpus_per_trial, "num_gpus": self.gpus_per_trial}
         return claimed | ({"memory": self.memory_mb_per_trial * 2**20} if self.memory_mb_per_trial else {})
 
 

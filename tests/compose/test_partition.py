@@ -28,7 +28,7 @@ LONG_LOCAL = (
     "resources.checkpoint_every_steps=100",
 )
 # Ray names the node of a trial that runs elsewhere than the job.
-ON_WORKER = re.compile(r"\(local_trial pid=\d+, ip=[\d.]+\).* step ")
+ON_WORKER = re.compile(r"\(local/local-\d+ pid=\d+, ip=[\d.]+\).* step ")
 RANDOM = np.random.default_rng(7)
 
 

@@ -329,7 +329,7 @@ class TrainResult:
         digest: the bundle's digest.
         data_digest: the data set's digest.
         metrics: last metrics of the global trial.
-        trials: start and end of every trial, Unix time by Tune's clock.
+        trials: start and end of every trial, Unix time by the workers' clocks.
         figures: names of the pictures logged with the run.
     """
 

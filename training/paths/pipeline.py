@@ -40,7 +40,7 @@ class PathTrainResult:
         versions: number of each path model's version, which also has the path model's name as an alias.
         digests: of each path model's bundle.
         data_digest: the data set's digest.
-        seconds: from start to end of each trial, by Tune's clock.
+        seconds: from start to end of each trial, by the workers' clocks.
     """
 
     run_id: str

@@ -1,1 +1,1 @@
-"""The Ray Tune trials: VAE, gate, WGAN-GPs, path models, searches. The only code that knows Tune."""
+"""The trials, a Ray task each: VAE, gate, WGAN-GPs and path models; and searches, by Ray Tune."""

@@ -1,6 +1,5 @@
 """One trial's training loop: Lightning, with buffered tracking, progress lines and checkpoints."""
 
-import contextlib
 import logging
 import os
 import time
@@ -11,7 +10,6 @@ from typing import Any, Protocol
 
 import lightning
 import torch
-from ray import tune
 from torch.utils.data import DataLoader
 
 from cspace.errors import RegistryError, RegistryUnavailableError
@@ -23,16 +21,7 @@ from training.config import ResourceConfig
 from training.models.checkpoint import Progress, load_checkpoint, read_progress, start_from
 from training.models.data import StepCounter
 from training.models.modules import Metrics, TrialModule
-from training.trials.launch import FINISHED, METRICS, TrialFolder, TrialRequest
-
-
-class Report(Protocol):
-    """Takes a trial's last metrics, and whether they are of its last step."""
-
-    def __call__(self, metrics: Metrics, *, finished: bool) -> None:
-        """Take them."""
-        ...
-
+from training.trials.launch import TrialFolder, TrialRequest
 
 # Readers of a log want a line now and then, however fast the steps are.
 LINE_EVERY_S = 5.0
@@ -55,16 +44,15 @@ class TrialStopped(BaseException):
 
 
 class TrialCallback(lightning.Callback):
-    """Reports a trial's metrics and keeps its checkpoints.
+    """Logs a trial's metrics and keeps its checkpoints.
 
     Args:
         name: of the trial in progress lines, with its job's.
         progress: where it starts.
         steps: where it ends.
-        rhythm: how often it reports.
+        rhythm: how often it logs and checkpoints.
         run: its tracking run.
         folder: takes its checkpoints, and holds those of earlier attempts.
-        report: takes its last metrics now and then, and whether they are of its last step.
         stopping: whether it is to end early.
     """
 
@@ -76,11 +64,10 @@ class TrialCallback(lightning.Callback):
         rhythm: Rhythm,
         run: RunLog,
         folder: TrialFolder,
-        report: Report,
         stopping: Callable[[], bool],
     ) -> None:
         self.name, self.step, self.steps = name, progress.step, steps
-        self.rhythm, self.run, self.folder, self.report = rhythm, run, folder, report
+        self.rhythm, self.run, self.folder = rhythm, run, folder
         self.stopping, self.stopped, self.looked_s = stopping, False, time.monotonic()
         self.history = [dict(row) for row in progress.history]
         self.first, self.started = progress.step, time.monotonic()
@@ -113,8 +100,6 @@ class TrialCallback(lightning.Callback):
         self.stopped = not last and self._asked_to_stop()
         if last or self.stopped or self.step % self.rhythm.checkpoint_every_steps == 0:
             self._checkpoint(pl_module)
-        elif first:
-            self.report(self.row(), finished=False)
         trainer.should_stop = self.stopped
 
     def _log(self, module: TrialModule) -> None:
@@ -130,9 +115,10 @@ class TrialCallback(lightning.Callback):
         left = self.estimate.left(self.step)
         _LOG.info("%s: step %d/%d, %s%s", self.name, self.step, self.steps, shown, left)
 
-    def row(self) -> Metrics:
-        """The last metrics, with their step."""
-        return dict(self.history[-1])
+    @property
+    def last(self) -> Metrics:
+        """The last metrics."""
+        return {name: value for name, value in self.history[-1].items() if name != "step"}
 
     def _asked_to_stop(self) -> bool:
         now = time.monotonic()
@@ -145,7 +131,6 @@ class TrialCallback(lightning.Callback):
         # First the metrics: a trial that goes on from here does not log them again.
         self.run.flush()
         self.folder.save(module, Progress(self.step, self.run.run_id, tuple(self.history)))
-        self.report(self.row(), finished=False)
 
 
 def fit(
@@ -155,27 +140,28 @@ def fit(
     rhythm: Rhythm,
     run: RunLog,
     folder: TrialFolder,
-    report: Report,
     stopping: Callable[[], bool] = lambda: False,
-) -> None:
+) -> Metrics:
     """Train ``module`` up to ``steps``, from the last checkpoint when there is one.
 
     Args:
         name: of the trial in progress lines.
         module: what is trained; its batches are its own.
         steps: generator steps in all.
-        rhythm: how often it reports.
+        rhythm: how often it logs and checkpoints.
         run: its tracking run, finished here.
         folder: of its checkpoints.
-        report: takes its last metrics now and then, and whether they are of its last step.
         stopping: whether to write a checkpoint and end; asked several times a second.
+
+    Returns:
+        The last metrics.
 
     Raises:
         TrialStopped: it was, and did.
     """
     checkpoint = folder.latest()
     progress = Progress(0, run.run_id, ()) if checkpoint is None else read_progress(checkpoint)
-    callback = TrialCallback(name, progress, steps, rhythm, run, folder, report, stopping)
+    callback = TrialCallback(name, progress, steps, rhythm, run, folder, stopping)
     with warnings.catch_warnings():
         # Lightning counsels on loader workers and loggers; the loader only counts steps.
         warnings.simplefilter("ignore")
@@ -191,13 +177,12 @@ def fit(
             callbacks=[callback],
         )
         with run:
-            # A trial may have come to its end before whoever waits for it could be told.
+            # A worker may have been killed between a trial's last checkpoint and its outcome.
             if progress.step < steps:
                 trainer.fit(module, DataLoader(StepCounter(progress.step, steps), batch_size=None))
             if callback.stopped:
                 raise TrialStopped
-        # Not before its run has ended: nobody looks after a trial that counts as finished.
-        report(callback.row(), finished=True)
+    return callback.last
 
 
 class TrialSettings(Protocol):
@@ -220,7 +205,7 @@ def fit_tracked(
     resources: ResourceConfig,
     tracking_uri: str,
     **told: Any,
-) -> None:
+) -> Metrics | None:
     """Train a trial's module, from its last checkpoint on where it has one.
 
     Training goes on while the tracking server is away: metrics wait on disk. A job that is being stopped ends
@@ -233,28 +218,33 @@ def fit_tracked(
         resources: how often it logs and checkpoints.
         tracking_uri: of the tracking server.
         told: further parameters of its run, such as its share of the data.
+
+    Returns:
+        The last metrics; None where the job is being stopped.
     """
     # No more threads than the trial claims: two pools on the same cores are slower than one thread each.
     torch.set_num_threads(resources.threads)
     logging.basicConfig(level=logging.WARNING, format="%(message)s", force=True)
     logging.getLogger("training").setLevel(logging.INFO)
-    for library in ("lightning.pytorch", "ray.train", "ray.tune"):
-        logging.getLogger(library).setLevel(logging.ERROR)
+    logging.getLogger("lightning.pytorch").setLevel(logging.ERROR)
     # What can not be sent is kept, so there is nothing to be patient for.
     lower_patience(os.environ)
     rhythm = Rhythm(resources.log_every_steps, resources.checkpoint_every_steps)
     label = f"{trial.name} ({trial.job})"
     folder = TrialFolder(trial.folder, resources.checkpoints_kept)
-    with contextlib.suppress(TrialStopped), folder.alone():
-        if trial.start is not None:
-            start_from(trial.start, module)
-            _LOG.info("%s: starts from the weights of %s", label, trial.start)
-        run = MlflowTracking(tracking_uri, spool_folder=trial.spool).resume(trial.run_id)
-        parameters = _parameters(trial, module, settings) | told
-        shown = _show(run, parameters)
-        fit(label, module, settings.steps, rhythm, run, folder, _report, trial.stop.exists)
-        if not shown:
-            _show(run, parameters)
+    if trial.start is not None:
+        start_from(trial.start, module)
+        _LOG.info("%s: starts from the weights of %s", label, trial.start)
+    run = MlflowTracking(tracking_uri, spool_folder=trial.spool).resume(trial.run_id)
+    parameters = _parameters(trial, module, settings) | told
+    shown = _show(run, parameters)
+    try:
+        metrics = fit(label, module, settings.steps, rhythm, run, folder, trial.stop.exists)
+    except TrialStopped:
+        return None
+    if not shown:
+        _show(run, parameters)
+    return metrics
 
 
 def _parameters(trial: TrialRequest, module: TrialModule, settings: TrialSettings) -> dict[str, Any]:
@@ -274,7 +264,3 @@ def _show(run: RunLog, parameters: Mapping[str, Any]) -> bool:
     except RegistryError as error:
         _LOG.warning("run %s: other parameters than it began with: %s", run.run_id, error)
     return True
-
-
-def _report(metrics: Metrics, *, finished: bool) -> None:
-    tune.report({METRICS: metrics, FINISHED: finished})

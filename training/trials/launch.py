@@ -1,4 +1,4 @@
-"""Trials on the cluster: Ray Tune with explicit resources, retries, stopping and recorded outcomes."""
+"""Trials on the cluster: a Ray task each, with resources, retries, a way to stop, and outcomes."""
 
 import json
 import logging
@@ -6,20 +6,21 @@ import os
 import re
 import signal
 import threading
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import AbstractContextManager
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from types import FrameType, TracebackType
-from typing import Any, Self
+from types import FrameType
+from typing import Any
 
-from ray import tune
-from ray.tune.experiment import Trial
+import ray
+from ray.exceptions import RayError
 
 from cspace.errors import JobError
 from cspace.files import HALF_SUFFIX, discard, holding, write_json
 from cspace.simulator import derived_seed
-from services.evaluator.cluster import join
+from services.evaluator.cluster import cancel, join
 from training.config import ResourceConfig
 from training.jobs.job import Job
 from training.models.checkpoint import Progress, save_checkpoint
@@ -52,6 +53,14 @@ class TrialFolder:
             remedy="end that process",
         )
         return holding(self.folder / "lock", busy, patience_s)
+
+    def is_run(self) -> bool:
+        """Whether a process runs the trial now."""
+        try:
+            with self.alone(patience_s=0.0):
+                return False
+        except JobError:
+            return True
 
     def checkpoints(self) -> tuple[Path, ...]:
         """Those that are complete, oldest first."""
@@ -136,9 +145,9 @@ def stop_file(job: Path) -> Path:
     return job / "stop"
 
 
-# In a trial's reports: its own metrics, to which Tune adds others, and whether they are of its last step.
-METRICS, FINISHED = "metrics", "finished"
 RECORD = "outcome.json"
+# Between two looks of a driver at its trials and at the request to stop them.
+LOOK_EVERY_S = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,8 +158,8 @@ class TrialOutcome:
         name: the trial's name.
         checkpoint: folder with its weights.
         metrics: its last metrics.
-        started_s: Unix time of its start by Tune's own clock; of its last attempt's, where there were more.
-        ended_s: Unix time of its last report by Tune's own clock.
+        started_s: Unix time of its start by its worker's clock; of its last attempt's, where there were more.
+        ended_s: Unix time of its end by the same clock.
     """
 
     name: str
@@ -170,34 +179,6 @@ def read_outcome(trial: TrialRequest) -> TrialOutcome | None:
     return None if checkpoint is None else TrialOutcome(trial.name, checkpoint, **record)
 
 
-class Outcomes(tune.Callback):
-    """Writes the record of every trial in the moment in which it finishes.
-
-    Args:
-        stage: the folder of the trials.
-    """
-
-    def __init__(self, stage: Path) -> None:
-        self._stage = stage
-        self._started_s: dict[str, float] = {}
-
-    def on_trial_result(
-        self, iteration: int, trials: list[Trial], trial: Trial, result: dict[str, Any], **info: Any
-    ) -> None:
-        """Remember when it began; a finished one is recorded here, before anything else can happen."""
-        del iteration, trials, info
-        name = str(trial.config["trial"])
-        started_s = self._started_s.setdefault(name, result["timestamp"] - result["time_total_s"])
-        if not result.get(FINISHED):
-            return
-        record = {
-            "metrics": {key: float(value) for key, value in result[METRICS].items() if key != "step"},
-            "started_s": float(started_s),
-            "ended_s": float(result["timestamp"]),
-        }
-        write_json(self._stage / name / RECORD, record)
-
-
 _LOG = logging.getLogger("training")
 
 
@@ -210,47 +191,31 @@ def end_on_request() -> None:
         signal.signal(signal.SIGTERM, signal.default_int_handler)
 
 
-class Stop(tune.Callback):
-    """While it is entered, SIGTERM tells the trials to write a checkpoint and end, and then ends Tune's loop.
+@contextmanager
+def stop_on_sigterm(file: Path) -> Iterator[None]:
+    """While the block runs, SIGTERM makes the file that tells trials to write a checkpoint and end.
 
-    Args:
-        file: by which the trials are told. Whoever is not the driver may make it as well, between two stages
-            too; the job deletes it when it is run again.
+    Whoever is not the driver may make the file as well, between two stages too; the job deletes it when it is
+    run again.
     """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
 
-    def __init__(self, file: Path) -> None:
-        self._file = file
-        self._before: Any = None
-        self._main = threading.current_thread() is threading.main_thread()
-
-    def __enter__(self) -> Self:
-        if self._main:
-            self._before = signal.signal(signal.SIGTERM, self._request)
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        if self._main:
-            signal.signal(signal.SIGTERM, self._before)
-
-    def on_step_end(self, iteration: int, trials: list[Trial], **info: Any) -> None:
-        """End the loop once no trial runs; those that wait for their turn wait for the next attempt."""
-        del iteration, info
-        if self._file.exists() and not any(trial.status == Trial.RUNNING for trial in trials):
-            # The signal by which Tune's loop is ended from outside.
-            os.kill(os.getpid(), signal.SIGUSR1)
-
-    def _request(self, number: int, frame: FrameType | None) -> None:
+    def request(number: int, frame: FrameType | None) -> None:
         del number, frame
         _LOG.info("stopping: the trials write their checkpoints")
-        self._file.touch()
+        file.touch()
+
+    before = signal.signal(signal.SIGTERM, request)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 # The job's log is for its own progress; what the libraries print of theirs is switched off.
 QUIET = {
-    "RAY_AIR_NEW_OUTPUT": "0",
-    "TUNE_WARN_EXCESSIVE_EXPERIMENT_CHECKPOINT_SYNC_THRESHOLD_S": "0",
     "MLFLOW_SUPPRESS_PRINTING_URL_TO_STDOUT": "true",
     "MLFLOW_ENABLE_ARTIFACTS_PROGRESS_BAR": "false",
 }
@@ -260,14 +225,13 @@ def connect() -> None:
     """Join the cluster that ``RAY_ADDRESS`` names (a submitted job has it set), or start a local one."""
     for name, value in QUIET.items():
         os.environ.setdefault(name, value)
-    for library in ("ray.tune", "ray.train", "mlflow"):
-        logging.getLogger(library).setLevel(logging.ERROR)
+    logging.getLogger("mlflow").setLevel(logging.ERROR)
     join(runtime_env={"env_vars": QUIET})
     end_on_request()
 
 
 def run_trials(
-    trainable: Callable[..., None],
+    trainable: Callable[..., Metrics | None],
     trials: Sequence[TrialRequest],
     shared: Mapping[str, Any],
     resources: ResourceConfig,
@@ -278,9 +242,10 @@ def run_trials(
     go on from their checkpoints.
 
     Args:
-        trainable: gets a trial and ``shared`` by keyword, in Tune's worker.
+        trainable: gets a trial and ``shared`` by keyword, in a worker; returns the trial's last metrics, or
+            None where it was asked to stop.
         trials: of one stage.
-        shared: arrays and settings, put into the object store once.
+        shared: arrays and settings, each put into the object store once.
         resources: of each trial.
 
     Returns:
@@ -295,86 +260,93 @@ def run_trials(
         finished = len(trials) - len(left)
         _LOG.info("%s: %d of %d trials are finished", trials[0].stage.name, finished, len(trials))
     if left:
-        _fit(trainable, left, shared, resources)
+        _run_all(trainable, left, shared, resources)
     outcomes = [read_outcome(trial) for trial in trials]
+    if any(outcome is None for outcome in outcomes):
+        raise KeyboardInterrupt
     return [outcome for outcome in outcomes if outcome is not None]
 
 
-def _fit(
-    trainable: Callable[..., None],
+def _run_all(
+    trainable: Callable[..., Metrics | None],
     trials: Sequence[TrialRequest],
     shared: Mapping[str, Any],
     resources: ResourceConfig,
 ) -> None:
-    storage, requests = trials[0].stage, {trial.name: trial for trial in trials}
-    bound = bind(trainable, requests, shared, resources)
-    stop = Stop(trials[0].stop)
-    tuner = tune.Tuner(
-        bound,
-        param_space={"trial": tune.grid_search(list(requests))},
-        tune_config=tune.TuneConfig(
-            reuse_actors=True,
-            trial_name_creator=_trial_name,
-            trial_dirname_creator=_trial_name,
-        ),
-        run_config=tune.RunConfig(
-            name=_attempt(storage),
-            storage_path=str(storage),
-            failure_config=tune.FailureConfig(max_failures=resources.max_failures),
-            callbacks=[Outcomes(storage), stop],
-            verbose=0,
-        ),
-    )
-    with stop:
-        grid = tuner.fit()
-    failed = [str(error) for error in grid.errors]
+    """Run trials until each has ended or, where the job is being stopped, until none runs any more."""
+    stage, stop = trials[0].stage, trials[0].stop
+    task = ray.remote(_run_trial)
+    stored = {name: ray.put(value) for name, value in shared.items()}
+    waiting: dict[ray.ObjectRef[Any], TrialRequest] = {}
+    failed: list[str] = []
+    try:
+        with stop_on_sigterm(stop):
+            for trial in trials:
+                placed = task.options(
+                    name=f"{stage.name}/{trial.name}",
+                    max_retries=resources.max_failures,
+                    retry_exceptions=True,
+                    **resources.of_a_task(),
+                )
+                waiting[placed.remote(trainable, trial, **stored)] = trial
+            while waiting:
+                stopped = _stopped(stop, waiting.values())
+                ended, _ = ray.wait(list(waiting), num_returns=1, timeout=LOOK_EVERY_S)
+                for reference in ended:
+                    failed += _failure(reference)
+                    _tell_end(waiting.pop(reference), len(trials) - len(waiting), len(trials))
+                if stopped and not ended:
+                    break
+    finally:
+        with suppress(RayError, ConnectionError):
+            cancel(list(waiting))
     if failed:
         raise JobError(
             f"{len(failed)} of {len(trials)} trials failed",
             expected=f"at most {resources.max_failures} faults each",
             got=failed[0].strip().splitlines()[-1],
-            remedy=f"their logs are under {storage}; submitted again the job goes on from its checkpoints",
+            remedy=f"their checkpoints are under {stage}; submitted again the job goes on from them",
         )
-    if any(read_outcome(trial) is None for trial in trials):
-        raise KeyboardInterrupt
 
 
-def bind(
-    trainable: Callable[..., None],
-    requests: Mapping[str, TrialRequest],
-    shared: Mapping[str, Any],
-    resources: ResourceConfig,
-) -> Callable[..., None]:
-    """A Tune function of a stage's trials that Tune knows by a name which no other job's has.
+def _stopped(stop: Path, trials: Iterable[TrialRequest]) -> bool:
+    """Whether the job is being stopped and none of its trials runs; one that starts later ends at once."""
+    return stop.exists() and not any(TrialFolder(trial.folder).is_run() for trial in trials)
 
-    Tune finds a function by its name alone among all that one driver has registered: of two jobs in one
-    driver, one would otherwise be handed the trials of the other.
+
+def _failure(reference: "ray.ObjectRef[Any]") -> list[str]:
+    """Why a task failed for good, in one text; nothing where it did not."""
+    try:
+        ray.get(reference)
+    except RayError as error:
+        return [str(error)]
+    return []
+
+
+def _tell_end(trial: TrialRequest, ended: int, count: int) -> None:
+    state = "stopped" if trial.stop.exists() else "failed"
+    state = state if read_outcome(trial) is None else "finished"
+    _LOG.info("%s (%s): %s; %d of %d trials have ended", trial.name, trial.job, state, ended, count)
+
+
+def _run_trial(trainable: Callable[..., Metrics | None], trial: TrialRequest, **shared: Any) -> None:
+    """Run a trial in a worker, alone, and record its outcome; do nothing where it has one or is to stop.
+
+    A driver that is gone cannot lose an outcome, for the worker writes it.
     """
-    bound: Callable[..., None] = tune.with_resources(
-        tune.with_parameters(_asked(trainable), requests=requests, **shared),
-        resources.of_a_trial(),
-    )
-    stage = next(iter(requests.values())).stage
-    # Read by Tune before __name__, which stays what logs show.
-    vars(bound)["_name"] = f"{trainable.__name__}-{stage.parent.name}-{stage.name}"
-    return bound
-
-
-def _asked(trainable: Callable[..., None]) -> Callable[..., None]:
-    """A Tune function: Tune keeps what it is configured with on disk, so it gets the trial's name alone."""
-
-    def run(config: Mapping[str, str], requests: Mapping[str, TrialRequest], **shared: Any) -> None:
-        trainable(requests[config["trial"]], **shared)
-
-    # Ray shows it in its logs.
-    run.__name__ = trainable.__name__
-    return run
-
-
-def _attempt(storage: Path) -> str:
-    """A name for Tune's own files: each attempt has a folder, and none depends on an earlier one."""
-    return f"tune-{1 + sum(1 for _ in storage.glob('tune-*')):03d}"
-
-
-def _trial_name(trial: Trial) -> str:
-    return str(trial.config["trial"])
+    with TrialFolder(trial.folder).alone():
+        if trial.stop.exists() or read_outcome(trial) is not None:
+            return
+        started_s = time.time()
+        try:
+            metrics = trainable(trial, **shared)
+        except Exception as error:
+            # Ray tells only of the last attempt's.
+            _LOG.warning(
+                "%s (%s): an attempt failed: %s: %s", trial.name, trial.job, type(error).__name__, error
+            )
+            raise
+        if metrics is not None:
+            numbers = {name: float(value) for name, value in metrics.items()}
+            record = {"metrics": numbers, "started_s": started_s, "ended_s": time.time()}
+            write_json(trial.folder / RECORD, record)

@@ -1,4 +1,4 @@
-"""The trials of path models: their arrays, the local critics that guide them, and what Tune runs."""
+"""The trials of path models: their arrays, the local critics that guide them, and the training."""
 
 import json
 import logging
@@ -19,7 +19,7 @@ from training.config import PathModel, PathTrainConfig, TrainConfig
 from training.jobs.environment import RECORD as JOB_RECORD
 from training.models.checkpoint import seeded_initialisation, trained
 from training.models.lookups import Scenes, make_lookups, make_reader, values_read
-from training.models.modules import TrialModule, make_critic
+from training.models.modules import Metrics, TrialModule, make_critic
 from training.models.networks import Critic
 from training.models.paths import (
     FlowModule,
@@ -187,12 +187,12 @@ def path_trial(
     arrays: PathArrays,
     guides: Guides | None,
     tracking_uri: str,
-) -> None:
+) -> Metrics | None:
     """Train the path model that the trial is named after."""
     name = cast("PathModel", trial.name)
     with seeded_initialisation(trial.seed):
         module = make_path_module(name, train, arrays, trial.seed, guides)
-    fit_tracked(trial, module, getattr(train, name), train.resources, tracking_uri)
+    return fit_tracked(trial, module, getattr(train, name), train.resources, tracking_uri)
 
 
 def make_path_module(

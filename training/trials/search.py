@@ -1,6 +1,7 @@
 """The hyperparameter search: Tune's ASHA over settings of the generators, on validation scenarios."""
 
 import logging
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -181,7 +182,12 @@ def space() -> dict[str, Any]:
 
 def claimed(resources: ResourceConfig) -> dict[str, float]:
     """What a trial of a search claims: no GPU, for its networks and its measurements stay on processors."""
-    return {**resources.of_a_trial(), "gpu": 0.0}
+    memory = {name: claim for name, claim in resources.of_a_task().items() if name == "memory"}
+    return {"cpu": resources.cpus_per_trial, "gpu": 0.0, **memory}
+
+
+# What Tune prints of its own is switched off.
+QUIET = {"RAY_AIR_NEW_OUTPUT": "0", "TUNE_WARN_EXCESSIVE_EXPERIMENT_CHECKPOINT_SYNC_THRESHOLD_S": "0"}
 
 
 def search(
@@ -200,6 +206,10 @@ def search(
     Raises:
         JobError: no trial reported anything.
     """
+    for name, value in QUIET.items():
+        os.environ.setdefault(name, value)
+    for library in ("ray.tune", "ray.train"):
+        logging.getLogger(library).setLevel(logging.ERROR)
     # Two cuts. Tune kills what it ends, so neither a third cut nor max_t may fall on a trial's last step.
     scheduler = ASHAScheduler(
         time_attr="step",

@@ -1,4 +1,4 @@
-"""The functions that Tune runs for VAE, validity head, gate and WGAN-GPs, and how networks are loaded."""
+"""The trials of VAE, validity head, gate and WGAN-GPs, and how networks are loaded."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,7 +13,7 @@ from training.models.checkpoint import seeded_initialisation, trained
 from training.models.joint import JointModule
 from training.models.lookups import make_lookups, values_read
 from training.models.mixture import Experts, Gate, GatedSampler, GateModule
-from training.models.modules import TrialModule, VaeModule, WganGpModule, make_critic, make_generator
+from training.models.modules import Metrics, TrialModule, VaeModule, WganGpModule, make_critic, make_generator
 from training.models.networks import Critic, MeansGenerator, TorusGenerator
 from training.models.settings import GanConfig, LookupConfig
 from training.trials.arrays import GridOccupancy, OccupancyArrays, TrainingArrays
@@ -120,7 +120,7 @@ def picture_trial(
     images: NDArray[np.uint8],
     occupancy: OccupancyArrays | GridOccupancy | None,
     tracking_uri: str,
-) -> None:
+) -> Metrics | None:
     """Train what learns from pictures, channels first, and needs no latents: the VAE, or the head."""
     pictures = torch.tensor(images)
     module: TrialModule
@@ -130,22 +130,26 @@ def picture_trial(
             module, settings = occupancy.module(train.validity, pictures, trial.seed), train.validity
         else:
             module, settings = VaeModule(train.vae, pictures, trial.seed), train.vae
-    fit_tracked(trial, module, settings, train.resources, tracking_uri, pictures=len(images))
+    return fit_tracked(trial, module, settings, train.resources, tracking_uri, pictures=len(images))
 
 
-def gate_trial(trial: TrialRequest, train: TrainConfig, arrays: TrainingArrays, tracking_uri: str) -> None:
+def gate_trial(
+    trial: TrialRequest, train: TrainConfig, arrays: TrainingArrays, tracking_uri: str
+) -> Metrics | None:
     """Train the gate on the cells' shares of every scenario's free configurations."""
     mu, sigma = torch.tensor(arrays.mu), torch.tensor(arrays.sigma)
     with seeded_initialisation(trial.seed):
         module = GateModule(train.gate, mu, sigma, arrays.shares(), trial.seed)
-    fit_tracked(trial, module, train.gate, train.resources, tracking_uri)
+    return fit_tracked(trial, module, train.gate, train.resources, tracking_uri)
 
 
-def local_trial(trial: TrialRequest, train: TrainConfig, arrays: TrainingArrays, tracking_uri: str) -> None:
+def local_trial(
+    trial: TrialRequest, train: TrainConfig, arrays: TrainingArrays, tracking_uri: str
+) -> Metrics | None:
     """Train one cluster's WGAN-GP (Algorithm 1)."""
     module = make_wgan(train.local, arrays, trial.cluster, trial.seed)
     part = arrays.part(trial.cluster)
-    fit_tracked(trial, module, train.local, train.resources, tracking_uri, **part)
+    return fit_tracked(trial, module, train.local, train.resources, tracking_uri, **part)
 
 
 def global_trial(
@@ -154,12 +158,12 @@ def global_trial(
     arrays: TrainingArrays,
     local_checkpoints: list[str],
     tracking_uri: str,
-) -> None:
+) -> Metrics | None:
     """Train the global WGAN-GP on all data, guided by the frozen local critics (eq. multiDirector)."""
     critics = [load_critic(train.local, arrays, Path(folder)) for folder in local_checkpoints]
     weight = train.global_.local_critic_weight
     module = make_wgan(train.global_, arrays, None, trial.seed, critics, weight)
-    fit_tracked(trial, module, train.global_, train.resources, tracking_uri)
+    return fit_tracked(trial, module, train.global_, train.resources, tracking_uri)
 
 
 def joint_trial(
@@ -168,7 +172,7 @@ def joint_trial(
     arrays: TrainingArrays,
     images: NDArray[np.uint8],
     tracking_uri: str,
-) -> None:
+) -> Metrics | None:
     """Train one WGAN-GP on all data together with the encoder of (S, P, P, 3) pictures."""
     with seeded_initialisation(trial.seed):
         module = JointModule(
@@ -180,7 +184,7 @@ def joint_trial(
             trial.seed,
             arrays.world.space,
         )
-    fit_tracked(trial, module, train.global_, train.resources, tracking_uri)
+    return fit_tracked(trial, module, train.global_, train.resources, tracking_uri)
 
 
 def _channels_first(images: NDArray[np.uint8]) -> torch.Tensor:

@@ -171,14 +171,14 @@ def test_the_command_says_which_setting_is_missing(capsys, monkeypatch):
 
 
 def test_a_trial_claims_what_the_configuration_says_and_no_memory_unless_it_does():
-    assert load_config("smoke").resources.of_a_trial() == {"cpu": 1.0, "gpu": 0.0}
+    assert load_config("smoke").resources.of_a_task() == {"num_cpus": 1.0, "num_gpus": 0.0}
     half = [
         "resources.gpus_per_trial=0.5",
         "resources.cpus_per_trial=2",
         "resources.memory_mb_per_trial=1500",
     ]
-    claimed = load_config("smoke", half).resources.of_a_trial()
-    assert claimed == {"cpu": 2.0, "gpu": 0.5, "memory": 1500 * 1024 * 1024}
+    claimed = load_config("smoke", half).resources.of_a_task()
+    assert claimed == {"num_cpus": 2.0, "num_gpus": 0.5, "memory": 1500 * 1024 * 1024}
 
 
 OWN_ROBOT = "data.robot.link_lengths_m=[1.0, 1.0]"

@@ -8,22 +8,22 @@ from training.trials.fit import Rhythm, TrialStopped, fit
 from training.trials.launch import TrialFolder
 
 
-class Reports:
-    """Takes a trial's reports; fails at one of them when asked to, as a process that is killed there."""
+class KilledAt(RecordingRun):
+    """A run whose trial ends without warning when it logs a step."""
 
-    def __init__(self, fail_at=None):
-        self.rows, self.finished, self.fail_at = [], [], fail_at
+    def __init__(self, step):
+        super().__init__()
+        self.step = step
 
-    def __call__(self, metrics, *, finished):
-        self.rows.append(dict(metrics))
-        self.finished.append(finished)
-        if len(self.rows) == self.fail_at:
-            raise RuntimeError("stopped")
+    def metrics(self, metrics, step):
+        if step == self.step:
+            raise RuntimeError("killed")
+        super().metrics(metrics, step)
 
 
-def train(module, folder, run, reports=None, stopping=lambda: False):
-    """Nine steps, logged every 2 and kept every 4."""
-    fit("local-0", module, 9, Rhythm(2, 4), run, TrialFolder(folder), reports or Reports(), stopping)
+def train(module, folder, run, stopping=lambda: False):
+    """Nine steps, logged every 2 and kept every 4; returns the last metrics."""
+    return fit("local-0", module, 9, Rhythm(2, 4), run, TrialFolder(folder), stopping)
 
 
 def last(folder):
@@ -39,12 +39,11 @@ def test_a_trial_logs_at_its_rhythm_and_at_its_ends(tmp_path):
 
 
 def test_a_trial_ends_with_a_checkpoint_of_its_last_step_and_whole_history(tmp_path):
-    reports = Reports()
-    train(tiny_module(), tmp_path, RecordingRun(), reports)
+    run = RecordingRun()
+    metrics = train(tiny_module(), tmp_path, run)
     assert last(tmp_path).step == 9
     assert [row["step"] for row in last(tmp_path).history] == [1, 2, 4, 6, 8, 9]
-    assert reports.finished == [False, False, False, False, True]
-    assert reports.rows[-1]["step"] == 9
+    assert (9, metrics) == run.rows[-1]
 
 
 def same_weights(one, other):
@@ -54,8 +53,8 @@ def same_weights(one, other):
 def test_a_trial_that_was_killed_goes_on_from_its_checkpoint_to_the_same_weights(tmp_path):
     whole = tiny_module()
     train(whole, tmp_path / "whole", RecordingRun())
-    with pytest.raises(RuntimeError, match="stopped"):
-        train(tiny_module(), tmp_path / "half", RecordingRun(), Reports(fail_at=2))
+    with pytest.raises(RuntimeError, match="killed"):
+        train(tiny_module(), tmp_path / "half", KilledAt(6))
     assert last(tmp_path / "half").step == 4
     resumed, run = tiny_module(), RecordingRun()
     train(resumed, tmp_path / "half", run)
@@ -77,12 +76,9 @@ def test_a_trial_that_is_asked_to_stop_writes_a_checkpoint_first_and_loses_no_st
     assert same_weights(whole, resumed)
 
 
-def test_a_trial_that_had_finished_reports_so_and_trains_nothing(tmp_path):
-    train(tiny_module(), tmp_path, RecordingRun())
-    reports, run = Reports(), RecordingRun()
-    train(tiny_module(), tmp_path, run, reports)
-    assert reports.finished == [True]
-    assert reports.rows[0]["step"] == 9
+def test_a_trial_that_had_come_to_its_end_trains_nothing_and_has_the_same_metrics(tmp_path):
+    metrics, run = train(tiny_module(), tmp_path, RecordingRun()), RecordingRun()
+    assert train(tiny_module(), tmp_path, run) == metrics
     assert run.rows == []
     assert run.status == "FINISHED"
 

@@ -4,8 +4,8 @@ from types import SimpleNamespace
 import torch
 
 from training.config import load_config
-from training.models.checkpoint import Progress, save_checkpoint, seeded_initialisation
-from training.trials.launch import FINISHED, METRICS, Outcomes, TrialFolder, TrialRequest, read_outcome
+from training.models.checkpoint import seeded_initialisation
+from training.trials.launch import TrialRequest
 from training.trials.search import claimed
 
 STAGES = {
@@ -44,24 +44,3 @@ def test_networks_start_from_other_numbers_than_the_training_draws() -> None:
     with seeded_initialisation(7):
         weights = torch.randn(16)
     assert not torch.isin(weights, torch.randn(1000, generator=torch.Generator().manual_seed(7))).any()
-
-
-def test_an_outcome_keeps_every_metric_that_the_trial_reported_and_none_of_tunes(tmp_path: Path) -> None:
-    from tests.training.models.builders import tiny_module
-
-    request = TrialRequest(tmp_path / "pictures" / "validity")
-    save_checkpoint(TrialFolder(request.folder).folder / "step-000000004", tiny_module(), Progress(4, "run"))
-    reported = {"step": 4.0, "validity_loss": 0.25, "hazard_loss": 0.5, "a_loss_to_come": 0.125}
-    result = {
-        METRICS: reported,
-        FINISHED: True,
-        "timestamp": 20,
-        "time_total_s": 5.0,
-        "training_iteration": 3,
-    }
-    trial = SimpleNamespace(config={"trial": "validity"})
-    Outcomes(request.stage).on_trial_result(1, [trial], trial, result)
-    outcome = read_outcome(request)
-    assert outcome is not None
-    assert outcome.metrics == {"validity_loss": 0.25, "hazard_loss": 0.5, "a_loss_to_come": 0.125}
-    assert (outcome.started_s, outcome.ended_s) == (15.0, 20.0)
