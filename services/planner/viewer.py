@@ -215,7 +215,7 @@ class SceneState:
         rows = np.asarray(batch.samples, dtype=np.float64)
         scored = self.api.validity(shown, rows, self.model)
         unseen = None if scored.unseen is None else float(np.mean(scored.unseen))
-        free = None if self.opened else self.simulator.checker(self.scene).valid_batch(rows)
+        free = None if self.opened is not None else self.simulator.checker(self.scene).valid_batch(rows)
         return Samples(rows, scored.confidence, free, batch.novelty, unseen)
 
     def plan(self, min_confidence: float, seed: int = 0) -> tuple[FoundPlan, str]:
@@ -228,7 +228,7 @@ class SceneState:
         if len(path) < 2:
             return found, f"**{found.plan.status}**: {found.reason}"
         if self.opened is not None:
-            return found, f"Confidence {found.plan.confidence:.0%}. Nobody knows the true scene."
+            return found, f"Confidence {found.plan.confidence:.0%}. The true scene is unknown."
         checker = self.simulator.checker(self.scene)
         hits = int((~checker.edge_batch(path[:-1], path[1:], CHECK_RAD)).sum())
         truth = "collision-free" if hits == 0 else f"**in collision** on {hits} of {len(path) - 1} edges"
@@ -328,7 +328,8 @@ class Viewer:
         self.sliders: dict[str, list[Any]] = {name: self._joint_sliders(name) for name in ("start", "goal")}
         example.on_click(lambda event: self._guarded(partial(self._show_example, event.target.value)))
         for handle in (self.family, self.seed):
-            handle.on_update(lambda _: self._guarded(self._draw))
+            # Without a client it is an example that was chosen.
+            handle.on_update(lambda event: self._guarded(self._draw) if event.client_id is not None else None)
         self.cameras.on_update(lambda _: self._guarded(self._use_cameras))
         self.count.on_update(lambda _: self._guarded(self.show_samples))
         self.unseen.on_update(lambda _: self._guarded(self._show_unseen))
@@ -392,8 +393,8 @@ class Viewer:
                 if recorded
                 else [file.content]
             )
-            self.which.max = max(1, len(self.views) - 1)
-            self.which.value, self.which.visible = 0, len(self.views) > 1
+            self.which.value = 0
+            self.which.max, self.which.visible = max(1, len(self.views) - 1), len(self.views) > 1
             self._show_opened()
         except (CspaceError, ClientError) as error:
             self.doctor.content = f"**{type(error).__name__}**: {error}"

@@ -115,7 +115,7 @@ def test_a_view_file_takes_the_scenes_place_until_the_next_is_drawn(api: FakeApi
         np.testing.assert_array_equal(shown.state, view.state)
     np.testing.assert_array_equal(state.problem.start, view.state)
     api.path = api.rows[:2]
-    assert state.plan(0.5)[1] == "Confidence 75%. Nobody knows the true scene."
+    assert state.plan(0.5)[1] == "Confidence 75%. The true scene is unknown."
     unseen = state.unseen_m()
     assert len(unseen) > 1000
     # What a camera reads is seen.
