@@ -333,6 +333,8 @@ class _Checks:
         self.count += 1
         values = np.empty(self._dim)
         self.access.read(state, values)
+        # A traceback that kept it beyond OMPL's own state would pass for the next state at its address.
+        del state
         try:
             return self.error is None and bool(self._is_free(values))
         except Exception as error:  # noqa: BLE001 - it is raised once OMPL has returned
