@@ -52,9 +52,3 @@ def test_what_lets_nothing_pass_risks_nothing() -> None:
     found = make_promise([none, bad, bad] * 2, 0.8)
     assert (found.at_most, found.measured) == (pytest.approx((0.5 * 2 + 1.0) / 3.0), pytest.approx(0.5))
     assert make_promise([bad, none, none], 0.8).measured == 0.0
-
-
-def test_metrics_are_plain_numbers_by_kind() -> None:
-    told = make_promise(scenes(1, 60), 0.9).metrics("samples")
-    assert all(type(value) is float for value in told.values())
-    assert told["promise/samples_collide/scenes"] == told["promise/samples_collide/measured_scenes"] == 20.0

@@ -7,23 +7,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from onnx import TensorProto, helper, numpy_helper
 
 from cspace.bundle import Bundle
 from tests.bundles import write_tiny_bundle
 from training.clusters.calibration import Scored
 from training.clusters.proposals import (
     DRAWN,
-    ELEMENT_S,
-    MULTIPLY_ADD_S,
-    NODE_S,
     Costs,
     choose_proposals,
     first_turn,
     judged,
     proposal_costs,
     proposal_pools,
-    run_cost,
 )
 
 PRETRAINED = Path(__file__).parents[3] / "inference_api" / "pretrained"
@@ -118,18 +113,3 @@ def test_the_shipped_planar_model_is_worth_its_uniform_proposals():
     costs = proposal_costs(Bundle.load(PRETRAINED))
     assert costs.learned_s / costs.head_s == pytest.approx(5.095 / 2.653, rel=0.25)
     assert costs.uniform_s < 0.1 * costs.head_s
-
-
-def test_a_wider_network_costs_more():
-    def matmul(width):
-        weights = numpy_helper.from_array(np.zeros((4, width), dtype=np.float32), "weights")
-        taken = helper.make_tensor_value_info("x", TensorProto.FLOAT, ["rows", 4])
-        given = helper.make_tensor_value_info("y", TensorProto.FLOAT, ["rows", width])
-        nodes = [helper.make_node("MatMul", ["x", "weights"], ["z"]), helper.make_node("Relu", ["z"], ["y"])]
-        graph = helper.make_graph(nodes, "g", [taken], [given], [weights])
-        opsets = [helper.make_opsetid("", 17)]
-        return helper.make_model(graph, opset_imports=opsets, ir_version=8).SerializeToString()
-
-    expected = 10 * 8 * (4 * MULTIPLY_ADD_S + ELEMENT_S) + 2 * NODE_S
-    assert run_cost(matmul(8), 10, {}) == pytest.approx(expected)
-    assert run_cost(matmul(16), 10, {}) > run_cost(matmul(8), 10, {})

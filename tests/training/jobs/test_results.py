@@ -11,26 +11,20 @@ RESULT = TrainResult("r1", "arm", 3, "d1", "d2", {"loss": 0.12345678}, {"vae": (
 
 
 def told(folder):
-    folder.mkdir(exist_ok=True)
+    """Tell a result whose folder is not there yet."""
     content = {"run_id": "r1", "model": "arm", "version": 3, "digest": "d1", "figures": []}
     tell_result(content, RESULT.rows(folder), folder)
     return content
 
 
 def test_the_block_tells_version_and_where_bundle_and_json_lie(tmp_path, capsys):
-    content = told(tmp_path)
-    printed = capsys.readouterr().out
-    assert "arm/3" in printed
-    assert "vae 4.5 s" in printed
-    assert "loss 0.1235" in printed
-    assert str(tmp_path / "bundle") in printed
-    assert str(tmp_path / RESULT_FILE) in printed
-    assert json.loads((tmp_path / RESULT_FILE).read_text()) == content
-
-
-def test_the_last_line_of_a_log_is_the_result_for_programs(tmp_path, capsys):
-    told(tmp_path)
+    folder = tmp_path / "jobs" / "r1"
+    content = told(folder)
     log = capsys.readouterr().out
+    for part in ("arm/3", "vae 4.5 s", "loss 0.1235", str(folder / "bundle"), str(folder / RESULT_FILE)):
+        assert part in log
+    assert json.loads((folder / RESULT_FILE).read_text()) == content
+    # The last line is for programs.
     assert log.splitlines()[-1].startswith("RESULT {")
     assert last_result(log, TrainingResult).reference == "arm/3"
 
@@ -41,24 +35,17 @@ def test_a_terminal_is_spared_the_line(tmp_path, capsys, monkeypatch):
     assert "RESULT" not in capsys.readouterr().out
 
 
-def test_a_job_without_a_folder_keeps_no_file_and_says_no_place(tmp_path, capsys, monkeypatch):
+def test_a_job_without_a_folder_keeps_no_file_and_a_full_disk_costs_the_file_alone(
+    tmp_path, capsys, monkeypatch
+):
     monkeypatch.chdir(tmp_path)
     tell_result({"run_id": "r1"}, {"run": "r1"}, None)
     *block, last = capsys.readouterr().out.splitlines()
     assert block == ["", "result", "  run  r1"]
     assert last == 'RESULT {"run_id": "r1"}'
     assert list(tmp_path.iterdir()) == []
-
-
-def test_the_folder_is_made_where_it_is_not_there(tmp_path, capsys):
-    tell_result({"run_id": "r1"}, {"run": "r1"}, tmp_path / "jobs" / "r1")
-    assert json.loads((tmp_path / "jobs" / "r1" / RESULT_FILE).read_text()) == {"run_id": "r1"}
-    assert str(tmp_path / "jobs" / "r1" / RESULT_FILE) in capsys.readouterr().out
-
-
-def test_a_full_disk_costs_the_file_and_not_the_result(tmp_path, capsys):
     (tmp_path / "full").write_text("no folder can be made here")
     tell_result({"run_id": "r1"}, {"run": "r1"}, tmp_path / "full")
     printed = capsys.readouterr().out
     assert "not kept" in printed
-    assert printed.splitlines()[-1] == 'RESULT {"run_id": "r1"}'
+    assert printed.splitlines()[-1] == last
