@@ -27,11 +27,11 @@ def test_the_table_of_errors_is_that_of_the_code_in_its_order() -> None:
     assert documented == [(problem.name, problem.status) for problem in PROBLEMS]
 
 
-def test_the_table_of_metrics_is_that_of_a_real_app_labels_included(own_api: ApiClient) -> None:
-    own_api.post("/sample", files={"image": PNG})
-    own_api.get("/nothing")
+def test_the_table_of_metrics_is_that_of_a_real_app_labels_included(api: ApiClient) -> None:
+    api.post("/sample", files={"image": PNG})
+    api.get("/nothing")
     exported: dict[str, set[str]] = {}
-    for family in text_string_to_metric_families(own_api.get("/metrics").text):
+    for family in text_string_to_metric_families(api.get("/metrics").text):
         if family.name.startswith("cspace_") and not family.name.endswith("_created"):
             name = f"{family.name}_total" if family.type == "counter" else family.name
             exported[name] = {label for sample in family.samples for label in sample.labels} - {"le"}

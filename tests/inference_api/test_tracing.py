@@ -13,7 +13,6 @@ from opentelemetry.proto.collector.trace.v1.trace_service_pb2 import ExportTrace
 from opentelemetry.proto.trace.v1.trace_pb2 import ResourceSpans, Span
 
 from cspace.errors import ConfigError
-from inference_api.settings import ApiSettings
 from inference_api.tracing import otlp_provider
 from tests.inference_api.server import server_process
 
@@ -85,19 +84,6 @@ def test_a_request_is_one_trace_with_its_stages_under_the_clients_own_span(
     # Whoever only watches is not traced.
     roots = [attributes(span) for span in spans if span not in (served, *stages)]
     assert [root.get("http.status_code", root.get("http.response.status_code")) for root in roots] == [415]
-
-
-@pytest.mark.parametrize(
-    ("environment", "expected"),
-    [
-        ({}, False),
-        ({"OTEL_EXPORTER_OTLP_ENDPOINT": "http://127.0.0.1:4318"}, True),
-        ({"OTEL_EXPORTER_OTLP_TRACES_ENDPOINT": "http://127.0.0.1:4318/v1/traces"}, True),
-        ({"OTEL_EXPORTER_OTLP_ENDPOINT": "http://127.0.0.1:4318", "OTEL_SDK_DISABLED": "true"}, False),
-    ],
-)
-def test_opentelemetrys_own_variables_decide(environment: dict[str, str], expected: bool) -> None:
-    assert ApiSettings.from_environment(environment).traces is expected
 
 
 def test_without_the_packages_the_error_tells_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -5,7 +5,6 @@ from pathlib import Path
 import pytest
 
 from cspace.errors import ConfigError
-from inference_api.settings import ApiSettings
 from inference_api.workbench import routes
 from services.registry.promotion import Decision, record_decision
 from tests.inference_api.fake_registry import CountingRegistry
@@ -73,18 +72,3 @@ def test_the_truth_without_its_packages_stops_the_start_with_the_remedy(
     with pytest.raises(ConfigError, match=r"pip install \.\[workbench\]"):
         start_bench()
     assert start_bench(truth=False).get("/workbench/about").json()["plans"] is False
-
-
-def test_settings_of_the_workbench_are_read_and_judged() -> None:
-    assert ApiSettings.from_environment({}).workbench is False
-    values = {"CSPACE_API_WORKBENCH": "1", "CSPACE_API_MLFLOW_PAGES": "http://127.0.0.1:5000/"}
-    settings = ApiSettings.from_environment(values)
-    assert (settings.workbench, settings.mlflow_pages) == (True, "http://127.0.0.1:5000")
-
-
-@pytest.mark.parametrize(
-    "values", [{"CSPACE_API_WORKBENCH": "yes"}, {"CSPACE_API_MLFLOW_PAGES": "javascript:alert(1)"}], ids=str
-)
-def test_a_wrong_setting_is_told(values: dict[str, str]) -> None:
-    with pytest.raises(ConfigError, match=next(iter(values))):
-        ApiSettings.from_environment(values)
