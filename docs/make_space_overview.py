@@ -1,4 +1,4 @@
-"""Draws ``docs/images/space.png``: a depth picture, the space it shows, what a model believes of the rest.
+"""Draws ``docs/images/space.png``: a depth picture, the space it shows, what a model predicts of the rest.
 
 python docs/make_space_overview.py
 """
@@ -74,9 +74,9 @@ def draw(
     told: tuple[NDArray[np.float32], NDArray[np.floating], NDArray[np.bool_]],
     threshold: float,
 ) -> Figure:
-    """Three panels: a picture, the space that it shows, and belief against truth."""
+    """Three panels: a picture, the space that it shows, and prediction against ground truth."""
     figure = Figure(figsize=(15.0, 4.8), dpi=110, layout="constrained")
-    taken, shown, believed = figure.subplots(1, 3)
+    taken, shown, predicted = figure.subplots(1, 3)
     depth_m = np.where(view.pictures[0] > 0, view.pictures[0] * 1e-3, np.nan)
     drawn = taken.imshow(depth_m, cmap="viridis")
     figure.colorbar(drawn, ax=taken, label="depth (m)", shrink=0.8)
@@ -88,7 +88,7 @@ def draw(
         draw_arm(shown, scene.world.body, configuration, colour, 3)
     low, high = (np.asarray(one) for one in (scene.world.sensor.grid.low_m, scene.world.sensor.grid.high_m))
     shown.set(xlim=(low[0], high[0]), ylim=(low[2], high[2]))
-    _believed(believed, *told, threshold)
+    _predicted(predicted, *told, threshold)
     count = len(view.pictures)
     for axes, title in (
         (taken, f"one of {count} depth pictures; white has no reading" if count > 1 else "the depth picture"),
@@ -96,13 +96,13 @@ def draw(
             shown,
             "from the side: surfaces seen, space unseen in grey;\ntruth in outlines, start blue, goal orange",
         ),
-        (believed, f"{CONFIGURATIONS} configurations about start and goal"),
+        (predicted, f"{CONFIGURATIONS} configurations about start and goal"),
     ):
         axes.set_title(title, fontsize=10)
     return figure
 
 
-def _believed(
+def _predicted(
     axes: Any,
     confidence: NDArray[np.float32],
     unseen: NDArray[np.floating],

@@ -1,1 +1,1 @@
-"""Planning in what a model believes of a scene that it knows by a picture."""
+"""Planning by what a model predicts of a scene that it knows from pictures."""

@@ -1,5 +1,5 @@
 """
-What the validity head believes
+What the validity head predicts
 ===============================
 
 The head reads the picture where the arm would be, and tells how likely a configuration is free: a map of the

@@ -1,5 +1,5 @@
 """
-A depth picture, and what is believed of the rest
+A depth picture, and what is predicted of the rest
 =================================================
 
 An arm of seven joints before a shelf, seen by depth cameras. What no picture shows is hidden space: the model
@@ -25,7 +25,7 @@ file = picture_file_of(problem.scenario)
 depth_mm = read_view(file, world.space).pictures[0]
 
 # %%
-# Configurations about start and goal, where a planner would ask, with the truth beside the belief.
+# Configurations about start and goal, where a planner would ask, with the ground truth beside the prediction.
 
 random = np.random.default_rng(12)
 ends = np.array([problem.start, problem.goal])[np.arange(500) % 2]
@@ -38,7 +38,7 @@ print(
     f"{free[passes].mean():.3f}"
 )
 
-figure, (taken, believed) = plt.subplots(1, 2, figsize=(10, 4.2), layout="constrained")
+figure, (taken, predicted) = plt.subplots(1, 2, figsize=(10, 4.2), layout="constrained")
 drawn = taken.imshow(np.where(depth_mm > 0, depth_mm * 1e-3, np.nan), cmap="viridis")
 taken.set(title="a depth picture; white has no reading", xlabel="column (pixels)", ylabel="row (pixels)")
 figure.colorbar(drawn, ax=taken, label="depth (m)")
@@ -46,12 +46,12 @@ for chosen, colour, marker, label in (
     (free, "tab:blue", "o", "free"),
     (~free, "tab:red", "x", "in collision"),
 ):
-    believed.scatter(unseen[chosen], confidence[chosen], s=14, c=colour, marker=marker, label=label)
-believed.axhline(bundle.spec.confidence_threshold, color="black", linewidth=0.8, linestyle="--")
-believed.set(
-    title="belief and truth; the threshold dashed",
+    predicted.scatter(unseen[chosen], confidence[chosen], s=14, c=colour, marker=marker, label=label)
+predicted.axhline(bundle.spec.confidence_threshold, color="black", linewidth=0.8, linestyle="--")
+predicted.set(
+    title="prediction and ground truth; the threshold dashed",
     xlabel="share of the arm in unseen space",
     ylabel="P(free)",
 )
-believed.legend()
+predicted.legend()
 plt.show()

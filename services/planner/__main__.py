@@ -1,7 +1,7 @@
 """Solve one problem with an API's samples, or let the API plan it.
 
 ``python -m services.planner plan scene.yaml``, or a problem of a family: ``--family narrow --seed 7``. With
-``--whole-plan`` the API plans in what its model believes of the picture.
+``--whole-plan`` the API plans by what its model predicts from the picture.
 
 Exit codes: 0 solved, 1 not solved or the API's way collides, 2 wrong usage or input, or the API refused the
 request.
@@ -183,7 +183,7 @@ def make_parser() -> argparse.ArgumentParser:
     whole.add_argument(
         "--whole-plan",
         action="store_true",
-        help="let the API plan in what its model believes, and judge the way in the scene as it is; of the "
+        help="let the API plan by what its model predicts, and check the path in the true scene; of the "
         "options for samples and search --min-confidence, --time-limit and --planner-seed hold for it",
     )
     whole.add_argument("--ways", type=_count, default=DEFAULT_WAYS, help="to choose from; %(default)s")

@@ -24,7 +24,7 @@ from cspace.errors import (
 )
 from cspace.query import PlanQuery, SampleQuery
 from cspace.view_file import pack_view
-from cspace_client import DEFAULT_TIMEOUT_S, Beliefs, FoundPlan, RetryPolicy
+from cspace_client import DEFAULT_TIMEOUT_S, FoundPlan, Predictions, RetryPolicy
 from cspace_client import Plan as ServedPlan
 from cspace_client.pictures import shown
 from services.planner.samples import LocalSampler, Picture, SampleBatch, SampleSource
@@ -163,7 +163,7 @@ class ClientOptions(TypedDict, total=False):
 
 
 class SamplingClient(SampleSource):
-    """Asks an inference API for samples, beliefs and ways over one kept connection.
+    """Asks an inference API for samples, predictions and paths over one kept connection.
 
     Args:
         url: as :class:`cspace_client.SamplingClient` has it, and so the rest.
@@ -206,7 +206,7 @@ class SamplingClient(SampleSource):
         with mapped():
             return self._client.answer(picture, query, model)
 
-    def validity(self, picture: Picture, configurations: ArrayLike, model: str | None = None) -> Beliefs:
+    def validity(self, picture: Picture, configurations: ArrayLike, model: str | None = None) -> Predictions:
         """How sure a model is that configurations are free; no fallback answers.
 
         Args:
@@ -223,7 +223,7 @@ class SamplingClient(SampleSource):
             return self._client.validity(picture, configurations, model)
 
     def plan(self, picture: Picture, query: PlanQuery, model: str | None = None) -> FoundPlan:
-        """A way from start to goal in what a model believes of a picture; no fallback answers.
+        """A path from start to goal by what a model predicts from a picture; no fallback answers.
 
         The client's time limits have to leave room for that of the search.
 

@@ -213,7 +213,7 @@ def ask_for_plan(
 def told(whole: WholePlan) -> str:
     """The outcome in words; the last line says what the model could not know."""
     found, plan, model = whole.found, whole.found.plan, whole.found.model
-    times = f"{1e3 * found.round_trip_s:.0f} ms: search {plan.search_ms:.0f}, belief {plan.score_ms:.0f}"
+    times = f"{1e3 * found.round_trip_s:.0f} ms: search {plan.search_ms:.0f}, scoring {plan.score_ms:.0f}"
     lines = [
         f"problem  {problem_line(whole.problem)}",
         f"plan     {plan.status} by {model.model_name}/{model.model_version} in {times}",

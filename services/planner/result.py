@@ -155,7 +155,7 @@ def outcome(
     Args:
         problem: that was to be solved.
         settings: of the planner.
-        found: (k, d) rad, the path that the planner believes in; None if it found none.
+        found: (k, d) rad, the path that the planner returned; None if it found none.
         reason: why the search ended, for the case that there is no path.
         counts: what it took.
         tree: the search tree, where it was asked for.

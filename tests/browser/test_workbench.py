@@ -189,7 +189,7 @@ def test_a_server_without_the_truth_still_shows_pictures_samples_and_plans(
         assert len(shown_samples(page)) == 300
         expect(page.get_by_role("button", name="Draw a scene")).to_be_hidden()
         expect(page.locator("#numbers")).not_to_contain_text("precision")
-        page.get_by_label("ground").select_option("belief")
+        page.get_by_label("ground").select_option("prediction")
         expect(page.locator(".ground-3").first).to_have_attribute("d", re.compile("^M"))
         page.get_by_role("button", name="Plan a path").click()
         expect(page.locator("#plan-told")).to_contain_text("Solved")

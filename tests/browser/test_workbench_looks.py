@@ -120,7 +120,7 @@ def test_the_page_asks_this_server_alone_and_its_policy_refuses_it_nothing(page:
     errors: list[str] = []
     page.on("request", lambda request: asked.append(request.url))
     page.on("console", lambda message: errors.append(message.text) if message.type == "error" else None)
-    open_bench(page, address, "#ground=belief")
+    open_bench(page, address, "#ground=prediction")
     page.get_by_role("button", name="Plan a path").click()
     expect(page.locator("#plan-told")).to_contain_text("Checked")
     page.get_by_role("button", name="Copy as Python").click()

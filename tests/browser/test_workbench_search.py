@@ -42,7 +42,7 @@ def test_trees_are_fed_with_the_samples_that_are_shown_and_drawn_with_their_way(
     open_bench(page, address, hash_of(SCENE, **ENDS))
     expect(page.locator("#grown")).to_be_hidden()
     page.locator("#planner").select_option(planner)
-    expect(page.locator("#believed")).to_be_hidden()
+    expect(page.locator("#predicted")).to_be_hidden()
     page.get_by_label("iterations").fill("3000")
     page.wait_for_url(re.compile(f"search={planner},shown,3000"))
     asked, found = grow(page)

@@ -146,7 +146,7 @@ _RARE = -4.0
 
 
 @dataclass(frozen=True, slots=True)
-class Belief:
+class HeadPrediction:
     """What the head says of configurations (p, c).
 
     Args:
@@ -222,8 +222,8 @@ class GridHead(nn.Module):
         """Features of pictures, (p X Y Z / 64, C)."""
         return table_of(self.encoder(pictures)[0])
 
-    def forward(self, pictures: Tensor, table: Tensor, configurations: Tensor) -> Belief:
-        """What is believed of configurations."""
+    def forward(self, pictures: Tensor, table: Tensor, configurations: Tensor) -> HeadPrediction:
+        """Predicts validity, and what is hidden, of configurations."""
         scenes, count, dim = configurations.shape
         frames = self.frames(configurations.reshape(-1, dim))
         scene = None if scenes == 1 else torch.arange(scenes, device=frames.device).repeat_interleave(count)
@@ -238,7 +238,7 @@ class GridHead(nn.Module):
         share = (unseen * self.volumes).sum(dim=0).clamp(max=1.0)
         clear = self._clear(inner, hazards, share) + self._past_the_seen(margins)
         shape = (scenes, count)
-        return Belief(
+        return HeadPrediction(
             clear.reshape(shape),
             hazards.T.reshape(scenes, count, -1),
             (self.gap(frames) > 0.0).float().reshape(shape),

@@ -12,7 +12,7 @@ from torch.nn import functional
 from cspace.world import GridArm, World
 from training.models.data import Held
 from training.models.export import exported
-from training.models.grid_head import Belief, GridHead
+from training.models.grid_head import GridHead, HeadPrediction
 from training.models.modules import TrialModule
 from training.models.settings import GridConfig, ValidityConfig
 
@@ -109,23 +109,23 @@ class GridHeadModule(TrialModule):
         batch = self.samples.draw(config.pictures_per_step, config.configurations_per_picture, self.rng)
         batch = batch.turned(int(torch.randint(self.turns, (1,), generator=self.rng, device=self.device)))
         pictures = batch.images.float() / 255.0
-        belief = self.head(pictures, self.head.encode(pictures), batch.configurations)
-        losses = head_losses(belief, batch)
+        prediction = self.head(pictures, self.head.encode(pictures), batch.configurations)
+        losses = head_losses(prediction, batch)
         loss = losses["validity_loss"] + self.grid.hazard_weight * losses.get("hazard_loss", 0.0)
         self.descend(loss, self.grid.gradient_clip)
-        right = ((belief.free > 0.5) == batch.free).float().mean()
+        right = ((prediction.free > 0.5) == batch.free).float().mean()
         self.latest = {name: value.detach() for name, value in losses.items()} | {"validity_accuracy": right}
 
 
-def head_losses(belief: Belief, batch: GridBatch) -> dict[str, Tensor]:
+def head_losses(prediction: HeadPrediction, batch: GridBatch) -> dict[str, Tensor]:
     """``validity_loss`` on whole configurations, and ``hazard_loss`` on groups where their truth is known."""
-    known = belief.itself > 0.5
+    known = prediction.itself > 0.5
     clear, losses = batch.free, dict[str, Tensor]()
     if batch.hits.shape[-1]:
         hits = batch.hits.float()
-        losses["hazard_loss"] = functional.binary_cross_entropy_with_logits(belief.hazards, hits)
+        losses["hazard_loss"] = functional.binary_cross_entropy_with_logits(prediction.hazards, hits)
         clear, known = ~batch.hits.any(dim=-1), torch.ones_like(known)
-    sure = belief.clear.clamp(max=_ALMOST_SURE)
+    sure = prediction.clear.clamp(max=_ALMOST_SURE)
     each = -torch.where(clear, sure, torch.log(-torch.expm1(sure)))
     losses["validity_loss"] = (each * known).sum() / known.sum().clamp(min=1)
     return losses
@@ -153,8 +153,8 @@ class _ValidityGraph(nn.Module):
         self.head = head
 
     def forward(self, image: Tensor, map_: Tensor, configurations: Tensor) -> tuple[Tensor, Tensor]:
-        belief = self.head(image, map_, configurations.unsqueeze(0))
-        return belief.free.squeeze(0), belief.unseen.squeeze(0)
+        prediction = self.head(image, map_, configurations.unsqueeze(0))
+        return prediction.free.squeeze(0), prediction.unseen.squeeze(0)
 
 
 def map_graph(head: GridHead) -> bytes:

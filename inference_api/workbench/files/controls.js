@@ -77,7 +77,7 @@ export class Controls {
     const ground = selectOf("ground");
     ground.addEventListener("change", () => {
       for (const side of bench.sides()) side.drawn.ground = null;
-      bench.change({ ground: /** @type {"truth" | "belief" | "none"} */ (ground.value) });
+      bench.change({ ground: /** @type {"truth" | "prediction" | "none"} */ (ground.value) });
     });
     byId("family-form", HTMLFormElement).addEventListener("submit", (event) => {
       event.preventDefault();
@@ -161,7 +161,7 @@ export class Controls {
     }
     for (const [id, name] of CHOICES) selectOf(id).value = state[name];
     const { grows } = this.bench;
-    byId("believed").hidden = grows;
+    byId("predicted").hidden = grows;
     byId("grown").hidden = !grows;
     selectOf("ground").value = state.ground;
     this.select.value = state.model;

@@ -11,12 +11,12 @@ export const MEASURE = "interaction-to-samples";
  * @typedef {object} Asked  Made again for every round.
  * @property {object} sample  The body of POST /sample.
  * @property {((samples: number[][]) => object) | null} truth  The body for the truth; null where it is not known.
- * @property {(() => object) | null} belief  The body of POST /validity; null where it is not shown.
+ * @property {(() => object) | null} prediction  The body of POST /validity; null where it is not shown.
  *
  * @typedef {object} Heard
  * @property {(answer: any, tookMs: number) => void} samples
  * @property {(answer: any, samples: number[][]) => void} truth  Of these samples; others may be shown by now.
- * @property {(answer: any) => void} belief
+ * @property {(answer: any) => void} prediction
  * @property {(error: unknown) => void} failed
  * @property {(busy: boolean) => void} busy  Whether answers are waited for.
  */
@@ -78,11 +78,11 @@ export class Live {
     }
   }
 
-  /** The truth and the belief of the latest samples, one question at a time. @param {Asked} asked @param {number[][]} samples */
+  /** The truth and the prediction of the latest samples, one question at a time. @param {Asked} asked @param {number[][]} samples */
   askBeside(asked, samples) {
     this.beside = async () => {
       if (asked.truth) this.heard.truth(await ask("workbench/truth", asked.truth(samples)), samples);
-      if (asked.belief && this.since === null) this.heard.belief(await ask("validity", asked.belief()));
+      if (asked.prediction && this.since === null) this.heard.prediction(await ask("validity", asked.prediction()));
     };
     void this.run("beside", async () => {
       while (this.beside) {
@@ -119,7 +119,7 @@ export function trueGround(answer) {
  * @param {number} cells
  * @returns {Ground}
  */
-export function believedGround(confidence, cells) {
+export function predictedGround(confidence, cells) {
   return {
     cells,
     level: (first, second) => {

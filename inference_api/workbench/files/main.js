@@ -75,7 +75,7 @@ class Workbench {
     }
   }
 
-  /** Whether plans are trees among the discs, not what the model believes. */
+  /** Whether plans are trees among the discs, not what the model predicts. */
   get grows() {
     const { state, about } = this;
     return Boolean(state.planner) && about.truth && !state.picture;

@@ -78,7 +78,7 @@ export class Readout {
       ? [["dots dots-1", "M7 7h0", "confidence from 0.5"], ["dots dots-2", "M7 7h0", "0.9"], ["dots dots-3", "M7 7h0", "0.99"]]
       : [["dots dots-3", "M7 7h0", "samples"]];
     if (truth) told.push(["crosses", "M3 3l8 8m-8 0l8-8", "collides in truth"]);
-    if (state.ground === "belief") told.push(["ground ground-3", "M1 1h12v12h-12z", "believed to collide"]);
+    if (state.ground === "prediction") told.push(["ground ground-3", "M1 1h12v12h-12z", "predicted to collide"]);
     else if (state.ground === "truth" && truth) told.push(["ground", "M1 1h12v12h-12z", "collision region"]);
     const key = JSON.stringify(told);
     if (key === this.legend) return;

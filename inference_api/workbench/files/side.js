@@ -4,11 +4,11 @@
 /** @import {Workbench} from "./main.js" */
 /** @import {Planned} from "./planner.js" */
 
-import { Live, believedGround, trueGround } from "./live.js";
+import { Live, predictedGround, trueGround } from "./live.js";
 import { byId } from "./svg.js";
 import { TorusView } from "./torus-view.js";
 
-const BELIEF_CELLS = 64;
+const PREDICTION_CELLS = 64;
 const TRUTH_CELLS = 120;
 
 export class Side {
@@ -35,7 +35,7 @@ export class Side {
     this.live = new Live(() => this.asked(), {
       samples: (answer, tookMs) => this.sampled(answer, tookMs),
       truth: (answer, samples) => this.judged(answer, samples),
-      belief: (answer) => this.believed(answer),
+      prediction: (answer) => this.predicted(answer),
       failed: (error) => {
         this.failing = true;
         bench.messages.failed(error);
@@ -101,7 +101,7 @@ export class Side {
             ...(robot && robot.links.length > 2 ? { at: state.start } : {}),
           })
         : null,
-      belief: state.ground === "belief" ? () => ({ ...model, image: sample.image, configurations: this.grid() }) : null,
+      prediction: state.ground === "prediction" ? () => ({ ...model, image: sample.image, configurations: this.grid() }) : null,
     };
   }
 
@@ -119,10 +119,10 @@ export class Side {
   grid() {
     const { low, high } = /** @type {Robot} */ (this.bench.robot);
     const at = (/** @type {number} */ joint, /** @type {number} */ cell) =>
-      Number((low[joint] + ((cell + 0.5) / BELIEF_CELLS) * (high[joint] - low[joint])).toFixed(4));
+      Number((low[joint] + ((cell + 0.5) / PREDICTION_CELLS) * (high[joint] - low[joint])).toFixed(4));
     const rest = this.bench.state.start.slice(2);
-    return Array.from({ length: BELIEF_CELLS ** 2 }, (_, cell) => [
-      at(0, Math.floor(cell / BELIEF_CELLS)), at(1, cell % BELIEF_CELLS), ...rest,
+    return Array.from({ length: PREDICTION_CELLS ** 2 }, (_, cell) => [
+      at(0, Math.floor(cell / PREDICTION_CELLS)), at(1, cell % PREDICTION_CELLS), ...rest,
     ]);
   }
 
@@ -130,7 +130,7 @@ export class Side {
   sampled(answer, tookMs) {
     const { bench } = this;
     const { ground, picture } = bench.state;
-    const kept = ground === "belief" || (ground === "truth" && bench.about.truth && !picture);
+    const kept = ground === "prediction" || (ground === "truth" && bench.about.truth && !picture);
     this.drawn = { samples: answer.samples, confidence: answer.confidence, free: null, ground: kept ? this.drawn.ground : null };
     this.torus?.show(this.drawn);
     this.answer = answer;
@@ -150,9 +150,9 @@ export class Side {
   }
 
   /** @param {any} answer */
-  believed(answer) {
-    if (this.bench.state.ground !== "belief") return;
-    this.drawn.ground = believedGround(answer.confidence, BELIEF_CELLS);
+  predicted(answer) {
+    if (this.bench.state.ground !== "prediction") return;
+    this.drawn.ground = predictedGround(answer.confidence, PREDICTION_CELLS);
     this.torus?.show(this.drawn);
   }
 }

@@ -23,7 +23,7 @@
  * @property {Feed} feed
  * @property {number} budget  Iterations of a planner that grows trees.
  * @property {number | null} sure  Least confidence of a path; null for what the server asks of the model.
- * @property {"truth" | "belief" | "none"} ground  What lies under the samples.
+ * @property {"truth" | "prediction" | "none"} ground  What lies under the samples.
  * @property {"plane" | "models"} view
  */
 
@@ -124,7 +124,7 @@ export function fromHash(hash) {
   state.budget = clamp(budget, 1, 20000, state.budget, true);
   if (told.has("confidence")) state.confidence = clamp(told.get("confidence"), 0, 1, 0.5, false);
   const ground = told.get("ground");
-  if (ground === "belief" || ground === "none") state.ground = ground;
+  if (ground === "prediction" || ground === "none") state.ground = ground;
   const view = told.get("view");
   if (view === "models") state.view = view;
   return state;

@@ -37,7 +37,7 @@ from cspace_client.models import (
     Wanted,
 )
 from cspace_client.pictures import DepthPictures, Picture
-from cspace_client.requests import Beliefs
+from cspace_client.requests import Predictions
 from cspace_client.transport import RetryPolicy
 
 __all__ = [
@@ -46,7 +46,6 @@ __all__ = [
     "MAX_SAMPLES",
     "AlternativePath",
     "AsyncSamplingClient",
-    "Beliefs",
     "ClientError",
     "ConfigError",
     "DepthPictures",
@@ -63,6 +62,7 @@ __all__ = [
     "PlanOptions",
     "PlanQuery",
     "PlanningError",
+    "Predictions",
     "RetryPolicy",
     "SampleBatch",
     "SampleQuery",

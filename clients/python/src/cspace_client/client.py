@@ -25,10 +25,10 @@ from cspace_client.models import (
 )
 from cspace_client.pictures import Picture, shown
 from cspace_client.requests import (
-    Beliefs,
     DoctorQuestion,
     Found,
     PlanQuestion,
+    Predictions,
     Question,
     SampleQuestion,
     ValidityQuestion,
@@ -208,7 +208,7 @@ class SamplingClient(HttpClient[httpx.BaseTransport]):
                 raise error from refusal
             return replace(batch, fallback=True, round_trip_s=time.perf_counter() - began)
 
-    def validity(self, picture: Picture, configurations: ArrayLike, model: str | None = None) -> Beliefs:
+    def validity(self, picture: Picture, configurations: ArrayLike, model: str | None = None) -> Predictions:
         """How sure a model is that configurations are free; no fallback answers.
 
         Args:
@@ -360,7 +360,7 @@ class AsyncSamplingClient(HttpClient[httpx.AsyncBaseTransport]):
 
     async def validity(
         self, picture: Picture, configurations: ArrayLike, model: str | None = None
-    ) -> Beliefs:
+    ) -> Predictions:
         """See :meth:`cspace_client.SamplingClient.validity`."""
         return await self._ask(self._of_validity(picture, configurations, model), time.perf_counter())
 

@@ -193,7 +193,7 @@ class SampleReading:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Beliefs:
+class Predictions:
     """What a model holds of configurations.
 
     Args:
@@ -212,7 +212,7 @@ class Beliefs:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ValidityQuestion(Question[Beliefs]):
+class ValidityQuestion(Question[Predictions]):
     """A request for what a model holds of configurations.
 
     Args:
@@ -255,9 +255,9 @@ class ValidityReading:
         """Two columns of float32."""
         return MAX_HEAD_BYTES + 8 * self.rows
 
-    def conclude(self, body: bytes, round_trip_s: float) -> Beliefs:
-        """The beliefs: shares from 0 to 1, where a second column is that or nowhere a number."""
-        columns = read_rows(body, "beliefs")
+    def conclude(self, body: bytes, round_trip_s: float) -> Predictions:
+        """The predictions: shares from 0 to 1, where a second column is that or nowhere a number."""
+        columns = read_rows(body, "predictions")
         if columns.shape != (self.rows, 2):
             raise unusable("holds another array", f"({self.rows}, 2)", str(columns.shape))
         confidence, unseen = columns[:, 0].copy(), columns[:, 1].copy()
@@ -266,7 +266,7 @@ class ValidityReading:
         # What is not a number is neither.
         if not ((known >= 0.0) & (known <= 1.0)).all():
             raise unusable("holds values that are no shares", "0 to 1", "others")
-        return Beliefs(confidence, None if nowhere else unseen, self.threshold, self.head, round_trip_s)
+        return Predictions(confidence, None if nowhere else unseen, self.threshold, self.head, round_trip_s)
 
 
 def rows_of(configurations: ArrayLike) -> NDArray[np.float64]:

@@ -151,7 +151,7 @@ class Problem:
         picture: of the scene, which the samples are drawn from.
         start: (d,) rad.
         goal: (d,) rad.
-        is_free: the collision checker; the picture is never believed.
+        is_free: the collision checker; the picture never decides.
     """
 
     picture: Picture
