@@ -12,7 +12,7 @@ from tests.browser import mlflow_pages
 from tests.browser.small_job import CHILDREN, DATA_DIGEST, SmallJob
 from tests.contracts.mlflow_warnings import MLFLOW_WARNINGS
 
-pytestmark = [pytest.mark.browser, pytest.mark.timeout(300), *MLFLOW_WARNINGS]
+pytestmark = [pytest.mark.browser, pytest.mark.slow, pytest.mark.timeout(300), *MLFLOW_WARNINGS]
 Shoot = Callable[[str], Path]
 SMALLEST_SCREENSHOT = 10_000
 

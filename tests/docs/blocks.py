@@ -5,6 +5,7 @@ A shell block says on the line above its fence what runs it, in a comment that r
 | comment | what runs it |
 |---|---|
 | ``<!-- run: static -->`` | the fast tests, as it stands |
+| ``<!-- run: static slow -->`` | the same, by the slow tests |
 | ``<!-- run: api -->`` | the fast tests, against an inference API with a tiny model |
 | ``<!-- run: make -->`` | the fast tests, each line as ``make --dry-run`` |
 | ``<!-- run: stack -->`` | the e2e tests, in the order of the document, against all services |

@@ -2,6 +2,7 @@ import runpy
 from pathlib import Path
 
 import numpy as np
+import pytest
 from PIL import Image
 
 from cspace.worlds.planar.camera import decode_png
@@ -31,6 +32,7 @@ def test_a_missing_bundle_is_told_and_nothing_is_drawn(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_the_picture_of_space_is_drawn_from_a_bundle(tmp_path: Path) -> None:
     bundle = write_space_bundle(tmp_path / "bundle")
     main = runpy.run_path(str(SCRIPT.with_name("make_space_overview.py")))["main"]

@@ -14,7 +14,13 @@ LIMIT_S = 100.0
 MAKE = shutil.which("make") or "make"
 
 
-@pytest.mark.parametrize("block", all_blocks(Kind.STATIC), ids=lambda block: block.name)
+@pytest.mark.parametrize(
+    "block",
+    [
+        pytest.param(block, marks=[pytest.mark.slow] * (block.rest == "slow"), id=block.name)
+        for block in all_blocks(Kind.STATIC)
+    ],
+)
 def test_a_static_block_runs_as_it_stands(block: Block, tmp_path: Path) -> None:
     assert run_block(block, tmp_path, {}, {}, LIMIT_S, linked_root(tmp_path))
 

@@ -100,7 +100,7 @@ def wait_for(condition):
 
 
 @pytest.mark.e2e
-@pytest.mark.timeout(180)
+@pytest.mark.timeout(300)
 @pytest.mark.usefixtures("cluster")
 class TestOnACluster:
     def test_outcomes_come_in_order_with_checkpoint_metrics_and_times(self, trials, tmp_path):

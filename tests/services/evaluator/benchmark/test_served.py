@@ -25,6 +25,7 @@ NAMES = ("RRT, way, 70 %", "RRT, way, 100 %", "RRT, way, 70 %, filtered")
 
 
 @pytest.mark.e2e
+@pytest.mark.slow
 def test_a_model_behind_the_api_is_measured_with_what_its_server_tells(tmp_path, path_folder):
     out = tmp_path / "out"
     with api_server(tmp_path, {"CSPACE_PRETRAINED_MODEL": str(path_folder)}) as url:
