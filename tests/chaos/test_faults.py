@@ -30,11 +30,9 @@ ATTEMPTS = 4
 TRIES = 3
 LATE = "too late"
 REPEATED = [
-    *[("kill_worker", seed) for seed in range(1, 6)],
-    *[("kill_driver", seed) for seed in range(1, 6)],
-    *[("stop_job", seed) for seed in range(4)],
-    *[("kill_server", seed) for seed in range(4)],
-    *[("kill_head", seed) for seed in range(3)],
+    (fault, seed)
+    for fault in ("kill_worker", "kill_driver", "stop_job", "kill_server", "kill_head")
+    for seed in (1, 2)
 ]
 
 
