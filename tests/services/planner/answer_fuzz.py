@@ -1,8 +1,9 @@
 """Good answers, damaged by chance along their structure, through a real socket into either HTTP client.
 
-A long run: ``fuzz("sync", seed=1, count=None, time_s=600.0)``; one case again: ``damaged(seed, index)``.
+A long run: ``fuzz("sync", seed=2, time_s=600.0)``; one case again: ``damaged(seed, index)``.
 """
 
+import itertools
 import random
 import socket
 import time
@@ -33,14 +34,7 @@ VALUES = [b"", b"0", b"-1", b"7", b"8", b"9" * 19, b"9" * 400, b"1e9", b"nan", b
           b"application/problem+json", b"Sat, 01 Mar 9999 12:00:00 +9999", b"http://[::1"]  # fmt: skip
 NAMES = [b"Content-Encoding", b"Transfer-Encoding", b"Connection", b"Location", b"Set-Cookie", b"Retry-After",
          b"X-Novelty", b"Server-Timing", b"Content-Length", b"Upgrade", b"X\x00", b"", b" X"]  # fmt: skip
-BODIES = [
-    GOOD_BODY,
-    b"",
-    b"{}",
-    b"[" * 5000,
-    b'{"title": "\\u001b\\ud800"}',
-    b'{"title": 1' + b"0" * 6000 + b"}",
-]
+BODIES = [GOOD_BODY, b"", b"[" * 5000, b'{"title": "\\u001b\\ud800"}', b'{"title": 1' + b"0" * 6000 + b"}"]
 NUMBERS = [b"0", b"-2", b"3", b"9" * 9, b"9" * 40, b"True", b"None", b"()", b"'2'", b"2.0", b"0x2", b"1_0"]
 
 
@@ -64,21 +58,14 @@ def damaged(seed: int, index: int) -> bytes:
     return content
 
 
-def fuzz(kind: str, seed: int, count: int | None = 300, time_s: float | None = None) -> Counter[str]:
-    """Ask for damaged answers until one of both limits is reached; how often each class came out.
-
-    Args:
-        kind: of client, ``sync`` or ``async``.
-        seed: of the cases.
-        count: of cases; None for no limit.
-        time_s: after which no other case begins; None for no limit.
+def fuzz(kind: str, seed: int, time_s: float) -> Counter[str]:
+    """Ask for damaged answers for so long by a kind of client; how often each class came out.
 
     Raises:
         AssertionError: a case gave anything but a sound batch or an error of the tree, or took too long.
     """
     found: Counter[str] = Counter()
-    content = b""
-    until = time.monotonic() + (float("inf") if time_s is None else time_s)
+    content, until = b"", time.monotonic() + time_s
 
     def script(link: socket.socket) -> None:
         link.sendall(content)
@@ -87,11 +74,9 @@ def fuzz(kind: str, seed: int, count: int | None = 300, time_s: float | None = N
             link.shutdown(socket.SHUT_WR)
 
     with hostile_server(script) as server, _client(kind, server.url) as sample:
-        index = 0
-        while (count is None or index < count) and time.monotonic() < until:
+        for index in itertools.takewhile(lambda _: time.monotonic() < until, itertools.count()):
             content = damaged(seed, index)
             found[_outcome(sample, f"case {index} of seed {seed}: {content[:600]!r}")] += 1
-            index += 1
     return found
 
 
@@ -129,17 +114,12 @@ Headers = list[tuple[bytes, bytes]]
 
 
 def _body(chance: random.Random) -> bytes:
-    kind = chance.randrange(4)
+    kind = chance.randrange(3)
     if kind == 0:
         return chance.choice(BODIES)
     if kind == 1:
-        number = chance.choice(NUMBERS)
-        return GOOD_BODY.replace(
-            b"(2, 2)", chance.choice([b"(%s, 2)", b"(2, %s)", b"%s", b"(2, 2, %s)"]) % number
-        )
-    if kind == 2:
-        at = chance.randrange(128)
-        return GOOD_BODY[:at] + chance.randbytes(chance.randrange(1, 4)) + GOOD_BODY[at + 1 :]
+        shape = chance.choice([b"(%s, 2)", b"(2, %s)", b"%s", b"(2, 2, %s)"]) % chance.choice(NUMBERS)
+        return GOOD_BODY.replace(b"(2, 2)", shape)
     return GOOD_BODY[:128] + chance.randbytes(16)
 
 
@@ -151,22 +131,12 @@ def _framed(body: bytes, chance: random.Random) -> tuple[bytes, Headers]:
         return body, [(b"Content-Length", b"%d" % (len(body) + chance.choice([-1, 1, 100, 10**6, 10**15])))]
     if kind < 0.7:
         return body, [(b"Connection", b"close")]
-    chunks = b""
-    while body:
-        size = chance.randrange(1, 90)
-        said = size if chance.random() < 0.98 else chance.choice([0, 1, 16**8, 16**20])
-        chunks += b"%x%s\r\n" % (
-            min(said, len(body)) if said == size else said,
-            chance.choice([b"", b";a=b"]),
-        )
-        chunks += body[:size] + b"\r\n"
-        body = body[size:]
-    end = (
-        b"0\r\n\r\n"
-        if chance.random() < 0.9
-        else chance.choice([b"", b"0\r\nX: 1\r\n\r\n", b"0\r\n", b"zz\r\n"])
-    )
-    return chunks + end, [(b"Transfer-Encoding", b"chunked")]
+    size = chance.randrange(1, 90)
+    chunks = [
+        b"%x\r\n%s\r\n" % (len(body[at : at + size]), body[at : at + size])
+        for at in range(0, len(body), size)
+    ]
+    return b"".join(chunks) + b"0\r\n\r\n", [(b"Transfer-Encoding", b"chunked")]
 
 
 def _drop(headers: Headers, chance: random.Random) -> Headers:

@@ -19,7 +19,8 @@ SEED = 7
 """That every good answer is for."""
 N = 2
 """Samples that every good answer holds."""
-GOOD_BODY = npy(np.array([[0.5, -1.0], [3.0, 1.0]], np.float32))
+GOOD = np.array([[0.5, -1.0], [3.0, 1.0]], np.float32)
+GOOD_BODY = npy(GOOD)
 GOOD_HEADERS = {
     "Content-Type": "application/x-npy",
     "X-Model-Name": "cspace-sampler",

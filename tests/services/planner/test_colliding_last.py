@@ -5,9 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cspace.simulator import Split
 from cspace.worlds.planar.checks import CollisionChecker
-from cspace.worlds.planar.problems import Family, draw_problem
 from services.planner.ompl_planner import solve
 from services.planner.rrt_connect import colliding_last
 from services.planner.settings import LEARNED_PLANNERS, PlannerSettings
@@ -29,12 +27,11 @@ def test_the_search_is_that_over_samples_in_that_order_and_counts_its_checks(dis
 
 
 @pytest.mark.parametrize("planner", LEARNED_PLANNERS)
-def test_a_path_is_the_one_over_samples_in_that_order(planner):
-    problem = draw_problem(Family.NARROW, Split.DEMO, 31, 0)
+def test_a_path_is_the_one_over_samples_in_that_order(narrow, planner):
     settings = PlannerSettings(planner, max_iterations=20_000, seed=3)
-    order = colliding_last(SAMPLES, CollisionChecker(problem.scenario))
-    sorted_before = solve(problem, settings, SAMPLES[order], 0.2)
-    found = solve(problem, replace(settings, colliding_last=True), SAMPLES, 0.2)
+    order = colliding_last(SAMPLES, CollisionChecker(narrow.scenario))
+    sorted_before = solve(narrow, settings, SAMPLES[order], 0.2)
+    found = solve(narrow, replace(settings, colliding_last=True), SAMPLES, 0.2)
     assert found.solved
     assert np.array_equal(found.path, sorted_before.path)
     assert found.state_checks > sorted_before.state_checks

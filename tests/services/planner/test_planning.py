@@ -8,7 +8,7 @@ from cspace.query import SampleQuery
 from cspace.worlds.planar.camera import decode_png
 from cspace.worlds.planar.render import render
 from services.planner.__main__ import make_parser
-from services.planner.client import SamplingClient, usual_api
+from services.planner.client import usual_api
 from services.planner.ompl_planner import solve
 from services.planner.planning import SampleRequest, compare_with_api, plan_with_api, raised_share
 from services.planner.settings import PlannerSettings
@@ -39,17 +39,6 @@ def test_the_planner_draws_the_samples_of_the_source(make_problem):
     assert plan.result.tree is not None
     assert plan.result.tree.vertices.min() >= 0.0
     assert plan.result.tree.vertices.max() <= 0.4
-
-
-def test_a_dead_server_leaves_the_uniform_result_and_its_reason(blocked):
-    with SamplingClient("http://127.0.0.1:9", timeout_s=1.0) as client:
-        plan = plan_with_api(blocked, client, SETTINGS)
-    assert plan.batch is None
-    assert plan.unavailable is not None
-    assert "http://127.0.0.1:9" in plan.unavailable
-    assert plan.result.solved
-    assert plan.result.learned_drawn == 0
-    assert np.array_equal(plan.result.path, solve(blocked, SETTINGS).path)
 
 
 def test_a_refused_request_is_not_hidden_by_uniform_samples(blocked):

@@ -1,15 +1,11 @@
 """PRM: OMPL's growth of a roadmap, from milestones that are given."""
 
-from itertools import pairwise
-
 import numpy as np
 import pytest
 from ompl import base as ob
 from scipy.stats import mannwhitneyu
 
-from cspace.simulator import Split
 from cspace.worlds.planar.checks import CollisionChecker
-from cspace.worlds.planar.problems import Family, draw_problem
 from services.planner import ompl_planner
 from services.planner.ompl_planner import solve
 from services.planner.result import Reason
@@ -55,41 +51,23 @@ def test_ends_that_see_each_other_need_no_milestone(make_problem):
     assert (result.iterations, result.edge_checks, len(result.path)) == (0, 1, 2)
 
 
-def test_the_path_is_the_shortest_way_through_the_roadmap():
-    problem = draw_problem(Family.NARROW, Split.DEMO, 31, 0)
-    result = solve(problem, settings(), keep_tree=True)
+def test_the_path_is_the_shortest_way_through_the_roadmap(narrow):
+    result = solve(narrow, settings(), keep_tree=True)
     assert result.solved
-    space, tree = problem.scenario.robot.space, result.tree
+    space, tree = narrow.scenario.robot.space, result.tree
     # Floyd and Warshall, as a second opinion.
     ways = np.full((len(tree.vertices),) * 2, np.inf)
     lengths = space.distance(tree.vertices[tree.edges[:, 0]], tree.vertices[tree.edges[:, 1]])
     ways[tree.edges[:, 0], tree.edges[:, 1]] = ways[tree.edges[:, 1], tree.edges[:, 0]] = lengths
     for middle in range(len(ways)):
         ways = np.minimum(ways, ways[:, middle, None] + ways[middle])
-    start, goal = (
-        int(np.argmin(space.distance(tree.vertices, end))) for end in (problem.start, problem.goal)
-    )
+    start, goal = (int(np.argmin(space.distance(tree.vertices, end))) for end in (narrow.start, narrow.goal))
     assert result.length_rad == pytest.approx(ways[start, goal], abs=1e-9)
 
 
-def test_samples_along_a_path_save_draws():
-    problem = draw_problem(Family.NARROW, Split.DEMO, 31, 0)
-    uniform = [solve(problem, settings(seed)).iterations for seed in range(30)]
-    along = solve(problem, settings(99)).path
-    check_cancelled = np.concatenate(
-        [
-            first + np.linspace(0.0, 1.0, 8)[:, None] * problem.scenario.robot.space.difference(first, second)
-            for first, second in pairwise(along)
-        ]
-    )
-    learned = [solve(problem, settings(seed), check_cancelled, 0.3).iterations for seed in range(30)]
-    assert np.median(learned) < 0.5 * np.median(uniform)
-
-
 @pytest.mark.slow
-def test_uniform_draws_are_no_better_or_worse_than_ompl_s_own_valid_states(monkeypatch):
-    problem = draw_problem(Family.NARROW, Split.DEMO, 31, 0)
-    ours = [solve(problem, settings(seed)).edge_checks for seed in range(60)]
+def test_uniform_draws_are_no_better_or_worse_than_ompl_s_own_valid_states(narrow, monkeypatch):
+    ours = [solve(narrow, settings(seed)).edge_checks for seed in range(60)]
 
     class Ends(ompl_planner.DrawnMilestones):
         """OMPL's own sampler after the ends."""
@@ -102,7 +80,7 @@ def test_uniform_draws_are_no_better_or_worse_than_ompl_s_own_valid_states(monke
             return super().sample(state) if self._ends else self.own.sample(state)
 
     monkeypatch.setattr(ompl_planner, "DrawnMilestones", Ends)
-    theirs = [solve(problem, settings(seed)).edge_checks for seed in range(60)]
+    theirs = [solve(narrow, settings(seed)).edge_checks for seed in range(60)]
     assert ours[:20] != theirs[:20]
     assert mannwhitneyu(ours, theirs).pvalue > 1e-3
 
@@ -120,8 +98,3 @@ def test_the_iteration_limit_counts_every_draw(disconnected):
     result = solve(disconnected, settings(max_iterations=101), blocked, 0.0)
     assert (result.reason, result.iterations) == (Reason.ITERATION_LIMIT, 101)
     assert result.state_checks >= 101
-
-
-def test_the_time_limit_ends_a_search(disconnected):
-    result = solve(disconnected, settings(time_limit_s=1e-9))
-    assert (result.reason, result.iterations) == (Reason.TIME_LIMIT, 0)

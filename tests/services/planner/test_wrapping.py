@@ -10,11 +10,6 @@ PAIR = st.tuples(ANGLE, ANGLE)
 LIMITED = PlanarArm(joint_limits_rad=((-3.0, 3.0), None)).space
 
 
-def test_a_segment_inside_is_drawn_once():
-    lines = wrapped_segments(TWO_LINK.space, np.array([[0.0, 0.0]]), np.array([[1.0, -1.0]]), (0, 1))
-    assert np.allclose(lines, [[[0.0, 0.0], [1.0, -1.0]]])
-
-
 def test_a_segment_over_a_seam_is_drawn_at_both_sides():
     lines = wrapped_segments(TWO_LINK.space, np.array([[3.0, 0.0]]), np.array([[-3.0, 0.0]]), (0, 1))
     ends = sorted(tuple(line[:, 0]) for line in lines)
