@@ -114,24 +114,6 @@ def in_a_constant() -> bytes:
     return bytes(made.SerializeToString()) + field(7, inner)
 
 
-def in_a_loops_body() -> bytes:
-    """An initializer of the body outside of the bundle."""
-    whole = graph(loop("turns"), {**LOOPED, "turns": np.int64(2)})
-    (at,) = [index for index, each in enumerate(whole.node) if each.op_type == "Loop"]
-    looped = whole.node[at]
-    inner = looped.attribute[0].g.SerializeToString() + field(5, external("unused"))
-    del looped.attribute[:]
-    attribute = field(1, b"body") + field(6, inner) + field(20, onnx.AttributeProto.GRAPH)
-    raw = looped.SerializeToString() + field(5, attribute)
-    nodes = [each.SerializeToString() for each in whole.node]
-    nodes[at] = raw
-    del whole.node[:]
-    inner = b"".join(field(1, each) for each in nodes) + whole.SerializeToString()
-    made = onnx.load_from_string(model(helper.make_graph([], "none", [], [])))
-    made.ClearField("graph")
-    return bytes(made.SerializeToString()) + field(7, inner)
-
-
 def in_a_sparse_initializer() -> bytes:
     return with_raw(model(graph([], {"number": np.float32(0.0)})), 15, field(1, external("sparse")))
 
@@ -148,44 +130,9 @@ def endless(turns: int = 2**62) -> bytes:
     return model(graph(loop("turns"), {**LOOPED, "turns": np.int64(turns)}))
 
 
-def endless_by_condition() -> bytes:
-    return model(graph(loop(""), LOOPED))
-
-
-def endless_in_a_function() -> bytes:
-    opsets = [helper.make_opsetid("", 18)]
-    function = helper.make_function(
-        "local", "endless", ["turns", "true", "begin"], ["number"], loop("turns"), opsets
-    )
-    called = node("endless", ["turns", "true", "begin"], ["number"], domain="local")
-    constants = {**LOOPED, "turns": np.int64(2**62)}
-    return model(graph([called], constants), [function], ["local"])
-
-
-def recursive() -> bytes:
-    """Two functions that call each other."""
-    opsets = [helper.make_opsetid("", 18), helper.make_opsetid("local", 1)]
-    functions = [
-        helper.make_function("local", one, ["a"], ["b"], [node(other, ["a"], ["b"], domain="local")], opsets)
-        for one, other in (("f", "g"), ("g", "f"))
-    ]
-    called = node("f", ["begin"], ["number"], domain="local")
-    return model(graph([called], LOOPED), functions, ["local"])
-
-
 def of_another_domain() -> bytes:
     called = node("Inverse", ["square"], ["number"], domain="com.microsoft")
     return model(graph([called], {"square": np.eye(2, dtype=np.float32)}), domains=["com.microsoft"])
-
-
-def random() -> bytes:
-    return model(graph([node("RandomNormal", [], ["number"], shape=[1])]))
-
-
-def branch() -> bytes:
-    """An If; nothing in the project needs one."""
-    arm = helper.make_graph([node("Sin", ["begin"], ["r"])], "arm", [], [value("r", FLOAT, (1,))])
-    return model(graph([node("If", ["true"], ["number"], then_branch=arm, else_branch=arm)], LOOPED))
 
 
 def huge(operator: str, end: str = "many") -> bytes:
@@ -225,15 +172,6 @@ def computed_sizes(steps: int, nodes: int) -> bytes:
     made = [node("Expand", ["begin", f"size{steps}"], [f"made{index}"]) for index in range(nodes)]
     end = node("Identity", ["begin"], ["number"])
     return model(graph([*steady, *made, end], {**LOOPED, "size0": np.array([1])}))
-
-
-def slow_to_open(side: int = 1500, products: int = 200) -> bytes:
-    """Products of constants, which onnxruntime computes while it opens a graph."""
-    nodes = [node("Expand", ["begin", "shape"], ["m0"])]
-    nodes += [node("MatMul", [f"m{index}", "m0"], [f"m{index + 1}"]) for index in range(products)]
-    nodes += [node("ReduceMax", [f"m{products}"], ["number"], keepdims=0)]
-    constants = {"begin": np.float32(1e-4), "shape": np.array([side, side])}
-    return model(graph(nodes, constants))
 
 
 SIZED = ("ConstantOfShape", "Expand", "OneHot", "Pad", "Range", "Resize", "Tile")
@@ -319,15 +257,6 @@ def wrong_size(size: int) -> bytes:
     made = onnx.load_from_string(model(graph([], {"number": np.float32(0.0)})))
     made.graph.initializer[0].dims[1] = size
     return bytes(made.SerializeToString())
-
-
-def deep(levels: int = 12) -> bytes:
-    """Loops within loops."""
-    inner: Any = helper.make_graph([], "inner", [], [])
-    for _ in range(levels):
-        inner = helper.make_graph([node("Loop", ["t", "c"], [], body=inner)], "g", [], [])
-    whole = graph(list(inner.node), {"number": np.float32(0.0), "t": np.int64(1), "c": np.ones((), bool)})
-    return model(whole)
 
 
 def trained() -> bytes:

@@ -17,14 +17,8 @@ import pytest
 from cspace.bundle import Bundle, files
 from cspace.bundle.golden import GoldenCase
 from cspace.errors import BundleIntegrityError, StorageError
-from cspace.worlds.planar.camera import Camera
 from tests.bundles import write_tiny_bundle
 from tests.cspace.test_bundle_integrity import resign
-
-
-@pytest.fixture
-def folder(tmp_path: Path) -> Path:
-    return write_tiny_bundle(tmp_path / "bundle", validity=True)
 
 
 def refused(folder: Path, match: str) -> None:
@@ -40,7 +34,7 @@ def refused(folder: Path, match: str) -> None:
     assert len(str(caught.value)) < 2000
 
 
-@pytest.mark.parametrize("name", ["bundle.json", "golden.npz", "SHA256SUMS", "encoder.onnx"])
+@pytest.mark.parametrize("name", ["bundle.json", "encoder.onnx"])
 def test_a_file_that_is_too_large_is_not_read(folder: Path, name: str) -> None:
     with (folder / name).open("r+b") as file:
         # Sparse: it takes no room on the disk.
@@ -57,10 +51,13 @@ def test_files_that_are_too_large_together_are_not_read(
 
 
 @pytest.mark.timeout(10)
-@pytest.mark.parametrize("name", ["bundle.json", "SHA256SUMS", "generator.onnx"])
+@pytest.mark.parametrize("name", ["SHA256SUMS", "generator.onnx"])
 def test_a_pipe_is_refused_and_not_waited_for(folder: Path, name: str) -> None:
     (folder / name).unlink()
     os.mkfifo(folder / name)
+    refused(folder, "not a plain file")
+    (folder / name).unlink()
+    (folder / name).mkdir()
     refused(folder, "not a plain file")
 
 
@@ -146,7 +143,6 @@ def test_a_directory_that_understates_its_entries_gives_no_more_than_it_says(fol
 
 NPY = {
     "evaluated": b"{'descr': '<f4', 'fortran_order': False, 'shape': (4**9,), }",
-    "another type": b"{'descr': '|O', 'fortran_order': False, 'shape': (4,), }",
     "a structure": b"{'descr': [('a', '<f4')], 'fortran_order': False, 'shape': (4,), }",
     "deep": b"{'descr': '<f4', 'fortran_order': False, 'shape': " + b"(" * 60000 + b", }",
     "huge": b"{'descr': '<f4', 'fortran_order': False, 'shape': (9999999999999999999,), }",
@@ -168,9 +164,7 @@ def change_golden(change: dict[str, Any]) -> Callable[[Path], bytes]:
 
 GOLDEN: dict[str, Callable[[Path], bytes]] = {
     "twenty thousand and one": change_golden({"count": np.int64(20_001)}),
-    "none": change_golden({"count": np.int64(0)}),
     "a thousand and one epsilons": change_golden({"epsilon_sigma": np.zeros(1001)}),
-    "no epsilon": change_golden({"epsilon_sigma": np.zeros(0)}),
     "an epsilon that is none": change_golden({"epsilon_sigma": np.array([np.nan])}),
     "a start of infinity": change_golden({"start": np.full(2, np.inf), "goal": np.zeros(2)}),
     "a surprise": change_golden({"surprise": np.zeros(1)}),
@@ -213,10 +207,6 @@ def test_an_array_in_columns_is_read_as_it_was_written(folder: Path) -> None:
     np.testing.assert_array_equal(GoldenCase.from_npz(packed(arrays)).samples, case.samples)
 
 
-def described(**change: Any) -> Callable[[dict[str, Any]], str]:
-    return lambda values: json.dumps({**values, **change})
-
-
 def _nested(values: dict[str, Any]) -> str:
     deep: Any = 0
     for _ in range(400):
@@ -224,52 +214,20 @@ def _nested(values: dict[str, Any]) -> str:
     return json.dumps({**values, "provenance": {**values["provenance"], "config": deep}})
 
 
-def _inputs(**change: Any) -> list[dict[str, Any]]:
-    return [{"name": "u", "distribution": "normal", "shape": [2], "low": None, "high": None, **change}]
-
-
-def _world(robot: dict[str, Any]) -> dict[str, Any]:
-    return {"kind": "planar", "robot": robot, "camera": Camera().to_dict()}
-
-
-def _robot(**change: Any) -> dict[str, Any]:
-    return {"kind": "planar_arm", "half_width_m": 0.1, "joint_limits_rad": None} | change
-
-
 DESCRIPTIONS: dict[str, Callable[[dict[str, Any]], str]] = {
-    "a latent of 10^9": described(latent_dim=10**9),
-    "a latent of 10^400": lambda values: json.dumps(values).replace(
-        '"latent_dim": 4', '"latent_dim": 1' + "0" * 400
-    ),
     "a latent of 10^5000": lambda values: json.dumps(values).replace(
         '"latent_dim": 4', '"latent_dim": 1' + "0" * 5000
     ),
     "a number of 10^400 elsewhere": lambda values: json.dumps(values).replace(
         '"uniform_share": 0.0', '"uniform_share": 1' + "0" * 400
     ),
-    "a number of 1e999": lambda values: json.dumps(values).replace('"precision": 0.5', '"precision": 1e999'),
-    "a billion samples for a latent": described(samples_per_latent=10**9),
-    "many pixels": lambda values: json.dumps(values).replace('"pixels": 48', '"pixels": 100000'),
-    "few pixels": lambda values: json.dumps(values).replace('"pixels": 48', '"pixels": 8'),
-    "random inputs of 10^9": described(random_inputs=_inputs(shape=[10**9])),
-    "random inputs of many axes": described(random_inputs=_inputs(shape=[64, 64, 64])),
-    "random inputs without an end": described(
-        random_inputs=[_inputs(name=f"u{index}")[0] for index in range(500)]
-    ),
-    "a random input with a long name": described(random_inputs=_inputs(name="u" * 10_000)),
-    "quantiles without an end": described(novelty_quantiles=[list(range(100_000))]),
-    "scores without an end": described(novelty_quantiles=[[0.0, 1.0]] * 1000),
-    "many joints": described(world=_world(_robot(link_lengths_m=[1.0] * 1000))),
-    "lengths that are words": described(world=_world(_robot(link_lengths_m=["long", "short"]))),
-    "lengths that are none": described(world=_world(_robot(link_lengths_m=[None]))),
-    "limits that are a number": described(
-        world=_world(_robot(link_lengths_m=[1.0, 1.0], joint_limits_rad=3))
+    "quantiles without an end": lambda values: json.dumps(
+        values | {"novelty_quantiles": [list(range(100_000))]}
     ),
     "a deep provenance": _nested,
     "half a character": lambda values: json.dumps(values).replace('"tests"', '"\\ud800"'),
     "a version as deep as it goes": lambda values: '{"schema_version": ' + "[" * 500 + "]" * 500 + "}",
     "many unknown keys": lambda values: json.dumps(values | {str(index): 0 for index in range(60_000)}),
-    "a key twice": lambda values: '{"kind": "path", ' + json.dumps(values)[1:],
 }
 
 

@@ -1,24 +1,17 @@
 import dataclasses
 import hashlib
 import io
-import json
 import shutil
 import subprocess
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import onnx
 import pytest
 
-from cspace.bundle import Bundle, BundleSpec, GoldenCase, write_bundle
+from cspace.bundle import Bundle, GoldenCase, write_bundle
 from cspace.errors import BundleError, BundleIntegrityError, GoldenMismatchError, StorageError
 from tests.bundles import picture, tiny_graphs, tiny_spec, write_tiny_bundle
-
-
-@pytest.fixture
-def folder(tmp_path: Path) -> Path:
-    return write_tiny_bundle(tmp_path / "bundle", validity=True)
 
 
 def resign(folder: Path) -> None:
@@ -33,15 +26,15 @@ def flip_a_byte(path: Path) -> None:
     path.write_bytes(bytes(data))
 
 
-def test_the_digest_is_that_of_the_sums_and_differs_between_models(tmp_path: Path, folder: Path) -> None:
+def test_the_digest_is_that_of_the_sums_and_tells_models_apart(tmp_path: Path, folder: Path) -> None:
     bundle = Bundle.load(folder)
+    assert bundle.spec == tiny_spec()
     assert bundle.digest == hashlib.sha256((folder / "SHA256SUMS").read_bytes()).hexdigest()
-    assert Bundle.load(write_tiny_bundle(tmp_path / "other", scale=2.0)).digest != bundle.digest
-
-
-def test_the_same_parts_make_the_same_digest(tmp_path: Path) -> None:
-    digests = {Bundle.load(write_tiny_bundle(tmp_path / name)).digest for name in "ab"}
-    assert len(digests) == 1
+    again, other = (
+        Bundle.load(write_tiny_bundle(tmp_path / str(scale), validity=True, scale=scale)).digest
+        for scale in (1.0, 2.0)
+    )
+    assert again == bundle.digest != other
 
 
 def test_sha256sum_accepts_the_sums(folder: Path) -> None:
@@ -51,17 +44,13 @@ def test_sha256sum_accepts_the_sums(folder: Path) -> None:
     subprocess.run([tool, "--check", "--strict", "SHA256SUMS"], cwd=folder, check=True, capture_output=True)
 
 
-@pytest.mark.parametrize(
-    "name", ["bundle.json", "encoder.onnx", "generator.onnx", "validity.onnx", "golden.npz", "SHA256SUMS"]
-)
-@pytest.mark.parametrize("damage", [flip_a_byte, Path.unlink], ids=["changed", "missing"])
-def test_a_changed_or_missing_file_is_found_and_named(
-    folder: Path, name: str, damage: Callable[[Path], None]
-) -> None:
-    damage(folder / name)
-    with pytest.raises(
-        BundleIntegrityError, match=name.replace(".", r"\.") if damage is Path.unlink else None
-    ):
+@pytest.mark.parametrize("name", ["bundle.json", "generator.onnx", "golden.npz", "SHA256SUMS"])
+def test_a_changed_or_missing_file_is_found(folder: Path, name: str) -> None:
+    flip_a_byte(folder / name)
+    with pytest.raises(BundleIntegrityError):
+        Bundle.load(folder)
+    (folder / name).unlink()
+    with pytest.raises(BundleIntegrityError, match=name.replace(".", r"\.")):
         Bundle.load(folder)
 
 
@@ -74,40 +63,12 @@ def test_an_extra_file_is_refused_listed_or_not(folder: Path) -> None:
         Bundle.load(folder)
 
 
-def test_a_link_or_a_folder_inside_is_refused(folder: Path, tmp_path: Path) -> None:
-    outside = tmp_path / "outside.onnx"
-    (folder / "encoder.onnx").rename(outside)
-    (folder / "encoder.onnx").symlink_to(outside)
-    with pytest.raises(BundleIntegrityError, match="not a plain file"):
-        Bundle.load(folder)
-    (folder / "encoder.onnx").unlink()
-    (folder / "encoder.onnx").mkdir()
-    with pytest.raises(BundleIntegrityError, match="not a plain file"):
-        Bundle.load(folder)
-
-
-@pytest.mark.parametrize("name", ["../outside.onnx", "/etc/passwd", "a/b", "..\\x", "", "ü"])
+@pytest.mark.parametrize("name", ["../outside.onnx", "/etc/passwd", "", "ü"])
 def test_a_path_in_the_sums_is_refused(folder: Path, tmp_path: Path, name: str) -> None:
     (tmp_path / "outside.onnx").write_bytes(b"x")
     with (folder / "SHA256SUMS").open("a") as sums:
         sums.write(f"{hashlib.sha256(b'x').hexdigest()}  {name}\n")
     with pytest.raises(BundleIntegrityError, match="SHA256SUMS"):
-        Bundle.load(folder)
-
-
-@pytest.mark.parametrize("broken", ["missing", "a file"])
-def test_a_folder_that_is_none_is_refused(tmp_path: Path, broken: str) -> None:
-    if broken == "a file":
-        (tmp_path / "bundle").write_text("")
-    with pytest.raises(BundleIntegrityError):
-        Bundle.load(tmp_path / "bundle")
-
-
-def test_another_schema_version_is_refused_even_with_right_sums(folder: Path) -> None:
-    values = json.loads((folder / "bundle.json").read_text())
-    (folder / "bundle.json").write_text(json.dumps({**values, "schema_version": 6}))
-    resign(folder)
-    with pytest.raises(BundleIntegrityError, match="schema_version 5"):
         Bundle.load(folder)
 
 
@@ -171,30 +132,21 @@ def test_golden_samples_may_differ_by_1e_4_on_the_torus_and_no_more(
         assert Bundle.load(folder).has_validity
 
 
-def test_a_golden_case_of_another_shape_or_without_confidence_is_refused(folder: Path) -> None:
+def test_a_golden_case_of_another_answer_or_another_model_is_refused(folder: Path) -> None:
     case = golden_of(folder)
     assert case.confidence is not None
-    for other in (
-        dataclasses.replace(case, samples=case.samples[:-1]),
-        dataclasses.replace(case, confidence=None),
-        dataclasses.replace(case, confidence=case.confidence + np.float32(0.01)),
-        dataclasses.replace(case, mu=np.full_like(case.mu, np.nan)),
+    ends = dataclasses.replace(case.query, start=(0.0, 0.0), goal=(0.0, 0.0))
+    for change, error in (
+        ({"samples": case.samples[:-1]}, GoldenMismatchError),
+        ({"confidence": None}, GoldenMismatchError),
+        ({"confidence": case.confidence + np.float32(0.01)}, GoldenMismatchError),
+        ({"mu": np.full_like(case.mu, np.nan)}, GoldenMismatchError),
+        ({"image": picture(pixels=32)}, BundleIntegrityError),
+        ({"query": ends}, BundleIntegrityError),
     ):
-        (folder / "golden.npz").write_bytes(other.to_npz())
+        (folder / "golden.npz").write_bytes(dataclasses.replace(case, **change).to_npz())
         resign(folder)
-        with pytest.raises(GoldenMismatchError):
-            Bundle.load(folder)
-
-
-def test_a_golden_case_that_does_not_fit_the_model_is_refused(folder: Path) -> None:
-    case = golden_of(folder)
-    for other in (
-        dataclasses.replace(case, image=picture(pixels=32)),
-        dataclasses.replace(case, query=dataclasses.replace(case.query, start=(0.0, 0.0), goal=(0.0, 0.0))),
-    ):
-        (folder / "golden.npz").write_bytes(other.to_npz())
-        resign(folder)
-        with pytest.raises(BundleIntegrityError, match="golden case"):
+        with pytest.raises(error, match="golden"):
             Bundle.load(folder)
 
 
@@ -206,12 +158,6 @@ def test_a_golden_file_is_never_unpickled(folder: Path) -> None:
         resign(folder)
         with pytest.raises(BundleIntegrityError, match=r"golden\.npz"):
             Bundle.load(folder)
-
-
-def test_the_golden_case_keeps_the_largest_seed(folder: Path) -> None:
-    case = golden_of(folder)
-    case = dataclasses.replace(case, query=dataclasses.replace(case.query, seed=2**64 - 1))
-    assert GoldenCase.from_npz(case.to_npz()).query.seed == 2**64 - 1
 
 
 def test_writing_over_an_existing_folder_is_refused_and_leaves_it(folder: Path) -> None:
@@ -235,14 +181,3 @@ def test_other_graphs_than_the_schemas_are_refused(tmp_path: Path, names: tuple[
     graphs = {**tiny_graphs(tiny_spec()), "critic": b""}
     with pytest.raises(BundleIntegrityError, match="graphs do not fit"):
         write_bundle(tmp_path / "bundle", tiny_spec(), {name: graphs[name] for name in names})
-
-
-def test_a_place_that_cannot_be_written_is_a_storage_error(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("")
-    with pytest.raises(StorageError, match="cannot be written"):
-        write_tiny_bundle(tmp_path / "file" / "bundle")
-
-
-def test_the_description_that_was_written_is_the_one_that_is_loaded(folder: Path) -> None:
-    assert isinstance(Bundle.load(folder).spec, BundleSpec)
-    assert Bundle.load(folder).spec == tiny_spec()

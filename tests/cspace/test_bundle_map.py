@@ -23,6 +23,8 @@ def bundle(tmp_path_factory: pytest.TempPathFactory) -> Bundle:
 def test_a_prepared_picture_holds_its_map(bundle: Bundle) -> None:
     image = np.zeros((PIXELS, PIXELS, 3), np.uint8)
     image[3, 4] = 255, 0, 51
+    assert bundle.spec == SPEC
+    assert bundle.spec.conditions == ("map", "start", "goal")
     found = bundle.prepare(image).map
     assert found is not None
     np.testing.assert_allclose(found, [1.0, -1.0, -0.6], atol=1e-6)
@@ -35,11 +37,6 @@ def test_samples_depend_on_the_map_and_not_on_who_made_it(bundle: Bundle) -> Non
     np.testing.assert_array_equal(bundle.sample(prepared, 50, 1, **ENDS).samples, whole)
     other = replace(prepared, map=np.zeros(3, np.float32))
     assert np.abs(bundle.sample(other, 50, 1, **ENDS).samples - whole).max() > 0.1
-
-
-def test_the_description_says_that_there_is_a_map(bundle: Bundle) -> None:
-    assert bundle.spec == SPEC
-    assert bundle.spec.conditions == ("map", "start", "goal")
 
 
 def test_graph_and_description_come_together(tmp_path: Path) -> None:

@@ -1,6 +1,7 @@
 """A query is held against its bundle once, whoever does it first."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,12 +12,12 @@ from cspace.errors import InputError
 from cspace.query import SampleQuery
 from cspace.worlds.planar.arm import PlanarArm
 from cspace.worlds.planar.world import PlanarWorld
-from tests.bundles import picture, write_tiny_bundle
+from tests.bundles import picture
 
 
 @pytest.fixture(scope="module")
-def bundle(tmp_path_factory: pytest.TempPathFactory) -> Bundle:
-    return Bundle.load(write_tiny_bundle(tmp_path_factory.mktemp("request") / "bundle", validity=True))
+def bundle(tiny_bundle: Path) -> Bundle:
+    return Bundle.load(tiny_bundle)
 
 
 def test_a_query_that_fits_is_not_judged_again_nor_is_it_with_another_seed(bundle: Bundle) -> None:

@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 from cspace.bundle import Bundle, write_bundle
+from cspace.bundle.golden import scene
 from cspace.errors import InputError
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK, PlanarArm
-from tests.bundles import LATENT, picture, tiny_graphs, tiny_spec, write_tiny_bundle
+from tests.bundles import picture, tiny_graphs, tiny_spec, write_tiny_bundle
 
 # More digits of pi than a double has.
 PI = Fraction(3141592653589793238462643383279, 10**30)
@@ -24,8 +25,8 @@ def bundle(tmp_path_factory: pytest.TempPathFactory) -> Bundle:
 
 
 @pytest.fixture(scope="module")
-def scored(tmp_path_factory: pytest.TempPathFactory) -> Bundle:
-    return Bundle.load(write_tiny_bundle(tmp_path_factory.mktemp("scored") / "bundle", validity=True))
+def scored(tiny_bundle: Path) -> Bundle:
+    return Bundle.load(tiny_bundle)
 
 
 @pytest.fixture(scope="module")
@@ -33,18 +34,17 @@ def path_model(tmp_path_factory: pytest.TempPathFactory) -> Bundle:
     return Bundle.load(write_tiny_bundle(tmp_path_factory.mktemp("path") / "bundle", kind="path"))
 
 
-@pytest.mark.parametrize("robot", [TWO_LINK, THREE_LINK], ids=["two links", "three links"])
-@pytest.mark.parametrize("per_latent", [1, 4])
-@pytest.mark.parametrize("n", [1, 3, 300, 4097, 20_000])
+@pytest.mark.parametrize(("robot", "per_latent"), [(TWO_LINK, 4), (THREE_LINK, 1)], ids=["two", "three"])
 def test_a_bundle_gives_as_many_samples_as_asked_for(
-    tmp_path: Path, robot: PlanarArm, per_latent: int, n: int
+    tmp_path: Path, robot: PlanarArm, per_latent: int
 ) -> None:
     bundle = Bundle.load(write_tiny_bundle(tmp_path / "bundle", robot, samples_per_latent=per_latent))
-    answer = bundle.sample(picture(), n, 0)
-    assert answer.samples.shape == (n, robot.dim)
-    assert answer.samples.dtype == np.float32
-    assert answer.confidence is None
-    assert answer.shortfall == 0
+    for n in (1, 3, 300, 4097, 20_000):
+        answer = bundle.sample(picture(), n, 0)
+        assert answer.samples.shape == (n, robot.dim)
+        assert answer.samples.dtype == np.float32
+        assert answer.confidence is None
+        assert answer.shortfall == 0
 
 
 def test_every_angle_lies_in_minus_pi_to_pi_as_a_real_number(bundle: Bundle) -> None:
@@ -69,31 +69,19 @@ def test_another_seed_picture_or_schedule_gives_other_samples(bundle: Bundle) ->
     assert len({answer.samples.tobytes() for answer in answers}) == len(answers)
 
 
-def test_a_seed_means_the_same_in_another_process(bundle: Bundle) -> None:
+def test_a_seed_means_the_same_in_another_process_which_leaves_nothing_in_the_users_folders(
+    bundle: Bundle, tmp_path: Path
+) -> None:
     code = (
-        "import sys, hashlib; from pathlib import Path; from cspace.bundle import Bundle;"
-        "from cspace.bundle.golden import scene; b = Bundle.load(Path(sys.argv[1]));"
-        "print(hashlib.sha256(b.sample(scene((48, 48, 3)), 333, 12).samples.tobytes()).hexdigest())"
-    )
-    runs = {
-        subprocess.run(
-            [sys.executable, "-c", code, str(bundle.folder)], capture_output=True, text=True, check=True
-        ).stdout
-        for _ in range(2)
-    }
-    assert len(runs) == 1
-
-
-def test_loading_a_bundle_leaves_nothing_in_the_users_folders(bundle: Bundle, tmp_path: Path) -> None:
-    code = (
-        "import sys; from pathlib import Path; import cspace.bundle;"
-        "assert 'onnxruntime' not in sys.modules; cspace.bundle.Bundle.load(Path(sys.argv[1]));"
-        "assert 'onnxruntime' in sys.modules"
+        "import sys; from pathlib import Path; import cspace.bundle; from cspace.bundle.golden import scene;"
+        "assert 'onnxruntime' not in sys.modules; bundle = cspace.bundle.Bundle.load(Path(sys.argv[1]));"
+        "sys.stdout.buffer.write(bundle.sample(scene((48, 48, 3)), 333, 12).samples.tobytes())"
     )
     environment = {"HOME": str(tmp_path), "PYTHONPATH": str(Path(__file__).parents[2])}
     environment["PYTHONDONTWRITEBYTECODE"] = "1"
     command = [sys.executable, "-c", code, str(bundle.folder)]
-    subprocess.run(command, cwd=tmp_path, env=environment, check=True, capture_output=True)
+    done = subprocess.run(command, cwd=tmp_path, env=environment, check=True, capture_output=True)
+    assert done.stdout == bundle.sample(scene((48, 48, 3)), 333, 12).samples.tobytes()
     assert list(tmp_path.iterdir()) == []
 
 
@@ -102,13 +90,6 @@ def test_sampling_leaves_the_global_random_state_alone(bundle: Bundle) -> None:
     bundle.sample(picture(), 10, 3)
     after = np.random.get_state()  # noqa: NPY002 - as above
     assert all(np.array_equal(one, two) for one, two in zip(state, after, strict=True))
-
-
-def test_the_encoder_tells_pictures_apart(bundle: Bundle) -> None:
-    first, second = bundle.encode(picture(0)), bundle.encode(picture(1))
-    assert first.mu.shape == first.sigma.shape == (LATENT,)
-    assert np.all(first.sigma > 0)
-    assert not np.array_equal(first.mu, second.mu)
 
 
 def test_a_validity_head_scores_every_sample_in_order(scored: Bundle) -> None:
@@ -213,12 +194,7 @@ def test_path_models_depend_on_start_and_goal_up_to_whole_turns(path_model: Bund
 
 
 WRONG: list[dict[str, Any]] = [
-    {"n": 0}, {"n": -1}, {"n": 2.5}, {"n": True}, {"n": "3"},
-    {"seed": -1}, {"seed": 2**64}, {"seed": 1.0}, {"seed": True}, {"seed": None},
-    {"epsilon_sigma": ()}, {"epsilon_sigma": (0.0, -0.1)}, {"epsilon_sigma": (10.1,)},
-    {"epsilon_sigma": (math.nan,)}, {"epsilon_sigma": (math.inf,)}, {"epsilon_sigma": ("1",)},
-    {"min_confidence": -0.1}, {"min_confidence": 1.1}, {"min_confidence": math.nan}, {"min_confidence": True},
-    {"min_confidence": 0.1}, {"start": [0, 0]}, {"goal": [0, 0]},
+    {"n": 0}, {"seed": 2**64}, {"min_confidence": 0.1}, {"start": [0, 0]}, {"goal": [0, 0]},
     {"image": np.zeros((32, 32, 3), np.uint8)}, {"image": np.zeros((48, 48, 3))}, {"image": None},
 ]  # fmt: skip
 
@@ -233,9 +209,7 @@ def test_a_wrong_argument_is_an_input_error(bundle: Bundle, change: dict[str, An
 @pytest.mark.parametrize(
     ("start", "goal"),
     [
-        (None, None), ([0, 0], None), (None, [0, 0]), ([0, 0, 0], [0, 0]), ([0, 0], [0]),
-        ([0, math.nan], [0, 0]),
-        ([0, math.inf], [0, 0]), ("ab", [0, 0]), ([[0, 0]], [0, 0]), ([0, [1]], [0, 0]), (3.0, [0, 0]),
+        (None, None), ([0, 0], None), (None, [0, 0]), ([0, 0, 0], [0, 0]), ([0, math.nan], [0, 0]),
     ],
 )  # fmt: skip
 def test_path_models_refuse_endpoints_that_do_not_fit(path_model: Bundle, start: Any, goal: Any) -> None:
@@ -243,23 +217,12 @@ def test_path_models_refuse_endpoints_that_do_not_fit(path_model: Bundle, start:
         path_model.sample(picture(), 3, 0, start=start, goal=goal)
 
 
-def test_numpy_numbers_are_as_good_as_pythons(bundle: Bundle) -> None:
-    plain = bundle.sample(picture(), 3, 5, epsilon_sigma=(0.5,)).samples
-    numpys = bundle.sample(picture(), np.int64(3), np.uint64(5), epsilon_sigma=[np.float64(0.5)]).samples  # type: ignore[arg-type]
-    np.testing.assert_array_equal(plain, numpys)
-
-
-def test_a_validity_head_scores_any_configurations(scored: Bundle) -> None:
-    near, far = scored.score(picture(), np.array([[0.0, 0.1], [3.0, -3.0]], dtype=np.float32))
-    assert 0.0 <= far < near <= 1.0
-
-
 def test_a_bundle_without_a_head_scores_nothing(bundle: Bundle) -> None:
     with pytest.raises(InputError, match="no validity head"):
         bundle.score(picture(), np.zeros((1, 2), dtype=np.float32))
 
 
-@pytest.mark.parametrize("shape", [(0, 2), (3, 1), (2,), (1, 2, 2)])
+@pytest.mark.parametrize("shape", [(0, 2), (3, 1), (2,)])
 def test_configurations_that_do_not_fit_the_head_are_refused(scored: Bundle, shape: tuple[int, ...]) -> None:
     with pytest.raises(InputError, match="configurations do not fit"):
         scored.score(picture(), np.zeros(shape, dtype=np.float32))

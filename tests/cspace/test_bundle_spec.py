@@ -55,56 +55,45 @@ def test_the_json_has_exactly_the_fields_of_the_schema() -> None:
 
 
 WORLD = full_spec().world.to_dict()
+NOISE = {"name": "u", "distribution": "normal", "shape": [2], "low": None, "high": None}
 CHANGES: list[dict[str, Any]] = [
     {"schema_version": 6},
     {"schema_version": 4},
-    {"schema_version": 3},
-    {"schema_version": 2},
-    {"schema_version": 1},
-    {"schema_version": 2.0},
-    {"schema_version": True},
-    {"schema_version": None},
+    {"schema_version": 5.0},
     {"plan_doubt": [0.0, 0.0]},
     {"plan_doubt": [0.0, -1.0]},
     {"plan_doubt": [1e9, 1.0]},
-    {"plan_doubt": [0.0]},
-    {"plan_doubt": 1.0},
     {"kind": "paths"},
-    {"kind": None},
     {"model_kind": "flow"},
-    {"world": WORLD | {"robot": {"kind": "planar_arm", "link_lengths_m": [], "half_width_m": 0.1}}},
-    {"world": WORLD | {"robot": "two links"}},
     {"world": WORLD | {"robot": {"kind": "humanoid"}}},
     {"joint_space": {"kind": "torus", "dim": 5, "unit": "rad"}},
     {"joint_space": {"kind": "torus", "dim": 3, "unit": "deg"}},
-    {"world": WORLD | {"camera": {"x_min_m": -5}}},
-    {"world": WORLD | {"camera": WORLD["camera"] | {"x_min_m": False}}},
-    {"world": WORLD | {"camera": {"x_min_m": -5, "x_max_m": 5, "y_min_m": -5, "y_max_m": "5", "pixels": 32}}},
-    {"world": WORLD | {"camera": {"x_min_m": -5, "x_max_m": 5, "y_min_m": -5, "y_max_m": 5, "pixels": 0}}},
+    {"world": WORLD | {"camera": WORLD["camera"] | {"pixels": 0}}},
     {"image": {"pixels": 32, "channels": "BGR", "range": [-1, 1]}},
+    {"world": WORLD | {"camera": WORLD["camera"] | {"pixels": 100_000}}},
+    {"world": WORLD | {"robot": WORLD["robot"] | {"link_lengths_m": [1.0] * 1000}}},
     {"latent_dim": 0},
-    {"latent_dim": 4.0},
-    {"latent_dim": True},
+    {"latent_dim": 10**9},
+    {"samples_per_latent": 10**9},
+    {"random_inputs": [NOISE | {"shape": [10**9]}]},
+    {"random_inputs": [NOISE | {"shape": [64, 64, 64]}]},
+    {"random_inputs": [NOISE | {"name": f"u{index}"} for index in range(500)]},
+    {"random_inputs": [NOISE | {"name": "u" * 10_000}]},
+    {"novelty_quantiles": [[0.0, 1.0]] * 1000},
     {"samples_per_latent": 0},
-    {"random_inputs": {}},
     {"random_inputs": [{"name": "u"}]},
     {"standardisation": {"mean": [0.0], "std": [1.0]}},
     {"standardisation": {"mean": [0, 0, 0], "std": [1, 0, 1]}},
     {"conditions": []},
     {"confidence_threshold": 1.5},
-    {"confidence_threshold": "high"},
     {"uniform_share": -0.1},
     {"uniform_share": 0.1},
-    {"uniform_share": None},
     {"passing_share": 0.0},
     {"passing_share": 1.1},
     {"novelty_quantiles": []},
     {"novelty_quantiles": [[0.0]]},
     {"novelty_quantiles": [[0.0, 1.0], [1.0, 0.5]]},
-    {"novelty_quantiles": [0.0, 1.0]},
-    {"novelty_quantiles": 0.5},
     {"provenance": {"by": "somebody"}},
-    {"provenance": None},
     {"surprise": 1},
 ]
 
@@ -119,48 +108,31 @@ def test_only_models_of_configurations_have_uniform_proposals() -> None:
             dataclasses.replace(spec, **change)
 
 
-@pytest.mark.parametrize("change", CHANGES, ids=str)
+@pytest.mark.parametrize("change", CHANGES, ids=lambda change: str(change)[:60])
 def test_a_description_with_a_wrong_value_is_refused(change: dict[str, Any]) -> None:
     with pytest.raises(BundleIntegrityError):
         BundleSpec.from_json(json.dumps({**json.loads(full_spec().to_json()), **change}).encode())
 
 
-@pytest.mark.parametrize("key", sorted(json.loads(full_spec().to_json())))
-def test_a_description_without_one_of_its_keys_is_refused(key: str) -> None:
+def test_a_description_without_one_of_its_keys_is_refused() -> None:
     values = json.loads(full_spec().to_json())
-    del values[key]
-    with pytest.raises(BundleIntegrityError):
-        BundleSpec.from_json(json.dumps(values).encode())
-
-
-@pytest.mark.parametrize(
-    "data",
-    [
-        b"",
-        b"[]",
-        b"{",
-        b"\xff\xfe",
-        b'{"a": NaN}',
-        b"[" * 100_000,
-    ],
-    ids=["empty", "list", "open", "not UTF-8", "NaN", "deep"],
-)
-def test_bytes_that_are_no_strict_json_are_refused(data: bytes) -> None:
-    with pytest.raises(BundleIntegrityError):
-        BundleSpec.from_json(data)
+    for key in values:
+        with pytest.raises(BundleIntegrityError):
+            BundleSpec.from_json(json.dumps({name: values[name] for name in values if name != key}).encode())
+    for data in (b"[]", b"{", b'{"a": NaN}'):
+        with pytest.raises(BundleIntegrityError):
+            BundleSpec.from_json(data)
 
 
 @pytest.mark.parametrize(
     "values",
     [
         ("latent", "normal", (2,), None, None),
-        ("start", "normal", (2,), None, None),
         ("", "normal", (2,), None, None),
         ("u", "cauchy", (2,), None, None),
         ("u", "normal", (2,), 0.0, 1.0),
         ("u", "uniform", (2,), None, None),
         ("u", "uniform", (2,), 1.0, 1.0),
-        ("u", "uniform", (2,), 0.0, math.inf),
         ("u", "uniform", (0,), 0.0, 1.0),
     ],
 )
@@ -175,7 +147,7 @@ def test_two_random_inputs_of_one_name_are_refused() -> None:
         BundleSpec(PlanarWorld(TWO_LINK), 4, random_inputs=(noise, noise))
 
 
-@pytest.mark.parametrize("value", [np.float32(1.0), math.nan, {1}])
+@pytest.mark.parametrize("value", [np.float32(1.0), math.nan])
 def test_a_provenance_that_is_not_plain_json_is_refused_with_a_remedy(value: object) -> None:
     spec = BundleSpec(PlanarWorld(TWO_LINK), 4, provenance=Provenance(metrics={"precision": value}))
     with pytest.raises(BundleIntegrityError, match="convert"):

@@ -76,17 +76,6 @@ def test_a_confidence_to_reach_drops_samples_and_keeps_the_order_of_ways(bundle,
     assert len(found.ways) == len(found.samples) == 200 - found.shortfall
 
 
-def test_unscored_samples_are_the_same(bundle, problem):
-    image = SHOP.render(problem.scenario)
-    told, silent = (
-        bundle.sample(image, 40, 7, min_confidence=0.0, tell_confidence=tell, **ends(problem))
-        for tell in (True, False)
-    )
-    assert np.array_equal(told.samples, silent.samples)
-    assert silent.confidence is None
-    assert np.array_equal(told.ways, silent.ways)
-
-
 def test_where_no_way_is_found_there_are_no_samples(bundle, problem, monkeypatch):
     def nothing(*args, **kwargs):
         return FoundPaths([], late=False, checker=None)
