@@ -8,7 +8,7 @@ import pytest
 
 from cspace.bundle import Bundle
 from cspace.errors import ConfigError, ModelNotFoundError, RegistryError
-from services.evaluator.compare import compare_csv, compare_table, find, make_parser, write_comparison
+from services.evaluator.compare import compare_csv, compare_table, find, write_comparison
 from services.evaluator.evaluation.measured import Measured
 from tests.bundles import write_tiny_bundle
 from tests.fakes.registry import FakeRegistry, FakeTracking
@@ -128,8 +128,3 @@ def test_it_is_kept_as_text_as_markdown_and_as_csv(tracking, registry, tmp_path)
         (run_id, "narrow", "0.7", "5"),
         (run_id, "", "0.9", "30"),
     ]
-
-
-def test_the_command_takes_any_number():
-    named = ["m/1", "m/2", "m@champion"]
-    assert make_parser().parse_args([*named, "--all"]).what == named

@@ -10,7 +10,6 @@ from cspace.worlds import simulator_of
 from cspace.worlds.planar.simulator import PlanarSimulator
 from cspace.worlds.planar.world import PlanarWorld
 from services.evaluator.benchmark.__main__ import make_request, parser
-from services.evaluator.evaluation.measured import flat_metrics
 from services.evaluator.evaluation.report import gallery, to_json, to_markdown
 from services.evaluator.evaluation.units import Budget, Kind, Setting, Unit, assemble, run_unit
 from services.evaluator.measures.scenes import Scene, Stage
@@ -27,18 +26,6 @@ def other(monkeypatch):
     monkeypatch.setattr(PlanarSimulator, "measures", property(lambda _: OTHER))
 
 
-def evaluation():
-    setting = Setting(PlanarWorld(), 5, Budget(1, 30, 1, 1, 1, 0, 1))
-    splits = (Split.VALIDATION, Split.TEST)
-    work = [Unit(Kind.RECONSTRUCTION, split, 0, 1) for split in splits]
-    work += [Unit(Kind.PLANNING, split, 0, 1, family) for split in splits for family in ("uniform", "narrow")]
-    return assemble([run_unit(unit, setting, UNIFORM) for unit in work], setting)
-
-
-def test_every_gated_metric_of_the_planar_world_is_one_that_is_measured():
-    assert {*PLANAR.margins, *PLANAR.path_margins} <= flat_metrics(evaluation()).keys()
-
-
 def test_the_radius_of_coverage_is_the_worlds(other):
     held_out = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 2.0]] * 4)
     assert SCENE.quality(np.array([[0.5, 0.0]] * 6), held_out).coverage == pytest.approx(2 / 3)
@@ -47,7 +34,10 @@ def test_the_radius_of_coverage_is_the_worlds(other):
 
 
 def test_the_planner_of_an_evaluation_is_the_worlds(other):
-    done = evaluation()
+    setting = Setting(PlanarWorld(), 5, Budget(1, 30, 1, 1, 1, 0, 1))
+    work = [Unit(Kind.RECONSTRUCTION, split, 0, 1) for split in (Split.VALIDATION, Split.TEST)]
+    work.append(Unit(Kind.PLANNING, Split.VALIDATION, 0, 1, "uniform"))
+    done = assemble([run_unit(unit, setting, UNIFORM) for unit in work], setting)
     assert "RRT, range 0.4 rad, resolution 0.02 rad a joint" in to_markdown(done, "model", ())
     assert '"range_rad": 0.4' in to_json(done)
 

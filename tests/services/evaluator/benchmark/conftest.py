@@ -46,7 +46,7 @@ def paired():
     return lambda rows: Paired(frame_of(rows, Protocol.FAMILIES))
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def setting() -> Setting:
     return Setting(Protocol.FAMILIES, Split.VALIDATION, 0, 2000, 300, 10.0)
 

@@ -3,7 +3,7 @@ import pytest
 from cspace.errors import ConfigError
 from services.evaluator.benchmark.arms import MIN_CONFIDENCE, SAMPLES, Group, Taken, pick, table
 from services.planner.planning import PAPER_SCHEDULE
-from services.planner.settings import LEARNED_PLANNERS, PLANNERS, RRT
+from services.planner.settings import LEARNED_PLANNERS
 
 ARMS = table(["flow", "way"], 1.0)
 
@@ -20,12 +20,6 @@ def test_every_arm_has_its_own_name_and_a_base_with_uniform_samples():
         assert base.sampler is None
         assert base.planner == arm.planner or arm.group is Group.OPTIMISING
         assert base.stop_at_first is arm.stop_at_first
-
-
-def test_every_planner_is_measured_with_uniform_samples_and_three_ranges_of_rrt():
-    uniform = pick(ARMS, [Group.UNIFORM])
-    assert {arm.planner for arm in uniform} == set(PLANNERS)
-    assert {arm.range_rad for arm in uniform if arm.planner == RRT} == {0.5, 1.0, 2.0}
 
 
 def test_every_planner_that_can_draws_each_sampler_at_both_shares():
@@ -66,11 +60,6 @@ def test_there_is_an_arm_for_every_share_that_is_told():
     assert by_name["RRT, way, 70 %, 30 samples"].learned_share == 0.7
 
 
-def test_the_filter_of_ordered_arms_is_that_of_the_filtered_ones():
-    arms = table(["way"], 1.0, Taken(0.25))
-    assert {arm.min_confidence for arm in pick(arms, ["filtered", "ordered"]) if arm.sampler} == {0.25}
-
-
 def test_checked_arms_take_the_samples_as_they_come_but_for_those_that_collide():
     checked = [arm for arm in table(["way"], 1.0) if arm.group is Group.CHECKED]
     assert len(checked) == 8
@@ -80,7 +69,9 @@ def test_checked_arms_take_the_samples_as_they_come_but_for_those_that_collide()
     assert not any(arm.colliding_last for arm in table(["way"], 1.0) if arm.group is not Group.CHECKED)
 
 
-def test_a_confidence_that_drops_nothing_leaves_no_arm_that_calls_itself_filtered():
+def test_a_confidence_filters_ordered_arms_too_and_where_it_drops_nothing_no_arm_is_called_filtered():
+    arms = table(["way"], 1.0, Taken(0.25))
+    assert {arm.min_confidence for arm in pick(arms, ["filtered", "ordered"]) if arm.sampler} == {0.25}
     arms = table(["way"], 1.0, Taken(0.0))
     with pytest.raises(ConfigError, match="no arm is left"):
         pick(arms, ["filtered"])

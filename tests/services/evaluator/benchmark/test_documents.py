@@ -3,7 +3,6 @@ from pathlib import Path
 
 import pytest
 
-from services.evaluator.benchmark.arms import Group
 from services.evaluator.benchmark.runs import PLAN_COLUMNS, SAMPLE_COLUMNS
 
 TEXT = (Path(__file__).parents[4] / "docs" / "benchmark.md").read_text("utf-8")
@@ -14,8 +13,3 @@ def test_the_document_describes_the_columns_of_each_table_in_their_order(number,
     _, *tables = TEXT.split("| column | content |")
     rows = re.findall(r"^\| `(\w+)` \| \S.* \|$", tables[number], re.MULTILINE)
     assert rows == list(columns)
-
-
-def test_the_document_names_every_group_of_arms():
-    for group in Group:
-        assert f"| `{group}` |" in TEXT

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pandas as pd
 import pytest
 
-from cspace.errors import ConfigError, EvaluationError, JobError
+from cspace.errors import EvaluationError, JobError
 from cspace.worlds.planar.problems import Family
 from services.evaluator import __main__ as evaluator
 from services.evaluator.benchmark import __main__ as command
@@ -89,7 +89,8 @@ def test_a_benchmark_leaves_table_report_figures_pages_and_a_run(tmp_path, setti
 
 
 def test_the_report_begins_with_the_break_even_cost(tmp_path, setting, make_request, undrawn):
-    results = run_benchmark(make_request(tmp_path, setting, pages=0), run_here, silent)
+    few = {Family.UNIFORM: 1, Family.DISCONNECTED: 1}
+    results = run_benchmark(make_request(tmp_path, setting, problems=few, pages=0), run_here, silent)
     first, _, text = (tmp_path / "report.md").read_text().partition("\n")
     assert first.startswith("Break-even cost of an edge check")
     assert "uniform, RRT, way, 70 %: " in first
@@ -139,15 +140,6 @@ def test_an_arm_that_joins_is_run_alone(tmp_path, setting, make_request, undrawn
     assert [line for line in numbers(tmp_path) if line["arm"] != "RRT, way, 100 %"] == before
 
 
-def test_a_folder_of_another_setting_is_refused_before_anything_runs(
-    tmp_path, setting, make_request, undrawn
-):
-    run_benchmark(make_request(tmp_path, setting, problems={Family.UNIFORM: 1}, pages=0), run_here, silent)
-    other = make_request(tmp_path, replace(setting, time_limit_s=1.0))
-    with pytest.raises(ConfigError, match="another setting"):
-        run_benchmark(other, run_here, silent)
-
-
 def test_without_a_run_there_is_nothing_to_tell(tmp_path, setting, make_request):
     with pytest.raises(EvaluationError, match="all arms"):
         run_benchmark(make_request(tmp_path, setting), lambda *given: iter(()), silent)
@@ -190,11 +182,8 @@ def test_the_command_runs_and_goes_on(tmp_path, path_folder, capsys):
         (["--pages", "-1"], "--pages is out of range"),
         (["--seed", "-1"], "--seed is out of range"),
         (["--time-limit", "0"], "--time-limit is out of range"),
-        (["--min-confidence", "-0.1"], "--min-confidence is out of range"),
         (["--min-confidence", "1.1"], "--min-confidence is out of range"),
-        (["--samples", "0"], "--samples is out of range"),
         (["--shares", "0.7", "0"], "--shares is out of range"),
-        (["--shares", "1.1"], "--shares is out of range"),
         (["--samples", "20001"], "--samples is out of range"),
         (["--arms", "nothing"], "no such arm"),
         (["--model", "path-sampler@champion"], "behind an API"),

@@ -57,8 +57,6 @@ def options(tmp_path, *given):
         (("--bundle", "unseen is free=x"), "share a name"),
         (("--bundle", "m=x", "--pictures", "5"), "--pictures"),
         (("--bundle", "m=x", "--problems", "0"), "--problems"),
-        (("--bundle", "m=x", "--runs", "0"), "--runs"),
-        (("--bundle", "m=x", "--iterations", "0"), "--iterations"),
         (("--bundle", "m=x", "--time-limit", "0"), "--time-limit"),
         (("--bundle", "m=x", "--family", "narrow"), "no such family"),
         (("--bundle", "m=x", "--robot", "two-link"), "seen in part"),

@@ -3,7 +3,7 @@ import pytest
 
 from cspace.worlds.planar.problems import Family
 from services.evaluator.benchmark.arms import Protocol, Setting, pick, table
-from services.evaluator.benchmark.figures import looks, page_arms, panel_of, share_until
+from services.evaluator.benchmark.figures import share_until
 from services.evaluator.benchmark.job import Request, Results
 from services.evaluator.benchmark.report import about, report
 from services.evaluator.benchmark.runs import frame_of
@@ -73,24 +73,6 @@ def test_success_against_the_samples_asked_for_has_its_limits(results):
     low, high = bars.get_segments()[0][:, 1]
     # Two of three, after Clopper and Pearson.
     assert (low, high) == (pytest.approx(0.0943, abs=1e-4), pytest.approx(0.9916, abs=1e-4))
-
-
-def test_samplers_have_colours_of_their_own_and_planners_panels():
-    arms = {arm.name: arm for arm in table(["way", "flow"], 1.0)}
-    shown = looks(list(arms.values()))
-    way, flow, uniform = (shown[f"RRT, {name}"] for name in ("way, 70 %", "flow, 70 %", "uniform"))
-    assert len({way[0], flow[0], uniform[0]}) == 3
-    assert way[0] == shown["PRM, way, 100 %"][0]
-    assert way[1] != shown["RRT, way, 100 %"][1]
-    assert panel_of(arms["RRT-Connect, uniform"]) == panel_of(arms["own RRT-Connect, way, 70 %"])
-    assert (
-        panel_of(arms["BIT*, uniform"]) == panel_of(arms["RRT*, uniform"]) != panel_of(arms["RRT, uniform"])
-    )
-
-
-def test_a_page_shows_uniform_rrt_beside_each_sampler():
-    names = [arm.name for arm in page_arms(table(["a", "b", "c", "d"], 1.0))]
-    assert names == ["RRT, uniform", "RRT, a, 70 %", "RRT, b, 70 %", "RRT, c, 70 %"]
 
 
 def test_the_papers_report_has_its_columns_and_success_against_the_samples_asked_for(results):

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from cspace.bundle import Bundle
 from cspace.errors import ConfigError, SamplerError
 from cspace.png import encode_png
 from cspace.query import SampleQuery
@@ -25,6 +24,7 @@ from tests.bundles import picture, write_tiny_bundle
 
 NAMES = ("RRT, way, 70 %", "RRT, way, 100 %", "PRM, way, 100 %", "RRT*, way, 70 %, optimising")
 ARMS = pick(table(["way"], 1.0), NAMES)
+PLAIN, OPTIMISING = (pick(table(["way"], 1.0), [NAMES[place]]) for place in (0, 3))
 
 
 @pytest.fixture(scope="module")
@@ -66,12 +66,17 @@ def run(arms, family, setting, spec, sources, index=0):
     return {one["arm"]: SimpleNamespace(**one) for one in found}
 
 
-def test_every_arm_solves_the_same_problem_with_the_same_seed(setting, spec, sources):
-    found = run(ARMS, Family.NARROW, setting, spec, sources)
-    assert set(found) == {arm.name for arm in ARMS}
-    assert len({one.seed for one in found.values()}) == 1
-    assert all(one.solved for one in found.values())
-    for one in found.values():
+@pytest.fixture(scope="module")
+def narrow(setting, spec, sources):
+    """A run of every arm on a narrow problem."""
+    return run(ARMS, Family.NARROW, setting, spec, sources)
+
+
+def test_every_arm_solves_the_same_problem_with_the_same_seed(narrow):
+    assert set(narrow) == {arm.name for arm in ARMS}
+    assert len({one.seed for one in narrow.values()}) == 1
+    assert all(one.solved for one in narrow.values())
+    for one in narrow.values():
         assert one.total_s == one.request_s + one.solve_s
         assert one.check_s + one.plan_s == pytest.approx(one.solve_s)
         assert one.check_s == one.state_checks * one.state_check_s > 0.0
@@ -80,13 +85,12 @@ def test_every_arm_solves_the_same_problem_with_the_same_seed(setting, spec, sou
         assert (one.samples_got, one.samples_asked) == ((300, 300) if learned else (0, 0))
 
 
-def test_a_request_is_split_and_one_in_this_process_has_no_transport(setting, spec, sources):
-    found = run(ARMS, Family.NARROW, setting, spec, sources)
-    one = found["RRT, way, 70 %"]
+def test_a_request_is_split_and_one_in_this_process_has_no_transport(narrow):
+    one = narrow["RRT, way, 70 %"]
     assert min(one.decode_s, one.encode_s, one.generate_s) > 0.0
     assert one.decode_s + one.encode_s + one.generate_s <= one.server_s
     assert (one.transport_s, one.request_s) == (0.0, one.server_s)
-    assert found["RRT, uniform"].request_s == 0.0
+    assert narrow["RRT, uniform"].request_s == 0.0
 
 
 def test_arms_that_ask_for_the_same_share_a_request(setting, spec, sources):
@@ -98,19 +102,18 @@ def test_arms_that_ask_for_the_same_share_a_request(setting, spec, sources):
     assert len({one.request_s for one in plain}) == 1
 
 
-def test_an_optimising_run_tells_how_the_length_fell(setting, spec, sources):
-    one = run(ARMS, Family.NARROW, setting, spec, sources)["RRT*, way, 70 %, optimising"]
+def test_an_optimising_run_tells_how_the_length_fell_and_others_end_with_their_first_solution(
+    narrow, setting
+):
+    one = narrow["RRT*, way, 70 %, optimising"]
     assert one.iterations == setting.optimising_iterations
     assert len(one.cost_s) == len(one.cost_iterations) == len(one.cost_edge_checks) >= 2
     assert one.cost_length_rad == sorted(one.cost_length_rad, reverse=True)
     assert (one.first_length_rad, one.first_iterations) == (one.cost_length_rad[0], one.cost_iterations[0])
     assert one.length_rad <= one.first_length_rad + 1e-9
-
-
-def test_the_first_solution_of_other_runs_is_their_end(setting, spec, sources):
-    one = run(ARMS, Family.NARROW, setting, spec, sources)["RRT, uniform"]
-    assert (one.first_iterations, one.first_length_rad) == (one.iterations, one.length_rad)
-    assert one.cost_s == []
+    other = narrow["RRT, uniform"]
+    assert (other.first_iterations, other.first_length_rad) == (other.iterations, other.length_rad)
+    assert other.cost_s == []
 
 
 def test_where_there_is_no_path_nothing_succeeds_and_the_limit_ends_it(setting, spec, sources):
@@ -127,34 +130,46 @@ def test_a_path_that_the_independent_check_refuses_is_no_success(setting, spec, 
     monkeypatch.setattr(
         "services.evaluator.benchmark.samples.judge_path", lambda *given: Reason.REJECTED, raising=True
     )
-    for one in run(ARMS, Family.UNIFORM, setting, spec, sources).values():
+    for one in run(PLAIN + OPTIMISING, Family.UNIFORM, setting, spec, sources).values():
         assert (one.solved, one.length_rad, one.cost_s) == (False, None, [])
         assert one.reason == Reason.REJECTED
 
 
 def test_another_model_than_the_one_that_was_named_is_an_error(setting, spec, sources):
     with pytest.raises(SamplerError, match="another model answers for way"):
-        run(ARMS, Family.UNIFORM, setting, replace(spec, digest="0" * 64), sources)
+        run(PLAIN, Family.UNIFORM, setting, replace(spec, digest="0" * 64), sources)
 
 
-def test_perturbed_samples_are_mixed_unless_the_papers_order_is_wanted(setting, spec, sources):
+@pytest.fixture
+def drawn(setting, sources):
+    """40 samples for a problem in the order in which the planner of an arm draws them, and as they came."""
     by_name = {arm.name: arm for arm in table(["way"], 1.0)}
     problem = known_problem(setting.world, Family.UNIFORM, setting.split, 0, 0)
     ends = {"start": problem.start.tolist(), "goal": problem.goal.tolist()}
-    batch = sources["way"].sample(
-        encode_png(np.full((48, 48, 3), 255, np.uint8)),
-        40,
-        seed=3,
-        epsilon_sigma=(0.0, 1.0),
-        min_confidence=0.0,
-        **ends,
-    )
-    in_order = drawn_samples(by_name["RRT, way, schedule in order"], batch, problem)
-    shuffled = drawn_samples(by_name["RRT, way, schedule"], batch, problem)
-    assert np.array_equal(in_order, batch.samples)
-    assert not np.array_equal(shuffled, batch.samples)
-    assert np.array_equal(shuffled, drawn_samples(by_name["RRT, way, schedule"], batch, problem))
-    assert np.array_equal(np.sort(shuffled, axis=0), np.sort(batch.samples, axis=0))
+    white = encode_png(np.full((48, 48, 3), 255, np.uint8))
+
+    def of(name, **how):
+        batch = sources["way"].sample(white, 40, seed=3, min_confidence=0.0, **ends, **how)
+        return drawn_samples(by_name[name], batch, problem), batch.samples, problem
+
+    return of
+
+
+def test_perturbed_samples_are_mixed_unless_the_papers_order_is_wanted(drawn):
+    sigma = {"epsilon_sigma": (0.0, 1.0)}
+    in_order, samples, _ = drawn("RRT, way, schedule in order", **sigma)
+    assert np.array_equal(in_order, samples)
+    shuffled, _, _ = drawn("RRT, way, schedule", **sigma)
+    assert not np.array_equal(shuffled, samples)
+    assert np.array_equal(shuffled, drawn("RRT, way, schedule", **sigma)[0])
+    assert np.array_equal(np.sort(shuffled, axis=0), np.sort(samples, axis=0))
+
+
+def test_ordered_samples_are_the_same_ones_along_the_way(drawn):
+    ordered, samples, problem = drawn("RRT, way, 70 %, ordered")
+    order = order_along(samples, problem.start, problem.goal, problem.scenario.robot.space)
+    assert np.array_equal(ordered, samples[order])
+    assert not np.array_equal(ordered, samples)
 
 
 def test_checked_arms_take_all_that_others_take_and_count_what_they_check(setting, tmp_path):
@@ -171,24 +186,11 @@ def test_checked_arms_take_all_that_others_take_and_count_what_they_check(settin
     assert checked.iterations == plain.iterations == 400
 
 
-def test_ordered_samples_are_the_same_ones_along_the_way(setting, spec, sources):
-    by_name = {arm.name: arm for arm in table(["way"], 1.0)}
-    problem = known_problem(setting.world, Family.UNIFORM, setting.split, 0, 0)
-    ends = {"start": problem.start.tolist(), "goal": problem.goal.tolist()}
-    batch = sources["way"].sample(
-        encode_png(np.full((48, 48, 3), 255, np.uint8)), 40, seed=3, min_confidence=0.0, **ends
-    )
-    ordered = drawn_samples(by_name["RRT, way, 70 %, ordered"], batch, problem)
-    order = order_along(batch.samples, problem.start, problem.goal, problem.scenario.robot.space)
-    assert np.array_equal(ordered, batch.samples[order])
-    assert not np.array_equal(ordered, batch.samples)
-
-
 def test_a_model_of_configurations_is_asked_without_start_and_goal(setting, tmp_path):
     plain = bundled("way", write_tiny_bundle(tmp_path / "bundle"))
     assert not plain.with_ends
     with opened([plain], default_world()) as found:
-        one = run(ARMS, Family.UNIFORM, setting, plain, found)["RRT, way, 70 %"]
+        one = run(PLAIN, Family.UNIFORM, setting, plain, found)["RRT, way, 70 %"]
     assert one.samples_got == 300
 
 
@@ -236,8 +238,3 @@ def test_a_sampler_is_named_or_names_itself(text, expected):
 def test_a_sampler_without_a_proper_name_is_refused(text):
     with pytest.raises(ConfigError, match="no proper name"):
         parse_named(text)
-
-
-def test_the_digest_is_that_of_the_bundle(spec, path_folder):
-    assert spec.digest == Bundle.load(path_folder).digest
-    assert spec.with_ends

@@ -56,17 +56,10 @@ def test_a_first_version_that_beats_uniform_and_covers_is_promoted():
     assert any("no earlier champion" in reason for reason in verdict.reasons)
 
 
-@pytest.mark.parametrize("low", [0.0, -0.01])
-def test_a_gain_whose_interval_touches_zero_is_not_enough(low):
-    verdict = judge(candidate(gain_low=low), Bar(), PLANAR)
+def test_a_gain_whose_interval_touches_zero_is_not_enough():
+    verdict = judge(candidate(gain_low=0.0), Bar(), PLANAR)
     assert not verdict.promoted
     assert any("does not beat uniform beyond the interval" in reason for reason in verdict.reasons)
-
-
-def test_a_precise_sampler_that_has_collapsed_is_refused():
-    verdict = judge(candidate(precision=0.99, coverage=0.012), Bar(), PLANAR)
-    assert not verdict.promoted
-    assert "coverage 0.012 is less than 0.80 of the 0.980 of real samples" in verdict.reasons
 
 
 @pytest.mark.parametrize(
@@ -80,7 +73,10 @@ def test_a_precise_sampler_that_has_collapsed_is_refused():
     ],
 )
 def test_coverage_is_held_against_what_real_samples_reach(coverage, real, held):
-    assert judge(candidate(coverage=coverage, real_coverage=real), Bar(), PLANAR).promoted is held
+    verdict = judge(candidate(coverage=coverage, real_coverage=real), Bar(), PLANAR)
+    assert verdict.promoted is held
+    words = "at least" if held else "less than"
+    assert f"coverage {coverage:.3f} is {words} 0.80 of the {real:.3f} of real samples" in verdict.reasons
 
 
 def test_a_version_that_is_worse_than_a_rival_in_nothing_and_better_in_one_is_promoted():
@@ -109,29 +105,23 @@ def test_every_rival_has_to_be_passed():
     )
 
 
-def test_a_version_that_is_only_as_good_is_told_so_and_one_that_is_worse_alone_is_not():
-    verdict = judge(candidate(), Bar((beside(SAME),)), PLANAR)
-    (reason,) = (reason for reason in verdict.reasons if "the shipped model" in reason)
-    assert reason == (
-        "only as good as the shipped model: worse in nothing, better in nothing beyond the interval; "
-        "a version has to be better in one measure"
-    )
+def test_a_version_that_is_worse_and_better_in_nothing_is_not_called_as_good():
     refused = judge(candidate(), Bar((beside(SAME, WORSE),)), PLANAR)
     assert not any("as good as" in reason for reason in refused.reasons)
     assert "better than the shipped model beyond the interval: in nothing" in refused.reasons
 
 
 def test_the_notes_are_among_the_reasons_and_decide_nothing():
-    verdict = judge(
-        candidate(), Bar(notes=("not compared with the shipped model, as was asked for",)), PLANAR
-    )
+    verdict = judge(candidate(), Bar(notes=("not compared with anybody",)), PLANAR)
     assert verdict.promoted
-    assert "not compared with the shipped model, as was asked for" in verdict.reasons
+    assert "not compared with anybody" in verdict.reasons
 
 
 def test_a_version_within_the_margins_of_recorded_metrics_is_promoted():
     verdict = judge(candidate(precision=0.845, edr=0.29), recorded(champion()), PLANAR)
     assert verdict.promoted
+    # A smaller energy distance is better.
+    assert judge(candidate(edr=0.01), recorded(champion()), PLANAR).promoted
     assert verdict.bar.against == 3
     assert (
         "precision 0.845 is within the margin of 0.020 of the 0.860 recorded of version 3" in verdict.reasons
@@ -148,10 +138,6 @@ def test_a_version_worse_on_one_gated_metric_is_refused_with_the_numbers(metric,
     worse = [reason for reason in verdict.reasons if "is worse than" in reason]
     assert len(worse) == 1
     assert worse[0].startswith(f"{metric} {value:.3f}")
-
-
-def test_a_smaller_energy_distance_is_better():
-    assert judge(candidate(edr=0.01), recorded(champion()), PLANAR).promoted
 
 
 def test_many_small_steps_down_do_not_add_up():

@@ -12,19 +12,19 @@ from services.names import ALIAS_CHAMPION, MODEL_NAME
 from tests.fakes.registry import FakeRegistry, FakeTracking
 from tests.worsened import copy_of_shipped
 
-FEW = Budget(16, 300, 0, 0, 1, 0, 1)
+FEW, FEWER = Budget(16, 300, 0, 0, 1, 0, 1), Budget(6, 200, 0, 0, 1, 0, 1)
 
 
 @pytest.fixture
-def judged(tmp_path):
+def judged(tmp_path, verified_here):
     """Registers a bundle as a model's next version and evaluates it; the outcome."""
     tracking = FakeTracking()
     registry = FakeRegistry(tmp_path / "registry", tracking.runs)
 
-    def judge(bundle, *, shipped=PRETRAINED_FOLDER, lines=None):
+    def judge(bundle, *, shipped=PRETRAINED_FOLDER, lines=None, budget=FEW):
         run_id = tracking.start(MODEL_NAME, "cluster-train").run_id
         version = registry.register(MODEL_NAME, bundle.folder, run_id, bundle.digest, {})
-        request = replace(make_request(str(version), shipped=shipped), budget=FEW)
+        request = replace(make_request(str(version), shipped=shipped), budget=budget)
         told = [] if lines is None else lines
         outcome = evaluate_version(request, tracking, registry, progress=told.append)
         if outcome.verdict.promoted:
@@ -61,13 +61,13 @@ def test_noise_is_found_in_what_is_drawn_although_the_head_hides_it_from_what_is
 
 
 def test_the_option_leaves_the_shipped_model_out_and_the_reasons_say_so(judged, tmp_path):
-    outcome = judged(copy_of_shipped(tmp_path / "bundle", noise=0.1), shipped=None)
+    outcome = judged(copy_of_shipped(tmp_path / "bundle", noise=0.1), shipped=None, budget=FEWER)
     assert outcome.verdict.promoted
     assert "not compared with the shipped model, as was asked for" in outcome.verdict.reasons
 
 
 def test_the_shipped_model_itself_is_promoted_as_ever(judged):
-    outcome = judged(Bundle.load(PRETRAINED_FOLDER))
+    outcome = judged(Bundle.load(PRETRAINED_FOLDER), budget=FEWER)
     assert outcome.verdict.promoted
     assert "the shipped model, is this very bundle" in outcome.verdict.reasons
 

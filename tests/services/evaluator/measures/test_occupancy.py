@@ -20,7 +20,7 @@ from services.evaluator.measures.sample_quality import summarise
 from services.evaluator.measures.scenes import Scene, ScoredBundleSampler, Stage, bundle_sampler, reconstruct
 from services.planner.samples import BundleSampler
 from tests.bundles import tiny_graphs, tiny_spec, write_tiny_bundle
-from tests.fakes.uniform_sampler import UniformSampler
+from tests.fakes.uniform_sampler import ScoredSampler
 
 DISCONNECTED = Family.DISCONNECTED
 STAGE = Stage(PlanarWorld(TWO_LINK, Camera()), Split.VALIDATION, 5)
@@ -62,30 +62,14 @@ def test_no_scenarios_are_an_error():
         summarise_occupancy([], np.random.default_rng(0))
 
 
-class Oracle(UniformSampler):
-    """Uniform samples, scored by the exact checker of the one scene that it knows."""
-
-    threshold = 0.5
-
-    def __init__(self, scene):
-        super().__init__(TWO_LINK.space)
-        self.checker = CollisionChecker(scene.scenario)
-
-    def score(self, image, configurations):
-        return self.checker.valid_batch(configurations).astype(np.float32)
-
-    def answer(self, picture, query, model=None):
-        if not query.min_confidence:
-            return super().answer(picture, query)
-        batch = super().answer(picture, dataclasses.replace(query, n=4 * query.n))
-        good = self.score(picture, batch.samples) >= query.min_confidence
-        samples = batch.samples[good][: query.n]
-        return dataclasses.replace(batch, samples=samples, acceptance=float(good.mean()))
+def oracle(scene, threshold=0.5):
+    """Uniform samples, scored by the exact checker of the scene."""
+    return ScoredSampler(TWO_LINK.space, CollisionChecker(scene.scenario).valid_batch, threshold)
 
 
 def test_confident_samples_are_as_many_and_all_pass():
     scene = Scene(STAGE, 0)
-    quality = reconstruct(scene, Oracle(scene), 400)
+    quality = reconstruct(scene, oracle(scene), 400)
     assert quality.confident.precision == 1.0
     assert quality.sampler.precision < 0.95
     assert quality.confident.coverage > 0.8
@@ -95,9 +79,7 @@ def test_confident_samples_are_as_many_and_all_pass():
 
 def test_a_head_that_lets_nothing_pass_is_judged_without_its_samples():
     scene = Scene(STAGE, 0)
-    oracle = Oracle(scene)
-    oracle.threshold = 1.5
-    quality = reconstruct(scene, oracle, 50)
+    quality = reconstruct(scene, oracle(scene, 1.5), 50)
     assert quality.confident is None
     assert (quality.occupancy.acceptance, quality.occupancy.accuracy) == (0.0, 1.0)
     summary = summarise([quality], np.random.default_rng(0))

@@ -18,7 +18,7 @@ from services.evaluator.measures.planning import (
 )
 from services.planner.result import PlanResult
 from services.planner.settings import PlannerSettings
-from tests.fakes.uniform_sampler import UniformSampler
+from tests.fakes.uniform_sampler import ScoredSampler, UniformSampler
 
 # One disc on the y axis: turning the first joint through a quarter circle collides, through the others it
 # does not.
@@ -64,51 +64,48 @@ def trial(uniform, learned, family=Family.UNIFORM, index=0):
     return PlanningTrial(family, index, 1, uniform, learned, 0.002)
 
 
-def judged(path, goal=GOAL, *, resolution_rad=0.05):
-    def solver(asked, settings, samples, uniform_share):
-        return result(path)
+def planned_by(found, *, sampler=None, settings=SETTINGS, goal=GOAL):
+    """A trial whose planner gives this result, and what it was asked."""
+    asked = []
 
-    settings = replace(SETTINGS, resolution_rad=resolution_rad)
-    return plan_trial(problem(goal=goal), 0, 1, UniformSampler(TWO_LINK.space), settings, solver).learned
+    def solver(*given):
+        asked.append(given)
+        return found
+
+    sampler = sampler or UniformSampler(TWO_LINK.space)
+    return plan_trial(problem(goal=goal), 3, 77, sampler, settings, solver), asked
 
 
-def test_a_free_path_from_start_to_goal_is_a_success():
-    assert judged([START, GOAL]).success
-    assert judged([START, GOAL + np.array([9e-7, 0.0])]).success
+def at(first, second):
+    return np.array([first, second])
+
+
+# Both ends are free and lie 0.9 rad apart, with a collision half way.
+THROUGH = at(np.pi, 0.0)
 
 
 @pytest.mark.parametrize(
-    "path",
+    ("path", "goal", "success"),
     [
-        [START, GOAL + np.array([2e-6, 0.0])],
-        [START + 0.1, GOAL],
-        [START],
-        [START, np.array([3.0, 0.0]), GOAL],
+        ([START, GOAL], GOAL, True),
+        ([START, GOAL + at(9e-7, 0.0)], GOAL, True),
+        ([START, GOAL + at(2e-6, 0.0)], GOAL, False),
+        ([START + 0.1, GOAL], GOAL, False),
+        ([START], GOAL, False),
+        ([START, at(3.0, 0.0), GOAL], GOAL, False),
+        ([START, THROUGH / 2 - at(0.8, 0.0), THROUGH], THROUGH, False),
     ],
 )
-def test_a_path_that_misses_an_end_or_an_obstacle_s_edge_is_none(path):
-    outcome = judged(path)
-    assert not outcome.success
-    assert outcome.length_rad is None
-    assert outcome.reason != "solved"
-
-
-def test_the_check_is_finer_than_the_planner_s():
-    # Both ends are free and lie 0.9 rad apart, with a collision half way.
-    through = np.array([np.pi, 0.0])
-    assert not judged(
-        [START, through / 2 - np.array([0.8, 0.0]), through], through, resolution_rad=3.0
-    ).success
+def test_a_path_is_a_success_that_meets_both_ends_and_no_obstacle_by_a_finer_check(path, goal, success):
+    # The planner's own resolution is coarse where the obstacle lies between two states.
+    settings = replace(SETTINGS, resolution_rad=3.0 if goal is THROUGH else 0.05)
+    found = planned_by(result(path), settings=settings, goal=goal)[0].learned
+    assert (found.success, found.reason == "solved") == (success, success)
+    assert (found.length_rad is None) is not success
 
 
 def test_both_runs_share_problem_and_seed_and_only_one_gets_samples():
-    calls = []
-
-    def solver(asked, settings, samples, uniform_share):
-        calls.append((asked, settings, samples, uniform_share))
-        return result([START, GOAL])
-
-    measured = plan_trial(problem(), 3, 77, UniformSampler(TWO_LINK.space), SETTINGS, solver)
+    measured, calls = planned_by(result([START, GOAL]))
     assert [call[1].seed for call in calls] == [77, 77]
     assert calls[0][2] is None
     assert calls[1][2].shape == (300, 2)
@@ -118,10 +115,7 @@ def test_both_runs_share_problem_and_seed_and_only_one_gets_samples():
 
 
 def test_an_unsolved_run_keeps_the_planner_s_reason():
-    def solver(asked, settings, samples, uniform_share):
-        return result([], solved=False, reason="iteration limit")
-
-    measured = plan_trial(problem(), 0, 1, UniformSampler(TWO_LINK.space), SETTINGS, solver)
+    measured, _ = planned_by(result([], solved=False, reason="iteration limit"))
     assert not measured.uniform.success
     assert measured.uniform.reason == "iteration limit"
 
@@ -167,48 +161,21 @@ def test_the_success_rate_is_of_the_learned_samples():
     assert success_rate(trials[:1]).estimate == 1.0
 
 
-class Scored(UniformSampler):
+def scored(threshold):
     """Uniform samples of which those with a negative first joint pass."""
-
-    threshold = 0.5
-
-    def score(self, image, configurations):
-        return (configurations[:, 0] < 0.0).astype(np.float32)
-
-    def answer(self, picture, query, model=None):
-        if not query.min_confidence:
-            return super().answer(picture, query)
-        batch = super().answer(picture, replace(query, n=4 * query.n))
-        good = self.score(picture, batch.samples) >= query.min_confidence
-        return replace(batch, samples=batch.samples[good][: query.n])
+    return ScoredSampler(TWO_LINK.space, lambda q: q[:, 0] < 0.0, threshold)
 
 
 def test_a_validity_head_adds_a_run_with_as_many_samples_that_pass_it():
-    asked = []
-
-    def solver(problem, settings, samples, uniform_share):
-        asked.append(samples)
-        return result([START, GOAL])
-
-    found = plan_trial(problem(), 0, 1, Scored(TWO_LINK.space), SETTINGS, solver)
+    found, asked = planned_by(result([START, GOAL]), sampler=scored(0.5))
     assert found.confident.success
-    uniform, learned, confident = asked
+    uniform, learned, confident = (call[2] for call in asked)
     assert uniform is None
     assert learned.shape == confident.shape == (300, 2)
     assert (learned[:, 0] > 0.0).any()
     assert (confident[:, 0] < 0.0).all()
-
-
-class Doubting(Scored):
-    """Nothing passes."""
-
-    threshold = 2.0
-
-
-def test_a_head_that_lets_too_few_pass_adds_no_run():
-    sampler = Doubting(TWO_LINK.space)
-    found = plan_trial(problem(), 0, 1, sampler, SETTINGS, lambda *_: result([START, GOAL]))
-    assert found.confident is None
+    # Where too few pass there is none.
+    assert planned_by(result([START, GOAL]), sampler=scored(2.0))[0].confident is None
 
 
 def test_the_filter_s_factor_is_below_one_where_it_costs_work():

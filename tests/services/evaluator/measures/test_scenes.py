@@ -6,13 +6,11 @@ import pytest
 from cspace.errors import EvaluationError
 from cspace.simulator import Split
 from cspace.worlds import simulator_of
-from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK
+from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK, PlanarArm
 from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.problems import Family, draw_problem
 from cspace.worlds.planar.world import Disc, PlanarWorld, Scenario, random_scenarios
 from services.evaluator.measures.scenes import (
-    CONFIDENT_STREAM,
-    FAMILY_STREAM,
     Scene,
     Stage,
     measure_reconstruction,
@@ -44,13 +42,6 @@ def test_scenes_of_a_family_are_those_of_its_problems_seen_by_the_evaluation_s_c
     assert Scene(STAGE, 1, family, expected).problem is expected
 
 
-def test_families_have_streams_of_their_own():
-    scenes = [Scene(STAGE, 1, family) for family in simulator_of(STAGE.world).families.names]
-    numbers = {scene.rng(stream).random() for scene in scenes for stream in range(5)}
-    assert len(numbers) == 15
-    assert FAMILY_STREAM + 1 > 10 + CONFIDENT_STREAM
-
-
 def test_the_quality_names_its_family():
     drawn = draw_problem(Family.DISCONNECTED, Split.VALIDATION, 5, 2)
     quality = reconstruct(Scene(STAGE, 2, Family.DISCONNECTED, drawn), UniformSampler(TWO_LINK.space), 50)
@@ -58,16 +49,12 @@ def test_the_quality_names_its_family():
     assert reconstruct(Scene(STAGE, 2), UniformSampler(TWO_LINK.space), 50).family == Family.UNIFORM
 
 
-def test_the_picture_has_the_camera_s_size():
-    scene = Scene(Stage(PlanarWorld(TWO_LINK, Camera(pixels=32)), Split.TEST, 0), 0)
-    assert scene.image.shape == (32, 32, 3)
-
-
-def test_streams_are_reproducible_and_differ_from_each_other_and_from_the_scenario_s():
+def test_streams_are_reproducible_and_differ_by_number_family_and_scene():
     scene = Scene(STAGE, 1)
-    first, again, other = (scene.rng(stream).random() for stream in (0, 0, 1))
+    first, again = (scene.rng(0).random() for _ in range(2))
     assert first == again
-    assert len({first, other, scene._scenario_rng().random()}) == 3
+    scenes = [Scene(STAGE, 1, family) for family in simulator_of(STAGE.world).families.names]
+    assert len({one.rng(stream).random() for one in scenes for stream in range(5)}) == 15
     assert scene.sampler_seed(0) != scene.sampler_seed(1) != Scene(STAGE, 2).sampler_seed(1)
 
 
@@ -90,13 +77,16 @@ def test_a_scene_without_free_space_is_an_error():
         scene.free(10, scene.rng(0))
 
 
-@pytest.mark.parametrize("robot", [TWO_LINK, THREE_LINK])
-def test_uniform_samples_score_as_uniform_and_real_ones_as_real(robot):
+WIDE = PlanarArm(joint_limits_rad=((-7.0, 7.0), (-4.0, 1.0)))
+
+
+@pytest.mark.parametrize(("robot", "share"), [(TWO_LINK, 0.3), (THREE_LINK, 0.3), (WIDE, 1.0)])
+def test_uniform_samples_score_as_uniform_and_real_ones_as_real(robot, share):
     scene = Scene(Stage(PlanarWorld(robot, Camera()), Split.VALIDATION, 5), 0)
-    quality = reconstruct(scene, UniformSampler(robot.space), samples=400)
+    quality = reconstruct(scene, UniformSampler(robot.space), samples=300)
     assert quality.real.precision == 1.0
     assert quality.sampler.precision == pytest.approx(quality.uniform.precision, abs=0.1)
-    assert abs(quality.real.energy) < 0.3 * quality.uniform.energy
+    assert abs(quality.real.energy) < share * quality.uniform.energy
 
 
 def test_a_sampler_that_repeats_one_free_configuration_is_precise_and_covers_nothing():
@@ -107,11 +97,6 @@ def test_a_sampler_that_repeats_one_free_configuration_is_precise_and_covers_not
     assert quality.sampler.coverage < 0.05
     assert (quality.sampler.knn_precision, quality.sampler.knn_recall) == (1.0, 0.0)
     assert quality.sampler.energy > quality.uniform.energy
-
-
-def test_the_same_scene_gives_the_same_quality():
-    sampler = UniformSampler(TWO_LINK.space)
-    assert reconstruct(Scene(STAGE, 3), sampler, 200) == reconstruct(Scene(STAGE, 3), sampler, 200)
 
 
 def test_a_sampler_is_measured_over_scenarios_with_intervals():
