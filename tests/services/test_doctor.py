@@ -30,19 +30,16 @@ def test_a_right_view_ends_with_0_and_notes(tmp_path, capsys):
     assert told.startswith("nothing wrong was found\nnote: picture 0")
 
 
-def test_a_mistake_ends_with_3_a_remedy_and_a_pose(tmp_path, capsys):
-    assert main([file_of(tmp_path, shifted())]) == 3
+def test_a_mistake_ends_with_3_a_remedy_a_pose_and_a_picture(tmp_path, capsys):
+    wrong = file_of(tmp_path, shifted())
+    assert main([wrong]) == 3
     told = capsys.readouterr().out
     assert told.startswith("extrinsics (picture 0): the arm is seen ")
     assert "do: calibrate again or take the suggested pose" in told
-    assert main([file_of(tmp_path, shifted()), "--json"]) == 3
+    assert main([wrong, "--json", "--picture", str(tmp_path / "seen.png")]) == 3
     found = json.loads(capsys.readouterr().out)
     assert [one["code"] for one in found["findings"]] == ["extrinsics"]
     assert np.linalg.norm(np.array(found["poses"][0]["pose"])[:3, 3] - CAMERA.matrix[:3, 3]) < 0.01
-
-
-def test_the_picture_is_written(tmp_path):
-    assert main([file_of(tmp_path, shifted()), "--picture", str(tmp_path / "seen.png")]) == 3
     assert (tmp_path / "seen.png").read_bytes().startswith(b"\x89PNG")
 
 

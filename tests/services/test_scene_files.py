@@ -229,12 +229,6 @@ def test_the_default_robot_s_model_is_left_to_the_api(write):
     assert SampleRequest(SampleQuery(3, 0)).for_scene(scene).model is None
 
 
-def test_three_lines_of_python_plan_in_a_file(write):
-    plan = plan_scene(write(WHOLE), "http://127.0.0.1:1")
-    assert plan.result.solved
-    assert plan.unavailable is not None
-
-
 def test_an_end_that_rounding_moved_beyond_a_limit_is_taken_as_the_limit(write):
     found = read_scene_file(write(WHOLE.replace("start: [0, 0.4]", "start: [0, 2.5000000001]")))
     assert found.start.tolist() == [0.0, 2.5]

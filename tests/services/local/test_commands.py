@@ -1,45 +1,18 @@
 import socket
-from pathlib import Path
 
 import pytest
 
-from cspace.errors import (
-    ConfigError,
-    CspaceError,
-    JobError,
-    PortTakenError,
-    ServiceError,
-    ServiceStartError,
-)
+from cspace.errors import ConfigError, CspaceError, JobError, PortTakenError
 from services.local.__main__ import exit_code, main
 from services.local.commands import COMMANDS
-from services.local.processes import free_ports
 from services.local.settings import Settings
 
-
-@pytest.fixture(autouse=True)
-def own_settings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A state folder and ports that nobody else uses."""
-    ports = free_ports(3)
-    for name, value in zip(("API", "RAY", "MLFLOW"), ports, strict=True):
-        monkeypatch.setenv(f"CSPACE_{name}_PORT", str(value))
-    monkeypatch.setenv("CSPACE_HOME", str(tmp_path / "state"))
-    # main() excepts loopback from proxies for its process; the test's own environment gets it back.
-    for name in ("NO_PROXY", "no_proxy"):
-        monkeypatch.setenv(name, "")
-    return tmp_path / "state"
+pytestmark = pytest.mark.usefixtures("own_settings")
 
 
 @pytest.mark.parametrize(
     ("error", "code"),
-    [
-        (CspaceError("x"), 1),
-        (JobError("x"), 1),
-        (ServiceError("x"), 1),
-        (ServiceStartError("x"), 1),
-        (ConfigError("x"), 2),
-        (PortTakenError("x"), 3),
-    ],
+    [(CspaceError("x"), 1), (JobError("x"), 1), (ConfigError("x"), 2), (PortTakenError("x"), 3)],
 )
 def test_every_error_has_its_documented_exit_code(error: CspaceError, code: int) -> None:
     assert exit_code(error) == code
@@ -81,11 +54,11 @@ def test_up_on_a_port_of_a_stranger_ends_with_3_and_names_the_setting(
 
 
 def test_status_of_nothing_ends_with_4_and_makes_no_folder(
-    own_settings: Path, capsys: pytest.CaptureFixture[str]
+    own_settings: Settings, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["status"]) == 4
     assert capsys.readouterr().out.count("not running") == 3
-    assert not own_settings.exists()
+    assert not own_settings.home.exists()
 
 
 def test_down_with_nothing_up_ends_with_0(capsys: pytest.CaptureFixture[str]) -> None:
@@ -101,53 +74,48 @@ def test_env_prints_exports_alone(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_clean_state_asks_somebody_or_wants_yes(
-    own_settings: Path, capsys: pytest.CaptureFixture[str]
+    own_settings: Settings, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    Settings.from_environment().make_folders()
+    own_settings.make_folders()
     assert main(["clean-state"]) == 2
-    assert own_settings.exists()
+    assert own_settings.home.exists()
     assert "--yes" in capsys.readouterr().err
     assert main(["clean-state", "--yes"]) == 0
-    assert not own_settings.exists()
-
-
-@pytest.mark.parametrize(("answer", "code", "kept"), [("y", 0, False), ("n", 1, True), ("", 1, True)])
-def test_clean_state_does_what_the_answer_says(
-    own_settings: Path, monkeypatch: pytest.MonkeyPatch, answer: str, code: int, kept: bool
-) -> None:
-    Settings.from_environment().make_folders()
-    monkeypatch.setattr("sys.stdin.isatty", lambda: True)
-    monkeypatch.setattr("builtins.input", lambda question: answer)
-    assert main(["clean-state"]) == code
-    assert own_settings.exists() == kept
-
-
-def test_clean_state_without_state_says_so(capsys: pytest.CaptureFixture[str]) -> None:
+    assert not own_settings.home.exists()
     assert main(["clean-state"]) == 0
     assert "there is no" in capsys.readouterr().out
 
 
-def test_clean_state_shows_what_goes_and_how_big_it_is(
-    own_settings: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(("answer", "code", "kept"), [("y", 0, False), ("n", 1, True), ("", 1, True)])
+def test_clean_state_shows_what_goes_and_does_what_the_answer_says(
+    own_settings: Settings,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    answer: str,
+    code: int,
+    kept: bool,
 ) -> None:
-    Settings.from_environment().make_folders()
-    (own_settings / "data" / "large.npy").write_bytes(bytes(12_000_000))
+    own_settings.make_folders()
+    (own_settings.data_folder / "deep").mkdir()
+    for name, size in (("large.npy", 9_000_000), ("deep/small.npy", 3_000_000)):
+        (own_settings.data_folder / name).write_bytes(bytes(size))
     monkeypatch.setattr("sys.stdin.isatty", lambda: True)
-    monkeypatch.setattr("builtins.input", lambda question: "n")
-    assert main(["clean-state"]) == 1
+    monkeypatch.setattr("builtins.input", lambda question: answer)
+    assert main(["clean-state"]) == code
+    assert own_settings.home.exists() == kept
     shown = capsys.readouterr().out
-    assert f"{own_settings / 'data'}" in shown
+    assert str(own_settings.data_folder) in shown
     assert "12 MB" in shown
 
 
 def test_a_folder_of_the_users_is_neither_used_nor_cleaned(
-    own_settings: Path, capsys: pytest.CaptureFixture[str]
+    own_settings: Settings, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    thesis = own_settings / "data" / "thesis.tex"
+    thesis = own_settings.data_folder / "thesis.tex"
     thesis.parent.mkdir(parents=True)
     thesis.write_text("years of work")
     for command in (["up"], ["clean-state", "--yes"]):
         assert main(command) == 2
         assert "is not a state folder of this project" in capsys.readouterr().err
-    assert [path.name for path in own_settings.iterdir()] == ["data"]
+    assert [path.name for path in own_settings.home.iterdir()] == ["data"]
     assert thesis.read_text() == "years of work"

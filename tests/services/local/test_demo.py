@@ -10,19 +10,8 @@ import pytest
 from services.local import commands
 from services.local.__main__ import main
 from services.local.commands import demo
-from services.local.processes import Service, free_ports
+from services.local.processes import Service
 from services.local.settings import Settings
-
-
-@pytest.fixture
-def settings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Settings:
-    """A state folder and ports that nobody else uses."""
-    for name, port in zip(("API", "RAY", "MLFLOW", "VIEWER"), free_ports(4), strict=True):
-        monkeypatch.setenv(f"CSPACE_{name}_PORT", str(port))
-    monkeypatch.setenv("CSPACE_HOME", str(tmp_path / "state"))
-    for name in ("NO_PROXY", "no_proxy"):
-        monkeypatch.setenv(name, "")
-    return Settings.from_environment()
 
 
 @pytest.fixture
@@ -48,35 +37,35 @@ def started(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     ],
 )
 def test_the_page_is_opened_where_there_is_a_screen_and_one_is_wanted(
-    settings: Settings, started: list[str], browser: bool, environment: dict[str, str], opens: bool
+    own_settings: Settings, started: list[str], browser: bool, environment: dict[str, str], opens: bool
 ) -> None:
     said: list[str] = []
     opened: list[str] = []
-    demo(settings, said.append, browser=browser, environment=environment, open_page=opened.append)
-    page = f"http://127.0.0.1:{settings.viewer_port}/"
+    demo(own_settings, said.append, browser=browser, environment=environment, open_page=opened.append)
+    page = f"http://127.0.0.1:{own_settings.viewer_port}/"
     assert started == ["api", "viewer"]
     assert page in said[-1]
     assert opened == ([page] if opens else [])
 
 
 @pytest.fixture
-def ended(settings: Settings) -> Iterator[None]:
+def ended(own_settings: Settings) -> Iterator[None]:
     yield
     assert main(["down"]) == 0
 
 
 @pytest.mark.e2e
 def test_the_page_and_its_first_samples_are_there_within_40_s(
-    settings: Settings, ended: None, capsys: pytest.CaptureFixture[str]
+    own_settings: Settings, ended: None, capsys: pytest.CaptureFixture[str]
 ) -> None:
     began = time.monotonic()
     assert main(["demo", "--no-browser"]) == 0
-    page = f"http://127.0.0.1:{settings.api_port}/"
+    page = f"http://127.0.0.1:{own_settings.api_port}/"
     assert page in capsys.readouterr().out
     assert httpx.get(page).status_code == 200
     assert httpx.get(f"{page}workbench/about").json()["truth"] is True
     picture = (Path(__file__).parents[3] / "docs" / "images" / "scenario.png").read_bytes()
     answer = httpx.post(f"{page}sample", files={"image": picture}, timeout=20)
     assert answer.json()["model"]["name"] == "pretrained"
-    assert "<html" in httpx.get(f"http://127.0.0.1:{settings.viewer_port}/").text
+    assert "<html" in httpx.get(f"http://127.0.0.1:{own_settings.viewer_port}/").text
     assert time.monotonic() - began < 40.0

@@ -33,11 +33,10 @@ def test_an_empty_setting_counts_as_not_set() -> None:
     assert read(CSPACE_HOME="", CSPACE_API_PORT="", CSPACE_RAY_CPUS="") == read()
 
 
-@pytest.mark.parametrize("name", ["CSPACE_API_PORT", "CSPACE_RAY_PORT", "CSPACE_MLFLOW_PORT"])
 @pytest.mark.parametrize("value", ["0", "65536", "-1", "8000.0", "http", "٨٠٠٠", "8 000"])
-def test_a_port_that_is_none_is_an_error_that_names_the_setting(name: str, value: str) -> None:
-    with pytest.raises(ConfigError, match=name) as raised:
-        read(**{name: value})
+def test_a_port_that_is_none_is_an_error_that_names_the_setting(value: str) -> None:
+    with pytest.raises(ConfigError, match="CSPACE_RAY_PORT") as raised:
+        read(CSPACE_RAY_PORT=value)
     assert "1 to 65535" in str(raised.value)
 
 

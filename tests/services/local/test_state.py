@@ -3,15 +3,7 @@ from pathlib import Path
 import pytest
 
 from cspace.errors import ConfigError, StorageError
-from services.local.settings import MARKER, Settings, drop_state, size_bytes, size_text
-
-
-def test_the_size_is_the_sum_over_all_files(tmp_path: Path) -> None:
-    (tmp_path / "sub").mkdir()
-    (tmp_path / "a").write_bytes(b"123")
-    (tmp_path / "sub" / "b").write_bytes(b"4567")
-    assert size_bytes(tmp_path) == 7
-    assert size_bytes(tmp_path / "absent") == 0
+from services.local.settings import MARKER, Settings, drop_state, size_text
 
 
 @pytest.mark.parametrize(

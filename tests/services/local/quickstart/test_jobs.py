@@ -1,7 +1,22 @@
+"""Jobs on a Ray head: what is shown while they run, their results, their pictures."""
+
+import json
+from pathlib import Path
+
+import httpx
 import pytest
 
-from cspace.errors import JobError
-from services.local.jobs import LAST_LINES, LOOKS, RayJobs, follow
+from cspace.errors import JobError, RegistryError
+from services.local.jobs import (
+    LAST_LINES,
+    LOOKS,
+    EvaluationResult,
+    RayJobs,
+    TrainingResult,
+    fetch_pictures,
+    follow,
+    last_result,
+)
 from services.local.processes import free_ports
 from services.local.settings import Settings
 from tests.fakes.jobs import FakeJobs
@@ -11,18 +26,20 @@ def no_pause(seconds: float) -> None:
     """The fake moves on by being looked at."""
 
 
-def test_lines_are_shown_once_as_they_come_and_never_in_halves() -> None:
-    jobs = FakeJobs(
-        [
-            ("PENDING", ""),
-            ("RUNNING", "one\ntw"),
-            ("RUNNING", "one\ntwo\nthree\n"),
-            ("SUCCEEDED", "one\ntwo\nthree\nfour"),
-        ]
-    )
+@pytest.mark.parametrize(
+    ("looks", "lines"),
+    [
+        (["", "one\ntw", "one\ntwo\nthree\n", "one\ntwo\nthree\nfour"], ["one", "two", "three", "four"]),
+        # Colours of workers are left out.
+        (["\x1b[36m(trial pid=1)", "\x1b[36m(trial pid=1)\x1b[0m step 1\n"], ["(trial pid=1) step 1"]),
+    ],
+)
+def test_lines_are_shown_once_as_they_come_and_never_in_halves(looks: list[str], lines: list[str]) -> None:
+    *before, last = looks
+    jobs = FakeJobs([*(("RUNNING", log) for log in before), ("SUCCEEDED", last)])
     shown: list[str] = []
-    assert follow(jobs, "job-1", shown.append, no_pause) == "one\ntwo\nthree\nfour"
-    assert shown == ["one", "two", "three", "four"]
+    assert follow(jobs, "job-1", shown.append, no_pause).splitlines() == lines
+    assert shown == lines
 
 
 def test_a_few_missed_questions_do_not_end_the_following() -> None:
@@ -35,15 +52,6 @@ def test_a_few_missed_questions_do_not_end_the_following() -> None:
 def test_a_head_that_is_gone_ends_the_following() -> None:
     with pytest.raises(JobError, match="misses"):
         follow(FakeJobs([("RUNNING", "")], misses=LOOKS), "job-1", lambda line: None, no_pause)
-
-
-def test_colours_of_workers_are_left_out() -> None:
-    shown: list[str] = []
-    jobs = FakeJobs(
-        [("RUNNING", "\x1b[36m(trial pid=1)"), ("SUCCEEDED", "\x1b[36m(trial pid=1)\x1b[0m step 1\n")]
-    )
-    assert follow(jobs, "job-1", shown.append, no_pause) == "(trial pid=1) step 1\n"
-    assert shown == ["(trial pid=1) step 1"]
 
 
 @pytest.mark.parametrize("state", ["FAILED", "STOPPED"])
@@ -63,3 +71,71 @@ def test_a_jobs_api_that_does_not_answer_is_a_job_error(settings: Settings) -> N
     jobs = RayJobs(Settings(settings.home, settings.root, ray_port=port))
     with pytest.raises(JobError, match="make status"):
         jobs.submit("true")
+
+
+TRAINING = {
+    "run_id": "r1",
+    "model": "cspace-sampler",
+    "version": 3,
+    "digest": "d1",
+    "data_digest": "d2",
+    "metrics": {"critic_loss": 0.5},
+    "figures": ["vae-losses"],
+}
+EVALUATION = {
+    "run_id": "r2",
+    "version": 3,
+    "promoted": True,
+    "reasons": ["beats uniform"],
+    "metrics": {"precision": 0.85},
+    "figures": ["gallery-test.png"],
+}
+
+
+def log(fields: object) -> str:
+    return f"working\nRESULT {json.dumps(fields)}\n"
+
+
+def test_the_last_result_of_a_training_names_its_version() -> None:
+    result = last_result(log(TRAINING | {"version": 2}) + "more\n" + log(TRAINING), TrainingResult)
+    assert result.reference == "cspace-sampler/3"
+    assert (result.run_id, result.digest, result.figures) == ("r1", "d1", ("vae-losses",))
+
+
+def test_an_evaluation_result_holds_verdict_and_reasons() -> None:
+    result = last_result(log(EVALUATION), EvaluationResult)
+    assert (result.promoted, result.reasons) == (True, ("beats uniform",))
+    assert result.metrics == {"precision": 0.85}
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("the RESULT {} comes later\nRESULTS {}\n", "no result"),
+        ("RESULT {", "the job's result"),
+        ("RESULT []", "the job's result"),
+        (log({name: value for name, value in EVALUATION.items() if name != "reasons"}), "reasons"),
+        (log(EVALUATION | {"promoted": "false"}), "promoted"),
+    ],
+)
+def test_what_is_no_result_is_an_error(text: str, words: str) -> None:
+    with pytest.raises(JobError, match=words):
+        last_result(text, EvaluationResult)
+
+
+def server(request: httpx.Request) -> httpx.Response:
+    known = request.url.path == "/get-artifact" and request.url.params["path"] == "figures/losses.png"
+    return httpx.Response(200, content=b"png") if known else httpx.Response(404)
+
+
+@pytest.mark.parametrize("name", ["losses", "losses.png", "../../losses.png"])
+def test_a_figure_is_copied_by_its_name_into_the_folder(tmp_path: Path, name: str) -> None:
+    folder = tmp_path / "figures"
+    found = fetch_pictures("http://mlflow", "r1", [name], folder, httpx.MockTransport(server))
+    assert found == [folder / "losses.png"]
+    assert found[0].read_bytes() == b"png"
+
+
+def test_a_figure_that_is_not_there_is_an_error_that_names_it(tmp_path: Path) -> None:
+    with pytest.raises(RegistryError, match=r"figures/other\.png of run r1"):
+        fetch_pictures("http://mlflow", "r1", ["other"], tmp_path, httpx.MockTransport(server))

@@ -21,22 +21,23 @@ from services.local.processes import (
 )
 
 StartPython = Callable[..., Record]
+FOREVER = "import time; time.sleep(300)"
 
-PARENT = """
+PARENT = f"""
 import subprocess, sys, time
-child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(300)"], start_new_session=True)
+child = subprocess.Popen([sys.executable, "-Sc", {FOREVER!r}], start_new_session=True)
 print(child.pid, flush=True)
 time.sleep(300)
 """
-CHILD = """
+CHILD = f"""
 import os, subprocess, sys, time
-grandchild = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(300)"], env={})
+grandchild = subprocess.Popen([sys.executable, "-Sc", {FOREVER!r}], env={{}})
 print(os.getpid(), grandchild.pid, flush=True)
 time.sleep(300)
 """
 GRANDPARENT = f"""
 import subprocess, sys, time
-subprocess.Popen([sys.executable, "-c", {CHILD!r}])
+subprocess.Popen([sys.executable, "-Sc", {CHILD!r}])
 time.sleep(300)
 """
 DEAF = """
@@ -54,7 +55,7 @@ def first_line(record: Record) -> str:
         lines = Path(record.log).read_text(encoding="utf-8").splitlines()
         if lines:
             return lines[0]
-        os.sched_yield()
+        time.sleep(0.01)
     raise AssertionError("the process wrote nothing")
 
 
@@ -64,19 +65,20 @@ def kill_and_reap(pid: int) -> None:
     process.wait(timeout=10)
 
 
-def test_a_started_process_is_known_by_id_and_creation_time(start_python: StartPython) -> None:
+def test_a_started_process_is_known_runs_in_a_session_of_its_own_and_is_gone_when_stopped(
+    start_python: StartPython,
+) -> None:
     record = start_python()
+    first_line(record)
     process = find(record.process)
     assert process is not None
     assert process.create_time() == pytest.approx(record.create_time)
     assert is_alive(record)
-
-
-def test_a_process_runs_in_a_session_of_its_own_with_its_marker(start_python: StartPython) -> None:
-    record = start_python()
-    first_line(record)
     assert os.getsid(record.pid) == record.pid != os.getsid(0)
-    assert psutil.Process(record.pid).environ()[MARKER] == record.marker
+    assert process.environ()[MARKER] == record.marker
+    assert stop(record, grace_s=10) == 1
+    assert not psutil.pid_exists(record.pid)
+    assert stop(record, grace_s=10) == 0
 
 
 def test_output_and_errors_are_appended_to_the_log(start_python: StartPython) -> None:
@@ -87,28 +89,18 @@ def test_output_and_errors_are_appended_to_the_log(start_python: StartPython) ->
     assert log.startswith("one\ntwo\none\ntwo\n")
 
 
-def test_a_stopped_process_is_gone(start_python: StartPython) -> None:
-    record = start_python()
-    assert stop(record, grace_s=10) == 1
-    assert not psutil.pid_exists(record.pid)
-    assert stop(record, grace_s=10) == 0
-
-
-def test_children_in_other_sessions_end_with_their_parent(start_python: StartPython) -> None:
+@pytest.mark.parametrize("orphaned", [False, True])
+def test_children_in_other_sessions_end_with_their_parent_and_after_it(
+    start_python: StartPython, orphaned: bool
+) -> None:
     record = start_python(PARENT)
     child = int(first_line(record))
     assert [process.pid for process in family(record)] == [child]
-    assert stop(record, grace_s=10) == 2
-    assert not is_running(child)
-
-
-def test_orphans_of_a_killed_parent_are_found_and_ended(start_python: StartPython) -> None:
-    record = start_python(PARENT)
-    child = int(first_line(record))
-    kill_and_reap(record.pid)
-    assert not is_alive(record)
-    assert is_running(child)
-    assert stop(record, grace_s=10) == 1
+    if orphaned:
+        kill_and_reap(record.pid)
+        assert not is_alive(record)
+        assert is_running(child)
+    assert stop(record, grace_s=10) == (1 if orphaned else 2)
     assert not is_running(child)
 
 

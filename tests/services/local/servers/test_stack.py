@@ -6,6 +6,7 @@ import sys
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import psutil
 import pytest
@@ -14,6 +15,7 @@ from cspace.errors import PortTakenError, ServiceError, ServiceStartError
 from services.local.processes import Service, answers, exclusive, free_ports, read_record
 from services.local.settings import Settings
 from services.local.stack import down, require_down, status, up
+from tests.services.local.conftest import settings_in
 
 SERVER = """
 import http.server, sys
@@ -26,31 +28,47 @@ def ignore(line: str) -> None:
     """Nobody reads."""
 
 
+def service_of(
+    settings: Settings, name: str = "one", program: str = SERVER, limit_s: float = 20.0
+) -> Service:
+    """A program in place of a service, on a port of its own."""
+    (port,) = free_ports(1)
+    address = f"http://127.0.0.1:{port}"
+    return Service(
+        name=name,
+        title=name.title(),
+        address=address,
+        port=port,
+        setting=f"CSPACE_{name.upper()}_PORT",
+        command=lambda: (sys.executable, "-Sc", program, str(port)),
+        environment=os.environ,
+        folder=settings.home,
+        ready=lambda: answers(address),
+        start_limit_s=limit_s,
+        stop_grace_s=5.0,
+    )
+
+
 @pytest.fixture
 def make_service(settings: Settings) -> Iterator[MakeService]:
     made: list[Service] = []
 
-    def make(name: str = "one", program: str = SERVER, limit_s: float = 20.0) -> Service:
-        (port,) = free_ports(1)
-        address = f"http://127.0.0.1:{port}"
-        service = Service(
-            name=name,
-            title=name.title(),
-            address=address,
-            port=port,
-            setting=f"CSPACE_{name.upper()}_PORT",
-            command=lambda: (sys.executable, "-c", program, str(port)),
-            environment=os.environ,
-            folder=settings.home,
-            ready=lambda: answers(address),
-            start_limit_s=limit_s,
-            stop_grace_s=5.0,
-        )
-        made.append(service)
-        return service
+    def make(*given: Any, **named: Any) -> Service:
+        made.append(service_of(settings, *given, **named))
+        return made[-1]
 
     yield make
     down(settings, made, ignore)
+
+
+@pytest.fixture(scope="module")
+def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Settings, Service]]:
+    """One service that runs, which the tests leave alone."""
+    settings = settings_in(tmp_path_factory.mktemp("running"))
+    service = service_of(settings)
+    up(settings, [service], ignore)
+    yield settings, service
+    assert down(settings, [service], ignore) == 1
 
 
 def pid_of(settings: Settings, service: Service) -> int:
@@ -70,9 +88,8 @@ def test_up_starts_services_and_down_ends_them(settings: Settings, make_service:
     assert [one.running for one in status(settings, wanted)] == [False, False]
 
 
-def test_a_second_up_leaves_running_services_alone(settings: Settings, make_service: MakeService) -> None:
-    service = make_service()
-    up(settings, [service], ignore)
+def test_a_second_up_leaves_running_services_alone(running: tuple[Settings, Service]) -> None:
+    settings, service = running
     pid, lines = pid_of(settings, service), []
     up(settings, [service], lines.append)
     assert pid_of(settings, service) == pid
@@ -122,34 +139,24 @@ def test_a_service_that_does_not_answer_in_time_is_ended(
     require_down(settings, [service])
 
 
-def test_services_of_another_checkout_are_left_alone(settings: Settings, make_service: MakeService) -> None:
-    service = make_service()
-    up(settings, [service], ignore)
+def test_services_of_another_checkout_are_left_alone_and_the_error_says_whose_they_are(
+    running: tuple[Settings, Service], tmp_path: Path
+) -> None:
+    settings, service = running
+    other = replace(settings, root=tmp_path)
     with pytest.raises(ServiceError, match="another checkout") as raised:
-        up(replace(settings, root=Path("/another/checkout")), [service], ignore)
+        up(other, [service], ignore)
     assert str(settings.root) in str(raised.value)
     assert "set CSPACE_HOME" in str(raised.value)
-    assert status(settings, [service])[0].healthy
-
-
-def test_down_leaves_the_services_of_another_checkout_alone_and_says_whose_they_are(
-    settings: Settings, make_service: MakeService, tmp_path: Path
-) -> None:
-    service = make_service()
-    up(settings, [service], ignore)
-    other = tmp_path / "another"
-    other.mkdir()
     with pytest.raises(ServiceError, match="another checkout") as raised:
-        down(replace(settings, root=other), [service], ignore)
+        down(other, [service], ignore)
     assert "`make down` there" in str(raised.value)
     assert status(settings, [service])[0].healthy
 
 
-def test_down_leaves_another_state_folder_alone(
-    settings: Settings, make_service: MakeService, tmp_path: Path
-) -> None:
-    service, own = make_service(), replace(settings, home=tmp_path / "own")
-    up(settings, [service], ignore)
+def test_down_leaves_another_state_folder_alone(running: tuple[Settings, Service], tmp_path: Path) -> None:
+    settings, service = running
+    own = replace(settings, home=tmp_path / "own")
     own.make_folders()
     assert down(own, [service], ignore) == 0
     assert status(settings, [service])[0].healthy
@@ -179,29 +186,24 @@ def test_what_the_end_interrupts_is_told_before_anything_ends(
 
 
 def test_a_changed_port_setting_is_told_instead_of_starting_a_second_service(
-    settings: Settings, make_service: MakeService
+    running: tuple[Settings, Service],
 ) -> None:
-    service = make_service()
-    up(settings, [service], ignore)
+    settings, service = running
     moved = replace(service, address="http://127.0.0.1:1", port=1)
     with pytest.raises(ServiceError, match="runs at another address"):
         up(settings, [moved], ignore)
     assert status(settings, [moved])[0].running
 
 
-def test_state_is_not_dropped_under_running_services(settings: Settings, make_service: MakeService) -> None:
-    service = make_service()
-    require_down(settings, [service])
-    up(settings, [service], ignore)
+def test_state_is_not_dropped_under_running_services(running: tuple[Settings, Service]) -> None:
+    settings, service = running
+    require_down(settings, [replace(service, name="two")])
     with pytest.raises(ServiceError, match="make down"):
         require_down(settings, [service])
 
 
-def test_a_service_that_runs_but_does_not_answer_is_not_healthy(
-    settings: Settings, make_service: MakeService
-) -> None:
-    service = make_service()
-    up(settings, [service], ignore)
+def test_a_service_that_runs_but_does_not_answer_is_not_healthy(running: tuple[Settings, Service]) -> None:
+    settings, service = running
     (found,) = status(settings, [replace(service, ready=lambda: False)])
     assert (found.running, found.healthy) == (True, False)
 
