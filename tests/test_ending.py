@@ -30,7 +30,7 @@ def test_a_run_that_is_terminated_ends_what_its_fixtures_started(tmp_path: Path)
     run = subprocess.Popen(
         [*command, str(tmp_path)],
         cwd=tmp_path,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        env={**os.environ, "PYTHONPATH": str(ROOT), "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"},
         stdout=subprocess.DEVNULL,
     )
     while not (tmp_path / "started").exists():

@@ -9,10 +9,6 @@ from tests.docs.blocks import OF_SHELL, ROOT, Block, Kind, all_blocks, blocks, d
 
 
 def test_every_block_is_of_a_known_kind() -> None:
-    table = "\n".join(
-        f"{block.name:40} {block.language:8} {block.kind or 'UNKNOWN'}" for block in all_blocks()
-    )
-    print(table)  # noqa: T201 - shown when the test fails, and with -s
     assert [block.name for block in all_blocks() if block.kind is None] == []
 
 
@@ -56,16 +52,11 @@ def test_a_block_against_all_services_is_slow_or_says_nothing(block: Block) -> N
     assert block.rest in {"", "slow"}
 
 
-def test_a_shell_block_without_a_mark_is_of_no_kind(tmp_path: Path) -> None:
+def test_blocks_without_a_mark_or_in_an_unknown_language_are_of_no_kind(tmp_path: Path) -> None:
     document = tmp_path / "page.md"
-    document.write_text("text\n\n```bash\nrm -r nothing\n```\n", encoding="utf-8")
-    assert [block.kind for block in blocks(document)] == [None]
-
-
-def test_a_block_in_an_unknown_language_is_of_no_kind(tmp_path: Path) -> None:
-    document = tmp_path / "page.md"
-    document.write_text("```\nwhat is this\n```\n\n<!-- run: api -->\n```python\n1\n```\n", encoding="utf-8")
-    assert [block.kind for block in blocks(document)] == [None, None]
+    shell, unknown = "```bash\nrm -r nothing\n```\n", "```\nwhat is this\n```\n"
+    document.write_text(f"{shell}{unknown}\n<!-- run: api -->\n```python\n1\n```\n", encoding="utf-8")
+    assert [block.kind for block in blocks(document)] == [None, None, None]
 
 
 def test_a_block_that_does_not_end_is_an_error(tmp_path: Path) -> None:
