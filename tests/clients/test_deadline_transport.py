@@ -116,15 +116,6 @@ def test_a_host_of_many_addresses_has_one_time_limit(monkeypatch: pytest.MonkeyP
     assert sum(min(value, 0.06) for value in asked) <= 0.3
 
 
-def test_a_scope_belongs_to_a_link_local_address(monkeypatch: pytest.MonkeyPatch) -> None:
-    found = [
-        (socket.AF_INET6, socket.SOCK_STREAM, 6, "", ("fe80::1", 80, 0, 3)),
-        (socket.AF_INET6, socket.SOCK_STREAM, 6, "", ("2001:db8::1", 80, 0, 0)),
-    ]
-    monkeypatch.setattr(transport.socket, "getaddrinfo", lambda *_, **__: found)
-    assert transport._addresses("host", 80) == ["fe80::1%3", "2001:db8::1"]
-
-
 def test_without_a_deadline_the_request_s_own_limits_hold() -> None:
     transport = DeadlineTransport(httpx.Limits())
     with hostile_server(plays(b"")) as server, httpx.Client(transport=transport) as client:

@@ -33,11 +33,16 @@ def folder(tmp_path_factory):
     return write_tiny_bundle(tmp_path_factory.mktemp("local") / "bundle", validity=True)
 
 
-def test_a_bundle_answers_as_the_projects_own_sampler(folder):
+@pytest.fixture(scope="module")
+def client(folder):
+    return LocalClient(folder)
+
+
+def test_a_bundle_answers_as_the_projects_own_sampler(folder, client):
     asked = {"seed": 7, "epsilon_sigma": [0, 0.5], "min_confidence": 0.4}
     ours, theirs = (
         LocalSampler(folder).sample(picture(), 50, **asked),
-        LocalClient(folder).sample(picture(), 50, **asked),
+        client.sample(picture(), 50, **asked),
     )
     assert np.array_equal(ours.samples, theirs.samples)
     assert (ours.digest, ours.shortfall) == (theirs.digest, theirs.shortfall)
@@ -52,41 +57,34 @@ def test_a_bundle_takes_what_depth_cameras_saw(tmp_path):
     assert batch.samples.shape == again.samples.shape == (20, 7)
 
 
-@pytest.mark.parametrize(
-    "wrong", [{"n": 0}, {"seed": 2**64}, {"min_confidence": 2.0}, {"model": "nobody"}, {"robot": OTHER}]
-)
-def test_a_request_that_does_not_fit_is_refused_in_the_clients_words(folder, wrong):
-    with pytest.raises(SamplerError):
-        LocalClient(folder).sample(picture(), **{"n": 3, **wrong})
+def test_a_request_that_does_not_fit_is_refused_in_the_clients_words(client):
+    for wrong in ({"n": 0}, {"seed": 2**64}, {"min_confidence": 2.0}, {"model": "nobody"}, {"robot": OTHER}):
+        with pytest.raises(SamplerError):
+            client.sample(picture(), **{"n": 3, **wrong})
 
 
-def test_a_folder_that_is_no_bundle_is_told(tmp_path):
-    with pytest.raises(LocalError, match="can not be used"):
-        LocalClient(tmp_path)
-
-
-def test_without_anything_that_reads_bundles_the_remedy_is_told(monkeypatch, tmp_path):
-    monkeypatch.setattr(local, "entry_points", lambda group: [])
-    with pytest.raises(LocalError, match="install onnxruntime and cspace-sampler"):
-        LocalClient(tmp_path)
-
-
-def test_a_part_that_is_missing_is_told_with_the_remedy(monkeypatch, tmp_path):
+def test_what_keeps_a_bundle_from_being_read_is_told_with_the_remedy(monkeypatch, tmp_path):
     class Broken:
         def load(self):
             raise ModuleNotFoundError("No module named 'onnxruntime'")
 
-    monkeypatch.setattr(local, "entry_points", lambda group: [Broken()])
-    with pytest.raises(LocalError, match=r"'onnxruntime'.*install"):
+    with pytest.raises(LocalError, match="can not be used"):
         LocalClient(tmp_path)
+    for found, words in (
+        ([], "install onnxruntime and cspace-sampler"),
+        ([Broken()], "'onnxruntime'.*install"),
+    ):
+        monkeypatch.setattr(local, "entry_points", lambda group, found=found: found)
+        with pytest.raises(LocalError, match=words):
+            LocalClient(tmp_path)
 
 
-def test_a_bundle_stands_in_and_its_refusal_leaves_the_servers_absence_to_be_told(folder):
+def test_a_bundle_stands_in_and_its_refusal_leaves_the_servers_absence_to_be_told(client):
     away = httpx.MockTransport(lambda request: httpx.Response(502))
-    with SamplingClient("http://test:1", fallback=LocalClient(folder), transport=away) as client:
-        assert client.sample(picture(), 3, seed=1).fallback
+    with SamplingClient("http://test:1", fallback=client, transport=away) as over_http:
+        assert over_http.sample(picture(), 3, seed=1).fallback
         with pytest.raises(SamplerUnavailableError, match="502"):
-            client.sample(picture(), 3, robot=OTHER)
+            over_http.sample(picture(), 3, robot=OTHER)
 
 
 def test_a_source_of_the_project_gets_its_own_query_and_tells_the_clients_errors():

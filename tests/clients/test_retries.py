@@ -46,31 +46,31 @@ def test_no_pause_leads_past_the_deadline_or_below_the_server_s_wish(
         assert pause < 5.0 or pause == retry_after_s
 
 
-@pytest.mark.parametrize(
-    ("value", "expected"),
-    [
-        ("0", 0.0),
-        (" 120 ", 120.0),
-        ("Sat, 01 Mar 2025 12:00:30 GMT", 30.0),
-        ("Sat, 01 Mar 2025 11:00:00 GMT", 0.0),
-        ("Sat, 01 Mar 2025 12:00:05 -0000", 5.0),
-        (None, None),
-        ("", None),
-        ("-1", None),
-        ("1.5", None),
-        ("soon", None),
-        ("²", None),
-        ("9" * 9, 999_999_999.0),
-        ("9" * 10, math.inf),
-        ("9" * 5000, math.inf),
-        ("Sat, 01 Mar " + "9" * 20 + " 12:00:00 GMT", None),
-        ("Sat, 01 Mar 2025 12:00:00 +999999999999", None),
-        ("Sat, 01 Mar 9999 12:00:00 -2359", 251_635_161_540.0),
-        ("Sat, 01 Mar 2025 12:00:30 GMT" + " " * 80 + "(why)", None),
-    ],
-)
-def test_retry_after_is_seconds_or_a_date(value: str | None, expected: float | None) -> None:
-    assert parse_retry_after(value, NOW) == expected
+WAITS = [
+    ("0", 0.0),
+    (" 120 ", 120.0),
+    ("Sat, 01 Mar 2025 12:00:30 GMT", 30.0),
+    ("Sat, 01 Mar 2025 11:00:00 GMT", 0.0),
+    ("Sat, 01 Mar 2025 12:00:05 -0000", 5.0),
+    (None, None),
+    ("", None),
+    ("-1", None),
+    ("1.5", None),
+    ("soon", None),
+    ("²", None),
+    ("9" * 9, 999_999_999.0),
+    ("9" * 10, math.inf),
+    ("9" * 5000, math.inf),
+    ("Sat, 01 Mar " + "9" * 20 + " 12:00:00 GMT", None),
+    ("Sat, 01 Mar 2025 12:00:00 +999999999999", None),
+    ("Sat, 01 Mar 9999 12:00:00 -2359", 251_635_161_540.0),
+    ("Sat, 01 Mar 2025 12:00:30 GMT" + " " * 80 + "(why)", None),
+]
+
+
+def test_retry_after_is_seconds_or_a_date() -> None:
+    for value, expected in WAITS:
+        assert parse_retry_after(value, NOW) == expected, value
 
 
 @given(st.text(max_size=40))

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from ompl import util as ou
 
-from cspace.png import encode_png
 from cspace.worlds import picture_file_of
 from cspace.worlds.planar.arm import TWO_LINK
 from cspace.worlds.planar.checks import CollisionChecker
@@ -17,7 +16,6 @@ from cspace_client import ConfigError, JointSpace, PlanningError, SampleBatch
 from cspace_client.local import LocalClient
 from cspace_client.ompl import LearnedSampler, Problem, learned_sampler
 from inference_api.settings import PRETRAINED_FOLDER
-from tests.bundles import picture, write_tiny_bundle
 from tests.docs.tiny_api import DOCUMENTED
 from tests.fakes.sample_source import DIGEST, MODEL
 
@@ -175,15 +173,6 @@ def test_a_plan_with_samples_of_the_shipped_bundle_is_free_in_truth():
     scene = Scenario(TWO_LINK, tuple(Disc(*disc) for disc in script.DISCS))
     assert CollisionChecker(scene).valid_batch(found.path).all()
     assert found.learned_drawn > 0
-
-
-def test_pixels_are_as_good_as_a_file(tmp_path):
-    client = LocalClient(write_tiny_bundle(tmp_path / "bundle"))
-    batches = [
-        learned_sampler(Problem(shown, START, GOAL, wall), client, seed=3).batch
-        for shown in (picture(), encode_png(picture()))
-    ]
-    np.testing.assert_array_equal(batches[0].samples, batches[1].samples)
 
 
 def test_the_packages_own_readme_runs(tiny_api):
