@@ -16,7 +16,7 @@ MODEL = "cspace-sampler@careful"
 ROWS = np.random.default_rng(0).uniform(-np.pi, np.pi, (30, 2)).astype("<f4")
 
 
-def asked(rows: NDArray[Any], datatype: str = "FP32") -> dict[str, Any]:
+def asked(rows: NDArray[Any], datatype: str) -> dict[str, Any]:
     """Configurations as an input with JSON numbers."""
     return {
         "name": "configurations",
@@ -31,10 +31,11 @@ def ask(
     rows: NDArray[Any] = ROWS,
     images: NDArray[np.uint8] = IMAGES[:1],
     model: str = MODEL,
+    datatype: str = "FP32",
     **members: Any,
 ) -> httpx.Response:
     """The answer to a question about configurations."""
-    return infer(api, model, json={"inputs": [json_input(images), asked(rows)], **members})
+    return infer(api, model, json={"inputs": [json_input(images), asked(rows, datatype)], **members})
 
 
 def test_confidences_are_those_of_the_other_page(api: ApiClient) -> None:
@@ -57,14 +58,11 @@ def test_the_outputs_that_are_asked_for_come_in_their_form(api: ApiClient) -> No
     assert "the output samples cannot be had" in answer.json()["error"]
 
 
-@pytest.mark.parametrize("parameter", [{"n": 5}, {"seed": 1}, {"min_confidence": 0.5}])
-def test_parameters_of_samples_do_not_go_with_it(api: ApiClient, parameter: dict[str, Any]) -> None:
-    answer = ask(api, parameters=parameter)
-    assert answer.status_code == 400
-    assert "does not go with the input configurations" in answer.json()["error"]
-
-
-def test_another_robot_is_refused_as_for_samples(api: ApiClient) -> None:
+def test_another_robot_and_parameters_of_samples_are_refused(api: ApiClient) -> None:
+    for parameter in ({"n": 5}, {"seed": 1}, {"min_confidence": 0.5}):
+        answer = ask(api, parameters=parameter)
+        assert answer.status_code == 400
+        assert "does not go with the input configurations" in answer.json()["error"]
     assert ask(api, parameters={"robot": "0" * 64}).status_code == 409
 
 
@@ -72,6 +70,8 @@ WRONG: dict[str, tuple[dict[str, Any], str]] = {
     "rows of another robot": ({"rows": np.zeros((4, 3), "<f4")}, "the input configurations does not fit"),
     "no rows": ({"rows": np.zeros((0, 2), "<f4")}, "sizes from 1"),
     "one row alone": ({"rows": np.zeros(2, "<f4")}, "the input configurations does not fit"),
+    "too many rows": ({"rows": np.zeros((20001, 2), "<f4")}, "n from 1 to 20000"),
+    "another type": ({"datatype": "FP64"}, "expected FP32 of shape [n, 2], n from 1 to 20000"),
     "several pictures": ({"images": IMAGES}, "configurations are asked about in one picture"),
     "a model without a head": ({"model": "cspace-sampler"}, "head"),
 }
@@ -83,16 +83,3 @@ def test_what_cannot_be_scored_is_told(api: ApiClient, name: str) -> None:
     answer = ask(api, **wrong)
     assert answer.status_code == 400
     assert message in answer.json()["error"]
-
-
-def test_another_type_is_told(api: ApiClient) -> None:
-    inputs = [json_input(IMAGES[:1]), asked(ROWS, "FP64")]
-    answer = infer(api, MODEL, json={"inputs": inputs})
-    assert answer.status_code == 400
-    assert "expected FP32 of shape [n, 2], n from 1 to 20000" in answer.json()["error"]
-
-
-def test_more_rows_than_a_request_may_ask_about_are_told(api: ApiClient) -> None:
-    answer = ask(api, np.zeros((20001, 2), "<f4"))
-    assert answer.status_code == 400
-    assert "n from 1 to 20000" in answer.json()["error"]
