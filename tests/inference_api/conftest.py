@@ -8,7 +8,7 @@ import pytest
 from cspace.bundle import write_bundle
 from cspace.png import encode_png
 from inference_api.app import create_app
-from inference_api.settings import PRETRAINED_FOLDER, ApiSettings, Protection
+from inference_api.settings import ApiSettings, Protection, further_folders
 from tests.bundles import picture, tiny_graphs, tiny_spec, write_tiny_bundle
 from tests.inference_api.client import ApiClient, running
 from tests.inference_api.fake_registry import CountingRegistry
@@ -45,15 +45,6 @@ def png() -> bytes:
 @pytest.fixture
 def registry(tmp_path: Path) -> CountingRegistry:
     return CountingRegistry(tmp_path / "registry")
-
-
-@contextmanager
-def shipped_api(cache: Path, name: str) -> Iterator[ApiClient]:
-    """An app with the shipped models of both worlds, that of the Panda under a name, without a registry."""
-    panda = Path(PRETRAINED_FOLDER).with_name("pretrained_panda")
-    settings = ApiSettings(registry_uri=None, cache_folder=cache, further_folders={name: panda})
-    with running(create_app(settings)) as client:
-        yield client
 
 
 @contextmanager
@@ -113,9 +104,37 @@ def own_api(start_api: StartApi, registry: CountingRegistry, bundles: dict[str, 
     return start_api(stock(registry, bundles))
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def api(tmp_path_factory: pytest.TempPathFactory, bundles: dict[str, Path]) -> Iterator[ApiClient]:
-    """An API that the tests of a module share: whatever one sends, it must answer the next."""
+    """An API over :func:`stock` that tests share: whatever one sends, it must answer the next."""
     folder = tmp_path_factory.mktemp("api")
     with api_over(folder, bundles, stock(CountingRegistry(folder / "registry"), bundles)) as client:
+        yield client
+
+
+@pytest.fixture(scope="session")
+def space_bundle(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A bundle of the arm in space, whose graphs PyTorch exports."""
+    from tests.space_bundle import write_space_bundle
+
+    return write_space_bundle(tmp_path_factory.mktemp("space") / "bundle")
+
+
+@pytest.fixture(scope="session")
+def space_api(
+    tmp_path_factory: pytest.TempPathFactory, bundles: dict[str, Path], space_bundle: Path
+) -> Iterator[ApiClient]:
+    """An API with the models of :func:`stock`, and that bundle as the champion ``panda-sampler``."""
+    folder = tmp_path_factory.mktemp("api")
+    registry = stock(CountingRegistry(folder / "registry"), bundles)
+    registry.add(space_bundle, "champion", name="panda-sampler")
+    with api_over(folder, bundles, registry) as client:
+        yield client
+
+
+@pytest.fixture(scope="session")
+def panda_api(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ApiClient]:
+    """An API with the shipped models of both worlds, without a registry."""
+    settings = ApiSettings(None, tmp_path_factory.mktemp("cache"), further_folders=further_folders())
+    with running(create_app(settings)) as client:
         yield client

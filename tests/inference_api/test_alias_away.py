@@ -9,7 +9,7 @@ import pytest
 from inference_api.app import create_app
 from inference_api.settings import ApiSettings
 from services.names import MODEL_NAME
-from tests.inference_api.answers import PNG, assert_problem
+from tests.inference_api.answers import PNG
 from tests.inference_api.client import ApiClient, running
 from tests.inference_api.conftest import stock
 from tests.inference_api.fake_registry import CountingRegistry
@@ -45,44 +45,23 @@ def test_an_answer_by_an_alias_that_has_moved_while_the_registry_is_away_says_th
     assert (found.json()["model"]["version"], found.json()["model"]["alias_confirmed"]) == (2, False)
     headers = ask(api, CHALLENGER, NPY).headers
     assert (headers["x-model-version"], headers["x-alias-confirmed"]) == ("2", "false")
-
-
-def test_an_alias_is_confirmed_again_when_the_registry_is_back(
-    api: ApiClient, registry: CountingRegistry
-) -> None:
-    ask(api, CHALLENGER)
-    registry.set_alias(MODEL_NAME, "challenger", 1)
-    registry.away = True
-    assert ask(api, CHALLENGER).json()["model"]["alias_confirmed"] is False
     registry.away = False
     again = ask(api, CHALLENGER).json()["model"]
     assert (again["version"], again["alias_confirmed"]) == (1, True)
 
 
-@pytest.mark.parametrize("model", [MODEL_NAME, f"{MODEL_NAME}@champion", None])
-def test_the_champion_is_unconfirmed_while_the_registry_is_away(
-    api: ApiClient, registry: CountingRegistry, model: str | None
+def test_the_champion_is_unconfirmed_while_the_registry_is_away_and_a_version_is_what_it_is(
+    api: ApiClient, registry: CountingRegistry
 ) -> None:
-    fields = {} if model is None else {"model": model}
+    def confirmed(model: str) -> bool:
+        return bool(ask(api, model).json()["model"]["alias_confirmed"])
 
-    def asked() -> httpx.Response:
-        return api.post("/sample", files={"image": PNG}, data={"n": "3", **fields})
-
-    assert asked().json()["model"]["alias_confirmed"] is True
+    champions, others = (MODEL_NAME, f"{MODEL_NAME}@champion"), (f"{MODEL_NAME}/2", "pretrained")
+    assert [confirmed(model) for model in (*champions, *others)] == [True] * 4
     registry.away = True
     api.refresh()
-    assert asked().json()["model"]["alias_confirmed"] is False
+    assert [confirmed(model) for model in (*champions, *others)] == [False, False, True, True]
     assert api.get("/health/ready").json()["model"]["alias_confirmed"] is False
-
-
-@pytest.mark.parametrize("model", [f"{MODEL_NAME}/2", "pretrained"])
-def test_a_version_is_what_it_is_wherever_the_registry_is(
-    api: ApiClient, registry: CountingRegistry, model: str
-) -> None:
-    ask(api, model)
-    registry.away = True
-    api.refresh()
-    assert ask(api, model).json()["model"]["alias_confirmed"] is True
 
 
 def test_a_champion_that_could_not_follow_is_unconfirmed(
@@ -102,8 +81,3 @@ def test_the_open_inference_protocol_tells_it_as_well(api: ApiClient, registry: 
     assert confirmed()
     registry.away = True
     assert not confirmed()
-
-
-def test_the_request_field_that_refused_unconfirmed_aliases_is_unknown(api: ApiClient) -> None:
-    problem = assert_problem(ask(api, CHALLENGER, require_confirmed="true"), 422, "invalid-value")
-    assert [error["field"] for error in problem["errors"]] == ["require_confirmed"]

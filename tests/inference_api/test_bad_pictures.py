@@ -2,7 +2,6 @@
 
 import base64
 import json
-from collections.abc import Iterator
 from typing import Any
 
 import httpx
@@ -16,7 +15,6 @@ from cspace_client import DepthPictures, PlanQuery, SamplingClient
 from tests.inference_api.answers import assert_problem
 from tests.inference_api.client import ApiClient
 from tests.inference_api.client_transports import IntoApp
-from tests.inference_api.conftest import shipped_api
 
 PANDA = "pretrained-panda"
 START = [0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785]
@@ -52,9 +50,8 @@ def holed(value: int) -> Depth:
 
 
 @pytest.fixture(scope="module")
-def api(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ApiClient]:
-    with shipped_api(tmp_path_factory.mktemp("cache"), PANDA) as client:
-        yield client
+def api(panda_api: ApiClient) -> ApiClient:
+    return panda_api
 
 
 def ask(
@@ -84,8 +81,9 @@ PAGES = {
 }
 
 
-@pytest.mark.parametrize("page", PAGES)
-@pytest.mark.parametrize("camera", [AWAY, OPENGL], ids=["away", "opengl"])
+@pytest.mark.parametrize(
+    ("page", "camera"), [("/sample", AWAY), ("/validity", OPENGL), ("/plan", AWAY)], ids=list(PAGES)
+)
 def test_a_camera_that_sees_none_of_the_reach_is_refused_with_the_reason(
     api: ApiClient, page: str, camera: dict[str, Any]
 ) -> None:
@@ -95,9 +93,9 @@ def test_a_camera_that_sees_none_of_the_reach_is_refused_with_the_reason(
     assert "z forward" in problem["remedy"]
 
 
-@pytest.mark.parametrize("page", PAGES)
-def test_metres_instead_of_millimetres_are_refused_and_the_unit_is_named(api: ApiClient, page: str) -> None:
-    problem = assert_problem(ask(api, page, [wall(0, 1)], [RIGHT], **PAGES[page]), 422, "invalid-image")
+def test_metres_instead_of_millimetres_are_refused_and_the_unit_is_named(api: ApiClient) -> None:
+    answer = ask(api, "/sample", [wall(0, 1)], [RIGHT], **PAGES["/sample"])
+    problem = assert_problem(answer, 422, "invalid-image")
     assert "no reading" in problem["detail"]
     assert "depth_scale_m" in problem["remedy"]
 
@@ -140,7 +138,7 @@ def test_a_picture_that_shows_next_to_nothing_is_as_novel_as_can_be_and_no_plan_
     assert taken["status"] == "solved"
 
 
-@pytest.mark.parametrize("value", [65535, 65534, 32767, 10001, 19, 1])
+@pytest.mark.parametrize("value", [65535, 10001, 19])
 def test_what_no_depth_camera_reads_is_no_reading(api: ApiClient, value: int) -> None:
     hole, told = score(api, holed(0)), score(api, holed(value))
     assert (told["confidence"], told["unseen"]) == (hole["confidence"], hole["unseen"])
@@ -188,17 +186,9 @@ def test_another_unit_without_a_word_is_told(api: ApiClient) -> None:
     assert "no-surface-in-reach" not in codes(score(api, wall()))
 
 
-@pytest.mark.parametrize(
-    ("changes", "code"),
-    [
-        ({"fx": 92.0, "fy": 92.0, "cx": 63.5, "cy": 47.5}, "principal-point"),
-        ({"fx": 26.0}, "focal-lengths"),
-        ({"fx": 20.0, "fy": 20.0}, "coarse-picture"),
-    ],
-)
-def test_a_camera_of_other_pictures_is_told(api: ApiClient, changes: dict[str, float], code: str) -> None:
-    assert code in codes(score(api, wall(), RIGHT | changes))
-    assert code not in codes(score(api, wall()))
+def test_a_camera_of_other_pictures_is_told(api: ApiClient) -> None:
+    assert "focal-lengths" in codes(score(api, wall(), RIGHT | {"fx": 26.0}))
+    assert "focal-lengths" not in codes(score(api, wall()))
 
 
 def test_pixels_of_the_arm_are_told_where_no_state_was_sent(api: ApiClient) -> None:

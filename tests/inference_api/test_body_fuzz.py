@@ -1,27 +1,22 @@
 """Bodies drawn by structure: whatever comes, the answer is one of the contract's, and never a failure."""
 
 import random
-from itertools import islice
 
 import pytest
 
 from inference_api.limits import MAX_BODY_BYTES
 from tests.inference_api.answers import assert_answers
-from tests.inference_api.body_fuzz import form, picture, requests, sample_json, tensors
+from tests.inference_api.body_fuzz import form, picture, sample_json, tensors
 from tests.inference_api.client import ApiClient
 
 FINE, REFUSED = {200}, {400, 404, 413, 415, 422}
 
 
-def seeded(seed: str) -> random.Random:
-    return random.Random(seed)  # noqa: S311 - the same bodies every time
-
-
 @pytest.mark.parametrize("kind", [picture, form, sample_json, tensors])
 def test_no_body_makes_the_server_fail(api: ApiClient, kind) -> None:
-    rng = seeded(kind.__name__)
+    rng = random.Random(kind.__name__)  # noqa: S311 - the same bodies every time
     found = set()
-    for index in range(100):
+    for index in range(50):
         request = kind(rng)
         assert len(request.body) <= MAX_BODY_BYTES
         headers = {name: value.encode("latin-1") for name, value in request.headers.items()}
@@ -30,9 +25,3 @@ def test_no_body_makes_the_server_fail(api: ApiClient, kind) -> None:
         found.add(answer.status_code)
     assert found & REFUSED
     assert_answers(api)
-
-
-def test_the_same_seed_gives_the_same_requests() -> None:
-    first, again = (list(islice(requests(seeded("5")), 40)) for _ in range(2))
-    assert first == again
-    assert len({request.body for request in first}) > 30

@@ -17,10 +17,8 @@ from inference_api.schemas import PlanRequest
 from tests.bundles import picture
 from tests.cspace.worlds.spatial.test_camera_forms import OPTICAL_TO_BODY, npy, placed
 from tests.inference_api.answers import assert_problem
-from tests.inference_api.conftest import api_over, stock
-from tests.inference_api.fake_registry import CountingRegistry
 from tests.inference_api.job_work import watched_jobs
-from tests.space_bundle import WORLD, write_space_bundle
+from tests.space_bundle import WORLD
 
 MODEL = "panda-sampler@champion"
 STATE = ready_rad(WORLD.body).tolist()
@@ -43,22 +41,13 @@ IMAGES = [encode_depth(one) for one in DEPTHS]
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    return write_space_bundle(tmp_path_factory.mktemp("space") / "bundle")
+def bundle(space_bundle):
+    return Bundle.load(space_bundle)
 
 
 @pytest.fixture(scope="module")
-def bundle(folder):
-    return Bundle.load(folder)
-
-
-@pytest.fixture(scope="module")
-def api(folder, bundles, tmp_path_factory):
-    place = tmp_path_factory.mktemp("api")
-    registry = stock(CountingRegistry(place / "registry"), bundles)
-    registry.add(folder, "champion", name="panda-sampler")
-    with api_over(place, bundles, registry) as found:
-        yield found
+def api(space_api):
+    return space_api
 
 
 def ask(api, images=tuple(IMAGES), cameras=tuple(CAMERAS), page="/sample", **fields):
@@ -167,14 +156,6 @@ def test_an_array_has_the_unseen_share_in_its_second_column(api, bundle):
     np.testing.assert_array_equal(columns.T, bundle.predict(as_read(bundle), ROWS.astype(np.float32)))
 
 
-def test_where_the_arm_is_changes_what_is_seen(api):
-    without, ahead = (
-        ask(api, n="5", seed="1").json(),
-        ask(api, n="5", seed="1", state=json.dumps(STATE)).json(),
-    )
-    assert without["confidence"] != ahead["confidence"]
-
-
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
@@ -187,22 +168,17 @@ def test_where_the_arm_is_changes_what_is_seen(api):
         ({"images": [IMAGES[0], encode_png(picture())]}, "16-bit"),
         ({"images": [IMAGES[0], encode_depth(np.zeros((48, 64), np.uint16))]}, "no reading"),
         ({"images": IMAGES * 3, "cameras": CAMERAS * 3}, "6 pictures"),
+        ({"state": "[0, 0]"}, "the state does not fit the robot"),
+        (
+            {"images": IMAGES[:1], "cameras": CAMERAS[:1], "model": "cspace-sampler"},
+            "comes with a camera",
+        ),
     ],
 )
 def test_pictures_and_cameras_that_do_not_fit_are_told(api, changes, words):
     answer = ask(api, **changes)
     name = "invalid-value" if words in ("image is repeated",) else "invalid-image"
     assert words in json.dumps(assert_problem(answer, 422, name))
-
-
-def test_a_state_that_is_none_of_the_arms_is_told(api):
-    problem = assert_problem(ask(api, state="[0, 0]"), 422, "invalid-image")
-    assert "the state does not fit the robot" in problem["detail"]
-
-
-def test_a_model_of_flat_pictures_takes_no_camera(api):
-    answer = ask(api, IMAGES[:1], CAMERAS[:1], model="cspace-sampler")
-    assert "comes with a camera" in assert_problem(answer, 422, "invalid-image")["detail"]
 
 
 def test_models_of_both_worlds_are_served_side_by_side(api, png):

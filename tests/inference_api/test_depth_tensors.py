@@ -9,12 +9,9 @@ import pytest
 from cspace.bundle import Bundle
 from cspace.view_file import pack_view
 from cspace.worlds.spatial.camera import decode_depth
-from tests.inference_api.conftest import api_over, stock
-from tests.inference_api.fake_registry import CountingRegistry
 from tests.inference_api.job_work import watched_jobs
 from tests.inference_api.tensor_client import INFER, LENGTH, outputs_of
 from tests.inference_api.test_depth_pictures import CAMERAS, IMAGES, STATE
-from tests.space_bundle import write_space_bundle
 
 URL = INFER.format("panda-sampler")
 TYPES = {
@@ -32,17 +29,13 @@ VIEW = {
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    return write_space_bundle(tmp_path_factory.mktemp("space") / "bundle")
+def bundle(space_bundle):
+    return Bundle.load(space_bundle)
 
 
 @pytest.fixture(scope="module")
-def api(folder, bundles, tmp_path_factory):
-    place = tmp_path_factory.mktemp("api")
-    registry = stock(CountingRegistry(place / "registry"), bundles)
-    registry.add(folder, "champion", name="panda-sampler")
-    with api_over(place, bundles, registry) as found:
-        yield found
+def api(space_api):
+    return space_api
 
 
 def ask(api, view, **parameters):
@@ -62,8 +55,7 @@ def ask(api, view, **parameters):
     return api.post(URL, content=content, headers={LENGTH: str(len(head))})
 
 
-def test_samples_are_those_of_the_same_pictures_as_files(api, folder):
-    bundle = Bundle.load(folder)
+def test_samples_are_those_of_the_same_pictures_as_files(api, bundle):
     for state in (None, STATE):
         view = {name: array for name, array in VIEW.items() if state or name != "state"}
         found = outputs_of(ask(api, view, n=20, seed=3))
@@ -126,10 +118,7 @@ WRONG = [
     ({**VIEW, "poses": VIEW["poses"][:1]}, "the input poses does not fit the model"),
     ({**VIEW, "state": VIEW["state"][:6]}, "the input state does not fit the model"),
     ({**VIEW, "state": VIEW["state"] + 9.0}, "the state does not fit the robot"),
-    ({**VIEW, "state": VIEW["state"] * np.nan}, "the state does not fit the robot"),
     ({**VIEW, "poses": VIEW["poses"] * 2.0}, "pose"),
-    ({**VIEW, "poses": VIEW["poses"] + np.inf}, "pose"),
-    ({**VIEW, "intrinsics": VIEW["intrinsics"] * 0.0}, "focal length"),
     ({**VIEW, "intrinsics": VIEW["intrinsics"] * np.nan}, "the depth camera: fx does not fit"),
     ({**VIEW, "depth": VIEW["depth"] * 0}, "a depth picture has no reading"),
     ({name: np.repeat(array, 3, axis=0) for name, array in VIEW.items() if name != "state"}, "c from 1 to 4"),

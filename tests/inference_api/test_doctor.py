@@ -1,7 +1,6 @@
 """``POST /doctor``: verdicts, notes and suggested poses for the pictures of a request."""
 
 import json
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,18 +17,16 @@ from tests.cspace.worlds.spatial.test_doctor import CAMERA, PICTURE, STATE, VIEW
 from tests.inference_api.answers import assert_problem
 from tests.inference_api.client import ApiClient
 from tests.inference_api.client_transports import IntoApp
-from tests.inference_api.conftest import shipped_api
 
-PANDA = "panda-sampler"
+PANDA = "pretrained-panda"
 SCENARIO = Path(__file__).parents[2] / "docs" / "images" / "scenario.png"
 MISPLACED = CAMERA.matrix
 MISPLACED[:3, 3] += (0.03, 0.0, 0.0)
 
 
 @pytest.fixture(scope="module")
-def api(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ApiClient]:
-    with shipped_api(tmp_path_factory.mktemp("cache"), PANDA) as client:
-        yield client
+def api(panda_api: ApiClient) -> ApiClient:
+    return panda_api
 
 
 def ask(api: ApiClient, camera: DepthCamera = CAMERA, **fields: str) -> httpx.Response:

@@ -42,11 +42,6 @@ def test_a_machine_with_nothing_left_is_503(api, png, monkeypatch, fail):
     assert_answers(api)
 
 
-def test_a_value_that_speaks_of_allocation_is_a_wrong_value(api, png):
-    answer = api.post("/sample", files={"image": png}, data={"n": "can't start new thread, bad_alloc"})
-    assert_problem(answer, 422, "invalid-value")
-
-
 def test_a_cache_that_cannot_be_written_is_503(start_api, registry, bundles, png, tmp_path):
     (tmp_path / "cache").write_text("a file where a folder should be")
     registry.add(bundles["plain"], "champion")

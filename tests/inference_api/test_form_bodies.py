@@ -8,7 +8,7 @@ import pytest
 
 from cspace.png import encode_png
 from inference_api.limits import MAX_BODY_BYTES
-from inference_api.requests import MAX_CONTENT_TYPE, MAX_FIELD_BYTES, MAX_FIELDS, MAX_FILES, MAX_SEMICOLONS
+from inference_api.requests import MAX_FIELD_BYTES, MAX_FIELDS, MAX_FILES, MAX_SEMICOLONS
 from tests.bundles import picture
 from tests.cspace.png_files import chunk
 from tests.inference_api.answers import PNG, assert_answers, assert_problem
@@ -32,12 +32,12 @@ def posted(api: ApiClient, body: bytes, content_type: str = FORM) -> httpx.Respo
     return api.post("/sample", content=body, headers={"content-type": content_type.encode("latin-1")})
 
 
-@pytest.mark.parametrize("charset", ["utf-16", "punycode", "idna", "rot13", "cp037", "nothing", "utf-8"])
-def test_a_character_set_is_never_looked_up(api: ApiClient, charset: str) -> None:
+def test_a_character_set_is_never_looked_up(api: ApiClient) -> None:
     body = part(PNG, IMAGE_PART) + part(b"3") + part(b"pretrained", b'form-data; name="model"') + END
-    answer = posted(api, body, f"{FORM}; charset={charset}")
-    assert answer.status_code == 200, answer.text
-    assert len(answer.json()["samples"]) == 3
+    for charset in ("utf-16", "punycode", "idna", "rot13", "cp037", "nothing", "utf-8"):
+        answer = posted(api, body, f"{FORM}; charset={charset}")
+        assert answer.status_code == 200, answer.text
+        assert len(answer.json()["samples"]) == 3
 
 
 def test_a_large_file_never_goes_to_the_disk(api: ApiClient, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -98,41 +98,50 @@ def test_a_bound_is_met_and_not_passed(api: ApiClient, name: str) -> None:
     assert_answers(api)
 
 
-@pytest.mark.parametrize(
-    "disposition",
-    [
-        IMAGE_PART,
-        b'form-data; name="image"; filename="a \\"b\\"; c.png"',
-        b'form-data; name="image"; filename="a %22b%22.png"',
-        'form-data; name="image"; filename="ä.png"; filename*=UTF-8\'\'%C3%A4.png'.encode(),
-        b"form-data; name=image; filename=a.png",
-        b'form-data; filename=""; name="image"',
-        b'FORM-DATA ; NAME="image" ; FILENAME="C:\\a.png"',
-    ],
-)
-def test_files_as_clients_name_them_are_files(api: ApiClient, disposition: bytes) -> None:
-    body = b"\r\n" + part(PNG, disposition, b"Content-Type: image/png") + part(b"2") + b"--b--what follows"
-    answer = posted(api, body)
-    assert answer.status_code == 200, answer.text
-    assert len(answer.json()["samples"]) == 2
+DISPOSITIONS = [
+    IMAGE_PART,
+    b'form-data; name="image"; filename="a \\"b\\"; c.png"',
+    b'form-data; name="image"; filename="a %22b%22.png"',
+    'form-data; name="image"; filename="ä.png"; filename*=UTF-8\'\'%C3%A4.png'.encode(),
+    b"form-data; name=image; filename=a.png",
+    b'form-data; filename=""; name="image"',
+    b'FORM-DATA ; NAME="image" ; FILENAME="C:\\a.png"',
+]
 
 
-@pytest.mark.parametrize(
-    "body",
-    [part(b"1"), part(b"1")[:-2] + b"--b--", part(b"1") + b"--b-", b"--b", b"x" + part(b"1") + END],
-    ids=["no end", "an end within a line", "half an end", "a beginning", "something before"],
-)
-def test_a_form_that_does_not_end_or_begin_is_refused(api: ApiClient, body: bytes) -> None:
-    assert_problem(posted(api, body), 400, "malformed-body")
+def test_files_as_clients_name_them_are_files(api: ApiClient) -> None:
+    for disposition in DISPOSITIONS:
+        body = b"\r\n" + part(PNG, disposition, b"Content-Type: image/png") + part(b"2")
+        answer = posted(api, body + b"--b--what follows")
+        assert answer.status_code == 200, answer.text
+        assert len(answer.json()["samples"]) == 2
 
 
-@pytest.mark.parametrize("boundary", ["x" * 71, '""', '"x "', "\xfc"])
-def test_a_boundary_that_rfc_2046_excludes_is_400(api: ApiClient, boundary: str) -> None:
-    assert_problem(posted(api, END, f"multipart/form-data; boundary={boundary}"), 400, "malformed-body")
+START = b'form-data; name="start"'
+TORN = {
+    "nothing": b"",
+    "no end": part(b"1"),
+    "an end within a line": part(b"1")[:-2] + b"--b--",
+    "half an end": part(b"1") + b"--b-",
+    "a beginning": b"--b",
+    "something before": b"x" + part(b"1") + END,
+    "another boundary": part(b"1").replace(b"--b", b"--c") + b"--c--\r\n",
+    "no name": part(b"3", b"form-data") + END,
+    "no headers": b"--b\r\n\r\n3\r\n" + END,
+    "garbage": bytes(range(256)) + END,
+    "array that is no JSON": part(b"[0, 1", START) + END,
+    "array with more behind it": part(b'[0], "n": 1', START) + END,
+}
+
+
+@pytest.mark.parametrize("name", TORN)
+def test_a_form_that_is_torn_is_400(api: ApiClient, name: str) -> None:
+    assert_problem(posted(api, TORN[name]), 400, "malformed-body")
     assert_answers(api)
 
 
-def test_a_long_media_type_is_415(api: ApiClient) -> None:
-    long = "application/json; " + "x" * MAX_CONTENT_TYPE
-    assert_problem(posted(api, b"{}", long), 415, "unsupported-media-type")
-    assert_problem(posted(api, b"{}", "application/json; " + "x" * 100), 422, "invalid-value")
+def test_a_boundary_that_rfc_2046_excludes_is_400(api: ApiClient) -> None:
+    options = ("", *(f"; boundary={text}" for text in ("x" * 71, '""', '"x "', "\xfc")))
+    for option in options:
+        assert_problem(posted(api, END, f"multipart/form-data{option}"), 400, "malformed-body")
+    assert_answers(api)

@@ -22,19 +22,22 @@ def waiting() -> Gauge:
     return Gauge("waiting", "Those that wait.", registry=CollectorRegistry())
 
 
-def test_a_long_request_whose_client_leaves_ends_at_its_next_pause(waiting: Gauge) -> None:
-    stints, last = [], threading.Event()
+@pytest.mark.parametrize(("threads", "announced"), [(1, LONG), (2, 0)], ids=["a long one", "one alone"])
+def test_a_request_whose_client_leaves_ends_at_its_next_pause(
+    waiting: Gauge, threads: int, announced: float
+) -> None:
+    begun, stints = threading.Event(), []
 
     def work(job: Job) -> None:
-        job.spend(LONG)
+        job.spend(announced)
         for number in range(10_000):
+            begun.set()
             stints.append(number)
-            last.set()
             time.sleep(0.001)
             job.check_cancelled()
 
     async def scenario() -> None:
-        scheduler, left = Scheduler(1, waiting, ticking()), asyncio.Event()
+        scheduler, left = Scheduler(threads, waiting, ticking()), asyncio.Event()
         async with anyio.create_task_group() as group:
 
             async def ask() -> None:
@@ -42,7 +45,7 @@ def test_a_long_request_whose_client_leaves_ends_at_its_next_pause(waiting: Gaug
                     await scheduler.run(work, "gone", leaving(left))
 
             group.start_soon(ask)
-            assert await to_thread.run_sync(last.wait, PATIENCE_S)
+            assert await to_thread.run_sync(begun.wait, PATIENCE_S)
             left.set()
         assert await scheduler.run(lambda job: "next") == "next"
 
@@ -79,26 +82,6 @@ def test_a_short_request_does_not_wait_for_the_end_of_long_ones(waiting: Gauge, 
         assert found == ["long"] * 3
 
     anyio.run(scenario)
-
-
-def test_long_requests_leave_a_thread_to_the_others(waiting: Gauge) -> None:
-    at_work, most, done = [], [], threading.Event()
-
-    def work(job: Job) -> None:
-        job.spend(LONG)
-        at_work.append(job)
-        most.append(len(at_work))
-        assert done.wait(0.05) or True
-        at_work.remove(job)
-
-    async def scenario() -> None:
-        scheduler = Scheduler(3, waiting, ticking())
-        async with anyio.create_task_group() as group:
-            for number in range(6):
-                group.start_soon(scheduler.run, work, f"client {number}")
-
-    anyio.run(scenario)
-    assert max(most) == 2
 
 
 def test_a_free_place_that_long_requests_may_not_take_is_taken_at_once(waiting: Gauge) -> None:
@@ -232,32 +215,6 @@ def test_what_proves_long_without_having_been_announced_leaves_a_place_to_the_ot
             done.set()
 
     anyio.run(scenario)
-
-
-def test_a_request_that_waits_for_nobody_ends_at_a_pause_when_its_client_leaves(waiting: Gauge) -> None:
-    begun, stints = threading.Event(), []
-
-    def work(job: Job) -> None:
-        for number in range(10_000):
-            begun.set()
-            stints.append(number)
-            time.sleep(0.001)
-            job.check_cancelled()
-
-    async def scenario() -> None:
-        scheduler, left = Scheduler(2, waiting, ticking()), asyncio.Event()
-        async with anyio.create_task_group() as group:
-
-            async def ask() -> None:
-                with pytest.raises(ClientDisconnect):
-                    await scheduler.run(work, "gone", leaving(left))
-
-            group.start_soon(ask)
-            assert await to_thread.run_sync(begun.wait, PATIENCE_S)
-            left.set()
-
-    anyio.run(scenario)
-    assert len(stints) < 5000
 
 
 def test_clients_pay_for_the_time_that_they_compute(waiting: Gauge) -> None:

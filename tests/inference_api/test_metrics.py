@@ -204,25 +204,6 @@ def with_another_answer(bundle: Path, folder: Path) -> Path:
     return folder
 
 
-def test_without_a_model_there_is_no_series_of_one_and_readiness_is_a_failure(start_api: StartApi) -> None:
-    api = start_api(shipped=False)
-    assert api.get("/health/live").status_code == 200
-    assert api.get("/health/ready").status_code == 503
-    found = scrape(api)
-    assert not labelled(found, "cspace_model_info", "name")
-    assert value(found, "cspace_failures_total", reason="no-model") == 1
-
-
-def test_two_apps_in_one_process_count_for_themselves(
-    start_api: StartApi, tmp_path: Path, bundles: dict[str, Path]
-) -> None:
-    first, second = start_api(), start_api()
-    first.get("/models")
-    labels = {"route": "/models", "method": "GET", "status": "200"}
-    assert value(scrape(first), "cspace_requests_total", **labels) == 1
-    assert ("cspace_requests_total", frozenset(labels.items())) not in scrape(second)
-
-
 def test_a_scrape_sees_itself_in_flight_and_nothing_stays_there(api: ApiClient) -> None:
     for _ in range(2):
         assert value(scrape(api), "cspace_requests_in_flight") == 1

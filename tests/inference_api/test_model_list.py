@@ -2,8 +2,8 @@ from tests.inference_api.client import ApiClient
 from tests.inference_api.conftest import StartApi
 
 
-def test_the_list_of_models_names_all_that_a_request_can(api: ApiClient) -> None:
-    body = api.get("/models").json()
+def test_the_list_of_models_names_all_that_a_request_can(own_api: ApiClient) -> None:
+    body = own_api.get("/models").json()
     assert (body["default"], body["registry"]) == ("cspace-sampler", "reachable")
     assert [item["reference"] for item in body["models"]] == [
         "cspace-sampler/5",

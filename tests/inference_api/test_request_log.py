@@ -12,7 +12,7 @@ import pytest
 from cspace.bundle import Bundle
 from inference_api.logs import JsonFormatter, LogForm, TextFormatter, choose_request_id, log_settings
 from tests.bundles import picture
-from tests.inference_api.answers import PNG
+from tests.inference_api.answers import PNG, assert_answers, assert_problem
 from tests.inference_api.client import ApiClient
 from tests.inference_api.tensor_client import json_input
 
@@ -82,22 +82,33 @@ def test_an_error_has_its_reason_in_the_line_and_the_id_in_the_answer(
         assert json.loads(json_lines[-1])["reason"] == reason
 
 
-def test_lines_from_within_a_request_carry_its_id_and_a_failure_its_trace(
+def test_a_failure_that_nobody_foresaw_is_500_without_its_inner_words_which_the_log_has(
     api: ApiClient, json_lines: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def fail(*_: object, **__: object) -> None:
         raise ZeroDivisionError("inner words")
 
+    headers = {"x-request-id": "fails"}
+    infer = {"inputs": [json_input(picture()[None])]}
     with monkeypatch.context() as patch:
         patch.setattr(Bundle, "answer", fail)
-        answer = api.post("/sample", files={"image": PNG}, headers={"x-request-id": "fails"})
-    assert (answer.status_code, answer.headers["x-request-id"]) == (500, "fails")
-    assert answer.headers["x-content-type-options"] == "nosniff"
-    failure, access = (json.loads(line) for line in json_lines)
-    assert failure["request_id"] == access["request_id"] == "fails"
-    assert failure["level"] == "error"
-    assert "inner words" in failure["exception"]
-    assert (access["status"], access["reason"]) == (500, "internal-error")
+        answers = [
+            api.post("/sample", files={"image": PNG}, headers=headers),
+            api.post("/v2/models/cspace-sampler/infer", json=infer, headers=headers),
+        ]
+    assert_problem(answers[0], 500, "internal-error")
+    assert (answers[1].status_code, set(answers[1].json())) == (500, {"error"})
+    for answer in answers:
+        assert "inner words" not in answer.text
+        assert answer.headers["x-request-id"] == "fails"
+        assert answer.headers["x-content-type-options"] == "nosniff"
+    lines = [json.loads(line) for line in json_lines]
+    assert [line["request_id"] for line in lines] == ["fails"] * 4
+    for failure, access in (lines[:2], lines[2:]):
+        assert failure["level"] == "error"
+        assert "inner words" in failure["exception"]
+        assert (access["status"], access["reason"]) == (500, "internal-error")
+    assert_answers(api)
 
 
 def test_the_line_has_no_place_for_a_clients_words(api: ApiClient, lines: list[str]) -> None:
@@ -108,39 +119,16 @@ def test_the_line_has_no_place_for_a_clients_words(api: ApiClient, lines: list[s
     assert not any("forged" in line or "\n" in line for line in lines)
 
 
-def test_a_failure_below_v2_is_told_in_the_protocol_s_form_and_logged_alike(
-    api: ApiClient, json_lines: list[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def fail(*_: object, **__: object) -> None:
-        raise ZeroDivisionError
-
-    request = {"inputs": [json_input(picture()[None])]}
-    with monkeypatch.context() as patch:
-        patch.setattr(Bundle, "answer", fail)
-        headers = {"x-request-id": "fails"}
-        answer = api.post("/v2/models/cspace-sampler/infer", json=request, headers=headers)
-    assert (answer.status_code, set(answer.json())) == (500, {"error"})
-    assert answer.headers["x-request-id"] == "fails"
-    _, access = (json.loads(line) for line in json_lines)
-    assert (access["status"], access["reason"]) == (500, "internal-error")
-
-
-@pytest.mark.parametrize("sent", ["", " ", "a b", "é", "a\n", "x" * 129, "a;b", "<script>"])
-def test_an_id_that_is_not_plain_is_replaced_by_a_fresh_one(api: ApiClient, sent: str) -> None:
-    first, second = choose_request_id(sent), choose_request_id(sent)
-    assert first != second
-    assert len(first) == 32
-    if "\n" not in sent:
-        answer = api.get("/health/live", headers={"x-request-id": sent.encode("latin-1")})
-        assert answer.headers["x-request-id"] not in {sent, ""}
-
-
-@pytest.mark.parametrize("sent", ["a", "x" * 128, "A-Za-z0-9._-"])
-def test_a_plain_id_is_kept(sent: str) -> None:
-    assert choose_request_id(sent) == sent
-
-
-def test_answers_to_requests_without_an_id_have_different_ones(api: ApiClient) -> None:
+def test_a_plain_id_is_kept_and_another_one_replaced_by_a_fresh_one(api: ApiClient) -> None:
+    for sent in ("a", "x" * 128, "A-Za-z0-9._-"):
+        assert choose_request_id(sent) == sent
+    for sent in ("", " ", "a b", "é", "a\n", "x" * 129, "a;b", "<script>"):
+        first, second = choose_request_id(sent), choose_request_id(sent)
+        assert first != second
+        assert len(first) == 32
+        if "\n" not in sent:
+            answer = api.get("/health/live", headers={"x-request-id": sent.encode("latin-1")})
+            assert answer.headers["x-request-id"] not in {sent, ""}
     assert len({api.get("/health/live").headers["x-request-id"] for _ in range(3)}) == 3
 
 

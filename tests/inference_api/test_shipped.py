@@ -8,7 +8,6 @@ import pytest
 from cspace.worlds.planar.arm import THREE_LINK
 from inference_api.app import create_app
 from inference_api.settings import ApiSettings
-from services.registry.ports import SHIPPED
 from tests.bundles import write_tiny_bundle
 from tests.inference_api.answers import assert_problem
 from tests.inference_api.client import ApiClient, running
@@ -52,7 +51,12 @@ def test_a_name_without_a_registered_model_is_answered_by_what_is_shipped_of_its
 ) -> None:
     told = ask(api, model="three-link-sampler").json()["model"]
     assert (told["name"], told["fallback"]) == (THREE_NAME, True)
-    for wrong in ("three-link-sampler/1", "three-link-sampler@champion", "four-link-sampler"):
+    for wrong in (
+        "three-link-sampler/1",
+        "three-link-sampler@champion",
+        "four-link-sampler",
+        f"{THREE_NAME}/1",
+    ):
         assert_problem(ask(api, model=wrong), 404, "unknown-model")
     registry.add(
         write_tiny_bundle(tmp_path / "own", THREE_LINK, scale=3.0), "champion", name="three-link-sampler"
@@ -82,11 +86,3 @@ def test_a_broken_one_is_left_out_and_the_others_answer(
         assert list(listed(api)) == ["pretrained"]
         assert_problem(ask(api, model=THREE_NAME), 503, "no-model")
         assert ask(api).status_code == 200
-
-
-def test_names_of_shipped_models_are_no_names_of_others(tmp_path: Path, folders: dict[str, Path]) -> None:
-    assert THREE_NAME in SHIPPED
-    with running(create_app(settings(tmp_path, folders), None)) as api:
-        assert_problem(ask(api, model=f"{THREE_NAME}/1"), 404, "unknown-model")
-        ready = api.get(f"/v2/models/{THREE_NAME}/versions/0")
-        assert ready.json()["versions"] == ["0"]

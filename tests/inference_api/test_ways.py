@@ -10,7 +10,6 @@ from cspace.simulator import Split
 from cspace.worlds import examples, simulator_of
 from inference_api import scheduler
 from tests.bundles import write_tiny_bundle
-from tests.inference_api.answers import assert_answers, assert_problem
 from tests.inference_api.conftest import CountingRegistry, api_over, stock
 
 WORLD = examples()["two-link"]
@@ -53,21 +52,6 @@ def test_an_npy_holds_the_same_samples(api):
     found = ask(api, headers={"Accept": "application/x-npy"})
     samples = np.frombuffer(found.content[-50 * 8 :], dtype="<f4").reshape(50, 2)
     assert np.allclose(samples, ask(api).json()["samples"], atol=1e-6)
-
-
-def test_other_models_tell_of_no_ways(api):
-    told = api.post("/sample", files={"image": PNG}, data={"model": "cspace-sampler"}).json()
-    assert told["ways"] is None
-
-
-def test_without_the_compiler_it_says_so_and_goes_on(api, monkeypatch):
-    def none(*args, **kwargs):
-        raise ImportError("no kernels", name="numba")
-
-    monkeypatch.setattr("cspace.plan.seen_checkers", none)
-    assert_problem(ask(api), 501, "no-planner")
-    monkeypatch.undo()
-    assert_answers(api)
 
 
 def test_others_have_their_turns_during_the_search(api, monkeypatch):

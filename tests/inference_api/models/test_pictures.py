@@ -48,12 +48,6 @@ def test_pixels_are_known_by_what_they_are(bundle: Bundle) -> None:
     assert len(cache) == 2
 
 
-def test_every_bundle_encodes_for_itself(bundle: Bundle, bundles: dict[str, Path]) -> None:
-    cache, other = PictureCache(4), Bundle.load(bundles["other"])
-    assert cache.get(bundle, png_of(0)).picture.digest == bundle.digest
-    assert cache.get(other, png_of(0)).picture.digest == other.digest
-
-
 def test_without_room_nothing_is_kept(bundle: Bundle) -> None:
     cache = PictureCache(0)
     assert cache.get(bundle, png_of(0)).encode_ms > 0.0
