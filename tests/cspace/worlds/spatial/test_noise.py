@@ -101,16 +101,11 @@ def test_readings_drop_out_beside_jumps():
     assert found.sum() == 2 * SIDE
     assert found[:, SIDE // 2 - 1 : SIDE // 2 + 1].all()
     assert not beside_jumps(depth, 0.3).any()
+    # A neighbour without a reading is a jump.
+    assert beside_jumps(step(1.0, 0.0), 0.05).sum() == SIDE
     lost = DropOut(0.05, 0.4, 0.01).lost(np.random.default_rng(0), depth)
     assert lost[found].mean() == pytest.approx(0.4, abs=0.1)
     assert lost[~found].mean() == pytest.approx(0.01, abs=0.002)
-
-
-def test_a_neighbour_without_a_reading_is_a_jump():
-    depth = step(1.0, 0.0)
-    found = beside_jumps(depth, 0.05)
-    assert found[:, SIDE // 2 - 1].all()
-    assert found.sum() == SIDE
 
 
 @pytest.mark.parametrize("model", MODELS, ids=lambda model: type(model).__name__)
@@ -131,11 +126,9 @@ def test_noise_is_seeded_and_reads_nothing_where_nothing_is(model):
     ("kind", "change"),
     [
         (DropOut, {"at_jumps": 1.1}),
-        (DropOut, {"anywhere": float("nan")}),
         (DropOut, {"jump_m": 0.0}),
         (Disparity, {"parts": 0}),
         (Disparity, {"baseline_m": -1.0}),
-        (Disparity, {"lateral_px": -1.0}),
         (Stereo, {"focal_px": 0.0}),
         (Stereo, {"smooth_px": -1.0}),
     ],

@@ -1,14 +1,9 @@
-import json
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-import cspace.worlds.spatial
 from cspace.errors import ImageError
 from cspace.simulator import Split
 from cspace.worlds.spatial import distance_field
-from cspace.worlds.spatial.arm import SerialArm
 from cspace.worlds.spatial.camera import DepthCamera, looking, to_mm
 from cspace.worlds.spatial.distance_field import TRUNCATION_M
 from cspace.worlds.spatial.distances import distance_m
@@ -36,10 +31,8 @@ from cspace.worlds.spatial.visibility import (
     observe,
     unseen_share,
 )
+from tests.cspace.worlds.spatial.test_robots import PANDA, READY
 
-ROBOTS = Path(cspace.worlds.spatial.__file__).with_name("robots")
-PANDA = SerialArm.from_dict(json.loads((ROBOTS / "panda.json").read_bytes()))
-READY = ((0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785),)
 SPHERES = np.concatenate((PANDA.sphere_centres_m(READY)[0], PANDA.spheres_m()[:, 3:]), axis=1)
 GRID = GridBox((-0.4, -0.4, 0.0), 0.025, (32, 32, 32))
 CENTRES = GRID.centres_m()
@@ -69,8 +62,8 @@ def test_a_plane_seen_head_on_is_as_far_as_it_is():
     assert (found[away > TRUNCATION_M + 0.005, 0] == 255).all()
 
 
-@pytest.mark.parametrize(("tilt_deg", "most_m"), [(40.0, 0.007), (65.0, 0.007)])
-def test_a_plane_seen_at_a_slant_has_no_gaps_between_pixels(tilt_deg, most_m):
+@pytest.mark.parametrize("tilt_deg", [40.0, 65.0])
+def test_a_plane_seen_at_a_slant_has_no_gaps_between_pixels(tilt_deg):
     obstacles = slab(0.4, tilt=np.radians(tilt_deg))
     pose = np.array(obstacles.boxes[0].pose)
     height = (CENTRES - (0.0, 0.0, 0.4)) @ pose[:3, 2]
@@ -79,7 +72,7 @@ def test_a_plane_seen_at_a_slant_has_no_gaps_between_pixels(tilt_deg, most_m):
     near = (np.abs(height) < TRUNCATION_M - 0.01) & within & (height > -0.02)
     error = distances_m(seen(obstacles, ABOVE))[near] - np.abs(height[near])
     assert near.sum() > 1000
-    assert np.abs(error).max() < most_m
+    assert np.abs(error).max() < 0.007
 
 
 def test_before_a_plane_is_free_and_behind_it_unseen_and_how_deep():
@@ -172,7 +165,7 @@ def brute_codes(picture, camera, grid):
     return found
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_codes_are_those_of_the_definition(seed):
     rng = np.random.default_rng(seed)
     pose = looking(rng.normal(size=3) * 0.5 + (0, 0, 0.6), rng.normal(size=3) * 0.1, rng.uniform(-3, 3))
@@ -187,7 +180,7 @@ def test_codes_are_those_of_the_definition(seed):
     assert (found == expected).mean() > 0.998, "but for roundings"
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_distances_to_pixels_that_stand_alone_are_those_to_their_points(seed):
     rng = np.random.default_rng(seed)
     camera = DepthCamera.of_field(32, 32, 60.0, looking((0.5, 0.6, 0.9), (0.0, 0.0, 0.4), 0.3))
@@ -292,14 +285,15 @@ def test_the_unseen_share_is_that_of_the_weights():
     np.testing.assert_allclose(unseen_share(found, grid, arms, (1.0, 3.0)), (0.0, 0.25, 1.0))
 
 
-@pytest.mark.parametrize(("count", "cameras"), [(0, 0), (1, 2), (5, 5)])
-def test_numbers_of_pictures_that_do_not_fit_are_refused(count, cameras):
-    picture = np.zeros(ABOVE.picture_shape, dtype=np.uint16)
+@pytest.mark.parametrize(
+    "pictures",
+    [
+        [],
+        [np.zeros((96, 96), np.uint16)] * 2,
+        [np.zeros((96, 95), np.uint16)],
+        [np.zeros((96, 96), np.float32)],
+    ],
+)
+def test_pictures_that_do_not_fit_their_cameras_are_refused(pictures):
     with pytest.raises(ImageError):
-        observe([picture] * count, [ABOVE] * cameras, GRID)
-
-
-@pytest.mark.parametrize("picture", [np.zeros((96, 95), np.uint16), np.zeros((96, 96), np.float32)])
-def test_pictures_that_do_not_fit_their_camera_are_refused(picture):
-    with pytest.raises(ImageError):
-        observe([picture], [ABOVE], GRID)
+        observe(pictures, [ABOVE][: len(pictures)], GRID)

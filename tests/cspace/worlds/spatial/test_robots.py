@@ -53,11 +53,6 @@ def test_the_ur5_has_the_geometry_of_its_makers_table() -> None:
     assert self_distance_batch(np.asarray([UR5.ready_rad]), arm_arrays(UR5))[0] > 0.0
 
 
-def test_an_arm_says_where_it_waits_only_if_it_was_told() -> None:
-    assert "ready_rad" not in VAMP.to_dict()
-    assert SerialArm.from_dict(UR5.to_dict()) == UR5
-
-
 def test_the_pandas_limits_are_its_makers() -> None:
     assert tuple(joint.limits_rad for joint in PANDA.joints) == MAKERS_RAD
 

@@ -62,9 +62,7 @@ def test_without_cameras_there_is_one_and_without_a_state_no_arm_in_its_picture(
     assert len(found.scene.cameras) == 1
     assert found.scene.state is None
     assert read(tmp_path, state=SCENE["goal"]).scene.state == tuple(SCENE["goal"])
-
-
-def test_the_robot_may_be_described_in_the_file(tmp_path):
+    # The robot may be described in the file.
     assert read(tmp_path, robot=PANDA.body.to_dict()).world == PANDA
 
 
@@ -98,12 +96,10 @@ def described(*arguments):
     return described_world(parser.parse_args(arguments))
 
 
-def test_an_arm_is_named_or_read_from_its_file(tmp_path):
-    assert described("--arm", "panda") == PANDA
+def test_an_arm_is_read_from_its_file(tmp_path):
     path = tmp_path / "arm.json"
     path.write_text(json.dumps(PANDA.body.to_dict()))
     assert described("--arm", str(path)) == PANDA
-    assert described().kind == "planar"
     with pytest.raises(ScenarioError, match="one of panda"):
         described("--arm", "kuka")
     for text in ("{", "[" * 100_000, '{"a": NaN}', '{"a": 1, "a": 1}'):

@@ -51,12 +51,9 @@ def test_cameras_are_told_without_the_size_that_their_pictures_have(view):
     ("changes", "message"),
     [
         ({"fx": "30"}, "fx does not fit"),
-        ({"fx": True}, "fx does not fit"),
         ({"fx": 0.01}, "focal length cannot be"),
         ({"cx": 500.0}, "principal point cannot be"),
         ({"pose": "here"}, "no pose"),
-        ({"pose": [[1.0, 0.0], [0.0, 1.0]]}, "no pose"),
-        ({"pose": [[2.0, 0, 0, 0], [0, 1.0, 0, 0], [0, 0, 1.0, 0], [0, 0, 0, 1.0]]}, "no rotation"),
         ({"pose": [[-1.0, 0, 0, 0], [0, 1.0, 0, 0], [0, 0, 1.0, 0], [0, 0, 0, 1.0]]}, "no rotation"),
         ({"width": 32}, "other keys"),
     ],
@@ -67,9 +64,7 @@ def test_a_camera_that_cannot_be_is_refused(changes, message):
         read_view(data, SPACE)
 
 
-@pytest.mark.parametrize(
-    "state", [[0.0] * 6, [0.0] * 8, "home", {"q": 1}, [99.0, *STATE[1:]], [*STATE[:6], "0"], []]
-)
+@pytest.mark.parametrize("state", [[0.0] * 6, "home", [99.0, *STATE[1:]], [*STATE[:6], "0"]])
 def test_a_state_that_the_arm_cannot_have_is_refused(state):
     data = pack_view([encode_depth(picture())], [told()], state)
     with pytest.raises(ImageError, match="state does not fit"):
@@ -90,12 +85,11 @@ def test_pictures_and_cameras_are_as_many_as_each_other_and_at_most_four():
     for pictures, cameras in ((0, 0), (1, 2), (2, 1), (5, 5)):
         with pytest.raises(ImageError, match=f"{pictures} pictures, {cameras} cameras"):
             pack_view([b"PNG"] * pictures, [told()] * cameras, None)
-
-
-def test_a_picture_without_a_reading_is_refused():
-    data = pack_view([encode_depth(np.zeros((24, 32), dtype=np.uint16))], [told()], None)
-    with pytest.raises(ImageError, match="no reading"):
-        read_view(data, SPACE)
+    with pytest.raises(ImageError, match="too long"):
+        pack_view([b"PNG"], [["x" * 20_000]], None)
+    for depth in (picture(), picture(64, 48).astype(np.int32)):
+        with pytest.raises(ImageError, match="does not fit its camera"):
+            DepthView((depth,), (camera(48, 64),))
 
 
 def test_bytes_that_are_no_view_are_refused(view):
@@ -119,15 +113,3 @@ def test_bytes_that_are_no_view_are_refused(view):
     ):
         with pytest.raises(ImageError):
             read_view(wrong, SPACE)
-
-
-def test_a_camera_list_without_end_is_refused():
-    with pytest.raises(ImageError, match="too long"):
-        pack_view([b"PNG"], [["x" * 20_000]], None)
-
-
-def test_a_view_that_does_not_fit_itself_is_refused():
-    with pytest.raises(ImageError, match="does not fit its camera"):
-        DepthView((picture(),), (camera(64, 48),))
-    with pytest.raises(ImageError, match="does not fit its camera"):
-        DepthView((picture().astype(np.int32),), (camera(),))

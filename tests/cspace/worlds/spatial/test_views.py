@@ -1,4 +1,3 @@
-import json
 from dataclasses import replace
 
 import numpy as np
@@ -6,16 +5,14 @@ import pytest
 
 from cspace.errors import ScenarioError
 from cspace.simulator import Split
-from cspace.strict_json import parse_json, read_object
 from cspace.worlds.spatial.camera import camera_place
 from cspace.worlds.spatial.distances import distance_m
 from cspace.worlds.spatial.furniture import SpatialScenes
-from cspace.worlds.spatial.rendering import render_depth
 from cspace.worlds.spatial.scenes import draw_cameras, draw_layout
 from cspace.worlds.spatial.sensor import CameraViews
 
 VIEWS = CameraViews()
-LAYOUTS = [draw_layout(SpatialScenes(), Split.TRAIN, 11, index) for index in range(40)]
+LAYOUTS = [draw_layout(SpatialScenes(), Split.TRAIN, 11, index) for index in range(30)]
 
 
 def test_places_by_hand():
@@ -49,27 +46,11 @@ def test_cameras_are_as_far_and_as_high_and_as_wide_as_set_on_both_sides():
     assert 0.3 < (sides > 0).mean() < 0.7
 
 
-def test_cameras_see_something():
-    for index, layout in enumerate(LAYOUTS[:10]):
-        for camera in draw_cameras(VIEWS, np.random.default_rng(index), layout):
-            view = render_depth(layout.obstacles, camera)
-            assert view.depth_m.shape == (128, 128)
-            assert (view.depth_m > 0).any()
-
-
-def test_views_come_back_from_json_as_they_were():
-    assert (
-        read_object(CameraViews, parse_json(json.dumps(VIEWS.to_dict()).encode()), "it", ScenarioError)
-        == VIEWS
-    )
-
-
 @pytest.mark.parametrize(
     "change",
     [
-        {"count": (0, 2)}, {"count": (2, 1)}, {"side_deg": (10.0, 190.0)}, {"up_deg": (50.0, 20.0)},
-        {"distance_m": (0.0, 1.0)}, {"distance_m": (float("nan"), 1.0)}, {"field_deg": (50.0, 175.0)},
-        {"aim_m": -0.1}, {"clear_m": -1.0}, {"width": 8}, {"height": 5000}, {"roll_deg": float("nan")},
+        {"count": (0, 2)}, {"count": (2, 1)}, {"side_deg": (10.0, 190.0)}, {"distance_m": (0.0, 1.0)},
+        {"field_deg": (50.0, 175.0)}, {"aim_m": -0.1}, {"width": 8},
     ],
 )  # fmt: skip
 def test_views_that_cannot_be_are_refused(change):

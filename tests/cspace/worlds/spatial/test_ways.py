@@ -68,15 +68,6 @@ def test_a_way_leads_from_start_to_goal_and_every_step_of_it_is_free(ends):
         assert checker.valid_batch(dense).all()
 
 
-def test_a_way_of_many_tries_is_no_longer_than_the_first_search_finds(ends):
-    checker, start, goals = ends
-    for goal in goals[:2]:
-        raw = raw_way(checker, start, goal, 0)
-        path = find_path(checker, start, goal, np.random.default_rng(0), LIMITS)
-        assert length_rad(path, PANDA.space) < length_rad(raw, PANDA.space)
-        assert length_rad(path, PANDA.space) > np.linalg.norm(goal - start)
-
-
 def test_shortening_never_lengthens_and_keeps_a_way_free_and_its_ends(ends):
     checker, start, goals = ends
     raw = raw_way(checker, start, goals[0], 1)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from cspace.errors import ConfigError, DatasetError, ImageError, ScenarioError
+from cspace.errors import ConfigError, DatasetError, ScenarioError
 from cspace.simulator import UNIFORM, Simulator, Split
 from cspace.strict_json import parse_json
 from cspace.world import World
@@ -69,7 +69,7 @@ def test_a_scene_s_file_is_read_as_its_picture(scenes):
         assert (picture[..., 0] < 255).mean() > 0.01
 
 
-def test_pictures_with_holes_read_less_and_are_the_same_each_time(scenes):
+def test_pictures_have_holes_and_noise_and_are_the_same_each_time(scenes):
     whole = replace(scenes[1], holes=0.0)
     holed = replace(whole, holes=1.0)
     for before, after in zip(whole.view().pictures, holed.view().pictures, strict=True):
@@ -78,17 +78,11 @@ def test_pictures_with_holes_read_less_and_are_the_same_each_time(scenes):
     read = [sum(int((picture > 0).sum()) for picture in one.view().pictures) for one in (whole, holed)]
     assert read[1] < read[0]
     assert np.array_equal(SHOP.render(holed), SHOP.render(holed))
+    assert scenes[0].noise in WORLD.sensor.noise
+    assert not np.array_equal(SHOP.render(scenes[0]), SHOP.render(replace(scenes[0], noise=None)))
     assert {scene.holes for scene in scenes} == {WORLD.sensor.holes}
     with pytest.raises(ScenarioError, match="holes does not fit"):
         replace(WORLD.sensor, holes=1.5)
-
-
-def test_noise_makes_another_picture_and_the_same_one_each_time(scenes):
-    noisy = scenes[0]
-    exact = replace(noisy, noise=None)
-    assert noisy.noise in WORLD.sensor.noise
-    assert not np.array_equal(SHOP.render(noisy), SHOP.render(exact))
-    assert np.array_equal(SHOP.render(noisy), SHOP.render(noisy))
 
 
 def test_a_picture_of_nothing_is_free_where_it_looks():
@@ -105,13 +99,6 @@ def test_networks_take_channels_first(scenes):
     assert found.min() >= 0.0
     assert found.max() == pytest.approx(1.0)
     assert np.array_equal(np.round(found[0, 1] * 255.0), picture[..., 1])
-
-
-def test_what_is_no_view_is_refused():
-    with pytest.raises(ImageError, match="comes without its camera"):
-        WORLD.read_picture(b"\x89PNG")
-    with pytest.raises(ImageError, match="no view"):
-        WORLD.read_picture(b"cspace-view 1 ?")
 
 
 def test_obstacles_are_kept_as_rows(scenes):
