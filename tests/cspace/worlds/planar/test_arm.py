@@ -1,5 +1,5 @@
 import json
-from math import inf, nan, pi, sqrt
+from math import inf, pi, sqrt
 
 import numpy as np
 import pytest
@@ -22,21 +22,12 @@ def test_every_joint_is_relative_to_the_link_before():
     np.testing.assert_allclose(positions, [[0, 0], [0, 3], [-2, 3], [-2, 2]], atol=1e-12)
 
 
-def test_reach_and_dimension_come_from_the_links():
-    assert (TWO_LINK.dim, TWO_LINK.reach_m) == (2, 4.0)
-    assert (THREE_LINK.dim, THREE_LINK.reach_m) == (3, 4.0)
-
-
 def test_joints_are_circles_unless_they_have_limits():
     space = PlanarArm(joint_limits_rad=(None, (-1.0, 2.0))).space
     assert space.periodic == (True, False)
     assert (space.lower, space.upper) == ((-pi, -1.0), (pi, 2.0))
-
-
-@pytest.mark.parametrize("limits", [(-2.9, 4.0), (-4.0, 1.0), (-7.0, 7.0)])
-def test_limits_may_lie_beyond_half_a_turn(limits):
-    space = PlanarArm(joint_limits_rad=(limits, None)).space
-    assert (space.lower[0], space.upper[0], space.periodic) == (*limits, (False, True))
+    beyond = PlanarArm(joint_limits_rad=((-7.0, 4.0), None)).space
+    assert (beyond.lower[0], beyond.upper[0], beyond.periodic) == (-7.0, 4.0, (False, True))
 
 
 @pytest.mark.parametrize("arm", [TWO_LINK, THREE_LINK, PlanarArm(joint_limits_rad=(None, (-1.0, 2.0)))])
@@ -50,14 +41,11 @@ def test_a_robot_survives_json(arm):
         {"link_lengths_m": ()},
         {"link_lengths_m": (1.0, 0.0)},
         {"link_lengths_m": (1.0, inf)},
-        {"link_lengths_m": (1.0, nan)},
         {"half_width_m": 0.0},
-        {"half_width_m": nan},
         {"joint_limits_rad": (None,)},
         {"joint_limits_rad": (None, (1.0, 1.0))},
         {"joint_limits_rad": (None, (-4000.0, 1.0))},
         {"joint_limits_rad": (None, (1.0, 1.0 + 1e-7))},
-        {"joint_limits_rad": (None, (nan, 1.0))},
     ],
 )
 def test_a_robot_that_cannot_be_is_an_error(values):
@@ -69,8 +57,6 @@ def test_a_robot_that_cannot_be_is_an_error(values):
     "change",
     [
         {"link_lengths_m": None},
-        {"link_lengths_m": 2.0},
-        {"half_width_m": None},
         {"joint_limits_rad": [[1.0], None]},
         {"colour": "blue"},
         {"kind": "crane"},

@@ -14,8 +14,8 @@ from cspace.worlds.planar.world import Disc, Scenario
 
 CELLS = 512
 STEP_RAD = 2 * np.pi / CELLS
-# With this seed these narrow problems are found after few draws.
-NARROW_INDICES = (12, 17)
+# With this seed that narrow problem is found after few draws.
+NARROW = 12
 
 
 class Independent:
@@ -51,28 +51,23 @@ class Independent:
 
 
 @cache
-def drawn(family, index):
-    return draw_problem(family, Split.TEST, 7, index)
-
-
-@cache
 def independent(scenario):
     return Independent(scenario)
 
 
-@pytest.fixture(scope="module", params=[0, 3])
-def uniform(request):
-    return drawn(Family.UNIFORM, request.param)
+@pytest.fixture(scope="module")
+def uniform():
+    return draw_problem(Family.UNIFORM, Split.TEST, 7, 0)
 
 
-@pytest.fixture(scope="module", params=NARROW_INDICES)
-def narrow(request):
-    return drawn(Family.NARROW, request.param)
+@pytest.fixture(scope="module")
+def narrow():
+    return draw_problem(Family.NARROW, Split.TEST, 7, NARROW)
 
 
-@pytest.fixture(scope="module", params=[0, 3])
-def disconnected(request):
-    return drawn(Family.DISCONNECTED, request.param)
+@pytest.fixture(scope="module")
+def disconnected():
+    return draw_problem(Family.DISCONNECTED, Split.TEST, 7, 3)
 
 
 def test_the_ends_of_a_uniform_problem_share_a_component(uniform):
@@ -89,10 +84,8 @@ def test_a_narrow_problem_has_its_bottleneck_in_the_band(narrow):
     assert check.joined(narrow.start, narrow.goal, check.clearance > low)
     assert not check.joined(narrow.start, narrow.goal, check.clearance > high)
     assert bottleneck_rad(narrow.scenario, narrow.start, narrow.goal) == narrow.bottleneck_rad
-
-
-def test_it_is_the_passage_of_a_narrow_problem_that_is_narrow_not_its_ends(narrow):
-    check = independent(narrow.scenario)
+    assert narrow.rejected > 0
+    # It is the passage that is narrow and not the ends.
     for end in (narrow.start, narrow.goal):
         assert check.clearance[check.cell(end)] > NARROW_RAD[1]
 
@@ -101,6 +94,7 @@ def test_the_ends_of_a_disconnected_problem_are_in_different_components(disconne
     check = independent(disconnected.scenario)
     everywhere = np.ones((3, 3))
     assert disconnected.bottleneck_rad == 0.0
+    assert disconnected.rejected > 0
     assert check.free[check.cell(disconnected.start)]
     assert check.free[check.cell(disconnected.goal)]
     assert not check.joined(disconnected.start, disconnected.goal, check.free, everywhere)
@@ -137,11 +131,6 @@ def test_a_problem_is_fixed_by_family_split_seed_and_index():
     )  # fmt: skip
 
 
-def test_draws_that_are_not_of_the_family_are_counted(narrow, disconnected):
-    assert narrow.rejected > 0
-    assert disconnected.rejected > 0
-
-
 def test_a_limited_joint_closes_the_way_round():
     # The first link cannot pass the disc above the base; on a circle it goes round below.
     discs = (Disc(0.0, 3.0),)
@@ -164,11 +153,6 @@ def test_a_family_that_cannot_be_found_is_an_error(monkeypatch):
     tiny = PlanarArm(link_lengths_m=(0.05, 0.05), half_width_m=0.01)
     with pytest.raises(ScenarioError, match="disconnected problem was found"):
         draw_problem(Family.DISCONNECTED, Split.TEST, 0, 0, tiny)
-
-
-def test_an_unknown_family_is_refused():
-    with pytest.raises(ValueError, match="wide"):
-        draw_problem("wide", Split.TEST, 0)
 
 
 @pytest.mark.slow
