@@ -30,7 +30,7 @@ def test_known_pictures_are_seldom_new() -> None:
     known, fresh = rng.exponential(size=(2, 4000, 2))
     quantiles = quantiles_of(known)
     assert [len(row) for row in quantiles] == [101, 101]
-    found = np.array([novelty(row, quantiles) for row in fresh.astype(np.float32)])
+    found = np.array([novelty(row, quantiles) for row in fresh[:1500].astype(np.float32)])
     for level in (0.5, 0.9, 0.98):
         assert np.mean(found > level) <= 1.0 - level + 0.02
 
@@ -49,10 +49,8 @@ def test_a_prepared_picture_knows_how_new_it_is(bundle: Bundle) -> None:
     assert bundle.prepare(white).novelty == 1.0
 
 
-def test_a_bundle_without_the_graph_does_not_tell(tmp_path: Path) -> None:
-    spec = tiny_spec()
-    plain = Bundle.load(write_bundle(tmp_path / "bundle", spec, tiny_graphs(spec)))
-    assert plain.prepare(np.zeros((PIXELS, PIXELS, 3), np.uint8)).novelty is None
+def test_a_bundle_without_the_graph_does_not_tell(tiny_bundle: Path) -> None:
+    assert Bundle.load(tiny_bundle).prepare(np.zeros((PIXELS, PIXELS, 3), np.uint8)).novelty is None
 
 
 def test_graph_and_quantiles_come_together_and_fit(tmp_path: Path) -> None:

@@ -22,7 +22,6 @@ from cspace.errors import (
 )
 from services.evaluator.benchmark.sources import bundled
 from services.planner.samples import LocalSampler
-from tests.bundles import write_tiny_bundle
 from tests.cspace.test_bundle_integrity import golden_of, resign
 from tests.inference_api.bad_bundles import write_hungry_bundle, write_slow_bundle
 from training.paths.writing import source_bundle
@@ -30,14 +29,21 @@ from training.paths.writing import source_bundle
 ROOT = Path(__file__).parents[2]
 
 
-@pytest.fixture
-def folder(tmp_path: Path) -> Path:
-    return write_tiny_bundle(tmp_path / "bundle", validity=True)
+def test_a_sound_bundle_is_opened_after_its_verification_in_a_worker_that_knows_no_password(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("MLFLOW_TRACKING_PASSWORD", "secret")
+    seen = dict[str, str]()
+    real = subprocess.Popen
 
+    def note(command: list[str], **options: object) -> subprocess.Popen[bytes]:
+        seen.update(options["env"])  # type: ignore[call-overload]
+        return real(command, **options)  # type: ignore[call-overload, no-any-return]
 
-def test_a_sound_bundle_is_opened_after_its_verification(folder: Path) -> None:
-    bundle = load_verified(folder)
-    assert bundle.digest == read_files(folder).digest
+    monkeypatch.setattr(verification.subprocess, "Popen", note)
+    assert load_verified(folder).digest == read_files(folder).digest
+    assert seen
+    assert "secret" not in seen.values()
 
 
 def test_errors_of_the_worker_are_those_of_loading(folder: Path) -> None:
@@ -88,21 +94,6 @@ def test_a_worker_ends_with_its_parent(tmp_path: Path) -> None:
         time.sleep(0.05)
 
 
-def test_a_worker_knows_no_password(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("MLFLOW_TRACKING_PASSWORD", "secret")
-    seen = dict[str, str]()
-    real = subprocess.Popen
-
-    def note(command: list[str], **options: object) -> subprocess.Popen[bytes]:
-        seen.update(options["env"])  # type: ignore[call-overload]
-        return real(command, **options)  # type: ignore[call-overload, no-any-return]
-
-    monkeypatch.setattr(verification.subprocess, "Popen", note)
-    verify(folder)
-    assert seen
-    assert "secret" not in seen.values()
-
-
 def test_a_library_that_is_missing_is_named(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -132,7 +123,6 @@ def test_a_worker_that_does_not_start_says_nothing_of_the_bundle(
 def test_a_folder_of_others_is_opened_by_its_path_after_the_worker_alone(
     folder: Path, monkeypatch: pytest.MonkeyPatch, open_folder: Callable[[Path], object]
 ) -> None:
-    assert open_folder(folder) is not None
     monkeypatch.setattr(sys, "executable", "/bin/false")
     with pytest.raises(CspaceError, match="cannot be verified"):
         open_folder(folder)

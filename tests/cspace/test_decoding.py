@@ -20,6 +20,7 @@ from tests.cspace.png_files import (
     KINDS,
     PALETTE,
     RGB,
+    RGBA,
     chunk,
     file,
     header,
@@ -71,59 +72,45 @@ def random_file(rng: np.random.Generator, side: int, depth: int, colour: int, in
 @pytest.mark.parametrize(("depth", "colour"), KINDS)
 def test_every_kind_of_picture_is_averaged_and_rounded(depth: int, colour: int, interlace: int) -> None:
     rng = np.random.default_rng(100 * depth + 10 * colour + interlace)
-    sides = [16, 17, 47, 48, 49, 96, 128, 129, 250, 385, *rng.integers(16, 400, 4).tolist()]
-    for side in sides:
+    for side, target in ((16, 48), (17, 32), (48, 48), (129, 48), (int(rng.integers(130, 400)), 32)):
         data = random_file(rng, side, depth, colour, interlace)
-        for target in (48, 32):
-            assert_rounded(decode_png(data, target), exact_average(data, target))
+        assert_rounded(decode_png(data, target), exact_average(data, target))
 
 
-@pytest.mark.parametrize("side", [1000, 1537, 2047, 2048])
-def test_large_pictures_are_averaged_and_rounded(side: int) -> None:
-    rng = np.random.default_rng(side)
-    for depth, colour in ((8, RGB), (8, PALETTE)):
-        data = random_file(rng, side, depth, colour, 0)
-        assert_rounded(decode_png(data), exact_average(data, 48))
+@pytest.mark.parametrize(("side", "colour"), [(1537, PALETTE), (2048, RGB)])
+def test_large_pictures_are_averaged_and_rounded(side: int, colour: int) -> None:
+    data = random_file(np.random.default_rng(side), side, 8, colour, 0)
+    assert_rounded(decode_png(data), exact_average(data, 48))
 
 
 MEMORY = """
+import sys
 import numpy as np
 from cspace.png import encode_png
 from cspace.worlds.planar.camera import decode_png
-from tests.cspace.png_files import RGBA, chunk, file, header, pixels
 
 def kib(key):
     with open("/proc/self/status") as status:
         return next(int(line.split()[1]) for line in status if line.startswith(key))
 
-def large():
-    samples = np.zeros((2048, 2048, 4), np.uint8)
-    samples[:700, :, :3] = np.random.default_rng(0).integers(0, 256, (700, 2048, 3))
-    samples[..., 3] = 200
-    return file(header(2048, 2048, 8, RGBA), chunk(b"tEXt", b"k"), pixels(samples, 8), chunk(b"IEND"))
-
 decode_png(encode_png(np.zeros((200, 200, 3), np.uint8)))
-data = open(DATA, "rb").read() if DATA else None
-if data is None:
-    import sys
-    sys.stdout.buffer.write(large())
-else:
-    before = kib("VmRSS")
-    decode_png(data)
-    print(kib("VmHWM") - before)
+data = open(sys.argv[1], "rb").read()
+before = kib("VmRSS")
+decode_png(data)
+print(kib("VmHWM") - before)
 """
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
 def test_the_largest_picture_takes_less_than_40_mb(tmp_path) -> None:
-    def run(data: str) -> bytes:
-        code = MEMORY.replace("DATA", repr(data))
-        return subprocess.run([sys.executable, "-c", code], capture_output=True, check=True).stdout
-
+    samples = np.zeros((2048, 2048, 4), np.uint8)
+    samples[:700, :, :3] = np.random.default_rng(0).integers(0, 256, (700, 2048, 3))
+    samples[..., 3] = 200
     path = tmp_path / "large.png"
-    path.write_bytes(run(""))
+    path.write_bytes(file(header(2048, 2048, 8, RGBA), chunk(b"tEXt", b"k"), pixels(samples, 8), END))
     assert path.stat().st_size > 4_000_000
-    assert int(run(str(path))) * 1024 < 40_000_000
+    done = subprocess.run([sys.executable, "-c", MEMORY, str(path)], capture_output=True, check=True)
+    assert int(done.stdout) * 1024 < 40_000_000
 
 
 def test_many_threads_leave_the_warnings_of_the_process_alone() -> None:
@@ -132,7 +119,7 @@ def test_many_threads_leave_the_warnings_of_the_process_alone() -> None:
 
     def work(_: int) -> None:
         start.wait()
-        for _ in range(150):
+        for _ in range(60):
             assert (decode_png(good) == 7).all()
             with pytest.raises(ImageError):
                 decode_png(good[:-20])

@@ -45,7 +45,7 @@ def by_scipy(space, weights, goal):
     arrays(np.float64, (5, 7), elements=st.sampled_from([1.0, 1.5, 2.0, 4.0, np.inf])),
     st.sampled_from([SPACE, LIMITED]),
 )
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None, max_examples=40)
 def test_costs_are_those_of_another_program(weights, space):
     goal = centres(space, weights.shape)[17]
     weights[cell_of(space, weights.shape, goal)] = 1.0

@@ -38,7 +38,7 @@ def folder(tmp_path):
     return write_dataset(tmp_path / "data", **content()).folder
 
 
-@pytest.mark.parametrize("name", ["images.npy", "free.npy", "free_offsets.npy", "extra_images.npy"])
+@pytest.mark.parametrize("name", ["free.npy", "extra_images.npy"])
 def test_a_changed_byte_is_found_and_its_file_named(folder, name):
     data = bytearray((folder / name).read_bytes())
     data[-1] ^= 1
@@ -59,15 +59,12 @@ def test_a_missing_file_is_named(folder):
         open_dataset(folder)
 
 
-def test_a_truncated_file_is_found_without_its_digest(folder):
-    (folder / "free.npy").write_bytes((folder / "free.npy").read_bytes()[:-8])
-    with pytest.raises(DamagedFileError, match=r"free\.npy is no array"):
-        open_dataset(folder, verify=False)
-
-
-def test_a_file_that_would_run_code_is_refused(folder):
-    rewrite_pickled = np.array([{"a": 1}], dtype=object)
-    np.save(folder / "free.npy", rewrite_pickled, allow_pickle=True)
+@pytest.mark.parametrize("code", [False, True])
+def test_a_truncated_file_and_one_of_code_are_found_without_their_digests(folder, code):
+    if code:
+        np.save(folder / "free.npy", np.array([{"a": 1}], dtype=object), allow_pickle=True)
+    else:
+        (folder / "free.npy").write_bytes((folder / "free.npy").read_bytes()[:-8])
     with pytest.raises(DamagedFileError, match=r"free\.npy is no array"):
         open_dataset(folder, verify=False)
 
@@ -83,20 +80,13 @@ def test_a_changed_manifest_is_found(folder):
     [
         {"schema_version": 1},
         {"schema_version": 3},
-        {"schema_version": None},
         {"extra_key": 1},
-        {"robot": None},
         {"world": None},
-        {"world": {}},
-        {"world": {"kind": "planar"}},
         {"world": {"kind": "flat", "robot": {}, "camera": {}}},
         {"world": {"kind": "planar", "robot": {"link_lengths_m": [2.0]}, "camera": CAMERA.to_dict()}},
-        {"world": {"kind": "planar", "robot": TWO_LINK.to_dict(), "camera": []}},
-        {"files": 5},
-        {"files": ["images.npy"]},
         {"files": {"images.npy": 5}},
-        {"counts": None},
         {"generator": "me"},
+        {"generator": float("nan")},
     ],
 )
 def test_a_manifest_that_does_not_follow_the_schema_is_an_error(folder, change):
@@ -105,24 +95,9 @@ def test_a_manifest_that_does_not_follow_the_schema_is_an_error(folder, change):
         open_dataset(folder)
 
 
-@pytest.mark.parametrize("text", ["", "[]", "null", "{", "[" * 100_000, "\x00"])
-def test_a_manifest_that_is_no_json_object_is_an_error(folder, text):
-    (folder / MANIFEST_FILE).write_text(text)
-    with pytest.raises(DatasetError, match="manifest"):
-        open_dataset(folder)
-
-
-@pytest.mark.parametrize("member", ['"generator": {"a": 1, "a": 2}', '"generator": {"a": NaN}'])
-def test_a_manifest_that_is_no_strict_json_is_an_error(folder, member):
-    path = folder / MANIFEST_FILE
-    edit(folder, generator="here")
-    path.write_text(path.read_text().replace('"generator": "here"', member))
-    with pytest.raises(DatasetError, match=r"manifest.*not JSON"):
-        open_dataset(folder)
-
-
-def test_bytes_that_are_no_text_are_an_error(folder):
-    (folder / MANIFEST_FILE).write_bytes(b"\xff\xfe\x00")
+@pytest.mark.parametrize("data", [b"", b"[]", b"[" * 100_000, b"\xff\xfe\x00"])
+def test_a_manifest_that_is_no_json_object_is_an_error(folder, data):
+    (folder / MANIFEST_FILE).write_bytes(data)
     with pytest.raises(DatasetError, match="manifest"):
         open_dataset(folder)
 
@@ -150,26 +125,21 @@ def test_a_manifest_cannot_name_files_elsewhere(folder):
         ),
         ({"images": np.zeros((3, 16, 16, 3), np.float32)}, r"images\.npy.*uint8.*float32"),
         ({"images": np.zeros((0, 16, 16, 3), np.uint8)}, r"images\.npy is empty"),
-        ({"images": np.zeros((3, 20, 20, 3), np.uint8)}, r"images\.npy"),
         ({"extra_images": np.zeros((2, 16, 15, 3), np.uint8)}, r"extra_images\.npy"),
         ({"free": np.zeros((10, 3), np.float32)}, r"free\.npy.*\(any, 2\).*\(10, 3\)"),
         ({"free": np.zeros((10, 2), np.float64)}, r"free\.npy.*float32.*float64"),
         ({"free": np.full((10, 2), np.nan, np.float32)}, r"free\.npy.*finite.*nan"),
-        ({"free": np.full((10, 2), np.inf, np.float32)}, r"free\.npy.*inf"),
         ({"free": np.full((10, 2), 3.2, np.float32)}, r"free\.npy.*\[-pi, pi\).*3\.2"),
         ({"free": np.full((10, 2), np.pi, np.float32)}, r"free\.npy"),
         ({"collision": np.full((3, 2), -3.2, np.float32)}, r"collision\.npy"),
         ({"free_offsets": np.array([0, 4, 4, 9])}, r"free_offsets\.npy.*0 to 10.*0 to 9"),
-        ({"free_offsets": np.array([1, 4, 4, 10])}, r"free_offsets\.npy"),
         ({"free_offsets": np.array([0, 6, 4, 10])}, r"free_offsets\.npy"),
         ({"free_offsets": np.array([0, 4, 10])}, r"free_offsets\.npy.*\(4\).*\(3,\)"),
         ({"free_offsets": np.array([0.0, 4.0, 4.0, 10.0])}, r"free_offsets\.npy.*int64"),
         ({"collision_offsets": np.array([0, 1, 3, 4])}, r"collision_offsets\.npy"),
         ({"path_offsets": np.array([0, 5, 8])}, r"path_offsets\.npy"),
         ({"path_scenario": np.array([0, 3])}, r"path_scenario\.npy.*0 to 2.*3"),
-        ({"path_scenario": np.array([-1, 2])}, r"path_scenario\.npy.*0 to 2.*-1"),
         ({"discs": np.ones((2, 3, 3))}, r"discs\.npy"),
-        ({"discs": np.full((3, 3, 3), np.nan)}, r"discs\.npy.*nan"),
         ({"discs": np.full((3, 3, 3), -1.0)}, r"discs\.npy.*radius|discs\.npy.*radii"),
         ({"notes": np.zeros(3)}, r"notes"),
     ],
@@ -180,7 +150,7 @@ def test_an_array_that_does_not_fit_is_named_with_what_was_expected(folder, arra
         open_dataset(folder)
 
 
-@pytest.mark.parametrize("name", ["images", "free", "free_offsets", "collision_offsets", "path_scenario"])
+@pytest.mark.parametrize("name", ["free", "collision_offsets", "path_scenario"])
 def test_an_array_that_is_left_out_is_named(folder, name):
     manifest = Manifest.read(folder)
     rebuild(folder, manifest, {file: sha for file, sha in manifest.files.items() if file != f"{name}.npy"})

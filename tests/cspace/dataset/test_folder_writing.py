@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cspace.dataset import write_dataset
-from cspace.errors import CspaceError, StorageError
+from cspace.errors import StorageError
 from tests.dataset_content import content
 
 
@@ -46,10 +46,3 @@ def test_a_folder_that_exists_is_never_touched(tmp_path):
     with pytest.raises(StorageError, match="exists"):
         write_dataset(tmp_path / "data", **content())
     assert (tmp_path / "data" / "thesis.txt").read_text() == "years of work"
-
-
-def test_a_place_that_is_no_folder_is_a_storage_error(tmp_path):
-    (tmp_path / "file").write_text("")
-    with pytest.raises(CspaceError) as caught:
-        write_dataset(tmp_path / "file" / "data", **content())
-    assert isinstance(caught.value, StorageError)

@@ -9,20 +9,19 @@ import pytest
 from cspace.bundle import Bundle
 from cspace.bundle.samples import fitted_plan
 from cspace.errors import InputError
-from cspace.planning.cost import score
+from cspace.planning.cost import calibration_error, score
 from cspace.planning.search import find_paths
 from cspace.query import PlanQuery
 from cspace.simulator import Split
 from cspace.worlds import examples, seen_checkers, simulator_of
-from tests.bundles import write_tiny_bundle
 
 WORLD = examples()["two-link"]
 STEP = 0.1
 
 
 @pytest.fixture(scope="module")
-def bundle(tmp_path_factory):
-    return Bundle.load(write_tiny_bundle(tmp_path_factory.mktemp("tiny") / "bundle", validity=True))
+def bundle(tiny_bundle):
+    return Bundle.load(tiny_bundle)
 
 
 @pytest.fixture(scope="module")
@@ -52,7 +51,7 @@ def test_a_plan_is_a_way_from_start_to_goal_with_what_is_believed_of_it(bundle, 
     assert np.array_equal(again.path, found.path)
 
 
-@pytest.mark.parametrize("ways", [1, 2, 4, 8, 16])
+@pytest.mark.parametrize("ways", [1, 8])
 def test_a_plan_is_at_least_as_sure_as_the_surest_way_that_was_found(bundle, scene, ways):
     image, problem = scene
     picture = bundle.prepare(image)
@@ -115,3 +114,9 @@ def test_where_nobody_says_how_sure_a_plan_has_to_be_calibrated_bundles_ask_for_
     for least in (0.0, 0.9):
         assert fitted_plan(calibrated, replace(query, min_confidence=least)).min_confidence == least
     assert bundle.plan(bundle.prepare(image), query).status == "solved"
+
+
+def test_the_calibration_error_is_the_distance_of_confidence_and_truth():
+    sure = np.array([0.05, 0.05, 0.95, 0.95])
+    assert calibration_error(sure, np.array([False, False, True, True])) == pytest.approx(0.05)
+    assert calibration_error(sure, np.array([True, True, False, False])) == pytest.approx(0.95)

@@ -37,7 +37,7 @@ def test_rrt_that_has_come_part_of_the_way_has_no_path(checker):
     assert grow_rrt(checker, START, GOAL, states, np.ones(3, dtype=np.bool_), growth).path is None
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(2))
 def test_two_trees_meet_in_one_configuration_and_jump_nowhere(checker, seed):
     states = TWO_LINK.space.sample_uniform(np.random.default_rng(seed), 50)
     path = connect_trees(checker, START, GOAL, states, range_rad=RANGE_RAD, resolution_rad=RESOLUTION_RAD)
