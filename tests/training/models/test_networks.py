@@ -4,7 +4,6 @@ import pytest
 import torch
 
 from cspace.space import circles
-from training.models.joints import harmonics, torus_features
 from training.models.networks import (
     Critic,
     Decoder,
@@ -23,10 +22,6 @@ def test_the_encoder_gives_a_mean_and_a_small_finite_log_variance(patches):
     mu, log_variance = Encoder(48, 7, 4, patches)(torch.rand(2, 3, 48, 48))
     assert mu.shape == log_variance.shape == (2, 7)
     assert (log_variance < -2.0).all()
-
-
-def test_the_decoder_returns_a_picture():
-    assert Decoder(48, 7, 4)(torch.randn(2, 7)).shape == (2, 3, 48, 48)
 
 
 def test_a_decoder_that_has_become_white_everywhere_still_learns():
@@ -58,16 +53,6 @@ def test_the_means_generator_spreads_its_samples_by_sigma_round_each_mean():
     quiet, loud = generator(latent, torch.zeros(1, 4, 3)), generator(latent, torch.ones(1, 4, 3))
     assert quiet.shape == (1, 4, 3)
     assert torch.allclose(loud - quiet, torch.full_like(quiet, 0.5 * 2.0), atol=1e-6)
-
-
-def test_harmonics_are_periodic():
-    angles = torch.randn(5, 2)
-    assert torch.allclose(harmonics(angles), harmonics(angles + 2.0 * math.pi), atol=1e-4)
-
-
-@pytest.mark.parametrize(("dim", "width"), [(1, 6), (2, 16), (3, 30)])
-def test_torus_features_hold_every_joint_and_every_pair(dim, width):
-    assert torus_features(torch.zeros(4, dim)).shape == (4, width)
 
 
 @pytest.mark.parametrize("features", ["torus", "standardised"])

@@ -1,7 +1,6 @@
 """A head of arrays of space: what is seen is exact, and its graphs answer as it does."""
 
 from dataclasses import replace
-from itertools import product
 
 import numpy as np
 import onnxruntime
@@ -10,7 +9,7 @@ import torch
 
 from cspace.errors import ConfigError
 from cspace.worlds import default_world, examples
-from cspace.worlds.spatial.arm import grouped
+from cspace.worlds.spatial.arm import grouped, ready_rad
 from cspace.worlds.spatial.checks import CollisionChecker
 from cspace.worlds.spatial.obstacles import Obstacles
 from cspace.worlds.spatial.visibility import lookup, unseen_share
@@ -80,45 +79,24 @@ def test_spheres_are_where_the_arm_has_them(head, rows):
     assert (ways + ARM.spheres_m()[:, 3].max() >= 0.5 * found.spheres_m[moving, 3]).all()
 
 
-def test_an_arm_that_touches_itself_is_known_exactly(head, rows):
-    more = WORLD.space.to_float32(WORLD.space.sample_uniform(np.random.default_rng(4), 200))
-    centres, radii = ARM.sphere_centres_m(more), ARM.spheres_m()[:, 3]
-    ends = np.cumsum([len(part.spheres_m) for part in ARM.parts])
-    own = {
-        part.name: np.arange(end - len(part.spheres_m), end)
-        for part, end in zip(ARM.parts, ends, strict=True)
-    }
-    touches = np.zeros(len(more), bool)
-    for first, second in ARM.touching:
-        for i, j in product(own[first], own[second]):
-            touches |= np.linalg.norm(centres[:, i] - centres[:, j], axis=1) <= radii[i] + radii[j]
-    free = head.gap(head.frames(torch.from_numpy(more))) > 0.0
-    np.testing.assert_array_equal(free, ~touches)
-    assert 0.05 < touches.mean() < 0.5
-
-
 @pytest.mark.parametrize("name", ["panda", "ur5"])
-def test_balls_round_spheres_change_nothing_of_what_touches(name):
+def test_an_arm_that_touches_itself_is_known_exactly(name):
     world = examples()[name]
     gap, frames = SelfGap(world.grid_arm(64)), ArmFrames(world.grid_arm(64))
-    drawn = world.space.to_float32(world.space.sample_uniform(np.random.default_rng(5), 3000))
+    drawn = world.space.to_float32(world.space.sample_uniform(np.random.default_rng(5), 1500))
     checker = CollisionChecker(world.body, Obstacles.of([]))
     near = np.abs(checker.clearance(drawn)) < 1e-6
     found = gap(frames(torch.from_numpy(drawn))).numpy() > 0.0
     np.testing.assert_array_equal(found[~near], checker.valid_batch(drawn)[~near])
     assert 0.02 < found.mean() < 0.98
     assert near.sum() < 3
-
-
-def test_an_arm_whose_balls_never_meet_is_free_of_itself(head):
-    free = WORLD.space.to_float32(np.array([[0.0, 0.0, 0.0, -1.5, 0.0, 1.5, 0.0]]))
-    frames = head.frames(torch.from_numpy(np.repeat(free, 3, axis=0)))
-    assert (head.gap._gaps("_balls_0", frames) > 0.0).all()
-    assert (head.gap(frames) > 0.0).all()
+    # Where no ball round spheres meets another, no spheres are looked at.
+    waiting = world.space.to_float32(np.repeat(ready_rad(world.body)[None], 3, axis=0))
+    assert (gap(frames(torch.from_numpy(waiting))) > 0.0).all()
 
 
 def test_the_head_says_what_it_says_computed_straight_on(head, picture):
-    rows = WORLD.space.to_float32(WORLD.space.sample_uniform(np.random.default_rng(6), 2000))
+    rows = WORLD.space.to_float32(WORLD.space.sample_uniform(np.random.default_rng(6), 1000))
     image = to_network(np.roll(picture, 11, axis=2))
     with torch.no_grad():
         clear, unseen = plain_answers(head, WORLD.grid_arm(64), image, torch.from_numpy(rows))
@@ -196,7 +174,7 @@ def batch(picture, rows, hits):
     return GridBatch(image, torch.from_numpy(rows)[None], free, hits)
 
 
-@pytest.mark.parametrize("quarters", [1, 2, 3])
+@pytest.mark.parametrize("quarters", [1, 2])
 def test_a_turned_scene_is_the_same_to_a_turned_arm(head, picture, rows, quarters):
     first = batch(np.roll(picture, 5, axis=0), rows, torch.zeros(1, len(rows), 0, dtype=torch.bool))
     found = [

@@ -20,26 +20,19 @@ def positions(lookups, camera, configurations):
     return torch.stack([x, y], dim=-1)
 
 
-@pytest.mark.parametrize("robot", [TWO_LINK, THREE_LINK], ids=["two links", "three links"])
-def test_the_middle_row_runs_along_each_link_from_joint_to_joint(robot):
-    configurations = np.random.default_rng(0).uniform(-np.pi, np.pi, (5, robot.dim))
-    lookups = ArmLookups(PlanarWorld(robot, Camera()), points_per_link=4, side_m=0.1)
+def test_rows_of_points_run_along_each_link_and_beside_it():
+    configurations = np.random.default_rng(0).uniform(-np.pi, np.pi, (5, THREE_LINK.dim))
+    lookups = ArmLookups(PlanarWorld(THREE_LINK, Camera()), points_per_link=4, side_m=0.3)
     found = positions(lookups, Camera(), torch.tensor(configurations, dtype=torch.float32))
-    rows = found.view(5, robot.dim, 3, 4, 2).numpy()
-    joints = robot.joint_positions_m(configurations)
+    rows = found.view(5, THREE_LINK.dim, 3, 4, 2).numpy()
+    joints = THREE_LINK.joint_positions_m(configurations)
     np.testing.assert_allclose(rows[:, :, 1, 0], joints[:, :-1], atol=1e-5)
     np.testing.assert_allclose(rows[:, :, 1, -1], joints[:, 1:], atol=1e-5)
-
-
-def test_the_outer_rows_lie_beside_the_link_at_their_distance():
-    lookups = ArmLookups(PlanarWorld(TWO_LINK, Camera()), points_per_link=4, side_m=0.3)
-    rows = positions(lookups, Camera(), torch.tensor([[0.7, -1.9]])).view(2, 3, 4, 2)
-    for link in rows:
-        along = link[1, -1] - link[1, 0]
-        for side in (link[0], link[2]):
-            gap = side - link[1]
-            torch.testing.assert_close(gap.norm(dim=1), torch.full((4,), 0.3))
-            torch.testing.assert_close(gap @ along, torch.zeros(4), atol=1e-5, rtol=0.0)
+    along = joints[:, 1:] - joints[:, :-1]
+    for side in (0, 2):
+        gaps = rows[:, :, side] - rows[:, :, 1]
+        np.testing.assert_allclose(np.linalg.norm(gaps, axis=-1), 0.3, atol=1e-5)
+        np.testing.assert_allclose((gaps * along[:, :, None]).sum(axis=-1), 0.0, atol=1e-5)
 
 
 @pytest.mark.parametrize(

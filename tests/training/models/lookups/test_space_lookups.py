@@ -106,8 +106,3 @@ def test_the_world_decides_which_of_the_look_ups_there_are():
     assert make_reader(LookupConfig(points_per_link=4), scenes) is None
     with pytest.raises(ConfigError, match="need the pictures"):
         make_reader(LookupConfig(groups=GROUPS), None)
-
-
-def test_settings_without_groups_are_written_as_before():
-    assert "groups" not in LookupConfig(points_per_link=4).model_dump()
-    assert LookupConfig(groups=11).model_dump()["groups"] == 11

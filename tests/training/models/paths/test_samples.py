@@ -6,13 +6,11 @@ import torch
 
 from cspace.dataset import write_dataset
 from cspace.errors import DatasetError
-from cspace.space import circles
 from cspace.worlds.planar.arm import TWO_LINK
 from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.world import PlanarWorld
 from tests.training.models.path_builders import POINTS, generator, samples
-from training.models.joints import Joints, on_torus
-from training.models.paths import Condition, condition_size, equal_paths, place_features, swept
+from training.models.paths import equal_paths, swept
 
 
 def test_a_point_lies_at_its_place_between_the_ends_that_come_with_it():
@@ -66,18 +64,3 @@ def test_sweeps_rise_within_their_rows_share_and_start_again():
 def test_fewer_rows_than_a_sweep_cover_the_whole_way():
     np.testing.assert_allclose(swept(torch.tensor([[0.5], [0.5]]), 16).squeeze(1), [0.25, 0.75])
     assert swept(torch.tensor([[0.3]]), 16).item() == pytest.approx(0.3)
-
-
-def test_a_conditions_features_are_as_many_as_its_size_tells():
-    ends, latent, place = torch.zeros(5, 2), torch.zeros(5, 7), torch.rand(5, 1)
-    joints = Joints(circles(2))
-    bare, placed = (Condition(latent, ends, ends, at).features(joints) for at in (None, place))
-    assert bare.shape == (5, condition_size(7, joints, place=False))
-    assert placed.shape == (5, condition_size(7, joints, place=True))
-    assert place_features(torch.tensor([[1.0]]))[0, :2].tolist() == [1.0, -1.0]
-
-
-def test_an_embedding_of_any_length_is_its_angle():
-    angles = torch.tensor([[0.3, -2.0]])
-    embedded = torch.cat([2.0 * angles.cos(), 2.0 * angles.sin()], dim=1)
-    torch.testing.assert_close(on_torus(embedded), angles)
