@@ -1,4 +1,5 @@
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -10,22 +11,14 @@ from cspace.worlds import simulator_of
 from cspace.worlds.planar.arm import PlanarArm
 from cspace.worlds.planar.simulator import PlanarSimulator
 from cspace.worlds.planar.world import PlanarWorld
-from training import search
+from training import path_train, search
 from training.cluster_train import COMMAND
-from training.config import TrainConfig, load_config, presets
+from training.config import TrainConfig, load_config, load_path_config, presets
 
 
 @pytest.mark.parametrize("preset", presets())
 def test_every_preset_that_ships_is_valid(preset):
     assert load_config(preset).preset == preset
-
-
-def test_the_quickstart_is_built_on_what_pays():
-    config = load_config("quickstart")
-    assert config.local.penalty == config.global_.penalty == "one_sided"
-    assert config.global_.generator == "torus"
-    assert config.clusters.count == 2
-    assert config.data.scenario_count >= 2000
 
 
 def test_the_paper_preset_is_the_papers_numbers():
@@ -69,8 +62,6 @@ def test_local_trials_run_unless_there_is_one_cluster_and_nobody_asks_its_critic
         (["clusters.count=2"], "local trials"),
         (["global.local_critic_weight=0.5"], "local trials"),
         (["vae.checkpoint=/somewhere"], "own encoder"),
-        (["global.encoder=both"], "joint"),
-        (["global.reconstruction_weight=-1"], "expected at least 0"),
     ],
 )
 def test_a_joint_encoder_refuses_what_it_can_not_be_with(overrides, says):
@@ -89,8 +80,6 @@ def test_an_override_reaches_its_key_and_leaves_its_neighbours():
     ("override", "says"),
     [
         ("global.step=7", "global.step"),
-        ("nonsense=1", "nonsense"),
-        ("global.steps=-1", "expected at least 1"),
         ("global.steps=many", "global.steps"),
         ("global.steps", "key.sub=value"),
         ("seed.deep=1", "seed"),
@@ -102,15 +91,10 @@ def test_a_wrong_override_is_an_error_that_names_it(override, says):
         load_config("quickstart", [override])
 
 
-@pytest.mark.parametrize("preset", ["nothing", "../presets/quickstart", ""])
+@pytest.mark.parametrize("preset", ["nothing", "../presets/quickstart"])
 def test_an_unknown_preset_is_an_error_that_lists_the_known_ones(preset):
     with pytest.raises(ConfigError, match="quickstart"):
         load_config(preset)
-
-
-def test_a_configuration_survives_its_own_json():
-    config = load_config("three_link")
-    assert TrainConfig.model_validate(json.loads(json.dumps(config.to_dict()))) == config
 
 
 def test_the_free_share_is_the_worlds_unless_it_is_given(monkeypatch, tmp_path):
@@ -142,29 +126,17 @@ def test_the_free_share_of_own_data_is_that_of_their_world(monkeypatch, tmp_path
     assert own.validity.free_share == pytest.approx(0.3)
 
 
-def test_the_data_folder_changes_with_the_data_and_not_with_the_shards():
-    plain = load_config("quickstart").data
-    assert plain.folder_name == load_config("quickstart", ["data.shard_size=7"]).data.folder_name
-    assert plain.folder_name != load_config("quickstart", ["data.seed=7"]).data.folder_name
-
-
 def test_the_command_prints_its_configuration(capsys):
     assert COMMAND.main(["--preset", "smoke", "--print-config"]) == 0
     assert json.loads(capsys.readouterr().out)["preset"] == "smoke"
 
 
-def test_the_command_ends_with_two_on_a_wrong_key(capsys):
+def test_the_command_ends_with_two_on_settings_that_are_wrong_missing_or_too_many(capsys, monkeypatch):
     assert COMMAND.main(["--set", "nonsense=1"]) == 2
     assert "nonsense" in capsys.readouterr().err
-
-
-def test_the_command_refuses_settings_for_a_job_that_has_its_own(capsys):
     with pytest.raises(SystemExit, match="2"):
         COMMAND.main(["--resume", "abc", "--set", "seed=1"])
     assert "--resume" in capsys.readouterr().err
-
-
-def test_the_command_says_which_setting_is_missing(capsys, monkeypatch):
     monkeypatch.delenv("MLFLOW_TRACKING_URI", raising=False)
     assert COMMAND.main(["--preset", "smoke"]) == 2
     assert "MLFLOW_TRACKING_URI" in capsys.readouterr().err
@@ -179,6 +151,9 @@ def test_a_trial_claims_what_the_configuration_says_and_no_memory_unless_it_does
     ]
     claimed = load_config("smoke", half).resources.of_a_task()
     assert claimed == {"num_cpus": 2.0, "num_gpus": 0.5, "memory": 1500 * 1024 * 1024}
+    # It computes on as many threads.
+    for cpus, threads in ((0.5, 1), (3.5, 3)):
+        assert load_config("smoke", [f"resources.cpus_per_trial={cpus}"]).resources.threads == threads
 
 
 OWN_ROBOT = "data.robot.link_lengths_m=[1.0, 1.0]"
@@ -200,28 +175,41 @@ def test_a_name_of_another_robot_is_refused(overrides):
         load_config("smoke", overrides)
 
 
-@pytest.mark.parametrize("key", ["data_folder", "vae.checkpoint"])
-@pytest.mark.parametrize("path", ["build/mine", "./mine", "~/mine"])
-def test_a_path_that_is_not_absolute_is_refused_before_anything_starts(key, path, capsys):
-    assert COMMAND.main(["--set", f"{key}={path}", "--print-config"]) == 2
+@pytest.mark.parametrize(
+    ("command", "key", "path"),
+    [
+        (COMMAND, "data_folder", "./mine"),
+        (COMMAND, "vae.checkpoint", "~/mine"),
+        (path_train.COMMAND, "data_folder", "mine"),
+        (path_train.COMMAND, "guides", "jobs/1"),
+        (path_train.COMMAND, "source", "build/bundle"),
+    ],
+)
+def test_a_path_that_is_not_absolute_is_refused_before_anything_starts(command, key, path, capsys):
+    assert command.main(["--set", f"{key}={path}", "--print-config"]) == 2
     message = capsys.readouterr().err
-    assert f"{key} does not fit; expected the path has to be absolute" in message
+    assert f"{key} does not fit" in message
+    assert "absolute" in message
     assert path in message
 
 
-@pytest.mark.parametrize("section", ["local", "global"])
-@pytest.mark.parametrize("part", ["generator_lookups", "critic_lookups"])
+@pytest.mark.parametrize("source", ["panda-sampler@champion", "cspace-sampler/3", "/somewhere/bundle"])
+def test_the_source_of_paths_is_a_registered_version_or_an_absolute_folder(source):
+    assert load_path_config("paths", [f"source={source}"]).source == source
+
+
 @pytest.mark.parametrize(
-    ("preset", "lookups"),
+    ("preset", "part", "lookups"),
     [
-        ("panda", "{points_per_link: 12, side_m: 0.1}"),
-        ("panda", "{groups: 64}"),
-        ("quickstart", "{groups: 64}"),
+        ("panda", "local.generator_lookups", "{points_per_link: 12, side_m: 0.1}"),
+        ("panda", "local.critic_lookups", "{groups: 64}"),
+        ("panda", "global.critic_lookups", "{groups: 64}"),
+        ("quickstart", "global.generator_lookups", "{groups: 64}"),
     ],
 )
-def test_look_ups_that_the_arm_cannot_have_are_refused_before_anything_starts(preset, section, part, lookups):
-    with pytest.raises(ConfigError, match=rf"{section}\.{part}\.(groups|points_per_link)"):
-        load_config(preset, [f"{section}.{part}={lookups}", "clusters.form=mixture"])
+def test_look_ups_that_the_arm_cannot_have_are_refused_before_anything_starts(preset, part, lookups):
+    with pytest.raises(ConfigError, match=rf"{re.escape(part)}\.(groups|points_per_link)"):
+        load_config(preset, [f"{part}={lookups}", "clusters.form=mixture"])
 
 
 def test_settings_are_held_against_the_robot_of_a_data_set_too(tmp_path):
@@ -236,17 +224,9 @@ def test_settings_are_held_against_the_robot_of_a_data_set_too(tmp_path):
         load_config("smoke", [f"data_folder={folder}"])
 
 
-def test_a_joint_encoder_is_refused_where_pictures_are_arrays_of_space():
+def test_what_reads_pictures_of_a_plane_is_refused_for_an_arm_in_space(capsys):
     joint = ["clusters.count=1", "clusters.form=guided", "gate.cells=0", "global.local_critic_weight=0"]
     with pytest.raises(ConfigError, match="pictures of a plane"):
         load_config("panda", [*joint, "global.encoder=joint", "global.critic_condition=projection"])
-
-
-def test_a_search_over_look_ups_is_refused_for_an_arm_in_space(capsys):
     assert search.main(["--preset", "panda_quick"]) == 2
     assert "not read along links" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(("cpus", "threads"), [(0.5, 1), (1.0, 1), (2.0, 2), (3.5, 3)])
-def test_a_trial_computes_on_as_many_threads_as_it_claims(cpus, threads):
-    assert load_config("smoke", [f"resources.cpus_per_trial={cpus}"]).resources.threads == threads

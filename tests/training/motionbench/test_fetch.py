@@ -1,7 +1,7 @@
 import hashlib
 import io
 import tarfile
-from functools import cache
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +10,7 @@ import yaml
 
 from cspace.errors import DamagedFileError, DatasetError, ServiceError
 from cspace.simulator import Split
-from cspace.worlds.spatial.benchmark import BENCH_FAMILIES, problems
+from cspace.worlds.spatial.benchmark import BENCH_FAMILIES, NUMBERS, problems
 from training.motionbench import __main__ as command
 from training.motionbench import archive, download
 
@@ -19,45 +19,34 @@ JOINTS = [f"panda_joint{number}" for number in range(1, 8)]
 HALF = 0.5**0.5
 
 
+# Instead of a hundred problems in each family.
+FEW = {Split.VALIDATION: range(1, 3), Split.TEST: range(3, 6)}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def few_problems() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        for split, numbers in FEW.items():
+            patch.setitem(NUMBERS, split, numbers)
+        yield
+
+
 def scene(number: int) -> dict[str, object]:
     upright = {"position": [0.1, 0.2, number / 100], "orientation": [0, 0, 0, 1]}
     turned = {"position": [1, 0, 0], "orientation": [0, 0, HALF, HALF]}
-    return {
-        "world": {
-            "collision_objects": [
-                {
-                    "id": "can",
-                    "primitives": [{"type": "cylinder", "dimensions": [0.12, 0.03]}],
-                    "primitive_poses": [upright],
-                },
-                {
-                    "id": "top",
-                    "pose": turned,
-                    "primitives": [{"type": "box", "dimensions": [0.2, 0.4, 0.6]}],
-                    "primitive_poses": [upright],
-                },
-            ]
-        }
-    }
+    can = {"id": "can", "primitives": [{"type": "cylinder", "dimensions": [0.12, 0.03]}]}
+    top = {"id": "top", "pose": turned, "primitives": [{"type": "box", "dimensions": [0.2, 0.4, 0.6]}]}
+    return {"world": {"collision_objects": [one | {"primitive_poses": [upright]} for one in (can, top)]}}
 
 
 def request(number: int) -> dict[str, object]:
     # In another order than the arm's.
     goal = [{"joint_name": name, "position": index + 0.12345678} for index, name in enumerate(JOINTS)][::-1]
-    return {
-        "start_state": {
-            "joint_state": {
-                "name": ["finger", *JOINTS],
-                "position": [0.065, *np.linspace(0, number, 7).tolist()],
-            }
-        },
-        "goal_constraints": [{"joint_constraints": goal}],
-    }
+    start = {"name": ["finger", *JOINTS], "position": [0.065, *np.linspace(0, number, 7).tolist()]}
+    return {"start_state": {"joint_state": start}, "goal_constraints": [{"joint_constraints": goal}]}
 
 
-@cache
-def texts() -> list[tuple[bytes, bytes]]:
-    return [(yaml.safe_dump(scene(n)).encode(), yaml.safe_dump(request(n)).encode()) for n in range(1, 101)]
+TEXTS = [(yaml.safe_dump(scene(n)).encode(), yaml.safe_dump(request(n)).encode()) for n in range(1, 6)]
 
 
 def packed(files: dict[str, bytes], how: str) -> bytes:
@@ -75,7 +64,7 @@ def made(
 ) -> tuple[Path, str]:
     files: dict[str, bytes | None] = {"problems/notes.txt": b"no problem"}
     for family in BENCH_FAMILIES:
-        for number, (first, second) in enumerate(texts(), 1):
+        for number, (first, second) in enumerate(TEXTS, 1):
             files[f"problems/{family}_panda/scene{number:04}.yaml"] = first
             files[f"problems/{family}_panda/request{number:04}.yaml"] = second
     kept = {name: data for name, data in (files | (changes or {})).items() if data is not None}
@@ -90,6 +79,12 @@ def made(
     return path, hashlib.sha256(path.read_bytes()).hexdigest()
 
 
+def offline(monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:
+    """Let pip find packages in a folder alone."""
+    monkeypatch.setenv("PIP_NO_INDEX", "1")
+    monkeypatch.setenv("PIP_FIND_LINKS", str(folder))
+
+
 @pytest.fixture(scope="module")
 def sound(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     return made(tmp_path_factory.mktemp("sound"))
@@ -97,17 +92,17 @@ def sound(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
 
 def test_an_archive_becomes_problems(sound: tuple[Path, str]) -> None:
     splits = archive.read_archive(*sound)
-    assert {split: len(found) for split, found in splits.items()} == {Split.VALIDATION: 210, Split.TEST: 490}
+    assert {split: len(found) for split, found in splits.items()} == {Split.VALIDATION: 14, Split.TEST: 21}
     problem = splits[Split.TEST][0]
-    assert (problem.family, problem.number) == ("bookshelf_small", 31)
-    assert problem.start == tuple(np.round(np.linspace(0, 31, 7), 6).tolist())
+    assert (problem.family, problem.number) == ("bookshelf_small", 3)
+    assert problem.start == tuple(np.round(np.linspace(0, 3, 7), 6).tolist())
     assert problem.goal == tuple(index + 0.123457 for index in range(7))
     (box,), (cylinder,) = problem.obstacles.boxes, problem.obstacles.cylinders
     assert (cylinder.radius_m, cylinder.half_length_m) == (0.03, 0.06)
-    assert cylinder.pose[2] == (0.0, 0.0, 1.0, 0.31)
+    assert cylinder.pose[2] == (0.0, 0.0, 1.0, 0.03)
     assert box.half_m == (0.1, 0.2, 0.3)
     # A quarter turn about z takes (0.1, 0.2) to (-0.2, 0.1).
-    assert box.pose == ((0, -1, 0, 0.8), (1, 0, 0, 0.1), (0, 0, 1, 0.31), (0, 0, 0, 1))
+    assert box.pose == ((0, -1, 0, 0.8), (1, 0, 0, 0.1), (0, 0, 1, 0.03), (0, 0, 0, 1))
 
 
 def test_the_command_fetches_by_pip_without_building(
@@ -116,15 +111,14 @@ def test_the_command_fetches_by_pip_without_building(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    monkeypatch.setenv("PIP_NO_INDEX", "1")
-    monkeypatch.setenv("PIP_FIND_LINKS", str(sound[0].parent))
+    offline(monkeypatch, sound[0].parent)
     monkeypatch.setattr(command, "SHA256", sound[1])
     assert command.main(["fetch", "--out", str(tmp_path / "out")]) == 0
     told = capsys.readouterr().out
-    assert "validation.json.gz: bookshelf_small 30," in told
-    assert "test.json.gz: bookshelf_small 70," in told
-    assert len(problems(Split.TEST, tmp_path / "out")) == 490
-    assert len(problems(Split.VALIDATION, tmp_path / "out")) == 210
+    assert "validation.json.gz: bookshelf_small 2," in told
+    assert "test.json.gz: bookshelf_small 3," in told
+    assert len(problems(Split.TEST, tmp_path / "out")) == 21
+    assert len(problems(Split.VALIDATION, tmp_path / "out")) == 14
 
 
 def test_an_archive_with_another_digest_is_refused(
@@ -146,17 +140,11 @@ FIRST = "problems/box_panda/scene0001.yaml"
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({FIRST: None}, "699 problems"),
+        ({FIRST: None}, "34 problems"),
         ({FIRST: b"world: ["}, "no YAML"),
         ({FIRST: b"world: {}"}, "box 1: KeyError 'collision_objects'"),
-        (
-            {FIRST: yaml.safe_dump(scene(1)).replace("cylinder", "sphere").encode()},
-            "a shape is unknown.*'sphere'",
-        ),
-        (
-            {FIRST: yaml.safe_dump(scene(1)).replace("0.03", "-0.03").encode()},
-            "radius_m does not fit; expected above 0",
-        ),
+        ({FIRST: TEXTS[0][0].replace(b"cylinder", b"sphere")}, "a shape is unknown.*'sphere'"),
+        ({FIRST: TEXTS[0][0].replace(b"0.03", b"-0.03")}, "radius_m does not fit; expected above 0"),
         ({FIRST.replace("scene", "request"): None}, "box 1: KeyError"),
         ({FIRST.replace("box", "kitchen"): b"{}"}, "kitchen 1: KeyError"),
     ],
@@ -180,12 +168,9 @@ def test_files_that_are_no_archive_are_refused(sound: tuple[Path, str], tmp_path
 
 
 def test_a_fetch_that_pip_refuses_says_what_to_do(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("PIP_NO_INDEX", "1")
-    monkeypatch.setenv("PIP_FIND_LINKS", str(tmp_path))
-    with (
-        pytest.raises(ServiceError, match=r"No matching distribution.*--archive"),
-        download.downloaded("0" * 64),
-    ):
+    offline(monkeypatch, tmp_path)
+    refused = pytest.raises(ServiceError, match=r"No matching distribution.*--archive")
+    with refused, download.downloaded("0" * 64):
         pass
 
 
@@ -197,11 +182,7 @@ def test_an_archive_with_another_digest_is_refused_before_it_is_prepared(
     project = b'[build-system]\nrequires = []\nbuild-backend = "own"\nbackend-path = ["."]\n'
     foreign = {"vamp_planner-0.6.4/pyproject.toml": project, "vamp_planner-0.6.4/own.py": backend.encode()}
     (tmp_path / "vamp_planner-0.6.4.tar.gz").write_bytes(packed(foreign, "w:gz"))
-    monkeypatch.setenv("PIP_NO_INDEX", "1")
-    monkeypatch.setenv("PIP_FIND_LINKS", str(tmp_path))
-    with (
-        pytest.raises(ServiceError, match="Expected sha256"),
-        download.downloaded(sound[1]),
-    ):
+    offline(monkeypatch, tmp_path)
+    with pytest.raises(ServiceError, match="Expected sha256"), download.downloaded(sound[1]):
         pass
     assert not prepared.exists()

@@ -1,7 +1,5 @@
 """A trial's checkpoints are whole or not there."""
 
-import multiprocessing
-
 import pytest
 
 from cspace.errors import JobError
@@ -16,19 +14,11 @@ def save(folder, *steps):
         folder.save(tiny_module(), Progress(step, "run", ()))
 
 
-def test_a_trial_that_never_ran_has_none(tmp_path):
-    assert TrialFolder(tmp_path / "new").latest() is None
-
-
-def test_the_last_ones_stay(tmp_path):
-    folder = TrialFolder(tmp_path, keep=2)
-    save(folder, 4, 8, 12)
-    assert [read_progress(path).step for path in folder.checkpoints()] == [8, 12]
-
-
-def test_a_step_is_a_number_and_not_a_word(tmp_path):
-    folder = TrialFolder(tmp_path)
-    save(folder, 1000, 999_999)
+def test_the_last_checkpoints_stay_by_the_number_of_their_step(tmp_path):
+    folder = TrialFolder(tmp_path / "new", keep=2)
+    assert folder.latest() is None
+    save(folder, 4, 1000, 999_999)
+    assert [read_progress(path).step for path in folder.checkpoints()] == [1000, 999_999]
     assert read_progress(folder.latest()).step == 999_999
 
 
@@ -65,22 +55,10 @@ def test_a_disk_that_is_full_leaves_the_checkpoint_that_was_there(tmp_path, monk
     assert read_progress(folder.latest()).step == 4
 
 
-def hold(folder, held, done):
-    with TrialFolder(folder).alone():
-        held.set()
-        done.wait(60)
-
-
-@pytest.mark.slow
-def test_a_trial_is_trained_by_one_process_at_a_time(tmp_path):
-    context = multiprocessing.get_context("spawn")
-    held, done = context.Event(), context.Event()
-    other = context.Process(target=hold, args=(tmp_path, held, done))
-    other.start()
-    assert held.wait(60)
-    with pytest.raises(JobError, match="another process"), TrialFolder(tmp_path).alone(patience_s=0.3):
-        pass
-    other.kill()
-    other.join()
+def test_a_trial_is_trained_by_one_at_a_time(tmp_path):
+    with TrialFolder(tmp_path).alone():
+        another = pytest.raises(JobError, match="another process")
+        with another, TrialFolder(tmp_path).alone(patience_s=0.3):
+            pass
     with TrialFolder(tmp_path).alone(patience_s=0.0):
         assert TrialFolder(tmp_path).latest() is None

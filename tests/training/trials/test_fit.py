@@ -30,20 +30,20 @@ def last(folder):
     return read_progress(TrialFolder(folder).latest())
 
 
-def test_a_trial_logs_at_its_rhythm_and_at_its_ends(tmp_path):
+def test_a_trial_logs_at_its_rhythm_and_keeps_its_last_step_with_its_whole_history(tmp_path):
     run = RecordingRun()
-    train(tiny_module(), tmp_path, run)
+    metrics = train(tiny_module(), tmp_path, run)
     assert [step for step, _ in run.rows] == [1, 2, 4, 6, 8, 9]
     assert {"critic_loss", "generator_loss", "wasserstein_estimate", "steps_per_s"} <= set(run.rows[0][1])
     assert run.status == "FINISHED"
-
-
-def test_a_trial_ends_with_a_checkpoint_of_its_last_step_and_whole_history(tmp_path):
-    run = RecordingRun()
-    metrics = train(tiny_module(), tmp_path, run)
     assert last(tmp_path).step == 9
     assert [row["step"] for row in last(tmp_path).history] == [1, 2, 4, 6, 8, 9]
     assert (9, metrics) == run.rows[-1]
+    # What had come to its end trains nothing and has the same metrics.
+    again = RecordingRun()
+    assert train(tiny_module(), tmp_path, again) == metrics
+    assert again.rows == []
+    assert again.status == "FINISHED"
 
 
 def same_weights(one, other):
@@ -74,13 +74,6 @@ def test_a_trial_that_is_asked_to_stop_writes_a_checkpoint_first_and_loses_no_st
     resumed = tiny_module()
     train(resumed, tmp_path / "half", RecordingRun())
     assert same_weights(whole, resumed)
-
-
-def test_a_trial_that_had_come_to_its_end_trains_nothing_and_has_the_same_metrics(tmp_path):
-    metrics, run = train(tiny_module(), tmp_path, RecordingRun()), RecordingRun()
-    assert train(tiny_module(), tmp_path, run) == metrics
-    assert run.rows == []
-    assert run.status == "FINISHED"
 
 
 def test_a_trial_that_fails_leaves_a_failed_run(tmp_path):
