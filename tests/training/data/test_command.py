@@ -40,16 +40,10 @@ def test_a_damaged_data_set_ends_with_one_and_names_the_file(own, tmp_path, caps
     assert "free.npy is damaged" in capsys.readouterr().err
 
 
-def test_data_of_another_robot_end_with_one(own, tmp_path, capsys):
-    assert main(["import", str(own), str(tmp_path / "data")]) == 1
-    assert "first.npy does not fit the robot" in capsys.readouterr().err
-
-
 @pytest.mark.parametrize(
     "options",
     [
         ["--links", "2.0", "-1.0"],
-        ["--half-width", "0"],
         ["--limit", "3", "-1", "2"],
         ["--limit", "0", "-1", "2"],
         ["--limit", "1.5", "-1", "2"],
@@ -70,50 +64,19 @@ def test_a_count_that_cannot_be_ends_with_two(tmp_path, capsys):
     assert "scenario_count does not fit" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("arguments", [[], ["generate"], ["import"], ["verify"]])
-def test_every_command_has_its_help(arguments, capsys):
-    with pytest.raises(SystemExit) as ended:
-        main([*arguments, "--help"])
-    assert ended.value.code == 0
-    assert "usage: python -m training.data" in capsys.readouterr().out
-
-
-@pytest.mark.parametrize("arguments", [[], ["paint"], ["verify"], ["generate", "x", "--split", "holdout"]])
-def test_a_command_that_is_none_ends_with_two(arguments, capsys):
-    with pytest.raises(SystemExit) as ended:
-        main(arguments)
-    assert ended.value.code == 2
-    assert "usage" in capsys.readouterr().err
-
-
 GENERATE = ("generate", "--scenario-count", "6", "--extra-image-count", "4", "--shard-size", "3")
 PATHS = (
-    "paths",
-    "--scenario-count",
-    "4",
-    "--pairs-per-scenario",
-    "1",
-    "--narrow-share",
-    "0",
-    "--shard-size",
-    "1",
+    *("paths", "--scenario-count", "4", "--pairs-per-scenario", "1"),
+    *("--narrow-share", "0", "--shard-size", "1"),
 )
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("arguments", "address"),
-    [
-        (GENERATE, {}),
-        (GENERATE, {"RAY_ADDRESS": "http://127.0.0.1:8265"}),
-        (PATHS, {"RAY_ADDRESS": "http://127.0.0.1:8265"}),
-    ],
-    ids=["generate", "generate in a shell for jobs", "paths in a shell for jobs"],
-)
-def test_the_command_generates_with_a_ray_of_its_own(tmp_path, arguments, address):
+@pytest.mark.parametrize("arguments", [GENERATE, PATHS], ids=["generate", "paths"])
+def test_the_command_generates_with_a_ray_of_its_own_in_a_shell_for_jobs(tmp_path, arguments):
     command = [sys.executable, "-m", "training.data", arguments[0], str(tmp_path / "data")]
     counts = [*arguments[1:], "--seed", "9"]
-    environment = {key: value for key, value in os.environ.items() if key != "RAY_ADDRESS"} | address
+    environment = os.environ | {"RAY_ADDRESS": "http://127.0.0.1:8265"}
     done = subprocess.run(
         [*command, *counts], env=environment, capture_output=True, text=True, timeout=110, check=False
     )

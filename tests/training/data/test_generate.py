@@ -1,5 +1,4 @@
 import logging
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -50,26 +49,26 @@ class HereInsteadOfRay:
             yield str(save_shard(partial, shard, ConfigurationRecipe(config).make(shard)))
 
 
-def test_the_data_set_holds_what_the_configuration_asks_for(tmp_path, monkeypatch):
+def test_the_data_set_holds_what_the_configuration_asks_for(tmp_path, monkeypatch, caplog):
     HereInsteadOfRay(monkeypatch)
-    dataset = generate(SMALL, tmp_path / "data")
+    with caplog.at_level(logging.INFO, logger="training"):
+        dataset = generate(SMALL, tmp_path / "data")
+    # Progress where there is no terminal.
+    assert f"data: {len(SHARDS)}/{len(SHARDS)}" in caplog.messages
     assert dataset.images.shape == (5, 48, 48, 3)
     assert dataset.extra_images.shape == (4, 48, 48, 3)
     assert dataset.arrays["discs"].shape == (5, 3, 3)
     assert [len(dataset.free_of(index)) for index in range(5)] == [20] * 5
     assert [len(dataset.collision_of(index)) for index in range(5)] == [10] * 5
+    assert dataset.free.dtype == np.float32
     assert dataset.manifest.generator == SMALL.model_dump(mode="json")
     assert dataset.generator_seed == 3
     assert [path.name for path in tmp_path.iterdir()] == ["data"]
     open_dataset(dataset.folder, verify=True)
-
-
-def test_nothing_is_there_of_what_was_not_asked_for(tmp_path, monkeypatch):
-    HereInsteadOfRay(monkeypatch)
     config = SMALL.model_copy(update={"collision_per_scenario": 0, "extra_image_count": 0})
-    dataset = generate(config, tmp_path / "data")
-    assert dataset.collision is None
-    assert dataset.extra_images is None
+    bare = generate(config, tmp_path / "bare")
+    assert bare.collision is None
+    assert bare.extra_images is None
 
 
 def test_an_interrupted_generation_goes_on_where_it_stopped(tmp_path, monkeypatch):
@@ -109,27 +108,18 @@ def test_shards_of_another_configuration_are_not_taken(tmp_path, monkeypatch):
     assert dataset.generator_seed == 4
 
 
-def test_a_data_set_that_is_there_is_used_again(tmp_path, monkeypatch):
+def test_a_data_set_that_is_there_is_used_again_unless_it_is_another_or_damaged(tmp_path, monkeypatch):
     HereInsteadOfRay(monkeypatch)
-    digest = generate(SMALL, tmp_path / "data").digest
+    made = generate(SMALL, tmp_path / "data")
     again = HereInsteadOfRay(monkeypatch)
-    assert generate(SMALL.model_copy(update={"shard_size": 1}), tmp_path / "data").digest == digest
-    assert again.made == []
-
-
-def test_another_data_set_in_the_folder_is_an_error(tmp_path, monkeypatch):
-    HereInsteadOfRay(monkeypatch)
-    generate(SMALL, tmp_path / "data")
+    assert generate(SMALL.model_copy(update={"shard_size": 1}), tmp_path / "data").digest == made.digest
     with pytest.raises(DatasetError, match=r"another data set.*another folder"):
         generate(SMALL.model_copy(update={"seed": 4}), tmp_path / "data")
-
-
-def test_a_damaged_data_set_in_the_folder_is_found(tmp_path, monkeypatch):
-    HereInsteadOfRay(monkeypatch)
-    path = generate(SMALL, tmp_path / "data").folder / "free.npy"
+    path = made.folder / "free.npy"
     path.write_bytes(path.read_bytes()[:-1] + b"\x00")
     with pytest.raises(DamagedFileError, match=r"free\.npy"):
         generate(SMALL, tmp_path / "data")
+    assert again.made == []
 
 
 class DiskUsage(NamedTuple):
@@ -138,27 +128,16 @@ class DiskUsage(NamedTuple):
     free: int
 
 
-def test_a_full_disk_is_told_before_the_first_shard(tmp_path, monkeypatch):
+def test_a_full_disk_and_a_bad_folder_are_told_before_the_first_shard(tmp_path, monkeypatch):
     here = HereInsteadOfRay(monkeypatch)
+    (tmp_path / "file").write_text("")
+    with pytest.raises(StorageError, match="cannot be written"):
+        generate(SMALL, tmp_path / "file" / "data")
     monkeypatch.setattr("cspace.dataset.shutil.disk_usage", lambda path: DiskUsage(2**40, 2**40, 2**20))
     with pytest.raises(StorageError, match="too full"):
         generate(SMALL, tmp_path / "data")
     assert here.made == []
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_a_data_folder_that_cannot_be_made_is_a_storage_error(tmp_path, monkeypatch):
-    HereInsteadOfRay(monkeypatch)
-    (tmp_path / "file").write_text("")
-    with pytest.raises(StorageError, match="cannot be written"):
-        generate(SMALL, tmp_path / "file" / "data")
-
-
-def test_progress_is_told_in_lines_where_there_is_no_terminal(tmp_path, monkeypatch, caplog):
-    HereInsteadOfRay(monkeypatch)
-    with caplog.at_level(logging.INFO, logger="training"):
-        generate(SMALL, tmp_path / "data")
-    assert f"data: {len(SHARDS)}/{len(SHARDS)}" in caplog.messages
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
 
 @pytest.fixture(scope="module")
@@ -191,19 +170,6 @@ def test_an_error_in_a_ray_task_arrives_as_it_was_raised(tmp_path):
         generate(config, tmp_path / "data")
     assert type(caught.value) is DatasetError
     assert not (tmp_path / "data").exists()
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("cluster")
-def test_a_ray_task_that_cannot_write_is_a_storage_error(tmp_path):
-    tasks = module.run_tasks(SMALL, SHARDS, Path(tmp_path / "missing"))
-    with pytest.raises(StorageError, match="cannot be written"):
-        list(tasks)
-
-
-def test_free_configurations_of_a_data_set_are_float32(tmp_path, monkeypatch):
-    HereInsteadOfRay(monkeypatch)
-    assert generate(SMALL, tmp_path / "data").free.dtype == np.float32
 
 
 PROPOSED = SMALL.model_copy(update={"proposals_per_scenario": 30, "extra_image_count": 0})
@@ -257,11 +223,6 @@ def test_merged_data_sets_keep_what_is_told_of_their_configurations(tmp_path, mo
         np.testing.assert_array_equal(merged.arrays[name], expected)
 
 
-def test_a_configuration_without_proposals_is_that_of_earlier_releases():
-    assert "proposals_per_scenario" not in SMALL.model_dump(mode="json")
-    assert DatasetConfig().key == "7476c8678ee2"
-
-
 @pytest.mark.slow
 def test_data_of_an_arm_in_space_hold_arrays_of_space_and_every_kind_of_configuration(tmp_path, monkeypatch):
     HereInsteadOfRay(monkeypatch)
@@ -278,12 +239,7 @@ def test_data_of_an_arm_in_space_hold_arrays_of_space_and_every_kind_of_configur
     free = samples.free.numpy()
     assert not (hit & free).any()
     assert 0 < hit.sum() <= (~free).sum()
-    again = simulator_of(dataset.world).checker(
-        SpatialScene(
-            dataset.world, obstacles_of(*(dataset.arrays[name][1] for name in ("boxes", "cylinders"))), ()
-        )
-    )
-    np.testing.assert_array_equal(
-        again.valid_batch(dataset.free_of(1)), np.ones(len(dataset.free_of(1)), bool)
-    )
+    obstacles = obstacles_of(*(dataset.arrays[name][1] for name in ("boxes", "cylinders")))
+    again = simulator_of(dataset.world).checker(SpatialScene(dataset.world, obstacles, ()))
+    assert again.valid_batch(dataset.free_of(1)).all()
     assert not again.valid_batch(dataset.collision_of(1)).any()

@@ -48,19 +48,14 @@ def test_own_pictures_become_a_data_set_in_the_order_of_their_names(tmp_path, ro
     assert dataset.generator_seed is None
 
 
-def test_collisions_and_extra_pictures_are_optional(tmp_path):
+def test_pictures_are_resized_to_the_cameras_pixels_and_collisions_and_extra_ones_are_optional(tmp_path):
     fill(tmp_path / "own", collision=False, extra=False)
-    dataset = take(tmp_path / "own", tmp_path / "data")
-    assert dataset.collision is None
-    assert dataset.extra_images is None
-
-
-def test_pictures_are_resized_to_the_cameras_pixels(tmp_path):
-    fill(tmp_path / "own")
     camera = Camera(-4.0, 4.0, -4.0, 4.0, 24)
     dataset = take(tmp_path / "own", tmp_path / "data", camera=camera)
     assert dataset.world.sensor == camera
     assert dataset.images.shape == (3, 24, 24, 3)
+    assert dataset.collision is None
+    assert dataset.extra_images is None
 
 
 def test_whole_numbers_and_full_turns_are_angles_too(tmp_path):
@@ -70,23 +65,22 @@ def test_whole_numbers_and_full_turns_are_angles_too(tmp_path):
     np.testing.assert_allclose(dataset.free_of(0), [[7 - 2 * np.pi, 2 * np.pi - 7]], atol=1e-6)
 
 
-def spoil_with(name, value):
-    def spoil(folder):
-        np.save(folder / name, value, allow_pickle=True)
-
-    return spoil
+def array(name, value):
+    return lambda folder: np.save(folder / name, value, allow_pickle=True)
 
 
-def not_square(folder):
-    Image.new("RGB", (48, 50)).save(folder / "b.png")
+def content(name, data):
+    return lambda folder: (folder / name).write_bytes(data)
 
 
-def no_png(folder):
-    (folder / "b.png").write_bytes(b"GIF89a" * 20)
+def header(text):
+    """An array's file that is a header alone."""
+    padded = text.encode().ljust(117) + b"\n"
+    return content("b.npy", b"\x93NUMPY\x01\x00" + len(padded).to_bytes(2, "little") + padded)
 
 
-def no_array(folder):
-    (folder / "b.npy").write_text("1.0 2.0")
+def huge(rows):
+    return header(f"{{'descr': '<f8', 'fortran_order': False, 'shape': ({rows}, 2), }}")
 
 
 def packed(folder):
@@ -94,50 +88,30 @@ def packed(folder):
         np.savez(file, b=np.zeros((3, 2)))
 
 
-def with_header(text):
-    def spoil(folder):
-        header = text.encode().ljust(117) + b"\n"
-        (folder / "b.npy").write_bytes(b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header)
-
-    return spoil
-
-
-def huge(rows):
-    return with_header(f"{{'descr': '<f8', 'fortran_order': False, 'shape': ({rows}, 2), }}")
-
-
 def no_pictures(folder):
     for path in folder.glob("*.png"):
         path.unlink()
 
 
-def too_large(folder):
-    with (folder / "b.png").open("r+b") as handle:
-        handle.truncate(8 * 2**20 + 1)
-
-
 @pytest.mark.parametrize(
     ("spoil", "words"),
     [
-        (spoil_with("b.npy", np.zeros((3, 3))), r"b\.npy does not fit.*\(n, 2\).*\(3, 3\)"),
-        (spoil_with("b.npy", np.zeros(2)), r"b\.npy does not fit"),
-        (spoil_with("b.npy", np.zeros((3, 2), dtype=complex)), r"b\.npy does not fit.*complex"),
-        (spoil_with("b.npy", np.array([["a", "b"]])), r"b\.npy does not fit"),
-        (spoil_with("b.npy", np.full((3, 2), np.nan)), r"b\.npy.*finite"),
-        (spoil_with("a.collision.npy", np.full((3, 2), np.inf)), r"a\.collision\.npy.*finite"),
-        (spoil_with("b.npy", np.array([[{}, {}]], dtype=object)), r"b\.npy is no array"),
-        (no_array, r"b\.npy is no array"),
+        (array("b.npy", np.zeros((3, 3))), r"b\.npy does not fit.*\(n, 2\).*\(3, 3\)"),
+        (array("b.npy", np.zeros((3, 2), dtype=complex)), r"b\.npy does not fit.*complex"),
+        (array("b.npy", np.full((3, 2), np.nan)), r"b\.npy.*finite"),
+        (array("a.collision.npy", np.full((3, 2), np.inf)), r"a\.collision\.npy.*finite"),
+        (array("b.npy", np.array([[{}, {}]], dtype=object)), r"b\.npy is no array"),
+        (content("b.npy", b"1.0 2.0"), r"b\.npy is no array"),
         (packed, r"b\.npy is no array"),
         (huge(2**40), r"b\.npy is no array"),
         (huge(2**70), r"b\.npy is no array"),
-        (with_header("{1: 2, 'a': 3, None: 1}"), r"b\.npy is no array"),
-        (with_header("-" * 9000 + "1"), r"b\.npy is no array"),
+        (header("{1: 2, 'a': 3, None: 1}"), r"b\.npy is no array"),
+        (header("-" * 9000 + "1"), r"b\.npy is no array"),
         (lambda folder: (folder / "b.npy").unlink(), r"b\.npy is missing.*extra/"),
-        (spoil_with("d.npy", np.zeros((1, 2))), r"d\.npy belongs to no picture"),
-        (spoil_with("d.collision.npy", np.zeros((1, 2))), r"d\.collision\.npy belongs to no picture"),
-        (not_square, r"b\.png: the picture is not square"),
-        (no_png, r"b\.png: the picture is not a PNG"),
-        (too_large, r"b\.png is too large"),
+        (array("d.collision.npy", np.zeros((1, 2))), r"d\.collision\.npy belongs to no picture"),
+        (lambda folder: Image.new("RGB", (48, 50)).save(folder / "b.png"), r"b\.png: .* is not square"),
+        (content("b.png", b"GIF89a" * 20), r"b\.png: the picture is not a PNG"),
+        (content("b.png", bytes(8 * 2**20 + 1)), r"b\.png is too large"),
         (no_pictures, "holds no pictures"),
     ],
 )
@@ -149,19 +123,16 @@ def test_a_file_that_does_not_fit_is_named_and_nothing_is_written(tmp_path, spoi
     assert [path.name for path in tmp_path.iterdir()] == ["own"]
 
 
-def test_a_source_that_is_not_there_is_an_error(tmp_path):
+def test_a_source_that_is_not_there_and_an_existing_data_set_are_told(tmp_path):
     with pytest.raises(DatasetError, match="holds no pictures"):
         take(tmp_path / "own", tmp_path / "data")
-
-
-def test_an_existing_data_set_is_not_overwritten(tmp_path):
     fill(tmp_path / "own")
     take(tmp_path / "own", tmp_path / "data")
     with pytest.raises(StorageError, match="exists"):
         take(tmp_path / "own", tmp_path / "data")
 
 
-def test_configurations_outside_the_limits_are_refused_and_not_wrapped(tmp_path):
+def test_configurations_outside_the_limits_or_in_degrees_are_refused_and_not_wrapped(tmp_path):
     fill(tmp_path / "own", collision=False)
     robot = PlanarArm(joint_limits_rad=(None, (-4.0, 3.2)))
     take(tmp_path / "own", tmp_path / "data", robot)
@@ -169,18 +140,14 @@ def test_configurations_outside_the_limits_are_refused_and_not_wrapped(tmp_path)
     with pytest.raises(DatasetError, match=r"a\.npy holds configurations outside") as refused:
         take(tmp_path / "own", tmp_path / "other", robot)
     assert "3.3" in refused.value.got
+    np.save(tmp_path / "own" / "a.npy", [[0.5, 1.0], [47.08, -79.14]])
+    with pytest.raises(DatasetError, match=r"a\.npy holds configurations outside.*not in degrees") as refused:
+        take(tmp_path / "own", tmp_path / "other")
+    assert "row 1: joint 1 at 47.08 rad" in refused.value.got
+    assert not (tmp_path / "other").exists()
     np.save(tmp_path / "own" / "a.npy", [[9.0, -3.9]])
     kept = take(tmp_path / "own", tmp_path / "other", robot).free_of(0)
     np.testing.assert_allclose(kept, [[9.0 - 2.0 * np.pi, -3.9]], rtol=1e-6)
-
-
-def test_data_in_degrees_are_refused_and_not_wrapped(tmp_path):
-    fill(tmp_path / "own", collision=False)
-    np.save(tmp_path / "own" / "b.npy", [[0.5, 1.0], [47.08, -79.14]])
-    with pytest.raises(DatasetError, match=r"b\.npy holds configurations outside.*not in degrees") as refused:
-        take(tmp_path / "own", tmp_path / "data")
-    assert "row 1: joint 1 at 47.08 rad" in refused.value.got
-    assert not (tmp_path / "data").exists()
 
 
 def test_a_limit_in_single_precision_is_taken(tmp_path):

@@ -151,7 +151,7 @@ def only_file(folder, ending):
     return found
 
 
-@pytest.mark.parametrize("source", ["mcap", "mcap of zstd", "db3", "a folder"])
+@pytest.mark.parametrize("source", ["mcap of zstd", "db3", "a folder"])
 def test_a_recording_becomes_views_a_preview_and_a_data_set(tmp_path, capsys, source):
     bag = usual().write(
         tmp_path / "bag",
@@ -223,9 +223,7 @@ def test_moving_transforms_and_joint_states_are_those_of_the_pictures_stamp(tmp_
         pose = np.linalg.inv(UP) @ poses[number] @ STATIC[2][2]
         np.testing.assert_array_equal(dataset.images[place], expected(state, pose.tolist()))
     strict = RecordingOptions(base=BASE, every_s=0.0, tolerance_s=0.005)
-    with pytest.raises(
-        DatasetError, match=r"no complete picture.*3 times no moving transform within 0\.005 s"
-    ):
+    with pytest.raises(DatasetError, match=r"3 times no moving transform within 0\.005 s"):
         import_recording(tmp_path / "bag", tmp_path / "none", world=WORLD, options=strict)
 
 
@@ -251,7 +249,7 @@ def refused(tmp_path, bag, message, world=WORLD, **options):
     assert [one for one in tmp_path.iterdir() if one.name.startswith((".write", "out"))] == []
 
 
-def test_another_camera_or_robot_is_refused_by_its_names(tmp_path):
+def test_another_camera_robot_or_compression_is_refused_by_its_names(tmp_path):
     other = "/second/depth/image_rect_raw"
     for number, (bag, message, options) in enumerate(
         (
@@ -268,16 +266,12 @@ def test_another_camera_or_robot_is_refused_by_its_names(tmp_path):
         place = tmp_path / str(number)
         place.mkdir()
         refused(place, bag, message, **options)
-    bag = usual(states=False).add("/joint_states", "joints", joints(0.0, names=[f"j{n}" for n in range(7)]))
-    refused(tmp_path, bag, "joints panda_joint1.*got joints finger, j0")
-
-
-def test_other_compressions_of_depth_are_refused(tmp_path):
     bag = usual(pictures=False)
     bag.add("/camera/depth/z", "compressed", compressed(0.0, "32FC1; compressedDepth png"))
-    refused(
-        tmp_path, bag, "no complete picture.*got '32FC1; compressedDepth png'.*record the raw depth topic"
-    )
+    (tmp_path / "z").mkdir()
+    refused(tmp_path / "z", bag, "no complete picture.*got '32FC1; compressedDepth png'.*raw depth topic")
+    bag = usual(states=False).add("/joint_states", "joints", joints(0.0, names=[f"j{n}" for n in range(7)]))
+    refused(tmp_path, bag, "joints panda_joint1.*got joints finger, j0")
 
 
 def test_files_that_are_none_or_lie_elsewhere_are_refused(tmp_path):
@@ -350,7 +344,7 @@ def test_damaged_recordings_are_read_or_refused_and_nothing_else(tmp_path, plugi
         small.write(tmp_path / "bag", plugin), ".mcap" if plugin is StoragePlugin.MCAP else ".db3"
     )
     data, refusals = path.read_bytes(), 0
-    for number in range(30):
+    for number in range(20):
         found = bytearray(data)
         for _ in range(rng.choice([1, 2, 8])):
             at = int(rng.integers(len(found)))

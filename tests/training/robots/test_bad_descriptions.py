@@ -10,7 +10,12 @@ from training.robots.importing import Request, import_robot
 from training.robots.meshes import found_file
 
 SLIDING = TWO_LINKS.replace('"continuous"', '"prismatic"')
+LIMITS = 'lower="-2" upper="2"'
 BOMB = '<!DOCTYPE robot [<!ENTITY a "aaaa"><!ENTITY b "&a;&a;&a;">]><robot name="&b;"/>'
+
+
+def shoulder(limits: str) -> str:
+    return TWO_LINKS.replace(LIMITS, limits)
 
 
 @pytest.mark.parametrize(
@@ -19,53 +24,30 @@ BOMB = '<!DOCTYPE robot [<!ENTITY a "aaaa"><!ENTITY b "&a;&a;&a;">]><robot name=
         (SLIDING, r"elbow \(line 19\) does not fit a serial arm.*got prismatic.*--lock elbow=VALUE"),
         (SLIDING.replace('"prismatic"', '"planar"'), "got planar.*--lock elbow=0"),
         (with_more(BRANCH), "tip of the chain is not clear.*gripper.*second.*--tip"),
+        (shoulder(""), "limits of joint shoulder.*got none.*--limit shoulder="),
+        (shoulder('lower="-2" upper="-2"'), r"shoulder \(line 15\) do not fit.*--lock shoulder=VALUE"),
         (
-            TWO_LINKS.replace('lower="-2" upper="2" ', ""),
-            "limits of joint shoulder.*got none.*--limit shoulder=",
-        ),
-        (
-            TWO_LINKS.replace('upper="2"', 'upper="-2"'),
-            r"limits of joint shoulder \(line 15\) do not fit.*--lock shoulder=VALUE",
-        ),
-        (
-            TWO_LINKS.replace('lower="-2" upper="2"', 'lower="0" upper="0"'),
-            "got 0 to 0; give --limit shoulder=",
-        ),
-        (
-            TWO_LINKS.replace('lower="-2" upper="2"', 'lower="-170" upper="170"'),
-            "shoulder .*look like degrees; give --limit shoulder=-2.9671,2.9671",
+            shoulder('lower="-170" upper="170"'),
+            "shoulder .*like degrees; give --limit shoulder=-2.9671,2.9671",
         ),
         (TWO_LINKS.replace('"2 0 0"', '"0 0 0"'), "axis of joint elbow"),
         (
             TWO_LINKS.replace('"2 0 0"', '"0 0 nan"'),
-            r"xyz of <axis> in line 21, of joint elbow \(line 19\).*3 finite numbers",
+            r"<axis> in line 21, of joint elbow \(line 19\).*3 finite",
         ),
-        (
-            TWO_LINKS.replace('"2 0 0"', '"0 1e308 1e308"').replace('"0.12"', '"-1"'),
-            "link base.*a sphere with",
-        ),
-        (
-            TWO_LINKS.replace('"0.05" length="0.3"', '"1e-9" length="1e6"'),
-            "link upper.*a cylinder with sizes",
-        ),
+        # An axis that is too long for floats is one.
+        (TWO_LINKS.replace('"2 0 0"', '"0 1e308 1e308"').replace('"0.12"', '"-1"'), "base.*a sphere with"),
+        (TWO_LINKS.replace('"0.05" length="0.3"', '"1e-9" length="1e6"'), "upper.*a cylinder with sizes"),
         (TWO_LINKS.replace('"0.04 0.06 0.1"', '"0.1 0.1 1e-300"'), "link lower.*a box with sizes"),
-        (TWO_LINKS.replace('"0.04 0.06 0.1"', '"0.1 0.1 1e308"'), "link lower.*a box with sizes"),
         (with_more("".join(f'<link name="l{n}"/>' for n in range(1000)) + "</robot>"), "too many links"),
         (TWO_LINKS.replace('child link="upper"', 'child link="missing"'), "unknown links .*missing"),
         (TWO_LINKS.replace('child link="gripper"', 'child link="upper"'), "two parents"),
         (TWO_LINKS.replace('parent link="base"', 'parent link="gripper"'), "no tree of links.*root"),
-        (
-            TWO_LINKS.replace("<sphere", "<capsule"),
-            "link base .*box, cylinder, sphere or mesh; got .*capsule",
-        ),
+        (TWO_LINKS.replace("<sphere", "<capsule"), "link base .*sphere or mesh; got .*capsule"),
         (TWO_LINKS.replace('<parent link="base"/>', ""), "a <parent>"),
         (BOMB, "no such description.*a document type"),
-        (
-            TWO_LINKS.replace("</robot>", '<link name="base"/></robot>'),
-            r"link base \(line 26\).*a name of its own",
-        ),
+        (with_more('<link name="base"/></robot>'), r"link base \(line 26\).*a name of its own"),
         ("<robot", "no such description"),
-        ("", "no such description"),
         ("<sdf/>", "the root <robot>; got <sdf>"),
     ],
 )
@@ -74,20 +56,11 @@ def test_descriptions_that_cannot_be_are_refused(tmp_path: Path, text: str, mess
         import_robot(Request(described(tmp_path, text)))
 
 
-@pytest.mark.parametrize(
-    "options",
-    [
-        {"locked": {"wrist": 0.0}},
-        {"limits": {"wrist": (0.0, 1.0)}},
-        {"tip": "hand"},
-        {"kept": (("a", "base"),)},
-    ],
-)
-def test_names_that_the_description_does_not_have_are_refused(
-    tmp_path: Path, options: dict[str, object]
-) -> None:
-    with pytest.raises(ScenarioError, match=r"unknown|not clear"):
-        import_robot(Request(described(tmp_path), **options))
+def test_names_that_the_description_does_not_have_are_refused(tmp_path: Path) -> None:
+    limits = {"limits": {"wrist": (0.0, 1.0)}}
+    for options in ({"locked": {"wrist": 0.0}}, limits, {"tip": "hand"}, {"kept": (("a", "base"),)}):
+        with pytest.raises(ScenarioError, match=r"unknown|not clear"):
+            import_robot(Request(described(tmp_path), **options))
 
 
 @pytest.mark.parametrize(
@@ -96,7 +69,6 @@ def test_names_that_the_description_does_not_have_are_refused(
         (["nowhere.urdf"], "cannot be read.*No such file.*path of a URDF"),
         (["two.urdf", "--lock", "elbow"], "--lock does not fit; expected NAME=VALUE"),
         (["two.urdf", "--limit", "elbow=1"], "--limit does not fit; expected a finite number"),
-        (["two.urdf", "--slack-mm", "0"], "0.001 m or more"),
         (["two.urdf", "--slack-mm", "inf"], "at most 1 m"),
         (["two.urdf", "--excess-mm", "nan"], "0.001 m or more"),
         (["two.urdf", "--lock", "elbow=1e300"], r"elbow \(line 19\) cannot be held there"),
@@ -152,9 +124,7 @@ def test_meshes_outside_the_robots_folder_are_refused(tmp_path: Path, name: str)
     (tmp_path / "secret.stl").touch()
     (folder / "link.stl").symlink_to(tmp_path / "secret.stl")
     name = name.format(top=tmp_path)
-    with pytest.raises(
-        ScenarioError, match=r"outside the robot's folder.*secret\.stl.*--package NAME=FOLDER"
-    ):
+    with pytest.raises(ScenarioError, match=r"outside the robot's folder.*secret\.stl.*--package NAME="):
         found_file(name, folder, {})
     if not name.startswith("package"):
         assert found_file(name, folder, {"top": tmp_path}).samefile(tmp_path / "secret.stl")
