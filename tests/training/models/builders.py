@@ -46,3 +46,15 @@ def tiny_joint_module(seed: int = 0, **changes: object) -> JointModule:
     images[1, :, 12:36] = 255
     with seeded_initialisation(seed):
         return JointModule(config, vae, ring_samples(), images, SCALE, seed, SPACE)
+
+
+def run(module: torch.nn.Module, steps: int, first: int = 0) -> torch.nn.Module:
+    """Take training steps."""
+    for step in range(first, first + steps):
+        module.training_step(step, step)
+    return module
+
+
+def weights(module: torch.nn.Module) -> torch.Tensor:
+    """All parameters in one row."""
+    return torch.cat([parameter.detach().flatten() for parameter in module.parameters()])
