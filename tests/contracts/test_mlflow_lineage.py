@@ -1,10 +1,6 @@
 """What only MLflow can show: lineage, its own way to load a model, and that nothing global was touched."""
 
-import subprocess
-import sys
-import venv
 from dataclasses import dataclass
-from importlib.metadata import version
 from pathlib import Path
 
 import mlflow
@@ -35,9 +31,10 @@ class Registered:
     bundle: Bundle
 
 
-@pytest.fixture(params=["database", pytest.param("server", marks=pytest.mark.e2e)])
-def registered(request: pytest.FixtureRequest, tmp_path: Path, model_name: str) -> Registered:
-    return _register(request.getfixturevalue(f"{request.param}_uri"), tmp_path / "bundle", model_name)
+@pytest.fixture(scope="module", params=["database", pytest.param("server", marks=pytest.mark.e2e)])
+def registered(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Registered:
+    uri = request.getfixturevalue(f"{request.param}_uri")
+    return _register(uri, tmp_path_factory.mktemp("lineage") / "bundle", "lineage")
 
 
 def test_a_version_leads_to_its_run_and_to_the_data(registered: Registered) -> None:
@@ -57,17 +54,11 @@ def test_a_version_leads_to_its_run_and_to_the_data(registered: Registered) -> N
     history = client.get_metric_history(found.run_id, "precision")
     assert [(point.step, point.value) for point in history] == [(0, 0.7), (1, 0.84)]
 
-
-def test_what_is_shown_stands_on_the_version_s_page_and_on_its_logged_model(
-    registered: Registered,
-) -> None:
-    client = MlflowClient(tracking_uri=registered.uri, registry_uri=registered.uri)
-    name, number = registered.version.name, str(registered.version.number)
+    # What is shown later stands on the version's page and on its logged model.
     shown = Shown({"validation/edr": 0.25}, "## promoted", "planar scenes, seed 0", DIGEST)
     MlflowRegistry(registered.uri).show(registered.version, shown)
-    found = client.get_model_version(name, number)
-    assert found.description == "## promoted"
-    [output] = client.get_run(found.run_id).outputs.model_outputs
+    page = client.get_model_version(registered.version.name, str(registered.version.number))
+    assert page.description == "## promoted"
     told = {metric.key: metric for metric in client.get_logged_model(output.model_id).metrics}
     metric = told["validation/edr"]
     assert (metric.value, metric.dataset_name) == (0.25, "planar scenes, seed 0")
@@ -103,64 +94,6 @@ def test_the_adapters_leave_mlflow_s_global_state_alone(
     monkeypatch.delenv("MLFLOW_TRACKING_URI", raising=False)
     assert registered.uri not in (mlflow.get_tracking_uri(), mlflow.get_registry_uri())
     assert mlflow.active_run() is None
-
-
-SKINNY = """
-import importlib.util, sys
-from pathlib import Path
-import mlflow.telemetry.client
-from cspace.errors import RegistryError
-from services.registry.mlflow_registry import MlflowRegistry
-
-uri, name, digest, run_id, folder = sys.argv[1:]
-for heavy in ("pandas", "sklearn", "sqlalchemy", "flask", "matplotlib", "torch"):
-    assert importlib.util.find_spec(heavy) is None, heavy
-assert mlflow.telemetry.client.get_telemetry_client() is None
-registry = MlflowRegistry(uri)
-version = registry.by_alias(name, "challenger")
-assert version == registry.version(name, 1) == registry.versions(name)[0]
-assert version.digest == digest
-bundle = registry.download(version, Path(folder) / "got")
-try:
-    registry.register(name, bundle, run_id, digest, {})
-    registry.register("another", bundle, run_id, digest, {})
-except RegistryError as error:
-    assert "install mlflow" in str(error), error
-else:
-    raise AssertionError("registering works without pandas?")
-"""
-
-
-@pytest.mark.slow
-@pytest.mark.e2e
-@pytest.mark.timeout(600)
-def test_looking_up_and_downloading_need_only_mlflow_skinny(
-    server_uri: str, tmp_path: Path, model_name: str
-) -> None:
-    registered = _register(server_uri, tmp_path / "bundle", model_name)
-    venv.create(tmp_path / "venv", with_pip=True)
-    python = tmp_path / "venv" / "bin" / "python"
-    packages = [f"{name}=={version(name)}" for name in ("mlflow-skinny", "numpy", "onnxruntime", "pillow")]
-    subprocess.run([python, "-m", "pip", "install", "-q", *packages], check=True)
-    done = subprocess.run(
-        [
-            *(python, "-c", SKINNY, server_uri, model_name),
-            *(registered.bundle.digest, registered.version.run_id, tmp_path),
-        ],
-        env={"PYTHONPATH": str(ROOT), "MLFLOW_DISABLE_TELEMETRY": "true", "PATH": str(python.parent)},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    assert Bundle.load(tmp_path / "got").digest == registered.bundle.digest
-
-
-@pytest.mark.slow
-def test_the_package_itself_brings_no_mlflow() -> None:
-    ports = "services.registry.promotion, services.registry.ports"
-    code = f"import {ports}, sys; assert 'mlflow' not in sys.modules"
-    subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=True)
 
 
 def _register(uri: str, folder: Path, name: str) -> Registered:

@@ -54,6 +54,9 @@ def test_a_registered_bundle_is_version_one_with_its_lineage(
     assert first.aliases == (ALIAS_CHALLENGER,)
     assert first.created_ms > 1_600_000_000_000
     assert registry.version(model_name, 1) == first
+    names = registry.names()
+    assert model_name in names
+    assert list(names) == sorted(names)
 
 
 def test_the_same_bundle_of_the_same_run_is_registered_once(
@@ -93,12 +96,6 @@ def test_a_deleted_version_is_gone_and_its_number_is_not_given_again(
     assert registry.register(name, bundle.folder, run_id, bundle.digest, {}).number == 3
 
 
-def test_all_models_are_listed_by_name(registry: ModelRegistry, first: ModelVersion) -> None:
-    names = registry.names()
-    assert first.name in names
-    assert list(names) == sorted(names)
-
-
 def test_an_alias_moves_from_one_version_to_another(
     registry: ModelRegistry, first: ModelVersion, other: Bundle
 ) -> None:
@@ -110,19 +107,17 @@ def test_an_alias_moves_from_one_version_to_another(
     assert registry.version(first.name, 1).aliases == (ALIAS_CHALLENGER,)
 
 
-def test_tags_are_added_to_those_that_are_there(registry: ModelRegistry, first: ModelVersion) -> None:
-    registry.set_tags(first.name, 1, {"note": 'it\'s 5 % "better" → yes', "data_digest": "d2"})
-    tags = registry.version(first.name, 1).tags
-    assert tags == {**first.tags, "note": 'it\'s 5 % "better" → yes', "data_digest": "d2"}
-
-
-def test_a_tag_is_taken_off_and_one_that_is_not_there_is_no_error(
+def test_tags_are_added_to_those_that_are_there_and_taken_off_again(
     registry: ModelRegistry, first: ModelVersion
 ) -> None:
-    registry.set_tags(first.name, 1, {"note": "here", "other": "stays"})
+    words = 'it\'s 5 % "better" → yes'
+    registry.set_tags(first.name, 1, {"note": words, "other": "stays", "data_digest": "d2"})
+    changed = {**first.tags, "other": "stays", "data_digest": "d2"}
+    assert registry.version(first.name, 1).tags == {**changed, "note": words}
+    # One that is not there is no error.
     for _ in range(2):
         registry.remove_tag(first.name, 1, "note")
-    assert registry.version(first.name, 1).tags == {**first.tags, "other": "stays"}
+    assert registry.version(first.name, 1).tags == changed
 
 
 def test_figures_of_a_version_are_shown_on_the_run_that_made_it_the_last_ones_hold(
@@ -136,43 +131,33 @@ def test_figures_of_a_version_are_shown_on_the_run_that_made_it_the_last_ones_ho
         backend.registry.show(replace(first, number=99), shown)
 
 
-def test_a_downloaded_bundle_is_the_registered_one(
+def test_a_downloaded_bundle_is_the_registered_one_and_no_folder_is_overwritten(
     registry: ModelRegistry, first: ModelVersion, bundle: Bundle, tmp_path: Path
 ) -> None:
     folder = registry.download(first, tmp_path / "models" / "bundle")
     assert folder == tmp_path / "models" / "bundle"
     assert Bundle.load(folder).digest == bundle.digest
     assert [entry.name for entry in folder.parent.iterdir()] == ["bundle"]
-
-
-def test_a_download_does_not_touch_a_folder_that_exists(
-    registry: ModelRegistry, first: ModelVersion, tmp_path: Path
-) -> None:
-    (tmp_path / "mine").write_text("keep")
     with pytest.raises(StorageError):
-        registry.download(first, tmp_path)
-    assert (tmp_path / "mine").read_text() == "keep"
+        registry.download(first, folder)
+    assert Bundle.load(folder).digest == bundle.digest
 
 
 def test_what_is_not_there_is_not_found(registry: ModelRegistry, first: ModelVersion, tmp_path: Path) -> None:
     name = first.name
     gone = ModelVersion(name, 7, first.run_id, first.digest, (), {}, 0)
-    with pytest.raises(ModelNotFoundError):
-        registry.version(name, 7)
-    with pytest.raises(ModelNotFoundError):
-        registry.version("nobody", 1)
-    with pytest.raises(ModelNotFoundError):
-        registry.by_alias(name, ALIAS_CHAMPION)
-    with pytest.raises(ModelNotFoundError):
-        registry.by_alias("nobody", ALIAS_CHAMPION)
-    with pytest.raises(ModelNotFoundError):
-        registry.set_alias(name, ALIAS_CHAMPION, 7)
-    with pytest.raises(ModelNotFoundError):
-        registry.set_tags(name, 7, {"a": "b"})
-    with pytest.raises(ModelNotFoundError):
-        registry.remove_tag(name, 7, "a")
-    with pytest.raises(ModelNotFoundError):
-        registry.download(gone, tmp_path / "bundle")
+    for call in (
+        lambda: registry.version(name, 7),
+        lambda: registry.version("nobody", 1),
+        lambda: registry.by_alias(name, ALIAS_CHAMPION),
+        lambda: registry.by_alias("nobody", ALIAS_CHAMPION),
+        lambda: registry.set_alias(name, ALIAS_CHAMPION, 7),
+        lambda: registry.set_tags(name, 7, {"a": "b"}),
+        lambda: registry.remove_tag(name, 7, "a"),
+        lambda: registry.download(gone, tmp_path / "bundle"),
+    ):
+        with pytest.raises(ModelNotFoundError):
+            call()
     assert registry.versions("nobody") == ()
     assert list(tmp_path.glob("*bundle*")) == []
 

@@ -29,7 +29,6 @@ def test_user_and_password_go_and_the_rest_stays(text: str, expected: str) -> No
 @pytest.mark.parametrize(
     "text",
     [
-        "http://user:secret@host.example:5000/api/2.0",
         "HTTPConnectionPool(host='host.example', port=5000): Max retries",
         "s3://bucket-secret/host.example/1",
         "127.0.0.1:5000 refused",
@@ -39,7 +38,6 @@ def test_user_and_password_go_and_the_rest_stays(text: str, expected: str) -> No
         "No such file: '/srv/secret/models/m'",
         'at "/srv/secret"',
         "~/secret",
-        "file:///srv/secret",
     ],
 )
 def test_addresses_hosts_and_paths_go(text: str) -> None:
@@ -67,7 +65,7 @@ def test_the_kind_of_a_failure_is_told_without_its_words() -> None:
     assert failure_of(forged) == "MlflowException"
 
 
-@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EFBIG])
+@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EDQUOT, errno.EROFS])
 def test_a_full_disk_is_found_however_deep_it_is_wrapped(number: int) -> None:
     full = OSError(number, "words")
     wrapped = requests.exceptions.ChunkedEncodingError("words")
