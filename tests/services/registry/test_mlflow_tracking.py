@@ -1,6 +1,5 @@
 """Metrics are sent in batches, and those of an outage arrive later: all, once, and in their own run."""
 
-import json
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -13,12 +12,10 @@ from services.names import NOTE
 from services.registry import mlflow_errors
 from services.registry.mlflow_tracking import (
     MAX_BATCH,
-    TRAINING,
     VIEW,
     VIEWS,
     MlflowTracking,
     Spool,
-    described,
     points_of,
     spooled_runs,
 )
@@ -64,16 +61,6 @@ class Line:
         return bool(spooled_runs(self.spool))
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("database")
-    with pytest.MonkeyPatch.context() as patch:
-        # The store fixes its folder of artifacts, ./mlruns, when it is opened for the first time.
-        patch.chdir(folder)
-        MlflowTracking(f"sqlite:///{folder / 'mlflow.db'}").start(EXPERIMENT, "first")
-    return folder
-
-
 @pytest.fixture
 def line(folder, monkeypatch) -> Iterator[Line]:
     line = Line(folder, monkeypatch)
@@ -87,29 +74,22 @@ def log(run, steps):
         run.metrics({"loss": 10.0 * step}, step)
 
 
-def test_metrics_of_an_outage_arrive_with_the_next_ones(line):
+def test_metrics_of_an_outage_arrive_with_the_next_ones_and_no_step_asks_in_vain(line):
     run = line.tracking().start(EXPERIMENT, "outage")
     log(run, [1, 2])
-    line.away = True
-    log(run, [3, 4])
-    assert line.waits()
-    line.away, line.now_s = False, 60.0
-    log(run, [5])
-    run.finish()
-    assert line.history(run.run_id) == [(step, 10.0 * step) for step in (1, 2, 3, 4, 5)]
-    assert line.status(run.run_id) == "FINISHED"
-    assert not line.waits()
-
-
-def test_a_server_that_was_away_is_not_asked_at_every_step(line):
-    run = line.tracking().start(EXPERIMENT, "patience")
-    log(run, [1])
     line.away, line.refused = True, 0
-    log(run, [2, 3, 4, 5])
+    log(run, [3, 4, 5])
     assert line.refused == 1
     line.now_s = 60.0
     log(run, [6])
     assert line.refused == 2
+    assert line.waits()
+    line.away, line.now_s = False, 120.0
+    log(run, [7])
+    run.finish()
+    assert line.history(run.run_id) == [(step, 10.0 * step) for step in range(1, 8)]
+    assert line.status(run.run_id) == "FINISHED"
+    assert not line.waits()
 
 
 def test_an_outage_that_outlasts_the_process_is_delivered_by_the_next(line):
@@ -121,6 +101,9 @@ def test_an_outage_that_outlasts_the_process_is_delivered_by_the_next(line):
     again = line.tracking().resume(run.run_id)
     log(again, [4, 5, 6])
     again.finish()
+    # Whoever delivers is told that the server is away.
+    with pytest.raises(RegistryUnavailableError):
+        line.tracking().deliver()
     assert line.waits()
     line.away = False
     line.tracking().deliver()
@@ -172,15 +155,6 @@ def test_a_run_that_ended_in_an_outage_and_went_on_in_it_runs_when_it_is_deliver
     line.tracking().deliver()
     assert line.history(run.run_id) == [(1, 10.0), (2, 20.0)]
     assert line.status(run.run_id) == "RUNNING"
-
-
-def test_whoever_delivers_is_told_that_the_server_is_away(line):
-    run = line.tracking().start(EXPERIMENT, "away")
-    line.away = True
-    log(run, [1])
-    with pytest.raises(RegistryUnavailableError):
-        line.tracking().deliver()
-    assert line.waits()
 
 
 def test_a_line_without_its_end_is_dropped_and_swallows_nothing(line):
@@ -289,18 +263,6 @@ def test_calls_of_a_patient_tracking_wait_and_metrics_do_not(line, monkeypatch):
     run.tags({"world": "planar"})
     run.finish()
     assert MlflowClient(line.uri).get_run(run.run_id).data.tags["world"] == "planar"
-
-
-def test_every_view_has_an_address_its_search_and_its_columns():
-    tags = described("7")
-    for name, view in VIEWS.items():
-        state = json.loads(tags[f"{VIEW}{name}"])
-        assert state["searchFilter"] == view.search
-        assert {f"{kind}.`{one}`" for kind in view.columns for one in view.columns[kind]} <= set(
-            state["selectedColumns"]
-        )
-        assert f"#/experiments/7/runs?{TRAINING}&viewStateShareKey={name}" in tags[NOTE]
-    assert tags["mlflow.experimentKind"] == "custom_model_development"
 
 
 def test_the_searches_are_ones_that_mlflow_understands(line):
