@@ -31,7 +31,7 @@ class UniformSampler(SampleSource):
         return SampleBatch(samples, UNIFORM, 0, "", query.seed, shortfall=0, round_trip_s=0.0)
 
 
-class ScoredSampler(UniformSampler):
+class ScoredUniformSampler(UniformSampler):
     """Uniform samples with a validity head, of which those pass that score enough.
 
     Args:

@@ -20,7 +20,7 @@ from services.evaluator.measures.sample_quality import summarise
 from services.evaluator.measures.scenes import Scene, ScoredBundleSampler, Stage, bundle_sampler, reconstruct
 from services.planner.samples import BundleSampler
 from tests.bundles import tiny_graphs, tiny_spec, write_tiny_bundle
-from tests.fakes.uniform_sampler import ScoredSampler
+from tests.fakes.uniform_sampler import ScoredUniformSampler
 
 DISCONNECTED = Family.DISCONNECTED
 STAGE = Stage(PlanarWorld(TWO_LINK, Camera()), Split.VALIDATION, 5)
@@ -64,7 +64,7 @@ def test_no_scenarios_are_an_error():
 
 def oracle(scene, threshold=0.5):
     """Uniform samples, scored by the exact checker of the scene."""
-    return ScoredSampler(TWO_LINK.space, CollisionChecker(scene.scenario).valid_batch, threshold)
+    return ScoredUniformSampler(TWO_LINK.space, CollisionChecker(scene.scenario).valid_batch, threshold)
 
 
 def test_confident_samples_are_as_many_and_all_pass():

@@ -18,7 +18,7 @@ from services.evaluator.measures.planning import (
 )
 from services.planner.result import PlanResult
 from services.planner.settings import PlannerSettings
-from tests.fakes.uniform_sampler import ScoredSampler, UniformSampler
+from tests.fakes.uniform_sampler import ScoredUniformSampler, UniformSampler
 
 # One disc on the y axis: turning the first joint through a quarter circle collides, through the others it
 # does not.
@@ -163,7 +163,7 @@ def test_the_success_rate_is_of_the_learned_samples():
 
 def scored(threshold):
     """Uniform samples of which those with a negative first joint pass."""
-    return ScoredSampler(TWO_LINK.space, lambda q: q[:, 0] < 0.0, threshold)
+    return ScoredUniformSampler(TWO_LINK.space, lambda q: q[:, 0] < 0.0, threshold)
 
 
 def test_a_validity_head_adds_a_run_with_as_many_samples_that_pass_it():
