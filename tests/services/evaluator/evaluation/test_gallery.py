@@ -78,8 +78,6 @@ def test_the_first_scenarios_and_the_least_precise_of_every_family_are_exhibits(
         Scene(STAGE, 1, Family.NARROW): "least precise of 2",
         Scene(STAGE, 0, Family.DISCONNECTED): "least precise of 1",
     }
-
-
-def test_a_scenario_is_shown_once():
+    # A scenario is shown once.
     rows = measured(Family.UNIFORM, 0.9, 0.2, 0.7)
     assert exhibits(STAGE, split_of(rows)) == {Scene(STAGE, 0): "", Scene(STAGE, 1): "least precise of 3"}

@@ -92,6 +92,10 @@ def test_splits_are_measured_on_their_own_scenarios(evaluation):
 def test_families_are_summarised_each_for_itself(evaluation):
     for split in (evaluation.validation, evaluation.test):
         assert list(split.families) == FAMILIES
+        assert sorted((row.family, row.index) for row in split.scenes) == [
+            *(("disconnected", 0), ("disconnected", 1), ("narrow", 0)),
+            *(("uniform", index) for index in range(4)),
+        ]
         assert [split.families[family].sampler.precision.count for family in FAMILIES] == [1, 2]
         assert split.reconstruction.sampler.precision.count == 4
         (narrow,) = [row for row in split.scenes if row.family == Family.NARROW]

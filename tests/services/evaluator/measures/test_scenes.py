@@ -42,13 +42,6 @@ def test_scenes_of_a_family_are_those_of_its_problems_seen_by_the_evaluation_s_c
     assert Scene(STAGE, 1, family, expected).problem is expected
 
 
-def test_the_quality_names_its_family():
-    drawn = draw_problem(Family.DISCONNECTED, Split.VALIDATION, 5, 2)
-    quality = reconstruct(Scene(STAGE, 2, Family.DISCONNECTED, drawn), UniformSampler(TWO_LINK.space), 50)
-    assert (quality.family, quality.index) == (Family.DISCONNECTED, 2)
-    assert reconstruct(Scene(STAGE, 2), UniformSampler(TWO_LINK.space), 50).family == Family.UNIFORM
-
-
 def test_streams_are_reproducible_and_differ_by_number_family_and_scene():
     scene = Scene(STAGE, 1)
     first, again = (scene.rng(0).random() for _ in range(2))
