@@ -2,16 +2,13 @@
 
 import base64
 import json
-import socket
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
-import httpx
 import pytest
-from prometheus_client.parser import text_string_to_metric_families
 
 from benchmarks.serving.attack_requests import png, read_answer, request, sample
+from tests.inference_api.raw import connect, metric, until
 from tests.inference_api.server import ServerProcess, server_process
 
 pytestmark = pytest.mark.e2e
@@ -29,16 +26,8 @@ def server(tmp_path: Path) -> Iterator[ServerProcess]:
         yield found
 
 
-def metric(address: str, name: str) -> float:
-    text = httpx.get(f"{address}/metrics", timeout=PATIENCE_S).text
-    families = text_string_to_metric_families(text)
-    return next(one.value for family in families for one in family.samples if one.name == name)
-
-
-def until(address: str, name: str, value: float) -> None:
-    deadline = time.monotonic() + PATIENCE_S
-    while metric(address, name) != value:
-        assert time.monotonic() < deadline, name
+def comes_to(server: ServerProcess, name: str, value: float) -> None:
+    until(lambda: metric(server.address, name) == value, PATIENCE_S)
 
 
 def reasons(server: ServerProcess) -> list[str]:
@@ -46,30 +35,25 @@ def reasons(server: ServerProcess) -> list[str]:
     return [line["reason"] for line in map(json.loads, lines) if "reason" in line]
 
 
-def connect(server: ServerProcess) -> socket.socket:
-    port = int(server.address.rsplit(":", 1)[1])
-    return socket.create_connection(("127.0.0.1", port), timeout=PATIENCE_S)
-
-
 def test_what_was_left_is_not_computed_and_each_leaves_one_line(server: ServerProcess) -> None:
-    links = [connect(server) for _ in range(LEFT)]
+    links = [connect(server.address) for _ in range(LEFT)]
     for link in links:
         link.sendall(DEAREST)
-    until(server.address, "cspace_requests_waiting", LEFT - 1)
+    comes_to(server, "cspace_requests_waiting", LEFT - 1)
     for link in links:
         link.close()
-    until(server.address, "cspace_requests_in_flight", 1)
+    comes_to(server, "cspace_requests_in_flight", 1)
     assert metric(server.address, "cspace_samples_requested_total") == 0
     assert reasons(server) == ["client-gone"] * LEFT
     assert "Traceback" not in server.log.read_text()
 
 
 def test_a_cheap_request_is_answered_before_the_dear_ones_that_came_first(server: ServerProcess) -> None:
-    dear = [connect(server) for _ in range(5)]
+    dear = [connect(server.address) for _ in range(5)]
     for link in dear:
         link.sendall(DEAREST)
-    until(server.address, "cspace_requests_waiting", len(dear) - 1)
-    with connect(server) as link:
+    comes_to(server, "cspace_requests_waiting", len(dear) - 1)
+    with connect(server.address) as link:
         link.sendall(CHEAP)
         answer = read_answer(link)
     assert answer.startswith(b"HTTP/1.1 200 ")
@@ -82,11 +66,11 @@ def test_a_cheap_request_is_answered_before_the_dear_ones_that_came_first(server
 def test_a_client_that_leaves_behind_a_large_body_is_seen_to_go(server: ServerProcess) -> None:
     rows = [[0.123456789012345, 1.123456789012345]] * 20_000
     body = json.dumps({"image": base64.b64encode(png(48)).decode(), "configurations": rows}).encode()
-    with connect(server) as link:
+    with connect(server.address) as link:
         link.sendall(DEAREST)
-        until(server.address, "cspace_requests_in_flight", 2)
-        with connect(server) as leaving:
+        comes_to(server, "cspace_requests_in_flight", 2)
+        with connect(server.address) as leaving:
             leaving.sendall(request("/validity", body, "application/json"))
-            until(server.address, "cspace_requests_waiting", 1)
-        until(server.address, "cspace_requests_in_flight", 2)
+            comes_to(server, "cspace_requests_waiting", 1)
+        comes_to(server, "cspace_requests_in_flight", 2)
         assert reasons(server) == ["client-gone"]

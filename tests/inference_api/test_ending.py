@@ -17,43 +17,8 @@ from inference_api.process import FORCED, MARGIN_S
 from tests.inference_api.raw import connect, everything, head, lives, metric, until
 from tests.inference_api.server import ROOT, server_process
 
-STUCK = """
-import signal, sys, threading, time
-from inference_api.process import end_in_time
-signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
-end_in_time(float(sys.argv[1]))
-if len(sys.argv) > 2:
-    threading.Thread(target=time.sleep, args=(60.0,)).start()
-print("ready", flush=True)
-time.sleep(60.0)
-"""
+pytestmark = pytest.mark.e2e
 GRACE_S = 1
-
-
-def told_to_end(*arguments: str) -> tuple[int, float, bytes]:
-    """Exit code of a process that is told to end, the time that it takes, in s, and what it writes."""
-    command = [sys.executable, "-c", STUCK, *arguments]
-    with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
-        assert process.stdout
-        assert process.stderr
-        process.stdout.readline()
-        process.terminate()
-        began = time.monotonic()
-        code = process.wait(30)
-        return code, time.monotonic() - began, process.stderr.read()
-
-
-def test_a_thread_that_does_not_end_holds_its_process_up_for_the_grace_alone() -> None:
-    code, took_s, wrote = told_to_end("0.2", "stuck")
-    assert code == FORCED
-    assert 0.2 + MARGIN_S <= took_s < 0.2 + MARGIN_S + 3
-    assert b"is ended" in wrote
-
-
-def test_a_process_without_such_a_thread_ends_at_once_and_in_order() -> None:
-    code, took_s, wrote = told_to_end("20")
-    assert (code, wrote) == (0, b"")
-    assert took_s < 5
 
 
 SERVER = """
@@ -64,7 +29,6 @@ sys.exit(main(["--port", "0"]))
 """
 
 
-@pytest.mark.e2e
 def test_a_server_with_a_thread_that_hangs_ends_after_its_grace(
     tmp_path: Path, bundles: dict[str, Path]
 ) -> None:
@@ -100,7 +64,6 @@ def slow_request(request_id: str) -> bytes:
     return head("POST", "/sample", *fields) + b"{"
 
 
-@pytest.mark.e2e
 def test_what_is_in_flight_when_the_grace_is_over_is_told_so(
     tmp_path: Path, bundles: dict[str, Path]
 ) -> None:
@@ -125,7 +88,6 @@ def test_what_is_in_flight_when_the_grace_is_over_is_told_so(
     assert "Traceback" not in server.log.read_text()
 
 
-@pytest.mark.e2e
 @pytest.mark.slow
 def test_processes_that_do_not_answer_their_supervisor_are_ended_with_it(
     tmp_path: Path, bundles: dict[str, Path]

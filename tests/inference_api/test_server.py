@@ -3,10 +3,8 @@
 import io
 import json
 import shutil
-import socket
 import subprocess
 import sys
-import threading
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -22,7 +20,6 @@ from inference_api.limits import MAX_BODY_BYTES
 from tests.inference_api.server import ROOT, api_server
 
 pytestmark = pytest.mark.e2e
-HEAD = b"POST /sample HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\n"
 
 
 @pytest.fixture(scope="module")
@@ -52,13 +49,6 @@ def curl(*arguments: str) -> bytes:
     return subprocess.run(command, check=True, capture_output=True).stdout
 
 
-def test_curl_gets_three_hundred_finite_configurations(address: str, picture_file: Path) -> None:
-    body = json.loads(curl("-F", f"image=@{picture_file}", "-F", "n=300", f"{address}/sample"))
-    samples = np.array(body["samples"])
-    assert samples.shape == (300, 2)
-    assert np.all(np.isfinite(samples))
-
-
 def test_the_same_seed_gives_the_same_bytes_over_http_and_from_the_bundle(
     address: str, picture_file: Path, png: bytes, bundles: dict[str, Path]
 ) -> None:
@@ -81,35 +71,14 @@ def test_simultaneous_requests_give_what_they_give_alone(address: str, png: byte
         assert list(pool.map(ask, range(8))) == alone
 
 
-def test_the_server_is_alive_while_it_samples(address: str, png: bytes) -> None:
-    done = threading.Event()
-
-    def keep_busy() -> None:
-        with httpx.Client(timeout=60) as client:
-            while not done.is_set():
-                client.post(f"{address}/sample", files={"image": png}, data={"n": "20000"})
-
-    with ThreadPoolExecutor(4) as pool:
-        busy = [pool.submit(keep_busy) for _ in range(4)]
-        try:
-            statuses = {httpx.get(f"{address}/health/live", timeout=30).status_code for _ in range(20)}
-        finally:
-            done.set()
-    assert statuses == {200}
-    assert all(one.exception() is None for one in busy)
-
-
-@pytest.mark.parametrize("chunked", [False, True], ids=["announced", "chunked"])
-def test_a_body_above_the_limit_is_413_over_http(address: str, png: bytes, chunked: bool) -> None:
+def test_a_body_above_the_limit_is_413_over_http_and_the_connection_goes_on(address: str, png: bytes) -> None:
     def chunks() -> Iterator[bytes]:
         for _ in range(MAX_BODY_BYTES // 65_536 + 2):
             yield bytes(65_536)
 
-    content = chunks() if chunked else bytes(MAX_BODY_BYTES + 1)
     with httpx.Client(timeout=60) as client:
-        answer = client.post(
-            f"{address}/sample", content=content, headers={"content-type": "application/json"}
-        )
+        headers = {"content-type": "application/json"}
+        answer = client.post(f"{address}/sample", content=chunks(), headers=headers)
         assert answer.status_code == 413
         assert answer.json()["type"] == "urn:cspace-sampler:problem:body-too-large"
         again = client.post(f"{address}/sample", files={"image": png}, data={"n": "3"})
@@ -126,31 +95,9 @@ def test_curl_is_told_413_too(address: str, tmp_path: Path, png: bytes) -> None:
     assert_answers(address, png)
 
 
-@pytest.mark.parametrize(
-    "sent",
-    [
-        HEAD + b"Content-Length: 1000\r\n\r\n{",
-        HEAD + b"Transfer-Encoding: chunked\r\n\r\n5",
-        HEAD + b"Content-Length: minus\r\n\r\n",
-        b"\x00\xff nonsense \r\n\r\n",
-        b"",
-    ],
-    ids=["half a body", "half a chunk", "a false length", "no HTTP", "nothing"],
-)
-def test_a_client_that_goes_away_in_the_middle_harms_nobody(address: str, png: bytes, sent: bytes) -> None:
-    target = urlsplit(address)
-    with socket.create_connection((target.hostname, target.port), timeout=10) as connection:
-        connection.sendall(sent)
-    assert_answers(address, png)
-
-
-def test_help_names_the_settings_and_a_taken_port_is_an_error_with_a_remedy(address: str) -> None:
-    command = [sys.executable, "-m", "inference_api"]
-    told = subprocess.run([*command, "--help"], cwd=ROOT, capture_output=True, text=True, check=True)
-    assert "MLFLOW_TRACKING_URI" in told.stdout
-    assert "--port" in told.stdout
-    port = str(urlsplit(address).port)
-    taken = subprocess.run([*command, "--port", port], cwd=ROOT, capture_output=True, text=True, check=False)
+def test_a_taken_port_is_an_error_with_a_remedy(address: str) -> None:
+    command = [sys.executable, "-m", "inference_api", "--port", str(urlsplit(address).port)]
+    taken = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert taken.returncode == 1
     assert "--port" in taken.stderr
 

@@ -34,8 +34,6 @@ from tests.services.registry.strange_server import strange_server
 pytestmark = pytest.mark.slow
 ROOT = Path(__file__).parents[3]
 LIMIT_S = 1.5
-# Less than any look at the registry takes before it is given up.
-QUICK_S = 1.0
 MODEL = "cspace-sampler"
 DEFAULT, NAMED = ModelReference(MODEL), ModelReference(MODEL, version=1)
 ABSENT = ModelVersion("m", 1, "", "a" * 64, (), {}, 0)
@@ -163,30 +161,6 @@ def test_a_worker_is_held_by_the_kernel(make_worker: MakeWorker, closed_place: s
     assert os.getsid(process.pid) == os.getsid(0)
 
 
-def test_the_default_is_answered_at_once_while_the_registry_trickles(
-    make_worker: MakeWorker, tmp_path: Path, bundles: dict[str, Path]
-) -> None:
-    with trickling() as place:
-        store = store_of(make_worker(place), tmp_path, bundles["shipped"])
-        waiting = [threading.Thread(target=resolve_anyway, args=(store,), daemon=True) for _ in range(8)]
-        looking = threading.Thread(target=store.refresh, daemon=True)
-        for thread in (looking, *waiting):
-            thread.start()
-        asked = 0
-        while looking.is_alive():
-            began_s = time.perf_counter()
-            assert store.resolve(DEFAULT).name == "pretrained"
-            assert time.perf_counter() - began_s < QUICK_S
-            asked += 1
-            looking.join(0.01)
-        assert asked > 10
-        assert store.registry_state == "unreachable"
-        # Those that named a version are told, too, and none of them stays behind.
-        for thread in waiting:
-            thread.join(4 * LIMIT_S)
-            assert not thread.is_alive()
-
-
 def test_closing_the_store_ends_whoever_waits_for_the_registry_and_every_process(
     make_worker: MakeWorker, tmp_path: Path, bundles: dict[str, Path], silent: str
 ) -> None:
@@ -203,11 +177,12 @@ def test_closing_the_store_ends_whoever_waits_for_the_registry_and_every_process
         worker.version(MODEL, 2)
 
 
-def test_a_download_that_never_ends_is_given_up_and_leaves_nothing(
-    make_worker: MakeWorker, tmp_path: Path
+@pytest.mark.parametrize("kind", ["body", "cut"])
+def test_a_download_that_never_ends_or_is_cut_short_is_given_up_and_leaves_nothing(
+    make_worker: MakeWorker, tmp_path: Path, kind: Kind
 ) -> None:
     disk = DiskCache(tmp_path / "cache")
-    with trickling("body") as place, pytest.raises(RegistryUnavailableError) as caught:
+    with trickling(kind) as place, pytest.raises(RegistryUnavailableError) as caught:
         disk.download(ABSENT, make_worker(place).download)
     clean(caught.value)
     assert list((tmp_path / "cache" / "m").iterdir()) == []
@@ -220,7 +195,7 @@ def closed_place() -> str:
         return f"127.0.0.1:{probe.getsockname()[1]}"
 
 
-@pytest.mark.parametrize("kind", ["closed", "trickling", "failing", "telling", "refusing"])
+@pytest.mark.parametrize("kind", ["closed", "failing", "telling", "refusing"])
 def test_no_error_and_no_line_of_the_log_tells_the_registrys_address_or_password(
     make_worker: MakeWorker,
     tmp_path: Path,
@@ -232,9 +207,7 @@ def test_no_error_and_no_line_of_the_log_tells_the_registrys_address_or_password
     told = b'{"error_code": "%s", "message": "http://user:secret@127.0.0.1:1/x, see /srv/mlruns/1"}'
     with ExitStack() as stack, caplog.at_level(logging.DEBUG):
         place = closed_place
-        if kind == "trickling":
-            place = stack.enter_context(trickling())
-        elif kind != "closed":
+        if kind != "closed":
             status, code = {"failing": (500, b"INTERNAL_ERROR"), "telling": (404, b"OTHER")}.get(
                 kind, (403, b"http://user:secret@127.0.0.1")
             )
