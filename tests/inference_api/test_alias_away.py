@@ -45,6 +45,15 @@ def test_an_answer_by_an_alias_that_has_moved_while_the_registry_is_away_says_th
     assert (found.json()["model"]["version"], found.json()["model"]["alias_confirmed"]) == (2, False)
     headers = ask(api, CHALLENGER, NPY).headers
     assert (headers["x-model-version"], headers["x-alias-confirmed"]) == ("2", "false")
+
+
+def test_an_alias_is_confirmed_again_when_the_registry_is_back(
+    api: ApiClient, registry: CountingRegistry
+) -> None:
+    ask(api, CHALLENGER)
+    registry.set_alias(MODEL_NAME, "challenger", 1)
+    registry.away = True
+    assert ask(api, CHALLENGER).json()["model"]["alias_confirmed"] is False
     registry.away = False
     again = ask(api, CHALLENGER).json()["model"]
     assert (again["version"], again["alias_confirmed"]) == (1, True)

@@ -107,7 +107,7 @@ STRANGE: list[tuple[dict[str, str], str | None]] = [
 ]
 
 
-def test_a_version_without_tags_or_with_strange_ones_is_listed_without(
+def test_a_version_of_an_older_release_or_with_strange_tags_is_listed_without(
     start_api: StartApi, registry: CountingRegistry, bundles: dict[str, Path]
 ) -> None:
     for tags, _ in STRANGE:

@@ -37,7 +37,7 @@ def samples_of(answer: httpx.Response) -> NDArray[np.float64]:
     return np.array(answer.json()["samples"])
 
 
-def test_the_answer_has_exactly_the_contracts_members_and_three_hundred_samples(
+def test_the_answer_has_exactly_the_contracts_members(
     api: ApiClient, png: bytes, bundles: dict[str, Path]
 ) -> None:
     answer = ask(api, png)

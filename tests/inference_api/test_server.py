@@ -71,7 +71,7 @@ def test_simultaneous_requests_give_what_they_give_alone(address: str, png: byte
         assert list(pool.map(ask, range(8))) == alone
 
 
-def test_a_body_above_the_limit_is_413_over_http_and_the_connection_goes_on(address: str, png: bytes) -> None:
+def test_a_body_above_the_limit_is_413_over_http(address: str, png: bytes) -> None:
     def chunks() -> Iterator[bytes]:
         for _ in range(MAX_BODY_BYTES // 65_536 + 2):
             yield bytes(65_536)

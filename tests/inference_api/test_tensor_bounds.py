@@ -28,6 +28,13 @@ def test_sizes_that_are_too_large_are_refused(api: ApiClient) -> None:
             assert str(MAX_SIZE) in wrong(api, inputs=[tensor])
 
 
+def test_two_sizes_of_4000_digits_are_refused(api: ApiClient) -> None:
+    shape = b"[%b, %b]" % (b"9" * 4000, b"9" * 4000)
+    for contents in (b'"data": [1]', b'"parameters": {"binary_data_size": 1}'):
+        body = b'{"inputs": [{"name": "image", "datatype": "UINT8", "shape": %b, %b}]}' % (shape, contents)
+        assert infer(api, "cspace-sampler", content=body).status_code == 400
+
+
 def test_the_largest_sizes_make_no_number_too_long_to_tell(api: ApiClient) -> None:
     tensor = {
         "name": "image",

@@ -1,4 +1,4 @@
-"""A registry that never comes to an end, a byte every so often as long as the client stays; or that dies."""
+"""A registry that never comes to an end: one byte every so often, for as long as the client stays."""
 
 import socket
 import threading
@@ -7,7 +7,7 @@ from contextlib import contextmanager, suppress
 from typing import Literal
 
 PAUSE_S = 0.2
-Kind = Literal["header", "body", "silent", "cut"]
+Kind = Literal["header", "body", "silent"]
 _BODY_HEAD = b"HTTP/1.1 200 OK\r\nContent-Type: application/json\r\nContent-Length: 1000000\r\n\r\n"
 
 
@@ -16,7 +16,7 @@ def trickling(kind: Kind = "header") -> Iterator[str]:
     """Serve until the context is left; yields the address as ``127.0.0.1:PORT``.
 
     Args:
-        kind: a head that never ends, a body that never ends, no word at all, or a body that is cut short.
+        kind: a head that never ends, a body that never ends, or no word at all.
     """
     ended = threading.Event()
     with socket.create_server(("127.0.0.1", 0)) as listener:
@@ -39,10 +39,10 @@ def trickling(kind: Kind = "header") -> Iterator[str]:
 
 def _drip(client: socket.socket, kind: Kind, ended: threading.Event) -> None:
     with client, suppress(OSError):
-        if kind in ("body", "cut"):
+        if kind == "body":
             client.sendall(_BODY_HEAD)
         elif kind == "header":
             client.sendall(b"HTTP/1.1 200 OK\r\nX-Slow: ")
-        while kind != "cut" and not ended.wait(PAUSE_S):
+        while not ended.wait(PAUSE_S):
             if kind != "silent":
                 client.sendall(b" ")
