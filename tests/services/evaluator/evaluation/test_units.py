@@ -47,11 +47,13 @@ TINY = Budget(
     topology_samples=200,
 )
 FAMILIES = ["narrow", "disconnected"]
+# One whose problems are found soon: drawing them takes longer than all that is measured on them.
+SEED = 12
 PROBLEMS, PROBLEMS_OF_THREE = (simulator_of(PlanarWorld(arm)).families for arm in (TWO_LINK, THREE_LINK))
 
 
 def setting(robot=TWO_LINK, budget=TINY):
-    return Setting(PlanarWorld(robot, Camera()), 3, budget)
+    return Setting(PlanarWorld(robot, Camera()), SEED, budget)
 
 
 def timeless(evaluation):
@@ -134,7 +136,7 @@ def test_a_narrow_problem_is_planned_and_its_scenario_sampled(results):
     )
     names = [type(row).__name__ for row in unit.rows]
     assert names == ["PlanningTrial", "SceneQuality", "PlanningTrial"]
-    stage = Stage(PlanarWorld(TWO_LINK, Camera()), Split.VALIDATION, 3)
+    stage = Stage(PlanarWorld(TWO_LINK, Camera()), Split.VALIDATION, SEED)
     alone = reconstruct(Scene(stage, 0, Family.NARROW), UniformSampler(TWO_LINK.space), TINY.samples)
     assert unit.rows[1] == alone
 
