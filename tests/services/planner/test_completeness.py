@@ -11,7 +11,7 @@ from cspace.worlds.planar.problems import Family, draw_problem
 from services.planner.client import RetryPolicy, SamplingClient
 from services.planner.ompl_planner import solve
 from services.planner.planning import plan_with_api
-from services.planner.settings import LEARNED_PLANNERS, RRT, PlannerSettings
+from services.planner.settings import LEARNED_PLANNERS, RRT, RRT_STAR, PlannerSettings
 
 GARBAGE = 300
 BUDGET = 20_000
@@ -53,7 +53,9 @@ def test_a_model_that_only_emits_garbage_costs_no_solution(
     settings = PlannerSettings(
         planner, max_iterations=BUDGET + GARBAGE, time_limit_s=60.0, colliding_last=colliding_last
     )
-    found = [solve(problem, settings, garbage(problem), 0.0) for problem in solved_by_uniform_rrt]
+    # RRT* takes ten times as long; the last two problems are the narrow ones.
+    problems = solved_by_uniform_rrt[-5:] if planner == RRT_STAR else solved_by_uniform_rrt
+    found = [solve(problem, settings, garbage(problem), 0.0) for problem in problems]
     assert [result.reason for result in found] == ["solved"] * len(found)
     # Uniform states come after the last learned one, and some searches needed them.
     uniform = [result for result in found if result.uniform_drawn > 0]

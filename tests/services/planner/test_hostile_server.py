@@ -88,7 +88,7 @@ def test_whatever_comes_the_fallback_answers_within_the_deadline(kind: str, name
 @pytest.mark.parametrize("name", ["body: no number", "head: another seed", "endless: tiny chunks"])
 def test_no_request_follows_on_the_connection_of_an_answer_that_was_refused(kind: str, name: str) -> None:
     with hostile_server(ATTACKS[name]) as server:
-        asked(kind, server.url, times=3, policy=policy_for(name), fallback=FakeSampleSource())
+        asked(kind, server.url, times=3, fallback=FakeSampleSource())
     assert (server.connections, len(server.heads)) == (3, 3)
 
 

@@ -90,7 +90,7 @@ def test_without_samples_the_planner_is_ompl_s_own_rrt(blocked):
 
 def test_the_hook_with_uniform_states_alone_is_no_better_or_worse_than_ompl_s_sampler(blocked):
     runs = [
-        [solve(blocked, PlannerSettings(seed=seed), samples, 1.0).iterations for seed in range(150)]
+        [solve(blocked, PlannerSettings(seed=seed), samples, 1.0).iterations for seed in range(100)]
         for samples in (None, np.zeros((1, 2)))
     ]
     assert mannwhitneyu(*runs).pvalue > 1e-3

@@ -75,8 +75,9 @@ def test_rrt_star_minimises_the_torus_length_and_not_the_sum_over_the_joints(mak
 def test_informed_planners_leave_out_what_can_not_be_on_a_shorter_path(make_problem):
     # The ends are near each other, and a whole torus is around them.
     problem = make_problem([(0.0, 3.0)], start=(0.0, 0.0), goal=(0.8, 0.3))
+    settings = {"seed": 1, "stop_at_first": False, "max_iterations": 800}
     plain, informed, batch = (
-        solve(problem, PlannerSettings(planner, seed=1, **PATIENT), keep_tree=True)
+        solve(problem, PlannerSettings(planner, **settings), keep_tree=True)
         for planner in (RRT_STAR, INFORMED_RRT_STAR, BIT_STAR)
     )
     space = problem.scenario.robot.space
