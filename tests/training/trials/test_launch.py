@@ -103,7 +103,8 @@ def wait_for(condition):
 @pytest.mark.timeout(300)
 @pytest.mark.usefixtures("cluster")
 class TestOnACluster:
-    def test_outcomes_come_in_order_with_checkpoint_metrics_and_times(self, trials, tmp_path):
+    def test_outcomes_come_in_order_with_checkpoint_metrics_and_times(self, trials, tmp_path, caplog):
+        caplog.set_level(logging.INFO, "training")
         began_s = time.time()
         outcomes = run(trials, tmp_path)
         assert [outcome.name for outcome in outcomes] == list(NAMES)
@@ -111,16 +112,16 @@ class TestOnACluster:
             assert outcome.checkpoint == trial.folder / "step-000000004"
             assert outcome.metrics == {"a_loss": 0.25, "attempt": 1.0}
             assert began_s <= outcome.started_s <= outcome.ended_s <= time.time()
+        # A line tells that a trial has ended, and a worker shows the name of its trial.
+        ended = {message.partition(";")[0] for message in caplog.messages}
+        assert ended == {f"{name} (a job): finished" for name in NAMES}
+        assert (tmp_path / "notes" / "one").read_text() == "ray::stage/one\n"
 
     def test_finished_trials_are_not_run_again(self, trials, tmp_path):
         first = run(trials[:2], tmp_path)
         again = run(trials, tmp_path)
         assert again[:2] == first
         assert attempts(tmp_path) == dict.fromkeys(NAMES, 1)
-
-    def test_a_worker_shows_the_name_of_its_trial(self, trials, tmp_path):
-        run(trials[:1], tmp_path)
-        assert (tmp_path / "notes" / "one").read_text() == "ray::stage/one\n"
 
     @pytest.mark.parametrize("fault", ["raise", DIE])
     def test_a_trial_is_tried_again_as_often_as_it_may_fail(self, fault, trials, tmp_path):
@@ -156,14 +157,6 @@ class TestOnACluster:
         trials[0].stop.touch()
         assert isinstance(job(), KeyboardInterrupt)
         assert attempts(tmp_path) == {}
-
-    def test_a_line_tells_that_a_trial_has_ended(self, trials, tmp_path, caplog):
-        caplog.set_level(logging.INFO, "training")
-        run(trials[:2], tmp_path)
-        assert {message.partition(";")[0] for message in caplog.messages} == {
-            "one (a job): finished",
-            "two (a job): finished",
-        }
 
 
 def test_sigterm_is_a_request_while_trials_run_and_nothing_else_changes(tmp_path):
