@@ -75,7 +75,7 @@ def test_a_refusal_tells_whose_places_are_full() -> None:
             watched = [asyncio.create_task(other.get(path)) for path in ("/health/live", "/metrics")]
             # Those who watch the server find room even then.
             for _ in watched:
-                await entered.acquire()
+                await asyncio.wait_for(entered.acquire(), 20.0)
             go.set()
             assert {answer.status_code for answer in await asyncio.gather(*held, *watched)} == {200}
             assert (await first.get("/")).status_code == 200
