@@ -5,14 +5,11 @@ import json
 import numpy as np
 import pytest
 
-from cspace.bundle import Bundle
 from cspace.dataset import open_dataset
 from cspace.simulator import Split, scenario_rng
 from cspace.view_file import unpack_view
 from cspace.worlds import checker_of, examples, picture_file_of, simulator_of
-from services.registry.mlflow_registry import MlflowRegistry
-from tests.contracts.mlflow_server import mlflow_server
-from tests.training.clusters.test_pipeline import submit
+from tests.training.clusters.test_pipeline import bundle_of, submit
 from training.data.__main__ import main as datasets
 
 pytestmark = [pytest.mark.e2e, pytest.mark.slow, pytest.mark.timeout(600)]
@@ -31,37 +28,26 @@ SMALL = (
 
 
 @pytest.fixture(scope="module")
-def trained(tmp_path_factory):
-    """What the job says, the registry's bundle, the folder of its data sets, and the server."""
+def trained(tmp_path_factory, server):
+    """What the job says, the registry's bundle, and the folder of its data sets."""
     folder = tmp_path_factory.mktemp("space")
     settings = [part for setting in SMALL for part in ("--set", setting)]
-    with mlflow_server(tmp_path_factory.mktemp("mlflow")) as uri:
-        result = submit(uri, folder, "--preset", "panda_quick", *settings)
-        registry = MlflowRegistry(uri)
-        version = registry.version(result["model"], result["version"])
-        yield result, Bundle.load(registry.download(version, folder / "bundle")), folder, uri
+    result = submit(server, folder, "--preset", "panda_quick", *settings)
+    return result, bundle_of(server, result["model"], result["version"], folder / "bundle"), folder
 
 
-def test_the_model_is_the_arms_own(trained):
+def test_the_model_is_the_arms_own_and_states_what_was_measured_of_it(trained):
     result, bundle, *_ = trained
+    spec, told = bundle.spec, bundle.spec.provenance.metrics
     assert result["model"] == "panda-sampler"
-    assert bundle.spec.world == WORLD
-    assert bundle.spec.provenance.config["preset"] == "panda_quick"
+    assert spec.world == WORLD
+    assert spec.provenance.config["preset"] == "panda_quick"
     assert {"vae", "validity", "gate", "local-0", "local-1"} <= set(result["trials"])
-
-
-def test_it_states_what_passes_and_collides_and_how_that_was_kept(trained):
-    told = trained[1].spec.provenance.metrics
     for kind in ("samples", "uniform"):
         one = {name.rpartition("/")[2]: value for name, value in told.items() if f"/{kind}_" in name}
         assert (one["scenes"], one["measured_scenes"]) == (10.0, 10.0)
         assert 1.0 / 11.0 <= one["at_most"] <= 1.0
         assert 0.0 <= one["measured"] <= 1.0
-
-
-def test_the_confidence_of_its_plans_was_measured(trained):
-    spec = trained[1].spec
-    told = spec.provenance.metrics
     assert (told["plans/fitted"], told["plans/measured"]) == (5.0, 2.0)
     assert 0.0 <= told["plans/measured_collide"] <= 1.0
     assert spec.plan_doubt is not None
@@ -105,16 +91,13 @@ def recordings(folder, count=5):
     return folder
 
 
-def test_recordings_of_ones_own_train_a_version_that_promises_nothing(trained, tmp_path):
+def test_recordings_of_ones_own_train_a_version_that_promises_nothing(server, tmp_path):
     source, data = recordings(tmp_path / "own"), tmp_path / "data"
     assert datasets(["import", str(source), str(data), "--arm", "panda"]) == 0
-    uri = trained[3]
     kept = [part for part in SMALL if not part.startswith("data.")]
     settings = [part for setting in (*kept, f"data_folder={data}") for part in ("--set", setting)]
-    result = submit(uri, tmp_path / "jobs", "--preset", "panda_quick", *settings)
-    registry = MlflowRegistry(uri)
-    version = registry.version(result["model"], result["version"])
-    bundle = Bundle.load(registry.download(version, tmp_path / "bundle"))
+    result = submit(server, tmp_path / "jobs", "--preset", "panda_quick", *settings)
+    bundle = bundle_of(server, result["model"], result["version"], tmp_path / "bundle")
     assert bundle.spec.world.body == WORLD.body
     assert bundle.spec.world.scenes is None
     assert bundle.spec.provenance.metrics == {}

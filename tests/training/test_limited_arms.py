@@ -3,17 +3,13 @@
 import numpy as np
 import pytest
 
-from cspace.bundle import Bundle
-from cspace.dataset import open_dataset
 from cspace.png import encode_png
 from cspace.simulator import Split
 from cspace.worlds.planar.arm import PlanarArm
 from cspace.worlds.planar.camera import decode_png
 from cspace.worlds.planar.render import render
 from cspace.worlds.planar.world import random_scenarios
-from services.registry.mlflow_registry import MlflowRegistry
-from tests.contracts.mlflow_server import mlflow_server
-from tests.training.clusters.test_pipeline import GATED, submit
+from tests.training.clusters.test_pipeline import GATED, bundle_of, submit
 from training.config import UNGUIDED
 
 pytestmark = [pytest.mark.e2e, pytest.mark.slow, pytest.mark.timeout(600)]
@@ -26,12 +22,6 @@ ARMS = {
 SAMPLES = 10_000
 
 
-@pytest.fixture(scope="module")
-def server(tmp_path_factory):
-    with mlflow_server(tmp_path_factory.mktemp("mlflow")) as uri:
-        yield uri
-
-
 @pytest.fixture(scope="module", params=list(ARMS))
 def trained(request, server, tmp_path_factory):
     """The arm, its bundle, and the folder of its data sets."""
@@ -39,9 +29,7 @@ def trained(request, server, tmp_path_factory):
     folder = tmp_path_factory.mktemp(request.param)
     overrides = (limits_of(robot), "validity.uniform_share=0.4", "validity.threshold=0.05", *settings)
     result = submit(server, folder, "--preset", "smoke", *chosen(overrides))
-    registry = MlflowRegistry(server)
-    bundle = registry.download(registry.version(result["model"], result["version"]), folder / "bundle")
-    return robot, Bundle.load(bundle), folder
+    return robot, bundle_of(server, result["model"], result["version"], folder / "bundle"), folder
 
 
 def limits_of(robot):
@@ -62,17 +50,6 @@ def outside(robot, samples):
     space, exact = robot.space, samples.astype(np.float64)
     below = np.where(space.periodic, exact < space.upper, exact <= space.upper)
     return int(np.sum(~np.all((exact >= space.lower) & below, axis=1)))
-
-
-def test_the_data_set_lies_within_the_limits_and_reaches_them(trained):
-    robot, _, folder = trained
-    (manifest,) = folder.glob("datasets/*/*.json")
-    dataset = open_dataset(manifest.parent)
-    free = np.asarray(dataset.arrays["free"])
-    assert dataset.world.body == robot
-    assert outside(robot, free) == 0
-    np.testing.assert_allclose(free.min(axis=0), robot.space.lower, atol=0.1)
-    np.testing.assert_allclose(free.max(axis=0), robot.space.upper, atol=0.1)
 
 
 @pytest.mark.parametrize("least", [0.0, None])
@@ -102,11 +79,9 @@ def test_no_path_sample_lies_outside(trained, server):
     )  # fmt: skip
     result = submit(server, folder, "--preset", "smoke", *chosen(overrides), script="path_train.py")
     assert set(result["versions"]) == {"ways", *UNGUIDED}
-    registry = MlflowRegistry(server)
     start, goal = robot.space.lower, np.mean([robot.space.lower, robot.space.upper], axis=0)
     for name, number in result["versions"].items():
-        version = registry.version(result["model"], number)
-        made = Bundle.load(registry.download(version, folder / name))
+        made = bundle_of(server, result["model"], number, folder / name)
         samples = made.sample(pictures(robot)[0], 2000, 1, start=start, goal=goal).samples
         assert len(samples) == 2000
         assert outside(robot, samples) == 0, name

@@ -1,7 +1,6 @@
 """Robots that nobody planned for: each works from its file to a plan, or is refused with a reason."""
 
 import json
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -9,17 +8,15 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from cspace.bundle import Bundle
 from cspace.errors import DatasetError, ScenarioError
 from cspace.simulator import Split
 from cspace.worlds import read_world, simulator_of
 from cspace.worlds.planar.scenes import DiscScenes
 from services.planner.ompl_planner import solve
 from services.planner.settings import PlannerSettings
-from services.registry.mlflow_registry import MlflowRegistry
 from services.scene_files import SceneFile, read_scene_file
-from tests.contracts.mlflow_server import mlflow_server
 from tests.own_ray import run_alone
+from tests.training.clusters.test_pipeline import bundle_of
 from training.data.configurations import plot_configurations
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -52,7 +49,7 @@ def robot_files(draw: st.DrawFn) -> dict[str, object]:
     }
 
 
-@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(values=robot_files(), seed=st.integers(0, 2**32 - 1))
 def test_any_robot_has_scenes_pictures_data_and_plans_or_a_reason(tmp_path, values, seed) -> None:
     path = tmp_path / "robot.json"
@@ -84,16 +81,9 @@ def test_any_robot_has_scenes_pictures_data_and_plans_or_a_reason(tmp_path, valu
 
 ARMS = {
     "one": {"link_lengths_m": [2.5], "half_width_m": 0.2},
-    "limited": {"link_lengths_m": [1.6, 1.4], "joint_limits_rad": [[-4.0, 4.0], [-2.5, 2.5]]},
     "four": {"link_lengths_m": [1.0, 0.8, 0.7, 0.6], "half_width_m": 0.05},
 }
 FAMILY = {"count": [5, 5], "radius_m": [0.4, 0.4], "range_m": 3.0}
-
-
-@pytest.fixture(scope="module")
-def uri(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    with mlflow_server(tmp_path_factory.mktemp("mlflow")) as uri:
-        yield uri
 
 
 def run(uri: str, data: Path, *command: str) -> str:
@@ -106,24 +96,22 @@ def run(uri: str, data: Path, *command: str) -> str:
 @pytest.mark.slow
 @pytest.mark.timeout(600)
 @pytest.mark.parametrize("name", ARMS)
-def test_an_own_robot_goes_from_its_file_to_a_version_and_a_verdict(name, uri, tmp_path) -> None:
+def test_an_own_robot_goes_from_its_file_to_a_version_and_a_verdict(name, server, tmp_path) -> None:
     robot, data = tmp_path / "robot.json", tmp_path / "data"
     robot.write_text(json.dumps({"name": f"arm-{name}", "robot": ARMS[name], "scenes": FAMILY}))
     counts = ("--scenario-count", "24", "--extra-image-count", "24", "--free-per-scenario", "64")
-    run(uri, tmp_path, "-m", "training.data", "generate", str(data), "--robot", str(robot), *counts)
+    run(server, tmp_path, "-m", "training.data", "generate", str(data), "--robot", str(robot), *counts)
     settings = ("--preset", "smoke", "--set", f"data_folder={data}")
-    told = run(uri, tmp_path, str(ROOT / "training" / "cluster_train.py"), *settings)
+    told = run(server, tmp_path, str(ROOT / "training" / "cluster_train.py"), *settings)
     result = json.loads(told.rpartition("RESULT ")[2].splitlines()[0])
-    registry = MlflowRegistry(uri)
-    version = registry.version(result["model"], result["version"])
-    bundle = Bundle.load(registry.download(version, tmp_path / "bundle"))
+    bundle = bundle_of(server, result["model"], result["version"], tmp_path / "bundle")
     assert bundle.spec.world == read_scene_file(robot).world
     assert bundle.spec.world.scenes == DiscScenes(**{key: _tuple(value) for key, value in FAMILY.items()})
     picture = np.full((48, 48, 3), 255, dtype=np.uint8)
     samples = bundle.sample(picture, 200, 1).samples
     assert bundle.spec.world.space.holds(samples).all()
     judged = ("-m", "services.evaluator", "--model", f"{result['model']}/{result['version']}")
-    few = run(uri, tmp_path, *judged, "--scenarios", "4", "--no-promote")
+    few = run(server, tmp_path, *judged, "--scenarios", "4", "--no-promote")
     assert "promoted" in few
 
 

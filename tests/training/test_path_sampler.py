@@ -52,7 +52,7 @@ def test_a_path_bundle_keeps_what_it_sees_with_and_tells_where_it_comes_from(
         made.sample(image, 40, 7)
 
 
-@pytest.mark.parametrize("limits", [((-3.1, 3.1), None), ((-2.9, 4.0), (-1.0, 1.0)), ((-7.0, 7.0), None)])
+@pytest.mark.parametrize("limits", [((-3.1, 3.1), None), ((-2.9, 4.0), (-1.0, 1.0))])
 def test_ways_of_a_limited_arm_end_at_its_limits_and_do_not_go_round(
     tmp_path: Path, limits: JointLimits
 ) -> None:
@@ -89,20 +89,18 @@ def test_the_shipped_head_makes_a_sampler_that_a_planner_gains_by(tmp_path: Path
 
 @pytest.mark.e2e
 @pytest.mark.slow
-@pytest.mark.parametrize("alias", ["champion", "challenger"])
-def test_a_registered_path_sampler_is_served_by_name(tmp_path: Path, alias: str, monkeypatch) -> None:
+def test_a_registered_path_sampler_is_served_by_name(tmp_path: Path, monkeypatch) -> None:
     for name in ("mlflow", "api"):
         (tmp_path / name).mkdir()
     problem = draw_problem(Family.UNIFORM, Split.DEMO, 21, 0)
     with mlflow_server(tmp_path / "mlflow") as uri:
         monkeypatch.setenv("MLFLOW_TRACKING_URI", uri)
-        assert main([str(PRETRAINED_FOLDER), str(tmp_path / "paths"), "--register", alias]) == 0
+        assert main([str(PRETRAINED_FOLDER), str(tmp_path / "paths"), "--register", "challenger"]) == 0
         with (
             api_server(tmp_path / "api", {"MLFLOW_TRACKING_URI": uri}) as address,
             SamplingClient(address) as client,
         ):
-            model = "path-sampler" if alias == "champion" else "path-sampler@challenger"
-            request = SampleRequest(SampleQuery(300, 3), model, with_ends=True)
+            request = SampleRequest(SampleQuery(300, 3), "path-sampler@challenger", with_ends=True)
             found = plan_with_api(problem, client, PlannerSettings(), request)
     assert found.batch is not None
     assert (found.batch.model_name, found.batch.model_version) == ("path-sampler", 1)

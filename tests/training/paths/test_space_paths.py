@@ -13,7 +13,7 @@ from cspace.worlds.spatial.obstacles import obstacles_of
 from cspace.worlds.spatial.problems import reaches_into
 from tests.space_bundle import LATENT, WORLD, write_space_bundle
 from tests.training.models.test_path_models import answer
-from training.config import PathTrainConfig, load_path_config
+from training.config import PathTrainConfig
 from training.data.config import PathDatasetConfig
 from training.data.paths import PathRecipe
 from training.models.autoencoders import network_size
@@ -56,15 +56,13 @@ def stored(source, dataset, monkeypatch):
     return path_arrays(source, dataset, 17)
 
 
-def test_pictures_on_disk_are_read_as_those_in_memory(source, dataset, stored):
+def test_pictures_on_disk_are_read_as_those_in_memory(source, dataset, monkeypatch):
+    np.testing.assert_array_equal(path_arrays(source, dataset, 17).images, dataset.images)
+    monkeypatch.setattr(module, "HELD_BYTES", 0)
+    stored = path_arrays(source, dataset, 17)
     assert stored.images == dataset.folder.absolute()
     assert torch.equal(stored.scenes().images, torch.tensor(np.asarray(dataset.images)))
     np.testing.assert_array_equal(stored.mu[1], source.encode(dataset.images[1]).mu)
-
-
-def test_few_pictures_are_sent_with_the_paths(source, dataset):
-    found = path_arrays(source, dataset, 17)
-    np.testing.assert_array_equal(found.images, dataset.images)
 
 
 @pytest.mark.slow
@@ -116,14 +114,6 @@ def test_a_flow_is_told_what_the_picture_shows_at_its_points(stored):
     (slope,) = torch.autograd.grad(seen.sum(), points)
     # Every joint but the last moves some group.
     assert (slope[:, :-1].abs().amax(dim=0) > 0.0).all()
-
-
-def test_the_arms_preset_trains_what_needs_no_grid_between_ends_as_problems_have_them():
-    config = load_path_config("panda")
-    assert set(config.models) == {"flow", "wgan"}
-    assert config.data.world == WORLD
-    assert config.data.narrow_count == 0
-    assert make_lookups(config.flow.lookups, WORLD) is not None
 
 
 def test_paths_run_free_between_ends_that_are_apart(dataset):
