@@ -75,7 +75,7 @@ def test_kinematics_are_pinocchios(name: str) -> None:
     model = pin.buildModelFromUrdf(str(path))
     links = set(description.links) - {one.parent for one in description.joints.values()}
     data, frame = model.createData(), model.getFrameId(tip or links.pop())
-    drawn = np.random.default_rng(0).uniform(arm.space.lower, arm.space.upper, (200, arm.dim))
+    drawn = np.random.default_rng(0).uniform(arm.space.lower, arm.space.upper, (1000, arm.dim))
     held = {one.name: one.value for one in chain.held}
     worst = 0.0
     for row, mine in zip(drawn, arm.tool_frames(drawn), strict=True):
