@@ -39,6 +39,7 @@ def test_a_scene_is_sampled_planned_and_changed(page: Page, address: str) -> Non
     expect(page.get_by_text("In the true scene the path is")).to_have_count(0)
 
 
+@pytest.mark.slow
 def test_a_view_file_or_a_recording_is_dropped_on_the_page(page: Page, address: str, tmp_path: Path) -> None:
     open_viewer(page, address)
     free = page.get_by_text("collision-free in the true scene")

@@ -21,6 +21,7 @@ NAME = "cspace-sampler"
 HALF = 2000
 
 
+@pytest.mark.slow
 def test_a_promotion_in_mlflow_is_served_without_a_restart_and_outlives_the_registry(
     tmp_path: Path, png: bytes, bundles: dict[str, Path]
 ) -> None:
