@@ -1,6 +1,6 @@
 """
 A depth picture, and what is predicted of the rest
-=================================================
+==================================================
 
 An arm of seven joints before a shelf, seen by depth cameras. What no picture shows is hidden space: the model
 has learned what such scenes are like, and is less sure there.
