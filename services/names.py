@@ -62,6 +62,15 @@ def robot_name(world: World, given: str | None = None) -> str:
     return given
 
 
+def label(world: World) -> str | None:
+    """What a description calls a robot that is no example, as a name of models; None where it cannot be."""
+    text = re.sub(r"[^a-z0-9]+", "-", str(getattr(world.body, "name", "")).lower()).strip("-")
+    with suppress(ConfigError):
+        named = robot_name(world, text)
+        return None if named == robot_name(world) else named
+    return None
+
+
 def shown_name(world: World, given: str | None) -> str:
     """A robot's name for people: the given one, or its own where the given one is another's by now."""
     with suppress(ConfigError):

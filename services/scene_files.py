@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 from pydantic.json_schema import GenerateJsonSchema
 
-from cspace.errors import CspaceError, ScenarioError
+from cspace.errors import CspaceError, InputError, ScenarioError
 from cspace.simulator import Problem
 from cspace.strict_json import first_of, refused
 from cspace.world import Scene, World
-from cspace.worlds import FIRST, KINDS
+from cspace.worlds import FIRST, KINDS, named_world
 from cspace.yaml_file import YamlDocument, read_yaml, read_yaml_file
 
 _T = TypeVar("_T")
@@ -67,12 +67,17 @@ def schema(kind: str = FIRST) -> dict[str, Any]:
 
 
 def read_scene_file(path: Path) -> SceneFile:
-    """Read a scene file.
+    """Read a scene file; ``robot`` may be the path of a robot's file, from the scene file's folder.
 
     Raises:
         ScenarioError: it cannot be read, is no YAML, or a value does not fit; the line is named.
     """
-    return _read(path, read_yaml_file(path, ScenarioError))
+    document = read_yaml_file(path, ScenarioError)
+    values = document.values
+    if isinstance(values, dict) and str(values.get("robot")).endswith(".json"):
+        place = str(path.parent / values["robot"])
+        values["robot"] = _told(path, document, "robot", lambda: named_world(place)).body.to_dict()
+    return _read(path, document)
 
 
 def read_scene_text(data: bytes, path: Path, kinds: Sequence[str] = tuple(KINDS)) -> SceneFile:
@@ -135,7 +140,7 @@ def _end(
 def _told(path: Path, document: YamlDocument, part: str, read: Callable[[], _T]) -> _T:
     try:
         return read()
-    except ScenarioError as error:
+    except InputError as error:
         raise _at(path, document, (part,), error) from error
 
 

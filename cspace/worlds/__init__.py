@@ -7,6 +7,7 @@ from dataclasses import replace
 from functools import lru_cache
 from hashlib import sha256
 from importlib import import_module
+from pathlib import Path
 from typing import Annotated, Any, cast
 
 import numpy as np
@@ -59,6 +60,25 @@ def examples() -> dict[str, World]:
     for kind in KINDS:
         found |= _part(kind, "world").EXAMPLES
     return found
+
+
+def named_world(text: str) -> World:
+    """The world of an example by its name, or of a robot's file, which ``python -m training.robots`` writes.
+
+    Raises:
+        ConfigError: the file cannot be read.
+        ScenarioError: there is neither an example nor a file, or the file's robot cannot be.
+    """
+    known = examples()
+    if text in known:
+        return known[text]
+    if not Path(text).is_file():
+        raise ScenarioError(
+            "the robot is unknown",
+            expected=f"one of {', '.join(known)}, or a file that python -m training.robots import wrote",
+            got=text[:200],
+        )
+    return cast("World", _part("spatial", "world").named(text))
 
 
 def default_world() -> World:

@@ -142,6 +142,10 @@ class DiskCache:
         found = [_read(path, name) for path in self.folder.glob(f"{name}/*/{_VERSION}")]
         return sorted((one for one in found if one is not None), key=lambda version: version.created_ms)
 
+    def names(self) -> list[str]:
+        """Models of which versions are on disk, in alphabetical order."""
+        return sorted({path.parents[1].name for path in self.folder.glob(f"*/*/{_VERSION}")})
+
     def last_champion(self, name: str) -> ModelVersion | None:
         """The champion of a model when the registry was last there."""
         return _read(self.folder / name / _CHAMPION, name) if is_model_name(name) else None

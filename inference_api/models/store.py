@@ -37,7 +37,7 @@ from inference_api.problem_types import ModelNotReadyError
 from inference_api.telemetry import Observer, Refusal
 from services.names import ALIAS_CHAMPION, TAG_ROBOT
 from services.registry.failures import anonymous
-from services.registry.ports import PRETRAINED, ModelReader, ModelReference, ModelVersion
+from services.registry.ports import PRETRAINED, ModelReader, ModelReference, ModelVersion, is_model_name
 
 _Answer = TypeVar("_Answer")
 _LOG = logging.getLogger(__name__)
@@ -46,6 +46,7 @@ LOAD_WAIT_S = 30.0
 IN_USE_S = 60.0
 # References that are remembered, and as many that are known to name nothing.
 REMEMBERED = 1024
+LISTED_MODELS = 100
 
 
 @dataclass(slots=True)
@@ -242,6 +243,22 @@ class ModelStore:
         except RegistryError:
             found = self._cache.disk.stored(name)
         return sorted(found, key=lambda version: version.number, reverse=True)
+
+    def listed(self) -> Sequence[ModelVersion]:
+        """All versions of the default model, then those of others that an alias names, newest first.
+
+        Of the first :data:`LISTED_MODELS` models by name; those of the cache while the registry is away.
+        """
+        if self._registry is None:
+            return []
+        try:
+            self._leave_alone_while_away()
+            names = self._ask(self._registry.names)
+        except RegistryError:
+            names = tuple(self._cache.disk.names())
+        fitting = [name for name in names if is_model_name(name) and name != self.model_name]
+        others = [version for name in fitting[:LISTED_MODELS] for version in self.versions(name)]
+        return [*self.versions(self.model_name), *(version for version in others if version.aliases)]
 
     def loaded(self, version: ModelVersion) -> Bundle | None:
         """A version's bundle if it is in memory; looking at it is no use of it."""

@@ -56,6 +56,7 @@ _ERRORS = {
     for kind in (RegistryError, RegistryUnavailableError, ModelNotFoundError, StorageError, CspaceError)
 }
 _VERSION, _VERSIONS = TypeAdapter(ModelVersion), TypeAdapter(tuple[ModelVersion, ...])
+_NAMES = TypeAdapter(tuple[str, ...])
 
 
 class RegistryWorker:
@@ -107,6 +108,10 @@ class RegistryWorker:
     def versions(self, name: str) -> tuple[ModelVersion, ...]:
         """See :meth:`services.registry.ports.ModelReader.versions`."""
         return self._look_up(_VERSIONS, "versions", name)
+
+    def names(self) -> tuple[str, ...]:
+        """See :meth:`services.registry.ports.ModelReader.names`."""
+        return self._look_up(_NAMES, "names")
 
     def download(self, version: ModelVersion, folder: Path) -> Path:
         """See :meth:`services.registry.ports.ModelReader.download`."""

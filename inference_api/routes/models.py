@@ -32,7 +32,10 @@ router = APIRouter()
     responses=problem_responses(*GUARD_PROBLEMS, INVALID_VALUE),
 )
 async def models(request: Request, service: Serving, name: str | None = None) -> ModelList:
-    """Versions of the model of this name, absent of the default one, newest first, and the shipped model."""
+    """Versions of the model of this name, newest first, and the shipped models.
+
+    Without a name: all versions of the default model, and those of other models that have an alias.
+    """
     return await service.lookups.run(partial(_listed, service.store, name), client_of(request.scope))
 
 
@@ -86,7 +89,7 @@ def default_model(service: Service) -> ServedModel:
 
 
 def _listed(store: ModelStore, name: str | None) -> ModelList:
-    """Versions of a model, None for the default one, newest first, and the shipped models."""
+    """Versions of a model, newest first; None for what is registered at all. And the shipped models."""
     if name is not None and not is_model_name(name):
         raise InputError("name is wrong", expected="a registered model's name", got=repr(name)[:200])
     served = store.default
@@ -106,7 +109,7 @@ def _listed(store: ModelStore, name: str | None) -> ModelList:
                 version.tags.get(TAG_ROBOT),
             ),
         )
-        for version in store.versions(name or store.model_name)
+        for version in (store.listed() if name is None else store.versions(name))
     ]
     found += [
         ListedModel(

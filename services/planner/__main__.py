@@ -18,7 +18,7 @@ from cspace.errors import CspaceError
 from cspace.query import DEFAULT_WAYS, PLAIN, PlanQuery, SampleQuery
 from cspace.simulator import Problem, Split
 from cspace.world import World
-from cspace.worlds import examples, simulator_of
+from cspace.worlds import examples, named_world, simulator_of
 from services.command_errors import finite, tell_error
 from services.planner.client import DEFAULT_TIMEOUT_S, SamplingClient, usual_api
 from services.planner.ompl_planner import DEFAULT_UNIFORM_SHARE
@@ -94,7 +94,7 @@ def parse_command(arguments: Sequence[str] | None = None) -> Command:
     if options.plot is not None:
         check_figure_path(options.plot)
     check_uniform_share(options.uniform_share)
-    world = WORLDS[options.robot] if scene is None else scene.world
+    world = named_world(options.robot) if scene is None else scene.world
     measures = simulator_of(world).measures
     settings = PlannerSettings(
         planner=options.planner,
@@ -109,7 +109,10 @@ def parse_command(arguments: Sequence[str] | None = None) -> Command:
         options.n, settings.seed, options.epsilon_sigma, min_confidence=options.min_confidence
     )
     request = SampleRequest(query, options.model, with_ends=options.path_model, ordered=options.ordered)
-    request = request if scene is None else request.for_scene(scene)
+    if scene is not None:
+        request = request.of_robot(world, scene.name)
+    elif options.robot not in WORLDS:
+        request = request.of_robot(world)
     return Command(
         url=options.api,
         timeout_s=options.timeout,
@@ -146,7 +149,10 @@ def make_parser() -> argparse.ArgumentParser:
     problem.add_argument("--seed", type=_count, default=0, help="of the problem; default %(default)s")
     problem.add_argument("--index", type=_count, default=0, help="of the problem among those of its seed")
     problem.add_argument(
-        "--robot", choices=sorted(WORLDS), default=next(iter(WORLDS)), help="the arm; default %(default)s"
+        "--robot",
+        default=next(iter(WORLDS)),
+        metavar="NAME|FILE",
+        help=f"{', '.join(WORLDS)}, or what python -m training.robots import wrote; default %(default)s",
     )
     samples = parser.add_argument_group("samples")
     samples.add_argument("--api", metavar="URL", default=usual_api(), help="default %(default)s")

@@ -6,15 +6,16 @@ from pathlib import Path
 from cspace.errors import SamplerError, SamplerModelError, SamplerUnavailableError
 from cspace.query import SampleQuery
 from cspace.simulator import Problem
+from cspace.world import World
 from cspace.worlds import default_world, picture_file_of, robot_digest
-from services.names import model_name
+from services.names import label, model_name
 from services.planner.client import SamplingClient, usual_api
 from services.planner.ompl_planner import DEFAULT_UNIFORM_SHARE, solve
 from services.planner.result import PlanResult
 from services.planner.rrt_connect import order_along
 from services.planner.samples import SampleBatch, SampleSource
 from services.planner.settings import RRT_CONNECT, PlannerSettings
-from services.scene_files import SceneFile, read_scene_file
+from services.scene_files import read_scene_file
 
 DEFAULT_SAMPLES = 300
 PAPER_SCHEDULE = (0.0, 0.25, 0.5, 1.0)
@@ -41,15 +42,19 @@ class SampleRequest:
     ordered: bool = False
     or_uniform: bool = False
 
-    def for_scene(self, scene: SceneFile) -> "SampleRequest":
-        """The request with the model of a scene file's robot where it names none.
+    def of_robot(self, world: World, name: str | None = None) -> "SampleRequest":
+        """The request with the model of a robot of one's own where it names none.
+
+        Args:
+            world: its robot.
+            name: the robot's, for its models; None for what its description calls it.
 
         Raises:
-            ConfigError: the file gives the robot a name that is another's.
+            ConfigError: the name is another robot's.
         """
-        if self.model is not None or robot_digest(scene.world) == robot_digest(default_world()):
+        if self.model is not None or robot_digest(world) == robot_digest(default_world()):
             return self
-        own = model_name(scene.world, scene.name, path=self.with_ends)
+        own = model_name(world, name or label(world), path=self.with_ends)
         return replace(self, model=own, or_uniform=True)
 
 
@@ -145,7 +150,7 @@ def plan_scene(path: str | Path, api: str | None = None, settings: PlannerSettin
         SamplerError: the API refused the request.
     """
     scene, settings = read_scene_file(Path(path)), settings or PlannerSettings()
-    request = SampleRequest(SampleQuery(DEFAULT_SAMPLES, settings.seed)).for_scene(scene)
+    request = SampleRequest(SampleQuery(DEFAULT_SAMPLES, settings.seed)).of_robot(scene.world, scene.name)
     with SamplingClient(api or usual_api()) as client:
         return plan_with_api(scene.problem(), client, settings, request)
 

@@ -45,7 +45,7 @@ SOURCE = "MotionBenchMaker"
 # By the shipped model: a plan that is free in truth, and one that is refused.
 EXAMPLES = {"table-top": ("table", 4), "hard bin": ("bin", 4)}
 RECORDINGS = (".mcap", ".db3")
-IMPORT_S = 120
+IMPORT_S, LOAD_S = 120, 60.0
 # viser takes files by a button alone: what is dropped is given to the button's field.
 DROP_ZONE = """
 <div style="margin:0 0.5em;padding:1em;border:2px dashed #999;border-radius:4px;text-align:center"
@@ -287,23 +287,48 @@ def _turned(pose: Floats, angle_rad: float) -> Floats:
 class Viewer:
     """The page: a viser server that shows a :class:`SceneState` and changes it."""
 
-    def __init__(self, state: SceneState, host: str, port: int) -> None:
-        self.state, self.space = state, state.world.space
-        self.arm = cast("Any", state.world.body)
+    def __init__(self, api_url: str, api: Api, model: str, host: str, port: int) -> None:
+        self.api_url, self.api = api_url, api
+        # Before a port is taken: whoever names a wrong model gets an error and no page.
+        state = SceneState(api, world_of(api_url, model), model)
         self.ball = trimesh.creation.icosphere(subdivisions=1)
         self.server = viser.ViserServer(host, port, label="cspace-sampler", verbose=False)
-        self.server.scene.set_up_direction("+z")
         self.server.initial_camera.position = (1.6, -1.3, 1.3)
         self.server.initial_camera.look_at = tuple(FOCUS_M)
-        self.server.scene.add_grid("/ground", 2.0, 2.0, cell_size=0.1, section_size=0.5)
         self.lock = threading.RLock()
+        self.show(state)
+        # What was registered since.
+        self.server.on_client_connect(lambda _: self._list_models())
+
+    def show(self, state: SceneState) -> None:
+        """Show a model's arm in a scene of its own, in place of all that is shown."""
+        self.state, self.space, self.arm = state, state.world.space, cast("Any", state.world.body)
         self.path = np.empty((0, self.space.dim))
         self.views: list[bytes] = []
+        self.server.gui.reset()
+        self.server.scene.reset()
+        self.server.scene.set_up_direction("+z")
+        self.server.scene.add_grid("/ground", 2.0, 2.0, cell_size=0.1, section_size=0.5)
         self._add_controls()
         self.show_scene()
 
+    def _list_models(self) -> None:
+        with suppress(httpx.HTTPError):
+            self.model.options = models_of_arms(self.api_url, self.state.model)
+
+    def _choose(self) -> None:
+        wanted = self.model.value
+        if wanted != self.state.model:
+            self.told.content = f"Loading {wanted} ..."
+            # Until it is there, and for good where it cannot be shown.
+            self.model.value = self.state.model
+            self.show(SceneState(self.api, world_of(self.api_url, wanted), wanted))
+
     def _add_controls(self) -> None:
         gui, state = self.server.gui, self.state
+        models = models_of_arms(self.api_url, state.model)
+        self.model: Any = gui.add_dropdown("model", models, initial_value=state.model)
+        self.model.on_update(lambda _: self._guarded(self._choose))
         with gui.add_folder("Scene"):
             example = gui.add_button_group("examples", tuple(EXAMPLES))
             family, seed = EXAMPLES["table-top"]
@@ -362,7 +387,7 @@ class Viewer:
         with self.lock:
             try:
                 action()
-            except (CspaceError, ClientError) as error:
+            except (CspaceError, ClientError, httpx.HTTPError) as error:
                 self.told.content = f"**{type(error).__name__}**: {error}"
 
     def _show_example(self, name: str) -> None:
@@ -554,22 +579,55 @@ class Viewer:
         )
 
 
+def models_of_arms(api_url: str, shown: str) -> tuple[str, ...]:
+    """References of models of arms in space, and of those that the API has not loaded; ``shown`` is one."""
+    fitting = (one["reference"] for one in _listed(api_url) if _is_arm(one))
+    return tuple(dict.fromkeys((shown, *fitting)))
+
+
 def world_of(api_url: str, model: str) -> World:
-    """The world of a model, as ``GET /models`` describes it.
+    """The world of a model, as ``GET /models`` describes it once the API has loaded it.
 
     Raises:
         InputError: the API does not serve the model, or it is no arm among obstacles in space.
     """
-    listed = httpx.get(f"{api_url}/models", timeout=30.0).raise_for_status().json()["models"]
-    world = next((one["world"] for one in listed if one["reference"] == model), None)
-    if world is None or world["kind"] != "spatial":
-        fitting = [one["reference"] for one in listed if one["world"] and one["world"]["kind"] == "spatial"]
+    found = _entry(api_url, model)
+    if found is not None and found["world"] is None:
+        place = f"/v2/models/{found['name']}/versions/{found['version']}/ready"
+        httpx.get(f"{api_url}{place}", timeout=LOAD_S).raise_for_status()
+        found = _entry(api_url, model)
+    if found is None or not found["world"] or not _is_arm(found):
+        fitting = [one["reference"] for one in _listed(api_url) if _is_arm(one)]
         raise InputError(
             f"the viewer cannot show the model {model}",
             expected=f"a model of an arm in space, such as {', '.join(fitting) or 'none that is served'}",
-            got="no such model" if world is None else f"a {world['kind']} one",
+            got="no such model" if found is None else "one of another kind",
         )
-    return read_world(world)
+    return read_world(found["world"])
+
+
+def _entry(api_url: str, model: str) -> dict[str, Any] | None:
+    """What is listed of a reference; a bare name means its champion."""
+    name, _, alias = model.partition("@")
+    listed = _listed(api_url, name.partition("/")[0])
+    return next(
+        (
+            one
+            for one in listed
+            if one["reference"] == model or (one["name"] == name and (alias or "champion") in one["aliases"])
+        ),
+        None,
+    )
+
+
+def _is_arm(listed: dict[str, Any]) -> bool:
+    """Whether a model is of an arm in space; of one that is not loaded nobody may know."""
+    return listed["world"] is None or listed["world"]["kind"] == "spatial"
+
+
+def _listed(api_url: str, name: str | None = None) -> list[dict[str, Any]]:
+    answer = httpx.get(f"{api_url}/models", params={} if name is None else {"name": name}, timeout=30.0)
+    return cast("list[dict[str, Any]]", answer.raise_for_status().json()["models"])
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -581,9 +639,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--port", type=int, default=8090, help="where to listen (default: %(default)s)")
     options = parser.parse_args(arguments)
     try:
-        world = world_of(options.api, options.model)
         with SamplingClient(options.api) as api:
-            Viewer(SceneState(api, world, options.model), options.host, options.port)
+            Viewer(options.api, api, options.model, options.host, options.port)
             sys.stdout.write(f"http://{options.host}:{options.port}/\n")
             sys.stdout.flush()
             threading.Event().wait()

@@ -121,7 +121,7 @@ class MlflowRegistry:
         return tuple(sorted(complete, key=lambda one: one.number, reverse=True))
 
     def names(self) -> tuple[str, ...]:
-        """The registered models; see :meth:`services.registry.ports.ModelRegistry.names`."""
+        """The registered models; see :meth:`services.registry.ports.ModelReader.names`."""
         self._ready()
         with mapped("listing the models"):
             found = all_pages(self._client.search_registered_models, max_results=_PAGE)

@@ -84,6 +84,10 @@ class ModelReader(Protocol):
         """All versions, newest first; empty for an unknown model."""
         ...
 
+    def names(self) -> tuple[str, ...]:
+        """The registered models, in alphabetical order."""
+        ...
+
     def download(self, version: ModelVersion, folder: Path) -> Path:
         """Fetch a version's bundle into a new folder, which appears whole or not at all; returns the folder.
 
@@ -124,10 +128,6 @@ class ModelRegistry(ModelReader, Protocol):
             BundleIntegrityError: the folder is damaged or has another digest.
             RegistryError: there is no such run.
         """
-        ...
-
-    def names(self) -> tuple[str, ...]:
-        """The registered models, in alphabetical order."""
         ...
 
     def delete(self, name: str, number: int) -> None:

@@ -2,16 +2,23 @@
 
 import re
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from playwright.sync_api import Page, expect
 
+from cspace.bundle import open_bundle, write_bundle
+from cspace.errors import InputError
 from cspace.simulator import Split
 from cspace.worlds import examples, simulator_of
 from cspace.worlds.spatial.view import write_view
+from services.planner.viewer import world_of
+from services.registry.mlflow_registry import MlflowRegistry
+from services.registry.mlflow_tracking import MlflowTracking
 from tests.browser.viewer import drop_file, open_viewer, plan_in_viewer, viewer_at
 from tests.inference_api.server import api_server
+from tests.space_bundle import SPEC, space_graphs
 from tests.training.data.test_recordings import BASE, only_file, usual
 
 pytestmark = [pytest.mark.browser, pytest.mark.e2e, pytest.mark.timeout(300)]
@@ -56,3 +63,24 @@ def test_a_view_file_or_a_recording_is_dropped_on_the_page(page: Page, address: 
     expect(page.get_by_text("arm-elsewhere")).to_be_visible()
     drop_file(page, "bag.mcap", b"no recording")
     expect(page.get_by_text("bag.mcap cannot be imported")).to_be_visible()
+
+
+@pytest.mark.slow
+def test_the_model_of_an_own_arm_is_chosen_and_shown(page: Page, server: str, tmp_path: Path) -> None:
+    own = replace(SPEC.world, body=replace(SPEC.world.body, name="bench-arm"))
+    folder = write_bundle(tmp_path / "bundle", replace(SPEC, world=own), space_graphs())
+    with MlflowTracking(server).start("own-arm", "training") as run:
+        digest, registry = open_bundle(folder).digest, MlflowRegistry(server)
+        registry.register("bench-arm-sampler", folder, run.run_id, digest, {}, alias="champion")
+    with api_server(tmp_path, {"MLFLOW_TRACKING_URI": server}) as api:
+        with viewer_at(api) as address:
+            open_viewer(page, address)
+            model = page.get_by_role("combobox", name="model")
+            model.click()
+            page.get_by_role("option", name="bench-arm-sampler/1").click()
+            expect(page.get_by_role("combobox", name="model")).to_have_value("bench-arm-sampler/1")
+            expect(page.get_by_text("confidence of the samples")).to_be_visible()
+        # A name alone is its champion.
+        assert world_of(api, "bench-arm-sampler") == world_of(api, "bench-arm-sampler@champion") == own
+        with pytest.raises(InputError, match="no such model"):
+            world_of(api, "bench-arm-sampler/2")

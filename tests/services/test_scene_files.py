@@ -207,7 +207,7 @@ class _Source:
 
 def test_a_scene_file_s_robot_has_its_own_model_and_goes_without_where_there_is_none(write):
     scene = read_scene_file(write(WHOLE))
-    request = SampleRequest(SampleQuery(3, 0)).for_scene(scene)
+    request = SampleRequest(SampleQuery(3, 0)).of_robot(scene.world, scene.name)
     assert (request.model, request.or_uniform) == ("bench-arm-sampler", True)
     there, away = _Source("bench-arm-sampler"), _Source("cspace-sampler")
     assert plan_with_api(scene.problem(), there, PlannerSettings(), request).batch is not None
@@ -218,7 +218,7 @@ def test_a_scene_file_s_robot_has_its_own_model_and_goes_without_where_there_is_
 
 def test_a_model_that_the_user_names_has_to_be_there(write):
     scene = read_scene_file(write(WHOLE))
-    request = SampleRequest(SampleQuery(3, 0), "bench-sampler").for_scene(scene)
+    request = SampleRequest(SampleQuery(3, 0), "bench-sampler").of_robot(scene.world, scene.name)
     with pytest.raises(SamplerModelError):
         plan_with_api(scene.problem(), _Source("bench-arm-sampler"), PlannerSettings(), request)
 
@@ -226,7 +226,7 @@ def test_a_model_that_the_user_names_has_to_be_there(write):
 def test_the_default_robot_s_model_is_left_to_the_api(write):
     values = {"robot": {"link_lengths_m": [2, 2]}, "obstacles": [], "start": [0, 0], "goal": [1, 1]}
     scene = read_scene_file(write(json.dumps(values), "scene.json"))
-    assert SampleRequest(SampleQuery(3, 0)).for_scene(scene).model is None
+    assert SampleRequest(SampleQuery(3, 0)).of_robot(scene.world, scene.name).model is None
 
 
 def test_an_end_that_rounding_moved_beyond_a_limit_is_taken_as_the_limit(write):

@@ -17,7 +17,7 @@ from cspace.simulator import ORIGINS, Split
 from cspace.space import JointSpace
 from services.evaluator.evaluation.report import gallery
 from services.evaluator.measures.scenes import Scene, Stage
-from services.names import ALIAS_CHALLENGER, TAG_MODEL, recorded_name
+from services.names import ALIAS_CHALLENGER, TAG_MODEL, label, recorded_name
 from services.planner.samples import BundleSampler
 from services.registry.mlflow_registry import MlflowRegistry
 from services.registry.ports import RunLog
@@ -389,10 +389,11 @@ def resume(run_id: str, environment: Environment) -> TrainResult:
 def _run(job: Job[TrainConfig]) -> TrainResult:
     with job.running() as run:
         dataset = prepare_data(job.config, job.environment.data_folder)
-        # The configuration's name for the robot, else that of its data.
+        # The configuration's name for the robot, else that of its data, else that of its description.
         config = job.config
         if config.robot_name is None:
-            config = config.model_copy(update={"robot_name": recorded_name(dataset.manifest.generator)})
+            named = recorded_name(dataset.manifest.generator) or label(dataset.world)
+            config = config.model_copy(update={"robot_name": named})
         model = registered_name(job, dataset.world, config.robot_name, path=False)
         log_start(run, job.config, dataset)
         job.tell(world_tag(dataset.world, config.robot_name))

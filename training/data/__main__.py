@@ -19,10 +19,12 @@ from cspace.strict_json import refused
 from cspace.worlds import add_world_options, described_world
 from services.command_errors import tell_error
 from services.scene_files import given_scenes, read_scene_file
-from training.data.config import DatasetConfig, PathDatasetConfig
+from training.data.config import USUAL_OF_ARMS, DatasetConfig, PathDatasetConfig
 from training.data.merge import merge
 from training.data.own import import_folder
 from training.data.recordings import add_recording_options
+
+_PARTS = ("robot", "robot_name", "camera", "scenes")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -91,8 +93,7 @@ def _add_generated(
             f"--{name.replace('_', '-')}",
             type=type(field.default),
             choices=choices or None,
-            default=field.default,
-            help=field.description,
+            help=f"{field.description or ''} (default {_default(name, field.default)})".strip(),
         )
     add_world_options(parser, sensor=False)
     parser.add_argument(
@@ -106,6 +107,11 @@ def _add_generated(
         help="scene files or folders of them: obstacles of your own; every fifth is held out for evaluation",
     )
     parser.set_defaults(run=lambda options: _made(options, kind))
+
+
+def _default(name: str, planar: object) -> str:
+    spatial = USUAL_OF_ARMS.get(name)
+    return str(planar) if spatial is None else f"{planar}; of an arm in space {spatial}"
 
 
 def _add_import(parser: argparse.ArgumentParser) -> None:
@@ -129,8 +135,8 @@ def _merge(options: argparse.Namespace) -> Dataset:
 
 
 def _made(options: argparse.Namespace, kind: type[DatasetConfig] | type[PathDatasetConfig]) -> Dataset:
-    named = kind.model_fields.keys() - {"robot", "robot_name", "camera", "scenes"}
-    values = {name: getattr(options, name) for name in named} | _world_parts(options, kind)
+    given = {name: getattr(options, name, None) for name in kind.model_fields if name not in _PARTS}
+    values = _world_parts(options, kind) | {name: one for name, one in given.items() if one is not None}
     try:
         config = kind.model_validate(values)
     except ValidationError as error:
@@ -147,7 +153,9 @@ def _made(options: argparse.Namespace, kind: type[DatasetConfig] | type[PathData
 def _world_parts(options: argparse.Namespace, kind: type[BaseModel]) -> dict[str, Any]:
     """Robot, camera and scenes of options; each given scene is taken once, where no number is asked for."""
     if not (options.robot or options.scenes):
-        return {"robot": described_world(options).body}
+        world = described_world(options)
+        usual = USUAL_OF_ARMS if kind is DatasetConfig and world.kind == "spatial" else {}
+        return {"robot": world.body, **usual}
     files = [read_scene_file(path) for path in _files(options.scenes or ())]
     first = read_scene_file(options.robot) if options.robot else files[0]
     world = first.world
@@ -155,10 +163,8 @@ def _world_parts(options: argparse.Namespace, kind: type[BaseModel]) -> dict[str
     parts["robot_name"] = first.name
     if files:
         parts["scenes"] = given_scenes(world, files)
-        for name, count in (("scenario_count", len(parts["scenes"].train)), ("extra_image_count", 0)):
-            field = kind.model_fields.get(name)
-            if field is not None and getattr(options, name) == field.default:
-                parts[name] = count
+        counts = {"scenario_count": len(parts["scenes"].train), "extra_image_count": 0}
+        parts |= {name: count for name, count in counts.items() if name in kind.model_fields}
     return parts
 
 

@@ -5,13 +5,15 @@ import json
 from dataclasses import dataclass
 from functools import reduce
 from operator import or_
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, GetCoreSchemaHandler
+from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler, model_validator
 from pydantic_core import CoreSchema
 
+from cspace.errors import InputError
 from cspace.world import Body, World
-from cspace.worlds import default_world, examples, part_types, usual_world
+from cspace.worlds import default_world, examples, named_world, part_types, usual_world
 from training.section import RobotName
 
 # Counts on with every change of what worlds propose for labelling, and of how they are seen then.
@@ -28,22 +30,15 @@ class _OfAnyKind:
         return handler.generate_schema(reduce(or_, part_types(self.part)))
 
 
-def _by_name(robot: object) -> object:
-    """The robot of an example where it is only named."""
-    if not isinstance(robot, str):
-        return robot
-    known = examples()
-    if robot not in known:
-        raise ValueError(f"robot is one of {', '.join(known)}, or described by its fields")
-    return known[robot].body
-
-
 class GeneratedConfig(BaseModel):
     """What fixes any generated data set."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    robot: Annotated[Body, _OfAnyKind("body"), BeforeValidator(_by_name)] = default_world().body
+    robot: Annotated[Body, _OfAnyKind("body")] = Field(
+        default_world().body,
+        description="its fields, an example's name, or the absolute path of a robot's file",
+    )
     camera: Annotated[Any, _OfAnyKind("sensor")] | None = Field(
         None, exclude_if=lambda part: part is None, description="None: the usual one"
     )
@@ -54,6 +49,21 @@ class GeneratedConfig(BaseModel):
     split: Literal["train", "validation", "test", "demo"] = "train"
     seed: int = Field(0, ge=0)
     shard_size: int = Field(500, ge=1)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _robot_of_a_name_or_file(cls, values: Any) -> Any:
+        if not isinstance(values, dict) or not isinstance(robot := values.get("robot"), str):
+            return values
+        # A job runs in another folder than it is submitted from.
+        if robot not in examples() and not Path(robot).is_absolute():
+            known = ", ".join(examples())
+            raise ValueError(f"robot is one of {known}, an absolute path of a robot's file, or its fields")
+        try:
+            body = named_world(robot).body
+        except InputError as error:
+            raise ValueError(str(error)) from error
+        return values | {"robot": body}
 
     @property
     def world(self) -> World:
@@ -93,6 +103,15 @@ class DatasetConfig(GeneratedConfig):
 
     def _versions(self) -> dict[str, int]:
         return {"proposals": _PROPOSALS} if self.proposals_per_scenario else {}
+
+
+# Of an arm in space, where no number is given: as in the preset panda_quick. One picture takes a megabyte.
+USUAL_OF_ARMS = {
+    "scenario_count": 600,
+    "proposals_per_scenario": 384,
+    "extra_image_count": 0,
+    "shard_size": 25,
+}
 
 
 class PathDatasetConfig(GeneratedConfig):

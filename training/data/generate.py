@@ -46,6 +46,8 @@ def generate(config: Generated, folder: Path) -> Dataset:
     recipe = recipe_of(config)
     # Twice the finished size: the shards are there until the arrays are written.
     require_room(folder, 2 * recipe.finished_bytes)
+    size = recipe.finished_bytes / 2**30
+    _LOG.info("data: %.1f GiB at %s, and as much again until it is finished", size, folder)
     partial = folder.with_name(f"{folder.name}.{config.key}.partial")
     try:
         make_output_folder(partial)

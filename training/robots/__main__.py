@@ -50,6 +50,8 @@ def parser() -> argparse.ArgumentParser:
     commands = result.add_subparsers(required=True, metavar="COMMAND")
     one = commands.add_parser("import", help="a serial arm from a URDF or xacro file")
     one.add_argument("urdf", type=Path, help="the description; a name that ends with .xacro is expanded")
+    named = "of the robot and its models, as in NAME-sampler; default: the description's"
+    one.add_argument("--name", help=named)
     one.add_argument("--srdf", type=Path, help="with the pairs that need no check; default: beside the URDF")
     one.add_argument("--tip", metavar="LINK", help="whose frame is the tool's; default: the last link")
     for name, value, told in (
@@ -77,10 +79,14 @@ def parser() -> argparse.ArgumentParser:
 
 
 def _request(options: argparse.Namespace) -> Request:
+    if options.name is not None and re.fullmatch("[a-z0-9]([a-z0-9-]{0,38}[a-z0-9])?", options.name) is None:
+        fitting = "1 to 40 lower-case letters, digits and dashes, no dash at an end"
+        raise ConfigError("--name does not fit", expected=fitting, got=repr(options.name)[:200])
     excess_m = (10.0 if options.excess_mm is None else options.excess_mm) / 1e3
     ready = None if options.ready is None else options.ready.split(",")
     return Request(
         urdf=options.urdf,
+        name=options.name,
         srdf=options.srdf,
         tip=options.tip,
         locked={name: _number("--lock", value) for name, value in _pairs("--lock", options.lock).items()},

@@ -34,11 +34,13 @@ _TOLERANCE_M = 0.0005
 class Request:
     """What is asked for, as the options of the command.
 
-    Where they are None, the SRDF file is that beside the description, the tip is the last link, the arm waits
-    in the middle of its limits. Values of ``locked`` are rad or m, ``limits`` rad, None for a circle.
+    Where they are None, the name is the description's, the SRDF file is that beside it, the tip is the last
+    link, and the arm waits in the middle of its limits. Values of ``locked`` are rad or m, ``limits`` rad,
+    None for a circle.
     """
 
     urdf: Path
+    name: str | None = None
     srdf: Path | None = None
     tip: str | None = None
     locked: Mapping[str, float] = field(default_factory=dict)
@@ -92,7 +94,7 @@ def import_robot(request: Request, tell: Callable[[str], None] = lambda _: None)
         known = f"some of {sorted(description.links)}"
         raise ScenarioError("links are unknown", expected=known, got=str(unknown))
     # First, for spheres take a while.
-    jointed = SerialArm(description.name, chain.joints, (), (), chain.tool, request.ready_rad)
+    jointed = SerialArm(request.name or description.name, chain.joints, (), (), chain.tool, request.ready_rad)
     solids, notes = _solids(description, chain, request)
     parts, fits, surfaces = [], {}, {}
     for name, own in solids.items():

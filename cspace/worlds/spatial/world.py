@@ -280,7 +280,11 @@ def shipped(name: str) -> SerialArm:
     path = _ROBOTS / f"{name}.json"
     if not path.is_file():
         known = sorted(one.stem for one in _ROBOTS.glob("*.json"))
-        raise ScenarioError("the robot is unknown", expected=f"one of {', '.join(known)}", got=name[:200])
+        raise ScenarioError(
+            "the robot is unknown",
+            expected=f"one of {', '.join(known)}, or a file that python -m training.robots import wrote",
+            got=name[:200],
+        )
     return SerialArm.from_dict(json.loads(path.read_bytes()))
 
 
@@ -329,11 +333,19 @@ def described(options: argparse.Namespace) -> SpatialWorld | None:
         ConfigError: the file cannot be read.
         ScenarioError: there is no such arm, or it cannot be.
     """
-    if options.arm is None:
-        return None
-    path = Path(options.arm)
+    return None if options.arm is None else named(options.arm)
+
+
+def named(text: str) -> SpatialWorld:
+    """The usual world of an arm that ships, by its name, or of one in a file.
+
+    Raises:
+        ConfigError: the file cannot be read.
+        ScenarioError: there is no such arm, or it cannot be.
+    """
+    path = Path(text)
     if not path.is_file():
-        return usual(shipped(options.arm))
+        return usual(shipped(text))
     data = read_bounded(path, _MAX_BYTES, ConfigError)
     try:
         values = parse_json(data)
