@@ -21,7 +21,7 @@ FAST := not slow and not e2e and not compose and not browser and not gpu
 ALL := not compose and not gpu
 
 .DEFAULT_GOAL := help
-.PHONY: interpreter location help venv demo quickstart test test-all check pins format docs docs-links up down status env clean-state
+.PHONY: interpreter location help venv demo quickstart arm test test-all check pins format docs docs-links up down status env clean-state
 
 help: ## print this
 	@echo "make TARGET, with"
@@ -37,6 +37,9 @@ demo: $(INSTALLED) ## the API on the shipped models, its page in a browser, and 
 
 quickstart: $(INSTALLED) ## the main job: start services, train, evaluate, promote, serve, plan; WORLD=panda for that arm
 	@$(LOCAL) quickstart $(if $(WORLD),--world "$(WORLD)")
+
+arm: $(INSTALLED) ## your own arm to a served model: URDF=FILE TIP=LINK, and NAME=... IMPORT="--ready 0,1 --lock joint=0 ..."
+	@$(LOCAL) arm "$(URDF)" $(if $(TIP),--tip "$(TIP)") $(if $(NAME),--name "$(NAME)") $(IMPORT)
 
 up: $(INSTALLED) ## start MLflow, Ray and the API; print their addresses and how to set a shell up
 	@$(LOCAL) up

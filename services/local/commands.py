@@ -6,6 +6,7 @@ import sys
 import webbrowser
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 from cspace.errors import ConfigError
 from services.local.quickstart import TOURS, USUAL
@@ -139,6 +140,26 @@ def _quickstart(settings: Settings, options: argparse.Namespace) -> int:
     return 0
 
 
+def _arm(settings: Settings, options: argparse.Namespace) -> int:
+    from services.local.own_arm import import_arm, tour_of_arm  # noqa: PLC0415 - as above
+    from services.local.quickstart import quickstart  # noqa: PLC0415
+
+    file = import_arm(settings, options.urdf, options.import_options, _say)
+    quickstart(settings, tour_of_arm(file), _say)
+    _say(f"The robot is in {file}; `python -m services.planner --robot {file} --whole-plan` plans with it.")
+    return 0
+
+
+def _arm_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("urdf", type=Path, help="the description; a name that ends with .xacro is expanded")
+    parser.add_argument(
+        "import_options",
+        nargs=argparse.REMAINDER,
+        metavar="OPTION",
+        help="of python -m training.robots import, such as --tip LINK --name NAME --ready A,B,...",
+    )
+
+
 def _quickstart_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--world", choices=sorted(TOURS), default=USUAL, help="whose job it is (default: %(default)s)"
@@ -180,6 +201,7 @@ COMMANDS = {
     "quickstart": Command(
         "the main job: up, train, evaluate, promote, serve, plan", _quickstart, _quickstart_options
     ),
+    "arm": Command("your own arm, from its URDF or xacro file to a served model", _arm, _arm_options),
     "clean-state": Command("delete the state folder: runs, models, data, logs", _clean_state, _yes),
     "env": Command('print the lines that set a shell up for jobs: eval "$(... env)"', _env),
 }

@@ -15,7 +15,7 @@ from cspace.errors import PlanningError, ServiceStartError
 from cspace.query import SampleQuery
 from cspace.simulator import Split
 from cspace.world import World
-from cspace.worlds import examples, picture_file_of, robot_digest
+from cspace.worlds import named_world, picture_file_of, robot_digest
 from services.evaluator.measures.sample_quality import (
     ReconstructionSummary,
     SamplerSummary,
@@ -49,8 +49,8 @@ class Tour:
     """The main job of one robot.
 
     Args:
-        robot: name of the example.
-        shipped: the model that comes with the server.
+        robot: name of an example, or the path of a robot's file.
+        shipped: the model that comes with the server; None where none is of this robot.
         train: entry point of the training job.
         evaluate: of the evaluation job, with ``{model}`` where the version goes.
         scenarios: on which served samples are judged.
@@ -58,7 +58,7 @@ class Tour:
     """
 
     robot: str
-    shipped: str
+    shipped: str | None
     train: str
     evaluate: str
     scenarios: int
@@ -67,7 +67,7 @@ class Tour:
     @property
     def world(self) -> World:
         """The robot's."""
-        return examples()[self.robot]
+        return named_world(self.robot)
 
 
 TOURS = {
@@ -360,7 +360,7 @@ def quickstart(settings: Settings, tour: Tour, say: Callable[[str], None]) -> No
     default = evaluation.promoted and training.model == MODEL_NAME
     wait_served(settings.api_url, training.reference, default=default)
     told = listed_models(settings.api_url, training.model)
-    both = tuple(name for name in (training.reference, tour.shipped) if name in told)
+    both = tuple(name for name in (training.reference, tour.shipped) if name and name in told)
     progress.stage(f"quality of {' and '.join(both)} over HTTP, on scenarios that nobody was trained on")
     quality = served_quality(settings.api_url, both, tour)
     progress.stage("planning with samples from POST /sample")

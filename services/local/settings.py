@@ -79,7 +79,7 @@ MLFLOW_PORT = "CSPACE_MLFLOW_PORT"
 VIEWER_PORT = "CSPACE_VIEWER_PORT"
 RAY_CPUS = "CSPACE_RAY_CPUS"
 HOME = "CSPACE_HOME"
-FOLDERS = ("mlflow", "data", "logs", "run", "figures", "models")
+FOLDERS = ("mlflow", "data", "logs", "run", "figures", "models", "arms")
 
 _ROOT = Path(__file__).resolve().parents[2]
 
@@ -140,6 +140,11 @@ class Settings:
     def run_folder(self) -> Path:
         """Records of the running processes."""
         return self.home / "run"
+
+    @property
+    def arms_folder(self) -> Path:
+        """Robots of the user's own, imported from their descriptions."""
+        return self.home / "arms"
 
     @property
     def figures_folder(self) -> Path:
